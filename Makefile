@@ -1,0 +1,66 @@
+# make demo   the main job on a simulated joint       make test   linters, types, tests
+# Both make their own environment from a lock. Options: PYTHON=/path/to/python  ARGS='...' (to hd-diag demo)
+# PYTEST_ARGS='...'
+
+PYTHON ?=
+ARGS ?=
+PYTEST_ARGS ?=
+SHELL = /bin/sh
+
+# The environments bring their own ROS; nothing of a sourced one may mix in.
+unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE COLCON_PREFIX_PATH CMAKE_PREFIX_PATH
+export RMW_IMPLEMENTATION = rmw_fastrtps_cpp
+ENVIRONMENT = sh scripts/environment.sh
+IN = AMENT_PREFIX_PATH='$(CURDIR)/.venv/$(1)' PATH="$(CURDIR)/.venv/$(1)/bin:$$PATH"
+
+.PHONY: help demo test lint types pytest pytest-ubuntu install lock clean
+.NOTPARALLEL:
+
+help:
+	@echo "make demo     run the main job on a simulated joint (under a minute; the first time also installs)"
+	@echo "make test     linters, types and tests, on the newest numpy and on Ubuntu 24.04's"
+	@echo "make install  bring the test environment .venv/test up to date with this tree"
+	@echo "make lock     resolve requirements/*.txt anew"
+	@echo "make clean    remove environments and build results"
+
+demo:
+	@$(ENVIRONMENT) demo '$(PYTHON)'
+	@echo "== hd-diag demo (under a minute)"
+	@$(call IN,demo) hd-diag demo $(ARGS)
+
+test: lint types pytest pytest-ubuntu
+
+install:
+	@$(ENVIRONMENT) test '$(PYTHON)'
+
+lint: install
+	@echo "== Linters: ruff format --check, ruff check (1 s)"
+	@$(call IN,test) ruff format --check .
+	@$(call IN,test) ruff check .
+
+types: install
+	@echo "== Types: mypy (up to 1 minute the first time)"
+	@$(call IN,test) mypy
+
+pytest: install
+	@echo "== Tests, newest numpy (a few minutes)"
+	@$(call IN,test) pytest -n 2 --dist loadfile $(PYTEST_ARGS)
+
+# What does not depend on numpy is tested once, above.
+pytest-ubuntu:
+	@python=$$(sh scripts/find_python.sh '$(PYTHON)') && \
+	if "$$python" -c 'import sys; sys.exit(sys.version_info < (3, 13))'; then \
+	    echo "== SKIPPED tests with numpy 1.26 and scipy 1.11: they have no wheels for $$("$$python" -V);" \
+	         "run make test with a Python 3.10 to 3.12"; \
+	else \
+	    $(ENVIRONMENT) ubuntu "$$python" && \
+	    echo "== Tests, numpy 1.26 and scipy 1.11 as in Ubuntu 24.04 (a few minutes)" && \
+	    $(call IN,ubuntu) pytest -n 2 --dist loadfile --ignore test/test_colcon.py --ignore test/test_package.py \
+	        $(PYTEST_ARGS); \
+	fi
+
+lock:
+	@sh scripts/lock.sh '$(PYTHON)'
+
+clean:
+	rm -rf .venv build install log *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -1,0 +1,50 @@
+"""The one exception of the bag edge."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+
+class BagError(ValueError):
+    """A bag cannot be read or written; the message is one line that names the file and the cause.
+
+    Parameters
+    ----------
+    path : str or path-like
+        The file or folder concerned.
+    cause : str or Exception
+        What is wrong with it.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], cause: str | Exception) -> None:
+        self.path = Path(path)
+        self.cause = _one_line(
+            cause.strerror if isinstance(cause, OSError) and cause.strerror else str(cause)
+        )
+        super().__init__(f"{_one_line(str(path))}: {self.cause}")
+
+
+def _one_line(text: str, limit: int = 300) -> str:
+    """`text` with control characters escaped and bounded in length: names in a bag may be hostile."""
+    shown = "".join(
+        c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text[: limit + 1]
+    )
+    return shown if len(shown) <= limit else shown[: limit - 1] + "…"
+
+
+def check_output(out: str | os.PathLike[str], *inputs: str | os.PathLike[str]) -> None:
+    """Refuse an output that is, holds, or lies inside one of the inputs.
+
+    Raises
+    ------
+    BagError
+        Where writing `out` would touch an input.
+    """
+    target = Path(out).resolve()
+    for name in inputs:
+        source = Path(name).resolve()
+        if target == source or target in source.parents or (source.is_dir() and source in target.parents):
+            raise BagError(out, f"output would overwrite the input {source}")
+        if target.exists() and source.exists() and os.path.samefile(target, source):
+            raise BagError(out, f"output is the same file as the input {source}")

@@ -1,0 +1,341 @@
+"""One MCAP file being written: small chunks that reach the operating system whole, and a summary at the end.
+
+A file that is cut off anywhere holds every chunk that was closed before; records are laid out as in the MCAP
+specification, https://mcap.dev/spec.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import struct
+import time
+import zlib
+from array import array
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import lz4.frame
+import numpy as np
+import numpy.typing as npt
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+
+from .errors import BagError
+from .schemas import Definition
+
+MAGIC = b"\x89MCAP0\r\n"
+COMPRESSIONS = ("zstd", "lz4", "none")
+# opcode, record length, channel, sequence, log time [ns], publish time [ns]
+MESSAGE = struct.Struct("<BQHIQQ")
+_CHUNK = struct.Struct("<BQQQQI")
+_INDEX = struct.Struct("<BQHI")
+# Level 1: floats hardly compress better at higher levels, and the node writes while it works.
+_ZSTD_LEVEL = 1
+
+
+class McapFile:
+    """An MCAP file with profile ``ros2``.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    compression : {'zstd', 'lz4', 'none'}
+        Compression of the chunks.
+    chunk_size : int
+        Uncompressed size at which a chunk is closed [byte].
+    overwrite : bool
+        Replace an existing file; else it is an error.
+    """
+
+    def __init__(self, path: Path, compression: str, chunk_size: int, *, overwrite: bool = False) -> None:
+        self.path = path
+        self.size = 0
+        self.channels: dict[tuple[str, str], int] = {}
+        self.start: int | None = None
+        self._compress = _Compressor(compression)
+        self._chunk_size = chunk_size
+        self._chunk = _Chunk()
+        self._indexes: list[ChunkIndex] = []
+        self._metadata: list[MetadataIndex] = []
+        self._schemas: dict[str, Schema] = {}
+        self._channels: list[Channel] = []
+        self._counts: dict[int, int] = {}
+        self._first, self._last = 2**64 - 1, 0
+        self._fd = _create(path, overwrite)
+        try:
+            self._put(MAGIC + _packed(Header("ros2", "hd_diag")))
+        except BaseException:
+            os.close(self._fd)
+            raise
+
+    @property
+    def count(self) -> int:
+        """Messages added so far."""
+        return sum(self._counts.values())
+
+    @property
+    def times(self) -> tuple[int, int]:
+        """Least and greatest log time so far [ns]; (2**64 - 1, 0) before the first message."""
+        return min(self._first, self._chunk.first), max(self._last, self._chunk.last)
+
+    @property
+    def pending(self) -> float | None:
+        """When the open chunk got its first message (``time.monotonic``) [s]; None if it has none."""
+        return self._chunk.opened
+
+    def add_channel(self, topic: str, definition: Definition, metadata: Mapping[str, str]) -> int:
+        """Register a topic, and its schema where this is the first topic of the type."""
+        name = definition.type_name
+        if name not in self._schemas:
+            text = definition.text.encode()
+            self._schemas[name] = Schema(len(self._schemas) + 1, text, definition.encoding, name)
+            self._chunk.add_record(_packed(self._schemas[name]))
+        number = len(self._channels) + 1
+        channel = Channel(number, topic, "cdr", dict(metadata), self._schemas[name].id)
+        self._chunk.add_record(_packed(channel))
+        self._channels.append(channel)
+        self.channels[topic, name] = number
+        self._counts[number] = 0
+        return number
+
+    def add(self, channel: int, log_time: int, publish_time: int, data: bytes) -> None:
+        """Append a message; the chunk is closed when it is full."""
+        sequence = self._counts[channel] & 0xFFFFFFFF
+        head = MESSAGE.pack(Opcode.MESSAGE, 22 + len(data), channel, sequence, log_time, publish_time)
+        self._chunk.add_message(channel, log_time, head, data)
+        self._counts[channel] += 1
+        if self.start is None:
+            self.start = log_time
+        if self._chunk.size >= self._chunk_size:
+            self.close_chunk()
+
+    def room(self, row_size: int) -> int:
+        """How many messages of `row_size` bytes fill the open chunk, at least 1."""
+        return max(1, -(-(self._chunk_size - self._chunk.size) // (row_size + MESSAGE.size)))
+
+    def add_rows(
+        self,
+        channel: int,
+        times: npt.NDArray[np.int64],
+        publish_times: npt.NDArray[np.int64],
+        rows: npt.NDArray[np.uint8],
+    ) -> None:
+        """Append (n, size) messages of one channel at once; the chunk is closed when it is full."""
+        count, size = rows.shape
+        block = np.empty(count, _message_type(size))
+        block["opcode"], block["length"], block["channel"] = Opcode.MESSAGE, 22 + size, channel
+        block["sequence"] = np.arange(self._counts[channel], self._counts[channel] + count) & 0xFFFFFFFF
+        block["log_time"], block["publish_time"] = times, publish_times
+        block["data"] = rows
+        self._chunk.add_block(channel, times, block.tobytes(), block.itemsize)
+        self._counts[channel] += count
+        if self.start is None:
+            self.start = int(times[0])
+        if self._chunk.size >= self._chunk_size:
+            self.close_chunk()
+
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Append a metadata record, after what was added before it."""
+        self.close_chunk()
+        record = _packed(Metadata(name, dict(values)))
+        self._metadata.append(MetadataIndex(self.size, len(record), name))
+        self._put(record)
+
+    def close_chunk(self) -> None:
+        """Hand everything added so far to the operating system."""
+        chunk, self._chunk = self._chunk, _Chunk()
+        if not chunk.size:
+            return
+        data = b"".join(chunk.parts)
+        name, stored = self._compress(data)
+        first = 0 if chunk.opened is None else chunk.first
+        tail = struct.pack("<I", len(name)) + name.encode() + struct.pack("<Q", len(stored))
+        length = _CHUNK.size - 9 + len(tail) + len(stored)
+        head = _CHUNK.pack(Opcode.CHUNK, length, first, chunk.last, len(data), zlib.crc32(data)) + tail
+        start, end = self.size, self.size + len(head) + len(stored)
+        places, index = _message_indexes(chunk.index, end)
+        self._put(b"".join((head, stored, *index)))
+        self._first, self._last = min(self._first, chunk.first), max(self._last, chunk.last)
+        self._indexes.append(
+            ChunkIndex(
+                end - start, start, name, len(stored), chunk.last, self.size - end, places, first, len(data)
+            )
+        )
+
+    def finish(self) -> None:
+        """Close the open chunk and write the summary."""
+        self.close_chunk()
+        end = _packed(DataEnd(0))
+        start = self.size + len(end)
+        groups: list[tuple[Opcode, Sequence[McapRecord]]] = [
+            (Opcode.SCHEMA, [*self._schemas.values()]),
+            (Opcode.CHANNEL, self._channels),
+            (Opcode.STATISTICS, [self._statistics()]),
+            (Opcode.CHUNK_INDEX, self._indexes),
+            (Opcode.METADATA_INDEX, self._metadata),
+        ]
+        summary, offsets = _summary(groups, start)
+        footer = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, start + len(summary))
+        checksum = zlib.crc32(summary + offsets + footer)
+        self._put(end + summary + offsets + _packed(Footer(start, start + len(summary), checksum)) + MAGIC)
+
+    def release(self) -> None:
+        """Close the file as it is."""
+        if self._fd >= 0:
+            fd, self._fd = self._fd, -1
+            os.close(fd)
+
+    def _statistics(self) -> Statistics:
+        first, last = self.times
+        return Statistics(
+            attachment_count=0,
+            channel_count=len(self._channels),
+            channel_message_counts=dict(self._counts),
+            chunk_count=len(self._indexes),
+            message_count=self.count,
+            message_end_time=last,
+            message_start_time=min(first, last),
+            metadata_count=len(self._metadata),
+            schema_count=len(self._schemas),
+        )
+
+    def _put(self, data: bytes) -> None:
+        """Write all of `data`, or nothing: a record that does not fit is cut off again."""
+        view, done = memoryview(data), 0
+        try:
+            while done < len(view):
+                done += os.write(self._fd, view[done:])
+        except BaseException:
+            os.ftruncate(self._fd, self.size)
+            os.lseek(self._fd, self.size, os.SEEK_SET)
+            raise
+        self.size += len(data)
+
+
+class _Chunk:
+    """Records of the chunk that is being filled."""
+
+    def __init__(self) -> None:
+        self.parts: list[bytes] = []
+        self.size = 0
+        self.opened: float | None = None
+        self.first, self.last = 2**64 - 1, 0
+        self.index: dict[int, array[int]] = {}
+
+    def add_record(self, record: bytes) -> None:
+        self.parts.append(record)
+        self.size += len(record)
+
+    def add_message(self, channel: int, log_time: int, head: bytes, data: bytes) -> None:
+        if self.opened is None:
+            self.opened = time.monotonic()
+        self.first, self.last = min(self.first, log_time), max(self.last, log_time)
+        entries = self.index.get(channel)
+        if entries is None:
+            entries = self.index[channel] = array("Q")
+        entries.append(log_time)
+        entries.append(self.size)
+        self.parts.append(head)
+        self.parts.append(data)
+        self.size += len(head) + len(data)
+
+    def add_block(self, channel: int, times: npt.NDArray[np.int64], block: bytes, step: int) -> None:
+        if self.opened is None:
+            self.opened = time.monotonic()
+        self.first, self.last = min(self.first, int(times.min())), max(self.last, int(times.max()))
+        entries = np.empty((len(times), 2), np.uint64)
+        entries[:, 0] = times
+        entries[:, 1] = np.arange(self.size, self.size + len(block), step)
+        self.index.setdefault(channel, array("Q")).frombytes(entries.tobytes())
+        self.add_record(block)
+
+
+class _Compressor:
+    """Compression of chunks; gives the name that the chunk carries and the bytes."""
+
+    def __init__(self, name: str) -> None:
+        if name not in COMPRESSIONS:
+            raise ValueError(f"compression: one of {', '.join(COMPRESSIONS)} expected, got {name!r}")
+        self._name = "" if name == "none" else name
+        self._zstd = zstandard.ZstdCompressor(level=_ZSTD_LEVEL)
+
+    def __call__(self, data: bytes) -> tuple[str, bytes]:
+        if self._name == "zstd":
+            return self._name, self._zstd.compress(data)
+        return self._name, lz4.frame.compress(data) if self._name == "lz4" else data
+
+
+def _create(path: Path, overwrite: bool) -> int:
+    """File descriptor of a new file, locked for as long as it is written."""
+    flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | (0 if overwrite else os.O_EXCL)
+    fd = os.open(path, flags, 0o666)
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        os.ftruncate(fd, 0)
+    except BlockingIOError as exc:
+        os.close(fd)
+        raise BagError(path, "is being written by another process") from exc
+    except BaseException:
+        os.close(fd)
+        raise
+    return fd
+
+
+def _packed(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())  # type: ignore[no-untyped-call]
+
+
+def _message_type(size: int) -> np.dtype[Any]:
+    """Numpy type of a message record with `size` bytes of data."""
+    return np.dtype(
+        [
+            ("opcode", "u1"),
+            ("length", "<u8"),
+            ("channel", "<u2"),
+            ("sequence", "<u4"),
+            ("log_time", "<u8"),
+            ("publish_time", "<u8"),
+            ("data", "u1", (size,)),
+        ]
+    )
+
+
+def _message_indexes(index: dict[int, array[int]], start: int) -> tuple[dict[int, int], list[bytes]]:
+    """Places of the message index records of a chunk that ends at `start`, and the records."""
+    places, parts = {}, []
+    for channel, entries in index.items():
+        places[channel] = start
+        size = len(entries) * 8
+        parts += [_INDEX.pack(Opcode.MESSAGE_INDEX, 6 + size, channel, size), entries.tobytes()]
+        start += _INDEX.size + size
+    return places, parts
+
+
+def _summary(groups: list[tuple[Opcode, Sequence[McapRecord]]], start: int) -> tuple[bytes, bytes]:
+    """Summary section that begins at `start`, and its summary offset section."""
+    summary, offsets = b"", b""
+    for opcode, records in groups:
+        group = b"".join(_packed(r) for r in records)
+        if group:
+            offsets += _packed(SummaryOffset(opcode, start + len(summary), len(group)))
+        summary += group
+    return summary, offsets

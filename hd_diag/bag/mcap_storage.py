@@ -1,0 +1,121 @@
+"""An MCAP file open for reading: its topics, counts and sections."""
+
+from __future__ import annotations
+
+import fcntl
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from .block import Block
+from .errors import BagError
+from .mcap_chunk import load
+from .mcap_scan import Scan, Section, scan
+from .schemas import Definition
+
+# Topic, type, offered QoS profiles as YAML, and definition, by channel number.
+Topics = dict[int, tuple[str, str, str, Definition | None]]
+
+
+class McapStorage:
+    """An MCAP file with everything that reading needs.
+
+    Attributes
+    ----------
+    scan : Scan
+    topics : dict
+        As `declared`.
+    counts : dict
+        Messages of each channel.
+    problem : str
+        Why the file is not finished; empty where it is.
+
+    Raises
+    ------
+    BagError
+        Where it is not an MCAP file of ROS 2, or a chunk that must be opened is damaged.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.file = path.open("rb")
+        try:
+            self.scan = scan(path, self.file)
+            self.problem = self.scan.problem
+            if self.problem and _is_locked(self.file.fileno()):
+                self.problem = "is being written by another process"
+            self.counts = self._counts()
+            self.topics = self._declared()
+        except BaseException:
+            self.file.close()
+            raise
+
+    def load(self, section: Section) -> Block:
+        """Messages of a section; BagError where it is damaged."""
+        return load(self.path, self.file, section, self.scan)
+
+    def sections(self, numbers: list[int], start: int | None, end: int | None) -> list[Section]:
+        """Sections that may hold messages of the topics in the range of time."""
+        return [
+            s
+            for s in self.scan.sections
+            if (end is None or s.start < end)
+            and (start is None or s.end >= start)
+            and (s.counts is None or not s.counts.keys().isdisjoint(numbers))
+        ]
+
+    def _counts(self) -> dict[int, int]:
+        """Messages of each channel; the chunks are opened only where nothing else tells."""
+        found = self.scan
+        if found.counts is not None and not found.problem and found.channels:
+            return found.counts
+        counts: dict[int, int] = {}
+        for section in found.sections:
+            if section.counts is None or not section.counts.keys() <= found.channels.keys():
+                block = self.load(section)
+                channels, number = np.unique(block.channel, return_counts=True)
+                section.counts = dict(zip(channels.tolist(), number.tolist(), strict=True))
+                if len(block):
+                    section.start, section.end = int(block.log_time.min()), int(block.log_time.max())
+            for channel, count in section.counts.items():
+                counts[channel] = counts.get(channel, 0) + count
+        return counts
+
+    def _declared(self) -> Topics:
+        topics = declared(self.scan)
+        for number, channel in self.scan.channels.items():
+            if number not in topics:
+                raise BagError(self.path, f"topic {channel.topic} has no schema, or is not CDR")
+        return topics
+
+
+def declared(found: Scan) -> Topics:
+    """Topics of the channels that have a schema and are in CDR."""
+    topics: Topics = {}
+    for number, channel in found.channels.items():
+        schema = found.schemas.get(channel.schema_id)
+        if schema is not None and channel.message_encoding in ("cdr", ""):
+            text, type_hash = (
+                schema.data.decode(errors="replace"),
+                channel.metadata.get("topic_type_hash", ""),
+            )
+            known = Definition(schema.name, text, schema.encoding, type_hash)
+            topics[number] = (
+                channel.topic,
+                schema.name,
+                channel.metadata.get("offered_qos_profiles", ""),
+                known,
+            )
+    return topics
+
+
+def _is_locked(fd: int) -> bool:
+    """Whether a writer of this package holds the file."""
+    try:
+        fcntl.flock(fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    with suppress(OSError):
+        fcntl.flock(fd, fcntl.LOCK_UN)
+    return False

@@ -1,0 +1,269 @@
+"""What can be saved of a bag that a crash, a full disk or damage left unfinished."""
+
+from __future__ import annotations
+
+import os
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from .block import Block
+from .errors import BagError, check_output
+from .folder import find_files, unpacked
+from .mcap_chunk import find_chunk, load, parse, readable_part
+from .mcap_scan import Scan, scan, walk
+from .mcap_storage import Topics, declared
+from .ordering import runs
+from .reader import BagReader, payload_of
+from .schemas import Definition
+from .sqlite_file import SqliteFile, is_sqlite
+from .writer import BagWriter
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass
+class FileRecovery:
+    """What became of one storage file.
+
+    Attributes
+    ----------
+    path : Path
+    size, unread : int
+        Size of the file, and bytes of it that could not be read [byte].
+    messages : int
+        Messages saved.
+    lost : int
+        Messages lost for certain: those that an index counts in a damaged chunk, or that belong to no topic.
+    problems : list of str
+        What is wrong with the file, one line each; empty for a whole file.
+    """
+
+    path: Path
+    size: int
+    unread: int = 0
+    messages: int = 0
+    lost: int = 0
+    problems: list[str] = field(default_factory=list)
+
+
+@dataclass
+class RecoveryReport:
+    """What was saved and what was lost.
+
+    Attributes
+    ----------
+    out : list of Path
+        Files written, read back and found equal to what was saved.
+    files : list of FileRecovery
+    counts : dict
+        Messages saved of each topic.
+    start, end : int or None
+        Least and greatest log time saved [ns]; None where nothing was.
+    """
+
+    out: list[Path]
+    files: list[FileRecovery]
+    counts: dict[str, int]
+    start: int | None = None
+    end: int | None = None
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing was lost that is known of."""
+        return not any(f.problems for f in self.files)
+
+    def statement(self) -> list[str]:
+        """What was saved and lost, in lines for people."""
+        total = sum(self.counts.values())
+        until = "" if self.end is None else f", the last at {self.end * 1e-9:.9f} s"
+        lines = [f"saved {total} messages{until}"]
+        lines += [f"  {topic}: {count}" for topic, count in sorted(self.counts.items())]
+        for file in self.files:
+            lines += [f"{file.path.name}: {problem}" for problem in file.problems]
+            if file.unread:
+                lines.append(f"{file.path.name}: {file.unread} of {file.size} bytes could not be read")
+            if file.lost:
+                lines.append(f"{file.path.name}: at least {file.lost} messages are lost")
+        return lines if not self.complete else [*lines, "nothing is missing"]
+
+    def as_dict(self) -> dict[str, Any]:
+        """The report as plain values."""
+        files = [
+            {"path": str(f.path), "size": f.size, "unread": f.unread, "messages": f.messages, "lost": f.lost}
+            | {"problems": f.problems}
+            for f in self.files
+        ]
+        return {
+            "schema": "hd_diag/recovery/1",
+            "complete": self.complete,
+            "out": [str(p) for p in self.out],
+            "messages": self.counts,
+            "start": self.start,
+            "end": self.end,
+            "files": files,
+        }
+
+
+def recover(
+    bag: str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> RecoveryReport:
+    """Copy everything that can be read of a bag into a new, whole one, and read that back.
+
+    Parameters
+    ----------
+    bag : str or path-like
+        MCAP file, ``.db3`` file or rosbag2 folder.
+    out : str or path-like
+        Bag to write, as for `BagWriter`.
+    overwrite : bool, optional
+        Replace `out` where it exists.
+    progress : callable, optional
+        Called with the bytes done and the bytes in all.
+
+    Raises
+    ------
+    BagError
+        Where `bag` is not a bag at all, or `out` cannot be written or does not read back the same.
+    """
+    check_output(out, bag)
+    found = find_files(Path(bag), lenient=True)
+    total = sum(p.stat().st_size for p in found.paths)
+    tally, files, done = _Tally(), [], 0
+    with BagWriter(out, overwrite=overwrite, custom_data=found.custom_data) as writer:
+        for path in found.paths:
+            report = FileRecovery(path, path.stat().st_size)
+            before = done
+            for topics, block, place in _salvage(path, report):
+                report.messages += _copy(
+                    writer, topics, block, tally, report, packed=found.message_compression
+                )
+                if progress is not None:
+                    progress(before + place, total)
+            done += report.size
+            files.append(report)
+    _verify(writer, tally)
+    times = (tally.start, tally.end) if tally.counts else (None, None)
+    return RecoveryReport(writer.paths, files, writer.counts, *times)
+
+
+class _Tally:
+    """Order-independent digest of the messages that were saved."""
+
+    def __init__(self) -> None:
+        self.counts: dict[str, int] = {}
+        self.digest = 0
+        self.start, self.end = 2**63 - 1, 0
+
+    def add(self, topic: str, messages: list[bytes], times: list[int]) -> None:
+        self.counts[topic] = self.counts.get(topic, 0) + len(messages)
+        self.start, self.end = min(self.start, *times), max(self.end, *times)
+        for data, log_time in zip(messages, times, strict=True):
+            self.digest += zlib.crc32(
+                data, zlib.crc32(log_time.to_bytes(8, "little"), zlib.crc32(topic.encode()))
+            )
+
+
+def _salvage(path: Path, report: FileRecovery) -> Iterator[tuple[Topics, Block, int]]:
+    """Topics, messages and place in the file, piece by piece, for as much as can be read."""
+    try:
+        if is_sqlite(path):
+            storage = SqliteFile(path)
+            for block in storage.blocks(list(storage.topics)):
+                yield storage.topics, block, 0
+        else:
+            with path.open("rb") as file:
+                yield from _salvage_mcap(path, file, report)
+    except (BagError, OSError) as exc:
+        report.problems.append(exc.cause if isinstance(exc, BagError) else str(exc))
+        report.unread = report.size
+
+
+def _salvage_mcap(path: Path, file: Any, report: FileRecovery) -> Iterator[tuple[Topics, Block, int]]:
+    found = scan(path, file)
+    gaps = _rescan(path, file, found, report)
+    for section in found.sections:
+        try:
+            block = load(path, file, section, found)
+        except BagError as exc:
+            report.problems.append(exc.cause)
+            report.unread += section.size
+            report.lost += sum((section.counts or {}).values())
+            continue
+        yield declared(found), block, section.offset
+    for start, end in gaps:
+        block = parse(readable_part(file, start, end), found)
+        if len(block):
+            report.problems.append(
+                f"{len(block)} messages were read from a chunk that is cut off at byte {end}"
+            )
+        yield declared(found), block, start
+
+
+def _rescan(path: Path, file: Any, found: Scan, report: FileRecovery) -> list[tuple[int, int]]:
+    """Go on behind damage where a whole chunk follows; gives the ranges of bytes that were not understood."""
+    gaps = []
+    while found.problem:
+        report.problems.append(found.problem)
+        gap = found.end
+        following = find_chunk(file, gap + 1, found.size)
+        end = found.size if following is None else following
+        if end > gap:
+            gaps.append((gap, end))
+        report.unread += end - gap
+        if following is None:
+            break
+        found.end = following
+        walk(path, file, found)
+    return gaps
+
+
+def _copy(
+    writer: BagWriter, topics: Topics, block: Block, tally: _Tally, report: FileRecovery, *, packed: bool
+) -> int:
+    """Write the messages whose topics are known; gives their number."""
+    copied = 0
+    for part in runs(block, grouped=False) if len(block) else ():
+        topic = topics.get(int(part.channel[0]))
+        if topic is None or not _declare(writer, topic):
+            report.lost += len(part)
+            report.problems.append(f"{len(part)} messages belong to no topic with a known definition")
+            continue
+        name, kind, _, _ = topic
+        rows = payload_of(part)
+        messages = [bytes(m) for m in (unpacked(report.path, rows) if packed else rows)]
+        writer.write_many(name, kind, messages, part.log_time, part.publish_time)
+        tally.add(name, messages, part.log_time.tolist())
+        copied += len(messages)
+    return copied
+
+
+def _declare(writer: BagWriter, topic: tuple[str, str, str, Definition | None]) -> bool:
+    """Whether the topic could be declared: it cannot where its type has no definition anywhere."""
+    name, kind, offers, known = topic
+    try:
+        writer.add_topic(name, kind, offers, known if known is not None and known.text else None)
+    except BagError:
+        if writer.error is not None:
+            raise
+        return False
+    return True
+
+
+def _verify(writer: BagWriter, tally: _Tally) -> None:
+    """Read the result and compare it with what was saved."""
+    again = _Tally()
+    for path in writer.paths:
+        with BagReader(path) as reader:
+            if reader.problems:
+                raise BagError(path, f"was written but {reader.problems[0]}")
+            for batch in reader.batches():
+                again.add(batch.topic.name, [bytes(m) for m in batch.messages()], batch.log_time.tolist())
+    if (again.counts, again.digest) != (tally.counts, tally.digest):
+        raise BagError(writer.path, "does not read back as it was written")

@@ -1,0 +1,59 @@
+"""Message definitions, type hashes and CDR of ROS 2 Jazzy, without an installed ROS."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import Any
+
+from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys.store import Typestore
+
+
+@dataclass(frozen=True)
+class Definition:
+    """Definition of a message type, as a bag carries it.
+
+    Attributes
+    ----------
+    type_name : str
+        As ``sensor_msgs/msg/JointState``.
+    text : str
+        Definition with those of the types it uses.
+    encoding : str
+        ``ros2msg`` or ``ros2idl``.
+    type_hash : str
+        RIHS01 hash; empty where it is not known.
+    """
+
+    type_name: str
+    text: str
+    encoding: str = "ros2msg"
+    type_hash: str = ""
+
+
+@functools.cache
+def jazzy() -> Typestore:
+    """The message types of ROS 2 Jazzy; shared, not to be added to."""
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+@functools.cache
+def definition(type_name: str) -> Definition:
+    """Definition of a message type of ROS 2 Jazzy.
+
+    Raises
+    ------
+    KeyError
+        Where ROS 2 Jazzy has no such type.
+    """
+    store = jazzy()
+    if type_name not in store.fielddefs:
+        raise KeyError(type_name)
+    text, _ = store.generate_msgdef(type_name, ros_version=2)
+    return Definition(type_name, text, "ros2msg", store.hash_rihs01(type_name))
+
+
+def serialize(message: Any, type_name: str) -> bytes:
+    """CDR (little endian, with the 4-byte header) of a message made from the classes of :func:`jazzy`."""
+    return bytes(jazzy().serialize_cdr(message, type_name))

@@ -1,0 +1,164 @@
+"""A drive: mesh, kinematics and values, with everything that can be computed of it at reported angles and torques."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.model.clearance import all_teeth
+from hd_diag.model.torsion import Mesh, torsion
+from hd_diag.model.torsion_map import TorsionMap
+from hd_diag.model.transmission_error import Kinematics
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A harmonic drive in a joint.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Geometry, tooth compliance, eccentricity and runout.
+    kinematics : Kinematics
+        Ratio, which member is the output, phase.
+    rated_torque : float
+        [N m], positive.
+    cup_compliance : float
+        c_cup, torsion of cup and output per torque beyond the teeth's [rad/(N m)], not negative.
+
+    Raises
+    ------
+    ValueError
+        Naming what cannot be: the ratio against the teeth, a sign, a displacement too large for the clearances.
+    """
+
+    mesh: Mesh
+    kinematics: Kinematics
+    rated_torque: float
+    cup_compliance: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.kinematics.check(self.mesh.geometry)
+        if not 0.0 < self.rated_torque < np.inf:
+            raise ValueError(f"rated_torque must be positive, not {self.rated_torque} N m")
+        if not 0.0 <= self.cup_compliance < np.inf:
+            raise ValueError(f"cup_compliance must not be negative, not {self.cup_compliance} rad/(N m)")
+
+
+@dataclass(frozen=True)
+class MeshState:
+    """All tooth pairs at some moments. Flanks (+, -): counter-clockwise, clockwise.
+
+    Attributes
+    ----------
+    backlash : ndarray, shape (moments, 2, Z_R)
+        Circumferential, at zero torsion [m]; negative: interference; nan: cannot touch.
+    load : ndarray, shape (moments, 2, Z_R)
+        Normal forces [N].
+    pressure_angle : ndarray, shape (moments, 2, Z_R)
+        [rad]; nan where the pair cannot touch.
+    torsion : ndarray, shape (moments,)
+        Rotation of the cup [rad].
+    lost_motion : ndarray, shape (moments,)
+        Gap at zero torque [rad].
+    overlap : ndarray, shape (moments,)
+        How far the lobes press against each other at zero torque: circumferential, at the contacts [m];
+        negative: the clearance that is left.
+    """
+
+    backlash: Floats
+    load: Floats
+    pressure_angle: Floats
+    torsion: Floats
+    lost_motion: Floats
+    overlap: Floats
+
+    @property
+    def loaded_pairs(self) -> npt.NDArray[np.int64]:
+        """Number of flanks that bear load, shape (moments,)."""
+        return np.count_nonzero(self.load > 0.0, axis=(1, 2)).astype(np.int64)
+
+    @property
+    def peak_load(self) -> Floats:
+        """Largest normal force [N], shape (moments,)."""
+        return np.asarray(self.load.max(axis=(1, 2)))
+
+    @property
+    def load_concentration(self) -> Floats:
+        """Largest force over the mean of the loaded flanks [-], 1 where none is loaded; shape (moments,)."""
+        loaded = np.maximum(self.loaded_pairs, 1)
+        mean = self.load.sum(axis=(1, 2)) / loaded
+        return np.where(mean > 0.0, self.peak_load / np.where(mean > 0.0, mean, 1.0), 1.0)
+
+    @property
+    def minimum_backlash(self) -> Floats:
+        """Least backlash over all flanks [m], shape (moments,)."""
+        return np.asarray(np.nanmin(self.backlash, axis=(1, 2)))
+
+    @property
+    def interference(self) -> npt.NDArray[np.bool_]:
+        """Whether no rotation of the cup frees all teeth: the lobes press against each other, shape (moments,)."""
+        return np.asarray(self.overlap > 0.0)
+
+
+def mesh_state(drive: Drive, input_angle: Floats, cup_torque: Floats) -> MeshState:
+    """Backlash and load of every tooth.
+
+    Parameters
+    ----------
+    drive : Drive
+    input_angle : ndarray, shape (moments,)
+        As reported [rad].
+    cup_torque : ndarray, shape (moments,)
+        Torque that turns the cup [N m]; :meth:`Kinematics.cup_torque` gives it from the link's.
+
+    Returns
+    -------
+    MeshState
+    """
+    mesh = drive.mesh
+    contact = mesh.contacts(drive.kinematics.wave_generator_angle(mesh.geometry, input_angle))
+    shared = mesh.share_load(contact, cup_torque)
+    gap = np.nanmin(contact.rotation, axis=2).sum(axis=1)
+    return MeshState(
+        backlash=all_teeth(mesh.geometry, contact, contact.backlash),
+        load=all_teeth(mesh.geometry, contact, shared.force, missing=0.0),
+        pressure_angle=all_teeth(mesh.geometry, contact, contact.pressure_angle),
+        torsion=shared.torsion,
+        lost_motion=shared.lost_motion,
+        overlap=-gap * np.nanmean(contact.radius, axis=(1, 2)),
+    )
+
+
+def transmission_error(drive: Drive, input_angle: Floats, torque: Floats, table: TorsionMap | None = None) -> Floats:
+    """Predicted transmission error.
+
+    Parameters
+    ----------
+    drive : Drive
+    input_angle : ndarray, shape (n,)
+        As reported [rad].
+    torque : ndarray, shape (n,)
+        What the drive exerts on the link [N m].
+    table : TorsionMap, optional
+        Map of this drive's mesh; where it does not reach, and without one, the solution is exact.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        ``theta_out - theta_in / ratio`` [rad].
+    """
+    angle = drive.kinematics.wave_generator_angle(drive.mesh.geometry, input_angle)
+    cup_torque = drive.kinematics.cup_torque(torque)
+    if table is None:
+        beta = torsion(drive.mesh, angle, cup_torque)
+    else:
+        beta = table(angle, cup_torque)
+        beyond = np.isnan(beta)
+        if beyond.any():
+            beta[beyond] = torsion(drive.mesh, angle[beyond], cup_torque[beyond])
+    return drive.kinematics.transmission_error(beta, torque, drive.cup_compliance)

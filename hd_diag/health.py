@@ -1,0 +1,201 @@
+"""Verdict on one joint since the last report: fault codes, limits, and the numbers behind them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from hd_diag.drive import MeshState, mesh_state, transmission_error
+from hd_diag.joint_monitor import JointMonitor, Window
+from hd_diag.model.torsion_map import ARCSEC
+from hd_diag.samples import Floats, Status
+
+FAULT_CODES = (
+    "LOG_FAILED",
+    "STALE",
+    "INPUT_INVALID",
+    "OUT_OF_RANGE",
+    "INTERFERENCE",
+    "LOAD_CONCENTRATION",
+    "RESIDUAL",
+    "OK",
+)
+"""Fault codes; of several at the same level the first is reported."""
+
+_ARCMIN = 60.0 * ARCSEC
+# Angles over one turn of the wave generator from which the peak-to-peak error is taken: enough for the low
+# orders that an eccentricity causes, and coprime with the tooth numbers so that the ripple is met as well.
+_ANGLES_OF_TURN = 257
+_ANGLES_WITHOUT_MAP = 61
+
+Fault = tuple[str, int, str]
+
+
+def report(joint: JointMonitor, now: int, facts: Mapping[str, str], foreign: int) -> Status:
+    """Status of a joint; begins a new window.
+
+    Parameters
+    ----------
+    joint : JointMonitor
+    now : int
+        Time of the report [ns].
+    facts : mapping
+        ``log_state`` and ``latency_p99_us`` as the surroundings know them.
+    foreign : int
+        Messages that named none of the configured joints.
+
+    Returns
+    -------
+    Status
+        With the fault code of the worst finding, and numbers in the units that their keys name.
+    """
+    window, joint.window = joint.window, Window()
+    joint.missed += _missed(window)
+    if joint.last_received < 0:
+        joint.last_received = now
+    silence = max(0.0, (now - joint.last_received) * 1e-9)
+    residual = _rms(window.residuals)
+    state, turn = _mesh(joint)
+    faults = _faults(joint, window, facts, silence, residual, state)
+    code, level, message = max(faults, key=lambda fault: (fault[1], -FAULT_CODES.index(fault[0])))
+    values = {
+        "fault_code": code,
+        "fault_codes": " ".join(fault[0] for fault in faults if fault[1]) or "OK",
+        **_configuration_values(joint),
+        **_mesh_values(state, turn),
+        "residual_rms_arcsec": _number(residual / ARCSEC),
+        "residual_mean_arcsec": _number(_mean(window.residuals) / ARCSEC),
+        "sample_rate_hz": _number(_rate(window)),
+        "samples": str(joint.samples),
+        "samples_rejected": str(joint.rejected),
+        "last_rejection": joint.last_rejection,
+        "samples_missed": str(joint.missed),
+        "outputs_unpaired": str(joint.unpaired),
+        "clock_jumps": str(joint.clock_jumps),
+        "messages_without_joint": str(foreign),
+        "silence_s": _number(silence),
+        "latency_p99_us": facts.get("latency_p99_us", "nan"),
+        "log_state": facts.get("log_state", "off"),
+    }
+    return Status(f"hd_diag: {joint.config.name}", level, message, values)
+
+
+def _faults(
+    joint: JointMonitor,
+    window: Window,
+    facts: Mapping[str, str],
+    silence: float,
+    residual: float,
+    state: MeshState | None,
+) -> list[Fault]:
+    limits = joint.config.limits
+    seen = window.accepted + window.rejected
+    share = window.rejected / seen if seen else 0.0
+    torque = abs(joint.last[1]) / joint.config.drive.rated_torque if joint.last else 0.0
+    found: list[Fault] = [("OK", 0, "OK")]
+    if facts.get("log_state", "").startswith("failed"):
+        found.append(("LOG_FAILED", 1, f"log {facts['log_state']}"))
+    found.append(("STALE", limits["silence"].level(silence), f"no valid sample for {silence:.1f} s"))
+    found.append(
+        ("INPUT_INVALID", limits["rejected"].level(share), f"{window.rejected} rejected: {joint.last_rejection}")
+    )
+    found.append(("OUT_OF_RANGE", limits["torque"].level(torque), f"torque is {torque:.2f} times the rated torque"))
+    if state is not None:
+        found += _mesh_faults(joint, state)
+    found.append(
+        ("RESIDUAL", limits["residual_rms"].level(residual), f"residual {residual / ARCSEC:.1f} arcsec rms")
+    )
+    return found
+
+
+def _mesh_faults(joint: JointMonitor, state: MeshState) -> list[Fault]:
+    limits = joint.config.limits
+    overlap, peak = float(state.overlap[0]), float(state.peak_load[0])
+    concentration = float(state.load_concentration[0])
+    return [
+        ("INTERFERENCE", limits["overlap"].level(overlap), f"the lobes overlap by {overlap * 1e6:.1f} um"),
+        ("LOAD_CONCENTRATION", limits["peak_tooth_load"].level(peak), f"peak tooth load {peak:.1f} N"),
+        (
+            "LOAD_CONCENTRATION",
+            limits["load_concentration"].level(concentration),
+            f"peak tooth load is {concentration:.1f} times the mean",
+        ),
+    ]
+
+
+def _mesh(joint: JointMonitor) -> tuple[MeshState | None, Floats]:
+    """Teeth at the last sample, and the predicted error over one wave generator turn at its torque [rad]."""
+    if joint.last is None:
+        return None, np.array([np.nan])
+    drive = joint.config.drive
+    angle, torque = (np.array([value]) for value in joint.last)
+    state = mesh_state(drive, angle, drive.kinematics.cup_torque(torque))
+    count = _ANGLES_OF_TURN if joint.table is not None else _ANGLES_WITHOUT_MAP
+    turn = angle + 2.0 * np.pi * np.arange(count) / count
+    return state, transmission_error(drive, turn, np.repeat(torque, count), joint.table)
+
+
+def _configuration_values(joint: JointMonitor) -> dict[str, str]:
+    drive = joint.config.drive
+    angle, torque = joint.last if joint.last else (np.nan, np.nan)
+    return {
+        "eccentricity_um": _number(abs(drive.mesh.eccentricity) * 1e6),
+        "eccentricity_direction_deg": _number(np.degrees(np.angle(drive.mesh.eccentricity))),
+        "runout_um": _number(abs(drive.mesh.runout) * 1e6),
+        "input_angle_rad": _number(angle),
+        "torque_Nm": _number(torque),
+        "temperature_C": _number(joint.temperature),
+        "prediction": "exact" if joint.table is None else "map",
+        "prediction_error_bound_arcsec": _number(0.0 if joint.table is None else joint.table.error_bound / ARCSEC),
+    }
+
+
+def _mesh_values(state: MeshState | None, turn: Floats) -> dict[str, str]:
+    if state is None:
+        keys = "minimum_backlash_um interference overlap_um loaded_pairs peak_tooth_load_N load_concentration"
+        return dict.fromkeys([*keys.split(), "lost_motion_arcmin", "predicted_te_pp_arcsec"], "nan")
+    return {
+        "minimum_backlash_um": _number(state.minimum_backlash[0] * 1e6),
+        "interference": "true" if state.interference[0] else "false",
+        "overlap_um": _number(state.overlap[0] * 1e6),
+        "loaded_pairs": str(int(state.loaded_pairs[0])),
+        "peak_tooth_load_N": _number(state.peak_load[0]),
+        "load_concentration": _number(state.load_concentration[0]),
+        "lost_motion_arcmin": _number(state.lost_motion[0] / _ARCMIN),
+        "predicted_te_pp_arcsec": _number(np.ptp(turn) / ARCSEC),
+    }
+
+
+def _number(value: float) -> str:
+    return f"{float(value):.6g}"
+
+
+def _rms(parts: list[Floats]) -> float:
+    """Root mean square about the mean: the encoders' zero offset is nobody's fault [rad]; nan of fewer than two."""
+    values = np.concatenate(parts) if parts else np.empty(0)
+    return float(np.std(values)) if values.size > 1 else float("nan")
+
+
+def _mean(parts: list[Floats]) -> float:
+    values = np.concatenate(parts) if parts else np.empty(0)
+    return float(np.mean(values)) if values.size else float("nan")
+
+
+def _rate(window: Window) -> float:
+    """Samples per second by their stamps [Hz]."""
+    if window.accepted < 2:
+        return 0.0
+    span = int(window.stamps[-1][-1]) - int(window.stamps[0][0])
+    return (window.accepted - 1) / (span * 1e-9) if span > 0 else float("nan")
+
+
+def _missed(window: Window) -> int:
+    """Samples that the stamps' regular steps say were lost on the way."""
+    if window.accepted < 8:
+        return 0
+    steps = np.diff(np.concatenate(window.stamps))
+    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    if usual <= 0.0:
+        return 0
+    return int(np.sum(np.rint(steps[steps > 1.5 * usual] / usual) - 1.0))

@@ -1,0 +1,166 @@
+"""Results as ROS 2 messages: the same bytes live, in the log and in a replay."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.bag.encoding import encode_float64_multiarray, encode_joint_states
+from hd_diag.bag.schemas import jazzy, serialize
+from hd_diag.samples import Angles, Publication, Report, Teeth, Times
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+MULTI_ARRAY = "std_msgs/msg/Float64MultiArray"
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+TEMPERATURE = "sensor_msgs/msg/Temperature"
+MARKERS = "visualization_msgs/msg/MarkerArray"
+STRING = "std_msgs/msg/String"
+PARAMETER_EVENT = "rcl_interfaces/msg/ParameterEvent"
+
+_NANOSECONDS = 1_000_000_000
+
+
+class Encoded(NamedTuple):
+    """Messages of one topic: name as the monitor gives it, type, time of the cause [ns] (n,), CDR rows (n, size)."""
+
+    topic: str
+    type_name: str
+    received: Times
+    rows: npt.NDArray[np.uint8]
+
+
+def encode(publication: Publication) -> Encoded:
+    """CDR of what a monitor publishes.
+
+    Parameters
+    ----------
+    publication : Angles, Teeth or Report
+
+    Returns
+    -------
+    Encoded
+    """
+    if isinstance(publication, Angles):
+        rows = encode_joint_states(
+            publication.names, publication.stamp, publication.position, None, publication.effort
+        )
+        return Encoded(publication.topic, JOINT_STATE, publication.received, rows)
+    if isinstance(publication, Teeth):
+        teeth = publication.values.shape[2]
+        rows = encode_float64_multiarray((("flank", 2), ("tooth", teeth)), publication.values.reshape(-1, 2 * teeth))
+        return Encoded(publication.topic, MULTI_ARRAY, publication.received, rows)
+    data = _diagnostics(publication)
+    return Encoded(
+        publication.topic, DIAGNOSTICS, np.array([publication.received]), np.frombuffer(data, np.uint8)[None, :]
+    )
+
+
+def published_topics(joints: Sequence[str]) -> dict[str, str]:
+    """Topics that a monitor of these joints publishes on, with their types."""
+    topics = dict.fromkeys(("~/transmission_error", "~/measured_transmission_error", "~/residual"), JOINT_STATE)
+    topics["/diagnostics"] = DIAGNOSTICS
+    for joint in joints:
+        topics |= {f"~/{joint}/backlash": MULTI_ARRAY, f"~/{joint}/load": MULTI_ARRAY, f"~/{joint}/mesh": MARKERS}
+    return topics
+
+
+def resolved(topic: str, node: str = "/hd_diag") -> str:
+    """Full name of a topic of the node; ``~`` stands for the node's name."""
+    return node + topic[1:] if topic.startswith("~") else topic
+
+
+def string(text: str) -> bytes:
+    """CDR of a std_msgs/String."""
+    return serialize(_types()["std_msgs/msg/String"](text), STRING)
+
+
+def read_string(data: bytes) -> str:
+    """Text of a std_msgs/String in CDR."""
+    return str(jazzy().deserialize_cdr(data, STRING).data)
+
+
+def read_temperature(data: bytes) -> float:
+    """Temperature of a sensor_msgs/Temperature in CDR [degree Celsius]."""
+    return float(jazzy().deserialize_cdr(data, TEMPERATURE).temperature)
+
+
+def parameter_event(node: str, stamp: int, values: Mapping[str, Any], new: bool) -> bytes:
+    """CDR of an rcl_interfaces/ParameterEvent.
+
+    Parameters
+    ----------
+    node : str
+        Full name of the node.
+    stamp : int
+        [ns]
+    values : mapping
+        Full parameter names and values.
+    new : bool
+        Whether they are declared rather than changed.
+    """
+    types = _types()
+    parameters = [_parameter(name, value) for name, value in values.items()]
+    event = types["rcl_interfaces/msg/ParameterEvent"](
+        _time(stamp), node, parameters if new else [], [] if new else parameters, []
+    )
+    return serialize(event, PARAMETER_EVENT)
+
+
+@functools.cache
+def _types() -> Mapping[str, Callable[..., Any]]:
+    return jazzy().types
+
+
+def _time(stamp: int) -> Any:
+    second, nano = divmod(stamp, _NANOSECONDS)
+    return _types()["builtin_interfaces/msg/Time"](second, nano)
+
+
+def _diagnostics(report: Report) -> bytes:
+    types = _types()
+    key_value = types["diagnostic_msgs/msg/KeyValue"]
+    statuses = [
+        types["diagnostic_msgs/msg/DiagnosticStatus"](
+            status.level, status.name, status.message, "", [key_value(k, v) for k, v in status.values.items()]
+        )
+        for status in report.statuses
+    ]
+    header = types["std_msgs/msg/Header"](_time(report.stamp), "")
+    return serialize(types["diagnostic_msgs/msg/DiagnosticArray"](header, statuses), DIAGNOSTICS)
+
+
+def _parameter(name: str, value: Any) -> Any:
+    types = _types()
+    fields: dict[str, Any] = {
+        "type": 0,
+        "bool_value": False,
+        "integer_value": 0,
+        "double_value": 0.0,
+        "string_value": "",
+        "byte_array_value": [],
+        "bool_array_value": np.array([], bool),
+        "integer_array_value": np.array([], np.int64),
+        "double_array_value": np.array([]),
+        "string_array_value": [],
+    }
+    fields |= _parameter_value(value)
+    return types["rcl_interfaces/msg/Parameter"](name, types["rcl_interfaces/msg/ParameterValue"](**fields))
+
+
+def _parameter_value(value: Any) -> dict[str, Any]:
+    """Fields of a ParameterValue, with the type numbers of rcl_interfaces/ParameterType."""
+    if isinstance(value, bool):
+        return {"type": 1, "bool_value": value}
+    if isinstance(value, int):
+        return {"type": 2, "integer_value": value}
+    if isinstance(value, float):
+        return {"type": 3, "double_value": value}
+    if isinstance(value, str):
+        return {"type": 4, "string_value": value}
+    if all(isinstance(item, str) for item in value):
+        return {"type": 9, "string_array_value": list(value)}
+    return {"type": 8, "double_array_value": np.array(value, np.float64)}

@@ -1,0 +1,128 @@
+"""Neutral layer of the flexspline on an elliptical wave generator: inextensible, known by its arc length."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import ellipe, ellipeinc
+
+Floats = npt.NDArray[np.float64]
+
+# The series for the ellipse's parameter converges like (ellipticity / 4)^k; 64 samples leave it at rounding
+# error for semi-axes up to 20 % apart, far more than a flexspline bears.
+_SAMPLES = 64
+_ROUNDING = 2e-16  # [rad]; smaller harmonics are rounding error of the transform
+
+
+@dataclass(frozen=True)
+class NeutralCurve:
+    """Ellipse with exact arc length, in the wave generator's frame (x along the long axis).
+
+    Attributes
+    ----------
+    semi_major, semi_minor : float
+        Semi-axes [m].
+    radius : float
+        R_b, radius of the circle with the same perimeter [m].
+    harmonics : ndarray, shape (k,)
+        Coefficients c_k of ``t(u) = u + sum c_k sin 2ku``, t the ellipse's parameter, u = arc length / R_b.
+
+    Notes
+    -----
+    Inextensible layer: Dong et al. (2019), eq. (1), ``l_F = l_f``.
+    """
+
+    semi_major: float
+    semi_minor: float
+    radius: float
+    harmonics: Floats
+
+
+def neutral_curve(semi_major: float, semi_minor: float) -> NeutralCurve:
+    """Neutral curve of an elliptical wave generator.
+
+    Parameters
+    ----------
+    semi_major, semi_minor : float
+        Semi-axes of the neutral layer's ellipse [m], semi_major >= semi_minor > 0.
+
+    Returns
+    -------
+    NeutralCurve
+
+    Raises
+    ------
+    ValueError
+        If the axes are not in this order, or more than 20 % apart.
+    """
+    if not semi_major >= semi_minor > 0.8 * semi_major:
+        raise ValueError(
+            f"neutral curve: semi_major ({semi_major:.6g} m) must be at least semi_minor ({semi_minor:.6g} m), "
+            "and by no more than 20 %"
+        )
+    modulus = 1.0 - (semi_minor / semi_major) ** 2
+    radius = 2.0 / math.pi * semi_major * float(ellipe(modulus))
+    u = np.pi * np.arange(_SAMPLES) / _SAMPLES
+    t = u.copy()
+    for _ in range(60):  # Newton; arc length from the long axis, hence the quarter turn in ellipeinc
+        arc = semi_major * (ellipeinc(t - np.pi / 2, modulus) + ellipe(modulus))
+        speed = semi_major * np.sqrt(1.0 - modulus * np.cos(t) ** 2)
+        step = (arc - radius * u) / speed
+        t -= step
+        if np.max(np.abs(step)) < 1e-16:
+            break
+    spectrum = -np.fft.rfft(t - u).imag[1:] * 2.0 / _SAMPLES
+    kept = int(np.max(np.nonzero(np.abs(spectrum) > _ROUNDING)[0], initial=0)) + 1
+    return NeutralCurve(semi_major, semi_minor, radius, spectrum[:kept])
+
+
+def parameter(curve: NeutralCurve, u: Floats) -> Floats:
+    """Ellipse parameter t at a place along the curve.
+
+    Parameters
+    ----------
+    curve : NeutralCurve
+    u : ndarray
+        Arc length from the long axis over R_b [rad].
+
+    Returns
+    -------
+    ndarray
+        t [rad], same shape: the point is (semi_major cos t, semi_minor sin t).
+    """
+    double = 2.0 * u
+    cosine = 2.0 * np.cos(double)
+    later = np.zeros_like(u)
+    last = np.zeros_like(u)
+    for coefficient in curve.harmonics[::-1]:  # Clenshaw's recurrence
+        later, last = last, coefficient + cosine * last - later
+    return u + last * np.sin(double)
+
+
+def tooth_axes(curve: NeutralCurve, u: Floats) -> tuple[Floats, Floats, Floats]:
+    """Direction of the tooth axes (the curve's normals) and the curve's centre seen from the teeth.
+
+    Parameters
+    ----------
+    curve : NeutralCurve
+    u : ndarray
+        Arc length from the long axis over R_b [rad].
+
+    Returns
+    -------
+    angle : ndarray
+        Direction of the tooth axis from the long axis [rad], same turn as u.
+    height, offset : ndarray
+        Components of the foot point along the axis and counter-clockwise across it [m].
+    """
+    a, b = curve.semi_major, curve.semi_minor
+    t = parameter(curve, u)
+    cos_t, sin_t = np.cos(t), np.sin(t)
+    normal_x, normal_y = b * cos_t, a * sin_t
+    length = np.sqrt(normal_x * normal_x + normal_y * normal_y)
+    # t and the normal's angle differ by less than a quarter turn: this difference keeps t's own turn.
+    angle = t + np.arctan2((a - b) * sin_t * cos_t, b * cos_t * cos_t + a * sin_t * sin_t)
+    return angle, a * b / length, -(a * a - b * b) * sin_t * cos_t / length

@@ -1,0 +1,123 @@
+"""Torsion of a mesh: the pose, contact and load solution in one call, for any number of moments."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.model import load_sharing
+from hd_diag.model.clearance import Contact, contacts
+from hd_diag.model.geometry import Geometry
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A geometry with what assembly and material add to it.
+
+    Parameters
+    ----------
+    geometry : Geometry
+    tooth_compliance : float
+        K1 + K2 of a tooth pair [m/N].
+    eccentricity : complex
+        E, displacement of the wave generator's centre fixed in the housing, x + iy [m].
+    runout : complex
+        The part that turns with the wave generator, at theta_W = 0 [m].
+    arc_offset : float
+        s_0, shift of the teeth along the neutral curve [m].
+    """
+
+    geometry: Geometry
+    tooth_compliance: float = 1.0e-6
+    eccentricity: complex = 0.0
+    runout: complex = 0.0
+    arc_offset: float = 0.0
+
+    def displacement(self, wave_generator_angle: Floats) -> npt.NDArray[np.complex128]:
+        """Where the wave generator's centre is at theta_W [rad]: x + iy in the housing [m]."""
+        return self.eccentricity + self.runout * np.exp(1j * wave_generator_angle)
+
+    def contacts(self, wave_generator_angle: Floats) -> Contact:
+        """Contacts at theta_W [rad], shape (moments,)."""
+        displacement = self.displacement(wave_generator_angle)
+        return contacts(self.geometry, wave_generator_angle, displacement, self.arc_offset)
+
+    def share_load(self, contact: Contact, torque: Floats) -> load_sharing.LoadSharing:
+        """Load distribution at the cup torque M [N m], shape (moments,)."""
+        return load_sharing.share_load(contact, self.tooth_compliance, torque)
+
+
+def torsion(mesh: Mesh, wave_generator_angle: Floats, torque: Floats) -> Floats:
+    """Exact torsion at one torque per moment.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    wave_generator_angle : ndarray, shape (moments,)
+        theta_W [rad].
+    torque : ndarray, shape (moments,)
+        M on the cup [N m].
+
+    Returns
+    -------
+    ndarray, shape (moments,)
+        beta [rad]; the middle of a true gap at zero torque; nan if no flank can bear the torque.
+    """
+    return load_sharing.torsion(_curve(mesh, wave_generator_angle), torque[:, None])[:, 0]
+
+
+def torsion_table(mesh: Mesh, wave_generator_angle: Floats, torque: Floats) -> Floats:
+    """Exact torsion at every pair of moment and torque.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    wave_generator_angle : ndarray, shape (moments,)
+        theta_W [rad].
+    torque : ndarray, shape (torques,)
+        M on the cup [N m].
+
+    Returns
+    -------
+    ndarray, shape (moments, torques)
+        beta [rad]; the middle of a true gap at zero torque; nan if no flank can bear the torque.
+    """
+    return load_sharing.torsion(_curve(mesh, wave_generator_angle), torque)
+
+
+def limited_curves(mesh: Mesh, wave_generator_angle: Floats, torque_limit: float) -> tuple[Floats, Floats]:
+    """Exact piecewise-linear torsion over torque at every moment, within a torque limit.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    wave_generator_angle : ndarray, shape (moments,)
+        theta_W [rad].
+    torque_limit : float
+        [N m]
+
+    Returns
+    -------
+    torque, torsion : ndarray, shape (moments, breakpoints)
+        Breakpoints M [N m] and beta [rad], rising, from -torque_limit to torque_limit; a true gap has two at
+        zero torque. nan where no flank can bear the limit.
+    """
+    curve = _curve(mesh, wave_generator_angle)
+    ends = load_sharing.torsion(curve, np.array([-torque_limit, torque_limit]))
+    below, above = curve.torque < -torque_limit, curve.torque > torque_limit
+    beta = np.where(below, ends[:, :1], np.where(above, ends[:, 1:], curve.torsion))
+    torque = np.where(np.isnan(beta), np.nan, np.clip(curve.torque, -torque_limit, torque_limit))
+    limit = np.where(np.isnan(ends), np.nan, np.array([-torque_limit, torque_limit]))
+    return (
+        np.concatenate((limit[:, :1], torque, limit[:, 1:]), axis=1),
+        np.concatenate((ends[:, :1], beta, ends[:, 1:]), axis=1),
+    )
+
+
+def _curve(mesh: Mesh, wave_generator_angle: Floats) -> load_sharing.TorqueCurve:
+    contact = mesh.contacts(wave_generator_angle)
+    return load_sharing.torque_curve(contact.rotation, load_sharing.flank_stiffness(contact, mesh.tooth_compliance))

@@ -1,0 +1,178 @@
+"""Torsion over one turn of the wave generator and torque, tabulated once so that a prediction is an interpolation.
+
+With exact tooth numbers the mesh repeats with one turn of the wave generator, so the torsion is a function on a
+cylinder (theta_W, M). In torque it is piecewise linear and the table keeps its own breakpoints, so that only the
+step from one wave generator angle to the next is interpolated. Where a true gap makes the torsion jump at zero
+torque, the table holds both ends and gives the middle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.model.torsion import Mesh, limited_curves, torsion_table
+
+Floats = npt.NDArray[np.float64]
+
+ARCSEC = np.pi / 648_000.0
+"""One second of arc [rad]."""
+
+TOLERANCE = 0.01 * ARCSEC
+"""Error that a map aims at [rad]."""
+
+# Wave generator angles per tooth passing. The torsion's slope breaks where a pair comes into load, so the error
+# falls with the step itself; 48 keeps it near TOLERANCE for gears of 50 to 160 times reduction.
+_STEPS_PER_TOOTH = 48
+_CHECKED_ANGLES = 512
+_CHECKED_TORQUES = 64
+_CHUNK = 128  # angles per call, so that a build can be given up and lets other threads run
+
+
+class BuildCancelled(Exception):
+    """The caller no longer wants the map."""
+
+
+@dataclass(frozen=True)
+class TorsionMap:
+    """Torsion on a grid of wave generator angles, with each angle's own torque breakpoints.
+
+    Attributes
+    ----------
+    mesh : Mesh
+        What it was built for.
+    torque, torsion : ndarray, shape (n + 1, breakpoints)
+        The piecewise-linear curve of every angle, rising; the last angle repeats the first [N m], [rad].
+    torque_limit : float
+        Greatest |M| that it answers for [N m].
+    error_bound : float
+        Greatest difference from the exact solution, measured between the angles [rad].
+    """
+
+    mesh: Mesh
+    torque: Floats
+    torsion: Floats
+    torque_limit: float
+    error_bound: float
+
+    def __call__(self, wave_generator_angle: Floats, torque: Floats) -> Floats:
+        """Torsion by linear interpolation over the angle.
+
+        Parameters
+        ----------
+        wave_generator_angle : ndarray, shape (n,)
+            theta_W [rad].
+        torque : ndarray, shape (n,)
+            M on the cup [N m].
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            beta [rad]; nan beyond `torque_limit`. Every element depends on its own inputs alone, to the last
+            bit, however many are asked for at once.
+        """
+        steps = self.torque.shape[0] - 1
+        place = np.mod(wave_generator_angle, 2.0 * np.pi) * (steps / (2.0 * np.pi))
+        row = np.minimum(np.nan_to_num(place), steps - 1.0).astype(np.int64)
+        low, high = self._at(row, torque), self._at(row + 1, torque)
+        result = low + (place - row) * (high - low)
+        return np.where(np.abs(torque) <= self.torque_limit, result, np.nan)
+
+    def _at(self, row: npt.NDArray[np.int64], torque: Floats) -> Floats:
+        below_limit = np.minimum(torque, np.nextafter(self.torque[0, -1], 0.0))
+        result = self._from(row, torque, _last_not_above(self.torque, row, below_limit))
+        idle = torque == 0.0
+        if idle.any():  # the middle of a true gap: the mean of both its ends
+            before = _last_not_above(self.torque, row[idle], np.nextafter(torque[idle], -1.0)) + 1
+            result[idle] = 0.5 * (result[idle] + self._from(row[idle], torque[idle], before - 1))
+        return result
+
+    def _from(self, row: npt.NDArray[np.int64], torque: Floats, column: npt.NDArray[np.int64]) -> Floats:
+        first = row * self.torque.shape[1] + column
+        flat_torque, flat_torsion = self.torque.reshape(-1), self.torsion.reshape(-1)
+        start, beta = flat_torque[first], flat_torsion[first]
+        slope = (flat_torsion[first + 1] - beta) / (flat_torque[first + 1] - start)
+        return np.asarray(beta + slope * (torque - start))
+
+
+def _last_not_above(table: Floats, row: npt.NDArray[np.int64], value: Floats) -> npt.NDArray[np.int64]:
+    """Column of the last entry <= value in each row, at most the last but one: binary search, all rows at once."""
+    width = table.shape[1]
+    flat, first = table.reshape(-1), row * width
+    found = np.zeros(row.shape, dtype=np.int64)
+    step = 1 << (max(1, width - 2).bit_length() - 1)
+    while step:
+        ahead = np.minimum(found + step, width - 2)
+        found = np.where(flat[first + ahead] <= value, ahead, found)
+        step >>= 1
+    return found
+
+
+def build(mesh: Mesh, torque_limit: float, wanted: Callable[[float], bool] = lambda fraction: True) -> TorsionMap:
+    """Build the map of a mesh and check it against the exact solution.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    torque_limit : float
+        Greatest |M| to hold [N m]. Where pairs enter by their tip corners under load the torsion jumps and no
+        table can follow: the map then answers only below that torque.
+    wanted : callable
+        Called with the fraction done; returning False gives the build up.
+
+    Returns
+    -------
+    TorsionMap
+
+    Raises
+    ------
+    BuildCancelled
+        If `wanted` returned False.
+    """
+    steps = _STEPS_PER_TOOTH * mesh.geometry.circular_spline_teeth
+    angle = 2.0 * np.pi / steps * np.arange(steps)
+    torques, torsions = [], []
+    for start in range(0, steps, _CHUNK):
+        if not wanted(start / steps):
+            raise BuildCancelled
+        torque, beta = limited_curves(mesh, angle[start : start + _CHUNK], torque_limit)
+        torques.append(torque)
+        torsions.append(beta)
+    torque, beta = _joined(torques, torque_limit), np.concatenate(torsions)
+    used = np.flatnonzero((torque > -torque_limit).any(axis=0) & (torque < torque_limit).any(axis=0))
+    columns = slice(used[0] - 1, used[-1] + 2)
+    closed = np.append(np.arange(steps), 0)
+    table = TorsionMap(mesh, torque[closed, columns].copy(), beta[closed, columns].copy(), torque_limit, np.inf)
+    return _checked(table)
+
+
+def _joined(parts: list[Floats], torque_limit: float) -> Floats:
+    joined = np.concatenate(parts)
+    if not np.isfinite(joined).all():
+        raise ValueError(f"the teeth cannot bear {torque_limit:g} N m at every wave generator angle")
+    return joined
+
+
+def _checked(built: TorsionMap) -> TorsionMap:
+    """Measure the error between the angles; end the map below the torque where the torsion jumps."""
+    steps = built.torque.shape[0] - 1
+    count = np.arange(_CHECKED_ANGLES)
+    # Golden-section sequences meet every tooth passing and every phase of the cells evenly.
+    cell = np.floor(steps * ((count * 0.6180339887498949) % 1.0))
+    angle = 2.0 * np.pi / steps * (cell + 0.1 + 0.8 * ((count * 0.7548776662466927) % 1.0))
+    torque = built.torque_limit * (np.arange(1, _CHECKED_TORQUES + 1) / _CHECKED_TORQUES) ** 2
+    both = np.concatenate((-torque[::-1], [0.0], torque))
+    error = np.abs(_tabulated(built, angle, both) - torsion_table(built.mesh, angle, both)).max(axis=0)
+    error = np.maximum(error[_CHECKED_TORQUES + 1 :], error[: _CHECKED_TORQUES][::-1])
+    jumps = np.flatnonzero(~(error <= 2.0 * TOLERANCE))
+    kept = int(jumps[0]) if jumps.size else torque.size
+    limit = float(torque[kept - 1]) if kept else 0.0
+    return TorsionMap(built.mesh, built.torque, built.torsion, limit, float(error[:kept].max(initial=0.0)))
+
+
+def _tabulated(built: TorsionMap, angle: Floats, torque: Floats) -> Floats:
+    every_angle, every_torque = np.repeat(angle, torque.size), np.tile(torque, angle.size)
+    return built(every_angle, every_torque).reshape(angle.size, torque.size)

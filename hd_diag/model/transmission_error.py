@@ -1,0 +1,101 @@
+"""From reported angles and torque to the mesh and back: signs, frames, the exact transmission error.
+
+Positions are as the robot reports them; ``ratio`` = reported input angle / reported output angle, signed.
+``TE = theta_out - theta_in / ratio`` is positive when the output is ahead of the input.
+
+Output at the flexspline (circular spline fixed): the wave generator turns against the output, so
+``theta_W = -sign(ratio) theta_in + phase``. A torque M that the drive exerts on the link reacts on the cup as
+-M, and the cup's rotation is the error: ``TE = beta(theta_W, -M) - c_cup M``.
+
+Output at the circular spline (flexspline fixed): seen from the circular spline the wave generator turns by
+``theta_W = sign(ratio) theta_in Z_R / Z_G + phase`` and the cup by beta, so the circular spline lags by it:
+``TE = -beta(theta_W, M) - c_cup M``. The housing eccentricity then rides with the circular spline.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.model.geometry import Geometry
+
+Floats = npt.NDArray[np.float64]
+Output = Literal["flexspline", "circular_spline"]
+
+# A ratio may miss the teeth's by rounding in a configuration file, no more [-].
+_RATIO_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True)
+class Kinematics:
+    """How reported angles and torques map to the mesh.
+
+    Parameters
+    ----------
+    ratio : float
+        Reported input angle over reported output angle, signed [-].
+    output : {"flexspline", "circular_spline"}
+        Which member drives the link; the other is fixed.
+    phase : float
+        Angle of the wave generator's long axis at input angle zero [rad].
+    """
+
+    ratio: float
+    output: Output = "flexspline"
+    phase: float = 0.0
+
+    def check(self, geometry: Geometry) -> None:
+        """Refuse a ratio that the teeth cannot give.
+
+        Raises
+        ------
+        ValueError
+            If |ratio| is not Z_R / (Z_G - Z_R) (output at the flexspline) or Z_G / (Z_G - Z_R).
+        """
+        if self.output not in ("flexspline", "circular_spline"):
+            raise ValueError(f"output must be 'flexspline' or 'circular_spline', not {self.output!r}")
+        if not math.isfinite(self.phase):
+            raise ValueError(f"wave_generator_phase must be finite, not {self.phase} rad")
+        expected = geometry.reduction + (1.0 if self.output == "circular_spline" else 0.0)
+        if not abs(abs(self.ratio) - expected) <= _RATIO_TOLERANCE * expected:
+            raise ValueError(
+                f"ratio {self.ratio:g} does not fit {geometry.flexspline_teeth} and "
+                f"{geometry.circular_spline_teeth} teeth with the output at the "
+                f"{self.output.replace('_', ' ')}: its magnitude must be {expected:g}"
+            )
+
+    @property
+    def torque_sign(self) -> float:
+        """Torque on the cup over torque on the link; also TE over torsion [-]."""
+        return -1.0 if self.output == "flexspline" else 1.0
+
+    def wave_generator_angle(self, geometry: Geometry, input_angle: Floats) -> Floats:
+        """Angle of the wave generator's long axis, seen from the circular spline.
+
+        Parameters
+        ----------
+        geometry : Geometry
+        input_angle : ndarray
+            As reported [rad].
+
+        Returns
+        -------
+        ndarray
+            theta_W [rad], same shape.
+        """
+        forward = math.copysign(1.0, self.ratio)
+        if self.output == "flexspline":
+            return self.phase - forward * input_angle
+        return self.phase + forward * input_angle * (geometry.flexspline_teeth / geometry.circular_spline_teeth)
+
+    def cup_torque(self, torque: Floats) -> Floats:
+        """Torque that turns the cup [N m] for a torque that the drive exerts on the link [N m]."""
+        return self.torque_sign * torque
+
+    def transmission_error(self, torsion: Floats, torque: Floats, cup_compliance: float) -> Floats:
+        """TE [rad] from the mesh torsion at :meth:`cup_torque` [rad], torque [N m] and c_cup [rad/(N m)]."""
+        return -self.torque_sign * torsion - cup_compliance * torque

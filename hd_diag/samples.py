@@ -1,0 +1,76 @@
+"""What arrives and what leaves: columns of joint states, and the results computed of them. Times are int64 [ns]."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Times = npt.NDArray[np.int64]
+
+
+class JointStates(NamedTuple):
+    """Messages with the same joints; n >= 1 rows, one while live.
+
+    Attributes
+    ----------
+    row : ndarray of int64, shape (n,)
+        Positions of the messages in the batch they come from.
+    stamp : ndarray of int64, shape (n,)
+        Time of the header [ns].
+    names : tuple of str
+        The k joints.
+    frame_id : str
+    position, velocity, effort : ndarray, shape (n, k), or None
+        [rad] or [m], [rad/s] or [m/s], [N m] or [N]; None where the messages have none.
+    """
+
+    row: Times
+    stamp: Times
+    names: tuple[str, ...]
+    frame_id: str
+    position: Floats | None
+    velocity: Floats | None
+    effort: Floats | None
+
+
+class Angles(NamedTuple):
+    """Angles of joints to publish: topic, time of the cause [ns] (n,), stamp [ns] (n,), names (k), values (n, k)."""
+
+    topic: str
+    received: Times
+    stamp: Times
+    names: tuple[str, ...]
+    position: Floats
+    effort: Floats | None
+
+
+class Teeth(NamedTuple):
+    """Per-tooth values to publish: topic, time of the cause [ns] (n,), values (n, 2, Z_R), flanks (+, -)."""
+
+    topic: str
+    received: Times
+    values: Floats
+
+
+class Status(NamedTuple):
+    """Diagnostics of one joint: level 0 (OK), 1 (WARN), 2 (ERROR), one line of text, and stable keys."""
+
+    name: str
+    level: int
+    message: str
+    values: dict[str, str]
+
+
+class Report(NamedTuple):
+    """Diagnostics of all joints: topic, time of the cause [ns], header stamp [ns]."""
+
+    topic: str
+    received: int
+    stamp: int
+    statuses: tuple[Status, ...]
+
+
+Publication = Angles | Teeth | Report

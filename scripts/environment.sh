@@ -1,0 +1,62 @@
+#!/bin/sh
+# Brings the environment .venv/NAME up to date: the packages of requirements/NAME.txt and this tree's hd_diag.
+# Does nothing, and says nothing, where both are unchanged.
+# usage: environment.sh NAME [PYTHON]
+set -eu
+cd "$(dirname "$0")/.."
+# A sourced ROS 2 or another environment would otherwise be mixed in.
+unset PYTHONPATH PYTHONHOME LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
+
+name=$1
+lock=requirements/$name.txt
+source_lock=requirements/$name-source.txt # what has no wheels
+env=.venv/$name
+log=.venv/$name.log
+pip="$env/bin/python -m pip --disable-pip-version-check --no-input"
+
+fail() {
+    tail -n 5 "$log" >&2
+    echo "FAILED: $1 (whole output: $log)" >&2
+    exit 1
+}
+
+install_lock() {
+    echo "== Environment $env: $(grep -c == "$lock") packages of $lock with $("$python" -V); about 700 MB, 1 to 5 minutes"
+    rm -rf "$env"
+    "$python" -m venv "$env" >"$log" 2>&1 || fail "$python cannot make a virtual environment (Debian, Ubuntu: apt install python3-venv)"
+    $pip install --require-hashes --no-deps --only-binary :all: -r "$lock" >>"$log" 2>&1 ||
+        fail "pip could not install $lock: is there a network, and a package index that pip can reach?"
+    [ ! -f "$source_lock" ] ||
+        $pip install --require-hashes --no-deps --no-build-isolation -r "$source_lock" >>"$log" 2>&1 ||
+        fail "pip could not install $source_lock"
+}
+
+install_tree() {
+    echo "== Installing hd_diag of this tree into $env (5 s)"
+    # From a copy: a build in place would leave build/ behind, and what was deleted would live on in it.
+    copy=.venv/$name.source
+    rm -rf "$copy"
+    mkdir "$copy"
+    cp -R $sources "$copy"
+    $pip install --no-index --no-deps --no-build-isolation --force-reinstall "$copy" >>"$log" 2>&1 ||
+        fail "hd_diag could not be installed"
+    rm -rf "$copy"
+}
+
+python=$(sh scripts/find_python.sh "${2:-}")
+mkdir -p .venv
+touch .venv/COLCON_IGNORE # colcon must not look for packages in there
+
+# Environments cannot be moved, so the folder is part of the stamp.
+lock_stamp="$PWD $python $("$python" -V) $(cat requirements/"$name"*.txt | cksum)"
+if [ "$(cat "$env/lock.stamp" 2>/dev/null)" != "$lock_stamp" ]; then
+    install_lock
+    echo "$lock_stamp" >"$env/lock.stamp"
+fi
+
+sources="hd_diag config launch resource package.xml setup.py setup.cfg pyproject.toml README.md LICENSE"
+tree_stamp=$(find $sources -type f ! -name '*.pyc' | LC_ALL=C sort | xargs cksum | cksum)
+if [ "$(cat "$env/tree.stamp" 2>/dev/null)" != "$tree_stamp" ]; then
+    install_tree
+    echo "$tree_stamp" >"$env/tree.stamp"
+fi

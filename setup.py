@@ -1,0 +1,75 @@
+"""Package metadata: read by pip and by colcon (ament_python) alike."""
+
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "hd_diag"
+
+
+def share(folder: str) -> list[tuple[str, list[str]]]:
+    """Pairs (target folder, [file]) that install a folder with its subfolders under share/hd_diag."""
+    files = [path for path in sorted(Path(folder).rglob("*")) if path.is_file() and path.suffix != ".pyc"]
+    return [(f"share/{NAME}/{path.parent.as_posix()}", [path.as_posix()]) for path in files]
+
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Backlash, tooth loads and transmission error of a harmonic drive, live and from bags",
+    author="hd_diag contributors",
+    license="Apache-2.0",
+    keywords=["ROS", "harmonic drive", "strain wave gear", "transmission error", "diagnostics"],
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        *share("config"),
+        *share("launch"),
+    ],
+    zip_safe=False,
+    python_requires=">=3.10",
+    # Lower bounds: what Ubuntu 24.04 ships, or the oldest release known to work. The locks in requirements/
+    # hold the exact versions that `make demo` and `make test` use.
+    install_requires=[
+        "numpy>=1.26,<3",
+        "scipy>=1.11,<2",
+        "PyYAML>=6.0,<7",
+        "click>=8.1,<9",
+        "rich>=13.7,<16",
+        "mcap>=1.2,<2",
+        "rosbags>=0.10,<0.12",
+        "zstandard>=0.22,<1",
+        "lz4>=4.0,<5",
+        "matplotlib>=3.6,<4",
+    ],
+    extras_require={
+        # Where no ROS 2 Jazzy is installed: rclpy, rcl and Fast DDS as wheels.
+        "ros": [
+            "ros-jazzy-rclpy[fastrtps]==7.1.6",
+            "ros-jazzy-common-interfaces==5.3.6",
+        ],
+        "test": [
+            "pytest>=7.4,<10",
+            "pytest-timeout>=2.2,<3",
+            "pytest-xdist>=3.4,<4",
+            "hypothesis>=6.98,<7",
+            "mcap-ros2-support>=0.5,<0.7",
+        ],
+        "dev": [
+            "colcon-common-extensions>=0.3,<0.4",
+            "catkin-pkg>=1.0,<2",
+            "packaging>=24,<27",
+            "setuptools>=68,<85",
+            "ruff>=0.12,<0.17",
+            "mypy>=1.8,<3",
+            "types-PyYAML>=6.0,<7",
+        ],
+    },
+    entry_points={
+        "console_scripts": [
+            "hd-diag = hd_diag.cli:main",
+            "hd_diag_node = hd_diag.node:main",
+        ],
+    },
+)

@@ -1,0 +1,79 @@
+"""Messages and bags for the tests of the bag edge."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+from mcap.writer import CompressionType, IndexType, Writer
+
+from hd_diag.bag import Qos, encode_joint_states
+from hd_diag.bag.rosbag2 import dump_offers
+from hd_diag.bag.schemas import definition, jazzy, serialize
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+STRING = "std_msgs/msg/String"
+NAMES = ("joint_1_motor", "joint_1")
+MS = 1_000_000
+
+
+def joint_state(names, stamp=0, position=(), velocity=(), effort=(), frame_id=""):
+    """JointState object of rosbags; stamp [ns]."""
+    types = jazzy().types
+    time = types["builtin_interfaces/msg/Time"](stamp // 10**9, stamp % 10**9)
+    header = types["std_msgs/msg/Header"](time, frame_id)
+    arrays = [np.array(a, np.float64) for a in (position, velocity, effort)]
+    return types[JOINT_STATE](header, list(names), *arrays)
+
+
+def joint_state_cdr(*args, little_endian=True, **keywords):
+    message = joint_state(*args, **keywords)
+    return bytes(jazzy().serialize_cdr(message, JOINT_STATE, little_endian=little_endian))
+
+
+def string_cdr(text):
+    return serialize(jazzy().types[STRING](text), STRING)
+
+
+def rows(count, start=0, names=NAMES, period=MS):
+    """`count` JointState messages with positions that tell them apart; stamps from `start` [ns]."""
+    stamps = start + period * np.arange(count)
+    number = np.arange(count, dtype=float)[:, None]
+    position = number + np.arange(len(names)) / 10
+    return encode_joint_states(names, stamps, position, -position, None), stamps
+
+
+def write_with_mcap(path, messages, *, compression="zstd", chunk_size=1 << 20, indexes=True, chunked=True, summary=True):
+    """Write (topic, type, data, log time) with the mcap library, with the parts of the file that are asked for."""
+    kinds = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
+    with Path(path).open("wb") as file:
+        writer = Writer(
+            file,
+            chunk_size=chunk_size,
+            compression=kinds[compression],
+            index_types=IndexType.ALL if indexes else IndexType.NONE,
+            use_chunking=chunked,
+            use_statistics=summary,
+            repeat_channels=summary,
+            repeat_schemas=summary,
+            use_summary_offsets=summary,
+        )
+        writer.start("ros2")
+        channels = {}
+        for topic, kind, data, time in messages:
+            if topic not in channels:
+                schema = writer.register_schema(kind, "ros2msg", definition(kind).text.encode())
+                offers = {"offered_qos_profiles": dump_offers([Qos()])}
+                channels[topic] = writer.register_channel(topic, "cdr", schema, offers)
+            writer.add_message(channels[topic], time, data, time)
+        writer.finish()
+    return Path(path)
+
+
+def cut_end(path, out, *, keep=None):
+    """Copy of an MCAP file without its end: only up to the data end record, or the first `keep` bytes."""
+    data = Path(path).read_bytes()
+    if keep is None:
+        summary = struct.unpack("<Q", data[-28:-20])[0]
+        keep = (summary or len(data) - 37) - 13
+    Path(out).write_bytes(data[:keep])
+    return Path(out)

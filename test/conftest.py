@@ -1,0 +1,86 @@
+"""What all tests share: an isolated ROS, repeatable hypothesis runs, a copy of the source tree."""
+
+import filecmp
+import os
+import shutil
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import hypothesis
+import pytest
+
+import hd_diag
+
+ROOT = Path(__file__).resolve().parent.parent
+NOT_SOURCE = shutil.ignore_patterns(
+    ".git", ".venv", "build", "install", "log", "*.egg-info", "__pycache__", ".*_cache"
+)
+
+hypothesis.settings.register_profile("hd_diag", derandomize=True, deadline=None)
+hypothesis.settings.load_profile("hd_diag")
+
+
+def claim_domain() -> tuple[socket.socket, int]:
+    """Claim a ROS domain that no other test process on this machine has.
+
+    Two runs on one domain drive each other's nodes. An abstract socket of that name marks the domain as
+    taken; the system frees it with the process. 0 is left to the nodes of the user.
+    """
+    claim = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    for domain in range(1, 102):
+        try:
+            claim.bind(f"\0hd_diag-test-domain-{domain}")
+        except OSError:
+            continue
+        return claim, domain
+    raise pytest.UsageError("all 101 ROS domains are taken by other test runs")
+
+
+def stale_modules() -> list[str]:
+    """Modules that differ between this tree and the hd_diag under test, where that is an installed one."""
+    tree, tested = ROOT / "hd_diag", Path(hd_diag.__file__).parent
+    names = {path.relative_to(base) for base in (tree, tested) for path in base.rglob("*.py")}
+    same = filecmp.cmpfiles(tree, tested, map(str, names), shallow=False)[0]
+    return sorted({str(name) for name in names} - set(same))
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if stale := stale_modules():
+        raise pytest.UsageError(
+            f"the installed hd_diag is not this tree's ({', '.join(stale)}): run `make install`"
+        )
+    config.ros_domain = claim_domain()
+    os.environ["ROS_DOMAIN_ID"] = str(config.ros_domain[1])
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    # The wheels of ROS do not say where they are; a sourced ROS does.
+    os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def ros_log_dir(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Keep the log files of all nodes out of the home folder."""
+    os.environ["ROS_LOG_DIR"] = str(tmp_path_factory.mktemp("ros_log"))
+
+
+def source_files() -> list[str]:
+    """Files of the source tree as git sees it; empty where there is no usable git."""
+    if not (ROOT / ".git").exists() or not shutil.which("git"):
+        return []
+    command = ["git", "-C", str(ROOT), "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    listed = subprocess.run(command, capture_output=True, text=True)
+    return [name for name in listed.stdout.split("\0") if name and (ROOT / name).is_file()]
+
+
+@pytest.fixture(scope="module")
+def source_copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Copy of the source tree as a clean checkout has it."""
+    copy = tmp_path_factory.mktemp("source") / "hd_diag"
+    names = source_files()
+    if not names:
+        return Path(shutil.copytree(ROOT, copy, ignore=NOT_SOURCE))
+    for name in names:
+        (copy / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(ROOT / name, copy / name)
+    return copy

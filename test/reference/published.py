@@ -1,0 +1,112 @@
+"""Values that the model must give, each with its source.
+
+PAPER: H. Dong, T. Chen, D. Wang, B. Dong, "Kinematic Model of Harmonic Drive in Robot Joints with Input
+Eccentricity Error", ROMANSY 22, CISM 584, pp. 134-140, 2019, doi 10.1007/978-3-319-78963-7_18.
+CATALOGUE: HFUS-25 catalogue, ratio 100 (K1 and K3 also in Schaeffler TPI 275).
+CALCULATION: independent calculation, flanks as 1,600-point polylines, no closed form; error below 0.02 um.
+
+Unless stated otherwise: wave-generator angle 0 (long axis on tooth 0), arc offset 0, eccentricity (0, e),
+which is tangential to tooth 0, counter-clockwise. SI units.
+"""
+
+from typing import NamedTuple
+
+# PAPER, section 4
+RATED_TORQUE = 56.0  # [N m]
+ECCENTRICITY = 0.023e-3  # [m] at which interference first appears
+
+# CALCULATION: circumferential backlash D = r b of the + flank [m], printed to 1e-9 m (tooth 180: 1e-7 m)
+BACKLASH_TEETH = (0, 5, 10, 15, 20, 100, 105, 120, 180, 190, 195)
+BACKLASH = {
+    0.0: (
+        *(17.207e-6, 8.461e-6, 2.963e-6, 0.944e-6, 4.761e-6),
+        *(17.207e-6, 8.461e-6, 4.761e-6, 162.1e-6, 55.819e-6, 31.393e-6),
+    ),
+    ECCENTRICITY: (
+        *(-5.816e-6, -15.071e-6, -20.939e-6, -23.604e-6, -21.527e-6),
+        *(40.227e-6, 32.012e-6, 31.704e-6, 151.4e-6, 35.973e-6, 9.455e-6),
+    ),
+}
+
+
+class LoadCase(NamedTuple):
+    """Torsion [rad], loaded flanks (+, -) and, where given, the largest force [N] under a torque [N m]."""
+
+    eccentricity: float
+    torque: float
+    torsion: float
+    loaded: tuple[int, int]
+    largest_force: float | None = None
+
+
+# CALCULATION: torsion printed to four figures
+LOAD_CASES = (
+    LoadCase(0.0, 1.0, 1.178e-4, (20, 0)),
+    LoadCase(0.0, 14.0, 5.526e-4, (46, 0)),
+    LoadCase(0.0, 56.0, 1.399e-3, (70, 0), 39.8),
+    LoadCase(0.0, 100.0, 2.117e-3, (82, 0)),
+    LoadCase(ECCENTRICITY, 1.0, 2.10e-5, (29, 29)),
+    LoadCase(ECCENTRICITY, 14.0, 3.013e-4, (32, 23)),
+    LoadCase(ECCENTRICITY, 56.0, 1.301e-3, (64, 0), 60.1),
+)
+
+# CATALOGUE: limits of the torque ranges [N m] and torsional stiffness in them [N m/rad]
+T1, T2 = 14.0, 48.0
+K1, K2, K3 = 3.1e4, 5.0e4, 5.7e4
+
+# CALCULATION: secant stiffness [N m/rad] between two torques [N m] at e = 0
+SECANT_STIFFNESS = {(1.0, T1): 3.0e4, (T1, T2): 4.8e4, (RATED_TORQUE, 100.0): 6.1e4}
+
+# Interference ---
+# The paper holds tooth 0 on the axis at the initial moment (eq. 1): the neutral curve is displaced by e along
+# y, the flexspline by -e along the curve. A tooth's backlash is the lesser of its two flanks; the least over
+# the engagement region of tooth 0 counts (not the other lobe, where e points the other way).
+# CALCULATION: the interference first appears at ECCENTRICITY if the datum is DATUM_OF_INTERFERENCE, which is
+# 29.868 mm rounded to a micrometre. It is sharp: 0.122 um of datum move it by 1 um; with 29.868 mm it is
+# ECCENTRICITY_AT_ROUNDED_DATUM.
+DATUM_OF_INTERFERENCE = 29.86833e-3  # [m]
+ECCENTRICITY_AT_ROUNDED_DATUM = 20.32e-6  # [m]
+ENGAGEMENT_TEETH = (*range(50), *range(150, 200))
+FIRST_TO_INTERFERE = 16  # tooth, on its + flank
+
+
+class Moment(NamedTuple):
+    """Keyword arguments of a moment: ``mesh(**moment._asdict())``."""
+
+    wave_generator_angle: float
+    eccentricity: tuple[float, float]
+    arc_offset: float
+
+
+def anchored(eccentricity: float) -> Moment:
+    """Give the paper's initial moment for an eccentricity across the long axis [m]."""
+    return Moment(0.0, (0.0, eccentricity), -eccentricity)
+
+
+# One tooth over a turn (PAPER: backlash grows, load falls) ---
+# CALCULATION: tooth 0, eccentricity along x. Least backlash of either flank and largest force at 56 N m while
+# the lobe passes tooth 0, wave-generator angle within PASSAGE [rad]. The other lobe differs by some percent,
+# because the tooth has moved on by one pitch (47.4 N and -9.08 um at +ECCENTRICITY).
+PASSAGE = (-0.7, 0.0)
+
+
+class Turn(NamedTuple):
+    """Eccentricity (x, 0) [m], least backlash [m] and largest force [N] of tooth 0."""
+
+    eccentricity: float
+    least_backlash: float
+    largest_force: float
+
+
+TURNS = (
+    Turn(0.0, 0.94e-6, 39.8),
+    Turn(-ECCENTRICITY, 9.59e-6, 31.0),
+    Turn(ECCENTRICITY, -8.37e-6, 46.9),
+)
+
+# Transmission error over a turn of the wave generator ---
+# CALCULATION, 512 angles of half a turn (a static eccentricity repeats every half turn, one tooth pitch
+# of the flexspline): amplitude of order 2 and peak to peak [arcsec] at e = ECCENTRICITY by torque [N m].
+ORDER_2_ARCSEC = {10.0: 24.18, 56.0: 12.55}
+PEAK_TO_PEAK_ARCSEC = {10.0: 50.92, 56.0: 25.19}
+RIPPLE_ARCSEC = {10.0: 0.1, 56.0: 0.2}  # bounds of the peak to peak at e = 0, tooth passing

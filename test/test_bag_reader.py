@@ -1,0 +1,385 @@
+import os
+import re
+import sqlite3
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import yaml
+import zstandard
+from bag_samples import JOINT_STATE, MS, NAMES, STRING, cut_end, joint_state_cdr, rows, string_cdr, write_with_mcap
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.writer import Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as RosbagsWriter
+from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
+
+from hd_diag.bag import BagError, BagReader, BagWriter, encode_joint_states
+from hd_diag.bag.mcap_file import MAGIC
+from hd_diag.bag.ordering import ordered
+from hd_diag.bag.schemas import definition, jazzy
+
+
+def sample(count=400, disorder=0):
+    """Two topics that alternate; `disorder` moves log times by up to that many places."""
+    block, stamps = rows(count)
+    messages = [("/joint_states", JOINT_STATE, block[i].tobytes(), int(stamps[i])) for i in range(count)]
+    messages += [("/note", STRING, string_cdr(f"n{i}" * (i % 3)), int(stamps[i])) for i in range(count)]
+    messages.sort(key=lambda m: m[3])
+    chance = np.random.default_rng(3)
+    return [m for _, m in sorted(enumerate(messages), key=lambda p: p[0] + chance.integers(0, disorder + 1))]
+
+
+def in_order(messages):
+    return [(m[0], m[3], m[2]) for m in sorted(messages, key=lambda m: m[3])]
+
+
+def read(path, *args, **keywords):
+    with BagReader(path) as reader:
+        return [
+            (b.topic.name, int(t), bytes(m))
+            for b in reader.batches(*args, **keywords)
+            for t, m in zip(b.log_time, b.messages(), strict=True)
+        ]
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
+@pytest.mark.parametrize("chunk_size", [200, 5000, 1 << 20])
+@pytest.mark.parametrize("indexes", [True, False])
+@pytest.mark.parametrize("summary", [True, False])
+def test_any_chunking(tmp_path, compression, chunk_size, indexes, summary):
+    options = {"compression": compression, "chunk_size": chunk_size, "indexes": indexes, "summary": summary}
+    messages = sample(100, disorder=30)
+    path = write_with_mcap(tmp_path / "a.mcap", messages, **options)
+    assert read(path) == in_order(messages)
+
+
+@pytest.mark.parametrize("summary", [True, False])
+def test_without_chunks(tmp_path, summary):
+    messages = sample(100, disorder=30)
+    path = write_with_mcap(tmp_path / "a.mcap", messages, chunked=False, summary=summary)
+    assert read(path) == in_order(messages)
+
+
+@pytest.mark.parametrize("chunked", [True, False])
+def test_file_without_its_end(tmp_path, chunked):
+    messages = sample(200)
+    whole = write_with_mcap(tmp_path / "a.mcap", messages, chunk_size=3000, chunked=chunked)
+    path = cut_end(whole, tmp_path / "b.mcap")
+    assert read(path) == in_order(messages)
+    with BagReader(path) as reader:
+        assert reader.unfinished
+        assert "b.mcap" in reader.problems[0]
+        assert {t.name: t.count for t in reader.topics} == {"/joint_states": 200, "/note": 200}
+
+
+def test_file_cut_inside_a_record_gives_what_precedes(tmp_path):
+    messages = sample(200)
+    whole = write_with_mcap(tmp_path / "a.mcap", messages, chunk_size=3000)
+    seen = []
+    for keep in range(2000, whole.stat().st_size - 5000, 997):
+        found = read(cut_end(whole, tmp_path / "b.mcap", keep=keep))
+        assert found == in_order(messages)[: len(found)]
+        seen.append(len(found))
+    assert seen == sorted(seen)
+    assert seen[-1] > seen[0]
+
+
+def test_topics_and_times(tmp_path):
+    path = write_with_mcap(tmp_path / "a.mcap", sample(100))
+    with BagReader(path) as reader:
+        assert [(t.name, t.type_name, t.count) for t in reader.topics] == [
+            ("/joint_states", JOINT_STATE, 100),
+            ("/note", STRING, 100),
+        ]
+        assert (reader.start, reader.end, reader.duration) == (0, 99 * MS, pytest.approx(0.099))
+        assert (reader.message_count, reader.problems) == (200, [])
+        assert reader.topics[0].definition.text == definition(JOINT_STATE).text
+
+
+def test_choice_of_topics_and_times(tmp_path):
+    messages = sample(300)
+    path = write_with_mcap(tmp_path / "a.mcap", messages, chunk_size=2000)
+    expected = [m for m in in_order(messages) if m[0] == "/note" and 50 * MS <= m[1] < 120 * MS]
+    assert read(path, ["/note"], start=50 * MS, end=120 * MS) == expected
+    assert len(expected) == 70
+
+
+def test_grouped_batches_keep_the_order_of_each_topic(tmp_path):
+    messages = sample(300, disorder=20)
+    path = write_with_mcap(tmp_path / "a.mcap", messages, chunk_size=2000)
+    with BagReader(path) as reader:
+        assert [len(b) for b in reader.batches(grouped=True)] == [300, 300]
+    grouped = read(path, grouped=True)
+    for topic in ("/joint_states", "/note"):
+        assert [m for m in grouped if m[0] == topic] == [m for m in in_order(messages) if m[0] == topic]
+
+
+def test_constant_size_gives_an_array(tmp_path):
+    path = write_with_mcap(tmp_path / "a.mcap", sample(50))
+    with BagReader(path) as reader:
+        payloads = {b.topic.name: b.payload for b in reader.batches(grouped=True)}
+    assert np.array_equal(payloads["/joint_states"], rows(50)[0])
+    assert [bytes(m) for m in payloads["/note"]] == [string_cdr(f"n{i}" * (i % 3)) for i in range(50)]
+
+
+@settings(max_examples=30)
+@given(st.lists(st.integers(0, 60), min_size=1, max_size=200), st.integers(100, 2000), st.booleans(), st.booleans())
+def test_order_is_that_of_a_stable_sort(tmp_path_factory, times, chunk_size, indexes, chunked):
+    messages = [("/n", STRING, string_cdr(f"{i}"), t) for i, t in enumerate(times)]
+    path = tmp_path_factory.mktemp("order") / "a.mcap"
+    write_with_mcap(path, messages, chunk_size=chunk_size, indexes=indexes, chunked=chunked)
+    assert read(path) == in_order(messages)
+
+
+def test_topics_one_after_the_other_are_merged(tmp_path):
+    """A bag that holds one topic after the other is sorted with little held back."""
+    block, stamps = rows(3000)
+    with BagWriter(tmp_path / "a.mcap", chunk_size=20_000) as writer:
+        for topic in ("/a", "/b"):
+            writer.write_many(topic, JOINT_STATE, block, stamps)
+    found = read(tmp_path / "a.mcap")
+    assert [m[1] for m in found] == sorted(2 * stamps.tolist())
+    assert [m[0] for m in found] == ["/a", "/b"] * 3000
+
+
+def test_chunk_heads_that_lie_are_noticed():
+    """A chunk without an index that holds a message from before its declared start."""
+    from hd_diag.bag.block import messages_at
+    from hd_diag.bag.mcap_file import MESSAGE
+    from hd_diag.bag.mcap_scan import Section
+
+    def load(section):
+        content = MESSAGE.pack(5, 22, 1, 0, section.offset, 0)
+        return messages_at(content, np.array([0]))
+
+    good = [Section(5, 31, 5, 5), Section(7, 31, 6, 7)]
+    assert [b.log_time.tolist() for b in ordered(good, load)] == [[5, 7]]
+    early = [Section(5, 5 << 20, 5, 5), Section(3, 31, 6, 7)]
+    with pytest.raises(ValueError, match="before its declared start"):
+        list(ordered(early, lambda s: _padded(load(s), 5 << 20)))
+
+
+def _padded(block, size):
+    from dataclasses import replace
+
+    return replace(block, data=np.zeros(size, np.uint8))
+
+
+@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+@pytest.mark.parametrize("version", [8, 9])
+@pytest.mark.parametrize("metadata", [True, False])
+def test_rosbag2_folders(tmp_path, plugin, version, metadata):
+    messages = sample(50, disorder=10)
+    with RosbagsWriter(tmp_path / "bag", version=version, storage_plugin=plugin) as writer:
+        connections = {
+            t: writer.add_connection(t, k, typestore=jazzy()) for t, k in (("/joint_states", JOINT_STATE), ("/note", STRING))
+        }
+        for topic, _, data, time in messages:
+            writer.write(connections[topic], time, data)
+    if not metadata:
+        (tmp_path / "bag" / "metadata.yaml").unlink()
+    assert sorted(read(tmp_path / "bag")) == sorted(in_order(messages))
+    with BagReader(tmp_path / "bag") as reader:
+        assert {(t.name, t.count) for t in reader.topics} == {("/joint_states", 50), ("/note", 50)}
+        assert (reader.start, reader.end) == (0, 49 * MS)
+        states = [reader.joint_states(b)[0][0] for b in reader.batches(["/joint_states"])]
+    assert states[0].names == NAMES
+
+
+def test_sqlite_order_and_choice(tmp_path):
+    messages = sample(100, disorder=40)
+    with RosbagsWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connections = {
+            t: writer.add_connection(t, k, typestore=jazzy()) for t, k in (("/joint_states", JOINT_STATE), ("/note", STRING))
+        }
+        for topic, _, data, time in messages:
+            writer.write(connections[topic], time, data)
+    expected = [m for m in in_order(messages) if m[0] == "/note" and 20 * MS <= m[1] < 70 * MS]
+    assert read(tmp_path / "bag", ["/note"], start=20 * MS, end=70 * MS) == expected
+    assert read(tmp_path / "bag" / "bag.db3") == in_order(messages)
+
+
+def test_message_compression_of_rosbag2(tmp_path):
+    messages = sample(20)
+    writer = RosbagsWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3)
+    writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection("/joint_states", JOINT_STATE, typestore=jazzy())
+        for topic, _, data, time in messages:
+            if topic == "/joint_states":
+                writer.write(connection, time, data)
+    assert read(tmp_path / "bag") == [m for m in in_order(messages) if m[0] == "/joint_states"]
+
+
+def test_files_compressed_as_a_whole_are_named(tmp_path):
+    writer = RosbagsWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP)
+    writer.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)
+    with writer:
+        writer.write(writer.add_connection("/n", STRING, typestore=jazzy()), 1, string_cdr("x"))
+    with pytest.raises(BagError, match="zstd -d"):
+        BagReader(tmp_path / "bag")
+
+
+def test_split_folder_is_read_in_order_with_files_that_metadata_does_not_know(tmp_path):
+    block, stamps = rows(1200)
+    with BagWriter(tmp_path / "bag", max_duration=0.1) as writer:
+        writer.write_many("/j", JOINT_STATE, block, stamps)
+    info = tmp_path / "bag" / "metadata.yaml"
+    content = yaml.safe_load(info.read_text())
+    content["rosbag2_bagfile_information"]["relative_file_paths"] = ["bag_0.mcap", "bag_1.mcap", "bag_77.mcap"]
+    info.write_text(yaml.safe_dump(content))
+    with BagReader(tmp_path / "bag") as reader:
+        assert reader.problems == ["bag_77.mcap: is named in metadata.yaml but missing"]
+        assert [p.name for p in reader.paths] == [f"bag_{i}.mcap" for i in range(12)]
+        times = np.concatenate([b.log_time for b in reader.batches()])
+    assert np.array_equal(times, stamps)
+
+
+def test_metadata_cannot_lead_out_of_the_folder(tmp_path):
+    with BagWriter(tmp_path / "secret.mcap") as writer:
+        writer.write("/secret", STRING, string_cdr("x"), 1)
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write("/open", STRING, string_cdr("x"), 1)
+    info = tmp_path / "bag" / "metadata.yaml"
+    info.write_text(info.read_text().replace("bag_0.mcap", "../secret.mcap"))
+    with BagReader(tmp_path / "bag") as reader:
+        assert [t.name for t in reader.topics] == ["/open"]
+
+
+def test_types_come_from_the_file(tmp_path):
+    """A type of that name that ROS does not know, and a JointState with one more field."""
+    text = "float64 mass\nstring[] labels\n"
+    longer = definition(JOINT_STATE).text.replace("float64[] effort\n", "float64[] effort\nfloat64 voltage\n", 1)
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2")
+        own = writer.register_schema("my_msgs/msg/Load", "ros2msg", text.encode())
+        changed = writer.register_schema(JOINT_STATE, "ros2msg", longer.encode())
+        load = writer.register_channel("/load", "cdr", own)
+        joints = writer.register_channel("/joint_states", "cdr", changed)
+        writer.add_message(load, 1, b"\0\1\0\0" + np.float64(2.5).tobytes() + bytes(4), 1)
+        state = joint_state_cdr(("a",), 5 * MS, (1.5,), (), (2.5,))
+        writer.add_message(joints, 2, state + np.float64(24.0).tobytes(), 2)
+        writer.finish()
+    with BagReader(tmp_path / "a.mcap") as reader:
+        first, second = reader.batches()
+        ((_, message),) = reader.deserialize(first)[0]
+        assert (message.mass, message.labels) == (2.5, [])
+        ((columns,), rejected) = reader.joint_states(second)
+        with pytest.raises(BagError, match="not sensor_msgs"):
+            reader.joint_states(first)
+    assert (columns.names, columns.position.tolist(), columns.velocity, columns.effort.tolist()) == (("a",), [[1.5]], None, [[2.5]])
+    assert rejected == []
+
+
+def test_comments_in_the_definition_do_not_change_the_type(tmp_path):
+    text = "# Names of joints\n" + definition(JOINT_STATE).text.replace("string[] name", "string[] name  # one for each joint")
+    block, _ = rows(5)
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2")
+        channel = writer.register_channel("/j", "cdr", writer.register_schema(JOINT_STATE, "ros2msg", text.encode()))
+        for i in range(5):
+            writer.add_message(channel, i, block[i].tobytes(), i)
+        writer.finish()
+    with BagReader(tmp_path / "a.mcap") as reader:
+        (batch,) = reader.batches()
+        assert reader._is_standard(batch.topic)
+        ((columns,), _) = reader.joint_states(batch)
+    assert columns.position[:, 0].tolist() == [0, 1, 2, 3, 4]
+
+
+def test_joints_that_appear_late(tmp_path):
+    early, stamps = rows(10)
+    late = encode_joint_states(("joint_1", "joint_2", "joint_3"), stamps + 10 * MS, np.ones((10, 3)))
+    with BagWriter(tmp_path / "a.mcap") as writer:
+        writer.write_many("/j", JOINT_STATE, early, stamps)
+        writer.write_many("/j", JOINT_STATE, late, stamps + 10 * MS)
+    with BagReader(tmp_path / "a.mcap") as reader:
+        (batch,) = reader.batches()
+        columns, rejected = reader.joint_states(batch)
+    assert [(c.names, c.row.tolist()) for c in columns] == [
+        (NAMES, list(range(10))),
+        (("joint_1", "joint_2", "joint_3"), list(range(10, 20))),
+    ]
+    assert rejected == []
+
+
+def test_malformed_messages_are_told_one_by_one(tmp_path):
+    block, stamps = rows(6)
+    messages = [row.tobytes() for row in block]
+    messages[2] = b"\0\1\0\0rubbish"
+    messages[4] = messages[4][:-1]
+    with BagWriter(tmp_path / "a.mcap") as writer:
+        writer.write_many("/j", JOINT_STATE, messages, stamps)
+    with BagReader(tmp_path / "a.mcap") as reader:
+        (batch,) = reader.batches()
+        columns, rejected = reader.joint_states(batch)
+    assert columns[0].row.tolist() == [0, 1, 3, 5]
+    assert [r.row for r in rejected] == [2, 4]
+    assert "cut off" in rejected[1].reason
+
+
+def test_things_that_are_no_bags(tmp_path):
+    (tmp_path / "empty.mcap").touch()
+    (tmp_path / "text.mcap").write_text("not a bag")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "bad").mkdir()
+    (tmp_path / "bad" / "metadata.yaml").write_text("{")
+    os.mkfifo(tmp_path / "pipe.mcap")
+    for name in ("empty.mcap", "text.mcap", "folder", "bad", "none", "pipe.mcap"):
+        with pytest.raises(BagError) as caught:
+            BagReader(tmp_path / name)
+        assert re.fullmatch(r"[^\n]+: [^\n]+", str(caught.value))
+        assert name in str(caught.value)
+
+
+def test_a_ros1_profile_is_refused(tmp_path):
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros1")
+        writer.finish()
+    with pytest.raises(BagError, match="profile 'ros1'"):
+        BagReader(tmp_path / "a.mcap")
+
+
+def test_views_in_a_database_are_not_queried(tmp_path):
+    db = sqlite3.connect(tmp_path / "a.db3")
+    db.execute("CREATE TABLE topics(id, name, type, serialization_format)")
+    db.execute(
+        "CREATE VIEW messages AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) "
+        "SELECT i AS id, 1 AS topic_id, i AS timestamp, 'x' AS data FROM n"
+    )
+    db.commit()
+    db.close()
+    with pytest.raises(BagError, match="not a rosbag2 database"):
+        BagReader(tmp_path / "a.db3")
+
+
+def test_reading_needs_no_ros():
+    code = (
+        "import sys; import hd_diag.bag; "
+        "print([m for m in sys.modules if m.split('.')[0] in ('rclpy', 'sensor_msgs', 'rosbag2_py', 'mcap_ros2')])"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "[]"
+
+
+def test_compressed_chunk_of_unknown_content_size(tmp_path):
+    """Streaming compressors leave the size out of the frame."""
+    path = write_with_mcap(tmp_path / "a.mcap", sample(5), compression="none")
+    data = path.read_bytes()
+    start = data.index(b"\x06", 8 + 9)
+    while data[start] != 6 or int.from_bytes(data[start + 1 : start + 9], "little") > len(data):
+        start += 1
+    length = int.from_bytes(data[start + 1 : start + 9], "little")
+    head, content = data[start + 9 : start + 37], data[start + 9 + 40 : start + 9 + length]
+    stream = zstandard.ZstdCompressor().compressobj()
+    stored = stream.compress(content) + stream.flush()
+    body = head + b"\4\0\0\0zstd" + len(stored).to_bytes(8, "little") + stored
+    (tmp_path / "b.mcap").write_bytes(data[:start] + b"\x06" + len(body).to_bytes(8, "little") + body)
+    assert data[:8] == MAGIC
+    assert read(tmp_path / "b.mcap") == in_order(sample(5))

@@ -1,0 +1,421 @@
+import errno
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from bag_samples import JOINT_STATE, MS, NAMES, STRING, joint_state_cdr, rows, string_cdr
+from mcap.reader import make_reader
+from mcap.records import Channel, Chunk, Header, Metadata, Schema
+from mcap.stream_reader import StreamReader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+
+from hd_diag.bag import BagError, BagReader, BagWriter, Qos, check_output, recover
+from hd_diag.bag.schemas import definition, jazzy
+
+COMPRESSIONS = ("zstd", "lz4", "none")
+
+
+def read_raw(path):
+    """Topic, log time and content of every message, by rosbags."""
+    with AnyReader([Path(path)]) as reader:
+        return [(c.topic, t, bytes(d)) for c, t, d in reader.messages()]
+
+
+def written(path, count=300, **options):
+    """A bag with two topics; returns the writer and what it was given."""
+    block, stamps = rows(count)
+    given = []
+    with BagWriter(path, **options) as writer:
+        for i in range(count):
+            for topic, kind, data in (("/joint_states", JOINT_STATE, block[i].tobytes()), ("/note", STRING, string_cdr(f"n{i}"))):
+                writer.write(topic, kind, data, int(stamps[i]))
+                given.append((topic, int(stamps[i]), data))
+    return writer, given
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_rosbags_reads_what_was_written(tmp_path, compression):
+    _, given = written(tmp_path / "a.mcap", compression=compression, chunk_size=5000)
+    assert sorted(read_raw(tmp_path / "a.mcap")) == sorted(given)
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_mcap_ros2_decodes_what_was_written(tmp_path, compression):
+    written(tmp_path / "a.mcap", 50, compression=compression, chunk_size=3000)
+    with (tmp_path / "a.mcap").open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        seen = [(c.topic, m) for _, c, _, m in reader.iter_decoded_messages()]
+        summary = reader.get_summary()
+    positions = [list(m.position) for topic, m in seen if topic == "/joint_states"]
+    assert positions == [[float(i), i + 0.1] for i in range(50)]
+    assert [m.data for topic, m in seen if topic == "/note"] == [f"n{i}" for i in range(50)]
+    assert summary.statistics.message_count == 100
+    assert (summary.statistics.message_start_time, summary.statistics.message_end_time) == (0, 49 * MS)
+    assert len(summary.chunk_indexes) == summary.statistics.chunk_count > 2
+    assert all(set(c.message_index_offsets) for c in summary.chunk_indexes)
+
+
+def test_records_are_those_of_rosbag2(tmp_path):
+    written(tmp_path / "a.mcap", 3)
+    records = list(StreamReader(str(tmp_path / "a.mcap"), validate_crcs=True).records)
+    (header,) = [r for r in records if isinstance(r, Header)]
+    assert header.profile == "ros2"
+    channel = next(r for r in records if isinstance(r, Channel) and r.topic == "/joint_states")
+    assert channel.message_encoding == "cdr"
+    assert channel.metadata["topic_type_hash"] == jazzy().hash_rihs01(JOINT_STATE)
+    (offer,) = yaml.safe_load(channel.metadata["offered_qos_profiles"])
+    assert (offer["reliability"], offer["history"], offer["depth"]) == ("reliable", "keep_last", 10)
+    assert offer["lifespan"] == {"sec": 9223372036, "nsec": 854775807}
+    schema = next(r for r in records if isinstance(r, Schema) and r.id == channel.schema_id)
+    assert (schema.name, schema.encoding) == (JOINT_STATE, "ros2msg")
+    assert schema.data.decode() == definition(JOINT_STATE).text
+    last = [r for r in records if isinstance(r, Metadata)][-1]
+    assert last.name == "rosbag2"
+    assert yaml.safe_load(last.metadata["serialized_metadata"])["message_count"] == 6
+
+
+def test_times_and_offers_are_kept(tmp_path):
+    with BagWriter(tmp_path / "a.mcap") as writer:
+        writer.write("/a", STRING, string_cdr("x"), 20, 10, qos=Qos(reliability="best_effort", depth=3))
+    with BagReader(tmp_path / "a.mcap") as reader:
+        (batch,) = reader.batches()
+    assert (batch.log_time.tolist(), batch.publish_time.tolist()) == ([20], [10])
+    assert "best_effort" in batch.topic.offers
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_rows_and_single_messages_give_the_same_messages(tmp_path, compression):
+    block, stamps = rows(500)
+    options = {"chunk_size": 7000, "compression": compression}
+    paths = [tmp_path / way / "a.mcap" for way in ("one", "many", "list")]
+    for path in paths:
+        path.parent.mkdir()
+    with BagWriter(paths[0], **options) as writer:
+        for row, stamp in zip(block, stamps, strict=True):
+            writer.write("/j", JOINT_STATE, row.tobytes(), int(stamp))
+    with BagWriter(paths[1], **options) as writer:
+        writer.write_many("/j", JOINT_STATE, block, stamps)
+    with BagWriter(paths[2], **options) as writer:
+        writer.write_many("/j", JOINT_STATE, [memoryview(row.tobytes()) for row in block], stamps)
+    data = [path.read_bytes() for path in paths]
+    assert data[0] == data[1] == data[2]
+
+
+def test_many_messages_of_different_sizes(tmp_path):
+    texts = ["a" * (i % 17) for i in range(200)]
+    with BagWriter(tmp_path / "a.mcap", chunk_size=1000) as writer:
+        writer.write_many("/n", STRING, [string_cdr(t) for t in texts], np.arange(200), np.arange(200) + 5)
+    assert [d for _, _, d in read_raw(tmp_path / "a.mcap")] == [string_cdr(t) for t in texts]
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_split_by_time(tmp_path, many):
+    block, stamps = rows(1000)
+    with BagWriter(tmp_path / "bag", max_duration=0.3) as writer:
+        if many:
+            writer.write_many("/j", JOINT_STATE, block, stamps)
+        else:
+            for row, stamp in zip(block, stamps, strict=True):
+                writer.write("/j", JOINT_STATE, row.tobytes(), int(stamp))
+    assert [p.name for p in writer.paths] == [f"bag_{i}.mcap" for i in range(4)]
+    assert [len(read_raw(p)) for p in writer.paths] == [300, 300, 300, 100]
+    assert [d for _, _, d in read_raw(tmp_path / "bag")] == [row.tobytes() for row in block]
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_split_by_size(tmp_path, many):
+    block, stamps = rows(2000)
+    limit = 40_000
+    with BagWriter(tmp_path / "b.mcap", max_size=limit, chunk_size=4000, compression="none") as writer:
+        if many:
+            writer.write_many("/j", JOINT_STATE, block, stamps)
+        else:
+            for row, stamp in zip(block, stamps, strict=True):
+                writer.write("/j", JOINT_STATE, row.tobytes(), int(stamp))
+    assert [p.name for p in writer.paths][:3] == ["b.mcap", "b_1.mcap", "b_2.mcap"]
+    # One chunk with its index may be above the limit, and the summary comes on top.
+    assert all(limit <= p.stat().st_size < limit + 20_000 for p in writer.paths[:-1])
+    assert [d for p in writer.paths for _, _, d in read_raw(p)] == [row.tobytes() for row in block]
+
+
+def test_metadata_yaml_of_a_folder(tmp_path):
+    writer, _ = written(tmp_path / "bag", 100, max_duration=0.05, custom_data={"joint": "joint_1"})
+    info = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert (info["version"], info["storage_identifier"], info["ros_distro"]) == (9, "mcap", "jazzy")
+    assert info["relative_file_paths"] == [p.name for p in writer.paths] == ["bag_0.mcap", "bag_1.mcap"]
+    assert info["message_count"] == 200
+    assert info["duration"] == {"nanoseconds": 99 * MS}
+    assert info["starting_time"] == {"nanoseconds_since_epoch": 0}
+    assert [f["message_count"] for f in info["files"]] == [100, 100]
+    assert [f["starting_time"]["nanoseconds_since_epoch"] for f in info["files"]] == [0, 50 * MS]
+    assert info["custom_data"] == {"joint": "joint_1"}
+    topic = info["topics_with_message_count"][0]
+    assert topic["message_count"] == 100
+    assert topic["topic_metadata"]["type_description_hash"].startswith("RIHS01_")
+    assert topic["topic_metadata"]["offered_qos_profiles"][0]["durability"] == "volatile"
+    with AnyReader([tmp_path / "bag"]) as reader:
+        assert reader.message_count == 200
+
+
+def test_metadata_names_the_open_file_from_the_start(tmp_path):
+    writer = BagWriter(tmp_path / "bag")
+    info = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert info["relative_file_paths"] == ["bag_0.mcap"]
+    writer.close()
+
+
+def test_empty_bag_is_whole(tmp_path):
+    BagWriter(tmp_path / "a.mcap").close()
+    with BagReader(tmp_path / "a.mcap") as reader:
+        assert (reader.message_count, reader.problems, list(reader.batches())) == (0, [], [])
+    assert read_raw(tmp_path / "a.mcap") == []
+
+
+def test_existing_bags_are_not_overwritten(tmp_path):
+    (tmp_path / "a.mcap").write_text("precious")
+    (tmp_path / "bag").mkdir()
+    for path in (tmp_path / "a.mcap", tmp_path / "bag"):
+        with pytest.raises(BagError, match=f"{path.name}.*exists already"):
+            BagWriter(path)
+    assert (tmp_path / "a.mcap").read_text() == "precious"
+
+
+def test_overwrite_replaces_the_bag_and_nothing_else(tmp_path):
+    written(tmp_path / "bag", 100, max_duration=0.02)
+    (tmp_path / "bag" / "notes.txt").write_text("mine")
+    (tmp_path / "bag" / "other.mcap").write_text("mine too")
+    with BagWriter(tmp_path / "bag", overwrite=True) as writer:
+        writer.write("/a", STRING, string_cdr("x"), 1)
+    names = sorted(p.name for p in (tmp_path / "bag").iterdir())
+    assert names == ["bag_0.mcap", "metadata.yaml", "notes.txt", "other.mcap"]
+    written(tmp_path / "a.mcap", 500)
+    written(tmp_path / "a.mcap", 2, overwrite=True)
+    assert len(read_raw(tmp_path / "a.mcap")) == 4
+
+
+def test_two_writers_of_one_file(tmp_path):
+    with BagWriter(tmp_path / "a.mcap") as writer:
+        writer.write("/a", STRING, string_cdr("x"), 1)
+        with pytest.raises(BagError, match="being written by another"):
+            BagWriter(tmp_path / "a.mcap", overwrite=True)
+    assert len(read_raw(tmp_path / "a.mcap")) == 1
+
+
+@pytest.mark.parametrize("name", ["bag", "bag/bag_0.mcap", "bag/deep/out.mcap", ".", "link.mcap"])
+def test_output_must_not_touch_the_input(tmp_path, name):
+    written(tmp_path / "bag", 3)
+    (tmp_path / "link.mcap").hardlink_to(tmp_path / "bag" / "bag_0.mcap")
+    source = tmp_path / "bag" / "bag_0.mcap" if name == "link.mcap" else tmp_path / "bag"
+    with pytest.raises(BagError, match="input"):
+        check_output(tmp_path / name, source)
+    check_output(tmp_path / "bag2", source)
+
+
+def test_bad_arguments_concern_one_call_only(tmp_path):
+    with BagWriter(tmp_path / "a.mcap") as writer:
+        with pytest.raises(BagError, match="no known definition"):
+            writer.write("/a", "no_msgs/msg/Such", b"", 1)
+        for wrong in (-1, 2**63):
+            with pytest.raises(BagError, match="out of range"):
+                writer.write("/a", STRING, string_cdr("x"), wrong)
+        with pytest.raises(BagError, match="times"):
+            writer.write_many("/a", STRING, [string_cdr("x")] * 3, [1, 2])
+        writer.write("/a", STRING, string_cdr("x"), 1)
+        assert writer.error is None
+    assert len(read_raw(tmp_path / "a.mcap")) == 1
+
+
+@pytest.mark.parametrize("bad", [{"compression": "gzip"}, {"chunk_size": 0}, {"max_size": -1}, {"flush_period": float("nan")}])
+def test_bad_options_are_refused_before_a_file_is_made(tmp_path, bad):
+    with pytest.raises(BagError, match=r"a\.mcap"):
+        BagWriter(tmp_path / "a.mcap", **bad)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_unwritable_places(tmp_path):
+    (tmp_path / "file").write_text("a file where a folder is needed")
+    for path in (tmp_path / "file" / "a.mcap", tmp_path / "file" / "bag", tmp_path / "none" / "a.mcap"):
+        with pytest.raises(BagError) as caught:
+            BagWriter(path)
+        assert "\n" not in str(caught.value)
+        assert str(path) in str(caught.value)
+
+
+def test_messages_wait_no_longer_than_the_flush_period(tmp_path):
+    writer = BagWriter(tmp_path / "a.mcap", flush_period=0.25)
+    writer.write("/a", STRING, string_cdr("x"), 1)
+    now = time.monotonic()
+    assert not writer.flush_if_due(now)
+    assert writer.flush_if_due(now + 0.25)
+    assert not writer.flush_if_due(now + 9.0)
+    with BagReader(tmp_path / "a.mcap") as reader:
+        assert reader.message_count == 1
+        assert "being written by another process" in reader.problems[0]
+    writer.close()
+
+
+def test_old_messages_are_flushed_by_new_ones(tmp_path):
+    with BagWriter(tmp_path / "a.mcap", flush_period=0.0) as writer:
+        for i in range(5):
+            writer.write("/a", STRING, string_cdr("x"), i)
+    chunks = [r for r in StreamReader(str(tmp_path / "a.mcap"), emit_chunks=True).records if isinstance(r, Chunk)]
+    assert len(chunks) == 5
+
+
+def test_an_error_inside_with_leaves_a_valid_file(tmp_path):
+    with pytest.raises(KeyboardInterrupt), BagWriter(tmp_path / "a.mcap") as writer:
+        writer.write("/a", STRING, string_cdr("x"), 1)
+        raise KeyboardInterrupt
+    assert len(read_raw(tmp_path / "a.mcap")) == 1
+
+
+def test_closed_writer_refuses_more(tmp_path):
+    writer = BagWriter(tmp_path / "a.mcap")
+    writer.close()
+    writer.close()
+    with pytest.raises(BagError, match="closed"):
+        writer.write("/a", STRING, string_cdr("x"), 1)
+    assert not writer.flush_if_due()
+
+
+# Writes until the disk is full; prints what was acknowledged by a flush, the error, and that close is silent.
+FILL = """
+import resource, sys
+import numpy as np
+sys.path.insert(0, {test!r})
+from bag_samples import JOINT_STATE, rows
+from hd_diag.bag import BagError, BagWriter
+limit = {limit}
+if limit:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+block, stamps = rows(100)
+writer = BagWriter({path!r}, compression={compression!r}, chunk_size=20000)
+done = 0
+try:
+    for turn in range(10000):
+        writer.write_many("/j", JOINT_STATE, block, stamps + turn * 100_000_000)
+        writer.flush()
+        done += len(block)
+except BagError as exc:
+    print(done)
+    print(exc)
+try:
+    writer.write("/j", JOINT_STATE, block[0].tobytes(), 1)
+except BagError as exc:
+    print(exc)
+writer.close()
+writer.close()
+print("closed")
+"""
+
+
+def fill(path, limit=0, compression="zstd"):
+    script = FILL.format(path=str(path), limit=limit, compression=compression, test=str(Path(__file__).parent))
+    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
+    done, error, again, closed = result.stdout.splitlines()
+    assert closed == "closed"
+    assert again == error
+    return int(done), error
+
+
+def assert_saved(path, done, tmp_path):
+    """All acknowledged messages, in order, are in what can be recovered."""
+    report = recover(path, tmp_path / "saved.mcap", overwrite=True)
+    with BagReader(tmp_path / "saved.mcap") as reader:
+        times = np.concatenate([b.log_time for b in reader.batches()])
+    assert len(times) == report.counts["/j"] >= done > 0
+    assert np.array_equal(times, np.arange(len(times)) * MS)
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_file_size_limit(tmp_path, compression):
+    done, error = fill(tmp_path / "full.mcap", 200_000, compression)
+    assert error == f"{tmp_path / 'full.mcap'}: {os.strerror(errno.EFBIG)}"
+    assert_saved(tmp_path / "full.mcap", done, tmp_path)
+
+
+def test_disk_full(tmp_path):
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=400k", "tmpfs", str(disk)], capture_output=True, text=True)
+    if mounted.returncode:
+        pytest.skip(f"a tmpfs cannot be mounted here: {mounted.stderr.strip()}")
+    try:
+        done, error = fill(disk / "full.mcap")
+        assert error == f"{disk / 'full.mcap'}: {os.strerror(errno.ENOSPC)}"
+        assert_saved(disk / "full.mcap", done, tmp_path)
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+
+
+# Writes in real time with a timer as the node does; tells each message once it was handed to the writer.
+RECORD = """
+import sys, time
+sys.path.insert(0, {test!r})
+from bag_samples import JOINT_STATE, rows
+from hd_diag.bag import BagWriter
+block, _ = rows(4000)
+writer = BagWriter({path!r}, compression={compression!r}, flush_period=0.25, max_duration={split})
+print("ready", flush=True)
+for i in range(4000):
+    now = time.time_ns()
+    writer.write("/j", JOINT_STATE, block[i].tobytes(), now)
+    sys.stdout.write(f"{{i}} {{now}}\\n")
+    sys.stdout.flush()
+    time.sleep(0.0005)
+    if i % 50 == 49:
+        pause = time.monotonic() + {pause}
+        while time.monotonic() < pause:
+            time.sleep(0.02)
+            writer.flush_if_due(time.monotonic())
+"""
+
+
+@pytest.mark.parametrize("turn", range(10))
+def test_kill_loses_less_than_a_second(tmp_path, turn):
+    chance = random.Random(turn)
+    path = tmp_path / ("bag" if turn % 2 else "a.mcap")
+    options = {"compression": COMPRESSIONS[turn % 3], "split": 0.3 if turn % 4 == 3 else 0, "pause": 0.4 if turn % 5 == 4 else 0}
+    script = RECORD.format(path=str(path), test=str(Path(__file__).parent), **options)
+    process = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
+    assert process.stdout.readline() == "ready\n"
+    time.sleep(chance.uniform(0.05, 1.2))
+    process.send_signal(signal.SIGKILL)
+    killed = time.time_ns()
+    told = [tuple(map(int, m)) for m in re.findall(r"^(\d+) (\d+)\n", process.communicate()[0], re.MULTILINE)]
+    report = recover(path, tmp_path / "saved.mcap")
+    assert report.files[-1].problems
+    block, _ = rows(4000)
+    saved = read_raw(tmp_path / "saved.mcap")
+    # Nothing is missing before the end, and everything is as it was given.
+    assert [d for _, _, d in saved] == [block[i].tobytes() for i in range(len(saved))]
+    assert [t for _, t, _ in saved][: len(told)] == [t for _, t in told][: len(saved)]
+    lost = [t for i, t in told if i >= len(saved)]
+    assert all(killed - t < 1_000_000_000 for t in lost)
+
+
+def test_rest_is_saved_when_no_more_messages_come(tmp_path):
+    """The timer alone brings the last messages to the disk."""
+    options = {"compression": "zstd", "split": 0, "pause": 60}
+    script = RECORD.format(path=str(tmp_path / "a.mcap"), test=str(Path(__file__).parent), **options)
+    process = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
+    for _ in range(51):
+        process.stdout.readline()
+    time.sleep(1.0)
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    assert recover(tmp_path / "a.mcap", tmp_path / "b.mcap").counts == {"/j": 50}
+
+
+def test_joint_state_of_the_samples_is_what_rosbags_serializes():
+    block, _ = rows(1)
+    assert block[0].tobytes() == joint_state_cdr(NAMES, 0, (0.0, 0.1), (-0.0, -0.1))

@@ -1,0 +1,73 @@
+"""The same tree builds, tests and runs with colcon, as it would under a sourced ROS 2 Jazzy."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+
+def run(command: list[str], folder: Path, environment: dict[str, str]) -> str:
+    done = subprocess.run(
+        command,
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=170,
+    )
+    assert done.returncode == 0, done.stdout
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Environment with this Python's colcon first and colcon's own log out of the home folder."""
+    bin_folder = str(Path(sys.executable).parent)
+    return {
+        **os.environ,
+        "PATH": os.pathsep.join([bin_folder, os.environ["PATH"]]),
+        "COLCON_HOME": str(tmp_path_factory.mktemp("colcon_home")),
+        "PYTEST_ADDOPTS": "",
+    }
+
+
+@pytest.fixture(scope="module")
+def workspace(source_copy: Path, environment: dict[str, str]) -> Path:
+    """Colcon workspace around a copy of the tree, built."""
+    folder = source_copy.parent
+    run(["colcon", "build", "--event-handlers", "console_direct+"], folder, environment)
+    return folder
+
+
+def test_build_installs_both_executables_and_share(workspace: Path) -> None:
+    installed = workspace / "install/hd_diag"
+    for executable in ("hd_diag_node", "hd-diag"):
+        assert os.access(installed / "lib/hd_diag" / executable, os.X_OK)
+    assert (installed / "share/ament_index/resource_index/packages/hd_diag").is_file()
+    assert (installed / "share/hd_diag/launch/hd_diag.launch.py").is_file()
+
+
+def test_command_runs_from_the_installed_tree(workspace: Path, environment: dict[str, str]) -> None:
+    # From an empty folder with install/ sourced: the tree cannot help.
+    elsewhere = workspace / "elsewhere"
+    elsewhere.mkdir()
+    script = (
+        ". ../install/setup.sh && python -c 'import hd_diag; print(hd_diag.__file__)'"
+        " && ../install/hd_diag/lib/hd_diag/hd-diag --help"
+    )
+    output = run(
+        ["sh", "-c", script], elsewhere, {**environment, "COLCON_CURRENT_PREFIX": str(workspace / "install")}
+    )
+    assert output.startswith(str(workspace / "install/hd_diag"))
+    assert "Usage:" in output
+
+
+def test_colcon_test_runs_the_tests(workspace: Path, environment: dict[str, str]) -> None:
+    # A quick selection; without one this test would start itself.
+    command = ["colcon", "test", "--event-handlers", "console_direct+", "--return-code-on-test-failure"]
+    output = run([*command, "--pytest-args", "test/test_imports.py"], workspace, environment)
+    assert " passed" in output
+    assert " failed" not in output

@@ -1,0 +1,134 @@
+"""The package as others get it: a wheel built from a copy of the tree, package.xml, changelog and locks."""
+
+import email
+import re
+import subprocess
+import sys
+import zipfile
+from email.message import Message
+from pathlib import Path
+
+import pytest
+from catkin_pkg.package import Package, parse_package
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).resolve().parent.parent
+LOCKS = ("demo", "test", "ubuntu")
+# The whole grammar of a lock: no option, no address, no path can be in it.
+LOCK_LINE = re.compile(
+    r"|((    )?#.*|[a-z0-9-]+==[^\s;]+( ; [^\\/]+)? \\|    --hash=sha256:[0-9a-f]{64}( \\)?)"
+)
+
+
+@pytest.fixture(scope="module")
+def wheel(source_copy: Path, tmp_path_factory: pytest.TempPathFactory) -> zipfile.ZipFile:
+    """Wheel of the tree, as pip would build it."""
+    out = tmp_path_factory.mktemp("wheel")
+    build = f"from setuptools import build_meta; build_meta.build_wheel({str(out)!r})"
+    subprocess.run(
+        [sys.executable, "-c", build], cwd=source_copy, check=True, capture_output=True, timeout=120
+    )
+    return zipfile.ZipFile(next(out.glob("*.whl")))
+
+
+@pytest.fixture(scope="module")
+def metadata(wheel: zipfile.ZipFile) -> Message:
+    name = next(name for name in wheel.namelist() if name.endswith(".dist-info/METADATA"))
+    return email.message_from_bytes(wheel.read(name))
+
+
+@pytest.fixture(scope="module")
+def requirements(metadata: Message) -> list[Requirement]:
+    return [Requirement(text) for text in metadata.get_all("Requires-Dist")]
+
+
+@pytest.fixture(scope="module")
+def package_xml() -> Package:
+    warnings: list[str] = []
+    package = parse_package(str(ROOT / "package.xml"), warnings=warnings)
+    assert warnings == []
+    return package
+
+
+def locked(name: str) -> list[tuple[str, str]]:
+    """Name and version of every entry of a lock; a name has one entry for each range of Python versions."""
+    return re.findall(r"(?m)^([a-z0-9-]+)==([^\s;]+)", (ROOT / f"requirements/{name}.txt").read_text())
+
+
+def test_versions_agree(metadata: Message, package_xml: Package) -> None:
+    assert metadata["Name"] == package_xml.name == "hd_diag"
+    assert metadata["Version"] == package_xml.version
+    newest = re.findall(r"(?m)^(\S+).*\n-{3,}$", (ROOT / "CHANGELOG.rst").read_text())[0]
+    assert newest in ("Forthcoming", package_xml.version)
+
+
+def test_licence_agrees(metadata: Message, package_xml: Package) -> None:
+    assert [licence.file for licence in package_xml.licenses] == ["LICENSE"]
+    assert (
+        metadata.get("License-Expression", metadata["License"])
+        == str(package_xml.licenses[0])
+        == "Apache-2.0"
+    )
+
+
+@pytest.mark.parametrize("folder", ["config", "launch"])
+def test_every_data_file_is_installed(wheel: zipfile.ZipFile, source_copy: Path, folder: str) -> None:
+    files = {
+        path.relative_to(source_copy).as_posix()
+        for path in (source_copy / folder).rglob("*")
+        if path.is_file()
+    }
+    installed = {name.partition("/data/share/hd_diag/")[2] for name in wheel.namelist()}
+    assert files
+    assert files <= installed
+
+
+def test_package_is_in_the_ament_index(wheel: zipfile.ZipFile) -> None:
+    data = {name.partition("/data/")[2] for name in wheel.namelist()}
+    assert {"share/ament_index/resource_index/packages/hd_diag", "share/hd_diag/package.xml"} <= data
+
+
+def test_every_module_is_installed(wheel: zipfile.ZipFile, source_copy: Path) -> None:
+    modules = {path.relative_to(source_copy).as_posix() for path in (source_copy / "hd_diag").rglob("*.py")}
+    assert modules == {name for name in wheel.namelist() if name.endswith(".py") and "/data/" not in name}
+
+
+def test_ranges_have_both_bounds(requirements: list[Requirement]) -> None:
+    for requirement in requirements:
+        operators = {specifier.operator for specifier in requirement.specifier}
+        assert operators in ({">=", "<"}, {"=="}), requirement
+
+
+@pytest.mark.parametrize("lock", LOCKS)
+def test_locked_versions_are_in_range(requirements: list[Requirement], lock: str) -> None:
+    ranges = {canonicalize_name(requirement.name): requirement.specifier for requirement in requirements}
+    in_lock = [(name, version) for name, version in locked(lock) if name in ranges]
+    runtime = {
+        canonicalize_name(requirement.name) for requirement in requirements if requirement.marker is None
+    }
+    assert runtime <= {name for name, _ in in_lock}
+    assert [(name, version) for name, version in in_lock if version not in ranges[name]] == []
+
+
+@pytest.mark.parametrize("lock", [*LOCKS, "test-source"])
+def test_lock_names_no_place(lock: str) -> None:
+    lines = (ROOT / f"requirements/{lock}.txt").read_text().splitlines()
+    assert [line for line in lines if not LOCK_LINE.fullmatch(line)] == []
+    assert [line for line in lines if "://" in line or "/root/" in line or "/home/" in line] == []
+
+
+@pytest.mark.parametrize("lock", [*LOCKS, "test-source"])
+def test_every_entry_of_a_lock_has_a_hash(lock: str) -> None:
+    entries = re.split(r"(?m)^(?=[a-z])", (ROOT / f"requirements/{lock}.txt").read_text())[1:]
+    assert len(entries) == len(locked(lock))
+    assert all("--hash=sha256:" in entry for entry in entries)
+
+
+def test_demo_and_test_run_the_same_versions() -> None:
+    assert set(locked("demo")) <= set(locked("test"))
+
+
+def test_every_dependency_has_a_reason(requirements: list[Requirement]) -> None:
+    reasons = (ROOT / "CONTRIBUTING.md").read_text()
+    assert [r.name for r in requirements if f"`{r.name}`" not in reasons] == []
