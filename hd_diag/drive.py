@@ -1,4 +1,4 @@
-"""A drive: mesh, kinematics and values, with everything that can be computed of it at reported angles and torques."""
+"""A drive: mesh, kinematics and values, and what can be computed of it at reported angles and torques."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Drive:
     Raises
     ------
     ValueError
-        Naming what cannot be: the ratio against the teeth, a sign, a displacement too large for the clearances.
+        Naming what cannot be: the ratio against the teeth, a sign.
     """
 
     mesh: Mesh
@@ -80,7 +80,7 @@ class MeshState:
     @property
     def loaded_pairs(self) -> npt.NDArray[np.int64]:
         """Number of flanks that bear load, shape (moments,)."""
-        return np.count_nonzero(self.load > 0.0, axis=(1, 2)).astype(np.int64)
+        return np.asarray(np.count_nonzero(self.load > 0.0, axis=(1, 2)), dtype=np.int64)
 
     @property
     def peak_load(self) -> Floats:
@@ -101,7 +101,7 @@ class MeshState:
 
     @property
     def interference(self) -> npt.NDArray[np.bool_]:
-        """Whether no rotation of the cup frees all teeth: the lobes press against each other, shape (moments,)."""
+        """Whether no rotation of the cup frees all teeth: the lobes press against each other; (moments,)."""
         return np.asarray(self.overlap > 0.0)
 
 
@@ -134,7 +134,9 @@ def mesh_state(drive: Drive, input_angle: Floats, cup_torque: Floats) -> MeshSta
     )
 
 
-def transmission_error(drive: Drive, input_angle: Floats, torque: Floats, table: TorsionMap | None = None) -> Floats:
+def transmission_error(
+    drive: Drive, input_angle: Floats, torque: Floats, table: TorsionMap | None = None
+) -> Floats:
     """Predicted transmission error.
 
     Parameters

@@ -57,11 +57,12 @@ def report(joint: JointMonitor, now: int, facts: Mapping[str, str], foreign: int
     silence = max(0.0, (now - joint.last_received) * 1e-9)
     residual = _rms(window.residuals)
     state, turn = _mesh(joint)
-    faults = _faults(joint, window, facts, silence, residual, state)
+    faults = [fault for fault in _faults(joint, window, facts, silence, residual, state) if fault[1]]
+    faults.append(("OK", 0, "OK"))
     code, level, message = max(faults, key=lambda fault: (fault[1], -FAULT_CODES.index(fault[0])))
     values = {
         "fault_code": code,
-        "fault_codes": " ".join(fault[0] for fault in faults if fault[1]) or "OK",
+        "fault_codes": " ".join(fault[0] for fault in faults[:-1]) or "OK",
         **_configuration_values(joint),
         **_mesh_values(state, turn),
         "residual_rms_arcsec": _number(residual / ARCSEC),
@@ -93,14 +94,20 @@ def _faults(
     seen = window.accepted + window.rejected
     share = window.rejected / seen if seen else 0.0
     torque = abs(joint.last[1]) / joint.config.drive.rated_torque if joint.last else 0.0
-    found: list[Fault] = [("OK", 0, "OK")]
+    found: list[Fault] = []
     if facts.get("log_state", "").startswith("failed"):
         found.append(("LOG_FAILED", 1, f"log {facts['log_state']}"))
     found.append(("STALE", limits["silence"].level(silence), f"no valid sample for {silence:.1f} s"))
     found.append(
-        ("INPUT_INVALID", limits["rejected"].level(share), f"{window.rejected} rejected: {joint.last_rejection}")
+        (
+            "INPUT_INVALID",
+            limits["rejected"].level(share),
+            f"{window.rejected} rejected: {joint.last_rejection}",
+        )
     )
-    found.append(("OUT_OF_RANGE", limits["torque"].level(torque), f"torque is {torque:.2f} times the rated torque"))
+    found.append(
+        ("OUT_OF_RANGE", limits["torque"].level(torque), f"torque is {torque:.2f} times the rated torque")
+    )
     if state is not None:
         found += _mesh_faults(joint, state)
     found.append(
@@ -147,7 +154,9 @@ def _configuration_values(joint: JointMonitor) -> dict[str, str]:
         "torque_Nm": _number(torque),
         "temperature_C": _number(joint.temperature),
         "prediction": "exact" if joint.table is None else "map",
-        "prediction_error_bound_arcsec": _number(0.0 if joint.table is None else joint.table.error_bound / ARCSEC),
+        "prediction_error_bound_arcsec": _number(
+            0.0 if joint.table is None else joint.table.error_bound / ARCSEC
+        ),
     }
 
 
@@ -172,7 +181,7 @@ def _number(value: float) -> str:
 
 
 def _rms(parts: list[Floats]) -> float:
-    """Root mean square about the mean: the encoders' zero offset is nobody's fault [rad]; nan of fewer than two."""
+    """Root mean square about the mean [rad], nan of fewer than two: the encoders' zero is nobody's fault."""
     values = np.concatenate(parts) if parts else np.empty(0)
     return float(np.std(values)) if values.size > 1 else float("nan")
 
@@ -191,11 +200,13 @@ def _rate(window: Window) -> float:
 
 
 def _missed(window: Window) -> int:
-    """Samples that the stamps' regular steps say were lost on the way."""
+    """Samples that the stamps' regular steps say were lost on the way; jitter adds and takes away, a loss only adds."""
     if window.accepted < 8:
         return 0
-    steps = np.diff(np.concatenate(window.stamps))
-    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    steps = np.diff(np.concatenate(window.stamps)).astype(np.float64)
+    usual = float(np.median(steps))
     if usual <= 0.0:
         return 0
-    return int(np.sum(np.rint(steps[steps > 1.5 * usual] / usual) - 1.0))
+    long = np.sum(np.rint(steps[steps > 1.5 * usual] / usual) - 1.0)
+    net = np.rint(np.sum(steps) / usual) - steps.size
+    return int(max(0.0, min(long, net)))

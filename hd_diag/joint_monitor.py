@@ -1,4 +1,4 @@
-"""One joint while it runs: its samples checked, paired and predicted, what is known of it since the last report."""
+"""One joint while it runs: samples checked, paired and predicted, what is known since the last report."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _REMEMBERED = 256  # input samples kept for output angles that arrive later
 
 
 class Samples(NamedTuple):
-    """Rows of one joint that belong together: stamp [ns], input and output angle [rad], torque [N m], each (n,)."""
+    """Rows of a joint that belong together: stamp [ns], input, output angle [rad], torque [N m], all (n,)."""
 
     stamp: Times
     input_angle: Floats | None
@@ -31,7 +31,7 @@ class Samples(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """Transmission error: stamp [ns], input angle [rad], torque used [N m], predicted and measured [rad], each (n,).
+    """Transmission error: stamp [ns], input angle [rad], torque [N m], predicted, measured [rad], each (n,).
 
     `paired` where the output angle arrived apart from the input, which had its prediction at its own stamp.
     """
@@ -155,7 +155,7 @@ class JointMonitor:
         return found + self._pair()
 
     def _check(self, rows: Samples) -> Samples | None:
-        """A single row with what cannot be used taken out; None if nothing is left. Counts what it refuses."""
+        """A single row less what cannot be used; None if nothing is left. Counts what it refuses."""
         stamp = int(rows.stamp[0])
         if stamp < max(self._input_stamp, self._output_stamp) - CLOCK_JUMP:
             self.clock_jumps += 1

@@ -2,18 +2,11 @@
 
 from __future__ import annotations
 
-import json
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
 from hd_diag.bag import BagError, BagWriter, Qos
 from hd_diag.config import LogConfig
-from hd_diag.messages import STRING, string
-
-EVENTS = "~/events"
-"""Topic of the events: std_msgs/String with one JSON object, key ``event``."""
 
 
 class Journal:
@@ -58,10 +51,6 @@ class Journal:
             self._writer.write_many(topic, type_name, rows, times)
         except (BagError, ValueError) as error:
             self._fail(error)
-
-    def event(self, topic: str, time: int, content: dict[str, Any]) -> None:
-        """Write an event."""
-        self.write(topic, STRING, string(json.dumps(content)), time)
 
     def flush_if_due(self) -> None:
         """Hand the open chunk to the system where it has waited for the flush period."""

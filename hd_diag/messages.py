@@ -51,7 +51,7 @@ def encode(publication: Publication) -> Encoded:
         return Encoded(publication.topic, JOINT_STATE, publication.received, rows)
     if isinstance(publication, Teeth):
         teeth = publication.values.shape[2]
-        rows = encode_float64_multiarray((("flank", 2), ("tooth", teeth)), publication.values.reshape(-1, 2 * teeth))
+        rows = encode_float64_multiarray((("flank", 2), ("tooth", teeth)), publication.values)
         return Encoded(publication.topic, MULTI_ARRAY, publication.received, rows)
     data = _diagnostics(publication)
     return Encoded(
@@ -141,7 +141,7 @@ def _parameter(name: str, value: Any) -> Any:
         "integer_value": 0,
         "double_value": 0.0,
         "string_value": "",
-        "byte_array_value": [],
+        "byte_array_value": np.array([], np.uint8),
         "bool_array_value": np.array([], bool),
         "integer_array_value": np.array([], np.int64),
         "double_array_value": np.array([]),

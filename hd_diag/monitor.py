@@ -1,7 +1,7 @@
 """All joints while they run: joint states in, transmission errors, per-tooth arrays and diagnostics out.
 
-Nothing here reads a clock. What happens depends on the sequence of calls and their times alone, so a recording of
-them gives the same results again: replay is this same code.
+Nothing here reads a clock. What happens depends on the sequence of calls and their times alone, so a
+recording of them gives the same results again: replay is this same code.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+import numpy.typing as npt
 
 from hd_diag.config import Config
 from hd_diag.drive import mesh_state
@@ -41,7 +42,7 @@ class Monitor:
         self._columns.clear()
 
     def use_map(self, joint: str, table: TorsionMap) -> bool:
-        """Predict a joint by its map from the next message on; False if the map is of another mesh than in force."""
+        """Predict a joint by its map from the next message on; False if the map is of another mesh."""
         monitor = self.joints[joint]
         if table.mesh != monitor.config.drive.mesh:
             return False
@@ -75,7 +76,9 @@ class Monitor:
         for joint, *columns in selected:
             part = _samples(states, *columns)
             if part is None:
-                self.joints[joint].reject("the message names the joint and gives no position of it", received.size)
+                self.joints[joint].reject(
+                    "the message names the joint and gives no position of it", received.size
+                )
             else:
                 rows.append((joint, part))
         if received.size > 1 and not all(self.joints[joint].is_clean(part) for joint, part in rows):
@@ -151,7 +154,9 @@ class Monitor:
                     found += self._arrays(joint, received[-slots.size :][due], prediction, due)
         return found
 
-    def _arrays(self, joint: str, received: Times, prediction: Prediction, due: np.ndarray) -> list[Publication]:  # type: ignore[type-arg]
+    def _arrays(
+        self, joint: str, received: Times, prediction: Prediction, due: npt.NDArray[np.bool_]
+    ) -> list[Publication]:
         drive = self.joints[joint].config.drive
         torque = drive.kinematics.cup_torque(prediction.torque[due])
         state = mesh_state(drive, prediction.input_angle[due], torque)

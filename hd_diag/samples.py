@@ -1,4 +1,4 @@
-"""What arrives and what leaves: columns of joint states, and the results computed of them. Times are int64 [ns]."""
+"""What arrives and what leaves: columns of joint states and what is computed of them. Times: int64 [ns]."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class JointStates(NamedTuple):
 
 
 class Angles(NamedTuple):
-    """Angles of joints to publish: topic, time of the cause [ns] (n,), stamp [ns] (n,), names (k), values (n, k)."""
+    """Angles to publish: topic, time of the cause [ns] (n,), stamp [ns] (n,), names (k), values (n, k)."""
 
     topic: str
     received: Times

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from mcap.writer import CompressionType, IndexType, Writer
 
-from hd_diag.bag import Qos, encode_joint_states
+from hd_diag.bag import BagError, BagReader, Qos, encode_joint_states
 from hd_diag.bag.rosbag2 import dump_offers
 from hd_diag.bag.schemas import definition, jazzy, serialize
 
@@ -42,8 +42,10 @@ def rows(count, start=0, names=NAMES, period=MS):
     return encode_joint_states(names, stamps, position, -position, None), stamps
 
 
-def write_with_mcap(path, messages, *, compression="zstd", chunk_size=1 << 20, indexes=True, chunked=True, summary=True):
-    """Write (topic, type, data, log time) with the mcap library, with the parts of the file that are asked for."""
+def write_with_mcap(
+    path, messages, *, compression="zstd", chunk_size=1 << 20, indexes=True, chunked=True, summary=True
+):
+    """Write (topic, type, data, log time) by the mcap library, with the wanted parts of a file."""
     kinds = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
     with Path(path).open("wb") as file:
         writer = Writer(
@@ -77,3 +79,59 @@ def cut_end(path, out, *, keep=None):
         keep = (summary or len(data) - 37) - 13
     Path(out).write_bytes(data[:keep])
     return Path(out)
+
+
+def consume(path):
+    """Use everything that a bag offers."""
+    with BagReader(path) as reader:
+        for batch in reader.batches():
+            if batch.topic.type_name == JOINT_STATE:
+                reader.joint_states(batch)
+            else:
+                reader.deserialize(batch)
+        return reader.message_count
+
+
+def accepts(path):
+    """Number of messages, or None where the bag is refused in the proper way."""
+    try:
+        return consume(path)
+    except BagError as exc:
+        if "\n" in str(exc) or len(str(exc)) > 900:
+            raise AssertionError(f"not one short line: {exc}") from exc
+        return None
+
+
+def corpus(folder):
+    """Small bags of each kind, as bytes."""
+    block, stamps = rows(12)
+    given = [("/j", JOINT_STATE, block[i].tobytes(), int(stamps[i])) for i in range(12)]
+    given += [("/n", STRING, string_cdr(f"n{i}"), i) for i in range(5)]
+    bags = []
+    for i, options in enumerate(
+        ({"compression": "zstd"}, {"compression": "lz4"}, {"compression": "none"}, {"chunked": False})
+    ):
+        bags.append(write_with_mcap(folder / f"{i}.mcap", given, chunk_size=400, **options).read_bytes())
+    return bags
+
+
+def damaged(data, chance):
+    """A copy with some bytes flipped, cut out, repeated or overwritten by numbers that lengths might have."""
+    data = bytearray(data)
+    for _ in range(chance.randint(1, 4)):
+        place = chance.randrange(len(data))
+        kind = chance.randrange(5)
+        if kind == 0:
+            data[place] ^= 1 << chance.randrange(8)
+        elif kind == 1:
+            data[place : place + chance.randint(1, 40)] = b""
+        elif kind == 2:
+            data[place:place] = data[place : place + chance.randint(1, 40)]
+        elif kind == 3:
+            value = chance.choice([0, 1, 2**31, 2**32 - 1, 2**40, 2**60, 2**63, 2**64 - 1])
+            data[place : place + 8] = struct.pack("<Q", value)
+        else:
+            data = data[:place]
+        if not data:
+            data = bytearray(b"\0")
+    return bytes(data)

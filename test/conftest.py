@@ -8,10 +8,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import drives
 import hypothesis
 import pytest
 
 import hd_diag
+from hd_diag.model.torsion import Mesh
 
 ROOT = Path(__file__).resolve().parent.parent
 NOT_SOURCE = shutil.ignore_patterns(
@@ -84,3 +86,9 @@ def source_copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (copy / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(ROOT / name, copy / name)
     return copy
+
+
+@pytest.fixture(scope="session")
+def paper_mesh() -> Mesh:
+    """The paper's drive without errors of assembly."""
+    return drives.mesh()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 import struct
 from collections.abc import Sequence
 
@@ -123,9 +124,10 @@ def encode_float64_multiarray(dims: Sequence[tuple[str, int]], data: npt.ArrayLi
             f"data: shape (n, {', '.join(str(s) for _, s in key)}) is needed, got {values.shape}"
         )
     template = _multiarray(key)
-    rows = np.empty((len(values), len(template) + values[:1].nbytes), np.uint8)
+    total = math.prod(values.shape[1:])
+    rows = np.empty((len(values), len(template) + 8 * total), np.uint8)
     rows[:, : len(template)] = np.frombuffer(template, np.uint8)
-    _put(rows, len(template), values.reshape(len(values), -1))
+    _put(rows, len(template), values.reshape(len(values), total))
     return rows
 
 
@@ -170,12 +172,12 @@ def _joint_state(
 @functools.lru_cache(maxsize=256)
 def _multiarray(dims: tuple[tuple[str, int], ...]) -> bytes:
     """Message up to its values."""
-    total = int(np.prod([size for _, size in dims], dtype=np.int64))
-    body, stride = bytearray(struct.pack("<I", len(dims))), total
-    for label, size in dims:
+    lengths = [size for _, size in dims]
+    total = math.prod(lengths)
+    body = bytearray(struct.pack("<I", len(dims)))
+    for i, (label, size) in enumerate(dims):
         body += _padding(body, 4) + _string(label)
-        body += _padding(body, 4) + struct.pack("<II", size, stride)
-        stride //= max(size, 1)
+        body += _padding(body, 4) + struct.pack("<II", size, math.prod(lengths[i:]))
     body += _padding(body, 4) + struct.pack("<II", 0, total)
     body += _padding(body, 8) if total else b""
     return _HEADER + bytes(body)
@@ -191,8 +193,7 @@ def _padding(body: bytearray, alignment: int) -> bytes:
 
 
 def _put(rows: Bytes, place: int, values: npt.NDArray[np.generic]) -> None:
-    """Write the bytes of values, one row of them for each message."""
-    data = values.reshape(len(rows), -1) if len(rows) else values.reshape(0, 1)
-    width = data.shape[1] * data.itemsize
-    if len(rows) and width:
-        rows[:, place : place + width] = np.ascontiguousarray(data).view(np.uint8)
+    """Write the bytes of values, shape (n,) or (n, k), from `place` on."""
+    data = np.ascontiguousarray(values.reshape(len(rows), -1) if len(rows) else values.reshape(0, 1))
+    if data.size:
+        rows[:, place : place + data.shape[1] * data.itemsize] = data.view(np.uint8)

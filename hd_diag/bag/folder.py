@@ -97,8 +97,8 @@ def _listed(folder: Path) -> BagFiles:
     try:
         info = yaml.load(path.read_bytes(), Loader=_Loader)["rosbag2_bagfile_information"]
         # Only names: a path could lead out of the folder.
-        names = dict.fromkeys(PurePath(str(name)).name for name in info["relative_file_paths"])
-        mode = str(info.get("compression_mode") or "").lower()
+        names = dict.fromkeys(PurePath(name).name for name in info["relative_file_paths"])
+        mode = (info.get("compression_mode") or "").lower()
         extra = info.get("custom_data")
     except (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError, RecursionError) as exc:
         raise BagError(path, f"is not rosbag2 metadata: {exc}") from exc
@@ -108,7 +108,8 @@ def _listed(folder: Path) -> BagFiles:
     missing = [
         f"{name}: is named in metadata.yaml but missing" for name in names if folder / name not in there
     ]
-    custom = {str(k): str(v) for k, v in extra.items()} if isinstance(extra, dict) else {}
+    pairs = extra.items() if isinstance(extra, dict) else ()
+    custom = {k: v for k, v in pairs if isinstance(k, str) and isinstance(v, str)}
     return BagFiles(there, missing, custom, mode == "message")
 
 

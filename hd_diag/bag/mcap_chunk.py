@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import struct
 import zlib
+from collections.abc import Sequence
 from contextlib import suppress
 from io import BufferedReader
 from pathlib import Path
@@ -22,28 +23,28 @@ from .mcap_scan import CHUNK_HEAD, LENGTH, MAX_CHUNK, Scan, Section, chunk_at, k
 
 # Opcode of a chunk, and a length below 2**48, as all lengths are.
 _MAYBE_CHUNK = re.compile(rb"(?=\x06[\s\S]{6}\0\0)")
+# What the libraries raise on damaged content.
+_DAMAGE = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, McapError, EOFError, MemoryError)
 
 
-def load(path: Path, file: BufferedReader, section: Section, result: Scan) -> Block:
-    """Messages of a section; schemas and channels found on the way are added to `result`.
+def load(path: Path, file: BufferedReader, sections: Sequence[Section], result: Scan) -> Block:
+    """Messages of some sections; schemas and channels found on the way are added to `result`.
 
     Raises
     ------
     BagError
-        Where the section is damaged.
+        Where a section is damaged.
     """
+    contents = []
+    for section in sections:
+        try:
+            contents.append(_content(file, section))
+        except _DAMAGE as exc:
+            raise BagError(path, f"chunk at byte {section.offset} is damaged: {exc}") from exc
     try:
-        return parse(_content(file, section), result)
-    except (
-        ValueError,
-        struct.error,
-        zstandard.ZstdError,
-        RuntimeError,
-        McapError,
-        EOFError,
-        MemoryError,
-    ) as exc:
-        raise BagError(path, f"chunk at byte {section.offset} is damaged: {exc}") from exc
+        return parse(contents[0] if len(contents) == 1 else b"".join(contents), result)
+    except _DAMAGE as exc:
+        raise BagError(path, f"chunk at or after byte {sections[0].offset} is damaged: {exc}") from exc
 
 
 def _content(file: BufferedReader, section: Section) -> bytes:
@@ -72,11 +73,24 @@ def _decompress(compression: str, stored: bytes, size: int) -> bytes:
     return unzstd(stored, size)
 
 
-def readable_part(file: BufferedReader, offset: int, end: int) -> bytes:
-    """Whole records at the beginning of a chunk, of which the file has the bytes from `offset` to `end`.
+def load_part(path: Path, file: BufferedReader, offset: int, end: int, result: Scan) -> Block:
+    """Messages at the beginning of a chunk of which the file has the bytes from `offset` to `end`.
 
     Compression works in blocks, so that the blocks before a cut can be read.
+
+    Raises
+    ------
+    BagError
+        Where even that is damaged.
     """
+    try:
+        return parse(_readable_part(file, offset, end), result)
+    except _DAMAGE as exc:
+        raise BagError(path, f"chunk at byte {offset} is damaged: {exc}") from exc
+
+
+def _readable_part(file: BufferedReader, offset: int, end: int) -> bytes:
+    """Whole records that can be read; none where this is no chunk."""
     try:
         file.seek(offset)
         if file.read(1)[0] != Opcode.CHUNK:
@@ -154,30 +168,36 @@ def parse(content: bytes, result: Scan) -> Block:
     ValueError
         Where the records do not fit together.
     """
-    offsets: list[npt.NDArray[np.int64]] = []
-    position, end, tried = 0, len(content), False
-    single: list[int] = []
+    run, offsets, others = _walk(content)
+    for place in others:
+        opcode = content[place]
+        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            (length,) = LENGTH.unpack_from(content, place + 1)
+            keep(result, opcode, content[place + 9 : place + 9 + length])
+    return messages_at(content, np.concatenate([run, np.array(offsets, np.int64)]))
+
+
+def _walk(content: bytes) -> tuple[npt.NDArray[np.int64], list[int], list[int]]:
+    """Places of the first messages, which have one size; of the other messages; of all other records."""
+    run = np.empty(0, np.int64)
+    offsets: list[int] = []
+    others: list[int] = []
+    position, end, length_at, message = 0, len(content), LENGTH.unpack_from, int(Opcode.MESSAGE)
     while position < end:
-        if position + 9 > end:
-            raise ValueError("a record is cut off")
-        opcode = content[position]
-        (length,) = LENGTH.unpack_from(content, position + 1)
-        after = position + 9 + length
-        if after > end:
-            raise ValueError("a record is longer than the chunk")
-        if opcode == Opcode.MESSAGE:
-            if not tried and length < end:
-                tried = True
-                run = _equal_records(content, position, 9 + length)
-                offsets.append(run)
-                position = int(run[-1]) + 9 + length
-                continue
-            single.append(position)
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            keep(result, opcode, content[position + 9 : after])
-        position = after
-    offsets.append(np.array(single, np.int64))
-    return messages_at(content, np.concatenate(offsets))
+        if content[position] != message:
+            others.append(position)
+        elif offsets or len(run):
+            offsets.append(position)
+        else:
+            step = 9 + length_at(content, position + 1)[0]
+            if position + step > end:
+                break
+            run = _equal_records(content, position, step)
+            position = int(run[-1])
+        position += 9 + length_at(content, position + 1)[0]
+    if position != end:
+        raise ValueError("a record is longer than the chunk")
+    return run, offsets, others
 
 
 def _equal_records(content: bytes, start: int, step: int) -> npt.NDArray[np.int64]:

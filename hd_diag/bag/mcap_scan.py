@@ -127,7 +127,9 @@ def walk(path: Path, file: BufferedReader, result: Scan) -> None:
                 _check_footer(file, result, length)
                 break
             _take(path, file, result, opcode, length)
-    except (struct.error, UnicodeDecodeError, McapError) as exc:
+    except BagError:
+        raise
+    except (struct.error, ValueError, McapError) as exc:
         result.problem = f"damaged record at byte {result.end}: {exc}"
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,18 @@ from .mcap_chunk import load
 from .mcap_scan import Scan, Section, scan
 from .schemas import Definition
 
+# Size of content that is loaded at once: a log flushed often has many small chunks [byte].
+_STRETCH = 1 << 20
 # Topic, type, offered QoS profiles as YAML, and definition, by channel number.
 Topics = dict[int, tuple[str, str, str, Definition | None]]
+
+
+@dataclass
+class Stretch:
+    """Sections that follow one another in the file, and the least of their start times [ns]."""
+
+    sections: list[Section]
+    start: int
 
 
 class McapStorage:
@@ -51,19 +62,29 @@ class McapStorage:
             self.file.close()
             raise
 
-    def load(self, section: Section) -> Block:
-        """Messages of a section; BagError where it is damaged."""
-        return load(self.path, self.file, section, self.scan)
+    def load(self, stretch: Stretch) -> Block:
+        """Messages of a stretch; BagError where it is damaged."""
+        return load(self.path, self.file, stretch.sections, self.scan)
 
-    def sections(self, numbers: list[int], start: int | None, end: int | None) -> list[Section]:
-        """Sections that may hold messages of the topics in the range of time."""
-        return [
+    def stretches(self, numbers: list[int], start: int | None, end: int | None) -> list[Stretch]:
+        """Sections that may hold messages of the topics in the range of time, small ones taken together."""
+        wanted = [
             s
             for s in self.scan.sections
             if (end is None or s.start < end)
             and (start is None or s.end >= start)
             and (s.counts is None or not s.counts.keys().isdisjoint(numbers))
         ]
+        stretches: list[Stretch] = []
+        size = _STRETCH
+        for section in wanted:
+            if size >= _STRETCH:
+                stretches.append(Stretch([], section.start))
+                size = 0
+            stretches[-1].sections.append(section)
+            stretches[-1].start = min(stretches[-1].start, section.start)
+            size += section.content_size
+        return stretches
 
     def _counts(self) -> dict[int, int]:
         """Messages of each channel; the chunks are opened only where nothing else tells."""
@@ -73,7 +94,7 @@ class McapStorage:
         counts: dict[int, int] = {}
         for section in found.sections:
             if section.counts is None or not section.counts.keys() <= found.channels.keys():
-                block = self.load(section)
+                block = load(self.path, self.file, [section], self.scan)
                 channels, number = np.unique(block.channel, return_counts=True)
                 section.counts = dict(zip(channels.tolist(), number.tolist(), strict=True))
                 if len(block):
@@ -84,6 +105,9 @@ class McapStorage:
 
     def _declared(self) -> Topics:
         topics = declared(self.scan)
+        for number, count in self.counts.items():
+            if count and number not in self.scan.channels:
+                raise BagError(self.path, f"holds messages of channel {number}, which is not declared")
         for number, channel in self.scan.channels.items():
             if number not in topics:
                 raise BagError(self.path, f"topic {channel.topic} has no schema, or is not CDR")

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from .block import Block
-from .mcap_scan import Section
+from .mcap_storage import Stretch
 
 # Chunks are taken together up to this size, so that what follows works on long columns [byte].
 _TARGET = 4 << 20
@@ -16,15 +16,15 @@ _TARGET = 4 << 20
 MAX_PENDING = 1 << 30
 
 
-def ordered(sections: Sequence[Section], load: Callable[[Section], Block]) -> Iterator[Block]:
+def ordered(stretches: Sequence[Stretch], load: Callable[[Stretch], Block]) -> Iterator[Block]:
     """Blocks whose log times never decrease; messages of equal time keep the order of the file.
 
     Parameters
     ----------
-    sections : sequence of Section
+    stretches : sequence of Stretch
         In the order of the file.
     load : callable
-        Gives the (chosen) messages of a section.
+        Gives the (chosen) messages of a stretch.
 
     Raises
     ------
@@ -32,11 +32,11 @@ def ordered(sections: Sequence[Section], load: Callable[[Section], Block]) -> It
         Where log times are so disordered that sorting them would take more than 1 GiB, or where a chunk holds
         messages from before the range that it declares.
     """
-    queue = sorted(range(len(sections)), key=lambda i: (sections[i].start, i))
+    queue = sorted(range(len(stretches)), key=lambda i: (stretches[i].start, i))
     held: list[tuple[int, Block]] = []
     released, loaded = -1, 0
     for turn, number in enumerate(queue):
-        block = load(sections[number])
+        block = load(stretches[number])
         if len(block):
             if int(block.log_time.min()) < released:
                 raise ValueError(
@@ -45,7 +45,7 @@ def ordered(sections: Sequence[Section], load: Callable[[Section], Block]) -> It
             held.append((number, block))
         loaded += len(block.data)
         pending = sum(len(b.data) for _, b in held)
-        limit = sections[queue[turn + 1]].start if turn + 1 < len(queue) else None
+        limit = stretches[queue[turn + 1]].start if turn + 1 < len(queue) else None
         if pending > MAX_PENDING:
             raise ValueError("log times are too disordered: sorting them takes more than 1 GiB")
         if held and (limit is None or loaded >= _TARGET):
@@ -99,7 +99,7 @@ def chosen(block: Block, channels: Sequence[int] | None, start: int | None, end:
     """The messages of some channels from the time `start` until before `end` [ns]; None does not restrict."""
     keep = np.ones(len(block), bool)
     if channels is not None:
-        keep &= np.isin(block.channel, channels)
+        keep &= block.channel == channels[0] if len(channels) == 1 else np.isin(block.channel, channels)
     if start is not None:
         keep &= block.log_time >= start
     if end is not None:

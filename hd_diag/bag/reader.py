@@ -270,8 +270,8 @@ class BagReader:
         wanted = None if len(numbers) == len(source.topics) else numbers
         try:
             for block in ordered(
-                storage.sections(numbers, start, end),
-                lambda section: chosen(storage.load(section), wanted, start, end),
+                storage.stretches(numbers, start, end),
+                lambda stretch: chosen(storage.load(stretch), wanted, start, end),
             ):
                 unknown = set(np.unique(block.channel).tolist()) - source.topics.keys()
                 if unknown:

@@ -12,11 +12,10 @@ from typing import Any
 from .block import Block
 from .errors import BagError, check_output
 from .folder import find_files, unpacked
-from .mcap_chunk import find_chunk, load, parse, readable_part
+from .mcap_chunk import find_chunk, load, load_part
 from .mcap_scan import Scan, scan, walk
 from .mcap_storage import Topics, declared
-from .ordering import runs
-from .reader import BagReader, payload_of
+from .reader import BagReader
 from .schemas import Definition
 from .sqlite_file import SqliteFile, is_sqlite
 from .writer import BagWriter
@@ -150,7 +149,7 @@ def recover(
             files.append(report)
     _verify(writer, tally)
     times = (tally.start, tally.end) if tally.counts else (None, None)
-    return RecoveryReport(writer.paths, files, writer.counts, *times)
+    return RecoveryReport(writer.paths, files, tally.counts, *times)
 
 
 class _Tally:
@@ -161,13 +160,10 @@ class _Tally:
         self.digest = 0
         self.start, self.end = 2**63 - 1, 0
 
-    def add(self, topic: str, messages: list[bytes], times: list[int]) -> None:
-        self.counts[topic] = self.counts.get(topic, 0) + len(messages)
-        self.start, self.end = min(self.start, *times), max(self.end, *times)
-        for data, log_time in zip(messages, times, strict=True):
-            self.digest += zlib.crc32(
-                data, zlib.crc32(log_time.to_bytes(8, "little"), zlib.crc32(topic.encode()))
-            )
+    def add(self, topic: str, data: memoryview, log_time: int) -> None:
+        self.counts[topic] = self.counts.get(topic, 0) + 1
+        self.start, self.end = min(self.start, log_time), max(self.end, log_time)
+        self.digest += zlib.crc32(data, zlib.crc32(topic.encode(), log_time & 0xFFFFFFFF))
 
 
 def _salvage(path: Path, report: FileRecovery) -> Iterator[tuple[Topics, Block, int]]:
@@ -190,7 +186,7 @@ def _salvage_mcap(path: Path, file: Any, report: FileRecovery) -> Iterator[tuple
     gaps = _rescan(path, file, found, report)
     for section in found.sections:
         try:
-            block = load(path, file, section, found)
+            block = load(path, file, [section], found)
         except BagError as exc:
             report.problems.append(exc.cause)
             report.unread += section.size
@@ -198,7 +194,11 @@ def _salvage_mcap(path: Path, file: Any, report: FileRecovery) -> Iterator[tuple
             continue
         yield declared(found), block, section.offset
     for start, end in gaps:
-        block = parse(readable_part(file, start, end), found)
+        try:
+            block = load_part(path, file, start, end, found)
+        except BagError as exc:
+            report.problems.append(exc.cause)
+            continue
         if len(block):
             report.problems.append(
                 f"{len(block)} messages were read from a chunk that is cut off at byte {end}"
@@ -228,20 +228,22 @@ def _copy(
     writer: BagWriter, topics: Topics, block: Block, tally: _Tally, report: FileRecovery, *, packed: bool
 ) -> int:
     """Write the messages whose topics are known; gives their number."""
-    copied = 0
-    for part in runs(block, grouped=False) if len(block) else ():
-        topic = topics.get(int(part.channel[0]))
-        if topic is None or not _declare(writer, topic):
-            report.lost += len(part)
-            report.problems.append(f"{len(part)} messages belong to no topic with a known definition")
+    lost: dict[int, int] = {}
+    names = {n: topic[:2] for n, topic in topics.items() if _declare(writer, topic)}
+    columns = (block.channel, block.offset, block.size, block.log_time, block.publish_time)
+    view = memoryview(block.data)
+    for channel, offset, size, log_time, publish_time in zip(*(c.tolist() for c in columns), strict=True):
+        if channel not in names:
+            lost[channel] = lost.get(channel, 0) + 1
             continue
-        name, kind, _, _ = topic
-        rows = payload_of(part)
-        messages = [bytes(m) for m in (unpacked(report.path, rows) if packed else rows)]
-        writer.write_many(name, kind, messages, part.log_time, part.publish_time)
-        tally.add(name, messages, part.log_time.tolist())
-        copied += len(messages)
-    return copied
+        data = view[offset : offset + size]
+        message = unpacked(report.path, [data])[0] if packed else data
+        writer.write(*names[channel], message, log_time, publish_time)
+        tally.add(names[channel][0], message, log_time)
+    for count in lost.values():
+        report.lost += count
+        report.problems.append(f"{count} messages belong to no topic with a known definition")
+    return len(block) - sum(lost.values())
 
 
 def _declare(writer: BagWriter, topic: tuple[str, str, str, Definition | None]) -> bool:
@@ -263,7 +265,8 @@ def _verify(writer: BagWriter, tally: _Tally) -> None:
         with BagReader(path) as reader:
             if reader.problems:
                 raise BagError(path, f"was written but {reader.problems[0]}")
-            for batch in reader.batches():
-                again.add(batch.topic.name, [bytes(m) for m in batch.messages()], batch.log_time.tolist())
+            for batch in reader.batches(grouped=True):
+                for message, log_time in zip(batch.messages(), batch.log_time.tolist(), strict=True):
+                    again.add(batch.topic.name, message, log_time)
     if (again.counts, again.digest) != (tally.counts, tally.digest):
         raise BagError(writer.path, "does not read back as it was written")

@@ -67,19 +67,21 @@ def parse_offers(text: Any) -> tuple[Qos, ...]:
 
 
 def _qos(node: Mapping[str, Any]) -> Qos:
-    values = {k: _policy(k, v) for k, v in node.items() if k in Qos.__dataclass_fields__}
-    for key in ("deadline", "lifespan", "liveliness_lease_duration"):
-        if key in values:
-            values[key] = (int(values[key]["sec"]), int(values[key]["nsec"]))
+    values = {key: _value(key, node[key]) for key in Qos.__dataclass_fields__ if key in node}
     return Qos(**values)
 
 
-def _policy(key: str, value: Any) -> Any:
-    """Before version 9 the policies were rmw's enum numbers."""
-    names = _POLICIES.get(key)
-    if names is None or isinstance(value, str):
-        return value
-    return names[value] if 0 <= value < len(names) else "unknown"
+def _value(key: str, value: Any) -> Any:
+    """One entry of a profile; before version 9 the policies were rmw's enum numbers."""
+    if key in _POLICIES:
+        names = _POLICIES[key]
+        name = value if isinstance(value, str) else names[value] if 0 <= value < len(names) else ""
+        return name if name in names else "unknown"
+    if key == "depth":
+        return int(value)
+    if key == "avoid_ros_namespace_conventions":
+        return bool(value)
+    return int(value["sec"]), int(value["nsec"])
 
 
 @dataclass

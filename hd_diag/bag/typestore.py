@@ -61,7 +61,7 @@ def _register(known: Definition) -> Typestore:
         parse = get_types_from_msg if known.encoding == "ros2msg" else None
         types = parse(known.text, known.type_name) if parse else get_types_from_idl(known.text)
         for name, (_, fields) in types.items():
-            if not _NAME.fullmatch(name) or any(_unrolled(desc) > _MAX_UNROLLED for _, desc in fields):
+            if not _NAME.fullmatch(name) or not all(_bounded(desc) for _, desc in fields):
                 raise ValueError(f"type {name[:100]} is not usable")
         store = Typestore()
         store.register(types)
@@ -73,13 +73,13 @@ def _register(known: Definition) -> Typestore:
     return store
 
 
-def _unrolled(desc: Any) -> int:
-    """Length of a fixed array that the deserializer writes out element by element, else 0."""
+def _bounded(desc: Any) -> bool:
+    """Whether decoding takes work in proportion to the data: no long unrolled, and no empty, fixed arrays."""
     if desc[0] != Nodetype.ARRAY:
-        return 0
+        return True
     element, length = desc[1]
     plain = element[0] == Nodetype.BASE and element[1][0] != "string"
-    return 0 if plain else int(length)
+    return int(length) > 0 and (plain or int(length) <= _MAX_UNROLLED)
 
 
 def _same(store: Typestore, other: Typestore, type_name: str) -> bool:

@@ -5,7 +5,8 @@ Pure functions of arrays. Lengths in metres, angles in radians, forces in newton
 Frames
     Housing frame: origin on the circular spline's axis, angles counter-clockwise positive. The circular
     spline is fixed in it; slot 0 lies on its x axis.
-    Tooth frame: origin on the flexspline's neutral layer, x outward along the tooth axis, y counter-clockwise.
+    Tooth frame: origin on the flexspline's neutral layer, x outward along the tooth axis, y
+    counter-clockwise.
     Slot frame: x outward along the slot axis, measured from the circular spline's datum radius.
 
 Signs
@@ -15,7 +16,7 @@ Signs
     b           rotation of the cup that brings a flank into contact, in the flank's own direction [rad];
                 negative: the flanks interfere; nan: they cannot touch
     beta        torsion: rotation of the cup under load, beta > 0 loads + flanks [rad]
-    M           torque that turns the cup: sum of r cos(alpha) F over + flanks less the same over - flanks [N m]
+    M           torque that turns the cup: sum of r cos(alpha) F over + flanks less that over - flanks [N m]
     alpha       pressure angle, positive where the flexspline pushes the circular spline outward [rad]
     E           housing eccentricity: displacement of the wave generator's centre, fixed in the housing [m]
     runout      part of that displacement that turns with the wave generator [m]

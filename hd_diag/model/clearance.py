@@ -1,9 +1,9 @@
 """Backlash of every tooth pair on both flanks, in closed form.
 
-The flexspline's flank is an arc, a line, an arc and a tip corner; so is the slot's wall. Turning one primitive
-about the circular spline's axis until it touches another has a closed form for every pair. As functions of the
-radius, wall angle less flank angle is the gap; each tangency is a stationary point of that gap and each corner
-an end of its range, so the least of them is the rotation that closes the flank.
+The flexspline's flank is an arc, a line, an arc and a tip corner; so is the slot's wall. Turning one
+primitive about the circular spline's axis until it touches another has a closed form for every pair. As
+functions of the radius, wall angle less flank angle is the gap; each tangency is a stationary point of that
+gap and each corner an end of its range, so the least of them is the rotation that closes the flank.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class _Slot(NamedTuple):
 
 
 class _Touch(NamedTuple):
-    """Contact of one pair of primitives: tooth axis' angle from the slot's, point and normal in the slot frame."""
+    """Contact of two primitives: tooth axis' angle from the slot's, point and normal in the slot frame."""
 
     tooth_angle: Floats
     x: Floats
@@ -106,6 +106,7 @@ def contacts(
     wave_generator_angle: Floats,
     eccentricity: complex | npt.NDArray[np.complex128],
     arc_offset: float = 0.0,
+    farthest: float | None = None,
 ) -> Contact:
     """Contacts of the tooth pairs near both lobes, at any number of moments.
 
@@ -118,6 +119,9 @@ def contacts(
         Displacement of the wave generator's centre in the housing, x + iy [m].
     arc_offset : float
         s_0, shift of the teeth along the neutral curve [m].
+    farthest : float, optional
+        Greatest displacement that any moment may have [m]: it bounds the columns, so that they are the same
+        however many moments are asked for at once. The greatest given, if left out.
 
     Returns
     -------
@@ -126,12 +130,15 @@ def contacts(
 
     Notes
     -----
-    Pose: Dong et al. (2019), eqs. (1)-(7); tooth i sits at ``s_i = R_b (theta_F + 2 pi i / Z_R - theta_W) + s_0``.
+    Pose: Dong et al. (2019), eqs. (1)-(7); tooth i sits at
+    ``s_i = R_b (theta_F + 2 pi i / Z_R - theta_W) + s_0``.
     """
     turn = np.asarray(wave_generator_angle, dtype=np.float64)
     center = np.broadcast_to(np.asarray(eccentricity, dtype=np.complex128), turn.shape)
     center = center * np.exp(-1j * turn)
-    teeth, u = _teeth_near_lobes(geometry, turn, arc_offset, float(np.max(np.abs(center), initial=0.0)))
+    if farthest is None:
+        farthest = float(np.max(np.abs(center), initial=0.0))
+    teeth, u = _teeth_near_lobes(geometry, turn, arc_offset, farthest)
     axis, height, offset = tooth_axes(geometry.curve, u)
     cos_axis, sin_axis = np.cos(axis), np.sin(axis)
     height = height + center.real[:, None] * cos_axis + center.imag[:, None] * sin_axis
@@ -197,21 +204,24 @@ def _teeth_near_lobes(
 
 def _angle_of_reach(geometry: Geometry, eccentricity: float) -> float:
     """Greatest distance from a lobe at which a tooth's tip can lie beyond the slots' tip radius [rad]."""
-    tip = math.hypot(
-        geometry.semi_major + geometry.flexspline_tip, geometry.flexspline_tooth.half_width(geometry.flexspline_tip)
-    )
-    depth = tip - geometry.semi_major
-    u = np.linspace(0.0, np.pi / 2, 181)
-    _, height, offset = tooth_axes(geometry.curve, u)
-    free = np.hypot(height, offset) + depth + eccentricity < geometry.circular_spline_tip_radius
+    u, distance = tip_distances(geometry)
+    free = distance + eccentricity < geometry.circular_spline_tip_radius
     first_free = int(np.argmax(free)) if free.any() else u.size - 1
     return float(u[first_free])
+
+
+def tip_distances(geometry: Geometry) -> tuple[Floats, Floats]:
+    """Angles u from a lobe [rad] and how far a tooth's farther tip corner there is from the axis [m]."""
+    half_width = geometry.flexspline_tooth.half_width(geometry.flexspline_tip)
+    u = np.linspace(0.0, np.pi / 2, 181)
+    _, height, offset = tooth_axes(geometry.curve, u)
+    return u, np.hypot(height + geometry.flexspline_tip, np.abs(offset) + half_width)
 
 
 def _close(
     geometry: Geometry, height: Floats, offset: Floats, lead: Floats
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """Least closing rotation [rad] over all pairs of primitives, with contact point and normal (slot frame)."""
+    """Least closing rotation [rad] over all pairs of primitives, contact point and normal (slot frame)."""
     slot = _slot(geometry)
     height = np.broadcast_to(height, offset.shape)
     tooth = _tooth(geometry, height, offset)
@@ -237,7 +247,7 @@ def _slot(geometry: Geometry) -> _Slot:
         _about(joint, datum)[0],
         _about(wall.dedendum_joint, datum)[0],
         tip,
-        dedendum[1] - float(_lens_angle(np.float64(tip), dedendum[0], wall.dedendum_radius)),
+        dedendum[1] - float(_lens_angle(np.asarray(tip), dedendum[0], wall.dedendum_radius)),
     )
 
 
@@ -284,7 +294,9 @@ def _touches(geometry: Geometry, tooth: _Tooth, slot: _Slot) -> list[tuple[_Touc
     touch = _addendum_on_line(tooth, slot, a)
     found.append((touch, _within(touch, tooth.addendum_joint, inf, slot.dedendum_joint, slot.addendum_joint)))
     touch = _line_on_addendum(tooth, slot, wall_d)
-    found.append((touch, _within(touch, tooth.dedendum_joint, tooth.addendum_joint, 0.0, slot.dedendum_joint)))
+    found.append(
+        (touch, _within(touch, tooth.dedendum_joint, tooth.addendum_joint, 0.0, slot.dedendum_joint))
+    )
     engaged = tooth.tip.radius > slot.tip
     found = [(touch, valid & _in_range(touch, slot.tip, tooth.tip.radius)) for touch, valid in found]
     found.append((_tooth_tip(geometry, tooth, slot), engaged))
@@ -309,7 +321,7 @@ def _within(
     )
 
 
-def _lens_angle(p: Floats, q: float | Floats, distance: float) -> Floats:
+def _lens_angle(p: Floats, q: float | Floats, distance: float | Floats) -> Floats:
     """Angle between points at radii p and q that are so far apart [rad]; nan if none is."""
     squared = (distance - p + q) * (distance + p - q) / (4.0 * p * q)
     with np.errstate(invalid="ignore"):
@@ -317,7 +329,12 @@ def _lens_angle(p: Floats, q: float | Floats, distance: float) -> Floats:
 
 
 def _arcs(
-    moving: _Polar, fixed: tuple[float, float], distance: float, side: float, wall_radius: float, wall_side: float
+    moving: _Polar,
+    fixed: tuple[float, float],
+    distance: float,
+    side: float,
+    wall_radius: float,
+    wall_side: float,
 ) -> _Touch:
     """Two arcs touch when their centres are ``distance`` apart, the moving one on the given side."""
     radius, angle = fixed
@@ -389,7 +406,7 @@ def _tooth_tip(geometry: Geometry, tooth: _Tooth, slot: _Slot) -> _Touch:
 
 
 def _slot_tip(geometry: Geometry, tooth: _Tooth, slot: _Slot) -> _Touch:
-    """The circular spline's tip corner against the tooth's flank; normal found in the tooth frame, then turned."""
+    """The circular spline's tip corner against the tooth's flank; normal in the tooth frame, then turned."""
     flank = geometry.flexspline_tooth
     inner, outer = slot.tip <= tooth.dedendum_joint, slot.tip >= tooth.addendum_joint
     center = _Polar(

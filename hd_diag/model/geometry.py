@@ -107,7 +107,9 @@ def _check_flank(name: str, flank: DoubleArc, start: float, end: float) -> None:
             f"{start:.6g}, {low:.6g}, {high:.6g}, {end:.6g} m"
         )
     if not (flank.half_width(start) > 0 and flank.half_width(end) > 0):
-        raise ValueError(f"{name}: the flank does not reach from {start:.6g} to {end:.6g} m, or its sides cross")
+        raise ValueError(
+            f"{name}: the flank does not reach from {start:.6g} to {end:.6g} m, or its sides cross"
+        )
 
 
 def _check_mating(geometry: Geometry) -> None:
@@ -130,17 +132,25 @@ def _check_engagement(geometry: Geometry) -> None:
     curve = geometry.curve
     tip_radius, datum = geometry.circular_spline_tip_radius, geometry.circular_spline_datum
     if not (math.isfinite(datum) and datum > 0 and math.isfinite(tip_radius)):
-        raise ValueError("circular_spline_datum and circular_spline_tip_radius must be positive and finite [m]")
-    _check_flank("circular_spline_slot", geometry.circular_spline_slot, tip_radius - datum, 0.999 * geometry.slot_end)
+        raise ValueError(
+            "circular_spline_datum and circular_spline_tip_radius must be positive and finite [m]"
+        )
+    _check_flank(
+        "circular_spline_slot", geometry.circular_spline_slot, tip_radius - datum, 0.999 * geometry.slot_end
+    )
     if geometry.semi_major + geometry.flexspline_root >= tip_radius:
         raise ValueError(
-            f"the flexspline's root ({geometry.semi_major + geometry.flexspline_root:.6g} m at the long axis) "
-            f"reaches the circular spline's tip radius ({tip_radius:.6g} m)"
+            f"the flexspline's root ({geometry.semi_major + geometry.flexspline_root:.6g} m at the long "
+            f"axis) reaches the circular spline's tip radius ({tip_radius:.6g} m)"
         )
     if geometry.semi_major + geometry.flexspline_tip >= datum + geometry.slot_end:
-        raise ValueError("the flexspline's tip reaches the end of the circular spline's slot at the long axis")
+        raise ValueError(
+            "the flexspline's tip reaches the end of the circular spline's slot at the long axis"
+        )
     if geometry.semi_major + geometry.flexspline_tip <= tip_radius:
-        raise ValueError("the flexspline's teeth do not reach into the circular spline's slots at the long axis")
+        raise ValueError(
+            "the flexspline's teeth do not reach into the circular spline's slots at the long axis"
+        )
     if geometry.semi_minor + geometry.flexspline_tip >= tip_radius:
         raise ValueError("the flexspline's teeth do not come free of the circular spline at the short axis")
     widest = geometry.tooth_pitch * curve.radius / 2.0

@@ -68,7 +68,7 @@ class LoadSharing:
     @property
     def loaded_pairs(self) -> npt.NDArray[np.int64]:
         """Number of flanks that carry load on the + and - side, shape (moments, 2)."""
-        return np.count_nonzero(self.force > 0.0, axis=2).astype(np.int64)
+        return np.asarray(np.count_nonzero(self.force > 0.0, axis=2), dtype=np.int64)
 
 
 def flank_stiffness(contact: Contact, tooth_compliance: float) -> Floats:
@@ -116,7 +116,9 @@ def torque_curve(rotation: Floats, stiffness: Floats) -> TorqueCurve:
     beta, gain = np.take_along_axis(beta, order, axis=1), np.take_along_axis(gain, order, axis=1)
     first = np.sum(stiffness[:, 1, :], axis=1, keepdims=True)
     slope = np.concatenate((first, first + np.cumsum(gain, axis=1)), axis=1)
-    offset = np.sum(stiffness[:, 1, :] * start[:, 1, :], axis=1, keepdims=True) + np.cumsum(gain * beta, axis=1)
+    offset = np.sum(stiffness[:, 1, :] * start[:, 1, :], axis=1, keepdims=True) + np.cumsum(
+        gain * beta, axis=1
+    )
     torque = slope[:, 1:] * beta - offset
     gap = np.stack(
         (_extreme(signed[:, 1, :], np.fmax, -np.inf), _extreme(signed[:, 0, :], np.fmin, np.inf)), axis=1

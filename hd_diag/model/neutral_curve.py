@@ -60,8 +60,8 @@ def neutral_curve(semi_major: float, semi_minor: float) -> NeutralCurve:
     """
     if not semi_major >= semi_minor > 0.8 * semi_major:
         raise ValueError(
-            f"neutral curve: semi_major ({semi_major:.6g} m) must be at least semi_minor ({semi_minor:.6g} m), "
-            "and by no more than 20 %"
+            f"neutral curve: semi_major ({semi_major:.6g} m) must be at least semi_minor "
+            f"({semi_minor:.6g} m), and by no more than 20 %"
         )
     modulus = 1.0 - (semi_minor / semi_major) ** 2
     radius = 2.0 / math.pi * semi_major * float(ellipe(modulus))

@@ -11,17 +11,17 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True)
 class DoubleArc:
-    """Counter-clockwise flank of a tooth or wall of a slot, in its own frame (x outward, y counter-clockwise).
+    """Counter-clockwise flank of a tooth or wall of a slot in its frame: x outward, y counter-clockwise.
 
-    The outer arc bulges counter-clockwise (tooth addendum, or the slot wall that mates with it); the inner arc
-    is hollow (tooth dedendum, or the circular spline's own addendum). A common tangent joins them.
+    The outer arc bulges counter-clockwise (tooth addendum, or the slot wall that mates with it); the inner
+    arc is hollow (tooth dedendum, or the circular spline's own addendum). A common tangent joins them.
 
     Parameters
     ----------
     addendum_radius, dedendum_radius : float
         Radii of the outer and the inner arc [m].
     addendum_center, dedendum_center : (float, float)
-        Their centres [m]; the outer one lies beyond the axis (y < 0), the inner one ahead of the flank (y > 0).
+        Their centres [m]; the outer one beyond the axis (y < 0), the inner one ahead of the flank (y > 0).
     """
 
     addendum_radius: float
@@ -40,8 +40,8 @@ class DoubleArc:
 
         Notes
         -----
-        The line ``n . p = c`` touches both arcs if ``n . (C_f - C_a) = rho_a + rho_f``; of the two solutions the
-        one that meets the inner arc first (smaller x) is the flank.
+        The line ``n . p = c`` touches both arcs if ``n . (C_f - C_a) = rho_a + rho_f``; of the two solutions
+        the one that meets the inner arc first (smaller x) is the flank.
         """
         dx = self.dedendum_center[0] - self.addendum_center[0]
         dy = self.dedendum_center[1] - self.addendum_center[1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +30,11 @@ class Mesh:
         The part that turns with the wave generator, at theta_W = 0 [m].
     arc_offset : float
         s_0, shift of the teeth along the neutral curve [m].
+
+    Raises
+    ------
+    ValueError
+        Naming the value that cannot be; for eccentricity and runout together, the largest sum that can.
     """
 
     geometry: Geometry
@@ -37,6 +43,15 @@ class Mesh:
     runout: complex = 0.0
     arc_offset: float = 0.0
 
+    def __post_init__(self) -> None:
+        if not 0.0 < self.tooth_compliance < math.inf:
+            raise ValueError(
+                f"tooth_compliance must be positive and finite, not {self.tooth_compliance:g} m/N"
+            )
+        if not math.isfinite(self.arc_offset):
+            raise ValueError(f"arc_offset must be finite, not {self.arc_offset:g} m")
+        _check_displacement(self)
+
     def displacement(self, wave_generator_angle: Floats) -> npt.NDArray[np.complex128]:
         """Where the wave generator's centre is at theta_W [rad]: x + iy in the housing [m]."""
         return self.eccentricity + self.runout * np.exp(1j * wave_generator_angle)
@@ -44,11 +59,29 @@ class Mesh:
     def contacts(self, wave_generator_angle: Floats) -> Contact:
         """Contacts at theta_W [rad], shape (moments,)."""
         displacement = self.displacement(wave_generator_angle)
-        return contacts(self.geometry, wave_generator_angle, displacement, self.arc_offset)
+        farthest = abs(self.eccentricity) + abs(self.runout)
+        return contacts(self.geometry, wave_generator_angle, displacement, self.arc_offset, farthest)
 
     def share_load(self, contact: Contact, torque: Floats) -> load_sharing.LoadSharing:
         """Load distribution at the cup torque M [N m], shape (moments,)."""
         return load_sharing.share_load(contact, self.tooth_compliance, torque)
+
+
+def _check_displacement(mesh: Mesh) -> None:
+    geometry = mesh.geometry
+    tip_radius = geometry.circular_spline_tip_radius
+    slot_end = geometry.circular_spline_datum + geometry.slot_end
+    largest, place = min(
+        (tip_radius - geometry.semi_major - geometry.flexspline_root, "root at the long axis"),
+        (slot_end - geometry.semi_major - geometry.flexspline_tip, "tip at the long axis"),
+        (tip_radius - geometry.semi_minor - geometry.flexspline_tip, "tip at the short axis"),
+    )
+    eccentricity, runout = abs(mesh.eccentricity), abs(mesh.runout)
+    if not eccentricity + runout < largest:
+        raise ValueError(
+            f"eccentricity ({eccentricity * 1e6:.6g} um) and runout ({runout * 1e6:.6g} um) must add up to less "
+            f"than {largest * 1e6:.6g} um, at which the flexspline's {place} strikes the circular spline"
+        )
 
 
 def torsion(mesh: Mesh, wave_generator_angle: Floats, torque: Floats) -> Floats:
@@ -120,4 +153,6 @@ def limited_curves(mesh: Mesh, wave_generator_angle: Floats, torque_limit: float
 
 def _curve(mesh: Mesh, wave_generator_angle: Floats) -> load_sharing.TorqueCurve:
     contact = mesh.contacts(wave_generator_angle)
-    return load_sharing.torque_curve(contact.rotation, load_sharing.flank_stiffness(contact, mesh.tooth_compliance))
+    return load_sharing.torque_curve(
+        contact.rotation, load_sharing.flank_stiffness(contact, mesh.tooth_compliance)
+    )

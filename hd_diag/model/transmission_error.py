@@ -70,7 +70,7 @@ class Kinematics:
 
     @property
     def torque_sign(self) -> float:
-        """Torque on the cup over torque on the link; also TE over torsion [-]."""
+        """Torque on the cup over torque on the link; TE is torsion times the opposite sign [-]."""
         return -1.0 if self.output == "flexspline" else 1.0
 
     def wave_generator_angle(self, geometry: Geometry, input_angle: Floats) -> Floats:
@@ -90,7 +90,9 @@ class Kinematics:
         forward = math.copysign(1.0, self.ratio)
         if self.output == "flexspline":
             return self.phase - forward * input_angle
-        return self.phase + forward * input_angle * (geometry.flexspline_teeth / geometry.circular_spline_teeth)
+        return self.phase + forward * input_angle * (
+            geometry.flexspline_teeth / geometry.circular_spline_teeth
+        )
 
     def cup_torque(self, torque: Floats) -> Floats:
         """Torque that turns the cup [N m] for a torque that the drive exerts on the link [N m]."""

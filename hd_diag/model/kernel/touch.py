@@ -1,0 +1,265 @@
+"""First contact of one flank with the slot's wall: ``clearance`` without trigonometric functions."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from hd_diag.model.kernel import inline
+
+
+class Arc(NamedTuple):
+    """Arc: centre, its distance from the origin, radius [m]."""
+
+    x: float
+    y: float
+    distance: float
+    radius: float
+
+
+class Line(NamedTuple):
+    """Common tangent: unit normal, distance from the origin, end points and (wall) their radii [m]."""
+
+    normal_x: float
+    normal_y: float
+    distance: float
+    outer_x: float
+    outer_y: float
+    outer_radius: float
+    inner_x: float
+    inner_y: float
+    inner_radius: float
+
+
+class Constants(NamedTuple):
+    """What the kernels need of a geometry [m, rad]; the wall is placed about the axis, the tooth is not."""
+
+    semi_major: float
+    semi_minor: float
+    curve_radius: float
+    tooth_pitch: float
+    slot_pitch: float
+    turn_ratio: float
+    pitch_height: float
+    slack: float
+    tip_x: float
+    tip_y: float
+    tooth_addendum: Arc
+    tooth_dedendum: Arc
+    tooth_line: Line
+    wall_addendum: Arc
+    wall_dedendum: Arc
+    wall_line: Line
+    wall_tip: float
+    wall_tip_x: float
+    wall_tip_y: float
+    wall_tip_datum: float
+    flexspline_teeth: int
+    circular_spline_teeth: int
+
+
+class Point(NamedTuple):
+    """Point of the tooth about the axis, tooth axis at angle zero: place, radius, 1 / radius."""
+
+    x: float
+    y: float
+    radius: float
+    inverse: float
+
+
+class Touch(NamedTuple):
+    """A possible contact, flank closed, slot frame.
+
+    Sine of the tooth axis' angle; contact, normal; derivatives of half the squared lever arm by the tooth's
+    height, its offset and the datum radius [m]; derivative of the angle by the latter, times the arm [-].
+    """
+
+    sine: float
+    x: float
+    y: float
+    normal_x: float
+    normal_y: float
+    lever_height: float
+    lever_offset: float
+    lever_datum: float
+    datum: float
+
+
+@inline
+def _point(x: float, y: float) -> Point:
+    radius = math.sqrt(x * x + y * y)
+    return Point(x, y, radius, 1.0 / radius)
+
+
+@inline
+def _lens(p: float, inverse: float, q: float, distance: float, side: float) -> tuple[float, float]:
+    """Cosine and (signed) sine of the angle between points at radii p and q that are so far apart."""
+    half = (distance - p + q) * (distance + p - q) * inverse * (0.25 / q)
+    return 1.0 - 2.0 * half, 2.0 * side * math.sqrt(half * (1.0 - half))
+
+
+@inline
+def _arcs(moving: Point, x: float, y: float, q: float, distance: float, side: float, reach: float) -> Touch:
+    """A point of the tooth comes to lie ``distance`` from the wall's centre (x, y) at radius q."""
+    cosine, sine = _lens(moving.radius, moving.inverse, q, distance, side)
+    unit, scale = 1.0 / q, side / distance
+    at_x, at_y = unit * x * cosine - unit * y * sine, unit * y * cosine + unit * x * sine
+    normal_x, normal_y = scale * (moving.radius * at_x - x), scale * (moving.radius * at_y - y)
+    share = 0.5 * (q * q - moving.radius * moving.radius) * (scale * scale)
+    return Touch(
+        (at_y * moving.x - at_x * moving.y) * moving.inverse,
+        x + reach * normal_x,
+        y + reach * normal_y,
+        normal_x,
+        normal_y,
+        (0.5 + share) * moving.x,
+        (0.5 + share) * moving.y,
+        (0.5 - share) * x,
+        normal_x,
+    )
+
+
+@inline
+def _arc_on_line(moving: Point, line: Line, radius: float) -> Touch:
+    """A point of the tooth comes to lie ``radius`` before the wall's line."""
+    near = line.distance - radius
+    lever = math.sqrt(moving.radius * moving.radius - near * near)
+    x, y = line.normal_x * near + line.normal_y * lever, line.normal_y * near - line.normal_x * lever
+    return Touch(
+        (y * moving.x - x * moving.y) * (moving.inverse * moving.inverse),
+        x + radius * line.normal_x,
+        y + radius * line.normal_y,
+        line.normal_x,
+        line.normal_y,
+        moving.x,
+        moving.y,
+        -near * line.normal_x,
+        line.normal_x,
+    )
+
+
+@inline
+def _line_on_arc(line: Line, distance: float, wall: Arc) -> Touch:
+    """The tooth's line, ``distance`` from the axis, touches the wall's convex arc."""
+    beyond, unit = distance + wall.radius, 1.0 / (wall.distance * wall.distance)
+    lever = math.sqrt(wall.distance * wall.distance - beyond * beyond)
+    normal_x = unit * (beyond * wall.x - lever * wall.y)
+    normal_y = unit * (beyond * wall.y + lever * wall.x)
+    return Touch(
+        normal_y * line.normal_x - normal_x * line.normal_y,
+        wall.x - wall.radius * normal_x,
+        wall.y - wall.radius * normal_y,
+        normal_x,
+        normal_y,
+        -beyond * line.normal_x,
+        -beyond * line.normal_y,
+        wall.x,
+        normal_x,
+    )
+
+
+@inline
+def _tooth_tip(c: Constants, tip: Point) -> Touch:
+    """The flexspline's tip corner against the wall: arc, line or hollow arc, by its radius."""
+    inner, outer = tip.radius <= c.wall_line.inner_radius, tip.radius >= c.wall_line.outer_radius
+    x = c.wall_dedendum.x if inner else c.wall_addendum.x
+    y = c.wall_dedendum.y if inner else c.wall_addendum.y
+    q = c.wall_dedendum.distance if inner else c.wall_addendum.distance
+    radius = c.wall_dedendum.radius if inner else c.wall_addendum.radius
+    side = -1.0 if inner else 1.0
+    on_arc = _arcs(tip, x, y, q, radius, side, side * radius)
+    return _either(inner | outer, on_arc, _arc_on_line(tip, c.wall_line, 0.0))
+
+
+@inline
+def _slot_tip(
+    c: Constants, addendum: Point, dedendum: Point, distance: float, inner: bool, outer: bool
+) -> Touch:
+    """The circular spline's tip corner against the tooth's flank."""
+    p = dedendum.radius if inner else addendum.radius
+    x, y = dedendum.x if inner else addendum.x, dedendum.y if inner else addendum.y
+    inverse = dedendum.inverse if inner else addendum.inverse
+    radius = c.tooth_dedendum.radius if inner else c.tooth_addendum.radius
+    side = -1.0 if inner else 1.0
+    lens_cos, lens_sin = _lens(p, inverse, c.wall_tip, radius, side)
+    unit, line = 1.0 / c.wall_tip, c.tooth_line
+    curved = inner | outer
+    # Place of that radius on the flank, tooth axis at angle zero: unit vector.
+    lever = math.sqrt(c.wall_tip * c.wall_tip - distance * distance)
+    on_line_x = unit * (line.normal_x * distance + line.normal_y * lever)
+    on_line_y = unit * (line.normal_y * distance - line.normal_x * lever)
+    on_x = inverse * (x * lens_cos - y * lens_sin) if curved else on_line_x
+    on_y = inverse * (y * lens_cos + x * lens_sin) if curved else on_line_y
+    tip_x, tip_y = unit * c.wall_tip_x, unit * c.wall_tip_y
+    sine, cosine = tip_y * on_x - tip_x * on_y, tip_x * on_x + tip_y * on_y
+    scale = side / radius
+    arc_x = scale * (c.wall_tip * on_x - x)
+    arc_y = scale * (c.wall_tip * on_y - y)
+    normal_x, normal_y = arc_x if curved else line.normal_x, arc_y if curved else line.normal_y
+    normal_x, normal_y = normal_x * cosine - normal_y * sine, normal_x * sine + normal_y * cosine
+    share = 0.5 + 0.5 * (c.wall_tip * c.wall_tip - p * p) * (scale * scale)
+    return Touch(
+        sine,
+        c.wall_tip_x,
+        c.wall_tip_y,
+        normal_x,
+        normal_y,
+        share * x if curved else -distance * line.normal_x,
+        share * y if curved else -distance * line.normal_y,
+        0.0,
+        c.wall_tip_datum * (c.wall_tip_x * normal_y - c.wall_tip_y * normal_x),
+    )
+
+
+@inline
+def _either(which: bool, one: Touch, other: Touch) -> Touch:
+    return Touch(
+        one.sine if which else other.sine,
+        one.x if which else other.x,
+        one.y if which else other.y,
+        one.normal_x if which else other.normal_x,
+        one.normal_y if which else other.normal_y,
+        one.lever_height if which else other.lever_height,
+        one.lever_offset if which else other.lever_offset,
+        one.lever_datum if which else other.lever_datum,
+        one.datum if which else other.datum,
+    )
+
+
+@inline
+def _nearer(best: Touch, new: Touch, low: float, high: float) -> Touch:
+    """The new contact if it closes first and lies between these radii [m], its normal the right way."""
+    square = new.x * new.x + new.y * new.y
+    valid = (square >= low * low) & (square <= high * high) & (new.x * new.normal_y > new.y * new.normal_x)
+    return _either(valid & (new.sine < best.sine), new, best)
+
+
+@inline
+def close(c: Constants, height: float, offset: float) -> Touch:
+    """First contact of one flank; nan if the tooth does not reach the slots."""
+    line = c.tooth_line
+    addendum = _point(c.tooth_addendum.x + height, c.tooth_addendum.y + offset)
+    dedendum = _point(c.tooth_dedendum.x + height, c.tooth_dedendum.y + offset)
+    tip = _point(c.tip_x + height, c.tip_y + offset)
+    distance = line.normal_x * (line.outer_x + height) + line.normal_y * (line.outer_y + offset)
+    outer = math.sqrt((line.outer_x + height) ** 2 + (line.outer_y + offset) ** 2)
+    inner = math.sqrt((line.inner_x + height) ** 2 + (line.inner_y + offset) ** 2)
+    wall_a, wall_d, low, high = c.wall_addendum, c.wall_dedendum, c.wall_tip, tip.radius
+    wall_outer, wall_inner = c.wall_line.outer_radius, c.wall_line.inner_radius
+    a, d, slack = c.tooth_addendum.radius, c.tooth_dedendum.radius, c.slack
+    start = math.inf if high > low else math.nan
+    best = Touch(start, start, start, start, start, start, start, start, start)
+    touch = _arcs(addendum, wall_a.x, wall_a.y, wall_a.distance, wall_a.radius - a, 1.0, wall_a.radius)
+    best = _nearer(best, touch, max(low, max(outer, wall_outer) - slack), high)
+    touch = _arcs(addendum, wall_d.x, wall_d.y, wall_d.distance, a + wall_d.radius, -1.0, -wall_d.radius)
+    best = _nearer(best, touch, max(low, outer - slack), min(high, wall_inner + slack))
+    touch = _arcs(dedendum, wall_d.x, wall_d.y, wall_d.distance, d - wall_d.radius, 1.0, -wall_d.radius)
+    best = _nearer(best, touch, low, min(high, min(inner, wall_inner) + slack))
+    touch = _arc_on_line(addendum, c.wall_line, a)
+    best = _nearer(best, touch, max(low, max(outer, wall_inner) - slack), min(high, wall_outer + slack))
+    touch = _line_on_arc(line, distance, wall_d)
+    best = _nearer(best, touch, max(low, inner - slack), min(high, min(outer, wall_inner) + slack))
+    touch = _tooth_tip(c, tip)
+    best = _either(touch.sine < best.sine, touch, best)
+    touch = _slot_tip(c, addendum, dedendum, distance, low <= inner, low >= outer)
+    return _either(touch.sine < best.sine, touch, best)

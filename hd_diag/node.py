@@ -1,0 +1,319 @@
+"""The rclpy node: joint states in, transmission error, tooth arrays and diagnostics out, everything in a log."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import sys
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.executors import ExternalShutdownException
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState, Temperature
+from std_msgs.msg import Float64MultiArray
+from visualization_msgs.msg import MarkerArray
+
+from hd_diag.bag import Qos
+from hd_diag.config import Config, ConfigError, load, parameters, resolve
+from hd_diag.journal import Journal
+from hd_diag.map_builder import MapBuilder
+from hd_diag.messages import (
+    DIAGNOSTICS,
+    JOINT_STATE,
+    MARKERS,
+    MULTI_ARRAY,
+    TEMPERATURE,
+    Encoded,
+    published_topics,
+)
+from hd_diag.model.torsion_map import ARCSEC
+from hd_diag.session import Session
+
+_CLASSES = {
+    JOINT_STATE: JointState,
+    MULTI_ARRAY: Float64MultiArray,
+    DIAGNOSTICS: DiagnosticArray,
+    MARKERS: MarkerArray,
+}
+_INPUT_DEPTH = 2000  # samples that may wait while something else takes its time: two seconds of 1 kHz
+_OUTPUT_DEPTH = 100
+_WATCH_PERIOD = 0.5  # between looks at the publishers' reliability [s]
+_LOOP_PERIOD = 0.05  # longest sleep between looks at the clock, the log and finished maps [s]
+# Parameters that every node has, which are no business of the configuration.
+_FOREIGN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+
+
+class DiagnosticNode(Node):  # type: ignore[misc]
+    """Node that runs one `Session` on live messages."""
+
+    def __init__(self) -> None:
+        super().__init__("hd_diag", automatically_declare_parameters_from_overrides=True)
+        config = self._declare()
+        self._last_time = 0
+        self._latencies: list[int] = []
+        self._journal = Journal(config.log)
+        self._builder = MapBuilder()
+        self._outputs = {
+            topic: self.create_publisher(_CLASSES[kind], topic, _OUTPUT_DEPTH)
+            for topic, kind in published_topics([joint.name for joint in config.joints]).items()
+        }
+        self._names: dict[str, str] = {}
+        self._session = Session(config, self._emit, self.get_fully_qualified_name())
+        self._session.start(self._now())
+        for joint in config.joints:
+            self._builder.request(joint)
+        self._next_report = self._next_watch = time.monotonic()
+        self._best_effort = False
+        self._input = self._subscribe()
+        for joint in config.joints:
+            self._subscribe_temperature(joint.name)
+        self.add_on_set_parameters_callback(self._validate)
+        self.add_post_set_parameters_callback(self._apply)
+        self._told_log = ""
+        self._tell_log()
+
+    def housekeeping(self) -> None:
+        """Do what is due by the clock: reports, finished maps, the log's flush, the publishers' reliability."""
+        self._journal.flush_if_due()
+        self._take_maps()
+        now = time.monotonic()
+        if now >= self._next_report:
+            period = 1.0 / self._session.config.diagnostics_rate
+            self._next_report = max(self._next_report + period, now)
+            self._report()
+        if now >= self._next_watch:
+            self._next_watch = now + _WATCH_PERIOD
+            self._watch_publishers()
+            self._tell_log()
+
+    def close(self) -> None:
+        """Report once more and finish the log."""
+        with contextlib.suppress(Exception):
+            self._report()
+        self._builder.close()
+        self._journal.close()
+
+    def _declare(self) -> Config:
+        """Declare every parameter with the value given at the start, or its default."""
+        given = {
+            name: _plain(parameter.value)
+            for name, parameter in self.get_parameters_by_prefix("").items()
+            if not name.startswith(_FOREIGN)
+        }
+        config = resolve(given)
+        for name in given:
+            self.undeclare_parameter(name)
+        for name, spec in parameters([joint.name for joint in config.joints]).items():
+            descriptor = ParameterDescriptor(
+                description=f"{spec.meaning}{f' [{spec.unit}]' if spec.unit else ''}",
+                dynamic_typing=True,  # an integer for a number is welcome: `_validate` checks
+                additional_constraints=_constraints(spec.low, spec.high, spec.choices),
+                read_only=name == "joints",
+            )
+            self.declare_parameter(name, config.flat[name], descriptor, ignore_override=True)
+        return config
+
+    def _now(self) -> int:
+        """Time of reception [ns]: the system's, never going back, so that the log's order is the order of events."""
+        self._last_time = max(self._last_time + 1, time.time_ns())
+        return self._last_time
+
+    def _subscribe(self) -> Any:
+        reliability = ReliabilityPolicy.BEST_EFFORT if self._best_effort else ReliabilityPolicy.RELIABLE
+        profile = QoSProfile(depth=_INPUT_DEPTH, reliability=reliability)
+        return self.create_subscription(JointState, "joint_states", self._on_joint_state, profile, raw=True)
+
+    def _subscribe_temperature(self, joint: str) -> None:
+        topic = f"{joint}/temperature"
+        name = self.resolve_topic_name(topic)
+
+        def on_temperature(data: bytes) -> None:
+            now = self._now()
+            self._journal.write(name, TEMPERATURE, data, now)
+            self._session.temperature(joint, data)
+
+        profile = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self.create_subscription(Temperature, topic, self._guarded(on_temperature), profile, raw=True)
+
+    def _guarded(self, callback: Any) -> Any:
+        """The callback, but whatever it raises is counted and told instead of ending the node."""
+
+        def run(data: bytes) -> None:
+            try:
+                callback(data)
+            except Exception as error:
+                self._session.monitor.reject(f"{type(error).__name__}: {error}")
+                self.get_logger().error(f"a message was dropped: {error!r}", throttle_duration_sec=5.0)
+
+        return run
+
+    def _on_joint_state(self, data: bytes) -> None:
+        begin = time.perf_counter_ns()
+        now = self._now()
+        try:
+            self._journal.write(self._input_topic, JOINT_STATE, data, now, _QOS)
+            self._session.joint_state(now, data)
+        except Exception as error:  # whatever a message does, the node lives
+            self._session.monitor.reject(f"{type(error).__name__}: {error}")
+            self.get_logger().error(f"a message was dropped: {error!r}", throttle_duration_sec=5.0)
+        self._latencies.append(time.perf_counter_ns() - begin)
+
+    @property
+    def _input_topic(self) -> str:
+        return self._resolved("joint_states")
+
+    def _resolved(self, topic: str) -> str:
+        name = self._names.get(topic)
+        if name is None:
+            name = self._names[topic] = self.resolve_topic_name(topic)
+        return name
+
+    def _emit(self, encoded: Encoded) -> None:
+        """Publish and log; what has no publisher is for the log alone."""
+        publisher = self._outputs.get(encoded.topic)
+        name = self._resolved(encoded.topic)
+        for row, received in zip(encoded.rows, encoded.received.tolist(), strict=True):
+            data = row.tobytes()
+            if publisher is not None and self.context.ok():
+                publisher.publish(data)
+            self._journal.write(name, encoded.type_name, data, received)
+
+    def _report(self) -> None:
+        latency = np.percentile(self._latencies, 99) * 1e-3 if self._latencies else float("nan")
+        self._latencies.clear()
+        facts = {"latency_p99_us": f"{latency:.1f}", "log_state": self._journal.state}
+        self._session.tick(self._now(), self.get_clock().now().nanoseconds, facts)
+
+    def _take_maps(self) -> None:
+        while not self._builder.finished.empty():
+            joint, table = self._builder.finished.get()
+            if isinstance(table, ValueError):
+                self.get_logger().warning(f"{joint}: no map, predictions stay exact: {table}")
+            elif self._session.use_map(self._now(), joint, table):
+                self.get_logger().info(
+                    f"{joint}: map in force up to {table.torque_limit:.0f} N m, "
+                    f"error at most {table.error_bound / ARCSEC:.3f} arcsec"
+                )
+
+    def _watch_publishers(self) -> None:
+        """Subscribe with best effort as soon as one publisher offers no more: it would reach nobody otherwise."""
+        if self._best_effort:
+            return
+        offers = self.get_publishers_info_by_topic(self._input_topic)
+        if any(offer.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for offer in offers):
+            self._best_effort = True
+            self.destroy_subscription(self._input)
+            self._input = self._subscribe()
+            self.get_logger().info(f"{self._input_topic} is published with best effort: subscribed likewise")
+
+    def _tell_log(self) -> None:
+        state = self._journal.state
+        if state != self._told_log:
+            level = self.get_logger().error if state.startswith("failed") else self.get_logger().info
+            level(f"log {state}")
+            self._told_log = state
+
+    def _validate(self, changed: Sequence[Parameter]) -> SetParametersResult:
+        try:
+            self._candidate(changed)
+        except ConfigError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _candidate(self, changed: Sequence[Parameter]) -> Config:
+        own = {p.name: _plain(p.value) for p in changed if not p.name.startswith(_FOREIGN)}
+        for name, value in own.items():
+            if value is None:
+                raise ConfigError(f"{name}: cannot be removed")
+        return resolve({**self._session.config.flat, **own})
+
+    def _apply(self, changed: Sequence[Parameter]) -> None:
+        config = self._candidate(changed)
+        log = config.log != self._session.config.log
+        now = self._now()
+        joints = {joint.name: joint for joint in config.joints}
+        for name in self._session.configure(now, config):
+            self._builder.request(joints[name])
+        if log:
+            self._journal.close()
+            self._journal = Journal(config.log)
+            self._session.start(self._now())
+            self._tell_log()
+
+
+_QOS = Qos(depth=_INPUT_DEPTH)
+
+
+def _plain(value: Any) -> Any:
+    """A parameter's value as Python has it: arrays as lists."""
+    return list(value) if hasattr(value, "__iter__") and not isinstance(value, str) else value
+
+
+def _constraints(low: float, high: float, choices: tuple[str, ...]) -> str:
+    if choices:
+        return "one of " + ", ".join(choices)
+    return f"{low:g} to {high:g}" if np.isfinite([low, high]).all() else ""
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the node until SIGINT or SIGTERM.
+
+    Parameters
+    ----------
+    args : sequence of str, optional
+        Command line with ``--ros-args``; that of the process by default.
+
+    Returns
+    -------
+    int
+        Exit code: 0 after a signal, 2 where the configuration cannot be used.
+    """
+    arguments = list(sys.argv if args is None else args)
+    try:
+        rclpy.init(args=arguments)
+        node = DiagnosticNode()
+    except KeyboardInterrupt:
+        rclpy.try_shutdown()
+        return 0
+    except Exception as error:
+        print(f"hd_diag: {_reason(arguments, error)}", file=sys.stderr)
+        rclpy.try_shutdown()
+        return 2
+    executor = EventsExecutor()
+    executor.add_node(node)
+    gc.collect()
+    gc.freeze()  # what lives as long as the node need not be looked at again
+    try:
+        while rclpy.ok():
+            executor.spin_once(timeout_sec=_LOOP_PERIOD)
+            node.housekeeping()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        node.close()
+        rclpy.try_shutdown()
+    return 0
+
+
+def _reason(arguments: Sequence[str], error: Exception) -> str:
+    """Why the node cannot start: the parameter file's own fault where it has one, which rcl words badly."""
+    files = [arguments[i + 1] for i, a in enumerate(arguments[:-1]) if a == "--params-file"]
+    for file in files:
+        try:
+            load(file)
+        except ConfigError as found:
+            return str(found)
+    return " ".join(str(error).split())
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,139 @@
+"""One run of the monitor, live or replayed: what comes in, what goes out, and the events in between.
+
+The events (configuration, map in force, report) are all that the outputs depend on besides the received messages.
+Recorded in their order, they make a replay give the same bytes.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from hd_diag.bag.columns import JointStateDecoder
+from hd_diag.config import Config
+from hd_diag.messages import (
+    PARAMETER_EVENT,
+    STRING,
+    Encoded,
+    encode,
+    parameter_event,
+    read_temperature,
+    string,
+)
+from hd_diag.model.torsion_map import TorsionMap
+from hd_diag.monitor import Monitor
+from hd_diag.samples import JointStates, Publication, Times
+
+EVENTS = "~/events"
+"""Topic of the events in a log: std_msgs/String with one JSON object, key ``event``."""
+
+PARAMETER_EVENTS = "/parameter_events"
+
+Sink = Callable[[Encoded], None]
+
+
+class Session:
+    """A monitor with its events and its encoded output.
+
+    Parameters
+    ----------
+    config : Config
+    sink : callable
+        Takes every result and event, in order.
+    node : str
+        Full name of the node, for its parameter events.
+    """
+
+    def __init__(self, config: Config, sink: Sink, node: str = "/hd_diag") -> None:
+        self.monitor = Monitor(config)
+        self._sink = sink
+        self._node = node
+        self._decoder = JointStateDecoder()
+
+    @property
+    def config(self) -> Config:
+        """Configuration in force."""
+        return self.monitor.config
+
+    def start(self, now: int) -> None:
+        """Record the configuration that the session begins with, at a time [ns]."""
+        self._configuration(now, dict(self.config.flat), new=True)
+
+    def joint_state(self, received: int, data: bytes) -> None:
+        """Take one JointState message in CDR, received at a time [ns]; one that cannot be read is counted."""
+        try:
+            states = self._decoder.decode(data)
+        except ValueError as error:
+            self.unreadable(str(error))
+            return
+        self.joint_states(np.array([received]), states)
+
+    def unreadable(self, reason: str) -> None:
+        """Count a JointState message that cannot be decoded."""
+        self.monitor.reject(f"a JointState message {reason}")
+
+    def joint_states(self, received: Times, states: JointStates) -> None:
+        """Take messages of one shape, received at times [ns] (n,)."""
+        self._publish(self.monitor.joint_states(received, states))
+
+    def temperature(self, joint: str, data: bytes) -> None:
+        """Take a Temperature message in CDR."""
+        try:
+            value = read_temperature(data)
+        except Exception as error:  # rosbags raises several kinds on a malformed message
+            self.monitor.reject(f"a Temperature message cannot be read: {error}")
+        else:
+            self.monitor.temperature(joint, value)
+
+    def configure(self, now: int, config: Config) -> list[str]:
+        """Put another configuration in force from the next message on.
+
+        Parameters
+        ----------
+        now : int
+            [ns]
+        config : Config
+
+        Returns
+        -------
+        list of str
+            Joints whose mesh is another now: their maps no longer hold.
+        """
+        before = self.config
+        changed = {name: value for name, value in config.flat.items() if before.flat.get(name) != value}
+        if not changed:
+            return []
+        self.monitor.configure(config)
+        self._configuration(now, changed, new=False)
+        pairs = zip(before.joints, config.joints, strict=True)
+        return [new.name for old, new in pairs if new.drive.mesh != old.drive.mesh]
+
+    def use_map(self, now: int, joint: str, table: TorsionMap) -> bool:
+        """Predict a joint by its map from the next message on; False if its mesh has changed since."""
+        if not self.monitor.use_map(joint, table):
+            return False
+        self._event(now, {"event": "map", "joint": joint, "torque_limit": table.requested_limit})
+        return True
+
+    def tick(self, now: int, stamp: int, facts: Mapping[str, str]) -> None:
+        """Report on all joints at a time, with a header stamp [ns] and what the surroundings know."""
+        self._event(now, {"event": "report", "stamp": stamp, "facts": dict(facts)})
+        self._publish([self.monitor.tick(now, stamp, facts)])
+
+    def _configuration(self, now: int, values: Mapping[str, Any], new: bool) -> None:
+        data = parameter_event(self._node, now, values, new)
+        self._emit(PARAMETER_EVENTS, PARAMETER_EVENT, now, data)
+        self._event(now, {"event": "configuration", "new": new, "parameters": dict(values)})
+
+    def _event(self, now: int, content: Mapping[str, Any]) -> None:
+        self._emit(EVENTS, STRING, now, string(json.dumps(content)))
+
+    def _emit(self, topic: str, type_name: str, now: int, data: bytes) -> None:
+        self._sink(Encoded(topic, type_name, np.array([now]), np.frombuffer(data, np.uint8)[None, :]))
+
+    def _publish(self, publications: Iterable[Publication]) -> None:
+        for publication in publications:
+            self._sink(encode(publication))

@@ -1,0 +1,284 @@
+"""Hostile bags: always BagError, in bounded time and memory."""
+
+import random
+import resource
+import struct
+import subprocess
+import sys
+import tracemalloc
+import zlib
+from pathlib import Path
+
+import lz4.frame
+import pytest
+import zstandard
+from bag_samples import JOINT_STATE, STRING, accepts, consume, corpus, damaged, rows, string_cdr
+from mcap.data_stream import RecordBuilder
+from mcap.records import Channel, Header, Schema
+
+from hd_diag.bag import BagError, BagReader, BagWriter, recover
+from hd_diag.bag.mcap_file import MAGIC, MESSAGE
+from hd_diag.bag.schemas import definition
+
+
+def record(opcode, content):
+    return bytes([opcode]) + struct.pack("<Q", len(content)) + content
+
+
+def packed(*records):
+    builder = RecordBuilder()
+    for r in records:
+        r.write(builder)
+    return builder.end()
+
+
+def chunk(content, compression="", size=None, stored=None, checksum=None):
+    stored = content if stored is None else stored
+    head = struct.pack(
+        "<QQQI",
+        0,
+        9,
+        len(content) if size is None else size,
+        zlib.crc32(content) if checksum is None else checksum,
+    )
+    return record(
+        6,
+        head
+        + struct.pack("<I", len(compression))
+        + compression.encode()
+        + struct.pack("<Q", len(stored))
+        + stored,
+    )
+
+
+def message(channel=1, data=None, log_time=1):
+    data = string_cdr("x") if data is None else data
+    return MESSAGE.pack(5, 22 + len(data), channel, 0, log_time, 0) + data
+
+
+def topic(name="/n", kind=STRING, text=None, schema_encoding="ros2msg"):
+    text = definition(STRING).text if text is None else text
+    return packed(Schema(1, text.encode(), schema_encoding, kind), Channel(1, name, "cdr", {}, 1))
+
+
+def bag(*parts):
+    return MAGIC + packed(Header("ros2", "")) + b"".join(parts)
+
+
+def test_the_parts_make_a_bag(tmp_path):
+    path = tmp_path / "a.mcap"
+    content = topic() + message()
+    path.write_bytes(
+        bag(chunk(content), chunk(content, "zstd", stored=zstandard.compress(content)), message())
+    )
+    assert consume(path) == 3
+    path.write_bytes(bag(chunk(content, "lz4", stored=lz4.frame.compress(content))))
+    assert consume(path) == 1
+
+
+HOSTILE = {
+    "huge chunk record": lambda: bag(topic(), b"\x06" + struct.pack("<Q", 2**60) + bytes(100)),
+    "huge uncompressed size": lambda: bag(
+        topic(), chunk(b"", "zstd", size=2**60, stored=zstandard.compress(b""))
+    ),
+    "size beyond the limit": lambda: bag(
+        chunk(topic(), "zstd", size=(1 << 30) + 1, stored=zstandard.compress(topic()))
+    ),
+    "size larger than content": lambda: bag(chunk(topic() + message(), size=1 << 29)),
+    "zstd bomb": lambda: bag(
+        chunk(topic(), "zstd", stored=zstandard.ZstdCompressor(level=19).compress(bytes(1 << 28)))
+    ),
+    "zstd bomb as declared too large": lambda: bag(
+        chunk(b"", "zstd", size=1 << 40, stored=zstandard.ZstdCompressor(level=19).compress(bytes(1 << 26)))
+    ),
+    "lz4 bomb": lambda: bag(chunk(topic(), "lz4", stored=lz4.frame.compress(bytes(1 << 27)))),
+    "rubbish as zstd": lambda: bag(chunk(topic(), "zstd", stored=b"rubbish")),
+    "rubbish as lz4": lambda: bag(chunk(topic(), "lz4", stored=b"rubbish")),
+    "nothing as zstd": lambda: bag(chunk(topic(), "zstd", stored=b"")),
+    "unknown compression": lambda: bag(chunk(topic(), "bz2")),
+    "wrong checksum": lambda: bag(chunk(topic() + message(), checksum=1)),
+    "record longer than the chunk": lambda: bag(
+        chunk(topic() + b"\x05" + struct.pack("<Q", 2**62) + bytes(30))
+    ),
+    "cut record in a chunk": lambda: bag(chunk(topic() + message() + b"\x05\x01")),
+    "message without times": lambda: bag(chunk(topic() + record(5, b"abc"))),
+    "short message after others": lambda: bag(chunk(topic() + message() + record(5, b"abc") + message())),
+    "message before 1970": lambda: bag(chunk(topic() + message(log_time=2**64 - 1))),
+    "undeclared channel": lambda: bag(chunk(topic() + message(channel=7))),
+    "channel without schema": lambda: bag(chunk(packed(Channel(1, "/n", "cdr", {}, 9)) + message())),
+    "channel that is not CDR": lambda: bag(
+        chunk(packed(Schema(1, b"", "", STRING), Channel(1, "/n", "json", {}, 1)) + message())
+    ),
+    "unknown type": lambda: bag(chunk(topic(kind="x_msgs/msg/X", text="") + message())),
+    "schema that is no schema": lambda: bag(chunk(topic(kind="x_msgs/msg/X", text="§ $ %") + message())),
+    "schema that is no IDL": lambda: bag(
+        chunk(topic(kind="x_msgs/msg/X", text="module {", schema_encoding="ros2idl") + message())
+    ),
+    "schema that contains itself": lambda: bag(
+        chunk(topic(kind="x_msgs/msg/X", text="x_msgs/X x\n") + message())
+    ),
+    "schema with an empty array": lambda: bag(
+        chunk(
+            topic(kind="x_msgs/msg/X", text=f"x_msgs/E[] x\n{'=' * 80}\nMSG: x_msgs/E\nfloat64[0] y\n")
+            + message(data=b"\0\1\0\0\xff\xff\xff\x7f")
+        )
+    ),
+    "schema with a huge array": lambda: bag(
+        chunk(topic(kind="x_msgs/msg/X", text="string[1000000000] x\n") + message())
+    ),
+    "schema with a type that is missing": lambda: bag(
+        chunk(topic(kind="x_msgs/msg/X", text="y_msgs/Y y\n") + message())
+    ),
+    "type name with code": lambda: bag(
+        chunk(topic(kind="x:\n import os\nclass Y", text="float64 x\n") + message())
+    ),
+    "ROS 1": lambda: MAGIC + packed(Header("ros1", "")) + chunk(topic() + message()),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_files_are_refused_or_read_in_part(tmp_path, name):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(HOSTILE[name]())
+    tracemalloc.start()
+    found = accepts(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    if name == "huge chunk record":
+        assert found == 0
+    else:
+        assert found is None
+    assert peak < 100 << 20
+
+
+def test_deep_and_large_schemas(tmp_path):
+    path = tmp_path / "a.mcap"
+    deep = "".join(f"x_msgs/L{i} x\n{'=' * 80}\nMSG: x_msgs/L{i}\n" for i in range(3000)) + "float64 x\n"
+    for text in (deep, "float64 x\n" * 200_000):
+        path.write_bytes(bag(chunk(topic(kind="x_msgs/msg/X", text=text) + message(data=bytes(8)))))
+        assert accepts(path) is None
+
+
+def test_hostile_names_stay_on_one_line(tmp_path):
+    name = "/\x1b[31m\n" + "a" * 1_000_000 + "\u202e"
+    path = tmp_path / "a.mcap"
+    path.write_bytes(bag(chunk(topic(name=name) + packed(Channel(2, name, "json", {}, 1)))))
+    with pytest.raises(BagError) as caught:
+        consume(path)
+    assert str(caught.value).isprintable()
+    assert len(str(caught.value)) < 900
+
+
+def test_hostile_joint_states(tmp_path):
+    """Counts and strings that claim more than there is."""
+    with BagWriter(tmp_path / "a.mcap") as writer:
+        for i in range(0, 40, 4):
+            data = bytearray(rows(1)[0][0].tobytes())
+            data[12 + i : 16 + i] = b"\xff\xff\xff\x7f"
+            writer.write("/j", JOINT_STATE, bytes(data), i)
+    with BagReader(tmp_path / "a.mcap") as reader:
+        (batch,) = reader.batches()
+        columns, rejected = reader.joint_states(batch)
+    assert sum(len(c.row) for c in columns) + len(rejected) == 10
+    assert len(rejected) > 5
+
+
+def test_damaged_bags(tmp_path):
+    chance = random.Random(20)
+    bags = corpus(tmp_path)
+    path, refused = tmp_path / "a.mcap", 0
+    for turn in range(1200):
+        path.write_bytes(damaged(bags[turn % len(bags)], chance))
+        refused += accepts(path) is None
+    assert 100 < refused < 1200
+
+
+def test_random_bytes(tmp_path):
+    chance = random.Random(21)
+    path = tmp_path / "a.mcap"
+    for turn in range(300):
+        content = chance.randbytes(chance.randrange(400))
+        path.write_bytes([content, MAGIC + content, bag(content), bag(chunk(content))][turn % 4])
+        accepts(path)
+
+
+def test_recovering_damaged_bags(tmp_path):
+    chance = random.Random(22)
+    bags = corpus(tmp_path)
+    path = tmp_path / "a.mcap"
+    for turn in range(60):
+        path.write_bytes(damaged(bags[turn % len(bags)], chance))
+        try:
+            report = recover(path, tmp_path / "b.mcap", overwrite=True)
+        except BagError:
+            continue
+        else:
+            with BagReader(tmp_path / "b.mcap") as reader:
+                assert {t.name: t.count for t in reader.topics if t.count} == report.counts
+
+
+def test_damaged_databases(tmp_path):
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    from hd_diag.bag.schemas import jazzy
+
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connection = writer.add_connection("/n", STRING, typestore=jazzy())
+        for i in range(40):
+            writer.write(connection, i, string_cdr(f"{i}"))
+    data = (tmp_path / "bag" / "bag.db3").read_bytes()
+    chance, path, refused = random.Random(23), tmp_path / "a.db3", 0
+    for _ in range(150):
+        path.write_bytes(data[:16] + damaged(data[16:], chance))
+        refused += accepts(path) is None
+    assert refused > 10
+
+
+def test_damaged_metadata(tmp_path):
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write("/n", STRING, string_cdr("x"), 1)
+    info = tmp_path / "bag" / "metadata.yaml"
+    data, chance = info.read_bytes(), random.Random(24)
+    for _ in range(60):
+        info.write_bytes(damaged(data, chance))
+        accepts(tmp_path / "bag")
+    bomb = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
+        f"{chr(98 + i)}: &{chr(98 + i)} [{','.join(['*' + chr(97 + i)] * 9)}]\n" for i in range(12)
+    )
+    aliases = bomb.replace("\n", "\n  ")
+    nested = (
+        f"x:\n  {aliases}\nrosbag2_bagfile_information: {{relative_file_paths: [*m], custom_data: {{a: *m}}}}"
+    )
+    for text in (
+        nested,
+        "[" * 5000,
+        "rosbag2_bagfile_information: {relative_file_paths: 3}",
+        "!!python/object:os.system {}",
+        bomb,
+    ):
+        info.write_text(text)
+        assert accepts(tmp_path / "bag") is None
+
+
+LIMITED = """
+import resource, sys
+sys.path.insert(0, {test!r})
+from test_bag_hostile import HOSTILE, accepts
+resource.setrlimit(resource.RLIMIT_AS, ({limit}, {limit}))
+for name in HOSTILE:
+    with open({path!r}, "wb") as file:
+        file.write(bytes.fromhex(sys.stdin.readline()))
+    accepts({path!r})
+print("done")
+"""
+
+
+def test_hostile_files_in_little_memory(tmp_path):
+    """1 GiB of address space is enough to refuse them; Python and its libraries take most of it."""
+    script = LIMITED.format(test=str(Path(__file__).parent), limit=1 << 30, path=str(tmp_path / "a.mcap"))
+    lines = "".join(make().hex() + "\n" for make in HOSTILE.values())
+    result = subprocess.run(
+        [sys.executable, "-c", script], input=lines, capture_output=True, text=True, timeout=60
+    )
+    assert (result.stdout, result.stderr) == ("done\n", "")
+    assert resource.getrlimit(resource.RLIMIT_AS)[0] == resource.RLIM_INFINITY

@@ -1,0 +1,280 @@
+import json
+import zlib
+
+import numpy as np
+import pytest
+import zstandard
+from bag_samples import JOINT_STATE, MS, STRING, cut_end, rows, string_cdr, write_with_mcap
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as RosbagsWriter
+
+from hd_diag.bag import BagError, BagReader, BagWriter, recover
+from hd_diag.bag.mcap_chunk import find_chunk
+from hd_diag.bag.mcap_scan import scan
+from hd_diag.bag.schemas import jazzy
+
+
+def messages(count=600):
+    block, stamps = rows(count)
+    return [("/j", JOINT_STATE, block[i].tobytes(), int(stamps[i])) for i in range(count)]
+
+
+def read(path):
+    with AnyReader([path]) as reader:
+        return [(c.topic, t, bytes(d)) for c, t, d in reader.messages()]
+
+
+def expected(given):
+    return [(t, time, d) for t, _, d, time in given]
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
+def test_whole_bag_is_copied(tmp_path, compression):
+    path = write_with_mcap(tmp_path / "a.mcap", messages(), compression=compression, chunk_size=4000)
+    report = recover(path, tmp_path / "b.mcap")
+    assert read(tmp_path / "b.mcap") == expected(messages())
+    assert report.complete
+    assert report.counts == {"/j": 600}
+    assert (report.start, report.end) == (0, 599 * MS)
+    assert report.statement() == [
+        "saved 600 messages, the last at 0.599000000 s",
+        "  /j: 600",
+        "nothing is missing",
+    ]
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
+@pytest.mark.parametrize("indexes", [True, False])
+def test_every_closed_chunk_is_saved_wherever_the_file_ends(tmp_path, compression, indexes):
+    options = {"compression": compression, "indexes": indexes, "chunk_size": 6000}
+    path = write_with_mcap(tmp_path / "a.mcap", messages(300), **options)
+    with path.open("rb") as file:
+        closed = [(s.offset + s.size, s) for s in scan(path, file).sections]
+    block = expected(messages(300))
+    for keep in range(1000, path.stat().st_size - 1000, 1777):
+        report = recover(cut_end(path, tmp_path / "b.mcap", keep=keep), tmp_path / "c.mcap", overwrite=True)
+        saved = read(tmp_path / "c.mcap") if report.counts else []
+        assert saved == block[: len(saved)]
+        whole = [s.end for end, s in closed if end <= keep]
+        assert len(saved) * MS > max(whole, default=-1)
+        assert not report.complete
+
+
+@pytest.mark.parametrize("compression", ["lz4", "none", "zstd"])
+def test_part_of_the_open_chunk(tmp_path, compression):
+    """Chunks are compressed in blocks: what precedes the cut by a block can be read."""
+    given = messages(20_000)
+    path = write_with_mcap(tmp_path / "a.mcap", given, compression=compression, chunk_size=8 << 20)
+    with path.open("rb") as file:
+        (section,) = scan(path, file).sections
+    keep = section.offset + section.size * 6 // 10
+    report = recover(cut_end(path, tmp_path / "b.mcap", keep=keep), tmp_path / "c.mcap")
+    saved = read(tmp_path / "c.mcap")
+    assert 1000 < len(saved) < 20_000
+    assert saved == expected(given)[: len(saved)]
+    assert any("cut off at byte" in p and str(len(saved)) in p for p in report.files[0].problems)
+
+
+def test_statement_of_what_was_lost(tmp_path):
+    path = write_with_mcap(tmp_path / "a.mcap", messages(), chunk_size=6000)
+    report = recover(cut_end(path, tmp_path / "b.mcap", keep=path.stat().st_size // 2), tmp_path / "c.mcap")
+    lines = report.statement()
+    assert lines[0].startswith(f"saved {report.counts['/j']} messages, the last at 0.")
+    assert f"b.mcap: {report.files[0].unread} of {path.stat().st_size // 2} bytes could not be read" in lines
+    assert "nothing is missing" not in lines
+    assert json.loads(json.dumps(report.as_dict()))["files"][0]["unread"] == report.files[0].unread > 0
+
+
+def test_damaged_chunk_costs_only_itself(tmp_path):
+    path = write_with_mcap(tmp_path / "a.mcap", messages(), chunk_size=6000)
+    with path.open("rb") as file:
+        section = scan(path, file).sections[3]
+    data = bytearray(path.read_bytes())
+    data[section.offset + section.size // 2] ^= 0x10
+    path.write_bytes(data)
+    with BagReader(path) as reader, pytest.raises(BagError, match="damaged"):
+        list(reader.batches())
+    report = recover(path, tmp_path / "b.mcap")
+    lost = sum(section.counts.values())
+    assert (report.files[0].lost, report.counts["/j"]) == (lost, 600 - lost)
+    survivors = [m for m in expected(messages()) if not section.start <= m[1] <= section.end]
+    assert read(tmp_path / "b.mcap") == survivors
+    assert f"a.mcap: at least {lost} messages are lost" in report.statement()
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
+def test_chunks_behind_a_damaged_length_are_found(tmp_path, compression):
+    path = write_with_mcap(tmp_path / "a.mcap", messages(), chunk_size=6000, compression=compression)
+    with path.open("rb") as file:
+        sections = scan(path, file).sections
+    data = bytearray(path.read_bytes())
+    head = sections[3].offset - len(sections[3].compression) - 49
+    assert data[head] == 6
+    with path.open("rb") as file:
+        assert find_chunk(file, sections[2].offset, len(data)) == head
+    data[head + 1 : head + 9] = (2**60).to_bytes(8, "little")
+    path.write_bytes(data)
+    with BagReader(path) as reader:
+        assert f"damaged at byte {head}" in reader.problems[0]
+        assert reader.message_count == sum(sum(s.counts.values()) for s in sections[:3])
+    recover(path, tmp_path / "b.mcap")
+    survivors = [m for m in expected(messages()) if not sections[3].start <= m[1] <= sections[3].end]
+    saved = read(tmp_path / "b.mcap")
+    # Of the chunk itself an uncompressed or partly readable content may be saved as well.
+    assert [m for m in saved if m in survivors] == survivors
+    assert saved == [m for m in expected(messages()) if m in saved]
+
+
+def test_unfinished_split_in_a_folder(tmp_path):
+    block, stamps = rows(1000)
+    writer = BagWriter(tmp_path / "bag", max_duration=0.3, chunk_size=5000, custom_data={"a": "b"})
+    writer.write_many("/j", JOINT_STATE, block, stamps)
+    writer.flush()
+    snapshot = tmp_path / "copy"
+    snapshot.mkdir()
+    for path in (tmp_path / "bag").iterdir():
+        (snapshot / path.name).write_bytes(path.read_bytes())
+    writer.close()
+    report = recover(snapshot, tmp_path / "saved")
+    assert [bool(f.problems) for f in report.files] == [False, False, False, True]
+    assert [f.messages for f in report.files] == [300, 300, 300, 100]
+    assert [d for _, _, d in read(tmp_path / "saved")] == [row.tobytes() for row in block]
+    with BagReader(tmp_path / "saved") as reader:
+        assert reader.custom_data == {"a": "b"}
+
+
+def test_folder_with_damaged_metadata_and_a_file_that_is_no_bag(tmp_path):
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write("/n", STRING, string_cdr("x"), 7)
+    (tmp_path / "bag" / "metadata.yaml").write_text("{")
+    (tmp_path / "bag" / "bag_1.mcap").write_text("rubbish")
+    report = recover(tmp_path / "bag", tmp_path / "saved.mcap")
+    assert report.counts == {"/n": 1}
+    assert report.files[1].problems == ["is not an MCAP file"]
+    assert report.files[1].unread == 7
+
+
+def test_sqlite_bag_is_converted(tmp_path):
+    with RosbagsWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connection = writer.add_connection("/n", STRING, typestore=jazzy())
+        for i in range(50):
+            writer.write(connection, i, string_cdr(f"{i}"))
+    report = recover(tmp_path / "bag", tmp_path / "saved.mcap")
+    assert report.complete
+    assert read(tmp_path / "saved.mcap") == [("/n", i, string_cdr(f"{i}")) for i in range(50)]
+
+
+def test_offers_times_and_unknown_types_are_kept(tmp_path):
+    with RosbagsWriter(tmp_path / "bag", version=8, storage_plugin=StoragePlugin.MCAP) as writer:
+        from rosbags.interfaces import (
+            Qos,
+            QosDurability,
+            QosHistory,
+            QosLiveliness,
+            QosReliability,
+            QosTime,
+        )
+
+        time = QosTime(1, 2)
+        offer = Qos(
+            QosHistory.KEEP_LAST,
+            7,
+            QosReliability.BEST_EFFORT,
+            QosDurability.TRANSIENT_LOCAL,
+            time,
+            time,
+            QosLiveliness.AUTOMATIC,
+            time,
+            False,
+        )
+        connection = writer.add_connection(
+            "/load",
+            "my_msgs/msg/Load",
+            msgdef="float64 mass\n",
+            rihs01="RIHS01_" + "0" * 64,
+            offered_qos_profiles=[offer],
+        )
+        writer.write(connection, 3, b"\0\1\0\0" + bytes(8))
+    recover(tmp_path / "bag", tmp_path / "saved")
+    with AnyReader([tmp_path / "saved"]) as reader:
+        (kept,) = reader.connections
+        assert (kept.msgtype, kept.msgdef.data.strip()) == ("my_msgs/msg/Load", "float64 mass")
+        assert kept.ext.offered_qos_profiles == [offer]
+
+
+def test_progress_reaches_the_end(tmp_path):
+    path = write_with_mcap(tmp_path / "a.mcap", messages(), chunk_size=6000)
+    seen = []
+    recover(path, tmp_path / "b.mcap", progress=lambda done, total: seen.append((done, total)))
+    assert [d for d, _ in seen] == sorted(d for d, _ in seen)
+    assert {t for _, t in seen} == {path.stat().st_size}
+    assert len(seen) > 5
+
+
+def test_what_cannot_be_recovered(tmp_path):
+    path = write_with_mcap(tmp_path / "a.mcap", messages(3))
+    with pytest.raises(BagError, match="input"):
+        recover(path, path, overwrite=True)
+    with pytest.raises(BagError, match="does not exist"):
+        recover(tmp_path / "none.mcap", tmp_path / "b.mcap")
+    (tmp_path / "b.mcap").touch()
+    with pytest.raises(BagError, match="exists already"):
+        recover(path, tmp_path / "b.mcap")
+    assert read(path) == expected(messages(3))
+
+
+def test_nothing_to_save_is_said(tmp_path):
+    path = write_with_mcap(tmp_path / "a.mcap", messages(3))
+    report = recover(cut_end(path, tmp_path / "b.mcap", keep=60), tmp_path / "c.mcap")
+    assert report.statement()[0] == "saved 0 messages"
+    assert not report.complete
+    with BagReader(tmp_path / "c.mcap") as reader:
+        assert reader.message_count == 0
+
+
+def test_messages_without_a_declared_topic_are_counted(tmp_path):
+    """The chunk with the schemas is damaged, and there is no summary that repeats them."""
+    path = write_with_mcap(tmp_path / "a.mcap", messages(), chunk_size=6000)
+    with path.open("rb") as file:
+        section = scan(path, file).sections[0]
+    data = bytearray(path.read_bytes())
+    data[section.offset + 20] ^= 1
+    path.write_bytes(data)
+    report = recover(cut_end(path, tmp_path / "b.mcap"), tmp_path / "c.mcap")
+    assert (report.counts, report.files[0].lost) == ({}, 600)
+    assert any("no topic" in p for p in report.files[0].problems)
+
+
+def test_a_bag_that_does_not_read_back_is_an_error(tmp_path, monkeypatch):
+    """The result is compared with what was saved, content and all."""
+    path = write_with_mcap(tmp_path / "a.mcap", messages(20))
+    original = BagWriter.write
+
+    def careless(self, topic, kind, data, *times):
+        original(self, topic, kind, bytes(reversed(bytes(data))), *times)
+
+    monkeypatch.setattr(BagWriter, "write", careless)
+    with pytest.raises(BagError, match="does not read back"):
+        recover(path, tmp_path / "b.mcap")
+
+
+def test_decompression_in_blocks_is_bounded(tmp_path):
+    """A cut chunk that would unpack to far more than it declares."""
+    bomb = zstandard.ZstdCompressor(level=19).compress(bytes(64 << 20))
+    head = (0).to_bytes(16, "little") + (1000).to_bytes(8, "little") + zlib.crc32(b"").to_bytes(4, "little")
+    body = head + b"\4\0\0\0zstd" + (len(bomb) + 9).to_bytes(8, "little") + bomb
+    start = write_with_mcap(tmp_path / "a.mcap", messages(3)).read_bytes()[:50]
+    data = start[: 8 + 9 + int.from_bytes(start[9:17], "little")]
+    (tmp_path / "b.mcap").write_bytes(data + b"\x06" + (len(body) + 9).to_bytes(8, "little") + body)
+    assert recover(tmp_path / "b.mcap", tmp_path / "c.mcap").counts == {}
+
+
+def test_times_over_several_files(tmp_path):
+    block, stamps = rows(100)
+    with BagWriter(tmp_path / "bag", max_duration=0.04) as writer:
+        writer.write_many("/j", JOINT_STATE, block, stamps)
+    report = recover(tmp_path / "bag", tmp_path / "b.mcap")
+    assert (report.start, report.end) == (0, 99 * MS)
+    with BagReader(tmp_path / "b.mcap") as reader:
+        assert np.array_equal(np.concatenate([b.log_time for b in reader.batches()]), stamps)

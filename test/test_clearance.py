@@ -1,0 +1,238 @@
+"""Backlash of all tooth pairs: against the brute-force reference, published values and laws."""
+
+from typing import NamedTuple
+
+import drives
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from reference import polyline, published
+
+from hd_diag.model.clearance import Contact, all_teeth
+from hd_diag.model.torsion import Mesh
+
+Array = polyline.Array
+Vector = tuple[float, float]
+
+# The polylines cut the arcs' bulge by 0.13 nm, 0.25 nm in the drive twice as large; with four times as many
+# points by a sixteenth of that.
+POLYLINE_ERROR = 0.3e-9  # [m]
+
+
+class Moment(NamedTuple):
+    """Arguments of ``drives.mesh`` and, with the angle before them, of ``polyline.mesh``."""
+
+    angle: float
+    eccentricity: Vector
+    runout: Vector
+    arc_offset: float
+
+
+def vectors(largest: float) -> st.SearchStrategy[Vector]:
+    return st.tuples(st.floats(-largest, largest), st.floats(-largest, largest))
+
+
+moments = st.builds(Moment, st.floats(-20, 20), vectors(20e-6), vectors(8e-6), st.floats(-40e-6, 40e-6))
+
+
+def spread(mesh: Mesh, angle: float) -> tuple[Array, Array, Array]:
+    """Rotation, radius and pressure angle, each (2, Z_R)."""
+    contact = mesh.contacts(np.array([angle]))
+    values = (contact.rotation, contact.radius, contact.pressure_angle)
+    rotation, radius, pressure = (all_teeth(mesh.geometry, contact, value)[0] for value in values)
+    return rotation, radius, pressure
+
+
+def backlash(mesh: Mesh, angle: float) -> Array:
+    rotation, radius, _ = spread(mesh, angle)
+    return rotation * radius
+
+
+# Against the reference ---
+
+
+@pytest.mark.parametrize("drive", drives.DRIVES.values(), ids=drives.DRIVES)
+@given(moment=moments)
+@settings(max_examples=8)
+def test_reference(drive: polyline.Drive, moment: Moment) -> None:
+    expected = polyline.mesh(*moment, drive=drive)
+    rotation, radius, pressure = spread(drives.mesh(drive, *moment[1:]), moment.angle)
+    assert_allclose(rotation * expected.radius, expected.backlash, rtol=0, atol=POLYLINE_ERROR)
+    # The reference smooths its flanks over some micrometres, also where arc and line join.
+    assert_allclose(radius, expected.radius, rtol=0, atol=0.5e-6)
+    assert_allclose(pressure, expected.pressure_angle, rtol=0, atol=2e-3)
+
+
+@pytest.mark.parametrize("eccentricity", published.BACKLASH)
+def test_published_backlash(eccentricity: float) -> None:
+    found = backlash(drives.mesh(eccentricity=(0.0, eccentricity)), 0.0)[0, published.BACKLASH_TEETH]
+    last_figure = np.where(np.array(published.BACKLASH_TEETH) == 180, 50e-9, 1e-9)
+    assert np.all(np.abs(found - published.BACKLASH[eccentricity]) < last_figure)
+
+
+# The contact itself ---
+
+
+@given(moments)
+@settings(max_examples=25)
+def test_contact_point_lies_on_both_flanks(moment: Moment) -> None:
+    mesh = drives.mesh(drives.PAPER, *moment[1:])
+    geometry = mesh.geometry
+    contact = mesh.contacts(np.array([moment.angle]))
+    origin, normal = polyline.tooth_axes(*moment)
+    for side, sign in enumerate((1, -1)):
+        touching = np.flatnonzero(~np.isnan(contact.rotation[0, side]))
+        for k in touching:
+            tooth = contact.teeth[0, k]
+            radius, position = contact.radius[0, side, k], contact.position[0, side, k]
+            from_slot = position - contact.slots[0, k] * geometry.slot_pitch
+            on_wall = radius * np.exp(1j * from_slot)
+            x = on_wall.real - geometry.circular_spline_datum
+            assert_allclose(sign * on_wall.imag, geometry.circular_spline_slot.half_width(x), atol=1e-13)
+            # Before the cup turned by b, the point of the flank stood behind the wall's by b.
+            point = radius * np.exp(1j * (position - sign * contact.rotation[0, side, k]))
+            from_foot = (point - complex(*origin[:, tooth])) / complex(*normal[:, tooth])
+            width = geometry.flexspline_tooth.half_width(min(from_foot.real, geometry.flexspline_tip))
+            assert from_foot.real < geometry.flexspline_tip + 1e-13
+            assert_allclose(sign * from_foot.imag, width, atol=1e-13)
+
+
+def test_teeth_meet_the_nearest_slots(paper_mesh: Mesh) -> None:
+    angle = np.linspace(0, 40, 50)
+    contact = paper_mesh.contacts(angle)
+    for k, turned in enumerate(angle):
+        origin, _ = polyline.tooth_axes(turned)
+        direction = np.arctan2(origin[1], origin[0])[contact.teeth[k]]
+        apart = np.exp(1j * (direction - contact.slots[k] * paper_mesh.geometry.slot_pitch))
+        # the foot's direction; the tooth leans by less than 1 deg, which at its tip is a fifth of a pitch
+        assert np.abs(np.angle(apart)).max() < 0.7 * paper_mesh.geometry.slot_pitch
+
+
+@given(moments)
+@settings(max_examples=25)
+def test_pairs_that_cannot_touch_are_nan(moment: Moment) -> None:
+    mesh = drives.mesh(drives.PAPER, *moment[1:])
+    geometry = mesh.geometry
+    rotation, radius, pressure = spread(mesh, moment.angle)
+    origin, normal = polyline.tooth_axes(*moment)
+    half_width = geometry.flexspline_tooth.half_width(geometry.flexspline_tip)
+    across = np.array([-normal[1], normal[0]])
+    corners = [
+        np.hypot(*(origin + geometry.flexspline_tip * normal + s * half_width * across)) for s in (1, -1)
+    ]
+    reaching = np.array(corners) > geometry.circular_spline_tip_radius
+    assert_array_equal(~np.isnan(rotation), reaching)
+    assert_array_equal(~np.isnan(radius), reaching)
+    assert_array_equal(~np.isnan(pressure), reaching)
+    assert np.nanmin(radius) >= geometry.circular_spline_tip_radius - 1e-15
+
+
+def test_interference_is_negative() -> None:
+    found = backlash(drives.mesh(eccentricity=(0.0, published.ECCENTRICITY)), 0.0)
+    assert np.nanmin(found) < -20e-6
+    assert np.nanmin(backlash(drives.mesh(), 0.0)) > 0
+
+
+# Laws ---
+
+
+@given(moments)
+@settings(max_examples=20)
+def test_mirror_exchanges_the_flanks(moment: Moment) -> None:
+    angle, (e_x, e_y), (r_x, r_y), arc_offset = moment
+    found = backlash(drives.mesh(drives.PAPER, *moment[1:]), angle)
+    mirrored = backlash(drives.mesh(drives.PAPER, (e_x, -e_y), (r_x, -r_y), -arc_offset), -angle)
+    assert_allclose(np.roll(mirrored[::-1, ::-1], 1, axis=1), found, rtol=0, atol=1e-13)
+
+
+@given(moments)
+@settings(max_examples=20)
+def test_turning_by_one_pitch_changes_nothing_but_the_names(moment: Moment) -> None:
+    mesh = drives.mesh(drives.PAPER, *moment[1:])
+    pitch = mesh.geometry.slot_pitch
+    eccentricity = mesh.eccentricity * np.exp(1j * pitch)
+    turned = Mesh(mesh.geometry, mesh.tooth_compliance, eccentricity, mesh.runout, mesh.arc_offset)
+    found = backlash(turned, moment.angle + pitch)
+    assert_allclose(found, np.roll(backlash(mesh, moment.angle), 1, axis=1), rtol=0, atol=1e-13)
+
+
+@given(moments, st.integers(-3, 3))
+@settings(max_examples=20)
+def test_closes_after_a_turn_of_the_wave_generator(moment: Moment, turns: int) -> None:
+    mesh = drives.mesh(drives.PAPER, *moment[1:])
+    later = backlash(mesh, moment.angle + 2 * np.pi * turns)
+    assert_allclose(np.roll(later, -2 * turns, axis=1), backlash(mesh, moment.angle), rtol=0, atol=1e-13)
+
+
+@given(moments)
+@settings(max_examples=20)
+def test_opposite_displacement_is_the_other_lobe_s(moment: Moment) -> None:
+    angle, (e_x, e_y), (r_x, r_y), arc_offset = moment
+    opposite = drives.mesh(drives.PAPER, (-e_x, -e_y), (-r_x, -r_y), arc_offset)
+    found = backlash(opposite, angle)
+    assert_allclose(
+        np.roll(found, 100, axis=1),
+        backlash(drives.mesh(drives.PAPER, *moment[1:]), angle),
+        rtol=0,
+        atol=1e-13,
+    )
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.3, 4.0])
+def test_both_lobes_are_equal_without_eccentricity(paper_mesh: Mesh, angle: float) -> None:
+    found = backlash(paper_mesh, angle)
+    assert_allclose(np.roll(found, 100, axis=1), found, rtol=0, atol=1e-13)
+
+
+def test_an_arc_offset_of_one_pitch_renames_the_teeth(paper_mesh: Mesh) -> None:
+    pitch = 2 * np.pi * polyline.ring_radius() / 200
+    found = backlash(drives.mesh(arc_offset=pitch), 0.3)
+    assert_allclose(np.roll(found, 1, axis=1), backlash(paper_mesh, 0.3), rtol=0, atol=1e-13)
+
+
+@given(moments, st.sampled_from([0.1, 1.7, 20.0]))
+@settings(max_examples=20)
+def test_backlash_grows_with_the_drive(moment: Moment, factor: float) -> None:
+    angle, (e_x, e_y), (r_x, r_y), arc_offset = moment
+    grown = drives.mesh(
+        drives.scaled(factor),
+        (factor * e_x, factor * e_y),
+        (factor * r_x, factor * r_y),
+        factor * arc_offset,
+    )
+    found = backlash(grown, angle) / factor
+    assert_allclose(
+        found, backlash(drives.mesh(drives.PAPER, *moment[1:]), angle), rtol=0, atol=3e-12
+    )  # contacts within a nanometre of a joint count to either side of it: its square over the arcs' radii
+
+
+# Many moments ---
+
+
+def contact_of(contact: Contact, row: int) -> list[Array]:
+    fields = ("teeth", "slots", "rotation", "radius", "pressure_angle", "position")
+    return [getattr(contact, field)[row] for field in fields]
+
+
+def test_one_moment_equals_many_to_the_last_bit() -> None:
+    mesh = drives.mesh(eccentricity=(9e-6, -14e-6), runout=(3e-6, 0.0))
+    angle = np.linspace(-9, 30, 400)
+    many = mesh.contacts(angle)
+    for row in range(0, angle.size, 7):
+        one = mesh.contacts(angle[row : row + 1])
+        for found, expected in zip(contact_of(one, 0), contact_of(many, row), strict=True):
+            assert_array_equal(found, expected)
+
+
+def test_all_teeth_places_every_value_and_marks_the_others(paper_mesh: Mesh) -> None:
+    contact = paper_mesh.contacts(np.array([0.0, 2.5]))
+    found = all_teeth(paper_mesh.geometry, contact, contact.rotation, missing=-7.0)
+    assert found.shape == (2, 2, 200)
+    for row in range(2):
+        assert_array_equal(found[row][:, contact.teeth[row]], contact.rotation[row])
+        others = np.setdiff1d(np.arange(200), contact.teeth[row])
+        assert others.size > 0
+        assert np.all(found[row][:, others] == -7.0)
+        assert np.unique(contact.teeth[row]).size == contact.teeth.shape[1]

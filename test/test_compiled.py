@@ -1,0 +1,263 @@
+"""The compiled path gives the numbers of the numpy modules; finite differences confirm its derivatives."""
+
+import dataclasses
+import math
+import subprocess
+import sys
+
+import drives
+import hypothesis
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+
+from hd_diag.model import clearance, compiled, load_sharing
+
+needs_numba = pytest.mark.skipif(not compiled.available(), reason="numba is not installed")
+
+COMPLIANCE = 1e-6
+ROUNDING = 1e-14  # [rad]; differences seen are below 1e-15
+
+
+def moments(seed, number):
+    """Wave generator angles, eccentricities up to 40 um (some none at all) and torques (some zero)."""
+    random = np.random.default_rng(seed)
+    turn = random.uniform(-2 * np.pi, 2 * np.pi, number)
+    eccentricity = random.uniform(0, 40e-6, number) * np.exp(1j * random.uniform(0, 2 * np.pi, number))
+    torque = random.uniform(-100, 100, number)
+    eccentricity[::5] = 0.0
+    torque[::7] = 0.0
+    return turn, eccentricity, torque
+
+
+def curve(geometry, turn, eccentricity, arc_offset=0.0, compliance=COMPLIANCE):
+    contact = clearance.contacts(geometry, turn, eccentricity, arc_offset)
+    return load_sharing.torque_curve(contact.rotation, load_sharing.flank_stiffness(contact, compliance))
+
+
+def numpy_torsion(geometry, compliance, turn, eccentricity, arc_offset, torque):
+    torque = np.broadcast_to(torque, turn.shape)[:, None]
+    return load_sharing.torsion(curve(geometry, turn, eccentricity, arc_offset, compliance), torque)[:, 0]
+
+
+@needs_numba
+@pytest.mark.parametrize("name", drives.DRIVES)
+def test_torsion_is_that_of_the_numpy_modules(name):
+    geometry = drives.geometry(drives.DRIVES[name])
+    arguments = (geometry, COMPLIANCE, *moments(1, 300)[:2], 2e-5, moments(1, 300)[2])
+    expected = numpy_torsion(*arguments)
+    assert np.all(np.isfinite(expected))
+    np.testing.assert_allclose(compiled.torsion(*arguments), expected, rtol=0, atol=ROUNDING)
+
+
+@needs_numba
+@pytest.mark.parametrize("farthest", [None, 60e-6])
+@pytest.mark.parametrize("name", drives.DRIVES)
+def test_contacts_are_those_of_the_numpy_modules(name, farthest):
+    geometry = drives.geometry(drives.DRIVES[name])
+    turn, eccentricity, _ = moments(2, 100)
+    found = compiled.contacts(geometry, turn, eccentricity, -1e-5, farthest)
+    expected = clearance.contacts(geometry, turn, eccentricity, -1e-5, farthest)
+    np.testing.assert_array_equal(found.teeth, expected.teeth)
+    np.testing.assert_array_equal(found.slots, expected.slots)
+    np.testing.assert_allclose(found.rotation, expected.rotation, rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(found.radius, expected.radius, rtol=1e-14)
+    # Centres of conformal arcs are 0.03 mm apart, a thousandth of the radius whose rounding turns the normal.
+    np.testing.assert_allclose(found.pressure_angle, expected.pressure_angle, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.position, expected.position, rtol=0, atol=ROUNDING)
+
+
+@needs_numba
+@hypothesis.given(
+    turn=st.floats(-100, 100),
+    size=st.floats(0, 150e-6),
+    direction=st.floats(-4, 4),
+    torque=st.floats(-500, 500),
+    arc_offset=st.floats(-1e-3, 1e-3),
+    compliance=st.floats(1e-8, 1e-4),
+)
+def test_any_moment(turn, size, direction, torque, arc_offset, compliance):
+    eccentricity = np.array([size * np.exp(1j * direction)])
+    arguments = (
+        drives.geometry(), compliance, np.array([turn]), eccentricity, arc_offset, np.array([torque])
+    )  # fmt: skip
+    expected = numpy_torsion(*arguments)
+    np.testing.assert_allclose(compiled.torsion(*arguments), expected, rtol=1e-13, atol=10 * ROUNDING)
+
+
+@needs_numba
+@pytest.mark.parametrize("branch", [-1, 0, 1])
+def test_table_is_one_torsion_per_torque(branch):
+    geometry = drives.geometry()
+    turn, eccentricity, _ = moments(3, 60)
+    torque = np.sort(np.concatenate((np.random.default_rng(4).uniform(-300, 300, 50), [0.0, 0.0, 1e-9])))
+    table = compiled.torsion_table(geometry, COMPLIANCE, turn, eccentricity, 0.0, torque, branch)
+    expected = load_sharing.torsion(curve(geometry, turn, eccentricity), torque)
+    rest = torque != 0.0
+    np.testing.assert_allclose(table[:, rest], expected[:, rest], rtol=0, atol=ROUNDING)
+    if branch == 0:
+        np.testing.assert_allclose(table, expected, rtol=0, atol=ROUNDING)
+
+
+@needs_numba
+def test_branches_are_the_limits_at_zero_torque():
+    geometry, torque = drives.geometry(), np.array([-1e-9, 0.0, 1e-9])
+    turn, eccentricity = np.linspace(0, 6, 40), np.linspace(0, 30e-6, 40) * 1j
+    gap = curve(geometry, turn, eccentricity).gap
+    free = gap[:, 1] > gap[:, 0]
+    assert free.any()
+    assert not free.all()
+    lower, upper = (
+        compiled.torsion_table(geometry, COMPLIANCE, turn, eccentricity, 0.0, torque, branch)
+        for branch in (-1, 1)
+    )
+    # One pair of this drive is never softer than 500 N m/rad.
+    np.testing.assert_allclose(lower[:, 1], lower[:, 0], rtol=0, atol=1e-9 / 500)
+    np.testing.assert_allclose(upper[:, 1], upper[:, 2], rtol=0, atol=1e-9 / 500)
+    np.testing.assert_allclose((upper - lower)[:, 1], np.where(free, gap[:, 1] - gap[:, 0], 0), atol=ROUNDING)
+
+
+@needs_numba
+def test_table_refuses_torques_that_do_not_rise():
+    for torque in ([1.0, 0.0], [0.0, math.nan]):
+        with pytest.raises(ValueError, match="cup_torque must rise"):
+            compiled.torsion_table(drives.geometry(), COMPLIANCE, np.zeros(1), 0j, 0.0, np.array(torque))
+
+
+@needs_numba
+def test_numbers_that_are_not_spoil_their_own_moment_only():
+    turn, eccentricity, torque = moments(5, 12)
+    turn[2], eccentricity[4], eccentricity[5], torque[6] = math.nan, complex(0, math.nan), math.inf, math.nan
+    spoilt = np.isin(np.arange(12), [2, 4, 5, 6])
+    arguments = (drives.geometry(), COMPLIANCE, turn, eccentricity, 0.0, torque)
+    beta, stiffness, gradient = compiled.torsion_and_gradient(*arguments)
+    np.testing.assert_array_equal(np.isnan(compiled.torsion(*arguments)), spoilt)
+    np.testing.assert_array_equal(np.isnan(beta), spoilt)
+    np.testing.assert_array_equal(np.isnan(gradient[:, :3]).all(axis=1), spoilt)
+    assert np.all(stiffness[~spoilt] >= 0.0)
+
+
+@needs_numba
+def test_one_moment_is_a_moment_of_many():
+    geometry = drives.geometry()
+    turn, eccentricity, torque = moments(6, 50)
+    whole = compiled.torsion(geometry, COMPLIANCE, turn, eccentricity, 0.0, torque)
+    single = [
+        compiled.torsion(
+            geometry, COMPLIANCE, turn[i : i + 1], eccentricity[i : i + 1], 0.0, torque[i : i + 1]
+        )[0]
+        for i in range(50)
+    ]
+    np.testing.assert_array_equal(whole, single)
+    np.testing.assert_array_equal(
+        compiled.torsion(geometry, COMPLIANCE, turn[::2], eccentricity[::2], 0.0, torque[::2]), whole[::2]
+    )
+    np.testing.assert_array_equal(
+        compiled.torsion_and_gradient(geometry, COMPLIANCE, turn, eccentricity, 0.0, torque)[0], whole
+    )
+
+
+STEPS = {
+    "eccentricity.x": 1e-9,
+    "eccentricity.y": 1e-9,
+    "circular_spline_datum": 1e-9,
+    "tooth_compliance": 1e-10,
+    "arc_offset": 1e-9,
+    "torque": 1e-3,
+    "wave_generator_angle": 1e-7,
+}
+
+
+def shifted(geometry, turn, eccentricity, torque, name, step):
+    """Torsion by the numpy modules with one parameter moved."""
+    move = {name: step}
+    datum = geometry.circular_spline_datum + move.get("circular_spline_datum", 0.0)
+    if name == "circular_spline_datum":
+        geometry = dataclasses.replace(geometry, circular_spline_datum=datum)
+    return numpy_torsion(
+        geometry,
+        COMPLIANCE + move.get("tooth_compliance", 0.0),
+        turn + move.get("wave_generator_angle", 0.0),
+        eccentricity + complex(move.get("eccentricity.x", 0.0), move.get("eccentricity.y", 0.0)),
+        move.get("arc_offset", 0.0),
+        torque + move.get("torque", 0.0),
+    )
+
+
+@needs_numba
+@pytest.mark.parametrize("loaded", [True, False])
+@pytest.mark.parametrize("name", compiled.PARAMETERS)
+def test_gradient_is_that_of_finite_differences(name, loaded):
+    """Also at zero torque, preloaded or in a gap; eccentric, so that no two flanks bound the gap together."""
+    geometry = drives.geometry()
+    turn, eccentricity, torque = moments(7, 300)
+    eccentric = eccentricity != 0.0
+    turn, eccentricity, torque = turn[eccentric], eccentricity[eccentric], torque[eccentric]
+    torque = torque if loaded else np.zeros_like(torque)
+    _, stiffness, gradient = compiled.torsion_and_gradient(
+        geometry, COMPLIANCE, turn, eccentricity, 0.0, torque
+    )
+    at = (torque != 0.0) == loaded
+    if name == "torque" and not loaded:
+        at &= stiffness > 0.0
+    step = STEPS[name]
+    above = shifted(geometry, turn, eccentricity, torque, name, step)[at]
+    below = shifted(geometry, turn, eccentricity, torque, name, -step)[at]
+    expected = (above - below) / (2 * step)
+    error = np.abs(gradient[at, compiled.PARAMETERS.index(name)] - expected)
+    scale = np.sqrt(np.mean(expected**2))
+    # Where a flank begins to bear within the step, beta has a kink and no derivative: at few moments.
+    assert np.quantile(error, 0.98) <= 1e-7 * scale + 1e-15 / step
+
+
+@needs_numba
+def test_stiffness_is_that_of_the_load_distribution():
+    geometry = drives.geometry()
+    turn, eccentricity, torque = moments(8, 100)
+    _, stiffness, gradient = compiled.torsion_and_gradient(
+        geometry, COMPLIANCE, turn, eccentricity, 0.0, torque
+    )
+    contact = clearance.contacts(geometry, turn, eccentricity)
+    expected = load_sharing.share_load(contact, COMPLIANCE, torque)
+    # In a gap no flank bears, or the first one just not.
+    in_gap = (torque == 0.0) & (expected.lost_motion > 0.0)
+    assert in_gap.any()
+    np.testing.assert_allclose(stiffness[~in_gap], expected.stiffness[~in_gap], rtol=1e-12)
+    np.testing.assert_array_equal(stiffness[in_gap], 0.0)
+    np.testing.assert_array_equal(gradient[in_gap, compiled.PARAMETERS.index("torque")], math.inf)
+
+
+@needs_numba
+def test_a_cache_that_cannot_be_written_is_done_without(monkeypatch):
+    import numba
+
+    from hd_diag.model import kernel
+
+    njit = numba.njit
+
+    def refuse(*, cache=False, **options):
+        if cache:
+            raise RuntimeError("cannot cache function: no locator available for file")
+        return njit(**options)
+
+    monkeypatch.setattr(numba, "njit", refuse)
+    assert kernel.entry_point(lambda x: x + 1)(2) == 3
+
+
+def run(code):
+    return subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True, timeout=120
+    ).stdout.strip()
+
+
+def test_numba_is_imported_only_when_asked_for():
+    code = "import sys; from hd_diag.model import compiled; print('numba' in sys.modules)"
+    assert run(code) == "False"
+
+
+def test_without_numba_the_path_is_not_available():
+    code = (
+        "import sys; sys.modules['numba'] = None;"
+        "from hd_diag.model import compiled; print(compiled.available())"
+    )
+    assert run(code) == "False"

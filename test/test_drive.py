@@ -1,0 +1,163 @@
+"""What can be computed of a drive."""
+
+import dataclasses
+import math
+
+import drives
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from reference import published
+
+from hd_diag.drive import Drive, MeshState, mesh_state, transmission_error
+from hd_diag.model.clearance import all_teeth
+from hd_diag.model.torsion import torsion
+from hd_diag.model.torsion_map import ARCSEC, TorsionMap, build
+from hd_diag.model.transmission_error import Kinematics
+
+RATED = published.RATED_TORQUE
+ALIGNED = Drive(drives.mesh(), Kinematics(100.0), RATED)
+ASTRAY = Drive(drives.mesh(eccentricity=(0.0, published.ECCENTRICITY)), Kinematics(100.0), RATED, 3e-6)
+ANGLES = np.linspace(-3.0, 11.0, 40)
+
+
+def state(drive: Drive, torque: float, angle: float = 0.0) -> MeshState:
+    return mesh_state(drive, np.array([angle]), np.array([torque]))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"kinematics": Kinematics(80.0)}, "ratio 80 does not fit"),
+        ({"rated_torque": 0.0}, "rated_torque must be positive, not 0.0 N m"),
+        ({"rated_torque": math.inf}, "rated_torque must be positive, not inf N m"),
+        ({"rated_torque": math.nan}, "rated_torque must be positive, not nan N m"),
+        ({"cup_compliance": -1e-6}, r"cup_compliance must not be negative, not -1e-06 rad/\(N m\)"),
+        ({"cup_compliance": math.nan}, "cup_compliance must not be negative, not nan"),
+    ],
+)
+def test_names_what_cannot_be(changes: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        dataclasses.replace(ALIGNED, **changes)  # type: ignore[arg-type]
+
+
+# State of the teeth ---
+
+
+@pytest.mark.parametrize("case", published.LOAD_CASES)
+def test_published_load_cases(case: published.LoadCase) -> None:
+    drive = Drive(drives.mesh(eccentricity=(0.0, case.eccentricity)), Kinematics(100.0), RATED)
+    found = state(drive, case.torque)
+    assert_allclose(found.torsion[0], case.torsion, rtol=2e-3 if case.torsion < 1e-4 else 5e-4)
+    assert found.loaded_pairs[0] == sum(case.loaded)
+    if case.largest_force is not None:
+        assert_allclose(found.peak_load[0], case.largest_force, atol=0.05)
+    backlash = found.backlash[0, 0, published.BACKLASH_TEETH]
+    assert_allclose(backlash, published.BACKLASH[case.eccentricity], atol=50e-9)
+
+
+@pytest.mark.parametrize("drive", [ALIGNED, ASTRAY], ids=["aligned", "astray"])
+def test_teeth_stand_at_their_index(drive: Drive) -> None:
+    found = mesh_state(drive, ANGLES, np.full(ANGLES.size, 8.0))
+    turned = drive.kinematics.wave_generator_angle(drive.mesh.geometry, ANGLES)
+    contact = drive.mesh.contacts(turned)
+    for name in ("backlash", "pressure_angle"):
+        expected = all_teeth(drive.mesh.geometry, contact, getattr(contact, name))
+        assert_array_equal(getattr(found, name), expected)
+    assert found.load.shape == (ANGLES.size, 2, 200)
+    assert np.all(found.load[np.isnan(found.backlash)] == 0)
+    moment = found.load * np.cos(np.nan_to_num(found.pressure_angle))
+    radius = np.nan_to_num(all_teeth(drive.mesh.geometry, contact, contact.radius))
+    assert_allclose((moment * radius).sum(axis=2) @ [1, -1], 8.0, rtol=1e-12)
+
+
+def test_summaries_of_the_load() -> None:
+    found = mesh_state(ASTRAY, ANGLES, np.linspace(-60, 60, ANGLES.size))
+    for row in range(ANGLES.size):
+        loads = found.load[row][found.load[row] > 0]
+        assert found.loaded_pairs[row] == loads.size
+        assert found.peak_load[row] == loads.max()
+        assert_allclose(found.load_concentration[row], loads.max() / loads.mean(), rtol=1e-13)
+        assert found.minimum_backlash[row] == np.nanmin(found.backlash[row])
+
+
+def test_nothing_is_loaded_in_a_gap_at_zero_torque() -> None:
+    found = state(ALIGNED, 0.0)
+    assert found.loaded_pairs[0] == 0
+    assert found.peak_load[0] == 0
+    assert found.load_concentration[0] == 1
+
+
+def test_overlap_is_the_lost_motion_where_there_is_any() -> None:
+    found = mesh_state(ALIGNED, ANGLES, np.zeros(ANGLES.size))
+    assert not found.interference.any()
+    assert_allclose(-found.overlap, found.lost_motion * 30.9e-3, rtol=0.01)  # contacts near the pitch radius
+    assert np.all(found.lost_motion > 0)
+
+
+def test_overlap_is_how_far_the_first_flanks_of_both_sides_interfere() -> None:
+    found = state(ASTRAY, 0.0)
+    assert found.interference[0]
+    assert found.lost_motion[0] == 0
+    first_flanks = np.nanmin(found.backlash[0], axis=1)
+    assert_allclose(found.overlap[0], -first_flanks.sum(), rtol=0.01)
+    assert found.overlap[0] > 20e-6
+
+
+def test_lobes_press_against_each_other() -> None:
+    """Displaced across the long axis, one lobe goes counter-clockwise about the housing and the other back."""
+    plus, minus = state(ASTRAY, 0.0).load[0]
+    first_lobe = np.abs(np.arange(-100, 100)) < 50
+    first_lobe = np.roll(first_lobe, -100)
+    assert plus[first_lobe].sum() > 100
+    assert minus[~first_lobe].sum() > 100
+    assert plus[~first_lobe].sum() == 0
+    assert minus[first_lobe].sum() == 0
+
+
+# Transmission error ---
+
+
+def test_flexspline_output_lags_by_torsion_and_cup() -> None:
+    torque = np.linspace(-50, 60, ANGLES.size)
+    found = transmission_error(ASTRAY, ANGLES, torque)
+    assert_array_equal(found, torsion(ASTRAY.mesh, -ANGLES, -torque) - 3e-6 * torque)
+
+
+def test_circular_spline_output_lags_by_torsion_and_cup() -> None:
+    drive = dataclasses.replace(ASTRAY, kinematics=Kinematics(101.0, "circular_spline"))
+    torque = np.linspace(-50, 60, ANGLES.size)
+    found = transmission_error(drive, ANGLES, torque)
+    expected = -torsion(drive.mesh, ANGLES * (200 / 202), torque) - 3e-6 * torque
+    assert_allclose(found, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("drive", [ALIGNED, ASTRAY], ids=["aligned", "astray"])
+def test_more_torque_more_lag(drive: Drive) -> None:
+    torque = np.linspace(-90, 90, 61)
+    assert np.all(np.diff(transmission_error(drive, np.full(61, 0.4), torque)) < 0)
+
+
+@pytest.fixture(scope="module")
+def table() -> TorsionMap:
+    return build(ASTRAY.mesh, 40.0)
+
+
+def test_a_map_gives_the_same_within_its_bound(table: TorsionMap) -> None:
+    torque = np.linspace(-40, 40, ANGLES.size)
+    exact = transmission_error(ASTRAY, ANGLES, torque)
+    found = transmission_error(ASTRAY, ANGLES, torque, table)
+    assert np.abs(found - exact).max() <= table.error_bound + 1e-15
+    assert np.any(found != exact)
+    assert table.error_bound < 0.04 * ARCSEC
+
+
+def test_beyond_the_map_the_solution_is_exact(table: TorsionMap) -> None:
+    torque = np.full(ANGLES.size, table.torque_limit)
+    torque[::3] *= 1.5
+    torque[1::3] *= -2.0
+    exact = transmission_error(ASTRAY, ANGLES, torque)
+    found = transmission_error(ASTRAY, ANGLES, torque, table)
+    beyond = np.abs(torque) > table.torque_limit
+    assert_array_equal(found[beyond], exact[beyond])
+    assert not np.isnan(found).any()

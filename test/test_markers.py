@@ -1,0 +1,245 @@
+"""The drawing of the gear: in true scale it is the model's gear, and RViz can read it."""
+
+import time
+from collections.abc import Iterator
+
+import matplotlib
+import numpy as np
+import pytest
+
+from hd_diag import markers
+from hd_diag.bag.schemas import jazzy, serialize
+from hd_diag.config import resolve
+from hd_diag.drive import Drive, mesh_state
+from hd_diag.markers import Exaggeration, Shape, drawing, marker_array, viridis
+
+TRUE = Exaggeration(1.0, 1.0)
+MARKERS = "visualization_msgs/msg/MarkerArray"
+STAMP = 1_760_000_000_123_456_789
+NAMES = [
+    "circular_spline",
+    "flexspline",
+    "wave_generator",
+    "long_axis",
+    "teeth",
+    "eccentricity",
+    "legend",
+]
+
+
+def drive(**changes: float | str) -> Drive:
+    return (
+        resolve({f"joint_1.{name.replace('__', '.')}": value for name, value in changes.items()})
+        .joints[0]
+        .drive
+    )
+
+
+def shapes(drive: Drive, angle: float = 0.3, torque: float = 40.0, **options: object) -> dict[str, Shape]:
+    state = mesh_state(drive, np.array([angle]), drive.kinematics.cup_torque(np.array([torque])))
+    drawn = drawing(drive, angle, state.load[0], torsion=float(state.torsion[0]), **options)
+    return {shape.name: shape for shape in drawn}
+
+
+def points(shape: Shape) -> np.ndarray:
+    return shape.points[:, 0] + 1j * shape.points[:, 1]
+
+
+@pytest.fixture(params=[1, 8])
+def chords(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[float]:
+    """What the chords do to a clearance [m], as drawn and with 8 times as many of them.
+
+    A chord over a height h misses an arc of radius rho at the slope gamma by h^2 / (8 rho cos^3 gamma) across
+    the tooth: at most 9 um for h = 66 um, where the slot's convex arc (rho 0.436 mm) ends at 58 degrees.
+    """
+    cached = (markers._tooth_outline, markers._slots, markers._face_order)
+    monkeypatch.setattr(markers, "_FLANK_POINTS", 8 * request.param + 1)
+    for function in cached:
+        function.cache_clear()
+    yield 9e-6 / request.param**2
+    for function in cached:
+        function.cache_clear()
+
+
+def drawn_gaps(gear: Drive, drawn: dict[str, Shape]) -> np.ndarray:
+    """Circumferential gap of each tooth's flanks (+, -) to the walls of its slot [m], by the lines drawn."""
+    geometry = gear.mesh.geometry
+    ring = points(drawn["circular_spline"])[:-1].reshape(geometry.circular_spline_teeth, -1)
+    wall = ring[0, ring.shape[1] // 2 :]  # counter-clockwise wall of slot 0, from its bottom inwards
+    wall_radius, wall_angle = np.abs(wall)[::-1], np.angle(wall)[::-1]
+    outline = points(drawn["flexspline"])[:-1].reshape(geometry.flexspline_teeth, -1)
+    half = outline.shape[1] // 2
+    gaps = np.full((2, geometry.flexspline_teeth), np.nan)
+    for tooth, line in enumerate(outline):
+        slot = np.exp(1j * geometry.slot_pitch * np.rint(np.angle(line.mean()) / geometry.slot_pitch))
+        flanks = (line[half:][::-1] / slot, (line[:half] / slot).conj())
+        for flank, edge in enumerate(flanks):
+            radius = np.linspace(max(np.abs(edge[0]), wall_radius[0]), np.abs(edge[-1]), 1000)
+            if radius[-1] > radius[0]:
+                angle = np.interp(radius, np.abs(edge), np.angle(edge))
+                gaps[flank, tooth] = (radius * (np.interp(radius, wall_radius, wall_angle) - angle)).min()
+    return gaps
+
+
+@pytest.mark.parametrize(
+    "gear",
+    [
+        drive(),
+        drive(eccentricity__magnitude=20e-6, eccentricity__direction=1.0, runout__magnitude=4e-6),
+        drive(ratio=-100.0, wave_generator_phase=0.7, arc_offset=5e-6),
+        drive(ratio=101.0, output="circular_spline", eccentricity__magnitude=15e-6),
+    ],
+    ids=["centred", "eccentric", "reversed", "circular spline"],
+)
+@pytest.mark.parametrize("angle", [0.0, 0.3, -51.7])
+def test_in_true_scale_the_teeth_have_the_models_clearances(gear: Drive, angle: float, chords: float) -> None:
+    drawn = shapes(gear, angle, torque=0.0, exaggeration=TRUE)
+    state = mesh_state(gear, np.array([angle]), np.array([0.0]))
+    contact = gear.mesh.contacts(gear.kinematics.wave_generator_angle(gear.mesh.geometry, np.array([angle])))
+    turned = np.array([1.0, -1.0])[:, None] * state.torsion[0]
+    gaps = drawn_gaps(gear, drawn)
+    model = state.backlash[0] - turned * np.nanmean(contact.radius)
+    engaged = np.isfinite(model) & np.isfinite(gaps) & (model < 60e-6)
+    assert engaged.sum() > 80
+    np.testing.assert_allclose(gaps[engaged], model[engaged], atol=chords)
+
+
+def test_loaded_flanks_touch_and_others_do_not(chords: float) -> None:
+    gear = drive()
+    state = mesh_state(gear, np.array([0.3]), np.array([-40.0]))
+    gaps = drawn_gaps(gear, shapes(gear, 0.3, torque=40.0, exaggeration=TRUE))
+    load = state.load[0]
+    assert (load > 0.0).sum() > 40
+    assert gaps[load > 5.0].max() < chords
+    assert gaps[load == 0.0][np.isfinite(gaps[load == 0.0])].min() > -chords
+
+
+def test_deformation_is_exaggerated_from_the_long_axis() -> None:
+    geometry = drive().mesh.geometry
+    for factor in (1.0, 8.0):
+        radius = np.abs(points(shapes(drive(), exaggeration=Exaggeration(factor, 1.0))["wave_generator"]))
+        assert radius.max() == pytest.approx(geometry.semi_major, rel=1e-12)
+        assert geometry.semi_major - radius.min() == pytest.approx(
+            factor * (geometry.semi_major - geometry.semi_minor), rel=1e-9
+        )
+
+
+def test_long_axis_turns_against_a_positive_input() -> None:
+    for angle in (0.0, 0.4, 1.0):
+        ends = points(shapes(drive(), angle)["long_axis"])
+        assert np.angle(ends[0]) == pytest.approx(-angle, abs=1e-12)
+        assert ends[0] + ends[1] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_arrow_shows_the_displacement_at_this_moment() -> None:
+    gear = drive(eccentricity__magnitude=10e-6, eccentricity__direction=1.0, runout__magnitude=4e-6)
+    arrow = points(shapes(gear, 0.3, exaggeration=Exaggeration(8.0, 500.0))["eccentricity"])
+    assert arrow[0] == 0.0
+    expected = 500.0 * (10e-6 * np.exp(1j) + 4e-6 * np.exp(-0.3j))
+    assert arrow[1] == pytest.approx(expected, rel=1e-12)
+    assert (points(shapes(drive())["eccentricity"]) == 0.0).all()
+
+
+def test_legend_states_the_exaggeration_and_the_scale() -> None:
+    text = shapes(drive(), full_scale=75.0, exaggeration=Exaggeration(6.0, 300.0))["legend"].text
+    for number in ("x 6,", "x 300", "75 N"):
+        assert number in text
+
+
+def test_colours_are_viridis() -> None:
+    share = np.linspace(0.0, 1.0, 256)
+    np.testing.assert_allclose(viridis(share), matplotlib.colormaps["viridis"](share), atol=0.011)
+    assert (viridis(np.array([-1.0, 7.0])) == viridis(np.array([0.0, 1.0]))).all()
+
+
+def test_each_flank_has_the_colour_of_its_own_load() -> None:
+    gear = drive()
+    load = np.zeros((2, 200))
+    load[0, 5], load[1, 9], load[0, 12] = 30.0, 60.0, 500.0
+    drawn = {shape.name: shape for shape in drawing(gear, 0.3, load, full_scale=60.0)}
+    outline = points(drawn["flexspline"])[:-1].reshape(200, -1)
+    half = outline.shape[1] // 2
+    vertices, colours = points(drawn["teeth"]).reshape(200, -1), drawn["teeth"].colours.reshape(200, -1, 4)
+    for flank, edge in enumerate((outline[:, half:], outline[:, :half])):
+        on_edge = (vertices[:, :, None] == edge[:, None, :]).any(axis=2)
+        assert (on_edge.sum(axis=1) == vertices.shape[1] // 2).all()
+        expected = np.broadcast_to(viridis(load[flank] / 60.0)[:, None, :], colours.shape)
+        np.testing.assert_array_equal(colours[on_edge], expected[on_edge])
+
+
+def test_triangles_fill_the_teeth_and_face_up() -> None:
+    drawn = shapes(drive(), exaggeration=TRUE)
+    a, b, c = points(drawn["teeth"]).reshape(-1, 3).T
+    areas = 0.5 * ((b - a).conj() * (c - a)).imag
+    assert (areas > 0.0).all()
+    outline = points(drawn["flexspline"])[:-1].reshape(200, -1)
+    whole = 0.5 * (outline.conj() * np.roll(outline, -1, axis=1)).imag.sum(axis=1)
+    np.testing.assert_allclose(areas.reshape(200, -1).sum(axis=1), whole, rtol=0.03)
+
+
+def test_load_of_another_gear_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"load: shape \(2, 200\) is needed, got \(2, 160\)"):
+        drawing(drive(), 0.0, np.zeros((2, 160)))
+
+
+def same(found_markers: list, drawn: dict[str, Shape]) -> None:
+    """Markers, as rosbags or rclpy gives them, hold the shapes."""
+    assert [marker.ns for marker in found_markers] == NAMES == list(drawn)
+    kinds = {"line_strip": 4, "line_list": 5, "text": 9, "triangle_list": 11}  # visualization_msgs/Marker
+    for marker, shape in zip(found_markers, drawn.values(), strict=True):
+        assert marker.type == kinds[shape.kind]
+        assert marker.action == 0
+        assert marker.header.frame_id == "gear"
+        assert (marker.header.stamp.sec, marker.header.stamp.nanosec) == divmod(STAMP, 10**9)
+        assert marker.pose.orientation.w == 1.0
+        assert marker.text == shape.text
+        if shape.kind == "text":
+            assert marker.pose.position.y == shape.points[0, 1]
+            assert marker.scale.z == shape.size
+            continue
+        found = np.array([(p.x, p.y, p.z) for p in marker.points])
+        assert np.isfinite(found).all()
+        np.testing.assert_array_equal(found, shape.points)
+        colours = np.array([(c.r, c.g, c.b, c.a) for c in marker.colors])
+        assert len(colours) == (0 if shape.colours is None else len(found))
+        if shape.colours is not None:
+            np.testing.assert_array_equal(colours.astype(np.float32), shape.colours.astype(np.float32))
+        assert marker.scale.x > 0.0
+
+
+@pytest.mark.parametrize("angle", [0.3, 2.0])
+def test_rosbags_reads_what_was_drawn(angle: float) -> None:
+    drawn = shapes(drive(eccentricity__magnitude=20e-6), angle)
+    data = marker_array(list(drawn.values()), STAMP, "gear")
+    message = jazzy().deserialize_cdr(data, MARKERS)
+    same(message.markers, drawn)
+    assert serialize(message, MARKERS) == data
+
+
+def test_rclpy_reads_what_was_drawn() -> None:
+    serialization = pytest.importorskip("rclpy.serialization")
+    message_type = pytest.importorskip("visualization_msgs.msg").MarkerArray
+    drawn = shapes(drive(eccentricity__magnitude=20e-6))
+    data = marker_array(list(drawn.values()), STAMP, "gear")
+    message = serialization.deserialize_message(data, message_type)
+    same(message.markers, drawn)
+
+
+def test_other_numbers_of_shapes_do_not_disturb_each_other() -> None:
+    drawn = shapes(drive())
+    whole = marker_array(list(drawn.values()), STAMP, "gear")
+    some = jazzy().deserialize_cdr(marker_array([drawn["teeth"], drawn["legend"]], STAMP, "other"), MARKERS)
+    assert [marker.ns for marker in some.markers] == ["teeth", "legend"]
+    assert len(some.markers[0].points) == len(drawn["teeth"].points)
+    assert marker_array(list(drawn.values()), STAMP, "gear") == whole
+
+
+def test_a_drawing_takes_little_of_a_frame() -> None:
+    gear = drive()
+    state = mesh_state(gear, np.array([0.3]), np.array([-40.0]))
+    spent = []
+    for number in range(20):
+        start = time.perf_counter()
+        marker_array(drawing(gear, 0.1 * number, state.load[0]), STAMP, "gear")
+        spent.append(time.perf_counter() - start)
+    assert np.median(spent) < 5e-3

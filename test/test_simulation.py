@@ -1,0 +1,459 @@
+"""The simulated joint: its motion, its noise, the bag written of it, and the command that writes one."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from hypothesis import given
+from hypothesis import strategies as st
+from rosbags.highlevel import AnyReader
+
+from hd_diag import cli_simulate, simulation
+from hd_diag.bag import BagError, BagReader
+from hd_diag.config import dump, resolve
+from hd_diag.drive import Drive, transmission_error
+from hd_diag.model.torsion_map import ARCSEC
+from hd_diag.monitor import Monitor
+from hd_diag.samples import Angles
+from hd_diag.simulation import START, Motion, Noise, Record, SimulatedJoint, parts, simulate, write_bag
+
+TURN = 2.0 * math.pi
+SECOND = 1_000_000_000
+ECCENTRIC = {"joint_1.eccentricity.magnitude": 15e-6, "joint_1.eccentricity.direction": 0.6}
+SHORT = Motion(duration=2.0, sample_rate=500.0, speeds=(TURN, 3.0 * TURN), torques=(-20.0, 40.0))
+
+motions = st.builds(
+    Motion,
+    duration=st.floats(0.5, 100.0),
+    sample_rate=st.floats(10.0, 2000.0),
+    speeds=st.lists(st.floats(0.1, 200.0), min_size=1, max_size=4).map(tuple),
+    torques=st.lists(st.floats(-100.0, 100.0), min_size=1, max_size=4).map(tuple),
+    both_directions=st.booleans(),
+    ramp_share=st.floats(0.01, 0.3),
+    rest_share=st.floats(0.0, 0.2),
+)
+
+
+def drive(**given: object) -> Drive:
+    return resolve(ECCENTRIC | given).joints[0].drive
+
+
+def rng(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+@given(motions)
+def test_the_input_moves_at_the_velocity_it_has(motion: Motion) -> None:
+    time = np.linspace(0.0, motion.duration, 20_001)
+    moments = motion.at(time)
+    middle = motion.at(0.5 * (time[1:] + time[:-1])).input_velocity
+    ends = moments.input_velocity
+    travelled = np.diff(time) * (ends[1:] + 4.0 * middle + ends[:-1]) / 6.0
+    fastest = max(motion.speeds) * motion.duration
+    np.testing.assert_allclose(np.diff(moments.input_angle), travelled, atol=1e-6 * fastest)
+
+
+@given(motions)
+def test_every_run_starts_and_ends_at_rest_and_reaches_its_level(motion: Motion) -> None:
+    length = motion.duration / len(motion.runs)
+    for number, (velocity, torque) in enumerate(motion.runs):
+        borders = motion.at(
+            length * (number + np.array([0.5 * motion.rest_share, 1.0 - 0.5 * motion.rest_share]))
+        )
+        level = motion.at(np.array([length * (number + 0.5)]))
+        np.testing.assert_allclose(borders.input_velocity, 0.0, atol=1e-9 * abs(velocity))
+        np.testing.assert_allclose(borders.torque, 0.0, atol=1e-9 * abs(torque))
+        np.testing.assert_allclose(level.input_velocity, velocity)
+        np.testing.assert_allclose(level.torque, torque)
+
+
+@given(motions)
+def test_velocity_rises_smoothly_within_its_ramp(motion: Motion) -> None:
+    time = np.linspace(0.0, motion.duration, 5001)
+    ramp = motion.ramp_share * motion.duration / len(motion.runs)
+    # Minimum jerk: the greatest slope of a step of 1 over a time of 1 is 15/8.
+    steepest = 15.0 / 8.0 * max(motion.speeds) / ramp
+    change = np.abs(np.diff(motion.at(time).input_velocity)) / np.diff(time)
+    assert change.max() <= steepest * (1.0 + 1e-9) + 1e-9
+
+
+def test_both_directions_return_to_the_start() -> None:
+    ends = SHORT.at(np.array([-1.0, 0.0, SHORT.duration, SHORT.duration + 5.0])).input_angle
+    np.testing.assert_allclose(ends, 0.0, atol=1e-12)
+    one_way = Motion(duration=2.0, speeds=(10.0,), torques=(0.0,), both_directions=False)
+    # Of 2 s, 5 % at rest at either end, and half of each 10 % ramp is lost.
+    assert one_way.at(np.array([2.0])).input_angle[0] == pytest.approx(10.0 * 2.0 * (1.0 - 0.1 - 0.1))
+
+
+def test_stamps_stay_on_the_clock_at_rates_that_no_nanosecond_divides() -> None:
+    motion = Motion(duration=1000.0, sample_rate=300.0)
+    assert motion.samples == 300_000
+    stamps = motion.stamps(START, 0, motion.samples)
+    assert stamps[0] == START
+    assert stamps[-1] == START + round(299_999 * SECOND / 300)
+    assert set(np.diff(stamps)) == {3_333_333, 3_333_334}
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"duration": -1.0}, "duration must be positive and finite, not -1.0 s"),
+        ({"sample_rate": math.nan}, "sample_rate must be positive and finite, not nan Hz"),
+        ({"speeds": ()}, "speeds must be positive"),
+        ({"speeds": (1.0, 0.0)}, "speeds must be positive"),
+        ({"torques": (math.inf,)}, "torques must be finite"),
+        ({"ramp_share": 0.0}, "ramp_share must be positive"),
+        ({"ramp_share": 0.4, "rest_share": 0.2}, "both together at most 0.5"),
+        ({"duration": 1e-3, "sample_rate": 10.0}, "hold no sample"),
+    ],
+)
+def test_motions_that_cannot_be_are_refused(changes: dict[str, object], text: str) -> None:
+    with pytest.raises(ValueError, match=text):
+        Motion(**changes)
+
+
+@pytest.mark.parametrize("changes", [{"white": -1.0}, {"torque": math.nan}, {"drift_correlation": 1.0}])
+def test_noise_that_cannot_be_is_refused(changes: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=f"noise: {next(iter(changes))} must"):
+        Noise(**changes)
+
+
+@pytest.mark.parametrize(
+    "gear",
+    [drive(), drive(**{"joint_1.ratio": -101.0, "joint_1.output": "circular_spline"})],
+    ids=["flexspline", "circular spline"],
+)
+def test_without_noise_the_error_is_the_drives(gear: Drive) -> None:
+    record = simulate(SimulatedJoint(gear, offset=1e-3), SHORT, rng())
+    measured = record.output_angle - record.input_angle / gear.kinematics.ratio
+    expected = transmission_error(gear, record.input_angle, record.torque) + 1e-3
+    np.testing.assert_allclose(measured, expected, rtol=0.0, atol=1e-13)
+    assert np.ptp(measured) > 100.0 * ARCSEC
+    assert record.stamp.size == SHORT.samples == 1000
+
+
+def test_noise_has_the_size_and_the_correlation_asked_for() -> None:
+    noise = Noise(white=2e-5, drift=3e-5, drift_correlation=0.9, torque=0.2)
+    motion = Motion(duration=8.0, sample_rate=1000.0, speeds=(TURN,), torques=(10.0,))
+    quiet = simulate(SimulatedJoint(drive()), motion, rng())
+    noisy = simulate(SimulatedJoint(drive(), noise), motion, rng(3))
+    angle, torque = noisy.output_angle - quiet.output_angle, noisy.torque - quiet.torque
+    np.testing.assert_array_equal(noisy.input_angle, quiet.input_angle)
+    # 8000 samples; the drift's variance has (1 - 0.9^2) / (1 + 0.9^2), i.e. about 840, independent ones: 4 sigma is 20 %.
+    assert angle.var() == pytest.approx(2e-5**2 + 3e-5**2, rel=0.15)
+    assert np.mean(angle[1:] * angle[:-1]) == pytest.approx(0.9 * 3e-5**2, rel=0.2)
+    assert np.mean(angle[10:] * angle[:-10]) == pytest.approx(0.9**10 * 3e-5**2, rel=0.5)
+    assert torque.std() == pytest.approx(0.2, rel=4.0 / math.sqrt(2.0 * 8000.0))
+    assert abs(np.mean(torque[1:] * torque[:-1])) < 4.0 * 0.2**2 / math.sqrt(8000.0)
+    assert abs(np.corrcoef(angle, torque)[0, 1]) < 0.1
+
+
+def test_the_drift_is_as_large_at_the_start_as_later() -> None:
+    noise = Noise(drift=1.0, drift_correlation=0.99)
+    motion = Motion(duration=0.002, sample_rate=1000.0, speeds=(1.0,), torques=(0.0,))
+    first = [
+        simulate(SimulatedJoint(drive(), noise), motion, rng(seed)).output_angle[0] for seed in range(300)
+    ]
+    assert np.std(first) == pytest.approx(1.0, rel=4.0 / math.sqrt(600.0))
+
+
+def test_a_seed_gives_one_record() -> None:
+    joint = SimulatedJoint(drive(), Noise(white=1e-5, drift=1e-5, torque=0.1))
+    first, again, other = (simulate(joint, SHORT, rng(seed)) for seed in (5, 5, 6))
+    for name, column in first._asdict().items():
+        np.testing.assert_array_equal(column, getattr(again, name))
+    assert (first.output_angle != other.output_angle).all()
+    assert (first.torque != other.torque).all()
+
+
+def test_parts_join_without_a_seam(monkeypatch: pytest.MonkeyPatch) -> None:
+    joint = SimulatedJoint(drive(), Noise(white=1e-5, drift=1e-5, torque=0.1))
+    whole = list(parts(joint, SHORT, rng()))
+    monkeypatch.setattr(simulation, "_CHUNK", 7)
+    pieces = list(parts(joint, SHORT, rng()))
+    assert (len(whole), len(pieces)) == (1, 143)
+    for column, name in enumerate(Record._fields):
+        joined = np.concatenate([piece[column] for piece in pieces])
+        np.testing.assert_allclose(joined, whole[0][column], rtol=0.0, atol=1e-13, err_msg=name)
+
+
+def test_an_alteration_sees_the_whole_record_in_order_before_the_noise(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(simulation, "_CHUNK", 300)
+    seen: list[Record] = []
+
+    def runout(record: Record) -> Record:
+        seen.append(record)
+        return record._replace(output_angle=record.output_angle + 1e-4 * np.cos(record.output_angle))
+
+    noise = Noise(white=1e-5, torque=0.1)
+    altered = simulate(SimulatedJoint(drive(), noise, alter=runout), SHORT, rng())
+    plain = simulate(SimulatedJoint(drive(), noise), SHORT, rng())
+    quiet = simulate(SimulatedJoint(drive()), SHORT, rng())
+    assert [record.stamp.size for record in seen] == [300, 300, 300, 100]
+    joined = Record(*(np.concatenate(column) for column in zip(*seen, strict=True)))
+    for name, column in joined._asdict().items():
+        np.testing.assert_array_equal(column, getattr(quiet, name))
+    added = altered.output_angle - plain.output_angle
+    np.testing.assert_allclose(added, 1e-4 * np.cos(quiet.output_angle), atol=1e-15)
+
+
+def test_a_long_motion_by_map_agrees_with_the_exact_solution() -> None:
+    gear = drive()
+    motion = Motion(duration=30.0, sample_rate=1000.0)
+    record = simulate(SimulatedJoint(gear), motion, rng())
+    rows = np.arange(0, motion.samples, 37)
+    measured = (record.output_angle - record.input_angle / 100.0)[rows]
+    exact = transmission_error(gear, record.input_angle[rows], record.torque[rows])
+    difference = np.abs(measured - exact).max()
+    assert 0.0 < difference < 0.05 * ARCSEC
+    assert simulation.table(gear, SHORT) is None
+
+
+def test_temperature_rises_from_the_surroundings_towards_its_end() -> None:
+    found = simulation.temperature(np.array([0.0, 300.0, 1e6]))
+    np.testing.assert_allclose(found, [25.0, 25.0 + 8.0 * (1.0 - math.exp(-1.0)), 33.0])
+
+
+def two_joints() -> dict[str, object]:
+    return {
+        "joints": ["shoulder", "elbow"],
+        "shoulder.eccentricity.magnitude": 10e-6,
+        "elbow.input_joint": "m2",
+        "elbow.ratio": -100.0,
+    }
+
+
+def joint_states(path: Path) -> tuple[list[str], np.ndarray, list[np.ndarray]]:
+    """Names, stamps and (position, velocity, effort) of a bag, as rosbags reads it."""
+    with AnyReader([path]) as reader:
+        found = [
+            reader.deserialize(data, connection.msgtype)
+            for connection, _, data in reader.messages(
+                [c for c in reader.connections if c.topic == "/joint_states"]
+            )
+        ]
+    stamps = np.array([m.header.stamp.sec * SECOND + m.header.stamp.nanosec for m in found])
+    return (
+        found[0].name,
+        stamps,
+        [np.array([getattr(m, k) for m in found]) for k in ("position", "velocity", "effort")],
+    )
+
+
+def test_a_bag_holds_what_was_simulated(tmp_path: Path) -> None:
+    config = resolve(two_joints())
+    noise = Noise(white=1e-5, torque=0.1)
+    truths = {joint.name: SimulatedJoint(joint.drive, noise) for joint in config.joints}
+    assert write_bag(tmp_path / "out", config, SHORT, truths, seed=4, with_temperature=True) == 1000
+    names, stamps, (position, velocity, effort) = joint_states(tmp_path / "out")
+    assert names == ["shoulder_motor", "shoulder", "m2", "elbow"]
+    np.testing.assert_array_equal(stamps, SHORT.stamps(START, 0, 1000))
+    for column, (joint, generator) in enumerate(zip(truths.values(), rng(4).spawn(2), strict=True)):
+        record = simulate(joint, SHORT, generator)
+        np.testing.assert_array_equal(position[:, 2 * column], record.input_angle)
+        np.testing.assert_array_equal(position[:, 2 * column + 1], record.output_angle)
+        np.testing.assert_array_equal(effort[:, 2 * column + 1], record.torque)
+        np.testing.assert_array_equal(velocity[:, 2 * column], record.input_velocity)
+        np.testing.assert_allclose(
+            velocity[:, 2 * column + 1], record.input_velocity / joint.drive.kinematics.ratio
+        )
+    assert (effort[:, ::2] == 0.0).all()
+    assert (effort[:, 1] != effort[:, 3]).all()
+
+
+@pytest.mark.parametrize("rate", [500.0, 0.4])
+def test_temperatures_come_once_a_second(tmp_path: Path, rate: float) -> None:
+    motion = Motion(duration=6.0, sample_rate=rate, speeds=(1.0,), torques=(1.0,))
+    write_bag(tmp_path / "out.mcap", resolve(two_joints()), motion, with_temperature=True, start=START + 250)
+    with BagReader(tmp_path / "out.mcap") as bag:
+        found = {}
+        for batch in bag.batches(["/elbow/temperature", "/shoulder/temperature"], grouped=True):
+            messages, rejected = bag.deserialize(batch)
+            assert not rejected
+            found.setdefault(batch.topic.name, []).extend(message for _, message in messages)
+    seconds = np.arange(6.0 if rate == 500.0 else 0.0 + 3.0 - 2.0)
+    assert set(found) == {"/elbow/temperature", "/shoulder/temperature"}
+    for messages in found.values():
+        stamps = [m.header.stamp.sec * SECOND + m.header.stamp.nanosec for m in messages]
+        assert stamps[: seconds.size] == [START + 250 + int(s) * SECOND for s in seconds]
+        values = [m.temperature for m in messages]
+        assert values == sorted(values)
+
+
+def test_a_monitor_of_the_truth_finds_no_residual(tmp_path: Path) -> None:
+    config = resolve(ECCENTRIC | {"joint_1.ratio": -100.0})
+    write_bag(tmp_path / "out.mcap", config, SHORT)
+    monitor, residuals = Monitor(config), []
+    with BagReader(tmp_path / "out.mcap") as bag:
+        for batch in bag.batches(grouped=True):
+            columns, rejected = bag.joint_states(batch)
+            assert not rejected
+            for states in columns:
+                published = monitor.joint_states(states.stamp, states)
+                residuals += [
+                    p.position for p in published if isinstance(p, Angles) and p.topic == "~/residual"
+                ]
+    residual = np.concatenate(residuals)
+    assert residual.shape == (1000, 1)
+    assert np.abs(residual).max() < 1e-12
+
+
+def test_the_same_seed_writes_the_same_bytes(tmp_path: Path) -> None:
+    config = resolve(ECCENTRIC)
+    truths = {"joint_1": SimulatedJoint(config.joints[0].drive, Noise(white=1e-5))}
+    for name in ("a.mcap", "b.mcap"):
+        write_bag(tmp_path / name, config, SHORT, truths, seed=1, with_temperature=True)
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+
+
+def test_a_bag_that_exists_is_kept(tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    out.write_text("precious")
+    with pytest.raises(BagError, match="exists already"):
+        write_bag(out, resolve({}), SHORT)
+    assert out.read_text() == "precious"
+    write_bag(out, resolve({}), SHORT, overwrite=True)
+    assert joint_states(out)[0] == ["joint_1_motor", "joint_1"]
+
+
+def test_progress_runs_to_its_end(tmp_path: Path) -> None:
+    found: list[float] = []
+    write_bag(
+        tmp_path / "out.mcap", resolve({}), Motion(duration=3.0, sample_rate=1000.0), progress=found.append
+    )
+    assert found == sorted(found)
+    assert len(found) == 4  # the exact solution needs no map, and three parts follow
+    assert found[-1] == 1.0
+
+
+def test_unknown_truths_are_refused(tmp_path: Path) -> None:
+    config = resolve({})
+    with pytest.raises(ValueError, match="no joint 'joint_2' is configured; there are joint_1"):
+        write_bag(tmp_path / "out", config, SHORT, {"joint_2": SimulatedJoint(config.joints[0].drive)})
+    with pytest.raises(ValueError, match="no joint is to be simulated"):
+        write_bag(tmp_path / "out", config, SHORT, {})
+    assert not (tmp_path / "out").exists()
+
+
+def invoke(*arguments: object) -> Result:
+    return CliRunner().invoke(cli_simulate.simulate, [str(argument) for argument in arguments])
+
+
+def test_the_command_writes_the_joint_that_its_options_describe(tmp_path: Path) -> None:
+    out, summary = tmp_path / "out.mcap", tmp_path / "truth.json"
+    result = invoke(
+        *(
+            "--out",
+            out,
+            "--json",
+            summary,
+            "--duration",
+            2,
+            "--rate",
+            250,
+            "--speed",
+            2,
+            "--torque-level",
+            20,
+        ),
+        *("--torque-level", -5, "--eccentricity-um", 12, "--direction-deg", 90, "--runout-um", 3),
+        *("--runout-direction-deg", -45, "--datum-mm", 29.87, "--set", "joint_1.tooth_compliance=11e-7"),
+        *("--set", "joint_1.flexspline_tooth.addendum_center=[0.7626e-3, -0.0548e-3]"),
+        *(
+            "--offset-arcsec",
+            100,
+            "--torque-noise",
+            0.1,
+            "--seed",
+            3,
+            "--start-time",
+            1000.5,
+            "--temperature",
+        ),
+    )
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert "500 samples" in result.stdout
+    truth = json.loads(summary.read_text())
+    assert truth["schema"] == "hd_diag/simulation/1"
+    assert (truth["samples"], truth["start"], truth["seed"]) == (500, 1_000_500_000_000, 3)
+    parameters = truth["joints"]["joint_1"]["parameters"]
+    expected = {
+        "eccentricity.magnitude": 12e-6,
+        "eccentricity.direction": math.pi / 2.0,
+        "runout.magnitude": 3e-6,
+        "runout.direction": -math.pi / 4.0,
+        "circular_spline_datum": 29.87e-3,
+        "tooth_compliance": 1.1e-6,
+        "flexspline_tooth.addendum_center": [0.7626e-3, -0.0548e-3],
+    }
+    assert {name: parameters[name] for name in expected} == {
+        name: pytest.approx(v) for name, v in expected.items()
+    }
+    told = resolve({f"joint_1.{name}": value for name, value in parameters.items()}).joints[0].drive
+    motion = Motion(2.0, 250.0, (2.0 * TURN,), (20.0, -5.0))
+    joint = SimulatedJoint(told, Noise(torque=0.1), 100.0 * ARCSEC)
+    record = simulate(joint, motion, rng(3).spawn(1)[0], 1_000_500_000_000)
+    names, stamps, (position, _, effort) = joint_states(out)
+    assert names == ["joint_1_motor", "joint_1"]
+    np.testing.assert_array_equal(stamps, record.stamp)
+    np.testing.assert_array_equal(position, np.stack((record.input_angle, record.output_angle), axis=1))
+    np.testing.assert_array_equal(effort[:, 1], record.torque)
+
+
+def test_the_command_takes_a_configuration_and_some_of_its_joints(tmp_path: Path) -> None:
+    file = tmp_path / "drive.yaml"
+    file.write_text(dump(resolve(two_joints())))
+    result = invoke(
+        "--out", tmp_path / "out", "--config", file, "--joint", "elbow", "--duration", 0.5, "--one-way"
+    )
+    assert result.exit_code == 0, result.stderr
+    names, _, (position, _, _) = joint_states(tmp_path / "out")
+    assert names == ["m2", "elbow"]
+    assert (np.diff(position[:, 0]) >= 0.0).all()
+    assert position[-1, 0] == pytest.approx(-100.0 * position[-1, 1], abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["--set", "joint_1.tooth_complianc=1e-6"], "nearest known is 'joint_1.tooth_compliance'"),
+        (["--set", "joint_1.tooth_compliance=soft"], "expected a number [m/N], not 'soft'"),
+        (["--set", "joint_1.ratio"], "expected PARAMETER=VALUE"),
+        (["--set", "joint_1.ratio=[1"], "--set joint_1.ratio: not a value"),
+        (["--set", "joint_1.ratio=99"], "its magnitude must be 100"),
+        (
+            ["--joint", "joint_9", "--config", "CONFIG"],
+            "--joint joint_9: not configured; there are shoulder, elbow",
+        ),
+        (["--config", "missing.yaml"], "missing.yaml: cannot be read"),
+        (["--duration", "0"], "duration must be positive"),
+        (["--rate", "nan"], "sample_rate must be positive"),
+        (["--speed", "-1"], "speeds must be positive"),
+        (["--torque-level", "inf"], "torques must be finite"),
+        (["--eccentricity-um", "-1"], "joint_1.eccentricity.magnitude: -1e-06 [m] is outside"),
+        (["--angle-noise-arcsec", "-1"], "noise: white must not be negative"),
+        (["--start-time", "1e12"], "--start-time must be a Unix time within 32 bits"),
+        (["--out", "CONFIG"], "exists already"),
+        (["--json", "missing/truth.json"], "missing/truth.json: No such file or directory"),
+    ],
+)
+def test_bad_input_is_one_line_and_code_2(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], text: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("CONFIG").write_text(dump(resolve(two_joints())))
+    result = invoke("--out", "out.mcap", "--duration", 0.1, *arguments)
+    assert result.exit_code == 2
+    assert result.stderr.count("\n") == 1
+    assert result.stderr.startswith("Error: ")
+    assert text in result.stderr
+
+
+def test_the_command_replaces_a_bag_only_when_told(tmp_path: Path) -> None:
+    short = ("--out", tmp_path / "out", "--duration", 0.1)
+    assert [invoke(*short, *more).exit_code for more in ((), (), ("--overwrite",))] == [0, 2, 0]

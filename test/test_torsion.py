@@ -1,0 +1,191 @@
+"""Torsion of a mesh over angle and torque, and what a mesh refuses."""
+
+import math
+
+import drives
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from reference import polyline, published
+
+from hd_diag.model.torsion import Mesh, limited_curves, torsion, torsion_table
+from hd_diag.model.torsion_map import ARCSEC
+
+Array = polyline.Array
+ASTRAY = drives.mesh(eccentricity=(5e-6, -16e-6), runout=(3e-6, 2e-6), arc_offset=4e-6)
+
+angles = st.floats(-20, 20)
+torques = st.floats(-120, 120)
+
+
+def at(mesh: Mesh, angle: float, torque: float) -> float:
+    return float(torsion(mesh, np.array([angle]), np.array([torque]))[0])
+
+
+# What a mesh refuses ---
+
+LIMITS = {  # what strikes first, and the clearance that it has
+    "root at the long axis": (drives.PAPER, 117.1e-6),
+    "tip at the long axis": (
+        polyline.Drive(circular_spline_datum=29.76e-3, tooth_root=0.35e-3),
+        29.76e-3 + 1.2201e-3 + math.sqrt(0.2313**2 - 0.0782**2) * 1e-3 - 31.1103e-3,
+    ),
+    "tip at the short axis": (polyline.Drive(semi_minor=29.85e-3, semi_major=30.2e-3), 73.6e-6),
+}
+
+
+@pytest.mark.parametrize("place", LIMITS)
+def test_refuses_a_displacement_at_which_teeth_strike(place: str) -> None:
+    drive, largest = LIMITS[place]
+    drives.mesh(drive, (0.6 * largest, 0.0), (0.0, 0.399 * largest))
+    for eccentricity, runout in ((1.001, 0.0), (0.0, 1.001), (0.5, 0.501)):
+        with pytest.raises(ValueError, match=rf"eccentricity .* and runout .* {largest * 1e6:.6g} um.*{place}"):
+            drives.mesh(drive, (0.0, -eccentricity * largest), (runout * largest, 0.0))
+
+
+@pytest.mark.parametrize("name", ["eccentricity", "runout"])
+@pytest.mark.parametrize("value", [complex(math.nan, 0), complex(0, math.inf)])
+def test_refuses_a_displacement_that_is_no_number(name: str, value: complex) -> None:
+    with pytest.raises(ValueError, match=r"eccentricity .* and runout .* must add up to less than 117\.1 um"):
+        Mesh(drives.geometry(), **{name: value})
+
+
+@pytest.mark.parametrize("value", [0.0, -1e-6, math.nan, math.inf])
+def test_refuses_a_compliance_that_is_not_positive(value: float) -> None:
+    with pytest.raises(ValueError, match=rf"tooth_compliance must be positive and finite, not {value:g} m/N"):
+        Mesh(drives.geometry(), value)
+
+
+@pytest.mark.parametrize("value", [math.nan, -math.inf])
+def test_refuses_an_arc_offset_that_is_not_finite(value: float) -> None:
+    with pytest.raises(ValueError, match=rf"arc_offset must be finite, not {value:g} m"):
+        Mesh(drives.geometry(), arc_offset=value)
+
+
+def test_displacement_is_what_stands_and_what_turns() -> None:
+    angle = np.array([0.0, np.pi / 2, np.pi])
+    found = ASTRAY.displacement(angle)
+    assert_allclose(found, [8e-6 - 14e-6j, 3e-6 - 13e-6j, 2e-6 - 18e-6j], rtol=1e-12)
+
+
+# Laws ---
+
+
+@pytest.mark.parametrize("drive", drives.DRIVES.values(), ids=drives.DRIVES)
+@given(angle=angles, torque=torques)
+@settings(max_examples=6)
+def test_reference(drive: polyline.Drive, angle: float, torque: float) -> None:
+    moment = {"eccentricity": (-9e-6, 4e-6), "runout": (1e-6, 6e-6), "arc_offset": -7e-6}
+    expected = polyline.torsion(polyline.mesh(angle, **moment, drive=drive), torque, drive)
+    assert_allclose(at(drives.mesh(drive, **moment), angle, torque), expected, rtol=1e-4, atol=1e-8)
+
+
+@given(angles, torques)
+@settings(max_examples=30)
+def test_mirror_turns_the_torsion_round(angle: float, torque: float) -> None:
+    mirror = drives.mesh(eccentricity=(5e-6, 16e-6), runout=(3e-6, -2e-6), arc_offset=-4e-6)
+    assert_allclose(at(mirror, -angle, -torque), -at(ASTRAY, angle, torque), rtol=1e-9, atol=1e-13)
+
+
+@given(angles, torques)
+@settings(max_examples=30)
+def test_repeats_with_every_turn(angle: float, torque: float) -> None:
+    assert_allclose(at(ASTRAY, angle + 2 * np.pi, torque), at(ASTRAY, angle, torque), rtol=1e-9, atol=1e-13)
+
+
+@given(angles, torques)
+@settings(max_examples=30)
+def test_opposite_displacement_gives_the_same(angle: float, torque: float) -> None:
+    opposite = drives.mesh(eccentricity=(-5e-6, 16e-6), runout=(-3e-6, -2e-6), arc_offset=4e-6)
+    assert_allclose(at(opposite, angle, torque), at(ASTRAY, angle, torque), rtol=1e-9, atol=1e-13)
+
+
+@given(angles, torques)
+@settings(max_examples=30)
+def test_static_eccentricity_repeats_every_half_turn(angle: float, torque: float) -> None:
+    static = drives.mesh(eccentricity=(5e-6, -16e-6))
+    assert_allclose(at(static, angle + np.pi, torque), at(static, angle, torque), rtol=1e-9, atol=1e-13)
+
+
+@given(angles, torques)
+@settings(max_examples=30)
+def test_runout_alone_repeats_with_every_tooth(angle: float, torque: float) -> None:
+    """It meets every slot alike: what is seen in the housing must come of what stands in the housing."""
+    runout = drives.mesh(runout=(12e-6, 9e-6))
+    later = angle + 7 * 2 * np.pi / 202
+    assert_allclose(at(runout, later, torque), at(runout, angle, torque), rtol=1e-9, atol=1e-13)
+
+
+@given(angles)
+@settings(max_examples=10)
+def test_rises_with_torque(angle: float) -> None:
+    torque = np.linspace(-100, 100, 401)
+    assert np.all(np.diff(torsion_table(ASTRAY, np.array([angle]), torque)[0]) > 0)
+
+
+# Over a turn ---
+
+
+def orders(mesh: Mesh, torque: float) -> tuple[Array, float]:
+    """Amplitude of every order of the wave generator's turn and peak to peak [arcsec]."""
+    angle = np.arange(8 * 202) * 2 * np.pi / (8 * 202)
+    beta = torsion(mesh, angle, np.full(angle.size, torque)) / ARCSEC
+    return np.abs(np.fft.rfft(beta)) * 2 / angle.size, float(np.ptp(beta))
+
+
+@pytest.mark.parametrize("torque", published.ORDER_2_ARCSEC)
+def test_static_eccentricity_shows_at_even_orders(torque: float) -> None:
+    amplitude, peak_to_peak = orders(drives.mesh(eccentricity=(0.0, published.ECCENTRICITY)), torque)
+    assert_allclose(amplitude[2], published.ORDER_2_ARCSEC[torque], atol=0.01)
+    assert_allclose(peak_to_peak, published.PEAK_TO_PEAK_ARCSEC[torque], atol=0.05)
+    assert np.argmax(amplitude[1:]) + 1 == 2
+    assert np.max(amplitude[1:200:2]) < 1e-6
+
+
+@pytest.mark.parametrize("torque", published.RIPPLE_ARCSEC)
+def test_only_tooth_passing_without_eccentricity(paper_mesh: Mesh, torque: float) -> None:
+    amplitude, peak_to_peak = orders(paper_mesh, torque)
+    assert 0 < peak_to_peak < published.RIPPLE_ARCSEC[torque]
+    others = np.delete(amplitude, np.arange(0, amplitude.size, 202))
+    assert np.max(others) < 1e-6 * amplitude[202]
+
+
+# Tables ---
+
+
+def test_one_moment_equals_many_to_the_last_bit() -> None:
+    angle = np.linspace(-9, 40, 300)
+    torque = np.linspace(-70, 80, 300)
+    many = torsion(ASTRAY, angle, torque)
+    one = [at(ASTRAY, *pair) for pair in zip(angle, torque, strict=True)]
+    assert_array_equal(one, many)
+
+
+def test_table_holds_every_pair() -> None:
+    angle, torque = np.array([0.2, 1.9, 5.0]), np.array([-30.0, 0.0, 1.0, 56.0])
+    table = torsion_table(ASTRAY, angle, torque)
+    for row, turned in enumerate(angle):
+        assert_allclose(table[row], [at(ASTRAY, turned, m) for m in torque], rtol=1e-14)
+
+
+@pytest.mark.parametrize("mesh", [drives.mesh(), ASTRAY], ids=["gap", "preload"])
+def test_limited_curves_interpolate_to_the_exact_torsion(mesh: Mesh) -> None:
+    angle = np.array([0.3, 2.2])
+    torque, beta = limited_curves(mesh, angle, 40.0)
+    assert np.all(np.diff(torque, axis=1) >= 0)
+    assert np.all(np.diff(beta, axis=1) >= 0)
+    assert np.all(torque[:, 0] == -40)
+    assert np.all(torque[:, -1] == 40)
+    wanted = np.array([-40.0, -39.0, -3.3, -1e-3, 1e-3, 0.2, 17.0, 40.0])
+    exact = torsion_table(mesh, angle, wanted)
+    for row in range(angle.size):
+        assert_allclose(np.interp(wanted, torque[row], beta[row]), exact[row], rtol=1e-11)
+
+
+def test_a_true_gap_has_two_breakpoints_at_zero_torque(paper_mesh: Mesh) -> None:
+    torque, beta = limited_curves(paper_mesh, np.array([0.3]), 40.0)
+    idle = beta[torque == 0]
+    shared = paper_mesh.share_load(paper_mesh.contacts(np.array([0.3])), np.zeros(1))
+    assert_allclose(np.ptp(idle), shared.lost_motion[0], rtol=1e-12)

@@ -1,0 +1,153 @@
+"""Tabulated torsion against the exact solution."""
+
+import drives
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from reference import polyline
+
+from hd_diag.model.torsion import Mesh, torsion, torsion_table
+from hd_diag.model.torsion_map import TOLERANCE, BuildCancelled, TorsionMap, build
+
+SMALL = drives.resized(60, 43.5e-6)  # as coarse as teeth can be: built in a fifth of a second
+Array = polyline.Array
+
+
+@pytest.fixture(scope="module")
+def astray() -> TorsionMap:
+    """The paper's drive with every displacement, in preload over part of the turn."""
+    return build(drives.mesh(eccentricity=(4e-6, -13e-6), runout=(2e-6, 1e-6), arc_offset=3e-6), 112.0)
+
+
+@pytest.fixture(scope="module")
+def gap(paper_mesh: Mesh) -> TorsionMap:
+    """The paper's drive without errors: a true gap everywhere."""
+    return build(paper_mesh, 60.0)
+
+
+@pytest.fixture(params=["astray", "gap"])
+def table(request: pytest.FixtureRequest) -> TorsionMap:
+    found: TorsionMap = request.getfixturevalue(request.param)
+    return found
+
+
+def points(table: TorsionMap, count: int, seed: int) -> tuple[Array, Array]:
+    generator = np.random.default_rng(seed)
+    angle = generator.uniform(-30, 30, count)
+    return angle, generator.uniform(-1, 1, count) ** 3 * table.torque_limit
+
+
+def test_error_is_bounded(table: TorsionMap) -> None:
+    angle, _ = points(table, 2000, 1)
+    torque = np.append(np.sort(points(table, 24, 2)[1]), 0.0)
+    found = table(np.repeat(angle, torque.size), np.tile(torque, angle.size))
+    error = np.abs(found - torsion_table(table.mesh, angle, torque).reshape(-1))
+    assert error.max() <= table.error_bound
+    assert error.max() > 0.2 * table.error_bound  # a bound that says something
+    assert table.error_bound <= 4 * TOLERANCE
+
+
+def test_bound_holds_at_zero_torque_where_nothing_else_is_answered() -> None:
+    """So few teeth pass in such coarse steps that no torque is met to the tolerance."""
+    coarse = build(drives.mesh(SMALL), 6.0)
+    angle = np.linspace(0, 7, 500)
+    error = np.abs(coarse(angle, np.zeros(500)) - torsion(coarse.mesh, angle, np.zeros(500)))
+    assert error.max() <= coarse.error_bound
+
+
+def test_ends_below_the_torque_at_which_torsion_jumps(astray: TorsionMap, gap: TorsionMap) -> None:
+    """From some 75 N m on pairs enter by their tip corners: the torsion is not continuous in the angle."""
+    assert gap.torque_limit == gap.requested_limit == 60
+    assert astray.requested_limit == 112
+    assert 60 < astray.torque_limit < 90
+    angle = np.linspace(0, 2 * np.pi / 202, 20_001)  # a fifth of an arcsecond of the output per step
+    for torque, jumps in ((0.9 * astray.torque_limit, False), (112.0, True)):
+        step = np.abs(np.diff(torsion(astray.mesh, angle, np.full(angle.size, torque))))
+        assert (step.max() > 20 * np.median(step)) == jumps
+
+
+def test_exact_at_its_own_angles(table: TorsionMap) -> None:
+    steps = table.torque.shape[0] - 1
+    row = np.arange(0, steps, 97)
+    angle = 2 * np.pi / steps * row
+    for torque in (-0.9 * table.torque_limit, -0.01, 0.3, table.torque_limit):
+        load = np.full(angle.size, torque)
+        assert_allclose(table(angle, load), torsion(table.mesh, angle, load), rtol=1e-9, atol=1e-15)
+
+
+@given(st.floats(-50, 50), st.floats(-1, 1), st.integers(-4, 4))
+@settings(max_examples=50)
+def test_repeats_with_every_turn(astray: TorsionMap, angle: float, share: float, turns: int) -> None:
+    torque = np.full(2, share * astray.torque_limit)
+    both = astray(np.array([angle, angle + 2 * np.pi * turns]), torque)
+    assert_allclose(both[0], both[1], rtol=1e-9, atol=1e-13)
+
+
+def test_joins_where_the_turn_closes(table: TorsionMap) -> None:
+    torque = np.full(3, 0.4 * table.torque_limit)
+    before, at, after = table(np.array([-1e-9, 0.0, 1e-9]), torque)
+    assert_allclose([before, after], at, rtol=1e-7)
+
+
+@given(st.floats(-50, 50))
+@settings(max_examples=30)
+def test_rises_with_torque(astray: TorsionMap, angle: float) -> None:
+    torque = np.linspace(-astray.torque_limit, astray.torque_limit, 301)
+    assert np.all(np.diff(astray(np.full(301, angle), torque)) > 0)
+
+
+def test_one_at_a_time_equals_a_thousand_to_the_last_bit(table: TorsionMap) -> None:
+    angle, torque = points(table, 1000, 2)
+    torque[::10] = 0.0
+    torque[5::50] = 2 * table.torque_limit
+    together = table(angle, torque)
+    alone = [table(angle[k : k + 1], torque[k : k + 1])[0] for k in range(angle.size)]
+    assert_array_equal(alone, together)
+    assert_array_equal(table(angle[::-1], torque[::-1])[::-1], together)
+
+
+def test_the_middle_of_the_gap_at_zero_torque(table: TorsionMap) -> None:
+    angle, _ = points(table, 500, 3)
+    idle = np.zeros(angle.size)
+    exact = torsion(table.mesh, angle, idle)
+    assert np.abs(table(angle, idle) - exact).max() <= table.error_bound
+    assert_array_equal(table(angle, -idle), table(angle, idle))
+
+
+def test_jumps_over_the_gap(gap: TorsionMap) -> None:
+    angle, _ = points(gap, 50, 4)
+    tiny = np.full(angle.size, 1e-12)
+    lost = gap.mesh.share_load(gap.mesh.contacts(angle), np.zeros(angle.size)).lost_motion
+    assert np.all(lost > 50e-6)
+    assert_allclose(gap(angle, tiny) - gap(angle, -tiny), lost, atol=2 * gap.error_bound)
+
+
+@pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
+def test_nan_beyond_the_limit(table: TorsionMap) -> None:
+    limit = table.torque_limit
+    torque = np.array([limit, -limit, np.nextafter(limit, 999), -np.nextafter(limit, 999), np.nan, np.inf])
+    assert_array_equal(np.isnan(table(np.zeros(6), torque)), [False, False, True, True, True, True])
+
+
+def test_can_be_given_up() -> None:
+    asked: list[float] = []
+
+    def wanted(fraction: float) -> bool:
+        asked.append(fraction)
+        return len(asked) < 4
+
+    with pytest.raises(BuildCancelled):
+        build(drives.mesh(SMALL), 6.0, wanted)
+    assert len(asked) == 4
+    assert asked[0] == 0
+    assert np.all(np.diff(asked) > 0)
+    assert asked[-1] < 1
+
+
+def test_refuses_what_the_teeth_cannot_bear() -> None:
+    """Between two teeth passing, none reaches the slots."""
+    shallow = drives.geometry(circular_spline_datum=30.202e-3, circular_spline_tip_radius=31.110e-3)
+    with pytest.raises(ValueError, match=r"the teeth cannot bear 1 N m at every wave generator angle"):
+        build(Mesh(shallow), 1.0)

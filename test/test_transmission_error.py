@@ -1,0 +1,93 @@
+"""Signs and frames between what the robot reports and the mesh."""
+
+import math
+
+import drives
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from hd_diag.model.torsion import torsion
+from hd_diag.model.transmission_error import Kinematics, Output
+
+GEOMETRY = drives.geometry()
+ANGLES = np.linspace(-12.0, 9.0, 40)
+FLEXSPLINE = [(100.0, "flexspline"), (-100.0, "flexspline")]
+CIRCULAR_SPLINE = [(101.0, "circular_spline"), (-101.0, "circular_spline")]
+
+
+@pytest.mark.parametrize(("ratio", "output"), FLEXSPLINE + CIRCULAR_SPLINE)
+def test_ratios_that_the_teeth_give(ratio: float, output: Output) -> None:
+    Kinematics(ratio, output).check(GEOMETRY)
+    Kinematics(ratio * (1 + 1e-10), output, phase=-3.0).check(GEOMETRY)
+
+
+REFUSED = [
+    (Kinematics(101.0), "ratio 101 does not fit 200 and 202 teeth with the output at the flexspline: .* be 100"),
+    (Kinematics(100.0, "circular_spline"), "output at the circular spline: its magnitude must be 101"),
+    (Kinematics(100.001), "ratio 100.001 does not fit"),
+    (Kinematics(0.0), "ratio 0 does not fit"),
+    (Kinematics(math.nan), "ratio nan does not fit"),
+    (Kinematics(math.inf), "ratio inf does not fit"),
+    (Kinematics(100.0, "cup"), "output must be 'flexspline' or 'circular_spline', not 'cup'"),  # type: ignore[arg-type]
+    (Kinematics(100.0, phase=math.nan), "wave_generator_phase must be finite, not nan rad"),
+]
+
+
+@pytest.mark.parametrize(("kinematics", "message"), REFUSED)
+def test_refuses_with_the_reason(kinematics: Kinematics, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        kinematics.check(GEOMETRY)
+
+
+@pytest.mark.parametrize("ratio", [100.0, -100.0])
+def test_flexspline_turns_by_the_ratio(ratio: float) -> None:
+    """Rolling in the fixed circular spline, it turns by -theta_W (Z_G - Z_R) / Z_R."""
+    turned = Kinematics(ratio).wave_generator_angle(GEOMETRY, ANGLES)
+    flexspline = -turned * 2 / 200
+    # The output is reported as it turns; a negative ratio says that the input is reported backwards.
+    assert_allclose(flexspline, ANGLES / ratio, rtol=1e-14)
+
+
+@pytest.mark.parametrize("ratio", [101.0, -101.0])
+def test_circular_spline_turns_by_the_ratio(ratio: float) -> None:
+    """It follows the wave generator; the wave generator seen from it turns by the difference."""
+    output = ANGLES / ratio
+    absolute = ANGLES * np.sign(ratio)
+    turned = Kinematics(ratio, "circular_spline").wave_generator_angle(GEOMETRY, ANGLES)
+    assert_allclose(turned, absolute - output, rtol=1e-13)
+    assert_allclose(turned * 2 / 200, output, rtol=1e-13)
+
+
+@pytest.mark.parametrize(("ratio", "output"), FLEXSPLINE + CIRCULAR_SPLINE)
+def test_phase_is_the_long_axis_at_input_zero(ratio: float, output: Output) -> None:
+    found = Kinematics(ratio, output, phase=0.7).wave_generator_angle(GEOMETRY, ANGLES)
+    assert_allclose(found - Kinematics(ratio, output).wave_generator_angle(GEOMETRY, ANGLES), 0.7, atol=1e-14)
+
+
+@pytest.mark.parametrize(("ratio", "output"), FLEXSPLINE + CIRCULAR_SPLINE)
+@pytest.mark.parametrize("torque", [-20.0, 3.0, 56.0])
+def test_the_output_lags_when_it_drives(ratio: float, output: Output, torque: float) -> None:
+    kinematics = Kinematics(ratio, output)
+    angle = kinematics.wave_generator_angle(GEOMETRY, ANGLES)
+    load = np.full(angle.size, torque)
+    beta = torsion(drives.mesh(), angle, kinematics.cup_torque(load))
+    error = kinematics.transmission_error(beta, load, 1e-6)
+    assert np.all(error * torque < 0)
+    assert_allclose(error, kinematics.transmission_error(beta, load, 0.0) - 1e-6 * torque, rtol=1e-12)
+
+
+def test_error_at_the_flexspline_is_the_cup_s_rotation() -> None:
+    kinematics, torque = Kinematics(100.0), np.full(40, 12.0)
+    mesh = drives.mesh(eccentricity=(4e-6, 15e-6))
+    assert_array_equal(kinematics.cup_torque(torque), -torque)
+    beta = torsion(mesh, -ANGLES, -torque)
+    assert_allclose(kinematics.transmission_error(beta, torque, 2e-6), beta - 2e-6 * 12, rtol=1e-14)
+
+
+def test_error_at_the_circular_spline_is_the_cup_s_rotation_backwards() -> None:
+    kinematics, torque = Kinematics(101.0, "circular_spline"), np.full(40, 12.0)
+    mesh = drives.mesh(eccentricity=(4e-6, 15e-6))
+    assert_array_equal(kinematics.cup_torque(torque), torque)
+    beta = torsion(mesh, ANGLES * 200 / 202, torque)
+    assert_allclose(kinematics.transmission_error(beta, torque, 2e-6), -beta - 2e-6 * 12, rtol=1e-14)
