@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -91,8 +92,8 @@ def simulate(
         config = truth(file, names, options)
         motion = _motion(options)
         joints = _joints(config, names, options)
-        console = Console(stderr=True)
-        with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        console = Console(stderr=True, quiet=not sys.stderr.isatty())
+        with Progress(console=console, transient=True) as bar:
             task = bar.add_task(f"simulate {out.name}", total=1.0)
             samples = simulation.write_bag(
                 out,

@@ -62,7 +62,7 @@ def report(joint: JointMonitor, now: int, facts: Mapping[str, str], foreign: int
     code, level, message = max(faults, key=lambda fault: (fault[1], -FAULT_CODES.index(fault[0])))
     values = {
         "fault_code": code,
-        "fault_codes": " ".join(fault[0] for fault in faults[:-1]) or "OK",
+        "fault_codes": " ".join(dict.fromkeys(fault[0] for fault in faults[:-1])) or "OK",
         **_configuration_values(joint),
         **_mesh_values(state, turn),
         "residual_rms_arcsec": _number(residual / ARCSEC),
@@ -200,7 +200,7 @@ def _rate(window: Window) -> float:
 
 
 def _missed(window: Window) -> int:
-    """Samples that the stamps' regular steps say were lost on the way; jitter adds and takes away, a loss only adds."""
+    """Samples that the stamps' steps say were lost on the way; jitter adds and takes away, a loss only adds."""
     if window.accepted < 8:
         return 0
     steps = np.diff(np.concatenate(window.stamps)).astype(np.float64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -31,16 +32,17 @@ class Samples(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """Transmission error: stamp [ns], input angle [rad], torque [N m], predicted, measured [rad], each (n,).
+    """Transmission error: stamp [ns], input angle [rad], torque [N m], predicted [rad], each (n,).
 
-    `paired` where the output angle arrived apart from the input, which had its prediction at its own stamp.
+    Where an output angle is reported, also the measured error and its residual to the predicted [rad]. `paired` where the output angle arrived apart from the input, which had its prediction at its own stamp.
     """
 
     stamp: Times
     input_angle: Floats
     torque: Floats
     predicted: Floats
-    measured: Floats | None
+    measured: Floats | None = None
+    residual: Floats | None = None
     paired: bool = False
 
 
@@ -108,16 +110,12 @@ class JointMonitor:
     def is_clean(self, rows: Samples) -> bool:
         """Whether several rows hold nothing that must be looked at one by one."""
         stamp = rows.stamp
-        if rows.input_angle is None or rows.output_angle is None:
-            return stamp.size == 1
         return bool(
-            stamp[0] > max(self._input_stamp, self._output_stamp)
-            and (np.diff(stamp) > 0).all()
-            and np.isfinite(rows.input_angle).all()
-            and np.isfinite(rows.output_angle).all()
-            and rows.torque is not None
-            and np.isfinite(rows.torque).all()
+            rows.input_angle is not None
             and not self._pending
+            and stamp[0] > max(self._input_stamp, self._output_stamp)
+            and (np.diff(stamp) > 0).all()
+            and all(np.isfinite(values).all() for values in rows[1:] if values is not None)
         )
 
     def accept(self, received: int, rows: Samples) -> list[Prediction]:
@@ -140,30 +138,31 @@ class JointMonitor:
             if checked is None:
                 return []
             rows = checked
-        self.last_received = received
         both = rows.input_angle is not None and rows.output_angle is not None
         found: list[Prediction] = []
         if rows.input_angle is not None:
+            self.last_received = received
             torque = self._hold(rows)
             found.append(self._predict(rows.stamp, rows.input_angle, torque, rows.output_angle))
             self._note_inputs(rows)
         elif rows.torque is not None:
             self._torque = float(rows.torque[-1])
         if rows.output_angle is not None and not both:
-            self._output_stamp = int(rows.stamp[0])
-            self._pending.append((self._output_stamp, float(rows.output_angle[0]), self._current_torque()))
+            self._output_stamp = rows.stamp.item()
+            self.unpaired += len(self._pending) == _REMEMBERED
+            self._pending.append((self._output_stamp, rows.output_angle.item(), self._current_torque()))
         return found + self._pair()
 
     def _check(self, rows: Samples) -> Samples | None:
         """A single row less what cannot be used; None if nothing is left. Counts what it refuses."""
-        stamp = int(rows.stamp[0])
+        stamp = rows.stamp.item()
         if stamp < max(self._input_stamp, self._output_stamp) - CLOCK_JUMP:
             self.clock_jumps += 1
             self._restart()
         angle, output, torque = rows.input_angle, rows.output_angle, rows.torque
         if angle is not None:
-            if not np.isfinite(angle[0]):
-                self.reject(f"input angle of {self.config.input_joint} is {angle[0]}")
+            if not math.isfinite(angle.item()):
+                self.reject(f"input angle of {self.config.input_joint} is {angle.item()}")
                 return None
             if stamp <= self._input_stamp:
                 self.reject(_stamp_reason(self.config.input_joint, stamp, self._input_stamp))
@@ -171,15 +170,15 @@ class JointMonitor:
         elif output is not None and stamp <= self._output_stamp:
             self.reject(_stamp_reason(self.config.output_joint, stamp, self._output_stamp))
             return None
-        if torque is not None and not np.isfinite(torque[0]):
+        if torque is not None and not math.isfinite(torque.item()):
             # Broadcasters fill efforts that a robot does not measure with nan: then none is reported at all.
-            if np.isinf(torque[0]) or self._torque is not None:
-                self.reject(f"effort of {self.config.output_joint} is {torque[0]}")
+            if math.isinf(torque.item()) or self._torque is not None:
+                self.reject(f"effort of {self.config.output_joint} is {torque.item()}")
                 return None
             torque = None
-        if output is not None and not np.isfinite(output[0]):
-            if np.isinf(output[0]) or self._output_seen:
-                self.reject(f"output angle of {self.config.output_joint} is {output[0]}")
+        if output is not None and not math.isfinite(output.item()):
+            if math.isinf(output.item()) or self._output_seen:
+                self.reject(f"output angle of {self.config.output_joint} is {output.item()}")
                 return None
             output = None
         if angle is None and output is None and torque is None:
@@ -215,10 +214,15 @@ class JointMonitor:
         predicted = transmission_error(self.config.drive, angle, torque, self.table)
         self.last = float(angle[-1]), float(torque[-1])
         if output is None:
-            return Prediction(stamp, angle, torque, predicted, None)
-        measured = output - angle / self.config.drive.kinematics.ratio
-        self.window.residuals.append(measured - predicted)
-        return Prediction(stamp, angle, torque, predicted, measured)
+            return Prediction(stamp, angle, torque, predicted)
+        return self._compared(Prediction(stamp, angle, torque, predicted), output)
+
+    def _compared(self, prediction: Prediction, output: Floats, paired: bool = False) -> Prediction:
+        """The prediction with what the output angle says of it."""
+        measured = output - prediction.input_angle / self.config.drive.kinematics.ratio
+        residual = measured - prediction.predicted
+        self.window.residuals.append(residual)
+        return Prediction(*prediction[:4], measured, residual, paired)
 
     def _pair(self) -> list[Prediction]:
         """Compare waiting output angles with the input angle interpolated to their stamps."""
@@ -230,12 +234,10 @@ class JointMonitor:
             if angle is None:
                 self.unpaired += 1
                 continue
-            angles = np.array([angle])
-            load = np.array([torque])
+            angles, load = np.array([angle]), np.array([torque])
             predicted = transmission_error(self.config.drive, angles, load, self.table)
-            measured = np.array([output]) - angles / self.config.drive.kinematics.ratio
-            self.window.residuals.append(measured - predicted)
-            found.append(Prediction(np.array([stamp]), angles, load, predicted, measured, paired=True))
+            prediction = Prediction(np.array([stamp]), angles, load, predicted)
+            found.append(self._compared(prediction, np.array([output]), paired=True))
         return found
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-import numpy.typing as npt
+from collections.abc import Callable
 
 from hd_diag.bag import BagError, BagWriter, Qos
 from hd_diag.config import LogConfig
@@ -36,59 +35,61 @@ class Journal:
 
     def write(self, topic: str, type_name: str, data: bytes, time: int, qos: Qos | None = None) -> None:
         """Write one message, received or caused at a time [ns]."""
-        if self._writer is None:
-            return
-        try:
-            self._writer.write(topic, type_name, data, time, qos=qos)
-        except (BagError, ValueError) as error:
-            self._fail(error)
-
-    def write_rows(self, topic: str, type_name: str, rows: npt.NDArray[np.uint8], times: npt.NDArray[np.int64]) -> None:
-        """Write messages of constant size, shape (n, size), caused at times [ns] (n,)."""
-        if self._writer is None:
-            return
-        try:
-            self._writer.write_many(topic, type_name, rows, times)
-        except (BagError, ValueError) as error:
-            self._fail(error)
+        writer = self._writer
+        if writer is not None:
+            self._attempt(lambda: writer.write(topic, type_name, data, time, qos=qos))
 
     def flush_if_due(self) -> None:
         """Hand the open chunk to the system where it has waited for the flush period."""
-        if self._writer is None:
-            return
-        try:
-            self._writer.flush_if_due()
-        except BagError as error:
-            self._fail(error)
+        if self._writer is not None:
+            self._attempt(self._writer.flush_if_due)
+
+    def configure(self, config: LogConfig) -> bool:
+        """Go on as another configuration says.
+
+        Parameters
+        ----------
+        config : LogConfig
+            With another path the file is finished, and the log begins anew there. Otherwise periods and sizes
+            act at once, the compression from the next file on.
+
+        Returns
+        -------
+        bool
+            Whether the log begins anew.
+        """
+        moved = config.path != self.config.path
+        self.config = config
+        if moved:
+            self.close()
+            self.state = "off"
+            if config.path:
+                self._open()
+        elif self._writer is not None:
+            self._writer.change(**_options(config))
+        return moved
 
     def close(self) -> None:
         """Finish the file."""
-        if self._writer is not None:
-            self._writer.close()
-            if self._writer.error is not None:
-                self.state = f"failed: {self._writer.error}"
-            elif self.state.startswith("writing"):
-                self.state = "off"
-        self._writer = None
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            self.state = "off"
+            self._attempt(writer.close)
 
     def _open(self) -> None:
-        config = self.config
-        try:
-            self._writer = BagWriter(
-                config.path,
-                compression=config.compression,
-                flush_period=config.flush_period,
-                max_size=config.split_size,
-                max_duration=config.split_duration,
-                overwrite=config.overwrite,
-            )
-        except (BagError, ValueError, OSError) as error:
-            self._fail(error)
-        else:
-            self.state = f"writing {config.path}"
+        path = self.config.path
+        self.state = f"writing {path}"
+        self._attempt(self._begin)
 
-    def _fail(self, error: Exception) -> None:
-        self.state = f"failed: {error}"
-        if self._writer is not None:
-            self._writer.close()
-            self._writer = None
+    def _begin(self) -> None:
+        config = self.config
+        self._writer = BagWriter(config.path, overwrite=config.overwrite, **_options(config))
+
+    def _attempt(self, action: Callable[[], object]) -> None:
+        try:
+            action()
+        except (BagError, ValueError, OSError) as error:
+            self.state = f"failed: {error}"
+            writer, self._writer = self._writer, None
+            if writer is not None:
+                self._attempt(writer.close)

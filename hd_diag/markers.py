@@ -12,10 +12,11 @@ import numpy.typing as npt
 
 from hd_diag.bag.schemas import jazzy, serialize
 from hd_diag.drive import Drive
-from hd_diag.messages import MARKERS
 from hd_diag.model.geometry import Geometry
 from hd_diag.model.neutral_curve import tooth_axes
 from hd_diag.model.tooth_profile import DoubleArc
+
+MARKERS = "visualization_msgs/msg/MarkerArray"
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]

@@ -9,15 +9,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.bag.encoding import encode_float64_multiarray, encode_joint_states
+from hd_diag.bag.encoding import encode_float64_multiarray, encode_joint_state, encode_joint_states
 from hd_diag.bag.schemas import jazzy, serialize
-from hd_diag.samples import Angles, Publication, Report, Teeth, Times
+from hd_diag.markers import MARKERS, drawing, marker_array
+from hd_diag.samples import Angles, Drawings, Publication, Report, Teeth, Times
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 MULTI_ARRAY = "std_msgs/msg/Float64MultiArray"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 TEMPERATURE = "sensor_msgs/msg/Temperature"
-MARKERS = "visualization_msgs/msg/MarkerArray"
 STRING = "std_msgs/msg/String"
 PARAMETER_EVENT = "rcl_interfaces/msg/ParameterEvent"
 
@@ -25,12 +25,12 @@ _NANOSECONDS = 1_000_000_000
 
 
 class Encoded(NamedTuple):
-    """Messages of one topic: name as the monitor gives it, type, time of the cause [ns] (n,), CDR rows (n, size)."""
+    """Messages of one topic: name as the monitor gives it, type, time of the cause [ns] (n,), n messages in CDR."""
 
     topic: str
     type_name: str
     received: Times
-    rows: npt.NDArray[np.uint8]
+    rows: npt.NDArray[np.uint8] | list[bytes]
 
 
 def encode(publication: Publication) -> Encoded:
@@ -38,24 +38,22 @@ def encode(publication: Publication) -> Encoded:
 
     Parameters
     ----------
-    publication : Angles, Teeth or Report
+    publication : Angles, Teeth, Drawings or Report
 
     Returns
     -------
     Encoded
     """
     if isinstance(publication, Angles):
-        rows = encode_joint_states(
-            publication.names, publication.stamp, publication.position, None, publication.effort
-        )
-        return Encoded(publication.topic, JOINT_STATE, publication.received, rows)
+        return Encoded(publication.topic, JOINT_STATE, publication.received, _joint_states(publication))
     if isinstance(publication, Teeth):
         teeth = publication.values.shape[2]
         rows = encode_float64_multiarray((("flank", 2), ("tooth", teeth)), publication.values)
         return Encoded(publication.topic, MULTI_ARRAY, publication.received, rows)
-    data = _diagnostics(publication)
+    if isinstance(publication, Drawings):
+        return Encoded(publication.topic, MARKERS, publication.received, _markers(publication))
     return Encoded(
-        publication.topic, DIAGNOSTICS, np.array([publication.received]), np.frombuffer(data, np.uint8)[None, :]
+        publication.topic, DIAGNOSTICS, np.array([publication.received]), [_diagnostics(publication)]
     )
 
 
@@ -118,6 +116,28 @@ def _types() -> Mapping[str, Callable[..., Any]]:
 def _time(stamp: int) -> Any:
     second, nano = divmod(stamp, _NANOSECONDS)
     return _types()["builtin_interfaces/msg/Time"](second, nano)
+
+
+def _joint_states(angles: Angles) -> npt.NDArray[np.uint8] | list[bytes]:
+    if angles.stamp.size > 1:
+        return encode_joint_states(angles.names, angles.stamp, angles.position, None, angles.effort)
+    stamp = int(angles.stamp[0])
+    return [encode_joint_state(angles.names, stamp, angles.position, None, angles.effort)]
+
+
+def _markers(drawings: Drawings) -> list[bytes]:
+    """The gears, each in a frame with the name of its joint."""
+    columns = zip(drawings.stamp, drawings.input_angle, drawings.load, drawings.torsion, strict=True)
+    return [
+        marker_array(
+            drawing(
+                drawings.drive, float(angle), load, torsion=float(torsion), full_scale=drawings.full_scale
+            ),
+            int(stamp),
+            drawings.joint,
+        )
+        for stamp, angle, load, torsion in columns
+    ]
 
 
 def _diagnostics(report: Report) -> bytes:

@@ -9,14 +9,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 
 from hd_diag.config import Config
-from hd_diag.drive import mesh_state
+from hd_diag.drive import MeshState, mesh_state
 from hd_diag.health import report
 from hd_diag.joint_monitor import JointMonitor, Prediction, Samples
 from hd_diag.model.torsion_map import TorsionMap
-from hd_diag.samples import Angles, Floats, JointStates, Publication, Report, Teeth, Times
+from hd_diag.samples import Angles, Drawings, Floats, JointStates, Publication, Report, Teeth, Times
+
+_NO_ROWS = np.empty(0, np.int64)
 
 
 class Monitor:
@@ -31,7 +32,8 @@ class Monitor:
         self.config = config
         self.joints = {joint.name: JointMonitor(joint) for joint in config.joints}
         self.foreign = 0
-        self._slot = dict.fromkeys(self.joints, -(2**62))
+        self._array_period = dict.fromkeys(self.joints, -(2**62))
+        self._mesh_period = dict.fromkeys(self.joints, -(2**62))
         self._columns: dict[tuple[str, ...], list[tuple[str, int, int]]] = {}
 
     def configure(self, config: Config) -> None:
@@ -82,7 +84,7 @@ class Monitor:
             else:
                 rows.append((joint, part))
         if received.size > 1 and not all(self.joints[joint].is_clean(part) for joint, part in rows):
-            return self._one_by_one(received, states)
+            return self._in_halves(received, states)
         results = {joint: self.joints[joint].accept(int(received[-1]), part) for joint, part in rows}
         return self._angles(received, results) + self._teeth(received, results)
 
@@ -121,10 +123,11 @@ class Monitor:
             self._columns = {**self._columns, states.names: found} if len(self._columns) < 64 else {}
         return found
 
-    def _one_by_one(self, received: Times, states: JointStates) -> list[Publication]:
+    def _in_halves(self, received: Times, states: JointStates) -> list[Publication]:
+        """Rows with something in between that must be looked at alone."""
+        middle = received.size // 2
         found: list[Publication] = []
-        for row in range(received.size):
-            at = slice(row, row + 1)
+        for at in (slice(0, middle), slice(middle, None)):
             found += self.joint_states(received[at], _rows(states, at))
         return found
 
@@ -140,30 +143,59 @@ class Monitor:
         return found
 
     def _teeth(self, received: Times, results: Mapping[str, list[Prediction]]) -> list[Publication]:
-        """Per-tooth arrays where the array rate's next period has begun."""
-        if self.config.array_rate <= 0.0:
-            return []
-        period = round(1e9 / self.config.array_rate)
+        """Per-tooth arrays and drawings where a period of their rates has begun."""
         found: list[Publication] = []
         for joint, predictions in results.items():
-            for prediction in [p for p in predictions if not p.paired]:
-                slots = prediction.stamp // period
-                due = slots != np.concatenate(([self._slot[joint]], slots[:-1]))
-                self._slot[joint] = int(slots[-1])
-                if due.any():
-                    found += self._arrays(joint, received[-slots.size :][due], prediction, due)
+            for prediction in predictions:
+                if prediction.paired:
+                    continue
+                stamp = prediction.stamp
+                rows = _due(self._array_period, joint, stamp, self.config.array_rate)
+                if rows.size:
+                    found += self._arrays(joint, received[-stamp.size :][rows], prediction, rows)
+                rows = _due(self._mesh_period, joint, stamp, self.config.mesh_rate)
+                if rows.size:
+                    found.append(self._drawings(joint, received[-stamp.size :][rows], prediction, rows))
         return found
 
-    def _arrays(
-        self, joint: str, received: Times, prediction: Prediction, due: npt.NDArray[np.bool_]
-    ) -> list[Publication]:
-        drive = self.joints[joint].config.drive
-        torque = drive.kinematics.cup_torque(prediction.torque[due])
-        state = mesh_state(drive, prediction.input_angle[due], torque)
+    def _arrays(self, joint: str, received: Times, prediction: Prediction, rows: Times) -> list[Publication]:
+        state = self._state(joint, prediction, rows)
         return [
             Teeth(f"~/{joint}/backlash", received, state.backlash),
             Teeth(f"~/{joint}/load", received, state.load),
         ]
+
+    def _drawings(self, joint: str, received: Times, prediction: Prediction, rows: Times) -> Drawings:
+        state, config = self._state(joint, prediction, rows), self.joints[joint].config
+        return Drawings(
+            f"~/{joint}/mesh",
+            received,
+            prediction.stamp[rows],
+            joint,
+            config.drive,
+            prediction.input_angle[rows],
+            state.load,
+            state.torsion,
+            max(config.limits["peak_tooth_load"].error, 1e-9),
+        )
+
+    def _state(self, joint: str, prediction: Prediction, rows: Times) -> MeshState:
+        drive = self.joints[joint].config.drive
+        torque = drive.kinematics.cup_torque(prediction.torque[rows])
+        return mesh_state(drive, prediction.input_angle[rows], torque)
+
+
+def _due(last: dict[str, int], joint: str, stamp: Times, rate: float) -> Times:
+    """Rows of rising stamps [ns] at which a period of a rate [Hz] begins; keeps the joint's last period."""
+    if rate <= 0.0:
+        return _NO_ROWS
+    length = round(1e9 / rate)
+    before, after = last[joint], int(stamp[-1]) // length
+    if before == int(stamp[0]) // length == after:
+        return _NO_ROWS
+    last[joint] = after
+    period = stamp // length
+    return np.flatnonzero(period != np.concatenate(([before], period[:-1])))
 
 
 def _samples(states: JointStates, input_column: int, output_column: int) -> Samples | None:
@@ -183,23 +215,21 @@ def _rows(states: JointStates, rows: slice) -> JointStates:
 
 
 def _messages(received: Times, joints: Mapping[str, Prediction]) -> list[Publication]:
-    names = tuple(joints)
-    first = next(iter(joints.values()))
-    predicted = _columns([p.predicted for p in joints.values()])
-    torque = _columns([p.torque for p in joints.values()])
-    measured = {name: p.measured for name, p in joints.items() if p.measured is not None}
+    predictions = list(joints.values())
+    stamp, paired = predictions[0].stamp, predictions[0].paired
     found: list[Publication] = []
-    if not first.paired:
-        found.append(Angles("~/transmission_error", received, first.stamp, names, predicted, torque))
+    if not paired:
+        error, torque = _columns([p.predicted for p in predictions]), _columns([p.torque for p in predictions])
+        found.append(Angles("~/transmission_error", received, stamp, tuple(joints), error, torque))
+    measured = [p.measured for p in predictions if p.measured is not None]
     if measured:
-        values = _columns(list(measured.values()))
-        residual = values - _columns([joints[name].predicted for name in measured])
-        found.append(
-            Angles("~/measured_transmission_error", received, first.stamp, tuple(measured), values, None)
-        )
-        found.append(Angles("~/residual", received, first.stamp, tuple(measured), residual, None))
+        names = tuple(name for name, p in joints.items() if p.measured is not None)
+        residual = [p.residual for p in predictions if p.residual is not None]
+        topics = {"~/measured_transmission_error": measured, "~/residual": residual}
+        found += [Angles(topic, received, stamp, names, _columns(v), None) for topic, v in topics.items()]
     return found
 
 
 def _columns(values: list[Floats]) -> Floats:
-    return np.stack(values, axis=1)
+    """Columns (n,) side by side, shape (n, k)."""
+    return np.concatenate(values).reshape(len(values), -1).T

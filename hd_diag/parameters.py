@@ -1,4 +1,4 @@
-"""Every parameter of a configuration: name, type, unit, meaning and range, and the check of a single value."""
+"""Every parameter of a configuration (name, type, unit, meaning, range) and the check of a single value."""
 
 from __future__ import annotations
 

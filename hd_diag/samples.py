@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from hd_diag.drive import Drive
 
 Floats = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
@@ -55,6 +58,36 @@ class Teeth(NamedTuple):
     values: Floats
 
 
+class Drawings(NamedTuple):
+    """Gears to draw: topic, time of the cause [ns] (n,), and what a drawing shows.
+
+    Attributes
+    ----------
+    stamp : ndarray of int64, shape (n,)
+        [ns]
+    joint : str
+    drive : Drive
+    input_angle : ndarray, shape (n,)
+        As reported [rad].
+    load : ndarray, shape (n, 2, Z_R)
+        Forces on the flanks [N].
+    torsion : ndarray, shape (n,)
+        [rad]
+    full_scale : float
+        Force that has the last colour [N].
+    """
+
+    topic: str
+    received: Times
+    stamp: Times
+    joint: str
+    drive: Drive
+    input_angle: Floats
+    load: Floats
+    torsion: Floats
+    full_scale: float
+
+
 class Status(NamedTuple):
     """Diagnostics of one joint: level 0 (OK), 1 (WARN), 2 (ERROR), one line of text, and stable keys."""
 
@@ -73,4 +106,4 @@ class Report(NamedTuple):
     statuses: tuple[Status, ...]
 
 
-Publication = Angles | Teeth | Report
+Publication = Angles | Teeth | Drawings | Report

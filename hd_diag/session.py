@@ -62,6 +62,15 @@ class Session:
         """Record the configuration that the session begins with, at a time [ns]."""
         self._configuration(now, dict(self.config.flat), new=True)
 
+    def start_again(self, now: int) -> None:
+        """Forget every sample and record configuration and maps: what follows can be replayed from here on."""
+        tables = {name: joint.table for name, joint in self.monitor.joints.items()}
+        self.monitor = Monitor(self.config)
+        self.start(now)
+        for name, table in tables.items():
+            if table is not None:
+                self.use_map(now, name, table)
+
     def joint_state(self, received: int, data: bytes) -> None:
         """Take one JointState message in CDR, received at a time [ns]; one that cannot be read is counted."""
         try:
@@ -132,7 +141,7 @@ class Session:
         self._emit(EVENTS, STRING, now, string(json.dumps(content)))
 
     def _emit(self, topic: str, type_name: str, now: int, data: bytes) -> None:
-        self._sink(Encoded(topic, type_name, np.array([now]), np.frombuffer(data, np.uint8)[None, :]))
+        self._sink(Encoded(topic, type_name, np.array([now]), [data]))
 
     def _publish(self, publications: Iterable[Publication]) -> None:
         for publication in publications:

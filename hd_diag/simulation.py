@@ -354,13 +354,14 @@ def write_bag(
         parts(joint, motion, rng, start, tables[joint.drive])
         for joint, rng in zip(joints.values(), generators, strict=True)
     ]
-    done, began = 0, 0.9 if any(tables.values()) else 0.0
+    done, warmed, began = 0, 0, 0.9 if any(tables.values()) else 0.0
     with BagWriter(path, overwrite=overwrite) as writer:
         for records in zip(*streams, strict=True):
             _write_joint_states(writer, names, joints, records)
+            last = (int(records[0].stamp[-1]) - start) // _SECOND
             if with_temperature:
-                _write_temperatures(writer, list(joints), records[0].stamp, start)
-            done += records[0].stamp.size
+                _write_temperatures(writer, list(joints), range(warmed, last + 1), start)
+            done, warmed = done + records[0].stamp.size, last + 1
             progress(began + (1.0 - began) * done / motion.samples)
     if writer.error is not None:
         raise writer.error
@@ -442,11 +443,9 @@ def _write_joint_states(
     writer.write_many("/joint_states", JOINT_STATE, rows, stamp)
 
 
-def _write_temperatures(writer: BagWriter, joints: list[str], stamp: Times, start: int) -> None:
-    """Messages of the whole seconds that begin within these stamps."""
+def _write_temperatures(writer: BagWriter, joints: list[str], seconds: range, start: int) -> None:
     types = jazzy().types
-    first, last = -(-(int(stamp[0]) - start) // _SECOND), (int(stamp[-1]) - start) // _SECOND
-    for second in range(first, last + 1):
+    for second in seconds:
         time = start + second * _SECOND
         clock = types["builtin_interfaces/msg/Time"](*divmod(time, _SECOND))
         value = float(temperature(np.array([float(second)]))[0])

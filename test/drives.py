@@ -2,10 +2,11 @@
 
 import dataclasses
 
+from reference import polyline
+
 from hd_diag.model.geometry import Geometry
 from hd_diag.model.tooth_profile import DoubleArc
 from hd_diag.model.torsion import Mesh
-from reference import polyline
 
 PAPER = polyline.DEFAULT
 
@@ -13,7 +14,7 @@ PAPER = polyline.DEFAULT
 def resized(teeth: int, outward: float, drive: polyline.Drive = PAPER) -> polyline.Drive:
     """The drive with another number of teeth of the same size: all radii move with the pitch radius.
 
-    The circular spline stands ``outward`` [m] of that, so that about 1 um of backlash is left, as in the paper.
+    The circular spline stands ``outward`` [m] of that, so that 1 um of backlash is left, as in the paper.
     """
     difference = drive.circular_spline_teeth - drive.flexspline_teeth
     ring = polyline.ring_radius(drive)
@@ -56,6 +57,18 @@ DRIVES = {
     "320/322": resized(320, -8.4e-6),
     "200/202 twice as large": scaled(2.0),
 }
+
+
+COARSE = resized(60, 43.5e-6)
+
+
+def shallow() -> polyline.Drive:
+    """A drive with so few teeth that reach so little that at times none is in a slot."""
+    drive = resized(30, 0.0)
+    tip_radius = drive.semi_major + drive.tooth_tip - 0.2e-6
+    outward = tip_radius - drive.circular_spline_tip_radius
+    datum = drive.circular_spline_datum + outward
+    return dataclasses.replace(drive, circular_spline_datum=datum, circular_spline_tip_radius=tip_radius)
 
 
 def double_arc(profile: polyline.Profile) -> DoubleArc:

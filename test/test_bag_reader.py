@@ -430,3 +430,47 @@ def test_compressed_chunk_of_unknown_content_size(tmp_path):
     (tmp_path / "b.mcap").write_bytes(data[:start] + b"\x06" + len(body).to_bytes(8, "little") + body)
     assert data[:8] == MAGIC
     assert read(tmp_path / "b.mcap") == in_order(sample(5))
+
+
+def test_what_is_held_back_for_sorting_is_bounded(tmp_path, monkeypatch):
+    """Every chunk spans the whole time: nothing can be released before the last one was read."""
+    block, stamps = rows(2000)
+    times = np.random.default_rng(5).permutation(stamps)
+    with BagWriter(tmp_path / "a.mcap", chunk_size=4000) as writer:
+        for i in range(0, 2000, 20):
+            writer.write_many("/j", JOINT_STATE, block[i : i + 20], times[i : i + 20])
+    expected = stamps.tolist()
+    assert [m[1] for m in read(tmp_path / "a.mcap")] == expected
+    monkeypatch.setattr("hd_diag.bag.mcap_storage._STRETCH", 1)
+    monkeypatch.setattr("hd_diag.bag.ordering._TARGET", 1)
+    assert [m[1] for m in read(tmp_path / "a.mcap")] == expected
+    monkeypatch.setattr("hd_diag.bag.ordering.MAX_PENDING", 100_000)
+    with pytest.raises(BagError, match="too disordered"):
+        read(tmp_path / "a.mcap")
+
+
+def test_stragglers_do_not_keep_their_chunks_in_memory(tmp_path, monkeypatch):
+    """One late time in each chunk is held back alone, not with the buffer of its chunk."""
+    block, stamps = rows(2000)
+    times = stamps.copy()
+    times[::20] += 10**12
+    with BagWriter(tmp_path / "a.mcap", chunk_size=3000) as writer:
+        for i in range(0, 2000, 20):
+            writer.write_many("/j", JOINT_STATE, block[i : i + 20], times[i : i + 20])
+            writer.flush()
+    monkeypatch.setattr("hd_diag.bag.mcap_storage._STRETCH", 1)
+    monkeypatch.setattr("hd_diag.bag.ordering._TARGET", 1)
+    monkeypatch.setattr("hd_diag.bag.ordering.MAX_PENDING", 40_000)
+    assert [m[1] for m in read(tmp_path / "a.mcap")] == sorted(times.tolist())
+
+
+def test_endless_queries_are_stopped(tmp_path, monkeypatch):
+    with RosbagsWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connection = writer.add_connection("/n", STRING, typestore=jazzy())
+        for i in range(2000):
+            writer.write(connection, i, string_cdr(f"{i}"))
+    assert len(read(tmp_path / "bag")) == 2000
+    monkeypatch.setattr("hd_diag.bag.sqlite_file._STEPS_PER_BYTE", 0)
+    monkeypatch.setattr("hd_diag.bag.sqlite_file._STEPS_PER_TURN", 1)
+    with pytest.raises(BagError, match="interrupted"):
+        BagReader(tmp_path / "bag")

@@ -3,8 +3,10 @@ import zlib
 
 import numpy as np
 import pytest
+import yaml
 import zstandard
 from bag_samples import JOINT_STATE, MS, STRING, cut_end, rows, string_cdr, write_with_mcap
+from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
@@ -12,7 +14,7 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from hd_diag.bag import BagError, BagReader, BagWriter, recover
 from hd_diag.bag.mcap_chunk import find_chunk
 from hd_diag.bag.mcap_scan import scan
-from hd_diag.bag.schemas import jazzy
+from hd_diag.bag.schemas import Definition, jazzy
 
 
 def messages(count=600):
@@ -166,41 +168,26 @@ def test_sqlite_bag_is_converted(tmp_path):
 
 
 def test_offers_times_and_unknown_types_are_kept(tmp_path):
-    with RosbagsWriter(tmp_path / "bag", version=8, storage_plugin=StoragePlugin.MCAP) as writer:
-        from rosbags.interfaces import (
-            Qos,
-            QosDurability,
-            QosHistory,
-            QosLiveliness,
-            QosReliability,
-            QosTime,
-        )
-
-        time = QosTime(1, 2)
-        offer = Qos(
-            QosHistory.KEEP_LAST,
-            7,
-            QosReliability.BEST_EFFORT,
-            QosDurability.TRANSIENT_LOCAL,
-            time,
-            time,
-            QosLiveliness.AUTOMATIC,
-            time,
-            False,
-        )
-        connection = writer.add_connection(
-            "/load",
-            "my_msgs/msg/Load",
-            msgdef="float64 mass\n",
-            rihs01="RIHS01_" + "0" * 64,
-            offered_qos_profiles=[offer],
-        )
-        writer.write(connection, 3, b"\0\1\0\0" + bytes(8))
-    recover(tmp_path / "bag", tmp_path / "saved")
-    with AnyReader([tmp_path / "saved"]) as reader:
-        (kept,) = reader.connections
-        assert (kept.msgtype, kept.msgdef.data.strip()) == ("my_msgs/msg/Load", "float64 mass")
-        assert kept.ext.offered_qos_profiles == [offer]
+    """Profiles in the numbers that were written before version 9 come out as names."""
+    infinite = {"sec": 9223372036, "nsec": 854775807}
+    old = {"history": 1, "depth": 7, "reliability": 2, "durability": 1, "deadline": {"sec": 1, "nsec": 2}}
+    old |= {"lifespan": infinite, "liveliness": 1, "liveliness_lease_duration": infinite}
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2")
+        schema = writer.register_schema("my_msgs/msg/Load", "ros2msg", b"float64 mass\n")
+        extra = {"offered_qos_profiles": yaml.safe_dump([old]), "topic_type_hash": "RIHS01_" + "0" * 64}
+        channel = writer.register_channel("/load", "cdr", schema, extra)
+        writer.add_message(channel, 3, b"\0\1\0\0" + bytes(8), 2)
+        writer.finish()
+    recover(tmp_path / "a.mcap", tmp_path / "saved")
+    with BagReader(tmp_path / "saved") as reader:
+        (topic,), (batch,) = reader.topics, reader.batches()
+    assert topic.definition == Definition(topic.type_name, "float64 mass\n", "ros2msg", "RIHS01_" + "0" * 64)
+    assert (batch.log_time.tolist(), batch.publish_time.tolist()) == ([3], [2])
+    new = {"history": "keep_last", "reliability": "best_effort", "durability": "transient_local"}
+    new |= {"liveliness": "automatic", "avoid_ros_namespace_conventions": False}
+    assert yaml.safe_load(topic.offers) == [old | new]
 
 
 def test_progress_reaches_the_end(tmp_path):

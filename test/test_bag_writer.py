@@ -440,3 +440,61 @@ def test_rest_is_saved_when_no_more_messages_come(tmp_path):
 def test_joint_state_of_the_samples_is_what_rosbags_serializes():
     block, _ = rows(1)
     assert block[0].tobytes() == joint_state_cdr(NAMES, 0, (0.0, 0.1), (-0.0, -0.1))
+
+
+def test_a_disk_that_was_full_for_a_moment(tmp_path, monkeypatch):
+    """What was handed over before is in a whole file; what was not is neither there nor counted."""
+    writer = BagWriter(tmp_path / "bag", chunk_size=2000)
+    block, stamps = rows(100)
+    writer.write_many("/j", JOINT_STATE, block[:50], stamps[:50])
+    writer.flush()
+    write = os.write
+
+    def full(fd, data):
+        write(fd, data[:10])
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "write", full)
+        with pytest.raises(BagError, match="No space left"):
+            writer.write_many("/j", JOINT_STATE, block[50:], stamps[50:])
+    with pytest.raises(BagError, match="No space left"):
+        writer.write("/j", JOINT_STATE, block[0].tobytes(), 1)
+    assert not writer.flush_if_due(time.monotonic() + 9)
+    writer.close()
+    assert writer.counts == {"/j": 50}
+    assert [d for _, _, d in read_raw(tmp_path / "bag")] == [row.tobytes() for row in block[:50]]
+    with AnyReader([tmp_path / "bag"]) as reader:
+        assert reader.message_count == 50
+
+
+def test_an_interrupt_while_writing_loses_nothing(tmp_path, monkeypatch):
+    block, stamps = rows(100)
+    write = os.write
+
+    def interrupted(fd, data):
+        write(fd, data[:100])
+        raise KeyboardInterrupt
+
+    def work():
+        with BagWriter(tmp_path / "a.mcap") as writer:
+            writer.write_many("/j", JOINT_STATE, block, stamps)
+            with monkeypatch.context() as patch:
+                patch.setattr(os, "write", interrupted)
+                writer.flush()
+
+    with pytest.raises(KeyboardInterrupt):
+        work()
+    assert [d for _, _, d in read_raw(tmp_path / "a.mcap")] == [row.tobytes() for row in block]
+
+
+def test_next_file_that_cannot_be_made(tmp_path):
+    """A split that fails is an error of the writer, and the files before it are whole."""
+    (tmp_path / "a_1.mcap").write_text("precious")
+    block, stamps = rows(100)
+    writer = BagWriter(tmp_path / "a.mcap", max_duration=0.05)
+    with pytest.raises(BagError, match=r"a_1\.mcap: exists already"):
+        writer.write_many("/j", JOINT_STATE, block, stamps)
+    writer.close()
+    assert (tmp_path / "a_1.mcap").read_text() == "precious"
+    assert [d for _, _, d in read_raw(tmp_path / "a.mcap")] == [row.tobytes() for row in block[:50]]

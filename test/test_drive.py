@@ -105,7 +105,7 @@ def test_overlap_is_how_far_the_first_flanks_of_both_sides_interfere() -> None:
 
 
 def test_lobes_press_against_each_other() -> None:
-    """Displaced across the long axis, one lobe goes counter-clockwise about the housing and the other back."""
+    """Displaced across the long axis, one lobe goes counter-clockwise and the other clockwise."""
     plus, minus = state(ASTRAY, 0.0).load[0]
     first_lobe = np.abs(np.arange(-100, 100)) < 50
     first_lobe = np.roll(first_lobe, -100)

@@ -41,7 +41,9 @@ def test_refuses_a_displacement_at_which_teeth_strike(place: str) -> None:
     drive, largest = LIMITS[place]
     drives.mesh(drive, (0.6 * largest, 0.0), (0.0, 0.399 * largest))
     for eccentricity, runout in ((1.001, 0.0), (0.0, 1.001), (0.5, 0.501)):
-        with pytest.raises(ValueError, match=rf"eccentricity .* and runout .* {largest * 1e6:.6g} um.*{place}"):
+        with pytest.raises(
+            ValueError, match=rf"eccentricity .* and runout .* {largest * 1e6:.6g} um.*{place}"
+        ):
             drives.mesh(drive, (0.0, -eccentricity * largest), (runout * largest, 0.0))
 
 
@@ -123,6 +125,15 @@ def test_runout_alone_repeats_with_every_tooth(angle: float, torque: float) -> N
 def test_rises_with_torque(angle: float) -> None:
     torque = np.linspace(-100, 100, 401)
     assert np.all(np.diff(torsion_table(ASTRAY, np.array([angle]), torque)[0]) > 0)
+
+
+def test_nan_where_no_tooth_reaches_the_slots() -> None:
+    mesh = drives.mesh(drives.shallow())
+    angle = np.arange(10) * 2 * np.pi / 32 / 10
+    plus_free, minus_free = np.isnan(mesh.contacts(angle).rotation).all(axis=2).T
+    for torque, free in ((-1.0, minus_free), (0.0, plus_free | minus_free), (1.0, plus_free)):
+        assert 0 < free.sum() < free.size
+        assert_array_equal(np.isnan(torsion(mesh, angle, np.full(10, torque))), free)
 
 
 # Over a turn ---

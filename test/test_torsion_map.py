@@ -11,7 +11,6 @@ from reference import polyline
 from hd_diag.model.torsion import Mesh, torsion, torsion_table
 from hd_diag.model.torsion_map import TOLERANCE, BuildCancelled, TorsionMap, build
 
-SMALL = drives.resized(60, 43.5e-6)  # as coarse as teeth can be: built in a fifth of a second
 Array = polyline.Array
 
 
@@ -51,7 +50,7 @@ def test_error_is_bounded(table: TorsionMap) -> None:
 
 def test_bound_holds_at_zero_torque_where_nothing_else_is_answered() -> None:
     """So few teeth pass in such coarse steps that no torque is met to the tolerance."""
-    coarse = build(drives.mesh(SMALL), 6.0)
+    coarse = build(drives.mesh(drives.COARSE), 6.0)
     angle = np.linspace(0, 7, 500)
     error = np.abs(coarse(angle, np.zeros(500)) - torsion(coarse.mesh, angle, np.zeros(500)))
     assert error.max() <= coarse.error_bound
@@ -62,7 +61,7 @@ def test_ends_below_the_torque_at_which_torsion_jumps(astray: TorsionMap, gap: T
     assert gap.torque_limit == gap.requested_limit == 60
     assert astray.requested_limit == 112
     assert 60 < astray.torque_limit < 90
-    angle = np.linspace(0, 2 * np.pi / 202, 20_001)  # a fifth of an arcsecond of the output per step
+    angle = np.linspace(0, 2 * np.pi / 202, 1001)
     for torque, jumps in ((0.9 * astray.torque_limit, False), (112.0, True)):
         step = np.abs(np.diff(torsion(astray.mesh, angle, np.full(angle.size, torque))))
         assert (step.max() > 20 * np.median(step)) == jumps
@@ -139,7 +138,7 @@ def test_can_be_given_up() -> None:
         return len(asked) < 4
 
     with pytest.raises(BuildCancelled):
-        build(drives.mesh(SMALL), 6.0, wanted)
+        build(drives.mesh(drives.COARSE), 6.0, wanted)
     assert len(asked) == 4
     assert asked[0] == 0
     assert np.all(np.diff(asked) > 0)
@@ -148,6 +147,5 @@ def test_can_be_given_up() -> None:
 
 def test_refuses_what_the_teeth_cannot_bear() -> None:
     """Between two teeth passing, none reaches the slots."""
-    shallow = drives.geometry(circular_spline_datum=30.202e-3, circular_spline_tip_radius=31.110e-3)
     with pytest.raises(ValueError, match=r"the teeth cannot bear 1 N m at every wave generator angle"):
-        build(Mesh(shallow), 1.0)
+        build(drives.mesh(drives.shallow()), 1.0)

@@ -23,7 +23,10 @@ def test_ratios_that_the_teeth_give(ratio: float, output: Output) -> None:
 
 
 REFUSED = [
-    (Kinematics(101.0), "ratio 101 does not fit 200 and 202 teeth with the output at the flexspline: .* be 100"),
+    (
+        Kinematics(101.0),
+        "ratio 101 does not fit 200 and 202 teeth with the output at the flexspline: .* be 100",
+    ),
     (Kinematics(100.0, "circular_spline"), "output at the circular spline: its magnitude must be 101"),
     (Kinematics(100.001), "ratio 100.001 does not fit"),
     (Kinematics(0.0), "ratio 0 does not fit"),

@@ -138,8 +138,10 @@ class _Walk:
             raise ValueError(f"is cut off: claims a string of {size} bytes")
         text = self.data[self.position : self.position + size]
         self.position += size
+        if size and text[-1]:
+            raise ValueError("has a string without a terminator")
         try:
-            return text.rstrip(b"\0").decode() if size else ""
+            return text[:-1].decode() if size else ""
         except UnicodeDecodeError as exc:
             raise ValueError("has a name that is not UTF-8") from exc
 
@@ -344,7 +346,7 @@ def joint_states_from_messages(
 
 
 def _fields(message: Any) -> tuple[Any, int, list[Floats | None]]:
-    names = tuple(str(name).rstrip("\0") for name in message.name)
+    names = tuple(str(name) for name in message.name)
     stamp = message.header.stamp
     if stamp.nanosec >= _NANOSECONDS:
         raise ValueError(_bad_nanoseconds(stamp.nanosec))
@@ -354,7 +356,7 @@ def _fields(message: Any) -> tuple[Any, int, list[Floats | None]]:
         if array.ndim != 1 or len(array) not in (0, len(names)):
             raise ValueError(f"has {len(array)} values of {what} for {len(names)} names")
         values.append(array if len(array) else None)
-    key = (names, str(message.header.frame_id).rstrip("\0"), tuple(v is None for v in values))
+    key = (names, str(message.header.frame_id), tuple(v is None for v in values))
     return key, stamp.sec * _NANOSECONDS + stamp.nanosec, values
 
 

@@ -12,7 +12,7 @@ import struct
 import time
 import zlib
 from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +72,8 @@ class McapFile:
         self._compress = _Compressor(compression)
         self._chunk_size = chunk_size
         self._chunk = _Chunk()
-        self._indexes: list[ChunkIndex] = []
+        # Packed at once: a log of days has a million of them.
+        self._indexes, self._chunk_count = bytearray(), 0
         self._metadata: list[MetadataIndex] = []
         self._schemas: dict[str, Schema] = {}
         self._channels: list[Channel] = []
@@ -160,7 +161,7 @@ class McapFile:
 
     def close_chunk(self) -> None:
         """Hand everything added so far to the operating system."""
-        chunk, self._chunk = self._chunk, _Chunk()
+        chunk = self._chunk
         if not chunk.size:
             return
         data = b"".join(chunk.parts)
@@ -172,25 +173,34 @@ class McapFile:
         start, end = self.size, self.size + len(head) + len(stored)
         places, index = _message_indexes(chunk.index, end)
         self._put(b"".join((head, stored, *index)))
+        self._chunk = _Chunk()
         self._first, self._last = min(self._first, chunk.first), max(self._last, chunk.last)
-        self._indexes.append(
-            ChunkIndex(
-                end - start, start, name, len(stored), chunk.last, self.size - end, places, first, len(data)
-            )
-        )
+        written = (len(stored), chunk.last, self.size - end, places, first, len(data))
+        self._indexes += _packed(ChunkIndex(end - start, start, name, *written))
+        self._chunk_count += 1
+
+    def drop_chunk(self) -> None:
+        """Forget the messages that were not handed over yet."""
+        for channel, entries in self._chunk.index.items():
+            self._counts[channel] -= len(entries) // 2
+        self._chunk = _Chunk()
+
+    def count_of(self, topic: str, type_name: str) -> int:
+        """Messages of a topic added so far."""
+        return self._counts.get(self.channels.get((topic, type_name), 0), 0)
 
     def finish(self) -> None:
         """Close the open chunk and write the summary."""
         self.close_chunk()
         end = _packed(DataEnd(0))
         start = self.size + len(end)
-        groups: list[tuple[Opcode, Sequence[McapRecord]]] = [
-            (Opcode.SCHEMA, [*self._schemas.values()]),
-            (Opcode.CHANNEL, self._channels),
-            (Opcode.STATISTICS, [self._statistics()]),
-            (Opcode.CHUNK_INDEX, self._indexes),
-            (Opcode.METADATA_INDEX, self._metadata),
-        ]
+        groups = (
+            (Opcode.SCHEMA, b"".join(map(_packed, self._schemas.values()))),
+            (Opcode.CHANNEL, b"".join(map(_packed, self._channels))),
+            (Opcode.STATISTICS, _packed(self._statistics())),
+            (Opcode.CHUNK_INDEX, bytes(self._indexes)),
+            (Opcode.METADATA_INDEX, b"".join(map(_packed, self._metadata))),
+        )
         summary, offsets = _summary(groups, start)
         footer = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, start + len(summary))
         checksum = zlib.crc32(summary + offsets + footer)
@@ -208,7 +218,7 @@ class McapFile:
             attachment_count=0,
             channel_count=len(self._channels),
             channel_message_counts=dict(self._counts),
-            chunk_count=len(self._indexes),
+            chunk_count=self._chunk_count,
             message_count=self.count,
             message_end_time=last,
             message_start_time=min(first, last),
@@ -330,11 +340,10 @@ def _message_indexes(index: dict[int, array[int]], start: int) -> tuple[dict[int
     return places, parts
 
 
-def _summary(groups: list[tuple[Opcode, Sequence[McapRecord]]], start: int) -> tuple[bytes, bytes]:
+def _summary(groups: Iterable[tuple[Opcode, bytes]], start: int) -> tuple[bytes, bytes]:
     """Summary section that begins at `start`, and its summary offset section."""
     summary, offsets = b"", b""
-    for opcode, records in groups:
-        group = b"".join(_packed(r) for r in records)
+    for opcode, group in groups:
         if group:
             offsets += _packed(SummaryOffset(opcode, start + len(summary), len(group)))
         summary += group

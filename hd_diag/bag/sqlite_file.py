@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing
@@ -14,6 +15,9 @@ from .errors import BagError
 from .schemas import Definition
 
 _ROWS = 4096
+# A damaged or hostile database can keep a query busy for ever; an honest row takes less than 200 steps.
+_STEPS_PER_BYTE = 100
+_STEPS_PER_TURN = 10_000
 
 
 def is_sqlite(path: Path) -> bool:
@@ -87,6 +91,9 @@ class SqliteFile:
         db = sqlite3.connect(f"{self.path.absolute().as_uri()}?mode=ro", uri=True)
         db.execute("PRAGMA trusted_schema=OFF")
         db.execute("PRAGMA query_only=ON")
+        turns = itertools.count()
+        most = 1000 + self.size * _STEPS_PER_BYTE // _STEPS_PER_TURN
+        db.set_progress_handler(lambda: next(turns) > most, _STEPS_PER_TURN)
         return db
 
     def _check_tables(self, db: sqlite3.Connection) -> None:

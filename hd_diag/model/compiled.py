@@ -1,4 +1,4 @@
-"""The contact model compiled: the numbers of ``clearance`` and ``load_sharing``, some twenty-five times as fast.
+"""The contact model compiled: the numbers of ``clearance`` and ``load_sharing``, some twenty times as fast.
 
 numba is optional: where it is missing :func:`available` is False and callers keep to the numpy modules. It is
 imported when first asked for, and its machine code is kept on disk.

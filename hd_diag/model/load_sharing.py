@@ -173,8 +173,8 @@ def _torsion(curve: TorqueCurve, torque: Floats) -> Floats:
     torque_0 = np.take_along_axis(curve.torque, anchor, axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         beta = beta_0 + (torque - torque_0) / np.where(slope > 0.0, slope, np.nan)
-    width = curve.gap[:, 1:] - curve.gap[:, :1]
-    middle = 0.5 * (curve.gap[:, 1:] + curve.gap[:, :1])
+        width = curve.gap[:, 1:] - curve.gap[:, :1]
+        middle = np.where(np.isfinite(width), 0.5 * (curve.gap[:, 1:] + curve.gap[:, :1]), np.nan)
     return np.where((torque == 0.0) & (width > 0.0), middle, beta)
 
 

@@ -29,7 +29,7 @@ TOLERANCE = 0.01 * ARCSEC
 _STEPS_PER_TOOTH = 48
 _CHECKED_ANGLES = 512
 _CHECKED_TORQUES = 64
-_MISSED = 2.0  # checks rarely meet the worst place of a cell: they find half of the greatest error or more [-]
+_MISSED = 2.0  # checks rarely meet a cell's worst place, but half of the greatest error they do [-]
 _CHUNK = 128  # angles per call, so that a build can be given up and lets other threads run
 
 

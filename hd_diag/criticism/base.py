@@ -1,0 +1,257 @@
+"""The model's own parameters as numbers to fit: the drive they make, its error and derivatives along a record."""
+
+from __future__ import annotations
+
+import cmath
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import map_coordinates
+
+from hd_diag.drive import Drive
+from hd_diag.model import compiled
+from hd_diag.model.torsion_map import ARCSEC
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Scale:
+    """One fitted number: name, size of one unit in SI, prior width in such units, how people write it."""
+
+    name: str
+    si: float
+    prior: float
+    unit: str
+
+
+SCALES = (
+    Scale("eccentricity.x", 1e-6, 15.0, "m"),
+    Scale("eccentricity.y", 1e-6, 15.0, "m"),
+    Scale("runout.x", 1e-6, 8.0, "m"),
+    Scale("runout.y", 1e-6, 8.0, "m"),
+    Scale("circular_spline_datum", 1e-6, 12.0, "m"),
+    Scale("tooth_compliance", 0.1, 1.5, "m/N"),  # relative to the configured value
+    Scale("cup_compliance", ARCSEC, 2.0, "rad/(N m)"),
+)
+"""The fitted parameters, in units near the precision that matters."""
+
+COUNT = len(SCALES)
+
+# Grid of the derivatives along a record: they are smooth but for the ripple, which a Jacobian can do without.
+_GRID_ANGLES = 128
+_GRID_TORQUES = 33
+
+
+def vector(drive: Drive, configured: Drive) -> Floats:
+    """A drive's parameters in the units of `SCALES`, shape (7,)."""
+    mesh = drive.mesh
+    return np.array(
+        [
+            mesh.eccentricity.real / SCALES[0].si,
+            mesh.eccentricity.imag / SCALES[1].si,
+            mesh.runout.real / SCALES[2].si,
+            mesh.runout.imag / SCALES[3].si,
+            mesh.geometry.circular_spline_datum / SCALES[4].si,
+            (mesh.tooth_compliance / configured.mesh.tooth_compliance) / SCALES[5].si,
+            drive.cup_compliance / SCALES[6].si,
+        ]
+    )
+
+
+def drive_of(parameters: Floats, configured: Drive) -> Drive:
+    """The drive with these parameters; they are first moved into what a mesh can be.
+
+    Parameters
+    ----------
+    parameters : ndarray, shape (7,)
+        In the units of `SCALES`.
+    configured : Drive
+        Gives everything that is not fitted.
+
+    Returns
+    -------
+    Drive
+    """
+    p = admissible(parameters, configured)
+    geometry = replace(configured.mesh.geometry, circular_spline_datum=float(p[4]) * SCALES[4].si)
+    mesh = replace(
+        configured.mesh,
+        geometry=geometry,
+        eccentricity=complex(p[0] * SCALES[0].si, p[1] * SCALES[1].si),
+        runout=complex(p[2] * SCALES[2].si, p[3] * SCALES[3].si),
+        tooth_compliance=float(p[5]) * SCALES[5].si * configured.mesh.tooth_compliance,
+    )
+    return replace(configured, mesh=mesh, cup_compliance=float(p[6]) * SCALES[6].si)
+
+
+def admissible(parameters: Floats, configured: Drive) -> Floats:
+    """Parameters moved into bounds wide enough for any drive worth assembling."""
+    datum = configured.mesh.geometry.circular_spline_datum / SCALES[4].si
+    p = parameters.copy()
+    for pair, most in ((slice(0, 2), 45.0), (slice(2, 4), 20.0)):
+        size = float(np.hypot(*p[pair]))
+        if size > most:
+            p[pair] *= most / size
+    p[4] = np.clip(p[4], datum - 40.0, datum + 60.0)
+    p[5] = np.clip(p[5], 4.0, 25.0)
+    p[6] = np.clip(p[6], 0.0, 20.0)
+    return p
+
+
+def prior(configured: Drive) -> tuple[Floats, Floats]:
+    """Centre and width of the prior, shape (7,) each: the displacements about zero, the rest about its value."""
+    center = vector(configured, configured)
+    center[:4] = 0.0
+    return center, np.array([scale.prior for scale in SCALES])
+
+
+def error(drive: Drive, input_angle: Floats, torque: Floats) -> Floats:
+    """Exact transmission error along a record, shape (n,) [rad]."""
+    from hd_diag.drive import transmission_error
+
+    return transmission_error(drive, input_angle, torque)
+
+
+def error_and_jacobian(drive: Drive, configured: Drive, input_angle: Floats, torque: Floats) -> tuple[Floats, Floats]:
+    """Exact transmission error and its derivatives by the parameters.
+
+    Returns
+    -------
+    error : ndarray, shape (n,)
+        [rad]
+    jacobian : ndarray, shape (n, 7)
+        [rad] per unit of `SCALES`.
+    """
+    kinematics, mesh = drive.kinematics, drive.mesh
+    angle = kinematics.wave_generator_angle(mesh.geometry, input_angle)
+    cup_torque = kinematics.cup_torque(torque)
+    beta, _, gradient = compiled.torsion_and_gradient(
+        mesh.geometry, mesh.tooth_compliance, angle, mesh.displacement(angle), mesh.arc_offset, cup_torque
+    )
+    return (
+        kinematics.transmission_error(beta, torque, drive.cup_compliance),
+        _jacobian(drive, configured, angle, gradient[:, :4], torque),
+    )
+
+
+def jacobian(drive: Drive, configured: Drive, input_angle: Floats, torque: Floats) -> tuple[Floats, Floats]:
+    """Derivatives along a long record, interpolated from a grid over wave generator angle and torque.
+
+    Returns
+    -------
+    jacobian : ndarray, shape (n, 7)
+        [rad] per unit of `SCALES`.
+    slope : ndarray, shape (n,)
+        dTE/dT [rad/(N m)].
+    """
+    kinematics, mesh = drive.kinematics, drive.mesh
+    angle = kinematics.wave_generator_angle(mesh.geometry, input_angle)
+    cup_torque = kinematics.cup_torque(torque)
+    most = max(float(np.max(np.abs(cup_torque))), 1.0)
+    half = _GRID_TORQUES // 2
+    nodes = most * np.sign(np.arange(-half, half + 1)) * (np.arange(-half, half + 1) / half) ** 2
+    nodes[half] = 1e-3 * nodes[half + 1]  # a true gap has no slope at zero torque
+    turns = 2.0 * np.pi * np.arange(_GRID_ANGLES) / _GRID_ANGLES
+    grid_angle, grid_torque = (g.ravel() for g in np.meshgrid(turns, nodes, indexing="ij"))
+    _, _, gradient = compiled.torsion_and_gradient(
+        mesh.geometry, mesh.tooth_compliance, grid_angle, mesh.displacement(grid_angle), mesh.arc_offset, grid_torque
+    )
+    place = np.stack(
+        (
+            np.mod(angle, 2.0 * np.pi) * (_GRID_ANGLES / (2.0 * np.pi)),
+            half + half * np.sign(cup_torque) * np.sqrt(np.abs(cup_torque) / most),
+        )
+    )
+    at_samples = np.stack(
+        [
+            map_coordinates(
+                gradient[:, column].reshape(_GRID_ANGLES, _GRID_TORQUES), place, order=1, mode="grid-wrap"
+            )
+            for column in (0, 1, 2, 3, 5)
+        ],
+        axis=1,
+    )
+    slope = -kinematics.torque_sign * at_samples[:, 4] * kinematics.torque_sign - drive.cup_compliance
+    return _jacobian(drive, configured, angle, at_samples[:, :4], torque), slope
+
+
+def _jacobian(drive: Drive, configured: Drive, angle: Floats, gradient: Floats, torque: Floats) -> Floats:
+    """Chain rule from the mesh's derivatives (E_x, E_y, r_0, K1 + K2) to those of TE by the fitted numbers."""
+    sign = -drive.kinematics.torque_sign
+    cosine, sine = np.cos(angle), np.sin(angle)
+    by_x, by_y = gradient[:, 0], gradient[:, 1]
+    columns = np.stack(
+        (
+            by_x,
+            by_y,
+            by_x * cosine + by_y * sine,
+            by_y * cosine - by_x * sine,
+            gradient[:, 2],
+            gradient[:, 3] * configured.mesh.tooth_compliance,
+        ),
+        axis=1,
+    )
+    result = np.empty((angle.size, COUNT))
+    result[:, :6] = sign * columns * [scale.si for scale in SCALES[:6]]
+    result[:, 6] = -torque * SCALES[6].si
+    return result
+
+
+def physical(parameters: Floats, covariance: Floats, configured: Drive) -> dict[str, dict[str, object]]:
+    """Fitted parameters as people state them, with standard deviations.
+
+    Parameters
+    ----------
+    parameters : ndarray, shape (7,)
+    covariance : ndarray, shape (7, 7)
+    configured : Drive
+
+    Returns
+    -------
+    dict
+        By name: value, std, unit, configured. Directions are of the pair (eccentricity, runout), which together
+        may be turned by pi: both are given with the eccentricity's direction in [0, pi).
+    """
+    p = parameters.copy()
+    if p[1] < 0.0 or (p[1] == 0.0 and p[0] < 0.0):
+        p[:4] = -p[:4]
+    start = vector(configured, configured)
+    found: dict[str, dict[str, object]] = {}
+    for name, first in (("eccentricity", 0), ("runout", 2)):
+        found |= _polar(name, p, covariance, first, start)
+    for index in (4, 5, 6):
+        scale = SCALES[index]
+        si = scale.si * (configured.mesh.tooth_compliance if index == 5 else 1.0)
+        found[scale.name] = {
+            "value": float(p[index] * si),
+            "std": float(np.sqrt(covariance[index, index]) * si),
+            "unit": scale.unit,
+            "configured": float(start[index] * si),
+        }
+    return found
+
+
+def _polar(name: str, p: Floats, covariance: Floats, first: int, start: Floats) -> dict[str, dict[str, object]]:
+    pair = slice(first, first + 2)
+    x, y = p[pair]
+    size = max(float(np.hypot(x, y)), 1e-9)
+    along, across = np.array([x, y]) / size, np.array([-y, x]) / size
+    block = covariance[pair, pair]
+    configured = complex(start[first], start[first + 1])
+    spread = float(np.sqrt(across @ block @ across)) / size
+    return {
+        f"{name}.magnitude": {
+            "value": size * SCALES[first].si,
+            "std": float(np.sqrt(along @ block @ along)) * SCALES[first].si,
+            "unit": "m",
+            "configured": abs(configured) * SCALES[first].si,
+        },
+        f"{name}.direction": {
+            "value": float(np.arctan2(y, x)),
+            "std": min(spread, float(np.pi / np.sqrt(12.0))),
+            "unit": "rad",
+            "configured": cmath.phase(configured),
+        },
+    }

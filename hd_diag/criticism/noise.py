@@ -1,0 +1,96 @@
+"""Coloured noise: an autoregressive model of the residual, and the filter that whitens it run by run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import solve_toeplitz
+from scipy.signal import lfilter
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+ORDER = 20
+"""Order of the autoregressive model [samples]."""
+
+
+@dataclass(frozen=True)
+class Whitening:
+    """Autoregressive noise ``e_t = sum a_k e_{t-k} + w_t``.
+
+    Attributes
+    ----------
+    coefficients : ndarray, shape (ORDER,)
+        a_k.
+    scale : float
+        Standard deviation of w [rad].
+    """
+
+    coefficients: Floats
+    scale: float
+
+    def __call__(self, columns: Floats, run: Integers) -> Floats:
+        """Whitened columns in units of the innovation.
+
+        Parameters
+        ----------
+        columns : ndarray, shape (n,) or (n, k)
+        run : ndarray of int64, shape (n,)
+            The filter restarts where it changes; the first ORDER samples of a run become zero, for their past is
+            not known.
+
+        Returns
+        -------
+        ndarray
+            Same shape.
+        """
+        taps = np.concatenate(([1.0], -self.coefficients)) / self.scale
+        result = np.zeros_like(columns)
+        for begin, end in bounds(run):
+            if end - begin > ORDER:
+                part = lfilter(taps, 1.0, columns[begin:end], axis=0)
+                result[begin + ORDER : end] = part[ORDER:]
+        return result
+
+
+def bounds(run: Integers) -> list[tuple[int, int]]:
+    """First row and end of every run."""
+    edges = np.concatenate(([0], np.flatnonzero(np.diff(run)) + 1, [run.size]))
+    return [(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+
+
+def whitening(residual: Floats, run: Integers) -> Whitening:
+    """Fit the noise model to a residual.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (n,)
+        [rad]
+    run : ndarray of int64, shape (n,)
+
+    Returns
+    -------
+    Whitening
+
+    Notes
+    -----
+    Yule-Walker with covariances pooled over the runs.
+    """
+    covariance = np.zeros(ORDER + 1)
+    count = 0
+    for begin, end in bounds(run):
+        part = residual[begin:end]
+        if part.size <= ORDER:
+            continue
+        part = part - part.mean()
+        covariance += [float(part[lag:] @ part[: part.size - lag]) for lag in range(ORDER + 1)]
+        count += part.size
+    covariance /= max(count, 1)
+    if not covariance[0] > 0.0:
+        return Whitening(np.zeros(ORDER), 1e-12)
+    covariance[0] *= 1.0 + 1e-9
+    coefficients = solve_toeplitz(covariance[:-1], covariance[1:])
+    innovation = covariance[0] - float(coefficients @ covariance[1:])
+    return Whitening(coefficients, float(np.sqrt(max(innovation, 1e-6 * covariance[0]))))

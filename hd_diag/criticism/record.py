@@ -1,0 +1,228 @@
+"""A joint's measured record: cleaned, cut into runs, with speed and a torque fit to be a regressor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import savgol_filter
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+MINIMUM_SAMPLES = 500
+"""Fewer samples than this are too short a record."""
+
+_PAUSE = 0.2  # rest that ends a run [s]
+_REST_SPEED = 0.02  # of the record's 95th percentile of speed, below which the joint rests [-]
+_GAP_STEPS = 5.5  # a step this many times the usual one is a gap: state and filters restart
+_SPEED_WINDOW = 0.03  # [s]
+_TORQUE_WINDOW = 0.15  # [s]; torques of robot joints change over tenths of a second
+_OUTLIER = 8.0  # robust standard deviations of the short-time deviation
+
+
+class RecordError(ValueError):
+    """A record that cannot be judged; the text says why."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """Samples of one joint, in time order within each run.
+
+    Attributes
+    ----------
+    time, input_angle, output_angle, torque, speed : ndarray, shape (n,)
+        [s], [rad], [rad], [N m] on the link, input speed [rad/s].
+    temperature : ndarray, shape (n,), or None
+        [degree Celsius]
+    run : ndarray of int64, shape (n,)
+        Index of the run; a run ends with a pause, a gap or a bag.
+    has_torque : bool
+        Whether the torque was measured; else it is what the configuration assumes.
+    outliers, dropped : int
+        Samples taken out: far off their neighbours, or not finite or out of order.
+    """
+
+    time: Floats
+    input_angle: Floats
+    output_angle: Floats
+    torque: Floats
+    speed: Floats
+    temperature: Floats | None
+    run: Integers
+    has_torque: bool
+    outliers: int
+    dropped: int
+
+    @property
+    def size(self) -> int:
+        """Number of samples."""
+        return int(self.time.size)
+
+    @property
+    def runs(self) -> int:
+        """Number of runs."""
+        return int(self.run[-1]) + 1
+
+    @property
+    def duration(self) -> float:
+        """Time covered by the runs [s]."""
+        edges = np.flatnonzero(np.diff(self.run)) + 1
+        starts, ends = np.append(0, edges), np.append(edges, self.size) - 1
+        return float(np.sum(self.time[ends] - self.time[starts]))
+
+    @property
+    def input_turns(self) -> float:
+        """Turns of the input, both directions counted [-]."""
+        same = np.diff(self.run) == 0
+        return float(np.sum(np.abs(np.diff(self.input_angle))[same]) / (2.0 * np.pi))
+
+    def select(self, rows: npt.NDArray[np.bool_] | Integers) -> Record:
+        """The record of some rows; their run numbers stay."""
+        temperature = None if self.temperature is None else self.temperature[rows]
+        return replace(
+            self,
+            time=self.time[rows],
+            input_angle=self.input_angle[rows],
+            output_angle=self.output_angle[rows],
+            torque=self.torque[rows],
+            speed=self.speed[rows],
+            temperature=temperature,
+            run=self.run[rows],
+        )
+
+
+def prepare(
+    time: Floats,
+    input_angle: Floats,
+    output_angle: Floats,
+    torque: Floats | None,
+    temperature: Floats | None,
+    bag: Integers,
+    ratio: float,
+    assumed_torque: float = 0.0,
+) -> Record:
+    """A record from raw columns.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        [s]
+    input_angle, output_angle : ndarray, shape (n,)
+        As reported [rad]; wrapped angles are unwrapped.
+    torque : ndarray, shape (n,), or None
+        On the link [N m].
+    temperature : ndarray, shape (n,), or None
+        [degree Celsius]
+    bag : ndarray of int64, shape (n,)
+        Which recording each sample comes from.
+    ratio : float
+        Reported input angle over reported output angle [-].
+    assumed_torque : float
+        Used where no torque was measured [N m].
+
+    Returns
+    -------
+    Record
+
+    Raises
+    ------
+    RecordError
+        If too little is left, nothing moves, or stamps contradict each other.
+    """
+    columns = [time, input_angle, output_angle] + [c for c in (torque, temperature) if c is not None]
+    usable = np.all(np.isfinite(columns), axis=0)
+    usable &= np.concatenate(([True], (np.diff(time) > 0.0) | (np.diff(bag) != 0)))
+    dropped = int(np.sum(~usable))
+    if usable.sum() < MINIMUM_SAMPLES:
+        raise RecordError(f"too short: {int(usable.sum())} usable samples, at least {MINIMUM_SAMPLES} are needed")
+    if dropped > 0.5 * usable.size:
+        raise RecordError(f"{dropped} of {usable.size} samples are not finite or their stamps contradict each other")
+    time, bag = time[usable], bag[usable]
+    angle, output = _unwrapped(input_angle[usable], bag), _unwrapped(output_angle[usable], bag)
+    load = None if torque is None else torque[usable]
+    heat = None if temperature is None else temperature[usable]
+    if float(np.ptp(angle)) < np.pi:
+        raise RecordError(f"no motion: the input turns by {float(np.ptp(angle)):.3g} rad, at least half a turn is needed")
+    segment = _segments(time, bag)
+    keep = ~_outliers(output - angle / ratio, segment)
+    outliers = int(np.sum(~keep))
+    time, angle, output, segment = time[keep], angle[keep], output[keep], segment[keep]
+    step = float(np.median(np.diff(time)))
+    speed = _per_segment(segment, angle, lambda x: _derivative(x, step))
+    raw = np.full(time.shape, assumed_torque) if load is None else load[keep]
+    smooth = raw if load is None else _per_segment(segment, raw, lambda x: _smooth(x, step, _TORQUE_WINDOW))
+    heat = None if heat is None else _per_segment(segment, heat[keep], lambda x: _smooth(x, step, 2.0))
+    run = _runs(time, speed, segment)
+    return Record(time, angle, output, smooth, speed, heat, run, load is not None, outliers, dropped)
+
+
+def _unwrapped(angle: Floats, bag: Integers) -> Floats:
+    """Angles without jumps of whole turns, bag by bag; continuous angles stay as they are."""
+    jumps = np.diff(angle)
+    wraps = (np.abs(np.abs(jumps) - 2.0 * np.pi) < 1.0) & (np.diff(bag) == 0)
+    return angle - 2.0 * np.pi * np.concatenate(([0.0], np.cumsum(np.where(wraps, np.sign(jumps), 0.0))))
+
+
+def _segments(time: Floats, bag: Integers) -> Integers:
+    """Stretches without a gap."""
+    step = np.diff(time)
+    usual = np.median(step[step > 0.0])
+    breaks = (step > _GAP_STEPS * usual) | (np.diff(bag) != 0)
+    return np.concatenate(([0], np.cumsum(breaks))).astype(np.int64)
+
+
+def _bounds(segment: Integers) -> list[tuple[int, int]]:
+    edges = np.concatenate(([0], np.flatnonzero(np.diff(segment)) + 1, [segment.size]))
+    return [(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+
+
+def _per_segment(segment: Integers, values: Floats, function: object) -> Floats:
+    assert callable(function)
+    return np.concatenate([function(values[a:b]) for a, b in _bounds(segment)])
+
+
+def _window(size: int, step: float, width: float, order: int) -> int:
+    wanted = int(width / step) | 1
+    largest = size if size % 2 else size - 1
+    return min(max(wanted, order + 2 | 1), largest)
+
+
+def _derivative(angle: Floats, step: float) -> Floats:
+    window = _window(angle.size, step, _SPEED_WINDOW, 2)
+    if window < 3:
+        return np.gradient(angle, step) if angle.size > 1 else np.zeros_like(angle)
+    return np.asarray(savgol_filter(angle, window, min(2, window - 1), deriv=1, delta=step))
+
+
+def _smooth(values: Floats, step: float, width: float) -> Floats:
+    window = _window(values.size, step, width, 2)
+    return values if window < 4 else np.asarray(savgol_filter(values, window, 2))
+
+
+def _outliers(error: Floats, segment: Integers) -> npt.NDArray[np.bool_]:
+    """Samples far off both their neighbourhoods: the error less a running median, in robust deviations."""
+    found = np.zeros(error.size, dtype=bool)
+    for a, b in _bounds(segment):
+        part = error[a:b]
+        if part.size < 9:
+            continue
+        padded = np.pad(part, 4, mode="edge")
+        near = np.median(np.lib.stride_tricks.sliding_window_view(padded, 9), axis=1)
+        deviation = part - near
+        spread = 1.4826 * np.median(np.abs(deviation))
+        if spread > 0.0:
+            found[a:b] = np.abs(deviation) > _OUTLIER * spread
+    return found
+
+
+def _runs(time: Floats, speed: Floats, segment: Integers) -> Integers:
+    """Runs: segments, cut in the middle of every rest that lasts."""
+    resting = np.abs(speed) < _REST_SPEED * np.percentile(np.abs(speed), 95)
+    cut = np.concatenate(([False], np.diff(segment) != 0))
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], resting, [False])).astype(np.int8)))
+    for begin, end in edges.reshape(-1, 2):
+        if time[end - 1] - time[begin] >= _PAUSE and begin > 0 and end < time.size:
+            cut[(begin + end) // 2] = True
+    return np.cumsum(cut).astype(np.int64)

@@ -1,0 +1,203 @@
+"""Global refit of the model's own parameters: many starts, nuisance terms projected out, a verdict on trust."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.criticism import base
+from hd_diag.criticism.record import Record
+from hd_diag.drive import Drive
+
+Floats = npt.NDArray[np.float64]
+
+_SCREENED = 700  # samples on which the starts are tried
+_POLISHED = 4000  # samples on which the best are finished
+_STARTS = ((0.0, 0.0), *((size, turn) for size in (6.0, 16.0) for turn in (0.0, 0.25, 0.5, 0.75)))  # [um], [pi]
+_DISTINCT = 12.0  # difference of deviance that tells two minima apart
+
+
+@dataclass(frozen=True)
+class Refit:
+    """Result of the global refit.
+
+    Attributes
+    ----------
+    drive : Drive
+        With the fitted parameters.
+    parameters : ndarray, shape (7,)
+        In the units of `base.SCALES`.
+    covariance : ndarray, shape (7, 7)
+        From the fit on independent samples; the final one is by `diagnosis`.
+    trustworthy : bool
+        Whether no other minimum fits about as well.
+    """
+
+    drive: Drive
+    parameters: Floats
+    covariance: Floats
+    trustworthy: bool
+
+
+def nuisance(record: Record, ratio: float) -> Floats:
+    """Terms that any fit carries along: offset, speed, its sign, temperature, one cycle per output turn.
+
+    Parameters
+    ----------
+    record : Record
+    ratio : float
+
+    Returns
+    -------
+    ndarray, shape (n, k)
+        Dimensionless, of order one.
+    """
+    output = record.input_angle / ratio
+    top = max(float(np.percentile(np.abs(record.speed), 99)), 1e-9)
+    columns = [np.ones(record.size)]
+    if np.std(record.speed) > 0.05 * top:
+        columns += [record.speed / top, np.tanh(record.speed / (0.02 * top))]
+    if record.temperature is not None and np.std(record.temperature) > 0.3:
+        columns.append(record.temperature - record.temperature.mean())
+    if np.ptp(output) > 0.8 * np.pi:
+        columns += [np.cos(output), np.sin(output)]
+    return np.stack(columns, axis=1)
+
+
+def refit(
+    record: Record,
+    configured: Drive,
+    extra: Floats | None = None,
+    start: Floats | None = None,
+    rng: np.random.Generator | None = None,
+) -> Refit:
+    """Fit the model's parameters from many starts.
+
+    Parameters
+    ----------
+    record : Record
+    configured : Drive
+    extra : ndarray, shape (n, k), optional
+        Further columns that may take part freely: effects already found.
+    start : ndarray, shape (7,), optional
+        One more start.
+    rng : numpy.random.Generator, optional
+        Chooses the samples.
+
+    Returns
+    -------
+    Refit
+    """
+    rng = rng or np.random.default_rng(0)
+    free = nuisance(record, configured.kinematics.ratio)
+    if extra is not None:
+        free = np.concatenate((free, extra), axis=1)
+    screen = _Problem(record, configured, free, _chosen(record, _SCREENED, rng))
+    trials = [_levenberg(screen, point, 7) for point in _starts(configured, start)]
+    trials.sort(key=lambda trial: trial[1])
+    best = _distinct([point for point, _ in trials[:4]], configured)[:2]
+    polish = _Problem(record, configured, free, _chosen(record, _POLISHED, rng))
+    finished = sorted((_levenberg(polish, point, 12) for point in best), key=lambda trial: trial[1])
+    point, deviance = finished[0]
+    covariance = polish.covariance(point)
+    rivals = [other for other, value in finished[1:] if value - deviance < _DISTINCT]
+    return Refit(base.drive_of(point, configured), point, covariance, not _distinct([point, *rivals], configured)[1:])
+
+
+def usable(record: Record) -> npt.NDArray[np.bool_]:
+    """Samples at which the model's error is well defined: not within a true gap, where noise decides the flank."""
+    if not record.has_torque:
+        return np.ones(record.size, dtype=bool)
+    return np.abs(record.torque) > 0.01 * np.percentile(np.abs(record.torque), 99)
+
+
+def _chosen(record: Record, count: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
+    rows = np.flatnonzero(usable(record))
+    count = min(count, rows.size)
+    return np.sort(rng.choice(rows, count, replace=False))
+
+
+def _starts(configured: Drive, start: Floats | None) -> list[Floats]:
+    first = base.vector(configured, configured)
+    points = []
+    for size, turn in _STARTS:
+        point = first.copy()
+        point[0], point[1] = size * np.cos(np.pi * turn), size * np.sin(np.pi * turn)
+        points.append(point)
+    points.append(first)
+    if start is not None:
+        points.append(start)
+    return points
+
+
+class _Problem:
+    """Least squares of the transmission error on some rows, free columns projected out, prior included."""
+
+    def __init__(
+        self, record: Record, configured: Drive, free: Floats, rows: npt.NDArray[np.int64]
+    ) -> None:
+        self.configured = configured
+        self.input_angle, self.torque = record.input_angle[rows], record.torque[rows]
+        self.measured = record.output_angle[rows] - self.input_angle / configured.kinematics.ratio
+        self.free = np.linalg.qr(free[rows])[0]
+        self.center, self.width = base.prior(configured)
+        self.noise = 2e-5  # [rad]; replaced by what the fit leaves
+
+    def residual_and_jacobian(self, point: Floats) -> tuple[Floats, Floats]:
+        drive = base.drive_of(point, self.configured)
+        error, jacobian = base.error_and_jacobian(drive, self.configured, self.input_angle, self.torque)
+        return self._projected(self.measured - error), self._projected(jacobian)
+
+    def _projected(self, columns: Floats) -> Floats:
+        columns = np.nan_to_num(columns, posinf=0.0, neginf=0.0)
+        return columns - self.free @ (self.free.T @ columns)
+
+    def deviance(self, residual: Floats, point: Floats) -> float:
+        return float(residual @ residual) / self.noise**2 + float(np.sum(((point - self.center) / self.width) ** 2))
+
+    def covariance(self, point: Floats) -> Floats:
+        residual, jacobian = self.residual_and_jacobian(point)
+        variance = float(residual @ residual) / max(residual.size - base.COUNT - self.free.shape[1], 1)
+        return np.linalg.inv(jacobian.T @ jacobian / variance + np.diag(self.width**-2.0))
+
+
+def _levenberg(problem: _Problem, point: Floats, iterations: int) -> tuple[Floats, float]:
+    """Levenberg-Marquardt; the noise level follows the residual."""
+    point = base.admissible(point, problem.configured)
+    damping = 1e-3
+    residual, jacobian = problem.residual_and_jacobian(point)
+    for _ in range(iterations):
+        weight = 1.0 / problem.noise**2
+        normal = weight * jacobian.T @ jacobian + np.diag(problem.width**-2.0)
+        slope = weight * jacobian.T @ residual - (point - problem.center) / problem.width**2
+        moved = False
+        for _ in range(6):
+            step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), slope)
+            trial = base.admissible(point + step, problem.configured)
+            new_residual, new_jacobian = problem.residual_and_jacobian(trial)
+            if problem.deviance(new_residual, trial) < problem.deviance(residual, point):
+                moved = True
+                break
+            damping *= 8.0
+        if not moved:
+            break
+        gain = problem.deviance(residual, point) - problem.deviance(new_residual, trial)
+        point, residual, jacobian, damping = trial, new_residual, new_jacobian, max(damping / 6.0, 1e-9)
+        if gain < 1e-2:
+            break
+    return point, problem.deviance(residual, point)
+
+
+def _distinct(points: list[Floats], configured: Drive) -> list[Floats]:
+    """Points that are not the same drive: lobes swapped count as the same."""
+    found: list[Floats] = []
+    for point in points:
+        mirrored = point * np.array([-1.0, -1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
+        tolerance = np.array([1.0, 1.0, 1.0, 1.0, 3.0, 0.5, 0.7])
+        if not any(
+            np.all(np.abs(known - other) < tolerance) for known in found for other in (point, mirrored)
+        ):
+            found.append(point)
+    return found
