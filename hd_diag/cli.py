@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import functools
-import json
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,57 +10,10 @@ import click
 import numpy as np
 
 import hd_diag
-from hd_diag.bag import BagError
+from hd_diag.cli_bags import recover, replay
+from hd_diag.cli_options import CONFIG, JSON, Problem, configured, problems, write_json
 from hd_diag.cli_simulate import simulate
-from hd_diag.config import Config, ConfigError, JointConfig, load, resolve
-
-
-class Problem(click.ClickException):
-    """Bad input: one line on stderr, exit code 2."""
-
-    exit_code = 2
-
-    def show(self, file: Any = None) -> None:
-        """Print the line."""
-        click.echo(f"hd-diag: {' '.join(self.message.split())}", file=file or sys.stderr)
-
-
-def problems(command: Callable[..., Any]) -> Callable[..., Any]:
-    """The command, with input that cannot be used told in one line."""
-
-    @functools.wraps(command)
-    def run(*args: Any, **kwargs: Any) -> Any:
-        try:
-            return command(*args, **kwargs)
-        except (ConfigError, BagError) as error:
-            raise Problem(str(error)) from error
-
-    return run
-
-
-CONFIG = click.option(
-    "--config", "config_file", type=click.Path(dir_okay=False), help="ROS parameter file; the example drive without."
-)
-JSON = click.option(
-    "--json", "json_file", type=click.Path(dir_okay=False, allow_dash=True), help="Write the result here; - = stdout."
-)
-
-
-def configured(config_file: str | None) -> Config:
-    """The configuration of a file, or the example drive's."""
-    return load(config_file) if config_file else resolve({})
-
-
-def write_json(path: str, result: Any) -> None:
-    """Write a result as JSON; numbers that are not finite become null."""
-    text = json.dumps(result, indent=1, allow_nan=False)
-    if path == "-":
-        click.echo(text)
-        return
-    try:
-        Path(path).write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise Problem(f"{path}: cannot be written: {error.strerror}") from error
+from hd_diag.config import Config, JointConfig, load
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -77,6 +27,8 @@ def cli() -> None:
 
 
 cli.add_command(simulate)
+cli.add_command(replay)
+cli.add_command(recover)
 
 
 @cli.command()
@@ -247,8 +199,12 @@ def node(config_file: str | None, ros_arguments: tuple[str, ...]) -> None:
 
 
 @cli.command()
-@click.option("--out", "folder", type=click.Path(file_okay=False), help="Where to leave the log; a new folder without.")
-@click.option("--seconds", type=click.FloatRange(5.0, 600.0), default=24.0, show_default=True, help="How long to run.")
+@click.option(
+    "--out", "folder", type=click.Path(file_okay=False), help="Where to leave the log; a new folder without."
+)
+@click.option(
+    "--seconds", type=click.FloatRange(5.0, 600.0), default=24.0, show_default=True, help="How long to run."
+)
 @JSON
 @problems
 def demo(folder: str | None, seconds: float, json_file: str | None) -> None:

@@ -5,12 +5,14 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import signal
 import tempfile
 import time
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,9 +41,23 @@ _JOINT = "joint_1"
 _NODE = "hd_diag"
 _MAGNITUDE = f"{_JOINT}.eccentricity.magnitude"
 _REFUSED = (f"{_JOINT}.circular_spline_teeth", 203)  # an odd difference: no ellipse can mesh there
+_RATE = 250.0  # of the joint [Hz]: the node follows even without a compiled model, while a map is built
 _REPORTS = 4.0  # diagnostics per second [Hz]
 _START_LIMIT = 20.0  # for the processes to start [s]
 _DISCOVERY_LIMIT = 10.0  # for them to be discovered over DDS and the first samples to arrive [s]
+_DEAF = (
+    f"node and joint run but were not discovered over DDS within {_DISCOVERY_LIMIT:g} s: does a firewall or "
+    "container stop UDP or shared memory on this machine? FASTDDS_BUILTIN_TRANSPORTS=UDPv4 may help"
+)
+_EXPECTED_TOPICS = (
+    "/diagnostics",
+    "/parameter_events",
+    f"/{_NODE}/transmission_error",
+    f"/{_NODE}/measured_transmission_error",
+    f"/{_NODE}/residual",
+    f"/{_NODE}/{_JOINT}/backlash",
+    f"/{_NODE}/{_JOINT}/load",
+)
 _ANSWER_LIMIT = 10.0  # for a parameter to be answered, and to show in the diagnostics [s]
 
 
@@ -50,28 +66,32 @@ class Observer(Node):
 
     def __init__(self) -> None:
         super().__init__("hd_diag_demo")
-        self.reading: Reading | None = None
+        self._arrived: deque[Reading] = deque()
+        self._samples = 0
         self._client = AsyncParameterClient(self, f"/{_NODE}")
-        self._subscription = self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        self._subscription = self.create_subscription(
+            DiagnosticArray, "/diagnostics", self._on_diagnostics, 10
+        )
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             if status.name == f"{_NODE}: {_JOINT}":
-                self.reading = Reading({entry.key: entry.value for entry in status.values})
+                self._arrived.append(Reading({entry.key: entry.value for entry in status.values}))
+                self._samples = self._arrived[-1].samples
 
     def is_connected(self) -> bool:
         """Whether the node's services and diagnostics are discovered and samples have reached it."""
         ready = self._client.services_are_ready() and self.count_publishers("/diagnostics") > 0
-        return bool(ready and self.reading is not None and self.reading.samples > 0)
+        return bool(ready and self._samples > 0)
 
     def readings(self, seconds: float) -> Iterator[Reading]:
         """What arrives during the next seconds."""
         end = time.monotonic() + seconds
+        self._arrived.clear()
         while (left := end - time.monotonic()) > 0.0:
-            self.reading = None
             rclpy.spin_once(self, timeout_sec=min(left, 0.1))
-            if self.reading is not None:
-                yield self.reading
+            while self._arrived:
+                yield self._arrived.popleft()
 
     def set_parameter(self, name: str, value: float | int) -> str:
         """Set a parameter of the node over DDS.
@@ -116,15 +136,17 @@ def run(folder: Path | None, seconds: float) -> dict[str, Any]:
     """
     folder = _folder(folder)
     _isolate(folder)
-    display = Display(seconds)
-    display.say(f"Starting the node and a simulated joint as processes of their own; all they leave: {folder}")
+    display = Display()
+    display.say(
+        f"Starting the node and a simulated joint, each a process of its own; what they leave: {folder}"
+    )
     steps: list[Step] = []
     refusal = ""
     interrupted = False
     with _processes(folder, seconds) as (node, joint):
         with _observer() as observer, display:
             try:
-                _connect(observer, node, joint)
+                _connect(observer, (node, joint))
                 refusal = _show(observer, display, (node, joint), steps, seconds)
             except KeyboardInterrupt:
                 interrupted = True
@@ -140,6 +162,7 @@ def run(folder: Path | None, seconds: float) -> dict[str, Any]:
         "missing": missing,
         "folder": str(folder),
         "log": str(folder / "log"),
+        "log_size": log.size,
         "exit_codes": codes,
         "published": published,
         "steps": [step.summary() for step in steps],
@@ -166,7 +189,9 @@ def _folder(folder: Path | None) -> Path:
 
 def _isolate(folder: Path) -> None:
     """Let this process and its children see none but each other, unless the user has chosen otherwise."""
-    os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))  # up to 101 the ports are free everywhere
+    os.environ.setdefault(
+        "ROS_DOMAIN_ID", str(1 + os.getpid() % 100)
+    )  # up to 101 the ports are free everywhere
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ["ROS_LOG_DIR"] = str(folder / "ros_log")
 
@@ -183,12 +208,16 @@ def _processes(folder: Path, seconds: float) -> Iterator[tuple[Child, Child]]:
     with contextlib.ExitStack() as stack:
         stack.callback(signal.signal, signal.SIGTERM, before)
         node = stack.enter_context(
-            Child("hd_diag.node", ["--ros-args", "--params-file", str(folder / "node.yaml")], folder / "node.txt")
+            Child(
+                "hd_diag.node",
+                ["--ros-args", "--params-file", str(folder / "node.yaml")],
+                folder / "node.txt",
+            )
         )
         joint = stack.enter_context(
             Child(
                 "hd_diag.simulated_joint",
-                ["--config", str(folder / "joint.yaml"), "--seconds", length],
+                ["--config", str(folder / "joint.yaml"), "--seconds", length, "--rate", str(_RATE)],
                 folder / "joint.txt",
             )
         )
@@ -204,16 +233,84 @@ def _observer() -> Iterator[Observer]:
         try_shutdown()
 
 
-def _connect(observer: Observer, *children: Child) -> None:
-    """Wait until everybody has found everybody."""
-    started = time.monotonic()
-    limit = _START_LIMIT + _DISCOVERY_LIMIT
+def _connect(observer: Observer, children: Sequence[Child]) -> None:
+    """Wait until both processes run and everybody has found everybody."""
+    speaking = False
+    deadline = time.monotonic() + _START_LIMIT
     while not observer.is_connected():
         rclpy.spin_once(observer, timeout_sec=0.1)
         for child in children:
             child.check()
-        if time.monotonic() - started > limit:
-            raise DemoError("; ".join(_undiscovered(observer, limit)))
+        if not speaking and all(child.lines for child in children):
+            speaking = True
+            deadline = time.monotonic() + _DISCOVERY_LIMIT
+        if time.monotonic() > deadline:
+            raise DemoError(
+                _DEAF if speaking else f"the processes have not started within {_START_LIMIT:g} s"
+            )
     if observer.get_node_names().count(_NODE) > 1:
         domain = os.environ["ROS_DOMAIN_ID"]
         raise DemoError(f"another node /{_NODE} runs in ROS domain {domain}: set ROS_DOMAIN_ID to a free one")
+
+
+def _show(
+    observer: Observer, display: Display, children: Sequence[Child], steps: list[Step], seconds: float
+) -> str:
+    """Change the eccentricity step by step, with a value that cannot be between; why that is refused."""
+    refusal = ""
+    begin = time.monotonic()
+    for number, eccentricity in enumerate(ECCENTRICITIES, start=1):
+        if len(steps) == len(ECCENTRICITIES) // 2:
+            refusal = observer.set_parameter(*_REFUSED)
+            display.say(f"set {_REFUSED[0]} = {_REFUSED[1]}: {f'refused: {refusal}' if refusal else 'TAKEN'}")
+        if reason := observer.set_parameter(_MAGNITUDE, eccentricity * 1e-6):
+            raise DemoError(f"the node refuses {_MAGNITUDE} = {eccentricity}e-6: {reason}")
+        display.say(f"set {_MAGNITUDE} = {eccentricity:g} um: in force")
+        steps.append(Step(eccentricity))
+        _observe(observer, display, steps, begin + seconds * number / len(ECCENTRICITIES))
+        for child in children:
+            child.check()
+    return refusal
+
+
+def _observe(observer: Observer, display: Display, steps: Sequence[Step], end: float) -> None:
+    """Show the last step until a time of the monotonic clock [s], and at least its first reading."""
+    for reading in observer.readings(end - time.monotonic()):
+        if steps[-1].take(reading):
+            display.show(steps)
+    if not steps[-1].readings:
+        for reading in observer.readings(_ANSWER_LIMIT):
+            if steps[-1].take(reading):
+                return display.show(steps)
+
+
+def _published(joint: Child) -> int:
+    """Number of messages that the joint says it has published; -1 where it says nothing."""
+    try:
+        return int(json.loads(joint.lines[-1])["published"])
+    except (IndexError, KeyError, TypeError, ValueError):
+        return -1
+
+
+def _missing(
+    steps: Sequence[Step], refusal: str, codes: Mapping[str, int], published: int, log: LogSummary
+) -> list[str]:
+    """What did not hold, one line each."""
+    found = [f"the {name} ended with code {code}" for name, code in codes.items() if code != 0]
+    silent = [f"{step.eccentricity:g}" for step in steps if not step.readings]
+    if silent or len(steps) < len(ECCENTRICITIES):
+        found.append(
+            f"diagnostics came for {len(steps) - len(silent)} of {len(ECCENTRICITIES)} eccentricities"
+        )
+    peaks = [step.readings[-1].number("predicted_te_pp_arcsec") for step in steps if step.readings]
+    if not all(before < after for before, after in itertools.pairwise(peaks)):
+        found.append("the predicted transmission error did not grow with the eccentricity")
+    if not refusal:
+        found.append("the value that cannot be was not refused")
+    states = {reading.values["log_state"] for step in steps for reading in step.readings}
+    found += [f"the log was {state}" for state in sorted(states) if not state.startswith("writing")]
+    logged = log.count("/joint_states")
+    if logged != published or logged < 1:
+        found.append(f"the joint published {published} samples, the log holds {logged}")
+    found += [f"the log holds no {topic}" for topic in _EXPECTED_TOPICS if not log.count(topic)]
+    return found + log.problems

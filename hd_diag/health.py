@@ -200,7 +200,7 @@ def _rate(window: Window) -> float:
 
 
 def _missed(window: Window) -> int:
-    """Samples that the stamps' steps say were lost on the way; jitter adds and takes away, a loss only adds."""
+    """Samples that the stamps say were lost: jitter adds and takes away steps, a loss only adds."""
     if window.accepted < 8:
         return 0
     steps = np.diff(np.concatenate(window.stamps)).astype(np.float64)

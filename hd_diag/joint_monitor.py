@@ -34,7 +34,8 @@ class Samples(NamedTuple):
 class Prediction(NamedTuple):
     """Transmission error: stamp [ns], input angle [rad], torque [N m], predicted [rad], each (n,).
 
-    Where an output angle is reported, also the measured error and its residual to the predicted [rad]. `paired` where the output angle arrived apart from the input, which had its prediction at its own stamp.
+    Where an output angle is reported, also the measured error and its residual to the predicted [rad].
+    `paired` where the output angle arrived apart from the input, which had its prediction at its own stamp.
     """
 
     stamp: Times
@@ -90,7 +91,7 @@ class JointMonitor:
 
     def configure(self, config: JointConfig) -> None:
         """Use another configuration from the next sample on; its map follows through `table`."""
-        if config.drive != self.config.drive:
+        if config.drive.mesh != self.config.drive.mesh:
             self.table = None
         if (config.input_joint, config.output_joint) != (self.config.input_joint, self.config.output_joint):
             self._restart()
@@ -113,7 +114,7 @@ class JointMonitor:
         return bool(
             rows.input_angle is not None
             and not self._pending
-            and stamp[0] > max(self._input_stamp, self._output_stamp)
+            and stamp[0] > self._output_stamp
             and (np.diff(stamp) > 0).all()
             and all(np.isfinite(values).all() for values in rows[1:] if values is not None)
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypedDict
 
 from hd_diag.bag import BagError, BagWriter, Qos
 from hd_diag.config import LogConfig
@@ -93,3 +94,21 @@ class Journal:
             writer, self._writer = self._writer, None
             if writer is not None:
                 self._attempt(writer.close)
+
+
+class _Options(TypedDict):
+    """What of a log may change while it is written."""
+
+    compression: str
+    flush_period: float
+    max_size: int
+    max_duration: float
+
+
+def _options(config: LogConfig) -> _Options:
+    return {
+        "compression": config.compression,
+        "flush_period": config.flush_period,
+        "max_size": config.split_size,
+        "max_duration": config.split_duration,
+    }

@@ -34,12 +34,12 @@ class MapBuilder:
 
     Attributes
     ----------
-    finished : queue.SimpleQueue of (str, TorsionMap or ValueError)
+    finished : queue.SimpleQueue of (str, TorsionMap or Exception)
         Joint and its map, or why it has none.
     """
 
     def __init__(self) -> None:
-        self.finished: queue.SimpleQueue[tuple[str, TorsionMap | ValueError]] = queue.SimpleQueue()
+        self.finished: queue.SimpleQueue[tuple[str, TorsionMap | Exception]] = queue.SimpleQueue()
         self._wanted: dict[str, tuple[Mesh, float]] = {}
         self._changed = threading.Condition()
         self._closed = False
@@ -69,12 +69,12 @@ class MapBuilder:
             self._build(name, mesh, limit)
 
     def _build(self, name: str, mesh: Mesh, limit: float) -> None:
-        result: TorsionMap | ValueError
+        result: TorsionMap | Exception
         try:
             result = build(mesh, limit, lambda fraction: self._is_wanted(name, mesh, limit))
         except BuildCancelled:
             return
-        except ValueError as error:
+        except Exception as error:  # whatever it is, the next map shall be built
             result = error
         with self._changed:
             if self._wanted.get(name) == (mesh, limit):

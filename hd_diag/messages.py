@@ -25,7 +25,7 @@ _NANOSECONDS = 1_000_000_000
 
 
 class Encoded(NamedTuple):
-    """Messages of one topic: name as the monitor gives it, type, time of the cause [ns] (n,), n messages in CDR."""
+    """Messages of a topic: name as the monitor gives it, type, time of the cause [ns] (n,), CDR of all n."""
 
     topic: str
     type_name: str
@@ -59,10 +59,16 @@ def encode(publication: Publication) -> Encoded:
 
 def published_topics(joints: Sequence[str]) -> dict[str, str]:
     """Topics that a monitor of these joints publishes on, with their types."""
-    topics = dict.fromkeys(("~/transmission_error", "~/measured_transmission_error", "~/residual"), JOINT_STATE)
+    topics = dict.fromkeys(
+        ("~/transmission_error", "~/measured_transmission_error", "~/residual"), JOINT_STATE
+    )
     topics["/diagnostics"] = DIAGNOSTICS
     for joint in joints:
-        topics |= {f"~/{joint}/backlash": MULTI_ARRAY, f"~/{joint}/load": MULTI_ARRAY, f"~/{joint}/mesh": MARKERS}
+        topics |= {
+            f"~/{joint}/backlash": MULTI_ARRAY,
+            f"~/{joint}/load": MULTI_ARRAY,
+            f"~/{joint}/mesh": MARKERS,
+        }
     return topics
 
 
@@ -78,12 +84,14 @@ def string(text: str) -> bytes:
 
 def read_string(data: bytes) -> str:
     """Text of a std_msgs/String in CDR."""
-    return str(jazzy().deserialize_cdr(data, STRING).data)
+    message: Any = jazzy().deserialize_cdr(data, STRING)
+    return str(message.data)
 
 
 def read_temperature(data: bytes) -> float:
     """Temperature of a sensor_msgs/Temperature in CDR [degree Celsius]."""
-    return float(jazzy().deserialize_cdr(data, TEMPERATURE).temperature)
+    message: Any = jazzy().deserialize_cdr(data, TEMPERATURE)
+    return float(message.temperature)
 
 
 def parameter_event(node: str, stamp: int, values: Mapping[str, Any], new: bool) -> bytes:

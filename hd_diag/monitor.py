@@ -219,7 +219,10 @@ def _messages(received: Times, joints: Mapping[str, Prediction]) -> list[Publica
     stamp, paired = predictions[0].stamp, predictions[0].paired
     found: list[Publication] = []
     if not paired:
-        error, torque = _columns([p.predicted for p in predictions]), _columns([p.torque for p in predictions])
+        error, torque = (
+            _columns([p.predicted for p in predictions]),
+            _columns([p.torque for p in predictions]),
+        )
         found.append(Angles("~/transmission_error", received, stamp, tuple(joints), error, torque))
     measured = [p.measured for p in predictions if p.measured is not None]
     if measured:

@@ -1,9 +1,10 @@
-"""The rclpy node: joint states in, transmission error, tooth arrays and diagnostics out, everything in a log."""
+"""The rclpy node: joint states in, transmission error, tooth arrays and diagnostics out, all of it logged."""
 
 from __future__ import annotations
 
 import contextlib
 import gc
+import signal
 import sys
 import time
 from collections.abc import Sequence
@@ -13,29 +14,34 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import ExternalShutdownException
-from rclpy.experimental import EventsExecutor
+from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import ok, try_shutdown
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import Float64MultiArray
 from visualization_msgs.msg import MarkerArray
 
 from hd_diag.bag import Qos
 from hd_diag.config import Config, ConfigError, load, parameters, resolve
+from hd_diag.drive import mesh_state, transmission_error
 from hd_diag.journal import Journal
 from hd_diag.map_builder import MapBuilder
+from hd_diag.markers import MARKERS
 from hd_diag.messages import (
     DIAGNOSTICS,
     JOINT_STATE,
-    MARKERS,
     MULTI_ARRAY,
     TEMPERATURE,
     Encoded,
     published_topics,
 )
 from hd_diag.model.torsion_map import ARCSEC
+from hd_diag.parameters import ROS_PARAMETERS
 from hd_diag.session import Session
 
 _CLASSES = {
@@ -46,13 +52,13 @@ _CLASSES = {
 }
 _INPUT_DEPTH = 2000  # samples that may wait while something else takes its time: two seconds of 1 kHz
 _OUTPUT_DEPTH = 100
-_WATCH_PERIOD = 0.5  # between looks at the publishers' reliability [s]
 _LOOP_PERIOD = 0.05  # longest sleep between looks at the clock, the log and finished maps [s]
-# Parameters that every node has, which are no business of the configuration.
-_FOREIGN = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+# Longest wait for the interpreter while a map is built beside [s]: a tenth of a sample at 1 kHz; Python's own
+# 5 ms would let samples pile up.
+_SWITCH_INTERVAL = 1e-4
 
 
-class DiagnosticNode(Node):  # type: ignore[misc]
+class DiagnosticNode(Node):
     """Node that runs one `Session` on live messages."""
 
     def __init__(self) -> None:
@@ -71,8 +77,9 @@ class DiagnosticNode(Node):  # type: ignore[misc]
         self._session.start(self._now())
         for joint in config.joints:
             self._builder.request(joint)
-        self._next_report = self._next_watch = time.monotonic()
-        self._best_effort = False
+        self._next_report = self._next_look = time.monotonic()
+        self._best_effort = self._unheard = False
+        _warm_up(config)
         self._input = self._subscribe()
         for joint in config.joints:
             self._subscribe_temperature(joint.name)
@@ -81,19 +88,26 @@ class DiagnosticNode(Node):  # type: ignore[misc]
         self._told_log = ""
         self._tell_log()
 
-    def housekeeping(self) -> None:
-        """Do what is due by the clock: reports, finished maps, the log's flush, the publishers' reliability."""
-        self._journal.flush_if_due()
-        self._take_maps()
+    def housekeeping(self) -> float:
+        """Do what is due by the clock: reports, finished maps, the log's flush, the publishers' reliability.
+
+        Returns
+        -------
+        float
+            Time until something may be due again [s].
+        """
         now = time.monotonic()
-        if now >= self._next_report:
-            period = 1.0 / self._session.config.diagnostics_rate
-            self._next_report = max(self._next_report + period, now)
-            self._report()
-        if now >= self._next_watch:
-            self._next_watch = now + _WATCH_PERIOD
-            self._watch_publishers()
+        if now >= self._next_look:
+            self._journal.flush_if_due()
+            self._take_maps()
+            self._hear_best_effort()
             self._tell_log()
+            if now >= self._next_report:
+                period = 1.0 / self._session.config.diagnostics_rate
+                self._next_report = max(self._next_report + period, now)
+                self._report()
+            self._next_look = min(now + _LOOP_PERIOD, self._next_report)
+        return max(0.0, self._next_look - now)
 
     def close(self) -> None:
         """Report once more and finish the log."""
@@ -104,11 +118,8 @@ class DiagnosticNode(Node):  # type: ignore[misc]
 
     def _declare(self) -> Config:
         """Declare every parameter with the value given at the start, or its default."""
-        given = {
-            name: _plain(parameter.value)
-            for name, parameter in self.get_parameters_by_prefix("").items()
-            if not name.startswith(_FOREIGN)
-        }
+        declared: dict[str, Any] = self.get_parameters_by_prefix("")
+        given = {name: _plain(known.value) for name, known in declared.items() if _is_own(name)}
         config = resolve(given)
         for name in given:
             self.undeclare_parameter(name)
@@ -123,14 +134,20 @@ class DiagnosticNode(Node):  # type: ignore[misc]
         return config
 
     def _now(self) -> int:
-        """Time of reception [ns]: the system's, never going back, so that the log's order is the order of events."""
+        """Time of reception [ns]: the system's, but rising: the log's order is the order of events."""
         self._last_time = max(self._last_time + 1, time.time_ns())
         return self._last_time
 
     def _subscribe(self) -> Any:
         reliability = ReliabilityPolicy.BEST_EFFORT if self._best_effort else ReliabilityPolicy.RELIABLE
-        profile = QoSProfile(depth=_INPUT_DEPTH, reliability=reliability)
-        return self.create_subscription(JointState, "joint_states", self._on_joint_state, profile, raw=True)
+        return self.create_subscription(
+            JointState,
+            "joint_states",
+            self._on_joint_state,
+            QoSProfile(depth=_INPUT_DEPTH, reliability=reliability),
+            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible_qos),
+            raw=True,
+        )
 
     def _subscribe_temperature(self, joint: str) -> None:
         topic = f"{joint}/temperature"
@@ -182,10 +199,10 @@ class DiagnosticNode(Node):  # type: ignore[misc]
         publisher = self._outputs.get(encoded.topic)
         name = self._resolved(encoded.topic)
         for row, received in zip(encoded.rows, encoded.received.tolist(), strict=True):
-            data = row.tobytes()
-            if publisher is not None and self.context.ok():
-                publisher.publish(data)
+            data = bytes(row)
             self._journal.write(name, encoded.type_name, data, received)
+            if publisher is not None:
+                publisher.publish(data)
 
     def _report(self) -> None:
         latency = np.percentile(self._latencies, 99) * 1e-3 if self._latencies else float("nan")
@@ -196,7 +213,7 @@ class DiagnosticNode(Node):  # type: ignore[misc]
     def _take_maps(self) -> None:
         while not self._builder.finished.empty():
             joint, table = self._builder.finished.get()
-            if isinstance(table, ValueError):
+            if isinstance(table, Exception):
                 self.get_logger().warning(f"{joint}: no map, predictions stay exact: {table}")
             elif self._session.use_map(self._now(), joint, table):
                 self.get_logger().info(
@@ -204,12 +221,12 @@ class DiagnosticNode(Node):  # type: ignore[misc]
                     f"error at most {table.error_bound / ARCSEC:.3f} arcsec"
                 )
 
-    def _watch_publishers(self) -> None:
-        """Subscribe with best effort as soon as one publisher offers no more: it would reach nobody otherwise."""
-        if self._best_effort:
-            return
-        offers = self.get_publishers_info_by_topic(self._input_topic)
-        if any(offer.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for offer in offers):
+    def _on_incompatible_qos(self, _: Any) -> None:
+        self._unheard = True  # not now: the executor is still busy with the subscription
+
+    def _hear_best_effort(self) -> None:
+        """Subscribe with best effort once a publisher offers no more: nothing would arrive otherwise."""
+        if self._unheard and not self._best_effort:
             self._best_effort = True
             self.destroy_subscription(self._input)
             self._input = self._subscribe()
@@ -225,12 +242,12 @@ class DiagnosticNode(Node):  # type: ignore[misc]
     def _validate(self, changed: Sequence[Parameter]) -> SetParametersResult:
         try:
             self._candidate(changed)
-        except ConfigError as error:
+        except Exception as error:  # a ConfigError; whatever else a value does, the node lives
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
     def _candidate(self, changed: Sequence[Parameter]) -> Config:
-        own = {p.name: _plain(p.value) for p in changed if not p.name.startswith(_FOREIGN)}
+        own = {p.name: _plain(p.value) for p in changed if _is_own(p.name)}
         for name, value in own.items():
             if value is None:
                 raise ConfigError(f"{name}: cannot be removed")
@@ -238,19 +255,29 @@ class DiagnosticNode(Node):  # type: ignore[misc]
 
     def _apply(self, changed: Sequence[Parameter]) -> None:
         config = self._candidate(changed)
-        log = config.log != self._session.config.log
-        now = self._now()
         joints = {joint.name: joint for joint in config.joints}
-        for name in self._session.configure(now, config):
+        for name in self._session.configure(self._now(), config):
             self._builder.request(joints[name])
-        if log:
-            self._journal.close()
-            self._journal = Journal(config.log)
-            self._session.start(self._now())
+        self._next_report = min(self._next_report, time.monotonic() + 1.0 / config.diagnostics_rate)
+        if self._journal.configure(config.log):
+            self._session.start_again(self._now())
             self._tell_log()
 
 
 _QOS = Qos(depth=_INPUT_DEPTH)
+
+
+def _warm_up(config: Config) -> None:
+    """Compute once what the first sample would have to wait for: constants, machine code, imports."""
+    nothing = np.zeros(1)
+    for joint in config.joints:
+        transmission_error(joint.drive, nothing, nothing)
+        mesh_state(joint.drive, nothing, nothing)
+
+
+def _is_own(parameter: str) -> bool:
+    """Whether a parameter belongs to the configuration; every ROS node has some that do not."""
+    return parameter.split(".")[0] not in ROS_PARAMETERS
 
 
 def _plain(value: Any) -> Any:
@@ -278,30 +305,33 @@ def main(args: Sequence[str] | None = None) -> int:
         Exit code: 0 after a signal, 2 where the configuration cannot be used.
     """
     arguments = list(sys.argv if args is None else args)
+    stopped = _signals()
     try:
-        rclpy.init(args=arguments)
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         node = DiagnosticNode()
-    except KeyboardInterrupt:
-        rclpy.try_shutdown()
-        return 0
     except Exception as error:
-        print(f"hd_diag: {_reason(arguments, error)}", file=sys.stderr)
-        rclpy.try_shutdown()
+        sys.stderr.write(f"hd_diag: {_reason(arguments, error)}\n")
+        try_shutdown()
         return 2
     executor = EventsExecutor()
     executor.add_node(node)
+    sys.setswitchinterval(_SWITCH_INTERVAL)
     gc.collect()
     gc.freeze()  # what lives as long as the node need not be looked at again
-    try:
-        while rclpy.ok():
-            executor.spin_once(timeout_sec=_LOOP_PERIOD)
-            node.housekeeping()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        node.close()
-        rclpy.try_shutdown()
+    with contextlib.suppress(ExternalShutdownException):
+        while not stopped and ok():
+            executor.spin_once(timeout_sec=node.housekeeping())
+    node.close()
+    try_shutdown()
     return 0
+
+
+def _signals() -> list[int]:
+    """Signals that came since; rclpy's own handlers would break into the writing of the log."""
+    came: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda received, frame: came.append(received))
+    return came
 
 
 def _reason(arguments: Sequence[str], error: Exception) -> str:

@@ -202,7 +202,9 @@ class _Run:
 
     def _report(self, now: int) -> None:
         assert self._session is not None
-        self._session.tick(now, now, {"latency_p99_us": "nan", "log_state": f"writing {self._writer.paths[0]}"})
+        self._session.tick(
+            now, now, {"latency_p99_us": "nan", "log_state": f"writing {self._writer.paths[0]}"}
+        )
 
     def _inputs(self, batch: Batch, times: Times) -> None:
         assert self._session is not None
@@ -268,10 +270,16 @@ class _Run:
 
 def _event(path: Path, data: bytes) -> dict[str, Any]:
     """A recorded event, checked for what the replay needs of it."""
-    needed = {"configuration": ("parameters",), "map": ("joint", "torque_limit"), "report": ("stamp", "facts")}
+    needed = {
+        "configuration": ("parameters",),
+        "map": ("joint", "torque_limit"),
+        "report": ("stamp", "facts"),
+    }
     try:
         event = json.loads(read_string(data))
-        if not isinstance(event, dict) or any(key not in event for key in needed.get(event.get("event", ""), ())):
+        if not isinstance(event, dict) or any(
+            key not in event for key in needed.get(event.get("event", ""), ())
+        ):
             raise ValueError("it lacks what its kind needs")
     except Exception as error:  # rosbags raises several kinds on a malformed message
         raise BagError(path, f"has an event that cannot be read: {error}") from error
@@ -282,7 +290,9 @@ def _part(batch: Batch, rows: slice) -> Batch:
     return Batch(batch.topic, batch.log_time[rows], batch.publish_time[rows], batch.payload[rows])
 
 
-def _in_order(columns: list[JointStates], rejected: dict[int, str]) -> Iterator[tuple[int, JointStates | str]]:
+def _in_order(
+    columns: list[JointStates], rejected: dict[int, str]
+) -> Iterator[tuple[int, JointStates | str]]:
     """Groups of columns and refused messages in the order of the batch, with the first row of each."""
     pieces: list[tuple[int, JointStates | str]] = list(rejected.items())
     for states in columns:
@@ -293,5 +303,3 @@ def _in_order(columns: list[JointStates], rejected: dict[int, str]) -> Iterator[
             piece = JointStates(states.row[at], states.stamp[at], states.names, states.frame_id, *values)
             pieces.append((int(piece.row[0]), piece))
     yield from sorted(pieces, key=lambda piece: piece[0])
-
-

@@ -1,7 +1,7 @@
 """One run of the monitor, live or replayed: what comes in, what goes out, and the events in between.
 
-The events (configuration, map in force, report) are all that the outputs depend on besides the received messages.
-Recorded in their order, they make a replay give the same bytes.
+The events (configuration, map in force, report) are all that the outputs depend on besides the received
+messages. Recorded in their order, they make a replay give the same bytes.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from hd_diag.bag.columns import JointStateDecoder
-from hd_diag.config import Config
+from hd_diag.config import Config, JointConfig
 from hd_diag.messages import (
     PARAMETER_EVENT,
     STRING,
@@ -23,6 +23,7 @@ from hd_diag.messages import (
     read_temperature,
     string,
 )
+from hd_diag.model.torsion import Mesh
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.monitor import Monitor
 from hd_diag.samples import JointStates, Publication, Times
@@ -63,7 +64,7 @@ class Session:
         self._configuration(now, dict(self.config.flat), new=True)
 
     def start_again(self, now: int) -> None:
-        """Forget every sample and record configuration and maps: what follows can be replayed from here on."""
+        """Forget every sample and record configuration and maps: a replay can begin here."""
         tables = {name: joint.table for name, joint in self.monitor.joints.items()}
         self.monitor = Monitor(self.config)
         self.start(now)
@@ -109,7 +110,7 @@ class Session:
         Returns
         -------
         list of str
-            Joints whose mesh is another now: their maps no longer hold.
+            Joints that need another map, for their mesh or the torque that it has to reach is another now.
         """
         before = self.config
         changed = {name: value for name, value in config.flat.items() if before.flat.get(name) != value}
@@ -118,7 +119,7 @@ class Session:
         self.monitor.configure(config)
         self._configuration(now, changed, new=False)
         pairs = zip(before.joints, config.joints, strict=True)
-        return [new.name for old, new in pairs if new.drive.mesh != old.drive.mesh]
+        return [new.name for old, new in pairs if _map_needs(new) != _map_needs(old)]
 
     def use_map(self, now: int, joint: str, table: TorsionMap) -> bool:
         """Predict a joint by its map from the next message on; False if its mesh has changed since."""
@@ -146,3 +147,7 @@ class Session:
     def _publish(self, publications: Iterable[Publication]) -> None:
         for publication in publications:
             self._sink(encode(publication))
+
+
+def _map_needs(joint: JointConfig) -> tuple[Mesh, float]:
+    return joint.drive.mesh, joint.drive.rated_torque

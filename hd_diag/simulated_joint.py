@@ -148,6 +148,7 @@ def _run(joint: JointConfig, run: Motion, given: argparse.Namespace) -> int:
     truth = SimulatedJoint(joint.drive, Noise(white=given.noise * ARCSEC))
     # Before waiting: meanwhile the processes discover each other.
     record = simulation.simulate(truth, run, np.random.default_rng(given.seed))
+    click.echo("simulated_joint: ready")
     if not _wait_for_subscriber(publisher):
         click.echo(f"simulated_joint: nobody subscribed to joint_states within {_WAIT:g} s", err=True)
         return 1

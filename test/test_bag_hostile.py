@@ -1,5 +1,6 @@
 """Hostile bags: always BagError, in bounded time and memory."""
 
+import itertools
 import random
 import resource
 import struct
@@ -14,7 +15,7 @@ import pytest
 import zstandard
 from bag_samples import JOINT_STATE, STRING, accepts, consume, corpus, damaged, rows, string_cdr
 from mcap.data_stream import RecordBuilder
-from mcap.records import Channel, Header, Schema
+from mcap.records import Channel, Header, Metadata, Schema
 
 from hd_diag.bag import BagError, BagReader, BagWriter, recover
 from hd_diag.bag.mcap_file import MAGIC, MESSAGE
@@ -154,7 +155,12 @@ def test_hostile_files_are_refused_or_read_in_part(tmp_path, name):
 def test_deep_and_large_schemas(tmp_path):
     path = tmp_path / "a.mcap"
     deep = "".join(f"x_msgs/L{i} x\n{'=' * 80}\nMSG: x_msgs/L{i}\n" for i in range(3000)) + "float64 x\n"
-    for text in (deep, "float64 x\n" * 200_000):
+    for text in (
+        deep,
+        "float64 x\n" * 200_000,
+        "\n" * 1_000_000 + "y_msgs/Y y\n",
+        "#\n" * 500_000 + "y_msgs/Y y\n",
+    ):
         path.write_bytes(bag(chunk(topic(kind="x_msgs/msg/X", text=text) + message(data=bytes(8)))))
         assert accepts(path) is None
 
@@ -251,13 +257,31 @@ def test_damaged_metadata(tmp_path):
     )
     for text in (
         nested,
-        "[" * 5000,
+        "[" * 1_000_000,
+        "- " * 1_000_000,
         "rosbag2_bagfile_information: {relative_file_paths: 3}",
         "!!python/object:os.system {}",
         bomb,
     ):
         info.write_text(text)
         assert accepts(tmp_path / "bag") is None
+
+
+def test_hostile_yaml_inside_a_file(tmp_path):
+    """Deep nesting crashes libyaml's loader; repeated aliases grow without bound when written out."""
+    aliases = "- &a [x,x]\n" + "".join(
+        f"- &{c} [*{b},*{b}]\n" for b, c in itertools.pairwise("abcdefghijklmnopqrstuvwxyz")
+    )
+    path = tmp_path / "a.mcap"
+    for text in ("[" * 1_000_000, aliases, f"- history: &a [1]\n  depth: {aliases!r}\n", "- {history: [1]}"):
+        extra = {"offered_qos_profiles": text}
+        content = packed(
+            Schema(1, definition(STRING).text.encode(), "ros2msg", STRING), Channel(1, "/n", "cdr", extra, 1)
+        )
+        own = packed(Metadata("rosbag2", {"serialized_metadata": text}))
+        path.write_bytes(bag(own, chunk(content + message())))
+        assert accepts(path) == 1
+        assert recover(path, tmp_path / "b.mcap", overwrite=True).counts == {"/n": 1}
 
 
 LIMITED = """

@@ -153,6 +153,7 @@ def test_folder_with_damaged_metadata_and_a_file_that_is_no_bag(tmp_path):
     (tmp_path / "bag" / "bag_1.mcap").write_text("rubbish")
     report = recover(tmp_path / "bag", tmp_path / "saved.mcap")
     assert report.counts == {"/n": 1}
+    assert "is not rosbag2 metadata" in report.problems[0]
     assert report.files[1].problems == ["is not an MCAP file"]
     assert report.files[1].unread == 7
 
@@ -265,3 +266,28 @@ def test_times_over_several_files(tmp_path):
     assert (report.start, report.end) == (0, 99 * MS)
     with BagReader(tmp_path / "b.mcap") as reader:
         assert np.array_equal(np.concatenate([b.log_time for b in reader.batches()]), stamps)
+
+
+def test_a_file_that_is_missing_is_said(tmp_path):
+    block, stamps = rows(100)
+    with BagWriter(tmp_path / "bag", max_duration=0.04) as writer:
+        writer.write_many("/j", JOINT_STATE, block, stamps)
+    writer.paths[1].unlink()
+    report = recover(tmp_path / "bag", tmp_path / "b.mcap")
+    assert not report.complete
+    assert "bag_1.mcap: is named in metadata.yaml but missing" in report.statement()
+    assert report.counts == {"/j": 60}
+
+
+@pytest.mark.parametrize("finished", [True, False])
+def test_custom_data_of_a_single_file(tmp_path, finished):
+    writer = BagWriter(tmp_path / "a.mcap", custom_data={"config": "x: 1\ny: 2"})
+    writer.write("/n", STRING, string_cdr("x"), 7)
+    writer.flush()
+    (tmp_path / "b.mcap").write_bytes((tmp_path / "a.mcap").read_bytes())
+    writer.close()
+    path = tmp_path / ("a.mcap" if finished else "b.mcap")
+    recover(path, tmp_path / "c.mcap")
+    for name in (path, tmp_path / "c.mcap"):
+        with BagReader(name) as reader:
+            assert reader.custom_data == {"config": "x: 1\ny: 2"}

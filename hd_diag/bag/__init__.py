@@ -1,6 +1,8 @@
 """The bag edge: recordings as rosbag2 writes and reads them, as columns of numbers; no ROS is needed."""
 
-from .columns import JointStateDecoder, JointStates, Rejection, decode_joint_states
+from hd_diag.samples import JointStates
+
+from .columns import JointStateDecoder, Rejection, decode_joint_states
 from .encoding import (
     encode_float64_multiarray,
     encode_float64_multiarray_message,

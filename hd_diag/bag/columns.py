@@ -15,38 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from hd_diag.samples import Floats, JointStates
+
 Bytes = npt.NDArray[np.uint8]
 # Number of layouts per decoder that are remembered; one topic rarely has more than one or two.
 _REMEMBERED = 64
 # A batch with more layouts than this is decoded message by message.
 _MAX_LAYOUTS = 16
 _NANOSECONDS = 1_000_000_000
-
-
-class JointStates(NamedTuple):
-    """Messages with the same joints.
-
-    Attributes
-    ----------
-    row : ndarray of int64, shape (n,)
-        Positions of the messages in the batch.
-    stamp : ndarray of int64, shape (n,)
-        Time of the header [ns].
-    names : tuple of str
-        The k joints.
-    frame_id : str
-    position, velocity, effort : ndarray, shape (n, k), or None
-        [rad] or [m], [rad/s] or [m/s], [N m] or [N]; None where the messages have none.
-    """
-
-    row: npt.NDArray[np.int64]
-    stamp: npt.NDArray[np.int64]
-    names: tuple[str, ...]
-    frame_id: str
-    position: Floats | None
-    velocity: Floats | None
-    effort: Floats | None
 
 
 class Rejection(NamedTuple):

@@ -14,9 +14,9 @@ import zstandard
 from .errors import BagError
 from .mcap_chunk import unzstd
 from .mcap_scan import MAX_CHUNK
+from .rosbag2 import load_yaml
 
-_MAX_YAML = 64 << 20
-_Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_MAX_YAML = 4 << 20
 
 
 @dataclass
@@ -87,6 +87,19 @@ def unpacked(path: Path, messages: Iterable[Any]) -> list[memoryview]:
         raise BagError(path, f"a compressed message is damaged: {exc}") from exc
 
 
+def custom_data(metadata: str) -> dict[str, str]:
+    """Custom data of the metadata inside an MCAP file; none where it cannot be understood."""
+    try:
+        return _texts(load_yaml(metadata)["custom_data"])
+    except (yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError):
+        return {}
+
+
+def _texts(extra: Any) -> dict[str, str]:
+    pairs = extra.items() if isinstance(extra, dict) else ()
+    return {k: v for k, v in pairs if isinstance(k, str) and isinstance(v, str)}
+
+
 def _listed(folder: Path) -> BagFiles:
     """Files that ``metadata.yaml`` names."""
     path = folder / "metadata.yaml"
@@ -95,7 +108,7 @@ def _listed(folder: Path) -> BagFiles:
     if path.stat().st_size > _MAX_YAML:
         raise BagError(path, "is too large")
     try:
-        info = yaml.load(path.read_bytes(), Loader=_Loader)["rosbag2_bagfile_information"]
+        info = load_yaml(path.read_bytes())["rosbag2_bagfile_information"]
         # Only names: a path could lead out of the folder.
         names = dict.fromkeys(PurePath(name).name for name in info["relative_file_paths"])
         mode = (info.get("compression_mode") or "").lower()
@@ -108,9 +121,7 @@ def _listed(folder: Path) -> BagFiles:
     missing = [
         f"{name}: is named in metadata.yaml but missing" for name in names if folder / name not in there
     ]
-    pairs = extra.items() if isinstance(extra, dict) else ()
-    custom = {k: v for k, v in pairs if isinstance(k, str) and isinstance(v, str)}
-    return BagFiles(there, missing, custom, mode == "message")
+    return BagFiles(there, missing, _texts(extra), mode == "message")
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:

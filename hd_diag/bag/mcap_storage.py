@@ -11,6 +11,7 @@ import numpy as np
 
 from .block import Block
 from .errors import BagError
+from .folder import custom_data
 from .mcap_chunk import load
 from .mcap_scan import Scan, Section, scan
 from .schemas import Definition
@@ -39,6 +40,8 @@ class McapStorage:
         As `declared`.
     counts : dict
         Messages of each channel.
+    custom_data : dict
+        From the metadata that rosbag2 keeps inside the file.
     problem : str
         Why the file is not finished; empty where it is.
 
@@ -58,6 +61,7 @@ class McapStorage:
                 self.problem = "is being written by another process"
             self.counts = self._counts()
             self.topics = self._declared()
+            self.custom_data = kept_custom_data(self.scan)
         except BaseException:
             self.file.close()
             raise
@@ -112,6 +116,11 @@ class McapStorage:
             if number not in topics:
                 raise BagError(self.path, f"topic {channel.topic} has no schema, or is not CDR")
         return topics
+
+
+def kept_custom_data(found: Scan) -> dict[str, str]:
+    """Custom data in the file's own metadata."""
+    return custom_data(found.metadata.get("rosbag2", {}).get("serialized_metadata", ""))
 
 
 def declared(found: Scan) -> Topics:

@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.samples import JointStates
+
 from .block import Block, gather
-from .columns import JointStates, Rejection, decode_joint_states, joint_states_from_messages
+from .columns import Rejection, decode_joint_states, joint_states_from_messages
 from .errors import BagError
 from .folder import find_files, unpacked
 from .mcap_storage import McapStorage
@@ -104,6 +106,8 @@ class BagReader:
         What precedes the damage is read. Empty for a whole bag.
     paths : list of Path
         Storage files in order.
+    custom_data : dict
+        From the metadata.
 
     Raises
     ------
@@ -253,6 +257,8 @@ class BagReader:
         storage = SqliteFile(path) if is_sqlite(path) else McapStorage(path)
         if storage.problem:
             self.problems.append(BagError(path.name, storage.problem).args[0])
+        if isinstance(storage, McapStorage):
+            self.custom_data = storage.custom_data | self.custom_data
         source = _Source(path, storage, counts=storage.counts)
         for number, (name, kind, offers, known) in storage.topics.items():
             topic = self._topics.setdefault((name, kind), Topic(name, kind, 0, known, offers))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import zlib
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from .errors import BagError, check_output
 from .folder import find_files, unpacked
 from .mcap_chunk import find_chunk, load, load_part
 from .mcap_scan import Scan, scan, walk
-from .mcap_storage import Topics, declared
+from .mcap_storage import Topics, declared, kept_custom_data
 from .reader import BagReader
 from .schemas import Definition
 from .sqlite_file import SqliteFile, is_sqlite
@@ -61,6 +62,8 @@ class RecoveryReport:
         Messages saved of each topic.
     start, end : int or None
         Least and greatest log time saved [ns]; None where nothing was.
+    problems : list of str
+        What is wrong with the folder: metadata that cannot be understood, missing files.
     """
 
     out: list[Path]
@@ -68,11 +71,12 @@ class RecoveryReport:
     counts: dict[str, int]
     start: int | None = None
     end: int | None = None
+    problems: list[str] = field(default_factory=list)
 
     @property
     def complete(self) -> bool:
         """Whether nothing was lost that is known of."""
-        return not any(f.problems for f in self.files)
+        return not self.problems and not any(f.problems for f in self.files)
 
     def statement(self) -> list[str]:
         """What was saved and lost, in lines for people."""
@@ -80,6 +84,7 @@ class RecoveryReport:
         until = "" if self.end is None else f", the last at {self.end * 1e-9:.9f} s"
         lines = [f"saved {total} messages{until}"]
         lines += [f"  {topic}: {count}" for topic, count in sorted(self.counts.items())]
+        lines += self.problems
         for file in self.files:
             lines += [f"{file.path.name}: {problem}" for problem in file.problems]
             if file.unread:
@@ -102,6 +107,7 @@ class RecoveryReport:
             "messages": self.counts,
             "start": self.start,
             "end": self.end,
+            "problems": self.problems,
             "files": files,
         }
 
@@ -135,7 +141,8 @@ def recover(
     found = find_files(Path(bag), lenient=True)
     total = sum(p.stat().st_size for p in found.paths)
     tally, files, done = _Tally(), [], 0
-    with BagWriter(out, overwrite=overwrite, custom_data=found.custom_data) as writer:
+    extra = found.custom_data or _custom_data(found.paths)
+    with BagWriter(out, overwrite=overwrite, custom_data=extra) as writer:
         for path in found.paths:
             report = FileRecovery(path, path.stat().st_size)
             before = done
@@ -148,8 +155,17 @@ def recover(
             done += report.size
             files.append(report)
     _verify(writer, tally)
-    times = (tally.start, tally.end) if tally.counts else (None, None)
-    return RecoveryReport(writer.paths, files, tally.counts, *times)
+    start, end = (tally.start, tally.end) if tally.counts else (None, None)
+    return RecoveryReport(writer.paths, files, tally.counts, start, end, found.problems)
+
+
+def _custom_data(paths: list[Path]) -> dict[str, str]:
+    """Custom data from inside MCAP files, for a file without a folder's metadata."""
+    kept: dict[str, str] = {}
+    for path in paths:
+        with suppress(BagError, OSError), path.open("rb") as file:
+            kept = kept_custom_data(scan(path, file)) | kept
+    return kept
 
 
 class _Tally:

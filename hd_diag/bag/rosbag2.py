@@ -60,7 +60,7 @@ def dump_offers(offers: Iterable[Qos]) -> str:
 def parse_offers(text: Any) -> tuple[Qos, ...]:
     """Profiles from a channel's ``offered_qos_profiles``, of any metadata version; none where unreadable."""
     try:
-        nodes = yaml.load(text, Loader=_Loader) if isinstance(text, str) else text
+        nodes = load_yaml(text) if isinstance(text, str) else text
         return tuple(_qos(node) for node in nodes or ())
     except (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError, RecursionError):
         return ()
@@ -179,6 +179,27 @@ class _Dumper(yaml.SafeDumper):
 
 
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+# rosbag2's own files have a depth of 7.
+_MAX_DEPTH = 50
+_MAX_TEXT = 4 << 20
+
+
+def load_yaml(text: str | bytes) -> Any:
+    """Plain values of YAML of bounded size and depth: libyaml's loader crashes on deep nesting.
+
+    Raises
+    ------
+    ValueError or yaml.YAMLError
+        Where it is not YAML, too large or too deep.
+    """
+    if len(text) > _MAX_TEXT:
+        raise ValueError(f"{len(text)} bytes of YAML are too many")
+    depth = 0
+    for event in yaml.parse(text, Loader=_Loader):
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > _MAX_DEPTH:
+            raise ValueError("YAML is nested too deep")
+    return yaml.load(text, Loader=_Loader)
 
 
 def _dump(node: Any) -> str:

@@ -83,16 +83,13 @@ class BagWriter:
     ) -> None:
         self.path = Path(path)
         self.error: BagError | None = None
-        if compression not in COMPRESSIONS:
-            raise BagError(
-                self.path, f"compression must be one of {', '.join(COMPRESSIONS)}, not {compression!r}"
-            )
-        if chunk_size < 1 or max_size < 0 or not flush_period >= 0 or not max_duration >= 0:
-            raise BagError(self.path, "sizes and times must not be negative, and a chunk must have a size")
+        if chunk_size < 1:
+            raise BagError(self.path, "a chunk must have a size")
         self._folder = None if self.path.suffix == ".mcap" else self.path
-        self._options = (compression, min(chunk_size, max_size or chunk_size))
-        self._flush_period, self._max_size = flush_period, max_size
-        self._max_duration = int(max_duration * 1e9)
+        self._chunk_size = chunk_size
+        self.change(
+            compression=compression, flush_period=flush_period, max_size=max_size, max_duration=max_duration
+        )
         self._overwrite = overwrite
         self._topics: dict[tuple[str, str], _Topic] = {}
         self._metadata = Metadata(custom_data=dict(custom_data or {}))
@@ -116,6 +113,29 @@ class BagWriter:
     def message_count(self) -> int:
         """Messages written."""
         return sum(self.counts.values())
+
+    def change(self, *, compression: str, flush_period: float, max_size: int, max_duration: float) -> None:
+        """Go on with other options: periods and sizes act at once, the compression from the next file on.
+
+        Parameters
+        ----------
+        compression, flush_period, max_size, max_duration
+            As for the class.
+
+        Raises
+        ------
+        BagError
+            Where a value cannot be.
+        """
+        if compression not in COMPRESSIONS:
+            raise BagError(
+                self.path, f"compression must be one of {', '.join(COMPRESSIONS)}, not {compression!r}"
+            )
+        if max_size < 0 or not flush_period >= 0 or not max_duration >= 0:
+            raise BagError(self.path, "sizes and times must not be negative")
+        self._options = (compression, min(self._chunk_size, max_size or self._chunk_size))
+        self._flush_period, self._max_size = flush_period, max_size
+        self._max_duration = int(max_duration * 1e9)
 
     def add_topic(
         self,

@@ -114,7 +114,9 @@ def error(drive: Drive, input_angle: Floats, torque: Floats) -> Floats:
     return transmission_error(drive, input_angle, torque)
 
 
-def error_and_jacobian(drive: Drive, configured: Drive, input_angle: Floats, torque: Floats) -> tuple[Floats, Floats]:
+def error_and_jacobian(
+    drive: Drive, configured: Drive, input_angle: Floats, torque: Floats
+) -> tuple[Floats, Floats]:
     """Exact transmission error and its derivatives by the parameters.
 
     Returns
@@ -156,7 +158,12 @@ def jacobian(drive: Drive, configured: Drive, input_angle: Floats, torque: Float
     turns = 2.0 * np.pi * np.arange(_GRID_ANGLES) / _GRID_ANGLES
     grid_angle, grid_torque = (g.ravel() for g in np.meshgrid(turns, nodes, indexing="ij"))
     _, _, gradient = compiled.torsion_and_gradient(
-        mesh.geometry, mesh.tooth_compliance, grid_angle, mesh.displacement(grid_angle), mesh.arc_offset, grid_torque
+        mesh.geometry,
+        mesh.tooth_compliance,
+        grid_angle,
+        mesh.displacement(grid_angle),
+        mesh.arc_offset,
+        grid_torque,
     )
     place = np.stack(
         (
@@ -233,7 +240,9 @@ def physical(parameters: Floats, covariance: Floats, configured: Drive) -> dict[
     return found
 
 
-def _polar(name: str, p: Floats, covariance: Floats, first: int, start: Floats) -> dict[str, dict[str, object]]:
+def _polar(
+    name: str, p: Floats, covariance: Floats, first: int, start: Floats
+) -> dict[str, dict[str, object]]:
     pair = slice(first, first + 2)
     x, y = p[pair]
     size = max(float(np.hypot(x, y)), 1e-9)

@@ -136,15 +136,21 @@ def prepare(
     usable &= np.concatenate(([True], (np.diff(time) > 0.0) | (np.diff(bag) != 0)))
     dropped = int(np.sum(~usable))
     if usable.sum() < MINIMUM_SAMPLES:
-        raise RecordError(f"too short: {int(usable.sum())} usable samples, at least {MINIMUM_SAMPLES} are needed")
+        raise RecordError(
+            f"too short: {int(usable.sum())} usable samples, at least {MINIMUM_SAMPLES} are needed"
+        )
     if dropped > 0.5 * usable.size:
-        raise RecordError(f"{dropped} of {usable.size} samples are not finite or their stamps contradict each other")
+        raise RecordError(
+            f"{dropped} of {usable.size} samples are not finite or their stamps contradict each other"
+        )
     time, bag = time[usable], bag[usable]
     angle, output = _unwrapped(input_angle[usable], bag), _unwrapped(output_angle[usable], bag)
     load = None if torque is None else torque[usable]
     heat = None if temperature is None else temperature[usable]
     if float(np.ptp(angle)) < np.pi:
-        raise RecordError(f"no motion: the input turns by {float(np.ptp(angle)):.3g} rad, at least half a turn is needed")
+        raise RecordError(
+            f"no motion: the input turns by {float(np.ptp(angle)):.3g} rad, at least half a turn is needed"
+        )
     segment = _segments(time, bag)
     keep = ~_outliers(output - angle / ratio, segment)
     outliers = int(np.sum(~keep))

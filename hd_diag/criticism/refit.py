@@ -15,7 +15,10 @@ Floats = npt.NDArray[np.float64]
 
 _SCREENED = 700  # samples on which the starts are tried
 _POLISHED = 4000  # samples on which the best are finished
-_STARTS = ((0.0, 0.0), *((size, turn) for size in (6.0, 16.0) for turn in (0.0, 0.25, 0.5, 0.75)))  # [um], [pi]
+_STARTS = (
+    (0.0, 0.0),
+    *((size, turn) for size in (6.0, 16.0) for turn in (0.0, 0.25, 0.5, 0.75)),
+)  # [um], [pi]
 _DISTINCT = 12.0  # difference of deviance that tells two minima apart
 
 
@@ -103,7 +106,9 @@ def refit(
     point, deviance = finished[0]
     covariance = polish.covariance(point)
     rivals = [other for other, value in finished[1:] if value - deviance < _DISTINCT]
-    return Refit(base.drive_of(point, configured), point, covariance, not _distinct([point, *rivals], configured)[1:])
+    return Refit(
+        base.drive_of(point, configured), point, covariance, not _distinct([point, *rivals], configured)[1:]
+    )
 
 
 def usable(record: Record) -> npt.NDArray[np.bool_]:
@@ -135,9 +140,7 @@ def _starts(configured: Drive, start: Floats | None) -> list[Floats]:
 class _Problem:
     """Least squares of the transmission error on some rows, free columns projected out, prior included."""
 
-    def __init__(
-        self, record: Record, configured: Drive, free: Floats, rows: npt.NDArray[np.int64]
-    ) -> None:
+    def __init__(self, record: Record, configured: Drive, free: Floats, rows: npt.NDArray[np.int64]) -> None:
         self.configured = configured
         self.input_angle, self.torque = record.input_angle[rows], record.torque[rows]
         self.measured = record.output_angle[rows] - self.input_angle / configured.kinematics.ratio
@@ -155,7 +158,9 @@ class _Problem:
         return columns - self.free @ (self.free.T @ columns)
 
     def deviance(self, residual: Floats, point: Floats) -> float:
-        return float(residual @ residual) / self.noise**2 + float(np.sum(((point - self.center) / self.width) ** 2))
+        return float(residual @ residual) / self.noise**2 + float(
+            np.sum(((point - self.center) / self.width) ** 2)
+        )
 
     def covariance(self, point: Floats) -> Floats:
         residual, jacobian = self.residual_and_jacobian(point)

@@ -1,0 +1,70 @@
+"""What the verbs of the command line share: options, one-line errors, JSON."""
+
+from __future__ import annotations
+
+import functools
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from hd_diag.bag import BagError
+from hd_diag.config import Config, ConfigError, load, resolve
+from hd_diag.demo_process import DemoError
+
+
+class Problem(click.ClickException):
+    """Bad input: one line on stderr, exit code 2."""
+
+    exit_code = 2
+
+    def show(self, file: Any = None) -> None:
+        """Print the line."""
+        click.echo(f"hd-diag: {' '.join(self.message.split())}", file=file or sys.stderr)
+
+
+def problems(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The command, with input that cannot be used told in one line."""
+
+    @functools.wraps(command)
+    def run(*args: Any, **kwargs: Any) -> Any:
+        try:
+            return command(*args, **kwargs)
+        except (ConfigError, BagError, DemoError) as error:
+            raise Problem(str(error)) from error
+
+    return run
+
+
+CONFIG = click.option(
+    "--config",
+    "config_file",
+    type=click.Path(dir_okay=False),
+    help="ROS parameter file; the example drive without.",
+)
+JSON = click.option(
+    "--json",
+    "json_file",
+    type=click.Path(dir_okay=False, allow_dash=True),
+    help="Write the result here; - = stdout.",
+)
+
+
+def configured(config_file: str | None) -> Config:
+    """The configuration of a file, or the example drive's."""
+    return load(config_file) if config_file else resolve({})
+
+
+def write_json(path: str, result: Any) -> None:
+    """Write a result as JSON; numbers that are not finite become null."""
+    text = json.dumps(result, indent=1, allow_nan=False)
+    if path == "-":
+        click.echo(text)
+        return
+    try:
+        Path(path).write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise Problem(f"{path}: cannot be written: {error.strerror}") from error

@@ -1,0 +1,234 @@
+"""The whole criticism of one joint: checks, refit, causes, what is left, the gain on data that nothing was fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.criticism import base
+from hd_diag.criticism.checks import Finding, check_ratio, find_steps
+from hd_diag.criticism.noise import bounds
+from hd_diag.criticism.record import Record
+from hd_diag.criticism.refit import Refit, refit, usable
+from hd_diag.criticism.search import Cause, Search, fitted, parameters_of, search
+from hd_diag.criticism.testability import Testability, testability
+from hd_diag.criticism.unexplained import Line, lines
+from hd_diag.criticism.workbench import Chosen, Workbench, settle
+from hd_diag.drive import Drive
+
+Floats = npt.NDArray[np.float64]
+
+_HELD_OUT = 4  # every fourth run, or stretch of a single run, is held out
+_STRETCHES = 12
+_SLICE = 1.0  # length of a block of the bootstrap [s]
+
+
+@dataclass(frozen=True)
+class Rms:
+    """Root mean squares on held-out data [rad]."""
+
+    nominal: float
+    refit: float
+    extended: float
+    noise: float
+    noise_low: float
+    noise_high: float
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Share of the nominal model's mean square that the extended model explains, with its 95 % interval."""
+
+    fraction: float
+    low: float
+    high: float
+    held_out: str
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Result for one joint."""
+
+    record: Record
+    configured: Drive
+    findings: tuple[Finding, ...]
+    refitted: Refit | None
+    found: Search | None
+    rms: Rms | None
+    gain: Gain | None
+    unexplained: tuple[Line, ...] = ()
+    testable: tuple[Testability, ...] = ()
+
+    @property
+    def causes(self) -> tuple[Cause, ...]:
+        """Causes found, most explaining first."""
+        return self.found.causes if self.found else ()
+
+
+def diagnose(
+    record: Record, configured: Drive, progress: Callable[[str], None] = lambda text: None
+) -> Diagnosis:
+    """Criticise the model by a record.
+
+    Parameters
+    ----------
+    record : Record
+    configured : Drive
+        The simulation as configured.
+    progress : callable
+        Told what is being done.
+
+    Returns
+    -------
+    Diagnosis
+    """
+    ratio = configured.kinematics.ratio
+    progress("checking the ratio")
+    wrong = check_ratio(record, ratio)
+    if wrong is not None:
+        return Diagnosis(record, configured, (wrong,), None, None, None, None)
+    correction, steps = find_steps(record, ratio, configured.mesh.geometry.slot_pitch)
+    record = replace(record, output_angle=record.output_angle - correction)
+    test, told = held_out(record)
+    train = _renumbered(record.select(~test))
+    progress("fitting the model's own parameters")
+    first = refit(train, configured)
+    progress("looking for causes")
+    plain = settle(Workbench(train, configured, first.parameters), ())
+    found = search(plain, progress)
+    progress("measuring the gain")
+    rms, gain = _gain(record, test, told, configured, plain, found)
+    progress("using all data")
+    whole = _on_all(record, configured, found)
+    trusted = first.trustworthy
+    parameters, covariance = parameters_of(whole)
+    refitted = Refit(base.drive_of(parameters, configured), parameters, covariance, trusted)
+    progress("looking at what is left")
+    return Diagnosis(
+        record,
+        configured,
+        tuple(steps),
+        refitted,
+        whole,
+        rms,
+        gain,
+        tuple(lines(whole)),
+        tuple(testability(whole)),
+    )
+
+
+def held_out(record: Record) -> tuple[npt.NDArray[np.bool_], str]:
+    """Rows that no fit sees, and in words which they are: whole runs where there are enough, else stretches.
+
+    Parameters
+    ----------
+    record : Record
+
+    Returns
+    -------
+    rows : ndarray of bool, shape (n,)
+    told : str
+    """
+    if record.runs >= _HELD_OUT:
+        rows = record.run % _HELD_OUT == _HELD_OUT - 1
+        if 0.1 < rows.mean() < 0.5:
+            return rows, f"{len(set(record.run[rows].tolist()))} of {record.runs} runs"
+    stretch = np.arange(record.size) * _STRETCHES // record.size
+    return (
+        stretch % _HELD_OUT == _HELD_OUT - 1,
+        f"{_STRETCHES // _HELD_OUT} of {_STRETCHES} stretches of the record",
+    )
+
+
+def _renumbered(record: Record) -> Record:
+    """Run numbers from zero, with a new run wherever rows were taken out."""
+    step = float(np.median(np.diff(record.time)))
+    change = (np.diff(record.run) != 0) | (np.diff(record.time) > 20.0 * step)
+    return replace(record, run=np.concatenate(([0], np.cumsum(change))).astype(np.int64))
+
+
+def _on_all(record: Record, configured: Drive, found: Search) -> Search:
+    """The causes found, fitted to all data."""
+    bench = Workbench(record, configured, found.bench.parameters)
+    return fitted(settle(bench, found.chosen), found)
+
+
+def _gain(
+    record: Record,
+    test: npt.NDArray[np.bool_],
+    told: str,
+    configured: Drive,
+    plain: Workbench,
+    found: Search,
+) -> tuple[Rms, Gain]:
+    kept = usable(record)
+    rows = test[kept]
+    time, run = record.time[kept][rows], record.run[kept][rows]
+    nominal = _left(record, configured, kept)
+    nominal = (nominal - nominal[~rows].mean())[rows]
+    refitted = _predicted_left(record, configured, plain, (), rows)
+    extended = _predicted_left(record, configured, found.bench, found.chosen, rows)
+    noise = found.bench.noise_residual
+    low, high = _rms_interval(noise, found.bench.record.time, found.bench.run)
+    freedom = noise.size / max(noise.size - found.bench.always().shape[1] - 30, 1)
+    slices = _slices(time, run)
+    before, after = _sums(nominal**2, slices), _sums(extended**2, slices)
+    rng = np.random.default_rng(0)
+    draws = rng.integers(0, before.size, (2000, before.size))
+    shares = 1.0 - after[draws].sum(axis=1) / before[draws].sum(axis=1)
+    rms = Rms(_rms(nominal), _rms(refitted), _rms(extended), _rms(noise) * float(np.sqrt(freedom)), low, high)
+    fraction = 1.0 - float(after.sum() / before.sum())
+    return rms, Gain(fraction, float(np.quantile(shares, 0.025)), float(np.quantile(shares, 0.975)), told)
+
+
+def _left(record: Record, drive: Drive, kept: npt.NDArray[np.bool_]) -> Floats:
+    """Measured less predicted error [rad]."""
+    rec = record.select(kept)
+    return (
+        rec.output_angle
+        - rec.input_angle / drive.kinematics.ratio
+        - base.error(drive, rec.input_angle, rec.torque)
+    )
+
+
+def _predicted_left(
+    record: Record, configured: Drive, trained: Workbench, chosen: Chosen, rows: npt.NDArray[np.bool_]
+) -> Floats:
+    """What a model trained elsewhere leaves of the chosen rows [rad]."""
+    beta, _, _ = trained.fit(chosen)
+    whole = Workbench(record, configured, trained.parameters)
+    columns = np.concatenate((whole.always(), whole.joined(chosen)), axis=1)
+    return np.asarray((whole.left - columns @ beta)[rows])
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _slices(time: Floats, run: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Numbers of consecutive stretches of about `_SLICE` seconds within runs."""
+    result = np.zeros(time.size, dtype=np.int64)
+    number = 0
+    for begin, end in bounds(run):
+        inner = ((time[begin:end] - time[begin]) / _SLICE).astype(np.int64)
+        result[begin:end] = number + inner
+        number = int(result[end - 1]) + 1
+    return result
+
+
+def _sums(values: Floats, slices: npt.NDArray[np.int64]) -> Floats:
+    sums = np.bincount(slices, weights=values)
+    return np.asarray(sums[np.bincount(slices) > 0])
+
+
+def _rms_interval(values: Floats, time: Floats, run: npt.NDArray[np.int64]) -> tuple[float, float]:
+    """95 % block bootstrap interval of an rms."""
+    slices = _slices(time, run)
+    sums, counts = _sums(values**2, slices), _sums(np.ones(values.size), slices)
+    draws = np.random.default_rng(0).integers(0, sums.size, (1000, sums.size))
+    rms = np.sqrt(sums[draws].sum(axis=1) / counts[draws].sum(axis=1))
+    low, high = np.quantile(rms, (0.025, 0.975))
+    return float(low), float(high)

@@ -1,0 +1,195 @@
+"""What no known cause explains, described and not named: orders, amplitude, how they go with torque and direction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.criticism.design import f_test, lower_bound
+from hd_diag.criticism.search import LEAST_SIZE, Search
+from hd_diag.criticism.workbench import Chosen, Workbench
+
+Floats = npt.NDArray[np.float64]
+
+_PER_TURN = 128  # cells per turn of the input, so orders up to 64 are seen
+_MOST_ORDERS = 40.0
+_MOST_LINES = 4
+_CHANCE = 1e-4  # of a line by noise alone, over all orders looked at
+
+
+@dataclass(frozen=True)
+class Line:
+    """An unexplained periodic part.
+
+    Attributes
+    ----------
+    order : float
+        Cycles per turn of the input, or per turn of the output, or hertz.
+    frame : str
+        ``input``, ``output`` or ``time``.
+    amplitude : float
+        [rad]
+    torque_law, direction_law : str
+        How it goes with torque and direction, in words.
+    """
+
+    order: float
+    frame: str
+    amplitude: float
+    torque_law: str
+    direction_law: str
+
+
+def lines(found: Search) -> list[Line]:
+    """Periodic parts of the remainder that stand out of the noise.
+
+    Parameters
+    ----------
+    found : Search
+
+    Returns
+    -------
+    list of Line
+    """
+    bench = found.bench
+    rest = remainder(bench, found.chosen)
+    result: list[Line] = []
+    columns: list[Floats] = []
+    for _ in range(_MOST_LINES):
+        line = _strongest(bench, found.chosen, rest, columns)
+        if line is None:
+            break
+        pair = _pair(bench, line.order, line.frame)
+        columns.append(pair)
+        rest = rest - pair @ np.linalg.lstsq(pair, rest, rcond=None)[0]
+        result.append(line)
+    return result
+
+
+def remainder(bench: Workbench, chosen: Chosen) -> Floats:
+    """What the model with its causes leaves of the record, shape (n,) [rad]."""
+    beta, _, _ = bench.fit(chosen)
+    columns = np.concatenate((bench.always(), bench.joined(chosen)), axis=1)
+    return np.asarray(bench.left - columns @ beta)
+
+
+def _strongest(bench: Workbench, chosen: Chosen, rest: Floats, taken: list[Floats]) -> Line | None:
+    best: tuple[float, float, str] | None = None
+    angle = bench.signals.wave_generator_angle
+    for frame, phase in (("input", angle), ("time", 2.0 * np.pi * bench.signals.time)):
+        peak = _peak(phase, rest)
+        if peak is not None and (best is None or peak[1] > best[1]):
+            best = peak[0], peak[1], frame
+    if best is None:
+        return None
+    order, _, frame = best
+    order = _refined(bench, rest, order, frame)
+    pair = _pair(bench, order, frame)
+    white = bench.whiten(np.concatenate([pair, *taken], axis=1), bench.run)
+    fixed = np.concatenate((bench.always_white, *(bench.white(e, v) for e, v in chosen)), axis=1)
+    before, after = _deviances(bench, fixed, white[:, 2:]), _deviances(bench, fixed, white)
+    counted = int(np.count_nonzero(bench.left_white))
+    tests = 4.0 * _MOST_ORDERS * max(float(np.ptp(angle)) / (2.0 * np.pi), 1.0)
+    p = tests * f_test(before, after, 2, counted, fixed.shape[1] + white.shape[1])
+    coefficients = np.linalg.lstsq(pair, rest, rcond=None)[0]
+    amplitude = float(np.hypot(*coefficients))
+    if p > _CHANCE or amplitude < np.sqrt(2.0) * LEAST_SIZE:
+        return None
+    wave = pair @ coefficients / amplitude
+    if lower_bound(_block_gains(bench, rest, pair)) <= 0.0:
+        return None
+    return Line(order, frame, amplitude, _torque_law(bench, rest, wave), _direction_law(bench, rest, wave))
+
+
+def _deviances(bench: Workbench, fixed: Floats, more: Floats) -> float:
+    columns = np.concatenate((fixed, more), axis=1)
+    basis = np.linalg.qr(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))[0]
+    rest = bench.left_white - basis @ (basis.T @ bench.left_white)
+    return float(rest @ rest)
+
+
+def _block_gains(bench: Workbench, rest: Floats, pair: Floats) -> Floats:
+    """Fall of the sum of squares in each block by a wave fitted to all others."""
+    white = bench.whiten(np.column_stack((pair, rest)), bench.run)
+    gains = []
+    for block in range(int(bench.block[-1]) + 1):
+        inside = bench.block == block
+        fit = np.linalg.lstsq(white[~inside, :2], white[~inside, 2], rcond=None)[0]
+        here = white[inside, 2]
+        gains.append(float(here @ here - np.sum((here - white[inside, :2] @ fit) ** 2)))
+    return np.array(gains)
+
+
+def _peak(phase: Floats, rest: Floats) -> tuple[float, float] | None:
+    """Order of the highest peak over its own neighbourhood, and the ratio; cells of one turn averaged."""
+    turns = float(np.ptp(phase)) / (2.0 * np.pi)
+    if turns < 3.0:
+        return None
+    cells = int(np.ceil(turns * _PER_TURN)) + 1
+    if cells > 4_000_000:
+        return None
+    index = ((phase - phase.min()) / (2.0 * np.pi) * _PER_TURN).astype(np.int64)
+    total = np.bincount(index, weights=rest, minlength=cells)
+    count = np.bincount(index, minlength=cells)
+    mean = np.where(count > 0, total / np.maximum(count, 1), 0.0)
+    power = np.abs(np.fft.rfft(mean, 2 * cells)) ** 2
+    orders = np.arange(power.size) * _PER_TURN / (2.0 * cells)
+    use = (orders > max(0.05, 2.0 / turns)) & (orders < _MOST_ORDERS)
+    if use.sum() < 50:
+        return None
+    power, orders = power[use], orders[use]
+    width = max(25, power.size // 60)
+    floor = np.array([np.median(part) for part in np.array_split(power, max(power.size // width, 1))])
+    local = np.interp(np.arange(power.size), np.linspace(0, power.size, floor.size), floor)
+    ratio = power / np.maximum(local, 1e-300)
+    best = int(np.argmax(ratio))
+    return float(orders[best]), float(ratio[best])
+
+
+def _phase(bench: Workbench, frame: str) -> Floats:
+    return bench.signals.wave_generator_angle if frame == "input" else 2.0 * np.pi * bench.signals.time
+
+
+def _pair(bench: Workbench, order: float, frame: str) -> Floats:
+    phase = order * _phase(bench, frame)
+    return np.stack((np.cos(phase), np.sin(phase)), axis=1)
+
+
+def _refined(bench: Workbench, rest: Floats, order: float, frame: str) -> float:
+    """The order near a peak at which a wave explains most."""
+    step = 0.5 / max(float(np.ptp(_phase(bench, frame))) / (2.0 * np.pi), 1.0)
+    for _ in range(3):
+        trial = order + step * np.linspace(-1.0, 1.0, 9)
+        power = []
+        for value in trial:
+            pair = _pair(bench, value, frame)
+            power.append(float(np.sum((pair.T @ rest) ** 2)))
+        order, step = float(trial[int(np.argmax(power))]), step / 4.0
+    return order
+
+
+def _share(rest: Floats, wave: Floats, rows: npt.NDArray[np.bool_]) -> float:
+    return float(rest[rows] @ wave[rows] / max(float(wave[rows] @ wave[rows]), 1e-300))
+
+
+def _torque_law(bench: Workbench, rest: Floats, wave: Floats) -> str:
+    load = np.abs(bench.signals.torque)
+    if np.ptp(load) < 0.2 * max(float(load.max()), 1e-9):
+        return "not tested: the torque did not change"
+    low, high = np.quantile(load, (0.33, 0.67))
+    small, large = _share(rest, wave, load < low), _share(rest, wave, load > high)
+    if abs(large - small) < 0.25 * max(abs(large), abs(small)):
+        return "independent of torque"
+    return f"{'grows' if large > small else 'falls'} with torque: {small * 206265:.2f} to {large * 206265:.2f} arcsec"
+
+
+def _direction_law(bench: Workbench, rest: Floats, wave: Floats) -> str:
+    forward, backward = bench.signals.speed > 0.0, bench.signals.speed < 0.0
+    if min(forward.mean(), backward.mean()) < 0.1:
+        return "not tested: one direction only"
+    a, b = _share(rest, wave, forward), _share(rest, wave, backward)
+    if abs(a - b) < 0.25 * max(abs(a), abs(b)):
+        return "the same in both directions"
+    return f"{a * 206265:.2f} arcsec forward, {b * 206265:.2f} arcsec backward"

@@ -1,0 +1,234 @@
+"""A record linearised about a drive: the columns of every fit, whitened, and the fit itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.criticism import base
+from hd_diag.criticism.design import Design, design, solve
+from hd_diag.criticism.noise import ORDER, Whitening, bounds, whitening
+from hd_diag.criticism.record import Record
+from hd_diag.criticism.refit import usable
+from hd_diag.drive import Drive
+from hd_diag.effects import CATALOGUE
+from hd_diag.effects.contact_weights import ContactWeights
+from hd_diag.effects.effect import Effect
+from hd_diag.effects.signals import Signals
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+_BLOCKS = 24
+# What no refit of the model can be blamed for: a cause must beat a refit of its own as well.
+SEARCHED = tuple(effect for effect in CATALOGUE if effect.name not in ("ratio_error", "tooth_skip"))
+
+
+Chosen = tuple[tuple[Effect, tuple[float, ...]], ...]
+
+
+class Workbench:
+    """A record with a drive: everything that a fit needs, whitened once.
+
+    Parameters
+    ----------
+    record : Record
+        Rows to fit.
+    configured : Drive
+    parameters : ndarray, shape (7,)
+        Where the model is linearised, in units of `base.SCALES`.
+    """
+
+    def __init__(self, record: Record, configured: Drive, parameters: Floats) -> None:
+        self.source = record
+        self.configured = configured
+        self.record = record.select(usable(record))
+        self.run = _broken(record, usable(record))
+        self.parameters = parameters
+        self.drive = base.drive_of(parameters, configured)
+        rec = self.record
+        self.error = base.error(self.drive, rec.input_angle, rec.torque)
+        self.jacobian, slope = base.jacobian(self.drive, configured, rec.input_angle, rec.torque)
+        self.left = rec.output_angle - rec.input_angle / configured.kinematics.ratio - self.error
+        self.nuisance = np.ones((rec.size, 1))
+        self.signals = signals(rec, self.drive, self.error, slope)
+        self.block = blocks(self.run)
+        self.whiten = Whitening(np.zeros(ORDER), 1.0)
+        self._columns: dict[tuple[str, tuple[float, ...]], Floats] = {}
+        self._white: dict[tuple[str, tuple[float, ...]], Floats] = {}
+        self._grids: dict[str, list[tuple[float, ...]]] = {}
+
+    def columns(self, effect: Effect, nonlinear: tuple[float, ...]) -> Floats:
+        """Columns of an effect, shape (n, k) [rad per unit]."""
+        key = (effect.name, nonlinear)
+        if key not in self._columns:
+            if len(self._columns) > 400:
+                self._columns.clear()
+            self._columns[key] = np.nan_to_num(effect.columns(self.signals, nonlinear))
+        return self._columns[key]
+
+    def white(self, effect: Effect, nonlinear: tuple[float, ...], keep: bool = True) -> Floats:
+        """Whitened columns of an effect."""
+        key = (effect.name, nonlinear)
+        if key in self._white:
+            return self._white[key]
+        columns = (
+            self.columns(effect, nonlinear)
+            if keep
+            else np.nan_to_num(effect.columns(self.signals, nonlinear))
+        )
+        white = self.whiten(columns, self.run)
+        if keep:
+            self._white[key] = white
+        return white
+
+    def grid(self, effect: Effect) -> list[tuple[float, ...]]:
+        """Start points of an effect's nonlinear values on this record."""
+        if effect.name not in self._grids:
+            self._grids[effect.name] = list(effect.grid(self.signals))
+        return self._grids[effect.name]
+
+    def grid_step(self, effect: Effect, point: tuple[float, ...]) -> Floats:
+        """Distance from a grid point to the next, in each nonlinear value."""
+        grid = np.array(self.grid(effect))
+        away = np.abs(grid - np.array(point))
+        steps = [np.min(column[column > 0.0], initial=np.inf) for column in away.T]
+        return np.array(
+            [s if np.isfinite(s) else 0.1 * max(abs(p), 1e-3) for s, p in zip(steps, point, strict=True)]
+        )
+
+    def joined(self, chosen: Chosen) -> Floats:
+        """Columns of several effects side by side."""
+        parts = [self.columns(effect, nonlinear) for effect, nonlinear in chosen]
+        return np.concatenate(parts, axis=1) if parts else np.empty((self.left.size, 0))
+
+    def always(self) -> Floats:
+        """Columns that every fit carries: the model's derivatives and the zero offset of the encoders."""
+        return np.concatenate((self.jacobian, self.nuisance), axis=1)
+
+    def learn_noise(self, chosen: Chosen) -> None:
+        """Whiten by the residual of a model rich enough to leave only noise."""
+        rich = np.concatenate((self.always(), self.joined(chosen), self._general()), axis=1)
+        rest = self.left - _projection(rich, self.left)
+        self.whiten = whitening(rest, self.run)
+        self.noise_residual = rest
+        self._white.clear()
+        self.always_white = self.whiten(self.always(), self.run)
+        self.left_white = self.whiten(self.left, self.run)
+
+    def _general(self) -> Floats:
+        """What any cause may look like: low orders of input and output, powers of torque, direction, speed."""
+        s = self.signals
+        theta, turned = s.wave_generator_angle, s.wave_generator_angle + s.output_angle
+        load = s.torque / max(float(np.max(np.abs(s.torque))), 1e-9)
+        columns = [f(k * theta) for k in (1, 2, 3, 4, 6, 8) for f in (np.cos, np.sin)]
+        columns += [f(k * theta) * load for k in (1, 2, 4) for f in (np.cos, np.sin)]
+        columns += [f(k * turned) for k in (2, 4) for f in (np.cos, np.sin)]
+        columns += [
+            load**3,
+            load * np.abs(load),
+            np.abs(load),
+            load * s.speed / max(np.max(np.abs(s.speed)), 1e-9),
+        ]
+        for effect in SEARCHED:
+            if effect.testable(s)[0]:
+                grid = effect.grid(s)
+                if grid and effect.name in ("hysteresis", "stream_delay", "coulomb_windup", "viscous_windup"):
+                    columns += list(self.columns(effect, grid[len(grid) // 2]).T)
+        return np.stack(columns, axis=1)
+
+    def fit(self, chosen: Chosen) -> tuple[Floats, Floats, Design]:
+        """Coefficients and covariance of [model, nuisance, effects], and their normal equations.
+
+        The model's coefficients are steps from `parameters`, drawn to the prior.
+        """
+        built = self.design(chosen)
+        center, width = base.prior(self.configured)
+        precision, pull = np.zeros(built.moment.shape[1]), np.zeros(built.moment.shape[1])
+        precision[: base.COUNT], pull[: base.COUNT] = width**-2.0, center - self.parameters
+        gram = built.gram.sum(axis=0) + np.diag(precision)
+        moment = built.moment.sum(axis=0) + precision * pull
+        return solve(gram, moment), np.linalg.pinv(gram, hermitian=True), built
+
+    def design(self, chosen: Chosen) -> Design:
+        """Normal equations of [model, nuisance, effects] against what the model leaves."""
+        parts = [self.always_white, *(self.white(effect, nonlinear) for effect, nonlinear in chosen)]
+        return design(np.concatenate(parts, axis=1), self.left_white, self.block, self.left_white != 0.0)
+
+    def design_with(self, whiten: Whitening, chosen: Chosen) -> Design:
+        """The same with another bench's noise model, so that deviances compare."""
+        columns = np.concatenate((self.always(), self.joined(chosen)), axis=1)
+        left = whiten(self.left, self.run)
+        return design(whiten(columns, self.run), left, self.block, left != 0.0)
+
+
+def _scales(columns: Floats) -> Floats:
+    return np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-300)
+
+
+def _projection(columns: Floats, target: Floats) -> Floats:
+    """Part of the target that columns of any scale explain."""
+    scaled = columns / _scales(columns)
+    return np.asarray(scaled @ solve(scaled.T @ scaled, scaled.T @ target))
+
+
+def signals(record: Record, drive: Drive, error: Floats, slope: Floats) -> Signals:
+    """What the effects need of a record and the model's prediction along it."""
+    geometry, kinematics = drive.mesh.geometry, drive.kinematics
+    angle = kinematics.wave_generator_angle(geometry, record.input_angle)
+    rate = np.zeros(record.size)
+    for begin, end in bounds(record.run):
+        if end - begin > 2:
+            rate[begin:end] = np.gradient(error[begin:end], record.time[begin:end])
+    return Signals(
+        time=record.time,
+        wave_generator_angle=angle,
+        output_angle=record.input_angle / kinematics.ratio,
+        speed=record.speed,
+        torque=record.torque,
+        temperature=record.temperature,
+        run=record.run,
+        predicted=error,
+        predicted_torque_slope=slope,
+        predicted_rate=rate,
+        contact=ContactWeights(drive, angle, record.torque),
+    )
+
+
+def blocks(run: Integers) -> Integers:
+    """About `_BLOCKS` contiguous stretches of equal length; shape (n,)."""
+    return (np.arange(run.size) * _BLOCKS // max(run.size, 1)).astype(np.int64)
+
+
+def _broken(record: Record, kept: npt.NDArray[np.bool_]) -> Integers:
+    """Run numbers of the kept rows, with a new number after every row left out."""
+    gap = np.concatenate(([False], np.diff(np.flatnonzero(kept)) > 1))
+    change = np.concatenate(([False], np.diff(record.run[kept]) != 0))
+    return np.cumsum(gap | change).astype(np.int64)
+
+
+def settle(bench: Workbench, chosen: Chosen, rounds: int = 3) -> Workbench:
+    """Move the model to the best parameters beside the chosen effects: Gauss-Newton on all rows.
+
+    Parameters
+    ----------
+    bench : Workbench
+    chosen : sequence of (Effect, nonlinear values)
+    rounds : int
+
+    Returns
+    -------
+    Workbench
+        Linearised at the parameters found, its noise learnt.
+    """
+    for _ in range(rounds):
+        bench.learn_noise(chosen)
+        beta, covariance, _ = bench.fit(chosen)
+        step = beta[: base.COUNT]
+        if np.max(np.abs(step) / np.sqrt(np.diag(covariance)[: base.COUNT] + 1e-12)) < 0.1:
+            return bench
+        bench = Workbench(
+            bench.source, bench.configured, base.admissible(bench.parameters + step, bench.configured)
+        )
+    bench.learn_noise(chosen)
+    return bench

@@ -1,0 +1,144 @@
+"""Whether a record's motion excites an effect, and which extra motion would."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hd_diag.effects.signals import Signals
+
+Verdict = tuple[bool, str]
+
+TURN = 2.0 * math.pi
+
+_SPEED_STEP = 0.1  # of the greatest speed; speeds closer than this count as one
+_STILL = 1e-3  # [rad/s]; below this the input stands
+
+
+def verdict(*checks: Verdict) -> Verdict:
+    """The first check that fails, or (True, "")."""
+    return next((check for check in checks if not check[0]), (True, ""))
+
+
+def input_turns(signals: Signals) -> float:
+    """Turns that the wave generator covers [-]."""
+    return float(np.ptp(signals.wave_generator_angle)) / TURN if signals.size else 0.0
+
+
+def output_turns(signals: Signals) -> float:
+    """Turns that the output covers [-]."""
+    return float(np.ptp(signals.output_angle)) / TURN if signals.size else 0.0
+
+
+def enough_input_turns(signals: Signals, turns: float) -> Verdict:
+    """Whether the wave generator covers enough turns."""
+    found = input_turns(signals)
+    return found >= turns, (
+        f"the wave generator covers {found:.3g} turns: let it run one way through {turns:g} turns "
+        f"({turns / abs(signals.ratio):.3g} of the output)"
+    )
+
+
+def enough_output_turns(signals: Signals, turns: float) -> Verdict:
+    """Whether the output covers enough turns."""
+    found = output_turns(signals)
+    return found >= turns, (
+        f"the output covers {found:.3g} turns: let it run one way through {turns:g} "
+        f"({turns * abs(signals.ratio):.0f} of the input)"
+    )
+
+
+def torque_varies(signals: Signals, fraction: float = 0.25) -> Verdict:
+    """Whether the torque spans a fraction of the rated one."""
+    span = float(np.ptp(signals.torque)) if signals.size else 0.0
+    wanted = fraction * signals.rated_torque
+    return span >= wanted, (
+        f"the torque spans {span:.3g} N m: repeat the motion with a load that differs by {wanted:.3g} N m"
+    )
+
+
+def torque_beyond(signals: Signals, torque: float) -> Verdict:
+    """Whether the torque goes beyond a magnitude [N m] in both directions."""
+    low, high = _torque_ends(signals)
+    return low <= -torque and high >= torque, (
+        f"the torque reaches from {low:.3g} to {high:.3g} N m: load the joint once up to {torque:.3g} N m "
+        "in each direction"
+    )
+
+
+def torque_through_zero(signals: Signals) -> Verdict:
+    """Whether the torque is well on both sides of zero."""
+    low, high = _torque_ends(signals)
+    wanted = 0.05 * signals.rated_torque
+    return low <= -wanted and high >= wanted, (
+        f"the torque reaches from {low:.3g} to {high:.3g} N m: lead it slowly through zero, "
+        f"from {-wanted:.3g} to {wanted:.3g} N m"
+    )
+
+
+def torque_reverses(signals: Signals, swing: float) -> Verdict:
+    """Whether the torque turns back more than once within a run, by a swing [N m]."""
+    found = max((_reversals(signals.torque[run], swing) for run in signals.runs()), default=0)
+    return found >= 2, (
+        f"the torque turns back {found} times by {swing:.3g} N m in one run: swing the load up, half-way down and "
+        "up again without a pause"
+    )
+
+
+def both_directions(signals: Signals) -> Verdict:
+    """Whether the input runs both ways for a twentieth of the record at least."""
+    share = [float(np.mean(way * signals.speed > _STILL)) if signals.size else 0.0 for way in (1.0, -1.0)]
+    return min(share) >= 0.05, "the joint runs one way only: drive the same stretch back as well"
+
+
+def several_speeds(signals: Signals, number: int) -> Verdict:
+    """Whether the input runs at enough different speeds."""
+    speed = np.abs(signals.speed[np.abs(signals.speed) > _STILL])
+    found = 0
+    if speed.size:
+        level = np.bincount(np.rint(speed / (_SPEED_STEP * speed.max())).astype(np.int64))
+        found = int(np.count_nonzero(level >= max(10, 0.005 * speed.size)))
+    return found >= number, f"{found} speeds: repeat the motion at {number} different speeds, or ramp the speed"
+
+
+def speed_beyond(signals: Signals, speed: float, why: str) -> Verdict:
+    """Whether the input reaches a speed [rad/s]."""
+    found = float(np.max(np.abs(signals.speed), initial=0.0))
+    return found >= speed, f"the input reaches {found:.3g} rad/s: {why}, at {speed:.3g} rad/s or more"
+
+
+def temperature_varies(signals: Signals, span: float = 3.0) -> Verdict:
+    """Whether the temperature is measured and changes [K]."""
+    if signals.temperature is None:
+        return False, "no temperature is measured: record it, cold and after warming up by 3 K"
+    found = float(np.ptp(signals.temperature)) if signals.size else 0.0
+    return found >= span, f"the temperature changes by {found:.2g} K: repeat the motion {span:g} K warmer"
+
+
+def sample_interval(signals: Signals) -> float:
+    """Median time between samples of a run [s]; infinite if there is none."""
+    steps = [np.diff(signals.time[run]) for run in signals.runs()]
+    every = np.concatenate(steps) if steps else np.empty(0)
+    return float(np.median(every)) if every.size else math.inf
+
+
+def _torque_ends(signals: Signals) -> tuple[float, float]:
+    if not signals.size:
+        return 0.0, 0.0
+    return float(np.min(signals.torque)), float(np.max(signals.torque))
+
+
+def _reversals(torque: np.ndarray[tuple[int], np.dtype[np.float64]], swing: float) -> int:
+    """Times that the torque turns back by more than a swing: rainflow counting's reversals."""
+    if not torque.size:
+        return 0
+    low = high = float(torque[0])
+    way, count = 0, 0
+    for value in torque.tolist():
+        low, high = min(low, value), max(high, value)
+        if way >= 0 and high - value > swing:
+            way, count, low, high = -1, count + (way != 0), value, value
+        elif way <= 0 and value - low > swing:
+            way, count, low, high = 1, count + (way != 0), value, value
+    return count

@@ -1,0 +1,48 @@
+"""Amplitude of a residual over orders of an angle, for samples at any angles: sums over bins, then an FFT."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+
+_OVERSAMPLING = 4  # orders per resolvable one: a line between two of them loses 5 % at most
+_MOST_BINS = 2**23
+_BINS_PER_PERIOD = 8  # of the highest order
+
+
+def spectrum(angle: Floats, residual: Floats, highest: float) -> tuple[Floats, Floats]:
+    """Strength of every order up to the highest.
+
+    Parameters
+    ----------
+    angle, residual : ndarray, shape (n,)
+        [rad]; the angle is continuous over the turns and may run back and forth.
+    highest : float
+        Greatest order [-].
+
+    Returns
+    -------
+    order, strength : ndarray, shape (k,)
+        Orders, closer than the record resolves, and the magnitude of the Fourier sum [rad].
+    """
+    first, span = float(np.min(angle)), max(float(np.ptp(angle)), 2.0 * math.pi)
+    per_turn = min(_BINS_PER_PERIOD * highest, _MOST_BINS / (_OVERSAMPLING * span / (2.0 * math.pi)))
+    width = 2.0 * math.pi / per_turn
+    bins = int(span / width) + 1
+    sums = np.bincount(((angle - first) / width).astype(np.int64), residual - residual.mean(), bins)
+    length = 2 ** math.ceil(math.log2(_OVERSAMPLING * bins))
+    order = np.arange(length // 2 + 1) * (2.0 * math.pi / (length * width))
+    kept = order <= highest
+    return order[kept], np.abs(np.fft.rfft(sums, length))[kept] * (2.0 / angle.size)
+
+
+def integer_orders(angle: Floats, residual: Floats, highest: int) -> Floats:
+    """Strength of the integer orders 0 to highest [rad], shape (highest + 1,)."""
+    bins = 2 ** math.ceil(math.log2(_BINS_PER_PERIOD * highest))
+    place = np.floor(np.mod(angle, 2.0 * math.pi) * (bins / (2.0 * math.pi))).astype(np.int64) % bins
+    sums = np.bincount(place, residual - residual.mean(), bins)
+    return np.asarray(np.abs(np.fft.rfft(sums))[: highest + 1] * (2.0 / angle.size))

@@ -1,0 +1,107 @@
+"""What the effects need to know of a record: its motion, load and the model's own prediction along it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.effects.contact_weights import ContactWeights, Rows
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """A record, or a part of one, with the base model's prediction.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        [s], rising within a run.
+    wave_generator_angle : ndarray, shape (n,)
+        theta_W, continuous over the turns [rad].
+    output_angle : ndarray, shape (n,)
+        Nominal theta_o = theta_in / ratio [rad].
+    speed : ndarray, shape (n,)
+        d theta_in / dt of the reported input [rad/s].
+    torque : ndarray, shape (n,)
+        On the link [N m].
+    temperature : ndarray, shape (n,), or None
+        [degC]; None: not measured.
+    run : ndarray of int64, shape (n,)
+        Number of the run; state, derivatives and filters restart where it changes.
+    predicted : ndarray, shape (n,)
+        Transmission error of the base model [rad].
+    predicted_torque_slope : ndarray, shape (n,)
+        Its derivative by the torque [rad/(N m)].
+    predicted_rate : ndarray, shape (n,)
+        Its derivative by time [rad/s].
+    contact : ContactWeights
+        Its sensitivity to errors of the teeth.
+    """
+
+    time: Floats
+    wave_generator_angle: Floats
+    output_angle: Floats
+    speed: Floats
+    torque: Floats
+    temperature: Floats | None
+    run: Integers
+    predicted: Floats
+    predicted_torque_slope: Floats
+    predicted_rate: Floats
+    contact: ContactWeights
+
+    @property
+    def size(self) -> int:
+        """Number of samples n."""
+        return int(self.time.size)
+
+    @property
+    def ratio(self) -> float:
+        """Reported input angle over reported output angle, signed [-]."""
+        return self.contact.drive.kinematics.ratio
+
+    @property
+    def rated_torque(self) -> float:
+        """[N m]."""
+        return self.contact.drive.rated_torque
+
+    @property
+    def input_angle(self) -> Floats:
+        """theta_in as reported [rad], shape (n,)."""
+        return self.output_angle * self.ratio
+
+    @property
+    def forward_speed(self) -> Floats:
+        """Speed of the input, positive where the output angle grows [rad/s], shape (n,)."""
+        return self.speed * np.sign(self.ratio)
+
+    @property
+    def flexspline_angle(self) -> Floats:
+        """theta_F = theta_W (1 + 1/N), the wave generator seen from the flexspline [rad], shape (n,)."""
+        return self.wave_generator_angle * (1.0 + 1.0 / self.contact.drive.mesh.geometry.reduction)
+
+    def part(self, rows: Rows) -> Signals:
+        """Some of the samples, in their order."""
+        return Signals(
+            time=self.time[rows],
+            wave_generator_angle=self.wave_generator_angle[rows],
+            output_angle=self.output_angle[rows],
+            speed=self.speed[rows],
+            torque=self.torque[rows],
+            temperature=None if self.temperature is None else self.temperature[rows],
+            run=self.run[rows],
+            predicted=self.predicted[rows],
+            predicted_torque_slope=self.predicted_torque_slope[rows],
+            predicted_rate=self.predicted_rate[rows],
+            contact=self.contact.part(rows),
+        )
+
+    def runs(self) -> list[slice]:
+        """Where each run begins and ends."""
+        edges = [0, *(np.flatnonzero(np.diff(self.run)) + 1).tolist(), self.size]
+        return [slice(start, end) for start, end in zip(edges[:-1], edges[1:], strict=True) if end > start]

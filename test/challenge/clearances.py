@@ -1,0 +1,185 @@
+"""Clearance of one tooth pair by brute force, tabulated once over all places and displacements.
+
+Where the ideal drive puts a tooth in its slot depends on one number, its place u on the neutral curve (angle
+from the long axis). All errors of assembly add a translation (dx, dy) of the tooth in the slot's frame, x along
+the slot's axis away from the centre, y counter-clockwise. The table holds the rotation b(u, dx, dy) of the cup
+that closes the + flank; the - flank is its mirror image, b(-u, dx, -dy).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import os
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from reference import polyline
+
+Array = NDArray[np.float64]
+
+DRIVE = polyline.DEFAULT
+TEETH, SLOTS = DRIVE.flexspline_teeth, DRIVE.circular_spline_teeth
+TOOTH_PITCH, SLOT_PITCH = 2 * np.pi / TEETH, 2 * np.pi / SLOTS
+STEPS = 8  # nodes of u per tooth pitch
+REACH = 35  # teeth either side of the long axis that can touch
+NODES = np.arange(-STEPS * (REACH + 1) - 1, STEPS * (REACH + 1) + 2)  # u = NODES * TOOTH_PITCH / STEPS
+DX_STEP = 5e-6  # [m]
+DX = np.arange(-14, 15) * DX_STEP
+DY = np.linspace(-70e-6, 70e-6, 5)
+DATUM_STEP = 12e-6  # [m]
+DATUM = 29.868e-3 + np.arange(-3, 4) * DATUM_STEP
+TOOTH_POINTS, WALL_POINTS = 400, 8000
+NEVER = 1.0  # [rad], clearance of a pair that cannot touch
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Tooth in its slot's frame at a place of the neutral curve, arrays (2, n): origin [m] and axis."""
+
+    origin: Array
+    axis: Array
+
+    @property
+    def along(self) -> Array:
+        """Unit vectors (2, n) along the neutral curve, counter-clockwise."""
+        return np.array([-self.axis[1], self.axis[0]])
+
+
+def ideal_pose(u: Array) -> Pose:
+    """Pose of a tooth of the drive without errors at places u (n,) [rad] from the long axis."""
+    point, normal = polyline.neutral_point(polyline.ring_radius(DRIVE) * u, DRIVE)
+    turn = -u * TEETH / SLOTS  # of the long axis in the slot's frame
+    c, s = np.cos(turn), np.sin(turn)
+    rotate = np.array([[c, -s], [s, c]])
+    return Pose(np.einsum("ijn,jn->in", rotate, point), np.einsum("ijn,jn->in", rotate, normal))
+
+
+def tip(pose: Pose, dx: Array, dy: Array) -> Array:
+    """Radius [m] of the tip corner of the + flank."""
+    x, y = _tooth()[:, -1]
+    body = pose.origin + pose.axis * x + pose.along * y
+    return np.asarray(np.hypot(body[0] + dx, body[1] + dy), dtype=np.float64)
+
+
+def _tooth() -> Array:
+    return polyline._flank(DRIVE.tooth, DRIVE.tooth_root, DRIVE.tooth_tip, TOOTH_POINTS)
+
+
+def _wall(datum: float) -> tuple[Array, Array]:
+    """Radius and angle of the + wall, continued straight inwards: a pair out of reach stays smooth there."""
+    drive = dataclasses.replace(DRIVE, circular_spline_datum=datum)
+    radius, angle = polyline._slot_polar(drive, WALL_POINTS)
+    slope = (angle[20] - angle[0]) / (radius[20] - radius[0])
+    inner = radius[0] - 0.3e-3
+    return np.r_[inner, radius], np.r_[angle[0] + slope * (inner - radius[0]), angle]
+
+
+def _closing(radius: Array, angle: Array, wall: tuple[Array, Array]) -> Array:
+    """Least angle (n,) from polylines (n, points) to the wall, from the lower of both tips on outwards."""
+    first = wall[0][1]
+    low = np.minimum(first, radius[:, -1:])
+    gap = np.where(radius >= low, np.interp(radius, *wall) - angle, np.inf).min(axis=1)
+    # The wall's tip corner, against the segment of the tooth that it faces.
+    after = np.clip(np.argmax(radius >= first, axis=1), 1, None)
+    rows = np.arange(len(radius))
+    r0, r1, a0, a1 = (v[rows, i] for v in (radius, angle) for i in (after - 1, after))
+    corner = wall[1][1] - (a0 + (a1 - a0) * (first - r0) / (r1 - r0))
+    return np.asarray(np.where(radius[:, -1] > first, np.minimum(gap, corner), gap), dtype=np.float64)
+
+
+def calculated() -> Array:
+    """Table (datum, u, dx, dy) of b [rad] by brute force."""
+    walls = [_wall(d) for d in DATUM]
+    x, y = _tooth()
+    pose = ideal_pose(NODES * TOOTH_PITCH / STEPS)
+    moves = np.stack(np.meshgrid(DX, DY, indexing="ij"), axis=-1).reshape(-1, 2)
+    table = np.empty((len(DATUM), len(NODES), len(moves)))
+    for n in range(len(NODES)):
+        body = pose.origin[:, n, None] + np.outer(pose.axis[:, n], x) + np.outer(pose.along[:, n], y)
+        bx, by = body[0] + moves[:, :1], body[1] + moves[:, 1:]
+        radius, angle = np.hypot(bx, by), np.arctan2(by, bx)
+        table[:, n] = [_closing(radius, angle, wall) for wall in walls]
+    return table.reshape(len(DATUM), len(NODES), len(DX), len(DY))
+
+
+def _key() -> str:
+    sources = (Path(__file__), Path(polyline.__file__))
+    return hashlib.sha256(b"".join(p.read_bytes() for p in sources) + repr(DRIVE).encode()).hexdigest()[:16]
+
+
+def cache_folder() -> Path:
+    """Folder of the user's cache in which the table is kept."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hd_diag-challenge"
+
+
+@functools.lru_cache(maxsize=1)
+def table() -> Array:
+    """Table of :func:`calculated`, from the disk where a run has left it."""
+    path = cache_folder() / f"clearances-{_key()}.npy"
+    if path.exists():
+        return np.load(path)
+    found = calculated()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
+        np.save(file, found)
+    os.replace(file.name, path)  # whole or not at all, also where two runs calculate it
+    return found
+
+
+# Interpolation ---
+
+
+def _cubic(t: Array) -> tuple[Array, Array]:
+    """Lagrange weights (..., 4) of nodes -1, 0, 1, 2 at t, and their derivative."""
+    w = (-t * (t - 1) * (t - 2) / 6, (t + 1) * (t - 1) * (t - 2) / 2)
+    w += (-(t + 1) * t * (t - 2) / 2, (t + 1) * t * (t - 1) / 6)
+    d = (-(3 * t**2 - 6 * t + 2) / 6, (3 * t**2 - 4 * t - 1) / 2)
+    d += (-(3 * t**2 - 2 * t - 2) / 2, (3 * t**2 - 1) / 6)
+    return np.stack(w, axis=-1), np.stack(d, axis=-1)
+
+
+def _cell(x: Array, first: float, step: float, count: int) -> tuple[Array, Array]:
+    position = (x - first) / step
+    cell = np.clip(np.floor(position).astype(int), 1, count - 3)
+    return cell, position - cell
+
+
+def at_datum(datum: float) -> Array:
+    """Polynomials (u, dx, 5) in dy / DY[-1], highest power first, for a datum [m]."""
+    if not DATUM[0] <= datum <= DATUM[-1]:
+        raise ValueError(f"datum {datum} m lies outside the table, {DATUM[0]} to {DATUM[-1]} m")
+    cell, t = _cell(np.array(datum), DATUM[0], DATUM_STEP, len(DATUM))
+    plane = np.tensordot(_cubic(t)[0], table()[int(cell) - 1 : int(cell) + 3], axes=1)
+    return plane @ np.linalg.inv(np.vander(DY / DY[-1], len(DY))).T
+
+
+@dataclass(frozen=True)
+class Clearance:
+    """Of the + flank: rotation that closes it [rad], its gradient [rad/m] with dx and dy."""
+
+    rotation: Array
+    by_dx: Array
+    by_dy: Array
+
+
+def interpolated(plane: Array, node: NDArray[np.intp], dx: Array, dy: Array) -> Clearance:
+    """Clearance at nodes of u (indices into NODES) and displacements [m], arrays of one shape."""
+    if max(np.abs(dx).max(), np.abs(dy).max()) > DY[-1]:
+        raise ValueError(f"displacement of {max(np.abs(dx).max(), np.abs(dy).max())} m lies outside the table")
+    cell, t = _cell(dx, DX[0], DX_STEP, len(DX))
+    weight, slope = _cubic(t)
+    y = dy / DY[-1]
+    out = np.zeros((3, *np.shape(dx)))
+    for tap in range(4):
+        c = plane[node, cell - 1 + tap]
+        value = (((c[..., 0] * y + c[..., 1]) * y + c[..., 2]) * y + c[..., 3]) * y + c[..., 4]
+        by_y = ((4 * c[..., 0] * y + 3 * c[..., 1]) * y + 2 * c[..., 2]) * y + c[..., 3]
+        out[0] += weight[..., tap] * value
+        out[1] += slope[..., tap] * value / DX_STEP
+        out[2] += weight[..., tap] * by_y / DY[-1]
+    return Clearance(*out)

@@ -1,0 +1,182 @@
+"""Torsion of a drive, sample by sample: all tooth pairs of both lobes, balanced by Newton's method."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from challenge.clearances import (
+    NEVER,
+    NODES,
+    REACH,
+    SLOT_PITCH,
+    SLOTS,
+    STEPS,
+    TEETH,
+    TOOTH_PITCH,
+    Array,
+    at_datum,
+    ideal_pose,
+    interpolated,
+    tip,
+)
+from challenge.truth import Base
+from numpy.typing import NDArray
+from reference.polyline import DEFAULT
+
+WIDEST = 5e-3  # [rad]; no pair with more clearance is ever loaded
+_CHUNK = 1024  # samples balanced together: the arrays stay in the processor's cache
+_FRACTIONS = np.arange(-1, STEPS + 2)  # nodes between two slots, with what a cubic needs beside them
+
+
+def _none(*shape: int) -> Array:
+    return np.zeros(shape)
+
+
+@dataclass(frozen=True)
+class Flaws:
+    """Departures of single teeth and slots from the ideal drive.
+
+    Attributes
+    ----------
+    slot_out, slot_along : displacement of every slot (Z_G,), outwards and counter-clockwise [m]
+    slot_wear, tooth_wear : thickness worn off (2, Z), flanks + and - [m]
+    slot_softness, tooth_softness : compliance added (Z,), as a fraction of the pair's
+    tooth_along : displacement of every tooth (Z_R,) along the neutral curve, counter-clockwise [m]
+    """
+
+    slot_out: Array = field(default_factory=lambda: _none(SLOTS))
+    slot_along: Array = field(default_factory=lambda: _none(SLOTS))
+    slot_wear: Array = field(default_factory=lambda: _none(2, SLOTS))
+    tooth_wear: Array = field(default_factory=lambda: _none(2, TEETH))
+    slot_softness: Array = field(default_factory=lambda: _none(SLOTS))
+    tooth_softness: Array = field(default_factory=lambda: _none(TEETH))
+    tooth_along: Array = field(default_factory=lambda: _none(TEETH))
+
+    def __add__(self, other: Flaws) -> Flaws:
+        return Flaws(**{name: value + getattr(other, name) for name, value in vars(self).items()})
+
+    @property
+    def of_teeth(self) -> bool:
+        """Whether a tooth of the flexspline differs from the others."""
+        return bool(self.tooth_wear.any() or self.tooth_softness.any() or self.tooth_along.any())
+
+
+class Gear:
+    """Clearances of a drive over a turn of the wave generator, ready to be loaded.
+
+    Tables are (slot, fraction of a slot pitch, pair); a pair is a lobe, a slot counted from the lobe's and a
+    flank. Signs: a + flank holds cup torque when the torsion exceeds its clearance.
+    """
+
+    def __init__(self, base: Base, flaws: Flaws | None = None) -> None:
+        self.base, self.flaws = base, flaws or Flaws()
+        place = np.arange(-REACH, REACH + 1)
+        lobe, place, flank = (g.ravel() for g in np.meshgrid([0, 1], place, [1, -1], indexing="ij"))
+        self._tabulate(lobe, place, flank)
+
+    def _tabulate(self, lobe: Array, place: Array, flank: Array) -> None:
+        slot = np.arange(SLOTS)[:, None, None] + place + lobe * (SLOTS // 2)
+        node = place * STEPS - _FRACTIONS[:, None]
+        dx, dy = self._displacement(slot % SLOTS, lobe, node)
+        node, dx, dy = np.broadcast_arrays(node, dx, dy)
+        mirrored = node * flank - NODES[0]
+        found = interpolated(at_datum(self.base.datum), mirrored, dx, dy * flank)
+        pose = ideal_pose(NODES * TOOTH_PITCH / STEPS)
+        tangent = pose.along[:, mirrored]
+        arm = 1 / np.hypot(found.by_dx, found.by_dy)
+        side = (flank < 0).astype(int)
+        worn = self.flaws.slot_wear[side, slot % SLOTS] / arm
+        near = (found.rotation + worn).min(axis=(0, 1)) < WIDEST
+        self.lobe, self.place, self.flank = lobe[near], place[near], flank[near]
+        self._rotation = (found.rotation + worn)[..., near]
+        self._arm = arm[..., near]
+        self._along = -(found.by_dx * tangent[0] + found.by_dy * tangent[1])[..., near]
+        self._reach = self._tip(pose, mirrored[..., near], dx[..., near], (dy * flank)[..., near])
+
+    def _displacement(self, slot: NDArray[np.intp], lobe: Array, node: Array) -> tuple[Array, Array]:
+        """Translation of the tooth in its slot's frame [m] that errors of assembly and the slot's give."""
+        b, axis = self.base, slot * SLOT_PITCH
+        ahead = -node / STEPS * SLOT_PITCH + np.pi * lobe + b.runout_psi  # runout seen from the slot
+        dx = b.e * np.cos(b.psi - axis) + b.runout * np.cos(ahead) - self.flaws.slot_out[slot]
+        dy = b.e * np.sin(b.psi - axis) + b.runout * np.sin(ahead) - self.flaws.slot_along[slot]
+        return dx, dy
+
+    def _tip(self, pose: object, node: NDArray[np.intp], dx: Array, dy: Array) -> Array:
+        """How far a tooth's tip lies beyond the slot's [m]; without overlap a pair cannot touch."""
+        ideal = type(pose)(pose.origin[:, node], pose.axis[:, node])  # type: ignore[attr-defined,call-arg]
+        return tip(ideal, dx, dy) - DEFAULT.circular_spline_tip_radius
+
+    def clearance(self, wave_generator_angle: Array) -> tuple[Array, Array]:
+        """Clearance (n, pairs) [rad] and stiffness about the axis (n, pairs) [N m/rad] at angles (n,) [rad]."""
+        turns = wave_generator_angle / SLOT_PITCH
+        whole = np.floor(turns).astype(int)
+        position = (turns - whole) * STEPS
+        cell = np.clip(np.floor(position).astype(int), 0, STEPS - 1)
+        t = position - cell
+        row = whole % SLOTS
+        b = sum(w[:, None] * self._rotation[row, cell + i] for i, w in enumerate(_weights(t)))
+        arm = self._linear(self._arm, row, cell, t)
+        b = np.where(self._linear(self._reach, row, cell, t) > 0, b, NEVER)
+        softness = self.flaws.slot_softness[(whole[:, None] + self._slot) % SLOTS]
+        if self.flaws.of_teeth:
+            tooth = (whole[:, None] + self._slot - self.lobe) % TEETH
+            along = self._linear(self._along, row, cell, t)
+            b -= self.flank * self.flaws.tooth_along[tooth] * along
+            b += self.flaws.tooth_wear[(self.flank < 0).astype(int), tooth] / arm
+            softness = softness + self.flaws.tooth_softness[tooth]
+        return b, arm**2 / (self.base.compliance * (1 + softness))
+
+    @property
+    def _slot(self) -> Array:
+        return self.place + self.lobe * (SLOTS // 2)
+
+    @staticmethod
+    def _linear(table: Array, row: Array, cell: Array, t: Array) -> Array:
+        return table[row, cell + 1] * (1 - t)[:, None] + table[row, cell + 2] * t[:, None]
+
+    def torsion(self, wave_generator_angle: Array, cup_torque: Array) -> Array:
+        """Torsion (n,) [rad] at angles (n,) [rad] and cup torques (n,) [N m]; in a true gap the middle."""
+        angle, torque = np.broadcast_arrays(np.atleast_1d(wave_generator_angle), np.atleast_1d(cup_torque))
+        beta = np.empty(len(angle))
+        for start in range(0, len(angle), _CHUNK):
+            part = slice(start, start + _CHUNK)
+            beta[part] = balanced(*self.clearance(angle[part]), self.flank, torque[part])
+        return beta
+
+
+def _weights(t: Array) -> tuple[Array, Array, Array, Array]:
+    return (
+        -t * (t - 1) * (t - 2) / 6,
+        (t + 1) * (t - 1) * (t - 2) / 2,
+        -(t + 1) * t * (t - 2) / 2,
+        (t + 1) * t * (t - 1) / 6,
+    )
+
+
+def balanced(b: Array, stiffness: Array, flank: Array, torque: Array) -> Array:
+    """Torsion (n,) at which flanks of clearance b and stiffness (n, pairs) hold a torque (n,)."""
+    plus, minus = flank > 0, flank < 0
+    gap = b[:, plus].min(axis=1), b[:, minus].min(axis=1)
+    middle = (gap[0] - gap[1]) / 2
+    free = (torque == 0) & (gap[0] + gap[1] > 0)
+    edge = b * flank  # torsion at which a flank begins to carry
+    low, high = np.full(len(b), -0.05), np.full(len(b), 0.05)
+    # Past the gap, so that at least one pair carries and the slope is not zero.
+    beta = np.where(torque > 0, gap[0], np.where(torque < 0, -gap[1], middle)) + torque / 4e4
+    todo = np.flatnonzero(~free)
+    for _ in range(60):
+        push = np.maximum((beta[todo, None] - edge[todo]) * flank, 0)
+        loaded = np.where(push > 0, stiffness[todo], 0)
+        excess = (push * loaded) @ flank - torque[todo]
+        low[todo] = np.where(excess < 0, beta[todo], low[todo])
+        high[todo] = np.where(excess > 0, beta[todo], high[todo])
+        slope = loaded.sum(axis=1)
+        newton = beta[todo] - excess / np.where(slope > 0, slope, np.nan)
+        inside = (newton >= low[todo]) & (newton <= high[todo])
+        step = np.where(inside, newton, (low[todo] + high[todo]) / 2) - beta[todo]
+        beta[todo] += step
+        todo = todo[np.abs(step) > 1e-13]
+        if not len(todo):
+            break
+    return np.where(free, middle, beta)

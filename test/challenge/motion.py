@@ -1,0 +1,158 @@
+"""Motion and load of a record: runs between rests, as functions of time that can be sampled at any moment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from challenge.clearances import Array
+
+REST = 0.15  # [s] at rest where a run begins and ends
+RAMP = 0.6  # [s] from rest to full speed
+SPEEDS = (1.3, 3.1, 6.2, 9.7, 14.3, 19.1)  # [1/s], turns of the input
+RATE = 500.0  # [Hz]
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run: speed [turns/s] with sign; torque = level + swing sin + nested sin, from zero to zero [N m]."""
+
+    speed: float
+    level: float = 0.0
+    swing: float = 0.0
+    period: float = 3.0
+    nested: float = 0.0
+    duration: float = 10.0
+    ramp: float = RAMP
+
+    def _moving(self, t: Array) -> Array:
+        return np.clip(t - REST, 0, self.duration - 2 * REST)
+
+    def envelope(self, t: Array) -> Array:
+        """Share 0..1 of full speed and load, raised-cosine ramps."""
+        t = self._moving(t)
+        end = self.duration - 2 * REST
+        return np.asarray(np.sin(np.pi / 2 * np.clip(np.minimum(t, end - t) / self.ramp, 0, 1)) ** 2)
+
+    def way(self, t: Array) -> Array:
+        """Angle [rad] since the run's start, the integral of the speed."""
+        t, ramp = self._moving(t), self.ramp
+        end = self.duration - 2 * REST
+
+        def risen(x: Array) -> Array:
+            x = np.clip(x, 0, ramp)
+            return np.asarray(x / 2 - ramp / (2 * np.pi) * np.sin(np.pi * x / ramp))
+
+        even = np.clip(t - ramp, 0, end - 2 * ramp)
+        seconds = risen(t) + even + risen(np.array(ramp)) - risen(end - t)
+        return 2 * np.pi * self.speed * np.where(t < end - ramp, risen(t) + even, seconds)
+
+    def torque(self, t: Array) -> Array:
+        """Torque that the drive exerts on the link [N m]."""
+        phase = 2 * np.pi * self._moving(t) / self.period
+        return self.envelope(t) * (
+            self.level + self.swing * np.sin(phase) + self.nested * np.sin(5.3 * phase + 0.7)
+        )
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Runs one after the other, the input angle carried on."""
+
+    runs: tuple[Run, ...]
+    start_angle: float = 0.0
+
+    @property
+    def starts(self) -> Array:
+        """Start of every run and the end of the last [s]."""
+        return np.r_[0, np.cumsum([run.duration for run in self.runs])]
+
+    def times(self, rate: float = RATE) -> Array:
+        """Evenly spaced moments [s]."""
+        return np.arange(round(self.starts[-1] * rate)) / rate
+
+    def run_of(self, t: Array) -> Array:
+        """Index of the run of each moment."""
+        return np.clip(np.searchsorted(self.starts, t, side="right") - 1, 0, len(self.runs) - 1)
+
+    def _each(self, t: Array, what: str) -> Array:
+        index, out = self.run_of(t), np.empty(len(t))
+        for i, run in enumerate(self.runs):
+            mine = index == i
+            out[mine] = getattr(run, what)(t[mine] - self.starts[i])
+        return out
+
+    def angle(self, t: Array) -> Array:
+        """Angle of the motor [rad]."""
+        travelled = [float(run.way(np.array(run.duration))) for run in self.runs]
+        return self.start_angle + np.r_[0, np.cumsum(travelled)][self.run_of(t)] + self._each(t, "way")
+
+    def speed(self, t: Array) -> Array:
+        """Speed of the motor [rad/s]."""
+        full = np.array([2 * np.pi * run.speed for run in self.runs])
+        return full[self.run_of(t)] * self._each(t, "envelope")
+
+    def torque(self, t: Array) -> Array:
+        """Torque that the drive exerts on the link [N m]."""
+        return self._each(t, "torque")
+
+
+def _loads(rng: np.random.Generator, count: int) -> list[dict[str, float]]:
+    """Loads that cover the range: steady levels of both signs, slow swings, small ones, nested reversals."""
+    kinds: list[dict[str, float]] = []
+    for i in range(count):
+        sign = 1.0 if i % 2 else -1.0
+        period = rng.uniform(2.2, 7.0)
+        kinds.append(
+            (
+                {"level": sign * rng.uniform(15, 75), "swing": 8.0, "period": period},
+                {"swing": sign * rng.uniform(50, 72), "period": period},
+                {"swing": sign * rng.uniform(40, 60), "nested": 15.0, "period": period},
+                {"swing": sign * 8.0, "period": period},
+            )[(0, 1, 2, 1, 0, 3, 1, 2, 0, 1, 1, 0)[i % 12]]
+        )
+    order = rng.permutation(count)
+    return [kinds[i] for i in order]
+
+
+def _assembled(rng: np.random.Generator, speeds: Sequence[float], duration: float = 10.0) -> Motion:
+    loads = _loads(rng, len(speeds))
+    runs = tuple(Run(v, **load, duration=duration) for v, load in zip(speeds, loads, strict=True))
+    return Motion(runs)
+
+
+def standard(rng: np.random.Generator) -> Motion:
+    """Twelve runs of 10 s: six speeds, each both ways."""
+    return _assembled(rng, rng.permutation([*SPEEDS, *(-v for v in SPEEDS)]).tolist())
+
+
+def short(rng: np.random.Generator) -> Motion:
+    """Two runs of 2 s, one each way, one load."""
+    v = rng.uniform(0.8, 2.0)
+    return Motion((Run(v, swing=50, period=1.6, duration=2.0), Run(-v, swing=50, period=1.6, duration=2.0)))
+
+
+def one_direction(rng: np.random.Generator) -> Motion:
+    """Twelve runs of six speeds, all the same way."""
+    sign = rng.choice([-1, 1])
+    return _assembled(rng, [sign * v for v in rng.permutation([*SPEEDS, *SPEEDS]).tolist()])
+
+
+def one_speed(rng: np.random.Generator) -> Motion:
+    """Twelve runs both ways at one speed."""
+    v = float(rng.choice(SPEEDS[1:4]))
+    return _assembled(rng, rng.permutation([v, -v] * 6).tolist())
+
+
+def unloaded(rng: np.random.Generator) -> Motion:
+    """The standard speeds without torque."""
+    speeds = rng.permutation([*SPEEDS, *(-v for v in SPEEDS)]).tolist()
+    return Motion(tuple(Run(v) for v in speeds))
+
+
+def constant_torque(rng: np.random.Generator) -> Motion:
+    """The standard speeds at one torque (away from the ramps)."""
+    level = rng.choice([-1, 1]) * rng.uniform(20, 60)
+    speeds = rng.permutation([*SPEEDS, *(-v for v in SPEEDS)]).tolist()
+    return Motion(tuple(Run(v, level=level) for v in speeds))

@@ -1,0 +1,67 @@
+"""Noise of the output angle, and what recording does to a record. Generators are passed in."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from challenge.clearances import Array
+from challenge.truth import ARCSEC
+from scipy.signal import lfilter
+
+DRIFTING, POLE, WHITE = 2.5 * ARCSEC, 0.97, 2.0 * ARCSEC  # rms [rad], AR(1) coefficient, rms [rad]
+TORQUE_NOISE = 0.15  # [N m]
+
+
+def _first_order(innovations: Array) -> Array:
+    """AR(1) of POLE with the rms of its unit-rms innovations."""
+    scale = np.sqrt(1 - POLE**2)
+    return np.asarray(lfilter([scale], [1, -POLE], innovations), dtype=np.float64)
+
+
+def autoregressive(rng: np.random.Generator, n: int) -> Array:
+    """AR(1) and white, normal [rad]."""
+    slow = lfilter([1], [1], _first_order(rng.standard_normal(n + 500)))[500:]
+    return np.asarray(DRIFTING * slow + WHITE * rng.standard_normal(n), dtype=np.float64)
+
+
+def pink(rng: np.random.Generator, n: int) -> Array:
+    """1/f in power above 0.05 Hz (at 500 Hz), of the same rms, and white [rad]."""
+    frequency = np.fft.rfftfreq(n)
+    spectrum = np.fft.rfft(rng.standard_normal(n)) / np.sqrt(np.maximum(frequency, 1e-4))
+    spectrum[0] = 0
+    coloured = np.fft.irfft(spectrum, n)
+    return np.asarray(DRIFTING * coloured / coloured.std() + WHITE * rng.standard_normal(n))
+
+
+def heavy(rng: np.random.Generator, n: int) -> Array:
+    """AR(1) and white as in :func:`autoregressive`, the white part Student t with three degrees of freedom."""
+    white = rng.standard_t(3, n) / np.sqrt(3)
+    return np.asarray(DRIFTING * _first_order(rng.standard_normal(n + 500))[500:] + WHITE * white)
+
+
+FAMILIES: dict[str, Callable[[np.random.Generator, int], Array]] = {
+    "autoregressive": autoregressive,
+    "pink": pink,
+    "heavy": heavy,
+}
+
+
+def kept(rng: np.random.Generator, n: int, share: float, burst: float = 20.0) -> Array:
+    """Mask (n,) of what is left after dropouts: bursts of a mean length [samples] that take a share."""
+    lost = np.zeros(n, dtype=bool)
+    for start in rng.integers(0, n, size=round(share * n / burst)):
+        lost[start : start + rng.geometric(1 / burst)] = True
+    return ~lost
+
+
+def outliers(rng: np.random.Generator, n: int, share: float) -> Array:
+    """Errors (n,) [rad]: a share of the samples is off by 50 to 2000 arcsec, either way."""
+    struck = rng.random(n) < share
+    return struck * rng.choice([-1, 1], n) * np.exp(rng.uniform(np.log(50), np.log(2000), n)) * ARCSEC
+
+
+def jittered(rng: np.random.Generator, time: Array, spread: float = 0.3e-3) -> Array:
+    """Moments [s] at which samples are really taken: unevenly, in order."""
+    step = np.median(np.diff(time))
+    return np.asarray(time + np.clip(spread * rng.standard_normal(len(time)), -0.4 * step, 0.4 * step))

@@ -1,0 +1,87 @@
+"""What the tests of the running monitor share: a small gear's configuration, messages, what comes of them."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import drives
+import numpy as np
+from reference import polyline
+
+from hd_diag.bag import encode_joint_states
+from hd_diag.config import Config, resolve
+from hd_diag.messages import Encoded
+from hd_diag.samples import JointStates
+
+GEAR = drives.COARSE  # few teeth: exact predictions and maps take little time
+RATIO = 30.0
+START = 1_700_000_000_000_000_000  # [ns]
+MS = 1_000_000  # [ns]
+
+
+def gear(joint: str, drive: polyline.Drive = GEAR) -> dict[str, Any]:
+    """Parameters of a joint with a drive."""
+    own: dict[str, Any] = {
+        "ratio": drive.flexspline_teeth / 2.0,
+        "rated_torque": 5.0,
+        "flexspline_teeth": drive.flexspline_teeth,
+        "circular_spline_teeth": drive.circular_spline_teeth,
+        "neutral_curve.semi_major": drive.semi_major,
+        "neutral_curve.semi_minor": drive.semi_minor,
+        "circular_spline_datum": drive.circular_spline_datum,
+        "circular_spline_tip_radius": drive.circular_spline_tip_radius,
+    }
+    return {f"{joint}.{name}": value for name, value in own.items()}
+
+
+def parameters(*joints: str, **given: Any) -> dict[str, Any]:
+    """Flat parameters of joints with the small gear; of those given, ``__`` stands for a dot."""
+    found: dict[str, Any] = {"joints": list(joints or ("joint_1",))}
+    for joint in found["joints"]:
+        found |= gear(joint)
+    return found | {name.replace("__", "."): value for name, value in given.items()}
+
+
+def config(*joints: str, **given: Any) -> Config:
+    return resolve(parameters(*joints, **given))
+
+
+def states(
+    names: Sequence[str],
+    stamp: Sequence[int],
+    position: Sequence[Sequence[float]] | None,
+    effort: Sequence[Sequence[float]] | None = None,
+) -> JointStates:
+    """Messages of one shape."""
+    columns = [
+        None if v is None else np.array(v, np.float64).reshape(len(stamp), -1) for v in (position, effort)
+    ]
+    rows = np.arange(len(stamp), dtype=np.int64)
+    return JointStates(rows, np.array(stamp, np.int64), tuple(names), "", columns[0], None, columns[1])
+
+
+def message(stamp: int, position: Mapping[str, float], effort: Mapping[str, float] | None = None) -> bytes:
+    """One JointState in CDR; efforts that are not given are nan, as broadcasters write them."""
+    values = None if effort is None else [[effort.get(name, np.nan) for name in position]]
+    return encode_joint_states(list(position), [stamp], [list(position.values())], None, values)[0].tobytes()
+
+
+def sample(stamp: int, angle: float, output: float, torque: float, joint: str = "joint_1") -> bytes:
+    """One JointState with everything that a joint reports."""
+    return message(stamp, {f"{joint}_motor": angle, joint: output}, {f"{joint}_motor": 0.0, joint: torque})
+
+
+class Recording:
+    """Sink of a session: what left, by topic."""
+
+    def __init__(self) -> None:
+        self.all: list[Encoded] = []
+
+    def __call__(self, encoded: Encoded) -> None:
+        self.all.append(encoded)
+
+    def topics(self) -> dict[str, list[tuple[int, bytes]]]:
+        """Times [ns] and messages of each topic, in order."""
+        found: dict[str, list[tuple[int, bytes]]] = {}
+        for topic, _, received, rows in self.all:
+            found.setdefault(topic, []).extend(zip(received.tolist(), map(bytes, rows), strict=True))
+        return found
