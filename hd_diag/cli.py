@@ -11,6 +11,7 @@ import numpy as np
 
 import hd_diag
 from hd_diag.cli_bags import recover, replay
+from hd_diag.cli_diagnose import diagnose
 from hd_diag.cli_options import CONFIG, JSON, Problem, configured, problems, write_json
 from hd_diag.cli_simulate import simulate
 from hd_diag.config import Config, JointConfig, load
@@ -29,6 +30,7 @@ def cli() -> None:
 cli.add_command(simulate)
 cli.add_command(replay)
 cli.add_command(recover)
+cli.add_command(diagnose)
 
 
 @cli.command()

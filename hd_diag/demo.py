@@ -93,6 +93,12 @@ class Observer(Node):
             while self._arrived:
                 yield self._arrived.popleft()
 
+    def wait_for_samples(self, number: int) -> None:
+        """Give the node time to take all samples that were published."""
+        for reading in self.readings(_ANSWER_LIMIT):
+            if reading.samples >= number:
+                return
+
     def set_parameter(self, name: str, value: float | int) -> str:
         """Set a parameter of the node over DDS.
 
@@ -148,9 +154,11 @@ def run(folder: Path | None, seconds: float) -> dict[str, Any]:
             try:
                 _connect(observer, (node, joint))
                 refusal = _show(observer, display, (node, joint), steps, seconds)
+                joint.end()
+                observer.wait_for_samples(_published(joint))
             except KeyboardInterrupt:
                 interrupted = True
-        display.say("Ending both processes by SIGINT and reading the log back")
+        display.say("Both processes are ended by SIGINT, the log is read back")
         codes = {"joint": joint.end(), "node": node.end()}
     published = _published(joint)
     log = summarize(folder / "log")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -50,10 +51,10 @@ class Step:
         return own
 
     def summary(self) -> dict[str, Any]:
-        """Values of the columns by diagnostics key, None where there is no reading."""
-        return {"eccentricity_um": self.eccentricity} | {
-            column.key: column.of(self.readings) if self.readings else None for column in _COLUMNS[1:]
-        }
+        """Values of the columns by diagnostics key, None where there is none."""
+        values = {column.key: column.of(self.readings) if self.readings else math.nan for column in _COLUMNS}
+        values["eccentricity_um"] = self.eccentricity
+        return {key: None if isinstance(v, float) and math.isnan(v) else v for key, v in values.items()}
 
 
 def _last(readings: Sequence[Reading], key: str) -> float:

@@ -114,7 +114,7 @@ class JointMonitor:
         return bool(
             rows.input_angle is not None
             and not self._pending
-            and stamp[0] > self._output_stamp
+            and stamp[0] > max(self._input_stamp, self._output_stamp)
             and (np.diff(stamp) > 0).all()
             and all(np.isfinite(values).all() for values in rows[1:] if values is not None)
         )

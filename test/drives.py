@@ -52,6 +52,9 @@ def scaled(factor: float, drive: polyline.Drive = PAPER) -> polyline.Drive:
 DRIVES = {
     "200/202 of the paper": PAPER,
     "200/202 with the slots 8 um farther out": dataclasses.replace(PAPER, circular_spline_datum=29.876e-3),
+    "200/202 with tips of 31.05 mm, which touch": dataclasses.replace(
+        PAPER, circular_spline_tip_radius=31.05e-3
+    ),
     "160/162": resized(160, 5.6e-6),
     "100/102": resized(100, 20.7e-6),
     "320/322": resized(320, -8.4e-6),

@@ -129,6 +129,13 @@ def test_pairs_that_cannot_touch_are_nan(moment: Moment) -> None:
     assert np.nanmin(radius) >= geometry.circular_spline_tip_radius - 1e-15
 
 
+def test_tips_of_the_circular_spline_touch() -> None:
+    """In one of the drives; without it the reference would test no such contact."""
+    drive = drives.DRIVES["200/202 with tips of 31.05 mm, which touch"]
+    contact = drives.mesh(drive, (0.0, 15e-6)).contacts(np.linspace(0, 1, 5))
+    assert np.count_nonzero(np.abs(contact.radius - drive.circular_spline_tip_radius) < 1e-15) > 50
+
+
 def test_interference_is_negative() -> None:
     found = backlash(drives.mesh(eccentricity=(0.0, published.ECCENTRICITY)), 0.0)
     assert np.nanmin(found) < -20e-6

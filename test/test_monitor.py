@@ -38,6 +38,7 @@ SHAPES: tuple[tuple[tuple[str, ...], bool, bool], ...] = (
     (("stranger",), True, True),
     ((), True, True),
 )
+INPUTS, OUTPUT = SHAPES[3], SHAPES[5]
 STEPS = (MS, 2 * MS, 7 * MS, 80 * MS, 0, -MS, -400 * MS, -3000 * MS)  # [ns]
 
 parts = st.tuples(
@@ -110,6 +111,7 @@ def play(made: list[tuple[JointStates, str]], single: bool) -> tuple[Any, ...]:
 
 @hypothesis.settings(max_examples=120, suppress_health_check=[hypothesis.HealthCheck.too_slow])
 @hypothesis.given(st.lists(parts, min_size=1, max_size=8))
+@hypothesis.example([(INPUTS, [MS], [], ""), (OUTPUT, [MS], [], ""), (INPUTS, [MS] * 3, [], "")])
 def test_many_at_once_is_one_at_a_time(sequence: list[Any]) -> None:
     made = drawn(sequence)
     assert play(made, single=False) == play(made, single=True)

@@ -1,8 +1,8 @@
 """The claims of the paper as numbers, and a catalogue gear's stiffness.
 
 Dong, Chen, Wang, Dong, "Kinematic Model of Harmonic Drive in Robot Joints with Input Eccentricity Error",
-ROMANSY 22, 2019, doi 10.1007/978-3-319-78963-7_18, sections 4.2, 4.3 and 5. The eccentricity stands across the
-long axis and tooth 0 is held on the axis (eq. 1); "right" is the half of the engagement region to which
+ROMANSY 22, 2019, doi 10.1007/978-3-319-78963-7_18, sections 4.2, 4.3 and 5. The eccentricity stands across
+the long axis and tooth 0 is held on the axis (eq. 1); "right" is the half of the engagement region to which
 the eccentricity points, counter-clockwise of tooth 0. A tooth's backlash is the lesser of its flanks.
 """
 

@@ -126,12 +126,13 @@ def candidates(bench: Workbench, chosen: Chosen) -> list[Candidate]:
     """Every effect not chosen, at its best grid point, by the gain it brings; the best first."""
     named = {effect.name for effect, _ in chosen}
     projector = _Projector(bench, chosen)
+    rest = bench.remainder(chosen)
     found = []
     for effect in SEARCHED:
         if effect.name in named or not effect.testable(bench.signals)[0]:
             continue
         best: tuple[float, tuple[float, ...]] | None = None
-        for nonlinear in bench.grid(effect):
+        for nonlinear in effect.scan(bench.signals, rest):
             gain = projector.gain(bench.white(effect, nonlinear))
             if best is None or gain > best[0]:
                 best = gain, nonlinear
@@ -176,7 +177,7 @@ class _Projector:
 
 def _family(bench: Workbench) -> int:
     """Number of hypotheses: candidates times grid points."""
-    return sum(len(bench.grid(effect)) for effect in SEARCHED if effect.testable(bench.signals)[0])
+    return sum(effect.trials(bench.signals) for effect in SEARCHED if effect.testable(bench.signals)[0])
 
 
 def _next(bench: Workbench, chosen: Chosen, family: int) -> Candidate | None:
@@ -214,7 +215,7 @@ def _refined(bench: Workbench, chosen: Chosen) -> tuple[Workbench, Chosen]:
     """The newest effect's nonlinear values and all parameters, brought to their best."""
     bench = settle(bench, chosen, rounds=2)
     effect, nonlinear = chosen[-1]
-    if nonlinear:
+    if any(not quantity.discrete for quantity in effect.nonlinear):
         chosen = (*chosen[:-1], (effect, _best_nonlinear(bench, chosen[:-1], effect, nonlinear)))
         bench = settle(bench, chosen, rounds=1)
     return bench, chosen
@@ -225,18 +226,20 @@ def _best_nonlinear(
 ) -> tuple[float, ...]:
     """Nonlinear values of least residual, from a grid point, within the effect's bounds."""
     projector = _Projector(bench, others)
-    quantities = [quantity for quantity in effect.quantities if not quantity.linear]
+    quantities = effect.nonlinear
     low, high = np.array([q.low for q in quantities]), np.array([q.high for q in quantities])
-    width = bench.grid_step(effect, start)
+    width = bench.grid_step(effect, start) * [not q.discrete for q in quantities]
+
+    def moved(move: Floats) -> tuple[float, ...]:
+        return tuple(float(v) for v in np.clip(np.array(start) + move * width, low, high))
 
     def loss(move: Floats) -> float:
-        point = tuple(float(v) for v in np.clip(np.array(start) + move * width, low, high))
-        return -projector.gain(bench.white(effect, point, keep=False))
+        return -projector.gain(bench.white(effect, moved(move), keep=False))
 
     best = minimize(
         loss, np.zeros(len(start)), method="Nelder-Mead", options={"maxfev": 40, "xatol": 1e-3, "fatol": 0.1}
     )
-    return tuple(float(v) for v in np.clip(np.array(start) + best.x * width, low, high))
+    return moved(best.x)
 
 
 def _swapped(bench: Workbench, chosen: Chosen) -> tuple[Workbench, Chosen]:

@@ -54,7 +54,7 @@ def lines(found: Search) -> list[Line]:
     list of Line
     """
     bench = found.bench
-    rest = remainder(bench, found.chosen)
+    rest = bench.remainder(found.chosen)
     result: list[Line] = []
     columns: list[Floats] = []
     for _ in range(_MOST_LINES):
@@ -66,13 +66,6 @@ def lines(found: Search) -> list[Line]:
         rest = rest - pair @ np.linalg.lstsq(pair, rest, rcond=None)[0]
         result.append(line)
     return result
-
-
-def remainder(bench: Workbench, chosen: Chosen) -> Floats:
-    """What the model with its causes leaves of the record, shape (n,) [rad]."""
-    beta, _, _ = bench.fit(chosen)
-    columns = np.concatenate((bench.always(), bench.joined(chosen)), axis=1)
-    return np.asarray(bench.left - columns @ beta)
 
 
 def _strongest(bench: Workbench, chosen: Chosen, rest: Floats, taken: list[Floats]) -> Line | None:

@@ -90,7 +90,7 @@ class Workbench:
 
     def grid_step(self, effect: Effect, point: tuple[float, ...]) -> Floats:
         """Distance from a grid point to the next, in each nonlinear value."""
-        grid = np.array(self.grid(effect))
+        grid = np.array([*self.grid(effect), point])
         away = np.abs(grid - np.array(point))
         steps = [np.min(column[column > 0.0], initial=np.inf) for column in away.T]
         return np.array(
@@ -101,6 +101,11 @@ class Workbench:
         """Columns of several effects side by side."""
         parts = [self.columns(effect, nonlinear) for effect, nonlinear in chosen]
         return np.concatenate(parts, axis=1) if parts else np.empty((self.left.size, 0))
+
+    def remainder(self, chosen: Chosen) -> Floats:
+        """What the model with some effects leaves, shape (n,) [rad]."""
+        beta, _, _ = self.fit(chosen)
+        return np.asarray(self.left - np.concatenate((self.always(), self.joined(chosen)), axis=1) @ beta)
 
     def always(self) -> Floats:
         """Columns that every fit carries: the model's derivatives and the zero offset of the encoders."""

@@ -21,9 +21,12 @@ from hd_diag.model.neutral_curve import tooth_axes
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
-# Contacts may lie this far outside a primitive [m]: the flank is smooth there, so the gap is the same to
-# the square of it over the arc radius, and rounding cannot make a contact fall between two primitives.
-_JOINT_SLACK = 1e-9
+JOINT_SLACK = 1e-9
+"""Contacts may lie this far outside a primitive [m].
+
+The flank is smooth there, so the gap is the same to the square of it over the arc radius, and rounding cannot
+make a contact fall between two primitives.
+"""
 
 
 @dataclass(frozen=True)
@@ -226,11 +229,13 @@ def _close(
     height = np.broadcast_to(height, offset.shape)
     tooth = _tooth(geometry, height, offset)
     engaged = tooth.tip.radius > slot.tip
-    best = _Touch(*(np.where(engaged, np.inf, np.nan) for _ in range(5)))
+    nowhere = np.full(engaged.shape, np.nan)
+    best = _Touch(np.where(engaged, np.inf, np.nan), nowhere, nowhere, nowhere, nowhere)
     for touch, valid in _touches(geometry, tooth, slot):
         nearer = valid & (touch.tooth_angle < best.tooth_angle)
         best = _Touch(*(np.where(nearer, new, old) for new, old in zip(touch, best, strict=True)))
-    return best.tooth_angle - lead, best.x, best.y, best.normal_x, best.normal_y
+    rotation = np.where(np.isfinite(best.tooth_angle), best.tooth_angle, np.nan) - lead
+    return rotation, best.x, best.y, best.normal_x, best.normal_y
 
 
 def _slot(geometry: Geometry) -> _Slot:
@@ -315,8 +320,8 @@ def _within(
     """Whether the contact lies on both primitives: they are told apart by the radius."""
     radius = np.sqrt(touch.x * touch.x + touch.y * touch.y)
     return (
-        (radius >= np.maximum(tooth_low, slot_low) - _JOINT_SLACK)
-        & (radius <= np.minimum(tooth_high, slot_high) + _JOINT_SLACK)
+        (radius >= np.maximum(tooth_low, slot_low) - JOINT_SLACK)
+        & (radius <= np.minimum(tooth_high, slot_high) + JOINT_SLACK)
         & (touch.x * touch.normal_y > touch.y * touch.normal_x)
     )
 

@@ -1,7 +1,9 @@
 """The contact model compiled: the numbers of ``clearance`` and ``load_sharing``, some twenty times as fast.
 
-numba is optional: where it is missing :func:`available` is False and callers keep to the numpy modules. It is
-imported when first asked for, and its machine code is kept on disk.
+``torsion`` and ``torsion_map`` choose it where they can. numba is optional: where it is missing
+:func:`available` is False and they keep to numpy. It is imported when something is first computed, which
+takes some 0.3 s; compiling takes some 15 s once, for the machine code is kept on disk. :func:`warm_up` does
+both beforehand.
 """
 
 from __future__ import annotations
@@ -49,6 +51,21 @@ def available() -> bool:
     except ImportError:
         return False
     return True
+
+
+def warm_up() -> None:
+    """Compile now, or read from the disk, what predictions and maps need; nothing where numba is missing."""
+    if not available():
+        return
+    from hd_diag.model.kernel.constants import blank
+
+    kernel, mesh, row, table = _kernel(), blank(), np.empty(0), np.zeros((2, 2))
+    center = row.astype(np.complex128)
+    kernel.torsion(mesh, row, center, row)
+    kernel.torsion_table(mesh, row, center, row, 0)
+    kernel.curves(mesh, row, center, 0.0)
+    kernel.contacts(mesh, row, center, 0.0)
+    kernel.interpolate(table, table, 0.0, row, row)
 
 
 def torsion(
@@ -115,12 +132,67 @@ def torsion_table(
     ValueError
         If the torques do not rise.
     """
-    torque = np.ascontiguousarray(cup_torque, dtype=np.float64)
+    torque = _contiguous(cup_torque)
     if not np.all(torque[1:] >= torque[:-1]):
         raise ValueError("torsion_table: cup_torque must rise [N m]")
     turn, center, _ = _moments(wave_generator_angle, eccentricity, 0.0)
     mesh = _mesh(geometry, tooth_compliance, arc_offset)
     beta: Floats = _kernel().torsion_table(mesh, turn, center, torque, int(branch))
+    return beta
+
+
+def limited_curves(
+    geometry: Geometry,
+    tooth_compliance: float,
+    wave_generator_angle: Floats,
+    eccentricity: complex | Complexes,
+    arc_offset: float,
+    torque_limit: float,
+) -> tuple[Floats, Floats]:
+    """Piecewise-linear torsion over torque at every moment, as ``torsion.limited_curves`` gives it.
+
+    Parameters
+    ----------
+    geometry, tooth_compliance, wave_generator_angle, eccentricity, arc_offset
+        As for :func:`torsion`.
+    torque_limit : float
+        [N m]
+
+    Returns
+    -------
+    torque, torsion : ndarray, shape (n, breakpoints)
+        M [N m] and beta [rad], rising; rows with fewer breakpoints end with more of the limit.
+    """
+    turn, center, _ = _moments(wave_generator_angle, eccentricity, 0.0)
+    mesh = _mesh(geometry, tooth_compliance, arc_offset)
+    torque, beta = _kernel().curves(mesh, turn, center, float(torque_limit))
+    return torque, beta
+
+
+def interpolate(
+    breakpoints: Floats, values: Floats, torque_limit: float, wave_generator_angle: Floats, torque: Floats
+) -> Floats:
+    """Torsion by a ``TorsionMap``, equal to the last bit.
+
+    Parameters
+    ----------
+    breakpoints, values : ndarray, shape (rows, columns)
+        The map's torques [N m] and torsions [rad].
+    torque_limit : float
+        [N m]
+    wave_generator_angle, torque : ndarray, shape (n,)
+        theta_W [rad], M [N m].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        beta [rad]; nan beyond the limit.
+    """
+    turn, load = _contiguous(wave_generator_angle), _contiguous(torque)
+    if turn.shape != load.shape:
+        raise ValueError(f"interpolate: {turn.size} wave generator angles, but {load.size} torques")
+    table = _contiguous(breakpoints), _contiguous(values)
+    beta: Floats = _kernel().interpolate(*table, float(torque_limit), turn, load)
     return beta
 
 
@@ -191,14 +263,20 @@ def contacts(
 def _moments(
     turn: Floats, eccentricity: complex | Complexes, torque: float | Floats
 ) -> tuple[Floats, Complexes, Floats]:
-    """One value per moment, contiguous: kernels are compiled for one layout."""
-    angle = np.ascontiguousarray(turn, dtype=np.float64)
-    center, load = np.asarray(eccentricity, dtype=np.complex128), np.asarray(torque, dtype=np.float64)
-    if center.shape != angle.shape:
+    """One value per moment, in the layout that kernels are compiled for."""
+    angle, load = _contiguous(turn), _contiguous(torque)
+    center = np.ascontiguousarray(eccentricity, dtype=np.complex128)
+    if center.shape != angle.shape or not center.flags.writeable:
         center = np.full(angle.shape, center)
     if load.shape != angle.shape:
         load = np.full(angle.shape, load)
-    return angle, np.ascontiguousarray(center), np.ascontiguousarray(load)
+    return angle, center, load
+
+
+def _contiguous(values: float | Floats) -> Floats:
+    """Contiguous and free to be written to: numba would compile anew for anything else."""
+    found = np.ascontiguousarray(values, dtype=np.float64)
+    return found if found.flags.writeable else found.copy()
 
 
 def _mesh(geometry: Geometry, tooth_compliance: float, arc_offset: float) -> MeshData:

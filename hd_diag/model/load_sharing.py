@@ -91,7 +91,7 @@ def flank_stiffness(contact: Contact, tooth_compliance: float) -> Floats:
     ``r cos(alpha) (beta - b) = (K1 + K2) F``.
     """
     arm = contact.radius * np.cos(contact.pressure_angle)
-    return np.where(np.isnan(contact.rotation), 0.0, arm * arm / tooth_compliance)
+    return np.where(np.isfinite(contact.rotation), arm * arm / tooth_compliance, 0.0)
 
 
 def torque_curve(rotation: Floats, stiffness: Floats) -> TorqueCurve:
@@ -100,7 +100,7 @@ def torque_curve(rotation: Floats, stiffness: Floats) -> TorqueCurve:
     Parameters
     ----------
     rotation : ndarray, shape (moments, 2, teeth)
-        Closing rotation b of each flank [rad]; nan: cannot touch.
+        Closing rotation b of each flank [rad]; not finite: cannot touch.
     stiffness : ndarray, shape (moments, 2, teeth)
         k of each flank [N m/rad].
 
@@ -108,8 +108,9 @@ def torque_curve(rotation: Floats, stiffness: Floats) -> TorqueCurve:
     -------
     TorqueCurve
     """
-    signed = rotation * np.array([1.0, -1.0])[:, None]
-    start = np.where(np.isnan(rotation), 0.0, signed)
+    bears = np.isfinite(rotation)
+    signed = np.where(bears, rotation, np.nan) * np.array([1.0, -1.0])[:, None]
+    start = np.where(bears, signed, 0.0)
     beta = start.reshape(start.shape[0], -1)
     order = np.argsort(beta, axis=1, kind="stable")
     gain = (stiffness * np.array([1.0, -1.0])[:, None]).reshape(beta.shape)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 
@@ -28,7 +29,8 @@ class NeutralCurve:
     radius : float
         R_b, radius of the circle with the same perimeter [m].
     harmonics : ndarray, shape (k,)
-        Coefficients c_k of ``t(u) = u + sum c_k sin 2ku``, t the ellipse's parameter, u = arc length / R_b.
+        Coefficients c_k of ``t(u) = u + sum c_k sin 2ku``, t the ellipse's parameter, u = arc length / R_b;
+        read-only, for curves are kept and shared.
 
     Notes
     -----
@@ -41,6 +43,7 @@ class NeutralCurve:
     harmonics: Floats
 
 
+@functools.lru_cache(maxsize=64)
 def neutral_curve(semi_major: float, semi_minor: float) -> NeutralCurve:
     """Neutral curve of an elliptical wave generator.
 
@@ -76,7 +79,9 @@ def neutral_curve(semi_major: float, semi_minor: float) -> NeutralCurve:
             break
     spectrum = -np.fft.rfft(t - u).imag[1:] * 2.0 / _SAMPLES
     kept = int(np.max(np.nonzero(np.abs(spectrum) > _ROUNDING)[0], initial=0)) + 1
-    return NeutralCurve(semi_major, semi_minor, radius, spectrum[:kept])
+    harmonics = spectrum[:kept].copy()
+    harmonics.flags.writeable = False
+    return NeutralCurve(semi_major, semi_minor, radius, harmonics)
 
 
 def parameter(curve: NeutralCurve, u: Floats) -> Floats:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.model import load_sharing
-from hd_diag.model.clearance import Contact, contacts
+from hd_diag.model import clearance, compiled, load_sharing
+from hd_diag.model.clearance import Contact
 from hd_diag.model.geometry import Geometry
 
 Floats = npt.NDArray[np.float64]
@@ -60,7 +60,8 @@ class Mesh:
         """Contacts at theta_W [rad], shape (moments,)."""
         displacement = self.displacement(wave_generator_angle)
         farthest = abs(self.eccentricity) + abs(self.runout)
-        return contacts(self.geometry, wave_generator_angle, displacement, self.arc_offset, farthest)
+        solve = compiled.contacts if compiled.available() else clearance.contacts
+        return solve(self.geometry, wave_generator_angle, displacement, self.arc_offset, farthest)
 
     def share_load(self, contact: Contact, torque: Floats) -> load_sharing.LoadSharing:
         """Load distribution at the cup torque M [N m], shape (moments,)."""
@@ -100,6 +101,8 @@ def torsion(mesh: Mesh, wave_generator_angle: Floats, torque: Floats) -> Floats:
     ndarray, shape (moments,)
         beta [rad]; the middle of a true gap at zero torque; nan if no flank can bear the torque.
     """
+    if compiled.available():
+        return compiled.torsion(*_pose(mesh, wave_generator_angle), torque)
     return load_sharing.torsion(_curve(mesh, wave_generator_angle), torque[:, None])[:, 0]
 
 
@@ -119,7 +122,11 @@ def torsion_table(mesh: Mesh, wave_generator_angle: Floats, torque: Floats) -> F
     ndarray, shape (moments, torques)
         beta [rad]; the middle of a true gap at zero torque; nan if no flank can bear the torque.
     """
-    return load_sharing.torsion(_curve(mesh, wave_generator_angle), torque)
+    if not compiled.available():
+        return load_sharing.torsion(_curve(mesh, wave_generator_angle), torque)
+    order = np.argsort(torque)
+    table = compiled.torsion_table(*_pose(mesh, wave_generator_angle), torque[order])
+    return table[:, np.argsort(order)]
 
 
 def limited_curves(mesh: Mesh, wave_generator_angle: Floats, torque_limit: float) -> tuple[Floats, Floats]:
@@ -139,16 +146,26 @@ def limited_curves(mesh: Mesh, wave_generator_angle: Floats, torque_limit: float
         Breakpoints M [N m] and beta [rad], rising, from -torque_limit to torque_limit; a true gap has two at
         zero torque. nan where no flank can bear the limit.
     """
+    if compiled.available():
+        return compiled.limited_curves(*_pose(mesh, wave_generator_angle), torque_limit)
     curve = _curve(mesh, wave_generator_angle)
-    ends = load_sharing.torsion(curve, np.array([-torque_limit, torque_limit]))
-    below, above = curve.torque < -torque_limit, curve.torque > torque_limit
-    beta = np.where(below, ends[:, :1], np.where(above, ends[:, 1:], curve.torsion))
-    torque = np.where(np.isnan(beta), np.nan, np.clip(curve.torque, -torque_limit, torque_limit))
-    limit = np.where(np.isnan(ends), np.nan, np.array([-torque_limit, torque_limit]))
-    return (
-        np.concatenate((limit[:, :1], torque, limit[:, 1:]), axis=1),
-        np.concatenate((ends[:, :1], beta, ends[:, 1:]), axis=1),
-    )
+    limits = np.array([-torque_limit, torque_limit])
+    ends = load_sharing.torsion(curve, limits)
+    ends[np.isnan(ends).any(axis=1)] = np.nan
+    return _between(curve.torque, np.where(np.isnan(ends), np.nan, limits)), _between(curve.torsion, ends)
+
+
+def _between(values: Floats, ends: Floats) -> Floats:
+    """Rows of values, kept within their ends and put between them."""
+    low, high = ends[:, :1], ends[:, 1:]
+    return np.concatenate((low, np.clip(values, low, high), high), axis=1)
+
+
+def _pose(
+    mesh: Mesh, wave_generator_angle: Floats
+) -> tuple[Geometry, float, Floats, npt.NDArray[np.complex128], float]:
+    displacement = mesh.displacement(wave_generator_angle)
+    return mesh.geometry, mesh.tooth_compliance, wave_generator_angle, displacement, mesh.arc_offset
 
 
 def _curve(mesh: Mesh, wave_generator_angle: Floats) -> load_sharing.TorqueCurve:

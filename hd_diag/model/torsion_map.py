@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.model import compiled
 from hd_diag.model.torsion import Mesh, limited_curves, torsion_table
 
 Floats = npt.NDArray[np.float64]
@@ -80,6 +81,10 @@ class TorsionMap:
             beta [rad]; nan beyond `torque_limit`. Every element depends on its own inputs alone, to the last
             bit, however many are asked for at once.
         """
+        if compiled.available():
+            return compiled.interpolate(
+                self.torque, self.torsion, self.torque_limit, wave_generator_angle, torque
+            )
         steps = self.torque.shape[0] - 1
         place = np.mod(wave_generator_angle, 2.0 * np.pi) * (steps / (2.0 * np.pi))
         row = np.minimum(np.nan_to_num(place), steps - 1.0).astype(np.int64)
@@ -92,8 +97,8 @@ class TorsionMap:
         result = self._from(row, torque, _last_not_above(self.torque, row, below_limit))
         idle = torque == 0.0
         if idle.any():  # the middle of a true gap: the mean of both its ends
-            before = _last_not_above(self.torque, row[idle], np.nextafter(torque[idle], -1.0)) + 1
-            result[idle] = 0.5 * (result[idle] + self._from(row[idle], torque[idle], before - 1))
+            before = _last_not_above(self.torque, row[idle], np.nextafter(torque[idle], -1.0))
+            result[idle] = 0.5 * (result[idle] + self._from(row[idle], torque[idle], before))
         return result
 
     def _from(self, row: npt.NDArray[np.int64], torque: Floats, column: npt.NDArray[np.int64]) -> Floats:

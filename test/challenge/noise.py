@@ -21,7 +21,7 @@ def _first_order(innovations: Array) -> Array:
 
 def autoregressive(rng: np.random.Generator, n: int) -> Array:
     """AR(1) and white, normal [rad]."""
-    slow = lfilter([1], [1], _first_order(rng.standard_normal(n + 500)))[500:]
+    slow = _first_order(rng.standard_normal(n + 500))[500:]  # settled
     return np.asarray(DRIFTING * slow + WHITE * rng.standard_normal(n), dtype=np.float64)
 
 

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from hd_diag.model.clearance import _JOINT_SLACK, tip_distances
+from hd_diag.model.clearance import JOINT_SLACK, tip_distances
 from hd_diag.model.geometry import Geometry
 from hd_diag.model.kernel.teeth import MeshData, Tables
 from hd_diag.model.kernel.touch import Arc, Constants, Line
@@ -18,6 +18,13 @@ from hd_diag.model.tooth_profile import DoubleArc
 def mesh(geometry: Geometry, tooth_compliance: float, arc_offset: float) -> MeshData:
     """What the entry points take."""
     return MeshData(*_of(geometry), tooth_compliance, arc_offset)
+
+
+def blank() -> MeshData:
+    """Numbers of the right types that no gear has: enough to compile for."""
+    arc, line = Arc(*[1.0] * 4), Line(*[1.0] * 9)
+    constants = Constants(*[1.0] * 10, arc, arc, line, arc, arc, line, *[1.0] * 4, 0, 0)
+    return MeshData(constants, Tables(*[np.ones(1)] * 5), 1.0, 0.0)
 
 
 @functools.lru_cache(maxsize=64)
@@ -37,7 +44,7 @@ def _constants(geometry: Geometry) -> Constants:
         slot_pitch=geometry.slot_pitch,
         turn_ratio=1.0 + 1.0 / geometry.reduction,
         pitch_height=0.5 * (geometry.flexspline_root + geometry.flexspline_tip),
-        slack=_JOINT_SLACK,
+        slack=JOINT_SLACK,
         tip_x=geometry.flexspline_tip,
         tip_y=tooth.half_width(geometry.flexspline_tip),
         tooth_addendum=_arc(tooth.addendum_center, tooth.addendum_radius, 0.0),
@@ -58,7 +65,8 @@ def _constants(geometry: Geometry) -> Constants:
 def _tables(geometry: Geometry) -> Tables:
     pitches = np.arange(geometry.flexspline_teeth // 2) * geometry.tooth_pitch
     reach = tip_distances(geometry)
-    return Tables(geometry.curve.harmonics, np.cos(pitches), np.sin(pitches), *reach)
+    harmonics = geometry.curve.harmonics.copy()  # kernels are compiled for arrays that can be written
+    return Tables(harmonics, np.cos(pitches), np.sin(pitches), *reach)
 
 
 def _arc(center: tuple[float, float], radius: float, datum: float) -> Arc:

@@ -9,7 +9,8 @@ import numpy.typing as npt
 
 from hd_diag.model.kernel import entry_point, inline
 from hd_diag.model.kernel.gradient import fill
-from hd_diag.model.kernel.load import balance, flanks, scratch, walk
+from hd_diag.model.kernel.load import balance, curve, flanks, middle, scratch, walk
+from hd_diag.model.kernel.table import interpolated
 from hd_diag.model.kernel.teeth import MeshData, Teeth, place, reach, room, width
 from hd_diag.model.kernel.touch import Constants, close
 
@@ -37,10 +38,32 @@ def torsion_table(
     for i in range(turn.size):
         found = flanks(mesh, turn[i], eccentricity[i], work)
         first, last = (before, after) if found.high > found.low else (0, 0)
-        middle = 0.5 * (found.low + found.high)
-        beta[i, first:last] = found.high if branch > 0 else (found.low if branch < 0 else middle)
+        idle = found.high if branch > 0 else (found.low if branch < 0 else middle(found))
+        beta[i, first:last] = idle if math.isfinite(idle) else math.nan
         walk(found, torque[:first], beta[i, :first])
         walk(found, torque[last:], beta[i, last:])
+    return beta
+
+
+@entry_point
+def curves(mesh: MeshData, turn: Floats, eccentricity: Complexes, limit: float) -> tuple[Floats, Floats]:
+    """Breakpoints within a torque limit: torques and torsions (n, breakpoints)."""
+    work, columns, used = scratch(mesh.constants), 2 * mesh.constants.flexspline_teeth + 4, 0
+    torque, beta = np.empty((turn.size, columns)), np.empty((turn.size, columns))
+    for i in range(turn.size):
+        used = max(used, curve(flanks(mesh, turn[i], eccentricity[i], work), limit, torque[i], beta[i]))
+    return torque[:, :used].copy(), beta[:, :used].copy()
+
+
+@entry_point
+def interpolate(
+    breakpoints: Floats, values: Floats, limit: float, turn: Floats, torque: Floats
+) -> Floats:
+    """Torsion (n,) by a table; nan beyond its limit."""
+    beta = np.empty(turn.size)
+    for i in range(turn.size):
+        within = abs(torque[i]) <= limit
+        beta[i] = interpolated(breakpoints, values, turn[i], torque[i]) if within else math.nan
     return beta
 
 

@@ -101,7 +101,7 @@ def fill(
     gradient: Floats,
 ) -> float:
     """Set the gradient (7,) of one moment and give the stiffness [N m/rad]."""
-    gradient[:] = 0.0
+    gradient[:] = 0.0 if math.isfinite(beta) else math.nan
     turned = complex(math.cos(turn), math.sin(turn))
     center = eccentricity * turned.conjugate()
     stiffness = 0.0

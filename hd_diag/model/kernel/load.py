@@ -126,6 +126,12 @@ def bearing(flanks: Flanks, beta: float) -> tuple[float, float]:
 
 
 @part
+def middle(flanks: Flanks) -> float:
+    """Torsion at zero torque in a true gap; nan where one side has no flank to end it."""
+    return 0.5 * (flanks.low + flanks.high) if math.isfinite(flanks.high - flanks.low) else math.nan
+
+
+@part
 def _first_guess(flanks: Flanks, torque: float) -> float:
     """Within the preload, or (true gap) as if every flank of the loaded side bore: beyond the solution."""
     if flanks.low >= flanks.high:
@@ -138,7 +144,7 @@ def _first_guess(flanks: Flanks, torque: float) -> float:
 def balance(flanks: Flanks, torque: float) -> float:
     """Torsion at one torque: Newton's iteration over the pieces, kept in a bracket; exact where it rests."""
     if torque == 0.0 and flanks.high > flanks.low:
-        return 0.5 * (flanks.low + flanks.high)
+        return middle(flanks)
     beta = _first_guess(flanks, torque) if not math.isnan(torque) else math.nan
     low, high = -math.inf, math.inf
     while math.isfinite(beta):
@@ -158,6 +164,9 @@ def walk(flanks: Flanks, torque: Floats, beta: Floats) -> None:
     if torque.size == 0:
         return
     lowest, highest = balance(flanks, torque[0]), balance(flanks, torque[-1])
+    if math.isnan(lowest):  # no flank can bear any of them
+        beta[:] = math.nan
+        return
     stiffness, moment = bearing(flanks, lowest)
     start, gain = _between(flanks, lowest, highest)
     passed = 0
@@ -167,6 +176,40 @@ def walk(flanks: Flanks, torque: Floats, beta: Floats) -> None:
             moment += gain[passed] * start[passed]
             passed += 1
         beta[j] = (torque[j] + moment) / stiffness
+
+
+@part
+def curve(flanks: Flanks, limit: float, torque: Floats, beta: Floats) -> int:
+    """Breakpoints of one moment from -limit to limit, which fills the rest; nan if no flank can bear it."""
+    lowest, highest = balance(flanks, -limit), balance(flanks, limit)
+    if math.isnan(lowest) or math.isnan(highest):
+        torque[:], beta[:] = math.nan, math.nan
+        return 2
+    if flanks.high > flanks.low:
+        size = _piece(flanks, lowest, flanks.low, -limit, 0.0, torque, beta)
+        size += _piece(flanks, flanks.high, highest, 0.0, limit, torque[size:], beta[size:])
+    else:
+        size = _piece(flanks, lowest, highest, -limit, limit, torque, beta)
+    torque[size:], beta[size:] = limit, highest
+    return size
+
+
+@part
+def _piece(
+    flanks: Flanks, lowest: float, highest: float, first: float, last: float, torque: Floats, beta: Floats
+) -> int:
+    """Set the breakpoints between two torsions and their torques, and give the number."""
+    stiffness, moment = bearing(flanks, lowest)
+    start, gain = _between(flanks, lowest, highest)
+    torque[0], beta[0] = first, lowest
+    for j in range(start.size):
+        # Rounding must not give a torque beyond the ends, or one that falls.
+        torque[j + 1] = min(max(stiffness * start[j] - moment, torque[j]), last)
+        beta[j + 1] = start[j]
+        stiffness += gain[j]
+        moment += gain[j] * start[j]
+    torque[start.size + 1], beta[start.size + 1] = last, highest
+    return start.size + 2
 
 
 @part

@@ -248,7 +248,8 @@ def close(c: Constants, height: float, offset: float) -> Touch:
     wall_outer, wall_inner = c.wall_line.outer_radius, c.wall_line.inner_radius
     a, d, slack = c.tooth_addendum.radius, c.tooth_dedendum.radius, c.slack
     start = math.inf if high > low else math.nan
-    best = Touch(start, start, start, start, start, start, start, start, start)
+    nan = math.nan
+    best = Touch(start, nan, nan, nan, nan, nan, nan, nan, nan)
     touch = _arcs(addendum, wall_a.x, wall_a.y, wall_a.distance, wall_a.radius - a, 1.0, wall_a.radius)
     best = _nearer(best, touch, max(low, max(outer, wall_outer) - slack), high)
     touch = _arcs(addendum, wall_d.x, wall_d.y, wall_d.distance, a + wall_d.radius, -1.0, -wall_d.radius)

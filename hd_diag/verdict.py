@@ -1,0 +1,207 @@
+"""A diagnosis in words and in JSON."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from hd_diag.criticism import base
+from hd_diag.criticism.checks import Finding
+from hd_diag.criticism.diagnosis import Diagnosis
+from hd_diag.criticism.search import Cause
+from hd_diag.criticism.testability import Testability
+from hd_diag.criticism.unexplained import Line
+from hd_diag.model.torsion_map import ARCSEC
+
+_SIGMAS = 3.0  # a parameter this many standard deviations off its configured value is worth a word
+
+
+def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[str, Any]:
+    """What `hd-diag diagnose --json` writes.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+    joint : str
+    model : str, optional
+        Where the extended model was written.
+
+    Returns
+    -------
+    dict
+        Schema ``hd_diag/diagnosis/1``; SI.
+    """
+    rms, gain, record = diagnosis.rms, diagnosis.gain, diagnosis.record
+    none = float("nan")
+    return _clean(
+        {
+            "schema": "hd_diag/diagnosis/1",
+            "joint": joint,
+            "record": {
+                "samples": record.size,
+                "duration": record.duration,
+                "input_turns": record.input_turns,
+                "runs": record.runs,
+                "has_torque": record.has_torque,
+                "outliers": record.outliers,
+                "dropped": record.dropped,
+            },
+            "findings": [finding.__dict__ for finding in diagnosis.findings],
+            "nominal": {"rms": rms.nominal if rms else none},
+            "refit": _refit(diagnosis),
+            "causes": [*map(_finding_cause, diagnosis.findings), *map(_cause, diagnosis.causes)],
+            "unexplained": [line.__dict__ for line in diagnosis.unexplained],
+            "extended": {"rms": rms.extended if rms else none},
+            "noise_floor": {
+                "rms": rms.noise if rms else none,
+                "low": rms.noise_low if rms else none,
+                "high": rms.noise_high if rms else none,
+            },
+            "gain": {
+                "rms_nominal": rms.nominal if rms else none,
+                "rms_refit": rms.refit if rms else none,
+                "rms_extended": rms.extended if rms else none,
+                "fraction_explained": gain.fraction if gain else none,
+                "low": gain.low if gain else none,
+                "high": gain.high if gain else none,
+                "held_out": gain.held_out if gain else "nothing",
+            },
+            "testability": [test.__dict__ for test in diagnosis.testable],
+            "model": model,
+            "verdict": sentence(diagnosis),
+        }
+    )
+
+
+def sentence(diagnosis: Diagnosis) -> str:
+    """The verdict in one sentence."""
+    fatal = [finding for finding in diagnosis.findings if finding.fatal]
+    if fatal:
+        return f"First of all: {fatal[0].text}."
+    parts = [finding.text for finding in diagnosis.findings]
+    parts.append(_parameters(diagnosis))
+    if diagnosis.causes:
+        parts.append("beside that: " + "; ".join(_cause_words(cause) for cause in diagnosis.causes))
+    elif not diagnosis.unexplained:
+        parts.append("no other cause is needed")
+    else:
+        parts.append("none of the known causes explains the rest")
+    if diagnosis.unexplained:
+        parts.append("unexplained: " + ", ".join(_line_words(line) for line in diagnosis.unexplained))
+    return "; ".join(parts) + "."
+
+
+def _parameters(diagnosis: Diagnosis) -> str:
+    refitted = diagnosis.refitted
+    if refitted is None:
+        return "the model's parameters could not be fitted"
+    if not refitted.trustworthy:
+        return "the model's parameters are ambiguous: several sets fit about as well"
+    values = base.physical(refitted.parameters, refitted.covariance, diagnosis.configured)
+    size, turn = values["eccentricity.magnitude"], values["eccentricity.direction"]
+    text = (
+        f"the eccentricity is {_number(size['value']) * 1e6:.1f} ± {_number(size['std']) * 1e6:.1f} µm at "
+        f"{math.degrees(_number(turn['value'])):.0f} ± {math.degrees(_number(turn['std'])):.0f}° (mod 180°), "
+        f"not {_number(size['configured']) * 1e6:.1f} µm"
+    )
+    same = abs(_number(size["value"]) - _number(size["configured"])) < _SIGMAS * _number(size["std"])
+    if same:
+        text = f"the eccentricity is as configured ({_number(size['configured']) * 1e6:.1f} µm)"
+    return text
+
+
+def _cause_words(cause: Cause) -> str:
+    name = cause.effect.name.replace("_", " ")
+    if len(cause.alike) > 1:
+        name = " or ".join(alias.replace("_", " ") for alias in cause.alike)
+        name = f"{name} (this record cannot tell which)"
+    return f"{name}, {cause.amplitude / ARCSEC:.2f} arcsec rms"
+
+
+def _line_words(line: Line) -> str:
+    unit = {"input": "per input turn", "output": "per output turn", "time": "Hz"}[line.frame]
+    return f"{line.order:.2f} {unit}, {line.amplitude / ARCSEC:.2f} arcsec"
+
+
+def _refit(diagnosis: Diagnosis) -> dict[str, Any]:
+    refitted = diagnosis.refitted
+    if refitted is None:
+        return {"rms": float("nan"), "parameters": {}, "trustworthy": False}
+    return {
+        "rms": diagnosis.rms.refit if diagnosis.rms else float("nan"),
+        "parameters": base.physical(refitted.parameters, refitted.covariance, diagnosis.configured),
+        "trustworthy": refitted.trustworthy,
+    }
+
+
+def _cause(cause: Cause) -> dict[str, Any]:
+    effect = cause.effect
+    values = effect.to_physical(cause.coefficients, cause.nonlinear)
+    spread = effect.standard_deviations(cause.coefficients, cause.nonlinear, cause.covariance)
+    return {
+        "name": effect.name,
+        "class": list(cause.alike),
+        "parameters": {
+            name: {"value": value, "std": spread.get(name, float("nan")), "unit": unit}
+            for name, (value, unit) in values.items()
+        },
+        "amplitude": cause.amplitude,
+        "gain": {"value": cause.gain, "low": cause.gain_low, "high": cause.gain_high},
+        "p_value": cause.p_value,
+        "explanation": effect.cause,
+        "inspect": effect.inspect,
+    }
+
+
+def _finding_cause(finding: Finding) -> dict[str, Any]:
+    return {
+        "name": finding.name,
+        "class": [finding.name],
+        "parameters": {"size": {"value": finding.value, "std": float("nan"), "unit": finding.unit}},
+        "amplitude": float("nan"),
+        "gain": {"value": float("nan"), "low": float("nan"), "high": float("nan")},
+        "p_value": 0.0,
+        "explanation": finding.text,
+        "inspect": finding.text,
+    }
+
+
+def summary(diagnosis: Diagnosis) -> list[str]:
+    """The diagnosis in lines for a terminal."""
+    lines = [sentence(diagnosis)]
+    rms, gain = diagnosis.rms, diagnosis.gain
+    if rms and gain:
+        lines.append(
+            f"held-out residual ({gain.held_out}): nominal {rms.nominal / ARCSEC:.2f}, refit "
+            f"{rms.refit / ARCSEC:.2f}, extended {rms.extended / ARCSEC:.2f}, noise {rms.noise / ARCSEC:.2f} arcsec rms; "
+            f"explained {100 * gain.fraction:.1f} % ({100 * gain.low:.1f} to {100 * gain.high:.1f} %)"
+        )
+    lines += [f"inspect: {cause.effect.inspect}" for cause in diagnosis.causes]
+    lines += [_untested(test) for test in diagnosis.testable if not test.testable]
+    return lines
+
+
+def _untested(test: Testability) -> str:
+    return f"not testable here: {test.name.replace('_', ' ')}: {test.reason}"
+
+
+def _number(value: object) -> float:
+    assert isinstance(value, (int, float))
+    return float(value)
+
+
+def _clean(value: Any) -> Any:
+    """Numbers that are not finite as null, numpy as Python."""
+    if isinstance(value, dict):
+        return {key: _clean(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_clean(item) for item in value]
+    if isinstance(value, (np.bool_, bool)):
+        return bool(value)
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, np.integer):
+        return int(value)
+    return value

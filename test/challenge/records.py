@@ -1,0 +1,238 @@
+"""Records of a simulated drive: what really happens, what the sensors report, and the files that hold it."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from challenge import mechanics, noise
+from challenge.causes import Cause, Scene
+from challenge.clearances import Array
+from challenge.contact import Flaws, Gear
+from challenge.motion import Motion
+from challenge.truth import NOMINAL, RATIO, Base
+from mcap.writer import Writer
+from numpy.typing import NDArray
+from rosbags.typesys import Stores, get_typestore
+
+JOINT = "joint_1"
+EPOCH = 1_760_000_000  # [s], of the first stamp in a bag
+AMBIENT, RISE, HEATING = 25.0, 9.0, 70.0  # [°C], [K], [s]
+
+
+@dataclass(frozen=True)
+class Record:
+    """Columns (n,) of one joint, and the truth about them.
+
+    Attributes
+    ----------
+    time : stamps from 0 [s]
+    input_angle, output_angle : as reported [rad]
+    torque : as reported [N m], or None where nothing measures it
+    temperature : as reported [°C], straight between readings of 1 Hz, or None
+    runs : index of the first sample of every run
+    clean_output : output angle without noise and outliers [rad]
+    configured : parameters of the drive as the user believes it to be
+    truth : base, effects (sizes, rms at the output), hidden (catalogue names), unknown, noise_rms [rad]
+    """
+
+    time: Array
+    input_angle: Array
+    output_angle: Array
+    torque: Array | None
+    temperature: Array | None
+    runs: NDArray[np.intp]
+    clean_output: Array
+    truth: dict[str, Any]
+    configured: dict[str, float] = field(default_factory=NOMINAL.as_dict)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """How a record is taken: noise family, shares of dropouts and outliers, uneven sampling, sensors present."""
+
+    noise: str = "autoregressive"
+    dropouts: float = 0.0
+    outliers: float = 0.0
+    jitter: float = 0.0  # [s]
+    torque: bool = True
+    temperature: bool = True
+    rate: float = 500.0  # [Hz]
+
+
+PLAIN = Recording()
+
+
+# What happens ---
+
+
+def scene(motion: Motion, time: Array) -> Scene:
+    """What the drive does at moments [s], in order."""
+    warm = mechanics.warming(time, AMBIENT, RISE, HEATING)
+    return Scene(
+        time, motion.angle(time), motion.speed(time), motion.torque(time), warm, motion.run_of(time)
+    )
+
+
+def gear(base: Base, causes: Sequence[Cause]) -> Gear:
+    """Clearances of a drive with the flaws of all causes."""
+    flaws = Flaws()
+    for each in (cause.flaws() for cause in causes):
+        flaws = flaws if each is None else flaws + each
+    return Gear(base, flaws)
+
+
+def output(base: Base, causes: Sequence[Cause], seen: Scene) -> Array:
+    """Reported output angle (n,) [rad] of a drive, without noise."""
+    shaft = seen.motor
+    for cause in causes:
+        shaft = cause.shaft(shaft)
+    error = gear(base, causes).torsion(-shaft, -seen.torque) - base.cup * seen.torque + base.offset
+    for cause in causes:
+        error = error + cause.added(seen)
+    for cause in causes:
+        error = cause.carried(seen, error)
+    angle = shaft / RATIO + error
+    for cause in causes:
+        angle = cause.output_reading(angle)
+    return np.asarray(angle, dtype=np.float64)
+
+
+def transmission_error(base: Base, causes: Sequence[Cause], motion: Motion, time: Array) -> Array:
+    """Reported output less reported input over the ratio (n,) [rad], without noise, at moments [s]."""
+    late = sum(cause.delay for cause in causes)
+    reported = motion.angle(time)
+    for cause in causes:
+        reported = cause.input_reading(reported)
+    return output(base, causes, scene(motion, time - late)) - reported / RATIO
+
+
+def simulate(
+    base: Base,
+    causes: Sequence[Cause],
+    motion: Motion,
+    rng: np.random.Generator,
+    recording: Recording = PLAIN,
+) -> Record:
+    """Record of a drive with faults, as its sensors report it."""
+    time = motion.times(recording.rate)
+    if recording.jitter:
+        time = noise.jittered(rng, time, recording.jitter)
+    error = transmission_error(base, causes, motion, time)
+    angle, torque = motion.angle(time), motion.torque(time)
+    for cause in causes:
+        angle, torque = cause.input_reading(angle), cause.torque_reading(torque)
+    clean = angle / RATIO + error
+    disturbance = noise.FAMILIES[recording.noise](rng, len(time))
+    torque = torque + noise.TORQUE_NOISE * rng.standard_normal(len(time))
+    wild = noise.outliers(rng, len(time), recording.outliers)
+    keep = noise.kept(rng, len(time), recording.dropouts)
+    readings = np.arange(np.floor(time[-1]) + 1)
+    degrees = mechanics.warming(readings, AMBIENT, RISE, HEATING) + 0.01 * rng.standard_normal(len(readings))
+    run = motion.run_of(time[keep])
+    truth = {
+        "base": base.as_dict(),
+        "effects": {cause.name: cause.as_dict() for cause in causes},
+        "hidden": [cause.name for cause in causes if cause.known],
+        "unknown": [cause.name for cause in causes if not cause.known],
+        "noise_rms": float(disturbance.std()),
+        "recording": vars(recording),
+    }
+    return Record(
+        time=time[keep],
+        input_angle=angle[keep],
+        output_angle=(clean + disturbance + wild)[keep],
+        torque=torque[keep] if recording.torque else None,
+        temperature=np.interp(time, readings, degrees)[keep] if recording.temperature else None,
+        runs=np.flatnonzero(np.diff(run, prepend=-1)),
+        clean_output=clean[keep],
+        truth=truth,
+    )
+
+
+# Files ---
+
+
+def columns(record: Record) -> dict[str, Array]:
+    """Columns by the names that the CSV file gives them."""
+    named = {"time": record.time, "input": record.input_angle, "output": record.output_angle}
+    more = {"torque": record.torque, "temperature": record.temperature}
+    return named | {name: column for name, column in more.items() if column is not None}
+
+
+def write_csv(record: Record, path: Path) -> None:
+    """Write columns with a header line; numbers in full."""
+    named = columns(record)
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(named)
+        writer.writerows(zip(*(column.tolist() for column in named.values()), strict=True))
+
+
+def write_truth(record: Record, path: Path) -> None:
+    """Write the truth as JSON."""
+    path.write_text(json.dumps(record.truth, indent=1))
+
+
+def write_bag(record: Record, path: Path, joint: str = JOINT) -> None:
+    """Write an MCAP bag: joint_states with input (``<joint>_motor``) and output, temperature at 1 Hz."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2", library="test")
+
+        def channel(topic: str, kind: str) -> int:
+            text = store.generate_msgdef(kind, ros_version=2)[0]
+            schema = writer.register_schema(kind, "ros2msg", text.encode())
+            return writer.register_channel(topic, "cdr", schema)
+
+        names = channel("/joint_states", "sensor_msgs/msg/JointState")
+        for stamp, message in _joint_states(record, store, joint):
+            writer.add_message(names, stamp, store.serialize_cdr(message, message.__msgtype__), stamp)
+        if record.temperature is not None:
+            warm = channel(f"/{joint}/temperature", "sensor_msgs/msg/Temperature")
+            for stamp, message in _temperatures(record, store):
+                writer.add_message(warm, stamp, store.serialize_cdr(message, message.__msgtype__), stamp)
+        writer.finish()
+
+
+def _header(store: Any, stamp: int) -> Any:
+    types = store.types
+    time = types["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
+    return types["std_msgs/msg/Header"](stamp=time, frame_id="")
+
+
+def _stamps(time: Array) -> list[int]:
+    return (EPOCH * 10**9 + np.rint((time - min(time[0], 0.0)) * 1e9).astype(np.int64)).tolist()
+
+
+def _joint_states(record: Record, store: Any, joint: str) -> Any:
+    make = store.types["sensor_msgs/msg/JointState"]
+    torque = record.torque if record.torque is not None else np.full(len(record.time), np.nan)
+    effort = np.stack([np.zeros_like(torque), torque], axis=1)
+    position = np.stack([record.input_angle, record.output_angle], axis=1)
+    for i, stamp in enumerate(_stamps(record.time)):
+        yield (
+            stamp,
+            make(
+                header=_header(store, stamp),
+                name=[f"{joint}_motor", joint],
+                position=position[i],
+                velocity=np.zeros(0),
+                effort=effort[i] if record.torque is not None else np.zeros(0),
+            ),
+        )
+
+
+def _temperatures(record: Record, store: Any) -> Any:
+    make = store.types["sensor_msgs/msg/Temperature"]
+    assert record.temperature is not None
+    seconds = np.arange(np.ceil(record.time[0]), np.floor(record.time[-1]) + 1)
+    degrees = np.interp(seconds, record.time, record.temperature)
+    for stamp, value in zip(_stamps(seconds), degrees.tolist(), strict=True):
+        yield stamp, make(header=_header(store, stamp), temperature=value, variance=0.0)
