@@ -34,6 +34,7 @@ setup(
     install_requires=[
         "numpy>=1.26,<3",
         "scipy>=1.11,<2",
+        "numba>=0.59,<1",
         "PyYAML>=6.0,<7",
         "click>=8.1,<9",
         "rich>=13.7,<16",

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 
 import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from hd_diag.bag.reader import BagReader
 from hd_diag.bag.recover import recover as recover_bag
 from hd_diag.cli_options import CONFIG, JSON, problems, write_json
 from hd_diag.config import load
@@ -29,6 +32,29 @@ def bar() -> Progress:
     )
     console = Console(stderr=True)
     return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+
+
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as shells have it."""
+
+
+@contextmanager
+def interrupts() -> Iterator[list[int]]:
+    """Signals of Ctrl-C since; a second one ends the program at once.
+
+    A KeyboardInterrupt wherever the program happens to be could hit a file that is half written.
+    """
+    came: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        came.append(number)
+        signal.signal(number, signal.default_int_handler)
+
+    before = signal.signal(signal.SIGINT, note)
+    try:
+        yield came
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @click.command()
@@ -54,20 +80,25 @@ def replay(
     Reads MCAP files and rosbag2 folders (MCAP or sqlite3), unfinished ones included. Ctrl-C leaves a valid file.
     """
     config = load(config_file) if config_file else None
-    with BagReader(bag) as reader:
-        total = reader.message_count
     begin = time.monotonic()
-    with bar() as progress:
-        task = progress.add_task("replay", total=total or None, rate="")
-        done = 0
+    done = 0
+    with bar() as progress, interrupts() as came:
+        task = progress.add_task("replay", total=None, rate="")
 
-        def advance(messages: int) -> None:
+        def advance(messages: int, total: int) -> None:
             nonlocal done
-            done += messages
-            rate = done / max(time.monotonic() - begin, 1e-9)
-            progress.update(task, advance=messages, rate=f"{rate:,.0f} messages/s")
+            done = messages
+            rate = f"{done / max(time.monotonic() - begin, 1e-9):,.0f} messages/s"
+            progress.update(task, completed=done, total=total, rate=rate)
+            if came:
+                raise KeyboardInterrupt
 
-        result = replay_bag(bag, out, config, topics=topics, overwrite=overwrite, progress=advance)
+        try:
+            result = replay_bag(bag, out, config, topics=topics, overwrite=overwrite, progress=advance)
+        except KeyboardInterrupt:
+            progress.stop()
+            click.echo(f"hd-diag: interrupted: {out} holds what the first {done} messages give", err=True)
+            sys.exit(INTERRUPTED)
     took = time.monotonic() - begin
     if json_file:
         write_json(json_file, _replay_json(result, out, took))

@@ -43,9 +43,9 @@ def diagnose(
 ) -> None:
     """Show what the simulation gets wrong, name the physical cause and measure the gain.
 
-    The model's own parameters are refitted first; causes are then searched among the catalogue's and named only
-    where data that nothing was fitted to confirm them. Several bags are runs of the same joint. "None of the known
-    causes" and "this record cannot tell these apart" are answers too.
+    The model's own parameters are refitted first; causes are then searched among the catalogue's and named
+    only where data that nothing was fitted to confirm them. Several bags are runs of the same joint. "None
+    of the known causes" and "this record cannot tell these apart" are answers too.
     """
     config = configured(config_file)
     results = []

@@ -52,6 +52,11 @@ class Child:
         return self._process.pid
 
     @property
+    def is_running(self) -> bool:
+        """Whether it has not ended yet."""
+        return self._process.poll() is None
+
+    @property
     def lines(self) -> list[str]:
         """What it has printed."""
         return self._output.read_text(encoding="utf-8", errors="replace").splitlines()
@@ -71,7 +76,7 @@ class Child:
 
     def end(self) -> int:
         """End it by SIGINT, by force if that does nothing; its exit code, negative after a signal."""
-        if self._process.poll() is None:
+        if self.is_running:
             self._process.send_signal(signal.SIGINT)
             try:
                 self._process.wait(_END_LIMIT)
@@ -91,7 +96,7 @@ class Child:
             self._kill()
 
     def _kill(self) -> None:
-        if self._process.poll() is None:
+        if self.is_running:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(self.pid, signal.SIGKILL)
             self._process.wait()

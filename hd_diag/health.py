@@ -28,6 +28,7 @@ _ARCMIN = 60.0 * ARCSEC
 # orders that an eccentricity causes, and coprime with the tooth numbers so that the ripple is met as well.
 _ANGLES_OF_TURN = 257
 _ANGLES_WITHOUT_MAP = 61
+_JUDGED_AT_LEAST = 8  # stamps, for their usual step
 
 Fault = tuple[str, int, str]
 
@@ -51,7 +52,7 @@ def report(joint: JointMonitor, now: int, facts: Mapping[str, str], foreign: int
         With the fault code of the worst finding, and numbers in the units that their keys name.
     """
     window, joint.window = joint.window, Window()
-    joint.missed += _missed(window)
+    joint.missed += _missed(joint, window)
     if joint.last_received < 0:
         joint.last_received = now
     silence = max(0.0, (now - joint.last_received) * 1e-9)
@@ -199,12 +200,20 @@ def _rate(window: Window) -> float:
     return (window.accepted - 1) / (span * 1e-9) if span > 0 else float("nan")
 
 
-def _missed(window: Window) -> int:
-    """Samples that the stamps say were lost: jitter adds and takes away steps, a loss only adds."""
-    if window.accepted < 8:
+def _missed(joint: JointMonitor, window: Window) -> int:
+    """Samples that the stamps say were lost: jitter adds and takes away steps, a loss only adds.
+
+    Judged from the last stamp that was judged before, and once there are enough of them.
+    """
+    stamps = joint.unjudged + window.stamps
+    joint.unjudged = stamps
+    if sum(part.size for part in stamps) < _JUDGED_AT_LEAST:
         return 0
-    steps = np.diff(np.concatenate(window.stamps)).astype(np.float64)
-    usual = float(np.median(steps))
+    together = np.concatenate(stamps)
+    joint.unjudged = [together[-1:]]
+    steps = np.diff(together).astype(np.float64)
+    steps = steps[steps > 0.0]  # a clock that was set back
+    usual = float(np.median(steps)) if steps.size else 0.0
     if usual <= 0.0:
         return 0
     long = np.sum(np.rint(steps[steps > 1.5 * usual] / usual) - 1.0)

@@ -72,6 +72,7 @@ class JointMonitor:
         self.rejected = 0
         self.last_rejection = ""
         self.missed = 0
+        self.unjudged: list[Times] = []
         self.unpaired = 0
         self.clock_jumps = 0
         self.last_received = -1

@@ -23,6 +23,13 @@ PARAMETER_EVENT = "rcl_interfaces/msg/ParameterEvent"
 
 _NANOSECONDS = 1_000_000_000
 
+LAST_TIME = 2**31 * _NANOSECONDS - 1
+"""Last time that a builtin_interfaces/Time can hold: January 2038 [ns]."""
+
+
+INPUT = "joint_states"
+"""Topic that a node listens to, by its name in the node's namespace."""
+
 
 class Encoded(NamedTuple):
     """Messages of a topic: name as the monitor gives it, type, time of the cause [ns] (n,), CDR of all n."""
@@ -70,6 +77,11 @@ def published_topics(joints: Sequence[str]) -> dict[str, str]:
             f"~/{joint}/mesh": MARKERS,
         }
     return topics
+
+
+def temperature_topic(joint: str) -> str:
+    """Topic of a joint's temperature, by its name in the node's namespace."""
+    return f"{joint}/temperature"
 
 
 def resolved(topic: str, node: str = "/hd_diag") -> str:

@@ -34,11 +34,13 @@ from hd_diag.map_builder import MapBuilder
 from hd_diag.markers import MARKERS
 from hd_diag.messages import (
     DIAGNOSTICS,
+    INPUT,
     JOINT_STATE,
     MULTI_ARRAY,
     TEMPERATURE,
     Encoded,
     published_topics,
+    temperature_topic,
 )
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.parameters import ROS_PARAMETERS
@@ -72,8 +74,9 @@ class DiagnosticNode(Node):
             topic: self.create_publisher(_CLASSES[kind], topic, _OUTPUT_DEPTH)
             for topic, kind in published_topics([joint.name for joint in config.joints]).items()
         }
-        self._names: dict[str, str] = {}
-        self._session = Session(config, self._emit, self.get_fully_qualified_name())
+        topics = [INPUT, *self._outputs, *(temperature_topic(joint.name) for joint in config.joints)]
+        self._names = {topic: self.resolve_topic_name(topic) for topic in topics}
+        self._session = Session(config, self._emit, self.get_fully_qualified_name(), dict(self._names))
         self._session.start(self._now())
         for joint in config.joints:
             self._builder.request(joint)
@@ -142,7 +145,7 @@ class DiagnosticNode(Node):
         reliability = ReliabilityPolicy.BEST_EFFORT if self._best_effort else ReliabilityPolicy.RELIABLE
         return self.create_subscription(
             JointState,
-            "joint_states",
+            INPUT,
             self._on_joint_state,
             QoSProfile(depth=_INPUT_DEPTH, reliability=reliability),
             event_callbacks=SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible_qos),
@@ -150,8 +153,8 @@ class DiagnosticNode(Node):
         )
 
     def _subscribe_temperature(self, joint: str) -> None:
-        topic = f"{joint}/temperature"
-        name = self.resolve_topic_name(topic)
+        topic = temperature_topic(joint)
+        name = self._resolved(topic)
 
         def on_temperature(data: bytes) -> None:
             now = self._now()
@@ -186,7 +189,7 @@ class DiagnosticNode(Node):
 
     @property
     def _input_topic(self) -> str:
-        return self._resolved("joint_states")
+        return self._resolved(INPUT)
 
     def _resolved(self, topic: str) -> str:
         name = self._names.get(topic)

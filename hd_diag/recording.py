@@ -80,7 +80,7 @@ def read_bags(paths: Sequence[str | Path], joint: JointConfig) -> Record:
             parts.append((*columns, np.full(columns[0].size, number)))
     if not parts:
         raise RecordError(
-            f"{joint.name}: no input angle ({joint.input_joint!r}) with output angle ({joint.output_joint!r}) "
+            f"no input angle ({joint.input_joint!r}) with output angle ({joint.output_joint!r}) "
             f"in {', '.join(map(str, paths))}"
         )
     has_torque = all(part[3] is not None for part in parts)

@@ -2,29 +2,33 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from hd_diag.bag import BagError, BagWriter, check_output
-from hd_diag.bag.reader import BagReader, Batch
-from hd_diag.config import Config, resolve
+from hd_diag.bag import BagError, BagWriter, check_output, encode_joint_states
+from hd_diag.bag.reader import BagReader, Batch, Topic
+from hd_diag.config import Config, ConfigError, JointConfig, resolve
+from hd_diag.events import Configured, Event, MapUsed, Reported
 from hd_diag.map_builder import map_of
-from hd_diag.messages import JOINT_STATE, STRING, TEMPERATURE, Encoded, read_string, resolved
+from hd_diag.messages import LAST_TIME, TEMPERATURE, Encoded, resolved
 from hd_diag.model.torsion import Mesh
 from hd_diag.model.torsion_map import TorsionMap
+from hd_diag.parameters import shown
+from hd_diag.replay_sources import Sources, event_of, sources_of
 from hd_diag.samples import JointStates, Times
-from hd_diag.session import EVENTS, Session
+from hd_diag.session import Session
 
-NODE = "/hd_diag"
-_OWN_OUTPUTS = ("/transmission_error", "/measured_transmission_error", "/residual")
 _NANOSECONDS = 1_000_000_000
+_LONGEST_SILENCE = 60 * _NANOSECONDS  # of a bag, over which reports go on [ns]
+_MAPS_KEPT = 4  # a parameter is often set back
+_FACTS = {"latency_p99_us": "nan", "log_state": "off"}
 
-Progress = Callable[[int], None]
+Progress = Callable[[int, int], None]
 
 
 @dataclass
@@ -34,16 +38,16 @@ class Replay:
     Attributes
     ----------
     reproduced : bool
-        Whether the bag is the node's own log and its events were followed; else the given configuration was used.
+        Whether the bag is the node's own log and its events were followed, not a given configuration.
     messages, written : int
         Messages read and written.
     duration : float
-        Time from the first to the last input [s].
+        Time from the first to the last message of the bag [s].
     rejected, missed : dict of str to int
         By joint: samples that could not be used, and samples that the stamps say were never recorded.
     last_rejection : dict of str to str
     problems : list of str
-        What is wrong with the bag itself.
+        What is wrong with the bag itself, and joints that have no map.
     joints : tuple of str
         Joints that had samples.
     """
@@ -66,7 +70,7 @@ def replay(
     *,
     topics: tuple[str, ...] = (),
     overwrite: bool = False,
-    progress: Progress = lambda messages: None,
+    progress: Progress = lambda done, total: None,
 ) -> Replay:
     """Run the monitor over a bag and write what the node would have published.
 
@@ -75,15 +79,17 @@ def replay(
     bag : path
         Bag of any storage that rosbag2 has, or the node's own log.
     out : path
-        Bag to write: inputs, outputs and events, as in the node's log.
+        Bag to write: inputs, outputs and events, as in the node's log. After an error it is left without its
+        end, so that no reader takes it for whole.
     config : Config, optional
-        Without it the bag must be a node's log: its configuration, and every change of it, is followed, and the
-        outputs are those of the live run, to the last bit.
+        Without it the bag must be a node's log: its configuration, and every change of it, is followed, and
+        the outputs are those of the live run, to the last bit.
     topics : tuple of str, optional
-        Topics with joint states; by default all but the node's own outputs.
+        Topics with joint states; by default all but a node's outputs.
     overwrite : bool, optional
     progress : callable, optional
-        Called with the number of messages done since the last call.
+        Called with the messages read so far and their number. If it raises KeyboardInterrupt, the output is
+        finished with what it has.
 
     Returns
     -------
@@ -97,209 +103,238 @@ def replay(
         Where a recorded configuration cannot be used.
     """
     check_output(out, bag)
-    with BagReader(bag) as reader:
-        recorded = _events_topic(reader) if config is None else None
-        if config is None and recorded is None:
-            raise BagError(bag, "is no log of the node, so a configuration is needed (--config)")
-        inputs = list(topics) or _input_topics(reader, recorded)
-        with BagWriter(out, overwrite=overwrite) as writer:
-            run = _Run(reader, writer, recorded)
-            wanted = [*inputs, *_temperature_topics(reader), *([recorded] if recorded else [])]
+    # Whatever numbers a bag holds, what they give is in the outputs: no warnings beside them.
+    with BagReader(bag) as reader, np.errstate(all="ignore"):
+        sources = sources_of(reader, config, topics)
+        total = sum(topic.count for topic in reader.topics if topic.name in sources.every)
+        with _finished(BagWriter(out, overwrite=overwrite)) as writer:
+            run = _Run(reader, writer, sources)
             if config is not None:
                 run.begin(reader.start, config)
-            for batch in reader.batches(wanted):
-                run.batch(batch)
-                progress(len(batch.log_time))
+            for batch in reader.batches(sources.every):
+                for _ in run.batch(batch):
+                    progress(run.done, total)
             return run.result()
 
 
-def _events_topic(reader: BagReader) -> str | None:
-    """Topic of the events of the node that wrote the bag."""
-    suffix = EVENTS[1:]
-    return next((t.name for t in reader.topics if t.type_name == STRING and t.name.endswith(suffix)), None)
-
-
-def _input_topics(reader: BagReader, events: str | None) -> list[str]:
-    node = events[: -len(EVENTS[1:])] if events else NODE
-    own = {node + suffix for suffix in _OWN_OUTPUTS}
-    found = [t.name for t in reader.topics if t.type_name == JOINT_STATE and t.name not in own]
-    if not found:
-        raise BagError(reader.path, "has no topic with sensor_msgs/msg/JointState")
-    return found
-
-
-def _temperature_topics(reader: BagReader) -> list[str]:
-    return [t.name for t in reader.topics if t.type_name == TEMPERATURE]
+@contextmanager
+def _finished(writer: BagWriter) -> Iterator[BagWriter]:
+    """The writer, closed at the end or on Ctrl-C; abandoned on any error."""
+    try:
+        yield writer
+    except KeyboardInterrupt:
+        writer.close()
+        raise
+    except BaseException:
+        writer.abandon()
+        raise
+    writer.close()
 
 
 class _Run:
     """State of a replay: a session fed with batches, its results written."""
 
-    def __init__(self, reader: BagReader, writer: BagWriter, events: str | None) -> None:
+    def __init__(self, reader: BagReader, writer: BagWriter, sources: Sources) -> None:
+        self.done = 0
         self._reader = reader
         self._writer = writer
-        self._events = events
-        self._node = events[: -len(EVENTS[1:])] if events else NODE
+        self._sources = sources
         self._session: Session | None = None
+        self._last = 0
         self._next_report: int | None = None
         self._maps: dict[tuple[Mesh, float | None], TorsionMap] = {}
-        self._replay = Replay(events is not None, problems=list(reader.problems))
+        self._problems = list(reader.problems)
+        for topic in reader.topics:
+            if sources.inputs.get(topic.name) == topic.type_name:
+                writer.add_topic(topic.name, topic.type_name, topic.offers)
 
     def begin(self, now: int, config: Config) -> None:
-        """Start the session; without recorded events every joint gets its map at once."""
-        self._session = Session(config, self._write, self._node)
+        """Start a session; without recorded events every joint gets its map at once."""
+        self._check_time(now)
+        node, names = self._sources.node, self._sources.names
+        self._session = Session(config, self._write, node, names)
         self._session.start(now)
-        if self._events is None:
+        if not self._sources.events:
             for joint in config.joints:
-                self._use_map(now, joint.name, None)
+                self._use_own_map(now, joint)
 
-    def batch(self, batch: Batch) -> None:
-        """Take messages of one topic."""
-        if batch.topic.name == self._events:
+    def batch(self, batch: Batch) -> Iterator[None]:
+        """Take messages of one topic, part by part."""
+        self._last = int(batch.log_time[-1])
+        self._check_time(self._last)
+        if batch.topic.name == self._sources.events:
             for now, data in zip(batch.log_time.tolist(), batch.messages(), strict=True):
-                self._event(now, _event(self._reader.path, bytes(data)))
+                self._event(now, event_of(self._reader.path, bytes(data)))
+            self.done += len(batch)
             return
-        if self._session is None:
-            raise BagError(self._reader.path, "inputs stand before the log's first configuration")
-        for part, times in self._until_reports(batch):
-            self._inputs(part, times)
+        for part in self._until_reports(batch):
+            self._inputs(part)
+            self.done += len(part)
+            yield
 
     def result(self) -> Replay:
-        """Account of the whole replay."""
-        result = self._replay
-        if self._session is not None:
-            joints = self._session.monitor.joints
-            result.rejected = {name: joint.rejected for name, joint in joints.items()}
-            result.missed = {name: joint.missed for name, joint in joints.items()}
-            result.last_rejection = {name: joint.last_rejection for name, joint in joints.items()}
-            result.joints = tuple(name for name, joint in joints.items() if joint.samples)
-        result.duration = self._reader.duration
-        result.written = self._writer.message_count
-        return result
+        """Account of the whole replay, with a last report."""
+        session = self._running
+        if self._next_report is not None:
+            self._report(self._last)
+        joints = session.monitor.joints
+        return Replay(
+            bool(self._sources.events),
+            self.done,
+            self._writer.message_count,
+            self._reader.duration,
+            {name: joint.rejected for name, joint in joints.items()},
+            {name: joint.missed for name, joint in joints.items()},
+            {name: joint.last_rejection for name, joint in joints.items()},
+            self._problems,
+            tuple(name for name, joint in joints.items() if joint.samples),
+        )
 
-    def _until_reports(self, batch: Batch) -> Iterator[tuple[Batch, Times]]:
-        """The batch, cut where a report is due by the bag's time."""
-        times = batch.log_time
-        if self._events is not None:
-            yield batch, times
+    @property
+    def _running(self) -> Session:
+        if self._session is None:
+            raise BagError(self._reader.path, "inputs or events stand before the log's first configuration")
+        return self._session
+
+    def _check_time(self, time: int) -> None:
+        if time > LAST_TIME:
+            raise BagError(self._reader.path, "holds times beyond the year 2038, which ROS 2 does not have")
+
+    def _until_reports(self, batch: Batch) -> Iterator[Batch]:
+        """The batch, cut where a report is due by the bag's time; a log holds its own reports."""
+        if self._sources.events:
+            yield batch
             return
-        begin = 0
+        times, begin = batch.log_time, 0
         while begin < times.size:
-            if self._next_report is None:
-                self._next_report = int(times[0]) + self._period
-            end = begin + int(np.searchsorted(times[begin:], self._next_report))
+            due = self._due(int(times[begin]))
+            end = begin + int(np.searchsorted(times[begin:], due))
             if end > begin:
-                yield _part(batch, slice(begin, end)), times[begin:end]
-                begin = end
-            if begin < times.size:
-                self._report(self._next_report)
-                self._next_report += self._period
+                yield _part(batch, slice(begin, end))
+            else:
+                self._report(due)
+                self._next_report = due + self._period
+            begin = end
+
+    def _due(self, now: int) -> int:
+        """Time of the next report [ns]; a long silence has but its last."""
+        if self._next_report is None:
+            self._next_report = now + self._period
+        elif now - self._next_report > _LONGEST_SILENCE:
+            self._next_report += (now - self._next_report) // self._period * self._period
+        return self._next_report
 
     @property
     def _period(self) -> int:
-        assert self._session is not None
-        return round(_NANOSECONDS / self._session.config.diagnostics_rate)
+        return round(_NANOSECONDS / self._running.config.diagnostics_rate)
 
     def _report(self, now: int) -> None:
-        assert self._session is not None
-        self._session.tick(
-            now, now, {"latency_p99_us": "nan", "log_state": f"writing {self._writer.paths[0]}"}
-        )
+        self._running.tick(now, now, _FACTS)
 
-    def _inputs(self, batch: Batch, times: Times) -> None:
-        assert self._session is not None
-        self._replay.messages += times.size
-        payload = batch.payload
-        if isinstance(payload, np.ndarray):
-            self._writer.write_many(batch.topic.name, batch.topic.type_name, payload, times)
-        else:
-            rows = [bytes(data) for data in payload]
-            self._writer.write_many(batch.topic.name, batch.topic.type_name, rows, times)
+    def _inputs(self, batch: Batch) -> None:
+        if self._sources.inputs.get(batch.topic.name) != batch.topic.type_name:
+            return
         if batch.topic.type_name == TEMPERATURE:
-            self._temperatures(batch)
+            self._copy(batch)
+            for data in batch.messages():
+                self._running.temperature(self._sources.temperatures[batch.topic.name], bytes(data))
             return
         columns, rejected = self._reader.joint_states(batch)
-        if len(columns) == 1 and not rejected:
-            self._session.joint_states(times, columns[0])
-            return
+        standard = self._reader.is_standard(batch.topic)
+        if standard:
+            self._copy(batch)
         for row, content in _in_order(columns, {r.row: r.reason for r in rejected}):
             if isinstance(content, str):
-                self._session.unreadable(content)
-            else:
-                self._session.joint_states(times[row : row + content.stamp.size], content)
+                self._running.unreadable(content)
+                continue
+            times = batch.log_time[row : row + content.stamp.size]
+            if not standard:
+                self._copy_columns(batch.topic, times, content)
+            self._running.joint_states(times, content)
 
-    def _temperatures(self, batch: Batch) -> None:
-        assert self._session is not None
-        for joint in self._session.config.joints:
-            if batch.topic.name.endswith(f"/{joint.name}/temperature"):
-                for data in batch.messages():
-                    self._session.temperature(joint.name, bytes(data))
+    def _copy(self, batch: Batch) -> None:
+        payload = batch.payload
+        rows = payload if isinstance(payload, np.ndarray) else [bytes(data) for data in payload]
+        self._writer.write_many(
+            batch.topic.name, batch.topic.type_name, rows, batch.log_time, batch.publish_time
+        )
 
-    def _event(self, now: int, event: dict[str, Any]) -> None:
-        kind = event.get("event")
-        if kind == "configuration" and (event.get("new") or self._session is None):
-            self._configured(now, resolve(event["parameters"]))
-            return
-        if self._session is None:
-            raise BagError(self._reader.path, "events stand before the log's first configuration")
-        if kind == "configuration":
-            self._session.configure(now, resolve({**self._session.config.flat, **event["parameters"]}))
-        elif kind == "map":
-            self._use_map(now, event["joint"], event["torque_limit"])
-        elif kind == "report":
-            self._session.tick(now, event["stamp"], event["facts"])
+    def _copy_columns(self, topic: Topic, times: Times, states: JointStates) -> None:
+        """Copy messages of a bag that defines JointState in its own way as those of ROS 2 Jazzy."""
+        rows = encode_joint_states(states.names, states.stamp, *states[4:], states.frame_id)
+        self._writer.write_many(topic.name, topic.type_name, rows, times)
 
-    def _configured(self, now: int, config: Config) -> None:
-        if self._session is None:
+    def _event(self, now: int, event: Event | None) -> None:
+        if isinstance(event, Configured):
+            self._configure(now, event)
+        elif isinstance(event, MapUsed):
+            joint = self._joint(event.joint)
+            self._running.use_map(now, event.joint, self._map(joint, event.torque_limit))
+        elif isinstance(event, Reported):
+            self._running.tick(now, event.stamp, event.facts)
+
+    def _configure(self, now: int, event: Configured) -> None:
+        before = {} if event.new else self._running.config.flat
+        try:
+            config = resolve({**before, **event.parameters})
+        except ConfigError as error:
+            raise ConfigError(f"{self._reader.path}: {error}") from error
+        if event.new:
             self.begin(now, config)
+        elif "joints" in event.parameters:
+            raise BagError(self._reader.path, "holds a log in which the joints change")
         else:
-            self._session.configure(now, config)
+            self._running.configure(now, config)
 
-    def _use_map(self, now: int, name: str, torque_limit: float | None) -> None:
-        assert self._session is not None
-        joint = next(joint for joint in self._session.config.joints if joint.name == name)
+    def _joint(self, name: str) -> JointConfig:
+        for joint in self._running.config.joints:
+            if joint.name == name:
+                return joint
+        raise BagError(self._reader.path, f"holds a map of {shown(name)}, which is not configured")
+
+    def _map(self, joint: JointConfig, torque_limit: float | None) -> TorsionMap:
+        """Map of a joint as it is configured now; some are kept for a parameter that is set back."""
         key = (joint.drive.mesh, torque_limit)
-        if key not in self._maps:
-            self._maps[key] = map_of(joint, torque_limit)
-        self._session.use_map(now, name, self._maps[key])
+        table = self._maps.pop(key, None)
+        if table is None:
+            try:
+                table = map_of(joint, torque_limit)
+            except Exception as error:  # whatever is wrong with the mesh, as in MapBuilder
+                raise BagError(self._reader.path, f"{joint.name} has no map: {error}") from error
+        self._maps[key] = table
+        while len(self._maps) > _MAPS_KEPT:
+            self._maps.pop(next(iter(self._maps)))
+        return table
+
+    def _use_own_map(self, now: int, joint: JointConfig) -> None:
+        """Predict a joint by its map; without one the predictions stay exact, as in the node."""
+        try:
+            table = self._map(joint, None)
+        except BagError as error:
+            self._problems.append(f"{error.cause}; predictions stay exact")
+        else:
+            self._running.use_map(now, joint.name, table)
 
     def _write(self, encoded: Encoded) -> None:
-        topic = resolved(encoded.topic, self._node)
+        topic = self._sources.names.get(encoded.topic) or resolved(encoded.topic, self._sources.node)
         self._writer.write_many(topic, encoded.type_name, encoded.rows, encoded.received)
-
-
-def _event(path: Path, data: bytes) -> dict[str, Any]:
-    """A recorded event, checked for what the replay needs of it."""
-    needed = {
-        "configuration": ("parameters",),
-        "map": ("joint", "torque_limit"),
-        "report": ("stamp", "facts"),
-    }
-    try:
-        event = json.loads(read_string(data))
-        if not isinstance(event, dict) or any(
-            key not in event for key in needed.get(event.get("event", ""), ())
-        ):
-            raise ValueError("it lacks what its kind needs")
-    except Exception as error:  # rosbags raises several kinds on a malformed message
-        raise BagError(path, f"has an event that cannot be read: {error}") from error
-    return event
 
 
 def _part(batch: Batch, rows: slice) -> Batch:
     return Batch(batch.topic, batch.log_time[rows], batch.publish_time[rows], batch.payload[rows])
 
 
-def _in_order(
-    columns: list[JointStates], rejected: dict[int, str]
-) -> Iterator[tuple[int, JointStates | str]]:
+def _in_order(columns: list[JointStates], rejected: dict[int, str]) -> list[tuple[int, JointStates | str]]:
     """Groups of columns and refused messages in the order of the batch, with the first row of each."""
+    if len(columns) == 1 and not rejected:
+        return [(0, columns[0])]
     pieces: list[tuple[int, JointStates | str]] = list(rejected.items())
     for states in columns:
         breaks = np.flatnonzero(np.diff(states.row) != 1) + 1
-        for rows in np.split(np.arange(states.row.size), breaks):
-            at = slice(int(rows[0]), int(rows[-1]) + 1)
+        bounds = [0, *breaks.tolist(), states.row.size]
+        for begin, end in pairwise(bounds):
+            at = slice(begin, end)
             values = [None if column is None else column[at] for column in states[4:]]
             piece = JointStates(states.row[at], states.stamp[at], states.names, states.frame_id, *values)
             pieces.append((int(piece.row[0]), piece))
-    yield from sorted(pieces, key=lambda piece: piece[0])
+    return sorted(pieces, key=lambda piece: piece[0])

@@ -46,12 +46,17 @@ class Session:
         Takes every result and event, in order.
     node : str
         Full name of the node, for its parameter events.
+    topics : mapping of str to str, optional
+        Full names of the node's topics, for the log: it may be that they are remapped.
     """
 
-    def __init__(self, config: Config, sink: Sink, node: str = "/hd_diag") -> None:
+    def __init__(
+        self, config: Config, sink: Sink, node: str = "/hd_diag", topics: Mapping[str, str] | None = None
+    ) -> None:
         self.monitor = Monitor(config)
         self._sink = sink
         self._node = node
+        self._topics = dict(topics or {})
         self._decoder = JointStateDecoder()
 
     @property
@@ -136,7 +141,8 @@ class Session:
     def _configuration(self, now: int, values: Mapping[str, Any], new: bool) -> None:
         data = parameter_event(self._node, now, values, new)
         self._emit(PARAMETER_EVENTS, PARAMETER_EVENT, now, data)
-        self._event(now, {"event": "configuration", "new": new, "parameters": dict(values)})
+        named = {"topics": self._topics} if new else {}
+        self._event(now, {"event": "configuration", "new": new, "parameters": dict(values), **named})
 
     def _event(self, now: int, content: Mapping[str, Any]) -> None:
         self._emit(EVENTS, STRING, now, string(json.dumps(content)))

@@ -11,6 +11,7 @@ import signal
 import sys
 import time
 from collections.abc import Sequence
+from threading import Event
 
 import click
 import numpy as np
@@ -49,7 +50,7 @@ def motion(seconds: float, rate: float, speed: float, torque: float) -> Motion:
     )
 
 
-def publish(publisher: Publisher, joint: JointConfig, record: Record, rate: float) -> int:
+def publish(publisher: Publisher, joint: JointConfig, record: Record, rate: float, stop: Event) -> int:
     """Publish a record in real time, from now on.
 
     Parameters
@@ -62,23 +63,23 @@ def publish(publisher: Publisher, joint: JointConfig, record: Record, rate: floa
         Its stamps are replaced by the time of sending.
     rate : float
         [Hz]
+    stop : Event
+        Ends it early.
 
     Returns
     -------
     int
-        Messages published; SIGINT and SIGTERM end it early.
+        Messages published.
     """
     start, begin, sent = time.time_ns(), time.monotonic(), 0
     stamp = start + np.rint(np.arange(record.stamp.size) * (1e9 / rate)).astype(np.int64)
-    try:
-        for first in range(0, stamp.size, _CHUNK):
-            part = slice(first, first + _CHUNK)
-            for row in _encoded(joint, Record(stamp[part], *(column[part] for column in record[1:]))):
-                time.sleep(max(0.0, begin + sent / rate - time.monotonic()))
-                publisher.publish(row.tobytes())
-                sent += 1
-    except KeyboardInterrupt:
-        pass
+    for first in range(0, stamp.size, _CHUNK):
+        part = slice(first, first + _CHUNK)
+        for row in _encoded(joint, Record(stamp[part], *(column[part] for column in record[1:]))):
+            if stop.wait(max(0.0, begin + sent / rate - time.monotonic())):
+                return sent
+            publisher.publish(row.tobytes())
+            sent += 1
     return sent
 
 
@@ -92,10 +93,12 @@ def _encoded(joint: JointConfig, record: Record) -> npt.NDArray[np.uint8]:
     return encode_joint_states(names, record.stamp, position, velocity, effort)
 
 
-def _wait_for_subscriber(publisher: Publisher) -> bool:
+def _wait_for_subscriber(publisher: Publisher, stop: Event) -> bool:
+    """Whether to go on: somebody listens, or the end is wanted."""
     end = time.monotonic() + _WAIT
     while publisher.get_subscription_count() == 0 and time.monotonic() < end:
-        time.sleep(0.01)
+        if stop.wait(0.01):
+            return True
     return bool(publisher.get_subscription_count())
 
 
@@ -126,22 +129,25 @@ def main(args: Sequence[str] | None = None) -> int:
     int
         Exit code: 0 done, 1 nobody listens, 2 values that cannot be.
     """
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    stop = Event()
+    for number in (
+        signal.SIGINT,
+        signal.SIGTERM,
+    ):  # no exception: it could fall between a message and its count
+        signal.signal(number, lambda *_: stop.set())
     given = _arguments(args)
     try:
         joint = load(given.config).joints[0]
         run = motion(given.seconds, given.rate, _TURN * given.speed, given.torque)
-        return _run(joint, run, given)
+        return _run(joint, run, given, stop)
     except ValueError as error:
         click.echo(f"simulated_joint: {error}", err=True)
         return 2
-    except KeyboardInterrupt:
-        return 0
     finally:
         try_shutdown()
 
 
-def _run(joint: JointConfig, run: Motion, given: argparse.Namespace) -> int:
+def _run(joint: JointConfig, run: Motion, given: argparse.Namespace, stop: Event) -> int:
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     profile = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
     publisher = Node("simulated_joint").create_publisher(JointState, "joint_states", profile)
@@ -149,10 +155,10 @@ def _run(joint: JointConfig, run: Motion, given: argparse.Namespace) -> int:
     # Before waiting: meanwhile the processes discover each other.
     record = simulation.simulate(truth, run, np.random.default_rng(given.seed))
     click.echo("simulated_joint: ready")
-    if not _wait_for_subscriber(publisher):
+    if not _wait_for_subscriber(publisher, stop):
         click.echo(f"simulated_joint: nobody subscribed to joint_states within {_WAIT:g} s", err=True)
         return 1
-    sent = publish(publisher, joint, record, given.rate)
+    sent = publish(publisher, joint, record, given.rate, stop)
     publisher.wait_for_all_acked(Duration(seconds=2))
     click.echo(json.dumps({"published": sent}))
     return 0

@@ -174,9 +174,10 @@ def summary(diagnosis: Diagnosis) -> list[str]:
     rms, gain = diagnosis.rms, diagnosis.gain
     if rms and gain:
         lines.append(
-            f"held-out residual ({gain.held_out}): nominal {rms.nominal / ARCSEC:.2f}, refit "
-            f"{rms.refit / ARCSEC:.2f}, extended {rms.extended / ARCSEC:.2f}, noise {rms.noise / ARCSEC:.2f} arcsec rms; "
-            f"explained {100 * gain.fraction:.1f} % ({100 * gain.low:.1f} to {100 * gain.high:.1f} %)"
+            f"held-out residual ({gain.held_out}): nominal {rms.nominal / ARCSEC:.2f}, "
+            f"refit {rms.refit / ARCSEC:.2f}, extended {rms.extended / ARCSEC:.2f}, "
+            f"noise {rms.noise / ARCSEC:.2f} arcsec rms; explained {100 * gain.fraction:.1f} % "
+            f"({100 * gain.low:.1f} to {100 * gain.high:.1f} %)"
         )
     lines += [f"inspect: {cause.effect.inspect}" for cause in diagnosis.causes]
     lines += [_untested(test) for test in diagnosis.testable if not test.testable]

@@ -41,6 +41,17 @@ install_tree() {
     $pip install --no-index --no-deps --no-build-isolation --force-reinstall "$copy" >>"$log" 2>&1 ||
         fail "hd_diag could not be installed"
     rm -rf "$copy"
+    compile_kernels
+}
+
+# Once here rather than in every process that is first to compute. numba keeps machine code only for a file of the
+# same time; that of the kernels holds their checksum in its name, so unchanged kernels can keep theirs.
+compile_kernels() {
+    echo "== Compiling its kernels where they have changed (20 s)"
+    kernels=$($env/bin/python -c 'import hd_diag.model.kernel as kernel; print(kernel.__path__[0])')
+    touch -t 200001010000 "$kernels/entry.py"
+    $env/bin/python -c 'from hd_diag.model import compiled; compiled.warm_up()' >>"$log" 2>&1 ||
+        fail "the kernels could not be compiled"
 }
 
 python=$(sh scripts/find_python.sh "${2:-}")
@@ -55,7 +66,7 @@ if [ "$(cat "$env/lock.stamp" 2>/dev/null)" != "$lock_stamp" ]; then
 fi
 
 sources="hd_diag config launch resource package.xml setup.py setup.cfg pyproject.toml README.md LICENSE"
-tree_stamp=$(find $sources -type f ! -name '*.pyc' | LC_ALL=C sort | xargs cksum | cksum)
+tree_stamp=$(find $sources -type f ! -path '*/__pycache__/*' | LC_ALL=C sort | xargs cksum | cksum)
 if [ "$(cat "$env/tree.stamp" 2>/dev/null)" != "$tree_stamp" ]; then
     install_tree
     echo "$tree_stamp" >"$env/tree.stamp"

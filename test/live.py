@@ -1,44 +1,25 @@
-"""What the tests of the running monitor share: a small gear's configuration, messages, what comes of them."""
+"""What the tests of the running monitor share: configurations, messages, what comes of them."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import drives
 import numpy as np
-from reference import polyline
 
 from hd_diag.bag import encode_joint_states
 from hd_diag.config import Config, resolve
 from hd_diag.messages import Encoded
 from hd_diag.samples import JointStates
 
-GEAR = drives.COARSE  # few teeth: exact predictions and maps take little time
-RATIO = 30.0
+RATIO = 100.0
+TEETH = 200
 START = 1_700_000_000_000_000_000  # [ns]
 MS = 1_000_000  # [ns]
 
 
-def gear(joint: str, drive: polyline.Drive = GEAR) -> dict[str, Any]:
-    """Parameters of a joint with a drive."""
-    own: dict[str, Any] = {
-        "ratio": drive.flexspline_teeth / 2.0,
-        "rated_torque": 5.0,
-        "flexspline_teeth": drive.flexspline_teeth,
-        "circular_spline_teeth": drive.circular_spline_teeth,
-        "neutral_curve.semi_major": drive.semi_major,
-        "neutral_curve.semi_minor": drive.semi_minor,
-        "circular_spline_datum": drive.circular_spline_datum,
-        "circular_spline_tip_radius": drive.circular_spline_tip_radius,
-    }
-    return {f"{joint}.{name}": value for name, value in own.items()}
-
-
 def parameters(*joints: str, **given: Any) -> dict[str, Any]:
-    """Flat parameters of joints with the small gear; of those given, ``__`` stands for a dot."""
-    found: dict[str, Any] = {"joints": list(joints or ("joint_1",))}
-    for joint in found["joints"]:
-        found |= gear(joint)
-    return found | {name.replace("__", "."): value for name, value in given.items()}
+    """Flat parameters of joints with the default drive; in names ``__`` stands for a dot."""
+    own = {name.replace("__", "."): value for name, value in given.items()}
+    return {"joints": list(joints or ("joint_1",)), **own}
 
 
 def config(*joints: str, **given: Any) -> Config:

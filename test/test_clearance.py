@@ -13,6 +13,7 @@ from reference import polyline, published
 from hd_diag.model.clearance import Contact, all_teeth
 from hd_diag.model.torsion import Mesh
 
+pytestmark = pytest.mark.usefixtures("solver")
 Array = polyline.Array
 Vector = tuple[float, float]
 

@@ -15,6 +15,7 @@ from hd_diag.model.torsion import torsion
 from hd_diag.model.torsion_map import ARCSEC, TorsionMap, build
 from hd_diag.model.transmission_error import Kinematics
 
+pytestmark = pytest.mark.usefixtures("solver")
 RATED = published.RATED_TORQUE
 ALIGNED = Drive(drives.mesh(), Kinematics(100.0), RATED)
 ASTRAY = Drive(drives.mesh(eccentricity=(0.0, published.ECCENTRICITY)), Kinematics(100.0), RATED, 3e-6)
@@ -139,7 +140,7 @@ def test_more_torque_more_lag(drive: Drive) -> None:
 
 
 @pytest.fixture(scope="module")
-def table() -> TorsionMap:
+def table(solver: None) -> TorsionMap:
     return build(ASTRAY.mesh, 40.0)
 
 

@@ -21,6 +21,7 @@ from hd_diag.model.load_sharing import (
 )
 from hd_diag.model.torsion import Mesh
 
+pytestmark = pytest.mark.usefixtures("solver")
 Array = polyline.Array
 SIDE = np.array([1.0, -1.0])[:, None]
 COMPLIANCE = drives.PAPER.tooth_compliance

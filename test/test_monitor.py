@@ -7,7 +7,7 @@ import hypothesis
 import numpy as np
 import pytest
 from hypothesis import strategies as st
-from live import MS, RATIO, START, config, states
+from live import MS, RATIO, START, TEETH, config, states
 from numpy.testing import assert_allclose, assert_array_equal
 
 from hd_diag.config import Config
@@ -72,7 +72,7 @@ def drawn(sequence: list[Any]) -> list[tuple[JointStates, str]]:
             for k, name in enumerate(names)
         }
         values = np.stack([*columns.values()], 1) if names else np.empty((len(steps), 0))
-        efforts = 4.0 * np.cos(np.arange(values.size).reshape(values.shape) + number)
+        efforts = 70.0 * np.cos(np.arange(values.size).reshape(values.shape) + number)
         for row, column, value in spoiled:
             if row < len(steps) and names:
                 (values, efforts)[column % 2][row, column % len(names)] = value
@@ -109,7 +109,7 @@ def play(made: list[tuple[JointStates, str]], single: bool) -> tuple[Any, ...]:
     return topics, monitor.tick(received, received, {})
 
 
-@hypothesis.settings(max_examples=120, suppress_health_check=[hypothesis.HealthCheck.too_slow])
+@hypothesis.settings(max_examples=80, suppress_health_check=[hypothesis.HealthCheck.too_slow])
 @hypothesis.given(st.lists(parts, min_size=1, max_size=8))
 @hypothesis.example([(INPUTS, [MS], [], ""), (OUTPUT, [MS], [], ""), (INPUTS, [MS] * 3, [], "")])
 def test_many_at_once_is_one_at_a_time(sequence: list[Any]) -> None:
@@ -162,13 +162,13 @@ def test_predictions_are_the_drives() -> None:
 
 
 def test_teeth_are_the_drives() -> None:
-    published = run(Monitor(CONFIG), states(EVERYTHING, [START], [[0.3, 0, 0.5, 0]], [[0, 3.0, 0, 1.0]]))
-    state = mesh_state(CONFIG.joints[0].drive, np.array([0.3]), np.array([-3.0]))
+    published = run(Monitor(CONFIG), states(EVERYTHING, [START], [[0.3, 0, 0.5, 0]], [[0, 30.0, 0, 1.0]]))
+    state = mesh_state(CONFIG.joints[0].drive, np.array([0.3]), np.array([-30.0]))
     (backlash,) = found(published, "~/a/backlash")
     (load,) = found(published, "~/a/load")
     assert_array_equal(backlash.values, state.backlash)
     assert_array_equal(load.values, state.load)
-    assert load.values.shape == (1, 2, 60)
+    assert load.values.shape == (1, 2, TEETH)
     assert load.values.max() > 0
 
 

@@ -20,6 +20,7 @@ from hd_diag.model.neutral_curve import tooth_axes
 from hd_diag.model.torsion import Mesh, torsion
 from hd_diag.model.transmission_error import Kinematics
 
+pytestmark = pytest.mark.usefixtures("solver")
 Array = polyline.Array
 GROWING = np.linspace(0.0, published.ECCENTRICITY, 6)  # [m]
 RATED = published.RATED_TORQUE

@@ -11,17 +11,18 @@ from reference import polyline
 from hd_diag.model.torsion import Mesh, torsion, torsion_table
 from hd_diag.model.torsion_map import TOLERANCE, BuildCancelled, TorsionMap, build
 
+pytestmark = pytest.mark.usefixtures("solver")
 Array = polyline.Array
 
 
 @pytest.fixture(scope="module")
-def astray() -> TorsionMap:
+def astray(solver: None) -> TorsionMap:
     """The paper's drive with every displacement, in preload over part of the turn."""
     return build(drives.mesh(eccentricity=(4e-6, -13e-6), runout=(2e-6, 1e-6), arc_offset=3e-6), 112.0)
 
 
 @pytest.fixture(scope="module")
-def gap(paper_mesh: Mesh) -> TorsionMap:
+def gap(solver: None, paper_mesh: Mesh) -> TorsionMap:
     """The paper's drive without errors: a true gap everywhere."""
     return build(paper_mesh, 60.0)
 
@@ -123,7 +124,7 @@ def test_jumps_over_the_gap(gap: TorsionMap) -> None:
     assert_allclose(gap(angle, tiny) - gap(angle, -tiny), lost, atol=2 * gap.error_bound)
 
 
-@pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
+@pytest.mark.filterwarnings("error")
 def test_nan_beyond_the_limit(table: TorsionMap) -> None:
     limit = table.torque_limit
     torque = np.array([limit, -limit, np.nextafter(limit, 999), -np.nextafter(limit, 999), np.nan, np.inf])

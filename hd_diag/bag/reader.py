@@ -220,11 +220,24 @@ class BagReader:
             raise BagError(
                 self.path, f"{batch.topic.name} has type {batch.topic.type_name}, not {JOINT_STATE}"
             )
-        if self._is_standard(batch.topic):
+        if self.is_standard(batch.topic):
             return decode_joint_states(batch.payload)
         messages, rejected = self.deserialize(batch)
         columns, more = joint_states_from_messages(messages)
         return columns, sorted(rejected + more)
+
+    def is_standard(self, topic: Topic) -> bool:
+        """Whether the bag means the same by a topic's type as ROS 2 Jazzy does.
+
+        Raises
+        ------
+        BagError
+            Where the type is not known.
+        """
+        try:
+            return self._types.is_standard(topic.type_name, topic.definition)
+        except ValueError as exc:
+            raise BagError(self.path, f"{topic.name}: {exc}") from exc
 
     def close(self) -> None:
         """Close the files."""
@@ -244,12 +257,6 @@ class BagReader:
     def _store(self, topic: Topic) -> Any:
         try:
             return self._types.store(topic.type_name, topic.definition)
-        except ValueError as exc:
-            raise BagError(self.path, f"{topic.name}: {exc}") from exc
-
-    def _is_standard(self, topic: Topic) -> bool:
-        try:
-            return self._types.is_standard(topic.type_name, topic.definition)
         except ValueError as exc:
             raise BagError(self.path, f"{topic.name}: {exc}") from exc
 

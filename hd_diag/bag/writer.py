@@ -310,6 +310,17 @@ class BagWriter:
             with suppress(OSError):
                 self._file.release()
 
+    def abandon(self) -> None:
+        """Leave the bag without its end: every reader sees that it is not whole, and it can be recovered."""
+        if self._closed:
+            return
+        with suppress(BagError):
+            if self.error is None:
+                self._guard(self._file.close_chunk)
+        self._closed = True
+        with suppress(OSError):
+            self._file.release()
+
     def __enter__(self) -> BagWriter:
         return self
 

@@ -1,9 +1,10 @@
-"""The model's own parameters as numbers to fit: the drive they make, its error and derivatives along a record."""
+"""The model's own parameters as numbers to fit: the drive they make, its error and derivatives."""
 
 from __future__ import annotations
 
 import cmath
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -101,7 +102,7 @@ def admissible(parameters: Floats, configured: Drive) -> Floats:
 
 
 def prior(configured: Drive) -> tuple[Floats, Floats]:
-    """Centre and width of the prior, shape (7,) each: the displacements about zero, the rest about its value."""
+    """Centre and width of the prior, shape (7,) each; displacements are centred on zero."""
     center = vector(configured, configured)
     center[:4] = 0.0
     return center, np.array([scale.prior for scale in SCALES])
@@ -185,7 +186,7 @@ def jacobian(drive: Drive, configured: Drive, input_angle: Floats, torque: Float
 
 
 def _jacobian(drive: Drive, configured: Drive, angle: Floats, gradient: Floats, torque: Floats) -> Floats:
-    """Chain rule from the mesh's derivatives (E_x, E_y, r_0, K1 + K2) to those of TE by the fitted numbers."""
+    """Derivatives of TE by the fitted numbers from the mesh's own (E_x, E_y, r_0, K1 + K2)."""
     sign = -drive.kinematics.torque_sign
     cosine, sine = np.cos(angle), np.sin(angle)
     by_x, by_y = gradient[:, 0], gradient[:, 1]
@@ -206,7 +207,7 @@ def _jacobian(drive: Drive, configured: Drive, angle: Floats, gradient: Floats, 
     return result
 
 
-def physical(parameters: Floats, covariance: Floats, configured: Drive) -> dict[str, dict[str, object]]:
+def physical(parameters: Floats, covariance: Floats, configured: Drive) -> dict[str, dict[str, Any]]:
     """Fitted parameters as people state them, with standard deviations.
 
     Parameters
@@ -218,14 +219,14 @@ def physical(parameters: Floats, covariance: Floats, configured: Drive) -> dict[
     Returns
     -------
     dict
-        By name: value, std, unit, configured. Directions are of the pair (eccentricity, runout), which together
-        may be turned by pi: both are given with the eccentricity's direction in [0, pi).
+        By name: value, std, unit, configured. Eccentricity and runout together may be turned by pi: they are
+        given with the eccentricity's direction in [0, pi).
     """
     p = parameters.copy()
     if p[1] < 0.0 or (p[1] == 0.0 and p[0] < 0.0):
         p[:4] = -p[:4]
     start = vector(configured, configured)
-    found: dict[str, dict[str, object]] = {}
+    found: dict[str, dict[str, Any]] = {}
     for name, first in (("eccentricity", 0), ("runout", 2)):
         found |= _polar(name, p, covariance, first, start)
     for index in (4, 5, 6):
@@ -242,7 +243,7 @@ def physical(parameters: Floats, covariance: Floats, configured: Drive) -> dict[
 
 def _polar(
     name: str, p: Floats, covariance: Floats, first: int, start: Floats
-) -> dict[str, dict[str, object]]:
+) -> dict[str, dict[str, Any]]:
     pair = slice(first, first + 2)
     x, y = p[pair]
     size = max(float(np.hypot(x, y)), 1e-9)

@@ -1,4 +1,4 @@
-"""Least squares on whitened columns, block by block, so that any block can be held out without another fit."""
+"""Least squares on whitened columns, by blocks: any of them can be held out without another fit."""
 
 from __future__ import annotations
 

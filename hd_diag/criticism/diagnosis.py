@@ -1,4 +1,4 @@
-"""The whole criticism of one joint: checks, refit, causes, what is left, the gain on data that nothing was fitted to."""
+"""The whole criticism of one joint: checks, refit, causes, what is left, gain on data never fitted."""
 
 from __future__ import annotations
 

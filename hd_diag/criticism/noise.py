@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -38,8 +39,8 @@ class Whitening:
         ----------
         columns : ndarray, shape (n,) or (n, k)
         run : ndarray of int64, shape (n,)
-            The filter restarts where it changes; the first ORDER samples of a run become zero, for their past is
-            not known.
+            The filter restarts where it changes; the first ORDER samples of a run become zero, for
+            their past is not known.
 
         Returns
         -------
@@ -58,7 +59,7 @@ class Whitening:
 def bounds(run: Integers) -> list[tuple[int, int]]:
     """First row and end of every run."""
     edges = np.concatenate(([0], np.flatnonzero(np.diff(run)) + 1, [run.size]))
-    return [(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    return [(int(a), int(b)) for a, b in pairwise(edges.tolist())]
 
 
 def whitening(residual: Floats, run: Integers) -> Whitening:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -181,7 +182,7 @@ def _segments(time: Floats, bag: Integers) -> Integers:
 
 def _bounds(segment: Integers) -> list[tuple[int, int]]:
     edges = np.concatenate(([0], np.flatnonzero(np.diff(segment)) + 1, [segment.size]))
-    return [(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    return [(int(a), int(b)) for a, b in pairwise(edges.tolist())]
 
 
 def _per_segment(segment: Integers, values: Floats, function: object) -> Floats:

@@ -1,4 +1,4 @@
-"""Global refit of the model's own parameters: many starts, nuisance terms projected out, a verdict on trust."""
+"""Global refit of the model's own parameters: many starts, nuisance projected out, a word on trust."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def refit(
 
 
 def usable(record: Record) -> npt.NDArray[np.bool_]:
-    """Samples at which the model's error is well defined: not within a true gap, where noise decides the flank."""
+    """Samples where the model's error is well defined: in a true gap, noise decides the flank."""
     if not record.has_torque:
         return np.ones(record.size, dtype=bool)
     return np.abs(record.torque) > 0.01 * np.percentile(np.abs(record.torque), 99)

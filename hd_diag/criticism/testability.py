@@ -15,7 +15,7 @@ _POWER = 0.99
 
 @dataclass(frozen=True)
 class Testability:
-    """Whether an effect could be tested, the least size found with 99 % chance [rad rms], and why or why not."""
+    """Whether an effect could be tested, the least size found with 99 % chance [rad rms], and why."""
 
     name: str
     testable: bool

@@ -1,4 +1,4 @@
-"""What no known cause explains, described and not named: orders, amplitude, how they go with torque and direction."""
+"""What no known cause explains, described and not named: order, amplitude, torque and direction."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy.typing as npt
 from hd_diag.criticism.design import f_test, lower_bound
 from hd_diag.criticism.search import LEAST_SIZE, Search
 from hd_diag.criticism.workbench import Chosen, Workbench
+from hd_diag.model.torsion_map import ARCSEC
 
 Floats = npt.NDArray[np.float64]
 
@@ -175,7 +176,8 @@ def _torque_law(bench: Workbench, rest: Floats, wave: Floats) -> str:
     small, large = _share(rest, wave, load < low), _share(rest, wave, load > high)
     if abs(large - small) < 0.25 * max(abs(large), abs(small)):
         return "independent of torque"
-    return f"{'grows' if large > small else 'falls'} with torque: {small * 206265:.2f} to {large * 206265:.2f} arcsec"
+    trend = "grows" if large > small else "falls"
+    return f"{trend} with torque: {small / ARCSEC:.2f} to {large / ARCSEC:.2f} arcsec"
 
 
 def _direction_law(bench: Workbench, rest: Floats, wave: Floats) -> str:
@@ -185,4 +187,4 @@ def _direction_law(bench: Workbench, rest: Floats, wave: Floats) -> str:
     a, b = _share(rest, wave, forward), _share(rest, wave, backward)
     if abs(a - b) < 0.25 * max(abs(a), abs(b)):
         return "the same in both directions"
-    return f"{a * 206265:.2f} arcsec forward, {b * 206265:.2f} arcsec backward"
+    return f"{a / ARCSEC:.2f} arcsec forward, {b / ARCSEC:.2f} arcsec backward"

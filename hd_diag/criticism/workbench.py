@@ -122,7 +122,7 @@ class Workbench:
         self.left_white = self.whiten(self.left, self.run)
 
     def _general(self) -> Floats:
-        """What any cause may look like: low orders of input and output, powers of torque, direction, speed."""
+        """What any cause may look like: low orders, powers of torque, direction, speed."""
         s = self.signals
         theta, turned = s.wave_generator_angle, s.wave_generator_angle + s.output_angle
         load = s.torque / max(float(np.max(np.abs(s.torque))), 1e-9)

@@ -1,9 +1,9 @@
-"""What errors of single teeth do to the transmission error: the contact's weights, tabulated and interpolated.
+"""What errors of single teeth do to the transmission error: the contact's weights, tabulated.
 
 A flank whose clearance grows by db turns the output by ``d beta / d b`` of it: its share of the torsional
-stiffness if it bears load, nothing otherwise. Harmonic pitch and form errors and single damaged teeth are sums
-of these shares. They are solved exactly on a grid over one turn of the wave generator and torque; what turns
-with the wave generator is taken out before a sample is interpolated, so that the tables are smooth.
+stiffness if it bears load, nothing otherwise. Pitch and form errors and single damaged teeth are sums of
+these shares, to first order. They are solved exactly on a grid of wave generator angles and torques;
+what turns with the wave generator is taken out before a sample is interpolated: the tables are smooth.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from hd_diag.model.clearance import Contact
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 Integers = npt.NDArray[np.int64]
+Neighbours = tuple[tuple[Integers, Floats], tuple[Integers, Floats]]
 Rows = slice | npt.NDArray[np.bool_] | Integers
 
 _STEPS_PER_SLOT = 2  # the shares step where a pair comes into load; errors of some um blur the steps anyway
@@ -84,11 +85,27 @@ class ContactTable:
         """Response to more circumferential clearance on all flanks [rad/m], shape (torques, angles)."""
         return self._harmonic("clearance", 0, self._slot_angle, self.share / self._radius)
 
-    def one_slot(self, slot: int) -> Floats:
+    def one_slot(self, slot: int) -> Complexes:
         """Response to more clearance on the flanks (+, -) of one slot [rad/m]; (2, torques, angles)."""
         own = self.contact.slots == slot % self.drive.mesh.geometry.circular_spline_teeth
         masked = np.where(own[:, None, :], 1.0 / self._radius, 0.0)
-        return np.asarray(np.einsum("tafp,afp->fta", self.share, masked))
+        flanks: Complexes = np.einsum("tafp,afp->fta", self.share, masked).astype(np.complex128)
+        return flanks
+
+    def mean_slot(self) -> Floats:
+        """Of slot 0, in the mean over all slots; an eccentric wave generator makes them differ.
+
+        Returns
+        -------
+        ndarray, shape (2, torques, angles - 1)
+            As :meth:`one_slot`, without the last angle [rad/m].
+        """
+        count = self.drive.mesh.geometry.circular_spline_teeth
+        row = np.arange(self.steps)[:, None] - _STEPS_PER_SLOT * self.contact.slots[:-1]
+        row = np.mod(row, self.steps).ravel()
+        response = (self.share[:, :-1] / self._radius[:-1] / count).transpose(2, 0, 1, 3)
+        response = response.reshape(2, -1, row.size)
+        return np.array([[np.bincount(row, one, self.steps) for one in flank] for flank in response])
 
     def one_tooth(self, torque_row: Integers, angle_row: Integers, tooth: Integers) -> Floats:
         """The same for teeth of the flexspline [rad/m], at rows of the grid, shape (n,); (2, n)."""
@@ -131,13 +148,15 @@ class ContactTable:
     def _radial_share(self) -> Floats:
         """Response to each slot's own radial displacement [rad/m], shape (torques, angles, 2, pairs).
 
-        A slot that moves outward opens both flanks (db) and moves their contacts, which changes how stiff they
-        are (dk): ``K d beta`` is the sum of ``k db - overlap dk`` over the loaded flanks.
+        A slot that moves outward opens both flanks (db) and moves their contacts, which changes how stiff
+        they are (dk): ``K d beta`` is the sum of ``k db - overlap dk`` over the loaded flanks.
         """
         moved = [self._moved(sign * _STEP) for sign in (-1.0, 1.0)]
         stiffness = [load_sharing.flank_stiffness(one, self.drive.mesh.tooth_compliance) for one in moved]
         opening = (moved[1].rotation - moved[0].rotation) / (2.0 * _STEP)
-        softer = (stiffness[1] - stiffness[0]) / (2.0 * _STEP) / np.where(self._stiffness > 0, self._stiffness, 1)
+        softer = (
+            (stiffness[1] - stiffness[0]) / (2.0 * _STEP) / np.where(self._stiffness > 0, self._stiffness, 1)
+        )
         overlap = _FLANKS * self.torsion[:, :, None, None] - self.contact.rotation
         return np.nan_to_num(self.share * (opening - overlap * softer))
 
@@ -263,7 +282,7 @@ class ContactWeights:
         """
         slot = round(position / self.drive.mesh.geometry.slot_pitch)
         flanks = self.table.one_slot(slot)
-        return self._sign * np.stack([self._interpolate(flank) for flank in flanks], axis=1)
+        return self._sign * np.stack([self._interpolate(flank).real for flank in flanks], axis=1)
 
     def one_tooth(self, position: float) -> Floats:
         """Response to more clearance on the flanks (+, -) of the tooth nearest an angle of the flexspline.
@@ -283,8 +302,8 @@ class ContactWeights:
         ahead = geometry.circular_spline_teeth - geometry.flexspline_teeth
         tooth = np.mod(round(position / geometry.tooth_pitch) - ahead * turn, geometry.flexspline_teeth)
         result = np.zeros((2, self.torque.size))
-        for torque_row, torque_share in self._torque_rows:
-            for angle_row, angle_share in self._angle_rows:
+        for torque_row, torque_share in self.torque_rows:
+            for angle_row, angle_share in self.angle_rows:
                 result += torque_share * angle_share * self.table.one_tooth(torque_row, angle_row, tooth)
         return self._sign * result.T
 
@@ -296,32 +315,34 @@ class ContactWeights:
         return np.asarray(np.exp(1j * order * turns * self.wave_generator_angle))
 
     @cached_property
-    def _angle_rows(self) -> tuple[tuple[Integers, Floats], tuple[Integers, Floats]]:
+    def angle_rows(self) -> Neighbours:
+        """Rows of the table on both sides of every angle, and their shares; each of shape (n,)."""
         steps = self.table.steps
         place = np.mod(self.wave_generator_angle, 2.0 * np.pi) * (steps / (2.0 * np.pi))
-        return _neighbours(place, 0, steps)
+        return _neighbours(place, steps)
 
     @cached_property
-    def _torque_rows(self) -> tuple[tuple[Integers, Floats], tuple[Integers, Floats]]:
+    def torque_rows(self) -> Neighbours:
+        """Rows of the table on both sides of every torque, and their shares; each of shape (n,)."""
         cup = self.drive.kinematics.cup_torque(self.torque)
-        beyond = np.sqrt(np.minimum(np.abs(cup) / self.table.torque_limit, 1.0)) * _TORQUES
-        low, high = _neighbours(beyond, 0, _TORQUES)
-        mirrored = [(np.where(cup < 0.0, _TORQUES - row, _TORQUES + 1 + row), share) for row, share in (low, high)]
+        place = np.sqrt(np.minimum(np.abs(cup) / self.table.torque_limit, 1.0)) * _TORQUES
+        (low, low_share), (high, high_share) = _neighbours(place, _TORQUES)
+        low, high = (np.where(cup < 0.0, _TORQUES - row, _TORQUES + 1 + row) for row in (low, high))
         idle = cup == 0.0  # the middle of a gap: the mean of both sides
-        return tuple(
-            (np.where(idle, _TORQUES + side, row), np.where(idle, 0.5, share))
-            for side, (row, share) in enumerate(mirrored)
-        )  # type: ignore[return-value]
+        return (
+            (np.where(idle, _TORQUES, low), np.where(idle, 0.5, low_share)),
+            (np.where(idle, _TORQUES + 1, high), np.where(idle, 0.5, high_share)),
+        )
 
-    def _interpolate(self, table: npt.NDArray[np.generic]) -> npt.NDArray[np.generic]:
-        result = 0.0
-        for torque_row, torque_share in self._torque_rows:
-            for angle_row, angle_share in self._angle_rows:
-                result = result + torque_share * angle_share * table[torque_row, angle_row]
+    def _interpolate(self, table: Complexes) -> Complexes:
+        result = np.zeros(self.torque.shape, dtype=np.complex128)
+        for torque_row, torque_share in self.torque_rows:
+            for angle_row, angle_share in self.angle_rows:
+                result += torque_share * angle_share * table[torque_row, angle_row]
         return result
 
 
-def _neighbours(place: Floats, low: int, high: int) -> tuple[tuple[Integers, Floats], tuple[Integers, Floats]]:
-    row = np.clip(np.floor(place), low, high - 1).astype(np.int64)
+def _neighbours(place: Floats, last: int) -> Neighbours:
+    row = np.clip(np.floor(place), 0, last - 1).astype(np.int64)
     share = place - row
     return (row, 1.0 - share), (row + 1, share)

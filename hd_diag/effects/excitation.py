@@ -21,6 +21,10 @@ def verdict(*checks: Verdict) -> Verdict:
     return next((check for check in checks if not check[0]), (True, ""))
 
 
+def _told(possible: bool, extra: str) -> Verdict:
+    return possible, "" if possible else extra
+
+
 def input_turns(signals: Signals) -> float:
     """Turns that the wave generator covers [-]."""
     return float(np.ptp(signals.wave_generator_angle)) / TURN if signals.size else 0.0
@@ -34,18 +38,20 @@ def output_turns(signals: Signals) -> float:
 def enough_input_turns(signals: Signals, turns: float) -> Verdict:
     """Whether the wave generator covers enough turns."""
     found = input_turns(signals)
-    return found >= turns, (
+    return _told(
+        found >= turns,
         f"the wave generator covers {found:.3g} turns: let it run one way through {turns:g} turns "
-        f"({turns / abs(signals.ratio):.3g} of the output)"
+        f"({turns / abs(signals.ratio):.3g} of the output)",
     )
 
 
 def enough_output_turns(signals: Signals, turns: float) -> Verdict:
     """Whether the output covers enough turns."""
     found = output_turns(signals)
-    return found >= turns, (
+    return _told(
+        found >= turns,
         f"the output covers {found:.3g} turns: let it run one way through {turns:g} "
-        f"({turns * abs(signals.ratio):.0f} of the input)"
+        f"({turns * abs(signals.ratio):.0f} of the input)",
     )
 
 
@@ -53,17 +59,19 @@ def torque_varies(signals: Signals, fraction: float = 0.25) -> Verdict:
     """Whether the torque spans a fraction of the rated one."""
     span = float(np.ptp(signals.torque)) if signals.size else 0.0
     wanted = fraction * signals.rated_torque
-    return span >= wanted, (
-        f"the torque spans {span:.3g} N m: repeat the motion with a load that differs by {wanted:.3g} N m"
+    return _told(
+        span >= wanted,
+        f"the torque spans {span:.3g} N m: repeat the motion with a load that differs by {wanted:.3g} N m",
     )
 
 
 def torque_beyond(signals: Signals, torque: float) -> Verdict:
     """Whether the torque goes beyond a magnitude [N m] in both directions."""
     low, high = _torque_ends(signals)
-    return low <= -torque and high >= torque, (
+    return _told(
+        low <= -torque and high >= torque,
         f"the torque reaches from {low:.3g} to {high:.3g} N m: load the joint once up to {torque:.3g} N m "
-        "in each direction"
+        "in each direction",
     )
 
 
@@ -71,25 +79,27 @@ def torque_through_zero(signals: Signals) -> Verdict:
     """Whether the torque is well on both sides of zero."""
     low, high = _torque_ends(signals)
     wanted = 0.05 * signals.rated_torque
-    return low <= -wanted and high >= wanted, (
+    return _told(
+        low <= -wanted and high >= wanted,
         f"the torque reaches from {low:.3g} to {high:.3g} N m: lead it slowly through zero, "
-        f"from {-wanted:.3g} to {wanted:.3g} N m"
+        f"from {-wanted:.3g} to {wanted:.3g} N m",
     )
 
 
 def torque_reverses(signals: Signals, swing: float) -> Verdict:
     """Whether the torque turns back more than once within a run, by a swing [N m]."""
     found = max((_reversals(signals.torque[run], swing) for run in signals.runs()), default=0)
-    return found >= 2, (
-        f"the torque turns back {found} times by {swing:.3g} N m in one run: swing the load up, half-way down and "
-        "up again without a pause"
+    return _told(
+        found >= 2,
+        f"the torque turns back {found} times by {swing:.3g} N m in one run: swing the load up, half-way "
+        "down and up again without a pause",
     )
 
 
 def both_directions(signals: Signals) -> Verdict:
     """Whether the input runs both ways for a twentieth of the record at least."""
     share = [float(np.mean(way * signals.speed > _STILL)) if signals.size else 0.0 for way in (1.0, -1.0)]
-    return min(share) >= 0.05, "the joint runs one way only: drive the same stretch back as well"
+    return _told(min(share) >= 0.05, "the joint runs one way only: drive the same stretch back as well")
 
 
 def several_speeds(signals: Signals, number: int) -> Verdict:
@@ -99,13 +109,16 @@ def several_speeds(signals: Signals, number: int) -> Verdict:
     if speed.size:
         level = np.bincount(np.rint(speed / (_SPEED_STEP * speed.max())).astype(np.int64))
         found = int(np.count_nonzero(level >= max(10, 0.005 * speed.size)))
-    return found >= number, f"{found} speeds: repeat the motion at {number} different speeds, or ramp the speed"
+    return (
+        found >= number,
+        f"{found} speeds: repeat the motion at {number} different speeds, or ramp the speed",
+    )
 
 
 def speed_beyond(signals: Signals, speed: float, why: str) -> Verdict:
     """Whether the input reaches a speed [rad/s]."""
     found = float(np.max(np.abs(signals.speed), initial=0.0))
-    return found >= speed, f"the input reaches {found:.3g} rad/s: {why}, at {speed:.3g} rad/s or more"
+    return _told(found >= speed, f"the input reaches {found:.3g} rad/s: {why}, at {speed:.3g} rad/s or more")
 
 
 def temperature_varies(signals: Signals, span: float = 3.0) -> Verdict:
@@ -113,7 +126,9 @@ def temperature_varies(signals: Signals, span: float = 3.0) -> Verdict:
     if signals.temperature is None:
         return False, "no temperature is measured: record it, cold and after warming up by 3 K"
     found = float(np.ptp(signals.temperature)) if signals.size else 0.0
-    return found >= span, f"the temperature changes by {found:.2g} K: repeat the motion {span:g} K warmer"
+    return _told(
+        found >= span, f"the temperature changes by {found:.2g} K: repeat the motion {span:g} K warmer"
+    )
 
 
 def sample_interval(signals: Signals) -> float:

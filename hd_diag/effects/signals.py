@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,12 +79,20 @@ class Signals:
     @property
     def forward_speed(self) -> Floats:
         """Speed of the input, positive where the output angle grows [rad/s], shape (n,)."""
-        return self.speed * np.sign(self.ratio)
+        return np.asarray(self.speed * np.sign(self.ratio))
+
+    @property
+    def wave_generator_speed(self) -> Floats:
+        """D theta_W / dt [rad/s], shape (n,)."""
+        kinematics, geometry = self.contact.drive.kinematics, self.contact.drive.mesh.geometry
+        start, end = kinematics.wave_generator_angle(geometry, np.array([0.0, 1.0]))
+        return self.speed * float(end - start)
 
     @property
     def flexspline_angle(self) -> Floats:
         """theta_F = theta_W (1 + 1/N), the wave generator seen from the flexspline [rad], shape (n,)."""
-        return self.wave_generator_angle * (1.0 + 1.0 / self.contact.drive.mesh.geometry.reduction)
+        reduction = self.contact.drive.mesh.geometry.reduction
+        return np.asarray(self.wave_generator_angle * (1.0 + 1.0 / reduction))
 
     def part(self, rows: Rows) -> Signals:
         """Some of the samples, in their order."""
@@ -104,4 +113,4 @@ class Signals:
     def runs(self) -> list[slice]:
         """Where each run begins and ends."""
         edges = [0, *(np.flatnonzero(np.diff(self.run)) + 1).tolist(), self.size]
-        return [slice(start, end) for start, end in zip(edges[:-1], edges[1:], strict=True) if end > start]
+        return [slice(start, end) for start, end in itertools.pairwise(edges) if end > start]

@@ -88,9 +88,10 @@ class TorsionMap:
         steps = self.torque.shape[0] - 1
         place = np.mod(wave_generator_angle, 2.0 * np.pi) * (steps / (2.0 * np.pi))
         row = np.minimum(np.nan_to_num(place), steps - 1.0).astype(np.int64)
-        low, high = self._at(row, torque), self._at(row + 1, torque)
-        result = low + (place - row) * (high - low)
-        return np.where(np.abs(torque) <= self.torque_limit, result, np.nan)
+        held = np.abs(torque) <= self.torque_limit
+        within = np.where(held, torque, 0.0)
+        low, high = self._at(row, within), self._at(row + 1, within)
+        return np.where(held, low + (place - row) * (high - low), np.nan)
 
     def _at(self, row: npt.NDArray[np.int64], torque: Floats) -> Floats:
         below_limit = np.minimum(torque, np.nextafter(self.torque[0, -1], 0.0))
@@ -154,7 +155,9 @@ def build(
         torque, beta = limited_curves(mesh, angle[start : start + _CHUNK], torque_limit)
         torques.append(torque)
         torsions.append(beta)
-    torque, beta = _joined(torques, torque_limit), np.concatenate(torsions)
+    torque, beta = _joined(torques), _joined(torsions)
+    if not np.isfinite(torque).all():
+        raise ValueError(f"the teeth cannot bear {torque_limit:g} N m at every wave generator angle")
     used = np.flatnonzero((torque > -torque_limit).any(axis=0) & (torque < torque_limit).any(axis=0))
     columns = slice(used[0] - 1, used[-1] + 2)
     closed = np.append(np.arange(steps), 0)
@@ -164,11 +167,10 @@ def build(
     return _checked(table)
 
 
-def _joined(parts: list[Floats], torque_limit: float) -> Floats:
-    joined = np.concatenate(parts)
-    if not np.isfinite(joined).all():
-        raise ValueError(f"the teeth cannot bear {torque_limit:g} N m at every wave generator angle")
-    return joined
+def _joined(parts: list[Floats]) -> Floats:
+    """Rows below each other; those with fewer breakpoints end with more of the limit."""
+    width = max(part.shape[1] for part in parts)
+    return np.concatenate([np.pad(part, ((0, 0), (0, width - part.shape[1])), "edge") for part in parts])
 
 
 def _checked(built: TorsionMap) -> TorsionMap:

@@ -1,7 +1,7 @@
 """Faults as geometry or mechanics; names and units of the catalogue of causes, and what it does not know.
 
-A cause says where it enters by the methods it overrides; :mod:`challenge.records` asks for them in the order of
-cause and consequence. Sizes are SI. ``size`` names the field that scales the cause.
+A cause says where it enters by the methods it overrides; :mod:`challenge.records` asks for them in the order
+of cause and consequence. Sizes are SI. ``size`` names the field that scales the cause.
 """
 
 from __future__ import annotations
@@ -11,11 +11,16 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+from reference import polyline
+from scipy.stats import norm
+
 from challenge import encoders, mechanics
 from challenge.clearances import SLOT_PITCH, SLOTS, TEETH, TOOTH_PITCH, Array
 from challenge.contact import Flaws
 from challenge.truth import RATIO
-from scipy.stats import norm
+
+RING_RADIUS = polyline.ring_radius()  # [m], of the undeformed neutral circle
+PITCH_POINT = 0.6193e-3  # [m] above the neutral layer, t + hf of the paper's Table 1
 
 
 @dataclass(frozen=True)
@@ -58,9 +63,9 @@ class Cause:
         """Angle of the output [rad] beside kinematics and mesh."""
         return 0.0
 
-    def carried(self, scene: Scene, error: Array) -> Array:
-        """Error of the output [rad] from that of the gear."""
-        return error
+    def carried(self, scene: Scene, ripple: Array) -> Array | float:
+        """Angle of the output [rad] that the gear's ripple excites beside itself."""
+        return 0.0
 
     def input_reading(self, angle: Array) -> Array:
         """Reported input angle [rad]."""
@@ -108,7 +113,7 @@ class CircularSplinePitch(Cause):
 
 @dataclass(frozen=True)
 class FlexsplinePitch(Cause):
-    """Teeth displaced along the neutral curve [m], ``order`` waves around."""
+    """Teeth displaced along the circumference [m], ``order`` waves around, measured at the pitch circle."""
 
     amplitude: float
     phase: float
@@ -118,7 +123,8 @@ class FlexsplinePitch(Cause):
 
     def flaws(self) -> Flaws:
         angle = np.arange(TEETH) * TOOTH_PITCH
-        return Flaws(tooth_along=self.amplitude * np.cos(self.order * angle - self.phase))
+        neutral = RING_RADIUS / (RING_RADIUS + PITCH_POINT) * self.amplitude
+        return Flaws(tooth_along=neutral * np.cos(self.order * angle - self.phase))
 
 
 @dataclass(frozen=True)
@@ -206,10 +212,10 @@ class CouplingMisalignment(Cause):
 
 @dataclass(frozen=True)
 class BearingPassage(Cause):
-    """One thick ball (``part`` "cage"), or a dent in a race ("outer", "inner"), of a bearing that slips a little.
+    """One thick ball (``part`` "cage"), or a dent in a race ("outer", "inner"), of a bearing that slips.
 
-    ``amplitude`` [rad] at the output; the cage turns ``cage`` times a turn of the wave generator, and creeps by a
-    random walk of ``slip`` [rad] over the record.
+    ``amplitude`` [rad] at the output; the cage turns ``cage`` times a turn of the wave generator, and creeps
+    by a random walk of ``slip`` [rad] over the record.
     """
 
     amplitude: float
@@ -259,15 +265,15 @@ class TorsionalHardening(Cause):
 
 @dataclass(frozen=True)
 class Hysteresis(Cause):
-    """Slip elements beside the torsion spring: half the width of the loop [rad], and the torques [N m] at which
-    the elements are spent when loaded from rest.
+    """Slip elements beside a spring: half the width of the loop [rad], the torques [N m] that spend them.
 
-    The elements delay the torsion, they do not change it for good: what is left of the spring alone belongs to
-    the drive.
+    ``sense`` = 1: the elements hold the torsion back, as friction must; −1: the torque sensor lags by them,
+    so that the torsion seems to run ahead. The spring alone belongs to the drive, the difference is added.
     """
 
     half_width: float
     torques: tuple[float, ...] = (8.0,)
+    sense: float = 1.0
     name = "hysteresis"
     size = "half_width"
 
@@ -275,10 +281,10 @@ class Hysteresis(Cause):
         out = np.zeros_like(scene.torque)
         for torque in self.torques:
             slip = 0.5 * torque
-            stiffness = slip / (self.half_width / len(self.torques))
-            beside = mechanics.slip_spring(scene.torque, stiffness, ((stiffness * slip / (torque - slip), slip),))
-            out += scene.torque / stiffness - beside
-        return out
+            stiffness = slip * len(self.torques) / self.half_width
+            element = (stiffness * slip / (torque - slip), slip)
+            out += scene.torque / stiffness - mechanics.slip_spring(scene.torque, stiffness, (element,))
+        return self.sense * out
 
 
 @dataclass(frozen=True)
@@ -323,7 +329,7 @@ class ThermalDrift(Cause):
 
 @dataclass(frozen=True)
 class Resonance(Cause):
-    """The link's inertia behind a spring, driven by the gear's error and a ripple [rad] of some order of its own."""
+    """The link's inertia behind a spring, driven by the gear's ripple and one of its own [rad]."""
 
     frequency: float
     damping: float
@@ -333,10 +339,10 @@ class Resonance(Cause):
     name = "resonance"
     size = "amplitude"
 
-    def carried(self, scene: Scene, error: Array) -> Array:
-        driven = error + self.amplitude * np.cos(self.order * scene.motor - self.phase)
+    def carried(self, scene: Scene, ripple: Array) -> Array:
+        driven = ripple + self.amplitude * np.cos(self.order * scene.motor - self.phase)
         step = float(np.median(np.diff(scene.time)))
-        return mechanics.beyond_spring(driven, step, self.frequency, self.damping)
+        return mechanics.beyond_spring(driven, step, self.frequency, self.damping) - ripple
 
 
 # Sensors ---
@@ -410,7 +416,7 @@ class StreamDelay(Cause):
 
 @dataclass(frozen=True)
 class RatioError(Cause):
-    """The reported input counts a fraction too much: a ratio of 100 (1 + fraction), or a belt not declared."""
+    """The reported input counts a fraction too much: ratio 100 (1 + fraction), or a belt not declared."""
 
     fraction: float
     name = "ratio_error"
@@ -508,7 +514,7 @@ class EncoderSector(Unknown):
 
 @dataclass(frozen=True)
 class OutputDeadBand(Unknown):
-    """A loose output encoder coupling under vibration: within a dead band the reading lags, more so under load."""
+    """A loose output encoder coupling: within a dead band the reading stays, either way."""
 
     name = "output_dead_band"
     frame = "output"

@@ -1,9 +1,9 @@
 """Clearance of one tooth pair by brute force, tabulated once over all places and displacements.
 
 Where the ideal drive puts a tooth in its slot depends on one number, its place u on the neutral curve (angle
-from the long axis). All errors of assembly add a translation (dx, dy) of the tooth in the slot's frame, x along
-the slot's axis away from the centre, y counter-clockwise. The table holds the rotation b(u, dx, dy) of the cup
-that closes the + flank; the - flank is its mirror image, b(-u, dx, -dy).
+from the long axis). All errors of assembly add a translation (dx, dy) of the tooth in the slot's frame, x
+along the slot's axis away from the centre, y counter-clockwise. The table holds the rotation b(u, dx, dy) of
+the cup that closes the + flank; the - flank is its mirror image, b(-u, dx, -dy).
 """
 
 from __future__ import annotations
@@ -170,7 +170,9 @@ class Clearance:
 def interpolated(plane: Array, node: NDArray[np.intp], dx: Array, dy: Array) -> Clearance:
     """Clearance at nodes of u (indices into NODES) and displacements [m], arrays of one shape."""
     if max(np.abs(dx).max(), np.abs(dy).max()) > DY[-1]:
-        raise ValueError(f"displacement of {max(np.abs(dx).max(), np.abs(dy).max())} m lies outside the table")
+        raise ValueError(
+            f"displacement of {max(np.abs(dx).max(), np.abs(dy).max())} m lies outside the table"
+        )
     cell, t = _cell(dx, DX[0], DX_STEP, len(DX))
     weight, slope = _cubic(t)
     y = dy / DY[-1]

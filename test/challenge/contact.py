@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
+from reference.polyline import DEFAULT, ring_radius
+
 from challenge.clearances import (
     NEVER,
     NODES,
@@ -15,14 +18,14 @@ from challenge.clearances import (
     TEETH,
     TOOTH_PITCH,
     Array,
+    Clearance,
+    Pose,
     at_datum,
     ideal_pose,
     interpolated,
     tip,
 )
 from challenge.truth import Base
-from numpy.typing import NDArray
-from reference.polyline import DEFAULT
 
 WIDEST = 5e-3  # [rad]; no pair with more clearance is ever loaded
 _CHUNK = 1024  # samples balanced together: the arrays stay in the processor's cache
@@ -62,6 +65,18 @@ class Flaws:
         return bool(self.tooth_wear.any() or self.tooth_softness.any() or self.tooth_along.any())
 
 
+def _closed_by_moving_along(pose: Pose, node: NDArray[np.intp], found: Clearance) -> Array:
+    """Rotation [rad/m] by which a + flank closes when its tooth moves along the neutral curve.
+
+    A tooth that moves along leans with the curve: it turns about the axis, and is carried back to the curve.
+    """
+    direction = np.unwrap(np.arctan2(pose.axis[1], pose.axis[0]))
+    lean = (np.gradient(direction, TOOTH_PITCH / STEPS) + TEETH / SLOTS) / ring_radius(DEFAULT)
+    x = pose.along[0] + lean * pose.origin[1]
+    y = pose.along[1] - lean * pose.origin[0]
+    return np.asarray(lean[node] - found.by_dx * x[node] - found.by_dy * y[node], dtype=np.float64)
+
+
 class Gear:
     """Clearances of a drive over a turn of the wave generator, ready to be loaded.
 
@@ -83,7 +98,6 @@ class Gear:
         mirrored = node * flank - NODES[0]
         found = interpolated(at_datum(self.base.datum), mirrored, dx, dy * flank)
         pose = ideal_pose(NODES * TOOTH_PITCH / STEPS)
-        tangent = pose.along[:, mirrored]
         arm = 1 / np.hypot(found.by_dx, found.by_dy)
         side = (flank < 0).astype(int)
         worn = self.flaws.slot_wear[side, slot % SLOTS] / arm
@@ -91,8 +105,10 @@ class Gear:
         self.lobe, self.place, self.flank = lobe[near], place[near], flank[near]
         self._rotation = (found.rotation + worn)[..., near]
         self._arm = arm[..., near]
-        self._along = -(found.by_dx * tangent[0] + found.by_dy * tangent[1])[..., near]
-        self._reach = self._tip(pose, mirrored[..., near], dx[..., near], (dy * flank)[..., near])
+        self._along = _closed_by_moving_along(pose, mirrored, found)[..., near]
+        placed = Pose(pose.origin[:, mirrored], pose.axis[:, mirrored])
+        # How far a tooth's tip lies beyond the slot's [m]; without overlap a pair cannot touch.
+        self._reach = (tip(placed, dx, dy * flank) - DEFAULT.circular_spline_tip_radius)[..., near]
 
     def _displacement(self, slot: NDArray[np.intp], lobe: Array, node: Array) -> tuple[Array, Array]:
         """Translation of the tooth in its slot's frame [m] that errors of assembly and the slot's give."""
@@ -102,13 +118,8 @@ class Gear:
         dy = b.e * np.sin(b.psi - axis) + b.runout * np.sin(ahead) - self.flaws.slot_along[slot]
         return dx, dy
 
-    def _tip(self, pose: object, node: NDArray[np.intp], dx: Array, dy: Array) -> Array:
-        """How far a tooth's tip lies beyond the slot's [m]; without overlap a pair cannot touch."""
-        ideal = type(pose)(pose.origin[:, node], pose.axis[:, node])  # type: ignore[attr-defined,call-arg]
-        return tip(ideal, dx, dy) - DEFAULT.circular_spline_tip_radius
-
     def clearance(self, wave_generator_angle: Array) -> tuple[Array, Array]:
-        """Clearance (n, pairs) [rad] and stiffness about the axis (n, pairs) [N m/rad] at angles (n,) [rad]."""
+        """Clearance [rad] and stiffness about the axis [N m/rad], both (n, pairs), at angles (n,) [rad]."""
         turns = wave_generator_angle / SLOT_PITCH
         whole = np.floor(turns).astype(int)
         position = (turns - whole) * STEPS

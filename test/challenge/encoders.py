@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+
 from challenge.clearances import Array
 
 
 def off_centre(angle: Array, eccentricity: float, direction: float) -> Array:
-    """Reading [rad] of one head over a disc whose centre is off the shaft, as a fraction of the head's radius.
+    """Reading [rad] of one head over a disc whose centre is off the shaft, a fraction of the head's radius.
 
     The head sees the disc's angle at its own place: that of the line from the disc's centre to the head.
     """

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from challenge.clearances import Array
 from scipy.integrate import cumulative_trapezoid
 from scipy.signal import cont2discrete, lfilter
+
+from challenge.clearances import Array
 
 
 def universal_joint(angle: Array, bend: float, direction: float) -> Array:
@@ -26,10 +27,10 @@ def play(x: Array, width: float) -> Array:
 
 
 def slip_spring(torque: Array, stiffness: float, elements: tuple[tuple[float, float], ...]) -> Array:
-    """Deflection [rad] under a torque (n,) [N m] of a spring beside Jenkins elements (stiffness, slip torque).
+    """Deflection [rad] under a torque (n,) [N m] of a spring beside elements (stiffness, slip torque).
 
-    Each element is a spring behind a slider that gives way at its slip torque. The torque balance of every
-    sample is solved for the deflection; the sliders stay where it leaves them.
+    Each (Jenkins) element is a spring behind a slider that gives way at its slip torque. The torque balance
+    of every sample is solved for the deflection; the sliders stay where it leaves them.
     """
     slider = [0.0] * len(elements)
     phi, out = 0.0, np.empty_like(torque)

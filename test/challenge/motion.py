@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+
 from challenge.clearances import Array
 
 REST = 0.15  # [s] at rest where a run begins and ends
@@ -16,7 +17,7 @@ RATE = 500.0  # [Hz]
 
 @dataclass(frozen=True)
 class Run:
-    """One run: speed [turns/s] with sign; torque = level + swing sin + nested sin, from zero to zero [N m]."""
+    """One run: speed [turns/s] with sign; torque [N m] = level + swing sin + nested sin, ramped."""
 
     speed: float
     level: float = 0.0

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from scipy.signal import lfilter
+
 from challenge.clearances import Array
 from challenge.truth import ARCSEC
-from scipy.signal import lfilter
 
 DRIFTING, POLE, WHITE = 2.5 * ARCSEC, 0.97, 2.0 * ARCSEC  # rms [rad], AR(1) coefficient, rms [rad]
 TORQUE_NOISE = 0.15  # [N m]
@@ -35,7 +36,7 @@ def pink(rng: np.random.Generator, n: int) -> Array:
 
 
 def heavy(rng: np.random.Generator, n: int) -> Array:
-    """AR(1) and white as in :func:`autoregressive`, the white part Student t with three degrees of freedom."""
+    """AR(1) and white, the white part Student t with three degrees of freedom."""
     white = rng.standard_t(3, n) / np.sqrt(3)
     return np.asarray(DRIFTING * _first_order(rng.standard_normal(n + 500))[500:] + WHITE * white)
 

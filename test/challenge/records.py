@@ -10,15 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from mcap.writer import Writer
+from numpy.typing import NDArray
+from rosbags.typesys import Stores, get_typestore
+
 from challenge import mechanics, noise
 from challenge.causes import Cause, Scene
 from challenge.clearances import Array
 from challenge.contact import Flaws, Gear
 from challenge.motion import Motion
 from challenge.truth import NOMINAL, RATIO, Base
-from mcap.writer import Writer
-from numpy.typing import NDArray
-from rosbags.typesys import Stores, get_typestore
 
 JOINT = "joint_1"
 EPOCH = 1_760_000_000  # [s], of the first stamp in a bag
@@ -54,7 +55,7 @@ class Record:
 
 @dataclass(frozen=True)
 class Recording:
-    """How a record is taken: noise family, shares of dropouts and outliers, uneven sampling, sensors present."""
+    """How a record is taken: noise family, shares lost and wild, uneven sampling, sensors present."""
 
     noise: str = "autoregressive"
     dropouts: float = 0.0
@@ -74,9 +75,7 @@ PLAIN = Recording()
 def scene(motion: Motion, time: Array) -> Scene:
     """What the drive does at moments [s], in order."""
     warm = mechanics.warming(time, AMBIENT, RISE, HEATING)
-    return Scene(
-        time, motion.angle(time), motion.speed(time), motion.torque(time), warm, motion.run_of(time)
-    )
+    return Scene(time, motion.angle(time), motion.speed(time), motion.torque(time), warm, motion.run_of(time))
 
 
 def gear(base: Base, causes: Sequence[Cause]) -> Gear:
@@ -87,16 +86,28 @@ def gear(base: Base, causes: Sequence[Cause]) -> Gear:
     return Gear(base, flaws)
 
 
+def mean_torsion(mesh: Gear, cup_torque: Array) -> Array:
+    """Torsion (n,) [rad] at cup torques (n,) [N m], the mean over a turn of the wave generator."""
+    levels = np.r_[-np.geomspace(200, 0.01, 60), np.geomspace(0.01, 200, 60)]
+    angles = np.linspace(0, 2 * np.pi, 101, endpoint=False)
+    grid = np.meshgrid(angles, levels)
+    curve = mesh.torsion(grid[0].ravel(), grid[1].ravel()).reshape(grid[0].shape).mean(axis=1)
+    return np.asarray(np.interp(cup_torque, levels, curve), dtype=np.float64)
+
+
 def output(base: Base, causes: Sequence[Cause], seen: Scene) -> Array:
     """Reported output angle (n,) [rad] of a drive, without noise."""
     shaft = seen.motor
     for cause in causes:
         shaft = cause.shaft(shaft)
-    error = gear(base, causes).torsion(-shaft, -seen.torque) - base.cup * seen.torque + base.offset
+    mesh = gear(base, causes)
+    torsion = mesh.torsion(-shaft, -seen.torque)
+    error = torsion - base.cup * seen.torque + base.offset
     for cause in causes:
         error = error + cause.added(seen)
-    for cause in causes:
-        error = cause.carried(seen, error)
+    if any(type(cause).carried is not Cause.carried for cause in causes):
+        ripple = torsion - mean_torsion(mesh, -seen.torque)
+        error = error + sum(cause.carried(seen, ripple) for cause in causes)
     angle = shaft / RATIO + error
     for cause in causes:
         angle = cause.output_reading(angle)

@@ -60,10 +60,10 @@ def interpolate(
     breakpoints: Floats, values: Floats, limit: float, turn: Floats, torque: Floats
 ) -> Floats:
     """Torsion (n,) by a table; nan beyond its limit."""
-    beta = np.empty(turn.size)
+    beta, below_end, column = np.full(turn.size, math.nan), np.nextafter(breakpoints[0, -1], 0.0), 0
     for i in range(turn.size):
-        within = abs(torque[i]) <= limit
-        beta[i] = interpolated(breakpoints, values, turn[i], torque[i]) if within else math.nan
+        if abs(torque[i]) <= limit:
+            beta[i], column = interpolated(breakpoints, values, turn[i], torque[i], below_end, column)
     return beta
 
 

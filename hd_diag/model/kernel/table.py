@@ -16,30 +16,37 @@ _BELOW_ZERO = -5e-324  # the float before zero
 
 
 @part
-def interpolated(breakpoints: Floats, values: Floats, turn: float, torque: float) -> float:
-    """Torsion between two rows of the table."""
+def interpolated(
+    breakpoints: Floats, values: Floats, turn: float, torque: float, below_end: float, column: int
+) -> tuple[float, int]:
+    """Torsion between two rows of the table, and the column in which it was found.
+
+    ``below_end`` is the float before the last breakpoint; ``column`` is where to look first.
+    """
     steps = breakpoints.shape[0] - 1
-    place = _mod_turn(turn) * (steps / _TURN)
+    place = _within_turn(turn) * (steps / _TURN)
     if math.isnan(place):
-        return math.nan
-    row = min(int(place), steps - 1)
-    low = _at(breakpoints[row], values[row], torque)
-    high = _at(breakpoints[row + 1], values[row + 1], torque)
-    return low + (place - row) * (high - low)
+        return math.nan, column
+    row, value = min(int(place), steps - 1), min(torque, below_end)
+    column = _last_not_above(breakpoints[row], value, column)
+    low = _at(breakpoints[row], values[row], torque, column)
+    column = _last_not_above(breakpoints[row + 1], value, column)
+    high = _at(breakpoints[row + 1], values[row + 1], torque, column)
+    return low + (place - row) * (high - low), column
 
 
 @inline
-def _mod_turn(turn: float) -> float:
-    rest = math.fmod(turn, _TURN)
+def _within_turn(turn: float) -> float:
+    rest = np.fmod(turn, _TURN)
     return rest + (_TURN if rest < 0.0 else 0.0)
 
 
-@part
-def _at(breakpoints: Floats, values: Floats, torque: float) -> float:
+@inline
+def _at(breakpoints: Floats, values: Floats, torque: float, column: int) -> float:
     """Torsion of one row; the middle of a true gap."""
-    beta = _from(breakpoints, values, torque, _last_not_above(breakpoints, torque))
+    beta = _from(breakpoints, values, torque, column)
     if torque == 0.0:
-        beta = 0.5 * (beta + _from(breakpoints, values, torque, _last_not_above(breakpoints, _BELOW_ZERO)))
+        beta = 0.5 * (beta + _from(breakpoints, values, torque, _last_not_above(breakpoints, _BELOW_ZERO, column)))
     return beta
 
 
@@ -51,12 +58,13 @@ def _from(breakpoints: Floats, values: Floats, torque: float, column: int) -> fl
 
 
 @inline
-def _last_not_above(breakpoints: Floats, value: float) -> int:
-    """Column of the last entry <= value that lies below the limit, or the first one."""
-    low, high = 0, breakpoints.size - 1
-    limit = breakpoints[high]
-    while high - low > 1:
-        half = (low + high) >> 1
-        ahead = breakpoints[half] <= value and breakpoints[half] < limit
-        low, high = (half, high) if ahead else (low, half)
-    return low
+def _last_not_above(breakpoints: Floats, value: float, column: int) -> int:
+    """Column of the last entry <= value, at most the last but one.
+
+    Looked for from another one's column: torques and breakpoints move little from one to the next.
+    """
+    while column > 0 and breakpoints[column] > value:
+        column -= 1
+    while column < breakpoints.size - 2 and breakpoints[column + 1] <= value:
+        column += 1
+    return column

@@ -1,0 +1,107 @@
+"""The wave generator bearing: orders of its cage and its balls, no whole numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.effects.effect import Effect, Quantity, Values, amplitude, direction, turning
+from hd_diag.effects.excitation import enough_input_turns, input_turns
+from hd_diag.effects.order_spectrum import spectrum
+from hd_diag.effects.signals import Signals
+from hd_diag.model.torsion_map import ARCSEC
+
+Floats = npt.NDArray[np.float64]
+
+BALLS = 23
+"""Balls of a wave generator's thin bearing that the bands are drawn for; those of others stay unexplained."""
+
+CAGE = (0.40, 0.48)
+"""Turns of the cage per turn of the wave generator: half of one less ball over pitch diameter."""
+
+BANDS = (
+    CAGE,
+    (BALLS * CAGE[0], BALLS * CAGE[1]),
+    (BALLS * (1.0 - CAGE[1]), BALLS * (1.0 - CAGE[0])),
+)
+"""Orders of the cage, of the balls over the outer and over the inner ring."""
+
+_CANDIDATES = 4
+_CLEAR = 2.0  # lines narrower than this many times one over the turns belong to their whole neighbour
+
+
+@dataclass(frozen=True)
+class BearingPassage(Effect):
+    """``a cos(kappa theta_W - d)``; its phase must be kept over the whole record."""
+
+    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
+        """One order; see :meth:`Effect.columns`."""
+        return turning(nonlinear[0] * signals.wave_generator_angle)
+
+    def grid(self, signals: Signals) -> list[Values]:
+        """Middle of every band; `scan` looks at all orders that the record resolves."""
+        return [(0.5 * (low + high),) for low, high in BANDS]
+
+    def scan(self, signals: Signals, residual: Floats) -> list[Values]:
+        """Strongest lines of the residual's order spectrum inside the bands."""
+        order, strength = spectrum(signals.wave_generator_angle, residual, 1.1 * BANDS[-1][1])
+        peak = np.zeros(order.size, dtype=np.bool_)
+        peak[1:-1] = (strength[1:-1] >= strength[:-2]) & (strength[1:-1] >= strength[2:])
+        place = np.flatnonzero(peak & self._allowed(order, signals))
+        best = place[np.argsort(strength[place])[::-1][:_CANDIDATES]]
+        return [(float(order[index]),) for index in best]
+
+    def trials(self, signals: Signals) -> int:
+        """Orders that the record resolves inside the bands."""
+        width = sum(high - low for low, high in BANDS)
+        return max(len(BANDS), int(2.0 * width * input_turns(signals)))
+
+    def testable(self, signals: Signals) -> tuple[bool, str]:
+        """Two hundred turns: the orders stand close to whole ones."""
+        return enough_input_turns(signals, 200.0)
+
+    def _allowed(self, order: Floats, signals: Signals) -> npt.NDArray[np.bool_]:
+        inside = np.any([(order >= low) & (order <= high) for low, high in BANDS], axis=0)
+        reach = _CLEAR / max(input_turns(signals), 1.0)
+        reduction = signals.contact.drive.mesh.geometry.reduction
+        for whole in (1.0, 1.0 + 1.0 / reduction):  # of the housing and of the flexspline
+            inside &= np.abs(order / whole - np.rint(order / whole)) * whole > reach
+        return np.asarray(inside)
+
+
+EFFECT = BearingPassage(
+    name="bearing_passage",
+    cause=(
+        "A ball or a race of the wave generator's bearing is worn or out of size: it passes the lobes again "
+        "and again."
+    ),
+    kind="kinematic",
+    frame="input",
+    needs=("wave_generator_angle",),
+    quantities=(
+        amplitude("amplitude", "rad", 1e-3, 1.5 * ARCSEC, "amplitude at the output"),
+        direction("phase", "of the order at wave generator angle zero"),
+        Quantity(
+            "order",
+            "-",
+            BANDS[0][0],
+            BANDS[-1][1],
+            0.02,
+            "kappa, periods per wave generator turn",
+            linear=False,
+        ),
+    ),
+    confused_with=("encoder_interpolation", "circular_spline_form"),
+    source=(
+        "passage orders: Harris and Kotzalas, Essential Concepts of Bearing Technology, 5th ed., CRC 2006, "
+        "ch. 1"
+    ),
+    inspect=(
+        "Wave generator bearing: noise, grease, cage and races. Order 0.40-0.48 is the cage (one ball larger "
+        f"than the rest); with {BALLS} balls {BANDS[1][0]:.1f}-{BANDS[1][1]:.1f} is the outer race and "
+        f"{BANDS[2][0]:.1f}-{BANDS[2][1]:.1f} the inner. An acceleration sensor on the housing must show the "
+        "same order; it slips slowly against the wave generator."
+    ),
+)

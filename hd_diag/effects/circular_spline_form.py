@@ -1,0 +1,61 @@
+"""The circular spline is out of round: what its slots do that stand nearer or farther out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.effects.effect import Effect, Values, amplitude, direction, harmonic
+from hd_diag.effects.excitation import enough_input_turns, torque_varies, verdict
+from hd_diag.effects.signals import Signals
+
+Floats = npt.NDArray[np.float64]
+
+ORDERS = (2, 4, 6)
+
+
+@dataclass(frozen=True)
+class CircularSplineForm(Effect):
+    """Radial slot displacement ``sum a_k cos k (phi - d_k)`` through the contact's weights."""
+
+    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
+        """Response to every lobe number; see :meth:`Effect.columns`."""
+        return np.concatenate([harmonic(signals.contact.radial_harmonic(k)) for k in ORDERS], axis=1)
+
+    def testable(self, signals: Signals) -> tuple[bool, str]:
+        """A few turns at two torques."""
+        return verdict(enough_input_turns(signals, 3.0), torque_varies(signals))
+
+
+EFFECT = CircularSplineForm(
+    name="circular_spline_form",
+    cause="The circular spline is out of round: oval, or pulled to four or six lobes by its screws.",
+    kind="kinematic",
+    frame="housing",
+    needs=("wave_generator_angle", "torque"),
+    quantities=tuple(
+        quantity
+        for k in ORDERS
+        for quantity in (
+            amplitude(f"radial_{k}", "m", 5e-5, 2e-6, f"radial form error with {k} lobes"),
+            direction(f"radial_direction_{k}", "angle in the circular spline of a lobe", k),
+        )
+    ),
+    confused_with=(
+        "circular_spline_pitch",
+        "coupling_misalignment",
+        "encoder_interpolation",
+        "flexspline_pitch",
+    ),
+    source=(
+        "radial motion of the slot against the pressure angle of the contacts that bear (see contact_weights)"
+    ),
+    inspect=(
+        "Roundness of the circular spline in its housing, screws tightened, with a ball between slots: the "
+        "amplitude is half of largest less smallest radius. Loosen and retighten its screws crosswise: a "
+        "pulled ring changes, a cut one does not. Reversing the torque turns the sign of a radial error, "
+        "not that of a pitch error."
+    ),
+)

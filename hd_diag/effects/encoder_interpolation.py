@@ -1,0 +1,89 @@
+"""Division error of the input encoder: as many periods per turn as it has lines or pole pairs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.effects.effect import Effect, Quantity, Values, amplitude, direction, turning
+from hd_diag.effects.excitation import enough_input_turns, sample_interval, verdict
+from hd_diag.effects.order_spectrum import integer_orders
+from hd_diag.effects.signals import Signals
+from hd_diag.model.torsion_map import ARCSEC
+
+Floats = npt.NDArray[np.float64]
+
+_LEAST, _MOST = 4, 4096
+_USUAL = (4, 5, 8, 12, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096)
+_CANDIDATES = 4
+_SLOW = 0.25  # share of the moving samples that must be slow enough
+
+
+@dataclass(frozen=True)
+class EncoderInterpolation(Effect):
+    """The input reads ``a cos(L theta_in - d)`` too far, so the output seems to lag by that over N."""
+
+    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
+        """One order of the input; see :meth:`Effect.columns`."""
+        return -turning(nonlinear[0] * signals.input_angle) / signals.ratio
+
+    def grid(self, signals: Signals) -> list[Values]:
+        """Usual numbers of lines that the record can follow; `scan` looks at all."""
+        return [(float(lines),) for lines in _USUAL if lines <= _highest(signals)]
+
+    def scan(self, signals: Signals, residual: Floats) -> list[Values]:
+        """Strongest whole orders of the residual over the input angle."""
+        highest = _highest(signals)
+        if highest < _LEAST:
+            return []
+        strength = integer_orders(signals.input_angle, residual, highest)
+        strength[:_LEAST] = 0.0
+        return [(float(order),) for order in np.argsort(strength)[::-1][:_CANDIDATES] if order >= _LEAST]
+
+    def trials(self, signals: Signals) -> int:
+        """Whole orders that the record can follow."""
+        return max(1, _highest(signals) - _LEAST + 1)
+
+    def testable(self, signals: Signals) -> tuple[bool, str]:
+        """Slow enough that the lines do not alias."""
+        limit = np.pi / (_LEAST * sample_interval(signals))
+        slow = _highest(signals) >= _LEAST
+        return verdict(
+            (slow, f"the input is too fast for the sampling: repeat the motion below {limit:.3g} rad/s"),
+            enough_input_turns(signals, 3.0),
+        )
+
+
+def _highest(signals: Signals) -> int:
+    """Greatest order of the input that does not alias in the slower part of the record."""
+    speed = np.abs(signals.speed)
+    moving = speed[speed > 1e-3]
+    if not moving.size:
+        return 0
+    step = float(np.quantile(moving, _SLOW)) * sample_interval(signals)
+    return int(min(_MOST, np.pi / step)) if step > 0.0 else _MOST
+
+
+EFFECT = EncoderInterpolation(
+    name="encoder_interpolation",
+    cause="The input encoder divides its lines or pole pairs unevenly.",
+    kind="sensor",
+    frame="input",
+    needs=("output_angle", "speed", "time"),
+    quantities=(
+        amplitude("amplitude", "rad", 0.1, 200.0 * ARCSEC, "a, reading error at the input"),
+        direction("phase", "of the error at input angle zero"),
+        Quantity(
+            "lines", "-", _LEAST, _MOST, 64.0, "L, lines or pole pairs per turn", linear=False, discrete=True
+        ),
+    ),
+    confused_with=("circular_spline_form", "circular_spline_pitch", "bearing_passage", "tooth_damage"),
+    source="Heidenhain, Rotary Encoders (brochure): position error within one signal period",
+    inspect=(
+        "Number of lines or pole pairs in the motor's data sheet: it must be the order found, or a quarter "
+        "or half of it. Then the encoder's signals on an oscilloscope: offsets give one, unequal amplitudes "
+        "two periods per line. It must not change with torque or direction."
+    ),
+)

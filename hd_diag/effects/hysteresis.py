@@ -1,0 +1,87 @@
+"""Friction in the teeth and the cup: the torsion depends on where the torque came from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.effects.effect import Quantity, StatefulEffect, Values
+from hd_diag.effects.excitation import torque_reverses
+from hd_diag.effects.signals import Signals
+from hd_diag.model.torsion_map import ARCSEC
+
+Floats = npt.NDArray[np.float64]
+
+_FRACTIONS = (0.02, 0.05, 0.12, 0.3)  # of the rated torque
+_SWING = 0.1  # of the rated torque, that must be reversed twice
+
+State = tuple[float | None, tuple[float, ...]]
+
+
+@dataclass(frozen=True)
+class Hysteresis(StatefulEffect):
+    """Two Maxwell slip elements: ``z <- clip(z + dT / r, -1, 1)``, ``-(a_1 z_1 + a_2 z_2)``."""
+
+    def start(self, nonlinear: Values) -> State:
+        """No torque yet; the elements are relaxed."""
+        return None, (0.0,) * len(nonlinear)
+
+    def step(self, state: State, signals: Signals, nonlinear: Values) -> tuple[Floats, State]:
+        """Let the elements follow the torque; see :meth:`Effect.step`."""
+        if not signals.size:
+            return np.empty((0, self.size)), state
+        before = float(signals.torque[0]) if state[0] is None else state[0]
+        change = np.diff(signals.torque, prepend=before)
+        every = [_slip(z, change / reach) for z, reach in zip(state[1], nonlinear, strict=True)]
+        last = tuple(float(z[-1]) for z in every)
+        return -np.stack(every, axis=1), (float(signals.torque[-1]), last)
+
+    def grid(self, signals: Signals) -> list[Values]:
+        """Pairs of torques over which the elements stick [N m]."""
+        reach = [fraction * signals.rated_torque for fraction in _FRACTIONS]
+        return [(one, two) for index, one in enumerate(reach) for two in reach[index + 1 :]]
+
+    def testable(self, signals: Signals) -> tuple[bool, str]:
+        """Nested reversals of the torque."""
+        return torque_reverses(signals, _SWING * signals.rated_torque)
+
+
+def _slip(z: float, change: Floats) -> Floats:
+    result = np.empty(change.size)
+    for index, step in enumerate(change.tolist()):
+        z = min(1.0, max(-1.0, z + step))
+        result[index] = z
+    return result
+
+
+EFFECT = Hysteresis(
+    name="hysteresis",
+    cause=(
+        "Friction between the teeth and in the cup's fit holds the torsion back when the torque turns round."
+    ),
+    kind="friction",
+    frame="torque",
+    needs=("torque", "run"),
+    quantities=(
+        Quantity(
+            "first_amplitude", "rad", 0.0, 5e-3, 15.0 * ARCSEC, "a_1, half width of the first element's loop"
+        ),
+        Quantity("second_amplitude", "rad", 0.0, 5e-3, 15.0 * ARCSEC, "a_2, of the second element's"),
+        Quantity(
+            "first_reach", "N m", 1e-2, 1e4, 2.0, "r_1, half the torque over which it sticks", linear=False
+        ),
+        Quantity("second_reach", "N m", 1e-2, 1e4, 10.0, "r_2, of the second element", linear=False),
+    ),
+    confused_with=("torsional_hardening", "wear_backlash", "coulomb_windup"),
+    source=(
+        "Maxwell slip: Al-Bender, Lampaert, Swevers, IEEE Trans. Automatic Control 50(11), 2005; in "
+        "harmonic drives: Dhaouadi, Ghorbel, Gandhi, IEEE Trans. Industrial Electronics 50(6), 2003"
+    ),
+    inspect=(
+        "Torsion test with the input held, up and down twice, the second time half as far: the loop's width "
+        "at zero torque is twice the sum of the amplitudes (about 1 arcmin in all is usual). Screws and the "
+        "fit of cup and hub first. The loop must not depend on how fast it is run through."
+    ),
+)

@@ -1,0 +1,50 @@
+"""The input encoder reads off its centre: once per turn of the input."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.effects.effect import Effect, Values, amplitude, direction, turning
+from hd_diag.effects.excitation import enough_input_turns, torque_varies, verdict
+from hd_diag.effects.signals import Signals
+from hd_diag.model.torsion_map import ARCSEC
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class InputEncoderEccentricity(Effect):
+    """The input reads ``a cos(theta_in - d)`` too far, so the output seems to lag by that over N."""
+
+    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
+        """Once per input turn; see :meth:`Effect.columns`."""
+        return -turning(signals.input_angle) / signals.ratio
+
+    def testable(self, signals: Signals) -> tuple[bool, str]:
+        """A few turns at two torques."""
+        return verdict(enough_input_turns(signals, 3.0), torque_varies(signals))
+
+
+EFFECT = InputEncoderEccentricity(
+    name="input_encoder_eccentricity",
+    cause=(
+        "The input encoder's disc or magnet is off centre, so the input angle is read wrongly once per turn."
+    ),
+    kind="sensor",
+    frame="input",
+    needs=("output_angle", "torque"),
+    quantities=(
+        amplitude("amplitude", "rad", 0.2, 300.0 * ARCSEC, "a, reading error at the input, e / R"),
+        direction("direction", "input angle at which it reads most too far"),
+    ),
+    confused_with=("coupling_misalignment", "encoder_interpolation"),
+    source="Heidenhain, Rotary Encoders (brochure): error by eccentricity, 412 e / D [arcsec, um, mm]",
+    inspect=(
+        "Centring of the motor's encoder: magnet or disc against the shaft; 0.1 mm of a magnet on 5 mm "
+        "reads 1.1 deg, 41 arcsec at the output of ratio 100. It does not change with torque; an eccentric "
+        "wave generator's order 1 falls with it. Turn the magnet by half a turn: the direction follows."
+    ),
+)

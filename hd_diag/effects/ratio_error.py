@@ -1,0 +1,44 @@
+"""A declared ratio that is not the real one: the error grows with every turn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.effects.effect import Effect, Quantity, Values
+from hd_diag.effects.excitation import enough_input_turns
+from hd_diag.effects.signals import Signals
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RatioError(Effect):
+    """``e theta_in / N``, with ``e = N / N' - 1`` and N' the real ratio."""
+
+    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
+        """Nominal output angle; see :meth:`Effect.columns`."""
+        return signals.output_angle[:, None]
+
+    def testable(self, signals: Signals) -> tuple[bool, str]:
+        """A turn of the input."""
+        return enough_input_turns(signals, 1.0)
+
+
+EFFECT = RatioError(
+    name="ratio_error",
+    cause="The ratio between the reported angles is not the declared one: a wrong gear, or a belt before it.",
+    kind="kinematic",
+    frame="output",
+    needs=("output_angle",),
+    quantities=(Quantity("relative_error", "-", -1.0, 1e3, 1e-3, "declared over real ratio, less one"),),
+    confused_with=("output_runout", "thermal_drift", "tooth_skip"),
+    source="definition of the transmission error",
+    inspect=(
+        "Type plate of the gear and every stage between the encoders, belts too. Turn the output by exactly "
+        "one turn and count the input's: it must be the declared ratio. A ratio of whole teeth cannot be "
+        "wrong by little: a small error is a slipping belt, a hub or a scale of the angle."
+    ),
+)

@@ -1,0 +1,135 @@
+"""One tooth or slot worn or displaced: a pulse whenever a lobe passes it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.effects.effect import Effect, Quantity, Values
+from hd_diag.effects.excitation import enough_input_turns, enough_output_turns, verdict
+from hd_diag.effects.signals import Signals
+
+Floats = npt.NDArray[np.float64]
+
+SLOT, TOOTH = 0.0, 1.0
+"""Member that the damage is on: circular spline or flexspline."""
+
+_CANDIDATES = 2  # positions per member
+_BESIDE = range(-2, 3)  # teeth beside a position that are compared exactly
+_ENOUGH = 20_000  # samples for that
+
+
+@dataclass(frozen=True)
+class ToothDamage(Effect):
+    """More clearance on the flanks of one slot or tooth, as the contact's shares pass it on."""
+
+    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
+        """Both flanks; a flank that never bears in this record has zeros. See :meth:`Effect.columns`."""
+        member, position = nonlinear
+        contact = signals.contact
+        return contact.one_slot(position) if member == SLOT else contact.one_tooth(position)
+
+    def grid(self, signals: Signals) -> list[Values]:
+        """The first slot and tooth; `scan` looks at all."""
+        return [(SLOT, 0.0), (TOOTH, 0.0)]
+
+    def scan(self, signals: Signals, residual: Floats) -> list[Values]:
+        """Slots and teeth whose pulses fit the residual best."""
+        geometry = signals.contact.drive.mesh.geometry
+        every = slice(None, None, -(-signals.size // _ENOUGH))
+        some, rest = signals.part(every), residual[every]
+        places = (
+            (SLOT, signals.wave_generator_angle, geometry.slot_pitch),
+            (TOOTH, signals.flexspline_angle, geometry.tooth_pitch),
+        )
+        best = [
+            max(
+                ((member, pitch * (round(position / pitch) + beside)) for beside in _BESIDE),
+                key=lambda nonlinear: self._gain(some, rest, nonlinear),
+            )
+            for member, angle, pitch in places
+            for position in _positions(signals, angle, residual)
+        ]
+        return list(dict.fromkeys(best))
+
+    def _gain(self, signals: Signals, residual: Floats, nonlinear: Values) -> float:
+        """What a slot or tooth explains of the sum of squares of the residual [rad^2]."""
+        columns = self.columns(signals, nonlinear)
+        moment = columns.T @ (residual - residual.mean())
+        return float(moment @ np.linalg.lstsq(columns.T @ columns, moment, rcond=None)[0])
+
+    def trials(self, signals: Signals) -> int:
+        """All slots and teeth."""
+        geometry = signals.contact.drive.mesh.geometry
+        return geometry.circular_spline_teeth + geometry.flexspline_teeth
+
+    def testable(self, signals: Signals) -> tuple[bool, str]:
+        """Ten turns of the output let a single tooth stand out and tell the members apart."""
+        return verdict(enough_input_turns(signals, 10.0), enough_output_turns(signals, 10.0))
+
+
+def _positions(signals: Signals, angle: Floats, residual: Floats) -> list[float]:
+    """Angles in the member [rad] where a damaged tooth fits best, by circular correlation over bins."""
+    table, rows = signals.contact.table, signals.contact.torque_rows
+    template = table.mean_slot()
+    bins = table.steps
+    row = np.where(rows[0][1] >= 0.5, rows[0][0], rows[1][0])
+    place = np.floor(np.mod(angle, 2.0 * np.pi) * (bins / (2.0 * np.pi)) + 0.5).astype(np.int64) % bins
+    cell, cells = row * bins + place, template.shape[1] * bins
+    sums = np.bincount(cell, residual - residual.mean(), cells).reshape(-1, bins)
+    count = np.bincount(cell, minlength=cells).reshape(-1, bins).astype(np.float64)
+    moment = np.stack([_correlation(sums, flank) for flank in template], axis=1)
+    gram = np.array([[_correlation(count, one * two) for two in template] for one in template])
+    gram = np.moveaxis(gram, 2, 0) + 1e-6 * np.max(gram) * np.eye(2)
+    gain = np.einsum("bi,bij,bj->b", moment, np.linalg.inv(gram), moment)
+    best = []
+    for _ in range(_CANDIDATES):
+        best.append(int(np.argmax(gain)))
+        gain[(best[-1] + np.arange(-4, 5)) % bins] = -np.inf
+    return [2.0 * np.pi / bins * index for index in best]
+
+
+def _correlation(sums: Floats, template: Floats) -> Floats:
+    """Sum over torques and places of sums times the template moved along, shape (bins,)."""
+    product = np.fft.rfft(sums, axis=1) * np.conj(np.fft.rfft(template, axis=1))
+    return np.asarray(np.fft.irfft(product.sum(axis=0), template.shape[1]))
+
+
+EFFECT = ToothDamage(
+    name="tooth_damage",
+    cause=(
+        "One tooth of the circular spline or the flexspline is worn or displaced and bears later than its "
+        "neighbours."
+    ),
+    kind="kinematic",
+    frame="housing",
+    needs=("wave_generator_angle", "torque"),
+    quantities=(
+        Quantity("counter_clockwise_flank", "m", -2e-4, 2e-4, 2e-5, "clearance added to the tooth's + flank"),
+        Quantity("clockwise_flank", "m", -2e-4, 2e-4, 2e-5, "clearance added to its - flank"),
+        Quantity(
+            "member",
+            "-",
+            0.0,
+            1.0,
+            1.0,
+            "0: slot of the circular spline, 1: tooth of the flexspline",
+            False,
+            None,
+            True,
+        ),
+        Quantity(
+            "position", "rad", 0.0, 2.0 * np.pi, 6.3, "its angle in the member", False, 2.0 * np.pi, True
+        ),
+    ),
+    confused_with=("circular_spline_pitch", "flexspline_pitch", "circular_spline_form"),
+    source="share of the stiffness of a single flank (see contact_weights)",
+    inspect=(
+        "Open the gear and look at the teeth around the position given, and at those opposite: a worn flank "
+        "shines, a displaced or cracked one stands off under the feeler. Wear of both flanks has equal "
+        "signs, a displaced tooth opposite ones. 10 um on one of some fifty bearing pairs read about 1 "
+        "arcsec, twice per wave generator turn."
+    ),
+)

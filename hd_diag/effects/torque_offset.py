@@ -1,0 +1,44 @@
+"""The torque is measured with an offset."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.effects.effect import Effect, Quantity, Values
+from hd_diag.effects.excitation import torque_through_zero
+from hd_diag.effects.signals import Signals
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TorqueOffset(Effect):
+    """``T' = T + a``, first order: ``a dTE/dT``."""
+
+    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
+        """Compliance of the model; see :meth:`Effect.columns`."""
+        return signals.predicted_torque_slope[:, None]
+
+    def testable(self, signals: Signals) -> tuple[bool, str]:
+        """Torque through zero, where the compliance changes."""
+        return torque_through_zero(signals)
+
+
+EFFECT = TorqueOffset(
+    name="torque_offset",
+    cause="The torque's zero is wrong, or a constant load such as gravity is missing in it.",
+    kind="sensor",
+    frame="torque",
+    needs=("torque", "predicted_torque_slope"),
+    quantities=(Quantity("offset", "N m", -1e3, 1e3, 2.0, "a, real less reported torque"),),
+    confused_with=("coulomb_windup", "wear_backlash", "hysteresis", "thermal_drift"),
+    source="first order of the model's own torsion over torque",
+    inspect=(
+        "Zero of the torque sensor with the link hanging free or taken off; gravity in the torque that the "
+        "controller reports. The stiffness curve's symmetry centre must move to zero torque once the offset "
+        "is taken away."
+    ),
+)

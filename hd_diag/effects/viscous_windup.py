@@ -1,0 +1,48 @@
+"""Friction that grows with speed winds the drive up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.effects.effect import Effect, Quantity, Values
+from hd_diag.effects.excitation import several_speeds
+from hd_diag.effects.signals import Signals
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ViscousWindup(Effect):
+    """``-c omega``."""
+
+    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
+        """Lag by speed; see :meth:`Effect.columns`."""
+        return -signals.forward_speed[:, None]
+
+    def testable(self, signals: Signals) -> tuple[bool, str]:
+        """Three speeds."""
+        return several_speeds(signals, 3)
+
+
+EFFECT = ViscousWindup(
+    name="viscous_windup",
+    cause=(
+        "Friction of grease and seals behind the torque's measurement grows with speed and holds the output "
+        "back."
+    ),
+    kind="friction",
+    frame="torque",
+    needs=("speed",),
+    quantities=(
+        Quantity("lag", "s", -1e-4, 1e-4, 3e-7, "c, lag at the output per input speed [rad/(rad/s)]"),
+    ),
+    confused_with=("stream_delay", "coulomb_windup"),
+    source="Tuttle and Seering, IEEE Trans. Robotics and Automation 12(3), 1996, pp. 368-374",
+    inspect=(
+        "Grease: amount, age, temperature; repeat after half an hour's running: it falls with the grease's "
+        "viscosity, a delay does not. No-load running torque over speed must rise alike."
+    ),
+)

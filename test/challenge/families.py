@@ -1,0 +1,280 @@
+"""Families of records, each a function of a seed.
+
+Seeds of DEVELOPMENT may be looked at while the method is made; those of FINAL are for the last count only.
+Amplitudes are in the unit of :data:`FAULTS`; a family draws them from the range of the field, and never below
+three times the least findable size, :data:`challenge.findable.LEAST`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from challenge import causes as c
+from challenge import motion as motions
+from challenge.findable import LEAST
+from challenge.motion import Motion
+from challenge.noise import FAMILIES as NOISES
+from challenge.records import Record, Recording, simulate
+from challenge.truth import ARCSEC, RATIO, drawn
+
+DEVELOPMENT = range(0, 1_000_000)
+FINAL = range(1_000_000_000, 1_001_000_000)
+
+Build = Callable[[np.random.Generator, float, Motion], c.Cause]
+Draw = np.random.Generator
+
+UM = 1e-6  # [m]
+FULL_SPEED = 120.0  # [rad/s], of the input
+TIMES_LEAST = 3.0
+
+
+@dataclass(frozen=True)
+class Fault:
+    """How a cause is drawn: its builder from an amplitude in a unit, and the range in the field."""
+
+    build: Build
+    low: float
+    high: float
+    unit: str
+
+
+def _phase(rng: Draw) -> float:
+    return float(rng.uniform(-np.pi, np.pi))
+
+
+def _bearing(rng: Draw, a: float, _: Motion) -> c.Cause:
+    part = str(rng.choice(["cage", "outer", "inner"]))
+    cage = rng.uniform(0.41, 0.47)
+    return c.BearingPassage(a * ARCSEC, _phase(rng), cage, part, seed=int(rng.integers(1 << 31)))
+
+
+def _coupling(rng: Draw, a: float, _: Motion) -> c.Cause:
+    bend = np.sqrt(4 * RATIO * a * ARCSEC)
+    return c.CouplingMisalignment(bend, _phase(rng), 2 * RATIO * rng.uniform(0, 0.3) * a * ARCSEC)
+
+
+def _damage(rng: Draw, a: float, _: Motion) -> c.Cause:
+    member, count = [("circular_spline", 202), ("flexspline", 200)][rng.integers(2)]
+    return c.ToothDamage(a * UM, int(rng.integers(count)), member)
+
+
+def _hardening(rng: Draw, a: float, _: Motion) -> c.Cause:
+    sign = rng.choice([-1, 1])
+    return c.TorsionalHardening(sign * a * ARCSEC, sign * rng.uniform(0, 0.5) * a * ARCSEC)
+
+
+def _hysteresis(rng: Draw, a: float, _: Motion) -> c.Cause:
+    torques = tuple(sorted(rng.uniform(2, 20, rng.integers(1, 4)).tolist()))
+    return c.Hysteresis(a * ARCSEC, torques, float(rng.choice([-1, 1])))
+
+
+def _skip(rng: Draw, _a: float, motion: Motion) -> c.Cause:
+    time = motion.times()
+    torque = motion.torque(time)
+    worst = int(np.argmax(np.abs(torque)))
+    return c.ToothSkip(float(time[worst]), -float(np.sign(torque[worst])))
+
+
+def _resonance(rng: Draw, a: float, _: Motion) -> c.Cause:
+    order = int(rng.choice([1, 2]))
+    return c.Resonance(order * rng.uniform(5, 16), rng.uniform(0.04, 0.12), a * ARCSEC, order, _phase(rng))
+
+
+def _order(rng: Draw) -> int:
+    return int(rng.choice([2, 2, 2, 4]))
+
+
+FAULTS: dict[str, Fault] = {
+    "output_runout": Fault(lambda r, a, m: c.OutputRunout(a * ARCSEC, _phase(r)), 2, 40, "arcsec"),
+    "output_encoder_eccentricity": Fault(
+        lambda r, a, m: c.OutputEncoderEccentricity(a * ARCSEC, _phase(r)), 2, 60, "arcsec"
+    ),
+    "circular_spline_form": Fault(
+        lambda r, a, m: c.CircularSplineForm(a * UM, _phase(r), int(r.choice([4, 6])), float(r.integers(2))),
+        *(1, 8, "um"),
+    ),
+    "coupling_misalignment": Fault(_coupling, 0.5, 2, "arcsec"),
+    "bearing_passage": Fault(_bearing, 0.3, 4, "arcsec"),
+    "circular_spline_pitch": Fault(
+        lambda r, a, m: c.CircularSplinePitch(a * UM, _phase(r), _order(r)), 0.3, 4, "um"
+    ),
+    "flexspline_pitch": Fault(lambda r, a, m: c.FlexsplinePitch(a * UM, _phase(r), _order(r)), 0.3, 4, "um"),
+    "tooth_damage": Fault(_damage, 5, 30, "um"),
+    "wear_backlash": Fault(lambda r, a, m: c.WearBacklash(a * UM), 0.5, 4, "um"),
+    "torsional_hardening": Fault(_hardening, 0.1, 0.8, "arcsec/(N m)"),
+    "hysteresis": Fault(_hysteresis, 5, 60, "arcsec"),
+    "coulomb_windup": Fault(lambda r, a, m: c.CoulombWindup(a * ARCSEC, r.choice([0, 0.4])), 1, 15, "arcsec"),
+    "viscous_windup": Fault(
+        lambda r, a, m: c.ViscousWindup(a * ARCSEC / FULL_SPEED), 1, 15, "arcsec at 120 rad/s"
+    ),
+    "input_encoder_eccentricity": Fault(
+        lambda r, a, m: c.InputEncoderEccentricity(RATIO * a * ARCSEC, _phase(r)), 0.4, 30, "arcsec"
+    ),
+    "encoder_interpolation": Fault(
+        lambda r, a, m: _interpolation(r, a),
+        *(0.3, 5, "arcsec"),
+    ),
+    "stream_delay": Fault(lambda r, a, m: c.StreamDelay(a * 1e-6), 5, 10_000, "us"),
+    "thermal_drift": Fault(
+        lambda r, a, m: c.ThermalDrift(r.choice([-1, 1]) * a * ARCSEC), 0.1, 3, "arcsec/K"
+    ),
+    "ratio_error": Fault(lambda r, a, m: c.RatioError(r.choice([-1, 1]) * a), 1e-4, 0.05, "-"),
+    "tooth_skip": Fault(_skip, 1, 1, "teeth"),
+    "resonance": Fault(_resonance, 0.5, 4, "arcsec"),
+    "torque_offset": Fault(lambda r, a, m: c.TorqueOffset(r.choice([-1, 1]) * a), 0.3, 3, "N m"),
+}
+
+
+def _interpolation(rng: Draw, a: float) -> c.Cause:
+    lines = int(rng.choice([8, 12, 16, 20, 24, 32]))
+    return c.EncoderInterpolation(lines * RATIO * a * ARCSEC, _phase(rng), lines)
+
+
+UNKNOWN: dict[str, Fault] = {
+    kind.name: Fault((lambda k: lambda r, a, m: k(a * ARCSEC, _phase(r)))(kind), low, 3 * low, "arcsec")
+    for kind, low in zip(c.UNKNOWN, (1, 1, 1, 1, 8, 8, 1, 5, 2, 3), strict=True)
+}
+
+
+def _sector(rng: Draw, a: float, motion: Motion) -> c.Cause:
+    time = motion.times()
+    place = motion.angle(rng.choice(time, 1))[0] / RATIO  # where the output has been
+    return c.EncoderSector(a * ARCSEC, float(place))
+
+
+UNKNOWN["encoder_sector"] = Fault(_sector, 8, 24, "arcsec")
+
+# Worth no line of its own: a parameter of the drive does the same.
+NAMED = tuple(name for name in FAULTS if name != "wear_backlash")
+# Found before anything is fitted: ramp and step.
+COMBINED = tuple(name for name in NAMED if name not in ("ratio_error", "tooth_skip"))
+SAME_CLASS = ({"output_runout", "output_encoder_eccentricity"},)
+
+
+# What a motion cannot show.
+UNTESTABLE: dict[str, tuple[str, ...]] = {
+    "short": ("output_runout", "flexspline_pitch", "thermal_drift", "bearing_passage", "resonance"),
+    "one_direction": ("coulomb_windup",),
+    "one_speed": ("viscous_windup", "stream_delay", "resonance"),
+    "unloaded": ("torsional_hardening", "hysteresis", "torque_offset"),
+    "constant_torque": ("torsional_hardening", "hysteresis"),
+    "torque_unmeasured": ("torsional_hardening", "hysteresis", "torque_offset"),
+}
+
+
+def generator(family: str, seed: int) -> np.random.Generator:
+    """Generator of random numbers of a family and seed; the same on every machine."""
+    if seed not in DEVELOPMENT and seed not in FINAL:
+        raise ValueError(f"seed {seed} is neither a development seed nor a final one")
+    return np.random.default_rng([*family.encode(), seed])
+
+
+def draw(rng: Draw, name: str, motion: Motion) -> c.Cause:
+    """Cause of a name, at least three times as large as can be found on a standard record."""
+    fault = FAULTS.get(name) or UNKNOWN[name]
+    low = max(fault.low, TIMES_LEAST * LEAST.get(name, 0.0))
+    # Evenly in the logarithm: sizes of the field are small more often than large.
+    amplitude = float(np.exp(rng.uniform(np.log(low), np.log(max(low * 1.0001, fault.high)))))
+    return fault.build(rng, amplitude, motion)
+
+
+def _record(
+    rng: Draw, names: Sequence[str], motion: Motion | None = None, recording: Recording | None = None
+) -> Record:
+    motion = motion or motions.standard(rng)
+    found = [draw(rng, name, motion) for name in names]
+    return simulate(drawn(rng), found, motion, rng, recording or Recording())
+
+
+def wrong_parameters(seed: int) -> Record:
+    """Nothing but wrong parameters; noise families by turns."""
+    rng = generator("wrong_parameters", seed)
+    return _record(rng, (), recording=Recording(noise=list(NOISES)[seed % len(NOISES)]))
+
+
+def one_effect(seed: int) -> Record:
+    """One cause of the catalogue, by turns."""
+    return _record(generator("one_effect", seed), [NAMED[seed % len(NAMED)]])
+
+
+def _several(family: str, seed: int, count: int) -> Record:
+    rng = generator(family, seed)
+    names: list[str] = []
+    while len(names) < count:
+        new = str(rng.choice(COMBINED))
+        clash = any(new in group and group & set(names) for group in SAME_CLASS)
+        if new not in names and not clash:
+            names.append(new)
+    return _record(rng, names)
+
+
+def pair(seed: int) -> Record:
+    """Two causes."""
+    return _several("pair", seed, 2)
+
+
+def triple(seed: int) -> Record:
+    """Three causes."""
+    return _several("triple", seed, 3)
+
+
+def unknown(seed: int) -> Record:
+    """One cause that no catalogue has, by turns."""
+    return _record(generator("unknown", seed), [list(UNKNOWN)[seed % len(UNKNOWN)]])
+
+
+def _poor(
+    family: str, seed: int, make: Callable[[Draw], Motion], recording: Recording | None = None
+) -> Record:
+    """Poor motion; with an odd seed a cause that this motion cannot show."""
+    rng = generator(family, seed)
+    names = [str(rng.choice(UNTESTABLE[family]))] if seed % 2 else []
+    return _record(rng, names, make(rng), recording)
+
+
+def short(seed: int) -> Record:
+    """Four seconds, a few turns of the input."""
+    return _poor("short", seed, motions.short)
+
+
+def one_direction(seed: int) -> Record:
+    """All runs the same way."""
+    return _poor("one_direction", seed, motions.one_direction)
+
+
+def one_speed(seed: int) -> Record:
+    """All runs at one speed."""
+    return _poor("one_speed", seed, motions.one_speed)
+
+
+def unloaded(seed: int) -> Record:
+    """No torque."""
+    return _poor("unloaded", seed, motions.unloaded)
+
+
+def constant_torque(seed: int) -> Record:
+    """One torque."""
+    return _poor("constant_torque", seed, motions.constant_torque)
+
+
+def torque_unmeasured(seed: int) -> Record:
+    """Torque that acts but is not reported."""
+    return _poor("torque_unmeasured", seed, motions.standard, Recording(torque=False))
+
+
+def degraded(seed: int) -> Record:
+    """One cause, with dropouts of 5 %, outliers of 1 % and uneven sampling."""
+    rough = Recording(dropouts=0.05, outliers=0.01, jitter=0.3e-3)
+    return _record(generator("degraded", seed), [NAMED[seed % len(NAMED)]], recording=rough)
+
+
+FAMILIES: dict[str, Callable[[int], Record]] = {
+    family.__name__: family
+    for family in (
+        *(wrong_parameters, one_effect, pair, triple, unknown),
+        *(short, one_direction, one_speed, unloaded, constant_torque, torque_unmeasured, degraded),
+    )
+}

@@ -1,0 +1,104 @@
+"""Least size at which each cause could be found on a standard record: a calculation, kept here as numbers.
+
+A cause's signal is what it adds to the transmission error, less all that other parameters of the drive could
+do instead. It is findable where a test of two degrees of freedom at 1e-6 (some 1e4 looks at 1 %) sees it 99
+times of 100 in the noise of the record (SNR), and where it is worth naming (0.25 arcsec rms).
+``python -m challenge.findable`` (in test/) calculates the numbers anew: the largest of several drawn drives.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+
+from challenge import noise
+from challenge.causes import Cause
+from challenge.clearances import Array
+from challenge.motion import RATE, Motion, standard
+from challenge.records import output, scene, transmission_error
+from challenge.truth import ARCSEC, RATIO, Base, drawn
+
+SNR = 7.6  # sqrt of 58: chi-square with 2 degrees of freedom at 1e-6 is 28; 99 % power doubles it
+WORTH_NAMING = 0.25 * ARCSEC  # [rad] rms
+TORQUE_AS_ANGLE = 5 * ARCSEC  # [rad/(N m)], of torque noise
+
+LEAST: dict[str, float] = {}
+
+
+def whitened(x: Array) -> Array:
+    """Columns (n, k) [rad] divided by the noise's spectrum: white noise would have unit variance."""
+    frequency = np.fft.rfftfreq(len(x))
+    slow = (
+        noise.DRIFTING**2
+        * (1 - noise.POLE**2)
+        / np.abs(1 - noise.POLE * np.exp(-2j * np.pi * frequency)) ** 2
+    )
+    power = slow + noise.WHITE**2 + (noise.TORQUE_NOISE * TORQUE_AS_ANGLE) ** 2
+    return np.asarray(np.fft.irfft(np.fft.rfft(x, axis=0) / np.sqrt(power)[:, None], len(x), axis=0))
+
+
+def _moved(base: Base) -> list[Base]:
+    """Drives that differ in one parameter each."""
+    tiny = {"e": 0.3e-6, "psi": 0.02, "runout": 0.3e-6, "runout_psi": 0.05}
+    tiny |= {"datum": 0.3e-6, "compliance": 1e-8, "cup": 1e-7, "offset": 1e-6}
+    return [dataclasses.replace(base, **{name: getattr(base, name) + step}) for name, step in tiny.items()]
+
+
+def jacobian(base: Base, motion: Motion, time: Array) -> Array:
+    """Columns (n, 8): what each parameter of the drive, a little off, adds."""
+    here = transmission_error(base, (), motion, time)
+    return np.stack([transmission_error(b, (), motion, time) - here for b in _moved(base)], axis=1)
+
+
+def _rest(x: Array, columns: Array) -> Array:
+    scale = np.linalg.norm(columns, axis=0)
+    return np.asarray(x - columns / scale @ np.linalg.lstsq(columns / scale, x, rcond=None)[0])
+
+
+def _expected(base: Base, cause: Cause, motion: Motion, time: Array) -> Array:
+    """Transmission error [rad] of a drive without faults at the torque that is reported."""
+    seen = scene(motion, time)
+    reported = dataclasses.replace(seen, torque=cause.torque_reading(seen.torque))
+    return output(base, (), reported) - motion.angle(time) / RATIO
+
+
+def least(
+    base: Base, build: Callable[[float], Cause], amplitude: float, motion: Motion, columns: Array
+) -> tuple[float, float, float]:
+    """Least findable amplitude, from the signal at an amplitude; rms of the signal [rad], its own share."""
+    time = motion.times(RATE)
+    cause = build(amplitude)
+    signal = transmission_error(base, (cause,), motion, time) - _expected(base, cause, motion, time)
+    own = _rest(signal, columns)
+    seen = np.linalg.norm(_rest(whitened(signal[:, None])[:, 0], whitened(columns)))
+    factor = max(SNR / seen, WORTH_NAMING / own.std())
+    return float(amplitude * factor), float(signal.std()), float(own.std() / signal.std())
+
+
+def main(drives: int = 3) -> None:
+    """Print LEAST, and the rms at the output of each cause at the upper end of its range."""
+    from challenge.families import FAULTS, UNKNOWN
+
+    found: dict[str, list[tuple[float, float, float]]] = {}
+    for seed in range(drives):
+        rng = np.random.default_rng([seed, 1])
+        motion, base = standard(rng), drawn(rng)
+        columns = jacobian(base, motion, motion.times(RATE))
+        for name, fault in (FAULTS | UNKNOWN).items():
+            if name in ("ratio_error", "tooth_skip"):
+                continue
+            amplitude = np.sqrt(fault.low * fault.high)
+            draws = np.random.default_rng(seed)
+            one = least(base, lambda a, f=fault: f.build(draws, a, motion), amplitude, motion, columns)  # noqa: B023
+            found.setdefault(name, []).append((*one[:1], one[1] / amplitude / ARCSEC, one[2]))
+    for name, each in found.items():
+        worst = np.array(each).max(axis=0)[0]
+        rms, share = np.median([e[1:] for e in each], axis=0)
+        line = f'    "{name}": {worst:.2g},  # {rms:.3g} arcsec rms per unit, own share {share:.2f}'
+        print(line, flush=True)  # noqa: T201
+
+
+if __name__ == "__main__":
+    main()

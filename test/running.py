@@ -1,0 +1,190 @@
+"""A node as its users run it, in a process of its own, and the other side of its topics."""
+
+import contextlib
+import itertools
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import rclpy
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from live import sample
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+
+LIMIT = 10.0  # for discovery and answers [s]
+_numbers = itertools.count()
+
+
+class Process:
+    """``python -m hd_diag.node`` with a parameter file.
+
+    Every node of a test process has a namespace of its own, its diagnostics too.
+    """
+
+    def __init__(
+        self, folder: Path, parameters: Mapping[str, Any], *arguments: str, file_size: int | None = None
+    ) -> None:
+        self.namespace = f"/n{next(_numbers)}"
+        file = folder / "parameters.yaml"
+        file.write_text(yaml.safe_dump({"/**": {"ros__parameters": dict(parameters)}}))
+        self.stderr = folder / "stderr.txt"
+        ros = ["--ros-args", "--params-file", str(file), "-r", f"__ns:={self.namespace}"]
+        remap = ["-r", f"/diagnostics:={self.namespace}/diagnostics", "-r", f"/clock:={self.namespace}/clock"]
+
+        def limit() -> None:
+            if file_size is not None:
+                signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+                resource.setrlimit(resource.RLIMIT_FSIZE, (file_size, file_size))
+
+        with self.stderr.open("wb") as stderr:
+            self.popen = subprocess.Popen(
+                [sys.executable, "-m", "hd_diag.node", *ros, *remap, *arguments],
+                stdout=stderr,
+                stderr=stderr,
+                preexec_fn=limit,
+            )
+
+    def end(self, number: int = signal.SIGTERM) -> int:
+        """Send a signal and wait for the end; exit code."""
+        self.popen.send_signal(number)
+        return self.popen.wait(LIMIT)
+
+    def output(self) -> str:
+        return self.stderr.read_text()
+
+    def __enter__(self) -> "Process":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.popen.poll() is None:
+            self.popen.kill()
+            self.popen.wait(LIMIT)
+
+
+class Rig:
+    """What stands around the node: publishers, subscriptions, a parameter client."""
+
+    def __init__(self, process: Process) -> None:
+        self.process = process
+        self.node = rclpy.create_node("rig", namespace=process.namespace)
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+        self.client = AsyncParameterClient(self.node, f"{process.namespace}/hd_diag")
+        self.reports: list[DiagnosticArray] = []
+        self.hear("diagnostics", DiagnosticArray, self.reports)
+
+    def until(self, condition: Callable[[], Any], what: str, limit: float = LIMIT) -> Any:
+        """Result of the condition as soon as it is true."""
+        end = time.monotonic() + limit
+        while not (result := condition()):
+            code = self.process.popen.poll()
+            assert code is None, f"the node ended with {code}: {self.process.output()}"
+            assert time.monotonic() < end, f"no {what} within {limit} s: {self.process.output()}"
+            self._executor.spin_once(timeout_sec=0.02)
+        return result
+
+    def drain(self) -> None:
+        """Take what has already arrived."""
+        quiet = 0
+        while quiet < 5:
+            before = len(self.reports)
+            self._executor.spin_once(timeout_sec=0.0)
+            quiet = quiet + 1 if len(self.reports) == before else 0
+
+    def publisher(self, topic: str = "joint_states", kind: Any = JointState, reliable: bool = True) -> Any:
+        """Publisher that the node hears."""
+        reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+        made = self.node.create_publisher(kind, topic, QoSProfile(depth=5000, reliability=reliability))
+        self.until(lambda: made.get_subscription_count() > 0, f"subscription to {topic}")
+        return made
+
+    def hear(self, topic: str, kind: Any, into: list[Any]) -> list[Any]:
+        """Subscribe to something that the node publishes; once heard, everything comes into the list."""
+        heard = self.node.create_subscription(kind, topic, into.append, QoSProfile(depth=5000))
+        self.until(lambda: heard.get_publisher_count() > 0, f"publisher of {topic}")
+        return into
+
+    def status(
+        self, joint: str, condition: Callable[[dict[str, str]], bool] = lambda values: True
+    ) -> DiagnosticStatus:
+        """The first report from now on that fulfils a condition."""
+        self.drain()
+        seen = len(self.reports)
+
+        def fulfilled() -> DiagnosticStatus | None:
+            for array in self.reports[seen:]:
+                for status in array.status:
+                    if status.name == f"hd_diag: {joint}" and condition(values_of(status)):
+                        return status
+            return None
+
+        found: DiagnosticStatus = self.until(fulfilled, f"such report of {joint}")
+        return found
+
+    def values(
+        self, joint: str, condition: Callable[[dict[str, str]], bool] = lambda values: True
+    ) -> dict[str, str]:
+        return values_of(self.status(joint, condition))
+
+    def set(self, atomically: bool = False, **given: Any) -> list[SetParametersResult]:
+        """Set parameters as another process does; ``__`` stands for a dot."""
+        parameters = [Parameter(name.replace("__", "."), value=value) for name, value in given.items()]
+        self.until(self.client.services_are_ready, "parameter services")
+        call = self.client.set_parameters_atomically if atomically else self.client.set_parameters
+        future = call(parameters)
+        self.until(future.done, "answer")
+        answer = future.result()
+        return [answer.result] if atomically else list(answer.results)
+
+    def get(self, *names: str) -> list[Any]:
+        self.until(self.client.services_are_ready, "parameter services")
+        future = self.client.get_parameters(list(names))
+        self.until(future.done, "answer")
+        return list(future.result().values)
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        self.node.destroy_node()
+
+
+def values_of(status: DiagnosticStatus) -> dict[str, str]:
+    return {pair.key: pair.value for pair in status.values}
+
+
+def feed(
+    publisher: Any, stamps: Iterator[int], count: int, rate: float = 1000.0, joint: str = "joint_1"
+) -> None:
+    """Publish samples of a joint that turns, at a rate [Hz]."""
+    begin = time.monotonic()
+    for i in range(count):
+        stamp = next(stamps)
+        publisher.publish(sample(stamp, 0.01 * i, 0.01 * i / 100.0, 1.0, joint))
+        time.sleep(max(0.0, begin + (i + 1) / rate - time.monotonic()))
+
+
+@contextlib.contextmanager
+def running(folder: Path, parameters: Mapping[str, Any], *arguments: str, **more: Any) -> Iterator[Rig]:
+    """A node that answers, and what stands around it."""
+    with Process(folder, parameters, *arguments, **more) as process:
+        rig = Rig(process)
+        try:
+            yield rig
+        finally:
+            rig.close()
+
+
+def environment_is_quiet() -> bool:
+    """Whether these nodes are alone: another run in this domain would drive them."""
+    return os.environ.get("ROS_DOMAIN_ID", "0") != "0"

@@ -1,0 +1,222 @@
+"""The command line: every verb's help, exit codes, one-line errors, and what `mesh --json` says."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner, Result
+from reference import published
+
+from hd_diag.cli import cli
+from hd_diag.config import dump, resolve
+
+VERBS = sorted(cli.commands)
+
+
+def hd_diag(*arguments: str) -> Result:
+    return CliRunner().invoke(cli, list(arguments))
+
+
+def config_file(folder: Path, **values: Any) -> str:
+    """A parameter file with some values of joint_1; double underscores for dots."""
+    named = {f"joint_1.{name.replace('__', '.')}": value for name, value in values.items()}
+    path = folder / "drive.yaml"
+    path.write_text(dump(resolve(named)))
+    return str(path)
+
+
+def mesh(*arguments: str) -> dict[str, Any]:
+    result = hd_diag("mesh", *arguments, "--json", "-")
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout)
+
+
+def assert_one_line_error(result: Result, *parts: str) -> None:
+    """Exit code 2, nothing on stdout, one line on stderr, not a traceback."""
+    assert result.exit_code == 2
+    assert isinstance(result.exception, SystemExit)
+    assert result.stdout == ""
+    assert len(result.stderr.splitlines()) == 1
+    assert result.stderr.startswith("hd-diag: ")
+    for part in parts:
+        assert part in result.stderr
+
+
+# Help and usage ---
+
+
+def test_the_verbs_of_the_contract_are_there() -> None:
+    assert {"demo", "check", "mesh", "simulate", "node"} <= set(VERBS)
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_help_of_every_verb(verb: str) -> None:
+    for option in ("--help", "-h"):
+        result = hd_diag(verb, option)
+        assert result.exit_code == 0
+        assert result.output.startswith(f"Usage: cli {verb} ")
+        assert cli.commands[verb].help.splitlines()[0].split(":")[0] in " ".join(result.output.split())
+
+
+def test_help_lists_every_verb() -> None:
+    listed = hd_diag("--help").output.partition("Commands:")[2]
+    assert [line.split()[0] for line in listed.splitlines() if line[:3] == "  " + line[2:3].strip()] == VERBS
+
+
+def test_readme_lists_every_verb() -> None:
+    readme = (Path(__file__).resolve().parent.parent / "README.md").read_text()
+    assert sorted(re.findall(r"(?m)^\| `([a-z]+)` \|", readme)) == VERBS
+
+
+@pytest.mark.parametrize(
+    "arguments", [("nonsense",), ("mesh", "--nonsense"), ("check",), ("mesh", "--torque", "x")]
+)
+def test_bad_usage(arguments: tuple[str, ...]) -> None:
+    result = hd_diag(*arguments)
+    assert result.exit_code == 2
+    assert "Traceback" not in result.output
+    assert "Error: " in result.stderr
+
+
+def test_version() -> None:
+    assert hd_diag("--version").output == "hd-diag, version 0.1.0\n"
+
+
+# check ---
+
+
+def test_check_describes_a_valid_configuration(tmp_path: Path) -> None:
+    path = config_file(tmp_path, eccentricity__magnitude=12e-6)
+    result = hd_diag("check", path)
+    assert result.exit_code == 0
+    assert result.output == (
+        "joint_1: joint_1_motor -> joint_1, ratio 100, 200/202 teeth, rated 56 N m, eccentricity 12 um\n"
+        f"{path}: valid\n"
+    )
+
+
+def test_check_json_holds_every_parameter(tmp_path: Path) -> None:
+    path = config_file(tmp_path, torque=3.5)
+    result = hd_diag("check", path, "--json", "-")
+    told = json.loads(result.stdout)
+    assert (told["schema"], told["valid"]) == ("hd_diag/check/1", True)
+    assert told["parameters"] == dict(resolve({"joint_1.torque": 3.5}).flat)
+
+
+def test_check_names_file_parameter_and_expectation(tmp_path: Path) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_text("hd_diag: {ros__parameters: {joint_1: {rated_torque: '56'}}}")
+    result = hd_diag("check", str(path))
+    assert_one_line_error(result, str(path), "joint_1.rated_torque", "expected a number [N m]", "'56'")
+
+
+@pytest.mark.parametrize("verb", [("check",), ("mesh", "--config"), ("node", "--config")])
+def test_missing_file(verb: tuple[str, ...], tmp_path: Path) -> None:
+    assert_one_line_error(
+        hd_diag(*verb, str(tmp_path / "none.yaml")), "none.yaml", "No such file or directory"
+    )
+
+
+def test_result_that_cannot_be_written(tmp_path: Path) -> None:
+    result = hd_diag("check", config_file(tmp_path), "--json", str(tmp_path / "no" / "folder.json"))
+    assert_one_line_error(result, "folder.json: cannot be written: No such file or directory")
+
+
+# mesh ---
+
+
+def test_mesh_json_has_the_keys_of_the_contract(tmp_path: Path) -> None:
+    told = mesh("--input-angle", "0.3", "--torque", "14")
+    keys = "schema joint input_angle torque torsion transmission_error lost_motion interference backlash load"
+    assert set(keys.split()) | {"pressure_angle"} <= set(told)
+    assert told["schema"] == "hd_diag/mesh/1"
+    assert (told["joint"], told["input_angle"], told["torque"]) == ("joint_1", 0.3, 14.0)
+    for key in ("backlash", "load", "pressure_angle"):
+        assert {sign: len(values) for sign, values in told[key].items()} == {"+": 200, "-": 200}
+    assert None in told["backlash"]["+"]
+    assert all(isinstance(force, float) and force >= 0.0 for force in told["load"]["+"] + told["load"]["-"])
+
+
+@pytest.mark.parametrize("eccentricity", published.BACKLASH)
+def test_mesh_gives_the_published_backlash(eccentricity: float, tmp_path: Path) -> None:
+    """To 0.05 um, and to 0.1 % where a value is printed to no more."""
+    path = config_file(
+        tmp_path, eccentricity__magnitude=eccentricity, eccentricity__direction=1.5707963267948966
+    )
+    backlash = mesh("--config", path)["backlash"]["+"]
+    for tooth, expected in zip(published.BACKLASH_TEETH, published.BACKLASH[eccentricity], strict=True):
+        assert backlash[tooth] == pytest.approx(expected, abs=0.05e-6, rel=0.0), tooth
+
+
+@pytest.mark.parametrize("case", published.LOAD_CASES)
+def test_mesh_gives_the_published_torsion_and_loads(case: published.LoadCase, tmp_path: Path) -> None:
+    path = config_file(
+        tmp_path, eccentricity__magnitude=case.eccentricity, eccentricity__direction=1.5707963267948966
+    )
+    told = mesh("--config", path, "--torque", str(case.torque))
+    assert told["torsion"] == pytest.approx(case.torsion, rel=1e-3)
+    loaded = tuple(sum(force > 0.0 for force in told["load"][sign]) for sign in "+-")
+    assert loaded == case.loaded
+    assert told["loaded_pairs"] == sum(loaded)
+    if case.largest_force is not None:
+        assert max(told["load"]["+"]) == pytest.approx(case.largest_force, abs=0.05)
+
+
+def test_mesh_as_driven_is_the_reaction() -> None:
+    """The torque that the drive exerts on the link turns the cup the other way; the error is its torsion."""
+    told = mesh("--torque", "20")
+    assert told["transmission_error"] == pytest.approx(told["as_driven"]["torsion"], rel=1e-12)
+    assert told["transmission_error"] < 0.0 < told["torsion"]
+
+
+def test_mesh_of_another_joint(tmp_path: Path) -> None:
+    path = tmp_path / "two.yaml"
+    path.write_text(dump(resolve({"joints": ["a", "b"], "b.ratio": -100.0})))
+    first, second = (
+        mesh("--config", str(path), "--input-angle", "0.2", *which) for which in ((), ("--joint", "b"))
+    )
+    assert (first["joint"], second["joint"]) == ("a", "b")
+    mirrored = [first["backlash"]["-"][-tooth] for tooth in range(200)]
+    assert second["backlash"]["+"] == pytest.approx(mirrored, abs=1e-12, nan_ok=True)
+    assert_one_line_error(hd_diag("mesh", "--config", str(path), "--joint", "c"), "no joint 'c'", "a, b")
+
+
+def test_mesh_table_lists_the_teeth_that_can_touch(tmp_path: Path) -> None:
+    path = tmp_path / "mesh.json"
+    result = hd_diag("mesh", "--torque", "56", "--json", str(path))
+    assert result.exit_code == 0
+    told = json.loads(path.read_text())
+    can_touch = [
+        n for n in range(200) if (told["backlash"]["+"][n], told["backlash"]["-"][n]) != (None, None)
+    ]
+    rows = [line.split("│")[1].strip() for line in result.output.splitlines() if line.startswith("│")]
+    assert rows == [str(tooth) for tooth in can_touch]
+    assert "70 loaded flanks, largest force 39.755 N" in " ".join(result.output.split())
+
+
+@pytest.mark.parametrize("value", ["nan", "inf"])
+def test_mesh_refuses_what_is_not_finite(value: str) -> None:
+    result = hd_diag("mesh", "--torque", value)
+    assert result.exit_code == 2
+    assert "must be finite" in result.stderr
+
+
+# As installed ---
+
+
+def test_installed_command(tmp_path: Path) -> None:
+    """The console script, once; a traceback would show here as it does to the user."""
+    command = Path(sys.executable).with_name("hd-diag")
+    if not command.exists():
+        pytest.skip("this Python has no hd-diag installed")
+    good = subprocess.run(
+        [command, "check", config_file(tmp_path)], capture_output=True, text=True, timeout=60
+    )
+    assert (good.returncode, good.stderr) == (0, "")
+    bad = subprocess.run([command, "check", tmp_path], capture_output=True, text=True, timeout=60)
+    assert (bad.returncode, bad.stdout) == (2, "")
+    assert bad.stderr == f"hd-diag: {tmp_path}: cannot be read: Is a directory\n"

@@ -1,0 +1,385 @@
+"""Configuration: files, the check of single values and of the whole, hostile input."""
+
+import contextlib
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hd_diag.config import ConfigError, dump, flatten, load, nested, parameters, resolve
+from hd_diag.demo_process import Child
+from hd_diag.parameter_file import read
+
+ROOT = Path(__file__).resolve().parent.parent
+FILES = sorted((ROOT / "config").glob("*.yaml"))
+EXAMPLE = ROOT / "config/example_drive.yaml"
+KNOWN = parameters(["joint_1"])
+
+
+def refusal(values: dict[str, Any]) -> str:
+    with pytest.raises(ConfigError) as caught:
+        resolve(values)
+    text = str(caught.value)
+    assert len(text.splitlines()) == 1
+    return text
+
+
+def written(path: Path, content: str | bytes) -> Path:
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+def file_refusal(path: Path) -> str:
+    with pytest.raises(ConfigError) as caught:
+        load(path)
+    text = str(caught.value)
+    assert text.startswith(f"{path}: ")
+    assert len(text.splitlines()) == 1
+    assert len(text) < len(str(path)) + 500
+    return text
+
+
+def section(text: str) -> str:
+    return f"hd_diag: {{ros__parameters: {{{text}}}}}"
+
+
+# The files of the package ---
+
+
+def test_there_are_files() -> None:
+    assert {path.name for path in FILES} == {"example_drive.yaml", "node.yaml", "seven_joints.yaml"}
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_file_survives_dump_and_load(path: Path, tmp_path: Path) -> None:
+    config = load(path)
+    again = load(written(tmp_path / "again.yaml", dump(config)))
+    assert again == config
+    assert again.flat == config.flat
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_node_starts_with_file(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The parser of ROS itself must take it too."""
+    monkeypatch.chdir(tmp_path)  # where a log goes
+    with Child("hd_diag.node", ["--ros-args", "--params-file", str(path)], tmp_path / "out.txt") as node:
+        while not any("log" in line for line in node.lines):
+            node.check()
+            time.sleep(0.05)
+        assert node.end() == 0
+
+
+def test_example_holds_every_parameter_with_its_default() -> None:
+    assert read(EXAMPLE) == resolve({}).flat
+    assert set(read(EXAMPLE)) == set(KNOWN)
+
+
+def test_example_states_every_unit() -> None:
+    lines = EXAMPLE.read_text().splitlines()
+    tree = yaml.compose("\n".join(lines))
+    places = dict(leaves(tree.value[0][1].value[0][1]))
+    assert set(places) == set(KNOWN)
+    missing = [
+        name
+        for name, line in places.items()
+        if KNOWN[name].unit and f"[{KNOWN[name].unit}]" not in lines[line]
+    ]
+    assert missing == []
+
+
+def leaves(node: yaml.MappingNode, prefix: str = "") -> Any:
+    """Full name and line of every value."""
+    for key, value in node.value:
+        if isinstance(value, yaml.MappingNode):
+            yield from leaves(value, f"{prefix}{key.value}.")
+        else:
+            yield prefix + key.value, value.start_mark.line
+
+
+def test_seven_joints_differ_as_written() -> None:
+    joints = {joint.name: joint for joint in load(ROOT / "config/seven_joints.yaml").joints}
+    assert list(joints) == [f"joint_{number}" for number in range(1, 8)]
+    assert joints["joint_2"].drive.mesh.eccentricity == pytest.approx(12e-6j, abs=1e-11)
+    assert joints["joint_3"].drive.kinematics.ratio == -100.0
+    assert joints["joint_6"].drive.kinematics.output == "circular_spline"
+    assert joints["joint_7"].output_joint == "joint_7"
+    assert joints["joint_7"].input_joint == "joint_7_motor"
+
+
+# Single values ---
+
+
+@pytest.mark.parametrize(
+    ("name", "near"),
+    [
+        ("array_rat", "array_rate"),
+        ("joint_1.eccentricity.magnitde", "joint_1.eccentricity.magnitude"),
+        ("joint_1.flexspline_tooth.addendum_centre", "joint_1.flexspline_tooth.addendum_center"),
+        ("joint_2.ratio", "joint_1.ratio"),
+        ("log.pth", "log.path"),
+    ],
+)
+def test_unknown_parameter_names_the_nearest(name: str, near: str) -> None:
+    assert refusal({name: 1.0}) == f"unknown parameter '{name}'; the nearest known is '{near}'"
+
+
+def test_whole_number_serves_for_a_real_one() -> None:
+    config = resolve({"joint_1.rated_torque": 56, "array_rate": 0})
+    assert config == resolve({"joint_1.rated_torque": 56.0, "array_rate": 0.0})
+    assert type(config.flat["joint_1.rated_torque"]) is float
+
+
+def test_real_number_without_fraction_serves_for_a_whole_one() -> None:
+    assert resolve({"joint_1.flexspline_teeth": 200.0}).flat["joint_1.flexspline_teeth"] == 200
+
+
+NOT_A_NUMBER = [math.nan, math.inf, -math.inf, "56", "", True, None, [56.0], 10**400, 10**9000, 1 + 2j]
+
+
+@pytest.mark.parametrize("value", NOT_A_NUMBER, ids=range(len(NOT_A_NUMBER)))
+def test_value_that_is_no_number(value: Any) -> None:
+    text = refusal({"joint_1.rated_torque": value})
+    assert text.startswith("joint_1.rated_torque: expected a number [N m], not ")
+
+
+@pytest.mark.parametrize("value", [200.5, math.nan, "200", True, [200]])
+def test_value_that_is_no_whole_number(value: Any) -> None:
+    text = refusal({"joint_1.flexspline_teeth": value})
+    assert text.startswith("joint_1.flexspline_teeth: expected a whole number [-], not ")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [
+        ("joint_1.rated_torque", -1.0, "expected a number [N m] from 0.001 to 100000, not -1.0"),
+        ("joint_1.eccentricity.magnitude", 5e-3, "expected a number [m] from 0 to 0.001, not 0.005"),
+        ("joint_1.flexspline_teeth", 10, "expected a whole number [-] from 20 to 2000, not 10"),
+        ("diagnostics_rate", 0.0, "expected a number [Hz] from 0.01 to 100, not 0.0"),
+        ("joint_1.output", "cup", "expected one of flexspline, circular_spline, not 'cup'"),
+        ("joint_1.input_joint", 3, "expected a text, not 3"),
+        ("log.overwrite", 1, "expected true or false, not 1"),
+        ("joint_1.flexspline_tooth.addendum_center", 0.1, "expected two numbers [x, y] [m], not 0.1"),
+        ("joint_1.flexspline_tooth.addendum_center", [0.1], "expected two numbers [x, y] [m], not 1"),
+        ("joint_1.flexspline_tooth.addendum_center", [0.1, "0"], "expected a number [m], not '0'"),
+        ("log.path", "x\n" * 1000, None),
+    ],
+)
+def test_value_out_of_range_or_type(name: str, value: Any, expected: str | None) -> None:
+    if expected is None:  # any text can be a path
+        assert resolve({name: value}).log.path == value
+    else:
+        assert refusal({name: value}) == f"{name}: {expected}"
+
+
+# The whole ---
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        ({"ratio": 101.0}, "ratio 101 does not fit 200 and 202 teeth"),
+        ({"ratio": 0.0}, "its magnitude must be 100"),
+        ({"output": "circular_spline"}, "its magnitude must be 101"),
+        ({"circular_spline_teeth": 203}, "must exceed flexspline_teeth"),
+        ({"circular_spline_teeth": 198}, "must exceed flexspline_teeth"),
+        ({"circular_spline_slot.addendum_radius": 0.2e-3}, "circular_spline_slot.addendum_radius"),
+        ({"neutral_curve.semi_major": 0.035}, "flexspline"),
+        ({"neutral_curve.semi_major": 0.0297, "neutral_curve.semi_minor": 0.0303}, ""),
+        ({"circular_spline_tip_radius": 0.040}, "circular_spline_slot"),
+        ({"limits.overlap.warn": 1e-3}, "limits.overlap: error (2e-05) must not be below warn (0.001)"),
+        ({"model_file": "x.json"}, "model_file: 'x.json'"),
+        ({"output_joint": "joint_1_motor"}, "output_joint: 'joint_1_motor' is already joint_1.input_joint"),
+    ],
+)
+def test_configuration_that_cannot_be(values: dict[str, Any], reason: str) -> None:
+    text = refusal({f"joint_1.{name}": value for name, value in values.items()})
+    assert text.startswith("joint_1")
+    assert reason in text
+
+
+def test_smaller_gear_is_accepted_with_its_own_ratio() -> None:
+    assert resolve({"joint_1.ratio": -100.0}).joints[0].drive.kinematics.ratio == -100.0
+
+
+@pytest.mark.parametrize(
+    "joints",
+    [
+        [],
+        "joint_1",
+        None,
+        3,
+        [1],
+        ["a", "a"],
+        ["a.b"],
+        ["a b"],
+        ["ä"],
+        ["1a"],
+        [""],
+        ["log"],
+        ["use_sim_time"],
+        {"a": 1},
+    ],
+)
+def test_joints_that_cannot_be(joints: Any) -> None:
+    assert refusal({"joints": joints}).startswith("joints: ")
+
+
+def test_two_joints_cannot_share_a_name() -> None:
+    text = refusal({"joints": ["a", "b"], "b.input_joint": "a_motor"})
+    assert text == "b.input_joint: 'a_motor' is already a.input_joint"
+
+
+# Files ---
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        ("", "expected 'hd_diag: ros__parameters: ...' at the top"),
+        ("[1, 2]", "expected 'hd_diag: ros__parameters: ...' at the top"),
+        ("other_node: {ros__parameters: {}}", "expected 'hd_diag: ros__parameters: ...' at the top"),
+        ("hd_diag: {array_rate: 1.0}", "'hd_diag' holds no 'ros__parameters'"),
+        ("hd_diag: {ros__parameters: 3}", "'hd_diag' holds no 'ros__parameters'"),
+        (section("array_rat: 1.0"), "unknown parameter 'array_rat'; the nearest known is 'array_rate'"),
+        (section("array_rate: .nan"), "array_rate: expected a number [Hz], not nan"),
+        (section("array_rate: 1, array_rate: 2"), "not YAML: line 1: 'array_rate' stands twice below it"),
+        (section("joint_1: 3"), "unknown parameter 'joint_1'"),
+        (section("? [a, b] : 3"), "not YAML: "),
+        (section("1: 2"), "unknown parameter '1'"),
+        (section(f"{'x' * 900}: 2"), "unknown parameter 'xxx"),
+        (section(f"array_rate: {'9' * 5000}"), "not YAML: "),
+        (section(f"array_rate: [{'1, ' * 5000}]"), "array_rate: expected a number [Hz], not [1, 1"),
+        ("hd_diag: [", "not YAML: "),
+        ("hd_diag: !!python/object:os.system {}", "not YAML: "),
+        ("!!bool x", "not YAML: "),
+        ("a: &a {x: 1}\nb: *a", "not YAML: line 2: an alias (*name), which ROS does not take"),
+        ("a: &a [*a]", "not YAML: line 1: an alias"),
+        ("[" * 100_000, "not YAML: "),
+        ("{a: " * 100_000, "not YAML: "),
+        ("a: 1\n---\nb: 2", "not YAML: "),
+        ("\t", "not YAML: "),
+        ("#" * 2_000_000, "longer than 1000000 bytes"),
+        (b"\xff\xfe\x00", "not a text in UTF-8: "),
+        (b"hd_diag\x00: 1", "not YAML: "),
+        (bytes(range(256)) * 4, "not a text in UTF-8: "),
+    ],
+)
+def test_file_that_cannot_be(content: str | bytes, reason: str, tmp_path: Path) -> None:
+    path = written(tmp_path / "drive.yaml", content)
+    assert file_refusal(path).removeprefix(f"{path}: ").startswith(reason)
+
+
+def test_missing_file_and_folder(tmp_path: Path) -> None:
+    assert file_refusal(tmp_path / "none.yaml").endswith("cannot be read: No such file or directory")
+    assert file_refusal(tmp_path).endswith("cannot be read: Is a directory")
+
+
+@pytest.mark.parametrize(
+    ("text", "value"), [("1e-3", 1e-3), ("1E2", 100.0), ("09", 9.0), ("+.5", 0.5), ("2.", 2.0), ("0", 0.0)]
+)
+def test_numbers_are_those_of_ros(text: str, value: float, tmp_path: Path) -> None:
+    """YAML 1.1 takes 1e-3 for a text and 09 for none; a node of ROS reads numbers."""
+    assert load(written(tmp_path / "f.yaml", section(f"array_rate: {text}"))).array_rate == value
+
+
+def test_a_date_is_a_text(tmp_path: Path) -> None:
+    assert load(written(tmp_path / "f.yaml", section("log: {path: 2026-01-01}"))).log.path == "2026-01-01"
+
+
+@pytest.mark.parametrize("name", ["hd_diag", "/hd_diag", "/arm/hd_diag", "/**"])
+def test_node_name_of_the_section(name: str, tmp_path: Path) -> None:
+    text = section("array_rate: 7.0").replace("hd_diag", f"'{name}'", 1)
+    assert load(written(tmp_path / "f.yaml", text)).array_rate == 7.0
+
+
+def test_sections_are_merged_parameter_by_parameter(tmp_path: Path) -> None:
+    text = "/**: {ros__parameters: {joint_1: {torque: 3.0, rated_torque: 50.0}}}\n" + section(
+        "joint_1: {torque: 4.0}"
+    )
+    joint = load(written(tmp_path / "f.yaml", text)).joints[0]
+    assert (joint.torque, joint.drive.rated_torque) == (4.0, 50.0)
+
+
+def test_parameters_of_every_ros_node_are_no_error(tmp_path: Path) -> None:
+    text = section("use_sim_time: true, qos_overrides: {/parameter_events: {publisher: {depth: 1}}}")
+    assert load(written(tmp_path / "f.yaml", text)) == resolve({})
+
+
+def test_nested_and_flat_are_inverse() -> None:
+    flat = resolve({}).flat
+    assert dict(flatten(nested(flat))) == flat
+
+
+# Hostile input ---
+
+SCALARS = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(),
+    st.floats(),
+    st.text(max_size=20),
+    st.binary(max_size=5),
+    st.just(10**4000),
+    st.sampled_from([0.0, 1e-3, 0.03, 1.0, 100.0, 200, 202, "flexspline", "circular_spline", ["joint_1"]]),
+)
+KEYS = st.one_of(st.text(max_size=10), st.integers(), st.none(), st.sampled_from(sorted(KNOWN)))
+JUNK = st.recursive(
+    SCALARS,
+    lambda inner: st.one_of(st.lists(inner, max_size=4), st.dictionaries(KEYS, inner, max_size=6)),
+    max_leaves=20,
+)
+
+
+@given(st.dictionaries(KEYS, JUNK, max_size=6))
+def test_junk_is_refused_or_taken(junk: dict[Any, Any]) -> None:
+    with contextlib.suppress(ConfigError):
+        resolve(dict(flatten(junk)))
+
+
+@given(st.dictionaries(st.sampled_from(sorted(KNOWN)), SCALARS, max_size=8))
+def test_any_value_of_a_known_parameter_is_refused_or_taken(values: dict[str, Any]) -> None:
+    with contextlib.suppress(ConfigError):
+        config = resolve(values)
+        assert all(type(config.flat[name]) is type(spec.default) for name, spec in KNOWN.items())
+
+
+def in_range(name: str) -> st.SearchStrategy[float]:
+    spec = KNOWN[name]
+    return st.one_of(
+        st.floats(spec.low, spec.high, allow_nan=False, allow_infinity=False),
+        st.floats(0.5, 2.0).map(lambda factor: min(max(factor * spec.default, spec.low), spec.high)),
+    )
+
+
+REALS = [name for name, spec in KNOWN.items() if type(spec.default) is float]
+
+
+@given(st.sampled_from(REALS).flatmap(lambda name: st.tuples(st.just(name), in_range(name))), st.data())
+def test_values_in_range_are_refused_or_taken_as_a_whole(
+    first: tuple[str, float], data: st.DataObject
+) -> None:
+    second = data.draw(st.sampled_from(REALS))
+    with contextlib.suppress(ConfigError):
+        resolve(dict([first]) | {second: data.draw(in_range(second))})
+
+
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("junk") / "junk.yaml"
+
+
+@given(st.one_of(st.binary(max_size=300), st.text(max_size=300).map(str.encode)))
+def test_any_file_is_refused(scratch: Path, content: bytes) -> None:
+    file_refusal(written(scratch, content))
+
+
+@given(JUNK)
+def test_junk_in_a_file_is_refused_or_taken(scratch: Path, junk: Any) -> None:
+    written(scratch, yaml.dump({"hd_diag": {"ros__parameters": junk}}))
+    with contextlib.suppress(ConfigError):
+        load(scratch)

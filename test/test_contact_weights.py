@@ -1,0 +1,248 @@
+"""What errors of teeth do to the transmission error: against moved teeth in the brute-force reference."""
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import drives
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from reference import polyline
+
+from hd_diag.drive import Drive
+from hd_diag.effects.contact_weights import ContactTable, ContactWeights, contact_table
+from hd_diag.model import load_sharing
+from hd_diag.model.torsion import torsion
+from hd_diag.model.transmission_error import Kinematics
+
+Array = polyline.Array
+
+ECCENTRICITY = (9e-6, 4e-6)
+DRIVE = Drive(drives.mesh(eccentricity=ECCENTRICITY), Kinematics(100.0), 56.0)
+LIMIT = 60.0
+ANGLES = np.array([0.3, 1.9, 7.7, -4.0, 11.2])
+TORQUES = np.array([-50.0, -12.0, 20.0, 45.0])
+PITCH = 2 * math.pi / 202
+SLOTS = PITCH * np.arange(202)
+# Steps of the shares where pairs come into load, smeared by the grid and by the displacement itself: a few
+# pairs of some fifty.
+TOLERANCE = 0.05
+
+
+def weights(drive: Drive, angle: Array, torque: Array) -> ContactWeights:
+    return ContactWeights(drive, angle, torque, LIMIT)
+
+
+def product(angle: Array = ANGLES, torque: Array = TORQUES) -> tuple[Array, Array]:
+    return np.repeat(angle, torque.size), np.tile(torque, angle.size)
+
+
+# Brute force ---
+
+
+def moved_outward(angle: float, outward: Array) -> polyline.Mesh:
+    """The reference's mesh with slots displaced radially [m]: every wall point moves along its slot's axis."""
+    wall = polyline._slot_polar(drives.PAPER, 1600)
+    x, y = wall[0] * np.cos(wall[1]), wall[0] * np.sin(wall[1])
+    parts = []
+    for distance in np.unique(outward):
+        one = np.hypot(x + distance, y), np.arctan2(y, x + distance)
+        parts.append((distance, one))
+    walls = dict(parts)
+    origin, normal = polyline.tooth_axes(angle, ECCENTRICITY)
+    flank = polyline._flank(drives.PAPER.tooth, drives.PAPER.tooth_root, drives.PAPER.tooth_tip, 1600)
+    middle = origin + 0.5 * (drives.PAPER.tooth_root + drives.PAPER.tooth_tip) * normal
+    slot = np.rint(np.arctan2(middle[1], middle[0]) / PITCH).astype(int)
+    out = np.full((3, 2, 200), np.nan)
+    for side, sign in enumerate((1, -1)):
+        across = np.array([-normal[1], normal[0]]) * sign
+        body = origin[:, :, None] + normal[:, :, None] * flank[0] + across[:, :, None] * flank[1]
+        radius = np.hypot(body[0], body[1])
+        for i in np.flatnonzero(radius[:, -1] > wall[0][0]):
+            c, s = np.cos(slot[i] * PITCH), np.sin(slot[i] * PITCH)
+            place = np.arctan2(c * body[1, i] - s * body[0, i], c * body[0, i] + s * body[1, i])
+            out[:, side, i] = polyline._contact((radius[i], sign * place), walls[outward[slot[i]]])
+    return polyline.Mesh(out[0], out[0] * out[1], out[1], out[2])
+
+
+def turned(mesh: Callable[[float], polyline.Mesh]) -> Array:
+    """How the cup turns when teeth are displaced, at all moments and torques [rad]; TE of this drive."""
+    result = []
+    for angle in ANGLES:
+        before, after = polyline.mesh(angle, ECCENTRICITY), mesh(angle)
+        result += [polyline.torsion(after, -t) - polyline.torsion(before, -t) for t in TORQUES]
+    return np.array(result)
+
+
+def rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+@pytest.mark.parametrize("order", [2, 4])
+def test_moved_slots(order: int) -> None:
+    size, place = 1e-6, 0.7
+    shift = size * np.cos(order * (SLOTS - place))
+    expected = turned(lambda angle: polyline.mesh(angle, ECCENTRICITY, slot_shift=shift))
+    response = weights(DRIVE, *product()).slot_harmonic(order)
+    found = (size * np.exp(-1j * order * place) * response).real
+    assert rms(found - expected) < TOLERANCE * rms(expected)
+
+
+@pytest.mark.parametrize("order", [2, 4])
+def test_slots_out_of_round(order: int) -> None:
+    size, place = 1e-6, 0.7
+    outward = size * np.cos(order * (SLOTS - place))
+    expected = turned(lambda angle: moved_outward(angle, outward))
+    response = weights(DRIVE, *product()).radial_harmonic(order)
+    found = (size * np.exp(-1j * order * place) * response).real
+    assert rms(found - expected) < TOLERANCE * rms(expected)
+
+
+def test_one_moved_slot() -> None:
+    """A slot displaced by 2 um opens its + flank and closes its - flank."""
+    slot = 11  # 0.34 rad: at a lobe in the first moment
+    shift = np.zeros(202)
+    shift[slot] = 2e-6
+    expected = turned(lambda angle: polyline.mesh(angle, ECCENTRICITY, slot_shift=shift))
+    flanks = weights(DRIVE, *product()).one_slot(slot * PITCH)
+    found = 2e-6 * (flanks[:, 0] - flanks[:, 1])
+    assert np.abs(expected).max() > 1e-6
+    assert rms(found - expected) < 2 * TOLERANCE * rms(expected)
+
+
+# Against the exact shares ---
+
+
+def exact(angle: Array, torque: Array) -> tuple[load_sharing.LoadSharing, Array, Array, Array]:
+    contact = DRIVE.mesh.contacts(angle)
+    share = DRIVE.mesh.share_load(contact, DRIVE.kinematics.cup_torque(torque))
+    return share, np.where(np.isnan(contact.rotation), 1.0, contact.radius), contact.slots, contact.teeth
+
+
+@pytest.fixture(scope="module")
+def many() -> tuple[Array, Array]:
+    rng = np.random.default_rng(0)
+    angle, torque = rng.uniform(-300.0, 300.0, 2000), rng.uniform(-LIMIT, LIMIT, 2000)
+    return angle, torque
+
+
+@pytest.mark.parametrize("order", [2, 4, 6])
+def test_harmonics_are_sums_of_shares(many: tuple[Array, Array], order: int) -> None:
+    share, radius, slots, teeth = exact(*many)
+    lever = np.abs(share.weight) / radius
+    found = weights(DRIVE, *many)
+    expected = np.einsum("nfp,np->n", lever, np.exp(1j * order * PITCH * slots))
+    assert rms(np.abs(found.slot_harmonic(order) - expected)) < 0.04 * np.abs(expected).max()
+    expected = -np.einsum("nfp,np->n", lever, np.exp(1j * order * 2 * math.pi / 200 * teeth))
+    assert rms(np.abs(found.tooth_harmonic(order) - expected)) < 0.04 * np.abs(expected).max()
+
+
+def test_clearance_is_the_signed_sum(many: tuple[Array, Array]) -> None:
+    share, radius, _, _ = exact(*many)
+    expected = np.sum(share.weight / radius, axis=(1, 2))
+    assert rms(weights(DRIVE, *many).clearance() - expected) < 0.04 * np.abs(expected).max()
+
+
+def test_single_teeth_are_their_shares(many: tuple[Array, Array]) -> None:
+    share, radius, slots, teeth = exact(*many)
+    found = weights(DRIVE, *many)
+    for index, response, pitch in (
+        (slots, found.one_slot, PITCH),
+        (teeth, found.one_tooth, 2 * math.pi / 200),
+    ):
+        for number in (0, 60, 199):
+            own = (index == number)[:, None, :]
+            expected = np.sum(np.where(own, share.weight / radius, 0.0), axis=2)
+            away = response(number * pitch) - expected
+            assert np.abs(expected).max() > 0.3
+            assert rms(away) < 0.05 * np.abs(expected).max()
+
+
+# Laws ---
+
+
+def test_all_teeth_together(many: tuple[Array, Array]) -> None:
+    """All slots, or all teeth, moved by c turn the output by c over the contacts' radius."""
+    found = weights(DRIVE, *many)
+    radius = 30.9e-3
+    assert_allclose(found.slot_harmonic(0), 1 / radius, rtol=5e-3)
+    assert_allclose(found.tooth_harmonic(0), -1 / radius, rtol=5e-3)
+
+
+def test_single_teeth_add_up() -> None:
+    few = product()
+    found = weights(DRIVE, *few)
+    slots = sum(found.one_slot(slot * PITCH) for slot in range(202))
+    teeth = sum(found.one_tooth(tooth * 2 * math.pi / 200) for tooth in range(200))
+    assert_allclose(np.sum(slots, axis=1), found.clearance(), atol=1e-9)
+    assert_allclose(np.sum(teeth, axis=1), found.clearance(), atol=1e-9)
+
+
+def test_uniform_radial_displacement_is_the_datum() -> None:
+    """Against the torsion of a drive whose slots all stand farther out."""
+    angle, torque = product(np.linspace(0.0, 6.0, 40))
+    step = 50e-9
+    beta = []
+    for sign in (-1, 1):
+        datum = DRIVE.mesh.geometry.circular_spline_datum + sign * step
+        geometry = dataclasses.replace(DRIVE.mesh.geometry, circular_spline_datum=datum)
+        beta.append(torsion(dataclasses.replace(DRIVE.mesh, geometry=geometry), angle, -torque))
+    expected = (beta[1] - beta[0]) / (2 * step)
+    found = weights(DRIVE, angle, torque).radial_harmonic(0)
+    assert_allclose(found.imag, 0.0, atol=1e-9)
+    assert rms(found.real - expected) < 0.03 * rms(expected)
+
+
+def test_reversed_torque_turns_radial_errors_round() -> None:
+    """Mirrored, without eccentricity: pitch errors keep their sign on average, form errors change it."""
+    drive = Drive(drives.mesh(), Kinematics(100.0), 56.0)
+    angle = np.linspace(0.0, 2 * math.pi, 101)
+    up, down = (weights(drive, angle, np.full(101, torque)) for torque in (30.0, -30.0))
+    turning = np.exp(-2j * angle)
+    assert (np.mean(up.slot_harmonic(2) * turning) / np.mean(down.slot_harmonic(2) * turning)).real > 0.5
+    assert (np.mean(up.radial_harmonic(2) * turning) / np.mean(down.radial_harmonic(2) * turning)).real < -0.5
+
+
+def test_slots_come_back_every_turn_and_teeth_two_further(many: tuple[Array, Array]) -> None:
+    angle, torque = many
+    here, there = weights(DRIVE, angle, torque), weights(DRIVE, angle + 2 * math.pi, torque)
+    for position in (0.0, 1.0, 5.0):
+        assert_allclose(there.one_slot(position), here.one_slot(position), atol=1e-9)
+        ahead = position + 2 * 2 * math.pi / 200
+        assert_allclose(there.one_tooth(ahead), here.one_tooth(position), atol=1e-9)
+    assert_allclose(there.tooth_harmonic(2), here.tooth_harmonic(2) * np.exp(4j * math.pi / 100), atol=1e-9)
+
+
+def test_output_at_the_circular_spline_lags() -> None:
+    """Slots ahead in their ring let the ring lag; the torque acts the other way round as well."""
+    other = Drive(DRIVE.mesh, Kinematics(101.0, "circular_spline"), 56.0)
+    angle, torque = product()
+    found = weights(other, angle, -torque).slot_harmonic(2)
+    assert_allclose(found, -weights(DRIVE, angle, torque).slot_harmonic(2), atol=1e-12)
+
+
+def test_idle_is_the_middle_of_both_sides() -> None:
+    angle = np.linspace(0.0, 6.0, 30)
+    above, below, idle = (
+        weights(DRIVE, angle, np.full(30, torque)).slot_harmonic(2) for torque in (1e-12, -1e-12, 0.0)
+    )
+    assert_allclose(idle, 0.5 * (above + below), rtol=1e-4)
+
+
+def test_response_stays_beyond_the_limit() -> None:
+    angle = np.linspace(0.0, 6.0, 30)
+    at, beyond = (
+        weights(DRIVE, angle, np.full(30, torque)).slot_harmonic(2) for torque in (LIMIT, 2 * LIMIT)
+    )
+    assert_allclose(beyond, at, rtol=1e-12)
+
+
+def test_table_is_built_once() -> None:
+    assert contact_table(DRIVE, LIMIT) is weights(DRIVE, ANGLES, np.zeros(5)).part(slice(0, 2)).table
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, math.nan, math.inf])
+def test_refuses_a_limit(limit: float) -> None:
+    with pytest.raises(ValueError, match=r"torque_limit must be positive, not .* N m"):
+        ContactTable(DRIVE, limit)

@@ -1,0 +1,221 @@
+"""The demo as a user runs it: real processes over DDS, a log, an end that leaves nothing behind."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap_ros2.reader import read_ros2_messages
+from rosbags.highlevel import AnyReader
+
+from hd_diag.demo_display import Reading, Step
+from hd_diag.demo_log import summarize
+from hd_diag.demo_process import Child, DemoError
+
+TYPES = {
+    "/joint_states": "sensor_msgs/msg/JointState",
+    "/hd_diag/transmission_error": "sensor_msgs/msg/JointState",
+    "/hd_diag/measured_transmission_error": "sensor_msgs/msg/JointState",
+    "/hd_diag/residual": "sensor_msgs/msg/JointState",
+    "/hd_diag/joint_1/backlash": "std_msgs/msg/Float64MultiArray",
+    "/hd_diag/joint_1/load": "std_msgs/msg/Float64MultiArray",
+    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+    "/parameter_events": "rcl_interfaces/msg/ParameterEvent",
+}
+
+
+def demo(folder: Path, *arguments: str, **environment: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "hd_diag.cli", "demo", "--out", str(folder), *arguments]
+    return subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | environment,
+        start_new_session=True,
+    )
+
+
+def processes_of(folder: Path) -> list[str]:
+    """Command lines of running processes that name the folder."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            line = path.read_bytes().replace(b"\0", b" ").decode(errors="replace")
+        except OSError:  # ended meanwhile
+            continue
+        if str(folder) in line:
+            found.append(line)
+    return found
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """One whole run: exit code, output, summary."""
+    folder = tmp_path_factory.mktemp("demo") / "out"
+    process = demo(folder, "--seconds", "12", "--json", str(folder.parent / "summary.json"))
+    out, err = process.communicate(timeout=150)
+    assert (process.returncode, err) == (0, ""), out
+    summary = json.loads((folder.parent / "summary.json").read_text())
+    return {"folder": folder, "out": out, "summary": summary}
+
+
+def test_demo_is_complete(run: dict[str, Any]) -> None:
+    summary = run["summary"]
+    assert summary["schema"] == "hd_diag/demo/1"
+    assert (summary["complete"], summary["missing"], summary["problems"]) == (True, [], [])
+    assert summary["exit_codes"] == {"joint": 0, "node": 0}
+
+
+def test_prediction_and_backlash_move_with_the_eccentricity(run: dict[str, Any]) -> None:
+    steps = run["summary"]["steps"]
+    assert [step["eccentricity_um"] for step in steps] == [0.0, 5.0, 10.0, 18.0, 23.0]
+    errors = [step["predicted_te_pp_arcsec"] for step in steps]
+    assert errors[0] < 0.2  # tooth passing only
+    assert errors == sorted(errors)
+    assert errors[-1] == pytest.approx(55.0, abs=2.0)  # of the exact solution over a turn, at 14 N m
+    assert steps[0]["minimum_backlash_um"] == pytest.approx(0.94, abs=0.02)
+    assert all(step["minimum_backlash_um"] < 0.5 for step in steps[1:])
+    assert steps[0]["lost_motion_arcmin"] == pytest.approx(0.210, abs=0.002)
+    assert all(step["sample_rate_hz"] == pytest.approx(250.0, rel=0.05) for step in steps)
+
+
+def test_residual_is_least_at_the_true_eccentricity(run: dict[str, Any]) -> None:
+    residual = {step["eccentricity_um"]: step["residual_rms_arcsec"] for step in run["summary"]["steps"]}
+    assert min(residual, key=residual.__getitem__) == 18.0
+    assert residual[18.0] == pytest.approx(1.0, abs=0.3)  # the noise of the simulated encoder
+
+
+def test_value_that_cannot_be_is_refused_with_the_reason(run: dict[str, Any]) -> None:
+    refused = run["summary"]["refused"]
+    assert (refused["parameter"], refused["value"]) == ("joint_1.circular_spline_teeth", 203)
+    assert "must exceed flexspline_teeth (200, at least 20) by an even number" in refused["reason"]
+    assert f"refused: {refused['reason']}" in run["out"]
+
+
+def test_log_is_read_with_types_by_rosbags(run: dict[str, Any]) -> None:
+    counts: Counter[str] = Counter()
+    eccentricities = set()
+    with AnyReader([run["folder"] / "log"]) as reader:
+        assert TYPES.items() <= {(c.topic, c.msgtype) for c in reader.connections}
+        for connection, _, data in reader.messages():
+            message = reader.deserialize(data, connection.msgtype)
+            counts[connection.topic] += 1
+            if connection.topic == "/diagnostics":
+                eccentricities |= {
+                    e.value for s in message.status for e in s.values if e.key == "eccentricity_um"
+                }
+    assert counts["/joint_states"] == run["summary"]["published"] > 12 * 250 * 0.9
+    assert counts["/hd_diag/transmission_error"] == counts["/joint_states"]
+    assert {float(value) for value in eccentricities} == {0.0, 5.0, 10.0, 18.0, 23.0}
+    assert {e["topic"]: e["count"] for e in run["summary"]["topics"]} == counts
+
+
+def test_log_is_read_with_types_by_mcap_ros2(run: dict[str, Any]) -> None:
+    (path,) = (run["folder"] / "log").glob("*.mcap")
+    changes = [
+        (parameter.name, parameter.value.double_value)
+        for message in read_ros2_messages(str(path), topics=["/parameter_events"])
+        for parameter in message.ros_msg.changed_parameters
+    ]
+    magnitude = "joint_1.eccentricity.magnitude"
+    assert changes == [(magnitude, pytest.approx(value)) for value in (5e-6, 10e-6, 18e-6, 23e-6)]
+
+
+def test_output_without_a_terminal_is_plain(run: dict[str, Any]) -> None:
+    assert "\x1b" not in run["out"]
+    assert "set joint_1.eccentricity.magnitude = 18 um: in force" in run["out"]
+    assert f"Log: {run['folder'] / 'log'}" in run["out"]
+    assert "Complete: " in run["out"]
+
+
+def test_nothing_is_left_running(run: dict[str, Any]) -> None:
+    assert processes_of(run["folder"]) == []
+
+
+def test_log_of_an_earlier_run_is_not_touched(run: dict[str, Any]) -> None:
+    process = demo(run["folder"])
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, out) == (2, "")
+    assert err == f"hd-diag: {run['folder'] / 'log'} exists already: name another folder\n"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=lambda number: number.name)
+def test_signal_ends_it_with_a_readable_log(number: signal.Signals, tmp_path: Path) -> None:
+    process = demo(tmp_path / "out", "--seconds", "60")
+    assert process.stdout is not None
+    for line in process.stdout:
+        if line.startswith("set "):
+            break
+    time.sleep(1.0)
+    process.send_signal(number)
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (1, "")
+    assert "NOT COMPLETE: it was interrupted" in out
+    assert processes_of(tmp_path) == []
+    log = summarize(tmp_path / "out/log")
+    assert log.problems == []
+    assert log.count("/joint_states") > 100
+
+
+def test_processes_that_do_not_see_each_other(tmp_path: Path) -> None:
+    process = demo(tmp_path / "out", ROS_AUTOMATIC_DISCOVERY_RANGE="OFF")
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 2
+    assert err.startswith("hd-diag: node and joint run but were not discovered over DDS within 10 s: ")
+    assert len(err.splitlines()) == 1
+    assert processes_of(tmp_path) == []
+
+
+def wait_for_end(child: Child) -> None:
+    end = time.monotonic() + 60.0
+    while child.is_running and time.monotonic() < end:
+        time.sleep(0.05)
+
+
+def test_node_that_cannot_start_is_named(tmp_path: Path) -> None:
+    with Child("hd_diag.simulated_joint", ["--config", "none.yaml"], tmp_path / "out.txt") as child:
+        wait_for_end(child)
+        with pytest.raises(DemoError) as caught:
+            child.check()
+        assert str(caught.value).startswith(
+            "hd_diag.simulated_joint ended early with code 2: simulated_joint: none.yaml: cannot be read"
+        )
+        assert child.end() == 2
+
+
+def test_child_that_ignores_sigint_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hd_diag.demo_process._END_LIMIT", 0.2)
+    (tmp_path / "stubborn.py").write_text(
+        "import signal, time\n"
+        "signal.signal(signal.SIGINT, signal.SIG_IGN)\nprint('ready', flush=True)\ntime.sleep(60)\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}")
+    with Child("stubborn", [], tmp_path / "out.txt") as child:
+        while not child.lines:
+            time.sleep(0.02)
+    assert child.end() == -signal.SIGKILL
+
+
+def test_damaged_log_is_a_problem(tmp_path: Path) -> None:
+    (tmp_path / "log_0.mcap").write_bytes(b"not a bag")
+    problems = summarize(tmp_path).problems
+    assert problems[0].startswith("rosbags cannot read the log: ")
+    assert problems[-1].startswith("hd_diag cannot read the log: ")
+
+
+def test_step_keeps_its_own_readings_only() -> None:
+    step = Step(5.0)
+    assert not step.take(Reading({"eccentricity_um": "0"}))
+    assert step.summary()["minimum_backlash_um"] is None
+    for residual, backlash in (("9", "1"), ("3", "-2"), ("2", "0"), ("nan", "1")):
+        values = {"eccentricity_um": "5", "residual_rms_arcsec": residual, "minimum_backlash_um": backlash}
+        assert step.take(Reading(values))
+    assert step.summary()["eccentricity_um"] == 5.0
+    assert step.summary()["minimum_backlash_um"] == -2.0

@@ -1,0 +1,491 @@
+"""The catalogue of effects: one contract for all, and what single effects must do."""
+
+import dataclasses
+import math
+from pathlib import Path
+
+import drives
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.optimize import least_squares
+
+import hd_diag.effects
+from hd_diag.drive import Drive, transmission_error
+from hd_diag.effects import CATALOGUE
+from hd_diag.effects.contact_weights import ContactWeights
+from hd_diag.effects.effect import Effect, StatefulEffect
+from hd_diag.effects.signals import Signals
+from hd_diag.model.torsion_map import ARCSEC
+from hd_diag.model.transmission_error import Kinematics
+from hd_diag.parameters import JOINT_PARAMETERS
+
+NAMES = (
+    *("output_runout", "output_encoder_eccentricity", "circular_spline_form", "coupling_misalignment"),
+    *("bearing_passage", "circular_spline_pitch", "flexspline_pitch", "tooth_damage", "wear_backlash"),
+    *("torsional_hardening", "hysteresis", "coulomb_windup", "viscous_windup", "input_encoder_eccentricity"),
+    *("encoder_interpolation", "stream_delay", "thermal_drift", "ratio_error", "tooth_skip", "resonance"),
+    "torque_offset",
+)
+UNITS = {"rad", "m", "s", "-", "N m", "rad/s", "rad/(N m)", "rad/K"}
+NOISE = 1.0 * ARCSEC
+EXACT = Drive(drives.mesh(eccentricity=(8e-6, 4e-6)), Kinematics(100.0, phase=0.3), 56.0)
+RUN_LENGTHS = (7000, 5000)
+
+# What a fault could be; inside all limits, and easy to see in the record below.
+TRUTH: dict[str, dict[str, float]] = {
+    "output_runout": {"amplitude": 1e-4, "direction": 2.0},
+    "output_encoder_eccentricity": {
+        "amplitude": 2e-4,
+        "direction": 5.0,
+        "second_amplitude": 2e-5,
+        "second_direction": 3.0,
+    },
+    "circular_spline_form": {
+        "radial_2": 4e-6,
+        "radial_direction_2": 1.0,
+        "radial_4": 3e-6,
+        "radial_direction_4": 0.5,
+        "radial_6": 3e-6,
+        "radial_direction_6": 0.2,
+    },
+    "coupling_misalignment": {"angle": 0.08, "direction": 2.5},
+    "bearing_passage": {"amplitude": 2e-5, "phase": 1.0, "order": 0.4437},
+    "circular_spline_pitch": {
+        "pitch_2": 2e-6,
+        "pitch_direction_2": 2.0,
+        "pitch_4": 2e-6,
+        "pitch_direction_4": 1.2,
+    },
+    "flexspline_pitch": {
+        "pitch_2": 2e-6,
+        "pitch_direction_2": 0.4,
+        "pitch_4": 2e-6,
+        "pitch_direction_4": 0.9,
+    },
+    "tooth_damage": {
+        "counter_clockwise_flank": 8e-5,
+        "clockwise_flank": 5e-5,
+        "member": 0.0,
+        "position": 2 * math.pi / 202 * 77,
+    },
+    "wear_backlash": {"clearance": 5e-6},
+    "torsional_hardening": {
+        "first_compliance": -6e-6,
+        "second_compliance": 8e-6,
+        "first_knee": 11.0,
+        "second_knee": 30.0,
+    },
+    "hysteresis": {
+        "first_amplitude": 1e-4,
+        "second_amplitude": 6e-5,
+        "first_reach": 2.0,
+        "second_reach": 9.0,
+    },
+    "coulomb_windup": {"amplitude": 5e-5, "stribeck_amplitude": 4e-5, "reversal_speed": 0.8},
+    "viscous_windup": {"lag": 8e-7},
+    "input_encoder_eccentricity": {"amplitude": 4e-3, "direction": 4.0},
+    "encoder_interpolation": {"amplitude": 2e-3, "phase": 1.5, "lines": 16.0},
+    "stream_delay": {"delay": 3e-4},
+    "thermal_drift": {"drift": 8e-6},
+    "ratio_error": {"relative_error": 2e-4},
+    "tooth_skip": {"teeth": -1.0, "moment": 31.0},
+    "resonance": {
+        "amplitude": 4e-5,
+        "phase": 2.2,
+        "order": 2.0,
+        "natural_frequency": 130.0,
+        "damping": 0.05,
+    },
+    "torque_offset": {"offset": 3.0},
+}
+
+
+def speeds(time: np.ndarray) -> np.ndarray:
+    """Speed of the input [rad/s]: ramps both ways up to 13 turns per second, and slow stretches."""
+    return 85.0 * np.sin(2 * math.pi * time / 37.0) ** 3 + 2.0 * np.sin(2 * math.pi * time / 5.0)
+
+
+def recorded(drive: Drive = EXACT, hertz: float = 200.0) -> Signals:
+    """Two runs of a joint that drives both ways, loaded with nested reversals, and warms up."""
+    count = sum(RUN_LENGTHS)
+    run = np.repeat(np.arange(len(RUN_LENGTHS)), RUN_LENGTHS)
+    jitter = np.random.default_rng(3).uniform(-0.2, 0.2, count) / hertz
+    time = np.arange(count) / hertz + jitter + 10.0 * run
+    speed = speeds(time) + 40.0
+    angle = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))))
+    torque = 30.0 * np.sin(2 * math.pi * time / 11.0) + 18.0 * np.sin(2 * math.pi * time / 2.3)
+    wave_generator = drive.kinematics.wave_generator_angle(drive.mesh.geometry, angle)
+    error = transmission_error(drive, angle, torque)
+    slope = (transmission_error(drive, angle, torque + 0.1) - error) / 0.1
+    rate = np.concatenate([np.gradient(error[run == k], time[run == k]) for k in np.unique(run)])
+    return Signals(
+        time=time,
+        wave_generator_angle=wave_generator,
+        output_angle=angle / drive.kinematics.ratio,
+        speed=speed,
+        torque=torque,
+        temperature=25.0 + 12.0 * (1.0 - np.exp(-time / 30.0)),
+        run=run,
+        predicted=error,
+        predicted_torque_slope=slope,
+        predicted_rate=rate,
+        contact=ContactWeights(drive, wave_generator, torque),
+    )
+
+
+@pytest.fixture(scope="module")
+def signals() -> Signals:
+    return recorded()
+
+
+@pytest.fixture(scope="module")
+def still() -> Signals:
+    """A joint that hardly moves, at one torque, its temperature not measured."""
+    whole = recorded()
+    short = whole.part(np.arange(9))
+    return dataclasses.replace(short, torque=np.full(9, 5.0), temperature=None, speed=np.full(9, 1.0))
+
+
+def truth(effect: Effect) -> tuple[np.ndarray, tuple[float, ...]]:
+    return effect.from_physical(TRUTH[effect.name])
+
+
+def by_name(name: str) -> Effect:
+    return next(effect for effect in CATALOGUE if effect.name == name)
+
+
+# The catalogue ---
+
+
+def test_names_are_the_list() -> None:
+    assert [effect.name for effect in CATALOGUE] == list(NAMES)
+    assert len(set(NAMES)) == len(NAMES)
+
+
+def test_one_file_each() -> None:
+    folder = Path(hd_diag.effects.__file__).parent
+    for effect in CATALOGUE:
+        assert type(effect).__module__ == f"hd_diag.effects.{effect.name}"
+        assert (folder / f"{effect.name}.py").is_file()
+
+
+# The contract, for every effect ---
+
+
+@pytest.mark.parametrize("effect", CATALOGUE, ids=NAMES)
+class TestContract:
+    def test_says_what_it_is(self, effect: Effect) -> None:
+        for text in (effect.cause, effect.source, effect.inspect, *(q.meaning for q in effect.quantities)):
+            assert text.strip() == text
+            assert len(text) > 2
+        assert effect.cause.endswith(".")
+        assert "." not in effect.cause[:-1]
+        assert len(effect.inspect) > 120
+        assert effect.kind in ("kinematic", "torsion", "friction", "sensor")
+        assert effect.frame in ("input", "output", "housing", "time", "torque")
+        fields = {field.name for field in dataclasses.fields(Signals)}
+        assert effect.needs
+        assert set(effect.needs) <= fields
+
+    def test_confusions_exist(self, effect: Effect) -> None:
+        parameters = {parameter.name for parameter in JOINT_PARAMETERS}
+        assert effect.confused_with
+        assert set(effect.confused_with) <= set(NAMES) - {effect.name}
+        assert set(effect.always_confused) <= (set(NAMES) | parameters) - {effect.name}
+        for other in set(effect.always_confused) & set(NAMES):
+            assert effect.name in by_name(other).always_confused
+
+    def test_quantities(self, effect: Effect) -> None:
+        names = [quantity.name for quantity in effect.quantities]
+        assert len(set(names)) == len(names)
+        assert [q.linear for q in effect.quantities] == sorted(
+            (q.linear for q in effect.quantities), reverse=True
+        )
+        for quantity in effect.quantities:
+            assert quantity.unit in UNITS
+            assert quantity.low < quantity.high
+            assert quantity.prior_scale > 0.0
+            assert quantity.periodic is None or quantity.unit == "rad"
+        assert effect.prior_scales.shape == (effect.size,)
+        assert np.all(effect.prior_scales > 0.0)
+
+    def test_physical_round_trip(self, effect: Effect) -> None:
+        coefficients, nonlinear = truth(effect)
+        assert len(coefficients) == effect.size
+        assert len(nonlinear) == len(effect.nonlinear)
+        assert effect.within(coefficients, nonlinear)
+        back = effect.to_physical(coefficients, nonlinear)
+        assert list(back) == [quantity.name for quantity in effect.quantities]
+        for quantity in effect.quantities:
+            value, unit = back[quantity.name]
+            assert unit == quantity.unit
+            assert_allclose(value, TRUTH[effect.name][quantity.name], rtol=1e-12)
+
+    def test_limits_are_kept(self, effect: Effect) -> None:
+        for quantity in effect.quantities:
+            if quantity.periodic is None:
+                beyond = TRUTH[effect.name] | {quantity.name: quantity.high * 1.01 + 1e-9}
+                with pytest.raises(ValueError, match=rf"{effect.name}: {quantity.name} must be from"):
+                    effect.from_physical(beyond)
+        with pytest.raises(ValueError, match=r"nonsense is missing or unknown"):
+            effect.from_physical(TRUTH[effect.name] | {"nonsense": 1.0})
+
+    def test_starts_are_few_and_within_limits(self, effect: Effect, signals: Signals) -> None:
+        residual = np.random.default_rng(0).normal(0.0, NOISE, signals.size)
+        for starts in (effect.grid(signals), effect.scan(signals, residual)):
+            assert 1 <= len(starts) <= 24
+            assert len(set(starts)) == len(starts)
+            for start in starts:
+                assert len(start) == len(effect.nonlinear)
+                for value, quantity in zip(start, effect.nonlinear, strict=True):
+                    assert quantity.low <= value <= quantity.high
+        assert effect.trials(signals) >= len(effect.grid(signals))
+
+    def test_zero_size_is_no_effect(self, effect: Effect, signals: Signals) -> None:
+        columns = effect.columns(signals, truth(effect)[1])
+        assert columns.shape == (signals.size, effect.size)
+        assert np.isfinite(columns).all()
+        assert np.all(np.any(columns != 0.0, axis=0))
+        assert not np.any(columns @ np.zeros(effect.size))
+        values = {q.name: (0.0 if q.linear else TRUTH[effect.name][q.name]) for q in effect.quantities}
+        assert not np.any(effect.from_physical(values)[0])
+
+    def test_chunks_are_the_whole(self, effect: Effect, signals: Signals) -> None:
+        nonlinear = truth(effect)[1]
+        whole = effect.columns(signals, nonlinear)
+        parts = []
+        for run in signals.runs():
+            state = effect.start(nonlinear)
+            inside = signals.part(run)
+            edges = [0, 1, 2, 3, 40, 41, 1000, inside.size]
+            for start, end in zip(edges[:-1], edges[1:], strict=True):
+                columns, state = effect.step(state, inside.part(slice(start, end)), nonlinear)
+                parts.append(columns)
+        assert_allclose(np.concatenate(parts), whole, rtol=1e-12, atol=1e-14 * np.abs(whole).max())
+
+    def test_empty_part(self, effect: Effect, signals: Signals) -> None:
+        nonlinear = truth(effect)[1]
+        columns, _ = effect.step(effect.start(nonlinear), signals.part(slice(0, 0)), nonlinear)
+        assert columns.shape == (0, effect.size)
+
+    def test_testable(self, effect: Effect, signals: Signals, still: Signals) -> None:
+        if effect.name == "tooth_damage":  # ten turns of the output are more than this record has
+            assert not effect.testable(signals)[0]
+        else:
+            assert effect.testable(signals) == (True, "")
+        possible, reason = effect.testable(still)
+        assert not possible
+        assert len(reason) > 20
+
+    def test_fit_returns_the_quantities(self, effect: Effect, signals: Signals) -> None:
+        """A record with this effect and noise, fitted from the effect's own starts, gives its quantities."""
+        coefficients, nonlinear = truth(effect)
+        noise = np.random.default_rng(1).normal(0.0, NOISE, signals.size)
+        error = effect.columns(signals, nonlinear) @ coefficients + noise
+        found, covariance = fitted(effect, signals, error)
+        values = effect.to_physical(found[: effect.size], tuple(found[effect.size :]))
+        deviations = effect.standard_deviations(found[: effect.size], tuple(found[effect.size :]), covariance)
+        for quantity in effect.quantities:
+            expected, deviation = TRUTH[effect.name][quantity.name], deviations[quantity.name]
+            away = values[quantity.name][0] - expected
+            if quantity.periodic is not None:
+                away -= quantity.periodic * round(away / quantity.periodic)
+            if quantity.discrete:
+                tolerance = 0.1 if effect.name == "tooth_skip" else 1e-9  # [s]: some samples
+                assert abs(away) < tolerance
+            else:
+                assert 0.0 < deviation < 0.25 * max(abs(expected), 0.1 * quantity.prior_scale)
+                assert abs(away) < 5.0 * deviation
+
+
+def fitted(effect: Effect, signals: Signals, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients and nonlinear values by least squares from the best start, and their covariance."""
+    free = [i for i, quantity in enumerate(effect.nonlinear) if not quantity.discrete]
+
+    def left(values: np.ndarray, start: tuple[float, ...]) -> np.ndarray:
+        columns = effect.columns(signals, moved(start, values))
+        return error - columns @ solved(columns, error)
+
+    def moved(start: tuple[float, ...], values: np.ndarray) -> tuple[float, ...]:
+        result = list(start)
+        for index, value in zip(free, values, strict=True):
+            result[index] = float(value)
+        return tuple(result)
+
+    starts = effect.grid(signals) + effect.scan(signals, error)
+    start = min(starts, key=lambda one: float(np.sum(left(np.array([one[i] for i in free]), one) ** 2)))
+    values = np.array([start[i] for i in free])
+    if free:
+        limits = [(effect.nonlinear[i].low, effect.nonlinear[i].high) for i in free]
+        lows, highs = (np.array(side) for side in zip(*limits, strict=True))
+        fit = least_squares(
+            left, values, bounds=(lows, highs), x_scale=np.maximum(np.abs(values), 1e-3), args=(start,)
+        )
+        values = fit.x
+    nonlinear = moved(start, values)
+    columns = effect.columns(signals, nonlinear)
+    coefficients = solved(columns, error)
+    slopes = []
+    for place in range(len(effect.nonlinear)):
+        step = 1e-4 * max(abs(nonlinear[place]), 1e-3) * (place in free)
+        ends = [nonlinear[:place] + (nonlinear[place] + s * step,) + nonlinear[place + 1 :] for s in (-1, 1)]
+        change = (effect.columns(signals, ends[1]) - effect.columns(signals, ends[0])) @ coefficients
+        slopes.append(change / (2.0 * step) if step else np.zeros(signals.size))
+    jacobian = np.column_stack([columns, *slopes])
+    scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+    covariance = NOISE**2 * np.linalg.pinv((jacobian / scale).T @ (jacobian / scale)) / np.outer(scale, scale)
+    covariance[np.linalg.norm(jacobian, axis=0) == 0.0] = 0.0
+    covariance[:, np.linalg.norm(jacobian, axis=0) == 0.0] = 0.0
+    return np.concatenate((coefficients, nonlinear)), covariance
+
+
+def solved(columns: np.ndarray, error: np.ndarray) -> np.ndarray:
+    scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    return np.linalg.lstsq(columns / scale, error, rcond=None)[0] / scale
+
+
+# Single effects ---
+
+
+def test_hysteresis_closes_its_loop(signals: Signals) -> None:
+    """Masing: after the first swing the loop repeats; it is 2 a wide, and its loss does not depend on time."""
+    count = 401
+    swing = np.concatenate(
+        [np.linspace(0, 20, count), np.linspace(20, -20, count), np.linspace(-20, 20, count)]
+    )
+    inside = signals.part(slice(0, swing.size))
+    loop = dataclasses.replace(inside, torque=swing)
+    z = -by_name("hysteresis").columns(loop, (2.0, 9.0))
+    assert_allclose(z[count - 1], 1.0)
+    assert_allclose(z[2 * count - 1], -1.0)
+    down, up = z[count : 2 * count], z[2 * count :]
+    assert_allclose(down, -up, atol=1e-12)
+    reach = np.array([2.0, 9.0])
+    width = (down - up[::-1]).sum(axis=0) * (swing[1] - swing[0]) * 2
+    assert_allclose(width, 4.0 * (20.0 - reach), rtol=0.02)  # area 2 x 2 (20 - r) of a parallelogram
+
+
+def test_runs_start_anew(signals: Signals) -> None:
+    """What the first run did leaves no trace in the second."""
+    second = signals.part(signals.runs()[1])
+    for effect in CATALOGUE:
+        if isinstance(effect, StatefulEffect):
+            nonlinear = truth(effect)[1]
+            whole = effect.columns(signals, nonlinear)[signals.runs()[1]]
+            assert_allclose(whole, effect.columns(second, nonlinear), rtol=1e-12, atol=1e-13)
+
+
+def test_resonance_follows_the_equation_of_motion(signals: Signals) -> None:
+    """Against a Runge-Kutta solution of the oscillator through a sweep."""
+    time = np.linspace(0.0, 4.0, 8001)
+    angle = -0.5 * 40.0 * time**2
+    sweep = dataclasses.replace(
+        signals.part(np.zeros(time.size, dtype=np.int64)),
+        time=time,
+        wave_generator_angle=angle,
+        output_angle=-angle / 100.0,
+        speed=40.0 * time,
+    )
+    frequency, damping = 130.0, 0.05
+    found = by_name("resonance").columns(sweep, (2.0, frequency, damping))
+
+    def push(t: float, y: np.ndarray) -> np.ndarray:
+        drive = np.exp(-1j * 40.0 * t * t)
+        return np.array([y[1], frequency**2 * (drive - y[0]) - 2 * damping * frequency * y[1]])
+
+    y, step = np.array([1.0 + 0j, 0.0]), time[1] - time[0]
+    expected = [y[0]]
+    for t in time[:-1]:
+        k1 = push(t, y)
+        k2 = push(t + step / 2, y + step / 2 * k1)
+        k3 = push(t + step / 2, y + step / 2 * k2)
+        k4 = push(t + step, y + step * k3)
+        y = y + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        expected.append(y[0])
+    added = np.array(expected) - np.exp(1j * 2.0 * angle)
+    assert np.abs(added).max() > 5.0  # the sweep passes the resonance
+    assert_allclose(found[:, 0] + 1j * found[:, 1], added, atol=0.01)
+
+
+def test_stream_delay_is_a_late_output() -> None:
+    """Sampling the whole output angle later, to first order of the delay."""
+    now, delay = recorded(), 20e-6
+    output = now.output_angle + now.predicted
+    late = np.concatenate(
+        [np.interp(now.time[run] - delay, now.time[run], output[run]) - output[run] for run in now.runs()]
+    )
+    inside = np.abs(np.gradient(now.speed, now.time)) < 30.0
+    expected = (delay * by_name("stream_delay").columns(now, ()))[:, 0]
+    assert np.sqrt(np.mean(expected**2)) > 1.0 * ARCSEC
+    assert np.sqrt(np.mean((late - expected)[inside] ** 2)) < 0.02 * np.sqrt(np.mean(expected**2))
+
+
+def test_torque_offset_is_another_torque() -> None:
+    now = recorded()
+    angle = now.input_angle
+    moved = transmission_error(EXACT, angle, now.torque + 0.2) - now.predicted
+    expected = (0.2 * by_name("torque_offset").columns(now, ()))[:, 0]
+    assert np.sqrt(np.mean((moved - expected) ** 2)) < 0.03 * np.sqrt(np.mean(moved**2))
+
+
+def test_ratio_error_is_another_ratio(signals: Signals) -> None:
+    real = 100.0 / 1.01
+    expected = signals.input_angle / real - signals.input_angle / 100.0
+    assert_allclose(0.01 * by_name("ratio_error").columns(signals, ())[:, 0], expected, atol=1e-12)
+
+
+def test_no_temperature_no_drift(signals: Signals) -> None:
+    blind = dataclasses.replace(signals, temperature=None)
+    assert not by_name("thermal_drift").columns(blind, ()).any()
+    assert "no temperature is measured" in by_name("thermal_drift").testable(blind)[1]
+
+
+@pytest.mark.parametrize("order", [0.4123, 0.4437, 10.137, 12.8821])
+def test_scan_finds_the_bearing(signals: Signals, order: float) -> None:
+    """A line as weak as the noise, within half of what the record resolves."""
+    effect = by_name("bearing_passage")
+    noise = np.random.default_rng(5).normal(0.0, NOISE, signals.size)
+    line = 0.5 * NOISE * np.cos(order * signals.wave_generator_angle + 0.4)
+    turns = np.ptp(signals.wave_generator_angle) / (2 * math.pi)
+    assert min(abs(one - order) for (one,) in effect.scan(signals, line + noise)) < 0.5 / turns
+
+
+@pytest.mark.parametrize("order", [2.02, 4.04, 6.0, 10.0, 3.3])
+def test_scan_leaves_others_orders_alone(signals: Signals, order: float) -> None:
+    """A strong line elsewhere, or of whole teeth, is no bearing."""
+    effect = by_name("bearing_passage")
+    line = 1e-4 * np.cos(order * signals.wave_generator_angle)
+    best = effect.columns(signals, effect.scan(signals, line)[0])
+    left = line - best @ solved(best, line)
+    assert np.sum(left**2) > 0.9 * np.sum(line**2)
+
+
+@pytest.mark.parametrize(("member", "count"), [(0.0, 202), (1.0, 200)])
+@pytest.mark.parametrize("tooth", [3, 111])
+def test_scan_finds_the_tooth(signals: Signals, member: float, count: int, tooth: int) -> None:
+    effect = by_name("tooth_damage")
+    position = 2 * math.pi / count * tooth
+    noise = np.random.default_rng(6).normal(0.0, NOISE, signals.size)
+    error = effect.columns(signals, (member, position)) @ [5e-5, 3e-5] + noise
+    found = [place for kind, place in effect.scan(signals, error) if kind == member]
+    assert min(abs(math.remainder(place - position, 2 * math.pi)) for place in found) < 1e-9
+
+
+def test_directions_have_their_period() -> None:
+    """A four-lobed error is the same a quarter turn on."""
+    effect = by_name("circular_spline_pitch")
+    values = TRUTH[effect.name]
+    turned = values | {"pitch_direction_4": values["pitch_direction_4"] + math.pi / 2}
+    assert_allclose(effect.from_physical(values)[0], effect.from_physical(turned)[0], atol=1e-18)
+
+
+def test_standard_deviations_are_propagated() -> None:
+    """Amplitude and direction of a cosine and a sine part: sigma and sigma over k a."""
+    effect = by_name("flexspline_pitch")
+    coefficients, _ = truth(effect)
+    sigma = 1e-8
+    found = effect.standard_deviations(coefficients, (), sigma**2 * np.eye(4))
+    assert_allclose(found["pitch_2"], sigma, rtol=1e-6)
+    assert_allclose(found["pitch_direction_2"], sigma / (2 * 2e-6), rtol=1e-6)
+    assert_allclose(found["pitch_direction_4"], sigma / (4 * 2e-6), rtol=1e-6)

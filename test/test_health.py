@@ -1,0 +1,271 @@
+"""Fault codes: each raised, told and cleared; the numbers behind them."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from live import MS, RATIO, START, config, states
+from numpy.testing import assert_allclose
+
+from hd_diag.drive import mesh_state, transmission_error
+from hd_diag.health import FAULT_CODES
+from hd_diag.map_builder import map_of
+from hd_diag.model.torsion_map import ARCSEC
+from hd_diag.monitor import Monitor
+from hd_diag.samples import Status
+
+NAMES = ("joint_1_motor", "joint_1")
+SECOND = 1000 * MS
+# Limits that the joint keeps where the tests overload it on purpose.
+QUIET = {
+    "array_rate": 0.0,
+    "joint_1__limits__peak_tooth_load__warn": 1e3,
+    "joint_1__limits__peak_tooth_load__error": 2e3,
+}
+WRITING = {"log_state": "writing x", "latency_p99_us": "81.5"}
+
+
+class Life:
+    """A joint that turns at 1 kHz, and its reports."""
+
+    def __init__(self, **given: object) -> None:
+        self.monitor = Monitor(config(**QUIET | given))
+        self.now = START
+
+    def run(
+        self,
+        samples: int = 50,
+        torque: float = 1.0,
+        angle: Callable[[int], float] = lambda i: 0.01 * i,
+        wobble: float = 0.0,
+        broken: int = 0,
+    ) -> None:
+        for i in range(samples):
+            self.now += MS
+            value = np.nan if i < broken else angle(i)
+            output = angle(i) / RATIO + wobble * (-1) ** i
+            made = states(NAMES, [self.now], [[value, output]], [[0.0, torque]])
+            self.monitor.joint_states(np.array([self.now]), made)
+
+    def report(self, after: int = MS, **facts: str) -> Status:
+        self.now += after
+        return self.monitor.tick(self.now, self.now, WRITING | facts).statuses[0]
+
+
+@pytest.fixture
+def life() -> Life:
+    return Life()
+
+
+def code(status: Status) -> tuple[str, int]:
+    return status.values["fault_code"], status.level
+
+
+def test_a_healthy_joint_is_ok(life: Life) -> None:
+    life.run()
+    status = life.report()
+    assert code(status) == ("OK", 0)
+    assert status.message == "OK"
+    assert status.name == "hd_diag: joint_1"
+
+
+# Every fault code: what raises it as a warning, what as an error ---
+
+Cause = Callable[[Life], None]
+
+
+def silence(seconds: float) -> Cause:
+    def cause(life: Life) -> None:
+        life.run()
+        life.now += int(seconds * SECOND)
+
+    return cause
+
+
+def running(**how: object) -> Cause:
+    return lambda life: life.run(**how)  # type: ignore[arg-type]
+
+
+def limited(name: str, warn: float, error: float) -> Cause:
+    """Limits so low that a healthy joint exceeds them."""
+
+    def cause(life: Life) -> None:
+        limits = {
+            f"joint_1__limits__{name}__warn": warn,
+            f"joint_1__limits__{name}__error": error,
+        }
+        life.monitor.configure(config(**QUIET | limits))
+        life.run()
+
+    return cause
+
+
+CAUSES = [
+    ("STALE", silence(1.0), 1, "no valid sample for 1.0 s"),
+    ("STALE", silence(3.0), 2, "no valid sample for 3.0 s"),
+    ("INPUT_INVALID", running(broken=5), 1, "5 rejected: input angle of joint_1_motor is nan"),
+    ("INPUT_INVALID", running(broken=30), 2, "30 rejected: input angle of joint_1_motor is nan"),
+    ("OUT_OF_RANGE", running(torque=-123.2), 1, "torque is 2.20 times the rated torque"),
+    ("OUT_OF_RANGE", running(torque=224.0), 2, "torque is 4.00 times the rated torque"),
+    ("RESIDUAL", running(wobble=2e-4), 1, "residual 41."),
+    ("RESIDUAL", running(wobble=6e-4), 2, "residual 123."),
+    ("INTERFERENCE", limited("overlap", -1.0, 60e-6), 1, "the lobes overlap by"),
+    ("INTERFERENCE", limited("overlap", -1.0, -1.0), 2, "the lobes overlap by"),
+    ("LOAD_CONCENTRATION", limited("peak_tooth_load", 0.0, 1e3), 1, "peak tooth load "),
+    ("LOAD_CONCENTRATION", limited("load_concentration", 1.0, 1.0), 2, "peak tooth load is "),
+]
+
+
+@pytest.mark.parametrize(("fault", "cause", "level", "message"), CAUSES)
+def test_a_fault_is_raised_and_cleared(
+    life: Life, fault: str, cause: Cause, level: int, message: str
+) -> None:
+    cause(life)
+    status = life.report()
+    assert code(status) == (fault, level)
+    assert status.values["fault_codes"] == fault
+    assert status.message.startswith(message)
+    life.monitor.configure(config(**QUIET))
+    life.run()
+    assert code(life.report()) == ("OK", 0)
+
+
+def test_a_failed_log_is_a_warning_while_it_lasts(life: Life) -> None:
+    life.run()
+    status = life.report(log_state="failed: disk full")
+    assert code(status) == ("LOG_FAILED", 1)
+    assert status.message == "log failed: disk full"
+    life.run()
+    assert code(life.report()) == ("OK", 0)
+
+
+def test_every_code_is_known_and_tested() -> None:
+    tested = {fault for fault, *_ in CAUSES} | {"LOG_FAILED", "OK"}
+    assert tested == set(FAULT_CODES)
+
+
+def test_of_several_the_worst_is_told_and_all_are_named(life: Life) -> None:
+    life.run(torque=123.2, broken=30)
+    status = life.report(log_state="failed: disk full")
+    assert code(status) == ("INPUT_INVALID", 2)
+    assert status.values["fault_codes"] == "LOG_FAILED INPUT_INVALID OUT_OF_RANGE"
+
+
+def test_two_findings_of_one_fault_name_it_once(life: Life) -> None:
+    limited("peak_tooth_load", 0.0, 1e3)(life)
+    limits = {"joint_1__limits__peak_tooth_load__warn": 0.0, "joint_1__limits__load_concentration__warn": 1.0}
+    life.monitor.configure(config(**QUIET | limits))
+    life.run()
+    assert life.report().values["fault_codes"] == "LOAD_CONCENTRATION"
+
+
+# Silence ---
+
+
+def test_a_joint_that_never_spoke_is_stale_from_the_first_report_on(life: Life) -> None:
+    assert code(life.report()) == ("OK", 0)
+    assert code(life.report(after=SECOND)) == ("STALE", 1)
+    assert code(life.report(after=SECOND + SECOND // 2)) == ("STALE", 2)
+
+
+def test_a_joint_whose_input_stopped_is_stale_though_its_output_goes_on(life: Life) -> None:
+    life.run()
+    for _ in range(1000):
+        life.now += MS
+        made = states(("joint_1",), [life.now], [[0.0]], [[1.0]])
+        life.monitor.joint_states(np.array([life.now]), made)
+    assert code(life.report()) == ("STALE", 1)
+
+
+# Numbers ---
+
+
+def test_numbers_are_those_of_the_drive(life: Life) -> None:
+    life.run(angle=lambda i: 0.02 * i, torque=30.0)
+    values = life.report().values
+    drive = life.monitor.config.joints[0].drive
+    state = mesh_state(drive, np.array([0.98]), np.array([-30.0]))
+    turn = transmission_error(drive, np.linspace(0.0, 2.0 * np.pi, 4000), np.full(4000, 30.0))
+    assert values["loaded_pairs"] == str(state.loaded_pairs[0])
+    assert values["interference"] == ("true" if state.interference[0] else "false")
+    expected = {
+        "minimum_backlash_um": state.minimum_backlash[0] * 1e6,
+        "overlap_um": state.overlap[0] * 1e6,
+        "peak_tooth_load_N": state.peak_load[0],
+        "load_concentration": state.load_concentration[0],
+        "lost_motion_arcmin": state.lost_motion[0] / ARCSEC / 60.0,
+        "input_angle_rad": 0.98,
+        "torque_Nm": 30.0,
+        "sample_rate_hz": 1000.0,
+    }
+    for key, value in expected.items():
+        assert_allclose(float(values[key]), value, rtol=1e-5, err_msg=key)
+    assert_allclose(float(values["predicted_te_pp_arcsec"]), np.ptp(turn) / ARCSEC, rtol=0.05)
+    assert values["samples"] == "50"
+    assert values["latency_p99_us"] == "81.5"
+    assert values["log_state"] == "writing x"
+
+
+def test_residual_is_about_its_mean_for_the_encoders_zero_is_nobodys_fault(life: Life) -> None:
+    drive = life.monitor.config.joints[0].drive
+    offset, wave = 0.01, 3e-5
+    for i in range(200):
+        life.now += MS
+        angle, torque = np.array([0.01 * i]), np.array([1.0])
+        output = (
+            angle / RATIO + transmission_error(drive, angle, torque) + offset + wave * np.cos(np.pi * i / 50)
+        )
+        made = states(NAMES, [life.now], [[angle[0], output[0]]], [[0.0, 1.0]])
+        life.monitor.joint_states(np.array([life.now]), made)
+    values = life.report().values
+    assert_allclose(float(values["residual_rms_arcsec"]) * ARCSEC, wave / np.sqrt(2.0), rtol=1e-4)
+    assert_allclose(float(values["residual_mean_arcsec"]) * ARCSEC, offset, rtol=1e-4)
+
+
+def test_configuration_is_told() -> None:
+    life = Life(joint_1__eccentricity__magnitude=4e-6, joint_1__eccentricity__direction=np.pi / 2)
+    life.run()
+    life.monitor.temperature("joint_1", 36.6)
+    values = life.report().values
+    assert_allclose(float(values["eccentricity_um"]), 4.0)
+    assert_allclose(float(values["eccentricity_direction_deg"]), 90.0)
+    assert values["temperature_C"] == "36.6"
+    assert (values["prediction"], values["prediction_error_bound_arcsec"]) == ("exact", "0")
+    table = map_of(life.monitor.config.joints[0])
+    life.monitor.use_map("joint_1", table)
+    values = life.report().values
+    assert values["prediction"] == "map"
+    assert_allclose(float(values["prediction_error_bound_arcsec"]), table.error_bound / ARCSEC, rtol=1e-5)
+
+
+def test_keys_are_the_same_before_and_after_the_first_sample(life: Life) -> None:
+    before = life.report()
+    life.run()
+    assert list(before.values) == list(life.report().values)
+    assert all(isinstance(value, str) for value in before.values.values())
+
+
+def test_counts_go_on_and_shares_begin_anew(life: Life) -> None:
+    life.run(broken=5)
+    life.report()
+    life.run(samples=20)
+    values = life.report().values
+    assert (values["samples"], values["samples_rejected"], values["fault_code"]) == ("65", "5", "OK")
+    assert values["last_rejection"] == "input angle of joint_1_motor is nan"
+
+
+def test_samples_that_never_came_are_seen_in_the_stamps(life: Life) -> None:
+    life.run()
+    life.now += 3 * MS
+    life.run()
+    assert life.report().values["samples_missed"] == "3"
+    life.run()
+    assert life.report().values["samples_missed"] == "3"
+
+
+def test_a_clock_that_jumps_back_is_told(life: Life) -> None:
+    life.run()
+    life.now -= 5 * SECOND
+    life.run()
+    values = life.report().values
+    assert (values["clock_jumps"], values["samples_rejected"], values["fault_code"]) == ("1", "0", "OK")

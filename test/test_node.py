@@ -1,0 +1,571 @@
+"""The node in a process of its own, over DDS, as a robot meets it."""
+
+import itertools
+import json
+import math
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rclpy
+import yaml
+from live import MS, RATIO, START, config, message, parameters, sample
+from mcap_ros2.reader import read_ros2_messages
+from rcl_interfaces.msg import ParameterType
+from rclpy.parameter import Parameter
+from rosbags.highlevel import AnyReader
+from rosgraph_msgs.msg import Clock
+from running import Process, Rig, feed, running, values_of
+from sensor_msgs.msg import JointState, Temperature
+from std_msgs.msg import Float64MultiArray
+from visualization_msgs.msg import MarkerArray
+
+from hd_diag.bag import BagReader
+from hd_diag.config import NODE_PARAMETERS, Config
+from hd_diag.config import parameters as all_parameters
+from hd_diag.drive import mesh_state, transmission_error
+from hd_diag.replay import replay
+
+QUICK = {"diagnostics_rate": 20.0}
+JOINTS = ("shoulder", "elbow")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ros() -> Iterator[None]:
+    rclpy.init()
+    yield
+    rclpy.try_shutdown()
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    """A node with two joints; its tests share its time, which only goes forward."""
+    folder = tmp_path_factory.mktemp("arm")
+    given = parameters(*JOINTS, **QUICK, mesh_rate=10.0, log__path=str(folder / "log"))
+    with running(folder, given) as rig:
+        rig.folder = folder  # type: ignore[attr-defined]
+        yield rig
+
+
+@pytest.fixture(scope="module")
+def publisher(arm: Rig) -> Any:
+    return arm.publisher()
+
+
+stamps = itertools.count(START, MS)
+
+
+def heard(rig: Rig, topic: str, kind: Any = JointState) -> list[Any]:
+    return rig.hear(f"hd_diag/{topic}", kind, [])
+
+
+def stamp_of(message: Any) -> int:
+    return int(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
+
+
+def exact(configured: Config, joint: str, angle: float, torque: float) -> float:
+    drive = next(j for j in configured.joints if j.name == joint).drive
+    return float(transmission_error(drive, np.array([angle]), np.array([torque]))[0])
+
+
+BOUND = 1e-7  # the maps' aim is 0.01 arcsec, 5e-8 rad
+
+
+# What it publishes ---
+
+
+def test_all_topics_with_their_types_and_content(arm: Rig, publisher: Any) -> None:
+    topics = {
+        "transmission_error": JointState,
+        "measured_transmission_error": JointState,
+        "residual": JointState,
+        "elbow/backlash": Float64MultiArray,
+        "elbow/load": Float64MultiArray,
+        "elbow/mesh": MarkerArray,
+        "shoulder/backlash": Float64MultiArray,
+        "shoulder/load": Float64MultiArray,
+        "shoulder/mesh": MarkerArray,
+    }
+    found = {topic: heard(arm, topic, kind) for topic, kind in topics.items()}
+    for _ in range(1000):
+        next(stamps)  # a period of every rate begins
+    stamp, angle, torque = next(stamps), 0.7, 30.0
+    position = {"elbow_motor": angle, "elbow": 0.02, "shoulder_motor": -1.0, "shoulder": 0.1}
+    publisher.publish(message(stamp, position, {"elbow": torque}))
+    arm.until(lambda: all(found.values()), "message on every topic")
+    error, measured, residual = (found[topic][0] for topic in list(topics)[:3])
+    assert [stamp_of(m) for m in (error, measured, residual)] == [stamp] * 3
+    assert list(error.name) == ["shoulder", "elbow"]
+    configured = config(*JOINTS)
+    assert error.position[1] == pytest.approx(exact(configured, "elbow", angle, torque), abs=BOUND)
+    assert error.position[0] == pytest.approx(exact(configured, "shoulder", -1.0, 0.0), abs=BOUND)
+    assert list(error.effort) == [0.0, torque]
+    assert measured.position[1] == pytest.approx(0.02 - angle / RATIO, rel=1e-12)
+    assert residual.position[1] == measured.position[1] - error.position[1]
+    state = mesh_state(configured.joints[1].drive, np.array([angle]), np.array([-torque]))
+    for topic, values in (("elbow/backlash", state.backlash[0]), ("elbow/load", state.load[0])):
+        array = found[topic][0]
+        assert [(d.label, d.size, d.stride) for d in array.layout.dim] == [
+            ("flank", 2, 400),
+            ("tooth", 200, 200),
+        ]
+        np.testing.assert_array_equal(np.reshape(array.data, (2, 200)), values)
+    assert {m.header.frame_id for m in found["elbow/mesh"][0].markers} == {"elbow"}
+
+
+def test_diagnostics(arm: Rig, publisher: Any) -> None:
+    feed(publisher, stamps, 100, joint="elbow")
+    status = arm.status("elbow", lambda values: values["sample_rate_hz"] not in ("0", "nan"))
+    values = values_of(status)
+    assert status.level in (b"\0", b"\1", b"\2")
+    expected = {
+        *("fault_code", "eccentricity_um", "minimum_backlash_um", "interference", "loaded_pairs"),
+        *("peak_tooth_load_N", "load_concentration", "lost_motion_arcmin", "predicted_te_pp_arcsec"),
+        *("residual_rms_arcsec", "sample_rate_hz", "samples", "samples_rejected", "last_rejection"),
+        *("latency_p99_us", "log_state"),
+    }
+    assert expected <= values.keys()
+    assert len(values) == len(status.values)
+    assert values["log_state"].startswith("writing ")
+    assert float(values["latency_p99_us"]) > 0.0
+    assert {s.name for s in arm.reports[-1].status} == {"hd_diag: shoulder", "hd_diag: elbow"}
+
+
+def test_names_in_any_order_and_strangers_among_them(arm: Rig, publisher: Any) -> None:
+    errors = heard(arm, "transmission_error")
+    orders = list(
+        itertools.permutations({"elbow_motor": 0.4, "elbow": 0.0, "wheel": 9.0, "x": np.nan}.items())
+    )
+    for order in orders:
+        publisher.publish(message(next(stamps), dict(order), {"elbow": 2.0, "wheel": 50.0}))
+    arm.until(lambda: len(errors) == len(orders), "prediction of every message")
+    values = {(m.name[0], m.position[0], m.effort[0]) for m in errors}
+    assert len(values) <= 2  # exact, and by the map once it is there
+    for name, position, effort in values:
+        assert (name, effort) == ("elbow", 2.0)
+        assert position == pytest.approx(exact(config(*JOINTS), "elbow", 0.4, 2.0), abs=BOUND)
+
+
+def test_input_and_output_in_messages_of_their_own(arm: Rig, publisher: Any) -> None:
+    measured = heard(arm, "measured_transmission_error")
+    times = [next(stamps) for _ in range(21)]
+    other = arm.publisher()
+    for i, stamp in enumerate(times):
+        if i % 2 == 0:
+            publisher.publish(message(stamp, {"elbow_motor": 0.1 * i}))
+        else:
+            other.publish(message(stamp, {"elbow": 0.004 * i}, {"elbow": 1.5}))
+    arm.until(lambda: len(measured) == 10, "pair of every output angle")
+    for i, found in zip(range(1, 21, 2), measured, strict=True):
+        assert stamp_of(found) == times[i]
+        assert found.position[0] == pytest.approx(0.004 * i - 0.1 * i / RATIO, abs=1e-12)
+    arm.node.destroy_publisher(other)
+
+
+def test_temperature_is_reported(arm: Rig, publisher: Any) -> None:
+    arm.publisher("elbow/temperature", Temperature).publish(Temperature(temperature=41.25))
+    arm.values("elbow", lambda values: values["temperature_C"] == "41.25")
+
+
+def test_maps_come_into_force(arm: Rig) -> None:
+    values = arm.values("elbow", lambda values: values["prediction"] == "map")
+    assert 0.0 < float(values["prediction_error_bound_arcsec"]) < 0.02
+
+
+# What it survives ---
+
+
+HOSTILE: list[tuple[Callable[[], Any], str]] = [
+    (lambda: message(next(stamps), {"elbow_motor": np.nan}), "input angle of elbow_motor is nan"),
+    (lambda: message(next(stamps), {"elbow_motor": np.inf}), "input angle of elbow_motor is inf"),
+    (lambda: message(next(stamps), {"elbow_motor": 0.0, "elbow": np.inf}), "output angle of elbow is inf"),
+    (lambda: sample(next(stamps), 0.0, 0.0, -np.inf, "elbow"), "effort of elbow is -inf"),
+    (lambda: sample(next(stamps) - 100 * MS, 0.0, 0.0, 0.0, "elbow"), "stamp of elbow_motor is 0.10"),
+    (lambda: JointState(name=["elbow_motor", "elbow"]), "gives no position of it"),
+    (lambda: JointState(name=["elbow_motor", "elbow"], position=[1.0]), "has 1 values of position for 2"),
+    (lambda: JointState(name=["elbow"], position=[1.0, 2.0]), "has 2 values of position for 1 names"),
+    (lambda: JointState(position=[1.0]), "has 1 values of position for 0 names"),
+    (lambda: JointState(name=["elbow"], position=[0.0], effort=[1.0] * 9), "has 9 values of effort for 1"),
+]
+
+
+@pytest.mark.parametrize(("made", "reason"), HOSTILE, ids=[reason for _, reason in HOSTILE])
+def test_hostile_messages_are_counted_with_their_reason(
+    arm: Rig, publisher: Any, made: Callable[[], Any], reason: str
+) -> None:
+    publisher.publish(sample(next(stamps), 0.0, 0.0, 0.0, "elbow"))
+    before = int(arm.values("elbow")["samples_rejected"])
+    publisher.publish(made())
+    values = arm.values("elbow", lambda values: int(values["samples_rejected"]) > before)
+    assert reason in values["last_rejection"]
+
+
+def test_repeated_and_foreign_messages_are_counted(arm: Rig, publisher: Any) -> None:
+    before = arm.values("elbow")
+    stamp = next(stamps)
+    for _ in range(3):
+        publisher.publish(sample(stamp, 0.0, 0.0, 0.0, "elbow"))
+        publisher.publish(message(stamp, {"nobody": 1.0}))
+        publisher.publish(JointState())
+    for key, more in (("samples_rejected", 2), ("messages_without_joint", 6)):
+        arm.values("elbow", lambda v, k=key, n=more: int(v[k]) == int(before[k]) + n)  # type: ignore[misc]
+
+
+def test_a_publisher_that_dies_and_comes_back(arm: Rig, publisher: Any) -> None:
+    mortal = arm.publisher()
+    feed(mortal, stamps, 20, joint="elbow")
+    assert "STALE" not in arm.values("elbow", lambda v: float(v["silence_s"]) < 0.3)["fault_codes"]
+    arm.node.destroy_publisher(mortal)
+    stale = arm.status("elbow", lambda v: "STALE" in v["fault_codes"])
+    assert float(values_of(stale)["silence_s"]) > 0.5
+    feed(publisher, stamps, 20, joint="elbow")
+    arm.values("elbow", lambda v: "STALE" not in v["fault_codes"])
+
+
+# Parameters ---
+
+
+def test_every_number_can_be_set(arm: Rig) -> None:
+    """Each parameter to a value that it can have, and back; an integer is welcome where it is one."""
+    known = {name: p for name, p in all_parameters(list(JOINTS)).items() if name.startswith("elbow.")}
+    known |= {p.name: p for p in NODE_PARAMETERS}
+    coupled = (
+        "ratio",
+        "output",
+        "teeth",
+        "neutral_curve",
+        "circular_spline",
+        "flexspline_tooth",
+        "model_file",
+    )
+    now = dict(zip(known, arm.get(*known), strict=True))
+    flat = dict(config(*JOINTS, **QUICK, mesh_rate=10.0).flat)
+    numbers = [
+        n for n, p in known.items() if isinstance(p.default, (int, float)) and not isinstance(p.default, bool)
+    ]
+    free = [n for n in numbers if not any(part in n for part in coupled)]
+    assert len(free) > 25
+    for name in free:
+        assert now[name].type in (ParameterType.PARAMETER_DOUBLE, ParameterType.PARAMETER_INTEGER)
+        value = flat[name]
+        assert isinstance(value, (int, float))
+        other = type(value)(value * 1.01 if value else 1e-7 if isinstance(value, float) else 1_000_000)
+        answers = arm.set(**{name.replace(".", "__"): other})
+        assert [(a.successful, a.reason) for a in answers] == [(True, "")], name
+        assert arm.set(**{name.replace(".", "__"): value})[0].successful
+
+
+def test_an_integer_does_for_a_number(arm: Rig) -> None:
+    assert arm.set(elbow__torque=2)[0].successful
+    assert arm.set(elbow__torque=0.0)[0].successful
+
+
+REFUSED = [
+    ({"elbow__eccentricity__magnitude": math.nan}, "elbow.eccentricity.magnitude: expected a number"),
+    ({"elbow__eccentricity__magnitude": -1e-6}, "elbow.eccentricity.magnitude"),
+    ({"elbow__eccentricity__magnitude": 0.9e-3}, "strikes the circular spline"),
+    ({"elbow__ratio": 80.0}, "ratio 80 does not fit"),
+    ({"elbow__tooth_compliance": "soft"}, "elbow.tooth_compliance: expected a number"),
+    ({"elbow__neutral_curve__semi_minor": 31e-3}, "elbow"),
+    ({"elbow__flexspline_tooth__addendum_center": [1e-3]}, "expected two numbers"),
+    ({"elbow__output": "sideways"}, "expected one of flexspline, circular_spline"),
+    ({"elbow__limits__torque__warn": 9.0}, "must not be below warn"),
+    ({"array_rate": 1e9}, "array_rate"),
+    ({"log__compression": "rar"}, "expected one of none, lz4, zstd"),
+    ({"joints": ["elbow"]}, "read-only"),
+]
+
+
+@pytest.mark.parametrize(("given", "reason"), REFUSED, ids=[next(iter(g)) for g, _ in REFUSED])
+def test_a_bad_value_is_refused_with_its_reason_and_changes_nothing(
+    arm: Rig, given: dict[str, Any], reason: str
+) -> None:
+    names = [name.replace("__", ".") for name in given]
+    before = arm.get(*names)
+    (answer,) = arm.set(**given)
+    assert not answer.successful
+    assert reason in answer.reason
+    assert arm.get(*names) == before
+
+
+def test_an_unknown_parameter_is_refused(arm: Rig) -> None:
+    (answer,) = arm.set(elbow__excentricity=1e-6)
+    assert not answer.successful
+    assert answer.reason
+
+
+def test_a_parameter_cannot_be_removed(arm: Rig) -> None:
+    future = arm.client.set_parameters([Parameter("elbow.torque")])
+    arm.until(future.done, "answer")
+    assert not future.result().results[0].successful
+    assert arm.get("elbow.torque")[0].double_value == 0.0
+
+
+def test_what_belongs_together_is_set_together(arm: Rig, publisher: Any) -> None:
+    both = {"elbow__output": "circular_spline", "elbow__ratio": RATIO + 1.0}
+    assert not arm.set(elbow__ratio=RATIO + 1.0)[0].successful
+    assert arm.set(atomically=True, **both)[0].successful
+    errors = heard(arm, "transmission_error")
+    publisher.publish(sample(next(stamps), 0.4, 0.0, 2.0, "elbow"))
+    arm.until(lambda: errors, "prediction")
+    expected = exact(config(*JOINTS, **both), "elbow", 0.4, 2.0)
+    assert errors[0].position[0] == pytest.approx(expected, abs=BOUND)
+    back = {"elbow__output": "flexspline", "elbow__ratio": RATIO}
+    assert not arm.set(atomically=True, **(back | {"array_rate": -1.0}))[0].successful
+    assert arm.get("elbow.output")[0].string_value == "circular_spline"
+    assert arm.set(atomically=True, **back)[0].successful
+
+
+def test_a_change_acts_on_the_next_sample_and_none_is_lost_while_the_map_is_built(
+    arm: Rig, publisher: Any
+) -> None:
+    arm.values("elbow", lambda values: values["prediction"] == "map")
+    errors = heard(arm, "transmission_error")
+    feed(publisher, stamps, 500, joint="elbow")
+    changed = {"elbow__eccentricity__magnitude": 3e-6, "elbow__eccentricity__direction": 1.0}
+    future = arm.client.set_parameters_atomically(
+        [Parameter(name.replace("__", "."), value=value) for name, value in changed.items()]
+    )
+    feed(publisher, stamps, 1500, joint="elbow")
+    arm.until(lambda: future.done() and len(errors) == 2000, "prediction of every sample")
+    times = [stamp_of(m) for m in errors]
+    assert times == list(range(times[0], times[0] + 2000 * MS, MS))
+    found = np.array([m.position[0] for m in errors])
+    before, after = config(*JOINTS), config(*JOINTS, **changed)
+    angle = 0.01 * np.concatenate((np.arange(500), np.arange(1500)))
+    torque = np.ones(2000)
+    old, new = (transmission_error(c.joints[1].drive, angle, torque) for c in (before, after))
+    apart = np.flatnonzero(np.abs(old - new) > 3.0 * BOUND)
+    assert apart.size > 1000
+    is_new = np.abs(found - new) < BOUND
+    is_old = np.abs(found - old) < BOUND
+    assert np.all(is_new | is_old)
+    assert not is_new[apart[apart < 500]].any()
+    switched = apart[np.argmax(is_new[apart])]
+    assert 500 <= switched < 1500
+    assert is_new[apart[apart >= switched]].all()
+    arm.values("elbow", lambda values: values["prediction"] == "map" and values["eccentricity_um"] == "3")
+    arm.set(elbow__eccentricity__magnitude=0.0, elbow__eccentricity__direction=0.0)
+
+
+def test_rates_act_at_once(arm: Rig) -> None:
+    assert arm.set(diagnostics_rate=100.0)[0].successful
+    count = len(arm.reports)
+    begin = time.monotonic()
+    arm.until(lambda: len(arm.reports) >= count + 50, "fifty reports")
+    assert time.monotonic() - begin < 2.0
+    assert arm.set(diagnostics_rate=20.0)[0].successful
+
+
+# Its log and its end ---
+
+
+def test_log_holds_everything_and_replays(arm: Rig, publisher: Any, tmp_path: Path) -> None:
+    """The log moves on to another file while the node runs; the first one is finished then."""
+    feed(publisher, stamps, 100, joint="elbow")
+    arm.set(elbow__runout__magnitude=1e-6)
+    feed(publisher, stamps, 100, joint="elbow")
+    arm.set(elbow__runout__magnitude=0.0)
+    log: Path = arm.folder / "log"  # type: ignore[attr-defined]
+    assert arm.set(log__path=str(tmp_path / "next"))[0].successful
+    feed(publisher, stamps, 100, joint="elbow")
+    arm.values("elbow", lambda values: values["samples"] == "100")
+    assert arm.set(log__path="")[0].successful
+    arm.values("elbow", lambda values: values["log_state"] == "off")
+    node = f"{arm.process.namespace}/hd_diag"
+    for folder in (log, tmp_path / "next"):
+        with AnyReader([folder]) as reader:
+            counts = {c.topic: c.msgcount for c in reader.connections}
+            assert counts[f"{arm.process.namespace}/joint_states"] >= 100
+            assert counts[f"{node}/transmission_error"] >= 100
+            changes = [
+                (parameter.name, parameter.value.double_value)
+                for connection, _, data in reader.messages(
+                    [c for c in reader.connections if c.topic == "/parameter_events"]
+                )
+                for parameter in reader.deserialize(data, connection.msgtype).changed_parameters
+            ]
+            if folder == log:
+                assert ("elbow.runout.magnitude", 1e-6) in changes
+        replay(folder, tmp_path / f"{folder.name}.mcap")
+        live, again = written(folder), written(tmp_path / f"{folder.name}.mcap")
+        for topic in live:
+            assert again[topic] == live[topic], topic
+
+
+def written(path: Path) -> dict[str, list[tuple[int, bytes]]]:
+    found: dict[str, list[tuple[int, bytes]]] = {}
+    with BagReader(path) as reader:
+        for batch in reader.batches():
+            rows = zip(batch.log_time.tolist(), map(bytes, batch.messages()), strict=True)
+            found.setdefault(batch.topic.name, []).extend(rows)
+    return found
+
+
+def test_a_best_effort_publisher_that_appears_later(tmp_path: Path) -> None:
+    remapped = ("-r", "joint_states:=robot/js")
+    with running(tmp_path, parameters(**QUICK), *remapped) as rig:
+        errors = heard(rig, "transmission_error")
+        times = itertools.count(START, MS)
+        feed(rig.publisher("robot/js"), times, 20)
+        rig.until(lambda: len(errors) == 20, "predictions of the reliable publisher")
+        late = rig.publisher("robot/js", reliable=False)
+
+        def comes() -> bool:
+            late.publish(sample(next(times), 0.1, 0.0, 1.0))
+            return len(errors) > 40
+
+        rig.until(comes, "predictions of the best-effort publisher")
+        assert "best effort" in rig.process.output()
+        assert rig.process.end(signal.SIGINT) == 0
+
+
+def test_simulated_time_that_jumps_back(tmp_path: Path) -> None:
+    given = parameters(**QUICK) | {
+        "use_sim_time": True,
+        "joint_1.torque": 1,
+        "log.path": str(tmp_path / "log.mcap"),
+    }
+    with running(tmp_path, given) as rig:
+        clock = rig.publisher("clock", Clock)
+        source = rig.publisher(reliable=False)
+        errors = heard(rig, "transmission_error")
+        for loop in range(3):  # a bag that is played again and again
+            for i in range(100):
+                now = Clock()
+                now.clock.sec, now.clock.nanosec = 1000 + i // 10, i % 10 * 100_000_000
+                clock.publish(now)
+                source.publish(sample(10**12 + i * 100 * MS, 0.1, 0.0, 1.0))
+            rig.until(lambda n=loop: len(errors) >= 100 * n + 90, "predictions")  # type: ignore[misc]
+        values = rig.values("joint_1")
+        assert (values["clock_jumps"], values["samples_rejected"]) == ("2", "0")
+        rig.until(lambda: rig.reports[-1].header.stamp.sec == 1009, "report in simulated time")
+        assert rig.process.end(signal.SIGINT) == 0
+        assert_log_is_whole(tmp_path / "log.mcap", rig.process.namespace, 270)
+
+
+def assert_log_is_whole(path: Path, namespace: str, least: int) -> None:
+    """Both independent readers read it with types, and nothing was rejected."""
+    with BagReader(path) as own:
+        assert not own.problems
+    with AnyReader([path]) as reader:
+        for connection, _, data in reader.messages():
+            reader.deserialize(data, connection.msgtype)
+    topics: dict[str, list[Any]] = {}
+    for found in read_ros2_messages(path):
+        topics.setdefault(found.channel.topic, []).append(found.ros_msg)
+    assert len(topics[f"{namespace}/joint_states"]) >= least
+    assert len(topics[f"{namespace}/hd_diag/transmission_error"]) == len(topics[f"{namespace}/joint_states"])
+    (last,) = topics[f"{namespace}/diagnostics"][-1].status
+    assert values_of(last)["samples_rejected"] == "0", values_of(last)["last_rejection"]
+    assert values_of(last)["samples"] == str(len(topics[f"{namespace}/joint_states"]))
+
+
+def test_a_signal_while_messages_wait(tmp_path: Path) -> None:
+    """What was taken is answered and logged; nothing counts as rejected because the end came."""
+    with running(tmp_path, parameters(log__path=str(tmp_path / "log.mcap"))) as rig:
+        source = rig.publisher()
+        for i in range(3000):
+            source.publish(sample(START + i * MS, 0.01 * i, 0.0, 1.0))
+        time.sleep(0.05)
+        assert rig.process.end(signal.SIGTERM) == 0
+        assert_log_is_whole(tmp_path / "log.mcap", rig.process.namespace, 1)
+        assert "Traceback" not in rig.process.output()
+
+
+def test_a_killed_node_loses_less_than_a_second_of_a_log_in_parts(tmp_path: Path) -> None:
+    given = parameters(log__path=str(tmp_path / "log"), log__split_size=100_000, log__compression="none")
+    with running(tmp_path, given) as rig:
+        source = rig.publisher()
+        feed(source, itertools.count(START, MS), 2500)
+        assert rig.process.end(signal.SIGKILL) == -signal.SIGKILL
+    parts = sorted((tmp_path / "log").glob("*.mcap"))
+    assert len(parts) > 3
+    assert all(part.stat().st_size < 400_000 for part in parts)
+    with BagReader(tmp_path / "log") as reader:
+        count = next(t.count for t in reader.topics if t.name.endswith("/joint_states"))
+        assert 1500 < count <= 2500
+
+
+def test_a_full_disk_turns_the_log_off_and_the_node_lives_on(tmp_path: Path) -> None:
+    given = parameters(**QUICK, log__path=str(tmp_path / "log.mcap"), log__compression="none")
+    given |= {f"joint_1.limits.{name}": 1e6 for name in ("overlap.error", "peak_tooth_load.error")}
+    with running(tmp_path, given | {"joint_1.limits.overlap.error": 1.0}, file_size=300_000) as rig:
+        source = rig.publisher()
+        times = itertools.count(START, MS)
+        feed(source, times, 1000)
+        values = rig.values("joint_1", lambda v: "LOG_FAILED" in v["fault_codes"])
+        assert "File too large" in values["log_state"]
+        samples = int(values["samples"])
+        feed(source, times, 50)
+        rig.values("joint_1", lambda v: int(v["samples"]) >= samples + 50)
+        assert rig.process.end() == 0
+        assert "log failed" in rig.process.output()
+
+
+# Start-up ---
+
+
+def start(folder: Path, text: str, *arguments: str) -> tuple[int, str]:
+    file = folder / "robot.yaml"
+    file.write_text(text)
+    command = [sys.executable, "-m", "hd_diag.node", "--ros-args", "--params-file", str(file), *arguments]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=30)
+    return run.returncode, run.stderr
+
+
+def file_of(**given: Any) -> str:
+    section = {name.replace("__", "."): value for name, value in given.items()}
+    return yaml.safe_dump({"hd_diag": {"ros__parameters": section}})
+
+
+FAULTY = {
+    "unknown": (file_of(joint_1__eccentricty=1e-6), ("joint_1.eccentricty", "nearest known")),
+    "text": (file_of(joint_1__ratio="high"), ("joint_1.ratio", "expected a number")),
+    "range": (file_of(array_rate=-3.0), ("array_rate", "0 to 1000")),
+    "geometry": (file_of(joint_1__ratio=99.0), ("joint_1", "ratio 99", "must be 100")),
+    "mixed": (file_of(joint_1__flexspline_tooth__addendum_center=[1, 0.5]), ("addendum_center",)),
+    "yaml": ("hd_diag: [", ()),
+    "empty": ("", ()),
+}
+
+
+@pytest.mark.parametrize(("text", "words"), FAULTY.values(), ids=FAULTY)
+def test_a_faulty_file_ends_the_start_with_one_line(
+    tmp_path: Path, text: str, words: tuple[str, ...]
+) -> None:
+    code, stderr = start(tmp_path, text)
+    assert code == 2, stderr
+    (line,) = stderr.strip().splitlines()
+    assert line.startswith("hd_diag: ")
+    assert "robot.yaml" in line
+    for word in words:
+        assert word in line
+
+
+def test_a_faulty_argument_is_named_too(tmp_path: Path) -> None:
+    code, stderr = start(tmp_path, file_of(array_rate=5), "-p", "joint_1.ratio:=80.0")
+    assert code == 2
+    (line,) = stderr.strip().splitlines()
+    assert "ratio 80" in line
+
+
+def test_events_are_json_of_known_kinds(tmp_path: Path) -> None:
+    with Process(tmp_path, parameters(log__path=str(tmp_path / "log.mcap"))) as process:
+        rig = Rig(process)
+        rig.values("joint_1", lambda v: True)
+        rig.close()
+        assert process.end() == 0
+    with AnyReader([tmp_path / "log.mcap"]) as reader:
+        kinds = [
+            json.loads(reader.deserialize(data, c.msgtype).data)["event"]
+            for c, _, data in reader.messages([c for c in reader.connections if c.topic.endswith("/events")])
+        ]
+    assert kinds[0] == "configuration"
+    assert kinds[-1] == "report"
