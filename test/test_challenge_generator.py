@@ -65,6 +65,16 @@ def test_teeth_all_moved_are_the_references_arc_offset() -> None:
     assert_allclose(found, expected, rtol=0, atol=2 * CLOSE)
 
 
+def test_a_gear_that_has_skipped_a_tooth_meshes_as_before() -> None:
+    tooth = polyline.ring_radius() * 2 * np.pi / 200
+    before, after = (reference_torsion(ERRORS, 0.3, 20.0, arc_offset=s) for s in (0.0, tooth))
+    slot = reference_torsion(ERRORS, 0.3, 20.0, arc_offset=tooth * 200 / 202)
+    assert after == pytest.approx(before, abs=1e-11)
+    assert abs(slot - before) > 50 * ARCSEC  # 360°/202 would not be a place of rest
+    jump = causes.ToothSkip(0.01, -1.0).added(records.scene(ONE_RUN, np.array([0.0, 0.02])))
+    assert_allclose(jump, [0, -2 * np.pi / 200])
+
+
 def test_one_tooth_and_one_slot_return_in_their_own_time() -> None:
     tooth = Gear(ERRORS, causes.ToothDamage(20e-6, 30, "flexspline").flaws())
     slot = Gear(ERRORS, causes.ToothDamage(20e-6, 30).flaws())

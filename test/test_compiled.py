@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 
 from hd_diag.model import clearance, compiled, load_sharing
+from hd_diag.model.torsion import limited_curves
+from hd_diag.model.torsion_map import TorsionMap, build
 
 needs_numba = pytest.mark.skipif(not compiled.available(), reason="numba is not installed")
 
@@ -122,6 +124,125 @@ def test_table_refuses_torques_that_do_not_rise():
     for torque in ([1.0, 0.0], [0.0, math.nan]):
         with pytest.raises(ValueError, match="cup_torque must rise"):
             compiled.torsion_table(drives.geometry(), COMPLIANCE, np.zeros(1), 0j, 0.0, np.array(torque))
+
+
+def by_numpy(function, *arguments):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compiled, "available", lambda: False)
+        return function(*arguments)
+
+
+def by_kernels(function, *arguments):
+    assert compiled.available()
+    return function(*arguments)
+
+
+@needs_numba
+@pytest.mark.parametrize("name", drives.DRIVES)
+def test_limited_curves_are_those_of_the_numpy_modules(name):
+    """Each one's breakpoints lie on the other one's lines: they may stand differently for the same curve."""
+    mesh = drives.mesh(drives.DRIVES[name], (6e-6, -11e-6), (2e-6, 9e-6))
+    turn, limit = moments(9, 60)[0], 80.0
+    curves = [np.stack(solve(limited_curves, mesh, turn, limit), axis=1) for solve in (by_numpy, by_kernels)]
+    for one, other in (curves, curves[::-1]):
+        for (torque, beta), (at, expected) in zip(one, other, strict=True):
+            assert torque[0] == -limit
+            assert torque[-1] == limit
+            assert np.all(np.diff(torque) >= 0)
+            assert np.all(np.diff(beta) >= 0)
+            loaded = torque != 0.0
+            np.testing.assert_allclose(np.interp(torque, at, expected)[loaded], beta[loaded], atol=ROUNDING)
+            ends = expected[at == 0.0] if np.any(at == 0.0) else np.interp([0.0], at, expected)
+            for end in beta[~loaded]:
+                assert np.abs(ends - end).min() <= ROUNDING
+
+
+@pytest.fixture(scope="module", params=["aligned", "astray"])
+def table(request):
+    """Maps with a true gap everywhere, and with preload over part of the turn."""
+    astray = {"eccentricity": (4e-6, -13e-6), "runout": (2e-6, 1e-6)}
+    mesh = drives.mesh(drives.COARSE, **(astray if request.param == "astray" else {}))
+    return by_numpy(build, mesh, 8.0)
+
+
+def places(table: TorsionMap):
+    """Random places of a map, and all that could be told apart by a last bit."""
+    random, n = np.random.default_rng(10), 100_000
+    turn, torque = random.uniform(-50, 50, n), random.uniform(-1, 1, n) * table.torque_limit
+    torque[: n // 10] = np.where(random.random(n // 10) < 0.5, 0.0, -0.0)
+    steps, width = table.torque.shape[0] - 1, table.torque.shape[1]
+    row = random.integers(0, steps, n // 10)
+    turn[n // 5 : n // 5 + row.size] = 2 * np.pi / steps * row
+    torque[n // 5 : n // 5 + row.size] = table.torque[row, random.integers(0, width, row.size)]
+    turn[-1000:] = random.uniform(-1e9, 1e9, 1000)
+    limit = table.torque_limit
+    special = [0.0, -0.0, 1e-300, limit, -limit, np.nextafter(limit, 999), np.inf, -np.inf, np.nan]
+    angles = [0.0, -0.0, -1e-20, 1e-300, 2 * np.pi, -2 * np.pi, np.nextafter(2 * np.pi, 0), np.nan]
+    pairs = np.array(np.meshgrid(angles, special)).reshape(2, -1)
+    return np.concatenate((turn, pairs[0])), np.concatenate((torque, pairs[1]))
+
+
+@needs_numba
+def test_map_gives_the_same_by_numpy_to_the_last_bit(table):
+    turn, torque = places(table)
+    expected, found = by_numpy(table, turn, torque), by_kernels(table, turn, torque)
+    known = ~np.isnan(expected)
+    assert 80_000 < known.sum() < turn.size
+    np.testing.assert_array_equal(np.isnan(found), ~known)
+    np.testing.assert_array_equal(found[known].view(np.int64), expected[known].view(np.int64))
+
+
+@needs_numba
+def test_map_gives_one_place_as_it_gives_many(table):
+    turn, torque = (values[::97] for values in places(table))
+    many = by_kernels(table, turn, torque)
+    one = [by_kernels(table, turn[i : i + 1], torque[i : i + 1])[0] for i in range(turn.size)]
+    np.testing.assert_array_equal(one, many)
+
+
+@needs_numba
+def test_map_refuses_angles_and_torques_of_different_number(table):
+    with pytest.raises(ValueError, match="3 wave generator angles, but 2 torques"):
+        by_kernels(table, np.zeros(3), np.zeros(2))
+
+
+@needs_numba
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_nan_where_no_flank_bears_the_torque(side):
+    """Teeth that at times reach no slot: at zero torque, the gap then has no end on one side."""
+    geometry, turn = drives.geometry(drives.shallow()), np.arange(40) * 2 * np.pi / 32 / 40
+    contact = clearance.contacts(geometry, turn, 0j)
+    lost = np.isnan(contact.rotation).all(axis=2)
+    loaded, idle = lost[:, 0 if side > 0 else 1], lost.any(axis=1)
+    assert 0 < loaded.sum() < idle.sum() < 40
+    mesh = (geometry, COMPLIANCE, turn, 0j, 0.0)
+    torque = np.sort([0.0, side, 2 * side])
+    expected = np.where(torque == 0.0, idle[:, None], loaded[:, None])
+    np.testing.assert_array_equal(np.isnan(compiled.torsion_table(*mesh, torque)), expected)
+    for column, value in enumerate(torque):
+        beta, _, gradient = compiled.torsion_and_gradient(*mesh, value)
+        np.testing.assert_array_equal(np.isnan(beta), expected[:, column])
+        np.testing.assert_array_equal(np.isnan(gradient[:, :3]).all(axis=1), expected[:, column])
+    assert np.isfinite(compiled.limited_curves(*mesh, 1.0)[0]).all(axis=1).sum() == (~idle).sum()
+
+
+@needs_numba
+def test_kernels_are_compiled_once():
+    """Warmed up for what comes: also for columns of other arrays and arrays that cannot be written to."""
+    compiled.warm_up()
+    geometry, table = drives.geometry(), by_numpy(build, drives.mesh(drives.COARSE), 6.0)
+    turn, eccentricity, torque = (np.repeat(values, 2)[::2] for values in moments(11, 5))
+    for values in (turn, eccentricity, torque):
+        values.flags.writeable = False
+    mesh = (geometry, COMPLIANCE, turn, eccentricity, 0.0)
+    compiled.torsion(*mesh, torque)
+    compiled.torsion_table(*mesh, np.sort(torque))
+    compiled.limited_curves(*mesh, 40)
+    compiled.contacts(geometry, turn, eccentricity)
+    by_kernels(table, turn, np.broadcast_to(0.5, 5))
+    kernels = compiled._kernel()
+    for name in ("torsion", "torsion_table", "curves", "contacts", "interpolate"):
+        assert len(getattr(kernels, name).signatures) == 1, name
 
 
 @needs_numba
@@ -258,6 +379,6 @@ def test_numba_is_imported_only_when_asked_for():
 def test_without_numba_the_path_is_not_available():
     code = (
         "import sys; sys.modules['numba'] = None;"
-        "from hd_diag.model import compiled; print(compiled.available())"
+        "from hd_diag.model import compiled; compiled.warm_up(); print(compiled.available())"
     )
     assert run(code) == "False"

@@ -42,7 +42,7 @@ def product(angle: Array = ANGLES, torque: Array = TORQUES) -> tuple[Array, Arra
 
 
 def moved_outward(angle: float, outward: Array) -> polyline.Mesh:
-    """The reference's mesh with slots displaced radially [m]: every wall point moves along its slot's axis."""
+    """The reference's mesh with slots displaced radially [m], every wall point along its slot's axis."""
     wall = polyline._slot_polar(drives.PAPER, 1600)
     x, y = wall[0] * np.cos(wall[1]), wall[0] * np.sin(wall[1])
     parts = []
@@ -194,14 +194,19 @@ def test_uniform_radial_displacement_is_the_datum() -> None:
     assert rms(found.real - expected) < 0.03 * rms(expected)
 
 
-def test_reversed_torque_turns_radial_errors_round() -> None:
-    """Mirrored, without eccentricity: pitch errors keep their sign on average, form errors change it."""
+def test_reversed_torque_mirrors_pitch_and_reverses_form() -> None:
+    """Without eccentricity the drive is its own mirror image, in which a radial error turns the other way."""
     drive = Drive(drives.mesh(), Kinematics(100.0), 56.0)
-    angle = np.linspace(0.0, 2 * math.pi, 101)
-    up, down = (weights(drive, angle, np.full(101, torque)) for torque in (30.0, -30.0))
-    turning = np.exp(-2j * angle)
-    assert (np.mean(up.slot_harmonic(2) * turning) / np.mean(down.slot_harmonic(2) * turning)).real > 0.5
-    assert (np.mean(up.radial_harmonic(2) * turning) / np.mean(down.radial_harmonic(2) * turning)).real < -0.5
+    angle = 2 * math.pi / 404 * np.arange(404)
+    for order in (2, 4):
+        turning = np.exp(-1j * order * angle)
+        up, down = (weights(drive, angle, np.full(404, torque)) for torque in (30.0, -30.0))
+        pitch = [np.mean(side.slot_harmonic(order) * turning) for side in (up, down)]
+        form = [np.mean(side.radial_harmonic(order) * turning) for side in (up, down)]
+        assert_allclose(pitch[0], np.conj(pitch[1]), rtol=1e-6)
+        assert_allclose(form[0], -np.conj(form[1]), rtol=1e-6)
+        assert abs(pitch[0]) > 10.0
+        assert abs(form[0]) > 5.0
 
 
 def test_slots_come_back_every_turn_and_teeth_two_further(many: tuple[Array, Array]) -> None:

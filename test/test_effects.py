@@ -1,6 +1,7 @@
 """The catalogue of effects: one contract for all, and what single effects must do."""
 
 import dataclasses
+import itertools
 import math
 from pathlib import Path
 
@@ -259,7 +260,7 @@ class TestContract:
             state = effect.start(nonlinear)
             inside = signals.part(run)
             edges = [0, 1, 2, 3, 40, 41, 1000, inside.size]
-            for start, end in zip(edges[:-1], edges[1:], strict=True):
+            for start, end in itertools.pairwise(edges):
                 columns, state = effect.step(state, inside.part(slice(start, end)), nonlinear)
                 parts.append(columns)
         assert_allclose(np.concatenate(parts), whole, rtol=1e-12, atol=1e-14 * np.abs(whole).max())
@@ -271,7 +272,7 @@ class TestContract:
 
     def test_testable(self, effect: Effect, signals: Signals, still: Signals) -> None:
         if effect.name == "tooth_damage":  # ten turns of the output are more than this record has
-            assert not effect.testable(signals)[0]
+            assert "the output covers 5.08 turns" in effect.testable(signals)[1]
         else:
             assert effect.testable(signals) == (True, "")
         possible, reason = effect.testable(still)
@@ -329,15 +330,15 @@ def fitted(effect: Effect, signals: Signals, error: np.ndarray) -> tuple[np.ndar
     slopes = []
     for place in range(len(effect.nonlinear)):
         step = 1e-4 * max(abs(nonlinear[place]), 1e-3) * (place in free)
-        ends = [nonlinear[:place] + (nonlinear[place] + s * step,) + nonlinear[place + 1 :] for s in (-1, 1)]
+        before, after = nonlinear[:place], nonlinear[place + 1 :]
+        ends = [(*before, nonlinear[place] + way * step, *after) for way in (-1, 1)]
         change = (effect.columns(signals, ends[1]) - effect.columns(signals, ends[0])) @ coefficients
         slopes.append(change / (2.0 * step) if step else np.zeros(signals.size))
     jacobian = np.column_stack([columns, *slopes])
-    scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
-    covariance = NOISE**2 * np.linalg.pinv((jacobian / scale).T @ (jacobian / scale)) / np.outer(scale, scale)
-    covariance[np.linalg.norm(jacobian, axis=0) == 0.0] = 0.0
-    covariance[:, np.linalg.norm(jacobian, axis=0) == 0.0] = 0.0
-    return np.concatenate((coefficients, nonlinear)), covariance
+    norm = np.linalg.norm(jacobian, axis=0)
+    scale = np.where(norm > 0.0, norm, 1.0)
+    inverse = np.linalg.pinv((jacobian / scale).T @ (jacobian / scale))
+    return np.concatenate((coefficients, nonlinear)), NOISE**2 * inverse / np.outer(scale, scale)
 
 
 def solved(columns: np.ndarray, error: np.ndarray) -> np.ndarray:
@@ -349,21 +350,22 @@ def solved(columns: np.ndarray, error: np.ndarray) -> np.ndarray:
 
 
 def test_hysteresis_closes_its_loop(signals: Signals) -> None:
-    """Masing: after the first swing the loop repeats; it is 2 a wide, and its loss does not depend on time."""
+    """Masing: after the first swing the loop repeats; it is 2 a wide and takes work."""
     count = 401
     swing = np.concatenate(
         [np.linspace(0, 20, count), np.linspace(20, -20, count), np.linspace(-20, 20, count)]
     )
     inside = signals.part(slice(0, swing.size))
     loop = dataclasses.replace(inside, torque=swing)
-    z = -by_name("hysteresis").columns(loop, (2.0, 9.0))
+    z = by_name("hysteresis").columns(loop, (2.0, 9.0))
     assert_allclose(z[count - 1], 1.0)
     assert_allclose(z[2 * count - 1], -1.0)
     down, up = z[count : 2 * count], z[2 * count :]
     assert_allclose(down, -up, atol=1e-12)
     reach = np.array([2.0, 9.0])
-    width = (down - up[::-1]).sum(axis=0) * (swing[1] - swing[0]) * 2
-    assert_allclose(width, 4.0 * (20.0 - reach), rtol=0.02)  # area 2 x 2 (20 - r) of a parallelogram
+    area = (up[::-1] - down).sum(axis=0) * 40.0 / (count - 1)  # 80 of a rectangle 40 x 2, less two wedges
+    assert_allclose(area, 80.0 - 4.0 * reach, rtol=0.02)
+    assert np.all(area > 0.0)  # the work that the torque does on a link that lags, -TE, is lost
 
 
 def test_runs_start_anew(signals: Signals) -> None:
@@ -424,9 +426,10 @@ def test_stream_delay_is_a_late_output() -> None:
 def test_torque_offset_is_another_torque() -> None:
     now = recorded()
     angle = now.input_angle
-    moved = transmission_error(EXACT, angle, now.torque + 0.2) - now.predicted
-    expected = (0.2 * by_name("torque_offset").columns(now, ()))[:, 0]
-    assert np.sqrt(np.mean((moved - expected) ** 2)) < 0.03 * np.sqrt(np.mean(moved**2))
+    moved = transmission_error(EXACT, angle, now.torque + 0.05) - now.predicted
+    expected = (0.05 * by_name("torque_offset").columns(now, ()))[:, 0]
+    borne = np.abs(now.torque) > 2.0  # near zero the compliance changes within the step
+    assert np.sqrt(np.mean((moved - expected)[borne] ** 2)) < 0.03 * np.sqrt(np.mean(moved[borne] ** 2))
 
 
 def test_ratio_error_is_another_ratio(signals: Signals) -> None:
@@ -441,7 +444,7 @@ def test_no_temperature_no_drift(signals: Signals) -> None:
     assert "no temperature is measured" in by_name("thermal_drift").testable(blind)[1]
 
 
-@pytest.mark.parametrize("order", [0.4123, 0.4437, 10.137, 12.8821])
+@pytest.mark.parametrize("order", [0.4123, 0.4437, 10.2537, 12.8821])
 def test_scan_finds_the_bearing(signals: Signals, order: float) -> None:
     """A line as weak as the noise, within half of what the record resolves."""
     effect = by_name("bearing_passage")

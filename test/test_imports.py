@@ -17,6 +17,7 @@ CORE = (
     "hd_diag.criticism",
 )
 EDGES = {"rclpy", "rosbags", "mcap", "yaml", "matplotlib", "click", "rich", "sensor_msgs", "diagnostic_msgs"}
+LATER = {"numba"}  # imported when something is first computed
 
 
 def core_modules() -> list[str]:
@@ -29,7 +30,8 @@ def core_modules() -> list[str]:
         names.append(name)
         inside = spec.submodule_search_locations or []
         names += [module.name for module in pkgutil.walk_packages(inside, prefix=f"{name}.")]
-    return names
+    # The kernels are numba's, which reads yaml itself; the rest of the core must start without them.
+    return [name for name in names if not name.startswith("hd_diag.model.kernel")]
 
 
 def imported_by(statement: str) -> set[str]:
@@ -46,7 +48,7 @@ def imported_by(statement: str) -> set[str]:
 def test_core_module_imports_no_edge(module: str) -> None:
     loaded = imported_by(f"import {module}")
     assert "hd_diag" in loaded
-    assert not loaded & EDGES
+    assert not loaded & (EDGES | LATER)
 
 
 def test_core_is_found() -> None:

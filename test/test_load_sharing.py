@@ -208,6 +208,19 @@ def test_nan_where_no_flank_can_bear_the_torque(lost: int, torque: float) -> Non
     assert_allclose(found[0, 2], -np.sign(torque) * (1e-5 + 5 / 300), rtol=1e-13)
 
 
+def test_a_flank_that_never_closes_bears_nothing() -> None:
+    contact = MESHES["23 um"].contacts(ANGLES)
+    none = np.isnan(contact.rotation)
+    never = dataclasses.replace(contact, rotation=np.where(none, np.inf, contact.rotation))
+    torque = np.array([0.0, 5.0, -40.0])
+    for open_flank in (contact, never):
+        assert np.all(flank_stiffness(open_flank, COMPLIANCE)[none] == 0)
+    expected, found = (
+        torsion(torque_curve(c.rotation, flank_stiffness(c, COMPLIANCE)), torque) for c in (contact, never)
+    )
+    assert_array_equal(found, expected)
+
+
 def test_many_torques_equal_one_to_the_last_bit() -> None:
     contact = MESHES["23 um"].contacts(ANGLES)
     curve = torque_curve(contact.rotation, flank_stiffness(contact, COMPLIANCE))

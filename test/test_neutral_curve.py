@@ -27,6 +27,12 @@ def test_paper_s_ellipse_is_as_long_as_a_circle_of_30_mm() -> None:
     assert_allclose(PAPER.radius, 29.99996e-3, atol=5e-9)
 
 
+def test_curves_are_kept_and_cannot_be_changed() -> None:
+    assert neutral_curve(drives.PAPER.semi_major, drives.PAPER.semi_minor) is PAPER
+    with pytest.raises(ValueError, match="read-only"):
+        PAPER.harmonics[0] = 0.0
+
+
 @given(st.floats(1e-3, 1.0), st.floats(0.801, 1.0), st.floats(-10.0, 10.0))
 @settings(max_examples=40)
 def test_arc_length_is_the_integral_of_the_speed(major: float, slender: float, u: float) -> None:

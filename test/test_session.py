@@ -51,7 +51,7 @@ def recording() -> Recording:
 
 @pytest.fixture
 def session(recording: Recording) -> Session:
-    return Session(config(mesh_rate=50.0), recording, "/robot/hd_diag")
+    return Session(config(mesh_rate=50.0), recording, "/robot/hd_diag", {"~/residual": "/elsewhere"})
 
 
 def test_everything_that_leaves_can_be_read(session: Session, recording: Recording) -> None:
@@ -107,7 +107,12 @@ def test_drawing_is_of_the_joint(session: Session, recording: Recording) -> None
 def test_the_configuration_is_recorded_at_the_start(session: Session, recording: Recording) -> None:
     session.start(START)
     (event,) = events(recording)
-    assert event == {"event": "configuration", "new": True, "parameters": dict(session.config.flat)}
+    assert event == {
+        "event": "configuration",
+        "new": True,
+        "parameters": dict(session.config.flat),
+        "topics": {"~/residual": "/elsewhere"},
+    }
     assert resolve(event["parameters"]) == session.config
     (declared,) = messages(recording, PARAMETER_EVENTS)
     assert declared.node == "/robot/hd_diag"

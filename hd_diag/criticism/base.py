@@ -241,9 +241,7 @@ def physical(parameters: Floats, covariance: Floats, configured: Drive) -> dict[
     return found
 
 
-def _polar(
-    name: str, p: Floats, covariance: Floats, first: int, start: Floats
-) -> dict[str, dict[str, Any]]:
+def _polar(name: str, p: Floats, covariance: Floats, first: int, start: Floats) -> dict[str, dict[str, Any]]:
     pair = slice(first, first + 2)
     x, y = p[pair]
     size = max(float(np.hypot(x, y)), 1e-9)

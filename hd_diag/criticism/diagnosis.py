@@ -164,13 +164,12 @@ def _gain(
     plain: Workbench,
     found: Search,
 ) -> tuple[Rms, Gain]:
-    kept = usable(record)
-    rows = test[kept]
-    time, run = record.time[kept][rows], record.run[kept][rows]
-    nominal = _left(record, configured, kept)
-    nominal = (nominal - nominal[~rows].mean())[rows]
-    refitted = _predicted_left(record, configured, plain, (), rows)
-    extended = _predicted_left(record, configured, found.bench, found.chosen, rows)
+    unseen = _renumbered(record.select(test))
+    nominal = _nominal_left(record, configured, test)
+    refitted = _left_by(unseen, configured, plain, ())
+    extended = _left_by(unseen, configured, found.bench, found.chosen)
+    kept = usable(unseen)
+    time, run = unseen.time[kept], unseen.run[kept]
     noise = found.bench.noise_residual
     low, high = _rms_interval(noise, found.bench.record.time, found.bench.run)
     freedom = noise.size / max(noise.size - found.bench.always().shape[1] - 30, 1)
@@ -184,24 +183,25 @@ def _gain(
     return rms, Gain(fraction, float(np.quantile(shares, 0.025)), float(np.quantile(shares, 0.975)), told)
 
 
-def _left(record: Record, drive: Drive, kept: npt.NDArray[np.bool_]) -> Floats:
+def _nominal_left(record: Record, configured: Drive, test: npt.NDArray[np.bool_]) -> Floats:
+    """Measured less predicted error of the configured drive on held-out rows, the encoders' offset taken off [rad]."""
+    known = np.flatnonzero(usable(record) & ~test)[::10]
+    offset = _left(record.select(known), configured).mean()
+    unseen = record.select(test)
+    return _left(unseen.select(usable(unseen)), configured) - offset
+
+
+def _left(record: Record, drive: Drive) -> Floats:
     """Measured less predicted error [rad]."""
-    rec = record.select(kept)
-    return (
-        rec.output_angle
-        - rec.input_angle / drive.kinematics.ratio
-        - base.error(drive, rec.input_angle, rec.torque)
-    )
+    error = base.error(drive, record.input_angle, record.torque)
+    return np.asarray(record.output_angle - record.input_angle / drive.kinematics.ratio - error)
 
 
-def _predicted_left(
-    record: Record, configured: Drive, trained: Workbench, chosen: Chosen, rows: npt.NDArray[np.bool_]
-) -> Floats:
-    """What a model trained elsewhere leaves of the chosen rows [rad]."""
+def _left_by(unseen: Record, configured: Drive, trained: Workbench, chosen: Chosen) -> Floats:
+    """What a model trained elsewhere leaves of unseen rows [rad]."""
     beta, _, _ = trained.fit(chosen)
-    whole = Workbench(record, configured, trained.parameters)
-    columns = np.concatenate((whole.always(), whole.joined(chosen)), axis=1)
-    return np.asarray((whole.left - columns @ beta)[rows])
+    bench = Workbench(unseen, configured, trained.parameters)
+    return np.asarray(bench.left - np.concatenate((bench.always(), bench.joined(chosen)), axis=1) @ beta)
 
 
 def _rms(values: Floats) -> float:

@@ -20,6 +20,7 @@ Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 _BLOCKS = 24
+_SETTLED = 1.0  # standard deviations; the model is linear over such steps
 # What no refit of the model can be blamed for: a cause must beat a refit of its own as well.
 SEARCHED = tuple(effect for effect in CATALOGUE if effect.name not in ("ratio_error", "tooth_skip"))
 
@@ -37,9 +38,13 @@ class Workbench:
     configured : Drive
     parameters : ndarray, shape (7,)
         Where the model is linearised, in units of `base.SCALES`.
+    whiten : Whitening, optional
+        Noise model to begin with.
     """
 
-    def __init__(self, record: Record, configured: Drive, parameters: Floats) -> None:
+    def __init__(
+        self, record: Record, configured: Drive, parameters: Floats, whiten: Whitening | None = None
+    ) -> None:
         self.source = record
         self.configured = configured
         self.record = record.select(usable(record))
@@ -53,10 +58,11 @@ class Workbench:
         self.nuisance = np.ones((rec.size, 1))
         self.signals = signals(rec, self.drive, self.error, slope)
         self.block = blocks(self.run)
-        self.whiten = Whitening(np.zeros(ORDER), 1.0)
         self._columns: dict[tuple[str, tuple[float, ...]], Floats] = {}
+        self.noise_residual = np.empty(0)
         self._white: dict[tuple[str, tuple[float, ...]], Floats] = {}
         self._grids: dict[str, list[tuple[float, ...]]] = {}
+        self._whiten_by(whiten or Whitening(np.zeros(ORDER), 1.0))
 
     def columns(self, effect: Effect, nonlinear: tuple[float, ...]) -> Floats:
         """Columns of an effect, shape (n, k) [rad per unit]."""
@@ -115,11 +121,14 @@ class Workbench:
         """Whiten by the residual of a model rich enough to leave only noise."""
         rich = np.concatenate((self.always(), self.joined(chosen), self._general()), axis=1)
         rest = self.left - _projection(rich, self.left)
-        self.whiten = whitening(rest, self.run)
         self.noise_residual = rest
+        self._whiten_by(whitening(rest, self.run))
+
+    def _whiten_by(self, whiten: Whitening) -> None:
+        self.whiten = whiten
         self._white.clear()
-        self.always_white = self.whiten(self.always(), self.run)
-        self.left_white = self.whiten(self.left, self.run)
+        self.always_white = whiten(self.always(), self.run)
+        self.left_white = whiten(self.left, self.run)
 
     def _general(self) -> Floats:
         """What any cause may look like: low orders, powers of torque, direction, speed."""
@@ -226,14 +235,15 @@ def settle(bench: Workbench, chosen: Chosen, rounds: int = 3) -> Workbench:
     Workbench
         Linearised at the parameters found, its noise learnt.
     """
+    bench.learn_noise(chosen)
     for _ in range(rounds):
-        bench.learn_noise(chosen)
         beta, covariance, _ = bench.fit(chosen)
         step = beta[: base.COUNT]
-        if np.max(np.abs(step) / np.sqrt(np.diag(covariance)[: base.COUNT] + 1e-12)) < 0.1:
-            return bench
-        bench = Workbench(
-            bench.source, bench.configured, base.admissible(bench.parameters + step, bench.configured)
-        )
-    bench.learn_noise(chosen)
+        # The fit itself still adds a step this small, linearly.
+        if np.max(np.abs(step) / np.sqrt(np.diag(covariance)[: base.COUNT] + 1e-12)) < _SETTLED:
+            break
+        moved = base.admissible(bench.parameters + step, bench.configured)
+        residual = bench.noise_residual
+        bench = Workbench(bench.source, bench.configured, moved, bench.whiten)
+        bench.noise_residual = residual
     return bench

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from hd_diag.effects.effect import Effect, Quantity, Values, amplitude, direction, turning
 from hd_diag.effects.excitation import enough_input_turns, input_turns
-from hd_diag.effects.order_spectrum import spectrum
+from hd_diag.effects.order_spectrum import line_width, spectrum
 from hd_diag.effects.signals import Signals
 from hd_diag.model.torsion_map import ARCSEC
 
@@ -29,7 +29,7 @@ BANDS = (
 """Orders of the cage, of the balls over the outer and over the inner ring."""
 
 _CANDIDATES = 4
-_CLEAR = 2.0  # lines narrower than this many times one over the turns belong to their whole neighbour
+_LEAK = 0.2  # of a line, that may still show beside it where a candidate is allowed
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,9 @@ class BearingPassage(Effect):
 
     def _allowed(self, order: Floats, signals: Signals) -> npt.NDArray[np.bool_]:
         inside = np.any([(order >= low) & (order <= high) for low, high in BANDS], axis=0)
-        reach = _CLEAR / max(input_turns(signals), 1.0)
+        reach = line_width(signals.wave_generator_angle, _LEAK)
         reduction = signals.contact.drive.mesh.geometry.reduction
-        for whole in (1.0, 1.0 + 1.0 / reduction):  # of the housing and of the flexspline
+        for whole in (1.0, 1.0 + 1.0 / reduction):  # of housing and flexspline
             inside &= np.abs(order / whole - np.rint(order / whole)) * whole > reach
         return np.asarray(inside)
 

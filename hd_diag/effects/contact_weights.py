@@ -8,6 +8,7 @@ what turns with the wave generator is taken out before a sample is interpolated:
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -71,26 +72,32 @@ class ContactTable:
 
     def slot_harmonic(self, order: int) -> Complexes:
         """Response to ``c = Re(A exp(i k phi))`` over ``A exp(i k theta_W)`` [rad/m]; (torques, angles)."""
-        return self._harmonic("slot", order, self._slot_angle, np.abs(self.share) / self._radius)
+        return self._harmonic(
+            "slot", order, lambda: self._slot_angle, lambda: np.abs(self.share) / self._radius
+        )
 
     def tooth_harmonic(self, order: int) -> Complexes:
         """The same for the flexspline's teeth, over ``A exp(i k theta_F)``, theta_F = theta_W (1 + 1/N)."""
-        return self._harmonic("tooth", order, self._tooth_angle, -np.abs(self.share) / self._radius)
+        return self._harmonic(
+            "tooth", order, lambda: self._tooth_angle, lambda: -np.abs(self.share) / self._radius
+        )
 
     def radial_harmonic(self, order: int) -> Complexes:
         """The same for a radial displacement of the slots, over ``A exp(i k theta_W)`` [rad/m]."""
-        return self._harmonic("radial", order, self._slot_angle, self._radial_share)
+        return self._harmonic("radial", order, lambda: self._slot_angle, lambda: self._radial_share)
 
     def clearance(self) -> Complexes:
         """Response to more circumferential clearance on all flanks [rad/m], shape (torques, angles)."""
-        return self._harmonic("clearance", 0, self._slot_angle, self.share / self._radius)
+        return self._harmonic("clearance", 0, lambda: self._slot_angle, lambda: self.share / self._radius)
 
     def one_slot(self, slot: int) -> Complexes:
         """Response to more clearance on the flanks (+, -) of one slot [rad/m]; (2, torques, angles)."""
-        own = self.contact.slots == slot % self.drive.mesh.geometry.circular_spline_teeth
-        masked = np.where(own[:, None, :], 1.0 / self._radius, 0.0)
-        flanks: Complexes = np.einsum("tafp,afp->fta", self.share, masked).astype(np.complex128)
-        return flanks
+        key = ("one slot", slot % self.drive.mesh.geometry.circular_spline_teeth)
+        if key not in self._tables:
+            own = self.contact.slots == key[1]
+            masked = np.where(own[:, None, :], 1.0 / self._radius, 0.0)
+            self._tables[key] = np.einsum("tafp,afp->fta", self.share, masked).astype(np.complex128)
+        return self._tables[key]
 
     def mean_slot(self) -> Floats:
         """Of slot 0, in the mean over all slots; an eccentric wave generator makes them differ.
@@ -179,11 +186,13 @@ class ContactTable:
         total = bearing.sum(axis=(1, 2), keepdims=True)
         return np.asarray(_FLANKS * bearing / np.where(total > 0.0, total, np.inf))
 
-    def _harmonic(self, name: str, order: int, angle: Floats, response: Floats) -> Complexes:
+    def _harmonic(
+        self, name: str, order: int, angle: Callable[[], Floats], response: Callable[[], Floats]
+    ) -> Complexes:
         key = (name, order)
         if key not in self._tables:
-            turning = np.exp(1j * order * angle)
-            self._tables[key] = np.einsum("tafp,ap->ta", response, turning, optimize=True)
+            turning = np.exp(1j * order * angle())
+            self._tables[key] = np.einsum("tafp,ap->ta", response(), turning, optimize=True)
         return self._tables[key]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import numpy.typing as npt
 
 from hd_diag.effects.signals import Signals
 
@@ -109,7 +110,7 @@ def several_speeds(signals: Signals, number: int) -> Verdict:
     if speed.size:
         level = np.bincount(np.rint(speed / (_SPEED_STEP * speed.max())).astype(np.int64))
         found = int(np.count_nonzero(level >= max(10, 0.005 * speed.size)))
-    return (
+    return _told(
         found >= number,
         f"{found} speeds: repeat the motion at {number} different speeds, or ramp the speed",
     )
@@ -144,7 +145,7 @@ def _torque_ends(signals: Signals) -> tuple[float, float]:
     return float(np.min(signals.torque)), float(np.max(signals.torque))
 
 
-def _reversals(torque: np.ndarray[tuple[int], np.dtype[np.float64]], swing: float) -> int:
+def _reversals(torque: npt.NDArray[np.float64], swing: float) -> int:
     """Times that the torque turns back by more than a swing: rainflow counting's reversals."""
     if not torque.size:
         return 0

@@ -22,7 +22,10 @@ State = tuple[float | None, tuple[float, ...]]
 
 @dataclass(frozen=True)
 class Hysteresis(StatefulEffect):
-    """Two Maxwell slip elements: ``z <- clip(z + dT / r, -1, 1)``, ``-(a_1 z_1 + a_2 z_2)``."""
+    """Two Maxwell slip elements: ``z <- clip(z + dT / r, -1, 1)``, ``a_1 z_1 + a_2 z_2``.
+
+    The link lags less while the torque grows and more while it falls: the loop takes work, a >= 0.
+    """
 
     def start(self, nonlinear: Values) -> State:
         """No torque yet; the elements are relaxed."""
@@ -36,7 +39,7 @@ class Hysteresis(StatefulEffect):
         change = np.diff(signals.torque, prepend=before)
         every = [_slip(z, change / reach) for z, reach in zip(state[1], nonlinear, strict=True)]
         last = tuple(float(z[-1]) for z in every)
-        return -np.stack(every, axis=1), (float(signals.torque[-1]), last)
+        return np.stack(every, axis=1), (float(signals.torque[-1]), last)
 
     def grid(self, signals: Signals) -> list[Values]:
         """Pairs of torques over which the elements stick [N m]."""

@@ -46,3 +46,25 @@ def integer_orders(angle: Floats, residual: Floats, highest: int) -> Floats:
     place = np.floor(np.mod(angle, 2.0 * math.pi) * (bins / (2.0 * math.pi))).astype(np.int64) % bins
     sums = np.bincount(place, residual - residual.mean(), bins)
     return np.asarray(np.abs(np.fft.rfft(sums))[: highest + 1] * (2.0 / angle.size))
+
+
+def line_width(angle: Floats, leak: float) -> float:
+    """How far from a line its side lobes reach, for where the samples are.
+
+    Parameters
+    ----------
+    angle : ndarray, shape (n,)
+        [rad], continuous over the turns.
+    leak : float
+        Share of the line's strength that counts as reached.
+
+    Returns
+    -------
+    float
+        Order [-]; of a record that stands still in parts, more than one over the turns.
+    """
+    turn = np.floor((angle - np.min(angle)) / (2.0 * math.pi)).astype(np.int64)
+    count = np.bincount(turn)
+    length = 2 ** math.ceil(math.log2(_OVERSAMPLING * max(count.size, 2)))
+    window = np.abs(np.fft.rfft(count, length)) / angle.size
+    return (int(np.flatnonzero(window > leak)[-1]) + 1) / length

@@ -125,6 +125,8 @@ def table() -> Array:
         return np.load(path)
     found = calculated()
     path.parent.mkdir(parents=True, exist_ok=True)
+    for old in path.parent.glob("clearances-*.npy"):
+        old.unlink(missing_ok=True)
     with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
         np.save(file, found)
     os.replace(file.name, path)  # whole or not at all, also where two runs calculate it

@@ -9,7 +9,6 @@ times of 100 in the noise of the record (SNR), and where it is worth naming (0.2
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from challenge.causes import Cause
 from challenge.clearances import Array
 from challenge.motion import RATE, Motion, standard
 from challenge.records import output, scene, transmission_error
-from challenge.truth import ARCSEC, RATIO, Base, drawn
+from challenge.truth import ARCSEC, Base, drawn
 
 SNR = 7.6  # sqrt of 58: chi-square with 2 degrees of freedom at 1e-6 is 28; 99 % power doubles it
 WORTH_NAMING = 0.25 * ARCSEC  # [rad] rms
@@ -46,9 +45,8 @@ def _moved(base: Base) -> list[Base]:
     return [dataclasses.replace(base, **{name: getattr(base, name) + step}) for name, step in tiny.items()]
 
 
-def jacobian(base: Base, motion: Motion, time: Array) -> Array:
-    """Columns (n, 8): what each parameter of the drive, a little off, adds."""
-    here = transmission_error(base, (), motion, time)
+def jacobian(base: Base, motion: Motion, time: Array, here: Array) -> Array:
+    """Columns (n, 8): what each parameter of the drive, a little off, adds to an error (n,) [rad]."""
     return np.stack([transmission_error(b, (), motion, time) - here for b in _moved(base)], axis=1)
 
 
@@ -57,44 +55,42 @@ def _rest(x: Array, columns: Array) -> Array:
     return np.asarray(x - columns / scale @ np.linalg.lstsq(columns / scale, x, rcond=None)[0])
 
 
-def _expected(base: Base, cause: Cause, motion: Motion, time: Array) -> Array:
-    """Transmission error [rad] of a drive without faults at the torque that is reported."""
+def _signal(base: Base, cause: Cause, motion: Motion, time: Array, here: Array) -> Array:
+    """What a cause adds (n,) [rad] to what the drive without it would do at the torque that is reported."""
     seen = scene(motion, time)
-    reported = dataclasses.replace(seen, torque=cause.torque_reading(seen.torque))
-    return output(base, (), reported) - motion.angle(time) / RATIO
+    reported = cause.torque_reading(seen.torque)
+    if reported is not seen.torque:
+        here = output(base, (), dataclasses.replace(seen, torque=reported)) - seen.output
+    return transmission_error(base, (cause,), motion, time) - here
 
 
-def least(
-    base: Base, build: Callable[[float], Cause], amplitude: float, motion: Motion, columns: Array
-) -> tuple[float, float, float]:
-    """Least findable amplitude, from the signal at an amplitude; rms of the signal [rad], its own share."""
-    time = motion.times(RATE)
-    cause = build(amplitude)
-    signal = transmission_error(base, (cause,), motion, time) - _expected(base, cause, motion, time)
+def least(signal: Array, columns: Array) -> tuple[float, float]:
+    """Factor that makes a signal (n,) [rad] findable, and the share of it that is its own."""
     own = _rest(signal, columns)
     seen = np.linalg.norm(_rest(whitened(signal[:, None])[:, 0], whitened(columns)))
-    factor = max(SNR / seen, WORTH_NAMING / own.std())
-    return float(amplitude * factor), float(signal.std()), float(own.std() / signal.std())
+    return float(max(SNR / seen, WORTH_NAMING / own.std())), float(own.std() / signal.std())
 
 
-def main(drives: int = 3) -> None:
-    """Print LEAST, and the rms at the output of each cause at the upper end of its range."""
+def main(drives: int = 2) -> None:
+    """Print LEAST, and the rms at the output of each cause per unit of its amplitude."""
     from challenge.families import FAULTS, UNKNOWN
 
     found: dict[str, list[tuple[float, float, float]]] = {}
     for seed in range(drives):
         rng = np.random.default_rng([seed, 1])
         motion, base = standard(rng), drawn(rng)
-        columns = jacobian(base, motion, motion.times(RATE))
+        time = motion.times(RATE)
+        here = transmission_error(base, (), motion, time)
+        columns = jacobian(base, motion, time, here)
         for name, fault in (FAULTS | UNKNOWN).items():
-            if name in ("ratio_error", "tooth_skip"):
-                continue
-            amplitude = np.sqrt(fault.low * fault.high)
-            draws = np.random.default_rng(seed)
-            one = least(base, lambda a, f=fault: f.build(draws, a, motion), amplitude, motion, columns)  # noqa: B023
-            found.setdefault(name, []).append((*one[:1], one[1] / amplitude / ARCSEC, one[2]))
+            amplitude = float(np.sqrt(fault.low * fault.high))
+            cause = fault.build(np.random.default_rng(seed), amplitude, motion)
+            signal = _signal(base, cause, motion, time, here)
+            factor, share = least(signal, columns)
+            rms = float(signal.std()) / amplitude / ARCSEC
+            found.setdefault(name, []).append((amplitude * factor, rms, share))
     for name, each in found.items():
-        worst = np.array(each).max(axis=0)[0]
+        worst = max(e[0] for e in each)
         rms, share = np.median([e[1:] for e in each], axis=0)
         line = f'    "{name}": {worst:.2g},  # {rms:.3g} arcsec rms per unit, own share {share:.2f}'
         print(line, flush=True)  # noqa: T201

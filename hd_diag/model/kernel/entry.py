@@ -56,9 +56,7 @@ def curves(mesh: MeshData, turn: Floats, eccentricity: Complexes, limit: float) 
 
 
 @entry_point
-def interpolate(
-    breakpoints: Floats, values: Floats, limit: float, turn: Floats, torque: Floats
-) -> Floats:
+def interpolate(breakpoints: Floats, values: Floats, limit: float, turn: Floats, torque: Floats) -> Floats:
     """Torsion (n,) by a table; nan beyond its limit."""
     beta, below_end, column = np.full(turn.size, math.nan), np.nextafter(breakpoints[0, -1], 0.0), 0
     for i in range(turn.size):

@@ -46,7 +46,9 @@ def _at(breakpoints: Floats, values: Floats, torque: float, column: int) -> floa
     """Torsion of one row; the middle of a true gap."""
     beta = _from(breakpoints, values, torque, column)
     if torque == 0.0:
-        beta = 0.5 * (beta + _from(breakpoints, values, torque, _last_not_above(breakpoints, _BELOW_ZERO, column)))
+        beta = 0.5 * (
+            beta + _from(breakpoints, values, torque, _last_not_above(breakpoints, _BELOW_ZERO, column))
+        )
     return beta
 
 
