@@ -3,22 +3,27 @@
     python bench/bench_model.py [--moments N] [--torques Q] [--json FILE]
 
 Median of repeated calls on the paper's drive, eccentric by 23 um. Both paths are compared before the timing.
+A map is built to twice the rated torque of 56 N m, and checked, once.
 """
 
 # ruff: noqa: D103, T201
 
 import argparse
+import itertools
 import json
 import statistics
 import sys
 import time
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 
 from hd_diag.model import clearance, compiled, load_sharing
 from hd_diag.model.geometry import Geometry
 from hd_diag.model.tooth_profile import DoubleArc
+from hd_diag.model.torsion import Mesh
+from hd_diag.model.torsion_map import build
 
 DRIVE = Geometry(
     flexspline_teeth=200,
@@ -35,6 +40,8 @@ DRIVE = Geometry(
 COMPLIANCE = 1e-6
 ECCENTRICITY = 23e-6j
 AGREEMENT = 1e-14  # [rad]
+MAP_TORQUE = 112.0  # [N m]
+SAMPLES = 100_000
 
 
 def curve(turn):
@@ -74,13 +81,11 @@ def compare(name, slow, fast, turn, torque, rows):
     if not worst <= AGREEMENT:
         sys.exit(f"{name}: the paths differ by {worst:.3g} rad")
     times = [seconds(function, turn, torque) / rows for function in (slow, fast)]
-    return {
-        "case": name,
-        "numpy": times[0],
-        "compiled": times[1],
-        "ratio": times[0] / times[1],
-        "worst": worst,
-    }
+    return compared_times(name, *times, worst)
+
+
+def compared_times(name, slow, fast, worst):
+    return {"case": name, "numpy": slow, "compiled": fast, "ratio": slow / fast, "worst": worst}
 
 
 def cases(moments, torques):
@@ -104,6 +109,38 @@ def compiled_only(moments):
     yield "dense contacts, numpy", seconds(clearance.contacts, DRIVE, turn, ECCENTRICITY) / moments
 
 
+def by_numpy(function, *arguments):
+    with mock.patch.object(compiled, "available", return_value=False):
+        return function(*arguments)
+
+
+def duration(function, *arguments):
+    start = time.perf_counter()
+    result = function(*arguments)
+    return result, time.perf_counter() - start
+
+
+def maps():
+    """Building a map, and its predictions: of a joint that turns slowly, and fast, and one at a time."""
+    mesh = Mesh(DRIVE, COMPLIANCE, ECCENTRICITY)
+    (_, slow), (table, fast) = duration(by_numpy, build, mesh, MAP_TORQUE), duration(build, mesh, MAP_TORQUE)
+    yield compared_times("map: build and check", slow, fast, 0.0)
+    for name, step in (("slow, 0.3 mrad per sample", 0.0003), ("fast, 0.1 rad per sample", 0.1)):
+        turn = step * np.arange(SAMPLES)
+        torque = 50.0 * np.sin(1e-3 * np.arange(SAMPLES))
+        yield compare(
+            f"map: each of {SAMPLES}, {name}",
+            lambda *place: by_numpy(table, *place),
+            table,
+            turn,
+            torque,
+            SAMPLES,
+        )
+    yield compare(
+        "map: one, one call", lambda *place: by_numpy(table, *place), table, turn[:1], torque[:1], 1
+    )
+
+
 def first_call():
     """Import of numba and first torsion in this process: compiled, or read from the cache."""
     start = time.perf_counter()
@@ -122,15 +159,15 @@ def main():
     options = parser.parse_args()
     start = first_call()
     print(f"import of numba {start['import']:.2f} s, first torsion {start['first torsion']:.2f} s")
-    print(f"{'us per moment':<45}{'numpy':>10}{'compiled':>10}{'ratio':>8}{'differ [rad]':>14}")
+    print(f"{'us':<50}{'numpy':>12}{'compiled':>12}{'ratio':>8}{'differ [rad]':>14}")
     compared = []
-    for case in cases(options.moments, options.torques):
+    for case in itertools.chain(cases(options.moments, options.torques), maps()):
         compared.append(case)
-        times = f"{case['numpy'] * 1e6:>10.1f}{case['compiled'] * 1e6:>10.1f}{case['ratio']:>8.1f}"
-        print(f"{case['case']:<45}{times}{case['worst']:>14.1e}")
+        times = f"{case['numpy'] * 1e6:>12.3f}{case['compiled'] * 1e6:>12.3f}{case['ratio']:>8.1f}"
+        print(f"{case['case']:<50}{times}{case['worst']:>14.1e}")
     alone = dict(compiled_only(options.moments))
-    for name, duration in alone.items():
-        print(f"{name:<45}{duration * 1e6:>20.1f}")
+    for name, alone_time in alone.items():
+        print(f"{name:<50}{alone_time * 1e6:>24.3f}")
     if options.json:
         result = {"start [s]": start, "compared [s]": compared, "alone [s]": alone}
         options.json.write_text(json.dumps(result, indent=2) + "\n")

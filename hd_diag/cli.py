@@ -1,4 +1,4 @@
-"""The command line: one verb a task. Exit codes: 0 done, 1 a finding asked to fail on, 2 bad usage or input."""
+"""The command line: one verb a task. Exit codes: 0 done, 1 a finding to fail on, 2 bad usage or input."""
 
 from __future__ import annotations
 
@@ -17,14 +17,35 @@ from hd_diag.cli_simulate import simulate
 from hd_diag.config import Config, JointConfig, load
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+class _OneLine(click.Group):
+    """Commands whose faults of usage are told in one line, too."""
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        try:
+            code = super().main(*args, **kwargs | {"standalone_mode": False})
+        except click.ClickException as error:
+            click.echo(f"hd-diag: {' '.join(error.format_message().split())}", err=True)
+            sys.exit(error.exit_code)
+        except click.Abort:
+            sys.exit(130)  # as of a process that SIGINT has ended
+        sys.exit(code if isinstance(code, int) else 0)
+
+
+@click.group(
+    cls=_OneLine,
+    invoke_without_command=True,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
 @click.version_option(hd_diag.__version__, prog_name="hd-diag")
-def cli() -> None:
+@click.pass_context
+def cli(context: click.Context) -> None:
     """Harmonic drives in robot joints: what the teeth do, live and in bags.
 
     Lengths, angles and torques are SI: m, rad, N m. Configurations are ROS parameter files, as the node takes
     them. Exit codes: 0 done, 1 a finding that you asked to fail on, 2 bad usage or input.
     """
+    if context.invoked_subcommand is None:
+        click.echo(context.get_help())
 
 
 cli.add_command(simulate)
@@ -40,8 +61,8 @@ cli.add_command(diagnose)
 def check(config_file: str, json_file: str | None) -> None:
     """Validate a configuration without ROS and say what it describes.
 
-    Every value is checked alone and the geometry as a whole; an unknown key is an error that names the nearest
-    known one.
+    Every value is checked alone and the geometry as a whole; an unknown key is an error that names the
+    nearest known one.
     """
     config = load(config_file)
     if json_file:
@@ -51,7 +72,8 @@ def check(config_file: str, json_file: str | None) -> None:
     for joint in config.joints:
         mesh = joint.drive.mesh
         click.echo(
-            f"{joint.name}: {joint.input_joint} -> {joint.output_joint}, ratio {joint.drive.kinematics.ratio:g}, "
+            f"{joint.name}: {joint.input_joint} -> {joint.output_joint}, "
+            f"ratio {joint.drive.kinematics.ratio:g}, "
             f"{mesh.geometry.flexspline_teeth}/{mesh.geometry.circular_spline_teeth} teeth, "
             f"rated {joint.drive.rated_torque:g} N m, eccentricity {abs(mesh.eccentricity) * 1e6:g} um"
         )
@@ -70,9 +92,9 @@ def mesh(
 ) -> None:
     """One moment: backlash and load of every tooth, torsion, transmission error.
 
-    Torsion and loads are those of a torque M that turns the cup counter-clockwise (M > 0 bears on + flanks). The
-    transmission error is the drive's when it exerts M on the link, whose reaction on the cup is -M for an output
-    at the flexspline; "as_driven" holds torsion and loads of that state, which is what the node publishes.
+    Torsion and loads are those of a torque M that turns the cup counter-clockwise (M > 0 bears on + flanks).
+    The transmission error is the drive's when it exerts M on the link, whose reaction on the cup is -M for an
+    output at the flexspline; "as_driven" holds torsion and loads of that state, which the node publishes.
     """
     if not (np.isfinite(input_angle) and np.isfinite(torque)):
         raise click.BadParameter("--input-angle and --torque must be finite")
@@ -187,8 +209,8 @@ def _show_moment(result: dict[str, Any]) -> None:
 def node(config_file: str | None, ros_arguments: tuple[str, ...]) -> None:
     """Run the node: joint states in, diagnostics, tooth arrays and transmission error out.
 
-    Needs ROS 2 Jazzy. Arguments after -- go to ROS: hd-diag node --config F -- --ros-args -r joint_states:=/js.
-    Ends with code 0 on SIGINT and SIGTERM.
+    Needs ROS 2 Jazzy. Arguments after -- go to ROS: hd-diag node --config F -- --ros-args -r
+    joint_states:=/js. Ends with code 0 on SIGINT and SIGTERM.
     """
     if config_file:
         load(config_file)

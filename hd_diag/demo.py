@@ -28,6 +28,7 @@ from hd_diag.config import dump, resolve
 from hd_diag.demo_display import Display, Reading, Step
 from hd_diag.demo_log import LogSummary, summarize
 from hd_diag.demo_process import Child, DemoError
+from hd_diag.model import compiled
 
 __all__ = ["DemoError", "run"]
 
@@ -143,6 +144,9 @@ def run(folder: Path | None, seconds: float) -> dict[str, Any]:
     folder = _folder(folder)
     _isolate(folder)
     display = Display()
+    if compiled.available():
+        display.say("Preparing the model; the first time it is compiled, which can take a minute")
+        compiled.warm_up()  # before both processes need it at the same time
     display.say(
         f"Starting the node and a simulated joint, each a process of its own; what they leave: {folder}"
     )

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.model import compiled
 from hd_diag.model.clearance import all_teeth
+from hd_diag.model.load_sharing import forces
 from hd_diag.model.torsion import Mesh, torsion
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.model.transmission_error import Kinematics
@@ -120,16 +122,20 @@ def mesh_state(drive: Drive, input_angle: Floats, cup_torque: Floats) -> MeshSta
     -------
     MeshState
     """
-    mesh = drive.mesh
-    contact = mesh.contacts(drive.kinematics.wave_generator_angle(mesh.geometry, input_angle))
-    shared = mesh.share_load(contact, cup_torque)
-    gap = np.nanmin(contact.rotation, axis=2).sum(axis=1)
+    mesh, geometry = drive.mesh, drive.mesh.geometry
+    turn = drive.kinematics.wave_generator_angle(geometry, input_angle)
+    contact = mesh.contacts(turn)
+    if compiled.available():
+        beta = torsion(mesh, turn, cup_torque)
+    else:  # from the contacts that are there already
+        beta = mesh.share_load(contact, cup_torque).torsion
+    gap = np.fmin.reduce(contact.rotation, axis=2, initial=np.inf).sum(axis=1)
     return MeshState(
-        backlash=all_teeth(mesh.geometry, contact, contact.backlash),
-        load=all_teeth(mesh.geometry, contact, shared.force, missing=0.0),
-        pressure_angle=all_teeth(mesh.geometry, contact, contact.pressure_angle),
-        torsion=shared.torsion,
-        lost_motion=shared.lost_motion,
+        backlash=all_teeth(geometry, contact, contact.backlash),
+        load=all_teeth(geometry, contact, forces(contact, mesh.tooth_compliance, beta), missing=0.0),
+        pressure_angle=all_teeth(geometry, contact, contact.pressure_angle),
+        torsion=beta,
+        lost_motion=np.maximum(gap, 0.0),
         overlap=-gap * np.nanmean(contact.radius, axis=(1, 2)),
     )
 

@@ -28,6 +28,7 @@ _ARCMIN = 60.0 * ARCSEC
 # orders that an eccentricity causes, and coprime with the tooth numbers so that the ripple is met as well.
 _ANGLES_OF_TURN = 257
 _ANGLES_WITHOUT_MAP = 61
+_STEPS_TOGETHER = 32
 _JUDGED_AT_LEAST = 8  # stamps, for their usual step
 
 Fault = tuple[str, int, str]
@@ -213,9 +214,18 @@ def _missed(joint: JointMonitor, window: Window) -> int:
     joint.unjudged = [together[-1:]]
     steps = np.diff(together).astype(np.float64)
     steps = steps[steps > 0.0]  # a clock that was set back
-    usual = float(np.median(steps)) if steps.size else 0.0
+    usual = _usual_step(steps)
     if usual <= 0.0:
         return 0
     long = np.sum(np.rint(steps[steps > 1.5 * usual] / usual) - 1.0)
     net = np.rint(np.sum(steps) / usual) - steps.size
     return int(max(0.0, min(long, net)))
+
+
+def _usual_step(steps: Floats) -> float:
+    """Period of a sender [ns]: over several steps, for one that makes up for its delays has short ones."""
+    if not steps.size:
+        return 0.0
+    span = max(1, min(_STEPS_TOGETHER, steps.size // 2))
+    time = np.concatenate(([0.0], np.cumsum(steps)))
+    return float(np.median(time[span:] - time[:-span])) / span

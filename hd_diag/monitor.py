@@ -34,6 +34,8 @@ class Monitor:
         self.foreign = 0
         self._array_period = dict.fromkeys(self.joints, -(2**62))
         self._mesh_period = dict.fromkeys(self.joints, -(2**62))
+        # Each joint's periods begin at another time, so that no message has to wait for the arrays of all.
+        self._shift = {name: number / len(self.joints) for number, name in enumerate(self.joints)}
         self._columns: dict[tuple[str, ...], list[tuple[str, int, int]]] = {}
 
     def configure(self, config: Config) -> None:
@@ -128,7 +130,7 @@ class Monitor:
         middle = received.size // 2
         found: list[Publication] = []
         for at in (slice(0, middle), slice(middle, None)):
-            found += self.joint_states(received[at], _rows(states, at))
+            found += self.joint_states(received[at], states.part(at))
         return found
 
     def _angles(self, received: Times, results: Mapping[str, list[Prediction]]) -> list[Publication]:
@@ -149,11 +151,11 @@ class Monitor:
             for prediction in predictions:
                 if prediction.paired:
                     continue
-                stamp = prediction.stamp
-                rows = _due(self._array_period, joint, stamp, self.config.array_rate)
+                stamp, shift = prediction.stamp, self._shift[joint]
+                rows = _due(self._array_period, joint, stamp, self.config.array_rate, shift)
                 if rows.size:
                     found += self._arrays(joint, received[-stamp.size :][rows], prediction, rows)
-                rows = _due(self._mesh_period, joint, stamp, self.config.mesh_rate)
+                rows = _due(self._mesh_period, joint, stamp, self.config.mesh_rate, shift)
                 if rows.size:
                     found.append(self._drawings(joint, received[-stamp.size :][rows], prediction, rows))
         return found
@@ -185,16 +187,20 @@ class Monitor:
         return mesh_state(drive, prediction.input_angle[rows], torque)
 
 
-def _due(last: dict[str, int], joint: str, stamp: Times, rate: float) -> Times:
-    """Rows of rising stamps [ns] at which a period of a rate [Hz] begins; keeps the joint's last period."""
+def _due(last: dict[str, int], joint: str, stamp: Times, rate: float, shift: float) -> Times:
+    """Rows of rising stamps [ns] at which a period of a rate [Hz] begins; keeps the joint's last period.
+
+    Periods begin earlier by `shift` of their length.
+    """
     if rate <= 0.0:
         return _NO_ROWS
     length = round(1e9 / rate)
-    before, after = last[joint], int(stamp[-1]) // length
-    if before == int(stamp[0]) // length == after:
+    offset = round(shift * length)
+    before, after = last[joint], (int(stamp[-1]) + offset) // length
+    if before == (int(stamp[0]) + offset) // length == after:
         return _NO_ROWS
     last[joint] = after
-    period = stamp // length
+    period = (stamp + offset) // length
     return np.flatnonzero(period != np.concatenate(([before], period[:-1])))
 
 
@@ -207,11 +213,6 @@ def _samples(states: JointStates, input_column: int, output_column: int) -> Samp
     if angle is None and output is None and torque is None:
         return None
     return Samples(states.stamp, angle, output, torque)
-
-
-def _rows(states: JointStates, rows: slice) -> JointStates:
-    values = [None if column is None else column[rows] for column in states[4:]]
-    return JointStates(states.row[rows], states.stamp[rows], states.names, states.frame_id, *values)
 
 
 def _messages(received: Times, joints: Mapping[str, Prediction]) -> list[Publication]:

@@ -17,6 +17,8 @@ from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.impl.logging_severity import LoggingSeverity
+from rclpy.logging import set_logger_level
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -42,7 +44,8 @@ from hd_diag.messages import (
     published_topics,
     temperature_topic,
 )
-from hd_diag.model.torsion_map import ARCSEC
+from hd_diag.model.torsion import limited_curves, torsion_table
+from hd_diag.model.torsion_map import ARCSEC, TorsionMap
 from hd_diag.parameters import ROS_PARAMETERS
 from hd_diag.session import Session
 
@@ -82,6 +85,7 @@ class DiagnosticNode(Node):
             self._builder.request(joint)
         self._next_report = self._next_look = time.monotonic()
         self._best_effort = self._unheard = False
+        self.get_logger().info("preparing the model (the first time on a machine takes half a minute)")
         _warm_up(config)
         self._input = self._subscribe()
         for joint in config.joints:
@@ -238,9 +242,11 @@ class DiagnosticNode(Node):
     def _tell_log(self) -> None:
         state = self._journal.state
         if state != self._told_log:
-            level = self.get_logger().error if state.startswith("failed") else self.get_logger().info
-            level(f"log {state}")
             self._told_log = state
+            if state.startswith("failed"):  # each severity needs a line of its own, or rclpy raises
+                self.get_logger().error(f"log {state}")
+            else:
+                self.get_logger().info(f"log {state}")
 
     def _validate(self, changed: Sequence[Parameter]) -> SetParametersResult:
         try:
@@ -271,10 +277,15 @@ _QOS = Qos(depth=_INPUT_DEPTH)
 
 
 def _warm_up(config: Config) -> None:
-    """Compute once what the first sample would have to wait for: constants, machine code, imports."""
+    """Compute once what samples would have to wait for: constants, imports, machine code, that of maps too."""
     nothing = np.zeros(1)
     for joint in config.joints:
+        mesh = joint.drive.mesh
+        curve = limited_curves(mesh, np.zeros(2), joint.drive.rated_torque)
+        table = TorsionMap(mesh, *curve, joint.drive.rated_torque, 0.0)
         transmission_error(joint.drive, nothing, nothing)
+        transmission_error(joint.drive, nothing, nothing, table)
+        torsion_table(mesh, nothing, nothing)
         mesh_state(joint.drive, nothing, nothing)
 
 
@@ -309,8 +320,10 @@ def main(args: Sequence[str] | None = None) -> int:
     """
     arguments = list(sys.argv if args is None else args)
     stopped = _signals()
+    set_logger_level("rcl", LoggingSeverity.FATAL)  # what it says of a faulty file is said below, better
     try:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        set_logger_level("rcl", LoggingSeverity.UNSET)
         node = DiagnosticNode()
     except Exception as error:
         sys.stderr.write(f"hd_diag: {_reason(arguments, error)}\n")

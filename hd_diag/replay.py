@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hd_diag.bag import BagError, BagWriter, check_output, encode_joint_states
-from hd_diag.bag.reader import BagReader, Batch, Topic
+from hd_diag.bag import BagError, BagWriter, Rejection, check_output, encode_joint_states
+from hd_diag.bag.reader import BagReader, Batch
 from hd_diag.config import Config, ConfigError, JointConfig, resolve
 from hd_diag.events import Configured, Event, MapUsed, Reported
 from hd_diag.map_builder import map_of
@@ -162,15 +162,16 @@ class _Run:
         """Take messages of one topic, part by part."""
         self._last = int(batch.log_time[-1])
         self._check_time(self._last)
-        if batch.topic.name == self._sources.events:
+        name, kind = batch.topic.name, batch.topic.type_name
+        if name == self._sources.events:
             for now, data in zip(batch.log_time.tolist(), batch.messages(), strict=True):
                 self._event(now, event_of(self._reader.path, bytes(data)))
-            self.done += len(batch)
+        elif self._sources.inputs.get(name) == kind:
+            for part in self._temperatures(batch) if kind == TEMPERATURE else self._joint_states(batch):
+                self.done += part
+                yield
             return
-        for part in self._until_reports(batch):
-            self._inputs(part)
-            self.done += len(part)
-            yield
+        self.done += len(batch)
 
     def result(self) -> Replay:
         """Account of the whole replay, with a last report."""
@@ -200,17 +201,17 @@ class _Run:
         if time > LAST_TIME:
             raise BagError(self._reader.path, "holds times beyond the year 2038, which ROS 2 does not have")
 
-    def _until_reports(self, batch: Batch) -> Iterator[Batch]:
-        """The batch, cut where a report is due by the bag's time; a log holds its own reports."""
+    def _until_reports(self, times: Times) -> Iterator[slice]:
+        """Rows, cut where a report is due by the bag's time; a log holds its own reports."""
         if self._sources.events:
-            yield batch
+            yield slice(0, times.size)
             return
-        times, begin = batch.log_time, 0
+        begin = 0
         while begin < times.size:
             due = self._due(int(times[begin]))
             end = begin + int(np.searchsorted(times[begin:], due))
             if end > begin:
-                yield _part(batch, slice(begin, end))
+                yield slice(begin, end)
             else:
                 self._report(due)
                 self._next_report = due + self._period
@@ -231,26 +232,31 @@ class _Run:
     def _report(self, now: int) -> None:
         self._running.tick(now, now, _FACTS)
 
-    def _inputs(self, batch: Batch) -> None:
-        if self._sources.inputs.get(batch.topic.name) != batch.topic.type_name:
-            return
-        if batch.topic.type_name == TEMPERATURE:
-            self._copy(batch)
-            for data in batch.messages():
-                self._running.temperature(self._sources.temperatures[batch.topic.name], bytes(data))
-            return
+    def _temperatures(self, batch: Batch) -> Iterator[int]:
+        joint = self._sources.temperatures[batch.topic.name]
+        for rows in self._until_reports(batch.log_time):
+            part = _part(batch, rows)
+            self._copy(part)
+            for data in part.messages():
+                self._running.temperature(joint, bytes(data))
+            yield len(part)
+
+    def _joint_states(self, batch: Batch) -> Iterator[int]:
         columns, rejected = self._reader.joint_states(batch)
         standard = self._reader.is_standard(batch.topic)
-        if standard:
-            self._copy(batch)
-        for row, content in _in_order(columns, {r.row: r.reason for r in rejected}):
-            if isinstance(content, str):
-                self._running.unreadable(content)
-                continue
-            times = batch.log_time[row : row + content.stamp.size]
-            if not standard:
-                self._copy_columns(batch.topic, times, content)
-            self._running.joint_states(times, content)
+        for first, count, content in _in_order(columns, rejected):
+            for rows in self._until_reports(batch.log_time[first : first + count]):
+                part = _part(batch, slice(first + rows.start, first + rows.stop))
+                if standard:
+                    self._copy(part)
+                if isinstance(content, str):
+                    self._running.unreadable(content)
+                else:
+                    states = content.part(rows)
+                    if not standard:
+                        self._copy_columns(part, states)
+                    self._running.joint_states(part.log_time, states)
+                yield len(part)
 
     def _copy(self, batch: Batch) -> None:
         payload = batch.payload
@@ -259,10 +265,11 @@ class _Run:
             batch.topic.name, batch.topic.type_name, rows, batch.log_time, batch.publish_time
         )
 
-    def _copy_columns(self, topic: Topic, times: Times, states: JointStates) -> None:
+    def _copy_columns(self, batch: Batch, states: JointStates) -> None:
         """Copy messages of a bag that defines JointState in its own way as those of ROS 2 Jazzy."""
         rows = encode_joint_states(states.names, states.stamp, *states[4:], states.frame_id)
-        self._writer.write_many(topic.name, topic.type_name, rows, times)
+        name, kind = batch.topic.name, batch.topic.type_name
+        self._writer.write_many(name, kind, rows, batch.log_time, batch.publish_time)
 
     def _event(self, now: int, event: Event | None) -> None:
         if isinstance(event, Configured):
@@ -324,17 +331,13 @@ def _part(batch: Batch, rows: slice) -> Batch:
     return Batch(batch.topic, batch.log_time[rows], batch.publish_time[rows], batch.payload[rows])
 
 
-def _in_order(columns: list[JointStates], rejected: dict[int, str]) -> list[tuple[int, JointStates | str]]:
-    """Groups of columns and refused messages in the order of the batch, with the first row of each."""
-    if len(columns) == 1 and not rejected:
-        return [(0, columns[0])]
-    pieces: list[tuple[int, JointStates | str]] = list(rejected.items())
+def _in_order(
+    columns: list[JointStates], rejected: list[Rejection]
+) -> list[tuple[int, int, JointStates | str]]:
+    """Columns of consecutive messages and refused messages: first row, number of rows, content."""
+    pieces: list[tuple[int, int, JointStates | str]] = [(r.row, 1, r.reason) for r in rejected]
     for states in columns:
         breaks = np.flatnonzero(np.diff(states.row) != 1) + 1
-        bounds = [0, *breaks.tolist(), states.row.size]
-        for begin, end in pairwise(bounds):
-            at = slice(begin, end)
-            values = [None if column is None else column[at] for column in states[4:]]
-            piece = JointStates(states.row[at], states.stamp[at], states.names, states.frame_id, *values)
-            pieces.append((int(piece.row[0]), piece))
+        for begin, end in pairwise([0, *breaks.tolist(), states.row.size]):
+            pieces.append((int(states.row[begin]), end - begin, states.part(slice(begin, end))))
     return sorted(pieces, key=lambda piece: piece[0])

@@ -38,6 +38,11 @@ class JointStates(NamedTuple):
     velocity: Floats | None
     effort: Floats | None
 
+    def part(self, rows: slice) -> JointStates:
+        """Some of the rows."""
+        values = [None if column is None else column[rows] for column in self[4:]]
+        return JointStates(self.row[rows], self.stamp[rows], self.names, self.frame_id, *values)
+
 
 class Angles(NamedTuple):
     """Angles to publish: topic, time of the cause [ns] (n,), stamp [ns] (n,), names (k), values (n, k)."""

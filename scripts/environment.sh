@@ -21,7 +21,7 @@ fail() {
 }
 
 install_lock() {
-    echo "== Environment $env: $(grep -c == "$lock") packages of $lock with $("$python" -V); about 700 MB, 1 to 5 minutes"
+    echo "== Environment $env: $(grep -c == "$lock") packages of $lock with $("$python" -V); about 900 MB, 1 to 5 minutes"
     rm -rf "$env"
     "$python" -m venv "$env" >"$log" 2>&1 || fail "$python cannot make a virtual environment (Debian, Ubuntu: apt install python3-venv)"
     $pip install --require-hashes --no-deps --only-binary :all: -r "$lock" >>"$log" 2>&1 ||
@@ -44,13 +44,10 @@ install_tree() {
     compile_kernels
 }
 
-# Once here rather than in every process that is first to compute. numba keeps machine code only for a file of the
-# same time; that of the kernels holds their checksum in its name, so unchanged kernels can keep theirs.
+# Once here rather than in every process that is first to compute; unchanged kernels keep their machine code.
 compile_kernels() {
     echo "== Compiling its kernels where they have changed (20 s)"
-    kernels=$($env/bin/python -c 'import hd_diag.model.kernel as kernel; print(kernel.__path__[0])')
-    touch -t 200001010000 "$kernels/entry.py"
-    $env/bin/python -c 'from hd_diag.model import compiled; compiled.warm_up()' >>"$log" 2>&1 ||
+    $env/bin/python -I -c 'from hd_diag.model import compiled; compiled.warm_up()' >>"$log" 2>&1 ||
         fail "the kernels could not be compiled"
 }
 

@@ -2,7 +2,6 @@
 
 import contextlib
 import itertools
-import os
 import resource
 import signal
 import subprocess
@@ -183,8 +182,3 @@ def running(folder: Path, parameters: Mapping[str, Any], *arguments: str, **more
             yield rig
         finally:
             rig.close()
-
-
-def environment_is_quiet() -> bool:
-    """Whether these nodes are alone: another run in this domain would drive them."""
-    return os.environ.get("ROS_DOMAIN_ID", "0") != "0"

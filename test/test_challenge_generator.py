@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from challenge import causes, encoders, families, mechanics, motion, noise, records, truth
 from challenge.contact import Flaws, Gear
+from challenge.findable import LEAST
 from challenge.truth import ARCSEC, Base
 from mcap.reader import make_reader
 from numpy.testing import assert_allclose
@@ -265,6 +266,19 @@ def test_torque_offset_is_in_the_reading_only() -> None:
     assert_allclose(off.clean_output, quiet.clean_output)
 
 
+def test_contributions_are_what_each_cause_adds() -> None:
+    runout, offset = causes.OutputRunout(2e-5, 0.0), causes.TorqueOffset(2.0)
+    wave = causes.CircularSplinePitch(1e-6, 0.2)
+    record = records.simulate(ERRORS, (runout, offset, wave), ONE_RUN, np.random.default_rng(0))
+    expected = 2e-5 * np.sin(record.clean_output)
+    assert_allclose(records.added_by(record, "output_runout"), expected, atol=1e-8)
+    steep = records.added_by(record, "torque_offset")  # softer near zero torque
+    loaded, free = np.abs(record.torque) > 40, np.abs(record.torque) < 8
+    assert np.abs(steep[loaded]).mean() == pytest.approx(2.0 / 5.7e4, rel=0.25)
+    assert np.abs(steep[free]).mean() > np.abs(steep[loaded]).mean()
+    assert 2 * ARCSEC < records.added_by(record, "circular_spline_pitch").std() < 6 * ARCSEC
+
+
 def test_ripple_swells_where_it_meets_the_resonance() -> None:
     run = motion.Run(9.7, duration=6.0)
     at = {f: causes.Resonance(f, 0.06, 4e-6, 2, 0.0) for f in (2 * 9.7, 60.0)}
@@ -314,6 +328,12 @@ def test_a_seed_gives_one_record() -> None:
     assert np.array_equal(one.output_angle, again.output_angle)
     assert one.truth == again.truth
     assert not np.array_equal(one.output_angle, other.output_angle)
+
+
+@pytest.mark.parametrize("name", LEAST)
+def test_sizes_of_the_field_can_be_found(name: str) -> None:
+    fault = (families.FAULTS | families.UNKNOWN)[name]
+    assert families.TIMES_LEAST * LEAST[name] < fault.high
 
 
 def test_families_hide_what_they_say() -> None:

@@ -11,7 +11,8 @@ from numpy.testing import assert_allclose
 from reference import polyline
 
 from hd_diag.drive import Drive
-from hd_diag.effects.contact_weights import ContactTable, ContactWeights, contact_table
+from hd_diag.effects.contact_table import ContactTable, contact_table
+from hd_diag.effects.contact_weights import ContactWeights
 from hd_diag.model import load_sharing
 from hd_diag.model.torsion import torsion
 from hd_diag.model.transmission_error import Kinematics
@@ -109,6 +110,29 @@ def test_one_moved_slot() -> None:
     found = 2e-6 * (flanks[:, 0] - flanks[:, 1])
     assert np.abs(expected).max() > 1e-6
     assert rms(found - expected) < 2 * TOLERANCE * rms(expected)
+
+
+def worn(angle: float, clearance: float) -> polyline.Mesh:
+    mesh = polyline.mesh(angle, ECCENTRICITY)
+    return dataclasses.replace(mesh, rotation=mesh.rotation + clearance / mesh.radius)
+
+
+def test_full_size() -> None:
+    """Errors so large that pairs come into and out of load: far closer than the first order."""
+    size, place = 4e-6, 0.7
+    shift = size * np.cos(2 * (SLOTS - place))
+    found = weights(DRIVE, *product())
+    cases = {
+        "pitch": (
+            lambda angle: polyline.mesh(angle, ECCENTRICITY, slot_shift=shift),
+            {"circumferential": shift},
+        ),
+        "form": (lambda angle: moved_outward(angle, shift), {"radial": shift}),
+        "wear": (lambda angle: worn(angle, size), {"clearance": size}),
+    }
+    for name, (mesh, errors) in cases.items():
+        expected = turned(mesh)
+        assert rms(found.displaced(**errors) - expected) < 0.02 * rms(expected), name
 
 
 # Against the exact shares ---

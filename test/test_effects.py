@@ -265,6 +265,24 @@ class TestContract:
                 parts.append(columns)
         assert_allclose(np.concatenate(parts), whole, rtol=1e-12, atol=1e-14 * np.abs(whole).max())
 
+    def test_response_is_the_columns_at_small_size(self, effect: Effect, signals: Signals) -> None:
+        coefficients, nonlinear = truth(effect)
+        small = 1e-3 * coefficients
+        expected = effect.columns(signals, nonlinear) @ small
+        away = effect.response(signals, small, nonlinear) - expected
+        assert np.sqrt(np.mean(away**2)) < 0.05 * np.sqrt(np.mean(expected**2))
+        assert not effect.response(signals, 0.0 * coefficients, nonlinear).any()
+
+    def test_response_in_chunks_is_the_whole(self, effect: Effect, signals: Signals) -> None:
+        coefficients, nonlinear = truth(effect)
+        run = signals.part(signals.runs()[0])
+        whole = effect.response(run, coefficients, nonlinear)
+        state, parts = effect.start(nonlinear), []
+        for start, end in itertools.pairwise([0, 1, 2, 500, run.size]):
+            error, state = effect.respond(state, run.part(slice(start, end)), coefficients, nonlinear)
+            parts.append(error)
+        assert_allclose(np.concatenate(parts), whole, rtol=1e-12, atol=1e-12 * np.abs(whole).max())
+
     def test_empty_part(self, effect: Effect, signals: Signals) -> None:
         nonlinear = truth(effect)[1]
         columns, _ = effect.step(effect.start(nonlinear), signals.part(slice(0, 0)), nonlinear)

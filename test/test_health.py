@@ -266,6 +266,20 @@ def test_samples_that_never_came_are_seen_in_the_stamps(life: Life) -> None:
     assert life.report(after=0).values["samples_missed"] == "5"
 
 
+@pytest.mark.parametrize("lost", [range(0), range(300, 350)], ids=["none", "fifty"])
+def test_a_sender_that_is_held_up_and_catches_up_has_lost_nothing(life: Life, lost: range) -> None:
+    """Most steps are far shorter than the period then, and single losses cannot be told from the jitter."""
+    random = np.random.default_rng(3)
+    held = np.maximum.accumulate(np.arange(1000) * MS + np.where(random.random(1000) < 0.15, 6 * MS, 0))
+    stamps = START + held + np.arange(1000) * 20_000
+    assert np.median(np.diff(stamps)) < MS / 2
+    for stamp in np.delete(stamps, list(lost)).tolist():
+        made = states(NAMES, [stamp], [[0.0, 0.0]], [[0.0, 0.0]])
+        life.monitor.joint_states(np.array([stamp]), made)
+    missed = int(life.report().values["samples_missed"])
+    assert 0.8 * len(lost) <= missed <= len(lost)
+
+
 def test_a_clock_that_jumps_back_is_told(life: Life) -> None:
     life.run()
     life.now -= 5 * SECOND

@@ -281,6 +281,18 @@ def test_arrays_and_drawings_come_at_their_rates_by_stamps() -> None:
     assert [int(p.stamp[0]) - START for p in drawings] == [250 * MS * k for k in range(4)]
 
 
+def test_joints_take_turns_with_their_arrays() -> None:
+    monitor = Monitor(config("a", "b", "c", "d", array_rate=20.0))
+    names = ("a_motor", "b_motor", "c_motor", "d_motor")
+    at_once = []
+    for i in range(200):
+        published = run(monitor, states(names, [START + i * MS], np.zeros((1, 4))))
+        at_once.append(sum(p.topic.endswith("load") for p in published))
+    assert at_once[0] == 4  # the first message begins a period for all
+    assert max(at_once[1:]) == 1
+    assert 15 <= sum(at_once[1:]) <= 16
+
+
 @pytest.mark.parametrize("rate", [0.0, 1000.0])
 def test_rates_at_their_ends(rate: float) -> None:
     monitor = Monitor(config("a", array_rate=rate))

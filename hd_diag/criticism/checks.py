@@ -12,11 +12,8 @@ from hd_diag.criticism.record import Record
 
 Floats = npt.NDArray[np.float64]
 
-SKIP = 2.0 * np.pi / 202.0
-"""One tooth of the example circular spline [rad]; `tooth_pitch` of the drive is used where it is known."""
-
 _RATIO_MISS = 2e-3  # relative; more than any transmission error can make of a turn
-_STEP = 0.25  # of a slot pitch
+_STEP = 0.25  # of a tooth pitch
 
 
 @dataclass(frozen=True)
@@ -69,15 +66,16 @@ def check_ratio(record: Record, ratio: float) -> Finding | None:
     return None
 
 
-def find_steps(record: Record, ratio: float, slot_pitch: float) -> tuple[Floats, list[Finding]]:
+def find_steps(record: Record, ratio: float, tooth_pitch: float) -> tuple[Floats, list[Finding]]:
     """Steps of the error: teeth skipped or encoder counts lost.
 
     Parameters
     ----------
     record : Record
     ratio : float
-    slot_pitch : float
-        Angle of one tooth at the output [rad].
+    tooth_pitch : float
+        Angle by which the flexspline turns when it skips a tooth [rad]: after one of its own pitches the mesh
+        is the same again.
 
     Returns
     -------
@@ -94,27 +92,27 @@ def find_steps(record: Record, ratio: float, slot_pitch: float) -> tuple[Floats,
         if part.size < 4 * width:
             continue
         jump = part[width:] - part[:-width]
-        while np.max(np.abs(jump)) > _STEP * slot_pitch:
+        while np.max(np.abs(jump)) > _STEP * tooth_pitch:
             at = int(np.argmax(np.abs(jump))) + width
             inner = part[max(at - width, 0) : at + 1]
             place = max(at - width, 0) + int(np.argmax(np.abs(np.diff(inner)))) + 1
             size = float(
                 np.median(part[place : place + width]) - np.median(part[max(place - width, 0) : place])
             )
-            if abs(size) < _STEP * slot_pitch:
+            if abs(size) < _STEP * tooth_pitch:
                 break
             correction[begin + place :] += size
             part[place:] -= size
             error[end:] -= size
-            findings.append(_step(size, slot_pitch, float(record.time[begin + place])))
+            findings.append(_step(size, tooth_pitch, float(record.time[begin + place])))
             jump = part[width:] - part[:-width]
             if len(findings) > 20:
                 return correction, findings
     return correction, findings
 
 
-def _step(size: float, slot_pitch: float, time: float) -> Finding:
-    teeth = size / slot_pitch
+def _step(size: float, tooth_pitch: float, time: float) -> Finding:
+    teeth = size / tooth_pitch
     whole = abs(teeth - round(teeth)) < 0.05 and round(teeth) != 0
     name = "tooth_skip"
     text = f"a step of {np.degrees(size) * 3600:.0f} arcsec at {time:.3f} s: " + (

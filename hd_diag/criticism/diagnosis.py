@@ -90,7 +90,7 @@ def diagnose(
     wrong = check_ratio(record, ratio)
     if wrong is not None:
         return Diagnosis(record, configured, (wrong,), None, None, None, None)
-    correction, steps = find_steps(record, ratio, configured.mesh.geometry.slot_pitch)
+    correction, steps = find_steps(record, ratio, configured.mesh.geometry.tooth_pitch)
     record = replace(record, output_angle=record.output_angle - correction)
     test, told = held_out(record)
     train = _renumbered(record.select(~test))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.effects.effect import Effect, Values, amplitude, direction, harmonic
+from hd_diag.effects.effect import Effect, Values, amplitude, direction, harmonic, harmonic_sum
 from hd_diag.effects.excitation import enough_input_turns, torque_varies, verdict
 from hd_diag.effects.signals import Signals
 
@@ -23,6 +23,11 @@ class CircularSplinePitch(Effect):
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Response to every harmonic; see :meth:`Effect.columns`."""
         return np.concatenate([harmonic(signals.contact.slot_harmonic(k)) for k in ORDERS], axis=1)
+
+    def response(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
+        """The slots displaced at their full size; see :meth:`Effect.response`."""
+        contact = signals.contact
+        return contact.displaced(circumferential=harmonic_sum(coefficients, ORDERS, contact.slot_angles))
 
     def testable(self, signals: Signals) -> tuple[bool, str]:
         """A few turns at two torques."""

@@ -1,23 +1,15 @@
-"""What errors of single teeth do to the transmission error: the contact's weights, tabulated.
-
-A flank whose clearance grows by db turns the output by ``d beta / d b`` of it: its share of the torsional
-stiffness if it bears load, nothing otherwise. Pitch and form errors and single damaged teeth are sums of
-these shares, to first order. They are solved exactly on a grid of wave generator angles and torques;
-what turns with the wave generator is taken out before a sample is interpolated: the tables are smooth.
-"""
+"""Response of the transmission error to errors of teeth, at the samples of a record."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from hd_diag.drive import Drive
-from hd_diag.model import load_sharing
-from hd_diag.model.clearance import Contact
+from hd_diag.effects.contact_table import TORQUES, ContactTable, SlotErrors, contact_table
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
@@ -25,181 +17,7 @@ Integers = npt.NDArray[np.int64]
 Neighbours = tuple[tuple[Integers, Floats], tuple[Integers, Floats]]
 Rows = slice | npt.NDArray[np.bool_] | Integers
 
-_STEPS_PER_SLOT = 2  # the shares step where a pair comes into load; errors of some um blur the steps anyway
-_TORQUES = 12  # nodes on each side of zero, closer near zero where few pairs bear
 _LEAST_LIMIT = 0.125  # of the rated torque; a table of an idle record still has a width
-_IDLE = 1e-9  # share of the torque limit that stands for the limit towards zero torque from one side
-_STEP = 5e-9  # [m]; radial step of the central difference: far above rounding, far below a fillet
-_FLANKS = np.array([1.0, -1.0])[:, None]
-
-
-class ContactTable:
-    """Shares of all flanks over one turn of the wave generator and torque.
-
-    Parameters
-    ----------
-    drive : Drive
-    torque_limit : float
-        Greatest magnitude of the torque [N m]; beyond it the shares at the limit are used.
-
-    Attributes
-    ----------
-    contact : Contact
-        At every angle of the grid, 0 to 2 pi, both included.
-    torsion : ndarray, shape (torques, angles)
-        beta [rad], at torques of the cup from -limit to limit; zero torque twice: from below and from above.
-    share : ndarray, shape (torques, angles, 2, pairs)
-        d beta / d b of every flank [-], negative for - flanks.
-
-    Raises
-    ------
-    ValueError
-        If the torque limit is not positive, or the teeth cannot bear it.
-    """
-
-    def __init__(self, drive: Drive, torque_limit: float) -> None:
-        if not 0.0 < torque_limit < np.inf:
-            raise ValueError(f"torque_limit must be positive, not {torque_limit} N m")
-        geometry = drive.mesh.geometry
-        self.drive = drive
-        self.torque_limit = torque_limit
-        self.steps = _STEPS_PER_SLOT * geometry.circular_spline_teeth
-        self.contact = drive.mesh.contacts(np.linspace(0.0, 2.0 * np.pi, self.steps + 1))
-        self._stiffness = load_sharing.flank_stiffness(self.contact, drive.mesh.tooth_compliance)
-        self.torsion = self._torsion()
-        self.share = np.stack([self._shares(beta) for beta in self.torsion])
-        self._tables: dict[tuple[str, int], Complexes] = {}
-
-    def slot_harmonic(self, order: int) -> Complexes:
-        """Response to ``c = Re(A exp(i k phi))`` over ``A exp(i k theta_W)`` [rad/m]; (torques, angles)."""
-        return self._harmonic(
-            "slot", order, lambda: self._slot_angle, lambda: np.abs(self.share) / self._radius
-        )
-
-    def tooth_harmonic(self, order: int) -> Complexes:
-        """The same for the flexspline's teeth, over ``A exp(i k theta_F)``, theta_F = theta_W (1 + 1/N)."""
-        return self._harmonic(
-            "tooth", order, lambda: self._tooth_angle, lambda: -np.abs(self.share) / self._radius
-        )
-
-    def radial_harmonic(self, order: int) -> Complexes:
-        """The same for a radial displacement of the slots, over ``A exp(i k theta_W)`` [rad/m]."""
-        return self._harmonic("radial", order, lambda: self._slot_angle, lambda: self._radial_share)
-
-    def clearance(self) -> Complexes:
-        """Response to more circumferential clearance on all flanks [rad/m], shape (torques, angles)."""
-        return self._harmonic("clearance", 0, lambda: self._slot_angle, lambda: self.share / self._radius)
-
-    def one_slot(self, slot: int) -> Complexes:
-        """Response to more clearance on the flanks (+, -) of one slot [rad/m]; (2, torques, angles)."""
-        key = ("one slot", slot % self.drive.mesh.geometry.circular_spline_teeth)
-        if key not in self._tables:
-            own = self.contact.slots == key[1]
-            masked = np.where(own[:, None, :], 1.0 / self._radius, 0.0)
-            self._tables[key] = np.einsum("tafp,afp->fta", self.share, masked).astype(np.complex128)
-        return self._tables[key]
-
-    def mean_slot(self) -> Floats:
-        """Of slot 0, in the mean over all slots; an eccentric wave generator makes them differ.
-
-        Returns
-        -------
-        ndarray, shape (2, torques, angles - 1)
-            As :meth:`one_slot`, without the last angle [rad/m].
-        """
-        count = self.drive.mesh.geometry.circular_spline_teeth
-        row = np.arange(self.steps)[:, None] - _STEPS_PER_SLOT * self.contact.slots[:-1]
-        row = np.mod(row, self.steps).ravel()
-        response = (self.share[:, :-1] / self._radius[:-1] / count).transpose(2, 0, 1, 3)
-        response = response.reshape(2, -1, row.size)
-        return np.array([[np.bincount(row, one, self.steps) for one in flank] for flank in response])
-
-    def one_tooth(self, torque_row: Integers, angle_row: Integers, tooth: Integers) -> Floats:
-        """The same for teeth of the flexspline [rad/m], at rows of the grid, shape (n,); (2, n)."""
-        teeth, half = self.contact.teeth, self.contact.teeth.shape[1] // 2
-        count = self.drive.mesh.geometry.flexspline_teeth
-        first, second = (np.mod(tooth - teeth[angle_row, lobe], count) for lobe in (0, half))
-        column = np.where(first < half, first, half + np.minimum(second, half - 1))
-        near = (first < half) | (second < half)
-        found = self.share[torque_row, angle_row, :, column] / self._radius[angle_row, :, column]
-        return np.where(near, found.T, 0.0)
-
-    @cached_property
-    def torque_nodes(self) -> Floats:
-        """Torques on the cup of the rows [N m]."""
-        positive = self.torque_limit * (np.arange(_TORQUES + 1) / _TORQUES) ** 2
-        positive[0] = _IDLE * self.torque_limit
-        return np.concatenate((-positive[::-1], positive))
-
-    @cached_property
-    def _radius(self) -> Floats:
-        return np.where(np.isnan(self.contact.rotation), 1.0, self.contact.radius)
-
-    @cached_property
-    def _angle(self) -> Floats:
-        return np.linspace(0.0, 2.0 * np.pi, self.steps + 1)
-
-    @cached_property
-    def _slot_angle(self) -> Floats:
-        """Of the slots, seen from the wave generator [rad]; shape (angles, pairs)."""
-        return self.contact.slots * self.drive.mesh.geometry.slot_pitch - self._angle[:, None]
-
-    @cached_property
-    def _tooth_angle(self) -> Floats:
-        """Of the teeth along the flexspline, seen from the wave generator [rad]; shape (angles, pairs)."""
-        geometry = self.drive.mesh.geometry
-        turned = self._angle * (1.0 + 1.0 / geometry.reduction)
-        return self.contact.teeth * geometry.tooth_pitch - turned[:, None]
-
-    @cached_property
-    def _radial_share(self) -> Floats:
-        """Response to each slot's own radial displacement [rad/m], shape (torques, angles, 2, pairs).
-
-        A slot that moves outward opens both flanks (db) and moves their contacts, which changes how stiff
-        they are (dk): ``K d beta`` is the sum of ``k db - overlap dk`` over the loaded flanks.
-        """
-        moved = [self._moved(sign * _STEP) for sign in (-1.0, 1.0)]
-        stiffness = [load_sharing.flank_stiffness(one, self.drive.mesh.tooth_compliance) for one in moved]
-        opening = (moved[1].rotation - moved[0].rotation) / (2.0 * _STEP)
-        softer = (
-            (stiffness[1] - stiffness[0]) / (2.0 * _STEP) / np.where(self._stiffness > 0, self._stiffness, 1)
-        )
-        overlap = _FLANKS * self.torsion[:, :, None, None] - self.contact.rotation
-        return np.nan_to_num(self.share * (opening - overlap * softer))
-
-    def _moved(self, outward: float) -> Contact:
-        geometry = self.drive.mesh.geometry
-        datum = geometry.circular_spline_datum + outward
-        mesh = replace(self.drive.mesh, geometry=replace(geometry, circular_spline_datum=datum))
-        return mesh.contacts(self._angle)
-
-    def _torsion(self) -> Floats:
-        curve = load_sharing.torque_curve(self.contact.rotation, self._stiffness)
-        beta = load_sharing.torsion(curve, self.torque_nodes)
-        if np.isnan(beta).any():
-            raise ValueError(f"the teeth cannot bear {self.torque_limit:g} N m at every wave generator angle")
-        return beta.T
-
-    def _shares(self, beta: Floats) -> Floats:
-        loaded = _FLANKS * beta[:, None, None] > self.contact.rotation
-        bearing = np.where(loaded, self._stiffness, 0.0)
-        total = bearing.sum(axis=(1, 2), keepdims=True)
-        return np.asarray(_FLANKS * bearing / np.where(total > 0.0, total, np.inf))
-
-    def _harmonic(
-        self, name: str, order: int, angle: Callable[[], Floats], response: Callable[[], Floats]
-    ) -> Complexes:
-        key = (name, order)
-        if key not in self._tables:
-            turning = np.exp(1j * order * angle())
-            self._tables[key] = np.einsum("tafp,ap->ta", response(), turning, optimize=True)
-        return self._tables[key]
-
-
-@lru_cache(maxsize=4)
-def contact_table(drive: Drive, torque_limit: float) -> ContactTable:
-    """Table of a drive up to a torque [N m], built once."""
-    return ContactTable(drive, torque_limit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,6 +134,40 @@ class ContactWeights:
                 result += torque_share * angle_share * self.table.one_tooth(torque_row, angle_row, tooth)
         return self._sign * result.T
 
+    def displaced(
+        self,
+        circumferential: Floats | float = 0.0,
+        radial: Floats | float = 0.0,
+        clearance: Floats | float = 0.0,
+    ) -> Floats:
+        """Change of TE by errors of the slots at their full size, pairs coming into and out of load.
+
+        Parameters
+        ----------
+        circumferential, radial : float or ndarray, shape (Z_G,)
+            Displacement counter-clockwise and outward [m].
+        clearance : float or ndarray, shape (2, Z_G)
+            Circumferential, added to the flanks (+, -) [m].
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            [rad]
+        """
+        count = self.drive.mesh.geometry.circular_spline_teeth
+        around, outward = (
+            np.broadcast_to(one, count).astype(np.float64) for one in (circumferential, radial)
+        )
+        wider = np.broadcast_to(clearance, (2, count)).astype(np.float64)
+        change = self.table.displaced(SlotErrors(around, outward, wider))
+        return self._sign * self._interpolate(change.astype(np.complex128)).real
+
+    @property
+    def slot_angles(self) -> Floats:
+        """Of all slots in the circular spline [rad], shape (Z_G,)."""
+        geometry = self.drive.mesh.geometry
+        return geometry.slot_pitch * np.arange(geometry.circular_spline_teeth, dtype=np.float64)
+
     @property
     def _sign(self) -> float:
         return -self.drive.kinematics.torque_sign
@@ -334,13 +186,13 @@ class ContactWeights:
     def torque_rows(self) -> Neighbours:
         """Rows of the table on both sides of every torque, and their shares; each of shape (n,)."""
         cup = self.drive.kinematics.cup_torque(self.torque)
-        place = np.sqrt(np.minimum(np.abs(cup) / self.table.torque_limit, 1.0)) * _TORQUES
-        (low, low_share), (high, high_share) = _neighbours(place, _TORQUES)
-        low, high = (np.where(cup < 0.0, _TORQUES - row, _TORQUES + 1 + row) for row in (low, high))
+        place = np.sqrt(np.minimum(np.abs(cup) / self.table.torque_limit, 1.0)) * TORQUES
+        (low, low_share), (high, high_share) = _neighbours(place, TORQUES)
+        low, high = (np.where(cup < 0.0, TORQUES - row, TORQUES + 1 + row) for row in (low, high))
         idle = cup == 0.0  # the middle of a gap: the mean of both sides
         return (
-            (np.where(idle, _TORQUES, low), np.where(idle, 0.5, low_share)),
-            (np.where(idle, _TORQUES + 1, high), np.where(idle, 0.5, high_share)),
+            (np.where(idle, TORQUES, low), np.where(idle, 0.5, low_share)),
+            (np.where(idle, TORQUES + 1, high), np.where(idle, 0.5, high_share)),
         )
 
     def _interpolate(self, table: Complexes) -> Complexes:

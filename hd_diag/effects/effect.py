@@ -143,6 +143,16 @@ class Effect(ABC):
         """Columns of the next samples, and the state after them."""
         return self.columns(signals, nonlinear), state
 
+    def response(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
+        """Transmission error of the effect at its size [rad], shape (n,): proportional unless stated."""
+        return np.asarray(self.columns(signals, nonlinear) @ coefficients)
+
+    def respond(
+        self, state: Any, signals: Signals, coefficients: Floats, nonlinear: Values
+    ) -> tuple[Floats, Any]:
+        """Transmission error of the effect at the next samples, and the state after them."""
+        return self.response(signals, coefficients, nonlinear), state
+
     @property
     def linear(self) -> tuple[Quantity, ...]:
         """Quantities behind the coefficients, one each."""
@@ -280,6 +290,13 @@ class StatefulEffect(Effect):
     def step(self, state: Any, signals: Signals, nonlinear: Values) -> tuple[Floats, Any]:
         """Columns of the next samples of a run, and the state after them."""
 
+    def respond(
+        self, state: Any, signals: Signals, coefficients: Floats, nonlinear: Values
+    ) -> tuple[Floats, Any]:
+        """See :meth:`Effect.respond`."""
+        columns, state = self.step(state, signals, nonlinear)
+        return np.asarray(columns @ coefficients), state
+
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Columns of a record, each run from its start; see :meth:`Effect.columns`."""
         parts = [self.step(self.start(nonlinear), signals.part(run), nonlinear)[0] for run in signals.runs()]
@@ -289,6 +306,12 @@ class StatefulEffect(Effect):
 def harmonic(response: npt.NDArray[np.complex128]) -> Floats:
     """Columns of a cosine and a sine coefficient from a complex response, shape (n, 2)."""
     return np.stack((response.real, response.imag), axis=1)
+
+
+def harmonic_sum(coefficients: Floats, orders: Sequence[int], angle: Floats) -> Floats:
+    """``sum a_k cos k (angle - d_k)`` of cosine and sine coefficients, in the shape of the angle."""
+    pairs = zip(orders, coefficients[::2], coefficients[1::2], strict=True)
+    return np.asarray(sum(a * np.cos(k * angle) + b * np.sin(k * angle) for k, a, b in pairs))
 
 
 def turning(phase: Floats) -> Floats:

@@ -67,4 +67,5 @@ def line_width(angle: Floats, leak: float) -> float:
     count = np.bincount(turn)
     length = 2 ** math.ceil(math.log2(_OVERSAMPLING * max(count.size, 2)))
     window = np.abs(np.fft.rfft(count, length)) / angle.size
-    return (int(np.flatnonzero(window > leak)[-1]) + 1) / length
+    last = int(np.flatnonzero(window > leak)[-1])
+    return (last + 1) / float(length)

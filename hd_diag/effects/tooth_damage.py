@@ -65,6 +65,16 @@ class ToothDamage(Effect):
         geometry = signals.contact.drive.mesh.geometry
         return geometry.circular_spline_teeth + geometry.flexspline_teeth
 
+    def response(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
+        """A slot at its full size, a tooth in proportion; see :meth:`Effect.response`."""
+        contact = signals.contact
+        if nonlinear[0] != SLOT:
+            return super().response(signals, coefficients, nonlinear)
+        clearance = np.zeros((2, contact.slot_angles.size))
+        slot = round(nonlinear[1] / contact.drive.mesh.geometry.slot_pitch) % contact.slot_angles.size
+        clearance[:, slot] = coefficients
+        return contact.displaced(clearance=clearance)
+
     def testable(self, signals: Signals) -> tuple[bool, str]:
         """Ten turns of the output let a single tooth stand out and tell the members apart."""
         return verdict(enough_input_turns(signals, 10.0), enough_output_turns(signals, 10.0))

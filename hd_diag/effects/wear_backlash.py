@@ -22,6 +22,11 @@ class WearBacklash(Effect):
         """Response to more clearance; see :meth:`Effect.columns`."""
         return signals.contact.clearance()[:, None]
 
+    def response(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
+        """The flanks worn at their full size; see :meth:`Effect.response`."""
+        contact = signals.contact
+        return contact.displaced(clearance=float(coefficients[0]))
+
     def testable(self, signals: Signals) -> tuple[bool, str]:
         """Torque through zero."""
         return verdict(enough_input_turns(signals, 1.0), torque_through_zero(signals))

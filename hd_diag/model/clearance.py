@@ -181,7 +181,8 @@ def all_teeth(geometry: Geometry, contact: Contact, values: Floats, missing: flo
     ndarray, shape (moments, 2, Z_R)
     """
     spread = np.full((values.shape[0], 2, geometry.flexspline_teeth), missing)
-    np.put_along_axis(spread, np.broadcast_to(contact.teeth[:, None, :], values.shape), values, axis=2)
+    moments, flanks = np.arange(values.shape[0])[:, None, None], np.arange(2)[:, None]
+    spread[moments, flanks, contact.teeth[:, None, :]] = values
     return spread
 
 

@@ -17,6 +17,7 @@ Floats = npt.NDArray[np.float64]
 
 # Torques are compared with breakpoints for this many (moment, torque, breakpoint) triples at once [-].
 _BLOCK = 4_000_000
+_SIDES = np.array([1.0, -1.0])[:, None]  # of a torsion: + flanks bear where it is positive
 
 
 @dataclass(frozen=True)
@@ -109,11 +110,11 @@ def torque_curve(rotation: Floats, stiffness: Floats) -> TorqueCurve:
     TorqueCurve
     """
     bears = np.isfinite(rotation)
-    signed = np.where(bears, rotation, np.nan) * np.array([1.0, -1.0])[:, None]
+    signed = np.where(bears, rotation, np.nan) * _SIDES
     start = np.where(bears, signed, 0.0)
     beta = start.reshape(start.shape[0], -1)
     order = np.argsort(beta, axis=1, kind="stable")
-    gain = (stiffness * np.array([1.0, -1.0])[:, None]).reshape(beta.shape)
+    gain = (stiffness * _SIDES).reshape(beta.shape)
     beta, gain = np.take_along_axis(beta, order, axis=1), np.take_along_axis(gain, order, axis=1)
     first = np.sum(stiffness[:, 1, :], axis=1, keepdims=True)
     slope = np.concatenate((first, first + np.cumsum(gain, axis=1)), axis=1)
@@ -179,6 +180,27 @@ def _torsion(curve: TorqueCurve, torque: Floats) -> Floats:
     return np.where((torque == 0.0) & (width > 0.0), middle, beta)
 
 
+def forces(contact: Contact, tooth_compliance: float, beta: Floats) -> Floats:
+    """Normal forces at a torsion.
+
+    Parameters
+    ----------
+    contact : Contact
+    tooth_compliance : float
+        K1 + K2 of a tooth pair [m/N].
+    beta : ndarray, shape (moments,)
+        Torsion [rad].
+
+    Returns
+    -------
+    ndarray, shape (moments, 2, teeth)
+        F of each flank [N], zero where it is free.
+    """
+    overlap = _SIDES * beta[:, None, None] - contact.rotation
+    arm = contact.radius * np.cos(contact.pressure_angle)
+    return np.where(overlap > 0.0, overlap * arm / tooth_compliance, 0.0)
+
+
 def share_load(contact: Contact, tooth_compliance: float, torque: Floats) -> LoadSharing:
     """Load distribution over the tooth pairs at one torque per moment.
 
@@ -197,12 +219,9 @@ def share_load(contact: Contact, tooth_compliance: float, torque: Floats) -> Loa
     k = flank_stiffness(contact, tooth_compliance)
     curve = torque_curve(contact.rotation, k)
     beta = torsion(curve, torque[:, None])[:, 0]
-    side = np.array([1.0, -1.0])[:, None]
-    overlap = np.nan_to_num(side * beta[:, None, None] - contact.rotation, nan=0.0)
-    loaded = overlap > 0.0
-    arm = contact.radius * np.cos(contact.pressure_angle)
-    force = np.where(loaded, overlap * arm / tooth_compliance, 0.0)
+    force = forces(contact, tooth_compliance, beta)
+    loaded = force > 0.0
     total = np.sum(np.where(loaded, k, 0.0), axis=(1, 2))
-    share = np.where(loaded, side * k, 0.0) / np.where(total > 0.0, total, np.inf)[:, None, None]
+    share = np.where(loaded, _SIDES * k, 0.0) / np.where(total > 0.0, total, np.inf)[:, None, None]
     lost_motion = np.maximum(curve.gap[:, 1] - curve.gap[:, 0], 0.0)
     return LoadSharing(beta, force, total, share, lost_motion)

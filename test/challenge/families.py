@@ -14,6 +14,7 @@ import numpy as np
 
 from challenge import causes as c
 from challenge import motion as motions
+from challenge.cause import Cause
 from challenge.findable import LEAST
 from challenge.motion import Motion
 from challenge.noise import FAMILIES as NOISES
@@ -23,7 +24,7 @@ from challenge.truth import ARCSEC, RATIO, drawn
 DEVELOPMENT = range(0, 1_000_000)
 FINAL = range(1_000_000_000, 1_001_000_000)
 
-Build = Callable[[np.random.Generator, float, Motion], c.Cause]
+Build = Callable[[np.random.Generator, float, Motion], Cause]
 Draw = np.random.Generator
 
 UM = 1e-6  # [m]
@@ -45,40 +46,40 @@ def _phase(rng: Draw) -> float:
     return float(rng.uniform(-np.pi, np.pi))
 
 
-def _bearing(rng: Draw, a: float, _: Motion) -> c.Cause:
+def _bearing(rng: Draw, a: float, _: Motion) -> Cause:
     part = str(rng.choice(["cage", "outer", "inner"]))
     cage = rng.uniform(0.41, 0.47)
     return c.BearingPassage(a * ARCSEC, _phase(rng), cage, part, seed=int(rng.integers(1 << 31)))
 
 
-def _coupling(rng: Draw, a: float, _: Motion) -> c.Cause:
+def _coupling(rng: Draw, a: float, _: Motion) -> Cause:
     bend = np.sqrt(4 * RATIO * a * ARCSEC)
     return c.CouplingMisalignment(bend, _phase(rng), 2 * RATIO * rng.uniform(0, 0.3) * a * ARCSEC)
 
 
-def _damage(rng: Draw, a: float, _: Motion) -> c.Cause:
+def _damage(rng: Draw, a: float, _: Motion) -> Cause:
     member, count = [("circular_spline", 202), ("flexspline", 200)][rng.integers(2)]
     return c.ToothDamage(a * UM, int(rng.integers(count)), member)
 
 
-def _hardening(rng: Draw, a: float, _: Motion) -> c.Cause:
+def _hardening(rng: Draw, a: float, _: Motion) -> Cause:
     sign = rng.choice([-1, 1])
     return c.TorsionalHardening(sign * a * ARCSEC, sign * rng.uniform(0, 0.5) * a * ARCSEC)
 
 
-def _hysteresis(rng: Draw, a: float, _: Motion) -> c.Cause:
+def _hysteresis(rng: Draw, a: float, _: Motion) -> Cause:
     torques = tuple(sorted(rng.uniform(2, 20, rng.integers(1, 4)).tolist()))
     return c.Hysteresis(a * ARCSEC, torques, float(rng.choice([-1, 1])))
 
 
-def _skip(rng: Draw, _a: float, motion: Motion) -> c.Cause:
+def _skip(rng: Draw, _a: float, motion: Motion) -> Cause:
     time = motion.times()
     torque = motion.torque(time)
     worst = int(np.argmax(np.abs(torque)))
     return c.ToothSkip(float(time[worst]), -float(np.sign(torque[worst])))
 
 
-def _resonance(rng: Draw, a: float, _: Motion) -> c.Cause:
+def _resonance(rng: Draw, a: float, _: Motion) -> Cause:
     order = int(rng.choice([1, 2]))
     return c.Resonance(order * rng.uniform(5, 16), rng.uniform(0.04, 0.12), a * ARCSEC, order, _phase(rng))
 
@@ -128,24 +129,33 @@ FAULTS: dict[str, Fault] = {
 }
 
 
-def _interpolation(rng: Draw, a: float) -> c.Cause:
+def _interpolation(rng: Draw, a: float) -> Cause:
     lines = int(rng.choice([8, 12, 16, 20, 24, 32]))
     return c.EncoderInterpolation(lines * RATIO * a * ARCSEC, _phase(rng), lines)
 
 
-UNKNOWN: dict[str, Fault] = {
-    kind.name: Fault((lambda k: lambda r, a, m: k(a * ARCSEC, _phase(r)))(kind), low, 3 * low, "arcsec")
-    for kind, low in zip(c.UNKNOWN, (1, 1, 1, 1, 8, 8, 1, 5, 2, 3), strict=True)
-}
+def _plain(kind: type[c.Unknown]) -> Build:
+    return lambda rng, a, motion: kind(a * ARCSEC, _phase(rng))
 
 
-def _sector(rng: Draw, a: float, motion: Motion) -> c.Cause:
+def _sector(rng: Draw, a: float, motion: Motion) -> Cause:
     time = motion.times()
     place = motion.angle(rng.choice(time, 1))[0] / RATIO  # where the output has been
     return c.EncoderSector(a * ARCSEC, float(place))
 
 
-UNKNOWN["encoder_sector"] = Fault(_sector, 8, 24, "arcsec")
+UNKNOWN: dict[str, Fault] = {
+    "strange_order": Fault(_plain(c.StrangeOrder), 1, 4, "arcsec"),
+    "one_sided_ripple": Fault(_plain(c.OneSidedRipple), 1, 4, "arcsec"),
+    "cogging": Fault(_plain(c.Cogging), 1, 4, "arcsec"),
+    "belt_creep": Fault(_plain(c.BeltCreep), 8, 30, "arcsec per 1000 rad at 50 N m"),
+    "encoder_sector": Fault(_sector, 16, 50, "arcsec"),
+    "unbalance": Fault(_plain(c.Unbalance), 1.5, 5, "arcsec at 60 rad/s"),
+    "floor_vibration": Fault(_plain(c.FloorVibration), 1, 4, "arcsec"),
+    "even_torque": Fault(_plain(c.EvenTorque), 3, 15, "arcsec at 50 N m"),
+    "output_order": Fault(_plain(c.OutputOrder), 4, 15, "arcsec"),
+    "loose_hub": Fault(_plain(c.LooseHub), 3, 15, "arcsec"),
+}
 
 # Worth no line of its own: a parameter of the drive does the same.
 NAMED = tuple(name for name in FAULTS if name != "wear_backlash")
@@ -172,7 +182,7 @@ def generator(family: str, seed: int) -> np.random.Generator:
     return np.random.default_rng([*family.encode(), seed])
 
 
-def draw(rng: Draw, name: str, motion: Motion) -> c.Cause:
+def draw(rng: Draw, name: str, motion: Motion) -> Cause:
     """Cause of a name, at least three times as large as can be found on a standard record."""
     fault = FAULTS.get(name) or UNKNOWN[name]
     low = max(fault.low, TIMES_LEAST * LEAST.get(name, 0.0))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
+import functools
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,7 +17,7 @@ from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_typestore
 
 from challenge import mechanics, noise
-from challenge.causes import Cause, Scene
+from challenge.cause import Cause, Scene
 from challenge.clearances import Array
 from challenge.contact import Flaws, Gear
 from challenge.motion import Motion
@@ -39,7 +41,8 @@ class Record:
     runs : index of the first sample of every run
     clean_output : output angle without noise and outliers [rad]
     configured : parameters of the drive as the user believes it to be
-    truth : base, effects (sizes, rms at the output), hidden (catalogue names), unknown, noise_rms [rad]
+    truth : base, effects (sizes), hidden (catalogue names), unknown, noise_rms [rad], recording
+    base, causes, motion : what it was made from
     """
 
     time: Array
@@ -50,6 +53,9 @@ class Record:
     runs: NDArray[np.intp]
     clean_output: Array
     truth: dict[str, Any]
+    base: Base
+    causes: tuple[Cause, ...]
+    motion: Motion
     configured: dict[str, float] = field(default_factory=NOMINAL.as_dict)
 
 
@@ -95,13 +101,20 @@ def mean_torsion(mesh: Gear, cup_torque: Array) -> Array:
     return np.asarray(np.interp(cup_torque, levels, curve), dtype=np.float64)
 
 
+@functools.lru_cache(maxsize=4)
+def _torsion(base: Base, flawed: tuple[Cause, ...], shaft: bytes, torque: bytes) -> tuple[Gear, Array]:
+    """Mesh and its torsion (n,) [rad]; kept, for what a cause adds is the difference of two drives."""
+    mesh = gear(base, flawed)
+    return mesh, mesh.torsion(-np.frombuffer(shaft), -np.frombuffer(torque))
+
+
 def output(base: Base, causes: Sequence[Cause], seen: Scene) -> Array:
     """Reported output angle (n,) [rad] of a drive, without noise."""
     shaft = seen.motor
     for cause in causes:
         shaft = cause.shaft(shaft)
-    mesh = gear(base, causes)
-    torsion = mesh.torsion(-shaft, -seen.torque)
+    flawed = tuple(cause for cause in causes if type(cause).flaws is not Cause.flaws)
+    mesh, torsion = _torsion(base, flawed, shaft.tobytes(), seen.torque.tobytes())
     error = torsion - base.cup * seen.torque + base.offset
     for cause in causes:
         error = error + cause.added(seen)
@@ -121,6 +134,26 @@ def transmission_error(base: Base, causes: Sequence[Cause], motion: Motion, time
     for cause in causes:
         reported = cause.input_reading(reported)
     return output(base, causes, scene(motion, time - late)) - reported / RATIO
+
+
+def contribution(base: Base, causes: Sequence[Cause], cause: Cause, motion: Motion, time: Array) -> Array:
+    """What one of the causes adds (n,) [rad] to what the drive would do without it, as its sensors see it."""
+    others = [each for each in causes if each is not cause]
+    seen = scene(motion, time - sum(each.delay for each in others))
+    if type(cause).torque_reading is Cause.torque_reading:
+        without = transmission_error(base, others, motion, time)
+    else:
+        believed = dataclasses.replace(seen, torque=cause.torque_reading(seen.torque))
+        without = transmission_error(base, others, motion, time) + (
+            output(base, others, believed) - output(base, others, seen)
+        )
+    return transmission_error(base, causes, motion, time) - without
+
+
+def added_by(record: Record, name: str) -> Array:
+    """What the cause of a name adds (n,) [rad] at the moments of a record; its std is the amplitude."""
+    cause = next(cause for cause in record.causes if cause.name == name)
+    return contribution(record.base, record.causes, cause, record.motion, record.time)
 
 
 def simulate(
@@ -163,6 +196,9 @@ def simulate(
         runs=np.flatnonzero(np.diff(run, prepend=-1)),
         clean_output=clean[keep],
         truth=truth,
+        base=base,
+        causes=tuple(causes),
+        motion=motion,
     )
 
 

@@ -23,7 +23,7 @@ def mesh(geometry: Geometry, tooth_compliance: float, arc_offset: float) -> Mesh
 def blank() -> MeshData:
     """Numbers of the right types that no gear has: enough to compile for."""
     arc, line = Arc(*[1.0] * 4), Line(*[1.0] * 9)
-    constants = Constants(*[1.0] * 10, arc, arc, line, arc, arc, line, *[1.0] * 4, 0, 0)
+    constants = Constants._make([*[1.0] * 10, arc, arc, line, arc, arc, line, *[1.0] * 4, 0, 0])
     return MeshData(constants, Tables(*[np.ones(1)] * 5), 1.0, 0.0)
 
 

@@ -37,7 +37,7 @@ def interpolated(
 
 @inline
 def _within_turn(turn: float) -> float:
-    rest = np.fmod(turn, _TURN)
+    rest: float = np.fmod(turn, _TURN)
     return rest + (_TURN if rest < 0.0 else 0.0)
 
 
@@ -56,7 +56,8 @@ def _at(breakpoints: Floats, values: Floats, torque: float, column: int) -> floa
 def _from(breakpoints: Floats, values: Floats, torque: float, column: int) -> float:
     start, beta = breakpoints[column], values[column]
     slope = (values[column + 1] - beta) / (breakpoints[column + 1] - start)
-    return beta + slope * (torque - start)
+    result: float = beta + slope * (torque - start)
+    return result
 
 
 @inline

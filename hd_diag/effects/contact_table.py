@@ -1,0 +1,254 @@
+"""What errors of single teeth do to the transmission error: the contact's weights, tabulated.
+
+A flank whose clearance grows by db turns the output by ``d beta / d b`` of it: its share of the torsional
+stiffness if it bears load, nothing otherwise. Pitch and form errors and single damaged teeth are sums of
+these shares, to first order. They are solved exactly on a grid of wave generator angles and torques; what
+turns with the wave generator is taken out, so that the tables are smooth. Errors of the slots, which stand
+still, can also be put into the contact at their full size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.drive import Drive
+from hd_diag.model import load_sharing
+from hd_diag.model.clearance import Contact
+
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+Integers = npt.NDArray[np.int64]
+
+TORQUES = 24
+"""Torques of the grid on each side of zero, closer near zero where few pairs bear."""
+
+_STEPS_PER_SLOT = 2  # the shares step where a pair comes into load; errors of some um blur the steps anyway
+_IDLE = 1e-9  # share of the torque limit that stands for the limit towards zero torque from one side
+_SLOTS_KEPT = 16
+_STEP = 5e-9  # [m]; radial step of the central difference: far above rounding, far below a fillet
+_FLANKS = np.array([1.0, -1.0])[:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class SlotErrors:
+    """Errors of the circular spline's slots.
+
+    Parameters
+    ----------
+    circumferential : ndarray, shape (Z_G,)
+        Displacement, counter-clockwise [m].
+    radial : ndarray, shape (Z_G,)
+        Displacement, outward [m].
+    clearance : ndarray, shape (2, Z_G)
+        Circumferential clearance added to the flanks (+, -) [m].
+    """
+
+    circumferential: Floats
+    radial: Floats
+    clearance: Floats
+
+    @property
+    def key(self) -> bytes:
+        """What they are told apart by."""
+        return b"".join(one.tobytes() for one in (self.circumferential, self.radial, self.clearance))
+
+
+class ContactTable:
+    """Shares of all flanks over one turn of the wave generator and torque.
+
+    Parameters
+    ----------
+    drive : Drive
+    torque_limit : float
+        Greatest magnitude of the torque [N m]; beyond it the shares at the limit are used.
+
+    Attributes
+    ----------
+    contact : Contact
+        At every angle of the grid, 0 to 2 pi, both included.
+    torsion : ndarray, shape (torques, angles)
+        beta [rad], at torques of the cup from -limit to limit; zero torque twice: from below and from above.
+    share : ndarray, shape (torques, angles, 2, pairs)
+        d beta / d b of every flank [-], negative for - flanks.
+
+    Raises
+    ------
+    ValueError
+        If the torque limit is not positive, or the teeth cannot bear it.
+    """
+
+    def __init__(self, drive: Drive, torque_limit: float) -> None:
+        if not 0.0 < torque_limit < np.inf:
+            raise ValueError(f"torque_limit must be positive, not {torque_limit} N m")
+        geometry = drive.mesh.geometry
+        self.drive = drive
+        self.torque_limit = torque_limit
+        self.steps = _STEPS_PER_SLOT * geometry.circular_spline_teeth
+        self.contact = drive.mesh.contacts(np.linspace(0.0, 2.0 * np.pi, self.steps + 1))
+        self._stiffness = load_sharing.flank_stiffness(self.contact, drive.mesh.tooth_compliance)
+        self.torsion = self._torsion()
+        self.share = np.stack([self._shares(beta) for beta in self.torsion])
+        self._tables: dict[tuple[str, int], Complexes] = {}
+        self._slots: dict[int, Complexes] = {}
+        self._displaced: dict[bytes, Floats] = {}
+
+    def slot_harmonic(self, order: int) -> Complexes:
+        """Response to ``c = Re(A exp(i k phi))`` over ``A exp(i k theta_W)`` [rad/m]; (torques, angles)."""
+        return self._harmonic(
+            "slot", order, lambda: self._slot_angle, lambda: np.abs(self.share) / self._radius
+        )
+
+    def tooth_harmonic(self, order: int) -> Complexes:
+        """The same for the flexspline's teeth, over ``A exp(i k theta_F)``, theta_F = theta_W (1 + 1/N)."""
+        return self._harmonic(
+            "tooth", order, lambda: self._tooth_angle, lambda: -np.abs(self.share) / self._radius
+        )
+
+    def radial_harmonic(self, order: int) -> Complexes:
+        """The same for a radial displacement of the slots, over ``A exp(i k theta_W)`` [rad/m]."""
+        return self._harmonic("radial", order, lambda: self._slot_angle, self._radial_share)
+
+    def clearance(self) -> Complexes:
+        """Response to more circumferential clearance on all flanks [rad/m], shape (torques, angles)."""
+        return self._harmonic("clearance", 0, lambda: self._slot_angle, lambda: self.share / self._radius)
+
+    def one_slot(self, slot: int) -> Complexes:
+        """Response to more clearance on the flanks (+, -) of one slot [rad/m]; (2, torques, angles)."""
+        slot %= self.drive.mesh.geometry.circular_spline_teeth
+        if slot not in self._slots:
+            if len(self._slots) >= _SLOTS_KEPT:
+                self._slots.clear()
+            masked = np.where((self.contact.slots == slot)[:, None, :], 1.0 / self._radius, 0.0)
+            self._slots[slot] = np.einsum("tafp,afp->fta", self.share, masked).astype(np.complex128)
+        return self._slots[slot]
+
+    def displaced(self, errors: SlotErrors) -> Floats:
+        """How the cup turns when the slots have errors of full size [rad], shape (torques, angles)."""
+        if errors.key not in self._displaced:
+            if len(self._displaced) >= _SLOTS_KEPT:
+                self._displaced.clear()
+            self._displaced[errors.key] = self._displacement(errors)
+        return self._displaced[errors.key]
+
+    def mean_slot(self) -> Floats:
+        """Of slot 0, in the mean over all slots; an eccentric wave generator makes them differ.
+
+        Returns
+        -------
+        ndarray, shape (2, torques, angles - 1)
+            As :meth:`one_slot`, without the last angle [rad/m].
+        """
+        count = self.drive.mesh.geometry.circular_spline_teeth
+        row = np.arange(self.steps)[:, None] - _STEPS_PER_SLOT * self.contact.slots[:-1]
+        row = np.mod(row, self.steps).ravel()
+        response = (self.share[:, :-1] / self._radius[:-1] / count).transpose(2, 0, 1, 3)
+        response = response.reshape(2, -1, row.size)
+        return np.array([[np.bincount(row, one, self.steps) for one in flank] for flank in response])
+
+    def one_tooth(self, torque_row: Integers, angle_row: Integers, tooth: Integers) -> Floats:
+        """The same for teeth of the flexspline [rad/m], at rows of the grid, shape (n,); (2, n)."""
+        teeth, half = self.contact.teeth, self.contact.teeth.shape[1] // 2
+        count = self.drive.mesh.geometry.flexspline_teeth
+        first, second = (np.mod(tooth - teeth[angle_row, lobe], count) for lobe in (0, half))
+        column = np.where(first < half, first, half + np.minimum(second, half - 1))
+        near = (first < half) | (second < half)
+        found = self.share[torque_row, angle_row, :, column] / self._radius[angle_row, :, column]
+        return np.where(near, found.T, 0.0)
+
+    @cached_property
+    def torque_nodes(self) -> Floats:
+        """Torques on the cup of the rows [N m]."""
+        positive = self.torque_limit * (np.arange(TORQUES + 1) / TORQUES) ** 2
+        positive[0] = _IDLE * self.torque_limit
+        return np.concatenate((-positive[::-1], positive))
+
+    @cached_property
+    def _radius(self) -> Floats:
+        return np.where(np.isnan(self.contact.rotation), 1.0, self.contact.radius)
+
+    @cached_property
+    def _angle(self) -> Floats:
+        return np.linspace(0.0, 2.0 * np.pi, self.steps + 1)
+
+    @cached_property
+    def _slot_angle(self) -> Floats:
+        """Of the slots, seen from the wave generator [rad]; shape (angles, pairs)."""
+        return self.contact.slots * self.drive.mesh.geometry.slot_pitch - self._angle[:, None]
+
+    @cached_property
+    def _tooth_angle(self) -> Floats:
+        """Of the teeth along the flexspline, seen from the wave generator [rad]; shape (angles, pairs)."""
+        geometry = self.drive.mesh.geometry
+        turned = self._angle * (1.0 + 1.0 / geometry.reduction)
+        return self.contact.teeth * geometry.tooth_pitch - turned[:, None]
+
+    def _radial_share(self) -> Floats:
+        """Response to each slot's own radial displacement [rad/m], shape (torques, angles, 2, pairs).
+
+        A slot that moves outward opens both flanks (db) and moves their contacts, which changes how stiff
+        they are (dk): ``K d beta`` is the sum of ``k db - overlap dk`` over the loaded flanks.
+        """
+        opening, softening = self._radial_slopes
+        overlap = _FLANKS * self.torsion[:, :, None, None] - self.contact.rotation
+        return np.nan_to_num(self.share * (opening - overlap * softening))
+
+    @cached_property
+    def _radial_slopes(self) -> tuple[Floats, Floats]:
+        """Closing rotation and logarithm of the stiffness by the radial displacement [rad/m], [1/m]."""
+        moved = [self._moved(sign * _STEP) for sign in (-1.0, 1.0)]
+        low, high = (load_sharing.flank_stiffness(one, self.drive.mesh.tooth_compliance) for one in moved)
+        opening = (moved[1].rotation - moved[0].rotation) / (2.0 * _STEP)
+        stiffness = np.where(self._stiffness > 0.0, self._stiffness, 1.0)
+        return opening, (high - low) / (2.0 * _STEP * stiffness)
+
+    def _displacement(self, errors: SlotErrors) -> Floats:
+        slots = self.contact.slots
+        around = _FLANKS * errors.circumferential[slots][:, None, :]
+        around = around + errors.clearance[:, slots].transpose(1, 0, 2)
+        rotation, stiffness = self.contact.rotation + around / self._radius, self._stiffness
+        if errors.radial.any():
+            opening, softening = self._radial_slopes
+            outward = errors.radial[slots][:, None, :]
+            rotation = rotation + opening * outward
+            stiffness = stiffness * np.exp(np.clip(np.nan_to_num(softening) * outward, -1.0, 1.0))
+        curve = load_sharing.torque_curve(rotation, stiffness)
+        return np.asarray(load_sharing.torsion(curve, self.torque_nodes).T - self.torsion)
+
+    def _moved(self, outward: float) -> Contact:
+        geometry = self.drive.mesh.geometry
+        datum = geometry.circular_spline_datum + outward
+        mesh = replace(self.drive.mesh, geometry=replace(geometry, circular_spline_datum=datum))
+        return mesh.contacts(self._angle)
+
+    def _torsion(self) -> Floats:
+        curve = load_sharing.torque_curve(self.contact.rotation, self._stiffness)
+        beta = load_sharing.torsion(curve, self.torque_nodes)
+        if np.isnan(beta).any():
+            raise ValueError(f"the teeth cannot bear {self.torque_limit:g} N m at every wave generator angle")
+        return beta.T
+
+    def _shares(self, beta: Floats) -> Floats:
+        loaded = _FLANKS * beta[:, None, None] > self.contact.rotation
+        bearing = np.where(loaded, self._stiffness, 0.0)
+        total = bearing.sum(axis=(1, 2), keepdims=True)
+        return np.asarray(_FLANKS * bearing / np.where(total > 0.0, total, np.inf))
+
+    def _harmonic(
+        self, name: str, order: int, angle: Callable[[], Floats], response: Callable[[], Floats]
+    ) -> Complexes:
+        key = (name, order)
+        if key not in self._tables:
+            turning = np.exp(1j * order * angle())
+            self._tables[key] = np.einsum("tafp,ap->ta", response(), turning, optimize=True)
+        return self._tables[key]
+
+
+@lru_cache(maxsize=2)  # 40 MB each
+def contact_table(drive: Drive, torque_limit: float) -> ContactTable:
+    """Table of a drive up to a torque [N m], built once."""
+    return ContactTable(drive, torque_limit)

@@ -1,0 +1,245 @@
+"""A drive with the causes that a diagnosis found: what it predicts, sample by sample or a record at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.drive import Drive, transmission_error
+from hd_diag.effects.contact_table import ContactTable
+from hd_diag.effects.contact_weights import ContactWeights, Rows
+from hd_diag.effects.effect import Effect, Values
+from hd_diag.effects.signals import Signals
+from hd_diag.model.torsion_map import TorsionMap
+
+Floats = npt.NDArray[np.float64]
+
+_SLOPE_STEP = 0.01  # of the rated torque; half the width over which dTE/dT is taken: over the breaks of pairs
+
+
+class Term(NamedTuple):
+    """An effect at its size: its coefficients, and the values of its nonlinear quantities."""
+
+    effect: Effect
+    coefficients: tuple[float, ...]
+    nonlinear: Values
+
+
+class Range(NamedTuple):
+    """Least and greatest value."""
+
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """What a model was fitted to: torque [N m], input speed [rad/s], temperature [degree Celsius] or None."""
+
+    torque: Range
+    speed: Range
+    temperature: Range | None = None
+
+
+class State(NamedTuple):
+    """What a model remembers of a stream.
+
+    Attributes
+    ----------
+    time, angle, predicted : float
+        Of the last sample [s], [rad], [rad]; nan before the first. `predicted` is the drive's own error.
+    speed : float
+        Of the input at the last sample [rad/s].
+    effects : tuple
+        States of the effects.
+    """
+
+    time: float
+    angle: float
+    predicted: float
+    speed: float
+    effects: tuple[Any, ...]
+
+    @property
+    def is_fresh(self) -> bool:
+        """Whether there was no sample yet."""
+        return self.time != self.time
+
+
+@dataclass(frozen=True)
+class ExtendedModel:
+    """A refitted drive, the effects beside it and the encoders' offset.
+
+    Parameters
+    ----------
+    drive : Drive
+        With its refitted parameters.
+    effects : tuple of Term
+    offset : float
+        Added to the transmission error [rad].
+    ranges : Ranges
+
+    Notes
+    -----
+    All signals are causal. The speed is what the joint reports, else the difference of the last two input
+    angles over their times; the rate of the prediction is a backward difference. The first sample is computed
+    as at rest and, where its speed is not reported, the effects' own state begins with the second.
+    """
+
+    drive: Drive
+    effects: tuple[Term, ...]
+    offset: float
+    ranges: Ranges
+
+    def start(self) -> State:
+        """State before the first sample of a stream."""
+        nothing = float("nan")
+        effects = tuple(term.effect.start(term.nonlinear) for term in self.effects)
+        return State(nothing, nothing, nothing, 0.0, effects)
+
+    def step(
+        self,
+        state: State,
+        time: Floats,
+        input_angle: Floats,
+        speed: Floats | None,
+        torque: Floats,
+        temperature: Floats | None = None,
+        table: TorsionMap | None = None,
+    ) -> tuple[Floats, State]:
+        """Transmission error at the next samples, however many they are.
+
+        Parameters
+        ----------
+        state : State
+            After the samples before.
+        time : ndarray, shape (n,)
+            [s], rising.
+        input_angle : ndarray, shape (n,)
+            As reported, continuous over the turns [rad].
+        speed : ndarray, shape (n,), or None
+            Of the input, as reported [rad/s]; None, or nan for a sample: taken from the angles.
+        torque : ndarray, shape (n,)
+            On the link [N m].
+        temperature : ndarray, shape (n,), or None
+            [degree Celsius]
+        table : TorsionMap, optional
+            Map of the drive's mesh.
+
+        Returns
+        -------
+        transmission_error : ndarray, shape (n,)
+            [rad]; nan where the drive has none.
+        state : State
+        """
+        if not time.size:
+            return np.empty(0), state
+        if state.is_fresh and time.size > 1:
+            return self._begun(state, (time, input_angle, speed, torque, temperature), table)
+        own = transmission_error(self.drive, input_angle, torque, table)
+        signals = self._signals(state, time, input_angle, speed, torque, temperature, own, table)
+        total, after = own + self.offset, []
+        for term, before in zip(self.effects, state.effects, strict=True):
+            part, following = term.effect.respond(
+                before, signals, np.array(term.coefficients), term.nonlinear
+            )
+            total = total + np.where(np.isfinite(part), part, 0.0)
+            after.append(following)
+        begun = not state.is_fresh or (speed is not None and bool(np.isfinite(speed[0])))
+        last = State(
+            float(time[-1]),
+            float(input_angle[-1]),
+            float(own[-1]),
+            float(signals.speed[-1]),
+            tuple(after) if begun else state.effects,
+        )
+        return total, last
+
+    @property
+    def needs(self) -> frozenset[str]:
+        """Names of the signals that the effects are computed from."""
+        return frozenset(name for term in self.effects for name in term.effect.needs)
+
+    @cached_property
+    def contact_table(self) -> ContactTable:
+        """Contact of the teeth up to the greatest torque of the fit, kept as long as the model."""
+        limit = max(abs(self.ranges.torque.low), abs(self.ranges.torque.high))
+        nothing = np.empty(0)
+        limit = ContactWeights(self.drive, nothing, np.array([limit])).torque_limit
+        return ContactTable(self.drive, limit)
+
+    def _begun(
+        self, state: State, columns: tuple[Floats | None, ...], table: TorsionMap | None
+    ) -> tuple[Floats, State]:
+        """The first sample alone, then the others."""
+        parts = []
+        for rows in (slice(0, 1), slice(1, None)):
+            part, state = self.step(state, *(None if c is None else c[rows] for c in columns), table)  # type: ignore[arg-type]
+            parts.append(part)
+        return np.concatenate(parts), state
+
+    def _signals(
+        self,
+        state: State,
+        time: Floats,
+        angle: Floats,
+        speed: Floats | None,
+        torque: Floats,
+        temperature: Floats | None,
+        own: Floats,
+        table: TorsionMap | None,
+    ) -> Signals:
+        step = np.diff(time, prepend=state.time)
+        moved = _rate(np.diff(angle, prepend=state.angle), step)
+        kinematics, geometry = self.drive.kinematics, self.drive.mesh.geometry
+        turned = kinematics.wave_generator_angle(geometry, angle)
+        return Signals(
+            time=time,
+            wave_generator_angle=turned,
+            output_angle=angle / kinematics.ratio,
+            speed=moved if speed is None else np.where(np.isfinite(speed), speed, moved),
+            torque=torque,
+            temperature=temperature,
+            run=np.zeros(time.size, dtype=np.int64),
+            predicted=own,
+            predicted_torque_slope=self._slope(angle, torque, table),
+            predicted_rate=_rate(np.diff(own, prepend=state.predicted), step),
+            contact=_Contact(self.drive, turned, torque, model=self),
+        )
+
+    def _slope(self, angle: Floats, torque: Floats, table: TorsionMap | None) -> Floats:
+        if "predicted_torque_slope" not in self.needs:
+            return np.full(torque.shape, np.nan)
+        step = _SLOPE_STEP * self.drive.rated_torque
+        ends = [transmission_error(self.drive, angle, torque + sign * step, table) for sign in (-1.0, 1.0)]
+        return np.asarray((ends[1] - ends[0]) / (2.0 * step))
+
+
+@dataclass(frozen=True, eq=False)
+class _Contact(ContactWeights):
+    """Weights that use the model's own table: many joints would push each other's out of a shared store."""
+
+    model: ExtendedModel | None = None
+
+    def __post_init__(self) -> None:
+        """The limit is the table's."""
+
+    @property
+    def table(self) -> ContactTable:
+        """See :class:`ContactWeights`."""
+        assert self.model is not None
+        return self.model.contact_table
+
+    def part(self, rows: Rows) -> _Contact:
+        """See :meth:`ContactWeights.part`."""
+        return _Contact(self.drive, self.wave_generator_angle[rows], self.torque[rows], model=self.model)
+
+
+def _rate(change: Floats, step: Floats) -> Floats:
+    """Change over time, zero where it is not known."""
+    rising = np.isfinite(change) & (step > 0.0)
+    return np.where(rising, change, 0.0) / np.where(rising, step, 1.0)

@@ -1,0 +1,81 @@
+"""What a fault is: where it may enter, and what it sees of the drive. Sizes are SI."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import ClassVar
+
+from challenge.clearances import Array
+from challenge.contact import Flaws
+from challenge.truth import RATIO
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What really happens, arrays (n,): time [s], motor angle [rad], speed [rad/s], torque, temperature, run.
+
+    ``output`` is the ideal output angle; ``shaft`` the angle that reaches the wave generator's hub [rad].
+    """
+
+    time: Array
+    motor: Array
+    speed: Array
+    torque: Array
+    temperature: Array
+    run: Array
+
+    @property
+    def output(self) -> Array:
+        """Output angle of an ideal gear [rad]."""
+        return self.motor / RATIO
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A fault; what it does not override stays as it is."""
+
+    name: ClassVar[str] = ""
+    size: ClassVar[str] = ""
+    known: ClassVar[bool] = True
+
+    def flaws(self) -> Flaws | None:
+        """Departures of teeth and slots."""
+        return None
+
+    def shaft(self, angle: Array) -> Array:
+        """Angle of the wave generator's hub [rad] from the motor's."""
+        return angle
+
+    def added(self, scene: Scene) -> Array | float:
+        """Angle of the output [rad] beside kinematics and mesh."""
+        return 0.0
+
+    def carried(self, scene: Scene, ripple: Array) -> Array | float:
+        """Angle of the output [rad] that the gear's ripple excites beside itself."""
+        return 0.0
+
+    def input_reading(self, angle: Array) -> Array:
+        """Reported input angle [rad]."""
+        return angle
+
+    def output_reading(self, angle: Array) -> Array:
+        """Reported output angle [rad]."""
+        return angle
+
+    def torque_reading(self, torque: Array) -> Array:
+        """Reported torque [N m]."""
+        return torque
+
+    @property
+    def delay(self) -> float:
+        """Age of the output's samples [s]."""
+        return 0.0
+
+    def scaled(self, factor: float) -> Cause:
+        """The same fault, larger or smaller."""
+        return dataclasses.replace(self, **{self.size: getattr(self, self.size) * factor})
+
+    def as_dict(self) -> dict[str, float]:
+        """Sizes by name [SI]."""
+        return dataclasses.asdict(self)

@@ -1,0 +1,111 @@
+"""Faults of teeth and slots, as geometry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from reference import polyline
+
+from challenge.cause import Cause, Scene
+from challenge.clearances import SLOT_PITCH, SLOTS, TEETH, TOOTH_PITCH, Array
+from challenge.contact import Flaws
+
+RING_RADIUS = polyline.ring_radius()  # [m], of the undeformed neutral circle
+PITCH_POINT = 0.6193e-3  # [m] above the neutral layer, t + hf of the paper's Table 1
+
+
+@dataclass(frozen=True)
+class CircularSplinePitch(Cause):
+    """Slots displaced along the circumference [m], ``order`` waves around (cumulative pitch error)."""
+
+    amplitude: float
+    phase: float
+    order: int = 2
+    name = "circular_spline_pitch"
+    size = "amplitude"
+
+    def flaws(self) -> Flaws:
+        angle = np.arange(SLOTS) * SLOT_PITCH
+        return Flaws(slot_along=self.amplitude * np.cos(self.order * angle - self.phase))
+
+
+@dataclass(frozen=True)
+class FlexsplinePitch(Cause):
+    """Teeth displaced along the circumference [m], ``order`` waves around, measured at the pitch circle."""
+
+    amplitude: float
+    phase: float
+    order: int = 2
+    name = "flexspline_pitch"
+    size = "amplitude"
+
+    def flaws(self) -> Flaws:
+        angle = np.arange(TEETH) * TOOTH_PITCH
+        neutral = RING_RADIUS / (RING_RADIUS + PITCH_POINT) * self.amplitude
+        return Flaws(tooth_along=neutral * np.cos(self.order * angle - self.phase))
+
+
+@dataclass(frozen=True)
+class CircularSplineForm(Cause):
+    """Ring out of round, ``order`` lobes of a radial amplitude [m].
+
+    ``bent`` = 1: squeezed in its seat, the circumference keeps its length and slots move along it, too;
+    0: cut out of round, slots move only outwards and inwards.
+    """
+
+    amplitude: float
+    phase: float
+    order: int = 4
+    bent: float = 1.0
+    name = "circular_spline_form"
+    size = "amplitude"
+
+    def flaws(self) -> Flaws:
+        wave = self.order * np.arange(SLOTS) * SLOT_PITCH - self.phase
+        along = -self.bent * self.amplitude / self.order * np.sin(wave)
+        return Flaws(slot_out=self.amplitude * np.cos(wave), slot_along=along)
+
+
+@dataclass(frozen=True)
+class ToothDamage(Cause):
+    """One tooth (``member`` "flexspline") or slot ("circular_spline") worn by a depth [m] or softer."""
+
+    depth: float
+    index: int
+    member: str = "circular_spline"
+    softness: float = 0.0
+    name = "tooth_damage"
+    size = "depth"
+
+    def flaws(self) -> Flaws:
+        kind, count = ("slot", SLOTS) if self.member == "circular_spline" else ("tooth", TEETH)
+        here = np.arange(count) == self.index
+        return Flaws(
+            **{f"{kind}_wear": np.tile(self.depth * here, (2, 1)), f"{kind}_softness": self.softness * here}
+        )
+
+
+@dataclass(frozen=True)
+class WearBacklash(Cause):
+    """All flanks of the flexspline thinned by a thickness [m]."""
+
+    thickness: float
+    name = "wear_backlash"
+    size = "thickness"
+
+    def flaws(self) -> Flaws:
+        return Flaws(tooth_wear=np.full((2, TEETH), self.thickness))
+
+
+@dataclass(frozen=True)
+class ToothSkip(Cause):
+    """The flexspline jumps by a whole tooth at a moment [s], the way the load pulls (sign)."""
+
+    time: float
+    sign: float
+    name = "tooth_skip"
+    size = "sign"
+
+    def added(self, scene: Scene) -> Array:
+        return self.sign * TOOTH_PITCH * (scene.time >= self.time)
