@@ -2,7 +2,7 @@
 
     python bench/bench_node.py [--joints 1 7] [--rate HZ] [--seconds S] [--json FILE]
 
-All joints come in one message, with effort, at the rate. Nothing subscribes to results but to the diagnostics;
+All joints come in one message, with effort, at the rate. Only the diagnostics are subscribed to;
 per-tooth arrays at their default rate. CPU is that of the whole process with its DDS threads, from
 when its maps are in force until the last report has come. The empty nodes do nothing: SingleThreadedExecutor
 with a typed callback, as most rclpy nodes are, and EventsExecutor with a raw one.

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import cmath
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from hd_diag.drive import Drive
+from hd_diag.extended import ExtendedModel
 from hd_diag.model.geometry import Geometry
 from hd_diag.model.tooth_profile import DoubleArc
 from hd_diag.model.torsion import Mesh
@@ -37,8 +38,10 @@ __all__ = [
     "JointConfig",
     "Limit",
     "LogConfig",
+    "ModelText",
     "Parameter",
     "Value",
+    "drive_from",
     "dump",
     "flatten",
     "load",
@@ -46,6 +49,9 @@ __all__ = [
     "parameters",
     "resolve",
 ]
+
+ModelText = Callable[[str, str], str]
+"""Gives the text of a joint's model file from the joint's name and the path; raises ConfigError."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +68,11 @@ class Limit:
 
 @dataclass(frozen=True)
 class JointConfig:
-    """One joint: the names it has in JointState, its drive, assumed torque [N m] and limits."""
+    """One joint: the names it has in JointState, its drive, assumed torque [N m] and limits.
+
+    With an extended model `drive` is the model's, refitted; `configured` is what the parameters themselves say.
+    `model_text` is the whole content of the model's file.
+    """
 
     name: str
     input_joint: str
@@ -70,7 +80,10 @@ class JointConfig:
     drive: Drive
     torque: float
     limits: Mapping[str, Limit]
+    configured: Drive
     model_file: str = ""
+    model: ExtendedModel | None = None
+    model_text: str = field(default="", repr=False)
 
 
 @dataclass(frozen=True)
@@ -97,13 +110,15 @@ class Config:
     flat: Mapping[str, Value] = field(repr=False)
 
 
-def resolve(given: Mapping[str, Any]) -> Config:
+def resolve(given: Mapping[str, Any], model_text: ModelText | None = None) -> Config:
     """Configuration from flat parameters, defaults filled in, everything checked.
 
     Parameters
     ----------
     given : mapping
         Full ROS parameter names to values, e.g. ``joint_1.eccentricity.magnitude``.
+    model_text : callable, optional
+        Where model files come from; by default from disk, relative to the present folder.
 
     Returns
     -------
@@ -120,7 +135,7 @@ def resolve(given: Mapping[str, Any]) -> Config:
     check_known(list(given), known)
     flat = {name: checked(name, given.get(name, p.default), p) for name, p in known.items()}
     flat["joints"] = joints
-    configured = tuple(_joint(name, flat) for name in joints)
+    configured = tuple(_joint(name, flat, model_text) for name in joints)
     _check_names(configured)
     log = LogConfig(**{p.name[4:]: flat[p.name] for p in NODE_PARAMETERS if p.name.startswith("log.")})  # type: ignore[arg-type]
     return Config(
@@ -139,7 +154,8 @@ def load(path: str | Path) -> Config:
     Parameters
     ----------
     path : path
-        YAML: ``hd_diag: ros__parameters: ...``; a node name with namespace, and ``/**``, are taken too.
+        YAML: ``hd_diag: ros__parameters: ...``; a node name with namespace, and ``/**``, are taken too. Model
+        files are looked for beside it, then in the present folder.
 
     Returns
     -------
@@ -150,10 +166,11 @@ def load(path: str | Path) -> Config:
     ConfigError
         Naming the file and what is wrong with it.
     """
+    from hd_diag.model_file import reader
     from hd_diag.parameter_file import read  # here, because the monitor needs no YAML
 
     try:
-        return resolve(read(path))
+        return resolve(read(path), reader(Path(path).parent))
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
 
@@ -171,7 +188,7 @@ def _float(flat: Mapping[str, Value], name: str) -> float:
     return float(value)
 
 
-def _joint(name: str, flat: Mapping[str, Value]) -> JointConfig:
+def _joint(name: str, flat: Mapping[str, Value], model_text: ModelText | None) -> JointConfig:
     own = {p.name: flat[f"{name}.{p.name}"] for p in JOINT_PARAMETERS}
     limits = {
         key: Limit(_float(own, f"limits.{key}.warn"), _float(own, f"limits.{key}.error")) for key in LIMITS
@@ -182,25 +199,48 @@ def _joint(name: str, flat: Mapping[str, Value]) -> JointConfig:
                 f"{name}.limits.{key}: error ({limit.error:g}) must not be below warn ({limit.warn:g})"
             )
     try:
-        drive = _drive(own)
+        drive = drive_from(own)
     except ValueError as error:
         raise ConfigError(f"{name}: {error}") from error
-    if own["model_file"]:
-        raise ConfigError(
-            f"{name}.model_file: {shown(own['model_file'])} is not an extended model of this version"
-        )
+    model, text = _model(name, own, model_text)
     return JointConfig(
         name,
         str(own["input_joint"]) or f"{name}_motor",
         str(own["output_joint"]) or name,
-        drive,
+        model.drive if model else drive,
         _float(own, "torque"),
         limits,
+        drive,
         str(own["model_file"]),
+        model,
+        text,
     )
 
 
-def _drive(own: Mapping[str, Value]) -> Drive:
+def _model(
+    name: str, own: Mapping[str, Value], model_text: ModelText | None
+) -> tuple[ExtendedModel | None, str]:
+    """Extended model of a joint and the text of its file; None and nothing where it has none."""
+    path = str(own["model_file"])
+    if not path:
+        return None, ""
+    from hd_diag.model_file import model_for, reader  # here, because few joints have one
+
+    try:
+        text = (model_text or reader())(name, path)
+        return model_for(text, own), text
+    except ConfigError as error:
+        raise ConfigError(f"{name}.model_file: {shown(path)}: {error}") from error
+
+
+def drive_from(own: Mapping[str, Value]) -> Drive:
+    """Drive from a joint's parameters by their names within it.
+
+    Raises
+    ------
+    ValueError
+        Naming what cannot be.
+    """
     geometry = Geometry(
         int(_float(own, "flexspline_teeth")),
         int(_float(own, "circular_spline_teeth")),

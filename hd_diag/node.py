@@ -277,7 +277,7 @@ _QOS = Qos(depth=_INPUT_DEPTH)
 
 
 def _warm_up(config: Config) -> None:
-    """Compute once what samples would have to wait for: constants, imports, machine code, that of maps too."""
+    """Compute once what samples would have to wait for: constants, imports, machine code, also of maps."""
     nothing = np.zeros(1)
     for joint in config.joints:
         mesh = joint.drive.mesh

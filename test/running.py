@@ -23,6 +23,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 LIMIT = 10.0  # for discovery and answers [s]
+START_LIMIT = 120.0  # for the first node on a machine, which compiles the model [s]
 _numbers = itertools.count()
 
 
@@ -83,6 +84,7 @@ class Rig:
         self.client = AsyncParameterClient(self.node, f"{process.namespace}/hd_diag")
         self.reports: list[DiagnosticArray] = []
         self.hear("diagnostics", DiagnosticArray, self.reports)
+        self.until(lambda: self.reports, "first report", START_LIMIT)
 
     def until(self, condition: Callable[[], Any], what: str, limit: float = LIMIT) -> Any:
         """Result of the condition as soon as it is true."""

@@ -171,7 +171,7 @@ def _times(start: int, end: int, *, duration_first: bool = False) -> dict[str, A
     return length | begin if duration_first else begin | length
 
 
-class _Dumper(yaml.SafeDumper):
+class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]
     """No anchors: rosbag2's files have none, and equal profiles are common."""
 
     def ignore_aliases(self, data: Any) -> bool:

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import map_coordinates
 
-from hd_diag.drive import Drive
+from hd_diag.drive import Drive, transmission_error
 from hd_diag.model import compiled
-from hd_diag.model.torsion_map import ARCSEC
+from hd_diag.model.torsion_map import ARCSEC, build
 
 Floats = npt.NDArray[np.float64]
 
@@ -43,6 +43,7 @@ COUNT = len(SCALES)
 # Grid of the derivatives along a record: they are smooth but for the ripple, which a Jacobian can do without.
 _GRID_ANGLES = 128
 _GRID_TORQUES = 33
+_MAPPED = 20_000  # samples from which a map pays
 
 
 def vector(drive: Drive, configured: Drive) -> Floats:
@@ -109,10 +110,11 @@ def prior(configured: Drive) -> tuple[Floats, Floats]:
 
 
 def error(drive: Drive, input_angle: Floats, torque: Floats) -> Floats:
-    """Exact transmission error along a record, shape (n,) [rad]."""
-    from hd_diag.drive import transmission_error
-
-    return transmission_error(drive, input_angle, torque)
+    """Transmission error along a record, shape (n,) [rad]; of a long one by a map, to about 0.01 arcsec."""
+    table = None
+    if input_angle.size > _MAPPED:
+        table = build(drive.mesh, max(1.001 * float(np.max(np.abs(torque))), 1.0))
+    return transmission_error(drive, input_angle, torque, table)
 
 
 def error_and_jacobian(

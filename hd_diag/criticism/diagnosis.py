@@ -184,7 +184,7 @@ def _gain(
 
 
 def _nominal_left(record: Record, configured: Drive, test: npt.NDArray[np.bool_]) -> Floats:
-    """Measured less predicted error of the configured drive on held-out rows, the encoders' offset taken off [rad]."""
+    """What the configured drive leaves of held-out rows, the encoders' offset taken off [rad]."""
     known = np.flatnonzero(usable(record) & ~test)[::10]
     offset = _left(record.select(known), configured).mean()
     unseen = record.select(test)
@@ -201,7 +201,13 @@ def _left_by(unseen: Record, configured: Drive, trained: Workbench, chosen: Chos
     """What a model trained elsewhere leaves of unseen rows [rad]."""
     beta, _, _ = trained.fit(chosen)
     bench = Workbench(unseen, configured, trained.parameters)
-    return np.asarray(bench.left - np.concatenate((bench.always(), bench.joined(chosen)), axis=1) @ beta)
+    fixed = bench.always()
+    left = bench.left - fixed @ beta[: fixed.shape[1]]
+    at = fixed.shape[1]
+    for effect, nonlinear in chosen:
+        left = left - bench.full_size(effect, nonlinear, beta[at : at + effect.size])
+        at += effect.size
+    return np.asarray(left)
 
 
 def _rms(values: Floats) -> float:

@@ -55,6 +55,7 @@ class Workbench:
         self.error = base.error(self.drive, rec.input_angle, rec.torque)
         self.jacobian, slope = base.jacobian(self.drive, configured, rec.input_angle, rec.torque)
         self.left = rec.output_angle - rec.input_angle / configured.kinematics.ratio - self.error
+        self._uncorrected = self.left
         self.nuisance = np.ones((rec.size, 1))
         self.signals = signals(rec, self.drive, self.error, slope)
         self.block = blocks(self.run)
@@ -123,6 +124,23 @@ class Workbench:
         rest = self.left - _projection(rich, self.left)
         self.noise_residual = rest
         self._whiten_by(whitening(rest, self.run))
+
+    def correct(self, chosen: Chosen) -> None:
+        """Take what the chosen effects are at full size beyond their columns out of what the model leaves."""
+        beta, _, _ = self.fit(chosen)
+        at = self.always_white.shape[1]
+        correction = np.zeros(self.left.size)
+        for effect, nonlinear in chosen:
+            columns = self.columns(effect, nonlinear)
+            coefficients = beta[at : at + columns.shape[1]]
+            at += columns.shape[1]
+            correction += self.full_size(effect, nonlinear, coefficients) - columns @ coefficients
+        self.left = self._uncorrected - correction
+        self.left_white = self.whiten(self.left, self.run)
+
+    def full_size(self, effect: Effect, nonlinear: tuple[float, ...], coefficients: Floats) -> Floats:
+        """An effect's part in the error, contacts made and lost by it included, shape (n,) [rad]."""
+        return np.nan_to_num(effect.response(self.signals, coefficients, nonlinear))
 
     def _whiten_by(self, whiten: Whitening) -> None:
         self.whiten = whiten
@@ -246,4 +264,6 @@ def settle(bench: Workbench, chosen: Chosen, rounds: int = 3) -> Workbench:
         residual = bench.noise_residual
         bench = Workbench(bench.source, bench.configured, moved, bench.whiten)
         bench.noise_residual = residual
+        bench.correct(chosen)
+    bench.correct(chosen)
     return bench
