@@ -70,7 +70,7 @@ class Limit:
 class JointConfig:
     """One joint: the names it has in JointState, its drive, assumed torque [N m] and limits.
 
-    With an extended model `drive` is the model's, refitted; `configured` is what the parameters themselves say.
+    With an extended model `drive` is the model's, refitted; `configured` is what the parameters say.
     `model_text` is the whole content of the model's file.
     """
 

@@ -17,12 +17,14 @@ _LONGEST = 4 << 20  # of an event that a session of a hundred joints writes: som
 class Configured:
     """Parameters by full name: all of them where a session begins (`new`), else those that changed.
 
-    `topics` holds the names that the node's topics had when the session began, by their names in `messages`.
+    `topics` holds the names that the node's topics had when the session began, by their names in `messages`;
+    `models` the content of the model files that came into force, by joint.
     """
 
     parameters: Mapping[str, Any]
     new: bool
     topics: Mapping[str, str] = field(default_factory=dict)
+    models: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,8 @@ def _configured(content: Mapping[str, Any]) -> Configured:
     parameters, new = content.get("parameters"), content.get("new", False)
     if not isinstance(parameters, dict) or not isinstance(new, bool):
         raise ValueError("a configuration lacks its parameters")
-    return Configured(parameters, new, _texts(content.get("topics", {}), "topics"))
+    topics, models = (_texts(content.get(key, {}), key) for key in ("topics", "models"))
+    return Configured(parameters, new, topics, models)
 
 
 def _map_used(content: Mapping[str, Any]) -> MapUsed:

@@ -139,7 +139,14 @@ class ExtendedModel:
         if not time.size:
             return np.empty(0), state
         if state.is_fresh and time.size > 1:
-            return self._begun(state, (time, input_angle, speed, torque, temperature), table)
+            parts = []
+            for rows in (slice(0, 1), slice(1, None)):
+                known, heat = (None if c is None else c[rows] for c in (speed, temperature))
+                part, state = self.step(
+                    state, time[rows], input_angle[rows], known, torque[rows], heat, table
+                )
+                parts.append(part)
+            return np.concatenate(parts), state
         own = transmission_error(self.drive, input_angle, torque, table)
         signals = self._signals(state, time, input_angle, speed, torque, temperature, own, table)
         total, after = own + self.offset, []
@@ -171,16 +178,6 @@ class ExtendedModel:
         nothing = np.empty(0)
         limit = ContactWeights(self.drive, nothing, np.array([limit])).torque_limit
         return ContactTable(self.drive, limit)
-
-    def _begun(
-        self, state: State, columns: tuple[Floats | None, ...], table: TorsionMap | None
-    ) -> tuple[Floats, State]:
-        """The first sample alone, then the others."""
-        parts = []
-        for rows in (slice(0, 1), slice(1, None)):
-            part, state = self.step(state, *(None if c is None else c[rows] for c in columns), table)  # type: ignore[arg-type]
-            parts.append(part)
-        return np.concatenate(parts), state
 
     def _signals(
         self,

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 
 import numpy as np
 
 from hd_diag.drive import MeshState, mesh_state, transmission_error
+from hd_diag.extended import Range
 from hd_diag.joint_monitor import JointMonitor, Window
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.samples import Floats, Status
@@ -30,6 +32,9 @@ _ANGLES_OF_TURN = 257
 _ANGLES_WITHOUT_MAP = 61
 _STEPS_TOGETHER = 32
 _JUDGED_AT_LEAST = 8  # stamps, for their usual step
+_RARE = 0.05  # share of the samples that may lie outside a model's range on either side
+_MARGIN = 0.05  # of a range, by which it may be left: what was fitted does not end at once
+_KELVIN = 2.0  # the same, of a temperature [K]
 
 Fault = tuple[str, int, str]
 
@@ -59,16 +64,22 @@ def report(joint: JointMonitor, now: int, facts: Mapping[str, str], foreign: int
     silence = max(0.0, (now - joint.last_received) * 1e-9)
     residual = _rms(window.residuals)
     state, turn = _mesh(joint)
-    faults = [fault for fault in _faults(joint, window, facts, silence, residual, state) if fault[1]]
+    order, amplitude = _largest_order(joint)
+    faults = _faults(joint, window, facts, silence, residual, state)
+    faults += _model_faults(joint, window, order, amplitude)
+    faults = [fault for fault in faults if fault[1]]
     faults.append(("OK", 0, "OK"))
     code, level, message = max(faults, key=lambda fault: (fault[1], -FAULT_CODES.index(fault[0])))
     values = {
         "fault_code": code,
         "fault_codes": " ".join(dict.fromkeys(fault[0] for fault in faults[:-1])) or "OK",
         **_configuration_values(joint),
+        **_model_values(joint),
         **_mesh_values(state, turn),
         "residual_rms_arcsec": _number(residual / ARCSEC),
         "residual_mean_arcsec": _number(_mean(window.residuals) / ARCSEC),
+        "residual_order": order,
+        "residual_order_amplitude_arcsec": _number(amplitude / ARCSEC),
         "sample_rate_hz": _number(_rate(window)),
         "samples": str(joint.samples),
         "samples_rejected": str(joint.rejected),
@@ -116,6 +127,66 @@ def _faults(
         ("RESIDUAL", limits["residual_rms"].level(residual), f"residual {residual / ARCSEC:.1f} arcsec rms")
     )
     return found
+
+
+def _largest_order(joint: JointMonitor) -> tuple[str, float]:
+    """The residual's largest followed order, such as ``input 2``, and its amplitude [rad]."""
+    found = joint.orders.amplitudes()
+    if not found:
+        return "", float("nan")
+    frame, order = max(found, key=lambda name: found[name])
+    return f"{frame} {order}", found[frame, order]
+
+
+def _model_faults(joint: JointMonitor, window: Window, order: str, amplitude: float) -> list[Fault]:
+    """What an extended model adds: its valid range, and orders that have grown since it was fitted."""
+    model = joint.config.model
+    if model is None:
+        return []
+    ranges = model.ranges
+    found: list[Fault] = [
+        ("OUT_OF_RANGE", 1, f"outside the model's valid range: {text}")
+        for text in (
+            _outside("torque", window.torques, ranges.torque, "N m"),
+            _outside("speed", window.speeds, ranges.speed, "rad/s"),
+            _temperature_outside(joint, ranges.temperature, "temperature" in model.needs),
+        )
+        if text
+    ]
+    level = joint.config.limits["residual_order"].level(amplitude)
+    text = f"order {order} of the residual has grown to {amplitude / ARCSEC:.1f} arcsec"
+    return [*found, ("RESIDUAL", level, text)]
+
+
+def _outside(name: str, parts: list[Floats], limits: Range, unit: str) -> str:
+    """How a quantity left its range since the last report; single samples are noise. Empty if it did not."""
+    values = np.concatenate(parts) if parts else np.empty(0)
+    values = values[np.isfinite(values)]
+    if not values.size:
+        return ""
+    low, high = np.quantile(values, (_RARE, 1.0 - _RARE))
+    beyond = _MARGIN * max(limits.high - limits.low, abs(limits.low), abs(limits.high))
+    worst = low if limits.low - low > high - limits.high else high
+    inside = limits.low - beyond <= worst <= limits.high + beyond
+    return "" if inside else f"{name} {worst:.3g}, not {limits.low:.3g} to {limits.high:.3g} {unit}"
+
+
+def _temperature_outside(joint: JointMonitor, limits: Range | None, needed: bool) -> str:
+    if np.isnan(joint.temperature):
+        return "temperature is not reported" if needed else ""
+    within = Range(limits.low - _KELVIN, limits.high + _KELVIN) if limits else None
+    return _outside("temperature", [np.array([joint.temperature])], within, "degC") if within else ""
+
+
+def _model_values(joint: JointMonitor) -> dict[str, str]:
+    config = joint.config
+    if config.model is None:
+        return {"model": "", "model_effects": ""}
+    digest = hashlib.sha256(config.model_text.encode()).hexdigest()
+    return {
+        "model": f"{config.model_file} sha256:{digest[:16]}",
+        "model_effects": ", ".join(term.effect.name for term in config.model.effects),
+    }
 
 
 def _mesh_faults(joint: JointMonitor, state: MeshState) -> list[Fault]:

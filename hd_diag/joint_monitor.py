@@ -11,7 +11,9 @@ import numpy as np
 
 from hd_diag.config import JointConfig
 from hd_diag.drive import transmission_error
+from hd_diag.extended import ExtendedModel
 from hd_diag.model.torsion_map import TorsionMap
+from hd_diag.residual_orders import ResidualOrders
 from hd_diag.samples import Floats, Times
 
 CLOCK_JUMP = 1_000_000_000
@@ -23,12 +25,16 @@ _REMEMBERED = 256  # input samples kept for output angles that arrive later
 
 
 class Samples(NamedTuple):
-    """Rows of a joint that belong together: stamp [ns], input, output angle [rad], torque [N m], all (n,)."""
+    """Rows of a joint that belong together, all (n,): stamp [ns], input and output angle [rad], torque [N m].
+
+    `speed` is that of the input as reported [rad/s].
+    """
 
     stamp: Times
     input_angle: Floats | None
     output_angle: Floats | None
     torque: Floats | None
+    speed: Floats | None = None
 
 
 class Prediction(NamedTuple):
@@ -53,8 +59,45 @@ class Window:
 
     stamps: list[Times] = field(default_factory=list)
     residuals: list[Floats] = field(default_factory=list)
+    torques: list[Floats] = field(default_factory=list)
+    speeds: list[Floats] = field(default_factory=list)
     accepted: int = 0
     rejected: int = 0
+
+
+class ModelRun:
+    """An extended model along one stream of stamps.
+
+    Parameters
+    ----------
+    model : ExtendedModel
+    """
+
+    def __init__(self, model: ExtendedModel) -> None:
+        self._model = model
+        self._state = model.start()
+        self._first: int | None = None
+
+    def __call__(
+        self, rows: Samples, torque: Floats, temperature: float, table: TorsionMap | None
+    ) -> tuple[Floats, Floats]:
+        """Transmission error [rad] and speed of the input [rad/s] of the next rows, shape (n,) each.
+
+        Row by row: array arithmetic may round differently with other lengths, and a replay has them.
+        """
+        assert rows.input_angle is not None
+        self._first = int(rows.stamp[0]) if self._first is None else self._first
+        time = (rows.stamp - self._first).astype(np.float64) * 1e-9
+        heat = np.array([temperature])
+        error, speed = np.empty(time.shape), np.empty(time.shape)
+        for row in range(time.size):
+            at = slice(row, row + 1)
+            reported = None if rows.speed is None else rows.speed[at]
+            error[at], self._state = self._model.step(
+                self._state, time[at], rows.input_angle[at], reported, torque[at], heat, table
+            )
+            speed[row] = self._state.speed
+        return error, speed
 
 
 class JointMonitor:
@@ -79,6 +122,7 @@ class JointMonitor:
         self.last: tuple[float, float] | None = None
         self.temperature = float("nan")
         self.window = Window()
+        self.orders = ResidualOrders()
         self._restart()
 
     def _restart(self) -> None:
@@ -89,14 +133,24 @@ class JointMonitor:
         self._pending: deque[tuple[int, float, float]] = deque(maxlen=_REMEMBERED)
         self._torque: float | None = None
         self._output_seen = False
+        self._run_model()
+
+    def _run_model(self) -> None:
+        """Let the extended model begin anew; what is paired later has a stream of its own."""
+        model = self.config.model
+        self._runs = None if model is None else (ModelRun(model), ModelRun(model))
 
     def configure(self, config: JointConfig) -> None:
         """Use another configuration from the next sample on; its map follows through `table`."""
         if config.drive.mesh != self.config.drive.mesh:
             self.table = None
-        if (config.input_joint, config.output_joint) != (self.config.input_joint, self.config.output_joint):
+        before, self.config = self.config, config
+        if (config.drive, config.model) != (before.drive, before.model):
+            self.orders = ResidualOrders()
+        if (config.input_joint, config.output_joint) != (before.input_joint, before.output_joint):
             self._restart()
-        self.config = config
+        elif config.model != before.model:
+            self._run_model()
 
     def select(self, names: tuple[str, ...]) -> tuple[int, int]:
         """Columns of input and output in a message with these names; -1 where it has none."""
@@ -117,7 +171,7 @@ class JointMonitor:
             and not self._pending
             and stamp[0] > max(self._input_stamp, self._output_stamp)
             and (np.diff(stamp) > 0).all()
-            and all(np.isfinite(values).all() for values in rows[1:] if values is not None)
+            and all(np.isfinite(values).all() for values in rows[1:4] if values is not None)
         )
 
     def accept(self, received: int, rows: Samples) -> list[Prediction]:
@@ -145,7 +199,7 @@ class JointMonitor:
         if rows.input_angle is not None:
             self.last_received = received
             torque = self._hold(rows)
-            found.append(self._predict(rows.stamp, rows.input_angle, torque, rows.output_angle))
+            found.append(self._predict(rows, torque))
             self._note_inputs(rows)
         elif rows.torque is not None:
             self._torque = float(rows.torque[-1])
@@ -185,7 +239,7 @@ class JointMonitor:
             output = None
         if angle is None and output is None and torque is None:
             return None
-        return Samples(rows.stamp, angle, output, torque)
+        return Samples(rows.stamp, angle, output, torque, rows.speed)
 
     def _current_torque(self) -> float:
         return self.config.torque if self._torque is None else self._torque
@@ -212,19 +266,27 @@ class JointMonitor:
         self.window.accepted += rows.stamp.size
         self.window.stamps.append(rows.stamp)
 
-    def _predict(self, stamp: Times, angle: Floats, torque: Floats, output: Floats | None) -> Prediction:
-        predicted = transmission_error(self.config.drive, angle, torque, self.table)
-        self.last = float(angle[-1]), float(torque[-1])
-        if output is None:
-            return Prediction(stamp, angle, torque, predicted)
-        return self._compared(Prediction(stamp, angle, torque, predicted), output)
+    def _predict(self, rows: Samples, torque: Floats, paired: bool = False) -> Prediction:
+        angle = rows.input_angle
+        assert angle is not None
+        if self._runs is None:
+            predicted = transmission_error(self.config.drive, angle, torque, self.table)
+        else:
+            predicted, speed = self._runs[paired](rows, torque, self.temperature, self.table)
+            self.window.torques.append(torque)
+            self.window.speeds.append(speed)
+        prediction = Prediction(rows.stamp, angle, torque, predicted, paired=paired)
+        if not paired:
+            self.last = float(angle[-1]), float(torque[-1])
+        return prediction if rows.output_angle is None else self._compared(prediction, rows.output_angle)
 
-    def _compared(self, prediction: Prediction, output: Floats, paired: bool = False) -> Prediction:
+    def _compared(self, prediction: Prediction, output: Floats) -> Prediction:
         """The prediction with what the output angle says of it."""
         measured = output - prediction.input_angle / self.config.drive.kinematics.ratio
         residual = measured - prediction.predicted
         self.window.residuals.append(residual)
-        return Prediction(*prediction[:4], measured, residual, paired)
+        self.orders.add(prediction.stamp, prediction.input_angle, output, residual)
+        return prediction._replace(measured=measured, residual=residual)
 
     def _pair(self) -> list[Prediction]:
         """Compare waiting output angles with the input angle interpolated to their stamps."""
@@ -236,10 +298,8 @@ class JointMonitor:
             if angle is None:
                 self.unpaired += 1
                 continue
-            angles, load = np.array([angle]), np.array([torque])
-            predicted = transmission_error(self.config.drive, angles, load, self.table)
-            prediction = Prediction(np.array([stamp]), angles, load, predicted)
-            found.append(self._compared(prediction, np.array([output]), paired=True))
+            rows = Samples(np.array([stamp]), np.array([angle]), np.array([output]), None)
+            found.append(self._predict(rows, np.array([torque]), paired=True))
         return found
 
 

@@ -1,4 +1,4 @@
-"""Files of extended models, JSON: written by a diagnosis, read and checked before a joint is predicted by one."""
+"""Files of extended models (JSON): written by a diagnosis, read and checked before a joint uses one."""
 
 from __future__ import annotations
 

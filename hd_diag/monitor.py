@@ -206,13 +206,14 @@ def _due(last: dict[str, int], joint: str, stamp: Times, rate: float, shift: flo
 
 def _samples(states: JointStates, input_column: int, output_column: int) -> Samples | None:
     """A joint's columns; None if the messages have neither of its angles nor its effort."""
-    position, effort = states.position, states.effort
+    position, velocity, effort = states[4:]
     angle = position[:, input_column] if position is not None and input_column >= 0 else None
     output = position[:, output_column] if position is not None and output_column >= 0 else None
     torque = effort[:, output_column] if effort is not None and output_column >= 0 else None
+    speed = velocity[:, input_column] if velocity is not None and input_column >= 0 else None
     if angle is None and output is None and torque is None:
         return None
-    return Samples(states.stamp, angle, output, torque)
+    return Samples(states.stamp, angle, output, torque, speed)
 
 
 def _messages(received: Times, joints: Mapping[str, Prediction]) -> list[Publication]:

@@ -8,6 +8,7 @@ import signal
 import sys
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,7 @@ from hd_diag.messages import (
 )
 from hd_diag.model.torsion import limited_curves, torsion_table
 from hd_diag.model.torsion_map import ARCSEC, TorsionMap
+from hd_diag.model_file import reader
 from hd_diag.parameters import ROS_PARAMETERS
 from hd_diag.session import Session
 
@@ -64,10 +66,17 @@ _SWITCH_INTERVAL = 1e-4
 
 
 class DiagnosticNode(Node):
-    """Node that runs one `Session` on live messages."""
+    """Node that runs one `Session` on live messages.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    model_folders : sequence of Path
+        Where model files with relative paths are looked for before the present folder.
+    """
+
+    def __init__(self, model_folders: Sequence[Path] = ()) -> None:
         super().__init__("hd_diag", automatically_declare_parameters_from_overrides=True)
+        self._model_file = reader(*model_folders)
         config = self._declare()
         self._last_time = 0
         self._latencies: list[int] = []
@@ -127,7 +136,7 @@ class DiagnosticNode(Node):
         """Declare every parameter with the value given at the start, or its default."""
         declared: dict[str, Any] = self.get_parameters_by_prefix("")
         given = {name: _plain(known.value) for name, known in declared.items() if _is_own(name)}
-        config = resolve(given)
+        config = resolve(given, self._model_file)
         for name in given:
             self.undeclare_parameter(name)
         for name, spec in parameters([joint.name for joint in config.joints]).items():
@@ -260,7 +269,14 @@ class DiagnosticNode(Node):
         for name, value in own.items():
             if value is None:
                 raise ConfigError(f"{name}: cannot be removed")
-        return resolve({**self._session.config.flat, **own})
+        in_force = {joint.name: joint for joint in self._session.config.joints}
+
+        def model_text(joint: str, path: str) -> str:
+            """A model is read again only where its parameter is set: the file may be another, or gone."""
+            kept = f"{joint}.model_file" not in own and in_force[joint].model_text
+            return kept or self._model_file(joint, path)
+
+        return resolve({**self._session.config.flat, **own}, model_text)
 
     def _apply(self, changed: Sequence[Parameter]) -> None:
         config = self._candidate(changed)
@@ -324,7 +340,7 @@ def main(args: Sequence[str] | None = None) -> int:
     try:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         set_logger_level("rcl", LoggingSeverity.UNSET)
-        node = DiagnosticNode()
+        node = DiagnosticNode([Path(file).parent for file in _parameter_files(arguments)])
     except Exception as error:
         sys.stderr.write(f"hd_diag: {_reason(arguments, error)}\n")
         try_shutdown()
@@ -350,10 +366,13 @@ def _signals() -> list[int]:
     return came
 
 
+def _parameter_files(arguments: Sequence[str]) -> list[str]:
+    return [arguments[i + 1] for i, a in enumerate(arguments[:-1]) if a == "--params-file"]
+
+
 def _reason(arguments: Sequence[str], error: Exception) -> str:
     """Why the node cannot start: the parameter file's own fault where it has one, which rcl words badly."""
-    files = [arguments[i + 1] for i, a in enumerate(arguments[:-1]) if a == "--params-file"]
-    for file in files:
+    for file in _parameter_files(arguments):
         try:
             load(file)
         except ConfigError as found:

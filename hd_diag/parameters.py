@@ -116,6 +116,15 @@ JOINT_PARAMETERS: tuple[Parameter, ...] = (
         "limits.residual_rms.warn", 1.5e-4, "rad", "measured less predicted error, mean removed", 0.0, 10.0
     ),
     Parameter("limits.residual_rms.error", 5.0e-4, "rad", "the same, error", 0.0, 10.0),
+    Parameter(
+        "limits.residual_order.warn",
+        5.0e-5,
+        "rad",
+        "amplitude of an order of the residual to an extended model",
+        0.0,
+        10.0,
+    ),
+    Parameter("limits.residual_order.error", 2.0e-4, "rad", "the same, error", 0.0, 10.0),
     Parameter("limits.torque.warn", 2.0, "-", "torque over rated torque", 0.0, 1e6),
     Parameter("limits.torque.error", 3.5, "-", "the same, error", 0.0, 1e6),
     Parameter("limits.silence.warn", 0.5, "s", "time without a valid sample", 0.0, 1e6),
@@ -144,6 +153,7 @@ LIMITS = (
     "peak_tooth_load",
     "load_concentration",
     "residual_rms",
+    "residual_order",
     "torque",
     "silence",
     "rejected",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -10,11 +9,10 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from hd_diag.bag import BagError, BagWriter, Rejection, check_output, encode_joint_states
 from hd_diag.bag.reader import BagReader, Batch
-from hd_diag.config import Config, ConfigError, JointConfig, resolve
+from hd_diag.config import Config, ConfigError, JointConfig, ModelText, resolve
 from hd_diag.events import Configured, Event, MapUsed, Reported
 from hd_diag.map_builder import map_of
 from hd_diag.messages import LAST_TIME, TEMPERATURE, Encoded, resolved
@@ -23,16 +21,13 @@ from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.parameters import shown
 from hd_diag.replay_sources import Sources, event_of, sources_of
 from hd_diag.samples import JointStates, Times
-from hd_diag.session import EVENTS, PARAMETER_EVENTS, Session
+from hd_diag.session import Session
 
 _NANOSECONDS = 1_000_000_000
 _LONGEST_SILENCE = 60 * _NANOSECONDS  # of a bag, over which reports go on [ns]
 _MAPS_KEPT = 4  # a parameter is often set back
-_WAITING = 4 << 20  # of outputs before they are written [byte]
-_LONGEST_WAIT = 0.2  # of outputs before they are written [s]
 _FACTS = {"latency_p99_us": "nan", "log_state": "off"}
 
-Bytes = npt.NDArray[np.uint8]
 Progress = Callable[[int, int], None]
 
 
@@ -116,13 +111,9 @@ def replay(
             run = _Run(reader, writer, sources)
             if config is not None:
                 run.begin(reader.start, config)
-            try:
-                for batch in reader.batches(sources.every):
-                    for _ in run.batch(batch):
-                        progress(run.done, total)
-            except KeyboardInterrupt:
-                run.outputs.flush()
-                raise
+            for batch in reader.batches(sources.every):
+                for _ in run.batch(batch):
+                    progress(run.done, total)
             return run.result()
 
 
@@ -145,7 +136,6 @@ class _Run:
 
     def __init__(self, reader: BagReader, writer: BagWriter, sources: Sources) -> None:
         self.done = 0
-        self.outputs = _Outputs(writer)
         self._reader = reader
         self._writer = writer
         self._sources = sources
@@ -188,7 +178,6 @@ class _Run:
         session = self._running
         if self._next_report is not None:
             self._report(self._last)
-        self.outputs.flush()
         joints = session.monitor.joints
         return Replay(
             bool(self._sources.events),
@@ -294,7 +283,7 @@ class _Run:
     def _configure(self, now: int, event: Configured) -> None:
         before = {} if event.new else self._running.config.flat
         try:
-            config = resolve({**before, **event.parameters})
+            config = resolve({**before, **event.parameters}, self._model_text(event))
         except ConfigError as error:
             raise ConfigError(f"{self._reader.path}: {error}") from error
         if event.new:
@@ -303,6 +292,18 @@ class _Run:
             raise BagError(self._reader.path, "holds a log in which the joints change")
         else:
             self._running.configure(now, config)
+
+    def _model_text(self, event: Configured) -> ModelText:
+        """Model files as the log holds them, whatever lies at their paths now."""
+        running = [] if event.new else self._running.config.joints
+        known = {joint.name: joint.model_text for joint in running if joint.model} | dict(event.models)
+
+        def recorded(joint: str, path: str) -> str:
+            if joint not in known:
+                raise ConfigError("the log does not hold this model")
+            return known[joint]
+
+        return recorded
 
     def _joint(self, name: str) -> JointConfig:
         for joint in self._running.config.joints:
@@ -335,43 +336,7 @@ class _Run:
 
     def _write(self, encoded: Encoded) -> None:
         topic = self._sources.names.get(encoded.topic) or resolved(encoded.topic, self._sources.node)
-        if encoded.topic in (EVENTS, PARAMETER_EVENTS):
-            # At once: a replay of the output follows their place among the inputs.
-            self._writer.write_many(topic, encoded.type_name, encoded.rows, encoded.received)
-        else:
-            self.outputs.add(topic, encoded)
-
-
-class _Outputs:
-    """Outputs on their way to the writer, gathered by topic: a long write costs little more than a short one."""
-
-    def __init__(self, writer: BagWriter) -> None:
-        self._writer = writer
-        self._waiting: dict[tuple[str, str], list[Encoded]] = {}
-        self._size = 0
-        self._since = time.monotonic()
-
-    def add(self, topic: str, encoded: Encoded) -> None:
-        """Take messages; write all that waits where it is much, or has waited long."""
-        self._waiting.setdefault((topic, encoded.type_name), []).append(encoded)
-        self._size += sum(map(len, encoded.rows)) if isinstance(encoded.rows, list) else encoded.rows.nbytes
-        if self._size > _WAITING or time.monotonic() - self._since > _LONGEST_WAIT:
-            self.flush()
-
-    def flush(self) -> None:
-        """Write all that waits."""
-        waiting, self._waiting, self._size = self._waiting, {}, 0
-        for (topic, type_name), parts in waiting.items():
-            times = np.concatenate([part.received for part in parts])
-            self._writer.write_many(topic, type_name, _together([part.rows for part in parts]), times)
-        self._since = time.monotonic()
-
-
-def _together(parts: list[Bytes | list[bytes]]) -> Bytes | list[bytes]:
-    arrays = [part for part in parts if isinstance(part, np.ndarray)]
-    if len(arrays) == len(parts) and len({part.shape[1] for part in arrays}) == 1:
-        return np.concatenate(arrays)
-    return [bytes(row) for part in parts for row in part]
+        self._writer.write_many(topic, encoded.type_name, encoded.rows, encoded.received)
 
 
 def _part(batch: Batch, rows: slice) -> Batch:

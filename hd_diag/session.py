@@ -66,7 +66,7 @@ class Session:
 
     def start(self, now: int) -> None:
         """Record the configuration that the session begins with, at a time [ns]."""
-        self._configuration(now, dict(self.config.flat), new=True)
+        self._configuration(now, dict(self.config.flat), _models(self.config), new=True)
 
     def start_again(self, now: int) -> None:
         """Forget every sample and record configuration and maps: a replay can begin here."""
@@ -119,10 +119,11 @@ class Session:
         """
         before = self.config
         changed = {name: value for name, value in config.flat.items() if before.flat.get(name) != value}
-        if not changed:
+        models = {n: text for n, text in _models(config).items() if _models(before).get(n) != text}
+        if not changed and not models:
             return []
         self.monitor.configure(config)
-        self._configuration(now, changed, new=False)
+        self._configuration(now, changed, models, new=False)
         pairs = zip(before.joints, config.joints, strict=True)
         return [new.name for old, new in pairs if _map_needs(new) != _map_needs(old)]
 
@@ -138,11 +139,15 @@ class Session:
         self._event(now, {"event": "report", "stamp": stamp, "facts": dict(facts)})
         self._publish([self.monitor.tick(now, stamp, facts)])
 
-    def _configuration(self, now: int, values: Mapping[str, Any], new: bool) -> None:
+    def _configuration(
+        self, now: int, values: Mapping[str, Any], models: Mapping[str, str], new: bool
+    ) -> None:
         data = parameter_event(self._node, now, values, new)
         self._emit(PARAMETER_EVENTS, PARAMETER_EVENT, now, data)
-        named = {"topics": self._topics} if new else {}
-        self._event(now, {"event": "configuration", "new": new, "parameters": dict(values), **named})
+        more: dict[str, Any] = {"topics": self._topics} if new else {}
+        if models:  # the files may be others when the log is replayed
+            more["models"] = dict(models)
+        self._event(now, {"event": "configuration", "new": new, "parameters": dict(values), **more})
 
     def _event(self, now: int, content: Mapping[str, Any]) -> None:
         self._emit(EVENTS, STRING, now, string(json.dumps(content)))
@@ -153,6 +158,11 @@ class Session:
     def _publish(self, publications: Iterable[Publication]) -> None:
         for publication in publications:
             self._sink(encode(publication))
+
+
+def _models(config: Config) -> dict[str, str]:
+    """Content of the model files in force, by joint."""
+    return {joint.name: joint.model_text for joint in config.joints if joint.model is not None}
 
 
 def _map_needs(joint: JointConfig) -> tuple[Mesh, float]:

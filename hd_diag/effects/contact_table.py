@@ -244,7 +244,7 @@ class ContactTable:
         key = (name, order)
         if key not in self._tables:
             turning = np.exp(1j * order * angle())
-            self._tables[key] = np.einsum("tafp,ap->ta", response(), turning, optimize=True)
+            self._tables[key] = np.einsum("tap,ap->ta", response().sum(axis=2), turning)
         return self._tables[key]
 
 
