@@ -31,9 +31,9 @@ class _Stream:
     time: list[Floats] = field(default_factory=list)
     value: list[Floats] = field(default_factory=list)
 
-    def add(self, time: Floats, value: Floats) -> None:
-        self.time.append(time)
-        self.value.append(value)
+    def add(self, time: npt.ArrayLike, value: npt.ArrayLike) -> None:
+        self.time.append(np.asarray(time, dtype=np.float64))
+        self.value.append(np.asarray(value, dtype=np.float64))
 
     def sorted(self) -> tuple[Floats, Floats]:
         """Times and values, rising, each time once; nan values left out."""

@@ -35,7 +35,7 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
     """
     rms, gain, record = diagnosis.rms, diagnosis.gain, diagnosis.record
     none = float("nan")
-    return _clean(
+    result: dict[str, Any] = _clean(
         {
             "schema": "hd_diag/diagnosis/1",
             "joint": joint,
@@ -73,6 +73,7 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
             "verdict": sentence(diagnosis),
         }
     )
+    return result
 
 
 def sentence(diagnosis: Diagnosis) -> str:

@@ -115,7 +115,7 @@ def usable(record: Record) -> npt.NDArray[np.bool_]:
     """Samples where the model's error is well defined: in a true gap, noise decides the flank."""
     if not record.has_torque:
         return np.ones(record.size, dtype=bool)
-    return np.abs(record.torque) > 0.01 * np.percentile(np.abs(record.torque), 99)
+    return np.asarray(np.abs(record.torque) > 0.01 * np.percentile(np.abs(record.torque), 99))
 
 
 def _chosen(record: Record, count: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
