@@ -57,7 +57,7 @@ def interrupts() -> Iterator[list[int]]:
         signal.signal(signal.SIGINT, before)
 
 
-@click.command()
+@click.command(context_settings={"help_option_names": ["-h", "--help"]})
 @click.argument("bag", type=click.Path(path_type=Path))
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="*.mcap or a rosbag2 folder.")
 @CONFIG
@@ -142,7 +142,7 @@ def _tell_replay(result: Replay, out: Path, took: float) -> None:
             )
 
 
-@click.command()
+@click.command(context_settings={"help_option_names": ["-h", "--help"]})
 @click.argument("bag", type=click.Path(path_type=Path))
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="*.mcap or a rosbag2 folder.")
 @click.option("--overwrite", is_flag=True, help="Replace the output where it exists.")

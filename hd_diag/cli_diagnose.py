@@ -10,11 +10,12 @@ import click
 from rich.console import Console
 
 from hd_diag.cli_options import CONFIG, JSON, Problem, configured, problems, write_json
-from hd_diag.config import Config, JointConfig
+from hd_diag.config import JOINT_PARAMETERS, Config, JointConfig
 from hd_diag.criticism.record import Record, RecordError
+from hd_diag.model_file import write
 
 
-@click.command()
+@click.command(context_settings={"help_option_names": ["-h", "--help"]})
 @click.argument("bags", nargs=-1, required=True, type=click.Path(path_type=Path))
 @CONFIG
 @click.option("--joint", "names", multiple=True, help="Joint; repeatable. [default: all configured]")
@@ -30,6 +31,13 @@ from hd_diag.criticism.record import Record, RecordError
 @click.option(
     "--fail-on-cause", is_flag=True, help="Exit with 1 where a cause or something unexplained is found."
 )
+@click.option(
+    "--model",
+    "model_file",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Write the extended model here, for the parameter <joint>.model_file; of several joints each gets a "
+    "file with _<joint> in its name.",
+)
 @JSON
 @problems
 def diagnose(
@@ -39,6 +47,7 @@ def diagnose(
     columns: str | None,
     input_divided: bool,
     fail_on_cause: bool,
+    model_file: Path | None,
     json_file: str | None,
 ) -> None:
     """Show what the simulation gets wrong, name the physical cause and measure the gain.
@@ -49,8 +58,12 @@ def diagnose(
     """
     config = configured(config_file)
     results = []
-    for joint in _chosen(config, names):
-        result = _one(bags, joint, columns, input_divided)
+    chosen = _chosen(config, names)
+    for joint in chosen:
+        path = model_file
+        if path is not None and len(chosen) > 1:
+            path = path.with_name(f"{path.stem}_{joint.name}{path.suffix}")
+        result = _one(bags, joint, config, columns, input_divided, path)
         results.append(result)
         if json_file != "-":
             for line in result["lines"]:
@@ -72,21 +85,38 @@ def _chosen(config: Config, names: tuple[str, ...]) -> list[JointConfig]:
     return [known[name] for name in names] or list(config.joints)
 
 
-def _one(bags: tuple[Path, ...], joint: JointConfig, columns: str | None, divided: bool) -> dict[str, Any]:
+def _one(
+    bags: tuple[Path, ...],
+    joint: JointConfig,
+    config: Config,
+    columns: str | None,
+    divided: bool,
+    model_file: Path | None,
+) -> dict[str, Any]:
     from hd_diag.criticism.diagnosis import diagnose as criticise
-    from hd_diag.verdict import as_json, summary
+    from hd_diag.verdict import as_json, model_document, summary
 
     console = Console(stderr=True)
     try:
         if console.is_terminal:
             with console.status(f"{joint.name}: reading") as status:
                 record = _record(bags, joint, columns, divided)
-                result = criticise(record, joint.drive, lambda text: status.update(f"{joint.name}: {text}"))
+                result = criticise(
+                    record, joint.configured, lambda text: status.update(f"{joint.name}: {text}")
+                )
         else:
-            result = criticise(_record(bags, joint, columns, divided), joint.drive)
+            result = criticise(_record(bags, joint, columns, divided), joint.configured)
     except RecordError as error:
         raise Problem(f"{joint.name}: {error}") from error
-    return {**as_json(result, joint.name), "lines": summary(result)}
+    lines, written = summary(result), None
+    if model_file is not None and result.model is None:
+        lines.append("no model was written: the record does not allow one")
+    elif model_file is not None:
+        own = {p.name: config.flat[f"{joint.name}.{p.name}"] for p in JOINT_PARAMETERS}
+        write(model_file, model_document(result, joint.name, own, bags))
+        written = str(model_file)
+        lines.append(f"model written: {written}")
+    return {**as_json(result, joint.name, written), "lines": lines}
 
 
 def _record(bags: tuple[Path, ...], joint: JointConfig, columns: str | None, divided: bool) -> Record:

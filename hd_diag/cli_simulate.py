@@ -39,7 +39,7 @@ class InputError(click.ClickException):
     exit_code = 2
 
 
-@click.command()
+@click.command(context_settings={"help_option_names": ["-h", "--help"]})
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="*.mcap or a rosbag2 folder.")
 @click.option("--config", "file", type=click.Path(path_type=Path), help="Parameter file of the drive.")
 @click.option("--joint", "names", multiple=True, help="Joint; repeatable. [default: all configured]")

@@ -230,7 +230,7 @@ def _model(
         text = (model_text or reader())(name, path)
         return model_for(text, own), text
     except ConfigError as error:
-        raise ConfigError(f"{name}.model_file: {shown(path)}: {error}") from error
+        raise ConfigError(f"{name}.model_file: {path!a}: {error}") from error
 
 
 def drive_from(own: Mapping[str, Value]) -> Drive:

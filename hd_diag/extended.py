@@ -18,6 +18,9 @@ from hd_diag.model.torsion_map import TorsionMap
 
 Floats = npt.NDArray[np.float64]
 
+TORQUE_RANGE = 2.0
+"""Torque that the map of a running joint reaches, over the rated torque [-]; beyond, predictions are exact."""
+
 _SLOPE_STEP = 0.01  # of the rated torque; half the width over which dTE/dT is taken: over the breaks of pairs
 
 
@@ -190,8 +193,8 @@ class ExtendedModel:
         own: Floats,
         table: TorsionMap | None,
     ) -> Signals:
-        step = np.diff(time, prepend=state.time)
-        moved = _rate(np.diff(angle, prepend=state.angle), step)
+        step = _change(time, state.time)
+        moved = _rate(_change(angle, state.angle), step)
         kinematics, geometry = self.drive.kinematics, self.drive.mesh.geometry
         turned = kinematics.wave_generator_angle(geometry, angle)
         return Signals(
@@ -204,7 +207,7 @@ class ExtendedModel:
             run=np.zeros(time.size, dtype=np.int64),
             predicted=own,
             predicted_torque_slope=self._slope(angle, torque, table),
-            predicted_rate=_rate(np.diff(own, prepend=state.predicted), step),
+            predicted_rate=_rate(_change(own, state.predicted), step),
             contact=_Contact(self.drive, turned, torque, model=self),
         )
 
@@ -234,6 +237,11 @@ class _Contact(ContactWeights):
     def part(self, rows: Rows) -> _Contact:
         """See :meth:`ContactWeights.part`."""
         return _Contact(self.drive, self.wave_generator_angle[rows], self.torque[rows], model=self.model)
+
+
+def _change(values: Floats, before: float) -> Floats:
+    """Difference of every value to the one before it."""
+    return np.asarray(values - np.concatenate(([before], values[:-1])))
 
 
 def _rate(change: Floats, step: Floats) -> Floats:

@@ -31,6 +31,7 @@ _ARCMIN = 60.0 * ARCSEC
 _ANGLES_OF_TURN = 257
 _ANGLES_WITHOUT_MAP = 61
 _STEPS_TOGETHER = 32
+_KEPT = 0.02  # by which the steps of a sender that keeps its period differ [-]
 _JUDGED_AT_LEAST = 8  # stamps, for their usual step
 _RARE = 0.05  # share of the samples that may lie outside a model's range on either side
 _MARGIN = 0.05  # of a range, by which it may be left: what was fitted does not end at once
@@ -147,8 +148,8 @@ def _model_faults(joint: JointMonitor, window: Window, order: str, amplitude: fl
     found: list[Fault] = [
         ("OUT_OF_RANGE", 1, f"outside the model's valid range: {text}")
         for text in (
-            _outside("torque", window.torques, ranges.torque, "N m"),
-            _outside("speed", window.speeds, ranges.speed, "rad/s"),
+            _outside("torque", window.torques, ranges.torque, _margin(ranges.torque), "N m"),
+            _outside("speed", window.speeds, ranges.speed, _margin(ranges.speed), "rad/s"),
             _temperature_outside(joint, ranges.temperature, "temperature" in model.needs),
         )
         if text
@@ -158,24 +159,27 @@ def _model_faults(joint: JointMonitor, window: Window, order: str, amplitude: fl
     return [*found, ("RESIDUAL", level, text)]
 
 
-def _outside(name: str, parts: list[Floats], limits: Range, unit: str) -> str:
+def _margin(limits: Range) -> float:
+    return _MARGIN * max(limits.high - limits.low, abs(limits.low), abs(limits.high))
+
+
+def _outside(name: str, parts: list[Floats], limits: Range, margin: float, unit: str) -> str:
     """How a quantity left its range since the last report; single samples are noise. Empty if it did not."""
     values = np.concatenate(parts) if parts else np.empty(0)
     values = values[np.isfinite(values)]
     if not values.size:
         return ""
     low, high = np.quantile(values, (_RARE, 1.0 - _RARE))
-    beyond = _MARGIN * max(limits.high - limits.low, abs(limits.low), abs(limits.high))
     worst = low if limits.low - low > high - limits.high else high
-    inside = limits.low - beyond <= worst <= limits.high + beyond
+    inside = limits.low - margin <= worst <= limits.high + margin
     return "" if inside else f"{name} {worst:.3g}, not {limits.low:.3g} to {limits.high:.3g} {unit}"
 
 
 def _temperature_outside(joint: JointMonitor, limits: Range | None, needed: bool) -> str:
     if np.isnan(joint.temperature):
         return "temperature is not reported" if needed else ""
-    within = Range(limits.low - _KELVIN, limits.high + _KELVIN) if limits else None
-    return _outside("temperature", [np.array([joint.temperature])], within, "degC") if within else ""
+    now = [np.array([joint.temperature])]
+    return _outside("temperature", now, limits, _KELVIN, "degC") if limits else ""
 
 
 def _model_values(joint: JointMonitor) -> dict[str, str]:
@@ -299,4 +303,8 @@ def _usual_step(steps: Floats) -> float:
         return 0.0
     span = max(1, min(_STEPS_TOGETHER, steps.size // 2))
     time = np.concatenate(([0.0], np.cumsum(steps)))
-    return float(np.median(time[span:] - time[:-span])) / span
+    usual = float(np.median(time[span:] - time[:-span])) / span
+    # With many losses there is one in most spans; where the sender keeps its period a single step tells it.
+    single = float(np.median(steps))
+    is_kept = np.mean(np.abs(steps - single) < _KEPT * single) > 0.5
+    return single if is_kept and single > 0.5 * usual else usual

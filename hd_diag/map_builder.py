@@ -6,11 +6,9 @@ import queue
 import threading
 
 from hd_diag.config import JointConfig
+from hd_diag.extended import TORQUE_RANGE
 from hd_diag.model.torsion import Mesh
 from hd_diag.model.torsion_map import BuildCancelled, TorsionMap, build
-
-TORQUE_RANGE = 2.0
-"""Torque that a map reaches, over the rated torque [-]; beyond, predictions are exact."""
 
 
 def map_of(joint: JointConfig, torque_limit: float | None = None) -> TorsionMap:

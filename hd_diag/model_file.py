@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 import hashlib
 import json
-import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -192,8 +191,8 @@ def document(
     spreads : mapping
         Standard deviations of the refitted parameters.
     effects : sequence of (mapping, sequence of str)
-        Of every term of the model the standard deviations of its quantities, and its class: the names that
-        the record could not tell from it, itself first.
+        Of every term of the model the standard deviations of its quantities (zero: not estimated), and its
+        class: the names that the record could not tell from it, itself first.
     evidence : mapping
         What speaks for the model: bags, held-out figures.
     version : str
@@ -268,7 +267,7 @@ def _effect(term: Term, spread: Mapping[str, float], alike: Sequence[str]) -> di
         "name": term.effect.name,
         "class": list(alike),
         "parameters": {
-            name: {"value": value, "std": spread.get(name), "unit": unit}
+            name: {"value": value, "std": spread.get(name) or None, "unit": unit}
             for name, (value, unit) in values.items()
         },
     }
@@ -405,7 +404,7 @@ def _quantity(value: Any, where: str, unit: str) -> float:
     if found.get("unit", unit) != unit:
         raise ConfigError(f"{where}: expected the unit {shown(unit)}, not {shown(found['unit'])}")
     if found.get("std") is not None:
-        _number(found["std"], f"{where}.std", 0.0, math.inf)
+        _number(found["std"], f"{where}.std", 0.0, 1e300)
     return _number(found["value"], where, -1e300, 1e300)
 
 

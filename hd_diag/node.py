@@ -58,7 +58,7 @@ _CLASSES = {
     MARKERS: MarkerArray,
 }
 _INPUT_DEPTH = 2000  # samples that may wait while something else takes its time: two seconds of 1 kHz
-_OUTPUT_DEPTH = 100
+_OUTPUT_DEPTH = 2000  # as much for those who listen
 _LOOP_PERIOD = 0.05  # longest sleep between looks at the clock, the log and finished maps [s]
 # Longest wait for the interpreter while a map is built beside [s]: a tenth of a sample at 1 kHz; Python's own
 # 5 ms would let samples pile up.

@@ -29,6 +29,7 @@ class Parameter:
 
 
 _TINY = 1e-12  # [m]; lengths must exceed it
+_MOST_JOINTS = 256
 _LONGEST_TEXT = 80  # of a name or value that is told in an error
 
 JOINT_PARAMETERS: tuple[Parameter, ...] = (
@@ -230,6 +231,8 @@ def joint_names(value: Any) -> list[str]:
     if not isinstance(value, (list, tuple)) or not value or not all(isinstance(name, str) for name in value):
         raise ConfigError(f"joints: expected a list of names, not {shown(value)}")
     names = list(value)
+    if len(names) > _MOST_JOINTS:
+        raise ConfigError(f"joints: {len(names)} are more than the {_MOST_JOINTS} that one node watches")
     taken = {parameter.name.split(".")[0] for parameter in NODE_PARAMETERS} | set(ROS_PARAMETERS)
     for name in names:
         if not (name.isascii() and name.isidentifier()) or name in taken:

@@ -15,6 +15,7 @@ from hd_diag.bag.reader import BagReader
 from hd_diag.config import JointConfig
 from hd_diag.criticism.record import Record, RecordError, prepare
 from hd_diag.messages import JOINT_STATE, TEMPERATURE, read_temperature
+from hd_diag.samples import Times
 
 Floats = npt.NDArray[np.float64]
 
@@ -51,6 +52,7 @@ class _Streams:
     output: _Stream = field(default_factory=_Stream)
     torque: _Stream = field(default_factory=_Stream)
     temperature: _Stream = field(default_factory=_Stream)
+    speed: _Stream = field(default_factory=_Stream)
 
 
 def read_bags(paths: Sequence[str | Path], joint: JointConfig) -> Record:
@@ -73,9 +75,10 @@ def read_bags(paths: Sequence[str | Path], joint: JointConfig) -> Record:
     RecordError
         Where the joint has no input or output angle in them, or too little of them.
     """
-    parts = []
+    parts, origin = [], None
     for number, path in enumerate(paths):
-        columns = _aligned(_collect(path, joint), joint)
+        streams, origin = _collect(path, joint, origin)
+        columns = _aligned(streams, joint)
         if columns is not None:
             parts.append((*columns, np.full(columns[0].size, number)))
     if not parts:
@@ -85,9 +88,11 @@ def read_bags(paths: Sequence[str | Path], joint: JointConfig) -> Record:
         )
     has_torque = all(part[3] is not None for part in parts)
     has_temperature = all(part[4] is not None for part in parts)
-    joined = [np.concatenate([part[i] for part in parts]) for i in (0, 1, 2, 5)]
+    has_speed = all(part[5] is not None for part in parts)
+    joined = [np.concatenate([part[i] for part in parts]) for i in (0, 1, 2, 6)]
     torque = np.concatenate([part[3] for part in parts]) if has_torque else None
     temperature = np.concatenate([part[4] for part in parts]) if has_temperature else None
+    speed = np.concatenate([part[5] for part in parts]) if has_speed else None
     return prepare(
         joined[0],
         joined[1],
@@ -97,6 +102,7 @@ def read_bags(paths: Sequence[str | Path], joint: JointConfig) -> Record:
         joined[3].astype(np.int64),
         joint.drive.kinematics.ratio,
         joint.torque,
+        speed,
     )
 
 
@@ -191,8 +197,9 @@ def _joint_topics(reader: BagReader) -> list[str]:
     return found
 
 
-def _collect(path: str | Path, joint: JointConfig) -> _Streams:
-    streams = _Streams()
+def _collect(path: str | Path, joint: JointConfig, origin: int | None) -> tuple[_Streams, int | None]:
+    """Streams of a bag, their times from an origin [ns] on: the first stamp where none is given."""
+    streams, both = _Streams(), {joint.input_joint, joint.output_joint}
     with BagReader(path) as reader:
         topics = _joint_topics(reader)
         heat = [
@@ -203,11 +210,16 @@ def _collect(path: str | Path, joint: JointConfig) -> _Streams:
         for batch in reader.batches([*topics, *heat], grouped=True):
             if batch.topic.type_name == TEMPERATURE:
                 values = np.array([read_temperature(bytes(data)) for data in batch.messages()])
-                streams.temperature.add(batch.log_time * 1e-9, values)
+                origin = int(batch.log_time[0]) if origin is None else origin
+                streams.temperature.add(_seconds(batch.log_time, origin), values)
                 continue
             columns, _ = reader.joint_states(batch)
             for states in columns:
-                time = states.stamp * 1e-9
+                origin = int(states.stamp[0]) if origin is None else origin
+                time = _seconds(states.stamp, origin)
+                if states.velocity is not None and both <= set(states.names):
+                    own = states.names.index(joint.input_joint)
+                    streams.speed.add(time, states.velocity[:, own])
                 for column, name in enumerate(states.names):
                     if name == joint.input_joint and states.position is not None:
                         streams.input.add(time, states.position[:, column])
@@ -215,18 +227,24 @@ def _collect(path: str | Path, joint: JointConfig) -> _Streams:
                         streams.output.add(time, states.position[:, column])
                     if name == joint.output_joint and states.effort is not None:
                         streams.torque.add(time, states.effort[:, column])
-    return streams
+    return streams, origin
+
+
+def _seconds(stamp: Times, origin: int) -> Floats:
+    """Times after an origin [s]: since 1970 a double would tell them to a quarter of a microsecond only."""
+    return (stamp - origin).astype(np.float64) * 1e-9
 
 
 def _aligned(
     streams: _Streams, joint: JointConfig
-) -> tuple[Floats, Floats, Floats, Floats | None, Floats | None] | None:
+) -> tuple[Floats, Floats, Floats, Floats | None, Floats | None, Floats | None] | None:
     """Columns at the output's stamps; None where an angle is missing."""
     input_time, angle = streams.input.sorted()
     time, output = streams.output.sorted()
     if input_time.size < 2 or time.size < 2:
         return None
-    angle = np.unwrap(angle) if float(np.max(np.abs(angle))) <= 2.0 * np.pi + 1e-6 else angle
+    wrapped = float(np.max(np.abs(angle))) <= 2.0 * np.pi + 1e-6
+    angle = np.unwrap(angle) if wrapped else angle
     after = np.clip(np.searchsorted(input_time, time), 1, input_time.size - 1)
     exact = (input_time[after] == time) | (input_time[after - 1] == time)
     near = (
@@ -236,15 +254,26 @@ def _aligned(
     )
     kept = exact | near
     time, output = time[kept], output[kept]
+    angle = np.interp(time, input_time, angle)
     return (
         time,
-        np.interp(time, input_time, angle),
+        np.mod(angle, 2.0 * np.pi) if wrapped else angle,  # so that the record knows
         output,
         _interpolated(streams.torque, time),
         _interpolated(streams.temperature, time),
+        _reported(streams.speed, time),
     )
 
 
 def _interpolated(stream: _Stream, time: Floats) -> Floats | None:
     known, value = stream.sorted()
     return np.interp(time, known, value) if known.size > 1 else None
+
+
+def _reported(stream: _Stream, time: Floats) -> Floats | None:
+    """Values that were reported at these very times, nan at the others; None where there are none."""
+    known, value = stream.sorted()
+    if not known.size:
+        return None
+    at = np.clip(np.searchsorted(known, time), 0, known.size - 1)
+    return np.where(known[at] == time, value[at], np.nan)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from hd_diag import __version__
 from hd_diag.criticism import base
 from hd_diag.criticism.checks import Finding
 from hd_diag.criticism.diagnosis import Diagnosis
@@ -14,6 +18,8 @@ from hd_diag.criticism.search import Cause
 from hd_diag.criticism.testability import Testability
 from hd_diag.criticism.unexplained import Line
 from hd_diag.model.torsion_map import ARCSEC
+from hd_diag.model_file import document
+from hd_diag.parameters import Value
 
 _SIGMAS = 3.0  # a parameter this many standard deviations off its configured value is worth a word
 
@@ -53,7 +59,11 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
             "refit": _refit(diagnosis),
             "causes": [*map(_finding_cause, diagnosis.findings), *map(_cause, diagnosis.causes)],
             "unexplained": [line.__dict__ for line in diagnosis.unexplained],
-            "extended": {"rms": rms.extended if rms else none},
+            "extended": {
+                "rms": rms.extended if rms else none,
+                "rms_offline": rms.offline if rms else none,
+                "rms_live": rms.live if rms else none,
+            },
             "noise_floor": {
                 "rms": rms.noise if rms else none,
                 "low": rms.noise_low if rms else none,
@@ -74,6 +84,57 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
         }
     )
     return result
+
+
+def model_document(
+    diagnosis: Diagnosis, joint: str, configured: Mapping[str, Value], bags: Sequence[Path]
+) -> dict[str, Any]:
+    """What `hd-diag diagnose --model` writes.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        With a model.
+    joint : str
+    configured : mapping
+        Parameters of the joint by their names within it.
+    bags : sequence of Path
+        The records.
+
+    Returns
+    -------
+    dict
+        Schema ``hd_diag/model/1``; SI.
+    """
+    refitted = diagnosis.refitted
+    assert diagnosis.model is not None
+    assert refitted is not None
+    values = base.physical(refitted.parameters, refitted.covariance, diagnosis.configured)
+    spreads = {name: value["std"] for name, value in values.items()}
+    effects = [
+        (cause.effect.standard_deviations(cause.coefficients, cause.nonlinear, cause.covariance), cause.alike)
+        for cause in diagnosis.causes
+    ]
+    told = as_json(diagnosis, joint)
+    evidence = {key: told[key] for key in ("record", "gain", "noise_floor", "extended", "unexplained")}
+    evidence["trustworthy"] = refitted.trustworthy
+    evidence["bags"] = [{"path": str(path), "sha256": _digests(path)} for path in bags]
+    content = document(joint, configured, diagnosis.model, spreads, effects, evidence, __version__)
+    return dict(_clean(content))
+
+
+def _digests(path: Path) -> dict[str, str]:
+    """SHA-256 of a file, or of every file of a folder."""
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    found = {}
+    for file in files:
+        if file.is_file():
+            digest = hashlib.sha256()
+            with file.open("rb") as opened:
+                while part := opened.read(1 << 20):
+                    digest.update(part)
+            found[file.name] = digest.hexdigest()
+    return found
 
 
 def sentence(diagnosis: Diagnosis) -> str:

@@ -31,13 +31,15 @@ def states(
     stamp: Sequence[int],
     position: Sequence[Sequence[float]] | None,
     effort: Sequence[Sequence[float]] | None = None,
+    velocity: Sequence[Sequence[float]] | None = None,
 ) -> JointStates:
     """Messages of one shape."""
     columns = [
-        None if v is None else np.array(v, np.float64).reshape(len(stamp), -1) for v in (position, effort)
+        None if v is None else np.array(v, np.float64).reshape(len(stamp), -1)
+        for v in (position, velocity, effort)
     ]
     rows = np.arange(len(stamp), dtype=np.int64)
-    return JointStates(rows, np.array(stamp, np.int64), tuple(names), "", columns[0], None, columns[1])
+    return JointStates(rows, np.array(stamp, np.int64), tuple(names), "", *columns)
 
 
 def message(stamp: int, position: Mapping[str, float], effort: Mapping[str, float] | None = None) -> bytes:

@@ -334,7 +334,7 @@ def test_comments_in_the_definition_do_not_change_the_type(tmp_path):
         writer.finish()
     with BagReader(tmp_path / "a.mcap") as reader:
         (batch,) = reader.batches()
-        assert reader._is_standard(batch.topic)
+        assert reader.is_standard(batch.topic)
         ((columns,), _) = reader.joint_states(batch)
     assert columns.position[:, 0].tolist() == [0, 1, 2, 3, 4]
 

@@ -64,13 +64,14 @@ def test_the_input_moves_at_the_velocity_it_has(motion: Motion) -> None:
 @given(motions)
 def test_every_run_starts_and_ends_at_rest_and_reaches_its_level(motion: Motion) -> None:
     length = motion.duration / len(motion.runs)
+    largest = max(map(abs, motion.torques))  # a border may fall into the neighbouring run by rounding
     for number, (velocity, torque) in enumerate(motion.runs):
         borders = motion.at(
             length * (number + np.array([0.5 * motion.rest_share, 1.0 - 0.5 * motion.rest_share]))
         )
         level = motion.at(np.array([length * (number + 0.5)]))
         np.testing.assert_allclose(borders.input_velocity, 0.0, atol=1e-9 * abs(velocity))
-        np.testing.assert_allclose(borders.torque, 0.0, atol=1e-9 * abs(torque))
+        np.testing.assert_allclose(borders.torque, 0.0, atol=1e-9 * largest)
         np.testing.assert_allclose(level.input_velocity, velocity)
         np.testing.assert_allclose(level.torque, torque)
 

@@ -11,8 +11,13 @@ from hd_diag.criticism.noise import bounds
 from hd_diag.criticism.record import Record
 
 Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
 
 _RATIO_MISS = 2e-3  # relative; more than any transmission error can make of a turn
+_RAMP_MISS = 3e-5  # relative
+_RAMP_ERROR = 1e-4  # [rad]; what is not fitted beside a ramp may lean by this over a run
+_LEAST_REACH = 1.5  # of a run at the output [rad]
+_PARTS = 6
 _STEP = 0.25  # of a tooth pitch
 
 
@@ -28,7 +33,7 @@ class Finding:
 
 
 def check_ratio(record: Record, ratio: float) -> Finding | None:
-    """Whether the output follows the input at the configured ratio.
+    """Whether the output follows the input at the configured ratio, as far as no torsion can hide it.
 
     Parameters
     ----------
@@ -40,12 +45,9 @@ def check_ratio(record: Record, ratio: float) -> Finding | None:
     -------
     Finding or None
     """
-    angle = record.input_angle - record.input_angle.mean()
-    output = record.output_angle - record.output_angle.mean()
-    slope = float(angle @ output / (angle @ angle))
-    spread = float(np.std(output))
-    left = float(np.std(output - slope * angle))
-    if left > 0.3 * spread:
+    angle, output = (_centered(column, record.run) for column in (record.input_angle, record.output_angle))
+    slope = _usual_slope(record)
+    if float(np.std(output - slope * angle)) > 0.3 * float(np.std(output)):
         return Finding(
             "ratio_error",
             "the output does not follow the input at any fixed ratio: are the joints' names swapped?",
@@ -55,15 +57,82 @@ def check_ratio(record: Record, ratio: float) -> Finding | None:
         )
     # The error itself may lean with the angle by as much as its own size over the range.
     if abs(slope * ratio - 1.0) > max(_RATIO_MISS, 0.02 / max(float(np.ptp(output)), 1e-9)):
-        return Finding(
-            "ratio_error",
-            f"the output follows the input at a ratio of {1.0 / slope:.4f}, not the configured {ratio:g}: "
-            "check the ratio, its sign, a belt that was not declared, or swapped joints",
-            1.0 / slope,
-            "-",
-            True,
-        )
+        return _wrong_ratio(1.0 / slope, ratio)
     return None
+
+
+def check_ramp(record: Record, ratio: float) -> Finding | None:
+    """Whether the error grows with the output's way, alike in all parts of a record without steps.
+
+    Parameters
+    ----------
+    record : Record
+    ratio : float
+        Configured [-].
+
+    Returns
+    -------
+    Finding or None
+
+    Notes
+    -----
+    Torsion, friction and runout are fitted beside the ramps, one for each of `_PARTS` parts. Without a
+    measured torque nothing tells torsion from a ramp, over a small part of a turn nothing tells runout.
+    """
+    reach = float(np.ptp(_centered(record.input_angle / ratio, record.run)))
+    if not record.has_torque or reach < _LEAST_REACH:
+        return None
+    ramps = _ramps(record, ratio)
+    mean = float(ramps.mean())
+    spread = float(ramps.std(ddof=1)) / np.sqrt(ramps.size)
+    if abs(mean) > max(_RAMP_MISS, _RAMP_ERROR / reach, 6.0 * spread):
+        return _wrong_ratio(ratio / (1.0 + mean), ratio)
+    return None
+
+
+def _wrong_ratio(found: float, configured: float) -> Finding:
+    return Finding(
+        "ratio_error",
+        f"the output follows the input at a ratio of {found:.6g}, not the configured {configured:g}: "
+        "check the ratio, its sign, a belt that was not declared, or swapped joints",
+        found,
+        "-",
+        True,
+    )
+
+
+def _usual_slope(record: Record) -> float:
+    """Output over input: the median over short stretches, weighted by their way; steps do not move it."""
+    lag = max(record.size // 400, 1)
+    same = record.run[lag:] == record.run[:-lag]
+    angle, output = (
+        (column[lag:] - column[:-lag])[same][::lag] for column in (record.input_angle, record.output_angle)
+    )
+    moved = np.abs(angle) > 1e-9
+    slope, way = output[moved] / angle[moved], np.abs(angle[moved])
+    order = np.argsort(slope)
+    half = np.searchsorted(np.cumsum(way[order]), 0.5 * way.sum())
+    return float(slope[order][min(int(half), order.size - 1)])
+
+
+def _ramps(record: Record, ratio: float) -> Floats:
+    """Error per output angle in each part of a record, shape (_PARTS,) [-]."""
+    ideal = record.input_angle / ratio
+    load = record.torque / max(float(np.max(np.abs(record.torque))), 1e-9)
+    shared = (load, load * np.abs(load), load**3, record.speed, np.cos(ideal), np.sin(ideal))
+    part = np.arange(record.size) * _PARTS // record.size
+    way = _centered(ideal, record.run)
+    columns = [way * (part == number) for number in range(_PARTS)] + [_centered(c, record.run) for c in shared]
+    scale = [max(float(np.linalg.norm(c)), 1e-300) for c in columns]
+    scaled = np.stack([c / s for c, s in zip(columns, scale, strict=True)], axis=1)
+    error = _centered(record.output_angle - ideal, record.run)
+    found = np.linalg.lstsq(scaled, error, rcond=1e-6)[0] / scale
+    return np.asarray(found[:_PARTS])
+
+
+def _centered(values: Floats, run: Integers) -> Floats:
+    """Values less the mean of their run: between runs turns may be lost and a hub may slip."""
+    return np.asarray(values - (np.bincount(run, values) / np.maximum(np.bincount(run), 1))[run])
 
 
 def find_steps(record: Record, ratio: float, tooth_pitch: float) -> tuple[Floats, list[Finding]]:

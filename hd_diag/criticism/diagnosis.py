@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hd_diag.criticism import base
-from hd_diag.criticism.checks import Finding, check_ratio, find_steps
+from hd_diag.criticism.checks import Finding, check_ramp, check_ratio, find_steps
+from hd_diag.criticism.extension import extended_model, left, map_of
 from hd_diag.criticism.noise import bounds
 from hd_diag.criticism.record import Record
 from hd_diag.criticism.refit import Refit, refit, usable
@@ -18,6 +19,7 @@ from hd_diag.criticism.testability import Testability, testability
 from hd_diag.criticism.unexplained import Line, lines
 from hd_diag.criticism.workbench import Chosen, Workbench, settle
 from hd_diag.drive import Drive
+from hd_diag.extended import ExtendedModel
 
 Floats = npt.NDArray[np.float64]
 
@@ -28,11 +30,17 @@ _SLICE = 1.0  # length of a block of the bootstrap [s]
 
 @dataclass(frozen=True)
 class Rms:
-    """Root mean squares on held-out data [rad]."""
+    """Root mean squares on held-out data [rad].
+
+    `extended` is that of the model as it runs, with causal signals, along the record; `offline` that of the
+    fit's own signals; `live` that of the model as it runs with the torque as reported, not smoothed.
+    """
 
     nominal: float
     refit: float
     extended: float
+    offline: float
+    live: float
     noise: float
     noise_low: float
     noise_high: float
@@ -61,6 +69,7 @@ class Diagnosis:
     gain: Gain | None
     unexplained: tuple[Line, ...] = ()
     testable: tuple[Testability, ...] = ()
+    model: ExtendedModel | None = None
 
     @property
     def causes(self) -> tuple[Cause, ...]:
@@ -92,6 +101,9 @@ def diagnose(
         return Diagnosis(record, configured, (wrong,), None, None, None, None)
     correction, steps = find_steps(record, ratio, configured.mesh.geometry.tooth_pitch)
     record = replace(record, output_angle=record.output_angle - correction)
+    wrong = check_ramp(record, ratio)
+    if wrong is not None:
+        return Diagnosis(record, configured, (wrong, *steps), None, None, None, None)
     test, told = held_out(record)
     train = _renumbered(record.select(~test))
     progress("fitting the model's own parameters")
@@ -117,6 +129,7 @@ def diagnose(
         gain,
         tuple(lines(whole)),
         tuple(testability(whole)),
+        extended_model(whole, configured, record),
     )
 
 
@@ -167,8 +180,13 @@ def _gain(
     unseen = _renumbered(record.select(test))
     nominal = _nominal_left(record, configured, test)
     refitted = _left_by(unseen, configured, plain, ())
-    extended = _left_by(unseen, configured, found.bench, found.chosen)
+    offline = _left_by(unseen, configured, found.bench, found.chosen)
     kept = usable(unseen)
+    model = extended_model(found, configured, record.select(~test))
+    table = map_of(model)
+    extended, live = (
+        left(model, record, torque, table)[test][kept] for torque in (record.torque, record.reported_torque)
+    )
     time, run = unseen.time[kept], unseen.run[kept]
     noise = found.bench.noise_residual
     low, high = _rms_interval(noise, found.bench.record.time, found.bench.run)
@@ -178,7 +196,16 @@ def _gain(
     rng = np.random.default_rng(0)
     draws = rng.integers(0, before.size, (2000, before.size))
     shares = 1.0 - after[draws].sum(axis=1) / before[draws].sum(axis=1)
-    rms = Rms(_rms(nominal), _rms(refitted), _rms(extended), _rms(noise) * float(np.sqrt(freedom)), low, high)
+    rms = Rms(
+        _rms(nominal),
+        _rms(refitted),
+        _rms(extended),
+        _rms(offline),
+        _rms(live[np.isfinite(live)]),
+        _rms(noise) * float(np.sqrt(freedom)),
+        low,
+        high,
+    )
     fraction = 1.0 - float(after.sum() / before.sum())
     return rms, Gain(fraction, float(np.quantile(shares, 0.025)), float(np.quantile(shares, 0.975)), told)
 

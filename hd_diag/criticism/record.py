@@ -20,6 +20,7 @@ _REST_SPEED = 0.02  # of the record's 95th percentile of speed, below which the 
 _GAP_STEPS = 5.5  # a step this many times the usual one is a gap: state and filters restart
 _SPEED_WINDOW = 0.03  # [s]
 _TORQUE_WINDOW = 0.15  # [s]; torques of robot joints change over tenths of a second
+_WRAP_SLACK = 0.1  # what noise and outliers may add to the range of a wrapped angle [rad]
 _OUTLIER = 8.0  # robust standard deviations of the short-time deviation
 
 
@@ -43,6 +44,12 @@ class Record:
         Whether the torque was measured; else it is what the configuration assumes.
     outliers, dropped : int
         Samples taken out: far off their neighbours, or not finite or out of order.
+    bag : ndarray of int64, shape (n,)
+        Which recording each sample comes from.
+    reported_torque : ndarray, shape (n,)
+        Without smoothing, as a model that runs has it [N m].
+    reported_speed : ndarray, shape (n,), or None
+        Of the input, as the joint itself reports it [rad/s]; nan where it does not.
     """
 
     time: Floats
@@ -55,6 +62,9 @@ class Record:
     has_torque: bool
     outliers: int
     dropped: int
+    bag: Integers
+    reported_torque: Floats
+    reported_speed: Floats | None = None
 
     @property
     def size(self) -> int:
@@ -82,6 +92,7 @@ class Record:
     def select(self, rows: npt.NDArray[np.bool_] | Integers) -> Record:
         """The record of some rows; their run numbers stay."""
         temperature = None if self.temperature is None else self.temperature[rows]
+        reported_speed = None if self.reported_speed is None else self.reported_speed[rows]
         return replace(
             self,
             time=self.time[rows],
@@ -91,6 +102,9 @@ class Record:
             speed=self.speed[rows],
             temperature=temperature,
             run=self.run[rows],
+            bag=self.bag[rows],
+            reported_torque=self.reported_torque[rows],
+            reported_speed=reported_speed,
         )
 
 
@@ -103,6 +117,7 @@ def prepare(
     bag: Integers,
     ratio: float,
     assumed_torque: float = 0.0,
+    reported_speed: Floats | None = None,
 ) -> Record:
     """A record from raw columns.
 
@@ -122,6 +137,8 @@ def prepare(
         Reported input angle over reported output angle [-].
     assumed_torque : float
         Used where no torque was measured [N m].
+    reported_speed : ndarray, shape (n,), or None
+        Of the input, as the joint reports it [rad/s]; nan where it does not.
 
     Returns
     -------
@@ -132,6 +149,7 @@ def prepare(
     RecordError
         If too little is left, nothing moves, or stamps contradict each other.
     """
+    torque, temperature = _measured(torque), _measured(temperature)
     columns = [time, input_angle, output_angle] + [c for c in (torque, temperature) if c is not None]
     usable = np.all(np.isfinite(columns), axis=0)
     usable &= np.concatenate(([True], (np.diff(time) > 0.0) | (np.diff(bag) != 0)))
@@ -145,14 +163,14 @@ def prepare(
             f"{dropped} of {usable.size} samples are not finite or their stamps contradict each other"
         )
     time, bag = time[usable], bag[usable]
-    angle, output = _unwrapped(input_angle[usable], bag), _unwrapped(output_angle[usable], bag)
+    segment, output = _segments(time, bag), _unwrapped(output_angle[usable], bag)
+    angle = _with_turns(input_angle[usable], output, bag, segment, ratio)
     load = None if torque is None else torque[usable]
     heat = None if temperature is None else temperature[usable]
     if float(np.ptp(angle)) < np.pi:
         raise RecordError(
             f"no motion: the input turns by {float(np.ptp(angle)):.3g} rad, at least half a turn is needed"
         )
-    segment = _segments(time, bag)
     keep = ~_outliers(output - angle / ratio, segment)
     outliers = int(np.sum(~keep))
     time, angle, output, segment = time[keep], angle[keep], output[keep], segment[keep]
@@ -162,21 +180,60 @@ def prepare(
     smooth = raw if load is None else _per_segment(segment, raw, lambda x: _smooth(x, step, _TORQUE_WINDOW))
     heat = None if heat is None else _per_segment(segment, heat[keep], lambda x: _smooth(x, step, 2.0))
     run = _runs(time, speed, segment)
-    return Record(time, angle, output, smooth, speed, heat, run, load is not None, outliers, dropped)
+    own_speed = None if reported_speed is None else reported_speed[usable][keep]
+    return Record(
+        time,
+        angle,
+        output,
+        smooth,
+        speed,
+        heat,
+        run,
+        load is not None,
+        outliers,
+        dropped,
+        bag[keep],
+        raw,
+        own_speed,
+    )
+
+
+def _measured(values: Floats | None) -> Floats | None:
+    """A column that holds a value at all, else None."""
+    return None if values is None or not np.isfinite(values).any() else values
+
+
+def _wrapped(angle: Floats) -> bool:
+    """Whether angles stay within one turn [rad], as those of wrapped encoders do."""
+    return float(np.ptp(angle)) < 2.0 * np.pi + _WRAP_SLACK
 
 
 def _unwrapped(angle: Floats, bag: Integers) -> Floats:
     """Angles without jumps of whole turns, bag by bag; continuous angles stay as they are."""
-    jumps = np.diff(angle)
-    wraps = (np.abs(np.abs(jumps) - 2.0 * np.pi) < 1.0) & (np.diff(bag) == 0)
-    return angle - 2.0 * np.pi * np.concatenate(([0.0], np.cumsum(np.where(wraps, np.sign(jumps), 0.0))))
+    parts = [angle[a:b] for a, b in _bounds(bag)]
+    return np.concatenate([np.unwrap(part) if _wrapped(part) else part for part in parts])
+
+
+def _with_turns(angle: Floats, output: Floats, bag: Integers, segment: Integers, ratio: float) -> Floats:
+    """Input angles without jumps of whole turns; of wrapped ones the output tells those that no sample saw."""
+    result = angle.copy()
+    first = ratio * output[0] - angle[0]
+    for begin, end in _bounds(bag):
+        if not _wrapped(angle[begin:end]):
+            continue
+        for a, b in _bounds(segment[begin:end]):
+            part = slice(begin + a, begin + b)
+            result[part] = np.unwrap(angle[part])
+            missing = float(np.median(ratio * output[part] - result[part])) - first
+            result[part] += 2.0 * np.pi * np.round(missing / (2.0 * np.pi))
+    return result
 
 
 def _segments(time: Floats, bag: Integers) -> Integers:
-    """Stretches without a gap."""
+    """Stretches without a gap and without a stamp that goes back."""
     step = np.diff(time)
     usual = np.median(step[step > 0.0])
-    breaks = (step > _GAP_STEPS * usual) | (np.diff(bag) != 0)
+    breaks = (step > _GAP_STEPS * usual) | (step <= 0.0) | (np.diff(bag) != 0)
     return np.concatenate(([0], np.cumsum(breaks))).astype(np.int64)
 
 

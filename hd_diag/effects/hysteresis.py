@@ -24,7 +24,8 @@ State = tuple[float | None, tuple[float, ...]]
 class Hysteresis(StatefulEffect):
     """Two Maxwell slip elements: ``z <- clip(z + dT / r, -1, 1)``, ``a_1 z_1 + a_2 z_2``.
 
-    The link lags less while the torque grows and more while it falls: the loop takes work, a >= 0.
+    a > 0: the link lags less while the torque grows and more while it falls, as friction beside the spring
+    has it. a < 0: it lags more while the torque grows, as friction behind the torque's measurement has it.
     """
 
     def start(self, nonlinear: Values) -> State:
@@ -69,9 +70,14 @@ EFFECT = Hysteresis(
     needs=("torque", "run"),
     quantities=(
         Quantity(
-            "first_amplitude", "rad", 0.0, 5e-3, 15.0 * ARCSEC, "a_1, half width of the first element's loop"
+            "first_amplitude",
+            "rad",
+            -5e-3,
+            5e-3,
+            15.0 * ARCSEC,
+            "a_1, half width of the first element's loop",
         ),
-        Quantity("second_amplitude", "rad", 0.0, 5e-3, 15.0 * ARCSEC, "a_2, of the second element's"),
+        Quantity("second_amplitude", "rad", -5e-3, 5e-3, 15.0 * ARCSEC, "a_2, of the second element's"),
         Quantity(
             "first_reach", "N m", 1e-2, 1e4, 2.0, "r_1, half the torque over which it sticks", linear=False
         ),

@@ -25,9 +25,11 @@ ARCSEC = np.pi / 648_000.0
 TOLERANCE = 0.01 * ARCSEC
 """Error that a map aims at [rad]."""
 
-# Wave generator angles per tooth passing. The torsion's slope breaks where a pair comes into load, so the
-# error falls with the step itself; 48 keeps it near TOLERANCE for gears of 50 to 160 times reduction.
-_STEPS_PER_TOOTH = 48
+# Wave generator angles per tooth passing. The torsion's slope breaks where a pair comes into load; with fewer
+# teeth each pair brings more of the stiffness and moves further per angle, so the steps per tooth grow as
+# 1 / Z_G^2. 64 keep a gear of ratio 100 within TOLERANCE.
+_STEPS_PER_TOOTH = 64
+_FINE_TEETH = 202
 _CHECKED_ANGLES = 512
 _CHECKED_TORQUES = 64
 _MISSED = 2.0  # checks rarely meet a cell's worst place, but half of the greatest error they do [-]
@@ -146,7 +148,7 @@ def build(
     BuildCancelled
         If `wanted` returned False.
     """
-    steps = _STEPS_PER_TOOTH * mesh.geometry.circular_spline_teeth
+    steps = _steps(mesh.geometry.circular_spline_teeth)
     angle = 2.0 * np.pi / steps * np.arange(steps, dtype=np.float64)
     torques, torsions = [], []
     for start in range(0, steps, _CHUNK):
@@ -165,6 +167,11 @@ def build(
         mesh, torque[closed, columns].copy(), beta[closed, columns].copy(), torque_limit, np.inf
     )
     return _checked(table)
+
+
+def _steps(teeth: int) -> int:
+    """Wave generator angles over a turn for a circular spline with so many teeth: a multiple of them."""
+    return teeth * round(_STEPS_PER_TOOTH * max(1.0, (_FINE_TEETH / teeth) ** 2))
 
 
 def _joined(parts: list[Floats]) -> Floats:

@@ -1,0 +1,188 @@
+"""Bags that no node has written: whole logs with damage in the file, in its messages and in its events."""
+
+import json
+import random
+import re
+import struct
+from pathlib import Path
+
+from bag_samples import cut_end, damaged, write_with_mcap
+from click.testing import CliRunner, Result
+from live import MS, RATIO, START, config, message
+
+from hd_diag.bag import BagError, BagReader, BagWriter
+from hd_diag.cli_bags import recover, replay
+from hd_diag.criticism.record import RecordError
+from hd_diag.messages import STRING, Encoded, read_string, resolved, string
+from hd_diag.recording import read_bags
+from hd_diag.session import EVENTS, Session
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+CONFIG = config("a", "b", array_rate=5.0)
+CONFIG_TEXT = json.dumps({"hd_diag": {"ros__parameters": dict(CONFIG.flat)}})
+Message = tuple[str, str, bytes, int]
+
+
+def log_of(path: Path) -> Path:
+    """A small log as the node writes it, without maps, which take time."""
+    with BagWriter(path, chunk_size=4000) as writer:
+
+        def sink(encoded: Encoded) -> None:
+            rows = [bytes(row) for row in encoded.rows]
+            writer.write_many(resolved(encoded.topic), encoded.type_name, rows, encoded.received)
+
+        session = Session(CONFIG, sink)
+        session.start(START)
+        for i in range(1, 60):
+            now = START + i * 4 * MS
+            data = message(now, {"a_motor": 0.01 * i, "a": 0.01 * i / RATIO, "b_motor": 0.0}, {"a": 1.0})
+            writer.write("/joint_states", JOINT_STATE, data, now)
+            session.joint_state(now, data)
+            if i == 30:
+                session.configure(now + 1, config("a", "b", array_rate=5.0, a__eccentricity__magnitude=5e-6))
+            if i % 20 == 0:
+                session.tick(now + 2, now, {"log_state": "off", "latency_p99_us": "50"})
+    return path
+
+
+def messages_of(path: Path) -> list[Message]:
+    """What a replay takes in: joint states and events."""
+    with BagReader(path) as reader:
+        return [
+            (batch.topic.name, batch.topic.type_name, bytes(data), time)
+            for batch in reader.batches(["/joint_states", resolved(EVENTS)])
+            for time, data in zip(batch.log_time.tolist(), batch.messages(), strict=True)
+        ]
+
+
+def spoiled_messages(messages: list[Message], chance: random.Random) -> list[Message]:
+    """Some messages damaged, repeated, at other times, left out or of another topic."""
+    made = list(messages)
+    for _ in range(chance.randint(1, 5)):
+        at = chance.randrange(len(made))
+        topic, kind, data, time = made[at]
+        what = chance.randrange(6)
+        if what == 0:
+            made[at] = (topic, kind, damaged(data, chance), time)
+        elif what == 1:
+            made[at] = (
+                topic,
+                kind,
+                data,
+                chance.choice([0, time - 10**9, time + 10**9, 2**31 * 10**9, 2**62]),
+            )
+        elif what == 2:
+            del made[at]
+        elif what == 3:
+            made.insert(at, (topic, kind, data[: chance.randrange(len(data) + 1)], time))
+        elif what == 4 and kind == JOINT_STATE:
+            place = chance.randrange(0, max(1, len(data) - 8))
+            extreme = chance.choice([float("nan"), 1e308, -1e308, 5e-324, float("inf")])
+            made[at] = (topic, kind, data[:place] + struct.pack("<d", extreme) + data[place + 8 :], time)
+        else:
+            topic = chance.choice(["/joint_states", "/x", "/hd_diag/events", "/hd_diag/residual", "x" * 3000])
+            made[at] = (topic, kind, data, time)
+        if not made:
+            return messages[:1]
+    return made
+
+
+VALUES = (
+    "null",
+    "-1",
+    "1e999",
+    "NaN",
+    '""',
+    "[]",
+    "{}",
+    '"a"',
+    "true",
+    "123456789012345678901234567890",
+    "1e-320",
+)
+
+
+def spoiled_events(messages: list[Message], chance: random.Random) -> list[Message]:
+    """A value or a key of some event replaced by another."""
+    made = list(messages)
+    events = [i for i, entry in enumerate(made) if entry[1] == STRING]
+    for _ in range(chance.randint(1, 3)):
+        at = chance.choice(events)
+        topic, kind, data, time = made[at]
+        try:
+            text = read_string(data)
+        except Exception:  # an earlier turn has spoiled it
+            continue
+        tokens = list(re.finditer(r'"[^"]*"|-?\d[\d.e+-]*|true|false|null', text))
+        if not tokens:
+            continue
+        token = chance.choice(tokens)
+        value = chance.choice(VALUES) if chance.random() < 0.8 else chance.choice(tokens).group()
+        made[at] = (topic, kind, string(text[: token.start()] + value + text[token.end() :]), time)
+    return made
+
+
+class Fuzz:
+    """One damaged bag after the other through the command line; whatever is no proper answer is an error."""
+
+    def __init__(self, folder: Path, seed: int) -> None:
+        self._folder = folder
+        self._chance = random.Random(seed)
+        self._runner = CliRunner()
+        log = log_of(folder / "log.mcap")
+        self._messages = messages_of(log)
+        foreign = [entry for entry in self._messages if entry[1] == JOINT_STATE]
+        self._bags = [log.read_bytes(), cut_end(log, folder / "cut.mcap").read_bytes()]
+        for compression in ("none", "lz4"):
+            path = write_with_mcap(folder / "f.mcap", foreign, compression=compression, chunk_size=1500)
+            self._bags.append(path.read_bytes())
+        self._config = folder / "c.yaml"
+        self._config.write_text(CONFIG_TEXT)
+        self.bag = folder / "bag.mcap"
+        self.counts = {"accepted": 0, "refused": 0}
+
+    def turn(self) -> None:
+        """Make a bag and put it through."""
+        self._make()
+        arguments = [str(self.bag), "--out", str(self._folder / "out.mcap"), "--overwrite"]
+        if self._chance.random() < 0.15:
+            self.check(self._runner.invoke(replay, [*arguments, "--config", str(self._config)]))
+        elif self._chance.random() < 0.15:
+            self.check(self._runner.invoke(recover, arguments))
+        else:
+            self.check(self._runner.invoke(replay, arguments))
+        if self._chance.random() < 0.1:
+            self._diagnose()
+
+    def check(self, result: Result) -> None:
+        """Exit code 0 and a bag that can be read, or 2 and one line."""
+        if result.exception is not None and not isinstance(result.exception, SystemExit):
+            raise result.exception
+        if result.exit_code == 0:
+            with BagReader(self._folder / "out.mcap") as reader:
+                assert not reader.problems
+            self.counts["accepted"] += 1
+            return
+        assert result.exit_code == 2, result.exit_code
+        assert result.stderr.count("\n") == 1, result.stderr
+        assert len(result.stderr) < 1200, len(result.stderr)
+        self.counts["refused"] += 1
+
+    def _make(self) -> None:
+        kind = self._chance.randrange(4)
+        if kind == 0:
+            self.bag.write_bytes(damaged(self._chance.choice(self._bags), self._chance))
+        elif kind == 1:
+            self.bag.write_bytes(self._chance.randbytes(self._chance.randrange(3000)))
+        elif kind == 2:
+            write_with_mcap(self.bag, spoiled_messages(self._messages, self._chance))
+        else:
+            write_with_mcap(self.bag, spoiled_events(self._messages, self._chance))
+
+    def _diagnose(self) -> None:
+        """The reader of `hd-diag diagnose`."""
+        try:
+            read_bags([self.bag], CONFIG.joints[0])
+        except (BagError, RecordError) as error:
+            if "\n" in str(error):
+                raise AssertionError(f"not one line: {error}") from error

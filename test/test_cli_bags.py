@@ -1,0 +1,312 @@
+"""``hd-diag replay`` and ``recover`` as a user meets them: exit codes, one line, JSON, what stays behind."""
+
+import json
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+import pytest
+import yaml
+from bag_samples import cut_end
+from click.testing import CliRunner, Result
+from live import MS, START, message, parameters
+from player import content
+from replay_fuzz import JOINT_STATE, Fuzz, log_of
+
+from hd_diag.bag import BagReader, BagWriter, encode_joint_states
+from hd_diag.cli_bags import recover, replay
+from hd_diag.parameters import nested
+from hd_diag.replay import replay as replay_bag
+
+COUNT = 120_000
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A configuration, a short log of the node, and a long bag of two minutes."""
+    made = tmp_path_factory.mktemp("bags")
+    # As many arrays as can be: a replay that takes some seconds can be interrupted.
+    given = nested(parameters("a", array_rate=1000.0))
+    (made / "c.yaml").write_text(yaml.safe_dump({"hd_diag": {"ros__parameters": given}}))
+    log_of(made / "log.mcap")
+    angle = np.linspace(0.0, 900.0, COUNT)
+    columns = np.column_stack((angle, angle / 30.0))
+    rows = encode_joint_states(("a_motor", "a"), START + MS * np.arange(COUNT), columns)
+    with BagWriter(made / "long.mcap") as writer:
+        writer.write_many("/joint_states", JOINT_STATE, rows, START + MS * np.arange(COUNT))
+    return made
+
+
+def run(command: click.Command, *arguments: str | Path) -> Result:
+    return CliRunner().invoke(command, [str(argument) for argument in arguments])
+
+
+def process(*arguments: str | Path, **options: Any) -> subprocess.Popen[str]:
+    """``hd-diag`` in a process of its own."""
+    command = [sys.executable, "-m", "hd_diag.cli", *map(str, arguments)]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen(command, cwd=ROOT, **pipes, **options)  # type: ignore[call-overload,no-any-return]
+
+
+def refused(result: Result) -> str:
+    """The one line on stderr of a command that ended with code 2."""
+    assert result.exit_code == 2, result.output
+    assert result.stdout == ""
+    assert result.stderr.count("\n") == 1
+    return result.stderr
+
+
+# What it tells ---
+
+
+def test_a_replay_tells_what_it_did(folder: Path, tmp_path: Path) -> None:
+    result = run(replay, folder / "log.mcap", "--out", tmp_path / "out", "--json", tmp_path / "r.json")
+    assert result.exit_code == 0
+    assert result.stderr == ""  # no progress where there is no terminal
+    assert "59 messages" not in result.stdout
+    assert "its own configuration followed" in result.stdout
+    found = json.loads((tmp_path / "r.json").read_text())
+    assert found["schema"] == "hd_diag/replay/1"
+    assert found["reproduced"] is True
+    assert found["joints"] == ["a", "b"]
+    assert found["messages"] == 59 + 4
+    assert found["written"] == sum(map(len, content(tmp_path / "out").values()))
+    assert found["problems"] == []
+    assert found["duration"] > 0.2
+    assert content(tmp_path / "out") == content(folder / "log.mcap")
+
+
+def test_json_on_stdout_is_alone_there(folder: Path, tmp_path: Path) -> None:
+    result = run(replay, folder / "log.mcap", "--out", tmp_path / "out.mcap", "--json", "-")
+    assert json.loads(result.stdout)["out"] == str(tmp_path / "out.mcap")
+
+
+def test_rejections_and_absent_joints_are_told(folder: Path, tmp_path: Path) -> None:
+    bag = tmp_path / "b.mcap"
+    with BagWriter(bag) as writer:
+        for i in (0, 1, 1, 2):
+            writer.write("/joint_states", JOINT_STATE, message(START + i, {"a_motor": 0.1}), START + i)
+    (tmp_path / "c.yaml").write_text(
+        yaml.safe_dump({"hd_diag": {"ros__parameters": nested(parameters("a", "b"))}})
+    )
+    result = run(replay, bag, "--config", tmp_path / "c.yaml", "--out", tmp_path / "out.mcap")
+    assert result.exit_code == 0
+    assert "a: 1 rejected, the last because: stamp of a_motor repeats the last" in result.stdout
+    assert result.stderr == "b: no sample in the bag\n"
+
+
+def test_an_unfinished_bag_is_replayed_with_a_warning(folder: Path, tmp_path: Path) -> None:
+    cut = cut_end(folder / "log.mcap", tmp_path / "cut.mcap")
+    result = run(replay, cut, "--out", tmp_path / "out.mcap")
+    assert result.exit_code == 0
+    assert result.stderr.startswith("warning: cut.mcap: ")
+    assert result.stderr.count("\n") == 1
+    assert content(tmp_path / "out.mcap") == content(folder / "log.mcap")
+
+
+def test_a_bag_that_is_being_written_is_replayed_as_far_as_it_goes(folder: Path, tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "live.mcap") as writer:
+        for topic, messages in content(folder / "log.mcap").items():
+            kind = "std_msgs/msg/String" if topic.endswith("events") else JOINT_STATE
+            if topic in ("/joint_states", "/hd_diag/events"):
+                for now, data in messages:
+                    writer.write(topic, kind, data, now)
+        writer.flush()
+        result = run(replay, tmp_path / "live.mcap", "--out", tmp_path / "out.mcap")
+    assert result.exit_code == 0
+    assert result.stderr == "warning: live.mcap: is being written by another process\n"
+    assert content(tmp_path / "out.mcap") == content(folder / "log.mcap")
+
+
+def test_recover_tells_what_it_saved(folder: Path, tmp_path: Path) -> None:
+    cut = cut_end(folder / "log.mcap", tmp_path / "cut.mcap")
+    result = run(recover, cut, "--out", tmp_path / "out.mcap", "--json", tmp_path / "r.json")
+    assert result.exit_code == 0
+    assert result.stderr == ""
+    found = json.loads((tmp_path / "r.json").read_text())
+    assert found["schema"] == "hd_diag/recovery/1"
+    assert result.stdout.startswith("saved ")
+    assert content(tmp_path / "out.mcap") == content(folder / "log.mcap")
+    assert "saved" not in run(recover, cut, "--out", tmp_path / "again.mcap", "--json", "-").stderr
+
+
+# What it refuses ---
+
+
+@pytest.mark.parametrize("command", [replay, recover], ids=["replay", "recover"])
+@pytest.mark.parametrize(
+    ("bag", "out", "reason"),
+    [
+        ("nothing.mcap", "out.mcap", "No such file"),
+        ("c.yaml", "out.mcap", "c.yaml"),
+        ("log.mcap", "log.mcap", "overwrite the input"),
+        ("log.mcap", "log.mcap/out.mcap", "log.mcap"),
+        ("log.mcap", "c.yaml/out.mcap", "Not a directory"),
+        ("log.mcap", "c.yaml", "exists already"),
+        ("bag", "bag/out.mcap", "overwrite the input"),
+        ("bag", "bag", "overwrite the input"),
+        ("log.mcap", "link.mcap", "overwrite the input"),
+        ("log.mcap", "hard.mcap", "same file as the input"),
+    ],
+)
+def test_input_and_output_that_cannot_be(
+    folder: Path, tmp_path: Path, command: click.Command, bag: str, out: str, reason: str
+) -> None:
+    for name in ("log.mcap", "c.yaml"):
+        shutil.copy(folder / name, tmp_path)
+    (tmp_path / "bag").mkdir()
+    shutil.copy(folder / "log.mcap", tmp_path / "bag" / "bag_0.mcap")
+    (tmp_path / "link.mcap").symlink_to(tmp_path / "log.mcap")
+    os.link(tmp_path / "log.mcap", tmp_path / "hard.mcap")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    assert reason in refused(run(command, tmp_path / bag, "--out", tmp_path / out))
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+def test_an_existing_output_is_kept_unless_told_otherwise(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    assert run(replay, folder / "log.mcap", "--out", out).exit_code == 0
+    before = out.read_bytes()
+    assert "exists already" in refused(run(replay, folder / "log.mcap", "--out", out))
+    refused(run(replay, folder / "long.mcap", "--out", out, "--overwrite"))  # needs a configuration
+    assert out.read_bytes() == before
+    assert run(replay, folder / "log.mcap", "--out", out, "--overwrite").exit_code == 0
+
+
+def test_a_json_file_that_cannot_be_written_is_told(folder: Path, tmp_path: Path) -> None:
+    given = ("--out", tmp_path / "out.mcap", "--json", folder / "c.yaml" / "r.json")
+    assert "cannot be written" in refused(run(replay, folder / "log.mcap", *given))
+
+
+# What comes in between ---
+
+
+def test_a_full_disk_leaves_nothing_that_passes_for_whole(folder: Path, tmp_path: Path) -> None:
+    def limit() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
+
+    out = tmp_path / "out.mcap"
+    given = ("replay", folder / "long.mcap", "--config", folder / "c.yaml", "--out", out)
+    done = process(*given, preexec_fn=limit)
+    stdout, stderr = done.communicate(timeout=60)
+    assert (done.returncode, stdout) == (2, "")
+    assert stderr == f"hd-diag: {out}: File too large\n"
+    with BagReader(out) as reader:
+        assert reader.problems
+    assert run(recover, out, "--out", tmp_path / "saved.mcap").exit_code == 0
+    assert content(tmp_path / "saved.mcap")["/hd_diag/residual"]
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of its own of 400 kB, where the tests may mount one."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=400k", "none", str(place)]
+    try:
+        subprocess.run(mount, check=True, capture_output=True)
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip("no file system can be mounted here")
+    yield place
+    subprocess.run(["umount", "--lazy", str(place)], check=True)
+
+
+def test_a_disk_that_runs_full(folder: Path, small_disk: Path) -> None:
+    for out in ("out.mcap", "folder"):
+        given = ("--config", folder / "c.yaml", "--out", small_disk / out)
+        assert "No space left on device" in refused(run(replay, folder / "long.mcap", *given))
+        with BagReader(small_disk / out) as reader:
+            assert reader.problems
+        for path in small_disk.iterdir():
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+
+def test_a_disk_that_is_read_only(folder: Path, small_disk: Path) -> None:
+    subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
+    for command in (replay, recover):
+        for out in ("out.mcap", "folder", "folder/out.mcap"):
+            line = refused(run(command, folder / "log.mcap", "--out", small_disk / out))
+            assert "Read-only file system" in line or "No such file" in line
+
+
+@pytest.mark.parametrize("name", ["out.mcap", "out"])
+def test_ctrl_c_leaves_a_whole_bag(folder: Path, tmp_path: Path, name: str) -> None:
+    out = tmp_path / name
+    running = process("replay", folder / "long.mcap", "--config", folder / "c.yaml", "--out", out)
+    file = out if name == "out.mcap" else out / "out_0.mcap"
+    end = time.monotonic() + 60.0
+    while not (file.exists() and file.stat().st_size > 1_000_000):
+        assert time.monotonic() < end
+        assert running.poll() is None
+        time.sleep(0.02)
+    running.send_signal(signal.SIGINT)
+    stdout, stderr = running.communicate(timeout=30)
+    assert (running.returncode, stdout) == (130, "")
+    assert stderr.startswith(f"hd-diag: interrupted: {out} holds what the first ")
+    assert stderr.count("\n") == 1
+    with BagReader(out) as reader:
+        assert not reader.problems
+        counts = {topic.name: topic.count for topic in reader.topics}
+    assert 0 < counts["/joint_states"] == counts["/hd_diag/residual"] < COUNT
+
+
+ACKNOWLEDGING = """
+import sys, time
+from hd_diag.config import load
+from hd_diag.replay import replay
+replay(*sys.argv[1:3], load(sys.argv[3]), progress=lambda done, total: print(done, time.monotonic(), flush=True))
+"""
+
+
+def killed_replay(folder: Path, out: Path, chance: random.Random) -> tuple[list[tuple[int, float]], float]:
+    """What a replay acknowledged, and when, before it was killed; and when that was."""
+    arguments = [str(folder / "long.mcap"), str(out), str(folder / "c.yaml")]
+    command = [sys.executable, "-c", ACKNOWLEDGING, *arguments]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as running:
+        assert running.stdout is not None
+        lines = [running.stdout.readline()]
+        time.sleep(chance.uniform(1.0, 2.0))
+        running.kill()
+        killed = time.monotonic()
+        lines += running.stdout.readlines()
+    pairs = [line.split() for line in lines if line.endswith("\n")]
+    return [(int(done), float(when)) for done, when in pairs], killed
+
+
+def test_a_killed_replay_leaves_what_it_acknowledged(folder: Path, tmp_path: Path) -> None:
+    from hd_diag.config import load
+
+    replay_bag(folder / "long.mcap", tmp_path / "whole.mcap", load(folder / "c.yaml"))
+    whole = content(tmp_path / "whole.mcap")
+    chance = random.Random(7)
+    for turn in range(3):
+        out = tmp_path / f"killed_{turn}"
+        acknowledged, killed = killed_replay(folder, out, chance)
+        assert run(recover, out, "--out", tmp_path / f"saved_{turn}").exit_code == 0
+        saved = content(tmp_path / f"saved_{turn}")
+        for topic, messages in saved.items():
+            assert messages == whole[topic][: len(messages)], topic
+        safe = max(done for done, when in acknowledged if when <= max(killed - 1.0, acknowledged[0][1]))
+        assert 0 < len(saved["/joint_states"]) < COUNT
+        assert len(saved["/hd_diag/transmission_error"]) >= safe - (acknowledged[0][1] > killed - 1.0) * safe
+
+
+def test_whatever_a_bag_holds_the_answer_is_proper(tmp_path: Path) -> None:
+    """A short campaign; a longer one is in bench/fuzz_replay.py."""
+    fuzz = Fuzz(tmp_path, seed=20)
+    for _ in range(120):
+        fuzz.turn()
+    assert fuzz.counts["accepted"] > 20
+    assert fuzz.counts["refused"] > 20

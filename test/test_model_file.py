@@ -1,0 +1,323 @@
+"""Files of extended models: what is written is read, and nothing else."""
+
+import copy
+import json
+import random
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from live import config, parameters
+from models import EFFECTS, REFIT, STATEFUL, VALUES, base_names, content, model, motion, own, write_model
+from numpy.testing import assert_allclose
+
+from hd_diag import model_file
+from hd_diag.config import ConfigError, load, resolve
+from hd_diag.extended import ExtendedModel
+from hd_diag.model_file import REFITTED, base_hash, model_for, parse, write
+
+NAMES = tuple(VALUES)
+AGREEMENT = 1e-9  # [rad]
+WHOLE = json.dumps(content(*STATEFUL))
+
+
+def refused(text: str) -> str:
+    with pytest.raises(ConfigError) as caught:
+        model_for(text, own())
+    reason = str(caught.value)
+    assert "\n" not in reason
+    assert len(reason) < 400
+    return reason
+
+
+def changed(path: str, value: Any) -> str:
+    """The file with one value changed, or taken out (...); a path of keys and indices."""
+    document = json.loads(WHOLE)
+    *way, last = (int(key) if key.isdigit() else key for key in path.split("/"))
+    place = document
+    for key in way:
+        place = place[key]
+    if value is ...:
+        del place[last]
+    else:
+        place[last] = value
+    return json.dumps(document)
+
+
+# Round trip ---
+
+
+@pytest.mark.parametrize("names", [(), STATEFUL, NAMES], ids=len)
+def test_what_is_written_predicts_what_was_fitted(tmp_path: Path, names: tuple[str, ...]) -> None:
+    write(tmp_path / "m.json", content(*names))
+    read = model_for((tmp_path / "m.json").read_text(), own())
+    fitted = model(*names)
+    time, angle, torque, heat = motion(200)
+    expected, _ = fitted.step(fitted.start(), time, angle, None, torque, heat)
+    found, _ = read.step(read.start(), time, angle, None, torque, heat)
+    assert_allclose(found, expected, rtol=0.0, atol=AGREEMENT)
+    assert read.ranges == fitted.ranges
+    assert [term.effect.name for term in read.effects] == list(names)
+    assert list(tmp_path.iterdir()) == [tmp_path / "m.json"]
+
+
+def test_values_are_physical_with_units_classes_and_deviations() -> None:
+    document = content("resonance")
+    document["effects"][0]["class"] = ["resonance", "coupling_misalignment"]
+    assert parse(json.dumps(document)).model.effects[0].effect.name == "resonance"
+    quantities = document["effects"][0]["parameters"]
+    assert {name: one["unit"] for name, one in quantities.items()} == {
+        "amplitude": "rad",
+        "phase": "rad",
+        "order": "-",
+        "natural_frequency": "rad/s",
+        "damping": "-",
+    }
+    assert quantities["natural_frequency"]["value"] == 60.0
+    assert quantities["natural_frequency"]["std"] is None
+    assert document["standard_deviations"] == {"cup_compliance": 1e-7}
+    assert document["valid_range"]["torque"] == {"low": -40.0, "high": 45.0, "unit": "N m"}
+
+
+def test_effects_outside_their_limits_are_not_written(tmp_path: Path) -> None:
+    document = content("stream_delay")
+    document["effects"][0]["parameters"]["delay"]["value"] = 1.0
+    with pytest.raises(ConfigError, match=r"m\.json: the model cannot be written: .*delay must be from"):
+        write(tmp_path / "m.json", document)
+    document["effects"][0]["parameters"]["delay"]["value"] = float("nan")
+    with pytest.raises(ConfigError, match="cannot be written"):
+        write(tmp_path / "m.json", document)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_does_not_exist_is_told(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot be written: No such file"):
+        write(tmp_path / "none" / "m.json", content())
+
+
+# The joint it was fitted to ---
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("ratio", -100.0),
+        ("output", "circular_spline"),
+        ("flexspline_teeth", 202),
+        ("rated_torque", 57.0),
+        ("wave_generator_phase", 0.1),
+        ("eccentricity.magnitude", 1e-6),
+        ("flexspline_tooth.addendum_center", [1.0, 2.0]),
+    ],
+)
+def test_another_joint_is_refused(name: str, value: Any) -> None:
+    with pytest.raises(ConfigError, match=rf"was fitted to a joint with {name} .*, but this one has"):
+        model_for(WHOLE, own() | {name: value})
+
+
+def test_parameters_of_the_refit_may_be_configured_already() -> None:
+    assert model_for(WHOLE, own() | REFIT) == model_for(WHOLE, own())
+
+
+def test_a_changed_base_does_not_match_its_hash() -> None:
+    assert "sha256 is not that" in refused(changed("parameters/neutral_curve.semi_major", 0.0302))
+    assert "sha256 is not that" in refused(changed("base/before_the_fit/cup_compliance", 1e-7))
+
+
+def test_the_hash_is_of_the_whole_base() -> None:
+    base = {name: own()[name] for name in base_names()}
+    assert parse(WHOLE).base == base
+    assert set(REFITTED) < set(base)
+    assert json.loads(WHOLE)["base"]["sha256"] == base_hash(base)
+    assert len({base_hash(base | {name: "other"}) for name in base} | {base_hash(base)}) == len(base) + 1
+
+
+# In a configuration ---
+
+
+def test_a_configuration_loads_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_model(tmp_path / "m.json", "hysteresis")
+    (joint,) = config(joint_1__model_file=str(path)).joints
+    assert joint.model is not None
+    assert joint.drive == joint.model.drive == model().drive
+    assert joint.configured == config().joints[0].drive
+    assert joint.model_text == path.read_text()
+    (tmp_path / "there").mkdir()
+    (tmp_path / "there" / "f.yaml").write_text(
+        "hd_diag: {ros__parameters: {joints: [joint_1], joint_1: {model_file: ../m.json}}}"
+    )
+    assert load(tmp_path / "there" / "f.yaml").joints[0].model == joint.model
+    (tmp_path / "there" / "g.yaml").write_text(
+        "hd_diag: {ros__parameters: {joints: [joint_1], joint_1: {model_file: m.json}}}"
+    )
+    with pytest.raises(ConfigError, match="No such file"):
+        load(tmp_path / "there" / "g.yaml")
+    monkeypatch.chdir(tmp_path)
+    assert load(tmp_path / "there" / "g.yaml").joints[0].model == joint.model
+    assert config().joints[0].model is None
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (None, "cannot be read: No such file or directory"),
+        (b"\xff\xfe", "not a text in UTF-8"),
+        (b" " * 1_000_001, "longer than 1000000 bytes"),
+        (b"{", "not JSON"),
+        (b"[" * 100_000, "not JSON: nested too deep"),
+        (b"[]", "the file: expected an object"),
+        (b"1" * 10_000, "not JSON|the file: expected an object"),
+        (b'{"schema": 1, "schema": 1}', "'schema' stands twice"),
+        (b'{"schema": NaN}', "holds NaN, which is no number"),
+        (b'{"schema": "hd_diag/model/1"}', "the file lacks 'version'"),
+    ],
+    ids=range(10),
+)
+def test_errors_name_parameter_file_and_cause(tmp_path: Path, data: bytes | None, reason: str) -> None:
+    path = tmp_path / "m.json"
+    if data is not None:
+        path.write_bytes(data)
+    with pytest.raises(ConfigError, match=rf"^joint_1\.model_file: '.*m\.json': ({reason})"):
+        config(joint_1__model_file=str(path))
+
+
+def test_a_path_that_no_file_can_have_is_told() -> None:
+    with pytest.raises(ConfigError, match=r"model_file.*cannot be read"):
+        config(joint_1__model_file="a\0b")
+
+
+def test_where_texts_come_from_can_be_given() -> None:
+    given = parameters("a", "b", a__model_file="gone.json")
+    asked: list[tuple[str, str]] = []
+
+    def text(joint: str, path: str) -> str:
+        asked.append((joint, path))
+        return WHOLE
+
+    first, second = resolve(given, text).joints
+    assert asked == [("a", "gone.json")]
+    assert first.model is not None
+    assert second.model is None
+
+
+# Hostile files ---
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "reason"),
+    [
+        ("schema", "hd_diag/model/2", "schema is 'hd_diag/model/2', not 'hd_diag/model/1'"),
+        ("version", 1, "version: expected a text"),
+        ("joint", None, "joint: expected a text"),
+        ("offset", True, "offset: expected a number, not True"),
+        ("offset", 11, "offset: expected a number from -10 to 10"),
+        ("offset", 10**400, "offset: expected a number from"),
+        ("ofset", 1, "unknown key 'ofset'; the nearest known is 'offset'"),
+        ("evidence", [], "evidence: expected an object"),
+        ("parameters/rati", 1.0, "unknown parameter 'rati'; the nearest known is 'ratio'"),
+        ("parameters/ratio", ..., "parameters lack 'ratio'"),
+        ("parameters/ratio", "100", "ratio: expected a number"),
+        ("parameters/ratio", 90.0, "sha256|ratio"),
+        ("parameters/tooth_compliance", -1.0, "tooth_compliance: expected a number"),
+        ("base/sha256", 5, "sha256 is not that"),
+        ("base/before_the_fit/ratio", 50.0, "is none that a fit changes"),
+        ("effects", {}, "effects: expected a list"),
+        ("effects/0", [], r"effects\[0\]: expected an object"),
+        ("effects/0/name", "histeresis", "unknown effect 'histeresis'; the nearest known is 'hysteresis'"),
+        ("effects/0/name", "tooth_skip", "happened once"),
+        ("effects/0/name", 7, "expected a text"),
+        ("effects/1/name", "hysteresis", "unknown quantity 'delay'"),
+        ("effects/1", json.loads(WHOLE)["effects"][0], "a name stands twice"),
+        ("effects/0/parameters/first_reach", ..., "first_reach is missing"),
+        ("effects/0/parameters/first_reach/value", 0.0, "first_reach must be from"),
+        ("effects/0/parameters/first_reach/value", "2", "expected a number"),
+        ("effects/0/parameters/first_reach/unit", "Nm", "expected the unit 'N m', not 'Nm'"),
+        ("effects/0/parameters/first_reach/std", -1.0, "std: expected a number from 0"),
+        ("effects/0/parameters/first_reach", 2.0, "expected an object"),
+        ("effects/2/parameters/phase/value", 1e301, "expected a number from"),
+        ("valid_range/torque", None, "torque: expected an object"),
+        ("valid_range/torque/low", 46.0, r"low \(46\) must not be above high \(45\)"),
+        ("valid_range/speed/high", "fast", "expected a number"),
+        ("valid_range/temperature", ..., "lacks 'temperature'"),
+    ],
+)
+def test_a_wrong_value_is_named(path: str, value: Any, reason: str) -> None:
+    assert re.search(reason, refused(changed(path, value)))
+
+
+def spoiled(document: Any, source: random.Random) -> Any:
+    """The document with one thing in it replaced, taken out or doubled."""
+    junk = [
+        None,
+        True,
+        "",
+        "x" * 500,
+        -1,
+        0,
+        1e308,
+        -1e308,
+        10**30,
+        [],
+        {},
+        [[]],
+        {"value": {}},
+        "hysteresis",
+    ]
+    place, key = None, None
+    here = document
+    while isinstance(here, (dict, list)) and here and (place is None or source.random() < 0.8):
+        place = here
+        key = source.choice(list(here)) if isinstance(here, dict) else source.randrange(len(here))
+        here = here[key]
+    if place is None or key is None:
+        return document
+    match source.randrange(3):
+        case 0:
+            del place[key]
+        case 1:
+            place[key] = source.choice(junk)
+        case _ if isinstance(place, dict):
+            place[f"{key}{source.choice(['', ' ', '2', chr(0), '🙂'])}x"] = copy.deepcopy(here)
+        case _:
+            place.insert(key, copy.deepcopy(here))
+    return document
+
+
+def taken_or_told(text: str) -> tuple[ExtendedModel | None, str]:
+    try:
+        return model_for(text, own()), ""
+    except ConfigError as error:
+        return None, str(error)
+
+
+def test_hundreds_of_spoiled_files_give_one_line_or_a_model() -> None:
+    source, taken = random.Random(7), 0
+    for number in range(500):
+        document = json.loads(WHOLE)
+        for _ in range(source.randint(1, 3)):
+            document = spoiled(document, source)
+        text = json.dumps(document)
+        if number % 5 == 0:
+            at = source.randrange(len(text))
+            text = text[:at] + source.choice(['"', "{", "}", ",", "NaN", "\0", "1e999"]) + text[at:]
+        found, reason = taken_or_told(text)
+        assert "\n" not in reason
+        if found is not None:
+            taken += 1
+            assert {term.effect.name for term in found.effects} <= set(EFFECTS)
+    assert 0 < taken < 400
+
+
+def test_numbers_that_cannot_be_computed_together_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: Any, **__: Any) -> Any:
+        raise FloatingPointError("overflow")
+
+    monkeypatch.setattr(model_file.ExtendedModel, "step", broken)
+    assert refused(WHOLE) == "the model cannot be computed: overflow"
+
+
+def test_a_model_without_any_prediction_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(model_file.ExtendedModel, "step", lambda *_: (np.full(2, np.nan), None))
+    assert "no transmission error" in refused(WHOLE)

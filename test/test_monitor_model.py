@@ -1,0 +1,466 @@
+"""Joints that run by an extended model: live, replayed and fitted alike, and what their diagnostics say."""
+
+import dataclasses
+import itertools
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from live import MS, RATIO, START, Recording, config, message, states
+from models import OFFSET, RANGES, STATEFUL, VALUES, motion, write_model
+from numpy.testing import assert_allclose
+
+from hd_diag.bag import BagReader, BagWriter
+from hd_diag.config import Config, ConfigError
+from hd_diag.criticism.extension import left
+from hd_diag.criticism.extension import map_of as fitted_map
+from hd_diag.drive import transmission_error
+from hd_diag.extended import ExtendedModel
+from hd_diag.map_builder import map_of
+from hd_diag.messages import Encoded, read_string, resolved
+from hd_diag.model.torsion_map import ARCSEC
+from hd_diag.monitor import Monitor
+from hd_diag.recording import read_bags
+from hd_diag.replay import replay
+from hd_diag.residual_orders import ORDERS, ResidualOrders
+from hd_diag.samples import Angles, JointStates
+from hd_diag.session import Session
+
+AGREEMENT = 1e-9  # [rad]
+NAMES = ("joint_1_motor", "joint_1")
+EFFECTS = tuple(name for name in VALUES if name != "thermal_drift")
+COUNT = 800
+FACTS = {"log_state": "off"}
+
+
+@pytest.fixture
+def model_path(tmp_path: Path) -> Path:
+    return write_model(tmp_path / "model.json", *EFFECTS)
+
+
+@pytest.fixture
+def modelled(model_path: Path) -> Config:
+    return config(joint_1__model_file=str(model_path))
+
+
+@pytest.fixture
+def light(tmp_path: Path) -> Config:
+    path = write_model(tmp_path / "light.json", "viscous_windup")
+    overlap = dict.fromkeys(("joint_1__limits__overlap__warn", "joint_1__limits__overlap__error"), 1e-3)
+    return config(joint_1__model_file=str(path), **overlap)
+
+
+def stamps(count: int = COUNT) -> np.ndarray:
+    return START + np.round(motion(count)[0] * 1e9).astype(np.int64)
+
+
+def columns(count: int = COUNT, velocity: bool = False, model: ExtendedModel | None = None) -> JointStates:
+    """Messages of a moving joint; its output is as a model predicts it."""
+    _, angle, torque, heat = motion(count)
+    time = stamps(count)
+    seconds = (time - START) * 1e-9
+    error = 1e-4 * np.cos(2.0 * angle)
+    if model is not None:
+        error, _ = model.step(model.start(), seconds, angle, None, torque, 0.0 * heat + 30.0)
+    output = angle / RATIO + error
+    speed = np.gradient(angle, seconds)
+    speed[::5] = np.nan
+    return states(
+        NAMES,
+        time,
+        np.stack((angle, output), 1),
+        np.stack((np.zeros(count), torque), 1),
+        np.stack((speed, speed / RATIO), 1) if velocity else None,
+    )
+
+
+def rows(all_rows: JointStates, at: slice) -> JointStates:
+    parts = [None if c is None else c[at] for c in all_rows[4:]]
+    return JointStates(all_rows.row[at], all_rows.stamp[at], all_rows.names, "", *parts)
+
+
+def errors(monitor: Monitor, messages: JointStates, cuts: list[int], topic: str) -> np.ndarray:
+    found = []
+    for low, high in itertools.pairwise([0, *cuts, messages.stamp.size]):
+        part = rows(messages, slice(low, high))
+        for publication in monitor.joint_states(part.stamp + 5, part):
+            if isinstance(publication, Angles) and publication.topic == topic:
+                found.append(publication.position[:, 0])
+    return np.concatenate(found)
+
+
+def model_of(given: Config) -> ExtendedModel:
+    model = given.joints[0].model
+    assert model is not None
+    return model
+
+
+# Predictions ---
+
+
+@pytest.mark.parametrize("velocity", [False, True], ids=["angles", "velocity"])
+def test_predictions_are_the_models(modelled: Config, velocity: bool) -> None:
+    messages, model = columns(velocity=velocity), model_of(modelled)
+    assert messages.position is not None
+    assert messages.effort is not None
+    speed = None if messages.velocity is None else messages.velocity[:, 0]
+    expected, _ = model.step(
+        model.start(),
+        (messages.stamp - START) * 1e-9,
+        messages.position[:, 0],
+        speed,
+        messages.effort[:, 1],
+    )
+    found = errors(Monitor(modelled), messages, [], "~/transmission_error")
+    assert_allclose(found, expected, rtol=0.0, atol=AGREEMENT)
+    own = transmission_error(model.drive, messages.position[:, 0], messages.effort[:, 1])
+    assert np.std(found - own) > 10.0 * ARCSEC
+
+
+@pytest.mark.parametrize("velocity", [False, True], ids=["angles", "velocity"])
+@pytest.mark.parametrize("mapped", [False, True], ids=["exact", "map"])
+def test_many_at_once_is_one_at_a_time(modelled: Config, mapped: bool, velocity: bool) -> None:
+    """To the last bit, the diagnostics too."""
+    messages, found, told = columns(300, velocity), [], []
+    for cuts in ([], [7, 8, 150], list(range(1, 300))):
+        monitor = Monitor(modelled)
+        if mapped:
+            assert monitor.use_map("joint_1", TABLES.setdefault("table", map_of(modelled.joints[0])))
+        found.append(errors(monitor, messages, cuts, "~/residual").tobytes())
+        told.append(monitor.tick(START + 10**9, START, FACTS))
+    assert found[0] == found[1] == found[2]
+    assert told[0] == told[1] == told[2]
+
+
+TABLES: dict[str, Any] = {}
+
+
+def test_the_map_is_of_the_refitted_mesh(modelled: Config) -> None:
+    monitor = Monitor(modelled)
+    assert not monitor.use_map("joint_1", map_of(config().joints[0]))
+    assert monitor.use_map("joint_1", map_of(modelled.joints[0]))
+    monitor.configure(config())
+    assert monitor.joints["joint_1"].table is None
+
+
+def test_the_model_begins_anew_with_the_stream(modelled: Config) -> None:
+    """After a clock that was set back the same messages give the same again."""
+    messages = columns(200)
+    monitor = Monitor(modelled)
+    first = errors(monitor, messages, [], "~/transmission_error")
+    again = messages._replace(stamp=messages.stamp - 3600 * 10**9)
+    assert_allclose(
+        errors(monitor, again, list(range(1, 200)), "~/transmission_error"), first, rtol=0.0, atol=0.0
+    )
+
+
+def test_outputs_that_come_apart_have_a_stream_of_their_own(modelled: Config) -> None:
+    """Their predictions are the model's along the outputs' stamps, whatever the inputs in between."""
+    monitor, model = Monitor(modelled), model_of(modelled)
+    _, angle, torque, _ = motion(400)
+    stamp = stamps(400)
+    found, predicted_at_inputs = [], []
+    for i in range(0, 400, 2):
+        if i:
+            middle = states(NAMES[1:], [stamp[i - 1]], [[angle[i - 1] / RATIO]], [[torque[i - 1]]])
+            monitor.joint_states(stamp[i - 1 : i], middle)
+        for publication in monitor.joint_states(
+            stamp[i : i + 1], states(NAMES[:1], [stamp[i]], [[angle[i]]])
+        ):
+            if publication.topic == "~/residual":
+                found.append(publication)
+            if publication.topic == "~/transmission_error":
+                predicted_at_inputs.append(publication)
+    at = np.array([p.stamp.item() for p in found])
+    even = np.arange(0, 400, 2)
+    between = np.interp((at - START).astype(float), (stamp[even] - START).astype(float), angle[even])
+    load = torque[1:399:2]
+    expected, _ = model.step(model.start(), (at - at[0]) * 1e-9, between, None, load)
+    measured = angle[1:399:2] / RATIO - between / RATIO
+    residual = np.array([p.position.item() for p in found])
+    assert_allclose(measured - residual, expected, rtol=0.0, atol=AGREEMENT)
+    assert len(predicted_at_inputs) == 200
+
+
+def test_another_model_comes_into_force_at_once(modelled: Config, tmp_path: Path) -> None:
+    other = config(joint_1__model_file=str(write_model(tmp_path / "other.json", "hysteresis")))
+    messages, monitor = columns(100), Monitor(modelled)
+    errors(monitor, messages, [], "~/transmission_error")
+    monitor.configure(other)
+    later = messages._replace(stamp=messages.stamp + 10**9)
+    expected = errors(Monitor(other), later, [], "~/transmission_error")
+    assert_allclose(errors(monitor, later, [], "~/transmission_error"), expected, rtol=0.0, atol=0.0)
+
+
+# Live, replay, fit ---
+
+
+class Log(Recording):
+    """A recording that is also written as the node writes its log."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.writer = BagWriter(path)
+        self.clock = itertools.count(START)
+
+    def __call__(self, encoded: Encoded) -> None:
+        super().__call__(encoded)
+        for row, received in zip(encoded.rows, encoded.received.tolist(), strict=True):
+            self.writer.write(resolved(encoded.topic), encoded.type_name, bytes(row), received)
+
+    def play(self, session: Session, count: int, first: int = 0) -> None:
+        _, angle, torque, _ = motion(COUNT)
+        for i in range(first, count):
+            position = {NAMES[0]: angle[i], NAMES[1]: angle[i] / RATIO + OFFSET}
+            data = message(int(stamps()[i]), position, {NAMES[1]: torque[i]})
+            now = next(self.clock)
+            self.writer.write("/joint_states", "sensor_msgs/msg/JointState", data, now)
+            session.joint_state(now, data)
+
+
+def written(path: Path) -> dict[str, list[tuple[int, bytes]]]:
+    found: dict[str, list[tuple[int, bytes]]] = {}
+    with BagReader(path) as reader:
+        for batch in reader.batches():
+            pairs = zip(batch.log_time.tolist(), map(bytes, batch.messages()), strict=True)
+            found.setdefault(batch.topic.name, []).extend(pairs)
+    return found
+
+
+def residuals(path: Path) -> np.ndarray:
+    with BagReader(path) as reader:
+        every = [reader.joint_states(batch)[0] for batch in reader.batches(["/hd_diag/residual"])]
+    return np.concatenate([c.position[:, 0] for part in every for c in part])
+
+
+def test_live_replay_and_fit_agree(modelled: Config, model_path: Path, tmp_path: Path) -> None:
+    """Bit for bit from the log, though the model's file is gone; to 1e-9 rad with the fit's evaluation."""
+    log = Log(tmp_path / "live.mcap")
+    session = Session(modelled, log)
+    session.start(next(log.clock))
+    session.use_map(next(log.clock), "joint_1", map_of(modelled.joints[0]))
+    log.play(session, COUNT)
+    session.tick(next(log.clock), START, FACTS)
+    log.writer.close()
+    content = model_path.read_text()
+    model_path.unlink()
+    replay(tmp_path / "live.mcap", tmp_path / "again.mcap")
+    assert written(tmp_path / "again.mcap") == written(tmp_path / "live.mcap")
+    (first, *_) = written(tmp_path / "live.mcap")["/hd_diag/events"]
+    assert json.loads(read_string(first[1]))["models"] == {"joint_1": content}
+
+    joint = modelled.joints[0]
+    record = read_bags([tmp_path / "live.mcap"], joint)
+    assert record.size == COUNT
+    fit = left(model_of(modelled), record, record.reported_torque, fitted_map(model_of(modelled)))
+    assert_allclose(residuals(tmp_path / "live.mcap"), fit, rtol=0.0, atol=AGREEMENT)
+
+
+def test_fit_and_monitor_agree_without_a_map(modelled: Config, tmp_path: Path) -> None:
+    log = Log(tmp_path / "live.mcap")
+    session = Session(modelled, log)
+    session.start(next(log.clock))
+    log.play(session, COUNT)
+    log.writer.close()
+    record = read_bags([tmp_path / "live.mcap"], modelled.joints[0])
+    fit = left(model_of(modelled), record, record.reported_torque, None)
+    assert_allclose(residuals(tmp_path / "live.mcap"), fit, rtol=0.0, atol=AGREEMENT)
+
+
+def test_a_model_that_changes_while_it_runs_is_replayed(
+    modelled: Config, model_path: Path, tmp_path: Path
+) -> None:
+    log = Log(tmp_path / "live.mcap")
+    session = Session(config(), log)
+    session.start(next(log.clock))
+    log.play(session, 100)
+    assert session.configure(next(log.clock), modelled) == ["joint_1"]
+    log.play(session, 200, 100)
+    assert (
+        session.configure(next(log.clock), config(joint_1__model_file=str(model_path), array_rate=5.0)) == []
+    )
+    write_model(model_path, "viscous_windup")
+    assert (
+        session.configure(next(log.clock), config(joint_1__model_file=str(model_path), array_rate=5.0)) == []
+    )
+    log.play(session, 300, 200)
+    assert session.configure(next(log.clock), config()) == ["joint_1"]
+    log.play(session, 400, 300)
+    session.start_again(next(log.clock))
+    log.writer.close()
+    model_path.unlink()
+    replay(tmp_path / "live.mcap", tmp_path / "again.mcap")
+    assert written(tmp_path / "again.mcap") == written(tmp_path / "live.mcap")
+    events = [json.loads(read_string(data)) for _, data in written(tmp_path / "live.mcap")["/hd_diag/events"]]
+    assert ["models" in event for event in events] == [False, True, False, True, False, False]
+    assert events[3]["parameters"] == {}
+
+
+def test_a_log_without_its_model_is_refused(modelled: Config, model_path: Path, tmp_path: Path) -> None:
+    """Whatever lies at the path now is not what ran."""
+    log = Log(tmp_path / "live.mcap")
+    stripped = dataclasses.replace(
+        modelled, joints=(dataclasses.replace(modelled.joints[0], model=None, model_text=""),)
+    )
+    session = Session(stripped, log)
+    session.start(next(log.clock))
+    log.play(session, 10)
+    log.writer.close()
+    with pytest.raises(ConfigError, match="the log does not hold this model"):
+        replay(tmp_path / "live.mcap", tmp_path / "again.mcap")
+
+
+# Diagnostics ---
+
+
+def told(monitor: Monitor, messages: JointStates) -> Any:
+    monitor.joint_states(messages.stamp + 5, messages)
+    return monitor.tick(int(messages.stamp[-1]) + 6, START, FACTS).statuses[0]
+
+
+def test_diagnostics_name_the_model(modelled: Config, model_path: Path) -> None:
+    values = told(Monitor(modelled), columns(100)).values
+    assert values["model"].startswith(f"{model_path} sha256:")
+    assert values["model_effects"] == ", ".join(EFFECTS)
+    assert float(values["eccentricity_um"]) == pytest.approx(9.0)
+    values = told(Monitor(config()), columns(100)).values
+    assert (values["model"], values["model_effects"]) == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda m: m, None),
+        (lambda m: m._replace(effort=m.effort * 1.6), "torque"),
+        (lambda m: m._replace(stamp=START + (m.stamp - START) // 2), "speed"),
+    ],
+    ids=["inside", "torque", "speed"],
+)
+def test_outside_its_range_the_diagnostics_say_so(
+    modelled: Config, change: Callable[[JointStates], JointStates], text: str | None
+) -> None:
+    status = told(Monitor(modelled), change(columns(model=model_of(modelled))))
+    assert ("OUT_OF_RANGE" in status.values["fault_codes"]) == (text is not None)
+    if text:
+        told_first = status.message.startswith(f"outside the model's valid range: {text} ")
+        assert told_first or status.level == 2
+    plain = told(Monitor(config()), change(columns()))
+    assert "OUT_OF_RANGE" not in plain.values["fault_codes"]
+
+
+def test_single_samples_outside_are_noise(modelled: Config) -> None:
+    messages = columns()
+    assert messages.effort is not None
+    messages.effort[::50] *= 10.0
+    assert "OUT_OF_RANGE" not in told(Monitor(modelled), messages).values["fault_codes"]
+
+
+@pytest.mark.parametrize(
+    ("heat", "text"), [(30.0, None), (44.0, "temperature 44"), (None, "temperature is not reported")]
+)
+def test_temperature_out_of_range(tmp_path: Path, heat: float | None, text: str | None) -> None:
+    path = write_model(tmp_path / "warm.json", "thermal_drift")
+    given = config(joint_1__model_file=str(path))
+    monitor = Monitor(given)
+    if heat is not None:
+        monitor.temperature("joint_1", heat)
+    status = told(monitor, columns(model=model_of(given)))
+    assert (status.values["fault_code"] == "OUT_OF_RANGE") == (text is not None)
+    assert text is None or text in status.message
+
+
+def grown(
+    model: ExtendedModel, count: int, order: float, amplitude: float, frame: str = "input"
+) -> JointStates:
+    """Messages of a joint that is as the model says, but for one order."""
+    time = 2e-3 * np.arange(count)
+    angle, torque = 40.0 * time, 20.0 * np.sin(1.1 * time)
+    error, _ = model.step(model.start(), time, angle, None, torque)
+    phase = order * angle / (1.0 if frame == "input" else RATIO)
+    output = angle / RATIO + error + amplitude * np.cos(phase - 0.3)
+    stamp = START + 2 * MS * np.arange(count)
+    return states(NAMES, stamp, np.stack((angle, output), 1), np.stack((0.0 * torque, torque), 1))
+
+
+@pytest.mark.parametrize(("frame", "order"), ORDERS)
+def test_an_order_that_grew_is_a_residual(light: Config, frame: str, order: int) -> None:
+    count = 9000 if frame == "output" else 1500
+    messages = grown(model_of(light), count, order, 20.0 * ARCSEC, frame)
+    status = told(Monitor(light), messages)
+    assert status.values["residual_order"] == f"{frame} {order}"
+    assert float(status.values["residual_order_amplitude_arcsec"]) == pytest.approx(20.0, rel=0.02)
+    assert status.values["fault_codes"].split() == ["RESIDUAL"]
+    assert status.message.startswith(f"order {frame} {order} of the residual has grown to 20")
+
+
+def test_as_fitted_no_order_has_grown(light: Config) -> None:
+    status = told(Monitor(light), grown(model_of(light), 1500, 2.0, 0.0))
+    assert float(status.values["residual_order_amplitude_arcsec"]) < 0.01
+    assert status.values["fault_code"] == "OK"
+
+
+def test_without_a_model_orders_are_told_but_raise_nothing() -> None:
+    nominal = ExtendedModel(config().joints[0].drive, (), 0.0, RANGES)
+    messages = grown(nominal, 2000, 2.0, 20.0 * ARCSEC)
+    status = told(Monitor(config()), messages)
+    assert status.values["residual_order"] == "input 2"
+    assert status.values["fault_code"] == "OK"
+
+
+# Orders of the residual ---
+
+
+def fed(time: np.ndarray, angle: np.ndarray, residual: np.ndarray) -> ResidualOrders:
+    orders = ResidualOrders()
+    orders.add(START + np.round(time * 1e9).astype(np.int64), angle, angle / RATIO, residual)
+    return orders
+
+
+def test_orders_are_told_apart_and_forgotten() -> None:
+    time = 2e-3 * np.arange(60_000)
+    angle = 50.0 * time
+    wave = np.where(time < 60.0, 3.0 * np.cos(2.0 * angle), 1.0 * np.sin(angle)) + 7.0
+    early, late = (fed(time[:n], angle[:n], wave[:n]).amplitudes() for n in (30_000, 60_000))
+    assert early["input", 2] == pytest.approx(3.0, rel=1e-3)
+    assert early["input", 1] < 0.01
+    recent = (1.0 - np.exp(-2.0)) / (1.0 - np.exp(-4.0))  # weight of the second of two minutes' halves
+    assert late["input", 2] == pytest.approx(3.0 * (1.0 - recent), rel=1e-3)
+    assert late["input", 1] == pytest.approx(recent, rel=1e-3)
+
+
+def test_rest_is_not_motion() -> None:
+    time = 2e-3 * np.arange(30_000)
+    angle = np.where(time < 10.0, 50.0 * time, 500.0)
+    wave = np.cos(2.0 * angle)
+    moving = time <= 10.0
+    assert fed(time, angle, wave).amplitudes() == fed(time[moving], angle[moving], wave[moving]).amplitudes()
+
+
+def test_orders_that_the_motion_does_not_show_are_left_out() -> None:
+    time = 2e-3 * np.arange(2000)
+    amplitudes = fed(time, 20.0 * time, np.cos(40.0 * time)).amplitudes()
+    assert ("output", 1) not in amplitudes
+    assert amplitudes["input", 2] == pytest.approx(1.0, rel=1e-3)
+    assert fed(time, 0.1 * np.sin(time), np.ones(2000)).amplitudes() == {}
+    assert fed(time[:50], 20.0 * time[:50], np.ones(50)).amplitudes() == {}
+
+
+def test_chunks_of_samples_are_the_same_to_the_last_bit() -> None:
+    random = np.random.default_rng(0)
+    time, angle, *_ = motion(900)
+    residual = random.normal(size=900)
+    residual[::40] = np.nan
+    stamp = START + np.round(time * 1e9).astype(np.int64)
+    single, whole = ResidualOrders(), fed(time, angle, residual)
+    for i in range(900):
+        at = slice(i, i + 1)
+        single.add(stamp[at], angle[at], angle[at] / RATIO, residual[at])
+    assert single.amplitudes() == whole.amplitudes()
+    assert whole.amplitudes()
+
+
+def test_stateful_effects_are_in_the_test() -> None:
+    assert set(STATEFUL) < set(EFFECTS)

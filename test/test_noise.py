@@ -1,0 +1,101 @@
+"""Whitening of coloured noise: white after it, and every run on its own."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.signal import lfilter
+
+from hd_diag.criticism.noise import ORDER, Whitening, bounds, whitening
+
+AR = (1.3, -0.4)  # poles at 0.87 and 0.46
+INNOVATION = 3.0e-6  # [rad]
+
+
+def coloured(count: int, seed: int) -> np.ndarray:
+    innovations = INNOVATION * np.random.default_rng(seed).standard_normal(count + 500)
+    return lfilter([1.0], [1.0, -AR[0], -AR[1]], innovations)[500:]
+
+
+def runs(*lengths: int) -> np.ndarray:
+    return np.repeat(np.arange(len(lengths)), lengths)
+
+
+def autocorrelation(values: np.ndarray, lags: int) -> np.ndarray:
+    return np.array([values[lag:] @ values[:-lag] for lag in range(1, lags + 1)]) / (values @ values)
+
+
+def test_bounds_of_runs() -> None:
+    assert bounds(np.array([0, 0, 0, 1, 2, 2])) == [(0, 3), (3, 4), (4, 6)]
+    assert bounds(np.array([7, 7])) == [(0, 2)]
+
+
+def test_model_of_known_noise() -> None:
+    """To five standard errors, 1/sqrt(n)."""
+    run = runs(10_000, 5_000, 15_000)
+    found = whitening(coloured(run.size, 0), run)
+    expected = np.zeros(ORDER)
+    expected[:2] = AR
+    assert_allclose(found.coefficients, expected, atol=5.0 / np.sqrt(run.size))
+    assert found.scale == pytest.approx(INNOVATION, rel=5.0 / np.sqrt(2 * run.size))
+
+
+def test_white_after_it() -> None:
+    """Fitted to one noise, applied to another: what was fitted to would be white by construction."""
+    run = runs(20_000)
+    noise = coloured(run.size, 2)
+    white = whitening(coloured(run.size, 1), run)(noise, run)[ORDER:]
+    assert np.abs(autocorrelation(noise, 1)) > 0.9
+    assert np.abs(autocorrelation(white, 60)).max() < 4.5 / np.sqrt(white.size)
+    assert white.std() == pytest.approx(1.0, abs=4.0 / np.sqrt(2 * white.size))
+
+
+def test_every_run_is_filtered_on_its_own() -> None:
+    run = runs(300, 40, 500)
+    noise = coloured(run.size, 3)
+    filtered = whitening(noise, run)
+    whole = filtered(noise, run)
+    alone = [filtered(noise[a:b], np.zeros(b - a, dtype=int)) for a, b in bounds(run)]
+    assert_array_equal(whole, np.concatenate(alone))
+
+
+def test_the_first_samples_of_a_run_do_not_count() -> None:
+    run = runs(300, ORDER, 500)
+    noise = coloured(run.size, 4)
+    white = whitening(noise, run)(noise, run)
+    for begin, end in bounds(run):
+        assert_array_equal(white[begin : min(begin + ORDER, end)], 0.0)
+    assert np.count_nonzero(white) == 300 + 500 - 2 * ORDER
+
+
+def test_a_step_between_runs_leaves_no_trace() -> None:
+    run = runs(400, 400)
+    noise = coloured(run.size, 5)
+    filtered = whitening(noise, run)
+    stepped = noise + np.where(run == 1, 0.0, 1.0)
+    assert_array_equal(filtered(stepped, run)[400:], filtered(noise, run)[400:])
+
+
+def test_steps_between_runs_do_not_change_the_model() -> None:
+    run = runs(2000, 2000)
+    noise = coloured(run.size, 6)
+    expected = whitening(noise, run)
+    found = whitening(noise + np.where(run == 1, 0.0, 1.0), run)
+    assert_allclose(found.coefficients, expected.coefficients, atol=1e-6)
+
+
+def test_columns_are_filtered_like_one() -> None:
+    run = runs(200, 300)
+    block = np.random.default_rng(7).standard_normal((run.size, 3))
+    filtered = whitening(coloured(run.size, 7), run)
+    assert_array_equal(filtered(block, run), np.stack([filtered(c, run) for c in block.T], axis=1))
+
+
+def test_white_noise_is_only_scaled() -> None:
+    noise = np.random.default_rng(8).standard_normal(300)
+    white = Whitening(np.zeros(ORDER), 2.0)(noise, runs(300))
+    assert_allclose(white[ORDER:], noise[ORDER:] / 2.0, rtol=1e-12)
+
+
+def test_no_residual_at_all() -> None:
+    found = whitening(np.zeros(100), runs(100))
+    assert np.isfinite(found(np.ones(100), runs(100))).all()

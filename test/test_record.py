@@ -1,0 +1,201 @@
+"""A record's cleaning: what is taken out, what is put back, where runs begin."""
+
+import numpy as np
+import pytest
+from joint_records import ARCSEC, RATIO, columns, prepared
+from numpy.testing import assert_allclose, assert_array_equal
+
+from hd_diag.criticism.record import MINIMUM_SAMPLES, RecordError
+
+TURN = 2.0 * np.pi
+
+
+@pytest.fixture
+def given() -> dict[str, np.ndarray]:
+    return columns()
+
+
+def error(record) -> np.ndarray:
+    return record.output_angle - record.input_angle / RATIO
+
+
+def without(given: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, np.ndarray]:
+    return {name: column[~rows] for name, column in given.items()}
+
+
+def test_clean_columns_stay(given: dict[str, np.ndarray]) -> None:
+    record = prepared(given)
+    assert (record.dropped, record.runs, record.has_torque) == (0, 1, True)
+    # 2 arcsec of noise has no sample at 8 deviations of its own neighbourhood.
+    assert (record.outliers, record.size) == (0, given["time"].size)
+    assert_array_equal(record.input_angle, given["input"])
+    assert_array_equal(record.output_angle, given["output"])
+    assert_array_equal(record.reported_torque, given["torque"])
+    assert record.duration == pytest.approx(given["time"][-1])
+    assert record.input_turns == pytest.approx(8 * 60.0 / TURN, rel=1e-3)
+
+
+def test_speed_is_the_derivative(given: dict[str, np.ndarray]) -> None:
+    record = prepared(given)
+    expected = 60.0 * TURN / 10.0 * np.cos(TURN * record.time / 10.0)
+    assert_allclose(record.speed, expected, atol=0.01)
+
+
+def test_noise_of_the_torque_is_smoothed_without_phase(given: dict[str, np.ndarray]) -> None:
+    true = given["torque"].copy()
+    given["torque"] = true + np.random.default_rng(1).normal(0.0, 0.5, true.size)
+    record = prepared(given)
+    assert np.std(record.torque - true) < 0.4 * 0.5
+    lagged = [np.std(record.torque - np.interp(record.time - lag, record.time, true)) for lag in (-0.02, 0, 0.02)]
+    assert lagged[1] == min(lagged)
+    assert_array_equal(record.reported_torque, given["torque"])
+
+
+@pytest.mark.parametrize("name", ["time", "input", "output", "torque"])
+def test_nan_stretches_are_taken_out(given: dict[str, np.ndarray], name: str) -> None:
+    given[name][500:520] = np.nan
+    record = prepared(given)
+    assert record.dropped == (20 if name != "time" else 21)  # the next stamp has nothing to follow
+    assert record.runs == 2
+    assert np.isfinite([record.time, record.input_angle, record.output_angle, record.torque, record.speed]).all()
+
+
+def test_a_torque_that_is_nan_throughout_is_none(given: dict[str, np.ndarray]) -> None:
+    given["torque"][:] = np.nan
+    record = prepared(given, assumed_torque=7.0)
+    assert not record.has_torque
+    assert_array_equal(record.torque, np.full(record.size, 7.0))
+    assert record.dropped == 0
+
+
+def test_dropouts_of_more_than_five_samples_make_runs(given: dict[str, np.ndarray]) -> None:
+    lost = np.zeros(given["time"].size, dtype=bool)
+    lost[1000:1003] = lost[2000:2020] = lost[3000:3005] = True
+    record = prepared(without(given, lost))
+    assert record.runs == 3
+    edges = record.time[np.flatnonzero(np.diff(record.run))]
+    assert_allclose(edges, given["time"][[1999, 2999]])
+
+
+def test_outliers_are_taken_out_and_nothing_else(given: dict[str, np.ndarray]) -> None:
+    wild = np.arange(100, given["time"].size, 100)
+    given["output"][wild] += 300.0 * ARCSEC * (-1.0) ** np.arange(wild.size)
+    record = prepared(given)
+    assert record.outliers == wild.size
+    assert not set(given["time"][wild]) & set(record.time)
+    assert record.runs == 1
+
+
+def test_jitter_is_no_gap(given: dict[str, np.ndarray]) -> None:
+    step = np.median(np.diff(given["time"]))
+    given["time"] = given["time"] + np.random.default_rng(2).uniform(-0.4, 0.4, given["time"].size) * step
+    record = prepared(given)
+    assert (record.runs, record.dropped) == (1, 0)
+
+
+@pytest.mark.parametrize("low", [0.0, -np.pi])
+def test_wrapped_angles_are_unwrapped(given: dict[str, np.ndarray], low: float) -> None:
+    expected = error(prepared(given))
+    for name in ("input", "output"):
+        given[name] = np.mod(given[name] - low, TURN) + low
+    record = prepared(given)
+    shift = error(record) - expected
+    assert_allclose(shift - shift[0], 0.0, atol=1e-12)
+
+
+def test_turns_of_a_wrapped_input_are_counted_by_the_output_over_gaps(given: dict[str, np.ndarray]) -> None:
+    """At 37 rad/s a gap of 0.4 s hides more than two turns."""
+    lost = np.zeros(given["time"].size, dtype=bool)
+    lost[980:1060] = True
+    kept = without(given, lost)
+    expected = error(prepared(kept))
+    kept["input"] = np.mod(kept["input"], TURN)
+    shift = error(prepared(kept)) - expected
+    assert_allclose(shift - shift[0], 0.0, atol=1e-12)
+
+
+def test_turns_of_a_wrapped_input_are_counted_by_the_output_over_bags(given: dict[str, np.ndarray]) -> None:
+    bag = (given["time"] > 7.0).astype(np.int64) + (given["time"] > 13.0)
+    expected = error(prepared(given, bag))
+    given["input"] = np.mod(given["input"], TURN)
+    record = prepared(given, bag)
+    assert record.runs == 3
+    shift = error(record) - expected
+    assert_allclose(shift - shift[0], 0.0, atol=1e-12)
+
+
+def test_a_gap_in_a_continuous_angle_is_no_wrap(given: dict[str, np.ndarray]) -> None:
+    """At full speed 34 lost samples are one turn: the angle is not wrapped for that."""
+    speed = 60.0 * TURN / 10.0
+    lost = np.zeros(given["time"].size, dtype=bool)
+    lost[2000 : 2000 + round(TURN / speed * 200.0)] = True
+    kept = without(given, lost)
+    assert_array_equal(prepared(kept).input_angle, kept["input"])
+
+
+def test_duplicate_stamps_are_dropped(given: dict[str, np.ndarray]) -> None:
+    twice = {name: np.repeat(column, 2) for name, column in columns(seconds=10.0).items()}
+    record = prepared(twice)
+    assert record.dropped == record.size == 2000
+    assert np.all(np.diff(record.time) > 0.0)
+
+
+def test_a_clock_that_goes_back_begins_a_run(given: dict[str, np.ndarray]) -> None:
+    given["time"][2000:] -= given["time"][2000]
+    record = prepared(given)
+    assert record.runs == 2
+    assert all(np.all(np.diff(record.time[record.run == run]) > 0.0) for run in range(2))
+
+
+def test_pauses_make_runs() -> None:
+    given = columns(seconds=20.0)
+    rest = np.clip(given["time"] - 10.0, 0.0, 1.0)  # one second at rest after ten
+    moving = given["time"] - rest
+    given["input"] = np.interp(moving, given["time"], given["input"])
+    given["output"] = np.interp(moving, given["time"], given["output"])
+    record = prepared(given)
+    assert record.runs == 2
+    assert 10.0 < record.time[np.flatnonzero(np.diff(record.run))[0]] < 11.0
+
+
+def test_bags_are_runs(given: dict[str, np.ndarray]) -> None:
+    bag = np.arange(given["time"].size) // 1500
+    record = prepared(given, bag)
+    assert_array_equal(record.run, bag)
+    assert_array_equal(record.bag, bag)
+
+
+def test_rows_keep_their_runs(given: dict[str, np.ndarray]) -> None:
+    record = prepared(given, np.arange(given["time"].size) // 1500)
+    part = record.select(record.run == 1)
+    assert part.size == 1500
+    assert set(part.run) == {1}
+    assert part.temperature is None
+
+
+# Records that cannot be judged ---
+
+
+def test_too_short(given: dict[str, np.ndarray]) -> None:
+    few = {name: column[: MINIMUM_SAMPLES - 1] for name, column in given.items()}
+    with pytest.raises(RecordError, match=r"^too short: 499 usable samples, at least 500 are needed$"):
+        prepared(few)
+
+
+def test_no_motion(given: dict[str, np.ndarray]) -> None:
+    given["input"] *= 0.02
+    with pytest.raises(RecordError, match=r"^no motion: the input turns by 2\.4 rad, at least half a turn"):
+        prepared(given)
+
+
+def test_mostly_unusable(given: dict[str, np.ndarray]) -> None:
+    given["output"][: given["time"].size // 2 + 10] = np.nan
+    with pytest.raises(RecordError, match="2010 of 4000 samples are not finite or their stamps contradict"):
+        prepared(given)
+
+
+def test_a_constant_torque_is_a_record(given: dict[str, np.ndarray]) -> None:
+    given["torque"][:] = 12.0
+    record = prepared(given)
+    assert record.has_torque
+    assert_allclose(record.torque, 12.0, rtol=1e-12)

@@ -1,0 +1,512 @@
+"""Replay of any bag: the same as one computation over all samples, whatever the bag looks like."""
+
+import contextlib
+import json
+import random
+import subprocess
+import sys
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import hypothesis
+import numpy as np
+import pytest
+import yaml
+from bag_samples import cut_end, write_with_mcap
+from hypothesis import strategies as st
+from live import MS, RATIO, START, config, message, parameters
+from mcap.reader import make_reader
+from mcap_ros2.reader import read_ros2_messages
+from numpy.testing import assert_allclose, assert_array_equal
+from player import angles, content
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+from hd_diag.bag import BagError, BagReader, BagWriter
+from hd_diag.bag.schemas import jazzy
+from hd_diag.config import ConfigError, resolve
+from hd_diag.drive import transmission_error
+from hd_diag.events import read_event
+from hd_diag.map_builder import map_of
+from hd_diag.messages import JOINT_STATE, STRING, string
+from hd_diag.replay import replay
+
+CONFIG = config("a", "b", array_rate=20.0)
+DRIVE = CONFIG.joints[0].drive
+COUNT = 2500
+STAMPS = START + MS * np.arange(COUNT)
+ANGLE = 9.0 * np.sin(2.1e-3 * np.arange(COUNT))
+TORQUE = 4.0 * np.cos(1.3e-3 * np.arange(COUNT))
+OUTPUT = ANGLE / RATIO + 5e-5 * np.sin(2.0 * ANGLE)
+Message = tuple[str, str, bytes, int]
+
+
+def samples(topic: str = "/joint_states") -> list[Message]:
+    """One joint, everything in one message, recorded a little later than it was stamped."""
+    columns = zip(STAMPS.tolist(), ANGLE, OUTPUT, TORQUE, strict=True)
+    return [
+        (topic, JOINT_STATE, message(s, {"a_motor": x, "a": y}, {"a": m}), s + 200_000)
+        for s, x, y, m in columns
+    ]
+
+
+def with_writer(path: Path, messages: list[Message], **options: Any) -> Path:
+    with BagWriter(path, **options) as writer:
+        for topic, kind, data, time in messages:
+            writer.write(topic, kind, data, time)
+    return path
+
+
+def with_rosbags(path: Path, messages: list[Message], mode: str, plugin: StoragePlugin) -> Path:
+    store = jazzy()
+    made = Writer(path, version=9, storage_plugin=plugin)
+    if mode:
+        made.set_compression(CompressionMode[mode], CompressionFormat.ZSTD)
+    with made as writer:
+        known: dict[str, Any] = {}
+        for topic, kind, data, time in messages:
+            if topic not in known:
+                known[topic] = writer.add_connection(topic, kind, typestore=store)
+            writer.write(known[topic], time, data)
+    return path
+
+
+def shuffled(messages: list[Message]) -> list[Message]:
+    """Stretches of the file out of order, as several recorders' threads leave them."""
+    chance, parts = random.Random(4), [messages[i : i + 7] for i in range(0, len(messages), 7)]
+    for begin in range(0, len(parts), 20):
+        part = parts[begin : begin + 20]
+        chance.shuffle(part)
+        parts[begin : begin + 20] = part
+    return [entry for part in parts for entry in part]
+
+
+WAYS: dict[str, Callable[[Path, list[Message]], Path]] = {
+    "zstd": lambda f, m: write_with_mcap(f / "b.mcap", m),
+    "lz4": lambda f, m: write_with_mcap(f / "b.mcap", m, compression="lz4"),
+    "no compression": lambda f, m: write_with_mcap(f / "b.mcap", m, compression="none"),
+    "tiny chunks": lambda f, m: write_with_mcap(f / "b.mcap", m, chunk_size=300),
+    "no chunks": lambda f, m: write_with_mcap(f / "b.mcap", m, chunked=False),
+    "no indexes": lambda f, m: write_with_mcap(f / "b.mcap", m, indexes=False),
+    "no summary": lambda f, m: write_with_mcap(f / "b.mcap", m, summary=False, indexes=False),
+    "no end": lambda f, m: cut_end(write_with_mcap(f / "c.mcap", m), f / "b.mcap"),
+    "folder": lambda f, m: with_writer(f / "b", m),
+    "split by time": lambda f, m: with_writer(f / "b", m, max_duration=0.3),
+    "split by size": lambda f, m: with_writer(f / "b", m, max_size=20_000, compression="none"),
+    "sqlite3": lambda f, m: with_rosbags(f / "b", m, "", StoragePlugin.SQLITE3),
+    "sqlite3, messages compressed": lambda f, m: with_rosbags(f / "b", m, "MESSAGE", StoragePlugin.SQLITE3),
+    "mcap of rosbags": lambda f, m: with_rosbags(f / "b", m, "", StoragePlugin.MCAP),
+    "disordered": lambda f, m: write_with_mcap(f / "b.mcap", shuffled(m), chunk_size=2000),
+    "disordered, no indexes": lambda f, m: write_with_mcap(
+        f / "b.mcap", shuffled(m), chunk_size=2000, summary=False, indexes=False
+    ),
+}
+
+
+def columns_of(bag: Path, topic: str) -> tuple[Any, Any]:
+    """Stamps [ns] and values, one row a message."""
+    found = angles(bag, topic)
+    return np.array([stamp for stamp, _ in found]), np.array([values for _, values in found])
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_any_bag_gives_what_one_computation_gives(tmp_path: Path, way: str) -> None:
+    bag = WAYS[way](tmp_path, samples())
+    result = replay(bag, tmp_path / "out", CONFIG)
+    table = map_of(CONFIG.joints[0])
+    predicted = transmission_error(DRIVE, ANGLE, TORQUE, table)
+    stamps, values = columns_of(tmp_path / "out", "/hd_diag/transmission_error")
+    assert_array_equal(stamps, STAMPS)
+    assert_array_equal(values, np.column_stack((predicted, TORQUE)))
+    stamps, values = columns_of(tmp_path / "out", "/hd_diag/residual")
+    assert_array_equal(stamps, STAMPS)
+    assert_array_equal(values[:, 0], OUTPUT - ANGLE / RATIO - predicted)
+    assert (result.messages, result.joints, result.rejected) == (COUNT, ("a",), {"a": 0, "b": 0})
+    assert result.missed == {"a": 0, "b": 0}
+    assert bool(result.problems) == (way == "no end")
+
+
+def test_outputs_are_the_same_whatever_the_bag(tmp_path: Path) -> None:
+    """All topics, to the last byte."""
+    found = []
+    for number, way in enumerate(("tiny chunks", "sqlite3", "disordered")):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        replay(WAYS[way](folder, samples()), folder / "out.mcap", CONFIG)
+        found.append(content(folder / "out.mcap"))
+    assert found[0] == found[1] == found[2]
+    assert len(found[0]["/diagnostics"]) == 3
+    assert len(found[0]["/hd_diag/a/backlash"]) == 50
+
+
+def test_joints_of_several_topics_that_appear_late(tmp_path: Path) -> None:
+    """Joint b is on a topic of its own and begins after a second; a third topic has nothing of them."""
+    late = [
+        ("/arm/joint_states", JOINT_STATE, message(s, {"b_motor": x, "b": y}), s + 100)
+        for s, x, y in zip(STAMPS[1000:].tolist(), ANGLE[1000:], OUTPUT[1000:], strict=True)
+    ]
+    other = [("/gripper", JOINT_STATE, message(int(s), {"finger": 0.1}), int(s)) for s in STAMPS[::10]]
+    messages = sorted(samples() + late + other, key=lambda entry: entry[3])
+    result = replay(write_with_mcap(tmp_path / "b.mcap", messages), tmp_path / "out.mcap", CONFIG)
+    found = angles(tmp_path / "out.mcap", "/hd_diag/transmission_error")
+    table = map_of(CONFIG.joints[1])
+    predicted = transmission_error(DRIVE, ANGLE[1000:], np.zeros(COUNT - 1000), table)
+    joint_b = [values for stamp, values in found if values[1] == 0.0]
+    assert len(found) == 2 * COUNT - 1000
+    assert_array_equal(joint_b, np.column_stack((predicted, np.zeros(COUNT - 1000))))
+    assert result.joints == ("a", "b")
+    only = replay(tmp_path / "b.mcap", tmp_path / "only.mcap", CONFIG, topics=("/arm/joint_states",))
+    assert only.joints == ("b",)
+    assert set(content(tmp_path / "only.mcap")) >= {"/arm/joint_states", "/hd_diag/b/load"}
+    assert "/joint_states" not in content(tmp_path / "only.mcap")
+    with pytest.raises(BagError, match="has no topic /nowhere with sensor_msgs/msg/JointState"):
+        replay(tmp_path / "b.mcap", tmp_path / "no.mcap", CONFIG, topics=("/nowhere",))
+
+
+def test_input_and_output_in_messages_of_their_own_at_different_rates(tmp_path: Path) -> None:
+    """Inputs at 1 kHz, outputs at 400 Hz in between; compared at the outputs' stamps."""
+    torque = 1.75
+    inputs = [
+        ("/motor", JOINT_STATE, message(s, {"a_motor": x}), s + 150_000)
+        for s, x in zip(STAMPS.tolist(), ANGLE, strict=True)
+    ]
+    stamps = STAMPS[1] + 2_500_000 * np.arange(990) + 300_000
+    angle = np.interp(stamps - START, STAMPS - START, ANGLE)
+    outputs = [
+        ("/link", JOINT_STATE, message(s, {"a": y}, {"a": torque}), s + 50_000)
+        for s, y in zip(stamps.tolist(), angle / RATIO + 1e-5, strict=True)
+    ]
+    messages = sorted(inputs + outputs, key=lambda entry: entry[3])
+    result = replay(with_writer(tmp_path / "b", messages), tmp_path / "out", CONFIG)
+    found, values = columns_of(tmp_path / "out", "/hd_diag/residual")
+    exact = transmission_error(DRIVE, angle, np.full(angle.shape, torque), map_of(CONFIG.joints[0]))
+    assert_array_equal(found, stamps)
+    assert_allclose(values[:, 0], 1e-5 - exact, rtol=0.0, atol=1e-15)
+    assert len(angles(tmp_path / "out", "/hd_diag/transmission_error")) == COUNT
+    assert result.rejected["a"] == 0
+
+
+def test_a_bag_with_its_own_joint_state_is_read_by_its_own_definition(tmp_path: Path) -> None:
+    """And copied as ROS 2 Jazzy has it, which the outputs are."""
+    from hd_diag.bag.schemas import Definition, definition
+
+    known = definition(JOINT_STATE)
+    head, _, rest = known.text.partition("string[] name")
+    text = f"{head}float64 cycle_time\nstring[] name{rest}"
+    bag = tmp_path / "b.mcap"
+    with BagWriter(bag) as writer:
+        writer.add_topic("/joint_states", JOINT_STATE, None, Definition(JOINT_STATE, text, "ros2msg", ""))
+        for _, _, data, time in samples()[:200]:
+            # The field is aligned to 8 behind header and empty frame (16 bytes after the CDR header).
+            writer.write("/joint_states", JOINT_STATE, data[:20] + b"\0" * 8 + data[20:], time)
+    result = replay(bag, tmp_path / "out.mcap", CONFIG)
+    assert result.rejected["a"] == 0
+    found, values = columns_of(tmp_path / "out.mcap", "/hd_diag/transmission_error")
+    assert_array_equal(found, STAMPS[:200])
+    assert_array_equal(values[:, 1], TORQUE[:200])
+    copied = content(tmp_path / "out.mcap")["/joint_states"]
+    assert copied == [(time, data) for _, _, data, time in samples()[:200]]
+
+
+# What is written ---
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a replay with a given configuration writes: a log as the node's."""
+    folder = tmp_path_factory.mktemp("log")
+    bag = write_with_mcap(folder / "b.mcap", samples())
+    replay(bag, folder / "log", CONFIG)
+    return folder / "log"
+
+
+def test_a_replay_of_a_replay_is_the_same(tmp_path: Path, log: Path) -> None:
+    result = replay(log, tmp_path / "again.mcap")
+    assert result.reproduced
+    assert content(tmp_path / "again.mcap") == content(log)
+
+
+def test_output_carries_what_players_need(log: Path) -> None:
+    (file,) = log.glob("*.mcap")
+    metadata = yaml.safe_load((log / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    with file.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    counts = {c.topic: summary.statistics.channel_message_counts[i] for i, c in summary.channels.items()}
+    assert sum(counts.values()) == summary.statistics.message_count == metadata["message_count"]
+    assert len(summary.chunk_indexes) == summary.statistics.chunk_count > 0
+    for channel in summary.channels.values():
+        schema = summary.schemas[channel.schema_id]
+        assert (schema.encoding, channel.message_encoding) == ("ros2msg", "cdr")
+        assert schema.data
+        assert channel.metadata["topic_type_hash"].startswith("RIHS01_")
+        (offer,) = yaml.safe_load(channel.metadata["offered_qos_profiles"])
+        assert offer["reliability"] == "reliable"
+    listed = {t["topic_metadata"]["name"]: t["message_count"] for t in metadata["topics_with_message_count"]}
+    assert listed == counts
+    assert metadata["storage_identifier"] == "mcap"
+    assert metadata["duration"]["nanoseconds"] >= STAMPS[-1] - STAMPS[0]
+
+
+def test_output_is_read_with_its_types(log: Path) -> None:
+    seen: dict[str, int] = {}
+    with AnyReader([log]) as reader:
+        for connection, _, data in reader.messages():
+            reader.deserialize(data, connection.msgtype)
+            seen[connection.topic] = seen.get(connection.topic, 0) + 1
+    (file,) = log.glob("*.mcap")
+    again: dict[str, int] = {}
+    for entry in read_ros2_messages(str(file)):
+        again[entry.channel.topic] = again.get(entry.channel.topic, 0) + 1
+        if entry.channel.topic == "/diagnostics":
+            assert entry.ros_msg.status[0].name == "hd_diag: a"
+    assert seen == again
+    assert seen["/hd_diag/residual"] == COUNT
+
+
+def test_a_nodes_outputs_are_no_input(tmp_path: Path, log: Path) -> None:
+    """Under whatever name the node ran: its outputs have the joints' own names."""
+    messages = samples()
+    messages += [
+        (f"/left/hd_diag/{topic}", JOINT_STATE, message(s, {"a": 1e-4}, {"a": 0.0}), s + 1)
+        for topic in ("transmission_error", "residual", "measured_transmission_error")
+        for s in STAMPS[::5].tolist()
+    ]
+    replay(write_with_mcap(tmp_path / "b.mcap", messages), tmp_path / "out.mcap", CONFIG)
+    found = content(tmp_path / "out.mcap")
+    assert found["/hd_diag/residual"] == content(log)["/hd_diag/residual"]
+
+
+# Times ---
+
+
+def statuses(bag: Path) -> list[dict[str, str]]:
+    """Values of the first joint in every report, with the time of the report [s] since the start."""
+    with AnyReader([bag]) as reader:
+        wanted = [c for c in reader.connections if c.topic == "/diagnostics"]
+        found = []
+        for connection, time, data in reader.messages(wanted):
+            status: Any = reader.deserialize(data, connection.msgtype)
+            values = {pair.key: pair.value for pair in status.status[0].values}
+            found.append({**values, "time": str((time - START) / 1e9)})
+    return found
+
+
+def test_reports_go_on_while_a_joint_is_silent_but_not_for_days(tmp_path: Path) -> None:
+    """A silence of ten seconds is reported on; of one of two days only the last second is."""
+    parts = (0, 10 * 10**9, 2 * 86_400 * 10**9)
+    messages = [
+        (
+            "/joint_states",
+            JOINT_STATE,
+            message(START + part + i * MS, {"a_motor": 0.1}),
+            START + part + i * MS,
+        )
+        for part in parts
+        for i in range(1500)
+    ]
+    replay(write_with_mcap(tmp_path / "b.mcap", messages), tmp_path / "out.mcap", CONFIG)
+    found = statuses(tmp_path / "out.mcap")
+    assert 14 <= len(found) <= 18
+    codes = [status["fault_code"] for status in found]
+    assert codes.count("STALE") >= 8
+    silence = [float(status["silence_s"]) for status in found]
+    assert max(silence) > 2 * 86_000
+    assert found[-1]["silence_s"] == "0"
+    assert found[-1]["samples"] == str(3 * 1500)
+    assert all(float(b["time"]) >= float(a["time"]) for a, b in pairwise(found))
+
+
+def test_a_bag_of_less_than_a_second_has_its_report(tmp_path: Path) -> None:
+    replay(write_with_mcap(tmp_path / "b.mcap", samples()[:20]), tmp_path / "out.mcap", CONFIG)
+    (status,) = statuses(tmp_path / "out.mcap")
+    assert status["samples"] == "20"
+
+
+def test_times_that_ros_does_not_have_are_refused(tmp_path: Path) -> None:
+    late = 2**31 * 10**9
+    bag = write_with_mcap(tmp_path / "b.mcap", [*samples()[:3], (*samples()[0][:3], late)])
+    with pytest.raises(BagError, match="2038"):
+        replay(bag, tmp_path / "out.mcap", CONFIG)
+
+
+# Errors and interruptions ---
+
+
+def test_a_bag_that_is_no_log_needs_a_configuration(tmp_path: Path) -> None:
+    bag = write_with_mcap(tmp_path / "b.mcap", samples()[:5])
+    with pytest.raises(BagError, match=r"is no log of the node, so a configuration is needed \(--config\)"):
+        replay(bag, tmp_path / "out.mcap")
+    assert not (tmp_path / "out.mcap").exists()
+
+
+def test_a_bag_without_joint_states_is_refused(tmp_path: Path) -> None:
+    bag = write_with_mcap(tmp_path / "b.mcap", [("/text", STRING, string("x"), START)])
+    with pytest.raises(BagError, match="has no topic with sensor_msgs/msg/JointState"):
+        replay(bag, tmp_path / "out.mcap", CONFIG)
+
+
+def test_a_log_without_its_beginning_says_so(tmp_path: Path, log: Path) -> None:
+    events = content(log)["/hd_diag/events"][1:]
+    bag = write_with_mcap(tmp_path / "b.mcap", [("/hd_diag/events", STRING, d, t) for t, d in events])
+    with pytest.raises(BagError, match="does not begin with a configuration"):
+        replay(bag, tmp_path / "out.mcap")
+
+
+@pytest.mark.parametrize("out", ["b.mcap", "b.mcap/x", "."])
+def test_the_input_is_never_the_output(tmp_path: Path, out: str) -> None:
+    bag = write_with_mcap(tmp_path / "b.mcap", samples()[:5])
+    before = bag.read_bytes()
+    with pytest.raises(BagError):
+        replay(bag, tmp_path / out, CONFIG, overwrite=True)
+    assert bag.read_bytes() == before
+
+
+def test_an_interrupted_replay_leaves_a_whole_bag(tmp_path: Path, log: Path) -> None:
+    def stop(done: int, total: int) -> None:
+        assert 0 < done <= total == COUNT
+        if done >= 1200:
+            raise KeyboardInterrupt
+
+    bag = write_with_mcap(tmp_path / "b.mcap", samples())
+    with pytest.raises(KeyboardInterrupt):
+        replay(bag, tmp_path / "out", CONFIG, progress=stop)
+    with BagReader(tmp_path / "out") as reader:
+        assert not reader.problems
+    found, whole = content(tmp_path / "out"), content(log)
+    assert len(found["/joint_states"]) == len(found["/hd_diag/residual"]) >= 1200
+    assert len(found["/diagnostics"]) >= 1
+    assert {t: m[: len(found[t])] for t, m in whole.items()} == found
+
+
+def test_after_an_error_no_reader_takes_the_output_for_whole(tmp_path: Path) -> None:
+    """Here a chunk in the middle of the input is damaged."""
+    bag = write_with_mcap(tmp_path / "b.mcap", samples(), chunk_size=20_000, compression="none")
+    data = bytearray(bag.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    bag.write_bytes(data)
+    with pytest.raises(BagError, match="damaged"):
+        replay(bag, tmp_path / "out.mcap", CONFIG)
+    with BagReader(tmp_path / "out.mcap") as reader:
+        assert reader.problems
+
+
+# Hostile logs ---
+
+GOOD = {"event": "configuration", "new": True, "parameters": dict(CONFIG.flat)}
+HOSTILE: dict[str, list[Any]] = {
+    "no JSON": ["{"],
+    "no object": ["[]"],
+    "a number": ["7"],
+    "deep": ["[" * 100_000],
+    "no kind": ["{}"],
+    "kind of another type": [{"event": ["map"]}],
+    "no parameters": [{"event": "configuration", "new": True}],
+    "parameters are no object": [{**GOOD, "parameters": [1, 2]}],
+    "new is no boolean": [{**GOOD, "new": "yes"}],
+    "topics are no texts": [{**GOOD, "topics": {"joint_states": 3}}],
+    "no joints": [{**GOOD, "parameters": {}}],
+    "joints are no names": [{**GOOD, "parameters": {"joints": [1, None]}}],
+    "an unknown parameter": [{**GOOD, "parameters": {**CONFIG.flat, "a.nonsense": 1.0}}],
+    "nan": [{**GOOD, "parameters": {**CONFIG.flat, "a.torque": float("nan")}}],
+    "a huge number": [{**GOOD, "parameters": {**CONFIG.flat, "a.torque": 10**400}}],
+    "an impossible geometry": [{**GOOD, "parameters": {**CONFIG.flat, "a.neutral_curve.semi_major": 9.0}}],
+    "many joints": [{**GOOD, "parameters": {"joints": [f"j{i}" for i in range(200_000)]}}],
+    "joints that change": [GOOD, {"event": "configuration", "parameters": {"joints": ["a", "b", "c"]}}],
+    "a map of nobody": [GOOD, {"event": "map", "joint": "z", "torque_limit": 1.0}],
+    "a map without limit": [GOOD, {"event": "map", "joint": "a"}],
+    "a map with no number": [GOOD, {"event": "map", "joint": "a", "torque_limit": "1"}],
+    "a map to nan": [GOOD, '{"event": "map", "joint": "a", "torque_limit": NaN}'],
+    "a map to infinity": [GOOD, '{"event": "map", "joint": "a", "torque_limit": 1e999}'],
+    "a map to minus one": [GOOD, {"event": "map", "joint": "a", "torque_limit": -1.0}],
+    "a report without facts": [GOOD, {"event": "report", "stamp": 5}],
+    "a report with other facts": [GOOD, {"event": "report", "stamp": 5, "facts": {"log_state": 5}}],
+    "a report at no time": [GOOD, {"event": "report", "stamp": 2**63, "facts": {}}],
+    "a report at a text": [GOOD, {"event": "report", "stamp": "now", "facts": {}}],
+}
+
+
+def bag_of_events(path: Path, events: list[Any]) -> Path:
+    texts = [event if isinstance(event, str) else json.dumps(event) for event in events]
+    made = [("/hd_diag/events", STRING, string(text), START + i) for i, text in enumerate(texts)]
+    return write_with_mcap(path, [*made, *samples()[:10]])
+
+
+@pytest.mark.parametrize("kind", HOSTILE)
+def test_a_hostile_log_is_refused_in_one_line(tmp_path: Path, kind: str) -> None:
+    bag = bag_of_events(tmp_path / "b.mcap", HOSTILE[kind])
+    with pytest.raises((BagError, ConfigError)) as caught:
+        replay(bag, tmp_path / "out.mcap")
+    text = str(caught.value)
+    assert "b.mcap" in text
+    assert "\n" not in text
+    assert len(text) < 900
+
+
+def test_events_of_later_versions_are_passed_over(tmp_path: Path) -> None:
+    bag = bag_of_events(tmp_path / "b.mcap", [GOOD, {"event": "coffee", "sugar": None}])
+    assert replay(bag, tmp_path / "out.mcap").messages == 12
+
+
+def test_a_log_that_begins_anew_is_followed(tmp_path: Path) -> None:
+    """As when logs are joined: the second beginning forgets the first's samples."""
+    other = dict(resolve(parameters("a", a__torque=2.5)).flat)
+    made = [("/hd_diag/events", STRING, string(json.dumps(GOOD)), START), *samples()[:10]]
+    again = json.dumps({"event": "configuration", "new": True, "parameters": other})
+    late = START + 10**9
+    made += [("/hd_diag/events", STRING, string(again), late)]
+    made += [
+        ("/joint_states", JOINT_STATE, message(START + i, {"a_motor": 0.1}), late + 1 + i) for i in range(5)
+    ]
+    result = replay(write_with_mcap(tmp_path / "b.mcap", made), tmp_path / "out.mcap")
+    assert result.rejected == {"a": 0}
+    found = angles(tmp_path / "out.mcap", "/hd_diag/transmission_error")
+    assert [values[1] for _, values in found[10:]] == [2.5] * 5
+
+
+VALUES: list[Any] = [
+    None,
+    True,
+    0,
+    -1,
+    2**80,
+    0.5,
+    float("nan"),
+    "",
+    "a",
+    [],
+    ["a"],
+    {},
+    {"a": "b"},
+    {"a": 1},
+]
+FIELDS = ("parameters", "new", "topics", "joint", "torque_limit", "stamp", "facts", "models")
+
+
+@hypothesis.settings(max_examples=300)
+@hypothesis.given(
+    st.sampled_from(["configuration", "map", "report", "x"]),
+    st.dictionaries(st.sampled_from(FIELDS), st.sampled_from(VALUES)),
+)
+def test_events_are_read_or_refused(kind: str, fields: dict[str, Any]) -> None:
+    data = string(json.dumps({"event": kind, **fields}))
+    with contextlib.suppress(ValueError):
+        event = read_event(data)
+        assert (event is None) == (kind == "x")
+
+
+# Without ROS ---
+
+
+def test_replay_needs_no_ros() -> None:
+    code = (
+        "import sys\n"
+        "for name in ('rclpy', 'sensor_msgs', 'rosbag2_py'): sys.modules[name] = None\n"
+        "import hd_diag.replay, hd_diag.cli_bags\n"
+        "print([name for name in sys.modules if name.startswith(('rclpy.', 'rosidl', 'matplotlib'))])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"

@@ -1,0 +1,242 @@
+"""The real node over DDS against the replay: of its own log, and of a bag that is played to it."""
+
+import itertools
+import random
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rclpy
+from live import MS, RATIO, START, config, message, parameters
+from player import Player, angles, content
+from running import Rig, running
+from sensor_msgs.msg import JointState
+
+from hd_diag.bag import BagReader, BagWriter, encode_joint_states, recover
+from hd_diag.messages import JOINT_STATE
+from hd_diag.replay import replay
+
+# None of no bytes at all: Fast DDS itself then delivers nothing more from that publisher.
+HOSTILE = (
+    b"\0\1\0\0",
+    b"\0\1\0\0" + b"\xff" * 60,
+    bytes(range(256)),
+    message(START, {"a_motor": np.nan, "a": 0.0}),
+    message(START, {"a_motor": 1.0, "a": np.inf}, {"a": np.nan}),
+    message(START - 10**15, {"b_motor": 1.0}),
+    message(START, {"a_motor": 1e308, "a": -1e308}),
+    message(START, {"": 1.0, "x" * 5000: 2.0}),
+    message(START, {"stranger": 1.0}),
+    message(START, {}),
+)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ros() -> Iterator[None]:
+    rclpy.init()
+    yield
+    rclpy.try_shutdown()
+
+
+def turning(stamp: int) -> dict[str, float]:
+    """Angles of two joints that turn to and fro, by time."""
+    seconds = (stamp - START) * 1e-9
+    angle, other = 12.0 * np.sin(1.1 * seconds), 20.0 * np.cos(0.7 * seconds)
+    ripple = 1e-4 * np.sin(2.0 * angle)
+    return {"a_motor": angle, "a": angle / RATIO + ripple, "b_motor": other, "b": other / RATIO}
+
+
+def feed_roughly(
+    publisher: Any, stamps: Iterator[int], count: int, rate: float, chance: random.Random
+) -> None:
+    """Publish two joints, together and apart, with messages in between that no robot should send."""
+    begin = time.monotonic()
+    for number in range(count):
+        stamp = next(stamps)
+        every = turning(stamp)
+        torque = {"a": 4.0 * np.sin(0.01 * number), "b": 2.0}
+        if number % 50 < 40:
+            publisher.publish(message(stamp, every, torque))
+        else:
+            publisher.publish(message(stamp, {k: every[k] for k in ("b_motor", "a_motor")}))
+            publisher.publish(message(stamp - MS // 2, {k: every[k] for k in ("a", "b")}, torque))
+        if number % 97 == 5:
+            publisher.publish(chance.choice(HOSTILE))
+        time.sleep(max(0.0, begin + (number + 1) / rate - time.monotonic()))
+
+
+def test_a_replay_of_the_nodes_log_is_the_same_to_the_last_bit(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    given = parameters("a", "b", diagnostics_rate=5.0, log__path=str(log), mesh_rate=5.0)
+    changes: list[dict[str, Any]] = [
+        {"a__eccentricity__magnitude": 8e-6},
+        {"a__limits__residual_rms__warn": 1e-6, "a__limits__residual_rms__error": 2e-6},
+        {"array_rate": 50.0, "b__torque": -1.5},
+        {"a__eccentricity__direction": 1.0, "b__runout__magnitude": 3e-6},
+        {"diagnostics_rate": 20.0, "mesh_rate": 0.0},
+        {"a__eccentricity__magnitude": 0.0, "b__rated_torque": 8.0},
+    ]
+    with running(tmp_path, given) as rig:
+        publisher, stamps, chance = rig.publisher(), itertools.count(START, 2 * MS), random.Random(3)
+        for change in changes:
+            feed_roughly(publisher, stamps, 450, 500.0, chance)
+            assert all(result.successful for result in rig.set(**change))
+        feed_roughly(publisher, stamps, 300, 500.0, chance)
+        rig.values("b", lambda values: float(values["silence_s"]) > 0.2)
+        assert rig.process.end(signal.SIGINT) == 0
+    result = replay(log, tmp_path / "again")
+    live, again = content(log), content(tmp_path / "again")
+    assert result.reproduced
+    assert again.keys() == live.keys()
+    for topic, messages in live.items():
+        assert len(again[topic]) == len(messages), topic
+        different = [
+            i for i, pair in enumerate(zip(messages, again[topic], strict=True)) if pair[0] != pair[1]
+        ]
+        assert not different, f"{topic}: {different[:5]}"
+    node = f"{rig.process.namespace}/hd_diag"
+    assert len(live[f"{node}/transmission_error"]) > 2500
+    assert len(live[f"{node}/residual"]) > 2500
+    assert len(live["/parameter_events"]) == 1 + sum(map(len, changes))
+    assert len(live[f"{rig.process.namespace}/diagnostics"]) > 30
+    assert result.rejected["a"] > 10
+    assert {f"{node}/a/backlash", f"{node}/b/load", f"{node}/a/mesh", f"{node}/events"} <= live.keys()
+
+
+def test_remapped_topics_are_followed(tmp_path: Path) -> None:
+    remaps = ("-r", "joint_states:=robot/js", "-r", "joint_1/temperature:=/warmth", "-r", "~/residual:=left")
+    with running(tmp_path, parameters(log__path=str(tmp_path / "log.mcap")), *remaps) as rig:
+        publisher = rig.publisher("robot/js")
+        stamps = itertools.count(START, MS)
+        for stamp in itertools.islice(stamps, 100):
+            publisher.publish(message(stamp, {"joint_1_motor": 1e-10 * (stamp - START), "joint_1": 0.0}))
+        rig.values("joint_1", lambda values: values["samples"] == "100")
+        assert rig.process.end() == 0
+    replay(tmp_path / "log.mcap", tmp_path / "again.mcap")
+    live = content(tmp_path / "log.mcap")
+    assert content(tmp_path / "again.mcap") == live
+    assert {f"{rig.process.namespace}/robot/js", f"{rig.process.namespace}/left"} <= live.keys()
+
+
+# A bag played live ---
+
+RATE = 250.0  # [Hz]
+STEP = round(1e9 / RATE)  # [ns]
+
+
+def recorded(path: Path, seconds: float = 3.0) -> int:
+    """A bag as a recorder writes it: log times a little after the stamps; the number of samples."""
+    stamps = START + STEP * np.arange(round(seconds * RATE))
+    columns = [list(turning(int(stamp)).values()) for stamp in stamps]
+    efforts = np.tile([0.0, 1.5, 0.0, -1.0], (stamps.size, 1))
+    rows = encode_joint_states(("a_motor", "a", "b_motor", "b"), stamps, columns, None, efforts)
+    with BagWriter(path) as writer:
+        writer.write_many("/joint_states", JOINT_STATE, rows, stamps + 300_000)
+    return stamps.size
+
+
+def wait_for_maps(rig: Rig) -> None:
+    for joint in ("a", "b"):
+        rig.values(joint, lambda values: values["prediction"] == "map")
+
+
+@pytest.mark.parametrize("rate", [1.0, 4.0])
+def test_a_bag_played_live_gives_what_the_replay_gives_and_tells_what_was_dropped(
+    tmp_path: Path, rate: float
+) -> None:
+    """In a loop too, where the clock jumps back."""
+    bag, log, loops = tmp_path / "bag", tmp_path / "log.mcap", 3
+    count = recorded(bag)
+    dropped = {*range(20, 700, 45), 300, 301, 302}
+    given = parameters("a", "b", use_sim_time=True, log__path=str(log), diagnostics_rate=10.0)
+    with running(tmp_path, given) as rig:
+        wait_for_maps(rig)
+        player = Player(rig, bag)
+        published = player.play(rate, loops, dropped)
+        assert published == loops * (count - len(dropped))
+        values = rig.values("a", lambda values: int(values["samples"]) == published)
+        report = rig.reports[-1]
+        assert rig.process.end(signal.SIGINT) == 0
+    assert START <= report.header.stamp.sec * 10**9 + report.header.stamp.nanosec <= START + 3.1e9
+    assert int(values["samples_missed"]) == loops * len(dropped)
+    assert int(values["clock_jumps"]) == loops - 1
+    assert int(values["samples_rejected"]) == 0
+    replay(bag, tmp_path / "offline", config("a", "b"))
+    node = f"{rig.process.namespace}/hd_diag"
+    for topic in ("transmission_error", "measured_transmission_error", "residual"):
+        offline = angles(tmp_path / "offline", f"/hd_diag/{topic}")
+        kept = [entry for number, entry in enumerate(offline) if number not in dropped]
+        assert len(offline) == count
+        assert angles(log, f"{node}/{topic}") == kept * loops
+
+
+def test_samples_that_dds_drops_are_told(tmp_path: Path) -> None:
+    """The node is stopped for longer than its queue lasts."""
+    bag, log = tmp_path / "bag.mcap", tmp_path / "log.mcap"
+    count = recorded(bag, 30.0)
+    with running(tmp_path, parameters("a", "b", use_sim_time=True, log__path=str(log))) as rig:
+        wait_for_maps(rig)
+        player = Player(rig, bag)
+        process = rig.process.popen
+        stop = threading.Timer(1.0, process.send_signal, (signal.SIGSTOP,))
+        go_on = threading.Timer(2.7, process.send_signal, (signal.SIGCONT,))
+        stop.start()
+        go_on.start()
+        assert player.play(10.0) == count
+        values = rig.values("a", lambda values: float(values["silence_s"]) > 1.0)
+        assert rig.process.end(signal.SIGINT) == 0
+    taken = int(values["samples"])
+    assert taken < count
+    assert taken + int(values["samples_missed"]) == count
+    assert int(values["samples_rejected"]) == 0
+    replay(log, tmp_path / "again.mcap")
+    assert content(tmp_path / "again.mcap") == content(log)
+
+
+# kill -9 ---
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_killed_node_loses_less_than_a_second(tmp_path: Path, seed: int) -> None:
+    """What others have received of it a second before its end is in the log, and all that came before."""
+    log = tmp_path / "log"
+    chance = random.Random(seed)
+    with running(tmp_path, parameters("a", "b", log__path=str(log))) as rig:
+        errors: list[JointState] = []
+        rig.hear("hd_diag/transmission_error", JointState, errors)
+        publisher, stamps = rig.publisher(), itertools.count(START, 2 * MS)
+        acknowledged: list[tuple[float, int]] = []
+        end = time.monotonic() + chance.uniform(1.5, 3.0)
+        while time.monotonic() < end:
+            stamp = next(stamps)
+            publisher.publish(message(stamp, turning(stamp), {"a": 1.0}))
+            time.sleep(0.0015)
+            rig.drain()
+            now = time.monotonic()
+            acknowledged += [
+                (now, m.header.stamp.sec * 10**9 + m.header.stamp.nanosec)
+                for m in errors[len(acknowledged) :]
+            ]
+        rig.process.popen.kill()
+        killed = time.monotonic()
+        rig.process.popen.wait(10.0)
+    assert recover(log, tmp_path / "saved").counts
+    saved = [
+        stamp
+        for stamp, _ in angles(tmp_path / "saved", f"{rig.process.namespace}/hd_diag/transmission_error")
+    ]
+    safe = [stamp for when, stamp in acknowledged if when < killed - 1.0]
+    assert safe
+    assert set(safe) <= set(saved)
+    assert saved == sorted(saved)
+    assert np.all(np.diff(saved) == 2 * MS)
+    inputs = angles(tmp_path / "saved", f"{rig.process.namespace}/joint_states")
+    assert [stamp for stamp, _ in inputs][: len(saved)] == saved
+    replay(tmp_path / "saved", tmp_path / "again")
+    with BagReader(tmp_path / "again") as reader:
+        assert not reader.problems
