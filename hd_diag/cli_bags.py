@@ -1,4 +1,4 @@
-"""``hd-diag replay`` and ``hd-diag recover``: bags through the model, and what can be saved of unfinished ones."""
+"""``hd-diag replay`` and ``recover``: bags through the model, and what can be saved of unfinished ones."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from hd_diag.bag.recover import recover as recover_bag
-from hd_diag.cli_options import CONFIG, JSON, problems, write_json
+from hd_diag.cli_options import CONFIG, JSON, Problem, problems, write_json
 from hd_diag.config import load
 from hd_diag.replay import Replay
 from hd_diag.replay import replay as replay_bag
@@ -75,9 +75,10 @@ def replay(
 ) -> None:
     """Run the monitor over a recorded bag and write what the node would have published.
 
-    Time is the bag's; the machine goes as fast as it can. Without --config the bag must be a log of the node: its
-    configuration and every change of it are followed, and the outputs are those of the live run, bit for bit.
-    Reads MCAP files and rosbag2 folders (MCAP or sqlite3), unfinished ones included. Ctrl-C leaves a valid file.
+    Time is the bag's; the machine goes as fast as it can. Without --config the bag must be a log of the node:
+    its configuration and every change of it are followed, and the outputs are those of the live run, bit for
+    bit. Reads MCAP files and rosbag2 folders (MCAP or sqlite3), unfinished ones included. Ctrl-C leaves a valid
+    file and ends with code 130; after an error the output is left without its end.
     """
     config = load(config_file) if config_file else None
     begin = time.monotonic()
@@ -151,8 +152,9 @@ def _tell_replay(result: Replay, out: Path, took: float) -> None:
 def recover(bag: Path, out: Path, overwrite: bool, json_file: str | None) -> None:
     """Save what can be saved of a bag that a crash left unfinished.
 
-    Everything in closed chunks, and what can be read of the open one, is copied into a new bag and read back. Says
-    what was saved and what was lost. Exit code 0 also where something was lost: losing is not this command's doing.
+    Everything in closed chunks, and what can be read of the open one, is copied into a new bag and read back.
+    Says what was saved and what was lost. Exit code 0 also where something was lost: losing is not this
+    command's doing; 2 where nothing can be saved.
     """
     with bar() as progress:
         task = progress.add_task("recover", total=None, rate="")
@@ -161,6 +163,8 @@ def recover(bag: Path, out: Path, overwrite: bool, json_file: str | None) -> Non
             progress.update(task, completed=done, total=total, rate="bytes")
 
         report = recover_bag(bag, out, overwrite=overwrite, progress=advance)
+    if not any(report.counts.values()) and not report.complete:
+        raise Problem(f"{bag}: nothing can be saved: {report.statement()[1]}")
     if json_file:
         write_json(json_file, {"schema": "hd_diag/recovery/1", **report.as_dict()})
     if json_file != "-":

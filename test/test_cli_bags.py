@@ -25,22 +25,23 @@ from replay_fuzz import JOINT_STATE, Fuzz, log_of
 
 from hd_diag.bag import BagReader, BagWriter, encode_joint_states
 from hd_diag.cli_bags import recover, replay
+from hd_diag.config import load
 from hd_diag.parameters import nested
 from hd_diag.replay import replay as replay_bag
 
-COUNT = 120_000
+COUNT = 60_000
 ROOT = Path(__file__).resolve().parent.parent
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A configuration, a short log of the node, and a long bag of two minutes."""
+    """A configuration, a short log of the node, and a bag of a minute."""
     made = tmp_path_factory.mktemp("bags")
     # As many arrays as can be: a replay that takes some seconds can be interrupted.
     given = nested(parameters("a", array_rate=1000.0))
     (made / "c.yaml").write_text(yaml.safe_dump({"hd_diag": {"ros__parameters": given}}))
     log_of(made / "log.mcap")
-    angle = np.linspace(0.0, 900.0, COUNT)
+    angle = np.linspace(0.0, 450.0, COUNT)
     columns = np.column_stack((angle, angle / 30.0))
     rows = encode_joint_states(("a_motor", "a"), START + MS * np.arange(COUNT), columns)
     with BagWriter(made / "long.mcap") as writer:
@@ -148,7 +149,7 @@ def test_recover_tells_what_it_saved(folder: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("bag", "out", "reason"),
     [
-        ("nothing.mcap", "out.mcap", "No such file"),
+        ("nothing.mcap", "out.mcap", "does not exist"),
         ("c.yaml", "out.mcap", "c.yaml"),
         ("log.mcap", "log.mcap", "overwrite the input"),
         ("log.mcap", "log.mcap/out.mcap", "log.mcap"),
@@ -195,7 +196,7 @@ def test_a_json_file_that_cannot_be_written_is_told(folder: Path, tmp_path: Path
 def test_a_full_disk_leaves_nothing_that_passes_for_whole(folder: Path, tmp_path: Path) -> None:
     def limit() -> None:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, 2_000_000))
 
     out = tmp_path / "out.mcap"
     given = ("replay", folder / "long.mcap", "--config", folder / "c.yaml", "--out", out)
@@ -266,7 +267,9 @@ ACKNOWLEDGING = """
 import sys, time
 from hd_diag.config import load
 from hd_diag.replay import replay
-replay(*sys.argv[1:3], load(sys.argv[3]), progress=lambda done, total: print(done, time.monotonic(), flush=True))
+def tell(done, total):
+    print(done, time.monotonic(), flush=True)
+replay(*sys.argv[1:3], load(sys.argv[3]), progress=tell)
 """
 
 
@@ -277,7 +280,7 @@ def killed_replay(folder: Path, out: Path, chance: random.Random) -> tuple[list[
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as running:
         assert running.stdout is not None
         lines = [running.stdout.readline()]
-        time.sleep(chance.uniform(1.0, 2.0))
+        time.sleep(chance.uniform(1.2, 1.8))
         running.kill()
         killed = time.monotonic()
         lines += running.stdout.readlines()
@@ -286,21 +289,18 @@ def killed_replay(folder: Path, out: Path, chance: random.Random) -> tuple[list[
 
 
 def test_a_killed_replay_leaves_what_it_acknowledged(folder: Path, tmp_path: Path) -> None:
-    from hd_diag.config import load
-
     replay_bag(folder / "long.mcap", tmp_path / "whole.mcap", load(folder / "c.yaml"))
     whole = content(tmp_path / "whole.mcap")
     chance = random.Random(7)
-    for turn in range(3):
+    for turn in range(2):
         out = tmp_path / f"killed_{turn}"
         acknowledged, killed = killed_replay(folder, out, chance)
         assert run(recover, out, "--out", tmp_path / f"saved_{turn}").exit_code == 0
         saved = content(tmp_path / f"saved_{turn}")
         for topic, messages in saved.items():
             assert messages == whole[topic][: len(messages)], topic
-        safe = max(done for done, when in acknowledged if when <= max(killed - 1.0, acknowledged[0][1]))
-        assert 0 < len(saved["/joint_states"]) < COUNT
-        assert len(saved["/hd_diag/transmission_error"]) >= safe - (acknowledged[0][1] > killed - 1.0) * safe
+        safe = max(done for done, when in acknowledged if when <= killed - 1.0)
+        assert safe <= len(saved["/hd_diag/transmission_error"]) <= len(saved["/joint_states"]) < COUNT
 
 
 def test_whatever_a_bag_holds_the_answer_is_proper(tmp_path: Path) -> None:

@@ -181,10 +181,10 @@ def find_steps(record: Record, ratio: float, tooth_pitch: float) -> tuple[Floats
 
 
 def _step(size: float, tooth_pitch: float, time: float) -> Finding:
-    teeth = size / tooth_pitch
-    whole = abs(teeth - round(teeth)) < 0.05 and round(teeth) != 0
-    name = "tooth_skip"
-    text = f"a step of {np.degrees(size) * 3600:.0f} arcsec at {time:.3f} s: " + (
-        f"{round(teeth)} teeth skipped" if whole else "encoder counts lost, or a hub slipped: no whole tooth"
-    )
-    return Finding(name, text, size, "rad", False)
+    teeth = round(size / tooth_pitch)
+    if teeth != 0 and abs(size / tooth_pitch - teeth) < 0.05:
+        what = f"{teeth} {'tooth' if abs(teeth) == 1 else 'teeth'} skipped"
+    else:
+        what = "encoder counts lost, or a hub slipped: no whole tooth"
+    text = f"a step of {np.degrees(size) * 3600:.0f} arcsec at {time:.3f} s: {what}"
+    return Finding("tooth_skip", text, size, "rad", False)

@@ -1,0 +1,124 @@
+"""From a measured bag to a model that runs: written, loaded, and as good on the record as was told."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from live import MS, RATIO, START, message
+from models import model, term
+
+from hd_diag.bag import BagReader, BagWriter
+from hd_diag.cli import cli
+from hd_diag.config import load
+from hd_diag.criticism.extension import left, map_of
+from hd_diag.extended import ExtendedModel
+from hd_diag.recording import read_bags
+
+DELAY = 2e-4  # [s]; 25 arcsec at 60 rad/s of the input
+STEP = 4  # [ms]
+NOISE = 1e-5  # [rad]
+
+
+def true_model() -> ExtendedModel:
+    made = model()
+    return ExtendedModel(made.drive, (term("stream_delay", {"delay": DELAY}),), made.offset, made.ranges)
+
+
+def runs(number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Input angle [rad] and torque [N m] of runs at different speeds, with rests between; (n,) each."""
+    speeds = [(-1) ** (i // 2) * (20.0 + 10.0 * (i % 5)) for i in range(number)]
+    per_run, rest = 750, 100
+    shape = np.concatenate((np.zeros(rest), np.sin(np.linspace(0.0, np.pi, per_run - rest)) ** 2))
+    speed = np.concatenate([one * shape for one in speeds])
+    angle = np.cumsum(speed) * STEP * 1e-3
+    time = np.arange(angle.size) * STEP * 1e-3
+    return angle, 35.0 * np.sin(1.3 * time) + 10.0 * np.sin(0.31 * time)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bag of a joint with parameters and an effect that are not configured, and its diagnosis."""
+    path = tmp_path_factory.mktemp("extension")
+    angle, torque = runs(16)
+    made, random = true_model(), np.random.default_rng(11)
+    time = np.arange(angle.size) * STEP * 1e-3
+    error, _ = made.step(made.start(), time, angle, None, torque, None, map_of(made))
+    output = angle / RATIO + error + random.normal(0.0, NOISE, angle.size)
+    with BagWriter(path / "bag.mcap") as writer:
+        for i in range(angle.size):
+            stamp = START + STEP * MS * i
+            position = {"joint_1_motor": angle[i], "joint_1": output[i]}
+            data = message(stamp, position, {"joint_1": torque[i]})
+            writer.write("/joint_states", "sensor_msgs/msg/JointState", data, stamp)
+    result = invoke(
+        "diagnose", path / "bag.mcap", "--model", path / "model.json", "--json", path / "verdict.json"
+    )
+    assert result.exit_code == 0, result.output
+    (path / "with_model.yaml").write_text(
+        "hd_diag: {ros__parameters: {joints: [joint_1], joint_1: {model_file: model.json}}}"
+    )
+    return path
+
+
+def invoke(*arguments: object) -> Result:
+    return CliRunner().invoke(cli, [str(argument) for argument in arguments])
+
+
+def test_the_verdict_names_the_file_and_its_evidence(folder: Path) -> None:
+    verdict, written = (json.loads((folder / f"{name}.json").read_text()) for name in ("verdict", "model"))
+    assert verdict["model"] == str(folder / "model.json")
+    assert [cause["name"] for cause in verdict["causes"]] == ["stream_delay"]
+    assert [effect["name"] for effect in written["effects"]] == ["stream_delay"]
+    delay = written["effects"][0]["parameters"]["delay"]
+    assert delay["value"] == pytest.approx(DELAY, rel=0.05)
+    assert 0.0 < delay["std"] < 0.05 * DELAY
+    evidence = written["evidence"]
+    assert evidence["extended"] == verdict["extended"]
+    assert len(evidence["bags"][0]["sha256"]["bag.mcap"]) == 64
+    assert written["valid_range"]["torque"]["high"] == pytest.approx(45.0, rel=0.1)
+    assert written["valid_range"]["temperature"] is None
+
+
+def test_the_model_as_it_runs_is_as_good_as_told(folder: Path) -> None:
+    verdict = json.loads((folder / "verdict.json").read_text())
+    joint = load(folder / "with_model.yaml").joints[0]
+    assert joint.model is not None
+    record = read_bags([folder / "bag.mcap"], joint)
+    rest = left(joint.model, record, record.reported_torque, map_of(joint.model))
+    assert np.std(rest) == pytest.approx(NOISE, rel=0.05)
+    assert verdict["extended"]["rms_live"] == pytest.approx(NOISE, rel=0.1)
+    assert verdict["extended"]["rms"] < 0.2 * verdict["refit"]["rms"]
+
+
+def test_a_replay_with_the_model_has_the_residual_of_the_fit(folder: Path) -> None:
+    out = folder / "replayed.mcap"
+    result = invoke("replay", folder / "bag.mcap", "--config", folder / "with_model.yaml", "--out", out)
+    assert result.exit_code == 0, result.output
+    joint = load(folder / "with_model.yaml").joints[0]
+    assert joint.model is not None
+    record = read_bags([folder / "bag.mcap"], joint)
+    fit = left(joint.model, record, record.reported_torque, map_of(joint.model))
+    with BagReader(out) as reader:
+        states = [s for b in reader.batches(["/hd_diag/residual"]) for s in reader.joint_states(b)[0]]
+    stamp = np.concatenate([s.stamp for s in states])
+    residual = np.concatenate([s.position[:, 0] for s in states if s.position is not None])
+    rows = np.searchsorted(stamp, START + np.round(record.time * 1e9).astype(np.int64))
+    kept = np.flatnonzero(np.diff(rows, prepend=-1) == 1)  # after an outlier the record's last angle is older
+    assert kept.size > 0.95 * residual.size
+    np.testing.assert_allclose(residual[rows[kept]], fit[kept], rtol=0.0, atol=1e-9)
+
+
+def test_a_diagnosis_with_the_model_in_force_is_of_the_configured_joint(folder: Path) -> None:
+    """The parameters before the fit, not those that the model already has."""
+    joint = load(folder / "with_model.yaml").joints[0]
+    assert abs(joint.configured.mesh.eccentricity) == 0.0
+    assert abs(joint.drive.mesh.eccentricity) == pytest.approx(9e-6, rel=0.05)
+
+
+def test_a_model_that_cannot_be_written_is_one_line(folder: Path) -> None:
+    result = invoke("diagnose", folder / "bag.mcap", "--model", folder / "none" / "m.json")
+    assert result.exit_code == 2
+    assert "No such file or directory" in result.stderr
+    assert len(result.stderr.splitlines()) == 1
