@@ -77,8 +77,8 @@ def replay(
 
     Time is the bag's; the machine goes as fast as it can. Without --config the bag must be a log of the node:
     its configuration and every change of it are followed, and the outputs are those of the live run, bit for
-    bit. Reads MCAP files and rosbag2 folders (MCAP or sqlite3), unfinished ones included. Ctrl-C leaves a valid
-    file and ends with code 130; after an error the output is left without its end.
+    bit. Reads MCAP files and rosbag2 folders (MCAP or sqlite3), unfinished ones included. Ctrl-C leaves a
+    valid file and ends with code 130; after an error the output is left without its end.
     """
     config = load(config_file) if config_file else None
     begin = time.monotonic()

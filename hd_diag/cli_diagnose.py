@@ -57,6 +57,8 @@ def diagnose(
     of the known causes" and "this record cannot tell these apart" are answers too.
     """
     config = configured(config_file)
+    if model_file is not None and not model_file.parent.is_dir():
+        raise Problem(f"{model_file}: cannot be written: no such folder")
     results = []
     chosen = _chosen(config, names)
     for joint in chosen:

@@ -19,7 +19,7 @@ from hd_diag.model.torsion_map import TorsionMap
 Floats = npt.NDArray[np.float64]
 
 TORQUE_RANGE = 2.0
-"""Torque that the map of a running joint reaches, over the rated torque [-]; beyond, predictions are exact."""
+"""Torque that the map of a running joint reaches, over the rated torque [-]; beyond, it is exact."""
 
 _SLOPE_STEP = 0.01  # of the rated torque; half the width over which dTE/dT is taken: over the breaks of pairs
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from hd_diag.samples import Floats, Times
@@ -16,20 +14,24 @@ _LONGEST_STEP = 0.1  # of motion between two samples [s]; longer ones are gaps
 _SLOWEST = 0.05  # of the input [rad/s]; slower is rest
 _LEAST_INFORMATION = 0.1  # of a cosine over many turns 0.5 is left beside the other orders
 _LEAST_SAMPLES = 200.0
+_BLOCK = 256  # samples
 _RIDGE = 1e-6  # keeps orders that do not move from spoiling the others
 
 
 class ResidualOrders:
     """Amplitudes of orders in the residual, by recursive least squares over the last half minute of motion.
 
-    What comes of samples depends on their sequence alone, to the last bit, however many come at once.
+    What comes of samples depends on their sequence alone, to the last bit, however many come at once: those
+    in motion are taken in blocks of one size.
     """
 
     def __init__(self) -> None:
         count = 1 + 2 * len(ORDERS)
-        self._gram = np.zeros((count, count))
-        self._moment = np.zeros(count)
-        self._last: tuple[int, float] | None = None
+        self._sums = np.zeros((count, count)), np.zeros(count)
+        self._last: tuple[np.int64, np.float64] | None = None
+        self._arrived: list[tuple[Times, Floats, Floats, Floats]] = []
+        self._moving = np.empty((0, 4))
+        self._count = 0
 
     def add(self, stamp: Times, input_angle: Floats, output_angle: Floats, residual: Floats) -> None:
         """Take samples; those at rest and those without a residual are left out.
@@ -43,37 +45,60 @@ class ResidualOrders:
         residual : ndarray, shape (n,)
             [rad]
         """
-        columns = (stamp, input_angle, output_angle, residual)
-        for now, angle, output, value in zip(*(column.tolist() for column in columns), strict=True):
-            before, self._last = self._last, (now, angle)
-            if before is None or not math.isfinite(value):
-                continue
-            step = min((now - before[0]) * 1e-9, _LONGEST_STEP)
-            if step > 0.0 and abs(angle - before[1]) > _SLOWEST * step:
-                self._take(step, angle, output, value)
+        self._arrived.append((stamp, input_angle, output_angle, residual))
+        self._count += stamp.size
+        if self._count >= _BLOCK:
+            self._take()
 
     def amplitudes(self) -> dict[tuple[str, int], float]:
         """Amplitude of every order that the motion shows apart from the others [rad]."""
-        weight = float(self._gram[0, 0])
+        self._take()
+        gram, moment = _with(*self._sums, self._moving)
+        weight = float(gram[0, 0])
         if weight < _LEAST_SAMPLES:
             return {}
-        normal = self._gram / weight + _RIDGE * np.eye(self._moment.size)
+        normal = gram / weight + _RIDGE * np.eye(moment.size)
         inverse = np.linalg.inv(normal)
-        found = inverse @ (self._moment / weight)
+        found = inverse @ (moment / weight)
         amplitudes = {}
         for number, order in enumerate(ORDERS):
-            rows = slice(1 + 2 * number, 3 + 2 * number)
-            information = 1.0 / float(np.linalg.eigvalsh(inverse[rows, rows])[-1])
+            rows = [1 + number, 1 + number + len(ORDERS)]  # cosine and sine
+            information = 1.0 / float(np.linalg.eigvalsh(inverse[np.ix_(rows, rows)])[-1])
             if information > _LEAST_INFORMATION:
                 amplitudes[order] = float(np.hypot(*found[rows]))
         return amplitudes
 
-    def _take(self, step: float, angle: float, output: float, value: float) -> None:
-        phases = [order * (angle if frame == "input" else output) for frame, order in ORDERS]
-        waves = [wave(phase) for phase in phases for wave in (math.cos, math.sin)]
-        row = np.array([1.0, *waves])
-        kept = math.exp(-step / _MEMORY)
-        self._gram *= kept
-        self._gram += row[:, None] * row
-        self._moment *= kept
-        self._moment += row * value
+    def _take(self) -> None:
+        """Find the samples in motion among those that have arrived, and take whole blocks of them."""
+        if not self._count:
+            return
+        stamp, angle, output, residual = map(np.concatenate, zip(*self._arrived, strict=True))
+        self._arrived, self._count = [], 0
+        first = self._last or (stamp[0], angle[0])
+        self._last = stamp[-1], angle[-1]
+        step = np.minimum(np.diff(stamp, prepend=first[0]) * 1e-9, _LONGEST_STEP)
+        turned = np.abs(np.diff(angle, prepend=first[1]))
+        used = (step > 0.0) & (turned > _SLOWEST * step) & np.isfinite(residual)
+        rows = np.concatenate((self._moving, np.stack((step, angle, output, residual), axis=1)[used]))
+        end = len(rows) - len(rows) % _BLOCK
+        for begin in range(0, end, _BLOCK):
+            self._sums = _with(*self._sums, rows[begin : begin + _BLOCK])
+        self._moving = rows[end:]
+
+
+def _with(gram: Floats, moment: Floats, rows: Floats) -> tuple[Floats, Floats]:
+    """Sums after more samples, rows of (step [s], input angle, output angle, residual [rad])."""
+    step, angle, output, value = rows.T
+    phases = np.stack([order * (angle if frame == "input" else output) for frame, order in ORDERS])
+    terms = np.concatenate((np.ones((1, len(rows))), np.cos(phases), np.sin(phases)))
+    usable = np.isfinite(phases).all(axis=0)
+    elapsed = np.cumsum(step)
+    end = elapsed[-1] if len(rows) else 0.0
+    weight = np.where(usable, np.exp((elapsed - end) / _MEMORY), 0.0)
+    terms = np.where(usable, terms, 0.0)
+    kept, weighted = np.exp(-end / _MEMORY), weight * terms
+    # Not by BLAS: its results may depend on its number of threads.
+    return (
+        gram * kept + np.einsum("ik,jk->ij", weighted, terms),
+        moment * kept + np.einsum("ik,k->i", weighted, value),
+    )

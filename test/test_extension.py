@@ -120,5 +120,5 @@ def test_a_diagnosis_with_the_model_in_force_is_of_the_configured_joint(folder: 
 def test_a_model_that_cannot_be_written_is_one_line(folder: Path) -> None:
     result = invoke("diagnose", folder / "bag.mcap", "--model", folder / "none" / "m.json")
     assert result.exit_code == 2
-    assert "No such file or directory" in result.stderr
+    assert "m.json: cannot be written: no such folder" in result.stderr
     assert len(result.stderr.splitlines()) == 1

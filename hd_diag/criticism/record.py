@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import median_filter
 from scipy.signal import savgol_filter
 
 Floats = npt.NDArray[np.float64]
@@ -21,7 +22,9 @@ _GAP_STEPS = 5.5  # a step this many times the usual one is a gap: state and fil
 _SPEED_WINDOW = 0.03  # [s]
 _TORQUE_WINDOW = 0.15  # [s]; torques of robot joints change over tenths of a second
 _WRAP_SLACK = 0.1  # what noise and outliers may add to the range of a wrapped angle [rad]
-_OUTLIER = 8.0  # robust standard deviations of the short-time deviation
+_OUTLIER = 8.0  # robust standard deviations of what neighbours do not foretell
+_OUTLIER_WINDOW = 51  # over which that deviation is taken [samples]
+_OUTLIER_PASSES = 3
 
 
 class RecordError(ValueError):
@@ -266,19 +269,31 @@ def _smooth(values: Floats, step: float, width: float) -> Floats:
 
 
 def _outliers(error: Floats, segment: Integers) -> npt.NDArray[np.bool_]:
-    """Samples far off both their neighbourhoods: the error less a running median, in robust deviations."""
+    """Single samples off both their neighbours; taken out, they may show others beside them."""
     found = np.zeros(error.size, dtype=bool)
     for a, b in _bounds(segment):
-        part = error[a:b]
-        if part.size < 9:
-            continue
-        padded = np.pad(part, 4, mode="edge")
-        near = np.median(np.lib.stride_tricks.sliding_window_view(padded, 9), axis=1)
-        deviation = part - near
-        spread = 1.4826 * np.median(np.abs(deviation))
-        if spread > 0.0:
-            found[a:b] = np.abs(deviation) > _OUTLIER * spread
+        rows = np.arange(a, b)
+        for _ in range(_OUTLIER_PASSES):
+            off = _spikes(error[rows])
+            found[rows[off]] = True
+            rows = rows[~off]
     return found
+
+
+def _spikes(values: Floats) -> npt.NDArray[np.bool_]:
+    """Samples far off the cubic through their four neighbours, and beyond both next to them.
+
+    The cubic follows the gear's ripple, which a running median would cut; flanks that change are a step,
+    beyond one neighbour only.
+    """
+    if values.size < 9:
+        return np.zeros(values.size, dtype=bool)
+    far, near, x, after, last = np.lib.stride_tricks.sliding_window_view(np.pad(values, 2, "reflect"), 5).T
+    off = np.abs(x - (4.0 * (near + after) - far - last) / 6.0)
+    local = median_filter(off, _OUTLIER_WINDOW, mode="nearest")
+    spread = 1.4826 * np.maximum(local, np.median(off))
+    single = ((x - near) * (x - after) > 0.0) & (np.minimum(np.abs(x - near), np.abs(x - after)) > 0.5 * off)
+    return np.asarray(single & (spread > 0.0) & (off > _OUTLIER * spread))
 
 
 def _runs(time: Floats, speed: Floats, segment: Integers) -> Integers:
