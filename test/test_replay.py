@@ -333,6 +333,24 @@ def test_times_that_ros_does_not_have_are_refused(tmp_path: Path) -> None:
         replay(bag, tmp_path / "out.mcap", CONFIG)
 
 
+def test_extreme_numbers_are_taken_as_they_come(tmp_path: Path) -> None:
+    """Angles whose orders overflow, one by one and many at once."""
+    extremes = (1e308, -1e308, 5e-324, 1e17, 0.0)
+    messages = [
+        (
+            "/joint_states",
+            JOINT_STATE,
+            message(START + i * MS, {"a_motor": x, "a": -x}, {"a": y}),
+            START + i * MS,
+        )
+        for i, (x, y) in enumerate((x, y) for x in extremes for y in (*extremes, 1.0) for _ in range(20))
+    ]
+    bag = write_with_mcap(tmp_path / "b.mcap", messages)
+    result = replay(bag, tmp_path / "out.mcap", CONFIG)
+    assert result.rejected["a"] == 0
+    assert len(content(tmp_path / "out.mcap")["/hd_diag/residual"]) == len(messages)
+
+
 # Errors and interruptions ---
 
 

@@ -237,6 +237,10 @@ class BagWriter:
         BagError
             As `write`.
         """
+        if len(rows) == len(log_times) == 1:
+            publish_time = None if publish_times is None else int(publish_times[0])
+            self.write(topic, type_name, bytes(rows[0]), int(log_times[0]), publish_time, qos)
+            return
         self.add_topic(topic, type_name, qos)
         times = np.asarray(log_times, np.int64)
         published = times if publish_times is None else np.asarray(publish_times, np.int64)

@@ -96,7 +96,7 @@ def admissible(parameters: Floats, configured: Drive) -> Floats:
         size = float(np.hypot(*p[pair]))
         if size > most:
             p[pair] *= most / size
-    p[4] = np.clip(p[4], datum - 40.0, datum + 60.0)
+    p[4] = np.clip(p[4], datum - 40.0, datum + 45.0)
     p[5] = np.clip(p[5], 4.0, 25.0)
     p[6] = np.clip(p[6], 0.0, 20.0)
     return p

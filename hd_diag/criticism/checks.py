@@ -122,7 +122,9 @@ def _ramps(record: Record, ratio: float) -> Floats:
     shared = (load, load * np.abs(load), load**3, record.speed, np.cos(ideal), np.sin(ideal))
     part = np.arange(record.size) * _PARTS // record.size
     way = _centered(ideal, record.run)
-    columns = [way * (part == number) for number in range(_PARTS)] + [_centered(c, record.run) for c in shared]
+    columns = [way * (part == number) for number in range(_PARTS)] + [
+        _centered(c, record.run) for c in shared
+    ]
     scale = [max(float(np.linalg.norm(c)), 1e-300) for c in columns]
     scaled = np.stack([c / s for c, s in zip(columns, scale, strict=True)], axis=1)
     error = _centered(record.output_angle - ideal, record.run)

@@ -20,6 +20,7 @@ Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 _BLOCKS = 24
+_GAP_STEPS = 200.0  # a step this many times the usual one is a gap in the record
 _SETTLED = 1.0  # standard deviations; the model is linear over such steps
 # What no refit of the model can be blamed for: a cause must beat a refit of its own as well.
 SEARCHED = tuple(effect for effect in CATALOGUE if effect.name not in ("ratio_error", "tooth_skip"))
@@ -219,12 +220,20 @@ def signals(record: Record, drive: Drive, error: Floats, slope: Floats) -> Signa
         speed=record.speed,
         torque=record.torque,
         temperature=record.temperature,
-        run=record.run,
+        run=stretches(record),
         predicted=error,
         predicted_torque_slope=slope,
         predicted_rate=rate,
         contact=ContactWeights(drive, angle, record.torque),
     )
+
+
+def stretches(record: Record) -> Integers:
+    """Numbers of stretches without a gap: a pause ends a run, but a cause with memory goes on through it."""
+    step = np.diff(record.time)
+    usual = float(np.median(step[step > 0.0]))
+    breaks = (step > _GAP_STEPS * usual) | (step <= 0.0) | (np.diff(record.bag) != 0)
+    return np.concatenate(([0], np.cumsum(breaks))).astype(np.int64)
 
 
 def blocks(run: Integers) -> Integers:

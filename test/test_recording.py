@@ -1,0 +1,296 @@
+"""Records from bags and tables, as users have them."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bag_samples import JOINT_STATE, STRING, string_cdr, write_with_mcap
+from joint_records import RATIO, columns, joint, prepared
+from numpy.testing import assert_allclose, assert_array_equal
+
+from hd_diag.bag import BagError, encode_joint_states
+from hd_diag.bag.schemas import jazzy, serialize
+from hd_diag.config import resolve
+from hd_diag.criticism.record import Record, RecordError
+from hd_diag.recording import joints_in, read_bags, read_table
+
+START = 1_760_000_000 * 10**9  # [ns]
+TEMPERATURE = "sensor_msgs/msg/Temperature"
+NAMES = ("joint_1_motor", "joint_1")
+COLUMNS = {"time": "t", "input": "motor", "output": "link", "torque": "tau"}
+Message = tuple[str, str, bytes, int]
+
+
+@pytest.fixture(scope="module")
+def given() -> dict[str, np.ndarray]:
+    """Six seconds whose stamps are whole nanoseconds."""
+    return columns(seconds=6.0)
+
+
+def states(
+    time: np.ndarray,
+    names: Sequence[str],
+    position: Sequence[np.ndarray],
+    effort: Sequence[np.ndarray] | None = None,
+    velocity: Sequence[np.ndarray] | None = None,
+    topic: str = "/joint_states",
+) -> list[Message]:
+    stamp = START + np.rint(1e9 * time).astype(np.int64)
+    blocks = [None if b is None else np.stack(b, axis=1) for b in (position, velocity, effort)]
+    rows = encode_joint_states(list(names), stamp, *blocks)
+    return [(topic, JOINT_STATE, row.tobytes(), int(s)) for row, s in zip(rows, stamp, strict=True)]
+
+
+def whole(given: dict[str, np.ndarray], names: Sequence[str] = NAMES, torque: bool = True) -> list[Message]:
+    """Everything of a joint in one message."""
+    effort = (np.zeros_like(given["torque"]), given["torque"]) if torque else None
+    return states(given["time"], names, (given["input"], given["output"]), effort)
+
+
+def temperatures(time: np.ndarray, value: np.ndarray, topic: str = "/joint_1/temperature") -> list[Message]:
+    types = jazzy().types
+    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](0, 0), "")
+    stamp = START + np.rint(1e9 * time).astype(np.int64)
+    return [
+        (topic, TEMPERATURE, serialize(types[TEMPERATURE](header, float(v), 0.0), TEMPERATURE), int(s))
+        for s, v in zip(stamp, value, strict=True)
+    ]
+
+
+def write(path: Path, *messages: list[Message]) -> Path:
+    return write_with_mcap(path, sorted((m for part in messages for m in part), key=lambda m: m[3]))
+
+
+def read(*paths: Path, **own: Any) -> Record:
+    return read_bags(paths, joint(**own))
+
+
+# Bags ---
+
+
+def test_everything_in_one_message(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    record = read(write(tmp_path / "a.mcap", whole(given)))
+    expected = prepared(given)
+    assert_allclose(record.time, expected.time, rtol=0, atol=1e-9)
+    assert_array_equal(record.input_angle, expected.input_angle)
+    assert_array_equal(record.output_angle, expected.output_angle)
+    assert_array_equal(record.reported_torque, expected.reported_torque)
+    assert (record.has_torque, record.temperature, record.reported_speed) == (True, None, None)
+
+
+def test_several_bags_are_runs(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    later = {**given, "time": given["time"] + 3600.0}
+    paths = [write(tmp_path / f"{i}.mcap", whole(part)) for i, part in enumerate((given, later))]
+    record = read(*paths)
+    assert (record.runs, record.size) == (2, 2 * given["time"].size)
+    assert_array_equal(record.run, record.bag)
+    assert record.time[record.run == 1][0] == pytest.approx(3600.0, abs=1e-6)
+    assert record.duration == pytest.approx(2 * given["time"][-1], abs=1e-6)
+
+
+def test_input_and_output_in_messages_of_their_own(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    """The input at 1 kHz, half a step beside the output's 200 Hz: interpolated to the output's stamps."""
+    fast = np.arange(0.0005, 6.0, 0.001)
+    angle = 60.0 * np.sin(2.0 * np.pi * fast / 10.0)
+    path = write(
+        tmp_path / "split.mcap",
+        states(fast, NAMES[:1], (angle,), topic="/motor/joint_states"),
+        states(given["time"], NAMES[1:], (given["output"],), (given["torque"],)),
+    )
+    record = read(path)
+    assert_allclose(record.time, given["time"][1:-4], rtol=0, atol=1e-9)
+    # Linear interpolation: an eighth of the step squared times the acceleration.
+    bound = 1.01 * 0.001**2 / 8 * 60.0 * (2.0 * np.pi / 10.0) ** 2
+    assert_allclose(record.input_angle, given["input"][1:-4], rtol=0, atol=bound)
+
+
+def test_a_torque_at_a_lower_rate(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    slow = slice(None, None, 4)
+    path = write(
+        tmp_path / "slow.mcap",
+        states(given["time"], NAMES, (given["input"], given["output"])),
+        states(
+            given["time"][slow] + 0.001, NAMES[1:], (np.full(300, np.nan),), (given["torque"][slow],), topic="/tau"
+        ),
+    )
+    record = read(path)
+    assert record.has_torque
+    assert np.max(np.abs(record.reported_torque - given["torque"])[10:-10]) < 0.1
+
+
+def test_the_input_is_not_interpolated_over_a_gap(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    lost = (given["time"] > 2.0) & (given["time"] < 2.3)
+    path = write(
+        tmp_path / "gap.mcap",
+        states(given["time"][~lost], NAMES[:1], (given["input"][~lost],)),
+        states(given["time"], NAMES[1:], (given["output"],), topic="/link"),
+    )
+    record = read(path)
+    assert record.runs == 2
+    assert not np.any((record.time > 2.001) & (record.time < 2.299))
+
+
+def test_wrapped_angles_in_messages_of_their_own(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    path = write(
+        tmp_path / "wrapped.mcap",
+        states(given["time"] + 0.001, NAMES[:1], (np.mod(given["input"], 2.0 * np.pi),)),
+        states(given["time"], NAMES[1:], (given["output"],), topic="/link"),
+    )
+    record = read(path)
+    error = record.output_angle - record.input_angle / RATIO
+    assert np.ptp(error) < 2e-3
+
+
+def test_no_torque(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    record = read(write(tmp_path / "a.mcap", whole(given, torque=False)), torque=4.5)
+    assert not record.has_torque
+    assert_array_equal(record.torque, 4.5)
+
+
+def test_an_effort_of_nan_is_no_torque(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    nothing = {**given, "torque": np.full_like(given["torque"], np.nan)}
+    assert not read(write(tmp_path / "a.mcap", whole(nothing))).has_torque
+
+
+def test_temperature(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    seconds = np.arange(7.0)
+    path = write(
+        tmp_path / "a.mcap",
+        whole(given),
+        temperatures(seconds, 25.0 + seconds),
+        temperatures(seconds, 80.0 + seconds, "/joint_2/temperature"),
+    )
+    record = read(path)
+    assert record.temperature is not None
+    assert_allclose(record.temperature, 25.0 + record.time, atol=0.05)
+
+
+def test_speed_as_reported(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    speed = np.gradient(given["input"], given["time"])
+    messages = states(
+        given["time"], NAMES, (given["input"], given["output"]), None, (speed, speed / RATIO)
+    )
+    record = read(write(tmp_path / "a.mcap", messages))
+    assert_array_equal(record.reported_speed, speed)
+
+
+def test_several_joints(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    other = {**columns(seconds=6.0, seed=5), "input": given["input"] + 1.0}
+    names = (*NAMES, "joint_2_motor", "joint_2")
+    messages = states(
+        given["time"], names, (given["input"], given["output"], other["input"], other["output"])
+    )
+    path = write(tmp_path / "two.mcap", messages, [("/note", STRING, string_cdr("x"), START)])
+    assert joints_in([path]) == set(names)
+    config = resolve({"joints": ["joint_1", "joint_2"]})
+    first, second = (read_bags([path], j) for j in config.joints)
+    assert_array_equal(first.input_angle, given["input"])
+    assert_array_equal(second.input_angle, other["input"])
+    assert_array_equal(second.output_angle, other["output"])
+
+
+def test_own_outputs_in_a_log_are_not_read(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    """The node's log holds its predictions under the joints' names too."""
+    zero = np.zeros_like(given["time"])
+    predicted = states(given["time"], NAMES[1:], (zero,), (zero,), topic="/hd_diag/transmission_error")
+    record = read(write(tmp_path / "log.mcap", whole(given), predicted))
+    assert_array_equal(record.output_angle, given["output"])
+
+
+def test_a_bag_without_the_joint_names_it(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", whole(given, ("elbow_motor", "elbow")))
+    with pytest.raises(RecordError, match=r"no input angle \('joint_1_motor'\) with output angle \('joint_1'\)"):
+        read(path)
+
+
+def test_a_bag_without_an_output_angle(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", states(given["time"], NAMES[:1], (given["input"],)))
+    with pytest.raises(RecordError, match="with output angle"):
+        read(path)
+
+
+def test_a_bag_without_joint_states(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", [("/note", STRING, string_cdr("x"), START)])
+    with pytest.raises(BagError, match="has no topic with sensor_msgs/msg/JointState"):
+        read(path)
+
+
+# Tables ---
+
+
+def write_table(path: Path, given: dict[str, np.ndarray], **more: np.ndarray) -> Path:
+    named = {COLUMNS.get(name, name): column for name, column in {**given, **more}.items()}
+    rows = [",".join(named), *(",".join(map(repr, row)) for row in zip(*(c.tolist() for c in named.values())))]
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+def test_a_table_gives_the_same_record(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    path = write_table(tmp_path / "a.csv", given, note=np.zeros(given["time"].size))
+    record, expected = read_table(path, COLUMNS, joint(), False), prepared(given)
+    for name in ("time", "input_angle", "output_angle", "torque", "speed", "run"):
+        assert_array_equal(getattr(record, name), getattr(expected, name))
+
+
+def test_an_input_that_is_divided_already(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    path = write_table(tmp_path / "a.csv", {**given, "input": given["input"] / RATIO})
+    assert_allclose(read_table(path, COLUMNS, joint(), True).input_angle, given["input"], rtol=1e-12)
+
+
+def test_a_table_without_torque_and_with_temperature_and_records(
+    given: dict[str, np.ndarray], tmp_path: Path
+) -> None:
+    count = given["time"].size
+    path = write_table(tmp_path / "a.csv", given, heat=np.full(count, 31.0), part=np.arange(count) // 600)
+    chosen = {name: COLUMNS[name] for name in ("time", "input", "output")}
+    record = read_table(path, {**chosen, "temperature": "heat", "record": "part"}, joint(torque=3.0), False)
+    assert (record.has_torque, record.runs) == (False, 2)
+    assert_allclose(record.temperature, 31.0, rtol=1e-12)
+
+
+def test_empty_cells_are_missing_values(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    path = write_table(tmp_path / "a.csv", given)
+    lines = path.read_text().splitlines()
+    lines[100] = lines[100].rpartition(",")[0] + ","
+    lines[200] = lines[200].split(",")[0]
+    path.write_text("\n".join(lines))
+    assert read_table(path, COLUMNS, joint(), False).dropped == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "has no column 't'; it has "),
+        ("t,motor,link\n0,0,0\n", "has no column 'tau'; it has t, motor, link"),
+        ("t,motor,link,tau\n0,1,x,3\n", "line 2: 'x' is no number"),
+        ("t,motor,link,tau\n", "too short: 0 usable samples"),
+        ("t,motor,link,tau\n0,1,2,3\n", "too short: 1 usable samples"),
+        ("\xff\xfe", "cannot be read"),
+    ],
+)
+def test_a_bad_table_is_told_in_one_line(text: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text, encoding="latin-1")
+    with pytest.raises(RecordError) as caught:
+        read_table(path, COLUMNS, joint(), False)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_table(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match="cannot be read"):
+        read_table(tmp_path / "none.csv", COLUMNS, joint(), False)
+
+
+@pytest.mark.parametrize(
+    ("chosen", "said"),
+    [
+        ({"time": "t", "input": "motor"}, "--columns needs output"),
+        ({**COLUMNS, "speed": "v"}, "--columns does not know 'speed'"),
+    ],
+)
+def test_columns_that_are_not_known_or_missing(chosen: dict[str, str], said: str, tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match=said):
+        read_table(tmp_path / "none.csv", chosen, joint(), False)
