@@ -218,7 +218,7 @@ def _unwrapped(angle: Floats, bag: Integers) -> Floats:
 
 
 def _with_turns(angle: Floats, output: Floats, bag: Integers, segment: Integers, ratio: float) -> Floats:
-    """Input angles without jumps of whole turns; of wrapped ones the output tells those that no sample saw."""
+    """Input angles without jumps of whole turns; the output tells those that no sample saw."""
     result = angle.copy()
     first = ratio * output[0] - angle[0]
     for begin, end in _bounds(bag):
