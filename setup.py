@@ -57,6 +57,12 @@ setup(
             "hypothesis>=6.98,<7",
             "mcap-ros2-support>=0.5,<0.7",
         ],
+        # Plain methods that bench/challenge.py runs beside this package's, and what builds the tree there.
+        "challenge": [
+            "pysindy>=2.0,<3",
+            "scikit-learn>=1.3,<2",
+            "setuptools>=68,<85",
+        ],
         "dev": [
             "colcon-common-extensions>=0.3,<0.4",
             "catkin-pkg>=1.0,<2",

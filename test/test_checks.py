@@ -63,9 +63,7 @@ def test_a_ramp_is_not_looked_for_where_nothing_tells_it_from_torsion(record: Re
 
 
 def test_swapped_joints_are_said_first(record: Record) -> None:
-    swapped = dataclasses.replace(
-        record, input_angle=record.output_angle, output_angle=record.input_angle
-    )
+    swapped = dataclasses.replace(record, input_angle=record.output_angle, output_angle=record.input_angle)
     found = check_ratio(swapped, RATIO)
     assert found is not None
     assert found.value == pytest.approx(1.0 / RATIO, rel=1e-3)

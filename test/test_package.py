@@ -14,7 +14,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parent.parent
-LOCKS = ("demo", "test", "ubuntu")
+LOCKS = ("demo", "test", "ubuntu", "challenge")
 # The whole grammar of a lock: no option, no address, no path can be in it.
 LOCK_LINE = re.compile(
     r"|((    )?#.*|[a-z0-9-]+==[^\s;]+( ; [^\\/]+)? \\|    --hash=sha256:[0-9a-f]{64}( \\)?)"

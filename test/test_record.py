@@ -46,7 +46,9 @@ def test_noise_of_the_torque_is_smoothed_without_phase(given: dict[str, np.ndarr
     given["torque"] = true + np.random.default_rng(1).normal(0.0, 0.5, true.size)
     record = prepared(given)
     assert np.std(record.torque - true) < 0.5 * 0.5
-    lagged = [np.std(record.torque - np.interp(record.time - lag, record.time, true)) for lag in (-0.02, 0, 0.02)]
+    lagged = [
+        np.std(record.torque - np.interp(record.time - lag, record.time, true)) for lag in (-0.02, 0, 0.02)
+    ]
     assert lagged[1] == min(lagged)
     assert_array_equal(record.reported_torque, given["torque"])
 
@@ -57,7 +59,9 @@ def test_nan_stretches_are_taken_out(given: dict[str, np.ndarray], name: str) ->
     record = prepared(given)
     assert record.dropped == (20 if name != "time" else 21)  # the next stamp has nothing to follow
     assert record.runs == 2
-    assert np.isfinite([record.time, record.input_angle, record.output_angle, record.torque, record.speed]).all()
+    assert np.isfinite(
+        [record.time, record.input_angle, record.output_angle, record.torque, record.speed]
+    ).all()
 
 
 def test_a_torque_that_is_nan_throughout_is_none(given: dict[str, np.ndarray]) -> None:

@@ -1,0 +1,146 @@
+"""Plain methods on the same records: peaks of a spectrum, LassoCV, and PySINDy's sequential threshold.
+
+All begin where the package begins its search: at the residual of the refitted model. The two regressions
+get the package's own dictionary, the model's derivatives among it.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import time
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+import scoring
+from challenge import records
+
+from hd_diag.criticism.refit import refit
+from hd_diag.criticism.workbench import SEARCHED, Workbench
+from hd_diag.model.torsion_map import ARCSEC
+
+ROWS = 6000
+GRID_POINTS = 4  # of an effect with nonlinear values
+WORTH_NAMING = 0.25 * ARCSEC  # [rad rms]
+PER_TURN = 256
+TIMES_FLOOR = 8.0  # a peak of the spectrum over the median about it
+
+# Cycles per input turn, and who is usually blamed for them.
+KNOWN_ORDERS = (
+    (0.01, 0.003, ["output_runout", "output_encoder_eccentricity"]),
+    (0.44, 0.03, ["bearing_passage"]),
+    (1.0, 0.004, ["input_encoder_eccentricity"]),
+    (2.0, 0.008, ["circular_spline_pitch"]),
+    (2.02, 0.008, ["flexspline_pitch"]),
+    (4.0, 0.008, ["circular_spline_form", "circular_spline_pitch"]),
+    (4.04, 0.008, ["flexspline_pitch"]),
+    (6.0, 0.008, ["circular_spline_form"]),
+    *((float(n), 0.008, ["encoder_interpolation"]) for n in (8, 12, 16, 20, 24, 32)),
+)
+
+Named = tuple[list[list[str]], list[float]]
+
+
+def fft(bench: Workbench) -> Named:
+    """Peaks of the residual's spectrum over the input angle, at orders that textbooks know."""
+    bench_left = bench.left - bench.left.mean()
+    cell = np.round(bench.signals.wave_generator_angle * PER_TURN / (2.0 * np.pi)).astype(np.int64)
+    cell -= cell.min()
+    total, count = np.bincount(cell, bench_left), np.bincount(cell)
+    mean = np.where(count > 0, total / np.maximum(count, 1), 0.0)
+    filled = max(float((count > 0).mean()), 1e-9)
+    amplitude = np.abs(np.fft.rfft(mean)) * 2.0 / (mean.size * filled)
+    order = np.arange(amplitude.size) * PER_TURN / mean.size
+    named: list[list[str]] = []
+    sizes: list[float] = []
+    for place, half, names in KNOWN_ORDERS:
+        inside = np.abs(order - place) <= max(half, 0.6 * PER_TURN / mean.size)
+        around = (order > 0.7 * place) & (order < 1.4 * place)
+        if not inside.any() or names in named:
+            continue
+        peak = float(amplitude[inside].max())
+        if peak > TIMES_FLOOR * np.median(amplitude[around]) and peak > np.sqrt(2.0) * WORTH_NAMING:
+            named.append(names)
+            sizes.append(peak / np.sqrt(2.0))
+    return named, sizes
+
+
+def dictionary(bench: Workbench) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Columns of unit rms, the residual [rad], and the effect that each column is of ("" for the model)."""
+    parts, owners = [bench.always()], [""] * bench.always().shape[1]
+    for effect in SEARCHED:
+        if not effect.testable(bench.signals)[0]:
+            continue
+        grid = bench.grid(effect)
+        for point in grid[:: max(len(grid) // GRID_POINTS, 1)][:GRID_POINTS]:
+            parts.append(bench.columns(effect, point))
+            owners += [effect.name] * parts[-1].shape[1]
+    rows = slice(None, None, max(bench.left.size // ROWS, 1))
+    columns = np.concatenate([part[rows] for part in parts], axis=1)
+    return columns / np.maximum(columns.std(axis=0), 1e-300), bench.left[rows], owners
+
+
+def _named(columns: np.ndarray, owners: list[str], weights: np.ndarray) -> Named:
+    """Effects whose part is large enough to be named."""
+    named, sizes = [], []
+    for name in dict.fromkeys(owner for owner in owners if owner):
+        own = np.array([owner == name for owner in owners])
+        size = float(np.std(columns[:, own] @ weights[own]))
+        if size > WORTH_NAMING:
+            named.append([name])
+            sizes.append(size)
+    return named, sizes
+
+
+def _centered(bench: Workbench) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    columns, left, owners = dictionary(bench)
+    moving = columns.std(axis=0) > 0.5
+    kept = [owner for owner, moves in zip(owners, moving, strict=True) if moves]
+    return columns[:, moving] - columns[:, moving].mean(axis=0), left - left.mean(), kept
+
+
+def lasso(bench: Workbench) -> Named:
+    """LassoCV over five contiguous folds."""
+    from sklearn.linear_model import LassoCV
+
+    columns, left, owners = _centered(bench)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        fit = LassoCV(cv=5, max_iter=5000, fit_intercept=False).fit(columns, left / ARCSEC)
+    return _named(columns, owners, fit.coef_ * ARCSEC)
+
+
+def sindy(bench: Workbench) -> Named:
+    """Sequential threshold least squares of PySINDy, threshold at what is worth naming."""
+    from pysindy import STLSQ
+
+    columns, left, owners = _centered(bench)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        fit = STLSQ(threshold=WORTH_NAMING / ARCSEC, alpha=1e-3).fit(columns, left[:, None] / ARCSEC)
+    return _named(columns, owners, np.asarray(fit.coef_).ravel() * ARCSEC)
+
+
+METHODS: dict[str, tuple[str, Callable[[Workbench], Named]]] = {
+    "FFT peaks": ("numpy", fft),
+    "LassoCV": ("sklearn", lasso),
+    "PySINDy STLSQ": ("pysindy", sindy),
+}
+
+
+def available() -> list[str]:
+    """Methods whose package is installed."""
+    return [name for name, (package, _) in METHODS.items() if importlib.util.find_spec(package)]
+
+
+def scores(made: records.Record, family: str, seed: int) -> list[scoring.Score]:
+    """Scores of all baselines that can run."""
+    record = scoring.prepared(made)
+    bench = Workbench(record, scoring.CONFIGURED, refit(record, scoring.CONFIGURED).parameters)
+    found = []
+    for name in available():
+        begin = time.process_time()
+        named, sizes = METHODS[name][1](bench)
+        found.append(scoring.scored(name, made, family, seed, named, sizes))
+        found[-1].seconds = time.process_time() - begin
+    return found

@@ -1,0 +1,223 @@
+"""The benchmark of `hd-diag diagnose`: hidden causes to be found, beside plain methods on the same records.
+
+    python bench/challenge.py [--seeds N] [--families F ...] [--development | --final] [--first SEED]
+        [--jobs N] [--time S] [--no-baselines] [--json FILE] [--markdown FILE]
+
+Records come from test/challenge, which shares no code with the package. Development seeds may be looked at
+while the method is made; final seeds are for the last count only. `--time` begins no record after so many
+seconds. Times are CPU seconds of one core.
+"""
+
+# ruff: noqa: D103, T201, E402
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import multiprocessing
+import os
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path[:0] = [str(ROOT / "test"), str(ROOT / "bench")]  # challenge is the package in test/
+for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ.setdefault(threads, "1")
+
+import baselines
+import numpy as np
+import scoring
+from challenge.families import DEVELOPMENT, FAMILIES, FINAL
+from rich.console import Console
+from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from scoring import Score
+
+OWN = "hd_diag"
+PARAMETERS = 7
+Column = tuple[str, Callable[[list[Score]], str]]
+
+
+def judged(family: str, seed: int, with_baselines: bool) -> tuple[list[dict[str, object]], list[Score], str]:
+    """Scores of a record, or what went wrong."""
+    try:
+        made = FAMILIES[family](seed)
+        found = [scoring.score(made, family, seed)]
+        if with_baselines:
+            found += baselines.scores(made, family, seed)
+    except Exception:
+        return [], [], f"{family} {seed}: {traceback.format_exc()}"
+    return [scoring.plain(each) for each in found], found, ""
+
+
+# Figures ---
+
+
+def wilson(hits: int, count: int, z: float = 1.96) -> tuple[float, float]:
+    """95 % interval of a rate."""
+    if count == 0:
+        return 0.0, 1.0
+    share = hits / count
+    middle = share + z**2 / (2 * count)
+    half = z * math.sqrt(share * (1 - share) / count + z**2 / (4 * count**2))
+    scale = 1 + z**2 / count
+    return (middle - half) / scale, (middle + half) / scale
+
+
+def rate(hits: Iterable[bool]) -> str:
+    given = list(hits)
+    if not given:
+        return "–"
+    low, high = wilson(sum(given), len(given))
+    return f"{100 * np.mean(given):.1f} % ({100 * low:.0f}–{100 * high:.0f})"
+
+
+def median(values: Iterable[float | None], form: str, scale: float = 1.0) -> str:
+    given = [scale * v for v in values if v is not None and np.isfinite(v)]
+    return form.format(np.median(given)) if given else "–"
+
+
+def coverage(scores: list[Score]) -> str:
+    """Of the parameters; they are not independent, so the interval is of records, not of parameters."""
+    given = [s.covered for s in scores if s.covered is not None]
+    if not given:
+        return "–"
+    share = sum(given) / (PARAMETERS * len(given))
+    low, high = wilson(round(share * len(given)), len(given))
+    return f"{100 * share:.1f} % ({100 * low:.0f}–{100 * high:.0f})"
+
+
+NAMES: tuple[Column, ...] = (
+    ("right up to class", lambda s: rate(x.right for x in s)),
+    ("exact", lambda s: rate(x.exact for x in s)),
+    ("records with a false name", lambda s: rate(x.false_names > 0 for x in s)),
+    ("false names a record", lambda s: f"{np.mean([x.false_names for x in s]):.2f}"),
+    ("amplitude error", lambda s: median((e for x in s for e in x.amplitude_errors), "{:.1f} %", 100.0)),
+    ("time [s]", lambda s: median((x.seconds for x in s), "{:.1f}")),
+)
+FITS: tuple[Column, ...] = (
+    ("residual / noise, fit", lambda s: median((x.over_floor for x in s), "{:.4f}")),
+    ("residual / noise, as it runs", lambda s: median((x.running_over_floor for x in s), "{:.4f}")),
+    ("parameters in their 95 % interval", coverage),
+    ("unknown flagged", lambda s: rate(x.flagged for x in s if x.unknown)),
+    ("its order", lambda s: rate(x.order_right for x in s if x.order_right is not None)),
+)
+
+
+def rows(scores: list[Score], columns: Sequence[Column], methods: Sequence[str]) -> Iterator[list[str]]:
+    for family in FAMILIES:
+        for method in methods:
+            own = [s for s in scores if (s.family, s.method) == (family, method)]
+            if own:
+                figures = [figure(own) for _, figure in columns]
+                yield [family.replace("_", " "), method, str(len(own)), *figures]
+
+
+def markdown(scores: list[Score], columns: Sequence[Column], methods: Sequence[str]) -> str:
+    head = ["family", "method", "records", *(name for name, _ in columns)]
+    lines = [head, ["---"] * len(head), *rows(scores, columns, methods)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def report(scores: list[Score], told: str) -> str:
+    """The tables, ready for a page."""
+    methods = list(dict.fromkeys(s.method for s in scores))
+    return "\n\n".join(
+        (
+            f"{told} In brackets: 95 % intervals (Wilson).",
+            markdown(scores, NAMES, methods),
+            markdown(scores, FITS, [OWN]),
+        )
+    )
+
+
+def missed(scores: list[Score]) -> Iterator[str]:
+    for s in scores:
+        if s.method == OWN and not s.right:
+            hidden = ", ".join(s.hidden) or s.unknown or "nothing"
+            yield f"{s.family} {s.seed}: {hidden} -> {' + '.join('|'.join(f) for f in s.found) or 'nothing'}"
+
+
+# Run ---
+
+
+def run(
+    work: Sequence[tuple[str, int]], jobs: int, with_baselines: bool, limit: float, console: Console
+) -> tuple[list[dict[str, object]], list[Score], list[str]]:
+    """Scores of all records, in the order of the work."""
+    begin, results, waiting = time.monotonic(), {}, list(reversed(work))
+    progress = Progress(
+        TextColumn("{task.description}"), MofNCompleteColumn(), TimeRemainingColumn(), console=console
+    )
+    context = multiprocessing.get_context("spawn")
+    with progress, ProcessPoolExecutor(jobs, mp_context=context) as pool:
+        bar = progress.add_task("records", total=len(work))
+        pending = {}
+        while pending or waiting:
+            if time.monotonic() - begin > limit:
+                waiting.clear()
+            while waiting and len(pending) < jobs:
+                item = waiting.pop()
+                pending[pool.submit(judged, *item, with_baselines)] = item
+            if not pending:
+                break
+            for done in wait(pending, return_when=FIRST_COMPLETED).done:
+                results[pending.pop(done)] = done.result()
+                progress.advance(bar)
+    ordered = [results[item] for item in work if item in results]
+    return (
+        [p for plain, _, _ in ordered for p in plain],
+        [s for _, scores, _ in ordered for s in scores],
+        [text for _, _, text in ordered if text],
+    )
+
+
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seeds", type=int, default=20, metavar="N", help="records of each family")
+    parser.add_argument("--families", nargs="+", choices=FAMILIES, default=list(FAMILIES), metavar="F")
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--development", action="store_true", help="development seeds (default)")
+    which.add_argument("--final", action="store_true", help="final seeds")
+    parser.add_argument("--first", type=int, default=0, metavar="SEED", help="first seed of them")
+    parser.add_argument("--jobs", type=int, default=2, metavar="N")
+    parser.add_argument("--time", type=float, default=math.inf, metavar="S")
+    parser.add_argument("--no-baselines", action="store_true")
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--markdown", type=Path, metavar="FILE")
+    return parser.parse_args()
+
+
+def main() -> int:
+    given, console = arguments(), Console(stderr=True)
+    seeds = (FINAL if given.final else DEVELOPMENT)[given.first : given.first + given.seeds]
+    # Seed by seed, so that a run that ends early has some of every family.
+    work = [(family, seed) for seed in seeds for family in given.families]
+    with_baselines = not given.no_baselines
+    missing = set(baselines.METHODS) - set(baselines.available())
+    if with_baselines and missing:
+        console.print(f"not installed, left out: {', '.join(sorted(missing))} (make challenge installs them)")
+    plain, scores, failures = run(work, given.jobs, with_baselines, given.time, console)
+    done = len({(s.family, s.seed) for s in scores})
+    kind = "final" if given.final else "development"
+    text = report(scores, f"{done} of {len(work)} records, {kind} seeds from {seeds[0]} on.")
+    print(text)
+    for line in missed(scores):
+        console.print(f"missed: {line}", highlight=False, soft_wrap=True)
+    for failure in failures:
+        console.print(f"FAILED: {failure}", highlight=False, markup=False, soft_wrap=True)
+    if given.markdown:
+        given.markdown.write_text(text + "\n")
+    if given.json:
+        given.json.write_text(json.dumps({"schema": "hd_diag/challenge/1", "records": plain}, indent=1))
+    return 1 if failures else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

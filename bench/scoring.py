@@ -1,0 +1,173 @@
+"""What a diagnosis of a generated record is worth: names, sizes, residual, intervals, time."""
+
+# ruff: noqa: D102, D103
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from challenge import records
+from challenge.causes import UNKNOWN
+
+from hd_diag.config import resolve
+from hd_diag.criticism import base
+from hd_diag.criticism.diagnosis import Diagnosis, diagnose, held_out
+from hd_diag.criticism.record import Record, prepare
+from hd_diag.criticism.refit import usable
+
+CONFIGURED = resolve({}).joints[0].drive
+RATIO = CONFIGURED.kinematics.ratio
+MIRROR = np.array([-1.0, -1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
+ORDER_TOLERANCE = 0.02
+SIZED_OTHERWISE = ("ratio_error", "tooth_skip")  # findings before the fit: no rms at the output
+
+
+@dataclass
+class Score:
+    """One method on one record.
+
+    Attributes
+    ----------
+    hidden, found : names that are true, and classes that were named
+    unknown : name of a cause that no catalogue has, or ""
+    false_names : classes named that hold nothing true
+    amplitude_errors : relative, of those named rightly
+    listed : hidden names that the record's motion was said not to show
+    flagged, order_right : for an unknown cause; None where it has no order
+    over_floor, running_over_floor : held-out residual over the true noise of those samples, of the fit
+        and of the model as it runs
+    covered : parameters within their 95 % interval, of seven
+    seconds : CPU
+    """
+
+    method: str
+    family: str
+    seed: int
+    hidden: list[str]
+    unknown: str
+    found: list[list[str]]
+    false_names: int = 0
+    amplitude_errors: list[float] = field(default_factory=list)
+    listed: list[str] = field(default_factory=list)
+    flagged: bool = False
+    order_right: bool | None = None
+    over_floor: float | None = None
+    running_over_floor: float | None = None
+    covered: int | None = None
+    trusted: bool | None = None
+    seconds: float = 0.0
+
+    @property
+    def exact(self) -> bool:
+        return sorted(alike[0] for alike in self.found) == sorted(self.hidden)
+
+    @property
+    def right(self) -> bool:
+        """All that is hidden named up to its class, or said to be untestable, and nothing else named."""
+        left = [name for name in self.hidden if name not in self.listed or self.found]
+        return self.false_names == 0 and len(matched(left, self.found)) == len(left) == len(self.found)
+
+
+def matched(hidden: Sequence[str], found: Sequence[Sequence[str]]) -> list[tuple[int, int]]:
+    """Pairs (hidden, found) of the largest assignment of names to classes that hold them."""
+    best: list[tuple[int, int]] = []
+    places = range(max(len(hidden), len(found)))
+    for order in itertools.permutations(places, len(hidden)):
+        pairs = [(h, f) for h, f in enumerate(order) if f < len(found) and hidden[h] in found[f]]
+        best = max(best, pairs, key=len)
+    return best
+
+
+def prepared(made: records.Record) -> Record:
+    columns = (made.time, made.input_angle, made.output_angle, made.torque, made.temperature)
+    return prepare(*columns, np.zeros(made.time.size, dtype=np.int64), RATIO)
+
+
+def size_of(made: records.Record, name: str) -> float:
+    """Rms at the output of what a cause adds [rad]."""
+    return float(np.std(records.added_by(made, name)))
+
+
+def score(made: records.Record, family: str, seed: int) -> Score:
+    """Score of the package's diagnosis."""
+    begin = time.process_time()
+    found = diagnose(prepared(made), CONFIGURED)
+    seconds = time.process_time() - begin
+    named = [[finding.name] for finding in found.findings] + [list(cause.alike) for cause in found.causes]
+    sizes = [float("nan")] * len(found.findings) + [cause.amplitude for cause in found.causes]
+    result = scored("hd_diag", made, family, seed, named, sizes)
+    result.listed = [t.name for t in found.testable if not t.testable and t.name in result.hidden]
+    result.seconds = seconds
+    _judge_unknown(result, made, found)
+    _judge_fit(result, made, found)
+    return result
+
+
+def scored(
+    method: str,
+    made: records.Record,
+    family: str,
+    seed: int,
+    named: list[list[str]],
+    sizes: Sequence[float],
+) -> Score:
+    """Names and sizes of any method, judged."""
+    hidden, unknown = made.truth["hidden"], "".join(made.truth["unknown"])
+    result = Score(method, family, seed, list(hidden), unknown, named)
+    pairs = matched(hidden, named)
+    result.false_names = len(named) - len(pairs)
+    for h, f in pairs:
+        if hidden[h] not in SIZED_OTHERWISE:
+            result.amplitude_errors.append(abs(sizes[f] / size_of(made, hidden[h]) - 1.0))
+    return result
+
+
+def _judge_unknown(result: Score, made: records.Record, found: Diagnosis) -> None:
+    result.flagged = bool(found.unexplained)
+    kind = next((cause for cause in UNKNOWN if cause.name == result.unknown), None)
+    if kind is None or (kind.order is None and not hasattr(kind, "frequency")):
+        return
+    true = getattr(kind, "frequency", kind.order)
+    true = true / RATIO if kind.frame == "output" else true
+    result.order_right = any(abs(line.order - true) < ORDER_TOLERANCE for line in found.unexplained)
+
+
+def _judge_fit(result: Score, made: records.Record, found: Diagnosis) -> None:
+    if found.rms is None or found.refitted is None:
+        return
+    unseen, _ = held_out(found.record)
+    unseen &= usable(found.record)
+    at = np.searchsorted(made.time, found.record.time[unseen])
+    noise = (made.output_angle - made.clean_output)[at]
+    floor = float(np.sqrt(np.mean(noise**2)))
+    result.over_floor, result.running_over_floor = found.rms.offline / floor, found.rms.extended / floor
+    result.covered = covered(found, made)
+    result.trusted = found.refitted.trustworthy
+
+
+def covered(found: Diagnosis, made: records.Record) -> int:
+    """How many of the seven parameters are within their 95 % interval, lobes swapped or not."""
+    assert found.refitted is not None
+    truth, spread = true_vector(made), np.sqrt(np.diag(found.refitted.covariance))
+    offs = (found.refitted.parameters - truth, found.refitted.parameters - MIRROR * truth)
+    off = min(offs, key=lambda x: float(np.hypot(*x[:2]) + np.hypot(*x[2:4])))
+    return int(np.sum(np.abs(off) < 1.96 * spread))
+
+
+def true_vector(made: records.Record) -> np.ndarray:
+    """True parameters in the units of the fit, shape (7,)."""
+    b = made.base
+    shift, runout = b.e * np.exp(1j * b.psi), b.runout * np.exp(1j * b.runout_psi)
+    compliance = b.compliance / CONFIGURED.mesh.tooth_compliance
+    values = [shift.real, shift.imag, runout.real, runout.imag, b.datum, compliance, b.cup]
+    return np.array(values) / [scale.si for scale in base.SCALES]
+
+
+def plain(result: Score) -> dict[str, object]:
+    """For JSON."""
+    return {**dataclasses.asdict(result), "exact": result.exact, "right": result.right}

@@ -1,0 +1,213 @@
+"""The diagnosis end to end on records of the independent generator, and `hd-diag diagnose`.
+
+Development seeds only; the whole benchmark is bench/challenge.py.
+"""
+
+import dataclasses
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from challenge import families, motion, records
+from challenge.records import Recording, simulate
+from challenge.truth import drawn
+from click.testing import CliRunner, Result
+from joint_records import columns, joint
+
+from hd_diag.cli import cli
+from hd_diag.criticism.diagnosis import Diagnosis, diagnose
+from hd_diag.criticism.record import prepare
+
+CONFIGURED = joint().drive
+RATE = 200.0  # [Hz]
+RUN = 5.0  # [s]; twelve of them, half as long as the benchmark's
+CHANCE = 0.2  # of an rms of so short a sample of coloured noise, four standard deviations
+Truth = records.Record
+
+
+def generated(family: str, seed: int, *names: str, run: float = RUN) -> Truth:
+    """Record of a family's seed with causes of these names."""
+    rng = families.generator(family, seed)
+    standard = motion.standard(rng)
+    moved = motion.Motion(tuple(dataclasses.replace(each, duration=run) for each in standard.runs))
+    causes = [families.draw(rng, name, moved) for name in names]
+    return simulate(drawn(rng), causes, moved, rng, Recording(rate=RATE))
+
+
+def diagnosed(made: Truth) -> Diagnosis:
+    data = (made.time, made.input_angle, made.output_angle, made.torque, made.temperature)
+    return diagnose(prepare(*data, np.zeros(made.time.size, dtype=np.int64), 100.0), CONFIGURED)
+
+
+def hd_diag(*arguments: object) -> Result:
+    return CliRunner().invoke(cli, ["diagnose", *map(str, arguments)])
+
+
+# Causes ---
+
+
+@pytest.mark.parametrize(
+    ("name", "seed", "run"),
+    [
+        ("bearing_passage", 4, 2 * RUN),
+        ("circular_spline_pitch", 5, RUN),
+        ("flexspline_pitch", 6, RUN),
+        ("hysteresis", 9, RUN),
+        ("input_encoder_eccentricity", 12, RUN),
+    ],
+)
+def test_a_cause_is_named_with_its_size(name: str, seed: int, run: float) -> None:
+    """And no other; its size to 10 %."""
+    made = generated("one_effect", seed, name, run=run)
+    found = diagnosed(made)
+    assert [name in cause.alike for cause in found.causes] == [True]
+    amplitude = float(np.std(records.added_by(made, name)))
+    assert found.causes[0].amplitude == pytest.approx(amplitude, rel=0.1)
+    assert found.rms is not None
+    assert found.rms.nominal > found.rms.refit > found.rms.offline
+
+
+@pytest.mark.parametrize(
+    ("name", "seed", "frame", "order"),
+    [
+        ("strange_order", 0, "input", 3.37),
+        ("floor_vibration", 6, "time", 7.3),
+    ],
+)
+def test_what_no_catalogue_has_is_described_and_not_named(
+    name: str, seed: int, frame: str, order: float
+) -> None:
+    found = diagnosed(generated("unknown", seed, name))
+    assert (found.findings, found.causes) == ((), ())
+    assert [line.frame for line in found.unexplained] == [frame]
+    assert found.unexplained[0].order == pytest.approx(order, abs=0.02)
+
+
+@pytest.mark.parametrize("seed", [16, 36, 56, 76, 96])
+def test_a_wrong_ratio_is_said_first(seed: int) -> None:
+    """Fractions from 3e-4 to 3e-2."""
+    made = generated("one_effect", seed, "ratio_error", run=2 * RUN)
+    found = diagnosed(made)
+    assert [finding.name for finding in found.findings] == ["ratio_error"]
+    fraction = made.truth["effects"]["ratio_error"]["fraction"]
+    assert found.findings[0].value == pytest.approx(100.0 * (1.0 + fraction), abs=0.02)
+    assert found.causes == ()
+
+
+def test_a_skipped_tooth_is_found_and_put_back() -> None:
+    made = generated("one_effect", 17, "tooth_skip")
+    found = diagnosed(made)
+    assert [finding.text.partition(": ")[2] for finding in found.findings] == ["1 tooth skipped"]
+    assert found.causes == ()
+    assert found.rms is not None
+    assert found.rms.refit == pytest.approx(made.truth["noise_rms"], rel=CHANCE)
+
+
+# Command line ---
+
+
+def test_wrong_parameters_in_a_bag(tmp_path: Path) -> None:
+    """No cause; the held-out residual is the noise that was put in."""
+    made, told_file = generated("wrong_parameters", 3), tmp_path / "told.json"
+    records.write_bag(made, tmp_path / "joint.mcap")
+    result = hd_diag(tmp_path / "joint.mcap", "--json", told_file, "--fail-on-cause")
+    assert (result.exit_code, result.stderr) == (0, "")
+    told = json.loads(told_file.read_text())
+    assert (told["causes"], told["unexplained"], told["findings"]) == ([], [], [])
+    assert told["verdict"].endswith("no other cause is needed.")
+    assert f"joint_1: {told['verdict']}" in result.stdout.splitlines()
+    assert told["record"]["samples"] == made.time.size
+    noise = made.truth["noise_rms"]
+    assert told["refit"]["rms"] == pytest.approx(noise, rel=CHANCE)
+    assert told["noise_floor"]["low"] < noise < told["noise_floor"]["high"]
+    size = told["refit"]["parameters"]["eccentricity.magnitude"]
+    assert abs(size["value"] - made.base.e) < 4.0 * size["std"]
+    assert told["gain"]["low"] < told["gain"]["fraction_explained"] < told["gain"]["high"] < 1.0
+
+
+def test_a_cause_in_a_table(tmp_path: Path) -> None:
+    """A class that no record can split; exit code 1 where that was asked for."""
+    made = generated("one_effect", 0, "output_runout")
+    divided = dataclasses.replace(made, input_angle=made.input_angle / 100.0)
+    records.write_csv(divided, tmp_path / "bench.csv")
+    names = "time=time,input=input,output=output,torque=torque,temperature=temperature"
+    result = hd_diag(
+        tmp_path / "bench.csv", "--columns", names, "--input-divided", "--fail-on-cause", "--json", "-"
+    )
+    assert (result.exit_code, result.stderr) == (1, "")
+    told = json.loads(result.stdout)
+    assert [set(cause["class"]) for cause in told["causes"]] == [
+        {"output_runout", "output_encoder_eccentricity"}
+    ]
+    amplitude = float(np.std(records.added_by(made, "output_runout")))
+    assert told["causes"][0]["amplitude"] == pytest.approx(amplitude, rel=0.1)
+    assert told["causes"][0]["p_value"] < 0.01
+
+
+def table(path: Path, **changes: Any) -> Path:
+    given = {**columns(seconds=6.0), **changes}
+    rows = zip(*(np.broadcast_to(c, given["time"].shape).tolist() for c in given.values()), strict=True)
+    path.write_text("\n".join([",".join(given), *(",".join(map(repr, row)) for row in rows)]))
+    return path
+
+
+COLUMNS = "time=time,input=input,output=output,torque=torque"
+
+
+def test_a_wrong_ratio_fails_on_request_at_once(tmp_path: Path) -> None:
+    given = columns(seconds=6.0)
+    path = table(tmp_path / "a.csv", input=-given["input"])
+    result = hd_diag(path, "--columns", COLUMNS, "--fail-on-cause")
+    assert result.exit_code == 1
+    told = re.fullmatch(
+        r"joint_1: First of all: the output follows .* ratio of (\S+), not .*\n", result.stdout
+    )
+    assert told is not None
+    assert float(told[1]) == pytest.approx(-100.0, rel=1e-3)
+    assert hd_diag(path, "--columns", COLUMNS).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "arguments", "said"),
+    [
+        ({}, ["--columns", "time=time,input=nothing,output=output"], "has no column 'nothing'"),
+        ({}, ["--columns", "time=time,input"], "--columns takes pairs like"),
+        ({}, ["--columns", "time=time,input=input"], "--columns needs output"),
+        ({}, [], "a.csv"),
+        ({}, ["--columns", COLUMNS, "--joint", "elbow"], "no joint 'elbow' in the configuration"),
+        ({"input": 0.0}, ["--columns", COLUMNS], "joint_1: no motion: the input turns by 0 rad"),
+        ({"output": np.nan}, ["--columns", COLUMNS], "joint_1: too short: 0 usable samples"),
+        ({"time": 1.0}, ["--columns", COLUMNS], "joint_1: too short: 1 usable samples"),
+    ],
+)
+def test_bad_input_is_told_in_one_line(
+    changes: dict[str, Any], arguments: list[str], said: str, tmp_path: Path
+) -> None:
+    given = columns(seconds=6.0)
+    whole = {name: np.full_like(given[name], value) for name, value in changes.items()}
+    assert_one_line(hd_diag(table(tmp_path / "a.csv", **whole), *arguments), said)
+
+
+def test_files_that_are_not_there_and_too_many_tables(tmp_path: Path) -> None:
+    assert_one_line(hd_diag(tmp_path / "none.mcap"), "none.mcap")
+    assert_one_line(hd_diag(tmp_path / "none.csv", "--columns", COLUMNS), "none.csv: cannot be read")
+    assert_one_line(hd_diag("a.csv", "b.csv", "--columns", COLUMNS), "only one CSV file at a time")
+
+
+def test_a_short_bag(tmp_path: Path) -> None:
+    made = generated("wrong_parameters", 3, run=2.0)
+    few = slice(None, 400)
+    cut = {name: getattr(made, name)[few] for name in ("time", "input_angle", "output_angle", "torque")}
+    records.write_bag(dataclasses.replace(made, temperature=None, **cut), tmp_path / "short.mcap")
+    assert_one_line(hd_diag(tmp_path / "short.mcap"), "too short: 400 usable samples, at least 500")
+
+
+def assert_one_line(result: Result, said: str) -> None:
+    assert isinstance(result.exception, SystemExit)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert len(result.stderr.splitlines()) == 1
+    assert result.stderr.startswith("hd-diag: ")
+    assert said in result.stderr

@@ -1,0 +1,238 @@
+"""A diagnosis in words and in JSON: the contract's keys, nothing that is not a number, one sentence."""
+
+import dataclasses
+import json
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from joint_records import ARCSEC, columns, joint, prepared
+
+from hd_diag.criticism import base
+from hd_diag.criticism.checks import Finding
+from hd_diag.criticism.diagnosis import Diagnosis, Gain, Rms
+from hd_diag.criticism.refit import Refit
+from hd_diag.criticism.search import Cause
+from hd_diag.criticism.testability import Testability
+from hd_diag.criticism.unexplained import Line
+from hd_diag.effects import CATALOGUE
+from hd_diag.verdict import as_json, sentence, summary
+
+CONFIGURED = joint().drive
+EFFECTS = {effect.name: effect for effect in CATALOGUE}
+
+# What other people's scripts read, and what stands there beside it.
+KEYS = {
+    "": "schema joint record nominal refit causes unexplained extended noise_floor gain testability model "
+    "verdict",
+    "record": "samples duration input_turns runs",
+    "nominal": "rms",
+    "refit": "rms parameters trustworthy",
+    "causes": "name class parameters amplitude gain p_value explanation inspect",
+    "unexplained": "order frame amplitude torque_law direction_law",
+    "extended": "rms",
+    "noise_floor": "rms low high",
+    "gain": "rms_nominal rms_refit rms_extended fraction_explained low high held_out",
+    "testability": "name testable least_size reason",
+}
+MORE = {"": "findings", "record": "has_torque outliers dropped", "extended": "rms_offline rms_live"}
+
+
+class Found:
+    """What the verdict needs of a search."""
+
+    def __init__(self, *causes: Cause) -> None:
+        self.causes = causes
+
+
+def cause(name: str, amplitude: float = 4.0 * ARCSEC, alike: tuple[str, ...] = ()) -> Cause:
+    effect = EFFECTS[name]
+    values = {q.name: max(q.low, min(q.high, 1.0)) for q in effect.quantities}
+    coefficients, nonlinear = effect.from_physical(values)
+    covariance = np.diag(np.full(effect.size, 1e-4))
+    named = (name, *alike)
+    return Cause(effect, nonlinear, coefficients, covariance, amplitude, 1e-9, named, 0.4, 0.3, 0.5)
+
+
+def refitted(trustworthy: bool = True, eccentricity: complex = 18.2 * np.exp(1.29j)) -> Refit:
+    point = base.vector(CONFIGURED, CONFIGURED)
+    point[0], point[1] = eccentricity.real, eccentricity.imag
+    covariance = np.diag([0.3, 0.3, 0.2, 0.2, 1.0, 0.1, 0.2]) ** 2
+    return Refit(base.drive_of(point, CONFIGURED), point, covariance, trustworthy)
+
+
+LINE = Line(3.37, "input", 2.0 * ARCSEC, "independent of torque", "the same in both directions")
+TESTS = (
+    Testability("resonance", False, float("nan"), "one speed only"),
+    Testability("hysteresis", True, 0.3 * ARCSEC, "tested"),
+)
+
+
+def diagnosis(*causes: Cause, **changes: Any) -> Diagnosis:
+    rms = Rms(*(ARCSEC * v for v in (20.0, 5.0, 3.3, 3.2, 3.4, 3.2, 3.1, 3.3)))
+    made: dict[str, Any] = {
+        "record": prepared(columns(seconds=4.0)),
+        "configured": CONFIGURED,
+        "findings": (),
+        "refitted": refitted(),
+        "found": Found(*causes),
+        "rms": rms,
+        "gain": Gain(0.97, 0.96, 0.98, "3 of 12 runs"),
+        "testable": TESTS,
+    }
+    return Diagnosis(**(made | changes))
+
+
+WRONG_RATIO = Finding("ratio_error", "the output follows at 101", 101.0, "-", True)
+SWAPPED = Finding("ratio_error", "the output does not follow", float("nan"), "-", True)
+SKIP = Finding("tooth_skip", "a step of 6480 arcsec at 3.000 s: 1 tooth skipped", 0.0314, "rad", False)
+ENDED = {"refitted": None, "found": None, "rms": None, "gain": None, "testable": ()}
+DIAGNOSES = {
+    "nothing": diagnosis(),
+    "every effect": diagnosis(*(cause(name) for name in EFFECTS), unexplained=(LINE,)),
+    "wrong ratio": diagnosis(findings=(WRONG_RATIO,), **ENDED),
+    "swapped": diagnosis(findings=(SWAPPED,), **ENDED),
+    "tooth skipped": diagnosis(cause("hysteresis"), findings=(SKIP,)),
+    "ambiguous": diagnosis(refitted=refitted(trustworthy=False)),
+}
+
+
+def keys(part: str) -> set[str]:
+    return set(KEYS[part].split()) | set(MORE.get(part, "").split())
+
+
+def numbers(value: Any) -> list[float]:
+    if isinstance(value, dict):
+        return [n for item in value.values() for n in numbers(item)]
+    if isinstance(value, list):
+        return [n for item in value for n in numbers(item)]
+    return [value] if isinstance(value, float) else []
+
+
+# JSON ---
+
+
+@pytest.mark.parametrize("made", DIAGNOSES.values(), ids=DIAGNOSES)
+def test_keys_are_those_of_the_contract(made: Diagnosis) -> None:
+    told = as_json(made, "joint_1", "model.json")
+    assert set(told) == keys("")
+    for part in ("record", "nominal", "refit", "extended", "noise_floor", "gain"):
+        assert set(told[part]) == keys(part), part
+    for part in ("causes", "unexplained", "testability"):
+        assert all(set(item) == keys(part) for item in told[part]), part
+    for item in told["causes"]:
+        assert set(item["gain"]) == {"value", "low", "high"}
+        assert all(set(p) == {"value", "std", "unit"} for p in item["parameters"].values())
+    for value in told["refit"]["parameters"].values():
+        assert set(value) == {"value", "std", "unit", "configured"}
+    assert (told["schema"], told["joint"], told["model"]) == ("hd_diag/diagnosis/1", "joint_1", "model.json")
+
+
+@pytest.mark.parametrize("made", DIAGNOSES.values(), ids=DIAGNOSES)
+def test_json_holds_no_nan_and_no_numpy(made: Diagnosis) -> None:
+    told = as_json(made, "joint_1")
+    assert json.loads(json.dumps(told, allow_nan=False)) == told
+    assert all(math.isfinite(n) for n in numbers(told))
+    assert told["model"] is None
+
+
+def test_what_is_not_known_is_null() -> None:
+    told = as_json(DIAGNOSES["swapped"], "joint_1")
+    assert told["nominal"]["rms"] is None
+    assert told["gain"]["fraction_explained"] is None
+    assert told["refit"] == {"rms": None, "parameters": {}, "trustworthy": False}
+    assert told["causes"][0]["parameters"]["size"]["value"] is None
+    assert as_json(DIAGNOSES["nothing"], "j")["testability"][0]["least_size"] is None
+
+
+def test_numbers_are_si_and_those_of_the_diagnosis() -> None:
+    made = DIAGNOSES["every effect"]
+    told = as_json(made, "joint_1")
+    assert told["record"] == {
+        "samples": 800,
+        "duration": pytest.approx(3.995),
+        "input_turns": pytest.approx(made.record.input_turns),
+        "runs": 1,
+        "has_torque": True,
+        "outliers": 0,
+        "dropped": 0,
+    }
+    assert told["nominal"]["rms"] == told["gain"]["rms_nominal"] == pytest.approx(20.0 * ARCSEC)
+    assert told["refit"]["rms"] == told["gain"]["rms_refit"] == pytest.approx(5.0 * ARCSEC)
+    assert told["extended"]["rms"] == told["gain"]["rms_extended"] == pytest.approx(3.3 * ARCSEC)
+    assert told["refit"]["parameters"]["eccentricity.magnitude"]["value"] == pytest.approx(18.2e-6)
+    assert told["unexplained"][0]["order"] == 3.37
+
+
+def test_findings_are_causes_first_of_all() -> None:
+    told = as_json(DIAGNOSES["tooth skipped"], "joint_1")
+    assert [c["name"] for c in told["causes"]] == ["tooth_skip", "hysteresis"]
+    assert {c["name"] for c in told["causes"]} <= set(EFFECTS)
+
+
+def test_every_effect_says_what_to_inspect() -> None:
+    for item in as_json(DIAGNOSES["every effect"], "joint_1")["causes"]:
+        assert item["explanation"] == EFFECTS[item["name"]].cause
+        assert len(item["inspect"]) > 20
+        assert item["class"] == [item["name"]]
+
+
+# Sentences ---
+
+
+def test_wrong_parameters_only() -> None:
+    assert sentence(DIAGNOSES["nothing"]) == (
+        "the eccentricity is 18.2 ± 0.3 µm at 74 ± 1° (mod 180°), not 0.0 µm; no other cause is needed."
+    )
+
+
+def test_as_configured() -> None:
+    made = diagnosis(refitted=refitted(eccentricity=0.4 + 0.0j))
+    assert sentence(made) == "the eccentricity is as configured (0.0 µm); no other cause is needed."
+
+
+def test_a_cause_and_a_class() -> None:
+    made = diagnosis(
+        cause("hysteresis"), cause("output_runout", 2.5 * ARCSEC, ("output_encoder_eccentricity",))
+    )
+    assert sentence(made).endswith(
+        "; beside that: hysteresis, 4.00 arcsec rms; output runout or output encoder eccentricity "
+        "(this record cannot tell which), 2.50 arcsec rms."
+    )
+
+
+def test_something_unexplained() -> None:
+    text = sentence(diagnosis(unexplained=(LINE, dataclasses.replace(LINE, frame="time", order=7.3))))
+    assert text.endswith(
+        "; none of the known causes explains the rest; "
+        "unexplained: 3.37 per input turn, 2.00 arcsec, 7.30 Hz, 2.00 arcsec."
+    )
+
+
+def test_a_wrong_ratio_is_all_that_is_said() -> None:
+    assert sentence(DIAGNOSES["wrong ratio"]) == "First of all: the output follows at 101."
+
+
+def test_ambiguous_parameters_give_no_number() -> None:
+    text = sentence(DIAGNOSES["ambiguous"])
+    assert text.startswith("the model's parameters are ambiguous")
+    assert "µm" not in text
+
+
+@pytest.mark.parametrize("made", DIAGNOSES.values(), ids=DIAGNOSES)
+def test_lines_for_a_terminal(made: Diagnosis) -> None:
+    lines = summary(made)
+    assert lines[0] == sentence(made)
+    assert lines[0].endswith(".")
+    assert all("\n" not in line and "nan" not in line.split() for line in lines)
+
+
+def test_the_lines_name_gain_and_what_was_not_testable() -> None:
+    lines = summary(diagnosis(cause("hysteresis")))
+    assert lines[1] == (
+        "held-out residual (3 of 12 runs): nominal 20.00, refit 5.00, extended 3.30, noise 3.20 arcsec rms; "
+        "explained 97.0 % (96.0 to 98.0 %)"
+    )
+    assert lines[2] == f"inspect: {EFFECTS['hysteresis'].inspect}"
+    assert lines[3:] == ["not testable here: resonance: one speed only"]
