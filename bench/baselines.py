@@ -55,8 +55,8 @@ def fft(bench: Workbench) -> Named:
     sizes: list[float] = []
     for place, half, names in KNOWN_ORDERS:
         inside = np.abs(order - place) <= max(half, 0.6 * PER_TURN / mean.size)
-        around = (order > 0.7 * place) & (order < 1.4 * place)
-        if not inside.any() or names in named:
+        around = (order > 0.0) & (np.abs(order - place) < 0.3 * place + 0.1)
+        if not (inside & around).any() or names in named:
             continue
         peak = float(amplitude[inside].max())
         if peak > TIMES_FLOOR * np.median(amplitude[around]) and peak > np.sqrt(2.0) * WORTH_NAMING:
@@ -66,7 +66,7 @@ def fft(bench: Workbench) -> Named:
 
 
 def dictionary(bench: Workbench) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Columns of unit rms, the residual [rad], and the effect that each column is of ("" for the model)."""
+    """Columns of unit rms about zero, the residual [rad], and each column's effect ("" for the model)."""
     parts, owners = [bench.always()], [""] * bench.always().shape[1]
     for effect in SEARCHED:
         if not effect.testable(bench.signals)[0]:
@@ -76,8 +76,15 @@ def dictionary(bench: Workbench) -> tuple[np.ndarray, np.ndarray, list[str]]:
             parts.append(bench.columns(effect, point))
             owners += [effect.name] * parts[-1].shape[1]
     rows = slice(None, None, max(bench.left.size // ROWS, 1))
-    columns = np.concatenate([part[rows] for part in parts], axis=1)
-    return columns / np.maximum(columns.std(axis=0), 1e-300), bench.left[rows], owners
+    columns, left = np.concatenate([part[rows] for part in parts], axis=1), bench.left[rows]
+    spread = columns.std(axis=0)
+    moving = spread > 1e-9 * np.abs(columns).max(axis=0)
+    centered = (columns - columns.mean(axis=0))[:, moving] / spread[moving]
+    return (
+        centered,
+        left - left.mean(),
+        [owner for owner, moves in zip(owners, moving, strict=True) if moves],
+    )
 
 
 def _named(columns: np.ndarray, owners: list[str], weights: np.ndarray) -> Named:
@@ -92,18 +99,11 @@ def _named(columns: np.ndarray, owners: list[str], weights: np.ndarray) -> Named
     return named, sizes
 
 
-def _centered(bench: Workbench) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    columns, left, owners = dictionary(bench)
-    moving = columns.std(axis=0) > 0.5
-    kept = [owner for owner, moves in zip(owners, moving, strict=True) if moves]
-    return columns[:, moving] - columns[:, moving].mean(axis=0), left - left.mean(), kept
-
-
 def lasso(bench: Workbench) -> Named:
     """LassoCV over five contiguous folds."""
     from sklearn.linear_model import LassoCV
 
-    columns, left, owners = _centered(bench)
+    columns, left, owners = dictionary(bench)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         fit = LassoCV(cv=5, max_iter=5000, fit_intercept=False).fit(columns, left / ARCSEC)
@@ -114,7 +114,7 @@ def sindy(bench: Workbench) -> Named:
     """Sequential threshold least squares of PySINDy, threshold at what is worth naming."""
     from pysindy import STLSQ
 
-    columns, left, owners = _centered(bench)
+    columns, left, owners = dictionary(bench)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         fit = STLSQ(threshold=WORTH_NAMING / ARCSEC, alpha=1e-3).fit(columns, left[:, None] / ARCSEC)

@@ -37,21 +37,24 @@ from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from scoring import Score
 
+from hd_diag.model import compiled
+
 OWN = "hd_diag"
 PARAMETERS = 7
 Column = tuple[str, Callable[[list[Score]], str]]
 
 
-def judged(family: str, seed: int, with_baselines: bool) -> tuple[list[dict[str, object]], list[Score], str]:
-    """Scores of a record, or what went wrong."""
+def judged(family: str, seed: int, with_baselines: bool) -> tuple[list[Score], str]:
+    """Scores of a record, and what went wrong."""
+    found: list[Score] = []
     try:
         made = FAMILIES[family](seed)
-        found = [scoring.score(made, family, seed)]
+        found.append(scoring.score(made, family, seed))
         if with_baselines:
             found += baselines.scores(made, family, seed)
     except Exception:
-        return [], [], f"{family} {seed}: {traceback.format_exc()}"
-    return [scoring.plain(each) for each in found], found, ""
+        return found, f"{family} {seed}: {traceback.format_exc()}"
+    return found, ""
 
 
 # Figures ---
@@ -147,14 +150,14 @@ def missed(scores: list[Score]) -> Iterator[str]:
 
 def run(
     work: Sequence[tuple[str, int]], jobs: int, with_baselines: bool, limit: float, console: Console
-) -> tuple[list[dict[str, object]], list[Score], list[str]]:
+) -> tuple[list[Score], list[str]]:
     """Scores of all records, in the order of the work."""
     begin, results, waiting = time.monotonic(), {}, list(reversed(work))
     progress = Progress(
         TextColumn("{task.description}"), MofNCompleteColumn(), TimeRemainingColumn(), console=console
     )
     context = multiprocessing.get_context("spawn")
-    with progress, ProcessPoolExecutor(jobs, mp_context=context) as pool:
+    with progress, ProcessPoolExecutor(jobs, context, compiled.warm_up) as pool:
         bar = progress.add_task("records", total=len(work))
         pending = {}
         while pending or waiting:
@@ -169,11 +172,7 @@ def run(
                 results[pending.pop(done)] = done.result()
                 progress.advance(bar)
     ordered = [results[item] for item in work if item in results]
-    return (
-        [p for plain, _, _ in ordered for p in plain],
-        [s for _, scores, _ in ordered for s in scores],
-        [text for _, _, text in ordered if text],
-    )
+    return [s for scores, _ in ordered for s in scores], [text for _, text in ordered if text]
 
 
 def arguments() -> argparse.Namespace:
@@ -203,7 +202,7 @@ def main() -> int:
     missing = set(baselines.METHODS) - set(baselines.available())
     if with_baselines and missing:
         console.print(f"not installed, left out: {', '.join(sorted(missing))} (make challenge installs them)")
-    plain, scores, failures = run(work, given.jobs, with_baselines, given.time, console)
+    scores, failures = run(work, given.jobs, with_baselines, given.time, console)
     done = len({(s.family, s.seed) for s in scores})
     kind = "final" if given.final else "development"
     text = report(scores, f"{done} of {len(work)} records, {kind} seeds from {seeds[0]} on.")
@@ -215,7 +214,8 @@ def main() -> int:
     if given.markdown:
         given.markdown.write_text(text + "\n")
     if given.json:
-        given.json.write_text(json.dumps({"schema": "hd_diag/challenge/1", "records": plain}, indent=1))
+        found = {"schema": "hd_diag/challenge/1", "records": [scoring.plain(each) for each in scores]}
+        given.json.write_text(json.dumps(found, indent=1) + "\n")
     return 1 if failures else 0
 
 

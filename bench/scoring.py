@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from challenge import records
 from challenge.causes import UNKNOWN
+from challenge.families import UNTESTABLE
 
 from hd_diag.config import resolve
 from hd_diag.criticism import base
@@ -68,9 +69,10 @@ class Score:
 
     @property
     def right(self) -> bool:
-        """All that is hidden named up to its class, or said to be untestable, and nothing else named."""
-        left = [name for name in self.hidden if name not in self.listed or self.found]
-        return self.false_names == 0 and len(matched(left, self.found)) == len(left) == len(self.found)
+        """All that is hidden named up to its class, no more; poor motions may say what they cannot show."""
+        named = {self.hidden[h] for h, _ in matched(self.hidden, self.found)}
+        excused = set(self.listed) if self.family in UNTESTABLE else set()
+        return self.false_names == 0 and set(self.hidden) <= named | excused
 
 
 def matched(hidden: Sequence[str], found: Sequence[Sequence[str]]) -> list[tuple[int, int]]:

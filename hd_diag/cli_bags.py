@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import sys
 import time
@@ -21,7 +22,8 @@ from hd_diag.replay import Replay
 from hd_diag.replay import replay as replay_bag
 
 
-def bar() -> Progress:
+@contextlib.contextmanager
+def bar() -> Iterator[Progress]:
     """Progress with rate and time left, on stderr, gone when done; silent where stderr is no terminal."""
     columns = (
         TextColumn("{task.description}"),
@@ -31,7 +33,10 @@ def bar() -> Progress:
         TimeRemainingColumn(),
     )
     console = Console(stderr=True)
-    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+    progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+    # Older releases of rich print an empty line at the end of a bar that never showed.
+    with progress if console.is_terminal else contextlib.nullcontext(progress):
+        yield progress
 
 
 INTERRUPTED = 130

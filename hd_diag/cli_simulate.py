@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import math
@@ -93,7 +94,9 @@ def simulate(
         motion = _motion(options)
         joints = _joints(config, names, options)
         console = Console(stderr=True, quiet=not sys.stderr.isatty())
-        with Progress(console=console, transient=True) as bar:
+        bar = Progress(console=console, transient=True, disable=not console.is_terminal)
+        # Older releases of rich print an empty line at the end of a bar that never showed.
+        with bar if console.is_terminal else contextlib.nullcontext(bar):
             task = bar.add_task(f"simulate {out.name}", total=1.0)
             samples = simulation.write_bag(
                 out,

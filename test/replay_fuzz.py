@@ -7,7 +7,8 @@ import struct
 from pathlib import Path
 
 from bag_samples import cut_end, damaged, write_with_mcap
-from click.testing import CliRunner, Result
+from cli_runner import runner
+from click.testing import Result
 from live import MS, RATIO, START, config, message
 
 from hd_diag.bag import BagError, BagReader, BagWriter
@@ -128,7 +129,7 @@ class Fuzz:
     def __init__(self, folder: Path, seed: int) -> None:
         self._folder = folder
         self._chance = random.Random(seed)
-        self._runner = CliRunner()
+        self._runner = runner()
         log = log_of(folder / "log.mcap")
         self._messages = messages_of(log)
         foreign = [entry for entry in self._messages if entry[1] == JOINT_STATE]

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner, Result
+from cli_runner import runner
+from click.testing import Result
 from reference import published
 
 from hd_diag.cli import cli
@@ -18,7 +19,7 @@ VERBS = sorted(cli.commands)
 
 
 def hd_diag(*arguments: str) -> Result:
-    return CliRunner().invoke(cli, list(arguments))
+    return runner().invoke(cli, list(arguments))
 
 
 def config_file(folder: Path, **values: Any) -> str:

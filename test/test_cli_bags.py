@@ -18,7 +18,8 @@ import numpy as np
 import pytest
 import yaml
 from bag_samples import cut_end
-from click.testing import CliRunner, Result
+from cli_runner import runner
+from click.testing import Result
 from live import MS, START, message, parameters
 from player import content
 from replay_fuzz import JOINT_STATE, Fuzz, log_of
@@ -50,7 +51,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(command: click.Command, *arguments: str | Path) -> Result:
-    return CliRunner().invoke(command, [str(argument) for argument in arguments])
+    return runner().invoke(command, [str(argument) for argument in arguments])
 
 
 def process(*arguments: str | Path, **options: Any) -> subprocess.Popen[str]:

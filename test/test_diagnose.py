@@ -14,7 +14,8 @@ import pytest
 from challenge import families, motion, records
 from challenge.records import Recording, simulate
 from challenge.truth import drawn
-from click.testing import CliRunner, Result
+from cli_runner import runner
+from click.testing import Result
 from joint_records import columns, joint
 
 from hd_diag.cli import cli
@@ -43,7 +44,7 @@ def diagnosed(made: Truth) -> Diagnosis:
 
 
 def hd_diag(*arguments: object) -> Result:
-    return CliRunner().invoke(cli, ["diagnose", *map(str, arguments)])
+    return runner().invoke(cli, ["diagnose", *map(str, arguments)])
 
 
 # Causes ---

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from cli_runner import runner
+from click.testing import Result
 from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
@@ -354,7 +355,7 @@ def test_unknown_truths_are_refused(tmp_path: Path) -> None:
 
 
 def invoke(*arguments: object) -> Result:
-    return CliRunner().invoke(cli_simulate.simulate, [str(argument) for argument in arguments])
+    return runner().invoke(cli_simulate.simulate, [str(argument) for argument in arguments])
 
 
 def test_the_command_writes_the_joint_that_its_options_describe(tmp_path: Path) -> None:

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from joint_records import ARCSEC, columns, joint, prepared
 
-from hd_diag.criticism import base
+from hd_diag.criticism import base, testability
 from hd_diag.criticism.checks import Finding
 from hd_diag.criticism.diagnosis import Diagnosis, Gain, Rms
 from hd_diag.criticism.refit import Refit
 from hd_diag.criticism.search import Cause
-from hd_diag.criticism.testability import Testability
 from hd_diag.criticism.unexplained import Line
 from hd_diag.effects import CATALOGUE
 from hd_diag.verdict import as_json, sentence, summary
@@ -64,8 +63,8 @@ def refitted(trustworthy: bool = True, eccentricity: complex = 18.2 * np.exp(1.2
 
 LINE = Line(3.37, "input", 2.0 * ARCSEC, "independent of torque", "the same in both directions")
 TESTS = (
-    Testability("resonance", False, float("nan"), "one speed only"),
-    Testability("hysteresis", True, 0.3 * ARCSEC, "tested"),
+    testability.Testability("resonance", False, float("nan"), "one speed only"),
+    testability.Testability("hysteresis", True, 0.3 * ARCSEC, "tested"),
 )
 
 

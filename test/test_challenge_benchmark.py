@@ -1,0 +1,35 @@
+"""The benchmark of the diagnosis runs: one short record, its table and its JSON."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import hd_diag
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def test_one_record(tmp_path: Path) -> None:
+    """A spectrum's peaks beside it; the other methods where they are installed."""
+    options = ["--seeds", "1", "--families", "short", "--jobs", "1", "--first", "1"]
+    files = ["--json", str(tmp_path / "f.json"), "--markdown", str(tmp_path / "f.md")]
+    done = subprocess.run(
+        [sys.executable, ROOT / "bench/challenge.py", *options, *files],
+        env={**os.environ, "PYTHONPATH": str(Path(hd_diag.__file__).parent.parent)},
+        capture_output=True,
+        text=True,
+        timeout=150,
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "f.md").read_text() == done.stdout
+    assert done.stdout.startswith("1 of 1 records, development seeds from 1 on.")
+    rows = [line.split(" | ") for line in done.stdout.splitlines() if line.startswith("| short")]
+    assert {"hd_diag", "FFT peaks"} <= {row[1] for row in rows}
+    assert len({len(row) for row in rows if row[1] == "hd_diag"}) == 2
+    told = json.loads((tmp_path / "f.json").read_text())
+    assert told["schema"] == "hd_diag/challenge/1"
+    own = next(each for each in told["records"] if each["method"] == "hd_diag")
+    assert (own["family"], own["seed"], own["hidden"]) == ("short", 1, ["output_runout"])
+    assert own["seconds"] > 0.0
