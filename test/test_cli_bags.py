@@ -255,6 +255,7 @@ def test_ctrl_c_leaves_a_whole_bag(folder: Path, tmp_path: Path, name: str) -> N
         time.sleep(0.02)
     running.send_signal(signal.SIGINT)
     stdout, stderr = running.communicate(timeout=30)
+    stderr = stderr.removeprefix("\n")  # click before 8.2 ends the line that shows ^C
     assert (running.returncode, stdout) == (130, "")
     assert stderr.startswith(f"hd-diag: interrupted: {out} holds what the first ")
     assert stderr.count("\n") == 1

@@ -462,9 +462,9 @@ def test_bad_input_is_one_line_and_code_2(
     Path("CONFIG").write_text(dump(resolve(two_joints())))
     result = invoke("--out", "out.mcap", "--duration", 0.1, *arguments)
     assert result.exit_code == 2
-    assert result.output.count("\n") == 1
-    assert result.output.startswith("Error: ")
-    assert text in result.output
+    assert result.stderr.count("\n") == 1
+    assert result.stderr.startswith("Error: ")
+    assert text in result.stderr
 
 
 def test_the_command_replaces_a_bag_only_when_told(tmp_path: Path) -> None:
