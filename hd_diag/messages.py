@@ -21,6 +21,9 @@ TEMPERATURE = "sensor_msgs/msg/Temperature"
 STRING = "std_msgs/msg/String"
 PARAMETER_EVENT = "rcl_interfaces/msg/ParameterEvent"
 
+OWN_OUTPUTS = ("/transmission_error", "/measured_transmission_error", "/residual")
+"""Ends of the topics on which the node publishes JointState: no joint's states."""
+
 _NANOSECONDS = 1_000_000_000
 
 LAST_TIME = 2**31 * _NANOSECONDS - 1

@@ -14,12 +14,11 @@ from hd_diag.bag import BagError
 from hd_diag.bag.reader import BagReader
 from hd_diag.config import JointConfig
 from hd_diag.criticism.record import Record, RecordError, prepare
-from hd_diag.messages import JOINT_STATE, TEMPERATURE, read_temperature
+from hd_diag.messages import JOINT_STATE, OWN_OUTPUTS, TEMPERATURE, read_temperature
 from hd_diag.samples import Times
 
 Floats = npt.NDArray[np.float64]
 
-_OWN_OUTPUTS = ("/transmission_error", "/measured_transmission_error", "/residual")
 _PAIRING_GAP = 0.05  # an input angle is interpolated over at most this time [s]
 COLUMNS = ("time", "input", "output", "torque", "temperature")
 """Columns of a table that `read_table` knows."""
@@ -190,7 +189,7 @@ def _joint_topics(reader: BagReader) -> list[str]:
     found = [
         topic.name
         for topic in reader.topics
-        if topic.type_name == JOINT_STATE and not topic.name.endswith(_OWN_OUTPUTS)
+        if topic.type_name == JOINT_STATE and not topic.name.endswith(OWN_OUTPUTS)
     ]
     if not found:
         raise BagError(reader.path, "has no topic with sensor_msgs/msg/JointState")

@@ -10,14 +10,12 @@ from hd_diag.bag import BagError
 from hd_diag.bag.reader import BagReader
 from hd_diag.config import Config, ConfigError
 from hd_diag.events import Configured, Event, read_event
-from hd_diag.messages import INPUT, JOINT_STATE, STRING, TEMPERATURE, temperature_topic
+from hd_diag.messages import INPUT, JOINT_STATE, OWN_OUTPUTS, STRING, TEMPERATURE, temperature_topic
 from hd_diag.parameters import joint_names
 from hd_diag.session import EVENTS
 
 NODE = "/hd_diag"
 """Full name that a node has by default."""
-
-_OWN_OUTPUTS = ("/transmission_error", "/measured_transmission_error", "/residual")
 
 
 @dataclass(frozen=True)
@@ -138,7 +136,7 @@ def _log(reader: BagReader) -> tuple[str, Configured]:
 
 def _joint_states(reader: BagReader) -> tuple[str, ...]:
     found = tuple(t.name for t in reader.topics if t.type_name == JOINT_STATE)
-    found = tuple(name for name in found if not name.endswith(_OWN_OUTPUTS))
+    found = tuple(name for name in found if not name.endswith(OWN_OUTPUTS))
     if not found:
         raise BagError(reader.path, f"has no topic with {JOINT_STATE}")
     return found

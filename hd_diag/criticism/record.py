@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import median_filter
 from scipy.signal import savgol_filter
+
+from hd_diag.criticism.noise import bounds
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -213,7 +214,7 @@ def _wrapped(angle: Floats) -> bool:
 
 def _unwrapped(angle: Floats, bag: Integers) -> Floats:
     """Angles without jumps of whole turns, bag by bag; continuous angles stay as they are."""
-    parts = [angle[a:b] for a, b in _bounds(bag)]
+    parts = [angle[a:b] for a, b in bounds(bag)]
     return np.concatenate([np.unwrap(part) if _wrapped(part) else part for part in parts])
 
 
@@ -221,10 +222,10 @@ def _with_turns(angle: Floats, output: Floats, bag: Integers, segment: Integers,
     """Input angles without jumps of whole turns; the output tells those that no sample saw."""
     result = angle.copy()
     first = ratio * output[0] - angle[0]
-    for begin, end in _bounds(bag):
+    for begin, end in bounds(bag):
         if not _wrapped(angle[begin:end]):
             continue
-        for a, b in _bounds(segment[begin:end]):
+        for a, b in bounds(segment[begin:end]):
             part = slice(begin + a, begin + b)
             result[part] = np.unwrap(angle[part])
             missing = float(np.median(ratio * output[part] - result[part])) - first
@@ -240,14 +241,9 @@ def _segments(time: Floats, bag: Integers) -> Integers:
     return np.concatenate(([0], np.cumsum(breaks))).astype(np.int64)
 
 
-def _bounds(segment: Integers) -> list[tuple[int, int]]:
-    edges = np.concatenate(([0], np.flatnonzero(np.diff(segment)) + 1, [segment.size]))
-    return [(int(a), int(b)) for a, b in pairwise(edges.tolist())]
-
-
 def _per_segment(segment: Integers, values: Floats, function: object) -> Floats:
     assert callable(function)
-    return np.concatenate([function(values[a:b]) for a, b in _bounds(segment)])
+    return np.concatenate([function(values[a:b]) for a, b in bounds(segment)])
 
 
 def _window(size: int, step: float, width: float, order: int) -> int:
@@ -271,7 +267,7 @@ def _smooth(values: Floats, step: float, width: float) -> Floats:
 def _outliers(error: Floats, segment: Integers) -> npt.NDArray[np.bool_]:
     """Single samples off both their neighbours; taken out, they may show others beside them."""
     found = np.zeros(error.size, dtype=bool)
-    for a, b in _bounds(segment):
+    for a, b in bounds(segment):
         rows = np.arange(a, b)
         for _ in range(_OUTLIER_PASSES):
             off = _spikes(error[rows])
