@@ -188,8 +188,8 @@ def _teeth(drive: Drive, wave_generator_angle: float, exaggeration: float) -> Co
     start = -wave_generator_angle * (1.0 + 1.0 / geometry.reduction) + mesh.arc_offset / geometry.curve.radius
     u = start + geometry.tooth_pitch * np.arange(geometry.flexspline_teeth, dtype=np.float64)
     foot, axis = _deformed(geometry, u, exaggeration)
-    outline = _tooth_outline(geometry)
-    return foot[:, None] + np.exp(1j * axis)[:, None] * outline
+    turned: Complexes = np.exp(1j * axis)[:, None] * _tooth_outline(geometry)
+    return foot[:, None] + turned
 
 
 def _deformed(geometry: Geometry, u: Floats, exaggeration: float) -> tuple[Complexes, Floats]:

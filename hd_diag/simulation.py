@@ -133,7 +133,8 @@ class Motion:
     def stamps(self, start: int, first: int, last: int) -> Times:
         """Time of the samples from `first` to before `last` [ns]; `start` is that of sample 0."""
         count = np.arange(first, min(last, self.samples))
-        return start + np.rint(count * (_SECOND / self.sample_rate)).astype(np.int64)
+        elapsed: Times = np.rint(count * (_SECOND / self.sample_rate)).astype(np.int64)
+        return start + elapsed
 
     def at(self, time: Floats) -> Moments:
         """What the motion asks for.

@@ -213,7 +213,7 @@ def _gain(
 def _nominal_left(record: Record, configured: Drive, test: npt.NDArray[np.bool_]) -> Floats:
     """What the configured drive leaves of held-out rows, the encoders' offset taken off [rad]."""
     known = np.flatnonzero(usable(record) & ~test)[::10]
-    offset = _left(record.select(known), configured).mean()
+    offset = float(_left(record.select(known), configured).mean())
     unseen = record.select(test)
     return _left(unseen.select(usable(unseen)), configured) - offset
 

@@ -13,8 +13,10 @@ from hd_diag.drive import Drive
 
 Floats = npt.NDArray[np.float64]
 
-_SCREENED = 700  # samples on which the starts are tried
-_POLISHED = 4000  # samples on which the best are finished
+# Rounds of the search: samples, steps of a fit, starts that go on to the next. Each round can only mistake
+# starts that are as good as equal, and what it leaves goes on with all rows.
+_ROUNDS = ((250, 5, 5), (700, 5, 2), (1500, 8, 2))
+_SETTLED = 0.1  # deviance; smaller steps are left to the fit of all rows
 _STARTS = (
     (0.0, 0.0),
     *((size, turn) for size in (6.0, 16.0) for turn in (0.0, 0.25, 0.5, 0.75)),
@@ -97,15 +99,14 @@ def refit(
     free = nuisance(record, configured.kinematics.ratio)
     if extra is not None:
         free = np.concatenate((free, extra), axis=1)
-    screen = _Problem(record, configured, free, _chosen(record, _SCREENED, rng))
-    trials = [_levenberg(screen, point, 7) for point in _starts(configured, start)]
-    trials.sort(key=lambda trial: trial[1])
-    best = _distinct([point for point, _ in trials[:4]], configured)[:2]
-    polish = _Problem(record, configured, free, _chosen(record, _POLISHED, rng))
-    finished = sorted((_levenberg(polish, point, 12) for point in best), key=lambda trial: trial[1])
-    point, deviance = finished[0]
-    covariance = polish.covariance(point)
-    rivals = [other for other, value in finished[1:] if value - deviance < _DISTINCT]
+    points = _starts(configured, start)
+    for samples, steps, kept in _ROUNDS:
+        problem = _Problem(record, configured, free, _chosen(record, samples, rng))
+        trials = sorted((_levenberg(problem, point, steps) for point in points), key=lambda trial: trial[1])
+        points = _distinct([point for point, _ in trials], configured)[:kept]
+    point, deviance = trials[0]
+    covariance = problem.covariance(point)
+    rivals = [other for other, value in trials[1:] if value - deviance < _DISTINCT]
     return Refit(
         base.drive_of(point, configured), point, covariance, not _distinct([point, *rivals], configured)[1:]
     )
@@ -190,7 +191,7 @@ def _levenberg(problem: _Problem, point: Floats, iterations: int) -> tuple[Float
             break
         gain = problem.deviance(residual, point) - problem.deviance(new_residual, trial)
         point, residual, jacobian, damping = trial, new_residual, new_jacobian, max(damping / 6.0, 1e-9)
-        if gain < 1e-2:
+        if gain < _SETTLED:
             break
     return point, problem.deviance(residual, point)
 

@@ -129,7 +129,7 @@ def candidates(bench: Workbench, chosen: Chosen) -> list[Candidate]:
     rest = bench.remainder(chosen)
     found = []
     for effect in SEARCHED:
-        if effect.name in named or not effect.testable(bench.signals)[0]:
+        if effect.name in named or not bench.testable(effect)[0]:
             continue
         best: tuple[float, tuple[float, ...]] | None = None
         for nonlinear in effect.scan(bench.signals, rest):
@@ -177,7 +177,7 @@ class _Projector:
 
 def _family(bench: Workbench) -> int:
     """Number of hypotheses: candidates times grid points."""
-    return sum(effect.trials(bench.signals) for effect in SEARCHED if effect.testable(bench.signals)[0])
+    return sum(effect.trials(bench.signals) for effect in SEARCHED if bench.testable(effect)[0])
 
 
 def _next(bench: Workbench, chosen: Chosen, family: int) -> Candidate | None:

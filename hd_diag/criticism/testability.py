@@ -39,10 +39,10 @@ def testability(found: Search) -> list[Testability]:
     parts = [bench.always_white, *(bench.white(effect, nonlinear) for effect, nonlinear in chosen)]
     fixed = np.concatenate(parts, axis=1)
     basis = np.linalg.qr(fixed / np.maximum(np.linalg.norm(fixed, axis=0), 1e-300))[0]
-    family = max(sum(e.trials(bench.signals) for e in SEARCHED if e.testable(bench.signals)[0]), 1)
+    family = max(sum(e.trials(bench.signals) for e in SEARCHED if bench.testable(e)[0]), 1)
     result = []
     for effect in SEARCHED:
-        possible, reason = effect.testable(bench.signals)
+        possible, reason = bench.testable(effect)
         if effect.name in named:
             result.append(Testability(effect.name, True, LEAST_SIZE, "found"))
         elif not possible:

@@ -63,6 +63,7 @@ class Workbench:
         self._columns: dict[tuple[str, tuple[float, ...]], Floats] = {}
         self.noise_residual = np.empty(0)
         self._white: dict[tuple[str, tuple[float, ...]], Floats] = {}
+        self._testable: dict[str, tuple[bool, str]] = {}
         self._grids: dict[str, list[tuple[float, ...]]] = {}
         self._whiten_by(whiten or Whitening(np.zeros(ORDER), 1.0))
 
@@ -89,6 +90,12 @@ class Workbench:
         if keep:
             self._white[key] = white
         return white
+
+    def testable(self, effect: Effect) -> tuple[bool, str]:
+        """Whether the record's motion allows to find an effect; if not, which extra motion would."""
+        if effect.name not in self._testable:
+            self._testable[effect.name] = effect.testable(self.signals)
+        return self._testable[effect.name]
 
     def grid(self, effect: Effect) -> list[tuple[float, ...]]:
         """Start points of an effect's nonlinear values on this record."""
@@ -164,7 +171,7 @@ class Workbench:
             load * s.speed / max(np.max(np.abs(s.speed)), 1e-9),
         ]
         for effect in SEARCHED:
-            if effect.testable(s)[0]:
+            if self.testable(effect)[0]:
                 grid = effect.grid(s)
                 if grid and effect.name in ("hysteresis", "stream_delay", "coulomb_windup", "viscous_windup"):
                     columns += list(self.columns(effect, grid[len(grid) // 2]).T)
@@ -196,7 +203,8 @@ class Workbench:
 
 
 def _scales(columns: Floats) -> Floats:
-    return np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-300)
+    mean_square: Floats = np.mean(columns**2, axis=0)
+    return np.sqrt(np.maximum(mean_square, 1e-300))
 
 
 def _projection(columns: Floats, target: Floats) -> Floats:

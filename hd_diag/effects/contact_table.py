@@ -94,19 +94,20 @@ class ContactTable:
         self.torsion = self._torsion()
         self.share = np.stack([self._shares(beta) for beta in self.torsion])
         self._tables: dict[tuple[str, int], Complexes] = {}
+        self._responses: dict[str, Floats] = {}
         self._slots: dict[int, Complexes] = {}
         self._displaced: dict[bytes, Floats] = {}
 
     def slot_harmonic(self, order: int) -> Complexes:
         """Response to ``c = Re(A exp(i k phi))`` over ``A exp(i k theta_W)`` [rad/m]; (torques, angles)."""
         return self._harmonic(
-            "slot", order, lambda: self._slot_angle, lambda: np.abs(self.share) / self._radius
+            "slot", order, lambda: self._slot_angle, lambda: self._summed(_FLANKS / self._radius)
         )
 
     def tooth_harmonic(self, order: int) -> Complexes:
         """The same for the flexspline's teeth, over ``A exp(i k theta_F)``, theta_F = theta_W (1 + 1/N)."""
         return self._harmonic(
-            "tooth", order, lambda: self._tooth_angle, lambda: -np.abs(self.share) / self._radius
+            "tooth", order, lambda: self._tooth_angle, lambda: self._summed(-_FLANKS / self._radius)
         )
 
     def radial_harmonic(self, order: int) -> Complexes:
@@ -115,7 +116,9 @@ class ContactTable:
 
     def clearance(self) -> Complexes:
         """Response to more circumferential clearance on all flanks [rad/m], shape (torques, angles)."""
-        return self._harmonic("clearance", 0, lambda: self._slot_angle, lambda: self.share / self._radius)
+        return self._harmonic(
+            "clearance", 0, lambda: self._slot_angle, lambda: self._summed(1.0 / self._radius)
+        )
 
     def one_slot(self, slot: int) -> Complexes:
         """Response to more clearance on the flanks (+, -) of one slot [rad/m]; (2, torques, angles)."""
@@ -188,14 +191,19 @@ class ContactTable:
         return self.contact.teeth * geometry.tooth_pitch - turned[:, None]
 
     def _radial_share(self) -> Floats:
-        """Response to each slot's own radial displacement [rad/m], shape (torques, angles, 2, pairs).
+        """Response to each slot's own radial displacement [rad/m], shape (torques, angles, pairs).
 
         A slot that moves outward opens both flanks (db) and moves their contacts, which changes how stiff
         they are (dk): ``K d beta`` is the sum of ``k db - overlap dk`` over the loaded flanks.
         """
         opening, softening = self._radial_slopes
-        overlap = _FLANKS * self.torsion[:, :, None, None] - self.contact.rotation
-        return np.nan_to_num(self.share * (opening - overlap * softening))
+        fixed = np.nan_to_num(opening + self.contact.rotation * softening)
+        with_torsion = self._summed(_FLANKS * np.nan_to_num(softening))
+        return self._summed(fixed) - self.torsion[:, :, None] * with_torsion
+
+    def _summed(self, weight: Floats) -> Floats:
+        """Shares times a weight of every flank, shape (angles, 2, pairs), summed over both flanks."""
+        return np.einsum("tafp,afp->tap", self.share, weight)
 
     @cached_property
     def _radial_slopes(self) -> tuple[Floats, Floats]:
@@ -243,8 +251,12 @@ class ContactTable:
     ) -> Complexes:
         key = (name, order)
         if key not in self._tables:
-            turning = np.exp(1j * order * angle())
-            self._tables[key] = np.einsum("tap,ap->ta", response().sum(axis=2), turning)
+            if name not in self._responses:
+                self._responses[name] = response()
+            turning: Complexes = np.exp(1j * order * angle())
+            by_angle = self._responses[name].transpose(1, 0, 2)
+            found = by_angle @ np.stack((turning.real, turning.imag), axis=2)
+            self._tables[key] = (found[..., 0] + 1j * found[..., 1]).T
         return self._tables[key]
 
 

@@ -88,8 +88,8 @@ def _positions(signals: Signals, angle: Floats, residual: Floats) -> list[float]
     row = np.where(rows[0][1] >= 0.5, rows[0][0], rows[1][0])
     place = np.floor(np.mod(angle, 2.0 * np.pi) * (bins / (2.0 * np.pi)) + 0.5).astype(np.int64) % bins
     cell, cells = row * bins + place, template.shape[1] * bins
-    sums = np.bincount(cell, residual - residual.mean(), cells).reshape(-1, bins)
-    count = np.bincount(cell, minlength=cells).reshape(-1, bins).astype(np.float64)
+    sums = np.bincount(cell, residual - residual.mean(), cells).astype(np.float64).reshape(-1, bins)
+    count = np.bincount(cell, minlength=cells).astype(np.float64).reshape(-1, bins)
     moment = np.stack([_correlation(sums, flank) for flank in template], axis=1)
     gram = np.array([[_correlation(count, one * two) for two in template] for one in template])
     gram = np.moveaxis(gram, 2, 0) + 1e-6 * np.max(gram) * np.eye(2)

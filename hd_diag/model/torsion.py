@@ -54,7 +54,8 @@ class Mesh:
 
     def displacement(self, wave_generator_angle: Floats) -> npt.NDArray[np.complex128]:
         """Where the wave generator's centre is at theta_W [rad]: x + iy in the housing [m]."""
-        return self.eccentricity + self.runout * np.exp(1j * wave_generator_angle)
+        turning: npt.NDArray[np.complex128] = np.exp(1j * wave_generator_angle)
+        return self.eccentricity + self.runout * turning
 
     def contacts(self, wave_generator_angle: Floats) -> Contact:
         """Contacts at theta_W [rad], shape (moments,)."""

@@ -28,7 +28,7 @@ TOLERANCE = 0.01 * ARCSEC
 # Wave generator angles per tooth passing. The torsion's slope breaks where a pair comes into load; with fewer
 # teeth each pair brings more of the stiffness and moves further per angle, so the steps per tooth grow as
 # 1 / Z_G^2. 64 keep a gear of ratio 100 within TOLERANCE.
-_STEPS_PER_TOOTH = 64
+STEPS_PER_TOOTH = 64
 _FINE_TEETH = 202
 _CHECKED_ANGLES = 512
 _CHECKED_TORQUES = 64
@@ -126,7 +126,10 @@ def _last_not_above(table: Floats, row: npt.NDArray[np.int64], value: Floats) ->
 
 
 def build(
-    mesh: Mesh, torque_limit: float, wanted: Callable[[float], bool] = lambda fraction: True
+    mesh: Mesh,
+    torque_limit: float,
+    wanted: Callable[[float], bool] = lambda fraction: True,
+    steps_per_tooth: int = STEPS_PER_TOOTH,
 ) -> TorsionMap:
     """Build the map of a mesh and check it against the exact solution.
 
@@ -138,6 +141,8 @@ def build(
         table can follow: the map then answers only below that torque.
     wanted : callable
         Called with the fraction done; returning False gives the build up.
+    steps_per_tooth : int
+        Wave generator angles per tooth passing of a gear with 202 slots; the error falls with its square.
 
     Returns
     -------
@@ -148,7 +153,7 @@ def build(
     BuildCancelled
         If `wanted` returned False.
     """
-    steps = _steps(mesh.geometry.circular_spline_teeth)
+    steps = _steps(mesh.geometry.circular_spline_teeth, steps_per_tooth)
     angle = 2.0 * np.pi / steps * np.arange(steps, dtype=np.float64)
     torques, torsions = [], []
     for start in range(0, steps, _CHUNK):
@@ -166,12 +171,12 @@ def build(
     table = TorsionMap(
         mesh, torque[closed, columns].copy(), beta[closed, columns].copy(), torque_limit, np.inf
     )
-    return _checked(table)
+    return _checked(table, 2.0 * TOLERANCE * (STEPS_PER_TOOTH / steps_per_tooth) ** 2)
 
 
-def _steps(teeth: int) -> int:
+def _steps(teeth: int, per_tooth: int) -> int:
     """Wave generator angles over a turn for a circular spline with so many teeth: a multiple of them."""
-    return teeth * round(_STEPS_PER_TOOTH * max(1.0, (_FINE_TEETH / teeth) ** 2))
+    return teeth * round(per_tooth * max(1.0, (_FINE_TEETH / teeth) ** 2))
 
 
 def _joined(parts: list[Floats]) -> Floats:
@@ -180,8 +185,8 @@ def _joined(parts: list[Floats]) -> Floats:
     return np.concatenate([np.pad(part, ((0, 0), (0, width - part.shape[1])), "edge") for part in parts])
 
 
-def _checked(built: TorsionMap) -> TorsionMap:
-    """Measure the error between the angles; end the map below the torque where the torsion jumps."""
+def _checked(built: TorsionMap, jump: float) -> TorsionMap:
+    """Measure the error between the angles; end the map below the torque where the torsion jumps [rad]."""
     steps = built.torque.shape[0] - 1
     count = np.arange(_CHECKED_ANGLES)
     # Golden-section sequences meet every tooth passing and every phase of the cells evenly.
@@ -192,7 +197,7 @@ def _checked(built: TorsionMap) -> TorsionMap:
     error = np.abs(_tabulated(built, angle, both) - torsion_table(built.mesh, angle, both)).max(axis=0)
     idle = error[_CHECKED_TORQUES]
     error = np.maximum(error[_CHECKED_TORQUES + 1 :], error[:_CHECKED_TORQUES][::-1])
-    jumps = np.flatnonzero(~(error <= 2.0 * TOLERANCE))
+    jumps = np.flatnonzero(~(error <= jump))
     kept = int(jumps[0]) if jumps.size else torque.size
     limit = float(torque[kept - 1]) if kept else 0.0
     bound = _MISSED * float(error[:kept].max(initial=idle))
