@@ -236,7 +236,8 @@ class _Contact(ContactWeights):
 
     def part(self, rows: Rows) -> _Contact:
         """See :meth:`ContactWeights.part`."""
-        return _Contact(self.drive, self.wave_generator_angle[rows], self.torque[rows], model=self.model)
+        found = _Contact(self.drive, self.wave_generator_angle[rows], self.torque[rows], model=self.model)
+        return self._handed_on(found, rows)
 
 
 def _change(values: Floats, before: float) -> Floats:

@@ -118,12 +118,12 @@ def model_document(
     told = as_json(diagnosis, joint)
     evidence = {key: told[key] for key in ("record", "gain", "noise_floor", "extended", "unexplained")}
     evidence["trustworthy"] = refitted.trustworthy
-    evidence["bags"] = [{"path": str(path), "sha256": _digests(path)} for path in bags]
+    evidence["bags"] = [{"path": str(path), "sha256": digests(path)} for path in bags]
     content = document(joint, configured, diagnosis.model, spreads, effects, evidence, __version__)
     return dict(_clean(content))
 
 
-def _digests(path: Path) -> dict[str, str]:
+def digests(path: Path) -> dict[str, str]:
     """SHA-256 of a file, or of every file of a folder."""
     files = sorted(path.iterdir()) if path.is_dir() else [path]
     found = {}
@@ -183,6 +183,8 @@ def _cause_words(cause: Cause) -> str:
 
 
 def _line_words(line: Line) -> str:
+    if line.description:
+        return f"a part that {line.description} ({line.amplitude / ARCSEC:.2f} arcsec)"
     unit = {"input": "per input turn", "output": "per output turn", "time": "Hz"}[line.frame]
     return f"{line.order:.2f} {unit}, {line.amplitude / ARCSEC:.2f} arcsec"
 

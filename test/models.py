@@ -33,6 +33,7 @@ VALUES = {
         "amplitude": 4e-5,
         "phase": 1.0,
         "order": 2.0,
+        "carried": 0.5,
         "natural_frequency": 60.0,
         "damping": 0.04,
     },

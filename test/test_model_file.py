@@ -72,6 +72,7 @@ def test_values_are_physical_with_units_classes_and_deviations() -> None:
         "amplitude": "rad",
         "phase": "rad",
         "order": "-",
+        "carried": "-",
         "natural_frequency": "rad/s",
         "damping": "-",
     }

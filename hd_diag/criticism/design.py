@@ -6,10 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+from scipy import special, stats
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
+
+
+_ONE_PER_CENT = 2.326  # standard deviations
+_DISAGREEING = 0.1  # share of what was foretold that may lie in blocks which it made worse
 
 
 @dataclass(frozen=True)
@@ -49,15 +53,45 @@ class Design:
             )
         return result
 
+    def held_out_gain(self, dropped: slice) -> tuple[Floats, Floats]:
+        """What some columns bring in each block, by fits to all others.
+
+        Parameters
+        ----------
+        dropped : slice
+            The columns in question.
+
+        Returns
+        -------
+        gain : ndarray, shape (blocks,)
+            Fall of the block's sum of squares.
+        foretold : ndarray, shape (blocks,)
+            The fall if the prediction were right: gains scatter about it by twice its root.
+        """
+        gram, moment = self.gram.sum(axis=0), self.moment.sum(axis=0)
+        rest = np.delete(np.arange(moment.size), np.r_[dropped])
+        inner = np.ix_(rest, rest)
+        gain, foretold = np.empty(self.square.size), np.empty(self.square.size)
+        for block, (g, m) in enumerate(zip(self.gram, self.moment, strict=True)):
+            beta, fewer = solve(gram - g, moment - m), np.zeros(moment.size)
+            fewer[rest] = solve((gram - g)[inner], (moment - m)[rest])
+            change = beta - fewer
+            gain[block] = 2.0 * change @ m - beta @ g @ beta + fewer @ g @ fewer
+            foretold[block] = change @ g @ change
+        return gain, foretold
+
 
 def solve(gram: Floats, moment: Floats) -> Floats:
     """Solution of normal equations whose columns may be of any scale, or alike; shape (k,)."""
+    return np.asarray(inverse(gram) @ moment)
+
+
+def inverse(gram: Floats) -> Floats:
+    """Inverse of a Gram matrix whose columns may be of any scale, or alike; shape (k, k)."""
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    scaled = gram / np.outer(scale, scale)
-    values, vectors = np.linalg.eigh(scaled)
+    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
     kept = values > 1e-10 * values[-1]
-    inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
-    return np.asarray(inverse @ (moment / scale) / scale)
+    return np.asarray((vectors[:, kept] / values[kept]) @ vectors[:, kept].T / np.outer(scale, scale))
 
 
 def design(columns: Floats, target: Floats, block: Integers, counted: npt.NDArray[np.bool_]) -> Design:
@@ -105,12 +139,53 @@ def f_test(before: float, after: float, added: int, rows: int, fitted: int) -> f
     return float(stats.f.sf(ratio, added, freedom))
 
 
+def surprise(gain: float, added: int) -> float:
+    """How little a gain of the deviance is to be expected of noise: minus the logarithm of its chance.
+
+    Parameters
+    ----------
+    gain : float
+        Fall of the residual sum of squares, in units of the noise.
+    added : int
+        Columns that brought it.
+
+    Returns
+    -------
+    float
+        Finite where the chance itself is too small for a number: there by its asymptote.
+    """
+    chance = float(stats.chi2.logsf(max(gain, 0.0), added))
+    if np.isfinite(chance):
+        return -chance
+    half = 0.5 * gain
+    return half - (0.5 * added - 1.0) * float(np.log(half)) + float(special.gammaln(0.5 * added))
+
+
 def lower_bound(gains: Floats, level: float = 0.99) -> float:
     """Lower confidence bound of a mean over blocks."""
     if gains.size < 2:
         return -np.inf
     spread = float(np.std(gains, ddof=1)) / np.sqrt(gains.size)
     return float(np.mean(gains) - stats.t.ppf(level, gains.size - 1) * spread)
+
+
+def holds(gain: Floats, foretold: Floats) -> bool:
+    """Whether a gain in blocks that were not fitted is beyond chance.
+
+    Parameters
+    ----------
+    gain, foretold : ndarray, shape (blocks,)
+        See :meth:`Design.held_out_gain`.
+
+    Returns
+    -------
+    bool
+        If the mean over the blocks is beyond their scatter, or the sum is beyond what noise explains and
+        comes from blocks that agree: a cause may show at few speeds or torques only.
+    """
+    beyond_noise = float(gain.sum()) > 2.0 * _ONE_PER_CENT * float(np.sqrt(foretold.sum()))
+    agreeing = float(foretold[gain < 0.0].sum()) <= _DISAGREEING * float(foretold.sum())
+    return lower_bound(gain) > 0.0 or (beyond_noise and agreeing)
 
 
 def interval(gains: Floats, rng: np.random.Generator, level: float = 0.95) -> tuple[float, float]:

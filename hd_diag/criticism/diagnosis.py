@@ -11,6 +11,7 @@ import numpy.typing as npt
 from hd_diag.criticism import base
 from hd_diag.criticism.checks import Finding, check_ramp, check_ratio, find_steps
 from hd_diag.criticism.extension import extended_model, left, map_of
+from hd_diag.criticism.foils import Foil
 from hd_diag.criticism.noise import bounds
 from hd_diag.criticism.record import Record
 from hd_diag.criticism.refit import Refit, refit, usable
@@ -112,9 +113,10 @@ def diagnose(
     plain = settle(Workbench(train, configured, first.parameters), ())
     found = search(plain, progress)
     progress("measuring the gain")
-    rms, gain = _gain(record, test, told, configured, plain, found)
+    trained = Workbench(record, configured, found.bench.parameters)
+    rms, gain = _gain(record, test, told, configured, plain, found, trained)
     progress("using all data")
-    whole = _on_all(record, configured, found)
+    whole = fitted(settle(trained, found.chosen), found)
     trusted = first.trustworthy
     parameters, covariance = parameters_of(whole)
     refitted = Refit(base.drive_of(parameters, configured), parameters, covariance, trusted)
@@ -163,12 +165,6 @@ def _renumbered(record: Record) -> Record:
     return replace(record, run=np.concatenate(([0], np.cumsum(change))).astype(np.int64))
 
 
-def _on_all(record: Record, configured: Drive, found: Search) -> Search:
-    """The causes found, fitted to all data."""
-    bench = Workbench(record, configured, found.bench.parameters)
-    return fitted(settle(bench, found.chosen), found)
-
-
 def _gain(
     record: Record,
     test: npt.NDArray[np.bool_],
@@ -176,12 +172,14 @@ def _gain(
     configured: Drive,
     plain: Workbench,
     found: Search,
+    trained: Workbench,
 ) -> tuple[Rms, Gain]:
     unseen = _renumbered(record.select(test))
-    nominal = _nominal_left(record, configured, test)
-    refitted = _left_by(unseen, configured, plain, ())
-    offline = _left_by(unseen, configured, found.bench, found.chosen)
     kept = usable(unseen)
+    rows = test[usable(record)]  # of a bench of the whole record, whose effects remember what came before
+    nominal = _nominal_left(record, configured, test)
+    refitted = _left_by(Workbench(record, configured, plain.parameters), plain, ())[rows]
+    offline = _left_by(trained, found.bench, found.chosen)[rows]
     model = extended_model(found, configured, record.select(~test))
     table = map_of(model)
     extended, live = (
@@ -224,14 +222,18 @@ def _left(record: Record, drive: Drive) -> Floats:
     return np.asarray(record.output_angle - record.input_angle / drive.kinematics.ratio - error)
 
 
-def _left_by(unseen: Record, configured: Drive, trained: Workbench, chosen: Chosen) -> Floats:
-    """What a model trained elsewhere leaves of unseen rows [rad]."""
+def _left_by(bench: Workbench, trained: Workbench, chosen: Chosen) -> Floats:
+    """What a model trained on some rows leaves of all rows, at the parameters of training [rad].
+
+    Shapes without a name are fitted, but are no part of a model.
+    """
     beta, _, _ = trained.fit(chosen)
-    bench = Workbench(unseen, configured, trained.parameters)
     fixed = bench.always()
-    left = bench.left - fixed @ beta[: fixed.shape[1]]
+    left = bench.uncorrected - fixed @ beta[: fixed.shape[1]]
     at = fixed.shape[1]
     for effect, nonlinear in chosen:
+        if isinstance(effect, Foil):
+            continue
         left = left - bench.full_size(effect, nonlinear, beta[at : at + effect.size])
         at += effect.size
     return np.asarray(left)

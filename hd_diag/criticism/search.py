@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +10,9 @@ import numpy.typing as npt
 from scipy.optimize import minimize
 
 from hd_diag.criticism import base
-from hd_diag.criticism.design import f_test, interval, lower_bound, solve
+from hd_diag.criticism.design import f_test, holds, interval, solve, surprise
+from hd_diag.criticism.foils import FOILS, Foil
+from hd_diag.criticism.polish import covariance, polished
 from hd_diag.criticism.refit import refit
 from hd_diag.criticism.workbench import SEARCHED, Chosen, Workbench, settle
 from hd_diag.effects.effect import Effect
@@ -28,6 +30,12 @@ CLASS_DEVIANCE = 10.0
 """Causes whose exchange moves the held-out deviance by less cannot be told apart."""
 
 _MOST_CAUSES = 4
+_SLOW = 0.34  # share of the samples that count as slow
+_MOST_FOILS = 3
+_CERTAIN_SIZE = 0.5 * ARCSEC  # of a shape that nothing held out can prove [rad rms]
+_SECONDS = 2.5  # of a mean in which quick noise is gone
+_LASTING_CHANCE = 1e-6
+_UNEVEN = 1.3  # ratio of what is left fast and slow that asks for a look
 _RESTART_GAIN = 12.0  # deviance by which another minimum must beat the present one
 
 
@@ -41,7 +49,8 @@ class Cause:
     nonlinear : tuple of float
         Values of its nonlinear quantities.
     coefficients : ndarray, shape (k,)
-    covariance : ndarray, shape (k, k)
+    covariance : ndarray, shape (k + m, k + m)
+        Of the coefficients and the nonlinear values.
     amplitude : float
         Of its part in the error [rad rms].
     p_value : float
@@ -73,19 +82,22 @@ class Candidate:
     nonlinear: tuple[float, ...]
     gain: float
     p_value: float
+    surprise: float
 
 
 @dataclass(frozen=True)
 class Search:
-    """Result of a search: the bench at the final parameters and the causes, most explaining first."""
+    """Result of a search: the bench at the final parameters, the causes, most explaining first, and foils."""
 
     bench: Workbench
     causes: tuple[Cause, ...]
+    foils: Chosen = ()
 
     @property
     def chosen(self) -> Chosen:
-        """Effects and their nonlinear values."""
-        return tuple((cause.effect, cause.nonlinear) for cause in self.causes)
+        """Effects and their nonlinear values, then the shapes that have no name."""
+        named = tuple((cause.effect, cause.nonlinear) for cause in self.causes)
+        return (*named, *self.foils)
 
 
 def search(bench: Workbench, progress: Callable[[str], None] = lambda text: None) -> Search:
@@ -106,29 +118,39 @@ def search(bench: Workbench, progress: Callable[[str], None] = lambda text: None
     p_values: dict[str, float] = {}
     bench = settle(bench, chosen)
     family = _family(bench)
-    for _ in range(_MOST_CAUSES):
+    for _ in range(_MOST_CAUSES + _MOST_FOILS):
         progress(f"looking for cause {len(chosen) + 1}")
+        if not chosen and speed_dependent(bench):
+            bench = _begun_slowly(bench)
         found = _next(bench, chosen, family)
         if found is None:
             break
         p_values[found.effect.name] = found.p_value
         chosen = (*chosen, (found.effect, found.nonlinear))
         bench, chosen = _refined(bench, chosen)
+        if isinstance(found.effect, Foil):  # a cause that was only the nearest to it is not needed any more
+            chosen = _kept(bench, chosen)
+            continue
         bench, chosen = _swapped(bench, chosen)
         if len(chosen) == 1:
             bench = _restarted(bench, chosen)
     chosen = _kept(bench, chosen)
-    bench = settle(bench, chosen)
-    return Search(bench, _causes(bench, chosen, p_values))
+    bench, chosen = polished(settle(bench, chosen), chosen)
+    foils = tuple(item for item in chosen if isinstance(item[0], Foil))
+    return Search(bench, _causes(bench, chosen, p_values), foils)
 
 
 def candidates(bench: Workbench, chosen: Chosen) -> list[Candidate]:
     """Every effect not chosen, at its best grid point, by the gain it brings; the best first."""
+    return _ranked(bench, chosen, SEARCHED)
+
+
+def _ranked(bench: Workbench, chosen: Chosen, effects: Sequence[Effect]) -> list[Candidate]:
     named = {effect.name for effect, _ in chosen}
     projector = _Projector(bench, chosen)
     rest = bench.remainder(chosen)
     found = []
-    for effect in SEARCHED:
+    for effect in effects:
         if effect.name in named or not bench.testable(effect)[0]:
             continue
         best: tuple[float, tuple[float, ...]] | None = None
@@ -137,6 +159,7 @@ def candidates(bench: Workbench, chosen: Chosen) -> list[Candidate]:
             if best is None or gain > best[0]:
                 best = gain, nonlinear
         if best is not None:
+            best = max(best, (_gain_at_size(bench, projector, effect, best[1]), best[1]))
             width = bench.columns(effect, best[1]).shape[1]
             p = f_test(
                 projector.deviance,
@@ -145,8 +168,20 @@ def candidates(bench: Workbench, chosen: Chosen) -> list[Candidate]:
                 projector.rows,
                 projector.fitted + width,
             )
-            found.append(Candidate(effect, best[1], best[0], p))
-    return sorted(found, key=lambda candidate: (candidate.p_value, -candidate.gain))
+            noise = max(projector.deviance - best[0], 1e-300) / max(projector.rows - projector.fitted, 1)
+            found.append(Candidate(effect, best[1], best[0], p, surprise(best[0] / noise, width)))
+    return sorted(found, key=lambda candidate: -candidate.surprise)
+
+
+def _gain_at_size(
+    bench: Workbench, projector: _Projector, effect: Effect, nonlinear: tuple[float, ...]
+) -> float:
+    """Gain with the columns that hold at the size found, where an effect has such."""
+    if type(effect).secant is Effect.secant:
+        return 0.0
+    coefficients, _ = projector.fit(bench.white(effect, nonlinear))
+    columns = np.nan_to_num(effect.secant(bench.signals, coefficients, nonlinear))
+    return projector.gain(bench.whiten(columns, bench.run))
 
 
 class _Projector:
@@ -164,15 +199,20 @@ class _Projector:
 
     def gain(self, columns: Floats) -> float:
         """Fall of the residual sum of squares by these columns."""
+        coefficients, moment = self.fit(columns)
+        return float(moment @ coefficients)
+
+    def fit(self, columns: Floats) -> tuple[Floats, Floats]:
+        """Coefficients of these columns, zero for those that nothing is left of, and their moments."""
         part = columns - self.basis @ (self.basis.T @ columns)
         moment = part.T @ self.rest
         own = np.einsum("ij,ij->j", part, part) > 1e-8 * np.maximum(
             np.einsum("ij,ij->j", columns, columns), 1e-300
         )
-        if not own.any():
-            return 0.0
-        gram = part[:, own].T @ part[:, own]
-        return float(moment[own] @ solve(gram, moment[own]))
+        coefficients = np.zeros(moment.size)
+        if own.any():
+            coefficients[own] = solve(part[:, own].T @ part[:, own], moment[own])
+        return coefficients, moment
 
 
 def _family(bench: Workbench) -> int:
@@ -181,23 +221,65 @@ def _family(bench: Workbench) -> int:
 
 
 def _next(bench: Workbench, chosen: Chosen, family: int) -> Candidate | None:
-    """The best candidate that passes every test; None if none does."""
-    for candidate in candidates(bench, chosen)[:3]:
+    """The best candidate that passes every test; where none does, the best nameless shape; else None."""
+    if _named(chosen) < _MOST_CAUSES:
+        found = _passing(bench, chosen, candidates(bench, chosen)[:3], family)
+        if found is not None:
+            return found
+    if len(chosen) - _named(chosen) < _MOST_FOILS:
+        return _passing(bench, chosen, _ranked(bench, chosen, FOILS)[:2], family)
+    return None
+
+
+def _passing(bench: Workbench, chosen: Chosen, ranked: list[Candidate], family: int) -> Candidate | None:
+    for candidate in ranked:
         p = min(1.0, candidate.p_value * family)
         if p > FAMILY_ERROR:
             return None
-        more = (*chosen, (candidate.effect, candidate.nonlinear))
-        if (
-            _size(bench, chosen, candidate) > LEAST_SIZE
-            and lower_bound(_held_out_gain(bench, chosen, more)) > 0.0
-        ):
+        if _size(bench, chosen, candidate) > LEAST_SIZE and _proved(bench, chosen, candidate):
             return replace(candidate, p_value=p)
     return None
 
 
-def _held_out_gain(bench: Workbench, fewer: Chosen, more: Chosen) -> Floats:
-    """Fall of the held-out sum of squares of each block."""
-    return bench.design(fewer).held_out() - bench.design(more).held_out()
+def _named(chosen: Chosen) -> int:
+    return sum(not isinstance(effect, Foil) for effect, _ in chosen)
+
+
+def _proved(bench: Workbench, chosen: Chosen, candidate: Candidate) -> bool:
+    """Whether blocks that were not fitted bear it out; of what they cannot, a great gain is asked."""
+    effect = candidate.effect
+    if isinstance(effect, Foil) and not effect.sees_ahead:
+        return _size(bench, chosen, candidate) > _CERTAIN_SIZE and _lasting(bench, chosen, effect)
+    return holds(*_held_out_gain(bench, (*chosen, (effect, candidate.nonlinear)), len(chosen)))
+
+
+def _lasting(bench: Workbench, chosen: Chosen, foil: Foil) -> bool:
+    """Whether means over seconds are explained far better than slow noise of their own scatter would be."""
+    rest = bench.remainder(chosen)
+    mean, columns = _means(bench, rest), _means(bench, bench.columns(foil, ()))
+    columns = np.concatenate((columns, np.ones((mean.size, 1))), axis=1)
+    left = mean - columns @ np.linalg.lstsq(columns, mean, rcond=None)[0]
+    before, after = float(np.sum((mean - mean.mean()) ** 2)), float(left @ left)
+    return f_test(before, after, columns.shape[1] - 1, mean.size, columns.shape[1]) < _LASTING_CHANCE
+
+
+def _means(bench: Workbench, columns: Floats) -> Floats:
+    """Over stretches of `_SECONDS` within runs."""
+    stretch = np.floor(bench.record.time / _SECONDS).astype(np.int64)
+    change = np.concatenate(([0], (np.diff(stretch) != 0) | (np.diff(bench.run) != 0)))
+    number = np.cumsum(change)
+    count = np.bincount(number)
+    wide = columns.reshape(columns.shape[0], -1)
+    means = np.stack([np.bincount(number, c) / count for c in wide.T], axis=1)
+    kept = count > 0.5 * np.median(count)
+    return means[kept].reshape(-1, *columns.shape[1:])
+
+
+def _held_out_gain(bench: Workbench, chosen: Chosen, index: int) -> tuple[Floats, Floats]:
+    """What one of the chosen effects brings in blocks not fitted; see :meth:`Design.held_out_gain`."""
+    widths = [bench.columns(*item).shape[1] for item in chosen]
+    first = bench.always_white.shape[1] + sum(widths[:index])
+    return bench.design(chosen).held_out_gain(slice(first, first + widths[index]))
 
 
 def _size(bench: Workbench, chosen: Chosen, candidate: Candidate) -> float:
@@ -209,6 +291,29 @@ def _size(bench: Workbench, chosen: Chosen, candidate: Candidate) -> float:
     basis = np.linalg.qr(fixed / np.maximum(np.linalg.norm(fixed, axis=0), 1e-300))[0]
     own = part - basis @ (basis.T @ part)
     return float(np.sqrt(np.mean(own**2)))
+
+
+def speed_dependent(bench: Workbench) -> bool:
+    """Whether what is left is larger, or smaller, where the joint runs fast."""
+    speed, rest = np.abs(bench.signals.speed), bench.remainder(())
+    slow, fast = np.quantile(speed, (_SLOW, 1.0 - _SLOW))
+    ratio = np.std(rest[speed >= fast]) / max(float(np.std(rest[speed <= slow])), 1e-300)
+    return bool(slow < 0.5 * fast and not 1.0 / _UNEVEN < ratio < _UNEVEN)
+
+
+def _begun_slowly(bench: Workbench) -> Workbench:
+    """The parameters that the slow part shows, if a cause beside them then explains more.
+
+    A resonance, a delay or an unbalance changes the ripple at speed: fitted to all of it, the model's own
+    parameters go astray, and no cause stands out beside them.
+    """
+    speed = np.abs(bench.record.speed)
+    slow = refit(bench.record.select(speed <= np.quantile(speed, _SLOW)), bench.configured)
+    other = Workbench(bench.source, bench.configured, slow.parameters, bench.whiten)
+    other.noise_residual = bench.noise_residual
+    trials = [(each, next(iter(candidates(each, ())), None)) for each in (bench, other)]
+    left = [each.design(((best.effect, best.nonlinear),) if best else ()).deviance() for each, best in trials]
+    return other if left[1] < left[0] - _RESTART_GAIN else bench
 
 
 def _refined(bench: Workbench, chosen: Chosen) -> tuple[Workbench, Chosen]:
@@ -243,16 +348,19 @@ def _best_nonlinear(
 
 
 def _swapped(bench: Workbench, chosen: Chosen) -> tuple[Workbench, Chosen]:
-    """Exchange a chosen effect for a better one where there is one."""
-    for index, (effect, _) in enumerate(chosen):
+    """Exchange a chosen effect for a better one, or for itself at another grid point, where there is one."""
+    for index, (effect, nonlinear) in enumerate(chosen):
         others = chosen[:index] + chosen[index + 1 :]
+        now = bench.design(chosen).deviance()
+        bench.correct(others)
         best = next(iter(candidates(bench, others)), None)
-        if best is None or best.effect.name == effect.name:
-            continue
-        trial = (*others, (best.effect, best.nonlinear))
-        now, then = bench.design(chosen).deviance(), bench.design(trial).deviance()
-        if then < now - CLASS_DEVIANCE and best.effect.name not in {e.name for e, _ in others}:
-            bench, chosen = _refined(bench, trial)
+        if best is not None and (best.effect, best.nonlinear) != (effect, nonlinear):
+            trial = (*others, (best.effect, best.nonlinear))
+            bench.correct(trial)
+            if bench.design(trial).deviance() < now - CLASS_DEVIANCE:
+                bench, chosen = _refined(bench, trial)
+                continue
+        bench.correct(chosen)
     return bench, chosen
 
 
@@ -271,9 +379,12 @@ def _restarted(bench: Workbench, chosen: Chosen) -> Workbench:
 
 def _kept(bench: Workbench, chosen: Chosen) -> Chosen:
     """Without the effects that are no longer needed beside the others."""
-    for item in chosen:
-        rest = tuple(other for other in chosen if other is not item)
-        if len(rest) < len(chosen) and lower_bound(_held_out_gain(bench, rest, chosen)) <= 0.0:
+    for index, (effect, nonlinear) in enumerate(chosen):
+        if isinstance(effect, Foil) and not effect.sees_ahead:
+            continue
+        rest = chosen[:index] + chosen[index + 1 :]
+        small = _size(bench, rest, Candidate(effect, nonlinear, 0.0, 0.0, 0.0)) < LEAST_SIZE
+        if small or not holds(*_held_out_gain(bench, chosen, index)):
             return _kept(bench, rest)
     return chosen
 
@@ -291,31 +402,37 @@ def fitted(bench: Workbench, found: Search) -> Search:
     -------
     Search
     """
-    beta, covariance, _ = bench.fit(found.chosen)
-    at = bench.always_white.shape[1]
+    beta, _, _ = bench.fit(found.chosen)
+    spread, places = covariance(bench, found.chosen)
     causes = []
-    for cause in found.causes:
-        columns = bench.columns(cause.effect, cause.nonlinear)
-        rows = slice(at, at + columns.shape[1])
-        at = rows.stop
-        amplitude = float(np.std(columns @ beta[rows]))
+    for cause, place in zip(found.causes, places, strict=False):
+        coefficients = beta[place[: cause.effect.size]]
+        amplitude = float(np.std(bench.full_size(cause.effect, cause.nonlinear, coefficients)))
         causes.append(
-            replace(cause, coefficients=beta[rows], covariance=covariance[rows, rows], amplitude=amplitude)
+            replace(cause, coefficients=coefficients, covariance=_part(spread, place), amplitude=amplitude)
         )
-    return Search(bench, tuple(causes))
+    return replace(found, bench=bench, causes=tuple(causes))
+
+
+def _part(spread: Floats, place: npt.NDArray[np.int64]) -> Floats:
+    """Covariance of some values; zero for those that are not fitted."""
+    part = spread[np.ix_(place, place)]
+    fixed = place < 0
+    part[fixed], part[:, fixed] = 0.0, 0.0
+    return part
 
 
 def _causes(bench: Workbench, chosen: Chosen, p_values: dict[str, float]) -> tuple[Cause, ...]:
-    beta, covariance, _ = bench.fit(chosen)
-    at = bench.always_white.shape[1]
+    beta, _, _ = bench.fit(chosen)
+    spread, places = covariance(bench, chosen)
     rng = np.random.default_rng(0)
     found = []
     for index, (effect, nonlinear) in enumerate(chosen):
-        columns = bench.columns(effect, nonlinear)
-        rows = slice(at, at + columns.shape[1])
-        at = rows.stop
+        if isinstance(effect, Foil):
+            continue
+        rows = places[index][: effect.size]
         others = chosen[:index] + chosen[index + 1 :]
-        gains = _held_out_gain(bench, others, chosen)
+        gains, _ = _held_out_gain(bench, chosen, index)
         share = gains / max(float(np.mean(bench.design(others).held_out())), 1e-300)
         low, high = interval(share, rng)
         found.append(
@@ -323,8 +440,8 @@ def _causes(bench: Workbench, chosen: Chosen, p_values: dict[str, float]) -> tup
                 effect,
                 nonlinear,
                 beta[rows],
-                covariance[rows, rows],
-                float(np.std(columns @ beta[rows])),
+                _part(spread, places[index]),
+                float(np.std(bench.full_size(effect, nonlinear, beta[rows]))),
                 p_values.get(effect.name, float("nan")),
                 (effect.name, *_alike(bench, chosen, index)),
                 float(np.mean(share)),
@@ -340,6 +457,8 @@ def _alike(bench: Workbench, chosen: Chosen, index: int) -> list[str]:
     effect = chosen[index][0]
     others = chosen[:index] + chosen[index + 1 :]
     named = {e.name for e, _ in chosen}
+    if isinstance(effect, Foil):
+        return []
     here = float(bench.design(chosen).held_out().sum())
     found = [name for name in effect.always_confused if name not in named]
     for candidate in candidates(bench, others)[:6]:
@@ -354,5 +473,6 @@ def _alike(bench: Workbench, chosen: Chosen, index: int) -> list[str]:
 def parameters_of(search_result: Search) -> tuple[Floats, Floats]:
     """The model's parameters beside the causes, and their covariance, in units of `base.SCALES`."""
     bench = search_result.bench
-    beta, covariance, _ = bench.fit(search_result.chosen)
-    return bench.parameters + beta[: base.COUNT], covariance[: base.COUNT, : base.COUNT]
+    beta, _, _ = bench.fit(search_result.chosen)
+    spread, _ = covariance(bench, search_result.chosen)
+    return bench.parameters + beta[: base.COUNT], spread[: base.COUNT, : base.COUNT]

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hd_diag.criticism.design import f_test, lower_bound
+from hd_diag.criticism.foils import Foil
 from hd_diag.criticism.search import LEAST_SIZE, Search
 from hd_diag.criticism.workbench import Chosen, Workbench
 from hd_diag.model.torsion_map import ARCSEC
@@ -34,6 +35,8 @@ class Line:
         [rad]
     torque_law, direction_law : str
         How it goes with torque and direction, in words.
+    description : str
+        What is not periodic (order 0), in words.
     """
 
     order: float
@@ -41,6 +44,15 @@ class Line:
     amplitude: float
     torque_law: str
     direction_law: str
+    description: str = ""
+
+
+@dataclass(frozen=True)
+class Wave:
+    """A line with the columns that hold it, shape (n, 2)."""
+
+    columns: Floats
+    line: Line
 
 
 def lines(found: Search) -> list[Line]:
@@ -56,45 +68,82 @@ def lines(found: Search) -> list[Line]:
     """
     bench = found.bench
     rest = bench.remainder(found.chosen)
-    result: list[Line] = []
+    result = [_shape(found, effect) for effect, _ in found.foils if isinstance(effect, Foil)]
     columns: list[Floats] = []
     for _ in range(_MOST_LINES):
-        line = _strongest(bench, found.chosen, rest, columns)
-        if line is None:
+        wave = _strongest(bench, found.chosen, rest, columns)
+        if wave is None:
             break
-        pair = _pair(bench, line.order, line.frame)
-        columns.append(pair)
-        rest = rest - pair @ np.linalg.lstsq(pair, rest, rcond=None)[0]
-        result.append(line)
+        columns.append(wave.columns)
+        rest = rest - wave.columns @ np.linalg.lstsq(wave.columns, rest, rcond=None)[0]
+        result.append(wave.line)
     return result
 
 
-def _strongest(bench: Workbench, chosen: Chosen, rest: Floats, taken: list[Floats]) -> Line | None:
-    best: tuple[float, float, str] | None = None
-    angle = bench.signals.wave_generator_angle
-    for frame, phase in (("input", angle), ("time", 2.0 * np.pi * bench.signals.time)):
-        peak = _peak(phase, rest)
-        if peak is not None and (best is None or peak[1] > best[1]):
-            best = peak[0], peak[1], frame
-    if best is None:
+def _shape(found: Search, foil: Foil) -> Line:
+    """A part without a period; its amplitude is root two of its rms."""
+    bench, at = found.bench, found.bench.always_white.shape[1]
+    beta, _, _ = bench.fit(found.chosen)
+    for effect, nonlinear in found.chosen:
+        columns = bench.columns(effect, nonlinear)
+        if effect is foil:
+            break
+        at += columns.shape[1]
+    part = columns @ beta[at : at + columns.shape[1]]
+    part = part - part.mean()
+    amplitude = float(np.sqrt(2.0) * np.std(part))
+    rest, wave = part + bench.remainder(found.chosen), part / max(amplitude, 1e-300)
+    return Line(
+        0.0,
+        "input" if foil.frame == "torque" else str(foil.frame),
+        amplitude,
+        _torque_law(bench, rest, wave),
+        _direction_law(bench, rest, wave),
+        foil.description,
+    )
+
+
+def _strongest(bench: Workbench, chosen: Chosen, rest: Floats, taken: list[Floats]) -> Wave | None:
+    """The wave that stands out most, of even size or in proportion to the torque."""
+    found = []
+    for frame in ("input", "time"):
+        for weight in _weights(bench):
+            peak = _peak(_phase(bench, frame), rest * weight)
+            if peak is not None:
+                found.append((peak[1], peak[0], frame, weight))
+    if not found:
         return None
-    order, _, frame = best
-    order = _refined(bench, rest, order, frame)
-    pair = _pair(bench, order, frame)
+    _, order, frame, weight = max(found, key=lambda one: one[0])
+    order = _refined(bench, rest * weight, order, frame)
+    pair = _pair(bench, order, frame) * weight[:, None]
     white = bench.whiten(np.concatenate([pair, *taken], axis=1), bench.run)
     fixed = np.concatenate((bench.always_white, *(bench.white(e, v) for e, v in chosen)), axis=1)
     before, after = _deviances(bench, fixed, white[:, 2:]), _deviances(bench, fixed, white)
     counted = int(np.count_nonzero(bench.left_white))
-    tests = 4.0 * _MOST_ORDERS * max(float(np.ptp(angle)) / (2.0 * np.pi), 1.0)
+    turns = float(np.ptp(bench.signals.wave_generator_angle)) / (2.0 * np.pi)
+    tests = 8.0 * _MOST_ORDERS * max(turns, 1.0)
     p = tests * f_test(before, after, 2, counted, fixed.shape[1] + white.shape[1])
     coefficients = np.linalg.lstsq(pair, rest, rcond=None)[0]
-    amplitude = float(np.hypot(*coefficients))
+    part = pair @ coefficients
+    amplitude = float(np.sqrt(2.0) * np.std(part))
     if p > _CHANCE or amplitude < np.sqrt(2.0) * LEAST_SIZE:
         return None
-    wave = pair @ coefficients / amplitude
     if lower_bound(_block_gains(bench, rest, pair)) <= 0.0:
         return None
-    return Line(order, frame, amplitude, _torque_law(bench, rest, wave), _direction_law(bench, rest, wave))
+    wave = _pair(bench, order, frame) @ coefficients
+    wave /= np.hypot(*coefficients)
+    if float(weight.min()) < 0.0:
+        wave *= np.sign(bench.signals.torque)
+    laws = _torque_law(bench, rest, wave), _direction_law(bench, rest, wave)
+    return Wave(pair, Line(order, frame, amplitude, *laws))
+
+
+def _weights(bench: Workbench) -> list[Floats]:
+    """One, and the torque over its greatest where it has both signs."""
+    load = bench.signals.torque
+    full = load / max(float(np.max(np.abs(load))), 1e-300)
+    both = float(full.min()) < -0.2 and float(full.max()) > 0.2
+    return [np.ones(load.size), *([full] if both else [])]
 
 
 def _deviances(bench: Workbench, fixed: Floats, more: Floats) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hd_diag.criticism import base
-from hd_diag.criticism.design import Design, design, solve
+from hd_diag.criticism.design import Design, design, inverse, solve
 from hd_diag.criticism.noise import ORDER, Whitening, bounds, whitening
 from hd_diag.criticism.record import Record
 from hd_diag.criticism.refit import usable
@@ -56,7 +56,7 @@ class Workbench:
         self.error = base.error(self.drive, rec.input_angle, rec.torque)
         self.jacobian, slope = base.jacobian(self.drive, configured, rec.input_angle, rec.torque)
         self.left = rec.output_angle - rec.input_angle / configured.kinematics.ratio - self.error
-        self._uncorrected = self.left
+        self.uncorrected = self.left
         self.nuisance = np.ones((rec.size, 1))
         self.signals = signals(rec, self.drive, self.error, slope)
         self.block = blocks(self.run)
@@ -142,8 +142,13 @@ class Workbench:
             columns = self.columns(effect, nonlinear)
             coefficients = beta[at : at + columns.shape[1]]
             at += columns.shape[1]
+            if type(effect).secant is not Effect.secant:
+                key = (effect.name, nonlinear)
+                self._columns[key] = np.nan_to_num(effect.secant(self.signals, coefficients, nonlinear))
+                self._white.pop(key, None)
+                continue
             correction += self.full_size(effect, nonlinear, coefficients) - columns @ coefficients
-        self.left = self._uncorrected - correction
+        self.left = self.uncorrected - correction
         self.left_white = self.whiten(self.left, self.run)
 
     def full_size(self, effect: Effect, nonlinear: tuple[float, ...], coefficients: Floats) -> Floats:
@@ -177,22 +182,25 @@ class Workbench:
                     columns += list(self.columns(effect, grid[len(grid) // 2]).T)
         return np.stack(columns, axis=1)
 
-    def fit(self, chosen: Chosen) -> tuple[Floats, Floats, Design]:
-        """Coefficients and covariance of [model, nuisance, effects], and their normal equations.
+    def fit(self, chosen: Chosen, more: Floats | None = None) -> tuple[Floats, Floats, Design]:
+        """Coefficients and covariance of [model, nuisance, effects, more], and their normal equations.
 
-        The model's coefficients are steps from `parameters`, drawn to the prior.
+        The model's coefficients are steps from `parameters`, drawn to the prior. `more` are columns (n, k).
         """
-        built = self.design(chosen)
+        built = self.design(chosen, more)
         center, width = base.prior(self.configured)
         precision, pull = np.zeros(built.moment.shape[1]), np.zeros(built.moment.shape[1])
         precision[: base.COUNT], pull[: base.COUNT] = width**-2.0, center - self.parameters
         gram = built.gram.sum(axis=0) + np.diag(precision)
         moment = built.moment.sum(axis=0) + precision * pull
-        return solve(gram, moment), np.linalg.pinv(gram, hermitian=True), built
+        covariance = inverse(gram)
+        return covariance @ moment, covariance, built
 
-    def design(self, chosen: Chosen) -> Design:
-        """Normal equations of [model, nuisance, effects] against what the model leaves."""
+    def design(self, chosen: Chosen, more: Floats | None = None) -> Design:
+        """Normal equations of [model, nuisance, effects, more] against what the model leaves."""
         parts = [self.always_white, *(self.white(effect, nonlinear) for effect, nonlinear in chosen)]
+        if more is not None and more.shape[1]:
+            parts.append(self.whiten(more, self.run))
         return design(np.concatenate(parts, axis=1), self.left_white, self.block, self.left_white != 0.0)
 
     def design_with(self, whiten: Whitening, chosen: Chosen) -> Design:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.effects.effect import Effect, Values, amplitude, direction, harmonic, harmonic_sum
+from hd_diag.effects.effect import Effect, Quantity, Values, amplitude, direction, harmonic, harmonic_sum
 from hd_diag.effects.excitation import enough_input_turns, torque_varies, verdict
 from hd_diag.effects.signals import Signals
 
@@ -18,21 +18,61 @@ ORDERS = (2, 4, 6)
 
 @dataclass(frozen=True)
 class CircularSplineForm(Effect):
-    """Radial slot displacement ``sum a_k cos k (phi - d_k)`` through the contact's weights."""
+    """Radial slot displacement ``u = sum a_k cos k (phi - d_k)`` through the contact's weights.
+
+    A ring that is bent keeps its circumference: its slots also move along it, by v with ``dv/dphi = -u``.
+    """
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Response to every lobe number; see :meth:`Effect.columns`."""
-        return np.concatenate([harmonic(signals.contact.radial_harmonic(k)) for k in ORDERS], axis=1)
+        (bending,), contact = nonlinear, signals.contact
+        found = []
+        for k in ORDERS:
+            response = contact.radial_harmonic(k)
+            if bending:
+                response = response + 1j * bending / k * contact.slot_harmonic(k)
+            found.append(harmonic(response))
+        return np.concatenate(found, axis=1)
+
+    def grid(self, signals: Signals) -> list[Values]:
+        """Cut out of round, or bent."""
+        return [(0.0,), (1.0,)]
 
     def response(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
         """The slots displaced at their full size; see :meth:`Effect.response`."""
         contact = signals.contact
-        return contact.displaced(radial=harmonic_sum(coefficients, ORDERS, contact.slot_angles))
+        along = np.zeros(coefficients.size)
+        for index, k in enumerate(ORDERS):  # a cosine's integral is a sine over k
+            cosine, sine = coefficients[2 * index : 2 * index + 2]
+            along[2 * index : 2 * index + 2] = nonlinear[0] / k * np.array([sine, -cosine])
+        return contact.displaced(
+            harmonic_sum(along, ORDERS, contact.slot_angles),
+            harmonic_sum(coefficients, ORDERS, contact.slot_angles),
+        )
 
     def testable(self, signals: Signals) -> tuple[bool, str]:
         """A few turns at two torques."""
         return verdict(enough_input_turns(signals, 3.0), torque_varies(signals))
 
+
+_LOBES = tuple(
+    quantity
+    for k in ORDERS
+    for quantity in (
+        amplitude(f"radial_{k}", "m", 5e-5, 2e-6, f"radial form error with {k} lobes"),
+        direction(f"radial_direction_{k}", "angle in the circular spline of a lobe", k),
+    )
+)
+_BENDING = Quantity(
+    "bending",
+    "-",
+    0.0,
+    1.0,
+    1.0,
+    "0: cut out of round, 1: bent, so that the circumference keeps its length",
+    linear=False,
+    discrete=True,
+)
 
 EFFECT = CircularSplineForm(
     name="circular_spline_form",
@@ -40,14 +80,7 @@ EFFECT = CircularSplineForm(
     kind="kinematic",
     frame="housing",
     needs=("wave_generator_angle", "torque"),
-    quantities=tuple(
-        quantity
-        for k in ORDERS
-        for quantity in (
-            amplitude(f"radial_{k}", "m", 5e-5, 2e-6, f"radial form error with {k} lobes"),
-            direction(f"radial_direction_{k}", "angle in the circular spline of a lobe", k),
-        )
-    ),
+    quantities=(*_LOBES, _BENDING),
     confused_with=(
         "circular_spline_pitch",
         "coupling_misalignment",

@@ -19,10 +19,14 @@ import numpy.typing as npt
 from hd_diag.drive import Drive
 from hd_diag.model import load_sharing
 from hd_diag.model.clearance import Contact
+from hd_diag.model.torsion_map import TorsionMap, build
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 Integers = npt.NDArray[np.int64]
+
+Openings = tuple[float, float]
+NO_OPENING: Openings = (0.0, 0.0)
 
 TORQUES = 24
 """Torques of the grid on each side of zero, closer near zero where few pairs bear."""
@@ -30,6 +34,9 @@ TORQUES = 24
 _STEPS_PER_SLOT = 2  # the shares step where a pair comes into load; errors of some um blur the steps anyway
 _IDLE = 1e-9  # share of the torque limit that stands for the limit towards zero torque from one side
 _SLOTS_KEPT = 16
+_BEYOND = 1.2  # of the torque limit
+_MEAN_TORQUES, _MEAN_ANGLES = 401, 101
+_MAP_STEPS = 16  # per tooth passing: 0.005 arcsec rms
 _STEP = 5e-9  # [m]; radial step of the central difference: far above rounding, far below a fillet
 _FLANKS = np.array([1.0, -1.0])[:, None]
 
@@ -95,7 +102,7 @@ class ContactTable:
         self.share = np.stack([self._shares(beta) for beta in self.torsion])
         self._tables: dict[tuple[str, int], Complexes] = {}
         self._responses: dict[str, Floats] = {}
-        self._slots: dict[int, Complexes] = {}
+        self._slots: dict[tuple[int, Openings], Complexes] = {}
         self._displaced: dict[bytes, Floats] = {}
 
     def slot_harmonic(self, order: int) -> Complexes:
@@ -120,15 +127,23 @@ class ContactTable:
             "clearance", 0, lambda: self._slot_angle, lambda: self._summed(1.0 / self._radius)
         )
 
-    def one_slot(self, slot: int) -> Complexes:
-        """Response to more clearance on the flanks (+, -) of one slot [rad/m]; (2, torques, angles)."""
+    def one_slot(self, slot: int, opening: Openings = NO_OPENING) -> Complexes:
+        """Response to more clearance on the flanks (+, -) of one slot [rad/m]; (2, torques, angles).
+
+        At an opening [m] of the flanks it is the mean slope from none to that opening.
+        """
         slot %= self.drive.mesh.geometry.circular_spline_teeth
-        if slot not in self._slots:
+        key = (slot, opening)
+        if key not in self._slots:
             if len(self._slots) >= _SLOTS_KEPT:
                 self._slots.clear()
-            masked = np.where((self.contact.slots == slot)[:, None, :], 1.0 / self._radius, 0.0)
-            self._slots[slot] = np.einsum("tafp,afp->fta", self.share, masked).astype(np.complex128)
-        return self._slots[slot]
+            angle, pair = np.nonzero(self.contact.slots == slot)
+            found = np.zeros((2, *self.torsion.shape))
+            for flank in (0, 1):
+                slope = self._slope(np.s_[:], angle, flank, pair, opening[flank])
+                np.add.at(found[flank], (slice(None), angle), slope)
+            self._slots[key] = found.astype(np.complex128)
+        return self._slots[key]
 
     def displaced(self, errors: SlotErrors) -> Floats:
         """How the cup turns when the slots have errors of full size [rad], shape (torques, angles)."""
@@ -153,15 +168,40 @@ class ContactTable:
         response = response.reshape(2, -1, row.size)
         return np.array([[np.bincount(row, one, self.steps) for one in flank] for flank in response])
 
-    def one_tooth(self, torque_row: Integers, angle_row: Integers, tooth: Integers) -> Floats:
+    def one_tooth(
+        self, torque_row: Integers, angle_row: Integers, tooth: Integers, opening: Openings = NO_OPENING
+    ) -> Floats:
         """The same for teeth of the flexspline [rad/m], at rows of the grid, shape (n,); (2, n)."""
         teeth, half = self.contact.teeth, self.contact.teeth.shape[1] // 2
         count = self.drive.mesh.geometry.flexspline_teeth
         first, second = (np.mod(tooth - teeth[angle_row, lobe], count) for lobe in (0, half))
         column = np.where(first < half, first, half + np.minimum(second, half - 1))
         near = (first < half) | (second < half)
-        found = self.share[torque_row, angle_row, :, column] / self._radius[angle_row, :, column]
-        return np.where(near, found.T, 0.0)
+        slopes = [self._slope(torque_row, angle_row, f, column, opening[f]) for f in (0, 1)]
+        return np.where(near, np.stack(slopes), 0.0)
+
+    def _slope(
+        self,
+        torque_row: Integers | slice,
+        angle_row: Integers,
+        flank: int,
+        pair: Integers,
+        opening: float,
+    ) -> Floats:
+        """Mean response of a flank from no opening to one [rad/m].
+
+        The pair parts where the opening has used up its overlap: there the others bear all of the load, and
+        the cup turns no further.
+        """
+        share = self.share[torque_row, angle_row, flank, pair]
+        radius = self._radius[angle_row, flank, pair]
+        if opening <= 0.0:
+            return np.asarray(share / radius)
+        overlap = _FLANKS[flank, 0] * self.torsion[torque_row, angle_row] - np.nan_to_num(
+            self.contact.rotation[angle_row, flank, pair], nan=np.inf
+        )
+        parted = np.maximum(overlap, 0.0) / np.maximum(1.0 - np.abs(share), 1e-6) * radius
+        return np.asarray(share / radius * np.minimum(1.0, parted / opening))
 
     @cached_property
     def torque_nodes(self) -> Floats:
@@ -169,6 +209,21 @@ class ContactTable:
         positive = self.torque_limit * (np.arange(TORQUES + 1) / TORQUES) ** 2
         positive[0] = _IDLE * self.torque_limit
         return np.concatenate((-positive[::-1], positive))
+
+    @cached_property
+    def torsion_map(self) -> TorsionMap:
+        """Of the mesh without errors, for torques somewhat beyond the limit."""
+        return build(self.drive.mesh, _BEYOND * self.torque_limit, steps_per_tooth=_MAP_STEPS)
+
+    @cached_property
+    def mean_torsion(self) -> tuple[Floats, Floats]:
+        """Torques on the cup [N m], rising, and the torsion's mean over a turn there [rad]."""
+        limit = self.torsion_map.torque_limit
+        share = np.linspace(-1.0, 1.0, _MEAN_TORQUES)
+        torque = limit * np.sign(share) * share**2
+        turn = 2.0 * np.pi / _MEAN_ANGLES * np.arange(_MEAN_ANGLES)
+        angle, load = (grid.ravel() for grid in np.meshgrid(turn, torque))
+        return torque, self.torsion_map(angle, load).reshape(torque.size, turn.size).mean(axis=1)
 
     @cached_property
     def _radius(self) -> Floats:

@@ -4,17 +4,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from hd_diag.drive import Drive
-from hd_diag.effects.contact_table import TORQUES, ContactTable, SlotErrors, contact_table
+from hd_diag.effects.contact_table import (
+    NO_OPENING,
+    TORQUES,
+    ContactTable,
+    Openings,
+    SlotErrors,
+    contact_table,
+)
+from hd_diag.model.torsion import torsion
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 Integers = npt.NDArray[np.int64]
 Neighbours = tuple[tuple[Integers, Floats], tuple[Integers, Floats]]
+Part = TypeVar("Part", bound="ContactWeights")
 Rows = slice | npt.NDArray[np.bool_] | Integers
 
 _LEAST_LIMIT = 0.125  # of the rated torque; a table of an idle record still has a width
@@ -59,9 +69,16 @@ class ContactWeights:
 
     def part(self, rows: Rows) -> ContactWeights:
         """Weights at some of the samples."""
-        return ContactWeights(
+        found = ContactWeights(
             self.drive, self.wave_generator_angle[rows], self.torque[rows], self.torque_limit
         )
+        return self._handed_on(found, rows)
+
+    def _handed_on(self, part: Part, rows: Rows) -> Part:
+        """A part, with what is known of it already."""
+        if "ripple" in self.__dict__:
+            part.__dict__["ripple"] = self.ripple[rows]
+        return part
 
     def slot_harmonic(self, order: int) -> Complexes:
         """Response H to a circumferential displacement of the slots.
@@ -94,13 +111,16 @@ class ContactWeights:
         """Response to more circumferential clearance on both flanks of all pairs [rad/m], shape (n,)."""
         return self._sign * self._interpolate(self.table.clearance()).real
 
-    def one_slot(self, position: float) -> Floats:
+    def one_slot(self, position: float, opening: Openings = NO_OPENING) -> Floats:
         """Response to more clearance on the flanks (+, -) of the slot nearest an angle.
 
         Parameters
         ----------
         position : float
             Angle of the slot's axis in the circular spline [rad].
+        opening : (float, float)
+            Clearance added to the flanks [m]; the response is the mean slope from none to that, less once the
+            pair has parted.
 
         Returns
         -------
@@ -108,16 +128,18 @@ class ContactWeights:
             [rad/m]; wear of both flanks is the sum, a displaced slot the difference.
         """
         slot = round(position / self.drive.mesh.geometry.slot_pitch)
-        flanks = self.table.one_slot(slot)
+        flanks = self.table.one_slot(slot, opening)
         return self._sign * np.stack([self._interpolate(flank).real for flank in flanks], axis=1)
 
-    def one_tooth(self, position: float) -> Floats:
+    def one_tooth(self, position: float, opening: Openings = NO_OPENING) -> Floats:
         """Response to more clearance on the flanks (+, -) of the tooth nearest an angle of the flexspline.
 
         Parameters
         ----------
         position : float
             Angle of the tooth along the flexspline, tooth 0 at zero [rad].
+        opening : (float, float)
+            As for :meth:`one_slot` [m].
 
         Returns
         -------
@@ -131,8 +153,41 @@ class ContactWeights:
         result = np.zeros((2, self.torque.size))
         for torque_row, torque_share in self.torque_rows:
             for angle_row, angle_share in self.angle_rows:
-                result += torque_share * angle_share * self.table.one_tooth(torque_row, angle_row, tooth)
+                slope = self.table.one_tooth(torque_row, angle_row, tooth, opening)
+                result += torque_share * angle_share * slope
         return self._sign * result.T
+
+    def under_more_torque(self, torque: float) -> Floats:
+        """Change of TE if the drive exerted more torque on the link.
+
+        Parameters
+        ----------
+        torque : float
+            [N m]
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            [rad]; the cup's own compliance included.
+        """
+        kinematics = self.drive.kinematics
+        change = self._torsion(self.torque + torque) - self._torsion(self.torque)
+        return -kinematics.torque_sign * change - self.drive.cup_compliance * torque
+
+    @cached_property
+    def ripple(self) -> Floats:
+        """The model's TE less its mean over a turn of the wave generator [rad], shape (n,)."""
+        nodes, mean = self.table.mean_torsion
+        cup_torque = self.drive.kinematics.cup_torque(self.torque)
+        return self._sign * (self._torsion(self.torque) - np.interp(cup_torque, nodes, mean))
+
+    def _torsion(self, torque: Floats) -> Floats:
+        """Of the mesh [rad]."""
+        cup_torque = self.drive.kinematics.cup_torque(torque)
+        beta = self.table.torsion_map(self.wave_generator_angle, cup_torque)
+        beyond = np.isnan(beta)
+        beta[beyond] = torsion(self.drive.mesh, self.wave_generator_angle[beyond], cup_torque[beyond])
+        return beta
 
     def displaced(
         self,

@@ -147,6 +147,10 @@ class Effect(ABC):
         """Transmission error of the effect at its size [rad], shape (n,): proportional unless stated."""
         return np.asarray(self.columns(signals, nonlinear) @ coefficients)
 
+    def secant(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
+        """Columns that give the response at this size exactly, where an effect has such; else its columns."""
+        return self.columns(signals, nonlinear)
+
     def respond(
         self, state: Any, signals: Signals, coefficients: Floats, nonlinear: Values
     ) -> tuple[Floats, Any]:

@@ -13,26 +13,29 @@ from hd_diag.effects.signals import Signals
 from hd_diag.model.torsion_map import ARCSEC
 
 Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
 
-ORDERS = (2.0, 4.0)
+ORDERS = (1.0, 2.0, 4.0)
 """Orders of the wave generator's turn that excite."""
 
 _COARSE = 6  # natural frequencies per order in the grid
 _FINE = 60  # in a scan
 _DAMPINGS = (0.02, 0.08)  # [-]
-_BINS = 256  # of excitation frequency, in a scan
+_BINS = 256  # of the wave generator's speed, in a scan
 _CANDIDATES = 3
-_TWO_PI = 2.0 * np.pi
 
-State = tuple[float, complex, complex, complex] | None
+State = tuple[float, float, float, complex, complex, complex] | None
 
 
 @dataclass(frozen=True)
 class Resonance(StatefulEffect):
-    """What a two-inertia oscillator adds to one order: ``Re a (x - u)``, ``u = exp(i n theta_W)``.
+    """What a two-inertia oscillator makes of an order, ``Re a x``, and of the gear's own ripple.
 
-    ``x'' + 2 zeta omega_n x' + omega_n^2 x = omega_n^2 u``; at constant speed ``x - u = (H - 1) u`` with
-    ``H = 1 / (1 - r^2 + 2 i zeta r)``, ``r = n omega / omega_n``. It starts in the steady state.
+    The link x hangs on a spring and damper whose other end the gear moves by u:
+    ``x'' + 2 zeta omega_n (x' - u') + omega_n^2 (x - u) = 0``, ``u = exp(i n theta_W)``. At constant speed
+    ``x = H u``, ``H = (1 + 2 i zeta r) / (1 - r^2 + 2 i zeta r)``, ``r = n omega / omega_n``. The ripple that
+    the model predicts is in the model already: a share c of it goes through the same spring, ``c (H - 1)``.
+    The oscillator starts in the steady state, for the ripple at rest.
     """
 
     def start(self, nonlinear: Values) -> State:
@@ -42,27 +45,30 @@ class Resonance(StatefulEffect):
     def step(self, state: State, signals: Signals, nonlinear: Values) -> tuple[Floats, State]:
         """Exact between samples while the speed is constant there; see :meth:`Effect.step`."""
         if not signals.size:
-            return np.empty((0, 2)), state
+            return np.empty((0, 3)), state
         order, frequency, damping = nonlinear
         pole = frequency * complex(-damping, np.sqrt(1.0 - damping * damping))
-        phase = order * signals.wave_generator_angle
+        phase, ripple = order * signals.wave_generator_angle, signals.contact.ripple
         if state is None:
-            rate = order * float(signals.wave_generator_speed[0])
-            first = np.exp(1j * phase[0])
-            state = (
-                float(signals.time[0]),
-                phase[0],
-                first / (1j * rate - pole),
-                first / (1j * rate - np.conj(pole)),
-            )
-        time = np.concatenate(([state[0]], signals.time))
-        turned = np.concatenate(([np.real(state[1])], phase))
-        modes = [
-            _mode(q, root, time, turned) for q, root in zip(state[2:], (pole, np.conj(pole)), strict=True)
-        ]
-        response = frequency**2 / (2j * pole.imag) * (modes[0] - modes[1]) - np.exp(1j * phase)
-        last = float(time[-1]), complex(turned[-1]), complex(modes[0][-1]), complex(modes[1][-1])
-        return np.stack((response.real, response.imag), axis=1), last
+            state = _steady(pole, order * float(signals.wave_generator_speed[0]), signals, phase, ripple)
+        time, turned, rippled = (
+            np.concatenate(([before], now))
+            for before, now in zip(state[:3], (signals.time, phase, ripple), strict=True)
+        )
+        decay, added = _turning(pole, time, turned)
+        cosine, sine = 0.5 * (added[0] + added[1]), -0.5j * (added[0] - added[1])
+        modes = _followed(state[3:], decay, (cosine, sine, _straight(pole, time, rippled)))
+        residue = (2.0 * damping * frequency * pole + frequency**2) / (1j * pole.imag)
+        response = np.stack([(residue * mode).real for mode in modes], axis=1)
+        response[:, 2] -= ripple
+        last = (float(time[-1]), float(turned[-1]), float(rippled[-1]), *(complex(m[-1]) for m in modes))
+        return response, last
+
+    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
+        """The ripple once for all runs; see :meth:`StatefulEffect.columns`."""
+        if signals.size:
+            _ = signals.contact.ripple
+        return super().columns(signals, nonlinear)
 
     def grid(self, signals: Signals) -> list[Values]:
         """Natural frequencies [rad/s] that the orders pass."""
@@ -74,7 +80,8 @@ class Resonance(StatefulEffect):
 
     def scan(self, signals: Signals, residual: Floats) -> list[Values]:
         """Natural frequencies and dampings that fit best as if every speed were constant."""
-        found = [one for order in ORDERS for one in _quasi_static(signals, residual, order)]
+        bins = _binned(signals, residual)
+        found = [one for order in ORDERS for one in _quasi_static(signals, bins, order)]
         return [nonlinear for _, nonlinear in sorted(found, reverse=True)[:_CANDIDATES]]
 
     def trials(self, signals: Signals) -> int:
@@ -86,20 +93,54 @@ class Resonance(StatefulEffect):
         return several_speeds(signals, 5)
 
 
-def _mode(q: complex, root: complex, time: Floats, phase: Floats) -> npt.NDArray[np.complex128]:
-    """``q' = root q + u`` at the samples after the first, with u turning evenly between them."""
-    step = np.diff(time)
+def _steady(pole: complex, rate: float, signals: Signals, phase: Floats, ripple: Floats) -> State:
+    """As if the first speed had always been, and the first ripple."""
+    first = np.exp(1j * phase[0])
+    forward, backward = first / (1j * rate - pole), np.conj(first) / (-1j * rate - pole)
+    return (
+        float(signals.time[0]),
+        float(phase[0]),
+        float(ripple[0]),
+        complex(0.5 * (forward + backward)),
+        complex(-0.5j * (forward - backward)),
+        complex(-ripple[0] / pole),
+    )
+
+
+def _turning(pole: complex, time: Floats, phase: Floats) -> tuple[Complexes, Complexes]:
+    """Decay of ``q' = pole q + u`` over every step, and what u = exp(+-i phase), turning evenly, adds."""
+    step, turned = np.diff(time), np.diff(phase)
     still = step == 0.0
-    rate = np.where(still, 0.0, np.diff(phase) / np.where(still, 1.0, step))
-    decay = np.exp(root * step)
-    drive = np.exp(1j * phase)
-    added = (drive[1:] - decay * drive[:-1]) / (1j * rate - root)
-    added[still] = 0.0
-    result = np.empty(step.size, dtype=np.complex128)
-    for index, (factor, more) in enumerate(zip(decay.tolist(), added.tolist(), strict=True)):
-        q = factor * q + more
-        result[index] = q
-    return result
+    rate = np.where(still, 0.0, turned / np.where(still, 1.0, step))
+    decay: Complexes = np.exp(pole * step)
+    drive: Complexes = np.exp(1j * phase)
+    added = [
+        (u[1:] - decay * u[:-1]) / (1j * way * rate - pole)
+        for way, u in ((1.0, drive), (-1.0, np.conj(drive)))
+    ]
+    return decay, np.where(still, 0.0, np.stack(added))
+
+
+def _straight(pole: complex, time: Floats, values: Floats) -> Complexes:
+    """What values add that go straight from sample to sample; (n,)."""
+    z = pole * np.diff(time)
+    still = z == 0.0
+    safe = np.where(still, 1.0, z)
+    constant = np.expm1(safe) / pole
+    rising = (np.expm1(safe) - safe) / (pole * safe)
+    return np.where(still, 0.0, values[:-1] * constant + np.diff(values) * rising)
+
+
+def _followed(state: tuple[complex, ...], decay: Complexes, added: tuple[Complexes, ...]) -> list[Complexes]:
+    """Modes at the samples after the first."""
+    modes = []
+    for q, each in zip(state, added, strict=True):
+        mode = []
+        for factor, more in zip(decay.tolist(), each.tolist(), strict=True):
+            q = factor * q + more
+            mode.append(q)
+        modes.append(np.array(mode))
+    return modes
 
 
 def _passed(signals: Signals, order: float) -> tuple[float, float]:
@@ -107,25 +148,50 @@ def _passed(signals: Signals, order: float) -> tuple[float, float]:
     greatest = order * float(np.max(np.abs(signals.wave_generator_speed), initial=0.0))
     greatest = min(greatest, np.pi / sample_interval(signals)) if signals.size > 1 else greatest
     greatest = max(greatest, 1.0)
-    return 0.15 * greatest, 1.3 * greatest
+    moving = np.abs(signals.wave_generator_speed)
+    slow = float(np.percentile(moving[moving > 0.0], 10)) if moving.any() else 0.0
+    return min(max(0.7 * order * slow, 0.02 * greatest), 0.15 * greatest), 1.3 * greatest
 
 
-def _quasi_static(signals: Signals, residual: Floats, order: float) -> list[tuple[float, Values]]:
-    """Gain of every frequency and damping: the order's amplitude, bin by bin of the exciting frequency."""
-    rate = order * signals.wave_generator_speed
-    greatest = max(float(np.max(np.abs(rate), initial=0.0)), 1.0)
-    place = np.rint((rate / greatest + 1.0) * (0.5 * (_BINS - 1))).astype(np.int64)
-    turned = (residual - residual.mean()) * np.exp(-1j * order * signals.wave_generator_angle)
-    sums = np.bincount(place, turned.real, _BINS) + 1j * np.bincount(place, turned.imag, _BINS)
-    count = np.bincount(place, minlength=_BINS)
-    center = np.linspace(-greatest, greatest, _BINS)
+def _binned(signals: Signals, residual: Floats) -> tuple[Floats, Floats, Complexes, Complexes]:
+    """Speeds [rad/s], samples, means of residual and ripple turned back by every order, (orders, bins)."""
+    speed = signals.wave_generator_speed
+    greatest = max(float(np.max(np.abs(speed), initial=0.0)), 1e-3)
+    place = np.rint((speed / greatest + 1.0) * (0.5 * (_BINS - 1))).astype(np.int64)
+    count = np.bincount(place, minlength=_BINS).astype(np.float64)
+
+    def means(values: Floats) -> Complexes:
+        centred, found = values - values.mean(), []
+        for order in ORDERS:
+            turned = centred * np.exp(-1j * order * signals.wave_generator_angle)
+            found.append(np.bincount(place, turned.real, _BINS) + 1j * np.bincount(place, turned.imag, _BINS))
+        return np.stack(found) / np.maximum(count, 1.0)
+
+    return (
+        np.linspace(-greatest, greatest, _BINS),
+        count,
+        means(residual),
+        2.0 * means(signals.contact.ripple),
+    )
+
+
+def _quasi_static(
+    signals: Signals, bins: tuple[Floats, Floats, Complexes, Complexes], order: float
+) -> list[tuple[float, Values]]:
+    """Gain of every frequency and damping, bin by bin of the speed: an order of its own, and the ripple's."""
+    speed, count, rest, ripple = bins
+    own = (np.array(ORDERS) == order)[:, None]
     found: list[tuple[float, Values]] = []
     for frequency in np.geomspace(*_passed(signals, order), _FINE):
         for damping in _DAMPINGS:
-            r = center / frequency
-            added = 1.0 / (1.0 - r**2 + 2j * damping * r) - 1.0
-            power = float(count @ np.abs(added) ** 2)
-            gain = float(np.abs(np.conj(added) @ sums) ** 2) / power if power > 0.0 else 0.0
+            r = np.array(ORDERS)[:, None] * speed / frequency
+            through = (1.0 + 2j * damping * r) / (1.0 - r**2 + 2j * damping * r)
+            # A real mean turned back holds half of an order's amplitude.
+            parts = 0.5 * np.stack((own * through, -1j * own * through, (through - 1.0) * ripple))
+            moment = np.einsum("pob,ob,b->p", parts.conj(), rest, count).real
+            gram = np.einsum("pob,qob,b->pq", parts.conj(), parts, count).real
+            gram += 1e-9 * np.trace(gram) * np.eye(3)
+            gain = float(moment @ np.linalg.solve(gram, moment)) if gram.any() else 0.0
             found.append((gain, (order, float(frequency), damping)))
     return found
 
@@ -135,10 +201,11 @@ EFFECT = Resonance(
     cause="An order of the gear meets the natural frequency of link inertia on the drive's stiffness.",
     kind="torsion",
     frame="time",
-    needs=("time", "wave_generator_angle", "speed", "run"),
+    needs=("time", "wave_generator_angle", "speed", "torque", "run"),
     quantities=(
         amplitude("amplitude", "rad", 1e-2, 8.0 * ARCSEC, "a, of the exciting order well below resonance"),
         direction("phase", "of the exciting order at wave generator angle zero"),
+        Quantity("carried", "-", -0.5, 1.5, 1.0, "c, share of the gear's own ripple that passes the spring"),
         Quantity(
             "order",
             "-",

@@ -16,17 +16,63 @@ Floats = npt.NDArray[np.float64]
 _SPEED = 20.0  # [rad/s] of the input: 50 us read a hundredth of an arcmin there at ratio 100
 
 
+_POINTS = 4  # of the polynomial between samples: the ripple turns by half a radian from one to the next
+
+State = tuple[Floats, Floats]
+
+
 @dataclass(frozen=True)
 class StreamDelay(Effect):
-    """``-dt (omega_o + dTE/dt)``, first order of the delay."""
+    """``theta_out(t - dt) - theta_out(t)``, to first order ``-dt (omega_o + dTE/dt)``.
+
+    What the output will do is not known: a negative delay stays first order.
+    """
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """What the output moves in a second; see :meth:`Effect.columns`."""
         return -(signals.speed / signals.ratio + signals.predicted_rate)[:, None]
 
+    def start(self, nonlinear: Values) -> State:
+        """No sample yet."""
+        return np.empty(0), np.empty(0)
+
+    def respond(
+        self, state: State, signals: Signals, coefficients: Floats, nonlinear: Values
+    ) -> tuple[Floats, State]:
+        """Where the output was a delay ago; see :meth:`Effect.respond`."""
+        delay, now = float(coefficients[0]), signals.output_angle + signals.predicted
+        time, angle = np.append(state[0], signals.time), np.append(state[1], now)
+        result = self.columns(signals, nonlinear) @ coefficients
+        if delay > 0.0 and time.size >= _POINTS:
+            then = signals.time - delay
+            after = np.searchsorted(time, then)
+            known = (then >= time[0]) & (after >= _POINTS - 1)
+            result[known] = _between(time, angle, after[known], then[known]) - now[known]
+        kept = max(int(np.searchsorted(time, time[-1] - max(delay, 0.0))) - _POINTS, 0) if time.size else 0
+        return np.asarray(result), (time[kept:], angle[kept:])
+
+    def response(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
+        """Run by run; see :meth:`Effect.response`."""
+        parts = [
+            self.respond(self.start(nonlinear), signals.part(run), coefficients, nonlinear)[0]
+            for run in signals.runs()
+        ]
+        return np.concatenate(parts) if parts else np.empty(0)
+
     def testable(self, signals: Signals) -> tuple[bool, str]:
         """High speed."""
         return speed_beyond(signals, _SPEED, "run the joint fast, with its ripple")
+
+
+def _between(time: Floats, values: Floats, after: npt.NDArray[np.intp], at: Floats) -> Floats:
+    """Polynomial through a sample not before a moment and those before it (Lagrange)."""
+    points = after[:, None] + np.arange(1 - _POINTS, 1)
+    place, result = time[points] - at[:, None], np.zeros(at.size)
+    for one in range(_POINTS):
+        others = [other for other in range(_POINTS) if other != one]
+        share = np.prod([place[:, o] / (place[:, o] - place[:, one]) for o in others], axis=0)
+        result += share * values[points[:, one]]
+    return result
 
 
 EFFECT = StreamDelay(
@@ -34,14 +80,14 @@ EFFECT = StreamDelay(
     cause="The output angle is stamped later than it was measured, compared with the input angle.",
     kind="sensor",
     frame="time",
-    needs=("speed", "predicted_rate"),
+    needs=("time", "speed", "output_angle", "predicted", "predicted_rate"),
     quantities=(
         Quantity(
             "delay", "s", -0.05, 0.05, 1e-4, "dt, age of the output angle at its stamp beyond the input's"
         ),
     ),
     confused_with=("viscous_windup", "coulomb_windup", "resonance"),
-    source="first order of theta_out(t - dt); clocks of two streams in one message",
+    source="theta_out(t - dt): the clocks of two streams in one message",
     inspect=(
         "Where the two angles get their stamps: bus cycles, filters of the encoders, message filters. 10 us "
         "read 2.6 arcsec at 20 turns per second of the input and ratio 100. Same distance in time at all "

@@ -65,19 +65,21 @@ class ToothDamage(Effect):
         geometry = signals.contact.drive.mesh.geometry
         return geometry.circular_spline_teeth + geometry.flexspline_teeth
 
+    def secant(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
+        """Mean slopes up to the flanks' clearance: a pair that has parted gives no more."""
+        member, position = nonlinear
+        contact, opening = signals.contact, (float(coefficients[0]), float(coefficients[1]))
+        if member == SLOT:
+            return contact.one_slot(position, opening)
+        return contact.one_tooth(position, opening)
+
     def response(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
-        """A slot at its full size, a tooth in proportion; see :meth:`Effect.response`."""
-        contact = signals.contact
-        if nonlinear[0] != SLOT:
-            return super().response(signals, coefficients, nonlinear)
-        clearance = np.zeros((2, contact.slot_angles.size))
-        slot = round(nonlinear[1] / contact.drive.mesh.geometry.slot_pitch) % contact.slot_angles.size
-        clearance[:, slot] = coefficients
-        return contact.displaced(clearance=clearance)
+        """At full size; see :meth:`Effect.response`."""
+        return np.asarray(self.secant(signals, coefficients, nonlinear) @ coefficients)
 
     def testable(self, signals: Signals) -> tuple[bool, str]:
-        """Ten turns of the output let a single tooth stand out and tell the members apart."""
-        return verdict(enough_input_turns(signals, 10.0), enough_output_turns(signals, 10.0))
+        """Ten turns of the input let a tooth stand out; one of the output tells the members apart."""
+        return verdict(enough_input_turns(signals, 10.0), enough_output_turns(signals, 1.0))
 
 
 def _positions(signals: Signals, angle: Floats, residual: Floats) -> list[float]:

@@ -16,11 +16,15 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TorqueOffset(Effect):
-    """``T' = T + a``, first order: ``a dTE/dT``."""
+    """``T' = T + a``: to first order ``a dTE/dT``, at full size the difference of both predictions."""
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Compliance of the model; see :meth:`Effect.columns`."""
         return signals.predicted_torque_slope[:, None]
+
+    def response(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
+        """The model under the real torque; see :meth:`Effect.response`."""
+        return signals.contact.under_more_torque(float(coefficients[0]))
 
     def testable(self, signals: Signals) -> tuple[bool, str]:
         """Torque through zero, where the compliance changes."""
@@ -32,7 +36,7 @@ EFFECT = TorqueOffset(
     cause="The torque's zero is wrong, or a constant load such as gravity is missing in it.",
     kind="sensor",
     frame="torque",
-    needs=("torque", "predicted_torque_slope"),
+    needs=("wave_generator_angle", "torque"),
     quantities=(Quantity("offset", "N m", -1e3, 1e3, 2.0, "a, real less reported torque"),),
     confused_with=("coulomb_windup", "wear_backlash", "hysteresis", "thermal_drift"),
     source="first order of the model's own torsion over torque",
