@@ -21,6 +21,7 @@ setup(
     license="Apache-2.0",
     keywords=["ROS", "harmonic drive", "strain wave gear", "transmission error", "diagnostics"],
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["templates/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
@@ -43,6 +44,9 @@ setup(
         "zstandard>=0.22,<1",
         "lz4>=4.0,<5",
         "matplotlib>=3.6,<4",
+        "Jinja2>=3.1,<4",
+        "pyarrow>=17,<27",
+        "ruptures>=1.1.9,<2",
     ],
     extras_require={
         # Where no ROS 2 Jazzy is installed: rclpy, rcl and Fast DDS as wheels.
@@ -50,12 +54,16 @@ setup(
             "ros-jazzy-rclpy[fastrtps]==7.1.6",
             "ros-jazzy-common-interfaces==5.3.6",
         ],
+        # hd-diag fleet on more than one machine; on one it needs nothing more.
+        "cluster": ["distributed>=2024.8,<2027"],
         "test": [
+            "distributed>=2024.8,<2027",
             "pytest>=7.4,<10",
             "pytest-timeout>=2.2,<3",
             "pytest-xdist>=3.4,<4",
             "hypothesis>=6.98,<7",
             "mcap-ros2-support>=0.5,<0.7",
+            "selenium>=4.20,<5",
         ],
         # Plain methods that bench/challenge.py runs beside this package's, and what builds the tree there.
         "challenge": [

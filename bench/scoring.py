@@ -90,9 +90,9 @@ def prepared(made: records.Record) -> Record:
     return prepare(*columns, np.zeros(made.time.size, dtype=np.int64), RATIO)
 
 
-def size_of(made: records.Record, name: str) -> float:
-    """Rms at the output of what a cause adds [rad]."""
-    return float(np.std(records.added_by(made, name)))
+def size_of(made: records.Record, name: str, rows: np.ndarray | slice = slice(None)) -> float:
+    """Rms at the output of what a cause adds [rad], on some samples."""
+    return float(np.std(records.added_by(made, name)[rows]))
 
 
 def score(made: records.Record, family: str, seed: int) -> Score:
@@ -102,7 +102,8 @@ def score(made: records.Record, family: str, seed: int) -> Score:
     seconds = time.process_time() - begin
     named = [[finding.name] for finding in found.findings] + [list(cause.alike) for cause in found.causes]
     sizes = [float("nan")] * len(found.findings) + [cause.amplitude for cause in found.causes]
-    result = scored("hd_diag", made, family, seed, named, sizes)
+    judged = np.searchsorted(made.time, found.record.time[usable(found.record)])  # amplitudes are of these
+    result = scored("hd_diag", made, family, seed, named, sizes, judged)
     result.listed = [t.name for t in found.testable if not t.testable and t.name in result.hidden]
     result.seconds = seconds
     _judge_unknown(result, made, found)
@@ -117,6 +118,7 @@ def scored(
     seed: int,
     named: list[list[str]],
     sizes: Sequence[float],
+    rows: np.ndarray | slice = slice(None),
 ) -> Score:
     """Names and sizes of any method, judged."""
     hidden, unknown = made.truth["hidden"], "".join(made.truth["unknown"])
@@ -125,7 +127,7 @@ def scored(
     result.false_names = len(named) - len(pairs)
     for h, f in pairs:
         if hidden[h] not in SIZED_OTHERWISE:
-            result.amplitude_errors.append(abs(sizes[f] / size_of(made, hidden[h]) - 1.0))
+            result.amplitude_errors.append(abs(sizes[f] / size_of(made, hidden[h], rows) - 1.0))
     return result
 
 

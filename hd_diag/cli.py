@@ -12,8 +12,12 @@ import numpy as np
 import hd_diag
 from hd_diag.cli_bags import recover, replay
 from hd_diag.cli_diagnose import diagnose
+from hd_diag.cli_figures import figures
+from hd_diag.cli_fleet import fleet
 from hd_diag.cli_options import CONFIG, JSON, Problem, configured, problems, write_json
+from hd_diag.cli_report import report
 from hd_diag.cli_simulate import simulate
+from hd_diag.cli_tolerance import tolerance
 from hd_diag.config import Config, JointConfig, load
 
 
@@ -52,6 +56,10 @@ cli.add_command(simulate)
 cli.add_command(replay)
 cli.add_command(recover)
 cli.add_command(diagnose)
+cli.add_command(report)
+cli.add_command(figures)
+cli.add_command(tolerance)
+cli.add_command(fleet)
 
 
 @cli.command()

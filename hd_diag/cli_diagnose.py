@@ -9,7 +9,8 @@ from typing import Any
 import click
 from rich.console import Console
 
-from hd_diag.cli_options import CONFIG, JSON, Problem, configured, problems, write_json
+from hd_diag.cli_options import CONFIG, JSON, Problem, chosen_joints, configured, problems, write_json
+from hd_diag.cli_report import check_folder, joint_report, write_report
 from hd_diag.config import JOINT_PARAMETERS, Config, JointConfig
 from hd_diag.criticism.record import Record, RecordError
 from hd_diag.model_file import write
@@ -38,6 +39,12 @@ from hd_diag.model_file import write
     help="Write the extended model here, for the parameter <joint>.model_file; of several joints each gets a "
     "file with _<joint> in its name.",
 )
+@click.option(
+    "--report",
+    "report_file",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Draw it all on one HTML page.",
+)
 @JSON
 @problems
 def diagnose(
@@ -48,6 +55,7 @@ def diagnose(
     input_divided: bool,
     fail_on_cause: bool,
     model_file: Path | None,
+    report_file: Path | None,
     json_file: str | None,
 ) -> None:
     """Show what the simulation gets wrong, name the physical cause and measure the gain.
@@ -59,32 +67,32 @@ def diagnose(
     config = configured(config_file)
     if model_file is not None and not model_file.parent.is_dir():
         raise Problem(f"{model_file}: cannot be written: no such folder")
-    results = []
-    chosen = _chosen(config, names)
+    if report_file is not None:
+        check_folder(report_file)
+    results, pages = [], []
+    chosen = chosen_joints(config, names)
     for joint in chosen:
         path = model_file
         if path is not None and len(chosen) > 1:
             path = path.with_name(f"{path.stem}_{joint.name}{path.suffix}")
         result = _one(bags, joint, config, columns, input_divided, path)
         results.append(result)
+        found = result.pop("diagnosis")
+        if report_file is not None:
+            pages.append(joint_report(found, joint, config))
         if json_file != "-":
             for line in result["lines"]:
                 click.echo(f"{joint.name}: {line}")
+    if report_file is not None:
+        write_report(report_file, pages, bags)
+        click.echo(f"report written: {report_file}", err=json_file == "-")
     if json_file:
         plain = [{key: value for key, value in result.items() if key != "lines"} for result in results]
         write_json(
             json_file, plain[0] if len(plain) == 1 else {"schema": "hd_diag/diagnoses/1", "joints": plain}
         )
-    found = any(result["causes"] or result["unexplained"] for result in results)
-    sys.exit(1 if fail_on_cause and found else 0)
-
-
-def _chosen(config: Config, names: tuple[str, ...]) -> list[JointConfig]:
-    known = {joint.name: joint for joint in config.joints}
-    for name in names:
-        if name not in known:
-            raise Problem(f"no joint {name!r} in the configuration; it has {', '.join(known)}")
-    return [known[name] for name in names] or list(config.joints)
+    named = any(result["causes"] or result["unexplained"] for result in results)
+    sys.exit(1 if fail_on_cause and named else 0)
 
 
 def _one(
@@ -118,7 +126,7 @@ def _one(
         write(model_file, model_document(result, joint.name, own, bags))
         written = str(model_file)
         lines.append(f"model written: {written}")
-    return {**as_json(result, joint.name, written), "lines": lines}
+    return {**as_json(result, joint.name, written), "lines": lines, "diagnosis": result}
 
 
 def _record(bags: tuple[Path, ...], joint: JointConfig, columns: str | None, divided: bool) -> Record:

@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from hd_diag.bag import BagError
-from hd_diag.config import Config, ConfigError, load, resolve
+from hd_diag.config import Config, ConfigError, JointConfig, load, resolve
 from hd_diag.demo_process import DemoError
 
 
@@ -56,6 +56,15 @@ JSON = click.option(
 def configured(config_file: str | None) -> Config:
     """The configuration of a file, or the example drive's."""
     return load(config_file) if config_file else resolve({})
+
+
+def chosen_joints(config: Config, names: tuple[str, ...]) -> list[JointConfig]:
+    """The joints of these names, or all."""
+    known = {joint.name: joint for joint in config.joints}
+    for name in names:
+        if name not in known:
+            raise Problem(f"no joint {name!r} in the configuration; it has {', '.join(known)}")
+    return [known[name] for name in names] or list(config.joints)
 
 
 def write_json(path: str, result: Any) -> None:

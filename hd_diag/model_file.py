@@ -35,7 +35,11 @@ REFITTED = (
 
 _LARGEST = 1_000_000  # [byte]
 _NOT_OF_THE_DRIVE = ("input_joint", "output_joint", "torque", "model_file")
-_DRIVE = {p.name: p for p in JOINT_PARAMETERS if p.name not in _NOT_OF_THE_DRIVE and "limits." not in p.name}
+_DRIVE = {
+    p.name: p
+    for p in JOINT_PARAMETERS
+    if p.name not in _NOT_OF_THE_DRIVE and not p.name.startswith(("limits.", "tolerance."))
+}
 _EFFECTS = {effect.name: effect for effect in CATALOGUE}
 _ONE_MOMENT = ("tooth_skip",)  # happened once in one record
 _KEYS = (

@@ -32,6 +32,12 @@ _TINY = 1e-12  # [m]; lengths must exceed it
 _MOST_JOINTS = 256
 _LONGEST_TEXT = 80  # of a name or value that is told in an error
 
+MAGNITUDES = ("fixed", "uniform", "normal", "rayleigh")
+"""Distributions of a quantity that cannot be negative."""
+
+DEVIATIONS = ("fixed", "uniform", "normal", "triangular")
+"""Distributions of a quantity that deviates to both sides."""
+
 JOINT_PARAMETERS: tuple[Parameter, ...] = (
     Parameter(
         "input_joint", "", "", "name in JointState with the input (wave generator) angle; '' = <joint>_motor"
@@ -132,6 +138,39 @@ JOINT_PARAMETERS: tuple[Parameter, ...] = (
     Parameter("limits.silence.error", 2.0, "s", "the same, error", 0.0, 1e6),
     Parameter("limits.rejected.warn", 0.0, "-", "share of samples rejected since the last report", 0.0, 1.0),
     Parameter("limits.rejected.error", 0.5, "-", "the same, error", 0.0, 1.0),
+    Parameter(
+        "tolerance.limits.interference", 2.0e-6, "m", "overlap of teeth and slots at one lobe", 0.0, 1e-3
+    ),
+    Parameter(
+        "tolerance.limits.overlap", 20e-6, "m", "lobes press against each other at zero torque", -1e-3, 1e-3
+    ),
+    Parameter("tolerance.limits.peak_tooth_load", 60.0, "N", "largest force on a flank", 0.0, 1e9),
+    Parameter("tolerance.limits.load_concentration", 2.0, "-", "largest over mean force", 1.0, 1e6),
+    Parameter("tolerance.limits.stiffness_loss", 0.1, "-", "torsional stiffness lost", 0.0, 1.0),
+    Parameter(
+        "tolerance.limits.transmission_error",
+        1.45e-4,
+        "rad",
+        "peak to peak over a turn of the wave generator",
+        0.0,
+        1.0,
+    ),
+    Parameter("tolerance.eccentricity.distribution", "rayleigh", "", "of its magnitude", choices=MAGNITUDES),
+    Parameter("tolerance.eccentricity.size", 3.5e-6, "m", "scale of it", 0.0, 1e-3),
+    Parameter("tolerance.runout.distribution", "rayleigh", "", "of its magnitude", choices=MAGNITUDES),
+    Parameter("tolerance.runout.size", 0.75e-6, "m", "scale of it", 0.0, 1e-3),
+    Parameter(
+        "tolerance.circular_spline_datum.distribution", "normal", "", "of the deviation", choices=DEVIATIONS
+    ),
+    Parameter("tolerance.circular_spline_datum.size", 1.0e-6, "m", "scale of it", 0.0, 1e-3),
+    Parameter("tolerance.pitch.distribution", "normal", "", "of each tooth pair's place", choices=DEVIATIONS),
+    Parameter("tolerance.pitch.size", 0.6e-6, "m", "scale of it", 0.0, 1e-3),
+    Parameter(
+        "tolerance.tooth_compliance.distribution", "normal", "", "of the deviation", choices=DEVIATIONS
+    ),
+    Parameter("tolerance.tooth_compliance.size", 0.05, "-", "scale of it, relative", 0.0, 0.2),
+    Parameter("tolerance.cup_compliance.distribution", "normal", "", "of what is added", choices=MAGNITUDES),
+    Parameter("tolerance.cup_compliance.size", 5.0e-7, "rad/(N m)", "scale of it", 0.0, 1.0),
 )
 
 NODE_PARAMETERS: tuple[Parameter, ...] = (

@@ -276,3 +276,56 @@ def _reported(stream: _Stream, time: Floats) -> Floats | None:
         return None
     at = np.clip(np.searchsorted(known, time), 0, known.size - 1)
     return np.where(known[at] == time, value[at], np.nan)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Where a joint's input was and what it bore, whether or not its output was measured.
+
+    Attributes
+    ----------
+    time, input_angle : ndarray, shape (n,)
+        [s]; continuous over the turns [rad].
+    torque : ndarray, shape (n,), or None
+        On the link [N m].
+    bag : ndarray of int64, shape (n,)
+        Which recording each sample comes from.
+    """
+
+    time: Floats
+    input_angle: Floats
+    torque: Floats | None
+    bag: npt.NDArray[np.int64]
+
+
+def read_motion(paths: Sequence[str | Path], joint: JointConfig) -> Motion | None:
+    """A joint's motion from one bag or several, at the input angle's stamps; None where there is none.
+
+    Parameters
+    ----------
+    paths : sequence of path
+    joint : JointConfig
+
+    Returns
+    -------
+    Motion or None
+
+    Raises
+    ------
+    BagError
+        Where a bag cannot be read.
+    """
+    parts, origin = [], None
+    for number, path in enumerate(paths):
+        streams, origin = _collect(path, joint, origin)
+        time, angle = streams.input.sorted()
+        if time.size > 1:
+            wrapped = float(np.max(np.abs(angle))) <= 2.0 * np.pi + 1e-6
+            torque = _interpolated(streams.torque, time)
+            parts.append((time, np.unwrap(angle) if wrapped else angle, torque, np.full(time.size, number)))
+    if not parts:
+        return None
+    times, angles, torques, bags = zip(*parts, strict=True)
+    known = [torque for torque in torques if torque is not None]
+    whole = np.concatenate(known) if len(known) == len(parts) else None
+    return Motion(np.concatenate(times), np.concatenate(angles), whole, np.concatenate(bags).astype(np.int64))

@@ -58,7 +58,7 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
             "nominal": {"rms": rms.nominal if rms else none},
             "refit": _refit(diagnosis),
             "causes": [*map(_finding_cause, diagnosis.findings), *map(_cause, diagnosis.causes)],
-            "unexplained": [line.__dict__ for line in diagnosis.unexplained],
+            "unexplained": [_unexplained(line) for line in diagnosis.unexplained],
             "extended": {
                 "rms": rms.extended if rms else none,
                 "rms_offline": rms.offline if rms else none,
@@ -180,6 +180,15 @@ def _cause_words(cause: Cause) -> str:
         name = " or ".join(alias.replace("_", " ") for alias in cause.alike)
         name = f"{name} (this record cannot tell which)"
     return f"{name}, {cause.amplitude / ARCSEC:.2f} arcsec rms"
+
+
+def _unexplained(line: Line) -> dict[str, Any]:
+    """What has no period is order 0, its law what it looks like."""
+    told = {**line.__dict__}
+    description = told.pop("description")
+    if description:
+        told["torque_law"] = f"{description}; {line.torque_law}"
+    return told
 
 
 def _line_words(line: Line) -> str:

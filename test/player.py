@@ -25,15 +25,18 @@ class Player:
         self._publishers: dict[str, Any] = {t: rig.publisher(t.lstrip("/"), k) for t, k in kinds.items()}
         self._clock = rig.publisher("clock", Clock)
 
-    def play(self, rate: float, loops: int = 1, dropped: Collection[int] = ()) -> int:
+    def play(
+        self, rate: float, loops: int = 1, dropped: Collection[int] = (), part: slice = slice(None)
+    ) -> int:
         """Play at a multiple of the bag's pace, again and again; give the number of messages published.
 
-        `dropped` are the numbers of messages that get lost on the way.
+        `dropped` are the numbers of messages that get lost on the way; `part` of the bag alone is played.
         """
-        first, published = self._messages[0][0], 0
+        messages, published = self._messages[part], 0
+        first = messages[0][0]
         for _ in range(loops):
             begin = time.monotonic()
-            for number, (now, topic, _, data) in enumerate(self._messages):
+            for number, (now, topic, _, data) in enumerate(messages):
                 time.sleep(max(0.0, begin + (now - first) / SECOND / rate - time.monotonic()))
                 self._tick(now)
                 if number not in dropped:

@@ -73,6 +73,9 @@ class Process:
             self.popen.wait(LIMIT)
 
 
+PUBLISHER_DEPTH = 5000
+
+
 class Rig:
     """What stands around the node: publishers, subscriptions, a parameter client."""
 
@@ -107,7 +110,9 @@ class Rig:
     def publisher(self, topic: str = "joint_states", kind: Any = JointState, reliable: bool = True) -> Any:
         """Publisher that the node hears."""
         reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
-        made = self.node.create_publisher(kind, topic, QoSProfile(depth=5000, reliability=reliability))
+        made = self.node.create_publisher(
+            kind, topic, QoSProfile(depth=PUBLISHER_DEPTH, reliability=reliability)
+        )
         self.until(lambda: made.get_subscription_count() > 0, f"subscription to {topic}")
         return made
 

@@ -11,8 +11,10 @@ from hd_diag.bag import (
     encode_joint_state,
     encode_joint_states,
 )
+from hd_diag.bag.encoding import encode_diagnostic_array
 from hd_diag.bag.schemas import jazzy, serialize
 
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 MULTIARRAY = "std_msgs/msg/Float64MultiArray"
 text = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=9)
 
@@ -84,6 +86,24 @@ def test_multiarray_of_a_view_that_is_not_contiguous():
     assert encode_float64_multiarray_message(dims, values) == expected
 
 
+@given(
+    st.integers(-(2**31) * 10**9, 2**31 * 10**9 - 1),
+    st.lists(st.tuples(st.integers(0, 127), text, text, st.dictionaries(text, text, max_size=4)), max_size=4),
+)
+def test_diagnostics_are_what_rosbags_serializes(stamp, statuses):
+    types = jazzy().types
+    key_value = types["diagnostic_msgs/msg/KeyValue"]
+    every = [
+        types["diagnostic_msgs/msg/DiagnosticStatus"](
+            level, name, message, "", [key_value(k, v) for k, v in values.items()]
+        )
+        for level, name, message, values in statuses
+    ]
+    time = types["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9))
+    array = types[DIAGNOSTICS](types["std_msgs/msg/Header"](time, ""), every)
+    assert encode_diagnostic_array(stamp, statuses) == serialize(array, DIAGNOSTICS)
+
+
 def test_wrong_shapes_are_refused():
     with pytest.raises(ValueError, match="velocity: shape"):
         encode_joint_states(("a",), [1, 2], np.zeros((2, 1)), np.zeros((2, 2)))
@@ -101,6 +121,8 @@ def test_stamps_beyond_ros_time_are_refused(stamp):
         encode_joint_states(("a",), [stamp], np.zeros((1, 1)))
     with pytest.raises(ValueError, match="ROS time"):
         encode_joint_state(("a",), stamp, np.zeros(1))
+    with pytest.raises(ValueError, match="ROS time"):
+        encode_diagnostic_array(stamp, [])
 
 
 def test_no_messages():

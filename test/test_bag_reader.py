@@ -1,6 +1,7 @@
 import os
 import re
 import sqlite3
+import struct
 import subprocess
 import sys
 from unittest import mock
@@ -28,7 +29,8 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 
 from hd_diag.bag import BagError, BagReader, BagWriter, encode_joint_states
-from hd_diag.bag.mcap_file import MAGIC
+from hd_diag.bag.mcap_file import MAGIC, MESSAGE
+from hd_diag.bag.mcap_scan import scan
 from hd_diag.bag.ordering import ordered
 from hd_diag.bag.schemas import definition, jazzy
 
@@ -474,3 +476,69 @@ def test_endless_queries_are_stopped(tmp_path, monkeypatch):
     monkeypatch.setattr("hd_diag.bag.sqlite_file._STEPS_PER_TURN", 1)
     with pytest.raises(BagError, match="interrupted"):
         BagReader(tmp_path / "bag")
+
+
+def with_indexes(path, out, change):
+    """Copy of a bag with every message index changed: its entries are pairs of time and place."""
+    data = bytearray(path.read_bytes())
+    with path.open("rb") as file:
+        sections = scan(path, file).sections
+    for section in sections:
+        position, end = section.indexes
+        while position < end:
+            (size,) = struct.unpack_from("<I", data, position + 11)
+            entries = np.frombuffer(data, "<u8", size // 8, position + 15).reshape(-1, 2)
+            changed = np.ascontiguousarray(change(entries.copy()), "<u8")
+            data[position + 15 : position + 15 + size] = changed.tobytes()
+            position += 15 + size
+    out.write_bytes(data)
+    return out
+
+
+def moved(by):
+    return lambda entries: entries + np.array([0, by], np.uint64)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda entries: entries,
+        lambda entries: entries[::-1],
+        moved(1),
+        moved(31),
+        moved(2**64 - 1),
+        moved(2**63),
+        lambda entries: entries * np.array([1, 0], np.uint64),
+        lambda entries: np.repeat(entries[:1], len(entries), axis=0),
+        lambda entries: np.concatenate((entries[:-1], entries[-2:-1])) if len(entries) > 1 else entries,
+    ],
+    ids=["right", "reversed", "next byte", "content", "before", "far", "zero", "first", "last missing"],
+)
+def test_message_indexes_are_checked(tmp_path, change):
+    """Whatever they say of places, each message is read once, as the records stand."""
+    path = write_with_mcap(tmp_path / "a.mcap", sample(200, disorder=5), chunk_size=3000)
+    assert read(with_indexes(path, tmp_path / "b.mcap", change)) == in_order(sample(200, disorder=5))
+
+
+def test_a_message_within_a_message_is_none(tmp_path):
+    """A content that looks like a record, with an index that points there."""
+    inner = MESSAGE.pack(5, 22 + 8, 1, 0, 7, 7) + string_cdr("x")[:8]
+    outer = string_cdr("y" * 27) + inner
+    messages = [("/n", STRING, outer, i) for i in range(20)]
+    path = write_with_mcap(tmp_path / "a.mcap", messages, compression="none")
+    at = MESSAGE.size + len(outer) - len(inner)
+    assert read(with_indexes(path, tmp_path / "b.mcap", moved(at))) == in_order(messages)
+    twice = with_indexes(
+        path, tmp_path / "c.mcap", lambda e: np.concatenate((e[:10], e[:10] + np.array([0, at], np.uint64)))
+    )
+    assert read(twice) == in_order(messages)
+
+
+def test_without_indexes_a_walk_finds_the_same_definitions(tmp_path):
+    """Topics that are declared in the middle of a chunk, and nowhere else."""
+    messages = sample(50)
+    late = [(f"/late_{i}", STRING, string_cdr(f"{i}"), 60 * MS + i) for i in range(5)]
+    for number, indexes in enumerate((True, False)):
+        path = tmp_path / f"{number}.mcap"
+        write_with_mcap(path, messages + late, indexes=indexes, summary=False)
+        assert read(path) == in_order(messages + late)

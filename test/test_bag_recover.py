@@ -212,13 +212,32 @@ def test_what_cannot_be_recovered(tmp_path):
     assert read(path) == expected(messages(3))
 
 
-def test_nothing_to_save_is_said(tmp_path):
+@pytest.mark.parametrize("name", ["c.mcap", "c"])
+@pytest.mark.parametrize("keep", [0, 5, 60])
+def test_where_nothing_can_be_saved_nothing_is_left(tmp_path, name, keep):
     path = write_with_mcap(tmp_path / "a.mcap", messages(3))
-    report = recover(cut_end(path, tmp_path / "b.mcap", keep=60), tmp_path / "c.mcap")
+    report = recover(cut_end(path, tmp_path / "b.mcap", keep=keep), tmp_path / name)
     assert report.statement()[0] == "saved 0 messages"
     assert not report.complete
-    with BagReader(tmp_path / "c.mcap") as reader:
-        assert reader.message_count == 0
+    assert report.out == []
+    assert {p.name for p in tmp_path.iterdir()} == {"a.mcap", "b.mcap"}
+
+
+def test_where_nothing_can_be_saved_an_older_result_stays(tmp_path):
+    path = write_with_mcap(tmp_path / "a.mcap", messages(3))
+    recover(path, tmp_path / "c.mcap")
+    (tmp_path / "b.mcap").write_text("rubbish")
+    recover(tmp_path / "b.mcap", tmp_path / "c.mcap", overwrite=True)
+    assert read(tmp_path / "c.mcap") == expected(messages(3))
+
+
+def test_a_whole_bag_without_messages_stays_one(tmp_path):
+    with BagWriter(tmp_path / "a.mcap"):
+        pass
+    report = recover(tmp_path / "a.mcap", tmp_path / "b.mcap")
+    assert report.complete
+    with BagReader(tmp_path / "b.mcap") as reader:
+        assert (reader.problems, reader.message_count) == ([], 0)
 
 
 def test_messages_without_a_declared_topic_are_counted(tmp_path):
@@ -231,6 +250,7 @@ def test_messages_without_a_declared_topic_are_counted(tmp_path):
     path.write_bytes(data)
     report = recover(cut_end(path, tmp_path / "b.mcap"), tmp_path / "c.mcap")
     assert (report.counts, report.files[0].lost) == ({}, 600)
+    assert not (tmp_path / "c.mcap").exists()
     assert any("no topic" in p for p in report.files[0].problems)
 
 

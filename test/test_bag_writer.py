@@ -309,7 +309,7 @@ limit = {limit}
 if limit:
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 block, stamps = rows(100)
-writer = BagWriter({path!r}, compression={compression!r}, chunk_size=20000)
+writer = BagWriter({path!r}, compression={compression!r}, chunk_size=20000, beside={beside})
 done = 0
 try:
     for turn in range(10000):
@@ -329,9 +329,9 @@ print("closed")
 """
 
 
-def fill(path, limit=0, compression="zstd"):
+def fill(path, limit=0, compression="zstd", beside=False):
     script = FILL.format(
-        path=str(path), limit=limit, compression=compression, test=str(Path(__file__).parent)
+        path=str(path), limit=limit, compression=compression, beside=beside, test=str(Path(__file__).parent)
     )
     result = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True
@@ -351,9 +351,10 @@ def assert_saved(path, done, tmp_path):
     assert np.array_equal(times, np.arange(len(times)) * MS)
 
 
+@pytest.mark.parametrize("beside", [False, True])
 @pytest.mark.parametrize("compression", COMPRESSIONS)
-def test_file_size_limit(tmp_path, compression):
-    done, error = fill(tmp_path / "full.mcap", 200_000, compression)
+def test_file_size_limit(tmp_path, compression, beside):
+    done, error = fill(tmp_path / "full.mcap", 200_000, compression, beside)
     assert error == f"{tmp_path / 'full.mcap'}: {os.strerror(errno.EFBIG)}"
     assert_saved(tmp_path / "full.mcap", done, tmp_path)
 
@@ -416,7 +417,7 @@ def test_kill_loses_less_than_a_second(tmp_path, turn):
     report = recover(path, tmp_path / "saved.mcap")
     assert report.files[-1].problems
     block, _ = rows(4000)
-    saved = read_raw(tmp_path / "saved.mcap")
+    saved = read_raw(tmp_path / "saved.mcap") if report.out else []
     # Nothing is missing before the end, and everything is as it was given.
     assert [d for _, _, d in saved] == [block[i].tobytes() for i in range(len(saved))]
     assert [t for _, t, _ in saved][: len(told)] == [t for _, t in told][: len(saved)]
@@ -466,6 +467,87 @@ def test_a_disk_that_was_full_for_a_moment(tmp_path, monkeypatch):
     assert [d for _, _, d in read_raw(tmp_path / "bag")] == [row.tobytes() for row in block[:50]]
     with AnyReader([tmp_path / "bag"]) as reader:
         assert reader.message_count == 50
+
+
+# Beside the caller ---
+
+
+def test_a_bag_written_beside_is_the_same(tmp_path):
+    block, stamps = rows(3000)
+    for name, beside in (("a/c.mcap", False), ("b/c.mcap", True)):
+        (tmp_path / name).parent.mkdir()
+        with BagWriter(tmp_path / name, chunk_size=5000, flush_period=9.0, beside=beside) as writer:
+            writer.write_many("/j", JOINT_STATE, block, stamps)
+            writer.write("/n", STRING, string_cdr("x"), 5)
+            writer.flush()
+            with BagReader(tmp_path / name) as reader:
+                assert sum(map(len, reader.batches())) == 3001
+    assert (tmp_path / "a/c.mcap").read_bytes() == (tmp_path / "b/c.mcap").read_bytes()
+
+
+def write_singly(writer, block, stamps):
+    for row, stamp in zip(block, stamps.tolist(), strict=True):
+        writer.write("/j", JOINT_STATE, row.tobytes(), stamp)
+
+
+@pytest.mark.parametrize("whole", [0, 1, 7])
+def test_a_disk_that_is_full_for_a_moment_beside(tmp_path, monkeypatch, whole):
+    """The file ends with the last chunk before the error, though there is room for later ones again."""
+    writer = BagWriter(tmp_path / "a.mcap", chunk_size=2000, beside=True)
+    block, stamps = rows(600)
+    writer.write_many("/j", JOINT_STATE, block[:60], stamps[:60])
+    writer.flush()
+    write, calls = os.write, []
+
+    def full_once(fd, data):
+        calls.append(1)
+        if len(calls) == 1 + whole:
+            write(fd, data[:10])
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(fd, data)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "write", full_once)
+        with pytest.raises(BagError, match="No space left"):
+            write_singly(writer, block[60:], stamps[60:])
+        with pytest.raises(BagError, match="No space left"):
+            writer.flush()
+        writer.close()
+    saved = [d for _, _, d in read_raw(tmp_path / "a.mcap")]
+    assert writer.counts == {"/j": len(saved)}
+    assert saved == [row.tobytes() for row in block[: len(saved)]]
+    in_a_chunk = -(-2000 // (block.shape[1] + 31))  # 31 bytes stand before each message
+    assert len(saved) == 60 + in_a_chunk * whole
+    with AnyReader([tmp_path / "a.mcap"]) as reader:
+        assert reader.message_count == len(saved)
+
+
+def test_an_error_at_the_end_is_told_by_close(tmp_path, monkeypatch):
+    writer = BagWriter(tmp_path / "a.mcap", beside=True)
+    writer.write("/n", STRING, string_cdr("x"), 5)
+
+    def full(fd, data):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "write", full)
+        with pytest.raises(BagError, match="No space left"):
+            writer.close()
+
+
+def test_messages_of_any_size_at_once_are_those_one_by_one(tmp_path):
+    texts = [string_cdr("x" * (i * 37 % 90)) for i in range(400)]
+    times = np.arange(400) // 3
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+    with BagWriter(tmp_path / "a/c.mcap", chunk_size=3000) as writer:
+        for data, time_ns in zip(texts, times.tolist(), strict=True):
+            writer.write("/n", STRING, data, time_ns)
+    with BagWriter(tmp_path / "b/c.mcap", chunk_size=3000) as writer:
+        for part in (slice(0, 1), slice(1, 250), slice(250, 400)):
+            writer.write_many("/n", STRING, [memoryview(t) for t in texts[part]], times[part])
+        writer.write_many("/n", STRING, [], [])
+    assert (tmp_path / "a/c.mcap").read_bytes() == (tmp_path / "b/c.mcap").read_bytes()
 
 
 def test_an_interrupt_while_writing_loses_nothing(tmp_path, monkeypatch):

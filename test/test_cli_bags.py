@@ -146,6 +146,14 @@ def test_recover_tells_what_it_saved(folder: Path, tmp_path: Path) -> None:
 # What it refuses ---
 
 
+@pytest.mark.parametrize("name", ["out.mcap", "out"])
+def test_recover_of_what_is_no_bag_leaves_nothing(tmp_path: Path, name: str) -> None:
+    (tmp_path / "a.mcap").write_bytes(random.Random(1).randbytes(5000))
+    line = refused(run(recover, tmp_path / "a.mcap", "--out", tmp_path / name))
+    assert line == f"hd-diag: {tmp_path / 'a.mcap'}: nothing can be saved: a.mcap: is not an MCAP file\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
+
+
 @pytest.mark.parametrize("command", [replay, recover], ids=["replay", "recover"])
 @pytest.mark.parametrize(
     ("bag", "out", "reason"),

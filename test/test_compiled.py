@@ -4,6 +4,7 @@ import dataclasses
 import math
 import subprocess
 import sys
+import warnings
 
 import drives
 import hypothesis
@@ -11,9 +12,11 @@ import hypothesis.strategies as st
 import numpy as np
 import pytest
 
+from hd_diag.drive import Drive, mesh_state
 from hd_diag.model import clearance, compiled, load_sharing
 from hd_diag.model.torsion import limited_curves
 from hd_diag.model.torsion_map import TorsionMap, build
+from hd_diag.model.transmission_error import Kinematics
 
 needs_numba = pytest.mark.skipif(not compiled.available(), reason="numba is not installed")
 
@@ -67,6 +70,43 @@ def test_contacts_are_those_of_the_numpy_modules(name, farthest):
     # Centres of conformal arcs are 0.03 mm apart, a thousandth of the radius whose rounding turns the normal.
     np.testing.assert_allclose(found.pressure_angle, expected.pressure_angle, rtol=0, atol=1e-12)
     np.testing.assert_allclose(found.position, expected.position, rtol=0, atol=ROUNDING)
+
+
+@needs_numba
+@pytest.mark.parametrize("name", drives.DRIVES)
+def test_state_of_the_teeth_is_that_of_the_numpy_modules(name):
+    """Runout too; some angles and torques that are no numbers."""
+    mesh = drives.mesh(drives.DRIVES[name], (6e-6, -11e-6), (2e-6, 9e-6), arc_offset=-1e-5)
+    ratio = mesh.geometry.reduction
+    drive = Drive(mesh, Kinematics(ratio), 50.0)
+    turn, _, torque = moments(12, 100)
+    turn[3], torque[5] = math.nan, math.nan
+    with np.errstate(invalid="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        found, expected = (way(mesh_state, drive, turn, torque) for way in (by_kernels, by_numpy))
+    np.testing.assert_allclose(found.torsion, expected.torsion, rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(found.backlash, expected.backlash, rtol=0, atol=ROUNDING * 0.05)
+    stiffest = 0.05 / COMPLIANCE  # of a pair, force by angle [N/rad]
+    np.testing.assert_allclose(found.load, expected.load, rtol=0, atol=2 * ROUNDING * stiffest)
+    np.testing.assert_allclose(found.pressure_angle, expected.pressure_angle, rtol=0, atol=1e-12)
+    rest = ~np.isnan(turn)
+    np.testing.assert_allclose(found.lost_motion[rest], expected.lost_motion[rest], rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(found.overlap[rest], expected.overlap[rest], rtol=0, atol=ROUNDING * 0.05)
+    assert np.isnan(found.backlash[3]).all()
+    assert not found.load[[3, 5]].any()
+
+
+@needs_numba
+def test_state_of_one_moment_is_that_of_many_and_has_the_torsion_of_the_map():
+    turn, eccentricity, torque = moments(13, 30)
+    arguments = drives.geometry(), COMPLIANCE
+    many = compiled.mesh_state(*arguments, turn, eccentricity, 0.0, torque)
+    for i in range(turn.size):
+        at = slice(i, i + 1)
+        one = compiled.mesh_state(*arguments, turn[at], eccentricity[at], 0.0, torque[at])
+        for values, value in zip(many, one, strict=True):
+            np.testing.assert_array_equal(value[0], values[i])
+    np.testing.assert_array_equal(many.torsion, compiled.torsion(*arguments, turn, eccentricity, 0.0, torque))
 
 
 @needs_numba
@@ -237,9 +277,10 @@ def test_kernels_are_compiled_once():
     compiled.torsion_table(*mesh, np.sort(torque))
     compiled.limited_curves(*mesh, 40)
     compiled.contacts(geometry, turn, eccentricity)
+    compiled.mesh_state(*mesh, torque)
     by_kernels(table, turn, np.broadcast_to(0.5, 5))
     kernels = compiled._kernel()
-    for name in ("torsion", "torsion_table", "curves", "contacts", "interpolate"):
+    for name in ("torsion", "torsion_table", "curves", "contacts", "mesh_state", "interpolate"):
         assert len(getattr(kernels, name).signatures) == 1, name
 
 

@@ -280,6 +280,41 @@ def test_a_sender_that_is_held_up_and_catches_up_has_lost_nothing(life: Life, lo
     assert 0.8 * len(lost) <= missed <= len(lost)
 
 
+def feed(life: Life, stamps: np.ndarray) -> int:
+    """Samples at stamps; what the report then says was missed."""
+    for stamp in stamps.tolist():
+        made = states(NAMES, [stamp], [[0.0, 0.0]], [[0.0, 0.0]])
+        life.monitor.joint_states(np.array([stamp]), made)
+    return int(life.report().values["samples_missed"])
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.02])
+@pytest.mark.parametrize("kept", [0.6, 0.45, 0.3, 0.15])
+def test_what_a_reader_that_falls_behind_lets_through_is_told_from_another_period(
+    life: Life, kept: float, jitter: float
+) -> None:
+    """From a full queue the oldest samples drop out: most are lost, the rest at steps of whole periods."""
+    noise = np.random.default_rng(4).normal(0.0, jitter * MS, 6000).astype(np.int64)
+    stamps = START + MS * np.arange(6000) + noise
+    let_through = np.unique((1000 + np.arange(4000 * kept) / kept).astype(int))
+    tolerance = 0.005 * 4000 if jitter else 0
+    assert feed(life, stamps[:1000]) == 0
+    known = feed(life, stamps[let_through])
+    assert abs(known - (let_through[-1] - 999 - let_through.size)) <= tolerance
+    assert abs(feed(life, stamps[5000:]) - (4000 - let_through.size)) <= tolerance
+
+
+@pytest.mark.parametrize("factor", [2, 3, 2.5])
+def test_another_period_is_no_loss(life: Life, factor: float) -> None:
+    """At most for the one report in which both periods are."""
+    step, count = round(factor * MS), 1000
+    assert feed(life, START + MS * np.arange(count)) == 0
+    end = START + MS * (count - 1)
+    first = feed(life, end + step * np.arange(1, count))
+    assert first <= 2
+    assert feed(life, end + step * np.arange(count, 2 * count)) == first
+
+
 def test_a_clock_that_jumps_back_is_told(life: Life) -> None:
     life.run()
     life.now -= 5 * SECOND

@@ -94,6 +94,11 @@ def test_every_module_is_installed(wheel: zipfile.ZipFile, source_copy: Path) ->
     assert modules == {name for name in wheel.namelist() if name.endswith(".py") and "/data/" not in name}
 
 
+def test_the_page_s_templates_are_installed(wheel: zipfile.ZipFile) -> None:
+    names = {"hd_diag/templates/report.css", "hd_diag/templates/report.html.jinja"}
+    assert names <= set(wheel.namelist())
+
+
 def test_ranges_have_both_bounds(requirements: list[Requirement]) -> None:
     for requirement in requirements:
         operators = {specifier.operator for specifier in requirement.specifier}

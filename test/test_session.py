@@ -16,6 +16,7 @@ from hd_diag.map_builder import map_of
 from hd_diag.messages import PARAMETER_EVENT, STRING, TEMPERATURE, Encoded, read_string, resolved
 from hd_diag.replay import replay
 from hd_diag.session import EVENTS, PARAMETER_EVENTS, Session
+from hd_diag.versions import running
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 FACTS = {"log_state": "writing x", "latency_p99_us": "12.0"}
@@ -112,6 +113,7 @@ def test_the_configuration_is_recorded_at_the_start(session: Session, recording:
         "new": True,
         "parameters": dict(session.config.flat),
         "topics": {"~/residual": "/elsewhere"},
+        "versions": dict(running()),
     }
     assert resolve(event["parameters"]) == session.config
     (declared,) = messages(recording, PARAMETER_EVENTS)

@@ -174,10 +174,13 @@ def _rests(signals: Signals) -> Floats:
     began |= np.concatenate(([False], np.diff(signals.run) != 0))
     number = np.cumsum(began)
     count = np.bincount(number)
-    kept = [n for n in range(1, count.size) if count[n] > 0.01 * signals.size]
-    if not 2 <= len(kept) <= 60:
+    kept = np.flatnonzero(count > 0.01 * signals.size)
+    if not 3 <= kept.size <= 60:
         return np.empty((signals.size, 0))
-    return (number[:, None] == np.array(kept)).astype(np.float64)
+    place = np.maximum(
+        np.searchsorted(kept, number, side="right") - 1, 0
+    )  # a flicker goes with the run before
+    return (place[:, None] == np.arange(1, kept.size)).astype(np.float64)
 
 
 def _fast(signals: Signals) -> Floats:

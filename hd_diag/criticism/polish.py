@@ -31,7 +31,7 @@ def polished(bench: Workbench, chosen: Chosen) -> tuple[Workbench, Chosen]:
     for _ in range(_ROUNDS):
         before = bench.design(chosen).deviance()
         chosen = _stepped(bench, chosen, before)
-        bench = settle(bench, chosen, rounds=1)
+        bench = settle(bench, chosen, rounds=1, learn=False)
         if bench.design(chosen).deviance() > before - _SETTLED:
             break
     return bench, chosen

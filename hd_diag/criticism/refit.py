@@ -17,10 +17,12 @@ Floats = npt.NDArray[np.float64]
 # starts that are as good as equal, and what it leaves goes on with all rows.
 _ROUNDS = ((250, 5, 5), (700, 5, 2), (1500, 8, 2))
 _SETTLED = 0.1  # deviance; smaller steps are left to the fit of all rows
-_STARTS = (
-    (0.0, 0.0),
-    *((size, turn) for size in (6.0, 16.0) for turn in (0.0, 0.25, 0.5, 0.75)),
-)  # [um], [pi]
+Starts = tuple[tuple[float, float], ...]
+_TURNS = (0.0, 0.25, 0.5, 0.75)  # [pi rad]
+FEW_STARTS: Starts = ((0.0, 0.0), *((10.0, turn) for turn in _TURNS))
+STARTS: Starts = ((0.0, 0.0), *((size, turn) for size in (6.0, 16.0) for turn in _TURNS))
+"""Eccentricities that a search begins with: magnitude [um], direction [pi rad]."""
+
 _DISTINCT = 12.0  # difference of deviance that tells two minima apart
 
 
@@ -76,6 +78,7 @@ def refit(
     configured: Drive,
     extra: Floats | None = None,
     start: Floats | None = None,
+    starts: Starts = STARTS,
     rng: np.random.Generator | None = None,
 ) -> Refit:
     """Fit the model's parameters from many starts.
@@ -88,6 +91,8 @@ def refit(
         Further columns that may take part freely: effects already found.
     start : ndarray, shape (7,), optional
         One more start.
+    starts : sequence of (float, float)
+        Eccentricities to begin with: magnitude [um], direction [pi rad].
     rng : numpy.random.Generator, optional
         Chooses the samples.
 
@@ -99,17 +104,15 @@ def refit(
     free = nuisance(record, configured.kinematics.ratio)
     if extra is not None:
         free = np.concatenate((free, extra), axis=1)
-    points = _starts(configured, start)
+    points = _starts(configured, start, starts)
     for samples, steps, kept in _ROUNDS:
         problem = _Problem(record, configured, free, _chosen(record, samples, rng))
         trials = sorted((_levenberg(problem, point, steps) for point in points), key=lambda trial: trial[1])
-        points = _distinct([point for point, _ in trials], configured)[:kept]
+        points = distinct([point for point, _ in trials])[:kept]
     point, deviance = trials[0]
     covariance = problem.covariance(point)
     rivals = [other for other, value in trials[1:] if value - deviance < _DISTINCT]
-    return Refit(
-        base.drive_of(point, configured), point, covariance, not _distinct([point, *rivals], configured)[1:]
-    )
+    return Refit(base.drive_of(point, configured), point, covariance, not distinct([point, *rivals])[1:])
 
 
 def usable(record: Record) -> npt.NDArray[np.bool_]:
@@ -125,10 +128,10 @@ def _chosen(record: Record, count: int, rng: np.random.Generator) -> npt.NDArray
     return np.sort(rng.choice(rows, count, replace=False))
 
 
-def _starts(configured: Drive, start: Floats | None) -> list[Floats]:
+def _starts(configured: Drive, start: Floats | None, starts: Starts) -> list[Floats]:
     first = base.vector(configured, configured)
     points = []
-    for size, turn in _STARTS:
+    for size, turn in starts:
         point = first.copy()
         point[0], point[1] = size * np.cos(np.pi * turn), size * np.sin(np.pi * turn)
         points.append(point)
@@ -196,8 +199,19 @@ def _levenberg(problem: _Problem, point: Floats, iterations: int) -> tuple[Float
     return point, problem.deviance(residual, point)
 
 
-def _distinct(points: list[Floats], configured: Drive) -> list[Floats]:
-    """Points that are not the same drive: lobes swapped count as the same."""
+def distinct(points: list[Floats]) -> list[Floats]:
+    """Points that are not the same drive: lobes swapped count as the same.
+
+    Parameters
+    ----------
+    points : list of ndarray, shape (7,)
+        In the units of `base.SCALES`.
+
+    Returns
+    -------
+    list of ndarray
+        The first of every kind.
+    """
     found: list[Floats] = []
     for point in points:
         mirrored = point * np.array([-1.0, -1.0, -1.0, -1.0, 1.0, 1.0, 1.0])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,8 +12,8 @@ from scipy.optimize import minimize
 from hd_diag.criticism import base
 from hd_diag.criticism.design import f_test, holds, interval, solve, surprise
 from hd_diag.criticism.foils import FOILS, Foil
-from hd_diag.criticism.polish import covariance, polished
-from hd_diag.criticism.refit import refit
+from hd_diag.criticism.polish import covariance, free, polished
+from hd_diag.criticism.refit import FEW_STARTS, distinct, refit
 from hd_diag.criticism.workbench import SEARCHED, Chosen, Workbench, settle
 from hd_diag.effects.effect import Effect
 from hd_diag.model.torsion_map import ARCSEC
@@ -29,9 +29,11 @@ LEAST_SIZE = 0.25 * ARCSEC
 CLASS_DEVIANCE = 10.0
 """Causes whose exchange moves the held-out deviance by less cannot be told apart."""
 
+_NAMES = {effect.name: effect for effect in SEARCHED}
 _MOST_CAUSES = 4
 _SLOW = 0.34  # share of the samples that count as slow
 _MOST_FOILS = 3
+_RIVALS = 6  # best candidates of a round that are looked at again in place of others
 _CERTAIN_SIZE = 0.5 * ARCSEC  # of a shape that nothing held out can prove [rad rms]
 _SECONDS = 2.5  # of a mean in which quick noise is gone
 _LASTING_CHANCE = 1e-6
@@ -117,12 +119,14 @@ def search(bench: Workbench, progress: Callable[[str], None] = lambda text: None
     chosen: Chosen = ()
     p_values: dict[str, float] = {}
     bench = settle(bench, chosen)
-    family = _family(bench)
+    family, rivals = _family(bench), set[str]()
     for _ in range(_MOST_CAUSES + _MOST_FOILS):
         progress(f"looking for cause {len(chosen) + 1}")
         if not chosen and speed_dependent(bench):
             bench = _begun_slowly(bench)
-        found = _next(bench, chosen, family)
+        ranked = candidates(bench, chosen) if _named(chosen) < _MOST_CAUSES else []
+        rivals |= {candidate.effect.name for candidate in ranked[:_RIVALS]}
+        found = _next(bench, chosen, family, ranked)
         if found is None:
             break
         p_values[found.effect.name] = found.p_value
@@ -131,13 +135,13 @@ def search(bench: Workbench, progress: Callable[[str], None] = lambda text: None
         if isinstance(found.effect, Foil):  # a cause that was only the nearest to it is not needed any more
             chosen = _kept(bench, chosen)
             continue
-        bench, chosen = _swapped(bench, chosen)
+        bench, chosen = _swapped(bench, chosen, rivals)
         if len(chosen) == 1:
             bench = _restarted(bench, chosen)
     chosen = _kept(bench, chosen)
-    bench, chosen = polished(settle(bench, chosen), chosen)
+    bench, chosen = _finished(settle(bench, chosen), chosen)
     foils = tuple(item for item in chosen if isinstance(item[0], Foil))
-    return Search(bench, _causes(bench, chosen, p_values), foils)
+    return Search(bench, _causes(bench, chosen, p_values, rivals), foils)
 
 
 def candidates(bench: Workbench, chosen: Chosen) -> list[Candidate]:
@@ -145,13 +149,15 @@ def candidates(bench: Workbench, chosen: Chosen) -> list[Candidate]:
     return _ranked(bench, chosen, SEARCHED)
 
 
-def _ranked(bench: Workbench, chosen: Chosen, effects: Sequence[Effect]) -> list[Candidate]:
+def _ranked(
+    bench: Workbench, chosen: Chosen, effects: Sequence[Effect], untested: Collection[str] = ()
+) -> list[Candidate]:
     named = {effect.name for effect, _ in chosen}
     projector = _Projector(bench, chosen)
     rest = bench.remainder(chosen)
     found = []
     for effect in effects:
-        if effect.name in named or not bench.testable(effect)[0]:
+        if effect.name in named or not (bench.testable(effect)[0] or effect.name in untested):
             continue
         best: tuple[float, tuple[float, ...]] | None = None
         for nonlinear in effect.scan(bench.signals, rest):
@@ -220,12 +226,11 @@ def _family(bench: Workbench) -> int:
     return sum(effect.trials(bench.signals) for effect in SEARCHED if bench.testable(effect)[0])
 
 
-def _next(bench: Workbench, chosen: Chosen, family: int) -> Candidate | None:
+def _next(bench: Workbench, chosen: Chosen, family: int, ranked: list[Candidate]) -> Candidate | None:
     """The best candidate that passes every test; where none does, the best nameless shape; else None."""
-    if _named(chosen) < _MOST_CAUSES:
-        found = _passing(bench, chosen, candidates(bench, chosen)[:3], family)
-        if found is not None:
-            return found
+    found = _passing(bench, chosen, ranked[:3], family)
+    if found is not None:
+        return found
     if len(chosen) - _named(chosen) < _MOST_FOILS:
         return _passing(bench, chosen, _ranked(bench, chosen, FOILS)[:2], family)
     return None
@@ -320,7 +325,7 @@ def _refined(bench: Workbench, chosen: Chosen) -> tuple[Workbench, Chosen]:
     """The newest effect's nonlinear values and all parameters, brought to their best."""
     bench = settle(bench, chosen, rounds=2)
     effect, nonlinear = chosen[-1]
-    if any(not quantity.discrete for quantity in effect.nonlinear):
+    if free(effect):
         chosen = (*chosen[:-1], (effect, _best_nonlinear(bench, chosen[:-1], effect, nonlinear)))
         bench = settle(bench, chosen, rounds=1)
     return bench, chosen
@@ -331,29 +336,31 @@ def _best_nonlinear(
 ) -> tuple[float, ...]:
     """Nonlinear values of least residual, from a grid point, within the effect's bounds."""
     projector = _Projector(bench, others)
-    quantities = effect.nonlinear
+    quantities, moving = effect.nonlinear, free(effect)
     low, high = np.array([q.low for q in quantities]), np.array([q.high for q in quantities])
-    width = bench.grid_step(effect, start) * [not q.discrete for q in quantities]
+    width = bench.grid_step(effect, start)
 
     def moved(move: Floats) -> tuple[float, ...]:
-        return tuple(float(v) for v in np.clip(np.array(start) + move * width, low, high))
+        values = np.array(start)
+        values[moving] += move * width[moving]
+        return tuple(np.clip(values, low, high).tolist())
 
     def loss(move: Floats) -> float:
         return -projector.gain(bench.white(effect, moved(move), keep=False))
 
     best = minimize(
-        loss, np.zeros(len(start)), method="Nelder-Mead", options={"maxfev": 40, "xatol": 1e-3, "fatol": 0.1}
+        loss, np.zeros(len(moving)), method="Nelder-Mead", options={"maxfev": 40, "xatol": 1e-3, "fatol": 0.1}
     )
     return moved(best.x)
 
 
-def _swapped(bench: Workbench, chosen: Chosen) -> tuple[Workbench, Chosen]:
+def _swapped(bench: Workbench, chosen: Chosen, rivals: set[str]) -> tuple[Workbench, Chosen]:
     """Exchange a chosen effect for a better one, or for itself at another grid point, where there is one."""
     for index, (effect, nonlinear) in enumerate(chosen):
         others = chosen[:index] + chosen[index + 1 :]
         now = bench.design(chosen).deviance()
         bench.correct(others)
-        best = next(iter(candidates(bench, others)), None)
+        best = next(iter(_ranked(bench, others, _of(rivals))), None)
         if best is not None and (best.effect, best.nonlinear) != (effect, nonlinear):
             trial = (*others, (best.effect, best.nonlinear))
             bench.correct(trial)
@@ -364,6 +371,25 @@ def _swapped(bench: Workbench, chosen: Chosen) -> tuple[Workbench, Chosen]:
     return bench, chosen
 
 
+def _finished(bench: Workbench, chosen: Chosen) -> tuple[Workbench, Chosen]:
+    """Everything at its best, the discrete values looked at once more where all others are."""
+    bench, chosen = polished(bench, chosen)
+    again = chosen
+    for index, (effect, nonlinear) in enumerate(chosen):
+        for other in effect.beside(bench.signals, nonlinear):
+            trial = (*again[:index], (effect, other), *again[index + 1 :])
+            if _left(bench, trial) < _left(bench, again):
+                again = trial
+    bench.correct(again)
+    return (bench, chosen) if again == chosen else polished(settle(bench, again, learn=False), again)
+
+
+def _left(bench: Workbench, chosen: Chosen) -> float:
+    """Deviance with the effects at the size that fits."""
+    bench.correct(chosen)
+    return bench.design(chosen).deviance()
+
+
 def _restarted(bench: Workbench, chosen: Chosen) -> Workbench:
     """Search the model's parameters globally again, now that the largest cause takes part freely."""
     again = refit(
@@ -371,7 +397,10 @@ def _restarted(bench: Workbench, chosen: Chosen) -> Workbench:
         bench.configured,
         extra=bench.joined(chosen),
         start=bench.parameters,
+        starts=FEW_STARTS,
     )
+    if not distinct([bench.parameters, again.parameters])[1:]:
+        return bench
     other = settle(Workbench(bench.source, bench.configured, again.parameters), chosen, rounds=2)
     other_left = other.design_with(bench.whiten, chosen).deviance()
     return other if other_left < bench.design(chosen).deviance() - _RESTART_GAIN else bench
@@ -422,7 +451,9 @@ def _part(spread: Floats, place: npt.NDArray[np.int64]) -> Floats:
     return part
 
 
-def _causes(bench: Workbench, chosen: Chosen, p_values: dict[str, float]) -> tuple[Cause, ...]:
+def _causes(
+    bench: Workbench, chosen: Chosen, p_values: dict[str, float], rivals: set[str]
+) -> tuple[Cause, ...]:
     beta, _, _ = bench.fit(chosen)
     spread, places = covariance(bench, chosen)
     rng = np.random.default_rng(0)
@@ -443,7 +474,7 @@ def _causes(bench: Workbench, chosen: Chosen, p_values: dict[str, float]) -> tup
                 _part(spread, places[index]),
                 float(np.std(bench.full_size(effect, nonlinear, beta[rows]))),
                 p_values.get(effect.name, float("nan")),
-                (effect.name, *_alike(bench, chosen, index)),
+                (effect.name, *_alike(bench, chosen, index, rivals)),
                 float(np.mean(share)),
                 low,
                 high,
@@ -452,21 +483,28 @@ def _causes(bench: Workbench, chosen: Chosen, p_values: dict[str, float]) -> tup
     return tuple(sorted(found, key=lambda cause: -cause.gain))
 
 
-def _alike(bench: Workbench, chosen: Chosen, index: int) -> list[str]:
-    """Effects that would do as well in place of one."""
-    effect = chosen[index][0]
-    others = chosen[:index] + chosen[index + 1 :]
+def _of(names: set[str]) -> list[Effect]:
+    return [effect for name, effect in _NAMES.items() if name in names]
+
+
+def _alike(bench: Workbench, chosen: Chosen, index: int, rivals: set[str]) -> list[str]:
+    """Effects that would do as well in place of one; those that the motion cannot test among them."""
+    effect, others = chosen[index][0], chosen[:index] + chosen[index + 1 :]
     named = {e.name for e, _ in chosen}
-    if isinstance(effect, Foil):
-        return []
     here = float(bench.design(chosen).held_out().sum())
     found = [name for name in effect.always_confused if name not in named]
-    for candidate in candidates(bench, others)[:6]:
+    untested = {
+        name for name in effect.confused_with if name in _NAMES and not bench.testable(_NAMES[name])[0]
+    }
+    bench.correct(others)
+    for candidate in _ranked(bench, others, _of(rivals | untested), untested):
         if candidate.effect.name in named or candidate.effect.name in found:
             continue
         trial = (*others, (candidate.effect, candidate.nonlinear))
+        bench.correct(trial)
         if float(bench.design(trial).held_out().sum()) - here < CLASS_DEVIANCE:
             found.append(candidate.effect.name)
+    bench.correct(chosen)
     return found
 
 

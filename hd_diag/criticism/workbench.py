@@ -264,7 +264,7 @@ def _broken(record: Record, kept: npt.NDArray[np.bool_]) -> Integers:
     return np.cumsum(gap | change).astype(np.int64)
 
 
-def settle(bench: Workbench, chosen: Chosen, rounds: int = 3) -> Workbench:
+def settle(bench: Workbench, chosen: Chosen, rounds: int = 3, learn: bool = True) -> Workbench:
     """Move the model to the best parameters beside the chosen effects: Gauss-Newton on all rows.
 
     Parameters
@@ -272,13 +272,16 @@ def settle(bench: Workbench, chosen: Chosen, rounds: int = 3) -> Workbench:
     bench : Workbench
     chosen : sequence of (Effect, nonlinear values)
     rounds : int
+    learn : bool
+        Whether to learn the noise anew first; it hardly changes with small steps.
 
     Returns
     -------
     Workbench
         Linearised at the parameters found, its noise learnt.
     """
-    bench.learn_noise(chosen)
+    if learn:
+        bench.learn_noise(chosen)
     for _ in range(rounds):
         beta, covariance, _ = bench.fit(chosen)
         step = beta[: base.COUNT]

@@ -38,6 +38,10 @@ class CircularSplineForm(Effect):
         """Cut out of round, or bent."""
         return [(0.0,), (1.0,)]
 
+    def beside(self, signals: Signals, nonlinear: Values) -> list[Values]:
+        """The other way to be out of round."""
+        return [other for other in self.grid(signals) if other != nonlinear]
+
     def response(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
         """The slots displaced at their full size; see :meth:`Effect.response`."""
         contact = signals.contact

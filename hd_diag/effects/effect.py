@@ -131,6 +131,10 @@ class Effect(ABC):
         """Start values that fit a residual [rad], shape (n,); no more than the grid unless stated."""
         return self.grid(signals)
 
+    def beside(self, signals: Signals, nonlinear: Values) -> list[Values]:
+        """Other discrete values next to given ones: worth a look when all else is fitted."""
+        return []
+
     def trials(self, signals: Signals) -> int:
         """Number of independent values that a grid or scan looks at, for the family-wise error."""
         return len(self.grid(signals))

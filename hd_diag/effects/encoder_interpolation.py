@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hd_diag.effects.effect import Effect, Quantity, Values, amplitude, direction, turning
-from hd_diag.effects.excitation import enough_input_turns, sample_interval, verdict
+from hd_diag.effects.excitation import enough_input_turns, sample_interval, torque_known, verdict
 from hd_diag.effects.order_spectrum import integer_orders
 from hd_diag.effects.signals import Signals
 from hd_diag.model.torsion_map import ARCSEC
@@ -18,6 +18,7 @@ Floats = npt.NDArray[np.float64]
 _LEAST, _MOST = 4, 4096
 _USUAL = (4, 5, 8, 12, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096)
 _CANDIDATES = 4
+_ABOVE_MESH = 8  # first order beyond those that two eccentric lobes give under load
 _SLOW = 0.25  # share of the moving samples that must be slow enough
 
 
@@ -31,20 +32,21 @@ class EncoderInterpolation(Effect):
 
     def grid(self, signals: Signals) -> list[Values]:
         """Usual numbers of lines that the record can follow; `scan` looks at all."""
-        return [(float(lines),) for lines in _USUAL if lines <= _highest(signals)]
+        return [(float(lines),) for lines in _USUAL if _lowest(signals) <= lines <= _highest(signals)]
 
     def scan(self, signals: Signals, residual: Floats) -> list[Values]:
         """Strongest whole orders of the residual over the input angle."""
         highest = _highest(signals)
-        if highest < _LEAST:
+        least = _lowest(signals)
+        if highest < least:
             return []
         strength = integer_orders(signals.input_angle, residual, highest)
-        strength[:_LEAST] = 0.0
-        return [(float(order),) for order in np.argsort(strength)[::-1][:_CANDIDATES] if order >= _LEAST]
+        strength[:least] = 0.0
+        return [(float(order),) for order in np.argsort(strength)[::-1][:_CANDIDATES] if order >= least]
 
     def trials(self, signals: Signals) -> int:
         """Whole orders that the record can follow."""
-        return max(1, _highest(signals) - _LEAST + 1)
+        return max(1, _highest(signals) - _lowest(signals) + 1)
 
     def testable(self, signals: Signals) -> tuple[bool, str]:
         """Slow enough that the lines do not alias."""
@@ -54,6 +56,11 @@ class EncoderInterpolation(Effect):
             (slow, f"the input is too fast for the sampling: repeat the motion below {limit:.3g} rad/s"),
             enough_input_turns(signals, 3.0),
         )
+
+
+def _lowest(signals: Signals) -> int:
+    """Least number of lines: under a load that is not known, the gear's own orders look like lines."""
+    return _LEAST if torque_known(signals)[0] else _ABOVE_MESH
 
 
 def _highest(signals: Signals) -> int:

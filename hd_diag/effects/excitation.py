@@ -87,13 +87,22 @@ def torque_through_zero(signals: Signals) -> Verdict:
     )
 
 
+def torque_known(signals: Signals) -> Verdict:
+    """Whether the torque is measured: one that never changes by a digit is assumed."""
+    measured = bool(signals.size) and float(np.ptp(signals.torque)) > 0.0
+    return _told(measured, "no torque is measured: record it, for what the load does hides the rest")
+
+
 def torque_reverses(signals: Signals, swing: float) -> Verdict:
-    """Whether the torque turns back more than once within a run, by a swing [N m]."""
-    found = max((_reversals(signals.torque[run], swing) for run in signals.runs()), default=0)
+    """Whether the torque turns back, within a run, at three different values at least, by a swing [N m]."""
+    found = 0
+    for run in signals.runs():
+        turns = np.sort(_turning_points(signals.torque[run], swing))
+        found = max(found, int(np.count_nonzero(np.diff(turns) > 0.5 * swing)) + 1 if turns.size else 0)
     return _told(
-        found >= 2,
-        f"the torque turns back {found} times by {swing:.3g} N m in one run: swing the load up, half-way "
-        "down and up again without a pause",
+        found >= 3,
+        f"the torque turns back by {swing:.3g} N m at {found} values: swing the load up, half-way down and "
+        "up again without a pause",
     )
 
 
@@ -145,16 +154,25 @@ def _torque_ends(signals: Signals) -> tuple[float, float]:
     return float(np.min(signals.torque)), float(np.max(signals.torque))
 
 
-def _reversals(torque: npt.NDArray[np.float64], swing: float) -> int:
-    """Times that the torque turns back by more than a swing: rainflow counting's reversals."""
+def _turning_points(torque: npt.NDArray[np.float64], swing: float) -> npt.NDArray[np.float64]:
+    """Torques at which it turns back by more than a swing: rainflow counting's reversals [N m]."""
     if not torque.size:
-        return 0
+        return np.empty(0)
     low = high = float(torque[0])
-    way, count = 0, 0
-    for value in torque.tolist():
+    way, found = 0, []
+    for value in _extremes(torque).tolist():
         low, high = min(low, value), max(high, value)
         if way >= 0 and high - value > swing:
-            way, count, low, high = -1, count + (way != 0), value, value
+            found += [high] * (way != 0)
+            way, low, high = -1, value, value
         elif way <= 0 and value - low > swing:
-            way, count, low, high = 1, count + (way != 0), value, value
-    return count
+            found += [low] * (way != 0)
+            way, low, high = 1, value, value
+    return np.array(found)
+
+
+def _extremes(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Local extremes, both ends included: a reversal needs no others."""
+    change = np.diff(values)
+    inner = np.flatnonzero(change[1:] * change[:-1] <= 0.0) + 1
+    return np.asarray(values[np.concatenate(([0], inner, [values.size - 1]))])

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from hd_diag.effects.effect import Quantity, StatefulEffect, Values
 from hd_diag.effects.excitation import torque_reverses
+from hd_diag.effects.recursions import slip
 from hd_diag.effects.signals import Signals
 from hd_diag.model.torsion_map import ARCSEC
 
@@ -38,7 +39,7 @@ class Hysteresis(StatefulEffect):
             return np.empty((0, self.size)), state
         before = float(signals.torque[0]) if state[0] is None else state[0]
         change = np.diff(signals.torque, prepend=before)
-        every = [_slip(z, change / reach) for z, reach in zip(state[1], nonlinear, strict=True)]
+        every = [slip(z, change / reach) for z, reach in zip(state[1], nonlinear, strict=True)]
         last = tuple(float(z[-1]) for z in every)
         return np.stack(every, axis=1), (float(signals.torque[-1]), last)
 
@@ -50,14 +51,6 @@ class Hysteresis(StatefulEffect):
     def testable(self, signals: Signals) -> tuple[bool, str]:
         """Nested reversals of the torque."""
         return torque_reverses(signals, _SWING * signals.rated_torque)
-
-
-def _slip(z: float, change: Floats) -> Floats:
-    result = np.empty(change.size)
-    for index, step in enumerate(change.tolist()):
-        z = min(1.0, max(-1.0, z + step))
-        result[index] = z
-    return result
 
 
 EFFECT = Hysteresis(

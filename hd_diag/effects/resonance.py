@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hd_diag.effects.effect import Quantity, StatefulEffect, Values, amplitude, direction
-from hd_diag.effects.excitation import sample_interval, several_speeds
+from hd_diag.effects.excitation import sample_interval, several_speeds, torque_known, verdict
+from hd_diag.effects.recursions import relax
 from hd_diag.effects.signals import Signals
 from hd_diag.model.torsion_map import ARCSEC
 
@@ -20,9 +21,8 @@ ORDERS = (1.0, 2.0, 4.0)
 
 _COARSE = 6  # natural frequencies per order in the grid
 _FINE = 60  # in a scan
-_DAMPINGS = (0.02, 0.08)  # [-]
+_DAMPINGS = (0.03, 0.08)  # [-]
 _BINS = 256  # of the wave generator's speed, in a scan
-_CANDIDATES = 3
 
 State = tuple[float, float, float, complex, complex, complex] | None
 
@@ -57,7 +57,8 @@ class Resonance(StatefulEffect):
         )
         decay, added = _turning(pole, time, turned)
         cosine, sine = 0.5 * (added[0] + added[1]), -0.5j * (added[0] - added[1])
-        modes = _followed(state[3:], decay, (cosine, sine, _straight(pole, time, rippled)))
+        inputs = cosine, sine, _straight(pole, time, rippled)
+        modes = [relax(q, decay, each) for q, each in zip(state[3:], inputs, strict=True)]
         residue = (2.0 * damping * frequency * pole + frequency**2) / (1j * pole.imag)
         response = np.stack([(residue * mode).real for mode in modes], axis=1)
         response[:, 2] -= ripple
@@ -81,8 +82,13 @@ class Resonance(StatefulEffect):
     def scan(self, signals: Signals, residual: Floats) -> list[Values]:
         """Natural frequencies and dampings that fit best as if every speed were constant."""
         bins = _binned(signals, residual)
-        found = [one for order in ORDERS for one in _quasi_static(signals, bins, order)]
-        return [nonlinear for _, nonlinear in sorted(found, reverse=True)[:_CANDIDATES]]
+        return [
+            max(_quasi_static(signals, bins, order, damping))[1] for order in ORDERS for damping in _DAMPINGS
+        ]
+
+    def beside(self, signals: Signals, nonlinear: Values) -> list[Values]:
+        """The other orders."""
+        return [(order, *nonlinear[1:]) for order in ORDERS if order != nonlinear[0]]
 
     def trials(self, signals: Signals) -> int:
         """Orders, frequencies and dampings of a scan."""
@@ -90,7 +96,7 @@ class Resonance(StatefulEffect):
 
     def testable(self, signals: Signals) -> tuple[bool, str]:
         """Five speeds across it."""
-        return several_speeds(signals, 5)
+        return verdict(torque_known(signals), several_speeds(signals, 5))
 
 
 def _steady(pole: complex, rate: float, signals: Signals, phase: Floats, ripple: Floats) -> State:
@@ -131,18 +137,6 @@ def _straight(pole: complex, time: Floats, values: Floats) -> Complexes:
     return np.where(still, 0.0, values[:-1] * constant + np.diff(values) * rising)
 
 
-def _followed(state: tuple[complex, ...], decay: Complexes, added: tuple[Complexes, ...]) -> list[Complexes]:
-    """Modes at the samples after the first."""
-    modes = []
-    for q, each in zip(state, added, strict=True):
-        mode = []
-        for factor, more in zip(decay.tolist(), each.tolist(), strict=True):
-            q = factor * q + more
-            mode.append(q)
-        modes.append(np.array(mode))
-    return modes
-
-
 def _passed(signals: Signals, order: float) -> tuple[float, float]:
     """Lowest and highest natural frequency worth trying [rad/s]."""
     greatest = order * float(np.max(np.abs(signals.wave_generator_speed), initial=0.0))
@@ -176,23 +170,22 @@ def _binned(signals: Signals, residual: Floats) -> tuple[Floats, Floats, Complex
 
 
 def _quasi_static(
-    signals: Signals, bins: tuple[Floats, Floats, Complexes, Complexes], order: float
+    signals: Signals, bins: tuple[Floats, Floats, Complexes, Complexes], order: float, damping: float
 ) -> list[tuple[float, Values]]:
-    """Gain of every frequency and damping, bin by bin of the speed: an order of its own, and the ripple's."""
+    """Gain of every frequency, bin by bin of the speed: an order of its own, and what carries the ripple."""
     speed, count, rest, ripple = bins
     own = (np.array(ORDERS) == order)[:, None]
     found: list[tuple[float, Values]] = []
     for frequency in np.geomspace(*_passed(signals, order), _FINE):
-        for damping in _DAMPINGS:
-            r = np.array(ORDERS)[:, None] * speed / frequency
-            through = (1.0 + 2j * damping * r) / (1.0 - r**2 + 2j * damping * r)
-            # A real mean turned back holds half of an order's amplitude.
-            parts = 0.5 * np.stack((own * through, -1j * own * through, (through - 1.0) * ripple))
-            moment = np.einsum("pob,ob,b->p", parts.conj(), rest, count).real
-            gram = np.einsum("pob,qob,b->pq", parts.conj(), parts, count).real
-            gram += 1e-9 * np.trace(gram) * np.eye(3)
-            gain = float(moment @ np.linalg.solve(gram, moment)) if gram.any() else 0.0
-            found.append((gain, (order, float(frequency), damping)))
+        r = np.array(ORDERS)[:, None] * speed / frequency
+        through = (1.0 + 2j * damping * r) / (1.0 - r**2 + 2j * damping * r)
+        # A real mean turned back holds half of an order's amplitude.
+        parts = 0.5 * np.stack((own * through, -1j * own * through, (through - 1.0) * ripple))
+        moment = np.einsum("pob,ob,b->p", parts.conj(), rest, count).real
+        gram = np.einsum("pob,qob,b->pq", parts.conj(), parts, count).real
+        gram += 1e-9 * np.trace(gram) * np.eye(3)
+        gain = float(moment @ np.linalg.solve(gram, moment)) if gram.any() else 0.0
+        found.append((gain, (order, float(frequency), damping)))
     return found
 
 

@@ -1,0 +1,163 @@
+"""The whole benchmark, measured in one run (`make bench`).
+
+    python bench/suite.py [--only SECTION ...] [--seconds S] [--json FILE]
+
+Every row is a time or a ratio, its aim beside it. Both sides of a ratio are timed here, in turn, in this
+process or as processes of their own; what they compute is compared first. Times are CPU times of one thread
+unless a row says wall. Nothing passes or fails by its speed.
+"""
+
+# ruff: noqa: D103, T201, E402
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import statistics
+import sys
+import time
+import traceback
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path[:0] = [str(ROOT / "test"), str(ROOT / "bench")]
+for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ.setdefault(threads, "1")
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from hd_diag.model import compiled
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line: what was measured, against what; `aim` is a bound on the ratio ("x") or the value, if any."""
+
+    section: str
+    what: str
+    value: float
+    unit: str
+    ratio: float | None = None
+    against: str = ""
+    aim: float | None = None
+    aim_unit: str = ""
+    note: str = ""
+
+    @property
+    def met(self) -> bool | None:
+        """Whether the aim is met; a ratio shall be at least, a value at most."""
+        if self.aim is None:
+            return None
+        return bool(self.ratio and self.ratio >= self.aim) if self.aim_unit == "x" else self.value <= self.aim
+
+
+class Skipped(Exception):
+    """A section that cannot be measured here."""
+
+
+def main() -> int:
+    from suite_processes import PROCESSES
+    from suite_sections import SECTIONS
+
+    sections = {**SECTIONS, **PROCESSES}
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument(
+        "--only", nargs="+", choices=sorted(sections), metavar="SECTION", help=", ".join(sections)
+    )
+    parser.add_argument("--seconds", type=float, default=60.0, help="of the record that is read and replayed")
+    parser.add_argument("--json", type=Path, help="keep the figures, such as bench/results.json")
+    options = parser.parse_args()
+    if not compiled.available():
+        sys.exit("numba is not installed: there is only the numpy path")
+    compiled.warm_up()
+    begin, rows, skipped = time.perf_counter(), [], {}
+    console = Console(stderr=True)
+    for name in options.only or sections:
+        with console.status(f"{name} (of {', '.join(options.only or sections)})"):
+            try:
+                rows += list(measured(name, sections[name](options)))
+            except Skipped as reason:
+                skipped[name] = str(reason)
+            except Exception:
+                skipped[name] = traceback.format_exc().strip()
+    show(rows, skipped, time.perf_counter() - begin)
+    if options.json:
+        options.json.write_text(json.dumps(document(rows, skipped), indent=1) + "\n")
+    return 1 if skipped else 0
+
+
+def measured(section: str, found: Iterator[dict]) -> Iterator[Row]:
+    for each in found:
+        yield Row(section, **each)
+
+
+def document(rows: list[Row], skipped: dict[str, str]) -> dict:
+    machine = {"python": platform.python_version(), "cores": len(os.sched_getaffinity(0)), "cpu": cpu_name()}
+    versions = {"numpy": np.__version__, "load": os.getloadavg()[0]}
+    return {
+        "schema": "hd_diag/bench/1",
+        "machine": machine | versions,
+        "rows": [{**asdict(row), "met": row.met} for row in rows],
+        "skipped": skipped,
+    }
+
+
+def cpu_name() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.machine()
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
+
+
+def show(rows: list[Row], skipped: dict[str, str], took: float) -> None:
+    table = Table(
+        title=f"{cpu_name()}, load {os.getloadavg()[0]:.1f} of {os.cpu_count()} cores, {took:.0f} s"
+    )
+    for column in ("section", "what", "measured", "ratio", "against", "aim", ""):
+        table.add_column(column, justify="right" if column in ("measured", "ratio", "aim") else "left")
+    last = ""
+    for row in rows:
+        if last and row.section != last:
+            table.add_section()
+        ratio = f"{row.ratio:,.4g}" if row.ratio is not None else ""
+        sign = ">=" if row.aim_unit == "x" else "<="
+        aim = "" if row.aim is None else f"{sign} {row.aim:,g} {row.aim_unit}"
+        met = {None: "", True: "met", False: "MISSED"}[row.met]
+        name = row.section if row.section != last else ""
+        what = f"{row.what} ({row.note})" if row.note else row.what
+        table.add_row(name, what, f"{row.value:,.4g} {row.unit}", ratio, row.against, aim, met)
+        last = row.section
+    Console(width=max(150, Console().width)).print(table)
+    for name, reason in skipped.items():
+        print(f"{name}: NOT MEASURED: {reason}")
+
+
+def cpu_time(function, *arguments) -> tuple[object, float]:
+    """What a call gives, and its CPU time [s]."""
+    start = time.process_time()
+    result = function(*arguments)
+    return result, time.process_time() - start
+
+
+def median_time(function, *arguments, budget: float = 1.0) -> float:
+    """Median CPU time of a call [s], after one that is not counted."""
+    function(*arguments)
+    times: list[float] = []
+    while len(times) < 3 or (sum(times) < budget and len(times) < 5000):
+        start = time.process_time()
+        function(*arguments)
+        times.append(time.process_time() - start)
+    return statistics.median(times)
+
+
+if __name__ == "__main__":
+    # Sections import this module by its name.
+    sys.modules["suite"] = sys.modules["__main__"]
+    sys.exit(main())

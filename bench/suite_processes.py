@@ -1,0 +1,120 @@
+"""Sections of bench/suite.py that start processes: bags from reading to diagnosis, and the node."""
+
+# ruff: noqa: D103
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import bench_replay
+from suite import ROOT, Skipped
+
+from hd_diag.config import resolve
+from hd_diag.replay import replay
+
+HOUR = 3600.0  # [s]
+RATE = 1000.0  # [Hz]
+DIAGNOSED = 120.0  # [s]
+DIAGNOSED_RATE = 500.0  # [Hz]
+
+
+def bags(options):
+    """Reading, replay and diagnosis, in CPU time per hour of a joint's record at 1 kHz."""
+    seconds = options.seconds
+    note = f"from {seconds:g} s"
+    with tempfile.TemporaryDirectory() as folder:
+        bag, out = Path(folder) / "bag.mcap", Path(folder) / "out.mcap"
+        bench_replay.simulated(bag, seconds, RATE, False)
+        rosbags = bench_replay.cpu_time(lambda: bench_replay.read_rosbags(bag), 1)
+        columns = bench_replay.cpu_time(lambda: bench_replay.read_columns(bag))
+        config = resolve({})
+        whole = bench_replay.cpu_time(lambda: replay(bag, out, config, overwrite=True))
+        per_hour = HOUR / seconds
+        yield {
+            "what": "reading with rosbags, per hour",
+            "value": rosbags * per_hour,
+            "unit": "s",
+            "note": note,
+        }
+        yield {
+            "what": "reading, per hour",
+            **{"value": columns * per_hour, "unit": "s", "ratio": rosbags / columns, "against": "rosbags"},
+            "note": note,
+        }
+        yield {
+            "what": "replay, map included, per hour",
+            **{"value": whole * per_hour, "unit": "s", "ratio": seconds / whole, "against": "real time"},
+            "note": note,
+        }
+        yield from diagnosis(Path(folder))
+
+
+def diagnosis(folder):
+    """As a process of its own on one core, from the start of Python to its end."""
+    bag, told = folder / "diagnosed.mcap", folder / "diagnosis.json"
+    size = ("--duration", str(DIAGNOSED), "--rate", str(DIAGNOSED_RATE))
+    truth = ("--eccentricity-um", "12", "--angle-noise-arcsec", "1")
+    command("simulate", "--out", str(bag), *size, *truth)
+    command("diagnose", str(bag))  # compiles what is not on the disk yet
+    cpu, wall = command("diagnose", str(bag), "--json", str(told))
+    if "verdict" not in json.loads(told.read_text()):
+        raise AssertionError("no verdict")
+    what = f"diagnosis of {DIAGNOSED:g} s at {DIAGNOSED_RATE:g} Hz, one core"
+    yield {"what": f"{what}, CPU", "value": cpu, "unit": "s", "aim": 5, "aim_unit": "s"}
+    yield {
+        "what": f"{what}, wall",
+        **{"value": wall, "unit": "s", "ratio": DIAGNOSED / cpu, "against": "real time, by CPU"},
+    }
+    per_hour = cpu * HOUR / DIAGNOSED * RATE / DIAGNOSED_RATE
+    note = "as if it grew with the samples"
+    yield {"what": "diagnosis, per hour of 1 kHz, at most", "value": per_hour, "unit": "s", "note": note}
+
+
+def command(*arguments):
+    """CPU and wall time [s] of the command line on one core."""
+    before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, "-m", "hd_diag.cli", *arguments],
+        preexec_fn=one_core,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        raise RuntimeError(f"hd-diag {arguments[0]} ended with {done.returncode}: {done.stderr[-500:]}")
+    after, wall = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter() - start
+    return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime, wall
+
+
+def one_core():
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+
+
+def node(options):
+    """CPU of the node per message, beside a node that does nothing (bench_node.py)."""
+    if importlib.util.find_spec("rclpy") is None:
+        raise Skipped("rclpy is not installed")
+    with tempfile.TemporaryDirectory() as folder:
+        told = Path(folder) / "node.json"
+        run = [sys.executable, str(ROOT / "bench/bench_node.py"), "--joints", "1", "7", "--seconds", "4"]
+        done = subprocess.run([*run, "--json", str(told)], capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise RuntimeError(f"bench_node.py ended with {done.returncode}: {done.stderr[-500:]}")
+        rows = json.loads(told.read_text())
+    for row in rows:
+        yield {
+            "what": f"{row['node']}, {row['joints']} joint{'s' * (row['joints'] > 1)}, 1 kHz",
+            **{"value": row["cpu_per_message_us"], "unit": "us", "ratio": row["beside_empty"]},
+            **{"against": "empty rclpy node", "note": f"{row['lost']} lost" if row["lost"] else ""},
+        }
+
+
+PROCESSES = {"bags": bags, "node": node}

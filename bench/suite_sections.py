@@ -1,0 +1,259 @@
+"""Sections of bench/suite.py that run in its own process: model, maps, growth, a change at run time."""
+
+# ruff: noqa: D103
+
+from __future__ import annotations
+
+import dataclasses
+import time
+
+import bench_model
+import drives
+import models
+import numpy as np
+import paper_method
+from live import config, states
+from suite import cpu_time, median_time
+
+from hd_diag.drive import Drive, mesh_state, transmission_error
+from hd_diag.extended import ExtendedModel
+from hd_diag.map_builder import MapBuilder
+from hd_diag.model.torsion import Mesh, torsion
+from hd_diag.model.torsion_map import build
+from hd_diag.model.transmission_error import Kinematics
+from hd_diag.monitor import Monitor
+
+AGREEMENT = 1e-9  # [rad]
+TURNS = (0.3, 7.7, -4.1)  # moments at which both methods are compared and timed
+TORQUE = 56.0  # [N m]
+BATCH = 2000  # moments
+SAMPLES = 100_000
+US, NS = 1e6, 1e9
+TRANSMISSION_ERROR = "~/transmission_error"
+EFFECTS = (
+    "hysteresis",
+    "stream_delay",
+    "circular_spline_pitch",
+    "viscous_windup",
+    "thermal_drift",
+    "torque_offset",
+)
+
+
+def mesh() -> Mesh:
+    return Mesh(bench_model.DRIVE, bench_model.COMPLIANCE, bench_model.ECCENTRICITY)
+
+
+def moment(options):
+    """One moment of all teeth with their load: the paper's method, one call of this model, and a batch."""
+    gear, own = paper_method.Gear(), Drive(mesh(), Kinematics(-100.0), TORQUE)
+
+    def plainly():
+        return [paper_method.one_moment(gear, turn, bench_model.ECCENTRICITY, TORQUE)[0] for turn in TURNS]
+
+    turns, load = np.array(TURNS), np.full(len(TURNS), TORQUE)
+    state = mesh_state(own, turns, load)
+    differ = max(
+        np.abs(np.array(plainly()) - beta).max() for beta in (state.torsion, torsion(own.mesh, turns, load))
+    )
+    if not differ <= AGREEMENT:
+        raise AssertionError(f"the methods differ by {differ:.3g} rad")
+    agree = f"agree to {differ:.0e} rad"
+    slow = median_time(plainly) / len(TURNS)
+    yield {"what": "the paper's method: a search per pair, recursion", "value": slow * 1e3, "unit": "ms"}
+    one = median_time(mesh_state, own, turns[:1], load[:1])
+    against = "the paper's method"
+    yield {
+        "what": "one call: 200 teeth x 2 flanks and load",
+        **{"value": one * US, "unit": "us", "ratio": slow / one, "against": against, "note": agree},
+        **{"aim": 500, "aim_unit": "x"},
+    }
+    turn = np.linspace(0.0, 2 * np.pi, BATCH, endpoint=False)
+    torque = np.full(BATCH, TORQUE)
+    for what, function in (
+        ("200 teeth x 2 flanks and load", lambda: mesh_state(own, turn, torque)),
+        ("torsion alone", lambda: torsion(own.mesh, turn, torque)),
+    ):
+        each = median_time(function) / BATCH
+        row = {"value": each * US, "unit": "us", "ratio": slow / each, "against": against}
+        yield {"what": f"each of {BATCH}: {what}", **row, "aim": 5000, "aim_unit": "x"}
+        yield {"what": f"each of {BATCH}: {what}, on one core", **row, "aim": 20, "aim_unit": "us"}
+
+
+def maps(options):
+    """Building the map of the transmission error, and predictions by it."""
+    table, took = cpu_time(build, mesh(), bench_model.MAP_TORQUE)
+    yield {"what": "build and check, +-112 N m", "value": took, "unit": "s", "aim": 1, "aim_unit": "s"}
+    rng = np.random.default_rng(0)
+    torque = 50.0 * np.sin(1e-3 * np.arange(SAMPLES))
+    motions = {
+        "slow, 0.3 mrad per sample": 0.0003 * np.arange(SAMPLES),
+        "fast, 0.1 rad per sample": 0.1 * np.arange(SAMPLES),
+        "anywhere": rng.uniform(0.0, 2 * np.pi, SAMPLES),
+    }
+    exact = median_time(torsion, table.mesh, motions["anywhere"][:BATCH], torque[:BATCH]) / BATCH
+    for name, turn in motions.items():
+        each = median_time(table, turn, torque) / SAMPLES
+        yield {
+            "what": f"prediction, {name}",
+            **{"value": each * NS, "unit": "ns", "ratio": exact / each, "against": "exact torsion"},
+            **{"aim": 100, "aim_unit": "ns"},
+        }
+    one = median_time(table, motions["anywhere"][:1], torque[:1])
+    yield {"what": "prediction, one call for one sample", "value": one * US, "unit": "us"}
+
+
+def run_time(options):
+    """A change of the eccentricity while a monitor runs: in force with the next sample, its map soon after.
+
+    The prediction is compared with the exact one of the new eccentricity.
+    """
+    before = config("joint_1")
+    monitor, stamp = Monitor(before), 1_700_000_000_000_000_000
+    first = sample(stamp)
+    monitor.joint_states(np.array([stamp]), first)
+    changed = config("joint_1", joint_1__eccentricity__magnitude=17e-6)
+    builder, start = MapBuilder(), time.perf_counter()
+    try:
+        monitor.configure(changed)
+        builder.request(changed.joints[0])
+        published = monitor.joint_states(np.array([stamp + 1_000_000]), sample(stamp + 1_000_000))
+        in_force = time.perf_counter() - start
+        check_in_force(published, changed.joints[0].drive)
+        name, table = builder.finished.get(timeout=60.0)
+        if isinstance(table, Exception) or not monitor.use_map(name, table):
+            raise AssertionError(f"no map came of the change: {table}")
+        took = time.perf_counter() - start
+    finally:
+        builder.close()
+    yield {"what": "change and the next sample, exact, wall", "value": in_force * 1e3, "unit": "ms"}
+    yield {"what": "its map in use, wall", "value": took, "unit": "s", "aim": 1, "aim_unit": "s"}
+
+
+def check_in_force(published, drive):
+    found = next(each for each in published if each.topic == TRANSMISSION_ERROR)
+    expected = transmission_error(drive, np.array([0.7]), np.array([20.0]))
+    if not np.array_equal(np.ravel(found.position), expected):
+        raise AssertionError(f"predicted {found.position} rad instead of {expected}")
+
+
+def sample(stamp, joints=1):
+    """One message of so many joints with everything that they report."""
+    names = [name for k in range(1, joints + 1) for name in (f"joint_{k}_motor", f"joint_{k}")]
+    position = np.tile([0.7, 0.007], (1, joints))
+    effort = np.tile([0.0, 20.0], (1, joints))
+    return states(names, [stamp], position, effort)
+
+
+def growth(options):
+    """How each grows: with teeth, joints, samples and effects."""
+    yield from by_teeth()
+    yield from by_joints()
+    yield from by_samples()
+    yield from by_effects()
+
+
+def by_teeth():
+    first = None
+    for teeth, outward in ((60, 43.5e-6), (100, 20.7e-6), (160, 5.6e-6), (200, 0.0), (320, -8.4e-6)):
+        gear = drives.mesh(drives.resized(teeth, outward), eccentricity=(0.0, 5e-6))
+        turn = np.linspace(0.0, 2 * np.pi, 500)
+        each = median_time(torsion, gear, turn, np.full(500, 10.0), budget=0.3) / 500
+        first = first or each
+        yield {
+            "what": f"torsion, {teeth} teeth",
+            **{"value": each * US, "unit": "us", "ratio": each / first, "against": "60 teeth"},
+        }
+
+
+def by_joints():
+    first = None
+    for joints in (1, 2, 7, 14):
+        names = [f"joint_{k}" for k in range(1, joints + 1)]
+        settings, clock = config(*names, array_rate=0.0), [1_700_000_000_000_000_000]
+        monitor = Monitor(settings)
+        table = build(settings.joints[0].drive.mesh, bench_model.MAP_TORQUE)
+        for name in names:
+            monitor.use_map(name, table)
+        messages = iter([sample(clock[0] + k * 1_000_000, joints) for k in range(3000)])
+
+        def step(monitor=monitor, messages=messages):
+            message = next(messages)
+            monitor.joint_states(message.stamp, message)
+
+        step()
+        each = cpu_time(lambda step=step: [step() for _ in range(2000)])[1] / 2000
+        first = first or each
+        yield {
+            "what": f"monitor, one message of {joints} joint{'s' * (joints > 1)}",
+            **{"value": each * US, "unit": "us", "ratio": each / first, "against": "1 joint"},
+        }
+
+
+def by_samples():
+    table = build(mesh(), bench_model.MAP_TORQUE)
+    rng, first = np.random.default_rng(0), None
+    for count in (1, 100, 10_000, 1_000_000):
+        turn, torque = rng.uniform(0.0, 6.0, count), rng.uniform(-50.0, 50.0, count)
+        took = median_time(table, turn, torque, budget=0.5)
+        first = first or took
+        yield {
+            "what": f"map, {count:,} sample{'s' * (count > 1)} in one call",
+            **{"value": took * US, "unit": "us", "ratio": took / first, "against": "1 sample"},
+        }
+
+
+def by_effects():
+    names, count, first = EFFECTS, 2000, None
+    time_, angle, torque, temperature = models.motion(count)
+    table = build(models.model().drive.mesh, bench_model.MAP_TORQUE)
+    for number in (0, 1, 2, 4, len(names)):
+        whole: ExtendedModel = models.model(*names[:number])
+
+        def run(whole=whole):
+            return whole.step(whole.start(), time_, angle, None, torque, temperature, table)
+
+        each = median_time(run, budget=0.5) / count
+        first = first or each
+        yield {
+            "what": f"extended model, {number} effects, each of {count} samples",
+            **{"value": each * US, "unit": "us", "ratio": each / first, "against": "none"},
+        }
+
+
+def kernels(options):
+    """Compiled kernels against numpy on the same inputs; bench_model.py stops where they differ."""
+    rows = [*bench_model.cases(1000, 64), *bench_model.maps()]
+    for row in rows:
+        yield {
+            "what": row["case"],
+            **{"value": row["compiled"] * US, "unit": "us", "ratio": row["ratio"], "against": "numpy"},
+            "note": f"agree to {row['worst']:.0e} rad" if row["worst"] else "",
+        }
+
+
+def tolerance(options):
+    """Moments of a tolerance study: 96 angles of an assembly, everything that is judged of them."""
+    from hd_diag.tolerance.moments import evaluate, warm_up
+
+    warm_up()
+    own, turn = mesh(), np.linspace(0.0, 2 * np.pi, BATCH, endpoint=False)
+    center = np.full(BATCH, 9e-6 + 2e-6j)
+    each = median_time(evaluate, own, turn, center, np.array([-TORQUE])) / BATCH
+    yield {"what": "all criteria of a moment", "value": each * US, "unit": "us"}
+    assembly = dataclasses.replace(own, eccentricity=9e-6)
+    exact = median_time(torsion, assembly, turn, np.full(BATCH, -TORQUE)) / BATCH
+    yield {
+        "what": "torsion of the same moment",
+        **{"value": exact * US, "unit": "us", "ratio": each / exact, "against": "of all criteria"},
+    }
+
+
+SECTIONS = {
+    "moment": moment,
+    "maps": maps,
+    "run_time": run_time,
+    "growth": growth,
+    "kernels": kernels,
+    "tolerance": tolerance,
+}

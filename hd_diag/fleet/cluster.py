@@ -1,0 +1,133 @@
+"""Workers of a Dask scheduler; bags are read where the worker is."""
+
+from __future__ import annotations
+
+import logging
+import time
+import uuid
+from collections.abc import Callable
+from typing import Any
+
+from hd_diag.fleet.errors import FleetError
+from hd_diag.fleet.work import Failure, Lost, guarded
+
+_CONNECT = 10.0  # patience with the scheduler [s]
+_GATHER = 10.0  # with a result [s]
+_WORKERS = 60.0  # with a cluster that has no worker [s]
+
+
+class ClusterCrew:
+    """The worker processes of a Dask scheduler, whichever are there at a time; each does one task at a time.
+
+    A task is pinned to its worker, so that a death is the doing of one task only, and counted here.
+
+    Parameters
+    ----------
+    address : str
+        Of the scheduler.
+
+    Raises
+    ------
+    FleetError
+        Where there is none, or Dask is not installed.
+    """
+
+    def __init__(self, address: str) -> None:
+        try:
+            from distributed import Client
+        except ImportError as error:
+            raise FleetError(f"--scheduler needs Dask: pip install 'hd_diag[cluster]' ({error})") from error
+        # It would tell every worker that goes; what matters is told by the run.
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)
+        self._address = address
+        try:
+            self._client = Client(address, timeout=_CONNECT, set_as_default=False)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise FleetError(f"no Dask scheduler at {address}: {error}") from error
+        self._at_work: dict[Any, tuple[str, int]] = {}
+        self._seen = time.monotonic()
+
+    @property
+    def busy(self) -> int:
+        """Number of tasks that are being done."""
+        return len(self._at_work)
+
+    def idle(self) -> list[str]:
+        """Workers without a task of this run."""
+        taken = {worker for worker, _ in self._at_work.values()}
+        return [worker for worker in self._workers() if worker not in taken]
+
+    def send(self, worker: str, number: int, function: Callable[[Any], Any], item: Any) -> None:
+        """Have a worker do a task."""
+        key = f"hd_diag-{uuid.uuid4()}"
+        future = self._client.submit(guarded, function, item, workers=[worker], key=key, pure=False)
+        self._at_work[future] = worker, number
+
+    def done(self, patience: float) -> list[tuple[int, Any]]:
+        """Numbers and outcomes of tasks that have ended."""
+        if not self._at_work:
+            time.sleep(patience)
+            return []
+        self._await(patience)
+        workers = self._workers()
+        outcomes = []
+        for future, (worker, number) in list(self._at_work.items()):
+            outcome = self._outcome(future, worker, worker in workers)
+            if outcome is not None:
+                del self._at_work[future]
+                future.cancel()
+                outcomes.append((number, outcome))
+        return outcomes
+
+    def _await(self, patience: float) -> None:
+        from distributed import wait
+
+        try:
+            wait(list(self._at_work), timeout=patience, return_when="FIRST_COMPLETED")
+        except TimeoutError:
+            return
+        except Exception as error:
+            # Lost futures are found by their state; anything else is the scheduler's end.
+            if self._client.status != "running":
+                raise self._gone() from error
+
+    def _outcome(self, future: Any, worker: str, alive: bool) -> Any:
+        """Result, `Failure` or `Lost`; None while the task is being done."""
+        from distributed import KilledWorker
+
+        if future.status == "finished":
+            try:
+                return future.result(timeout=_GATHER)
+            except Exception as error:  # whatever Dask makes of a worker that died with the result
+                return Lost(f"{worker}: {error}")
+        if future.status == "error":
+            raised = future.exception(timeout=_GATHER)
+            if isinstance(raised, ImportError):
+                raise FleetError(f"worker {worker} cannot import what it needs: {raised}")
+            lost = isinstance(raised, KilledWorker)
+            return Lost(f"{worker} is gone") if lost else Failure(f"{type(raised).__name__}: {raised}")
+        if future.status in ("cancelled", "lost") or not alive:
+            return Lost(f"{worker} is gone")
+        return None
+
+    def _workers(self) -> list[str]:
+        try:
+            workers = list(self._client.nthreads())
+        except (OSError, TimeoutError, ValueError, RuntimeError) as error:
+            raise self._gone() from error
+        now = time.monotonic()
+        self._seen = now if workers else self._seen
+        if now - self._seen > _WORKERS:
+            raise FleetError(f"the scheduler at {self._address} has had no worker for {_WORKERS:.0f} s")
+        return workers
+
+    def _gone(self) -> FleetError:
+        return FleetError(f"the scheduler at {self._address} is gone")
+
+    def __enter__(self) -> ClusterCrew:
+        return self
+
+    def __exit__(self, *reason: object) -> None:
+        for future in self._at_work:
+            future.cancel()
+        self._client.close(timeout=_GATHER)

@@ -1,0 +1,105 @@
+"""The picture of a fleet: every series over time with its steps or its drift."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
+from matplotlib.figure import Figure
+
+from hd_diag.fleet.errors import FleetError
+from hd_diag.fleet.told import SHOWN
+from hd_diag.fleet.trend import Trend
+
+MOST = 24
+"""Panels in a picture; of more series those with the clearest changes are drawn."""
+
+_COLUMNS = 3
+_PANEL = (4.6, 2.6)  # [inch]
+_LIMIT_NEAR = 3.0  # times the largest value; a limit farther off would press the series flat
+
+
+def check_format(path: Path) -> None:
+    """FleetError where a picture cannot have this suffix."""
+    known = Figure().canvas.get_supported_filetypes()
+    if path.suffix[1:].lower() not in known:
+        raise FleetError(f"{path}: no picture format; known are {', '.join(sorted(known))}")
+
+
+def draw(trends: Sequence[Trend], path: Path) -> None:
+    """Draw the series, the clearest changes first.
+
+    Parameters
+    ----------
+    trends : sequence of Trend
+    path : Path
+
+    Raises
+    ------
+    FleetError
+        Where it cannot be written.
+    """
+    figure = picture(trends)
+    try:
+        figure.savefig(path, dpi=120)
+    except OSError as error:
+        raise FleetError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def picture(trends: Sequence[Trend]) -> Figure:
+    """The figure; see `draw`."""
+    there = [trend for trend in trends if trend.series.value.size]
+    shown = sorted(there, key=_clearness)[:MOST]
+    lines = max(-(-len(shown) // _COLUMNS), 1)
+    figure = Figure(figsize=(_COLUMNS * _PANEL[0], lines * _PANEL[1] + 0.4), layout="constrained")
+    for place, trend in enumerate(shown, start=1):
+        _panel(figure.add_subplot(lines, _COLUMNS, place), trend)
+    left_off = f"; {len(there) - len(shown)} more series are not drawn" if len(there) > len(shown) else ""
+    figure.suptitle(f"{len(there)} series, 1 σ bars{left_off}", fontsize="medium")
+    return figure
+
+
+def _clearness(trend: Trend) -> float:
+    """Corrected p-value of the clearer change; 2 where nothing could be tested."""
+    known = [q for q in (trend.step_q, trend.drift_q) if np.isfinite(q)]
+    return min(known, default=2.0)
+
+
+def _panel(axes: Axes, trend: Trend) -> None:
+    series, (scale, unit) = trend.series, SHOWN[trend.series.unit]
+    spread = np.where(np.isfinite(series.std), series.std, 0.0) / scale
+    axes.errorbar(_dates(series.time), series.value / scale, spread, fmt=".", color="C0", elinewidth=0.8)
+    _fit(axes, trend, scale)
+    if series.limit <= _LIMIT_NEAR * series.value.max():
+        axes.axhline(series.limit / scale, color="C3", linestyle=":")
+    name = f"{series.robot} {series.joint}".strip()
+    axes.set_title(
+        f"{name}: {series.quantity.replace('_', ' ')}: {trend.form}", fontsize="small", parse_math=False
+    )
+    axes.set_ylabel(f"[{unit}]")
+    locator = AutoDateLocator(minticks=2, maxticks=6)
+    axes.xaxis.set_major_locator(locator)
+    axes.xaxis.set_major_formatter(ConciseDateFormatter(locator))
+
+
+def _fit(axes: Axes, trend: Trend, scale: float) -> None:
+    series = trend.series
+    if trend.form == "drift" and trend.slope is not None:
+        ends = series.time[[0, -1]]
+        line = trend.slope.start + trend.slope.value * (ends - series.time[0])
+        axes.plot(_dates(ends), line / scale, color="C1")
+    if trend.form == "steps":
+        edges = np.searchsorted(series.time, [change.after for change in trend.changes])
+        for rows in np.split(np.arange(series.time.size), edges):
+            mean = np.average(series.value[rows], weights=trend.weights[rows])
+            axes.plot(_dates(series.time[rows[[0, -1]]]), np.full(2, mean / scale), color="C1")
+        for change in trend.changes:
+            axes.axvspan(*_dates(np.array([change.low, change.high])), color="C1", alpha=0.15)
+
+
+def _dates(time: npt.NDArray[np.float64]) -> npt.NDArray[np.datetime64]:
+    return np.asarray((time * 1e6).astype("datetime64[us]"))

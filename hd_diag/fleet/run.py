@@ -1,0 +1,141 @@
+"""A run over many bags: look at each, judge what is not known yet, put the rows together."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from hd_diag.config import Config, JointConfig
+from hd_diag.fleet.errors import FleetError
+from hd_diag.fleet.rows import Row, Task, judge, tasks
+from hd_diag.fleet.store import Journal
+from hd_diag.fleet.survey import Survey, survey
+from hd_diag.fleet.work import Crew, Failure, run
+from hd_diag.parameters import shown
+from hd_diag.versions import running
+
+Progress = Callable[[str, int, int, int], None]
+"""Told the stage, how much of it is done, how much it has, and how many tasks are done."""
+
+_NAMES_SHOWN = 8
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """Which bags, which joints, and what tells the robots apart.
+
+    Parameters
+    ----------
+    bags : sequence of Path
+    config : Config
+    joints : tuple of JointConfig
+        Of that configuration.
+    robot : re.Pattern or None
+        Its first group (or the whole match) in a bag's path names the robot; None = one robot.
+    """
+
+    bags: Sequence[Path]
+    config: Config
+    joints: tuple[JointConfig, ...]
+    robot: re.Pattern[str] | None = None
+
+    def robot_of(self, bag: Path) -> str | None:
+        """Name of a bag's robot; FleetError where the pattern finds none."""
+        if self.robot is None:
+            return None
+        match = self.robot.search(str(bag))
+        if match is None:
+            raise FleetError(f"{shown(str(bag))}: --robot {self.robot.pattern} matches nothing in its path")
+        return "".join(c for c in (match[1] if self.robot.groups else match[0]) or "" if c.isprintable())
+
+
+def diagnose_fleet(
+    fleet: Fleet,
+    crew: Crew,
+    journal: Journal,
+    progress: Progress = lambda stage, done, total, tasks: None,
+    tick: Callable[[], None] = lambda: None,
+) -> list[Row]:
+    """Rows of every joint of every bag, in the order of bags and joints.
+
+    Parameters
+    ----------
+    fleet : Fleet
+    crew : Crew
+    journal : Journal
+        What it holds is not done again; every result goes into it as it comes.
+    progress, tick : callable
+        See `Progress` and `hd_diag.fleet.work.run`.
+
+    Returns
+    -------
+    list of dict
+        A bag or joint that cannot be judged has a row with ``error``.
+
+    Raises
+    ------
+    FleetError
+        Where workers are gone, have another version, or the journal cannot be written.
+    """
+    robots = [fleet.robot_of(bag) for bag in fleet.bags]
+    seen = _surveys(fleet, crew, progress, tick)
+    wanted = [tasks(one, fleet.config, fleet.joints) for one in seen]
+    todo = {task.key: task for own in wanted for task in own if task.key not in journal.results}
+    failed = _judge(list(todo.values()), crew, journal, progress, tick)
+    rows = []
+    for bag, robot, one, own in zip(fleet.bags, robots, seen, wanted, strict=True):
+        fixed = {"bag": str(bag), "robot": robot, "start": one.start, "problems": list(one.problems)}
+        fixed["bag_sha256"] = one.digest or None
+        results = [journal.results.get(task.key) or failed[task.key] for task in own]
+        rows += [{**fixed, **result} for result in results or [_unusable(one, fleet.joints)]]
+    return rows
+
+
+def _surveys(fleet: Fleet, crew: Crew, progress: Progress, tick: Callable[[], None]) -> list[Survey]:
+    paths = [os.path.abspath(bag) for bag in fleet.bags]  # a worker may be in another folder
+    found: dict[str, Survey] = {}
+    progress("reading", 0, len(paths), 0)
+    for path, outcome in run(crew, survey, paths, tick):
+        found[path] = Survey(path, error=outcome.text) if isinstance(outcome, Failure) else outcome
+        _check_version(found[path])
+        progress("reading", len(found), len(paths), len(found))
+    return [found[path] for path in paths]
+
+
+def _check_version(seen: Survey) -> None:
+    here, there = running()["hd_diag"], seen.versions["hd_diag"]
+    if here != there:
+        raise FleetError(f"a worker has hd_diag {there}, this is {here}: install the same everywhere")
+
+
+def _judge(
+    todo: list[Task], crew: Crew, journal: Journal, progress: Progress, tick: Callable[[], None]
+) -> dict[str, Row]:
+    """Fill the journal; what gave no result is returned, and tried again by the next run."""
+    failed: dict[str, Row] = {}
+    todo.sort(key=lambda task: -task.messages)  # the long ones first, or the last would keep all waiting
+    total, samples = sum(task.messages for task in todo), 0
+    progress("diagnosing", 0, total, 0)
+    for number, (task, outcome) in enumerate(run(crew, judge, todo, tick), start=1):
+        if isinstance(outcome, Failure):
+            failed[task.key] = {
+                "joint": task.joint.name,
+                "config_sha256": task.config_digest,
+                "error": outcome.text,
+            }
+        else:
+            journal.add(task.key, outcome)
+        samples += task.messages
+        progress("diagnosing", samples, total, number)
+    return failed
+
+
+def _unusable(seen: Survey, joints: tuple[JointConfig, ...]) -> Row:
+    names = sorted(seen.names)
+    more = f" and {len(names) - _NAMES_SHOWN} more" if len(names) > _NAMES_SHOWN else ""
+    wanted = ", ".join(shown(joint.output_joint) for joint in joints[:_NAMES_SHOWN])
+    held = ", ".join(map(shown, names[:_NAMES_SHOWN])) or "nothing"
+    return {"error": seen.error.partition(": ")[2] or seen.error or f"no {wanted}; it has {held}{more}"}

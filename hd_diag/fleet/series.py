@@ -1,0 +1,119 @@
+"""Rows as series: eccentricity, residuals and the amplitude of each cause of one joint over time."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+
+from hd_diag.fleet.rows import Row
+from hd_diag.fleet.trend import Series
+
+ECCENTRICITY = "eccentricity"
+NOMINAL = "residual_nominal"
+REFIT = "residual_refit"
+
+_SIGMAS_95 = 2.0 * 1.959964  # width of a 95 % interval in standard deviations
+_UNSEEN = 0.5  # of the least size found: what may be there unseen lies within two such deviations
+
+Point = tuple[float, float, float]  # time [s], value, standard deviation
+
+
+def series_of(rows: Sequence[Row], limits: Mapping[tuple[str, str], float]) -> list[Series]:
+    """Series of every joint of every robot that has been judged.
+
+    Parameters
+    ----------
+    rows : sequence of dict
+    limits : mapping
+        By joint and quantity, in the quantity's unit.
+
+    Returns
+    -------
+    list of Series
+        Eccentricity where the refit is trustworthy [m]; held-out residuals, nominal and refitted [rad]; the
+        amplitude of each cause that was found at least once [rad rms]. Where a cause was not found but could
+        have been, its amplitude is 0 with half the least size found as standard deviation; names that a
+        record could not tell apart make one cause.
+    """
+    joints: dict[tuple[str, str], list[Row]] = defaultdict(list)
+    for row in sorted(rows, key=lambda row: (row.get("start") or 0, row["bag"])):
+        if row.get("start") is not None and row.get("rms_nominal_rad") is not None:
+            joints[row.get("robot") or "", row["joint"]].append(row)
+    return [
+        _series(robot, joint, quantity, points, limits)
+        for (robot, joint), own in sorted(joints.items())
+        for quantity, points in _quantities(own).items()
+    ]
+
+
+def _series(
+    robot: str,
+    joint: str,
+    quantity: str,
+    points: list[Point],
+    limits: Mapping[tuple[str, str], float],
+) -> Series:
+    time, value, std = np.array(points).reshape(-1, 3).T
+    unit = "m" if quantity == ECCENTRICITY else "rad"
+    names = quantity.split(" or ")
+    limit = min((limits[joint, name] for name in names if (joint, name) in limits), default=math.nan)
+    return Series(robot, joint, quantity, unit, time, value, std, limit)
+
+
+def _quantities(rows: list[Row]) -> dict[str, list[Point]]:
+    found = {
+        ECCENTRICITY: [
+            (_time(row), row["eccentricity_m"], _known(row["eccentricity_std_m"]))
+            for row in rows
+            if row.get("trustworthy") and row.get("eccentricity_m") is not None
+        ],
+        NOMINAL: [_residual(row, row["rms_nominal_rad"]) for row in rows],
+        REFIT: [_residual(row, row["rms_refit_rad"]) for row in rows],
+    }
+    for names in classes(row.get("cause_classes") or [] for row in rows):
+        points = [_amplitude(row, names) for row in rows]
+        if any(point is not None and point[1] > 0.0 for point in points):
+            found[" or ".join(sorted(names))] = [point for point in points if point is not None]
+    return found
+
+
+def classes(of_rows: Iterable[Sequence[Sequence[str]]]) -> list[frozenset[str]]:
+    """Names of causes, those together that any row could not tell apart, in the order of their names."""
+    merged: list[frozenset[str]] = []
+    for alike in (frozenset(names) for row in of_rows for names in row):
+        touching = [one for one in merged if one & alike]
+        merged = [one for one in merged if one not in touching] + [alike.union(*touching)]
+    return sorted(merged, key=sorted)
+
+
+def _amplitude(row: Row, names: frozenset[str]) -> Point | None:
+    """Amplitude of a cause in a row; None where the record could not have shown it."""
+    for name, size, std in zip(
+        row["causes"], row["cause_amplitudes_rad"], row["cause_amplitude_stds_rad"], strict=True
+    ):
+        if name in names:
+            return None if size is None else (_time(row), size, _known(std))
+    least = [
+        size
+        for name, size in zip(row["tested"], row["tested_least_rad"], strict=True)
+        if name in names and size is not None
+    ]
+    return (_time(row), 0.0, _UNSEEN * min(least)) if least else None
+
+
+def _residual(row: Row, rms: float) -> Point:
+    """A residual, its deviation in proportion to that of the noise floor."""
+    noise, low, high = (row[f"noise_floor{end}_rad"] for end in ("", "_low", "_high"))
+    known = None not in (noise, low, high) and noise > 0.0
+    return _time(row), rms, (high - low) / _SIGMAS_95 / noise * rms if known else math.nan
+
+
+def _time(row: Row) -> float:
+    return float(row["start"]) * 1e-9
+
+
+def _known(value: float | None) -> float:
+    return math.nan if value is None else value

@@ -1,0 +1,120 @@
+"""What a bag holds, before anything is fitted: content, time, joints; and which bags there are."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from hd_diag.bag import BagError, BagReader
+from hd_diag.messages import JOINT_STATE, OWN_OUTPUTS
+from hd_diag.recording import joints_in
+from hd_diag.versions import Versions, running
+
+SUFFIXES = (".mcap", ".db3")
+_PART = 1 << 20  # read at a time [byte]
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What was seen of one bag; with an `error` nothing else is.
+
+    Attributes
+    ----------
+    path : str
+    digest : str
+        SHA-256 of the contents, the same under every name.
+    start : int or None
+        First log time [ns since 1970]; None for an empty bag.
+    messages : int
+        With joint states.
+    names : frozenset of str
+        That the joint states hold.
+    problems : tuple of str
+        What is unfinished about the bag's files.
+    error : str
+        Why it cannot be read; empty where it can.
+    versions : mapping
+        Of the worker that looked.
+    """
+
+    path: str
+    digest: str = ""
+    start: int | None = None
+    messages: int = 0
+    names: frozenset[str] = frozenset()
+    problems: tuple[str, ...] = ()
+    error: str = ""
+    versions: Versions = field(default_factory=running)
+
+
+def find_bags(given: Iterable[Path]) -> list[Path]:
+    """Bags among files and folders, each once, in the order of their names within each folder.
+
+    Parameters
+    ----------
+    given : iterable of Path
+        Bags, or folders that hold bags at any depth. A folder with a ``metadata.yaml`` is one bag; in other
+        folders every ``.mcap`` and ``.db3`` file is one.
+
+    Returns
+    -------
+    list of Path
+        A folder that cannot be listed is among them, for its error to be told.
+    """
+    unique: dict[str, Path] = {}
+    for path in given:
+        for bag in _within(path) if path.is_dir() else [path]:
+            unique.setdefault(os.path.realpath(bag), bag)
+    return list(unique.values())
+
+
+def _within(folder: Path) -> Iterator[Path]:
+    unreadable: list[Path] = []
+    for place, folders, files in os.walk(folder, onerror=lambda e: unreadable.append(Path(str(e.filename)))):
+        folders.sort()
+        if "metadata.yaml" in files:
+            folders.clear()
+            yield Path(place)
+            continue
+        yield from (Path(place, name) for name in sorted(files) if name.endswith(SUFFIXES))
+    yield from unreadable
+
+
+def survey(path: str) -> Survey:
+    """Look at a bag: every byte is read twice, nothing is kept.
+
+    Parameters
+    ----------
+    path : str
+
+    Returns
+    -------
+    Survey
+    """
+    try:
+        with BagReader(path) as reader:
+            topics = [t for t in reader.topics if t.type_name == JOINT_STATE]
+            measured = [t.count for t in topics if not t.name.endswith(OWN_OUTPUTS)]
+            start = reader.start if reader.message_count else None
+            digest = _digest(reader.paths)
+            problems = tuple(reader.problems)
+        names = frozenset(joints_in([path]))
+    except BagError as error:
+        return Survey(path, error=str(error))
+    except OSError as error:
+        return Survey(path, error=str(BagError(path, error)))
+    return Survey(path, digest, start, sum(measured), names, problems)
+
+
+def _digest(files: Iterable[Path]) -> str:
+    total = hashlib.sha256()
+    for file in files:
+        own = hashlib.sha256()
+        with file.open("rb") as opened:
+            while part := opened.read(_PART):
+                own.update(part)
+        total.update(own.digest())
+    return total.hexdigest()

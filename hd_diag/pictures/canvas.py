@@ -1,0 +1,147 @@
+"""The sheet of every picture: its size, letters, and colours that a colour-blind reader can tell apart."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, ParamSpec
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.transforms import ScaledTranslation
+
+P = ParamSpec("P")
+
+WIDTH = 3.75
+"""Width of every picture [inch]: that of a phone, so that letters keep their size there."""
+
+_COLUMNS = 2  # of a legend: three do not fit a phone
+_ROW = 12.5  # height of a legend's row [points]
+
+INK = "#15181d"
+"""Letters, axes and measured values; a page may replace it by the colour of its own text."""
+
+GRID = "#8a9099"
+
+# Okabe and Ito's colours for all kinds of colour vision, darkened to 3:1 and more against white and black.
+NOMINAL, REFIT, EXTENDED = "#d55e00", "#0072b2", "#00875f"
+ACCENT = "#a8508b"
+SERIES = ("#0072b2", "#00875f", "#b07800", "#d55e00", "#a8508b", "#5a6b7b")
+"""For curves of one family, which are told apart by their dashes too."""
+
+DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (2, 1.2)), (0, (6, 1.5, 1.5, 1.5)), (0, (1, 1)), "--")
+
+STYLE: Any = {
+    "font.size": 8.5,
+    "font.family": "DejaVu Sans",
+    "axes.titlesize": 8.5,
+    "axes.titlelocation": "left",
+    "axes.labelsize": 8.5,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "legend.fontsize": 8.0,
+    "legend.frameon": False,
+    "legend.handlelength": 2.2,
+    "legend.columnspacing": 1.2,
+    "legend.borderaxespad": 0.0,
+    "legend.borderpad": 0.0,
+    "legend.labelspacing": 0.25,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "axes.titlecolor": INK,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": GRID,
+    "grid.alpha": 0.35,
+    "grid.linewidth": 0.5,
+    "axes.axisbelow": True,
+    "axes.unicode_minus": True,
+    "axes.formatter.useoffset": False,
+    "axes.formatter.use_mathtext": False,
+    "lines.linewidth": 1.3,
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
+    "savefig.facecolor": "none",
+    # A name such as $\frac$ is letters, not mathematics.
+    "text.parse_math": False,
+    "text.usetex": False,
+    # The same picture is the same file: ids come from a fixed salt, letters stay letters.
+    "svg.hashsalt": "hd_diag",
+    "svg.fonttype": "none",
+    "pdf.fonttype": 42,
+    "path.simplify_threshold": 0.1,
+}
+
+
+def drawn(picture: Callable[P, Figure]) -> Callable[P, Figure]:
+    """The picture, drawn in this house's style whatever matplotlib is set to."""
+
+    @functools.wraps(picture)
+    def draw(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        with styled():
+            return picture(*args, **kwargs)
+
+    return draw
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """The style of this package, as long as a figure is drawn or written."""
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(STYLE)
+        yield
+
+
+def sheet(height: float, rows: int = 1, **options: Any) -> tuple[Figure, list[Axes]]:
+    """An empty figure with panels one above the other.
+
+    Parameters
+    ----------
+    height : float
+        [inch]
+    rows : int
+    **options
+        For `Figure.subplots`.
+
+    Returns
+    -------
+    figure : Figure
+    axes : list of Axes
+    """
+    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    axes = figure.subplots(rows, 1, squeeze=False, **options)
+    return figure, list(axes[:, 0])
+
+
+def titled(axes: Axes, title: str, raised: float = 0.0) -> None:
+    """A title and, under it, a legend: above the panel, where they cover nothing.
+
+    Parameters
+    ----------
+    axes : Axes
+    title : str
+    raised : float
+        Height left free between panel and legend [points].
+    """
+    handles, labels = axes.get_legend_handles_labels()
+    rows = -(-len(labels) // _COLUMNS)
+    axes.set_title(title, pad=5.0 + raised + _ROW * rows)
+    if rows:
+        up = ScaledTranslation(0.0, (3.0 + raised) / 72.0, axes.figure.dpi_scale_trans)
+        anchor = {"bbox_to_anchor": (0.0, 1.0), "bbox_transform": axes.transAxes + up}
+        axes.legend(handles, labels, loc="lower left", ncols=_COLUMNS, **anchor)
+
+
+def turn(axes: Axes, label: str) -> None:
+    """An axis over one turn in degrees."""
+    axes.set_xlim(0.0, 360.0)
+    axes.set_xticks(range(0, 361, 60))
+    axes.set_xlabel(label)

@@ -1,0 +1,166 @@
+"""Backlash and load of every tooth over a turn of the input, and what a record's own moments did to them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.drive import Drive, mesh_state
+
+Floats = npt.NDArray[np.float64]
+
+_ANGLES = 180  # over a turn of the input
+_DIRECTIONS = 120  # around the gear
+_MOMENTS = 720  # of the record
+_STRONG = 99.0  # percentile of a record's torque for which the map is drawn
+_TURN = 2.0 * np.pi
+
+
+@dataclass(frozen=True)
+class Teeth:
+    """Teeth over a turn of the input at one torque.
+
+    Attributes
+    ----------
+    torque : float
+        On the link [N m].
+    input_angle : ndarray, shape (angles,)
+        As reported, over one turn [rad].
+    backlash : ndarray, shape (angles, Z_R)
+        Lesser of both flanks [m], nan where a pair cannot touch.
+    load : ndarray, shape (angles, Z_R)
+        Sum of both flanks [N].
+    visited : ndarray of bool, shape (angles,)
+        Whether the record was there.
+    moment : int
+        Index of the angle with the greatest force on a tooth.
+    tooth_direction : ndarray, shape (Z_R,)
+        Where the teeth stand then, in the housing [rad].
+    direction, least_backlash, greatest_load : ndarray, shape (directions,)
+        Around the housing [rad], over the whole turn [m], [N].
+    long_axis, eccentricity : float
+        Direction of the wave generator's long axis at that moment, and of its displacement [rad].
+    displacement : float
+        Size of that displacement [m].
+    """
+
+    torque: float
+    input_angle: Floats
+    backlash: Floats
+    load: Floats
+    visited: npt.NDArray[np.bool_]
+    moment: int
+    tooth_direction: Floats
+    direction: Floats
+    least_backlash: Floats
+    greatest_load: Floats
+    long_axis: float
+    eccentricity: float
+    displacement: float
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a record's moments were: least backlash [m], greatest force [N], loaded flanks, overlap [m]."""
+
+    moments: int
+    least_backlash: float
+    greatest_load: float
+    fewest_pairs: int
+    most_pairs: int
+    overlap: float
+
+
+def strongest_torque(torque: Floats) -> float:
+    """The torque that a record hardly exceeds, in its stronger direction [N m]."""
+    low, high = (float(np.percentile(torque, q)) for q in (100.0 - _STRONG, _STRONG))
+    return high if high >= -low else low
+
+
+def teeth(drive: Drive, input_angle: Floats, torque: float) -> Teeth:
+    """Teeth over a turn.
+
+    Parameters
+    ----------
+    drive : Drive
+    input_angle : ndarray, shape (n,)
+        Where the record was [rad].
+    torque : float
+        On the link [N m].
+
+    Returns
+    -------
+    Teeth
+    """
+    kinematics, geometry = drive.kinematics, drive.mesh.geometry
+    angle = _TURN * (np.arange(_ANGLES) + 0.5) / _ANGLES
+    state = mesh_state(drive, angle, kinematics.cup_torque(np.full(_ANGLES, torque)))
+    backlash, load = np.fmin(state.backlash[:, 0], state.backlash[:, 1]), state.load.sum(axis=1)
+    turned = kinematics.wave_generator_angle(geometry, angle)
+    place = _directions(turned, geometry.flexspline_teeth, geometry.circular_spline_teeth)
+    seen = np.bincount((np.mod(input_angle, _TURN) / _TURN * _ANGLES).astype(np.int64) % _ANGLES)
+    visited = np.zeros(_ANGLES, dtype=bool)
+    visited[: seen.size] = seen > 0
+    at = int(np.argmax(load.max(axis=1)))
+    displacement = complex(drive.mesh.displacement(turned[at : at + 1])[0])
+    around, least, greatest = _around(place, backlash, load)
+    return Teeth(
+        torque,
+        angle,
+        backlash,
+        load,
+        visited,
+        at,
+        place[at],
+        around,
+        least,
+        greatest,
+        float(np.mod(turned[at], _TURN)),
+        float(np.angle(displacement)),
+        abs(displacement),
+    )
+
+
+def _directions(turned: Floats, teeth: int, slots: int) -> Floats:
+    """Where the teeth stand in the housing, shape (angles, teeth) [rad]; their bending is left out."""
+    cup = -turned[:, None] * ((slots - teeth) / teeth)
+    return np.asarray(np.mod(cup + _TURN * np.arange(teeth) / teeth, _TURN))
+
+
+def _around(place: Floats, backlash: Floats, load: Floats) -> tuple[Floats, Floats, Floats]:
+    """Direction in the housing, least backlash and greatest load there over a turn."""
+    index = (place / _TURN * _DIRECTIONS).astype(np.int64) % _DIRECTIONS
+    least, greatest = np.full(_DIRECTIONS, np.inf), np.zeros(_DIRECTIONS)
+    known = np.isfinite(backlash)
+    np.minimum.at(least, index[known], backlash[known])
+    np.maximum.at(greatest, index.ravel(), load.ravel())
+    least[~np.isfinite(least)] = np.nan
+    return _TURN * (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS, least, greatest
+
+
+def done(drive: Drive, input_angle: Floats, torque: Floats) -> Done:
+    """What the record's own angles and torques did to the teeth.
+
+    Parameters
+    ----------
+    drive : Drive
+    input_angle, torque : ndarray, shape (n,)
+        As reported [rad], on the link [N m]; of many, moments at equal distances are looked at.
+
+    Returns
+    -------
+    Done
+    """
+    rows = np.unique(np.linspace(0, input_angle.size - 1, _MOMENTS).astype(np.int64))
+    state = mesh_state(drive, input_angle[rows], drive.kinematics.cup_torque(torque[rows]))
+    pairs = state.loaded_pairs
+    return Done(
+        rows.size,
+        float(np.nanmin(state.minimum_backlash)),
+        float(np.max(state.peak_load)),
+        int(pairs.min()),
+        int(pairs.max()),
+        float(np.nanmax(state.overlap)),
+    )

@@ -1,0 +1,104 @@
+"""Numbers as people read them: µm, arcsec, degrees, with as many digits as their spread allows."""
+
+from __future__ import annotations
+
+import math
+
+from hd_diag.effects.effect import Quantity
+from hd_diag.model.torsion_map import ARCSEC
+
+_DEGREE = math.pi / 180.0
+_TURN = 2.0 * math.pi
+_DIGITS = 3  # of a number without a spread
+_MOST_DECIMALS = 6
+
+_SCALES = {
+    "m": (1e-6, "µm"),
+    "rad": (ARCSEC, "arcsec"),
+    "rad/(N m)": (ARCSEC, "arcsec/(N m)"),
+    "rad/K": (ARCSEC, "arcsec/K"),
+    "m/N": (1e-9, "nm/N"),
+    "s": (1e-6, "µs"),
+    "rad/s": (_TURN, "per second"),
+    "N m": (1.0, "N m"),
+    "-": (1.0, ""),
+}
+
+
+def number(value: float, spread: float = math.nan, digits: int = _DIGITS) -> str:
+    """A number with the digits that its spread leaves sense to: one of its own, two if it begins with 1.
+
+    Parameters
+    ----------
+    value : float
+    spread : float
+        Standard deviation; nan or zero where there is none.
+    digits : int
+        Significant ones where there is no spread.
+
+    Returns
+    -------
+    str
+        A dash where the value is not finite.
+    """
+    if not math.isfinite(value):
+        return "–"
+    told = spread
+    if not (math.isfinite(spread) and spread > 0.0):
+        told = abs(value) and 2.0 * 10.0 ** (math.floor(math.log10(abs(value))) + 1 - digits)
+    decimals = _decimals(told) if told > 0.0 else 0
+    return _signed(f"{value:.{min(max(decimals, 0), _MOST_DECIMALS)}f}")
+
+
+def _decimals(spread: float) -> int:
+    """Places after the point that a spread's own digits reach."""
+    exponent = math.floor(math.log10(spread))
+    return (1 if spread < 2.0 * 10.0**exponent else 0) - exponent
+
+
+def _signed(text: str) -> str:
+    """With a true minus, and none before a zero."""
+    return text.removeprefix("-") if not text.strip("-0.") else text.replace("-", "−")
+
+
+def spread_number(value: float, spread: float, unit: str) -> str:
+    """A number with its standard deviation and unit."""
+    if not (math.isfinite(spread) and spread > 0.0):
+        return f"{number(value)} {unit}".strip()
+    return f"{number(value, spread)} ± {number(spread, spread)} {unit}".strip()
+
+
+def si(value: float, spread: float, unit: str) -> str:
+    """A value in SI, told in the unit that people use for it."""
+    scale, told = _SCALES.get(unit, (1.0, unit))
+    return spread_number(value / scale, spread / scale, told)
+
+
+def direction(value: float, spread: float, period: float) -> str:
+    """A direction [rad] in degrees, with the turn after which it is the same again."""
+    text = spread_number(math.degrees(value % period), math.degrees(spread), "°").replace(" °", "°")
+    return f"{text} (modulo {math.degrees(period):.0f}°)" if period < 6.28 else text
+
+
+def quantity(entry: Quantity, value: float, spread: float) -> str:
+    """The value of an effect's quantity."""
+    if entry.periodic is not None:
+        return direction(value, spread, entry.periodic)
+    if entry.unit == "rad" and entry.name == "angle":
+        return spread_number(value / _DEGREE, spread / _DEGREE, "°")
+    return si(value, spread, entry.unit)
+
+
+def arcsec(value: float) -> str:
+    """An angle [rad] in arcsec, to a hundredth."""
+    return f"{_signed(f'{value / ARCSEC:.2f}')} arcsec" if math.isfinite(value) else "–"
+
+
+def words(name: str) -> str:
+    """A machine name in words."""
+    return name.replace("_", " ")
+
+
+def visible(text: str) -> str:
+    """Text with every character that does not print, or that turns the direction of others, spelled out."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)

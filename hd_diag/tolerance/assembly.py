@@ -1,0 +1,322 @@
+"""Assemblies drawn from tolerances, their worst over a turn, and the share of them within the limits."""
+
+from __future__ import annotations
+
+import cmath
+import dataclasses
+import functools
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy import stats
+
+from hd_diag.drive import Drive
+from hd_diag.tolerance.criteria import over_turn, reference_stiffness
+from hd_diag.tolerance.moments import Moments, evaluate
+from hd_diag.tolerance.settings import Spread
+from hd_diag.tolerance.workers import Workers
+
+Floats = npt.NDArray[np.float64]
+
+FACTORS = (
+    "eccentricity",
+    "eccentricity.direction",
+    "runout",
+    "runout.direction",
+    "circular_spline_datum",
+    "pitch",
+    "tooth_compliance",
+    "cup_compliance",
+)
+"""What differs from assembly to assembly; each is a function of a number of its own between 0 and 1."""
+
+WITHIN = 0.9973
+"""Share of assemblies whose eccentricity is within the tolerance: three sigma of a normal distribution."""
+
+ANGLES = 96
+"""Wave generator angles of a turn at which an assembly is looked at; 202 slots meet them in 48 phases."""
+
+_CONFIDENCE = 0.95
+_EDGE = 1e-6  # draws stay so far from 0 and 1, where a distribution has no end
+_CHUNK = 4  # assemblies per task: some tenths of a second
+
+# Distributions of size 1. Those of a magnitude begin at zero.
+_MAGNITUDE: Mapping[str, Callable[[Floats], Floats]] = {
+    "fixed": np.ones_like,
+    "uniform": stats.uniform(0.0, 1.0).ppf,
+    "normal": stats.halfnorm().ppf,
+    "rayleigh": stats.rayleigh().ppf,
+}
+_DEVIATION: Mapping[str, Callable[[Floats], Floats]] = {
+    "fixed": np.ones_like,
+    "uniform": stats.uniform(-1.0, 2.0).ppf,
+    "normal": stats.norm().ppf,
+    "triangular": stats.triang(0.5, -1.0, 2.0).ppf,
+}
+_MAGNITUDES = ("eccentricity", "runout", "cup_compliance")
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """One drive as assembled.
+
+    Attributes
+    ----------
+    drive : Drive
+        With its runout, datum and compliances; without eccentricity.
+    eccentricity : complex
+        Over its tolerance, x + iy [-].
+    slot_angle : ndarray, shape (Z_G,)
+        By how much each slot stands counter-clockwise of its place [rad].
+    """
+
+    drive: Drive
+    eccentricity: complex
+    slot_angle: Floats
+
+
+@dataclass(frozen=True)
+class Population:
+    """What assemblies are drawn from and judged by.
+
+    Attributes
+    ----------
+    drive : Drive
+        As designed; its own eccentricity and runout do not count.
+    spreads : mapping
+        By the names of the quantities.
+    cup_torque : ndarray, shape (q,)
+        [N m]
+    angles : int
+        Of a turn.
+    """
+
+    drive: Drive
+    spreads: Mapping[str, Spread]
+    cup_torque: Floats
+    angles: int = ANGLES
+
+    @functools.cached_property
+    def reference(self) -> Floats:
+        """Stiffness of a perfect assembly [N m/rad], shape (q,)."""
+        return reference_stiffness(self.drive, self.cup_torque)
+
+    @property
+    def tolerance(self) -> float:
+        """Eccentricity that the configured distribution keeps within in a share :data:`WITHIN` [m]."""
+        spread = self.spreads["eccentricity"]
+        return spread.size * float(_unit("eccentricity", spread, np.array([WITHIN]))[0])
+
+
+@dataclass(frozen=True)
+class Share:
+    """Share of assemblies within limits, with confidence bounds (Wilson, 95 %), each (t,)."""
+
+    share: Floats
+    low: Floats
+    high: Floats
+
+
+def draw(population: Population, numbers: Floats) -> Assembly:
+    """An assembly from its numbers.
+
+    Parameters
+    ----------
+    population : Population
+    numbers : ndarray, shape (8,)
+        Between 0 and 1, one per factor in the order of :data:`FACTORS`.
+
+    Returns
+    -------
+    Assembly
+
+    Raises
+    ------
+    ValueError
+        If what is drawn cannot be assembled.
+    """
+    kept = np.clip(numbers, _EDGE, 1.0 - _EDGE)
+    u = dict(zip(FACTORS, kept, strict=True))
+
+    def drawn(name: str) -> float:
+        spread = population.spreads[name]
+        return spread.size * float(_unit(name, spread, np.array([u[name]]))[0])
+
+    drive, shape = population.drive, population.spreads["eccentricity"]
+    mesh, geometry = drive.mesh, drive.mesh.geometry
+    size = _unit("eccentricity", shape, np.array([u["eccentricity"], WITHIN]))
+    return Assembly(
+        dataclasses.replace(
+            drive,
+            mesh=dataclasses.replace(
+                mesh,
+                geometry=dataclasses.replace(
+                    geometry,
+                    circular_spline_datum=geometry.circular_spline_datum + drawn("circular_spline_datum"),
+                ),
+                tooth_compliance=mesh.tooth_compliance * (1.0 + drawn("tooth_compliance")),
+                eccentricity=0.0,
+                runout=cmath.rect(drawn("runout"), 2.0 * math.pi * u["runout.direction"]),
+            ),
+            cup_compliance=drive.cup_compliance + drawn("cup_compliance"),
+        ),
+        cmath.rect(float(size[0] / size[1]), 2.0 * math.pi * u["eccentricity.direction"]),
+        _slot_angles(population, u["pitch"]),
+    )
+
+
+def check(population: Population, largest: float) -> None:
+    """Refuse tolerances that draw what cannot be assembled.
+
+    Parameters
+    ----------
+    population : Population
+    largest : float
+        Greatest tolerance of the eccentricity [m].
+
+    Raises
+    ------
+    ValueError
+        Naming what cannot be.
+    """
+    for end in (0.0, 1.0):
+        assembly = draw(population, np.full(len(FACTORS), end))
+        dataclasses.replace(assembly.drive.mesh, eccentricity=largest * assembly.eccentricity)
+
+
+def worst(population: Population, assembly: Assembly, tolerances: Floats) -> Floats:
+    """Worst of every criterion over a turn and all torques.
+
+    Parameters
+    ----------
+    population : Population
+    assembly : Assembly
+    tolerances : ndarray, shape (t,)
+        Of the eccentricity, by which the assembly's is scaled [m].
+
+    Returns
+    -------
+    ndarray, shape (6, t)
+        In the order of ``criteria.CRITERIA``.
+    """
+    drive, n = assembly.drive, population.angles
+    turn = np.tile(2.0 * np.pi * np.arange(n, dtype=np.float64) / n, tolerances.size)
+    turning: npt.NDArray[np.complex128] = np.exp(1j * turn)
+    center = np.repeat(tolerances, n) * assembly.eccentricity + drive.mesh.runout * turning
+    moments = evaluate(drive.mesh, turn, center, population.cup_torque, assembly.slot_angle)
+    parts = [_part(moments, slice(k * n, (k + 1) * n)) for k in range(tolerances.size)]
+    turns = [over_turn(part, drive.cup_compliance, population.reference).max(axis=1) for part in parts]
+    return np.stack(turns, axis=1)
+
+
+def judged(
+    workers: Workers,
+    population: Population,
+    numbers: Floats,
+    tolerances: Floats,
+    done: Callable[[], None] = lambda: None,
+) -> Floats:
+    """Worst of every criterion of many assemblies.
+
+    Parameters
+    ----------
+    workers : Workers
+    population : Population
+    numbers : ndarray, shape (samples, 8)
+        Between 0 and 1; see :func:`draw`.
+    tolerances : ndarray, shape (t,)
+        [m]
+    done : callable
+        Called after every chunk of which :func:`chunks` tells the number.
+
+    Returns
+    -------
+    ndarray, shape (samples, 6, t)
+    """
+    tasks = [(population, numbers[i : i + _CHUNK], tolerances) for i in range(0, len(numbers), _CHUNK)]
+    return np.concatenate(workers.map(_judged, tasks, done))
+
+
+def chunks(samples: int) -> int:
+    """Tasks into which so many assemblies are divided."""
+    return -(-samples // _CHUNK)
+
+
+def yields(values: Floats, limits: Floats) -> tuple[Share, list[Share]]:
+    """Share of assemblies within all limits, and within each.
+
+    Parameters
+    ----------
+    values : ndarray, shape (samples, criteria, t)
+    limits : ndarray, shape (criteria,)
+
+    Returns
+    -------
+    together : Share
+    each : list of Share
+    """
+    within = values <= limits[:, None]
+    each = [_share(within[:, k, :]) for k in range(limits.size)]
+    return _share(within.all(axis=1)), each
+
+
+def tolerance_at(share: Share, tolerances: Floats, target: float) -> float:
+    """Largest tolerance up to which a share stays at its target, linear between the tolerances [m].
+
+    Parameters
+    ----------
+    share : Share
+    tolerances : ndarray, shape (t,)
+        Rising [m].
+    target : float
+
+    Returns
+    -------
+    float
+        nan if even the least tolerance has less; the greatest if all have as much.
+    """
+    below = np.flatnonzero(share.share < target)
+    if not below.size:
+        return float(tolerances[-1])
+    first = int(below[0])
+    if first == 0:
+        return math.nan
+    ends = slice(first - 1, first + 1)
+    return float(np.interp(-target, -share.share[ends], tolerances[ends]))
+
+
+def _unit(name: str, spread: Spread, numbers: Floats) -> Floats:
+    """Quantiles of a distribution of size 1."""
+    family = _MAGNITUDE if name in _MAGNITUDES else _DEVIATION
+    return np.asarray(family[spread.distribution](numbers), dtype=np.float64)
+
+
+def _slot_angles(population: Population, number: float) -> Floats:
+    """Every slot's own deviation, from a stream of random numbers that the one number chooses [rad]."""
+    geometry, spread = population.drive.mesh.geometry, population.spreads["pitch"]
+    stream = np.random.default_rng(int(number * 2.0**53))
+    numbers = np.clip(stream.random(geometry.circular_spline_teeth), _EDGE, 1.0 - _EDGE)
+    pitch_radius = geometry.curve.radius + 0.5 * (geometry.flexspline_root + geometry.flexspline_tip)
+    return spread.size / pitch_radius * _unit("pitch", spread, numbers)
+
+
+def _judged(task: tuple[Population, Floats, Floats]) -> Floats:
+    population, numbers, tolerances = task
+    return np.stack([worst(population, draw(population, row), tolerances) for row in numbers])
+
+
+def _part(moments: Moments, rows: slice) -> Moments:
+    fields = (getattr(moments, field.name) for field in dataclasses.fields(moments))
+    return type(moments)(*(values[rows] for values in fields))
+
+
+def _share(within: npt.NDArray[np.bool_]) -> Share:
+    """Of booleans (samples, t)."""
+    count, samples = within.sum(axis=0), within.shape[0]
+    bounds = [stats.binomtest(int(k), samples).proportion_ci(_CONFIDENCE, "wilson") for k in count]
+    return Share(
+        count / samples, np.array([found.low for found in bounds]), np.array([found.high for found in bounds])
+    )

@@ -1,0 +1,296 @@
+"""The eccentricity at which a criterion is first exceeded, over all directions and input angles."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import brentq
+
+from hd_diag.drive import Drive
+from hd_diag.model.torsion import Mesh, torsion
+from hd_diag.tolerance.criteria import CRITERIA, NAMES, of_moments, reference_stiffness
+from hd_diag.tolerance.hills import NARROWING, climbed, hills
+from hd_diag.tolerance.moments import evaluate
+
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+
+STEPS = 60
+"""Steps of the eccentricity in which the first excess is looked for."""
+
+FINE_STEPS = 16
+"""Parts into which the step of the first excess is divided for a criterion that jumps."""
+
+ROOT_TOLERANCE = 1e-10
+"""To which the eccentricity of an excess is solved [m]."""
+
+# Nothing of a mesh changes when it is turned by a slot pitch together with its eccentricity. The worst is
+# therefore looked for over the eccentricity's angle from the long axis and the wave generator's in a pitch.
+_SCAN = (36, 4)
+_SEARCH, _SEARCH_OF_JUMPS = (72, 8), (72, 16)
+_TURN_DIRECTIONS, _TURN_PHASES = 4, 6  # within a slot pitch: of the eccentricity, of the wave generator
+
+RESOLUTION = tuple(
+    extent / points / NARROWING for extent, points in zip((2.0 * math.pi, 1.0), _SEARCH, strict=True)
+)
+"""Final step of the angle from the long axis [rad] and of the wave generator [slot pitch]."""
+
+
+@dataclass(frozen=True)
+class Worst:
+    """Greatest value of a criterion at an eccentricity, and where.
+
+    Attributes
+    ----------
+    value : float
+        In the criterion's unit.
+    direction : float
+        Of the eccentricity in the housing [rad]; adding a slot pitch to it and to the wave generator's angle
+        gives as bad a moment.
+    wave_generator_angle : float
+        theta_W at which it is so bad [rad].
+    """
+
+    value: float
+    direction: float
+    wave_generator_angle: float
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Where a criterion is first exceeded.
+
+    Attributes
+    ----------
+    criterion : str
+    limit : float
+        In the criterion's unit.
+    eccentricity : float
+        The largest that keeps within the limit in all directions [m]; nan if the limit is not reached.
+    worst : Worst
+        There; where the limit is not reached, at the largest eccentricity looked at.
+    without : float
+        The criterion's value without eccentricity.
+    scanned : ndarray, shape (2, STEPS + 1)
+        Eccentricities [m] and, to the scan's coarse steps of direction and angle, the values there.
+    """
+
+    criterion: str
+    limit: float
+    eccentricity: float
+    worst: Worst
+    without: float
+    scanned: Floats
+
+    @property
+    def reached(self) -> bool:
+        """Whether any eccentricity looked at exceeds the limit."""
+        return math.isfinite(self.eccentricity)
+
+
+def input_angle(drive: Drive, wave_generator_angle: float) -> float:
+    """Reported input angle [rad] at which the wave generator stands at theta_W [rad]."""
+    kinematics, geometry = drive.kinematics, drive.mesh.geometry
+    forward = math.copysign(1.0, kinematics.ratio) * (wave_generator_angle - kinematics.phase)
+    if kinematics.output == "flexspline":
+        return -forward
+    return forward * geometry.circular_spline_teeth / geometry.flexspline_teeth
+
+
+def largest_eccentricity(drive: Drive) -> float:
+    """How far to look: a fifth of the module [m]."""
+    geometry = drive.mesh.geometry
+    return 0.2 * 2.0 * geometry.curve.radius / geometry.flexspline_teeth
+
+
+def check_largest(drive: Drive, largest: float) -> None:
+    """Refuse an eccentricity that the geometry cannot have [m].
+
+    Raises
+    ------
+    ValueError
+        With the largest that it can.
+    """
+    if not 0.0 < largest < math.inf:
+        raise ValueError(f"the largest eccentricity must be positive, not {largest * 1e6:g} um")
+    _with(drive.mesh, largest)
+
+
+def first_excess(drive: Drive, cup_torque: float, criterion: str, limit: float, largest: float) -> Limit:
+    """The eccentricity at which a criterion is first exceeded.
+
+    Parameters
+    ----------
+    drive : Drive
+        Its own eccentricity does not count; its runout stays.
+    cup_torque : float
+        M on the cup [N m].
+    criterion : str
+        One of ``criteria.NAMES``.
+    limit : float
+        In its unit.
+    largest : float
+        Greatest eccentricity to look at [m].
+
+    Returns
+    -------
+    Limit
+
+    Notes
+    -----
+    The value need not rise with the eccentricity: it is looked at in :data:`STEPS` steps first, and solved
+    within the first step that brings an excess (Brent); one that comes and goes within a step is missed. A
+    criterion that jumps is looked at in :data:`FINE_STEPS` parts of that step before.
+    """
+    search = _Search(drive, cup_torque, criterion)
+    eccentricity = np.linspace(0.0, largest, STEPS + 1)
+    scanned = np.stack((eccentricity, [search.scan(e) for e in eccentricity]))
+
+    def excess(e: float) -> float:
+        value = search.worst(e).value
+        return min(value, 1e9) - limit  # a finite step where no flank can bear the torque
+
+    above = np.flatnonzero(scanned[1] > limit)
+    first = int(above[0]) if above.size else STEPS
+    without = search.worst(0.0).value
+    # A scan meets the worst moment only nearly: the excess may come one step earlier, or later.
+    while first > 0 and excess(eccentricity[first - 1]) > 0.0:
+        first -= 1
+    while first < STEPS and excess(eccentricity[first]) <= 0.0:
+        first += 1
+    if excess(eccentricity[first]) <= 0.0:
+        return Limit(criterion, limit, math.nan, search.worst(largest), without, scanned)
+    if not first:
+        return Limit(criterion, limit, 0.0, search.worst(0.0), without, scanned)
+    low, high = eccentricity[first - 1], eccentricity[first]
+    if search.jumps:
+        low, high = _first_step(excess, low, high)
+    found = _root(excess, low, high)
+    return Limit(criterion, limit, found, search.worst(found), without, scanned)
+
+
+def across_long_axis(drive: Drive, largest: float) -> tuple[float, float]:
+    """The paper's arrangement: eccentricity across the long axis, which stands on tooth 0, held on the axis.
+
+    Parameters
+    ----------
+    drive : Drive
+        Its own eccentricity and runout do not count.
+    largest : float
+        Greatest eccentricity to look at [m].
+
+    Returns
+    -------
+    eccentricity, clearance : float
+        At which the first tooth of that lobe interferes [m], nan if none does; least backlash without
+        eccentricity [m].
+    """
+
+    def overlap(e: float) -> float:
+        return float(evaluate(drive.mesh, np.zeros(1), np.array([1j * e]), np.ones(1)).interference[0])
+
+    eccentricity = np.linspace(0.0, largest, STEPS + 1)
+    above = np.flatnonzero(np.array([overlap(e) for e in eccentricity]) > 0.0)
+    if not above.size:
+        return math.nan, -overlap(0.0)
+    first = int(above[0])
+    found = _root(overlap, eccentricity[first - 1], eccentricity[first]) if first else 0.0
+    return found, -overlap(0.0)
+
+
+def _first_step(excess: Callable[[float], float], low: float, high: float) -> tuple[float, float]:
+    """The first of the fine steps that brings an excess, which the last one does."""
+    fine = np.linspace(low, high, FINE_STEPS + 1)
+    first = next(k for k in range(1, FINE_STEPS + 1) if k == FINE_STEPS or excess(fine[k]) > 0.0)
+    return float(fine[first - 1]), float(fine[first])
+
+
+def _root(function: Callable[[float], float], low: float, high: float) -> float:
+    return float(brentq(function, low, high, xtol=ROOT_TOLERANCE, rtol=1e-12))
+
+
+def _with(mesh: Mesh, eccentricity: complex) -> Mesh:
+    return Mesh(mesh.geometry, mesh.tooth_compliance, eccentricity, mesh.runout, mesh.arc_offset)
+
+
+class _Search:
+    """One criterion of one drive at one torque."""
+
+    def __init__(self, drive: Drive, cup_torque: float, criterion: str) -> None:
+        self.drive, self.torque = drive, np.array([cup_torque])
+        self.pitch, self.of_turn = drive.mesh.geometry.slot_pitch, criterion == "transmission_error"
+        self.index = NAMES.index(criterion)
+        self.jumps = CRITERIA[self.index].jumps
+        self.grid = _SEARCH_OF_JUMPS if self.jumps else _SEARCH
+        self.reference = reference_stiffness(drive, self.torque)
+
+    def scan(self, eccentricity: float) -> float:
+        """Worst over a coarse grid; of a turn, nearly the worst."""
+        if not self.of_turn:
+            return float(self.values(eccentricity, _grid(*_SCAN)).max())
+        around = 2.0 * math.pi * (np.arange(_SCAN[0]) + 0.37) / _SCAN[0]  # meets several tooth phases
+        return float(np.ptp(self.torsion(eccentricity, around[:, None])))
+
+    def worst(self, eccentricity: float) -> Worst:
+        """Worst over all directions and angles."""
+        return self._of_turn(eccentricity) if self.of_turn else self._of_moment(eccentricity)
+
+    def values(self, eccentricity: float, points: Floats) -> Floats:
+        """Criterion (n,) at points (n, 2): angle from the long axis [rad], phase in a slot pitch [-]."""
+        turn = self.pitch * points[:, 1]
+        moments = evaluate(
+            self.drive.mesh, turn, self._center(eccentricity, points[:, 0] + turn, turn), self.torque
+        )
+        return of_moments(moments, self.drive.cup_compliance, self.reference)[self.index, :, 0]
+
+    def _center(self, eccentricity: float, direction: Floats, turn: Floats) -> Complexes:
+        towards: Complexes = np.exp(1j * direction)
+        turning: Complexes = np.exp(1j * turn)
+        return eccentricity * towards + self.drive.mesh.runout * turning
+
+    def _of_moment(self, eccentricity: float) -> Worst:
+        points = _grid(*self.grid)
+        values = self.values(eccentricity, points)
+        tops = points[hills(values.reshape(self.grid))]
+        step = np.array([2.0 * math.pi / self.grid[0], 1.0 / self.grid[1]])
+        best, value = climbed(lambda p: self.values(eccentricity, p), tops, step)
+        turn = self.pitch * float(best[1])
+        return Worst(value, (float(best[0]) + turn) % (2.0 * math.pi), turn)
+
+    def _of_turn(self, eccentricity: float) -> Worst:
+        directions = self.pitch * np.arange(_TURN_DIRECTIONS) / _TURN_DIRECTIONS
+        return max((self._width(eccentricity, d) for d in directions), key=lambda worst: worst.value)
+
+    def _width(self, eccentricity: float, direction: float) -> Worst:
+        """Peak to peak of a turn at one direction of the eccentricity, and where the greatest torsion is."""
+        mesh = _with(self.drive.mesh, eccentricity * complex(math.cos(direction), math.sin(direction)))
+        count = _TURN_PHASES * mesh.geometry.circular_spline_teeth
+        step = 2.0 * math.pi / count
+        points = step * np.arange(count, dtype=np.float64)[:, None]
+        beta = self._torsion(mesh, points)
+        if not np.isfinite(beta).all():
+            return Worst(math.inf, float(direction), float(points[np.argmin(np.isfinite(beta)), 0]))
+        spacing = np.array([step])
+        place, high = climbed(lambda p: self._torsion(mesh, p), points[hills(beta)], spacing)
+        _, low = climbed(lambda p: -self._torsion(mesh, p), points[hills(-beta)], spacing)
+        return Worst(high + low, float(direction), float(place[0]) % (2.0 * math.pi))
+
+    def _torsion(self, mesh: Mesh, points: Floats) -> Floats:
+        return torsion(mesh, points[:, 0].copy(), np.full(points.shape[0], self.torque[0]))
+
+    def torsion(self, eccentricity: float, points: Floats) -> Floats:
+        """Torsion (n,) at wave generator angles (n, 1) with the eccentricity along the x axis [rad]."""
+        beta = self._torsion(_with(self.drive.mesh, eccentricity), points)
+        return np.where(np.isnan(beta), np.inf, beta)
+
+
+def _grid(around: int, phases: int) -> Floats:
+    """Points (n, 2): angles from the long axis [rad], phases in a slot pitch [-]."""
+    angle, phase = np.meshgrid(
+        2.0 * math.pi * np.arange(around) / around, np.arange(phases) / phases, indexing="ij"
+    )
+    return np.column_stack((angle.ravel(), phase.ravel()))

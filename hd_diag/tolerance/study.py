@@ -1,0 +1,208 @@
+"""A whole study of one joint: limits on the eccentricity, what assemblies yield, which tolerance matters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.drive import Drive
+from hd_diag.tolerance import assembly, sensitivity
+from hd_diag.tolerance.assembly import FACTORS, Population, Share
+from hd_diag.tolerance.criteria import NAMES, cup_torques
+from hd_diag.tolerance.limit import Limit, across_long_axis, check_largest, first_excess
+from hd_diag.tolerance.sensitivity import Indices
+from hd_diag.tolerance.settings import Spread
+from hd_diag.tolerance.workers import Workers
+
+Floats = npt.NDArray[np.float64]
+Progress = Callable[[str, int], Callable[[], None]]
+"""Told what comes and of how many steps; gives what is called after each step."""
+
+TOLERANCES = 13
+"""Eccentricity tolerances of a yield curve, from zero to twice the configured one, the middle one."""
+
+_ALL_TEETH = 0.0  # [m]; overlap from which no rotation frees all teeth
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked of a drive.
+
+    Attributes
+    ----------
+    drive : Drive
+    torque : ndarray, shape (q,)
+        What the drive exerts on the link [N m].
+    limits : mapping
+        By the names of the criteria, in their units.
+    spreads : mapping
+        By the names of the quantities.
+    largest : float
+        Greatest eccentricity to look at [m].
+    samples, sensitivity_samples : int
+        Assemblies to draw; samples of the sensitivity, a power of two. 0: none.
+    seed : int
+    target : float
+        Share of assemblies that shall be within all limits.
+
+    Raises
+    ------
+    ValueError
+        Naming what cannot be.
+    """
+
+    drive: Drive
+    torque: Floats
+    limits: Mapping[str, float]
+    spreads: Mapping[str, Spread]
+    largest: float
+    samples: int
+    sensitivity_samples: int
+    seed: int
+    target: float
+
+    def __post_init__(self) -> None:
+        check_largest(self.drive, self.largest)
+        cup_torques(self.drive, self.torque)
+
+    @property
+    def cup_torque(self) -> Floats:
+        """M on the cup [N m], shape (q,)."""
+        return cup_torques(self.drive, self.torque)
+
+
+@dataclass(frozen=True)
+class Interference:
+    """Eccentricity at which teeth first interfere [m], nan where they do not; three readings.
+
+    Attributes
+    ----------
+    across : float
+        The paper's own arrangement; see ``limit.across_long_axis``.
+    clearance : float
+        Least backlash there without eccentricity [m].
+    any_direction : Limit
+        The same lobe, over all directions and angles.
+    all_teeth : Limit
+        No rotation of the cup frees all teeth: the interference flag of a mesh.
+    """
+
+    across: float
+    clearance: float
+    any_direction: Limit
+    all_teeth: Limit
+
+
+@dataclass(frozen=True)
+class Yield:
+    """What assemblies come out like.
+
+    Attributes
+    ----------
+    tolerances : ndarray, shape (t,)
+        Of the eccentricity: what 99.73 % of the assemblies keep within [m].
+    configured : float
+        That of the configured distribution [m].
+    together : Share
+        Within all limits.
+    each : list of Share
+        Within each, in the order of ``criteria.CRITERIA``.
+    at_target : float
+        Largest tolerance with the share asked for within all limits [m]; nan if there is none.
+    """
+
+    tolerances: Floats
+    configured: float
+    together: Share
+    each: list[Share]
+    at_target: float
+
+
+@dataclass(frozen=True)
+class Study:
+    """Answers to a question; `limits` by torque, in the order of ``criteria.CRITERIA``."""
+
+    question: Question
+    interference: Interference
+    limits: list[list[Limit]]
+    assemblies: Yield | None
+    sensitivity: Indices | None
+
+    @property
+    def allowed(self) -> Limit | None:
+        """The limit that is reached first, at any torque; none if none is reached."""
+        reached = [limit for row in self.limits for limit in row if limit.reached]
+        return min(reached, key=lambda limit: limit.eccentricity, default=None)
+
+
+def study(question: Question, workers: Workers, progress: Progress) -> Study:
+    """Answer a question.
+
+    Parameters
+    ----------
+    question : Question
+    workers : Workers
+    progress : callable
+
+    Returns
+    -------
+    Study
+
+    Raises
+    ------
+    ValueError
+        If the teeth cannot bear a torque, or a drawn assembly cannot be assembled.
+    """
+    population = Population(question.drive, question.spreads, question.cup_torque)
+    if question.samples or question.sensitivity_samples:
+        assembly.check(population, float(_tolerances(question, population)[-1]))
+    interference, limits = _limits(question, workers, progress)
+    assemblies = _yield(question, population, workers, progress) if question.samples else None
+    indices = _sensitivity(question, population, workers, progress) if question.sensitivity_samples else None
+    return Study(question, interference, limits, assemblies, indices)
+
+
+def _limits(
+    question: Question, workers: Workers, progress: Progress
+) -> tuple[Interference, list[list[Limit]]]:
+    torques = question.cup_torque
+    free = [("interference", 0.0), ("overlap", _ALL_TEETH)]
+    asked = [(torques[0], *one) for one in free]
+    asked += [(torque, name, question.limits[name]) for torque in torques for name in NAMES]
+    tasks = [(question.drive, *one, question.largest) for one in asked]
+    found = workers.map(_first_excess, tasks, progress("limits", len(tasks)))
+    rows = [found[k : k + len(NAMES)] for k in range(len(free), len(found), len(NAMES))]
+    return Interference(*across_long_axis(question.drive, question.largest), *found[: len(free)]), rows
+
+
+def _first_excess(task: tuple[Drive, float, str, float, float]) -> Limit:
+    return first_excess(*task)
+
+
+def _tolerances(question: Question, population: Population) -> Floats:
+    """Of a yield curve; without a configured eccentricity it goes as far as limits are looked for."""
+    return np.linspace(0.0, 2.0 * population.tolerance or question.largest, TOLERANCES)
+
+
+def _yield(question: Question, population: Population, workers: Workers, progress: Progress) -> Yield:
+    tolerances = _tolerances(question, population)
+    numbers = np.random.default_rng(question.seed).random((question.samples, len(FACTORS)))
+    done = progress("assemblies", assembly.chunks(question.samples))
+    values = assembly.judged(workers, population, numbers, tolerances, done)
+    together, each = assembly.yields(values, np.array([question.limits[name] for name in NAMES]))
+    at_target = assembly.tolerance_at(together, tolerances, question.target)
+    return Yield(tolerances, population.tolerance, together, each, at_target)
+
+
+def _sensitivity(question: Question, population: Population, workers: Workers, progress: Progress) -> Indices:
+    samples, factors = question.sensitivity_samples, len(FACTORS)
+    done = progress("sensitivity", assembly.chunks(sensitivity.evaluations(samples, factors)))
+    configured = np.array([population.tolerance])
+
+    def model(numbers: Floats) -> Floats:
+        return assembly.judged(workers, population, numbers, configured, done)[:, :, 0]
+
+    return sensitivity.indices(model, factors, samples, question.seed)

@@ -1,0 +1,317 @@
+"""`hd-diag fleet`: end to end with the true diagnosis; then, with a quick one, runs that are interrupted."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections import Counter
+from datetime import datetime, timezone
+from pathlib import Path
+
+import fleet_tasks
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from cli_runner import runner
+from click.testing import Result
+from live import config
+
+from hd_diag import cli_fleet
+from hd_diag.cli import cli
+from hd_diag.fleet import run
+from hd_diag.simulation import Motion, Noise, SimulatedJoint, write_bag
+
+ARCSEC = np.pi / 648000.0
+SAME = 1e-4  # of an optimum whose search stops at steps of that size
+
+
+def fleet(*arguments: object, jobs: bool = True) -> Result:
+    return runner().invoke(cli, ["fleet", *map(str, arguments), *(("--jobs", "1") if jobs else ())])
+
+
+def table(path: Path) -> list[dict]:
+    return pq.read_table(path).to_pylist()
+
+
+def assert_one_line(result: Result, said: str) -> None:
+    assert isinstance(result.exception, SystemExit)
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert len(result.stderr.splitlines()) == 1
+    assert result.stderr.startswith("hd-diag: ")
+    assert said in result.stderr
+
+
+@pytest.fixture
+def quick(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Folder of what the quick diagnosis, in place of the true one, was asked for."""
+    monkeypatch.setattr(run, "judge", fleet_tasks.quick)
+    folder = tmp_path / "calls"
+    folder.mkdir()
+    monkeypatch.setenv(fleet_tasks.CALLS, str(folder))
+    return folder
+
+
+# The true diagnosis ---
+
+HOSTILE = "[red]$x^2$\n\x1b[31m'; DROP.mcap"
+
+
+@pytest.fixture(scope="module")
+def judged(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, Path]:
+    """A run over a bag, its copies under hostile names, and bags that cannot be judged."""
+    folder = tmp_path_factory.mktemp("fleet")
+    bags = folder / "bags"
+    (bags / "deep").mkdir(parents=True)
+    truth = config(joint_1__eccentricity__magnitude=12e-6)
+    joints = {"joint_1": SimulatedJoint(truth.joints[0].drive, Noise(white=2.0 * ARCSEC))}
+    write_bag(bags / "good.mcap", truth, Motion(20.0, 200.0, (2.0 * np.pi,)), joints, start=fleet_tasks.BEGIN)
+    shutil.copy(bags / "good.mcap", bags / HOSTILE)
+    shutil.copy(bags / "good.mcap", os.path.join(os.fsencode(bags), b"deep", b"\xff\xfe.mcap"))
+    whole = (bags / "good.mcap").read_bytes()
+    (bags / "zeros.mcap").write_bytes(whole[:8] + bytes(len(whole) - 8))
+    fleet_tasks.small_bag(bags / "short.mcap")
+    fleet_tasks.small_bag(bags / "strange.mcap", names=("elbow_\x07motor", "elbow"))
+    (bags / "notes.txt").touch()
+    outputs = ("--out", folder / "f.parquet", "--json", folder / "f.json", "--figure", folder / "f.png")
+    return fleet(bags, *outputs), folder
+
+
+def test_every_bag_has_its_row(judged: tuple[Result, Path]) -> None:
+    result, folder = judged
+    assert (result.exit_code, result.exception and result.exit_code) == (0, None), result.output
+    errors = {Path(row["bag"]).name: row["error"] for row in table(folder / "f.parquet")}
+    assert len(errors) == 6
+    assert [errors[name] for name in ("good.mcap", HOSTILE, "\\udcff\\udcfe.mcap")] == [None] * 3
+    assert "too short: 12 usable samples" in errors["short.mcap"]
+    assert errors["strange.mcap"] == "no 'joint_1'; it has 'elbow', 'elbow_\\x07motor'"
+    assert errors["zeros.mcap"]
+
+
+def test_a_row_is_what_diagnose_says(judged: tuple[Result, Path]) -> None:
+    """To the bits that sums on one thread and on several differ by."""
+    _, folder = judged
+    rows = [row for row in table(folder / "f.parquet") if row["error"] is None]
+    alone = runner().invoke(cli, ["diagnose", str(folder / "bags" / "good.mcap"), "--json", "-"])
+    told = json.loads(alone.stdout)
+    for row in rows:
+        assert row["verdict"] == told["verdict"]
+        assert row["samples"] == told["record"]["samples"] == 4000
+        assert row["rms_extended_rad"] == pytest.approx(told["gain"]["rms_extended"], rel=SAME)
+        size = told["refit"]["parameters"]["eccentricity.magnitude"]
+        assert row["eccentricity_m"] == pytest.approx(size["value"], rel=SAME)
+        assert row["eccentricity_std_m"] == pytest.approx(size["std"], rel=SAME)
+        assert abs(row["eccentricity_m"] - 12e-6) < 4.0 * row["eccentricity_std_m"]
+        assert row["causes"] == [cause["name"] for cause in told["causes"]]
+        assert row["start"] == datetime(2026, 1, 1, tzinfo=timezone.utc)
+    assert len({row["bag_sha256"] for row in rows}) == 1
+
+
+def test_what_a_run_says_in_the_terminal_and_in_json(judged: tuple[Result, Path]) -> None:
+    """No bag's name reaches the terminal as it is."""
+    result, folder = judged
+    said = result.stdout + result.stderr
+    assert "\x1b" not in said
+    assert "\x07" not in said
+    assert "cannot tell yet" in " ".join(result.stdout.split())
+    assert Counter(line.partition(": ")[0] for line in result.stderr.splitlines()) == {"not judged": 3}
+    told = json.loads((folder / "f.json").read_text())
+    assert (told["schema"], told["bags"], told["rows"]) == ("hd_diag/fleet/1", 6, 6)
+    assert len(told["errors"]) == 3
+    trend = next(trend for trend in told["trends"] if trend["quantity"] == "eccentricity")
+    assert (trend["joint"], trend["bags"], trend["form"]) == ("joint_1", 3, "unknown")
+    assert trend["needed"] > 3
+    assert trend["last"]["time"] == "2026-01-01T00:00:00+00:00"
+    assert (folder / "f.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_equal_contents_are_judged_once_and_kept(judged: tuple[Result, Path]) -> None:
+    """The good bag and the short one; what could not be read was not begun."""
+    _, folder = judged
+    assert len((folder / "f.parquet.journal.jsonl").read_text().splitlines()) == 2
+
+
+# Going on ---
+
+
+def bags_of(folder: Path, count: int) -> Path:
+    folder.mkdir(exist_ok=True)
+    for day in range(count):
+        fleet_tasks.small_bag(folder / f"{day:02}.mcap", day)
+    return folder
+
+
+def test_what_is_known_is_not_judged_again(quick: Path, tmp_path: Path) -> None:
+    out, bags = tmp_path / "f.parquet", bags_of(tmp_path / "bags", 4)
+    assert fleet(bags, "--out", out).exit_code == 0
+    first = out.read_bytes()
+    assert fleet(bags, "--out", out).exit_code == 0
+    assert len(fleet_tasks.calls(quick)) == 4
+    assert out.read_bytes() == first
+    bags_of(bags, 5)
+    assert fleet(bags, "--out", out).exit_code == 0
+    assert [name for name, _ in fleet_tasks.calls(quick)][4:] == ["04.mcap"]
+    assert fleet(bags, "--out", out, "--fresh").exit_code == 0
+    assert len(fleet_tasks.calls(quick)) == 10
+    changed = tmp_path / "drive.yaml"
+    changed.write_text("hd_diag:\n  ros__parameters:\n    joint_1: {torque: 1.0}\n")
+    assert fleet(bags, "--out", out, "--config", changed).exit_code == 0
+    assert len(fleet_tasks.calls(quick)) == 15
+
+
+def test_an_interrupted_run_goes_on(quick: Path, tmp_path: Path) -> None:
+    """Ctrl-C to the whole group, as a terminal sends it: code 130, one line, no table, no worker left."""
+    out, bags = tmp_path / "f.parquet", bags_of(tmp_path / "bags", 12)
+    journal = tmp_path / "f.parquet.journal.jsonl"
+    code = (
+        "import sys, fleet_tasks, hd_diag.fleet.run as run; from hd_diag.cli import main\n"
+        "run.judge = fleet_tasks.slow; sys.argv[0] = 'hd-diag'; main()"
+    )
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, "fleet", str(bags), "--out", str(out), "--jobs", "2"],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    while not (journal.exists() and journal.read_bytes().count(b"\n") >= 3):
+        assert process.poll() is None
+    os.killpg(process.pid, signal.SIGINT)
+    said, errors = process.communicate(timeout=60)  # the pipes close when the last worker has ended
+    assert (process.returncode, said) == (130, "")
+    kept = len(journal.read_text().splitlines())
+    assert errors == f"hd-diag: interrupted: {kept} results are in {journal}; the same command goes on\n"
+    assert not out.exists()
+    assert not any(fleet_tasks.alive(worker) for _, worker in fleet_tasks.calls(quick))
+    done = {json.loads(line)["key"] for line in journal.read_text().splitlines()}
+    before = len(fleet_tasks.calls(quick))
+    assert fleet(bags, "--out", out).exit_code == 0
+    assert len(fleet_tasks.calls(quick)) - before == 12 - kept
+    assert {json.loads(line)["key"] for line in journal.read_text().splitlines()[:kept]} == done
+    whole = tmp_path / "whole.parquet"
+    assert fleet(bags, "--out", whole).exit_code == 0
+    assert whole.read_bytes() == out.read_bytes()
+
+
+def test_robots_are_told_apart(quick: Path, tmp_path: Path) -> None:
+    for robot in ("arm_a", "arm_b"):
+        bags_of(tmp_path / robot, 2)
+    out = tmp_path / "f.parquet"
+    result = fleet(
+        tmp_path / "arm_a", tmp_path / "arm_b", "--robot", r"(arm_.)/", "--out", out, "--json", "-"
+    )
+    told = json.loads(result.stdout)
+    assert {(trend["robot"], trend["bags"]) for trend in told["trends"]} == {("arm_a", 2), ("arm_b", 2)}
+    assert Counter(row["robot"] for row in table(out)) == {"arm_a": 2, "arm_b": 2}
+    assert_one_line(fleet(tmp_path / "arm_a", "--robot", "leg", "--out", out), "--robot leg matches nothing")
+
+
+def test_a_step_in_the_bags_is_told_and_fails_on_request(
+    quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run, "judge", fleet_tasks.stepped)
+    bags, out = bags_of(tmp_path / "bags", 16), tmp_path / "f.parquet"
+    result = fleet(bags, "--out", out, "--fail-on-change", "--figure", tmp_path / "f.svg")
+    assert result.exit_code == 1
+    steps = [line for line in result.stdout.splitlines() if "stepped by" in line]
+    assert {line.partition(" stepped")[0] for line in steps} == {
+        "joint_1: residual nominal",
+        "joint_1: residual refit",
+    }
+    assert all("between 2026-01-08 00:00 and 2026-01-09 00:00" in line for line in steps)
+    assert fleet(bags, "--out", out, "--fail-on-cause").exit_code == 0
+
+
+def test_a_drift_is_told_with_the_day_of_its_limit(
+    quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run, "judge", fleet_tasks.drifting)
+    bags, out = bags_of(tmp_path / "bags", 14), tmp_path / "f.parquet"
+    result = fleet(bags, "--out", out, "--limit", "residual_refit=3e-5", "--json", "-")
+    found = {trend["quantity"]: trend for trend in json.loads(result.stdout)["trends"]}
+    limit = found["residual_refit"]["limit"]
+    assert limit["reached_low"] < limit["reached"] < limit["reached_high"]
+    reached = datetime.fromisoformat(limit["reached"]) - datetime(2026, 1, 1, tzinfo=timezone.utc)
+    assert reached.days == pytest.approx(20, abs=1)  # 1e-5 rad and 1e-6 a day
+    assert found["residual_refit"]["slope"]["value"] == pytest.approx(1e-6 / 86_400.0, rel=0.1)
+    assert found["eccentricity"]["form"] == "constant"
+
+
+def test_causes_fail_on_request(quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run, "judge", fleet_tasks.caused)
+    bags, out = bags_of(tmp_path / "bags", 2), tmp_path / "f.parquet"
+    assert fleet(bags, "--out", out).exit_code == 0
+    assert fleet(bags, "--out", out, "--fail-on-cause").exit_code == 1
+
+
+def test_a_bag_that_kills_its_worker_is_tried_again_by_the_next_run(
+    quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run, "judge", fleet_tasks.deadly_first)
+    bags, out = bags_of(tmp_path / "bags", 3), tmp_path / "f.parquet"
+    assert fleet(bags, "--out", out).exit_code == 0
+    errors = {Path(row["bag"]).name: row["error"] for row in table(out)}
+    assert errors["00.mcap"].startswith("its worker died in each of 3 attempts")
+    assert (errors["01.mcap"], errors["02.mcap"]) == (None, None)
+    monkeypatch.setattr(run, "judge", fleet_tasks.quick)
+    assert fleet(bags, "--out", out).exit_code == 0
+    assert [row["error"] for row in table(out)] == [None] * 3
+
+
+# Bad input ---
+
+
+def test_no_bag_that_can_be_judged(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(b"garbage")
+    result = fleet(tmp_path, "--out", tmp_path / "f.parquet")
+    assert result.exit_code == 2
+    assert result.stderr.splitlines()[-1] == "hd-diag: no bag could be judged"
+    assert [row["error"] for row in table(tmp_path / "f.parquet")] == ["is not an MCAP file"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("none.mcap",), "none.mcap: does not exist"),
+        (("empty",), "no bag in empty"),
+        (("a.mcap", "--out", "none/f.parquet"), "none/f.parquet: cannot be written: no such folder"),
+        (("a.mcap", "--out", "a.mcap"), "output would overwrite the input"),
+        (("a.mcap", "--json", "f.parquet"), "must be different files"),
+        (("a.mcap", "--figure", "f.xyz"), "f.xyz: no picture format"),
+        (("a.mcap", "--joint", "elbow"), "no joint 'elbow'"),
+        (("a.mcap", "--robot", "("), "--robot (: "),
+        (("a.mcap", "--limit", "weight=1"), "no quantity 'weight'"),
+        (("a.mcap", "--limit", "eccentricity=x"), "'x' is no number"),
+        (("a.mcap", "--limit", "eccentricity=nan"), "must be positive and finite"),
+        (("a.mcap", "--scheduler", "tcp://127.0.0.1:9"), "with --scheduler its workers set them"),
+    ],
+)
+def test_bad_usage_is_told_before_anything_is_done(
+    arguments: tuple[str, ...], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    fleet_tasks.small_bag(tmp_path / "a.mcap")
+    (tmp_path / "empty").mkdir()
+    assert_one_line(fleet("--out", "f.parquet", *arguments), said)
+    assert not list(tmp_path.glob("*.parquet*"))
+
+
+def test_what_is_not_installed_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bag, out = fleet_tasks.small_bag(tmp_path / "a.mcap"), tmp_path / "f.parquet"
+    monkeypatch.setattr(cli_fleet, "_NEEDED", ("pyarrow", "no_such_module"))
+    assert_one_line(fleet(bag, "--out", out), "fleet needs no_such_module: pip install no_such_module")
+    monkeypatch.undo()
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    needs = fleet(bag, "--out", out, "--scheduler", "tcp://127.0.0.1:9", jobs=False)
+    assert_one_line(needs, "--scheduler needs Dask: pip install 'hd_diag[cluster]'")
+
+
+def test_workers_of_another_version_are_refused(
+    quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bag = fleet_tasks.small_bag(tmp_path / "a.mcap")
+    monkeypatch.setattr("hd_diag.__version__", "9.9")
+    assert_one_line(fleet(bag, "--out", tmp_path / "f.parquet"), "a worker has hd_diag 0.1.0, this is 9.9")

@@ -1,0 +1,149 @@
+"""Tasks on the workers of a Dask scheduler: real processes on loopback, some of them killed."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import fleet_tasks
+import pytest
+from live import config
+
+from hd_diag.fleet import cluster, work
+from hd_diag.fleet.cluster import ClusterCrew
+from hd_diag.fleet.errors import FleetError
+from hd_diag.fleet.run import Fleet, diagnose_fleet
+from hd_diag.fleet.store import Journal
+from hd_diag.fleet.survey import find_bags
+from hd_diag.fleet.work import Failure, LocalCrew, run
+
+pytest.importorskip("distributed")
+
+WORKERS = 3
+
+
+class Cluster:
+    """A scheduler and workers, each a process of its own; what they note goes into `calls`."""
+
+    def __init__(self, stack: ExitStack, folder: Path) -> None:
+        self.calls = folder / "calls"
+        self.calls.mkdir()
+        self._stack, self._folder = stack, folder
+        self._file = folder / "scheduler.json"
+        self.scheduler = self._start("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file")
+        for _ in range(WORKERS):
+            self.worker()
+
+    def worker(self) -> None:
+        """Without a nanny: who is killed stays dead."""
+        local = ("--local-directory", str(self._folder), "--host", "127.0.0.1")
+        self._start("worker", "--nthreads", "1", "--no-nanny", *local, "--scheduler-file")
+
+    def _start(self, role: str, *arguments: str) -> subprocess.Popen[bytes]:
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+        environment[fleet_tasks.CALLS] = str(self.calls)
+        command = [sys.executable, "-m", f"distributed.cli.dask_{role}", "--no-dashboard", *arguments]
+        process = subprocess.Popen(
+            [*command, str(self._file)],
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        self._stack.enter_context(process)
+        self._stack.callback(process.kill)
+        return process
+
+    @property
+    def address(self) -> str:
+        fleet_tasks.wait_for(lambda: self._file.exists() and self._file.read_text().endswith("}"))
+        return str(json.loads(self._file.read_text())["address"])
+
+    def begun(self) -> list[tuple[str, int]]:
+        return fleet_tasks.calls(self.calls)
+
+
+@pytest.fixture
+def dask(tmp_path: Path) -> Iterator[Cluster]:
+    with ExitStack() as stack:
+        yield Cluster(stack, tmp_path)
+
+
+def test_a_worker_killed_in_its_work_loses_no_result(dask: Cluster) -> None:
+    killed: list[int] = []
+
+    def tick() -> None:
+        begun = dask.begun()
+        if len(begun) >= WORKERS + 2 and not killed:
+            killed.append(begun[-1][1])
+            os.kill(killed[0], signal.SIGKILL)
+
+    with ClusterCrew(dask.address) as crew:
+        results = sorted(run(crew, fleet_tasks.slow_square, range(15), tick))
+    assert results == [(n, n * n) for n in range(15)]
+    begun = dask.begun()
+    again = [name for name, times in Counter(name for name, _ in begun).items() if times > 1]
+    assert len(again) == 1
+    first, second = (process for name, process in begun if name == again[0])
+    assert (first, second != first) == (killed[0], True)
+    assert len({process for _, process in begun}) > 1
+
+
+def test_what_kills_its_workers_fails_alone(dask: Cluster) -> None:
+    """As on one machine, whatever the scheduler is set to; a worker comes for each that goes."""
+    alive = WORKERS
+
+    def tick() -> None:
+        nonlocal alive
+        deaths = sum(name == "7" for name, _ in dask.begun())
+        if WORKERS - deaths < alive:
+            alive -= 1
+            dask.worker()
+
+    with ClusterCrew(dask.address) as crew:
+        results = dict(run(crew, fleet_tasks.deadly_seven, range(12), tick))
+    assert {n: r for n, r in results.items() if n != 7} == {n: n * n for n in range(12) if n != 7}
+    assert isinstance(results[7], Failure)
+    assert Counter(name for name, _ in dask.begun())["7"] == work.ATTEMPTS
+
+
+def test_the_cluster_makes_the_same_rows(
+    dask: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From paths alone, though it is in another folder; and what raises is a failure of its own."""
+    monkeypatch.setattr("hd_diag.fleet.run.judge", fleet_tasks.quick)
+    (tmp_path / "bags").mkdir()
+    monkeypatch.chdir(tmp_path)
+    for day in range(5):
+        fleet_tasks.small_bag(Path("bags") / f"{day}.mcap", day)
+    given = config()
+    fleet = Fleet(find_bags([Path("bags")]), given, given.joints)
+    monkeypatch.setenv(fleet_tasks.CALLS, str(dask.calls))
+    with LocalCrew(1) as local, Journal(tmp_path / "local") as journal:
+        expected = diagnose_fleet(fleet, local, journal)
+    with ClusterCrew(dask.address) as crew, Journal(tmp_path / "cluster") as journal:
+        assert diagnose_fleet(fleet, crew, journal) == expected
+        assert dict(run(crew, fleet_tasks.faulty, [1, 3])) == {1: 1, 3: Failure("Unsendable: 3: no")}
+    assert len(expected) == 5
+    assert len(dask.begun()) == 10
+
+
+def test_a_scheduler_that_goes_ends_the_run(dask: Cluster) -> None:
+    def tick() -> None:
+        if len(dask.begun()) >= 2:
+            dask.scheduler.kill()
+
+    with pytest.raises(FleetError, match="is gone"), ClusterCrew(dask.address) as crew:
+        list(run(crew, fleet_tasks.slow_square, range(50), tick))
+
+
+def test_no_scheduler(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "_CONNECT", 1.0)
+    with pytest.raises(FleetError, match=r"no Dask scheduler at tcp://127\.0\.0\.1:9"):
+        ClusterCrew("tcp://127.0.0.1:9")
+    with pytest.raises(FleetError, match="no Dask scheduler at nonsense://x"):
+        ClusterCrew("nonsense://x")

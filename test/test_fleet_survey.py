@@ -1,0 +1,101 @@
+"""Which bags there are, and what is seen of one."""
+
+import hashlib
+import os
+from pathlib import Path
+
+import fleet_tasks
+import pytest
+from bag_samples import STRING, cut_end, string_cdr, write_with_mcap
+
+from hd_diag.config import resolve
+from hd_diag.fleet.rows import tasks
+from hd_diag.fleet.survey import find_bags, survey
+
+
+def test_bags_in_folders_at_any_depth_each_once(tmp_path: Path) -> None:
+    """A folder with metadata is one bag, whatever is in it; links are not followed in circles."""
+    for name in (
+        "b/2.mcap",
+        "b/10.db3",
+        "a/metadata.yaml",
+        "a/a_0.mcap",
+        "a/deep/x.mcap",
+        "notes.txt",
+        "z.mcap",
+    ):
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    (tmp_path / "b" / "loop").symlink_to(tmp_path)
+    (tmp_path / "again.mcap").symlink_to(tmp_path / "b" / "2.mcap")
+    found = find_bags([tmp_path, tmp_path / "z.mcap", tmp_path / "none.mcap"])
+    names = [str(path.relative_to(tmp_path)) for path in found]
+    assert names == ["again.mcap", "z.mcap", "a", "b/10.db3", "none.mcap"]
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may list every folder")
+def test_a_folder_that_cannot_be_listed_is_told(tmp_path: Path) -> None:
+    closed = tmp_path / "closed"
+    closed.mkdir(mode=0)
+    assert find_bags([tmp_path]) == [closed]
+    assert "Permission denied" in survey(str(closed)).error
+
+
+def test_a_survey(tmp_path: Path) -> None:
+    seen = survey(str(fleet_tasks.small_bag(tmp_path / "a.mcap", 3)))
+    assert (seen.error, seen.messages, seen.problems) == ("", 12, ())
+    assert seen.names == {"joint_1_motor", "joint_1"}
+    assert seen.start == fleet_tasks.BEGIN + 3 * fleet_tasks.DAY
+    own = hashlib.sha256((tmp_path / "a.mcap").read_bytes()).digest()
+    assert seen.digest == hashlib.sha256(own).hexdigest()
+
+
+def test_an_unfinished_bag_is_read_and_said_to_be(tmp_path: Path) -> None:
+    whole = fleet_tasks.small_bag(tmp_path / "a.mcap")
+    seen = survey(str(cut_end(whole, tmp_path / "cut.mcap")))
+    assert (seen.messages, len(seen.problems), seen.error) == (12, 1, "")
+
+
+@pytest.mark.parametrize("content", [b"", b"garbage", b"\x89MCAP0\r\n" + bytes(100)])
+def test_what_is_no_bag(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "a\n\x1b[31m.mcap"
+    path.write_bytes(content)
+    seen = survey(str(path))
+    assert seen.error
+    assert seen.error.isprintable()
+    assert "does not exist" in survey(str(tmp_path / "none.mcap")).error
+
+
+def test_a_bag_without_joint_states(tmp_path: Path) -> None:
+    path = write_with_mcap(tmp_path / "a.mcap", [("/n", STRING, string_cdr("x"), 5)])
+    assert survey(str(path)).error.endswith("has no topic with sensor_msgs/msg/JointState")
+
+
+def test_tasks_are_the_joints_that_a_bag_holds(tmp_path: Path) -> None:
+    """One of two angles is enough to be asked for, and told why it is not judged."""
+    config = resolve({"joints": ["joint_1", "joint_2", "joint_3"]})
+    path = fleet_tasks.small_bag(tmp_path / "a.mcap", names=("joint_2", "joint_3", "joint_3_motor"))
+    assert [task.joint.name for task in tasks(survey(str(path)), config, config.joints)] == [
+        "joint_2",
+        "joint_3",
+    ]
+
+
+def test_the_key_of_a_result_is_what_it_depends_on(tmp_path: Path) -> None:
+    first = survey(str(fleet_tasks.small_bag(tmp_path / "a.mcap")))
+    renamed = survey(str((tmp_path / "a.mcap").rename(tmp_path / "b.mcap")))
+    other = survey(str(fleet_tasks.small_bag(tmp_path / "c.mcap", 1)))
+
+    def key(seen=first, **values) -> str:
+        config = resolve({f"joint_1.{name.replace('__', '.')}": value for name, value in values.items()})
+        return tasks(seen, config, config.joints)[0].key
+
+    assert key(renamed) == key(limits__residual_rms__error=1e-3) == key()
+    changed = [
+        key(other),
+        key(torque=1.0),
+        key(eccentricity__magnitude=1e-6),
+        key(output_joint="joint_1_motor", input_joint="joint_1"),
+    ]
+    assert len({key(), *changed}) == 5

@@ -1,0 +1,242 @@
+"""Steps and drifts are found where they are, and in constant series no more often than stated."""
+
+import math
+from itertools import permutations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from scipy import stats
+
+from hd_diag.fleet import trend
+from hd_diag.fleet.segments import changes
+from hd_diag.fleet.trend import FALSE_ALARM, LEAST, Series, Trend, gains, least_values, trends, weights
+
+DAY = 86_400.0  # [s]
+START = 1.767e9  # [s]
+SIGMA = 0.1
+
+
+def series(value: np.ndarray, std: np.ndarray | float = SIGMA, limit: float = math.nan) -> Series:
+    time = START + DAY * np.arange(value.size)
+    return Series("", "joint_1", "eccentricity", "m", time, value, np.broadcast_to(std, value.shape), limit)
+
+
+def told(value: np.ndarray, std: np.ndarray | float = SIGMA, limit: float = math.nan) -> Trend:
+    return trends([series(value, std, limit)])[0]
+
+
+def noise(seed: int, size: int, std: np.ndarray | float = SIGMA) -> np.ndarray:
+    return std * np.random.default_rng(seed).standard_normal(size)
+
+
+def most_of(count: int) -> int:
+    """False alarms that so many constant series exceed with a chance of 0.1 % at the stated rate."""
+    return int(stats.binom.isf(1e-3, count, FALSE_ALARM))
+
+
+# Constant ---
+
+
+@pytest.mark.parametrize("kind", ["equal", "uneven", "understated", "heavy tails"])
+def test_false_alarms_are_as_rare_as_stated(kind: str) -> None:
+    """Also where deviations differ, are ten times too small, or noise is not Gaussian."""
+    count, size, alarms = 300, 20, 0
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        std = SIGMA * rng.uniform(0.3, 3.0, size) if kind == "uneven" else np.full(size, SIGMA)
+        value = rng.standard_t(3, size) if kind == "heavy tails" else rng.standard_normal(size)
+        alarms += told(5.0 + std * value, std / 10.0 if kind == "understated" else std).form != "constant"
+    assert alarms <= most_of(count)
+
+
+def test_false_alarms_of_a_whole_run_are_as_rare() -> None:
+    """Twelve series together raise one no more often than one alone."""
+    runs = 60
+    alarms = sum(
+        any(t.form != "constant" for t in trends([series(noise(100 * run + i, 15)) for i in range(12)]))
+        for run in range(runs)
+    )
+    assert alarms <= most_of(runs)
+
+
+def test_a_series_without_noise_is_constant() -> None:
+    assert told(np.full(20, 3.0), 0.0).form == "constant"
+
+
+# Steps ---
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_step_is_found_where_it_is(seed: int) -> None:
+    value = noise(seed, 30) + np.where(np.arange(30) < 18, 0.0, 4.0 * SIGMA)
+    found = told(value)
+    assert (found.form, len(found.changes)) == ("steps", 1)
+    change = found.changes[0]
+    assert change.low <= START + 17.5 * DAY <= change.high
+    assert abs((change.after - START) / DAY - 18) <= 1
+    assert change.after - change.before == DAY
+    assert change.size_low < change.size < change.size_high
+    assert abs(change.size - 4.0 * SIGMA) < 4.0 * SIGMA * math.sqrt(1 / 18 + 1 / 12)
+    assert change.p_value == pytest.approx(0.001)
+
+
+def test_intervals_of_a_step_hold_as_often_as_they_say() -> None:
+    count = 100
+    found = [
+        told(noise(seed, 24) + np.where(np.arange(24) < 12, 0.0, 3.0 * SIGMA)).changes
+        for seed in range(count)
+    ]
+    single = [change for (change,) in (c for c in found if len(c) == 1)]
+    assert len(single) > 0.8 * count
+    least = stats.binom.ppf(1e-3, len(single), 0.95)
+    assert sum(c.low <= START + 11.5 * DAY <= c.high for c in single) > least
+    assert sum(c.size_low <= 3.0 * SIGMA <= c.size_high for c in single) > least
+
+
+def test_two_steps() -> None:
+    place = np.arange(45)
+    found = told(noise(3, 45) + np.select([place < 15, place < 30], [0.0, 8.0 * SIGMA], 3.0 * SIGMA))
+    assert [round((c.after - START) / DAY) for c in found.changes] == [15, 30]
+    assert [np.sign(c.size) for c in found.changes] == [1.0, -1.0]
+
+
+def test_a_single_wild_value_is_no_step() -> None:
+    value = noise(1, 20)
+    value[10] += 30.0 * SIGMA
+    assert told(value).form == "constant"
+
+
+def test_a_step_is_not_hidden_by_poor_values() -> None:
+    """They would hide it if they counted as much as the others."""
+    good = np.arange(40) % 2 == 0
+    std = np.where(good, SIGMA, 40.0 * SIGMA)
+    value = noise(0, 40, std) + np.where(np.arange(40) < 20, 0.0, 4.0 * SIGMA)
+    assert told(value, std).form == "steps"
+    assert told(value, math.nan).form == "constant"
+
+
+def test_weights_count_what_scatters_between_bags() -> None:
+    value = noise(0, 2000, 5.0 * SIGMA)
+    assert_allclose(weights(value, np.full(2000, SIGMA)), 1.0 / (5.0 * SIGMA) ** 2, rtol=0.1)
+    assert_allclose(weights(noise(0, 2000), np.full(2000, SIGMA)), SIGMA**-2, rtol=0.1)
+    assert_allclose(weights(value, np.full(2000, np.nan)), 1.0)
+
+
+@given(
+    st.lists(st.tuples(st.floats(-1e3, 1e3), st.floats(0.01, 100.0)), min_size=2 * LEAST, max_size=20),
+    st.floats(-1e6, 1e6),
+)
+def test_gains_are_the_fall_of_the_squares(pairs: list[tuple[float, float]], shift: float) -> None:
+    """Computed split by split, wherever zero is."""
+    value, weight = np.array(pairs).T
+
+    def squares(rows: slice) -> float:
+        mean = np.average(value[rows], weights=weight[rows])
+        return float(np.sum(weight[rows] * (value[rows] - mean) ** 2))
+
+    every = range(LEAST, value.size - LEAST + 1)
+    expected = [squares(slice(None)) - squares(slice(0, k)) - squares(slice(k, None)) for k in every]
+    scale = float(np.sum(weight * value**2)) + float(np.sum(weight)) * (1e-8 * abs(shift)) ** 2 + 1e-9
+    assert_allclose(gains(value + shift, weight), expected, rtol=0, atol=1e-8 * scale + 1e-6 * max(expected))
+
+
+def test_segments_have_the_least_penalised_cost() -> None:
+    """Against every way to cut a short series."""
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        value, weight = rng.standard_normal(11).cumsum(), rng.uniform(0.5, 2.0, 11)
+
+        def cost(edges: tuple[int, ...], value: np.ndarray = value, weight: np.ndarray = weight) -> float:
+            parts = [(a, b) for a, b in zip((0, *edges), (*edges, 11), strict=True)]
+            squares = (
+                np.sum(
+                    weight[a:b] * (value[a:b] - np.average(value[a:b], weights=weight[a:b])) ** 2,
+                )
+                for a, b in parts
+            )
+            return float(sum(squares)) + 2.0 * len(edges)
+
+        allowed = [(), *((k,) for k in range(3, 9)), *((j, k) for j in range(3, 6) for k in range(j + 3, 9))]
+        assert tuple(changes(value, weight, 2.0)) == min(allowed, key=cost)
+
+
+# Too few ---
+
+
+def test_too_few_values_tell_nothing_and_say_how_many_are_needed() -> None:
+    clear = np.where(np.arange(9) < 4, 0.0, 100.0)
+    assert (told(clear[:8]).form, told(clear[:8]).needed) == ("unknown", 9)
+    assert math.isnan(told(clear[:8]).step_p)
+    assert told(clear + noise(0, 9)).form == "steps"
+
+
+def test_the_clearest_step_of_so_few_is_just_rare_enough() -> None:
+    """By all orders of its values: with one value less nothing could be told."""
+
+    def least_p(number: int) -> float:
+        value = np.where(np.arange(number) < number // 2, 0.0, 1.0)
+        best = gains(value, np.ones(number)).max()
+        orders = np.array(list(set(permutations(value.astype(int).tolist()))), dtype=float)
+        return float(np.mean(gains(orders, np.ones(orders.shape)).max(axis=1) >= best - 1e-9))
+
+    number = least_values(2)
+    assert least_p(number) <= FALSE_ALARM / 2 < least_p(number - 1)
+    assert [least_values(tests) for tests in (2, 6, 40, 400)] == [9, 10, 13, 17]
+
+
+def test_no_series_and_empty_series() -> None:
+    assert trends([]) == []
+    assert told(np.empty(0)).form == "unknown"
+
+
+# Drifts ---
+
+
+def test_a_drift_is_told_with_its_slope_and_the_day_of_the_limit() -> None:
+    slope = 0.5 * SIGMA  # a day
+    count, slopes, days = 40, 0, 0
+    for seed in range(count):
+        found = told(slope * np.arange(30) + noise(seed, 30), limit=slope * 50)
+        assert (found.form, found.changes) == ("drift", ())
+        assert found.slope is not None
+        assert found.crossing is not None
+        slopes += found.slope.low * DAY < slope < found.slope.high * DAY
+        when, low, high = ((time - START) / DAY for time in found.crossing)
+        assert low < when < high
+        days += low < 50 < high
+    assert min(slopes, days) >= stats.binom.ppf(1e-3, count, 0.95)
+
+
+def test_a_limit_that_nothing_moves_to_has_no_day() -> None:
+    slope = 0.5 * SIGMA * np.arange(30)
+    assert told(-slope + noise(0, 30), limit=1.0).crossing is None
+    assert told(slope + noise(0, 30)).crossing is None
+    assert told(noise(0, 30), limit=1.0).crossing is None
+    far = told(slope + noise(0, 30), limit=1e3)
+    assert (far.form, far.crossing) == ("drift", None)
+
+
+def test_a_limit_passed_already_has_its_day() -> None:
+    found = told(0.5 * SIGMA * np.arange(30) + noise(0, 30), limit=0.5 * SIGMA * 10)
+    assert found.crossing is not None
+    assert found.crossing[0] == pytest.approx(START + 10 * DAY, abs=3 * DAY)
+
+
+def test_the_same_series_gives_the_same_result() -> None:
+    value = noise(0, 30) + np.where(np.arange(30) < 18, 0.0, 3.0 * SIGMA)
+    first, second = told(value), told(value)
+    assert (first.step_p, first.changes, first.slope) == (second.step_p, second.changes, second.slope)
+
+
+def test_p_values_are_resolved_as_far_as_many_series_ask() -> None:
+    """One clear step among a hundred constant series."""
+    many = [series(noise(seed, 25)) for seed in range(1, 100)]
+    stepped = series(noise(0, 25) + np.where(np.arange(25) < 12, 0.0, 5.0 * SIGMA))
+    found = trends([*many, stepped])
+    assert found[-1].form == "steps"
+    assert found[-1].step_p < FALSE_ALARM / (2 * 100)
+    assert sum(t.form != "constant" for t in found[:-1]) <= 1
+    assert trend.FALSE_ALARM == 0.05

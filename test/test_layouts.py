@@ -1,0 +1,283 @@
+"""Layouts of other tools: every topic, field, frame, status and key that they name is the node's own."""
+
+import json
+import re
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from live import MS, START, Recording, config, sample
+
+from hd_diag.bag.schemas import jazzy
+from hd_diag.markers import MARKERS
+from hd_diag.messages import DIAGNOSTICS, JOINT_STATE, MULTI_ARRAY, published_topics, resolved
+from hd_diag.session import Session
+from hd_diag.watch import PREFIX
+
+FOLDER = Path(__file__).resolve().parent.parent / "config"
+JOINT = "joint_1"
+TOPICS = {resolved(topic): kind for topic, kind in published_topics([JOINT]).items()}
+ARCSEC_PER_RADIAN = 206264.806
+
+
+@pytest.fixture(scope="module")
+def messages() -> dict[str, Any]:
+    """A message of every topic, as the node of the layouts publishes it."""
+    recording = Recording()
+    session = Session(config(JOINT, mesh_rate=60.0, array_rate=100.0), recording)
+    session.start(START)
+    for i in range(3000):
+        session.joint_state(START + i * MS, sample(START + i * MS, 0.001 * i, 0.00001 * i, 14.0))
+    session.tick(START + 3000 * MS, START + 3000 * MS, {"log_state": "off", "latency_p99_us": "700"})
+    found = {resolved(topic): rows[-1][1] for topic, rows in recording.topics().items()}
+    assert TOPICS.keys() <= found.keys()
+    return {topic: jazzy().deserialize_cdr(found[topic], kind) for topic, kind in TOPICS.items()}
+
+
+# Foxglove ---
+
+FOXGLOVE = json.loads((FOLDER / "foxglove_layout.json").read_text())
+PANELS: dict[str, dict[str, Any]] = FOXGLOVE["configById"]
+PANEL_TYPES = {
+    *("3D", "Plot", "StateTransitions", "DiagnosticSummary", "DiagnosticStatusPanel", "RawMessages", "Tab"),
+}
+PATHS = sorted(
+    {path["value"] for panel in PANELS.values() for path in panel.get("paths", ())}
+    | {panel["topicPath"] for panel in PANELS.values() if "topicPath" in panel}
+)
+# As in the message path syntax: a name, then an optional slice, then an optional filter.
+ELEMENT = re.compile(r'\.(\w+)(?:\[(\d*)(:?)(\d*)\])?(?:\{(\w+)=="([^"]*)"\})?')
+
+
+def chosen(message: Any, path: str) -> list[Any]:
+    """What a message path without its topic takes from a message."""
+    found = [message]
+    while path:
+        element = ELEMENT.match(path)
+        assert element, f"not a message path: {path}"
+        name, low, colon, high, key, wanted = element.groups()
+        found = [getattr(item, name) for item in found]
+        if low or colon:
+            begin = int(low or 0)
+            end = None if colon and not high else int(high or begin)
+            lengths = [len(item) for item in found]
+            assert end is None or all(end < length for length in lengths), f"{path} is beyond {lengths}"
+            found = [value for item in found for value in item[begin : None if end is None else end + 1]]
+        if key:
+            found = [item for item in found if getattr(item, key) == wanted]
+        path = path[element.end() :]
+    return found
+
+
+def panels_of(node: Any) -> Iterator[str]:
+    """Panels of a layout, those of tabs too."""
+    if isinstance(node, str):
+        yield node
+        for tab in PANELS[node].get("tabs", ()):
+            yield from panels_of(tab["layout"])
+    else:
+        assert node["direction"] in ("row", "column")
+        assert 0.0 < node.get("splitPercentage", 50) < 100.0
+        yield from panels_of(node["first"])
+        yield from panels_of(node["second"])
+
+
+def test_foxglove_layout_has_the_parts_of_an_exported_one() -> None:
+    assert set(FOXGLOVE) == {"configById", "globalVariables", "userNodes", "playbackConfig", "layout"}
+    assert FOXGLOVE["globalVariables"] == FOXGLOVE["userNodes"] == {}
+    assert {panel.split("!")[0] for panel in PANELS} <= PANEL_TYPES
+
+
+def test_every_foxglove_panel_is_shown_once() -> None:
+    assert sorted(panels_of(FOXGLOVE["layout"])) == sorted(PANELS)
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_foxglove_paths_take_something_from_real_messages(path: str, messages: dict[str, Any]) -> None:
+    topic = path.split(".")[0]
+    assert topic in TOPICS
+    found = chosen(messages[topic], path[len(topic) :])
+    assert found, f"{path} takes nothing"
+    if topic == "/diagnostics" and path.endswith(".value"):
+        assert len(found) == 1
+
+
+def test_foxglove_plots_are_of_numbers(messages: dict[str, Any]) -> None:
+    plots = {name: panel for name, panel in PANELS.items() if name.startswith("Plot!")}
+    for panel in plots.values():
+        for path in panel["paths"]:
+            topic = path["value"].split(".")[0]
+            [float(value) for value in chosen(messages[topic], path["value"][len(topic) :])]
+        by_index = panel["xAxisVal"] == "index"
+        assert by_index == all(TOPICS[p["value"].split(".")[0]] == MULTI_ARRAY for p in panel["paths"])
+    plotted = {path["value"].split(".")[0] for panel in plots.values() for path in panel["paths"]}
+    assert plotted == {topic for topic, kind in TOPICS.items() if kind != MARKERS}
+
+
+def test_foxglove_tooth_plots_show_each_flank_whole(messages: dict[str, Any]) -> None:
+    for what in ("backlash", "load"):
+        topic = f"/hd_diag/{JOINT}/{what}"
+        data = messages[topic].data
+        parts = [chosen(messages[topic], p["value"][len(topic) :]) for p in PANELS[f"Plot!{what}"]["paths"]]
+        assert [len(part) for part in parts] == [dim.size for dim in messages[topic].layout.dim[1:]] * 2
+        assert [str(value) for part in parts for value in part] == [str(value) for value in data]
+
+
+def test_foxglove_diagnostics_panels_find_the_joint(messages: dict[str, Any]) -> None:
+    (status,) = messages["/diagnostics"].status
+    for name, panel in PANELS.items():
+        if name.startswith("Diagnostic"):
+            assert TOPICS[panel["topicToRender"]] == DIAGNOSTICS
+    shown = PANELS["DiagnosticStatusPanel!joint"]
+    assert (shown["selectedHardwareId"], shown["selectedName"]) == (status.hardware_id, status.name)
+
+
+def test_foxglove_3d_panel_shows_the_mesh_in_its_frame(messages: dict[str, Any]) -> None:
+    panel = PANELS["3D!mesh"]
+    assert list(panel["topics"]) == [topic for topic, kind in TOPICS.items() if kind == MARKERS]
+    (topic,) = panel["topics"]
+    assert {marker.header.frame_id for marker in messages[topic].markers} == {panel["followTf"]}
+
+
+# PlotJuggler ---
+
+PLOTJUGGLER = ElementTree.parse(FOLDER / "plotjuggler_layout.xml").getroot()
+
+
+def series(topic: str, message: Any) -> Iterator[str]:
+    """Names of the curves that PlotJuggler makes of a message, in the way of its ROS parsers."""
+    if TOPICS[topic] == JOINT_STATE:
+        for field in ("position", "velocity", "effort"):
+            if len(getattr(message, field)):
+                yield from (f"{topic}/{name}/{field}" for name in message.name)
+    elif TOPICS[topic] == DIAGNOSTICS:
+        for status in message.status:
+            owner = (
+                f"{topic}/{status.hardware_id}/{status.name}"
+                if status.hardware_id
+                else f"{topic}/{status.name}"
+            )
+            yield from (f"{owner}/{pair.key}" for pair in status.values if is_number(pair.value))
+    elif TOPICS[topic] == MULTI_ARRAY:
+        yield from (f"{topic}/data[{i}]" for i in range(len(message.data)))
+
+
+def is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def test_plotjuggler_layout_has_the_parts_of_a_saved_one() -> None:
+    assert PLOTJUGGLER.tag == "root"
+    (tabs,) = PLOTJUGGLER.findall("tabbed_widget")
+    assert tabs.get("parent") == "main_window"
+    areas = len(tabs.findall("./Tab/Container/DockSplitter/DockArea/plot"))
+    assert areas == len(list(tabs.iter("plot"))) == len(list(tabs.iter("DockArea"))) > 0
+    for splitter in tabs.iter("DockSplitter"):
+        sizes = [float(size) for size in splitter.attrib["sizes"].split(";")]
+        assert len(sizes) == len(splitter) == int(splitter.attrib["count"])
+        assert sum(sizes) == pytest.approx(1.0)
+    (current,) = tabs.findall("currentTabIndex")
+    assert 0 <= int(current.attrib["index"]) < len(tabs.findall("Tab"))
+
+
+def test_plotjuggler_curves_are_those_of_real_messages(messages: dict[str, Any]) -> None:
+    known = {name for topic, message in messages.items() for name in series(topic, message)}
+    computed = {snippet.attrib["name"]: snippet for snippet in PLOTJUGGLER.iter("snippet")}
+    curves = {curve.attrib["name"] for curve in PLOTJUGGLER.iter("curve")}
+    assert curves <= known | computed.keys()
+    assert computed.keys() <= curves
+    for snippet in computed.values():
+        assert snippet.findtext("linked_source") in known
+        factor = re.fullmatch(r"return value \* ([\d.]+)", snippet.findtext("function") or "")
+        assert factor
+        assert float(factor[1]) == ARCSEC_PER_RADIAN
+    topics = {snippet.findtext("linked_source") for snippet in computed.values()} | curves
+    for topic, kind in TOPICS.items():
+        assert (kind == MARKERS) != any(f"{name}/".startswith(f"{topic}/") for name in topics), topic
+
+
+# RViz ---
+
+RVIZ = yaml.safe_load((FOLDER / "rviz.rviz").read_text())["Visualization Manager"]
+
+
+def test_rviz_shows_the_mesh_in_its_frame(messages: dict[str, Any]) -> None:
+    (display,) = RVIZ["Displays"]
+    topic = display["Topic"]["Value"]
+    assert display["Class"] == "rviz_default_plugins/MarkerArray"
+    assert TOPICS[topic] == MARKERS
+    markers = messages[topic].markers
+    assert {marker.header.frame_id for marker in markers} == {RVIZ["Global Options"]["Fixed Frame"]}
+    assert {marker.ns: True for marker in markers} == display["Namespaces"]
+
+
+def test_rviz_view_holds_the_gear_and_its_legend(messages: dict[str, Any]) -> None:
+    """The view from above has so many pixels a metre; the window leaves the drawing some 800."""
+    view = RVIZ["Views"]["Current"]
+    assert view["Class"] == "rviz_default_plugins/TopDownOrtho"
+    markers = messages["/hd_diag/joint_1/mesh"].markers
+    heights = [p.y for marker in markers for p in marker.points]
+    heights += [m.pose.position.y - 2.0 * m.scale.z for m in markers if m.text]
+    assert (max(heights) - view["Y"]) * view["Scale"] < 400
+    assert (view["Y"] - min(heights)) * view["Scale"] < 400
+
+
+# diagnostic_aggregator ---
+
+AGGREGATOR = yaml.safe_load((FOLDER / "diagnostic_aggregator.yaml").read_text())
+ANALYZERS = {
+    name: value
+    for name, value in AGGREGATOR["analyzers"]["ros__parameters"].items()
+    if isinstance(value, dict)
+}
+STRANGERS = (
+    *("hd_diagnostics: battery", "hd_diag", "hd_diag_watch: x", "my hd_diag: joint_1", "camera: joint_1", ""),
+)
+
+
+def matches(analyzer: dict[str, Any], name: str) -> bool:
+    """As a GenericAnalyzer decides."""
+    assert set(analyzer) <= {"type", "path", "timeout", "remove_prefix", "startswith", "contains", "name"}
+    return (
+        any(name.startswith(begin) for begin in analyzer.get("startswith", ()))
+        or any(part in name for part in analyzer.get("contains", ()))
+        or name in analyzer.get("name", ())
+    )
+
+
+def test_the_aggregator_takes_this_node_s_statuses_and_no_others(messages: dict[str, Any]) -> None:
+    (analyzer,) = ANALYZERS.values()
+    assert analyzer["type"] == "diagnostic_aggregator/GenericAnalyzer"
+    names = [status.name for status in messages["/diagnostics"].status] + [f"{PREFIX}shoulder pan"]
+    assert [name for name in names if not matches(analyzer, name)] == []
+    assert [name for name in STRANGERS if matches(analyzer, name)] == []
+
+
+def test_the_aggregator_shows_joints_by_their_names(messages: dict[str, Any]) -> None:
+    (analyzer,) = ANALYZERS.values()
+    (status,) = messages["/diagnostics"].status
+    (prefix,) = analyzer["remove_prefix"]
+    assert status.name.removeprefix(prefix) == JOINT
+
+
+def test_the_aggregator_waits_longer_than_the_default_period() -> None:
+    (analyzer,) = ANALYZERS.values()
+    assert isinstance(analyzer["timeout"], float)
+    assert analyzer["timeout"] > 2.0 / config(JOINT).diagnostics_rate
+
+
+# README ---
+
+
+@pytest.mark.parametrize(
+    "name", ["foxglove_layout.json", "plotjuggler_layout.xml", "rviz.rviz", "diagnostic_aggregator.yaml"]
+)
+def test_the_readme_names_every_layout(name: str) -> None:
+    assert f"config/{name}" in (FOLDER.parent / "README.md").read_text()

@@ -1,0 +1,103 @@
+"""SVG of pictures: what stands in it, what cannot, the same for the same numbers."""
+
+import re
+from xml.etree import ElementTree as Xml
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from report_samples import HOSTILE
+
+from hd_diag.pictures import canvas
+from hd_diag.pictures.markup import inline_svg
+from hd_diag.pictures.model_ladder import model_ladder
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+@canvas.drawn
+def labelled(title: str, curve: str = "a curve") -> Figure:
+    figure, (axes,) = canvas.sheet(2.0)
+    axes.plot([0.0, 1.0, 2.0], [0.0, 1.0, 0.5], "o-", label=curve)
+    axes.imshow(np.eye(3), extent=(0.0, 2.0, 0.0, 1.0), aspect="auto")
+    canvas.titled(axes, title)
+    return figure
+
+
+def texts(svg: str) -> list[str]:
+    return [element.text or "" for element in Xml.fromstring(svg).iter(f"{SVG}text")]
+
+
+def test_a_hostile_name_is_letters_and_nothing_else() -> None:
+    name = HOSTILE.replace("\x07", "")  # XML has no such character: the page spells it out before
+    svg = inline_svg(labelled(name, name), "a", name, name)
+    tags = {element.tag for element in Xml.fromstring(svg).iter()}
+    assert not tags & {f"{SVG}script", f"{SVG}img", f"{SVG}style", f"{SVG}metadata"}
+    assert texts(svg).count(name) == 2
+    assert "<script" not in svg
+    assert "<img" not in svg
+
+
+def test_nothing_in_it_is_mathematics_whatever_matplotlib_is_set_to() -> None:
+    with mpl.rc_context({"text.parse_math": True, "axes.titlesize": 40}):
+        svg = inline_svg(labelled("$\\frac{1}{2}$ and $x$"), "a", "", "")
+    assert "$\\frac{1}{2}$ and $x$" in texts(svg)
+    assert svg == inline_svg(labelled("$\\frac{1}{2}$ and $x$"), "a", "", "")
+
+
+def test_ids_are_the_picture_s_own_and_every_reference_has_one() -> None:
+    pictures = [inline_svg(labelled("same"), name, "", "") for name in ("first", "second")]
+    ids = [set(re.findall(r'\bid="([^"]+)"', svg)) for svg in pictures]
+    assert not ids[0] & ids[1]
+    for svg, own in zip(pictures, ids, strict=True):
+        used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', svg))
+        assert used
+        assert used | {f"{next(iter(own)).partition('-')[0]}-{end}" for end in ("title", "told")} == own
+
+
+def test_it_needs_no_style_and_takes_the_page_s_ink() -> None:
+    svg = inline_svg(labelled("a"), "a", "", "")
+    assert "style=" not in svg
+    assert "<style" not in svg
+    assert canvas.INK not in svg
+    assert "currentColor" in svg
+    assert 'font-size="8.5"' in svg
+
+
+def test_it_is_told_to_those_who_cannot_see_it() -> None:
+    root = Xml.fromstring(inline_svg(labelled("a"), "a", "A title", "1.5 µm & more"))
+    assert root.get("role") == "img"
+    told = {element.get("id"): element.text for element in root if element.get("id")}
+    assert told[root.get("aria-labelledby")] == "A title"
+    assert told[root.get("aria-describedby")] == "1.5 µm & more"
+
+
+@pytest.mark.parametrize("name", ["", "1st", 'a" onload="x', "a b"])
+def test_a_name_that_begins_no_id_is_refused(name: str) -> None:
+    with pytest.raises(ValueError, match="name of a picture"):
+        inline_svg(labelled("a"), name, "", "")
+
+
+def luminance(colour: str) -> float:
+    parts = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    linear = [c / 12.92 if c <= 0.03928 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+@pytest.mark.parametrize("page", ["#ffffff", "#15181d"])
+def test_every_colour_stands_out_of_a_light_and_a_dark_page(page: str) -> None:
+    """WCAG 2.1, success criterion 1.4.11: 3 to 1 for graphics."""
+    used = (canvas.NOMINAL, canvas.REFIT, canvas.EXTENDED, canvas.ACCENT, canvas.GRID, *canvas.SERIES)
+    for colour in used:
+        brighter, darker = sorted((luminance(colour), luminance(page)), reverse=True)
+        assert (brighter + 0.05) / (darker + 0.05) > 3.0, colour
+
+
+def test_a_ladder_shows_its_numbers() -> None:
+    arcsec = np.pi / 648000.0
+    rms = np.array([46.0, 12.5, 3.3]) * arcsec
+    names = ["as configured", "refitted", "+ hysteresis"]
+    noise = (3.2 * arcsec, 3.1 * arcsec, 3.4 * arcsec)
+    svg = inline_svg(model_ladder(names, rms, 0.9 * rms, 1.1 * rms, [(0, rms[0])], noise), "a", "", "")
+    assert {*names, "46.00", "12.50", "3.30"} <= set(texts(svg))

@@ -1,0 +1,333 @@
+"""The numbers of a report and its page: the diagnosis's own; nothing out of a bag acts on the page."""
+
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from challenge import records
+from cli_runner import runner
+from click.testing import Result
+from joint_records import columns, prepared
+from numpy.testing import assert_allclose, assert_array_equal
+from report_samples import HOSTILE, configured, diagnosis, joint_report, made, without_output
+
+from hd_diag.cli import cli
+from hd_diag.criticism import base
+from hd_diag.criticism.diagnosis import diagnose
+from hd_diag.drive import mesh_state
+from hd_diag.report import Judgement, of_diagnosis
+from hd_diag.report_page import page
+from hd_diag.report_quality import Fact, facts
+from hd_diag.told import arcsec
+
+ARCSEC = np.pi / 648000.0
+SOURCES = [Fact("a.mcap", "SHA-256 0")]
+
+
+class Reader(HTMLParser):
+    """Tags with their attributes, and the text between them."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attributes)))
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+def judged(name: str) -> Judgement:
+    found = joint_report(name).judgement
+    assert found is not None
+    return found
+
+
+def fact(entries: tuple[Fact, ...] | list[Fact], name: str) -> str:
+    return dict(entries)[name]
+
+
+# Numbers ---
+
+
+@pytest.mark.parametrize("name", ["output_runout", "input_encoder_eccentricity"])
+def test_the_ladder_s_rungs_lead_down_to_the_noise(name: str) -> None:
+    """They hold out other data than the diagnosis does: its own figures are within a fifth."""
+    found, rms = judged(name), diagnosis(name).rms
+    assert rms is not None
+    nominal, refitted, extended = found.ladder
+    assert [rung.name for rung in found.ladder] == [
+        "as configured",
+        "refitted",
+        f"+ {name.replace('_', ' ')}",
+    ]
+    assert nominal.rms > refitted.rms > extended.rms > 0.9 * rms.noise
+    assert_allclose([nominal.rms, refitted.rms], [rms.nominal, rms.refit], rtol=0.2)
+    assert_allclose(extended.rms, rms.offline, rtol=0.2)
+    for rung, before in zip(found.ladder[1:], found.ladder, strict=False):
+        assert rung.low < rung.rms < rung.high
+        assert_allclose(rung.gain, 1.0 - (rung.rms / before.rms) ** 2, rtol=1e-9)
+        assert rung.gain_low < rung.gain < rung.gain_high
+
+
+def test_the_order_of_a_cause_is_marked() -> None:
+    """An off-centre input encoder is order 1 of a wave generator that turns with it."""
+    (mark,) = judged("input_encoder_eccentricity").marks
+    amplitude = float(
+        np.std(records.added_by(made("input_encoder_eccentricity"), mark.name.replace(" ", "_")))
+    )
+    assert mark.order == pytest.approx(1.0, abs=0.01)
+    assert mark.amplitude == pytest.approx(np.sqrt(2.0) * amplitude, rel=0.15)
+    before, after = (judged("input_encoder_eccentricity").orders[stage] for stage in ("refitted", "extended"))
+    near = [np.abs(order - 1.0) < 0.02 for order, _ in (before, after)]
+    assert before[1][near[0]].max() > 4.0 * after[1][near[1]].max()
+
+
+def test_simulated_is_measured_less_what_is_left() -> None:
+    for compared in (judged("output_runout").over_angle, judged("output_runout").over_torque):
+        assert list(compared.simulated) == ["as configured", "refitted", "extended"]
+        for name, mean in compared.simulated.items():
+            assert_allclose(compared.measured.mean - mean, compared.residual[name].mean, atol=1e-12)
+        assert np.nansum(compared.measured.samples) == compared.samples
+
+
+def test_what_is_left_over_angle_falls_from_stage_to_stage() -> None:
+    left = judged("input_encoder_eccentricity").over_angle.residual
+    spread = [np.sqrt(np.nanmean(band.mean**2)) for band in left.values()]
+    assert spread[0] > spread[1] > 2.0 * spread[2]
+
+
+def test_stiffness_is_that_of_the_drive_that_made_the_record() -> None:
+    """Measured and fitted within each other's reach: 10 % where teeth come into contact, 5 % beyond."""
+    for name in ("output_runout", "input_encoder_eccentricity"):
+        for entry, reach in zip(joint_report(name).torsion.stiffness, (0.1, 0.05, 0.05), strict=True):
+            if np.isfinite(entry.measured):
+                assert entry.measured_low < entry.measured < entry.measured_high
+                assert entry.measured == pytest.approx(entry.fitted, rel=reach)
+    assert np.isfinite(joint_report("output_runout").torsion.stiffness[1].measured)
+
+
+def test_the_first_cards_are_the_joint_s_own_and_what_was_hidden_is_among_them() -> None:
+    found = judged("output_runout").cards
+    titles = [card.title for card in found]
+    hidden = next(card for card in found if card.title in ("Output runout", "Output encoder eccentricity"))
+    assert {hidden.title.lower(), *(name for name, _ in hidden.alternatives)} == {
+        "output runout",
+        "output encoder eccentricity",
+    }
+    assert all(inspect for _, inspect in hidden.alternatives)
+    settings = [card.setting for card in found]
+    assert settings == sorted(settings)
+    assert "Eccentricity of the wave generator in the housing" in titles
+
+
+def test_the_eccentricity_s_card_tells_what_a_dial_gauge_reads() -> None:
+    refitted = diagnosis("output_runout").refitted
+    assert refitted is not None
+    values = base.physical(refitted.parameters, refitted.covariance, diagnosis("output_runout").configured)
+    card = next(c for c in judged("output_runout").cards if c.title.startswith("Eccentricity"))
+    told = {name: float(value.split()[0]) for name, value in card.measures}
+    size, turned = (values[f"eccentricity.{key}"]["value"] for key in ("magnitude", "direction"))
+    assert told["eccentricity"] == pytest.approx(size * 1e6, abs=0.06)
+    assert told["dial gauge, total travel"] == pytest.approx(2e6 * size, abs=0.06)
+    direction = told["direction, from slot 0"]
+    assert direction == pytest.approx(np.degrees(turned) % 180.0, abs=0.6)
+    # The long axis turns against the input, and stands on slot 0 at input angle zero.
+    assert told["input angle with the long axis there"] == pytest.approx(-direction % 180.0, abs=0.6)
+    assert all("modulo 180°" in value for name, value in card.measures if "direction" in name)
+
+
+def test_teeth_are_those_of_the_refitted_drive() -> None:
+    report, refitted = joint_report("output_runout"), diagnosis("output_runout").refitted
+    assert refitted is not None
+    teeth, drive = report.teeth, refitted.drive
+    rows = [0, 60, teeth.moment]
+    cup = drive.kinematics.cup_torque(np.full(3, teeth.torque))
+    state = mesh_state(drive, teeth.input_angle[rows], cup)
+    assert_array_equal(teeth.load[rows], state.load.sum(axis=1))
+    assert_array_equal(teeth.backlash[rows], np.fmin(state.backlash[:, 0], state.backlash[:, 1]))
+    assert teeth.load[teeth.moment].max() == teeth.load.max() == teeth.greatest_load.max()
+    assert np.nanmin(teeth.least_backlash) == np.nanmin(teeth.backlash)
+    assert teeth.visited.all()
+
+
+def test_quality_counts_gaps_and_jitter() -> None:
+    rng = np.random.default_rng(0)
+    time = np.arange(1000) * 0.002 + 1e-4 * rng.uniform(-1.0, 1.0, 1000)
+    time[500:] += 0.5
+    angle = 10.0 * time
+    found = facts(time, angle, None, 100.0, np.zeros(1000, dtype=np.int64))
+    assert fact(found, "Gaps") == "1, 0.502 s in all"
+    assert float(fact(found, "Sample rate").split()[0]) == pytest.approx(500.0, rel=0.01)
+    mean, most = (float(part.split()[0]) for part in fact(found, "Jitter of the stamps").split(","))
+    assert (mean, most) == (pytest.approx(67.0, abs=5.0), pytest.approx(185.0, abs=15.0))
+    assert fact(found, "Ways turned") == "100 % forwards, 0 % back"
+    assert fact(found, "Torque") == "not measured"
+
+
+def test_a_wrong_ratio_is_all_that_is_said_first() -> None:
+    """Nothing was fitted: one card, one stage, no ladder; and the page stands."""
+    given = columns(seconds=6.0)
+    whole = configured()
+    wrong = diagnose(prepared(given | {"output": -given["output"]}), whole.joints[0].drive)
+    report = of_diagnosis(wrong, whole.joints[0], whole.flat)
+    found = report.judgement
+    assert found is not None
+    assert [card.title for card in found.cards] == ["Ratio error"]
+    assert (list(found.over_angle.residual), found.ladder, found.held) == (["as configured"], (), None)
+    read = Reader(page([report], SOURCES))
+    assert wrong.findings[0].text in read.text
+    assert "Nothing was tested." in read.text
+    assert len([1 for tag, _ in read.tags if tag == "svg"]) == 7
+
+
+def test_a_record_without_torque_has_no_measured_stiffness() -> None:
+    given = {name: column for name, column in columns(seconds=10.0).items() if name != "torque"}
+    whole = configured()
+    record = prepared(given, assumed_torque=30.0)
+    report = of_diagnosis(diagnose(record, whole.joints[0].drive), whole.joints[0], whole.flat)
+    assert not [entry for entry in report.torsion.stiffness if np.isfinite(entry.measured)]
+    assert report.torsion.rising is None
+    assert fact(report.quality, "Torque") == "not measured"
+    assert "not measured, fitted" in Reader(page([report], SOURCES)).text
+
+
+# Page ---
+
+
+def test_the_same_numbers_are_the_same_page_and_a_small_one() -> None:
+    text = page([joint_report("output_runout")], SOURCES)
+    assert text == page([joint_report("output_runout")], SOURCES)
+    assert len(text.encode()) < 450_000  # so that seven joints stay near 3 MB
+
+
+def test_the_page_tells_what_the_diagnosis_says() -> None:
+    text = Reader(page([joint_report("output_runout")], SOURCES)).text
+    rms = diagnosis("output_runout").rms
+    assert rms is not None
+    for value in (rms.nominal, rms.refit, rms.extended, rms.noise):
+        assert arcsec(value) in text
+    assert joint_report("output_runout").verdict in text
+    for test in diagnosis("output_runout").testable:
+        assert test.name.replace("_", " ") in text
+        assert test.reason in text
+    assert "output runout or output encoder eccentricity" in text or (
+        "output encoder eccentricity or output runout" in text
+    )
+
+
+def test_several_joints_have_a_section_each_and_no_id_twice() -> None:
+    read = Reader(page([joint_report("output_runout"), joint_report("input_encoder_eccentricity")], SOURCES))
+    ids = [attributes["id"] for _, attributes in read.tags if "id" in attributes]
+    assert len(set(ids)) == len(ids)
+    assert {"joint1", "joint2"} <= set(ids)
+    links = [attributes["href"] for tag, attributes in read.tags if tag == "a"]
+    assert links == ["#joint1", "#joint2"]
+
+
+def test_every_picture_has_a_text_alternative_with_numbers() -> None:
+    text = page([joint_report("output_runout")], SOURCES)
+    told = dict(re.findall(r'<(?:title|desc) id="(joint1-[^"]+)">([^<]+)<', text))
+    pictures = [a for tag, a in Reader(text).tags if tag == "svg"]
+    assert len(pictures) == 8
+    for picture in pictures:
+        assert picture["role"] == "img"
+        assert len(told[picture["aria-labelledby"] or ""]) > 5
+        assert re.search(r"\d", told[picture["aria-describedby"] or ""])
+
+
+def test_nothing_out_of_a_bag_acts_on_the_page() -> None:
+    report = joint_report("output_runout", input_joint=HOSTILE, output_joint=HOSTILE + "2")
+    text = page([report], [Fact(HOSTILE, HOSTILE)])
+    read = Reader(text)
+    assert {tag for tag, _ in read.tags} & {"script", "img", "iframe", "object", "link", "base"} == {"link"}
+    assert not [name for _, attributes in read.tags for name in attributes if name.startswith("on")]
+    assert (
+        "<script>alert(1)</script><img src=x onerror=alert(2)>$\\frac{1}{2}$]]>\"'&\\u202egnp\\x07"
+        in read.text
+    )
+    assert not set(text) & {"\u202e", "\x07"}
+
+
+def test_the_page_forbids_all_but_its_own_style() -> None:
+    tags = Reader(page([joint_report("output_runout")], SOURCES)).tags
+    policy = next(a["content"] for tag, a in tags if a.get("http-equiv") == "Content-Security-Policy")
+    assert re.fullmatch(
+        r"default-src 'none'; style-src 'sha256-[\w+/=]{44}'; img-src data:; "
+        r"base-uri 'none'; form-action 'none'",
+        policy or "",
+    )
+    assert not [a for _, a in tags if "style" in a]
+    places = [a[key] or "" for _, a in tags for key in ("src", "href", "xlink:href") if key in a]
+    assert places
+    assert [place for place in places if not place.startswith(("#", "data:"))] == []
+
+
+# Command line ---
+
+
+def hd_diag(*arguments: object) -> Result:
+    return runner().invoke(cli, [*map(str, arguments)])
+
+
+def parameter_file(path: Path, **names: str) -> Path:
+    flat = {"joints": ["joint_1"], "joint_1": names}
+    path.write_text(yaml.safe_dump({"hd_diag": {"ros__parameters": flat}}, allow_unicode=True))
+    return path
+
+
+def test_a_bag_without_output_gets_the_model_s_side(tmp_path: Path) -> None:
+    """And a name in it that wants to be markup is told as it is."""
+    bag, out = tmp_path / "<b>bag.mcap", tmp_path / "page.html"
+    without_output(bag, HOSTILE)
+    config = parameter_file(tmp_path / "c.yaml", input_joint=f"{HOSTILE}_motor", output_joint=HOSTILE)
+    result = hd_diag("report", bag, "--config", config, "--out", out)
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert "Nothing could be judged" in result.stdout
+    read = Reader(out.read_text(encoding="utf-8"))
+    assert {tag for tag, _ in read.tags} & {"script", "img"} == set()
+    assert "Nothing could be judged" in read.text
+    assert "<b>bag.mcap" in read.text
+    assert len([1 for tag, _ in read.tags if tag == "svg"]) == 3
+    assert "Measured against simulated" not in read.text
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_diagnose_draws_what_it_says(tmp_path: Path) -> None:
+    records.write_bag(made("output_runout"), tmp_path / "joint.mcap")
+    out = tmp_path / "page.html"
+    result = hd_diag("diagnose", tmp_path / "joint.mcap", "--report", out)
+    assert (result.exit_code, result.stderr) == (0, "")
+    verdict = result.stdout.splitlines()[0].removeprefix("joint_1: ")
+    assert result.stdout.splitlines()[-1] == f"report written: {out}"
+    assert verdict in Reader(out.read_text(encoding="utf-8")).text
+
+
+def test_pages_that_cannot_be_written_or_read_from(tmp_path: Path) -> None:
+    bag = tmp_path / "joint.mcap"
+    without_output(bag, "joint_1")
+    nowhere = tmp_path / "none" / "page.html"
+    empty = parameter_file(tmp_path / "c.yaml", input_joint="elbow_motor", output_joint="elbow")
+    for arguments, said in (
+        (("report", bag, "--out", nowhere), "no such folder"),
+        (("diagnose", bag, "--report", nowhere), "no such folder"),
+        (("report", tmp_path / "none.mcap"), "none.mcap"),
+        (("report", bag, "--config", empty, "--out", tmp_path / "a.html"), "elbow_motor"),
+    ):
+        result = hd_diag(*arguments)
+        assert (result.exit_code, result.stdout) == (2, "")
+        assert len(result.stderr.splitlines()) == 1
+        assert said in result.stderr
+
+
+def test_settings_are_told_with_their_units() -> None:
+    told = dict(joint_report("output_runout", output_joint="link").settings)
+    assert told["output_joint"] == "link"
+    assert told["tooth_compliance"] == f"{configured().flat['joint_1.tooth_compliance']} m/N"
+    assert not [name for name in told if name.startswith("limits.")]

@@ -1,0 +1,466 @@
+"""Assembly tolerances: laws of the limits and the yield, and limits found again by brute force."""
+
+import dataclasses
+import math
+from typing import Any
+
+import drives
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from reference import polyline, published
+
+from hd_diag.config import resolve
+from hd_diag.drive import Drive, mesh_state
+from hd_diag.model import compiled
+from hd_diag.model.torsion import Mesh, torsion
+from hd_diag.model.torsion_map import ARCSEC
+from hd_diag.model.transmission_error import Kinematics
+from hd_diag.tolerance import assembly
+from hd_diag.tolerance.assembly import FACTORS, Assembly, Population, Share, draw, judged, yields
+from hd_diag.tolerance.criteria import CRITERIA, NAMES, cup_torques, of_moments, reference_stiffness
+from hd_diag.tolerance.hills import NARROWING, climbed, hills
+from hd_diag.tolerance.limit import (
+    STEPS,
+    Limit,
+    across_long_axis,
+    check_largest,
+    first_excess,
+    input_angle,
+    largest_eccentricity,
+)
+from hd_diag.tolerance.moments import evaluate
+from hd_diag.tolerance.settings import Spread, settings
+from hd_diag.tolerance.workers import Workers
+
+RATED = published.RATED_TORQUE
+CUP = -RATED  # output at the flexspline
+LARGEST = 40e-6
+NOMINAL = resolve({})
+LIMITS = settings(NOMINAL.flat, "joint_1").limits
+SPREADS = settings(NOMINAL.flat, "joint_1").spreads
+NONE = {name: Spread(spread.distribution, 0.0) for name, spread in SPREADS.items()}
+QUIET = {"overlap": 5e-6, "peak_tooth_load": 50.0, "transmission_error": 5 * ARCSEC}
+
+
+def drive(mesh: Mesh | None = None, **changes: Any) -> Drive:
+    return dataclasses.replace(Drive(mesh or drives.mesh(), Kinematics(100.0), RATED), **changes)
+
+
+def excess(criterion: str, limit: float, of: Drive | None = None, torque: float = CUP) -> Limit:
+    return first_excess(of or drive(), torque, criterion, limit, LARGEST)
+
+
+def random_moments(count: int, seed: int = 0) -> tuple[Any, ...]:
+    random = np.random.default_rng(seed)
+    turn = random.uniform(-9.0, 9.0, count)
+    center = random.uniform(0, 30e-6, count) * np.exp(1j * random.uniform(0, 7, count))
+    return turn, center
+
+
+# Moments ---
+
+
+def test_both_solvers_give_the_same() -> None:
+    if not compiled.available():
+        pytest.skip("numba is not installed")
+    turn, center = random_moments(60)
+    slots = np.random.default_rng(1).normal(0.0, 2e-5, 202)
+    torque = np.array([CUP, 3.0, 0.0])
+    fast = evaluate(drives.mesh(), turn, center, torque, slots)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compiled, "available", lambda: False)
+        slow = evaluate(drives.mesh(), turn, center, torque, slots)
+    for field in dataclasses.fields(fast):
+        found, expected = getattr(fast, field.name), getattr(slow, field.name)
+        assert found.shape == expected.shape
+        assert_allclose(found, expected, rtol=1e-8, atol=1e-15)
+
+
+def test_moments_are_those_of_the_mesh() -> None:
+    """Overlap to the mean radius of all contacts instead of one lobe's, which differ by 0.02 %."""
+    own = drive(drives.mesh(eccentricity=(9e-6, 4e-6), runout=(1e-6, 0.0)))
+    turn = np.linspace(0.0, 6.0, 40)
+    state = mesh_state(own, -turn, np.full(40, CUP))
+    found = evaluate(own.mesh, turn, own.mesh.displacement(turn), np.array([CUP]))
+    assert_allclose(found.torsion[:, 0], state.torsion, rtol=0, atol=1e-15)
+    assert_allclose(found.peak_load[:, 0], state.peak_load, rtol=1e-12)
+    assert_allclose(found.load_concentration[:, 0], state.load_concentration, rtol=1e-12)
+    assert_allclose(found.overlap, state.overlap, rtol=3e-4)
+
+
+def test_slots_turned_together_turn_the_cup() -> None:
+    turn, center = random_moments(20)
+    plain, turned = (
+        evaluate(drives.mesh(), turn, center, np.array([CUP]), np.full(202, angle)) for angle in (0.0, 1e-5)
+    )
+    assert_allclose(turned.torsion - plain.torsion, 1e-5, rtol=1e-9)
+    assert_allclose(turned.peak_load, plain.peak_load, rtol=1e-9)
+    assert_allclose(turned.overlap, plain.overlap, atol=1e-15)
+
+
+def test_one_slot_turned_is_that_of_the_brute_force() -> None:
+    """The reference moves the wall by as much at every radius; here the slot turns: 0.5 % of 3 um."""
+    shift = np.zeros(202)
+    shift[16] = 3e-6
+    wall_radius = 30.6e-3
+    found = evaluate(drives.mesh(), np.zeros(1), np.zeros(1, complex), np.array([56.0]), shift / wall_radius)
+    reference = polyline.mesh(0.0, slot_shift=shift)
+    assert_allclose(found.torsion[0, 0], polyline.torsion(reference, 56.0), rtol=1e-4)
+    assert_allclose(found.interference[0], -np.nanmin(reference.backlash), atol=0.05e-6)
+
+
+# Climbing hills ---
+
+
+def test_a_climb_finds_the_top_of_a_torus() -> None:
+    top = np.array([1.234, 5.01])
+
+    def height(points: Any) -> Any:
+        return np.cos(points - top).sum(axis=1) + 0.2 * np.cos(3 * (points[:, 0] - top[0]))
+
+    steps = 2 * np.pi / 16
+    grid = np.stack(np.meshgrid(*[steps * np.arange(16)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+    first = hills(height(grid).reshape(16, 16))
+    place, value = climbed(height, grid[first], np.full(2, steps))
+    assert_allclose(place, top, atol=steps / NARROWING)
+    assert_allclose(value, 2.2, atol=1e-6)
+
+
+# Limits ---
+
+
+def test_the_paper_s_arrangement_interferes_at_its_eccentricity() -> None:
+    rounded, clearance = across_long_axis(drive(), LARGEST)
+    assert_allclose(rounded, published.ECCENTRICITY_AT_ROUNDED_DATUM, atol=0.01e-6)
+    assert_allclose(clearance, 0.944e-6, atol=0.001e-6)
+    exact = dataclasses.replace(drives.PAPER, circular_spline_datum=published.DATUM_OF_INTERFERENCE)
+    found, _ = across_long_axis(drive(drives.mesh(exact)), LARGEST)
+    assert_allclose(found, published.ECCENTRICITY, atol=0.05e-6)
+
+
+def test_no_interference_where_the_slots_stand_off() -> None:
+    off = dataclasses.replace(drives.PAPER, circular_spline_datum=29.9e-3)
+    assert math.isnan(across_long_axis(drive(drives.mesh(off)), LARGEST)[0])
+    found = excess("interference", 0.0, drive(drives.mesh(off)))
+    assert not found.reached
+    assert found.worst.value < 0.0
+
+
+@pytest.mark.parametrize("criterion", [c.name for c in CRITERIA if not c.jumps])
+def test_a_limit_is_crossed_where_it_says(criterion: str) -> None:
+    """At the worst direction and input angle, by the mesh of that one eccentricity."""
+    found = excess(criterion, LIMITS[criterion])
+    assert found.reached
+    assert found.without < found.limit
+    assert found.scanned.shape == (2, STEPS + 1)
+    for step, is_exceeded in ((-1e-9, False), (1e-9, True)):
+        at = found.eccentricity + step
+        assert (value(criterion, found, at) > found.limit) == is_exceeded
+
+
+def value(criterion: str, found: Limit, eccentricity: float) -> float:
+    """A criterion at the direction and input angle found, computed beside the search."""
+    towards = eccentricity * np.exp(1j * found.worst.direction)
+    own = drive(dataclasses.replace(drives.mesh(), eccentricity=towards))
+    angle = np.array([input_angle(own, found.worst.wave_generator_angle)])
+    turn = own.kinematics.wave_generator_angle(own.mesh.geometry, angle)
+    assert_allclose(turn, found.worst.wave_generator_angle, atol=1e-12)
+    state = mesh_state(own, angle, np.array([CUP]))
+    if criterion == "interference":
+        across = (towards * np.exp(-1j * turn[0])).imag
+        contact = dataclasses.replace(own.mesh, arc_offset=-across).contacts(turn)
+        return -float(np.nanmin(contact.backlash[:, :, : contact.teeth.shape[1] // 2]))
+    if criterion == "transmission_error":
+        around = np.linspace(0, 2 * np.pi, 202 * 40)
+        return float(np.ptp(torsion(own.mesh, around, np.full(around.size, CUP))))
+    name = {"peak_tooth_load": "peak_load"}.get(criterion, criterion)
+    return float(getattr(state, name)[0])
+
+
+@pytest.mark.parametrize("criterion", [c.name for c in CRITERIA if c.jumps])
+def test_a_criterion_that_jumps_is_exceeded_soon_after(criterion: str) -> None:
+    """Where a pair comes into load the worst moments are rare: 20,000 at random meet them within 0.3 um."""
+    found = excess(criterion, LIMITS[criterion])
+    random = np.random.default_rng(4)
+    turn, direction = random.uniform(0, 2 * np.pi, (2, 20_000))
+    reference, torque = reference_stiffness(drive(), np.array([CUP])), np.array([CUP])
+
+    def worst(eccentricity: float) -> float:
+        moments = evaluate(drives.mesh(), turn, eccentricity * np.exp(1j * direction), torque)
+        return float(of_moments(moments, 0.0, reference)[NAMES.index(criterion)].max())
+
+    assert worst(found.eccentricity - 0.3e-6) < found.limit < worst(found.eccentricity + 0.3e-6)
+
+
+def test_stiffness_loss_is_that_of_the_loaded_flanks() -> None:
+    own = drive(drives.mesh(eccentricity=(20e-6, 5e-6)), cup_compliance=2e-6)
+    turn, torque = np.linspace(0.0, 3.0, 20), np.array([CUP])
+    moments = evaluate(own.mesh, turn, own.mesh.displacement(turn), torque)
+    teeth = own.mesh.share_load(own.mesh.contacts(turn), np.full(20, CUP)).stiffness
+    expected = 1 - (1 / (1 / teeth + 2e-6)) / 5e4
+    found = of_moments(moments, 2e-6, np.array([5e4]))[NAMES.index("stiffness_loss"), :, 0]
+    assert_allclose(found, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("criterion", ["interference", "overlap", "peak_tooth_load"])
+def test_no_direction_and_angle_is_worse(criterion: str) -> None:
+    """Ten thousand moments at random stay within the limit at the eccentricity that keeps it."""
+    found = excess(criterion, LIMITS[criterion])
+    random = np.random.default_rng(2)
+    turn, direction = random.uniform(0, 2 * np.pi, (2, 10_000))
+    moments = evaluate(drives.mesh(), turn, found.eccentricity * np.exp(1j * direction), np.array([CUP]))
+    name = {"peak_tooth_load": "peak_load"}.get(criterion, criterion)
+    assert np.max(getattr(moments, name)) <= found.limit * (1 + 1e-6)
+
+
+def test_peak_load_limit_by_brute_force() -> None:
+    """Polylines at the place found and around it: 50 N within the reference's error, and nowhere more."""
+    found = excess("peak_tooth_load", 50.0)
+    worst = found.worst
+    relative = worst.direction - worst.wave_generator_angle
+    peaks = []
+    for turn in (0.0, worst.wave_generator_angle, 0.0259):
+        for beside in (-0.15, 0.0, 0.15):
+            towards = found.eccentricity * np.exp(1j * (relative + beside + turn))
+            mesh = polyline.mesh(turn, (towards.real, towards.imag))
+            peaks.append(polyline.loads(mesh, polyline.torsion(mesh, CUP)).max())
+    assert_allclose(max(peaks), 50.0, atol=0.02)
+    assert_allclose(peaks[4], 50.0, atol=0.02)
+
+
+def test_overlap_limit_by_brute_force() -> None:
+    found = excess("overlap", 0.0)
+    towards = found.eccentricity * np.exp(1j * found.worst.direction)
+    mesh = polyline.mesh(found.worst.wave_generator_angle, (towards.real, towards.imag))
+    gap = float(np.nanmin(mesh.rotation, axis=1).sum())
+    assert_allclose(gap * 30.6e-3, 0.0, atol=0.02e-6)
+    assert_allclose(found.eccentricity, 0.89e-6, atol=0.06e-6)
+
+
+@pytest.mark.parametrize("criterion", ["overlap", "peak_tooth_load", "transmission_error"])
+def test_mirrored_torque_and_turned_gear_have_the_same_limit(criterion: str) -> None:
+    there = excess(criterion, QUIET[criterion])
+    mirrored = excess(criterion, QUIET[criterion], torque=-CUP)
+    assert_allclose(mirrored.eccentricity, there.eccentricity, rtol=1e-5)
+
+
+def test_opposite_directions_are_equally_bad() -> None:
+    """Over a turn: a direction and the one opposite are the same but for the lobe that passes."""
+    turn = np.linspace(0.0, 2 * np.pi, 404, endpoint=False)
+    towards = 12e-6 * np.exp(0.3j)
+    there, back = (
+        evaluate(drives.mesh(), turn, np.full(404, center), np.array([CUP])) for center in (towards, -towards)
+    )
+    for name in ("peak_load", "load_concentration", "stiffness"):
+        assert_allclose(getattr(there, name).max(), getattr(back, name).max(), rtol=1e-9)
+    assert_allclose(np.ptp(there.torsion), np.ptp(back.torsion), rtol=1e-9)
+
+
+def test_a_limit_that_is_exceeded_from_the_start() -> None:
+    found = excess("peak_tooth_load", 30.0)
+    assert (found.reached, found.eccentricity) == (True, 0.0)
+    assert found.without > 30.0
+
+
+def test_a_limit_that_is_not_reached() -> None:
+    found = excess("peak_tooth_load", 1000.0)
+    assert not found.reached
+    assert math.isnan(found.eccentricity)
+    assert found.worst.value == pytest.approx(found.scanned[1, -1], rel=1e-2)
+
+
+def test_more_torque_leaves_less_eccentricity() -> None:
+    found = [excess("peak_tooth_load", 60.0, torque=-torque).eccentricity for torque in (40.0, 56.0, 70.0)]
+    assert found[0] > found[1] > found[2] > 0.0
+
+
+def test_a_runout_takes_its_part() -> None:
+    """The overlap is that of what lies across the long axis: it adds up."""
+    own = drive(drives.mesh(runout=(0.0, 3e-6)))
+    without = excess("overlap", 20e-6).eccentricity
+    assert_allclose(excess("overlap", 20e-6, own).eccentricity, without - 3e-6, atol=0.05e-6)
+
+
+def test_input_angle_of_the_other_output() -> None:
+    own = Drive(drives.mesh(), Kinematics(-101.0, "circular_spline", 0.2), RATED)
+    turn = own.kinematics.wave_generator_angle(own.mesh.geometry, np.array([input_angle(own, 1.3)]))
+    assert_allclose(turn, 1.3, rtol=1e-14)
+
+
+@pytest.mark.parametrize("torque", [0.0, math.nan, math.inf])
+def test_torque_that_cannot_be(torque: float) -> None:
+    with pytest.raises(ValueError, match="finite and not zero"):
+        cup_torques(drive(), np.array([torque]))
+
+
+def test_torque_that_the_teeth_cannot_bear() -> None:
+    with pytest.raises(ValueError, match="cannot bear"):
+        reference_stiffness(Drive(drives.mesh(drives.shallow()), Kinematics(15.0), RATED), np.array([9.0]))
+
+
+def test_eccentricity_that_the_geometry_cannot_have() -> None:
+    check_largest(drive(), largest_eccentricity(drive()))
+    with pytest.raises(ValueError, match="must be positive, not 0 um"):
+        check_largest(drive(), 0.0)
+    with pytest.raises(ValueError, match="strikes the circular spline"):
+        check_largest(drive(), 1e-3)
+
+
+# Assemblies ---
+
+
+def population(**sizes: tuple[str, float]) -> Population:
+    spreads = NONE | {name: Spread(*spread) for name, spread in sizes.items()}
+    return Population(drive(), spreads, np.array([CUP]), angles=24)
+
+
+def values(of: Population, tolerances: Any, samples: int = 24, jobs: int = 1) -> Any:
+    numbers = np.random.default_rng(5).random((samples, len(FACTORS)))
+    with Workers(jobs) as workers:
+        return judged(workers, of, numbers, np.asarray(tolerances, dtype=float))
+
+
+def test_without_tolerances_every_assembly_is_the_perfect_one() -> None:
+    found = values(population(), [0.0], samples=3)
+    assert np.ptp(found, axis=0).max() == 0.0
+    angles = np.arange(24) * 2 * np.pi / 24
+    state = mesh_state(drive(), -angles, np.full(24, CUP))
+    assert_allclose(found[0, NAMES.index("peak_tooth_load"), 0], state.peak_load.max(), rtol=1e-12)
+    assert_allclose(found[0, NAMES.index("transmission_error"), 0], np.ptp(state.torsion), rtol=1e-9)
+
+
+@pytest.mark.parametrize(("factor", "expected"), [(1.001, 1.0), (0.999, 0.0)])
+def test_without_tolerances_the_yield_is_one_or_zero(factor: float, expected: float) -> None:
+    found = values(population(), [0.0], samples=5)
+    peak = NAMES.index("peak_tooth_load")
+    limits = np.full(len(NAMES), 1e9)
+    limits[peak] = found[0, peak, 0] * factor
+    together, each = yields(found, limits)
+    assert together.share[0] == each[peak].share[0] == expected
+    assert together.low[0] <= expected <= together.high[0]
+
+
+def test_yield_falls_as_the_tolerance_grows() -> None:
+    """Strictly ordered criteria: an assembly that fails fails at every greater tolerance."""
+    of = population(eccentricity=("rayleigh", 4e-6), tooth_compliance=("normal", 0.05))
+    found = values(of, np.linspace(0.0, 40e-6, 9), samples=60)
+    limits = np.array([1.0, 20e-6, 55.0, 1e9, 1.0, 10 * ARCSEC])
+    together, each = yields(found, limits)
+    for share in (together, *each):
+        assert np.all(np.diff(share.share) <= 0.0)
+        assert np.all((share.low <= share.share) & (share.share <= share.high))
+    assert together.share[0] == 1.0
+    assert together.share[-1] < 0.5
+
+
+def test_tolerance_is_what_assemblies_keep_within() -> None:
+    of = population(eccentricity=("rayleigh", 3.5e-6))
+    assert_allclose(of.tolerance, 3.5e-6 * math.sqrt(-2 * math.log(1 - 0.9973)), rtol=1e-12)
+    numbers = np.random.default_rng(0).random((4000, len(FACTORS)))
+    magnitude = np.abs([draw(of, row).eccentricity for row in numbers])
+    assert_allclose(np.mean(magnitude > 1.0), 0.0027, atol=0.002)
+    # Mean of a Rayleigh distribution of that scale
+    assert_allclose(magnitude.mean() * of.tolerance, 3.5e-6 * math.sqrt(math.pi / 2), rtol=0.03)
+
+
+@pytest.mark.parametrize(
+    ("name", "moments"),
+    [
+        ("fixed", (1.0, 0.0)),
+        ("uniform", (0.0, 1 / math.sqrt(3))),
+        ("normal", (0.0, 1.0)),
+        ("triangular", (0.0, 1 / math.sqrt(6))),
+    ],
+)
+def test_deviations_have_the_moments_of_their_distribution(name: str, moments: tuple[float, float]) -> None:
+    of = population(circular_spline_datum=(name, 1e-6))
+    numbers = np.full((2000, len(FACTORS)), 0.5)
+    numbers[:, FACTORS.index("circular_spline_datum")] = (np.arange(2000) + 0.5) / 2000
+    datum = np.array([draw(of, row).drive.mesh.geometry.circular_spline_datum for row in numbers])
+    drawn = (datum - drives.PAPER.circular_spline_datum) / 1e-6
+    assert_allclose((drawn.mean(), drawn.std()), moments, atol=5e-3)
+
+
+def test_every_factor_changes_what_it_is_named_after() -> None:
+    sizes = {"runout": ("uniform", 2e-6), "pitch": ("uniform", 1e-6), "cup_compliance": ("fixed", 1e-6)}
+    of = population(eccentricity=("fixed", 5e-6), tooth_compliance=("triangular", 0.1), **sizes)
+
+    def assembled(**numbers: float) -> Assembly:
+        return draw(of, np.array([numbers.get(name, 0.25) for name in FACTORS]))
+
+    plain = assembled()
+    assert_allclose(plain.eccentricity, 1j, atol=1e-12)  # a quarter of a turn
+    assert_allclose(plain.drive.mesh.runout, 0.5e-6j, atol=1e-15)
+    assert plain.drive.cup_compliance == 1e-6
+    assert plain.drive.mesh.eccentricity == 0.0
+    assert assembled(tooth_compliance=0.5).drive.mesh.tooth_compliance == pytest.approx(1e-6)
+    assert plain.drive.mesh.tooth_compliance < 1e-6
+    other = assembled(pitch=0.7).slot_angle
+    assert np.abs(plain.slot_angle - other).max() > 1e-6 / 31e-3
+    assert np.abs(plain.slot_angle).max() <= 1e-6 / 30.6e-3
+    assert_allclose(assembled().slot_angle, plain.slot_angle, rtol=0)
+
+
+def test_assembly_is_the_mesh_with_its_eccentricity_and_runout() -> None:
+    of = population(eccentricity=("fixed", 8e-6), runout=("fixed", 2e-6))
+    one = draw(of, np.full(len(FACTORS), 0.25))
+    found = assembly.worst(of, one, np.array([8e-6]))
+    own = drive(dataclasses.replace(drives.mesh(), eccentricity=8e-6j, runout=2e-6j))
+    state = mesh_state(own, -2 * np.pi * np.arange(24) / 24, np.full(24, CUP))
+    assert_allclose(found[NAMES.index("peak_tooth_load"), 0], state.peak_load.max(), rtol=1e-12)
+    assert_allclose(found[NAMES.index("overlap"), 0], state.overlap.max(), rtol=1e-4)
+
+
+def test_an_assembly_must_hold_at_every_torque() -> None:
+    one = population(eccentricity=("fixed", 8e-6))
+    both = dataclasses.replace(one, cup_torque=np.array([-10.0, CUP]))
+    alone = values(one, [8e-6], samples=2)
+    together = values(both, [8e-6], samples=2)
+    peak, width = NAMES.index("peak_tooth_load"), NAMES.index("transmission_error")
+    assert_allclose(together[:, peak], alone[:, peak], rtol=1e-12)
+    assert np.all(together[:, width] > 1.3 * alone[:, width])  # wider at the small torque
+
+
+def test_an_eccentricity_beyond_the_geometry_is_told() -> None:
+    of = population(eccentricity=("fixed", 1e-3))
+    with pytest.raises(ValueError, match="strikes the circular spline"):
+        assembly.check(of, 1e-3)
+
+
+@pytest.mark.parametrize(("name", "size"), [("circular_spline_datum", 9e-4), ("runout", 1e-4)])
+def test_the_farthest_draw_must_be_possible(name: str, size: float) -> None:
+    assembly.check(population(**{name: ("normal", 1e-6)}), 10e-6)
+    with pytest.raises(ValueError, match=r"circular_spline|runout"):
+        assembly.check(population(**{name: ("normal", size)}), 10e-6)
+
+
+def test_the_same_numbers_on_one_core_and_two() -> None:
+    of = Population(drive(), SPREADS, np.array([CUP]), angles=12)
+    one, two = (values(of, [0.0, 9e-6], samples=10, jobs=jobs) for jobs in (1, 2))
+    np.testing.assert_array_equal(one, two)
+
+
+def test_work_reports_its_progress() -> None:
+    done: list[bool] = []
+    numbers = np.full((9, len(FACTORS)), 0.5)
+    with Workers(1) as workers:
+        judged(workers, population(), numbers, np.zeros(1), lambda: done.append(True))
+    assert len(done) == assembly.chunks(9)
+
+
+def test_wilson_bounds() -> None:
+    """Ten of ten: the lower bound is 1 / (1 + z^2 / n)."""
+    together, _ = yields(np.zeros((10, 1, 1)), np.array([0.0]))
+    assert together.share[0] == 1.0
+    assert_allclose(together.low[0], 1 / (1 + 1.959964**2 / 10), rtol=1e-6)
+    assert_allclose(together.high[0], 1.0)
+
+
+@pytest.mark.parametrize(
+    ("target", "expected"), [(0.9, 1.5), (0.8, 2.0), (0.5, 3.5), (0.1, 4.0), (1.0, 1.0), (1.01, math.nan)]
+)
+def test_tolerance_at_a_target(target: float, expected: float) -> None:
+    share = Share(np.array([1.0, 0.8, 0.6, 0.4]), *np.zeros((2, 4)))
+    found = assembly.tolerance_at(share, np.array([1.0, 2.0, 3.0, 4.0]), target)
+    assert_allclose(found, expected)

@@ -1,0 +1,86 @@
+"""Versions in a log: named at its start, and told where a replay has others."""
+
+import json
+import platform
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cli_runner import runner
+from replay_fuzz import log_of
+
+from hd_diag import versions
+from hd_diag.bag import BagReader, BagWriter
+from hd_diag.cli_bags import replay as replay_command
+from hd_diag.events import Configured, read_event
+from hd_diag.messages import STRING, read_string, string
+from hd_diag.model import compiled
+from hd_diag.replay import replay
+
+
+def rewritten(log: Path, path: Path, change: dict[str, Any]) -> Path:
+    """The log as if other software had written it."""
+    with BagReader(log) as reader, BagWriter(path) as writer:
+        for batch in reader.batches():
+            for time, data in zip(batch.log_time.tolist(), map(bytes, batch.messages()), strict=True):
+                if batch.topic.type_name == STRING:
+                    event = json.loads(read_string(data))
+                    if event.get("new"):
+                        event["versions"] = event["versions"] | change
+                        data = string(json.dumps(event))
+                writer.write(batch.topic.name, batch.topic.type_name, data, time)
+    return path
+
+
+def test_versions_are_those_of_the_installed_packages() -> None:
+    found = versions.running()
+    assert list(found) == ["hd_diag", "python", "numpy", "scipy", "numba"]
+    assert found["python"] == platform.python_version()
+    assert found["numpy"] == metadata.version("numpy")
+    assert found["scipy"] == metadata.version("scipy")
+    assert found["numba"] == (metadata.version("numba") if compiled.available() else None)
+
+
+def test_numba_is_null_where_it_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled, "available", lambda: False)
+    assert versions.running()["numba"] is None
+
+
+def test_a_log_names_its_versions_and_the_same_ones_are_no_problem(tmp_path: Path) -> None:
+    log = log_of(tmp_path / "log.mcap")
+    with BagReader(log) as reader:
+        batch = next(iter(reader.batches(["/hd_diag/events"])))
+        event = read_event(bytes(next(batch.messages())))
+    assert isinstance(event, Configured)
+    assert event.versions == versions.running()
+    assert replay(log, tmp_path / "out.mcap").problems == []
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"numpy": "1.0.0"}, f"numpy 1.0.0 (here {versions.running()['numpy']})"),
+        ({"numba": "0.1\n"}, f"numba 0.1\\n (here {versions.running()['numba'] or 'absent'})"),
+        ({"numpy": None, "cobol": "85"}, f"numpy absent (here {versions.running()['numpy']})"),
+    ],
+)
+def test_other_versions_are_one_warning(tmp_path: Path, change: dict[str, Any], told: str) -> None:
+    log = rewritten(log_of(tmp_path / "log.mcap"), tmp_path / "other.mcap", change)
+    result = runner().invoke(replay_command, [str(log), "--out", str(tmp_path / "out.mcap")])
+    assert result.exit_code == 0
+    assert result.stderr == f"warning: {log}: was recorded with {told}: outputs may differ by rounding\n"
+
+
+def test_a_log_that_does_not_tell_is_taken_as_it_is(tmp_path: Path) -> None:
+    text = json.dumps({"event": "configuration", "new": True, "parameters": {}})
+    event = read_event(string(text))
+    assert isinstance(event, Configured)
+    assert versions.differences(event.versions) == ""
+
+
+@pytest.mark.parametrize("given", [[], "1.0", {"numpy": 1}, {"numpy": ["2"]}, None])
+def test_versions_that_are_none_are_refused(given: Any) -> None:
+    content = {"event": "configuration", "new": True, "parameters": {}, "versions": given}
+    with pytest.raises(ValueError, match="versions"):
+        read_event(string(json.dumps(content)))

@@ -1,0 +1,421 @@
+"""What a watcher knows and shows, without ROS: state, hostile texts, 80 columns, a pipe."""
+
+import io
+import json
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from live import START, Recording, config, sample
+from rich.console import Console
+
+from hd_diag.bag.schemas import jazzy
+from hd_diag.messages import DIAGNOSTICS
+from hd_diag.session import Session
+from hd_diag.watch import PREFIX, Message, NodeSeen, Watch, as_json
+from hd_diag.watch_display import Display, plain_line, shown_number, spark, table
+
+TOPIC = "/diagnostics"
+HOSTILE = "[red]x[/red]\x1b[2J\x1b]0;t\x07\u202egnp\r\n\t" + "宽" * 300 + "\ud800"
+FACTS = {"latency_p99_us": "812.5", "log_state": "writing log.mcap"}
+
+
+def reported(**values: str) -> Mapping[str, str]:
+    """Values of a real report of one sample, with some replaced."""
+    recording = Recording()
+    session = Session(config("joint_1", joint_1__eccentricity__magnitude=18e-6), recording)
+    session.start(START)
+    session.joint_state(START, sample(START, 0.3, 0.003, 14.0))
+    session.tick(START + 1, START + 1, FACTS)
+    ((_, data),) = recording.topics()[TOPIC]
+    (status,) = jazzy().deserialize_cdr(data, DIAGNOSTICS).status  # type: ignore[attr-defined]
+    assert status.name == f"{PREFIX}joint_1"
+    return {pair.key: pair.value for pair in status.values} | values
+
+
+REAL = reported()
+
+
+def message(joint: str = "joint_1", level: int = 0, text: str = "OK", **values: str) -> Message:
+    return Message(PREFIX + joint, level, text, {**REAL, "fault_code": "OK", "fault_codes": "OK", **values})
+
+
+def watched(*messages: Message, now: float = 0.0, **asked: Any) -> Watch:
+    watch = Watch(**asked)
+    watch.take(TOPIC, messages, now)
+    return watch
+
+
+def lines(watch: Watch, width: int = 80, height: int = 1000, now: float = 0.0) -> list[str]:
+    """The table as a terminal of a width without colours shows it."""
+    console = Console(file=io.StringIO(), width=width, highlight=False)
+    console.print(table(watch, now, width, height))
+    return console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+
+
+def coloured(watch: Watch, now: float = 0.0) -> str:
+    console = Console(file=io.StringIO(), width=80, force_terminal=True, color_system="standard")
+    console.print(table(watch, now, 80))
+    return console.file.getvalue()  # type: ignore[attr-defined]
+
+
+class Terminal(io.StringIO):
+    """A stream that says it is a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+# State ---
+
+
+def test_the_last_report_of_every_joint_counts() -> None:
+    watch = watched(message("a", samples="1"), message("b"))
+    watch.take(TOPIC, [message("a", samples="2")], 1.0)
+    a, b = watch.view(1.5)
+    assert (a.name, a.number("samples"), a.age, b.name, b.age) == ("a", 2.0, 0.5, "b", 1.5)
+
+
+def test_joints_that_are_not_asked_for_are_left_out() -> None:
+    watch = watched(message("a"), message("b"), joints=("b", "c"))
+    assert [view.name for view in watch.view(0.0)] == ["b"]
+    assert watch.missing() == ["c"]
+
+
+def test_other_statuses_are_noted_once_and_not_without_end() -> None:
+    watch = watched(*[Message(f"camera {i % 100}", 0, "", {}) for i in range(200)])
+    assert watch.view(0.0) == []
+    assert watch.others == [f"camera {i}" for i in range(32)]
+    assert "other diagnostics: camera 0, camera 1" in " ".join(watch.explanation())
+
+
+def test_a_flood_of_joints_texts_and_values_is_bounded() -> None:
+    watch = watched(*[message(f"j{i}") for i in range(5000)])
+    watch.take(TOPIC, [message("j0", **{f"k{i}": "v" for i in range(9999)}, log_state="x" * 10**6)], 1.0)
+    views = watch.view(1.0)
+    assert len(views) == 1024
+    first = next(view for view in views if view.name == "j0")
+    assert len(first.values) <= 256
+    assert max(map(len, first.values.values())) <= 2000
+
+
+@pytest.mark.parametrize(("period", "stale_after"), [(0.1, 3.0), (1.0, 3.0), (10.0, 30.0)])
+def test_a_joint_is_silent_after_three_periods(period: float, stale_after: float) -> None:
+    watch = Watch()
+    for i in range(10):
+        watch.take(TOPIC, [message()], i * period)
+    last = 9 * period
+    assert not watch.view(last + 0.99 * stale_after)[0].is_silent
+    assert watch.view(last + 1.01 * stale_after)[0].is_silent
+    watch.take(TOPIC, [message()], last + 2.0 * stale_after)
+    assert not watch.view(last + 2.0 * stale_after)[0].is_silent
+
+
+def test_a_node_without_samples_is_stale_though_it_reports() -> None:
+    (view,) = watched(message(level=2, fault_code="STALE", fault_codes="STALE RESIDUAL")).view(0.0)
+    assert view.is_stale
+    assert not view.is_silent
+
+
+def test_nodes_are_told_apart_by_topic_and_joints() -> None:
+    watch = Watch()
+    watch.nodes = [
+        NodeSeen("/left/hd_diag", TOPIC, frozenset({"a"})),
+        NodeSeen("/right/hd_diag", TOPIC, frozenset({"b"})),
+        NodeSeen("/far/hd_diag", "/far/diagnostics", frozenset({"a"})),
+    ]
+    watch.take(TOPIC, [message("a"), message("b")], 0.0)
+    watch.take("/far/diagnostics", [message("a", eccentricity_um="5")], 0.0)
+    seen = {(view.nodes, view.name): view.number("eccentricity_um") for view in watch.view(0.0)}
+    assert seen == {
+        (("/left/hd_diag",), "a"): 18.0,
+        (("/right/hd_diag",), "b"): 18.0,
+        (("/far/hd_diag",), "a"): 5.0,
+    }
+
+
+@pytest.mark.parametrize("asked", ["arm", "/arm", "/arm/", "/arm/left"])
+def test_a_namespace_holds_what_is_below_it(asked: str) -> None:
+    nodes = [
+        NodeSeen("/arm/left/hd_diag", TOPIC, frozenset({"a"})),
+        NodeSeen("/army/hd_diag", TOPIC, frozenset({"b"})),
+    ]
+    watch = watched(message("a"), message("b"), namespaces=(asked,))
+    watch.nodes = nodes
+    assert watch.wanted_nodes() == nodes[:1]
+    assert [view.name for view in watch.view(0.0)] == ["a"]
+
+
+def test_the_root_namespace_is_everything() -> None:
+    watch = watched(message("a"), namespaces=("/",))
+    watch.nodes = [NodeSeen("/hd_diag", TOPIC, frozenset({"a"}))]
+    assert [view.name for view in watch.view(0.0)] == ["a"]
+
+
+def test_joints_of_a_node_that_are_not_reported_are_missing() -> None:
+    watch = watched(message("a"))
+    watch.nodes = [NodeSeen("/hd_diag", TOPIC, frozenset({"a", "b"}))]
+    assert watch.missing() == ["b"]
+
+
+def test_two_nodes_with_one_joint_on_one_topic_are_said_to_be_so() -> None:
+    watch = watched(message("a"))
+    watch.nodes = [NodeSeen(f"/{n}/hd_diag", TOPIC, frozenset({"a"})) for n in "xy"]
+    assert watch.view(0.0)[0].nodes == ("/x/hd_diag", "/y/hd_diag")
+    assert any("several nodes report a" in line for line in lines(watch))
+
+
+def test_explanations() -> None:
+    watch = Watch(("a",), ("/arm",))
+    assert watch.explanation() == ["no hd_diag node is in the ROS graph", "no diagnostics at all"]
+    watch.nodes = [NodeSeen("/hd_diag", TOPIC, frozenset({"b"}))]
+    watch.take(TOPIC, [message("b")], 0.0)
+    assert watch.explanation() == [
+        "no hd_diag node in /arm; there is /hd_diag",
+        "joints reported: b",
+    ]
+
+
+# JSON ---
+
+
+def test_json_holds_every_value_with_its_kind() -> None:
+    told = as_json(watched(message(temperature_C="nan", samples="12")), 2.0)
+    (joint,) = told["joints"]
+    assert (told["schema"], joint["joint"], joint["level"], joint["age"]) == (
+        "hd_diag/watch/1",
+        "joint_1",
+        "ok",
+        2.0,
+    )
+    values = joint["values"]
+    assert set(values) == set(REAL)
+    assert values["eccentricity_um"] == 18
+    assert values["interference"] is (REAL["interference"] == "true")
+    assert (values["temperature_C"], values["samples"], values["log_state"]) == (None, 12, "writing log.mcap")
+
+
+@given(st.lists(st.text(), min_size=4, max_size=4))
+def test_any_text_gives_valid_json(texts: list[str]) -> None:
+    joint, text, log, number = texts
+    watch = watched(message(joint, 7, text, log_state=log, residual_rms_arcsec=number))
+    told = json.loads(json.dumps(as_json(watch, 0.0), allow_nan=False))
+    assert told["joints"][0]["joint"] == joint[:2000]
+
+
+# In a terminal ---
+
+
+def test_what_a_joint_s_lines_say() -> None:
+    text = "\n".join(lines(watched(message(level=2, text="the lobes overlap", fault_code="INTERFERENCE"))))
+    for key in ("eccentricity_um", "minimum_backlash_um", "peak_tooth_load_N", "predicted_te_pp_arcsec"):
+        assert f" {float(REAL[key]):.1f}" in text, key
+    assert f" {float(REAL['lost_motion_arcmin']):.2f}" in text
+    assert f" {REAL['loaded_pairs']} " in text
+    for words in ("joint_1", "INTERFERENCE the lobes overlap", "1 samples", "latency 812 us"):
+        assert words in text
+    assert "log writing log.mcap" in text
+    assert "1 with a fault" in text
+
+
+def test_all_codes_are_named() -> None:
+    view = message(level=2, text="t", fault_code="STALE", fault_codes="STALE RESIDUAL INTERFERENCE")
+    assert any("STALE t (also RESIDUAL INTERFERENCE)" in line for line in lines(watched(view)))
+
+
+@pytest.mark.parametrize(("level", "code"), [(0, "32"), (1, "33"), (2, "1;31"), (3, "35"), (200, "35")])
+def test_the_fault_has_the_colour_of_its_level(level: int, code: str) -> None:
+    assert f"\x1b[{code}mCODE" in coloured(watched(message(level=level, fault_code="CODE")))
+
+
+def test_a_silent_joint_is_grey_and_says_so() -> None:
+    watch = watched(message(level=2, fault_code="INTERFERENCE"))
+    fresh, silent = coloured(watch, 1.0), coloured(watch, 60.0)
+    assert "\x1b[90m" not in fresh.splitlines()[4]
+    assert "no report for 60 s; the last: INTERFERENCE" in silent
+    assert "31m" not in silent.split("no report")[1]
+    assert "90mjoint_1" in silent.replace("1;", "")
+
+
+@pytest.mark.parametrize("width", [20, 40, 79, 80, 81, 120, 300])
+@pytest.mark.parametrize("text", ["joint_1", HOSTILE])
+def test_no_line_is_wider_than_the_terminal(width: int, text: str) -> None:
+    watch = watched(
+        message(
+            text, 2, text, fault_code=text, log_state=text, samples="9" * 400, peak_tooth_load_N="-1e300"
+        ),
+        joints=(text, text + "?"),
+    )
+    shown = lines(watch, width)
+    assert max(Console(width=width).measure(line).maximum for line in shown) <= width
+    assert len(shown) == 8  # title, heading, three of the joint, a remark: nothing has wrapped
+
+
+def test_at_80_columns_nothing_of_a_usual_report_is_cut() -> None:
+    watch = watched(message(), message("a_joint_1234567", level=1, text="peak tooth load 61.0 N"))
+    assert "…" not in "\n".join(lines(watch, 80))
+
+
+@given(st.text(), st.text(), st.text())
+def test_any_text_is_shown_without_control_characters(joint: str, text: str, log: str) -> None:
+    watch = watched(message(joint, 1, text, log_state=log))
+    shown = [*lines(watch), plain_line(watch.view(0.0)[0])]
+    assert all(line.isprintable() for line in shown)
+
+
+def test_markup_is_shown_as_it_is() -> None:
+    assert any("[red]joint[/red]" in line for line in lines(watched(message("[red]joint[/red]")), 100))
+
+
+def test_where_not_all_fit_the_worst_are_shown() -> None:
+    watch = watched(*[message(f"j{i:02d}", level=2 if i == 17 else 0) for i in range(30)])
+    shown = lines(watch, 80, 24)
+    assert len(shown) <= 23
+    assert any(line.startswith("j17") for line in shown)
+    assert any("more joints have no room" in line for line in shown)
+    assert len(lines(watch, 80)) > 60
+
+
+def test_what_is_waited_for() -> None:
+    watch = watched(Message("camera", 0, "", {}), joints=("a",))
+    assert lines(watch) == [
+        "waiting for /diagnostics of a ...",
+        "  no hd_diag node is in the ROS graph",
+        "  other diagnostics: camera",
+    ]
+
+
+# Numbers and curves ---
+
+
+@given(st.floats(-1e307, 1e307), st.integers(0, 2), st.integers(1, 15))
+def test_every_number_fits_its_column(value: float, digits: int, width: int) -> None:
+    shown = shown_number(value, digits, width)
+    assert len(shown) <= width
+    if "*" not in shown:
+        assert float(shown) == pytest.approx(value, rel=0.5, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("value", "width", "expected"),
+    [
+        (18.04, 7, "18.0"),
+        (-24.06, 6, "-24.1"),
+        (-12345.6, 6, "-12346"),
+        (-123456.0, 6, "-1e05"),
+        (1e300, 6, "1e300"),
+        (-1e300, 5, "*****"),
+        (math.nan, 6, "-"),
+        (-math.inf, 6, "-"),
+    ],
+)
+def test_numbers_lose_digits_before_they_lose_their_place(value: float, width: int, expected: str) -> None:
+    assert shown_number(value, 1, width) == expected
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ([], ""),
+        ([0.0, 0.0], "▁▁"),
+        ([0.0, 1.0, 2.0], "▁▅█"),
+        ([math.nan, 8.0, math.inf, 4.0], " █ ▅"),
+        ([5.0, 1.0, 1.0, 1.0], "███"),
+    ],
+)
+def test_curve(values: list[float], expected: str) -> None:
+    assert spark(values, 3 if len(values) == 4 and values[0] == 5.0 else 10) == expected
+
+
+@given(st.lists(st.floats(), max_size=50), st.integers(0, 20))
+def test_curve_is_as_long_as_its_values(values: list[float], width: int) -> None:
+    assert len(spark(values, width)) == min(len(values), width)
+
+
+def test_residuals_are_kept_as_a_curve() -> None:
+    watch = Watch()
+    for i in range(300):
+        watch.take(TOPIC, [message(residual_rms_arcsec=str(i % 8))], 0.1 * i)
+    assert watch.view(30.0)[0].residuals == tuple(float(i % 8) for i in range(60, 300))
+    assert any("▁▂▃▄▅▆▇█" in line for line in lines(watch, 120, now=30.0))
+
+
+# Where it goes ---
+
+
+def test_a_pipe_gets_a_line_a_second_without_codes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    stream = io.StringIO()
+    watch = Watch()
+    with Display(stream) as display:
+        display.show(watch, 0.0)
+        for i in range(1, 31):
+            watch.take(TOPIC, [message()], 0.1 * i)
+            display.show(watch, 0.1 * i)
+        display.show(watch, 40.0)
+        display.show(watch, 50.0)
+    told = stream.getvalue().splitlines()
+    assert told[0] == "waiting for /diagnostics ..."
+    reports = [line for line in told if line.startswith("/diagnostics joint_1: OK")]
+    assert 2 <= len(reports) <= 4
+    assert [line for line in told if "no report for 37 s" in line] == told[-1:]
+    assert "\x1b" not in stream.getvalue()
+
+
+def test_another_fault_is_told_at_once() -> None:
+    stream = io.StringIO()
+    watch = Watch()
+    with Display(stream) as display:
+        for i, code in enumerate(("OK", "OK", "RESIDUAL", "RESIDUAL", "OK")):
+            watch.take(TOPIC, [message(fault_code=code)], 0.26 * i)
+            display.show(watch, 0.26 * i)
+        watch.take(TOPIC, [message(fault_code="STALE")], 1.05)
+        display.show(watch, 1.05, is_last=True)
+    codes = [line.split(": ")[1].split()[0].strip(";") for line in stream.getvalue().splitlines()]
+    assert codes == ["OK", "RESIDUAL", "OK", "STALE"]
+
+
+def test_a_plain_line_has_everything() -> None:
+    line = plain_line(watched(message()).view(0.0)[0])
+    for words in ("18.0 um at 0 deg", "lost motion", "loaded pairs", "arcsec p-p", "arcsec rms", "812 us"):
+        assert words in line
+    assert line.endswith("log writing log.mcap")
+
+
+def test_a_terminal_gets_one_picture_that_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setenv("COLUMNS", "80")
+    stream = Terminal()
+    watch = watched(message())
+    with Display(stream) as display:
+        for i in range(100):
+            display.show(watch, 0.01 * i)
+    written = stream.getvalue()
+    assert 3 <= written.count("hd-diag watch") <= 6  # four a second, and once more at the end
+    assert written.count("\x1b[?25l") == written.count("\x1b[?25h") == 1
+
+
+def test_a_dumb_terminal_gets_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "dumb")
+    stream = Terminal()
+    with Display(stream) as display:
+        display.show(watched(message()), 0.0)
+    assert stream.getvalue().startswith("/diagnostics joint_1: OK; ")
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_an_encoding_without_bars_does_no_harm(terminal: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+    raw = io.BytesIO()
+    stream = io.TextIOWrapper(raw, encoding="ascii")
+    monkeypatch.setattr(stream, "isatty", lambda: terminal)
+    watch = watched(message("gelenk_1", residual_rms_arcsec="1", log_state="x" * 200))
+    for i in range(20):
+        watch.take(TOPIC, [message("gelenk_1", residual_rms_arcsec=str(i))], 0.1 * i)
+    with Display(stream) as display:
+        display.show_once(watch, 2.0)
+    stream.flush()
+    assert b"gelenk_1" in raw.getvalue()

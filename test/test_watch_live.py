@@ -1,0 +1,297 @@
+"""`hd-diag watch` beside real nodes, over DDS, in a process of its own."""
+
+import contextlib
+import itertools
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from live import MS, START, parameters
+from running import Process, Rig, feed, running
+
+JOINTS = ("shoulder", "elbow")
+COMMAND = [sys.executable, "-m", "hd_diag.cli", "watch"]
+LIMIT = 60.0  # on a busy machine [s]
+REPORTS = 10.0  # [Hz]
+CPU_SHARE = 0.05  # of a core
+PATIENT = {f"{joint}__limits__silence__{level}": 1e6 for joint in JOINTS for level in ("warn", "error")}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def ros() -> Iterator[None]:
+    rclpy.init()
+    yield
+    rclpy.try_shutdown()
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    """A node with two joints that bears silence, and one sample of each."""
+    folder = tmp_path_factory.mktemp("arm")
+    given = parameters(*JOINTS, diagnostics_rate=REPORTS, **PATIENT)
+    with running(folder, given) as rig:
+        stamps, publisher = itertools.count(START, MS), rig.publisher()
+        for joint in JOINTS:
+            feed(publisher, stamps, 20, joint=joint)
+            rig.values(joint, lambda values: int(values["samples"]) == 20)
+        yield rig
+
+
+def watch(*arguments: str, environment: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*COMMAND, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=LIMIT,
+        env={**os.environ, **(environment or {})},
+    )
+
+
+def once(*arguments: str) -> dict[str, Any]:
+    run = watch("--once", "--timeout", "30", *arguments, "--json")
+    assert run.returncode == 0, run.stderr
+    return json.loads(run.stdout)
+
+
+@contextlib.contextmanager
+def following(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+    process = subprocess.Popen(
+        [*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate(timeout=LIMIT)
+
+
+def line_with(process: subprocess.Popen[str], words: str) -> str:
+    """The next line that has the words."""
+    assert process.stdout is not None
+    for line in process.stdout:
+        if words in line:
+            return line
+    raise AssertionError(f"it ended without {words!r}")
+
+
+def test_once_tells_every_joint_what_the_diagnostics_say(arm: Rig) -> None:
+    arm.set(elbow__eccentricity__magnitude=18e-6, elbow__eccentricity__direction=1.5707963267948966)
+    reported = {joint: arm.values(joint) for joint in JOINTS}
+    reported["elbow"] = arm.values("elbow", lambda values: values["eccentricity_um"] == "18")
+    told = once("--namespace", arm.process.namespace)
+    assert told["nodes"] == [
+        {
+            "node": f"{arm.process.namespace}/hd_diag",
+            "topic": f"{arm.process.namespace}/diagnostics",
+            "joints": sorted(JOINTS),
+        }
+    ]
+    joints = {joint["joint"]: joint for joint in told["joints"]}
+    assert set(joints) == set(JOINTS)
+    assert not told["missing"]
+    for name, joint in joints.items():
+        assert joint["nodes"] == [f"{arm.process.namespace}/hd_diag"]
+        assert set(joint["values"]) == set(reported[name])
+        assert joint["values"]["samples"] == 20
+        for key in ("eccentricity_um", "minimum_backlash_um", "peak_tooth_load_N", "lost_motion_arcmin"):
+            assert joint["values"][key] == pytest.approx(float(reported[name][key]), rel=1e-5), key
+    assert joints["elbow"]["values"]["eccentricity_direction_deg"] == pytest.approx(90.0)
+
+
+def test_a_pipe_gets_one_plain_line_a_joint(arm: Rig) -> None:
+    run = watch("--once", "--namespace", arm.process.namespace, environment={"FORCE_COLOR": "1"})
+    assert (run.returncode, run.stderr) == (0, "")
+    first, second = run.stdout.splitlines()
+    assert first.startswith(f"{arm.process.namespace}/hd_diag elbow: ")
+    assert second.startswith(f"{arm.process.namespace}/hd_diag shoulder: ")
+    assert all(line.isprintable() for line in (first, second))
+
+
+def test_a_fault_appears_and_can_be_failed_on(arm: Rig) -> None:
+    arguments = ("--namespace", arm.process.namespace, "--joint", "shoulder")
+    arm.set(shoulder__eccentricity__magnitude=0.0)
+    arm.values("shoulder", lambda values: values["fault_code"] == "OK")
+    assert watch("--once", *arguments, "--fail-on-fault").returncode == 0
+    with following(*arguments, "--fail-on-fault") as process:
+        assert " shoulder: OK; " in line_with(process, "shoulder: ")
+        arm.set(shoulder__eccentricity__magnitude=60e-6)
+        assert " shoulder: INTERFERENCE the lobes overlap by " in line_with(process, "INTERFERENCE")
+        assert process.wait(LIMIT) == 1
+    assert watch("--once", *arguments, "--fail-on-fault").returncode == 1
+    (joint,) = once(*arguments)["joints"]
+    assert (joint["fault_code"], joint["level"]) == ("INTERFERENCE", "error")
+
+
+def test_several_nodes_are_told_apart(arm: Rig, tmp_path: Path) -> None:
+    with Process(tmp_path, parameters("elbow", "wrist", diagnostics_rate=REPORTS)) as process:
+        rig = Rig(process)
+        told = once()
+        rig.close()
+        found = {(joint["nodes"][0], joint["joint"]) for joint in told["joints"]}
+        here, there = f"{arm.process.namespace}/hd_diag", f"{process.namespace}/hd_diag"
+        assert found == {(here, "elbow"), (here, "shoulder"), (there, "elbow"), (there, "wrist")}
+        assert process.end() == 0
+
+
+def test_nothing_within_the_time_is_said_in_one_line_with_what_is_there(arm: Rig) -> None:
+    run = watch("--once", "--namespace", "/nowhere", "--timeout", "5")
+    assert (run.returncode, run.stdout) == (2, "")
+    (line,) = run.stderr.splitlines()
+    assert line.startswith("hd-diag: no report of an hd_diag node within 5 s: ")
+    assert f"no hd_diag node in /nowhere; there is {arm.process.namespace}/hd_diag" in line
+
+
+def test_a_joint_that_nobody_has_is_an_error_but_the_others_are_shown(arm: Rig) -> None:
+    names = ("--joint", "elbow", "--joint", "elbow_9")
+    run = watch("--once", "--namespace", arm.process.namespace, *names, "--timeout", "5")
+    assert run.returncode == 2
+    assert run.stdout.count("\n") == 1
+    assert "no report of elbow_9 within 5 s" in run.stderr
+    assert "joints reported: elbow, shoulder" in run.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_cleanly(arm: Rig, number: signal.Signals) -> None:
+    with following("--namespace", arm.process.namespace) as process:
+        line_with(process, "elbow: ")
+        process.send_signal(number)
+        _, errors = process.communicate(timeout=LIMIT)
+        assert (process.returncode, errors) == (128 + number, "")
+
+
+def test_a_reader_that_has_enough(arm: Rig) -> None:
+    with following("--namespace", arm.process.namespace) as process:
+        line_with(process, "elbow: ")
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.wait(LIMIT) == 0
+        assert process.stderr.read() == ""
+        process.stdout = None
+
+
+def test_json_lines(arm: Rig, tmp_path: Path) -> None:
+    with following("--namespace", arm.process.namespace, "--json") as process:
+        assert process.stdout is not None
+        told = [json.loads(next(process.stdout)) for _ in range(2)]
+    assert {entry["schema"] for entry in told} == {"hd_diag/watch/1"}
+    assert {joint["joint"] for joint in told[1]["joints"]} == set(JOINTS)
+    run = watch("--json", str(tmp_path / "no" / "folder.json"))
+    assert run.returncode == 2
+    assert "cannot be written" in run.stderr
+
+
+def test_hostile_diagnostics_do_no_harm() -> None:
+    """Over DDS, on /diagnostics, where the nodes of these tests are not."""
+    node = rclpy.create_node("hostile")
+    publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+    text = "[red]\x1b[2J\x1b]0;title\x07\u202e" + "x" * 100_000
+    values = [KeyValue(key=text, value=text), KeyValue(key="samples", value="9" * 5000)]
+    evil = DiagnosticStatus(level=b"\x63", name=f"hd_diag: {text}", message=text, values=values)
+    plain = DiagnosticStatus(level=b"\x01", name=text, message=text, hardware_id=text)
+    with following() as process:
+        end = time.monotonic() + LIMIT
+        assert process.stdout is not None
+        while not select.select([process.stdout], [], [], 0.1)[0] or publisher.get_subscription_count() == 0:
+            assert time.monotonic() < end
+        for _ in range(5):
+            publisher.publish(DiagnosticArray(status=[evil, plain]))
+        line = line_with(process, "[red]\\x1b[2J")
+        while "LEVEL 99" not in line:
+            line = line_with(process, "[red]\\x1b[2J")
+        assert line.rstrip("\n").isprintable()
+        assert len(line) < 4000
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=LIMIT)
+        assert (process.returncode, errors) == (130, "")
+    node.destroy_node()
+
+
+class Terminal:
+    """The command in a pseudo-terminal of 80 columns."""
+
+    def __init__(self, *arguments: str) -> None:
+        self._file, other = os.openpty()
+        self.process = subprocess.Popen(
+            [*COMMAND, *arguments],
+            stdin=other,
+            stdout=other,
+            stderr=other,
+            env={**os.environ, "TERM": "xterm-256color", "COLUMNS": "80", "LINES": "24"},
+        )
+        os.close(other)
+        self.shown = ""
+
+    def __enter__(self) -> "Terminal":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait(LIMIT)
+        os.close(self._file)
+
+    def until(self, words: str) -> None:
+        end = time.monotonic() + LIMIT
+        while words not in self.shown:
+            assert time.monotonic() < end, self.shown[-2000:]
+            self._read(0.2)
+
+    def interrupt(self) -> int:
+        """Ctrl-C; exit code."""
+        self.process.send_signal(signal.SIGINT)
+        while self._read(LIMIT):
+            pass
+        return self.process.wait(LIMIT)
+
+    def follow(self, seconds: float) -> None:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self._read(0.1)
+
+    def processor_time(self) -> float:
+        """User and system time of all threads so far [s]."""
+        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    def _read(self, seconds: float) -> bool:
+        if select.select([self._file], [], [], seconds)[0]:
+            try:
+                data = os.read(self._file, 65536)
+            except OSError:  # Linux's way to say that the other end is closed
+                return False
+            self.shown += data.decode(errors="replace")
+        return True
+
+
+def test_a_terminal_is_left_as_it_was(arm: Rig) -> None:
+    with Terminal("--namespace", arm.process.namespace) as terminal:
+        terminal.until("elbow")
+        terminal.until("shoulder")
+        assert terminal.interrupt() == 130
+        assert terminal.shown.count("\x1b[?25l") == terminal.shown.count("\x1b[?25h") == 1
+        assert "Traceback" not in terminal.shown
+
+
+def test_it_takes_little_of_a_core(arm: Rig) -> None:
+    """Ten reports a second; processor time, which other work on the machine hardly changes."""
+    with Terminal("--namespace", arm.process.namespace, "--joint", "elbow") as terminal:
+        terminal.until("elbow")
+        terminal.follow(1.0)
+        before, pictures = terminal.processor_time(), terminal.shown.count("hd-diag watch")
+        terminal.follow(6.0)
+        spent = terminal.processor_time() - before
+        assert 10 < terminal.shown.count("hd-diag watch") - pictures <= 26
+        assert terminal.interrupt() == 130
+        assert spent < 6.0 * CPU_SHARE
