@@ -56,7 +56,8 @@ class Place(Foil):
         """See :meth:`Effect.columns`."""
         position, width = nonlinear
         away = np.angle(np.exp(1j * (signals.output_angle - position)))
-        return np.exp(-((away / width) ** 2))[:, None]
+        bump: Floats = np.exp(-((away / width) ** 2))
+        return bump[:, None]
 
     def testable(self, signals: Signals) -> tuple[bool, str]:
         """Where the output moves."""
@@ -75,10 +76,10 @@ class Place(Foil):
         """Where the residual's mean over the turn has the bump of each width that explains most."""
         cell = np.floor(np.mod(signals.output_angle, 2.0 * np.pi) * (_CELLS / (2.0 * np.pi))).astype(np.int64)
         cell %= _CELLS
-        total = np.bincount(cell, residual - residual.mean(), _CELLS)
+        total = np.bincount(cell, residual - residual.mean(), _CELLS).astype(np.float64)
         count = np.bincount(cell, minlength=_CELLS).astype(np.float64)
         place = 2.0 * np.pi / _CELLS * (np.arange(_CELLS) + 0.5)
-        found = []
+        found: list[Values] = []
         for width in _WIDTHS:
             bump = np.exp(-((np.angle(np.exp(1j * (place - place[0]))) / width) ** 2))
             moment, norm = _around(total, bump), _around(count, bump**2)
@@ -177,15 +178,16 @@ def _rests(signals: Signals) -> Floats:
     kept = np.flatnonzero(count > 0.01 * signals.size)
     if not 3 <= kept.size <= 60:
         return np.empty((signals.size, 0))
-    place = np.maximum(
-        np.searchsorted(kept, number, side="right") - 1, 0
-    )  # a flicker goes with the run before
-    return (place[:, None] == np.arange(1, kept.size)).astype(np.float64)
+    # A flicker goes with the run before.
+    place = np.maximum(np.searchsorted(kept, number, side="right") - 1, 0)
+    own: Floats = (place[:, None] == np.arange(1, kept.size)).astype(np.float64)
+    return own
 
 
 def _fast(signals: Signals) -> Floats:
     speed = _full(signals.forward_speed)
-    return np.stack((speed**2, speed * np.abs(speed)), axis=1)
+    square: Floats = speed**2
+    return np.stack((square, speed * np.abs(speed)), axis=1)
 
 
 FOILS = (

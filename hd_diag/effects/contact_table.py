@@ -139,9 +139,8 @@ class ContactTable:
                 self._slots.clear()
             angle, pair = np.nonzero(self.contact.slots == slot)
             found = np.zeros((2, *self.torsion.shape))
-            for flank in (0, 1):
-                slope = self._slope(np.s_[:], angle, flank, pair, opening[flank])
-                np.add.at(found[flank], (slice(None), angle), slope)
+            for flank in (0, 1):  # a slot is at one lobe at a time: no angle comes twice
+                found[flank][:, angle] = self._slope(np.s_[:], angle, flank, pair, opening[flank])
             self._slots[key] = found.astype(np.complex128)
         return self._slots[key]
 
@@ -223,7 +222,8 @@ class ContactTable:
         torque = limit * np.sign(share) * share**2
         turn = 2.0 * np.pi / _MEAN_ANGLES * np.arange(_MEAN_ANGLES)
         angle, load = (grid.ravel() for grid in np.meshgrid(turn, torque))
-        return torque, self.torsion_map(angle, load).reshape(torque.size, turn.size).mean(axis=1)
+        mean: Floats = self.torsion_map(angle, load).reshape(torque.size, turn.size).mean(axis=1)
+        return torque, mean
 
     @cached_property
     def _radius(self) -> Floats:
@@ -258,7 +258,8 @@ class ContactTable:
 
     def _summed(self, weight: Floats) -> Floats:
         """Shares times a weight of every flank, shape (angles, 2, pairs), summed over both flanks."""
-        return np.einsum("tafp,afp->tap", self.share, weight)
+        summed: Floats = np.einsum("tafp,afp->tap", self.share, weight)
+        return summed
 
     @cached_property
     def _radial_slopes(self) -> tuple[Floats, Floats]:

@@ -24,7 +24,8 @@ _FINE = 60  # in a scan
 _DAMPINGS = (0.03, 0.08)  # [-]
 _BINS = 256  # of the wave generator's speed, in a scan
 
-State = tuple[float, float, float, complex, complex, complex] | None
+Before = tuple[tuple[float, float, float], tuple[complex, ...]]
+State = Before | None
 
 
 @dataclass(frozen=True)
@@ -49,21 +50,22 @@ class Resonance(StatefulEffect):
         order, frequency, damping = nonlinear
         pole = frequency * complex(-damping, np.sqrt(1.0 - damping * damping))
         phase, ripple = order * signals.wave_generator_angle, signals.contact.ripple
-        if state is None:
-            state = _steady(pole, order * float(signals.wave_generator_speed[0]), signals, phase, ripple)
+        before = state or _steady(
+            pole, order * float(signals.wave_generator_speed[0]), signals, phase, ripple
+        )
         time, turned, rippled = (
-            np.concatenate(([before], now))
-            for before, now in zip(state[:3], (signals.time, phase, ripple), strict=True)
+            np.concatenate(([last], now))
+            for last, now in zip(before[0], (signals.time, phase, ripple), strict=True)
         )
         decay, added = _turning(pole, time, turned)
         cosine, sine = 0.5 * (added[0] + added[1]), -0.5j * (added[0] - added[1])
         inputs = cosine, sine, _straight(pole, time, rippled)
-        modes = [relax(q, decay, each) for q, each in zip(state[3:], inputs, strict=True)]
+        modes = [relax(q, decay, each) for q, each in zip(before[1], inputs, strict=True)]
         residue = (2.0 * damping * frequency * pole + frequency**2) / (1j * pole.imag)
         response = np.stack([(residue * mode).real for mode in modes], axis=1)
         response[:, 2] -= ripple
-        last = (float(time[-1]), float(turned[-1]), float(rippled[-1]), *(complex(m[-1]) for m in modes))
-        return response, last
+        end = float(time[-1]), float(turned[-1]), float(rippled[-1])
+        return response, (end, tuple(complex(mode[-1]) for mode in modes))
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """The ripple once for all runs; see :meth:`StatefulEffect.columns`."""
@@ -99,17 +101,14 @@ class Resonance(StatefulEffect):
         return verdict(torque_known(signals), several_speeds(signals, 5))
 
 
-def _steady(pole: complex, rate: float, signals: Signals, phase: Floats, ripple: Floats) -> State:
+def _steady(pole: complex, rate: float, signals: Signals, phase: Floats, ripple: Floats) -> Before:
     """As if the first speed had always been, and the first ripple."""
     first = np.exp(1j * phase[0])
     forward, backward = first / (1j * rate - pole), np.conj(first) / (-1j * rate - pole)
+    modes = 0.5 * (forward + backward), -0.5j * (forward - backward), -ripple[0] / pole
     return (
-        float(signals.time[0]),
-        float(phase[0]),
-        float(ripple[0]),
-        complex(0.5 * (forward + backward)),
-        complex(-0.5j * (forward - backward)),
-        complex(-ripple[0] / pole),
+        (float(signals.time[0]), float(phase[0]), float(ripple[0])),
+        tuple(complex(mode) for mode in modes),
     )
 
 
@@ -159,7 +158,8 @@ def _binned(signals: Signals, residual: Floats) -> tuple[Floats, Floats, Complex
         for order in ORDERS:
             turned = centred * np.exp(-1j * order * signals.wave_generator_angle)
             found.append(np.bincount(place, turned.real, _BINS) + 1j * np.bincount(place, turned.imag, _BINS))
-        return np.stack(found) / np.maximum(count, 1.0)
+        sums: Complexes = np.stack(found)
+        return np.asarray(sums / np.maximum(count, 1.0), dtype=np.complex128)
 
     return (
         np.linspace(-greatest, greatest, _BINS),
