@@ -8,7 +8,13 @@ import numpy as np
 import numpy.typing as npt
 
 from hd_diag.effects.effect import Quantity, StatefulEffect, Values, amplitude, direction
-from hd_diag.effects.excitation import sample_interval, several_speeds, torque_known, verdict
+from hd_diag.effects.excitation import (
+    enough_input_turns,
+    sample_interval,
+    several_speeds,
+    torque_known,
+    verdict,
+)
 from hd_diag.effects.recursions import relax
 from hd_diag.effects.signals import Signals
 from hd_diag.model.torsion_map import ARCSEC
@@ -97,8 +103,8 @@ class Resonance(StatefulEffect):
         return len(ORDERS) * _FINE * len(_DAMPINGS)
 
     def testable(self, signals: Signals) -> tuple[bool, str]:
-        """Five speeds across it."""
-        return verdict(torque_known(signals), several_speeds(signals, 5))
+        """Five speeds across it, and turns enough at them."""
+        return verdict(torque_known(signals), enough_input_turns(signals, 20.0), several_speeds(signals, 5))
 
 
 def _steady(pole: complex, rate: float, signals: Signals, phase: Floats, ripple: Floats) -> Before:
