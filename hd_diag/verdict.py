@@ -20,6 +20,7 @@ from hd_diag.criticism.unexplained import Line
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.model_file import document
 from hd_diag.parameters import Value
+from hd_diag.told import direction, si
 
 _SIGMAS = 3.0  # a parameter this many standard deviations off its configured value is worth a word
 
@@ -163,15 +164,13 @@ def _parameters(diagnosis: Diagnosis) -> str:
         return "the model's parameters are ambiguous: several sets fit about as well"
     values = base.physical(refitted.parameters, refitted.covariance, diagnosis.configured)
     size, turn = values["eccentricity.magnitude"], values["eccentricity.direction"]
-    text = (
-        f"the eccentricity is {_number(size['value']) * 1e6:.1f} ± {_number(size['std']) * 1e6:.1f} µm at "
-        f"{math.degrees(_number(turn['value'])):.0f} ± {math.degrees(_number(turn['std'])):.0f}° (mod 180°), "
-        f"not {_number(size['configured']) * 1e6:.1f} µm"
-    )
+    size_told = si(_number(size["value"]), _number(size["std"]), "m")
+    turn_told = direction(_number(turn["value"]), _number(turn["std"]), math.pi).replace("modulo", "mod")
+    configured = f"{_number(size['configured']) * 1e6:.1f} µm"
     same = abs(_number(size["value"]) - _number(size["configured"])) < _SIGMAS * _number(size["std"])
     if same:
-        text = f"the eccentricity is as configured ({_number(size['configured']) * 1e6:.1f} µm)"
-    return text
+        return f"the eccentricity is as configured ({configured})"
+    return f"the eccentricity is {size_told} at {turn_told}, not {configured}"
 
 
 def _cause_words(cause: Cause) -> str:

@@ -182,7 +182,7 @@ def test_every_effect_says_what_to_inspect() -> None:
 
 def test_wrong_parameters_only() -> None:
     assert sentence(DIAGNOSES["nothing"]) == (
-        "the eccentricity is 18.2 ± 0.3 µm at 74 ± 1° (mod 180°), not 0.0 µm; no other cause is needed."
+        "the eccentricity is 18.2 ± 0.3 µm at 73.9 ± 0.9° (mod 180°), not 0.0 µm; no other cause is needed."
     )
 
 
