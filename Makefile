@@ -17,7 +17,7 @@ IN = AMENT_PREFIX_PATH='$(CURDIR)/.venv/$(1)' PATH="$(CURDIR)/.venv/$(1)/bin:$$P
 .NOTPARALLEL:
 
 help:
-	@echo "make demo     run the main job on a simulated joint (under a minute; the first time also installs)"
+	@echo "make demo     run the main job on a simulated joint (about a minute; the first time also installs)"
 	@echo "make test     linters, types and tests, on the newest numpy and on Ubuntu 24.04's"
 	@echo "make challenge  hidden causes to be found, beside plain methods (about 25 s a record; see ARGS=--help)"
 	@echo "make bench    speed beside the paper's method and plain libraries (some minutes; see ARGS=--help)"
@@ -27,7 +27,7 @@ help:
 
 demo:
 	@$(ENVIRONMENT) demo '$(PYTHON)'
-	@echo "== hd-diag demo (under a minute)"
+	@echo "== hd-diag demo (about a minute)"
 	@$(call IN,demo) hd-diag demo $(ARGS)
 
 test: lint types pytest pytest-ubuntu

@@ -25,6 +25,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
 from hd_diag.config import dump, resolve
+from hd_diag.demo_after import Aftermath, look_back
 from hd_diag.demo_display import Display, Reading, Step
 from hd_diag.demo_log import LogSummary, summarize
 from hd_diag.demo_process import Child, DemoError
@@ -167,6 +168,14 @@ def run(folder: Path | None, seconds: float) -> dict[str, Any]:
     published = _published(joint)
     log = summarize(folder / "log")
     missing = ["it was interrupted"] if interrupted else _missing(steps, refusal, codes, published, log)
+    after = Aftermath()
+    if not missing:
+        display.say("The log is replayed, and asked what is wrong with the joint (hd-diag replay, diagnose)")
+        try:
+            after = look_back(folder)
+        except KeyboardInterrupt:
+            missing = ["it was interrupted"]
+    missing += after.problems
     summary = {
         "schema": "hd_diag/demo/1",
         "complete": not missing,
@@ -180,6 +189,9 @@ def run(folder: Path | None, seconds: float) -> dict[str, Any]:
         "refused": {"parameter": _REFUSED[0], "value": _REFUSED[1], "reason": refusal},
         "topics": log.topics,
         "problems": log.problems,
+        "replayed": after.replayed,
+        "verdict": after.verdict.get("verdict", ""),
+        "report": str(folder / "report.html"),
     }
     display.conclude(summary, TRUE_ECCENTRICITY)
     return summary

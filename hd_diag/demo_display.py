@@ -167,9 +167,16 @@ class Display:
             table.add_row(entry["topic"], entry["type"], str(entry["count"]))
         self._console.print(table)
         self.say(f"Log: {summary['log']} ({summary['log_size'] / 1e6:.1f} MB; rosbag2 folder, MCAP)")
+        if summary["verdict"]:
+            self.say(
+                f"Replay: {summary['replayed']} messages, each equal to the byte to what the node published."
+            )
+            self.say(f"Verdict: {summary['verdict']}")
+            self.say(f"Report: {summary['report']}")
         if summary["complete"]:
             self.say(
-                "Complete: both processes ended with code 0, every message was logged and decoded twice."
+                "Complete: both processes ended with code 0, every message was logged and decoded twice, "
+                "replayed and diagnosed."
             )
         else:
             self.say("NOT COMPLETE: " + "; ".join(summary["missing"]))

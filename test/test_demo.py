@@ -135,6 +135,19 @@ def test_output_without_a_terminal_is_plain(run: dict[str, Any]) -> None:
     assert "Complete: " in run["out"]
 
 
+def test_replay_of_the_log_is_equal_and_the_verdict_true(run: dict[str, Any]) -> None:
+    summary = run["summary"]
+    outputs = [e for e in summary["topics"] if e["topic"].startswith("/hd_diag/")]
+    assert summary["replayed"] > sum(e["count"] for e in outputs if e["topic"] != "/hd_diag/events")
+    verdict = json.loads((run["folder"] / "verdict.json").read_text())
+    magnitude = verdict["refit"]["parameters"]["eccentricity.magnitude"]
+    assert magnitude["value"] == pytest.approx(18e-6, abs=max(4.0 * magnitude["std"], 2e-7))
+    assert verdict["causes"] == []
+    assert summary["verdict"] == verdict["verdict"]
+    assert f"Verdict: {verdict['verdict']}" in run["out"].replace("\n", " ")
+    assert "<html" in (run["folder"] / "report.html").read_text()
+
+
 def test_nothing_is_left_running(run: dict[str, Any]) -> None:
     assert processes_of(run["folder"]) == []
 
