@@ -18,6 +18,7 @@ from hd_diag.cli_options import CONFIG, JSON, Problem, configured, problems, wri
 from hd_diag.cli_report import report
 from hd_diag.cli_simulate import simulate
 from hd_diag.cli_tolerance import tolerance
+from hd_diag.cli_watch import watch
 from hd_diag.config import Config, JointConfig, load
 
 
@@ -60,6 +61,7 @@ cli.add_command(report)
 cli.add_command(figures)
 cli.add_command(tolerance)
 cli.add_command(fleet)
+cli.add_command(watch)
 
 
 @cli.command()

@@ -43,7 +43,7 @@ _CURVE_POINTS = 121
 _NANOSECONDS = 1_000_000_000
 
 _STEEL: Colour = (0.55, 0.57, 0.60, 1.0)
-_EDGE: Colour = (0.15, 0.15, 0.18, 1.0)
+_AMBER: Colour = (0.85, 0.60, 0.25, 1.0)  # seen on RViz's and Foxglove's dark ground, and on a white one
 _BLUE: Colour = (0.20, 0.45, 0.85, 1.0)
 _RED: Colour = (0.90, 0.15, 0.10, 1.0)
 
@@ -147,17 +147,19 @@ def drawing(
     outer = geometry.circular_spline_datum + geometry.slot_end
     legend = (
         f"deformation x {factor:g}, eccentricity x {exaggeration.eccentricity:g}\n"
-        f"colour: force on the flank, 0 to {full_scale:g} N"
+        f"teeth: force on the flank, dark 0 to yellow {full_scale:g} N\n"
+        "blue: wave generator, amber: flexspline, grey: circular spline"
     )
     width = 0.1 * geometry.tooth_pitch * outer
+    faces = _faces(teeth) - (0.0, 0.0, width)  # below the lines: in one plane they would flicker
     return (
         Shape("circular_spline", "line_strip", _slots(geometry), _STEEL, width),
-        Shape("flexspline", "line_strip", _flat(np.append(teeth, teeth[0, 0])), _EDGE, width),
+        Shape("flexspline", "line_strip", _flat(np.append(teeth, teeth[0, 0])), _AMBER, 0.5 * width),
         Shape("wave_generator", "line_strip", _flat(curve), _BLUE, 2.0 * width),
         Shape("long_axis", "line_list", _flat(curve[[0, _CURVE_POINTS // 2]]), _BLUE, 2.0 * width),
-        Shape("teeth", "triangle_list", _faces(teeth), _STEEL, colours=_face_colours(load, full_scale)),
+        Shape("teeth", "triangle_list", faces, _STEEL, colours=_face_colours(load, full_scale)),
         Shape("eccentricity", "line_list", arrow, _RED, 3.0 * width),
-        Shape("legend", "text", np.array([[0.0, -1.15 * outer, 0.0]]), _STEEL, 0.06 * outer, text=legend),
+        Shape("legend", "text", np.array([[0.0, -1.2 * outer, 0.0]]), _STEEL, 0.06 * outer, text=legend),
     )
 
 

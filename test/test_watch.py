@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from live import START, Recording, config, sample
 from rich.console import Console
+from test_imports import EDGES, imported_by
 
 from hd_diag.bag.schemas import jazzy
 from hd_diag.messages import DIAGNOSTICS
@@ -70,6 +71,10 @@ class Terminal(io.StringIO):
 
 
 # State ---
+
+
+def test_the_state_needs_neither_ros_nor_a_terminal() -> None:
+    assert not imported_by("import hd_diag.watch") & EDGES
 
 
 def test_the_last_report_of_every_joint_counts() -> None:
