@@ -13,12 +13,13 @@ export RMW_IMPLEMENTATION = rmw_fastrtps_cpp
 ENVIRONMENT = sh scripts/environment.sh
 IN = AMENT_PREFIX_PATH='$(CURDIR)/.venv/$(1)' PATH="$(CURDIR)/.venv/$(1)/bin:$$PATH"
 
-.PHONY: help demo test lint types pytest pytest-ubuntu challenge bench install lock clean
+.PHONY: help demo test lint docs types pytest pytest-ubuntu challenge bench install lock clean
 .NOTPARALLEL:
 
 help:
 	@echo "make demo     run the main job on a simulated joint (about a minute; the first time also installs)"
-	@echo "make test     linters, types and tests, on the newest numpy and on Ubuntu 24.04's"
+	@echo "make test     linters, documentation, types and tests, on the newest numpy and on Ubuntu 24.04's"
+	@echo "make docs     the documentation alone: docs/_build/html/index.html"
 	@echo "make challenge  hidden causes to be found, beside plain methods (about 25 s a record; see ARGS=--help)"
 	@echo "make bench    speed beside the paper's method and plain libraries (some minutes; see ARGS=--help)"
 	@echo "make install  bring the test environment .venv/test up to date with this tree"
@@ -30,7 +31,7 @@ demo:
 	@echo "== hd-diag demo (about a minute)"
 	@$(call IN,demo) hd-diag demo $(ARGS)
 
-test: lint types pytest pytest-ubuntu
+test: lint docs types pytest pytest-ubuntu
 
 install:
 	@$(ENVIRONMENT) test '$(PYTHON)'
@@ -39,6 +40,14 @@ lint: install
 	@echo "== Linters: ruff format --check, ruff check (1 s)"
 	@$(call IN,test) ruff format --check .
 	@$(call IN,test) ruff check .
+
+docs: install
+	@if .venv/test/bin/python -c 'import sys; sys.exit(sys.version_info >= (3, 11))'; then \
+	    echo "== SKIPPED documentation: its tools need Python 3.11 to 3.13"; \
+	else \
+	    echo "== Documentation into docs/_build/html, warnings as errors (half a minute)" && \
+	    $(call IN,test) sphinx-build -q -W --keep-going -b html docs docs/_build/html; \
+	fi
 
 types: install
 	@if .venv/test/bin/python -c 'import sys; sys.exit(sys.version_info >= (3, 11))'; then \
@@ -62,7 +71,7 @@ pytest-ubuntu:
 	    $(ENVIRONMENT) ubuntu "$$python" && \
 	    echo "== Tests, numpy 1.26 and scipy 1.11 as in Ubuntu 24.04 (a few minutes)" && \
 	    $(call IN,ubuntu) pytest -n 2 --dist loadfile --ignore test/test_colcon.py --ignore test/test_package.py \
-	        --ignore test/test_replay_live.py --ignore test/test_challenge_benchmark.py \
+	        --ignore test/test_replay_live.py --ignore test/test_challenge_benchmark.py --ignore test/test_docs.py \
 	        $(PYTEST_ARGS); \
 	fi
 
@@ -78,4 +87,4 @@ lock:
 	@sh scripts/lock.sh '$(PYTHON)'
 
 clean:
-	rm -rf .venv build install log *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf .venv build install log docs/_build *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis

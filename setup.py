@@ -71,6 +71,14 @@ setup(
             "scikit-learn>=1.3,<2",
             "setuptools>=68,<85",
         ],
+        # The pages in docs/: `make docs`.
+        # The parsers of that page format have no release for both Python 3.10 and the newest rich.
+        "docs": [
+            "sphinx>=8.1,<10; python_version >= '3.11'",
+            "myst-parser>=4.0,<6; python_version >= '3.11'",
+            "numpydoc>=1.8,<2; python_version >= '3.11'",
+            "furo>=2024.8,<2027; python_version >= '3.11'",
+        ],
         "dev": [
             "colcon-common-extensions>=0.3,<0.4",
             "catkin-pkg>=1.0,<2",

@@ -1,6 +1,6 @@
 """The whole benchmark, measured in one run (`make bench`).
 
-    python bench/suite.py [--only SECTION ...] [--seconds S] [--json FILE]
+    python bench/suite.py [--only SECTION ...] [--seconds S] [--json FILE] [--markdown FILE]
 
 Every row is a time or a ratio, its aim beside it. Both sides of a ratio are timed here, in turn, in this
 process or as processes of their own; what they compute is compared first. Times are CPU times of one thread
@@ -72,6 +72,7 @@ def main() -> int:
     )
     parser.add_argument("--seconds", type=float, default=60.0, help="of the record that is read and replayed")
     parser.add_argument("--json", type=Path, help="keep the figures, such as bench/results.json")
+    parser.add_argument("--markdown", type=Path, help="the table for a page, such as docs/tables/suite.md")
     options = parser.parse_args()
     if not compiled.available():
         sys.exit("numba is not installed: there is only the numpy path")
@@ -89,6 +90,8 @@ def main() -> int:
     show(rows, skipped, time.perf_counter() - begin)
     if options.json:
         options.json.write_text(json.dumps(document(rows, skipped), indent=1) + "\n")
+    if options.markdown:
+        options.markdown.write_text(markdown(rows, skipped) + "\n")
     return 1 if skipped else 0
 
 
@@ -106,6 +109,29 @@ def document(rows: list[Row], skipped: dict[str, str]) -> dict:
         "rows": [{**asdict(row), "met": row.met} for row in rows],
         "skipped": skipped,
     }
+
+
+def markdown(rows: list[Row], skipped: dict[str, str]) -> str:
+    """The table, ready for a page."""
+    head = ["section", "what", "measured", "ratio", "against", "aim", ""]
+    lines = [head, ["---", "---", "---:", "---:", "---", "---:", "---"], *map(cells, rows)]
+    told = f"{cpu_name()}, Python {platform.python_version()}, numpy {np.__version__}."
+    missing = [f"{name} was not measured: {reason.splitlines()[-1]}" for name, reason in skipped.items()]
+    return "\n\n".join((told, "\n".join(f"| {' | '.join(line)} |" for line in lines), *missing))
+
+
+def cells(row: Row) -> list[str]:
+    """A row as texts: section, what, measured, ratio, against, aim, whether it is met."""
+    sign = ">=" if row.aim_unit == "x" else "<="
+    return [
+        row.section,
+        f"{row.what} ({row.note})" if row.note else row.what,
+        f"{row.value:,.4g} {row.unit}",
+        f"{row.ratio:,.4g}" if row.ratio is not None else "",
+        row.against,
+        "" if row.aim is None else f"{sign} {row.aim:,g} {row.aim_unit}",
+        {None: "", True: "met", False: "MISSED"}[row.met],
+    ]
 
 
 def cpu_name() -> str:
@@ -126,13 +152,8 @@ def show(rows: list[Row], skipped: dict[str, str], took: float) -> None:
     for row in rows:
         if last and row.section != last:
             table.add_section()
-        ratio = f"{row.ratio:,.4g}" if row.ratio is not None else ""
-        sign = ">=" if row.aim_unit == "x" else "<="
-        aim = "" if row.aim is None else f"{sign} {row.aim:,g} {row.aim_unit}"
-        met = {None: "", True: "met", False: "MISSED"}[row.met]
-        name = row.section if row.section != last else ""
-        what = f"{row.what} ({row.note})" if row.note else row.what
-        table.add_row(name, what, f"{row.value:,.4g} {row.unit}", ratio, row.against, aim, met)
+        name, *rest = cells(row)
+        table.add_row(name if name != last else "", *rest)
         last = row.section
     Console(width=max(150, Console().width)).print(table)
     for name, reason in skipped.items():

@@ -122,13 +122,21 @@ def mesh_state(drive: Drive, input_angle: Floats, cup_torque: Floats) -> MeshSta
     -------
     MeshState
     """
-    mesh, geometry = drive.mesh, drive.mesh.geometry
-    turn = drive.kinematics.wave_generator_angle(geometry, input_angle)
-    contact = mesh.contacts(turn)
-    if compiled.available():
-        beta = torsion(mesh, turn, cup_torque)
-    else:  # from the contacts that are there already
-        beta = mesh.share_load(contact, cup_torque).torsion
+    mesh = drive.mesh
+    turn = drive.kinematics.wave_generator_angle(mesh.geometry, input_angle)
+    if not compiled.available():
+        return _mesh_state(mesh, turn, cup_torque)
+    found = compiled.mesh_state(
+        mesh.geometry, mesh.tooth_compliance, turn, mesh.displacement(turn), mesh.arc_offset, cup_torque
+    )
+    teeth = found.backlash, found.load, found.pressure_angle, found.torsion
+    return MeshState(*teeth, lost_motion=np.maximum(found.gap, 0.0), overlap=-found.gap * found.radius)
+
+
+def _mesh_state(mesh: Mesh, turn: Floats, cup_torque: Floats) -> MeshState:
+    """The same by numpy."""
+    geometry, contact = mesh.geometry, mesh.contacts(turn)
+    beta = mesh.share_load(contact, cup_torque).torsion
     gap = np.fmin.reduce(contact.rotation, axis=2, initial=np.inf).sum(axis=1)
     return MeshState(
         backlash=all_teeth(geometry, contact, contact.backlash),

@@ -18,13 +18,15 @@ class Configured:
     """Parameters by full name: all of them where a session begins (`new`), else those that changed.
 
     `topics` holds the names that the node's topics had when the session began, by their names in `messages`;
-    `models` the content of the model files that came into force, by joint.
+    `models` the content of the model files that came into force, by joint; `versions` those of the software
+    that the session began with, None where absent, and nothing where the log does not tell.
     """
 
     parameters: Mapping[str, Any]
     new: bool
     topics: Mapping[str, str] = field(default_factory=dict)
     models: Mapping[str, str] = field(default_factory=dict)
+    versions: Mapping[str, str | None] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,7 @@ def _configured(content: Mapping[str, Any]) -> Configured:
     if not isinstance(parameters, dict) or not isinstance(new, bool):
         raise ValueError("a configuration lacks its parameters")
     topics, models = (_texts(content.get(key, {}), key) for key in ("topics", "models"))
-    return Configured(parameters, new, topics, models)
+    return Configured(parameters, new, topics, models, _versions(content.get("versions", {})))
 
 
 def _map_used(content: Mapping[str, Any]) -> MapUsed:
@@ -104,6 +106,12 @@ def _reported(content: Mapping[str, Any]) -> Reported:
 def _texts(value: Any, what: str) -> Mapping[str, str]:
     if not isinstance(value, dict) or not all(isinstance(text, str) for text in value.values()):
         raise ValueError(f"its {what} are no texts")
+    return value
+
+
+def _versions(value: Any) -> Mapping[str, str | None]:
+    if not isinstance(value, dict) or not all(isinstance(text, str | None) for text in value.values()):
+        raise ValueError("its versions are no texts")
     return value
 
 

@@ -32,6 +32,8 @@ _ANGLES_OF_TURN = 257
 _ANGLES_WITHOUT_MAP = 61
 _STEPS_TOGETHER = 32
 _KEPT = 0.02  # by which the steps of a sender that keeps its period differ [-]
+_OFF_MULTIPLE = 0.25  # by which a step may differ from whole periods [-]
+_SAME = 0.9  # share of steps that are alike: the period is another now
 _JUDGED_AT_LEAST = 8  # stamps, for their usual step
 _RARE = 0.05  # share of the samples that may lie outside a model's range on either side
 _MARGIN = 0.05  # of a range, by which it may be left: what was fitted does not end at once
@@ -289,12 +291,25 @@ def _missed(joint: JointMonitor, window: Window) -> int:
     joint.unjudged = [together[-1:]]
     steps = np.diff(together).astype(np.float64)
     steps = steps[steps > 0.0]  # a clock that was set back
-    usual = _usual_step(steps)
+    usual = joint.usual_step = _known_step(steps, joint.usual_step) or _usual_step(steps)
     if usual <= 0.0:
         return 0
     long = np.sum(np.rint(steps[steps > 1.5 * usual] / usual) - 1.0)
     net = np.rint(np.sum(steps) / usual) - steps.size
     return int(max(0.0, min(long, net)))
+
+
+def _known_step(steps: Floats, known: float) -> float:
+    """The period known so far [ns], where a reader that falls behind lets samples of it through; else 0.
+
+    Then most samples may be lost: nearly all steps are multiples of the period, and not all the same.
+    """
+    if known <= 0.0 or 2 * np.count_nonzero(steps > 1.5 * known) <= steps.size:
+        return 0.0
+    multiples = np.rint(steps / known)
+    whole = np.abs(steps / known - multiples) < _OFF_MULTIPLE
+    _, counts = np.unique(multiples, return_counts=True)
+    return known if counts.max() < _SAME * steps.size and float(np.mean(whole)) > _SAME else 0.0
 
 
 def _usual_step(steps: Floats) -> float:

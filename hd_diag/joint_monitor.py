@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,15 +14,15 @@ from hd_diag.config import JointConfig
 from hd_diag.drive import transmission_error
 from hd_diag.extended import ExtendedModel
 from hd_diag.model.torsion_map import TorsionMap
+from hd_diag.pairing import REMEMBERED, Inputs, Outputs, Pairs, interpolated, pairs
 from hd_diag.residual_orders import ResidualOrders
 from hd_diag.samples import Floats, Times
 
 CLOCK_JUMP = 1_000_000_000
 """A stamp this far behind the last one is a clock set back, not a late sample [ns]."""
 
-# An output angle is compared with an input angle interpolated over at most this time [ns].
-_PAIRING_GAP = 50_000_000
-_REMEMBERED = 256  # input samples kept for output angles that arrive later
+_ONE = np.zeros(1, np.int64)
+_NO_ROWS, _NO_VALUES = np.empty(0, np.int64), np.empty(0)
 
 
 class Samples(NamedTuple):
@@ -40,10 +41,12 @@ class Samples(NamedTuple):
 class Prediction(NamedTuple):
     """Transmission error: stamp [ns], input angle [rad], torque [N m], predicted [rad], each (n,).
 
-    Where an output angle is reported, also the measured error and its residual to the predicted [rad].
-    `paired` where the output angle arrived apart from the input, which had its prediction at its own stamp.
+    `row` are the positions of the messages that gave it, among those taken together. Where an output angle is
+    reported, also the measured error and its residual to the predicted [rad]. `paired` where the output angle
+    arrived apart from the input, which had its prediction at its own stamp.
     """
 
+    row: Times
     stamp: Times
     input_angle: Floats
     torque: Floats
@@ -51,6 +54,40 @@ class Prediction(NamedTuple):
     measured: Floats | None = None
     residual: Floats | None = None
     paired: bool = False
+
+    def part(self, rows: Times | slice) -> Prediction:
+        """Some of the rows."""
+        columns = [None if column is None else column[rows] for column in self[:-1]]
+        return Prediction._make([*columns, self.paired])
+
+
+class Part(NamedTuple):
+    """Rows of a joint from messages of one shape: positions among all taken together (n,), and samples."""
+
+    row: Times
+    samples: Samples
+
+
+class Plan(NamedTuple):
+    """Rows of a joint that can be taken together.
+
+    Attributes
+    ----------
+    inputs : Part or None
+        Those with an input angle.
+    torque_row, torque : ndarray
+        Positions and values of all reported torques [N m].
+    pairs : Pairs or None
+        What becomes of output angles that came, or come, apart.
+    output_stamp : int or None
+        Stamp of the last that comes apart [ns].
+    """
+
+    inputs: Part | None
+    torque_row: Times
+    torque: Floats
+    pairs: Pairs | None = None
+    output_stamp: int | None = None
 
 
 @dataclass
@@ -116,6 +153,7 @@ class JointMonitor:
         self.last_rejection = ""
         self.missed = 0
         self.unjudged: list[Times] = []
+        self.usual_step = 0.0
         self.unpaired = 0
         self.clock_jumps = 0
         self.last_received = -1
@@ -129,8 +167,8 @@ class JointMonitor:
         """Forget the stream: it begins anew."""
         self._input_stamp = -(2**62)
         self._output_stamp = -(2**62)
-        self._inputs: deque[tuple[int, float]] = deque(maxlen=_REMEMBERED)
-        self._pending: deque[tuple[int, float, float]] = deque(maxlen=_REMEMBERED)
+        self._inputs: deque[tuple[int, float]] = deque(maxlen=REMEMBERED)
+        self._pending: deque[tuple[int, float, float]] = deque(maxlen=REMEMBERED)
         self._torque: float | None = None
         self._output_seen = False
         self._run_model()
@@ -163,51 +201,132 @@ class JointMonitor:
         self.window.rejected += count
         self.last_rejection = reason
 
-    def is_clean(self, rows: Samples) -> bool:
-        """Whether several rows hold nothing that must be looked at one by one."""
-        stamp = rows.stamp
-        return bool(
-            rows.input_angle is not None
-            and not self._pending
-            and stamp[0] > max(self._input_stamp, self._output_stamp)
-            and (np.diff(stamp) > 0).all()
-            and all(np.isfinite(values).all() for values in rows[1:4] if values is not None)
-        )
+    def plan(self, parts: Sequence[Part]) -> Plan | None:
+        """How rows of messages can be taken together.
+
+        Parameters
+        ----------
+        parts : sequence of Part
+            The joint's rows, a part for each shape of message.
+
+        Returns
+        -------
+        Plan or None
+            None where something has to be looked at message by message.
+        """
+        measured = self._measured(parts)
+        if measured is None or not self._keeps_the_clock(measured):
+            return None
+        inputs = [part for part in measured if part.samples.input_angle is not None]
+        apart = [p for p in measured if p.samples.input_angle is None and p.samples.output_angle is not None]
+        together = any(part.samples.output_angle is not None for part in inputs)
+        if not _alike(inputs) or (together and (apart or self._pending)):
+            return None
+        given, after = _joined(inputs), max(self._input_stamp, self._output_stamp if together else -(2**62))
+        outputs = _joined([Part(row, rows._replace(speed=None)) for row, rows in apart])
+        if not _rises(given, after) or not _rises(outputs, self._output_stamp):
+            return None
+        plan = Plan(given, *_torques(measured))
+        return plan if outputs is None and not self._pending else self._pair_all(plan, outputs)
+
+    def run(self, received: Times, plan: Plan) -> list[Prediction]:
+        """Predictions that messages received at times [ns] make possible, as `accept` one by one."""
+        found: list[Prediction] = []
+        if plan.inputs is not None:
+            row, rows = plan.inputs
+            self.last_received = int(received[row[-1]])
+            found.append(self._predict(row, rows, self._held(plan, row)))
+            self._note_inputs(rows)
+        if plan.torque.size:
+            self._torque = float(plan.torque[-1])
+        if plan.output_stamp is not None:
+            self._output_stamp = plan.output_stamp
+        return found if plan.pairs is None else found + self._take_pairs(plan.pairs)
 
     def accept(self, received: int, rows: Samples) -> list[Prediction]:
-        """Predictions that new rows make possible.
+        """Predictions that one more row makes possible.
 
         Parameters
         ----------
         received : int
-            When the last of them arrived [ns].
+            When it arrived [ns].
         rows : Samples
-            One row, or several for which `is_clean` holds.
+            One row.
 
         Returns
         -------
         list of Prediction
-            At the input's stamps; for output angles that arrive apart from the input, at theirs.
+            At the input's stamp; for output angles that arrive apart from the input, at theirs.
         """
-        if rows.stamp.size == 1:
-            checked = self._check(rows)
-            if checked is None:
-                return []
-            rows = checked
-        both = rows.input_angle is not None and rows.output_angle is not None
+        checked = self._check(rows)
+        if checked is None:
+            return []
+        rows = checked
         found: list[Prediction] = []
+        if rows.torque is not None:
+            self._torque = rows.torque.item()
         if rows.input_angle is not None:
             self.last_received = received
-            torque = self._hold(rows)
-            found.append(self._predict(rows, torque))
+            found.append(self._predict(_ONE, rows, np.array([self._current_torque()])))
             self._note_inputs(rows)
-        elif rows.torque is not None:
-            self._torque = float(rows.torque[-1])
-        if rows.output_angle is not None and not both:
+        elif rows.output_angle is not None:
             self._output_stamp = rows.stamp.item()
-            self.unpaired += len(self._pending) == _REMEMBERED
+            self.unpaired += len(self._pending) == REMEMBERED
             self._pending.append((self._output_stamp, rows.output_angle.item(), self._current_torque()))
         return found + self._pair()
+
+    def _measured(self, parts: Sequence[Part]) -> list[Part] | None:
+        """The parts less what the robot does not measure; None where some numbers are none.
+
+        Broadcasters fill with nan what a robot does not measure: then it is not reported at all.
+        """
+        angles = [part.samples.input_angle for part in parts if part.samples.input_angle is not None]
+        if not all(np.isfinite(angle).all() for angle in angles):
+            return None
+        known = {"torque": self._torque is not None, "output_angle": self._output_seen or bool(self._pending)}
+        found = list(parts)
+        for name, is_known in known.items():
+            values = [v for v in (getattr(part.samples, name) for part in found) if v is not None]
+            if all(np.isfinite(value).all() for value in values):
+                continue
+            if is_known or not all(np.isnan(value).all() for value in values):
+                return None
+            absent: dict[str, Any] = {name: None}
+            found = [Part(row, rows._replace(**absent)) for row, rows in found]
+        return found
+
+    def _keeps_the_clock(self, parts: Sequence[Part]) -> bool:
+        """Whether no stamp is that of a clock set back."""
+        _, stamp = _sorted([(part.row, part.samples.stamp) for part in parts])
+        last = max(self._input_stamp, self._output_stamp)
+        return bool((stamp >= np.maximum.accumulate(np.concatenate(([last], stamp)))[:-1] - CLOCK_JUMP).all())
+
+    def _pair_all(self, plan: Plan, outputs: Part | None) -> Plan | None:
+        """The plan with its pairs of input and output angles; None where too many would have to wait."""
+        inputs, apart, last = _NO_INPUTS, _NO_OUTPUTS, None
+        if plan.inputs is not None:
+            row, rows = plan.inputs
+            assert rows.input_angle is not None
+            inputs = Inputs(row, rows.stamp, rows.input_angle)
+        if outputs is not None:
+            row, rows = outputs
+            assert rows.output_angle is not None
+            apart, last = (
+                Outputs(row, rows.stamp, rows.output_angle, self._held(plan, row)),
+                int(rows.stamp[-1]),
+            )
+        found = pairs(self._inputs, inputs, self._pending, apart)
+        return None if found is None else plan._replace(pairs=found, output_stamp=last)
+
+    def _take_pairs(self, found: Pairs) -> list[Prediction]:
+        self.unpaired += found.unpaired
+        self._output_seen = self._output_seen or bool(found.unpaired or found.input_angle.size)
+        waiting = (column.tolist() for column in found.waiting[1:])
+        self._pending = deque(zip(*waiting, strict=True), maxlen=REMEMBERED)
+        if not found.input_angle.size:
+            return []
+        row, stamp, output, torque = found.found
+        return [self._predict(row, Samples(stamp, found.input_angle, output, None), torque, paired=True)]
 
     def _check(self, rows: Samples) -> Samples | None:
         """A single row less what cannot be used; None if nothing is left. Counts what it refuses."""
@@ -244,29 +363,27 @@ class JointMonitor:
     def _current_torque(self) -> float:
         return self.config.torque if self._torque is None else self._torque
 
-    def _hold(self, rows: Samples) -> Floats:
-        """Torque of each row: as reported with it, else the last reported, else as configured [N m]."""
-        if rows.torque is None:
-            return np.full(rows.stamp.shape, self._current_torque())
-        self._torque = float(rows.torque[-1])
-        return rows.torque
+    def _held(self, plan: Plan, row: Times) -> Floats:
+        """Torque at messages: the last one reported up to there, else what holds before [N m]."""
+        last = np.searchsorted(plan.torque_row, row, side="right") - 1
+        return np.concatenate(([self._current_torque()], plan.torque))[last + 1]
 
     def _note_inputs(self, rows: Samples) -> None:
         assert rows.input_angle is not None
-        stamp, angle = rows.stamp[-_REMEMBERED:], rows.input_angle[-_REMEMBERED:]
+        stamp, angle = rows.stamp[-REMEMBERED:], rows.input_angle[-REMEMBERED:]
         if rows.output_angle is None:
             self._inputs.extend(zip(stamp.tolist(), angle.tolist(), strict=True))
         else:
             self._inputs.clear()
             self._inputs.append((int(stamp[-1]), float(angle[-1])))
             self._output_seen = True
-            self._output_stamp = int(stamp[-1])
+            self._output_stamp = max(self._output_stamp, int(stamp[-1]))
         self._input_stamp = int(stamp[-1])
         self.samples += rows.stamp.size
         self.window.accepted += rows.stamp.size
         self.window.stamps.append(rows.stamp)
 
-    def _predict(self, rows: Samples, torque: Floats, paired: bool = False) -> Prediction:
+    def _predict(self, row: Times, rows: Samples, torque: Floats, paired: bool = False) -> Prediction:
         angle = rows.input_angle
         assert angle is not None
         if self._runs is None:
@@ -275,7 +392,7 @@ class JointMonitor:
             predicted, speed = self._runs[paired](rows, torque, self.temperature, self.table)
             self.window.torques.append(torque)
             self.window.speeds.append(speed)
-        prediction = Prediction(rows.stamp, angle, torque, predicted, paired=paired)
+        prediction = Prediction(row, rows.stamp, angle, torque, predicted, paired=paired)
         if not paired:
             self.last = float(angle[-1]), float(torque[-1])
         return prediction if rows.output_angle is None else self._compared(prediction, rows.output_angle)
@@ -294,27 +411,57 @@ class JointMonitor:
         while self._pending and self._inputs and self._pending[0][0] <= self._inputs[-1][0]:
             stamp, output, torque = self._pending.popleft()
             self._output_seen = True
-            angle = _interpolated(self._inputs, stamp)
+            angle = interpolated(self._inputs, stamp)
             if angle is None:
                 self.unpaired += 1
                 continue
             rows = Samples(np.array([stamp]), np.array([angle]), np.array([output]), None)
-            found.append(self._predict(rows, np.array([torque]), paired=True))
+            found.append(self._predict(_ONE, rows, np.array([torque]), paired=True))
         return found
 
 
-def _interpolated(inputs: deque[tuple[int, float]], stamp: int) -> float | None:
-    """Input angle at a stamp between two samples not too far apart; None outside."""
-    later: tuple[int, float] | None = None
-    for time, angle in reversed(inputs):
-        if time == stamp:
-            return angle
-        if time < stamp:
-            if later is None or later[0] - time > _PAIRING_GAP:
-                return None
-            return angle + (later[1] - angle) * ((stamp - time) / (later[0] - time))
-        later = time, angle
-    return None
+_NO_INPUTS = Inputs(_NO_ROWS, _NO_ROWS, _NO_VALUES)
+_NO_OUTPUTS = Outputs(_NO_ROWS, _NO_ROWS, _NO_VALUES, _NO_VALUES)
+
+
+def _alike(parts: Sequence[Part]) -> bool:
+    """Whether all parts have the same columns, beside the torque."""
+    return len({(p.samples.output_angle is None, p.samples.speed is None) for p in parts}) < 2
+
+
+def _joined(parts: Sequence[Part]) -> Part | None:
+    """Parts that are alike as one, in the order of the messages, without the torque; None of none."""
+    if not parts:
+        return None
+    if len(parts) == 1:
+        return Part(parts[0].row, parts[0].samples._replace(torque=None))
+    row = np.concatenate([part.row for part in parts])
+    order = np.argsort(row)
+    columns = zip(*(part.samples._replace(torque=None) for part in parts), strict=True)
+    joined: list[Any] = [None if column[0] is None else np.concatenate(column)[order] for column in columns]
+    return Part(row[order], Samples(*joined))
+
+
+def _torques(parts: Sequence[Part]) -> tuple[Times, Floats]:
+    """Positions and values of all reported torques, in the order of the messages."""
+    return _sorted([(row, rows.torque) for row, rows in parts if rows.torque is not None])
+
+
+def _sorted(columns: list[tuple[Times, Any]]) -> tuple[Times, Any]:
+    """Positions and values of several columns in the order of the positions."""
+    if len(columns) < 2:
+        return columns[0] if columns else (_NO_ROWS, _NO_VALUES)
+    row, values = (np.concatenate(column) for column in zip(*columns, strict=True))
+    order = np.argsort(row)
+    return row[order], values[order]
+
+
+def _rises(part: Part | None, after: int) -> bool:
+    """Whether the stamps rise from one after the given on."""
+    if part is None:
+        return True
+    stamp = part.samples.stamp
+    return bool(stamp[0] > after and (np.diff(stamp) > 0).all())
 
 
 def _stamp_reason(name: str, stamp: int, last: int) -> str:

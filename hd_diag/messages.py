@@ -9,7 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.bag.encoding import encode_float64_multiarray, encode_joint_state, encode_joint_states
+from hd_diag.bag.encoding import (
+    encode_diagnostic_array,
+    encode_float64_multiarray,
+    encode_joint_state,
+    encode_joint_states,
+)
 from hd_diag.bag.schemas import jazzy, serialize
 from hd_diag.markers import MARKERS, drawing, marker_array
 from hd_diag.samples import Angles, Drawings, Publication, Report, Teeth, Times
@@ -164,16 +169,8 @@ def _markers(drawings: Drawings) -> list[bytes]:
 
 
 def _diagnostics(report: Report) -> bytes:
-    types = _types()
-    key_value = types["diagnostic_msgs/msg/KeyValue"]
-    statuses = [
-        types["diagnostic_msgs/msg/DiagnosticStatus"](
-            status.level, status.name, status.message, "", [key_value(k, v) for k, v in status.values.items()]
-        )
-        for status in report.statuses
-    ]
-    header = types["std_msgs/msg/Header"](_time(report.stamp), "")
-    return serialize(types["diagnostic_msgs/msg/DiagnosticArray"](header, statuses), DIAGNOSTICS)
+    statuses = ((status.level, status.name, status.message, status.values) for status in report.statuses)
+    return encode_diagnostic_array(report.stamp, statuses)
 
 
 def _parameter(name: str, value: Any) -> Any:

@@ -6,16 +6,17 @@ recording of them gives the same results again: replay is this same code.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from hd_diag.config import Config
 from hd_diag.drive import MeshState, mesh_state
 from hd_diag.health import report
-from hd_diag.joint_monitor import JointMonitor, Prediction, Samples
+from hd_diag.joint_monitor import JointMonitor, Part, Prediction, Samples
 from hd_diag.model.torsion_map import TorsionMap
-from hd_diag.samples import Angles, Drawings, Floats, JointStates, Publication, Report, Teeth, Times
+from hd_diag.predictions import angles
+from hd_diag.samples import Drawings, JointStates, Publication, Report, Teeth, Times
 
 _NO_ROWS = np.empty(0, np.int64)
 
@@ -72,23 +73,38 @@ class Monitor:
         -------
         list of Publication
         """
-        selected = self._selected(states)
-        if not selected:
-            self.foreign += received.size
-            return []
-        rows = []
-        for joint, *columns in selected:
-            part = _samples(states, *columns)
-            if part is None:
-                self.joints[joint].reject(
-                    "the message names the joint and gives no position of it", received.size
-                )
-            else:
-                rows.append((joint, part))
-        if received.size > 1 and not all(self.joints[joint].is_clean(part) for joint, part in rows):
-            return self._in_halves(received, states)
-        results = {joint: self.joints[joint].accept(int(received[-1]), part) for joint, part in rows}
-        return self._angles(received, results) + self._teeth(received, results)
+        if received.size > 1:
+            states = states._replace(row=np.arange(received.size))
+        return self.mixed_states(received, (states,))
+
+    def mixed_states(self, received: Times, shapes: Sequence[JointStates]) -> list[Publication]:
+        """What messages of several shapes give.
+
+        Parameters
+        ----------
+        received : ndarray of int64, shape (n,)
+            When each arrived [ns].
+        shapes : sequence of JointStates
+            The messages of each shape; their `row` are positions in `received`.
+
+        Returns
+        -------
+        list of Publication
+        """
+        parts, nameless, foreign = self._parts(shapes)
+        single = received.size == 1
+        plans = {} if single else {name: self.joints[name].plan(part) for name, part in parts.items()}
+        if None in plans.values():
+            return self._in_halves(received, shapes)
+        self.foreign += foreign
+        for joint, count in nameless:
+            self.joints[joint].reject("the message names the joint and gives no position of it", count)
+        if single:
+            now = int(received[0])
+            results = {name: self.joints[name].accept(now, part[0].samples) for name, part in parts.items()}
+        else:
+            results = {name: self.joints[name].run(received, plan) for name, plan in plans.items() if plan}
+        return angles(received, results) + self._teeth(received, results)
 
     def temperature(self, joint: str, value: float) -> None:
         """Note a joint's temperature [degree Celsius]."""
@@ -125,23 +141,32 @@ class Monitor:
             self._columns = {**self._columns, states.names: found} if len(self._columns) < 64 else {}
         return found
 
-    def _in_halves(self, received: Times, states: JointStates) -> list[Publication]:
+    def _parts(
+        self, shapes: Sequence[JointStates]
+    ) -> tuple[dict[str, list[Part]], list[tuple[str, int]], int]:
+        """Rows of each joint; joints that are named without a position, how often; messages of no joint."""
+        found: dict[str, list[Part]] = {}
+        nameless, foreign = [], 0
+        for states in shapes:
+            selected = self._selected(states)
+            foreign += 0 if selected else states.row.size
+            for joint, *columns in selected:
+                samples = _samples(states, *columns)
+                if samples is None:
+                    nameless.append((joint, states.row.size))
+                else:
+                    found.setdefault(joint, []).append(Part(states.row, samples))
+        if len(shapes) > 1:
+            found = {name: found[name] for name in self.joints if name in found}
+        return found, nameless, foreign
+
+    def _in_halves(self, received: Times, shapes: Sequence[JointStates]) -> list[Publication]:
         """Rows with something in between that must be looked at alone."""
         middle = received.size // 2
         found: list[Publication] = []
-        for at in (slice(0, middle), slice(middle, None)):
-            found += self.joint_states(received[at], states.part(at))
-        return found
-
-    def _angles(self, received: Times, results: Mapping[str, list[Prediction]]) -> list[Publication]:
-        """Messages of predictions; joints predicted at the same stamps share one."""
-        shared: dict[tuple[bool, bytes], dict[str, Prediction]] = {}
-        for joint, predictions in results.items():
-            for prediction in predictions:
-                shared.setdefault((prediction.paired, prediction.stamp.tobytes()), {})[joint] = prediction
-        found: list[Publication] = []
-        for joints in shared.values():
-            found += _messages(received[-next(iter(joints.values())).stamp.size :], joints)
+        for low, high in ((0, middle), (middle, received.size)):
+            parts = [states.between(low, high) for states in shapes]
+            found += self.mixed_states(received[low:high], [part for part in parts if part.row.size])
         return found
 
     def _teeth(self, received: Times, results: Mapping[str, list[Prediction]]) -> list[Publication]:
@@ -154,10 +179,10 @@ class Monitor:
                 stamp, shift = prediction.stamp, self._shift[joint]
                 rows = _due(self._array_period, joint, stamp, self.config.array_rate, shift)
                 if rows.size:
-                    found += self._arrays(joint, received[-stamp.size :][rows], prediction, rows)
+                    found += self._arrays(joint, received[prediction.row[rows]], prediction, rows)
                 rows = _due(self._mesh_period, joint, stamp, self.config.mesh_rate, shift)
                 if rows.size:
-                    found.append(self._drawings(joint, received[-stamp.size :][rows], prediction, rows))
+                    found.append(self._drawings(joint, received[prediction.row[rows]], prediction, rows))
         return found
 
     def _arrays(self, joint: str, received: Times, prediction: Prediction, rows: Times) -> list[Publication]:
@@ -214,27 +239,3 @@ def _samples(states: JointStates, input_column: int, output_column: int) -> Samp
     if angle is None and output is None and torque is None:
         return None
     return Samples(states.stamp, angle, output, torque, speed)
-
-
-def _messages(received: Times, joints: Mapping[str, Prediction]) -> list[Publication]:
-    predictions = list(joints.values())
-    stamp, paired = predictions[0].stamp, predictions[0].paired
-    found: list[Publication] = []
-    if not paired:
-        error, torque = (
-            _columns([p.predicted for p in predictions]),
-            _columns([p.torque for p in predictions]),
-        )
-        found.append(Angles("~/transmission_error", received, stamp, tuple(joints), error, torque))
-    measured = [p.measured for p in predictions if p.measured is not None]
-    if measured:
-        names = tuple(name for name, p in joints.items() if p.measured is not None)
-        residual = [p.residual for p in predictions if p.residual is not None]
-        topics = {"~/measured_transmission_error": measured, "~/residual": residual}
-        found += [Angles(topic, received, stamp, names, _columns(v), None) for topic, v in topics.items()]
-    return found
-
-
-def _columns(values: list[Floats]) -> Floats:
-    """Columns (n,) side by side, shape (n, k)."""
-    return np.concatenate(values).reshape(len(values), -1).T

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from hd_diag.bag import BagError, BagWriter, Rejection, check_output, encode_joint_states
-from hd_diag.bag.reader import BagReader, Batch
+from hd_diag import versions
+from hd_diag.bag import BagError, BagWriter, check_output, encode_joint_states
+from hd_diag.bag.reader import BagReader, Batch, Mixed
 from hd_diag.config import Config, ConfigError, JointConfig, ModelText, resolve
 from hd_diag.events import Configured, Event, MapUsed, Reported
 from hd_diag.map_builder import map_of
@@ -47,7 +48,8 @@ class Replay:
         By joint: samples that could not be used, and samples that the stamps say were never recorded.
     last_rejection : dict of str to str
     problems : list of str
-        What is wrong with the bag itself, and joints that have no map.
+        What is wrong with the bag itself, joints that have no map, and software of other versions than a log
+        was recorded with.
     joints : tuple of str
         Joints that had samples.
     """
@@ -83,7 +85,7 @@ def replay(
         end, so that no reader takes it for whole.
     config : Config, optional
         Without it the bag must be a node's log: its configuration, and every change of it, is followed, and
-        the outputs are those of the live run, to the last bit.
+        the outputs are those of the live run, to the last bit where the software has the same versions.
     topics : tuple of str, optional
         Topics with joint states; by default all but a node's outputs.
     overwrite : bool, optional
@@ -107,12 +109,12 @@ def replay(
     with BagReader(bag) as reader, np.errstate(all="ignore"):
         sources = sources_of(reader, config, topics)
         total = sum(topic.count for topic in reader.topics if topic.name in sources.every)
-        with _finished(BagWriter(out, overwrite=overwrite)) as writer:
+        with _finished(BagWriter(out, overwrite=overwrite, beside=True)) as writer:
             run = _Run(reader, writer, sources)
             if config is not None:
                 run.begin(reader.start, config)
-            for batch in reader.batches(sources.every):
-                for _ in run.batch(batch):
+            for mixed in reader.mixed(sources.every, sources.is_joint_states):
+                for _ in run.take(mixed):
                     progress(run.done, total)
             return run.result()
 
@@ -144,6 +146,7 @@ class _Run:
         self._next_report: int | None = None
         self._maps: dict[tuple[Mesh, float | None], TorsionMap] = {}
         self._problems = list(reader.problems)
+        self._versions_told = False
         for topic in reader.topics:
             if sources.inputs.get(topic.name) == topic.type_name:
                 writer.add_topic(topic.name, topic.type_name, topic.offers)
@@ -158,16 +161,17 @@ class _Run:
             for joint in config.joints:
                 self._use_own_map(now, joint)
 
-    def batch(self, batch: Batch) -> Iterator[None]:
-        """Take messages of one topic, part by part."""
-        self._last = int(batch.log_time[-1])
+    def take(self, mixed: Mixed) -> Iterator[None]:
+        """Take consecutive messages, part by part."""
+        self._last = int(mixed.log_time[-1])
         self._check_time(self._last)
+        _, batch = mixed.batches[0]
         name, kind = batch.topic.name, batch.topic.type_name
         if name == self._sources.events:
             for now, data in zip(batch.log_time.tolist(), batch.messages(), strict=True):
                 self._event(now, event_of(self._reader.path, bytes(data)))
         elif self._sources.inputs.get(name) == kind:
-            for part in self._temperatures(batch) if kind == TEMPERATURE else self._joint_states(batch):
+            for part in self._temperatures(batch) if kind == TEMPERATURE else self._joint_states(mixed):
                 self.done += part
                 yield
             return
@@ -241,22 +245,38 @@ class _Run:
                 self._running.temperature(joint, bytes(data))
             yield len(part)
 
-    def _joint_states(self, batch: Batch) -> Iterator[int]:
-        columns, rejected = self._reader.joint_states(batch)
-        standard = self._reader.is_standard(batch.topic)
-        for first, count, content in _in_order(columns, rejected):
-            for rows in self._until_reports(batch.log_time[first : first + count]):
-                part = _part(batch, slice(first + rows.start, first + rows.stop))
-                if standard:
-                    self._copy(part)
-                if isinstance(content, str):
-                    self._running.unreadable(content)
+    def _joint_states(self, mixed: Mixed) -> Iterator[int]:
+        inputs = [self._input(rows, batch) for rows, batch in mixed.batches]
+        for low, high, refused in _segments(inputs, mixed.log_time.size):
+            for rows in self._until_reports(mixed.log_time[low:high]):
+                begin, end = low + rows.start, low + rows.stop
+                for entry in inputs:
+                    self._copy_input(entry, begin, end)
+                if refused:
+                    self._running.unreadable(refused)
                 else:
-                    states = content.part(rows)
-                    if not standard:
-                        self._copy_columns(part, states)
-                    self._running.joint_states(part.log_time, states)
-                yield len(part)
+                    shapes = [states.between(begin, end) for entry in inputs for states in entry.shapes]
+                    shapes = [states for states in shapes if states.row.size]
+                    self._running.mixed_states(mixed.log_time[begin:end], shapes)
+                yield end - begin
+
+    def _input(self, rows: Times, batch: Batch) -> _Input:
+        columns, rejected = self._reader.joint_states(batch)
+        shapes = [states._replace(row=rows[states.row]) for states in columns]
+        return _Input(rows, batch, shapes, [(int(rows[r.row]), r.reason) for r in rejected])
+
+    def _copy_input(self, entry: _Input, begin: int, end: int) -> None:
+        """Copy messages at positions from `begin` to before `end`."""
+        first, last = np.searchsorted(entry.rows, (begin, end))
+        part = _part(entry.batch, slice(first, last))
+        if not len(part):
+            return
+        if self._reader.is_standard(part.topic):
+            self._copy(part)
+        else:
+            self._copy_columns(
+                part, entry.rows[first:last] - begin, [s.between(begin, end) for s in entry.shapes]
+            )
 
     def _copy(self, batch: Batch) -> None:
         payload = batch.payload
@@ -265,11 +285,16 @@ class _Run:
             batch.topic.name, batch.topic.type_name, rows, batch.log_time, batch.publish_time
         )
 
-    def _copy_columns(self, batch: Batch, states: JointStates) -> None:
+    def _copy_columns(self, batch: Batch, rows: Times, shapes: Sequence[JointStates]) -> None:
         """Copy messages of a bag that defines JointState in its own way as those of ROS 2 Jazzy."""
-        rows = encode_joint_states(states.names, states.stamp, *states[4:], states.frame_id)
+        found: dict[int, bytes] = {}
+        for states in shapes:
+            encoded = encode_joint_states(states.names, states.stamp, *states[4:], states.frame_id)
+            found.update(zip(states.row.tolist(), map(bytes, encoded), strict=True))
+        kept = [number for number, row in enumerate(rows.tolist()) if row in found]
+        data = [found[row] for row in rows[kept].tolist()]
         name, kind = batch.topic.name, batch.topic.type_name
-        self._writer.write_many(name, kind, rows, batch.log_time, batch.publish_time)
+        self._writer.write_many(name, kind, data, batch.log_time[kept], batch.publish_time[kept])
 
     def _event(self, now: int, event: Event | None) -> None:
         if isinstance(event, Configured):
@@ -287,11 +312,20 @@ class _Run:
         except ConfigError as error:
             raise ConfigError(f"{self._reader.path}: {error}") from error
         if event.new:
+            self._compare(event.versions)
             self.begin(now, config)
         elif "joints" in event.parameters:
             raise BagError(self._reader.path, "holds a log in which the joints change")
         else:
             self._running.configure(now, config)
+
+    def _compare(self, recorded: versions.Versions) -> None:
+        """Tell once of software by which the last bits may differ."""
+        other = versions.differences(recorded)
+        if other and not self._versions_told:
+            self._versions_told = True
+            text = f"was recorded with {other}: outputs may differ by rounding"
+            self._problems.append(str(BagError(self._reader.path, text)))
 
     def _model_text(self, event: Configured) -> ModelText:
         """Model files as the log holds them, whatever lies at their paths now."""
@@ -343,13 +377,22 @@ def _part(batch: Batch, rows: slice) -> Batch:
     return Batch(batch.topic, batch.log_time[rows], batch.publish_time[rows], batch.payload[rows])
 
 
-def _in_order(
-    columns: list[JointStates], rejected: list[Rejection]
-) -> list[tuple[int, int, JointStates | str]]:
-    """Columns of consecutive messages and refused messages: first row, number of rows, content."""
-    pieces: list[tuple[int, int, JointStates | str]] = [(r.row, 1, r.reason) for r in rejected]
-    for states in columns:
-        breaks = np.flatnonzero(np.diff(states.row) != 1) + 1
-        for begin, end in pairwise([0, *breaks.tolist(), states.row.size]):
-            pieces.append((int(states.row[begin]), end - begin, states.part(slice(begin, end))))
-    return sorted(pieces, key=lambda piece: piece[0])
+class _Input(NamedTuple):
+    """A topic's messages: positions among those taken together, columns, and what was refused of them."""
+
+    rows: Times
+    batch: Batch
+    shapes: list[JointStates]
+    refused: list[tuple[int, str]]
+
+
+def _segments(inputs: Sequence[_Input], count: int) -> Iterator[tuple[int, int, str]]:
+    """Stretches of messages: first, end, and for one that was refused alone the reason."""
+    begin = 0
+    for row, reason in sorted(refused for entry in inputs for refused in entry.refused):
+        if row > begin:
+            yield begin, row, ""
+        yield row, row + 1, reason
+        begin = row + 1
+    if count > begin:
+        yield begin, count, ""

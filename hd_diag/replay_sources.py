@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hd_diag.bag import BagError
-from hd_diag.bag.reader import BagReader
+from hd_diag.bag.reader import BagReader, Topic
 from hd_diag.config import Config, ConfigError
 from hd_diag.events import Configured, Event, read_event
 from hd_diag.messages import INPUT, JOINT_STATE, OWN_OUTPUTS, STRING, TEMPERATURE, temperature_topic
@@ -45,6 +45,10 @@ class Sources:
     def inputs(self) -> dict[str, str]:
         """Topics to take in, with their types."""
         return dict.fromkeys(self.joint_states, JOINT_STATE) | dict.fromkeys(self.temperatures, TEMPERATURE)
+
+    def is_joint_states(self, topic: Topic) -> bool:
+        """Whether a topic is one of those with joint states."""
+        return topic.name in self.joint_states and topic.type_name == JOINT_STATE
 
     @property
     def every(self) -> set[str]:

@@ -60,13 +60,14 @@ class ResidualOrders:
         normal = gram / weight + _RIDGE * np.eye(moment.size)
         inverse = np.linalg.inv(normal)
         found = inverse @ (moment / weight)
-        amplitudes = {}
-        for number, order in enumerate(ORDERS):
-            rows = [1 + number, 1 + number + len(ORDERS)]  # cosine and sine
-            information = 1.0 / float(np.linalg.eigvalsh(inverse[np.ix_(rows, rows)])[-1])
-            if information > _LEAST_INFORMATION:
-                amplitudes[order] = float(np.hypot(*found[rows]))
-        return amplitudes
+        cosine, sine = np.arange(1, 1 + len(ORDERS)), np.arange(1 + len(ORDERS), moment.size)
+        # Of the 2 x 2 blocks of each order the greater eigenvalue: the direction that is known least.
+        a, b, c = inverse[cosine, cosine], inverse[cosine, sine], inverse[sine, sine]
+        information = 1.0 / (0.5 * (a + c) + np.hypot(0.5 * (a - c), b))
+        known = zip(
+            ORDERS, information > _LEAST_INFORMATION, np.hypot(found[cosine], found[sine]), strict=True
+        )
+        return {order: float(amplitude) for order, apart, amplitude in known if apart}
 
     def _take(self) -> None:
         """Find the samples in motion among those that have arrived, and take whole blocks of them."""
@@ -88,17 +89,33 @@ class ResidualOrders:
 
 def _with(gram: Floats, moment: Floats, rows: Floats) -> tuple[Floats, Floats]:
     """Sums after more samples, rows of (step [s], input angle, output angle, residual [rad])."""
-    step, angle, output, value = rows.T
-    phases = np.stack([order * (angle if frame == "input" else output) for frame, order in ORDERS])
-    terms = np.concatenate((np.ones((1, len(rows))), np.cos(phases), np.sin(phases)))
-    usable = np.isfinite(phases).all(axis=0)
+    step, angle, output, value = np.ascontiguousarray(rows.T)
+    terms = _terms(angle, output)
     elapsed = np.cumsum(step)
     end = elapsed[-1] if len(rows) else 0.0
-    weight = np.where(usable, np.exp((elapsed - end) / _MEMORY), 0.0)
-    terms = np.where(usable, terms, 0.0)
+    weight = np.exp((elapsed - end) / _MEMORY)
+    usable = np.isfinite(terms[1:]).all(axis=0)
+    if not usable.all():
+        terms, weight = np.where(usable, terms, 0.0), np.where(usable, weight, 0.0)
     kept, weighted = np.exp(-end / _MEMORY), weight * terms
     # Not by BLAS: its results may depend on its number of threads.
     return (
         gram * kept + np.einsum("ik,jk->ij", weighted, terms),
         moment * kept + np.einsum("ik,k->i", weighted, value),
     )
+
+
+def _terms(angle: Floats, output: Floats) -> Floats:
+    """1, cosines and sines of all orders, shape (1 + 2 orders, n); nan where an angle has none."""
+    terms = np.ones((1 + 2 * len(ORDERS), angle.size))
+    cosine, sine = terms[1 : 1 + len(ORDERS)], terms[1 + len(ORDERS) :]
+    for number, (frame, order) in enumerate(ORDERS):
+        half = ORDERS.index((frame, order // 2)) if (frame, order // 2) in ORDERS else None
+        if half is None:
+            phase = order * (angle if frame == "input" else output)
+            np.cos(phase, out=cosine[number])
+            np.sin(phase, out=sine[number])
+        else:  # twice the angle, for less than a cosine and a sine
+            cosine[number] = 1.0 - 2.0 * sine[half] * sine[half]
+            sine[number] = 2.0 * sine[half] * cosine[half]
+    return terms

@@ -43,6 +43,12 @@ class JointStates(NamedTuple):
         values = [None if column is None else column[rows] for column in self[4:]]
         return JointStates(self.row[rows], self.stamp[rows], self.names, self.frame_id, *values)
 
+    def between(self, low: int, high: int) -> JointStates:
+        """Rows at positions from `low` to before `high`, their positions counted from there."""
+        first, last = np.searchsorted(self.row, (low, high))
+        part = self.part(slice(first, last))
+        return part._replace(row=part.row - low)
+
 
 class Angles(NamedTuple):
     """Angles to publish: topic, time of the cause [ns] (n,), stamp [ns] (n,), names (k), values (n, k)."""

@@ -7,11 +7,12 @@ messages. Recorded in their order, they make a replay give the same bytes.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from hd_diag import versions
 from hd_diag.bag.columns import JointStateDecoder
 from hd_diag.config import Config, JointConfig
 from hd_diag.messages import (
@@ -94,6 +95,10 @@ class Session:
         """Take messages of one shape, received at times [ns] (n,)."""
         self._publish(self.monitor.joint_states(received, states))
 
+    def mixed_states(self, received: Times, shapes: Sequence[JointStates]) -> None:
+        """Take messages of several shapes; their `row` are positions in the times [ns] (n,)."""
+        self._publish(self.monitor.mixed_states(received, shapes))
+
     def temperature(self, joint: str, data: bytes) -> None:
         """Take a Temperature message in CDR."""
         try:
@@ -144,7 +149,7 @@ class Session:
     ) -> None:
         data = parameter_event(self._node, now, values, new)
         self._emit(PARAMETER_EVENTS, PARAMETER_EVENT, now, data)
-        more: dict[str, Any] = {"topics": self._topics} if new else {}
+        more: dict[str, Any] = {"topics": self._topics, "versions": versions.running()} if new else {}
         if models:  # the files may be others when the log is replayed
             more["models"] = dict(models)
         self._event(now, {"event": "configuration", "new": new, "parameters": dict(values), **more})

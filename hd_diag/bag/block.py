@@ -8,19 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .mcap_file import MESSAGE
+from .mcap_file import HEAD, MESSAGE
 
 Bytes = npt.NDArray[np.uint8]
-_HEAD = np.dtype(
-    [
-        ("opcode", "u1"),
-        ("length", "<u8"),
-        ("channel", "<u2"),
-        ("sequence", "<u4"),
-        ("log_time", "<u8"),
-        ("publish_time", "<u8"),
-    ]
-)
 
 
 @dataclass(frozen=True)
@@ -71,7 +61,7 @@ def messages_at(content: bytes, offset: npt.NDArray[np.int64]) -> Block:
     data = np.frombuffer(content, np.uint8)
     if len(offset) and offset[-1] + MESSAGE.size > len(data):
         raise ValueError("a message has no room for its times")
-    heads = np.ascontiguousarray(gather(data, offset, MESSAGE.size)).view(_HEAD)[:, 0]
+    heads = np.ascontiguousarray(gather(data, offset, MESSAGE.size)).view(HEAD)[:, 0]
     if len(offset) and int(heads["length"].min()) < MESSAGE.size - 9:
         raise ValueError("a message is too short for its times")
     if len(offset) and max(int(heads["log_time"].max()), int(heads["publish_time"].max())) >= 1 << 63:

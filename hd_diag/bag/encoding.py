@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,8 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float64]
 Bytes = npt.NDArray[np.uint8]
 _NANOSECONDS = 1_000_000_000
-_STAMP = struct.Struct("<iI")
+_STAMP, _UINT32 = struct.Struct("<iI"), struct.Struct("<I")
+_FILL = (b"", bytes(3), bytes(2), bytes(1))
 _HEADER = b"\0\1\0\0"
 
 
@@ -150,6 +151,39 @@ def encode_float64_multiarray_message(dims: tuple[tuple[str, int], ...], data: F
     return _multiarray(dims) + data.tobytes()
 
 
+def encode_diagnostic_array(stamp: int, statuses: Iterable[tuple[int, str, str, Mapping[str, str]]]) -> bytes:
+    """A DiagnosticArray message.
+
+    Parameters
+    ----------
+    stamp : int
+        Time of the header [ns].
+    statuses : iterable of (int, str, str, mapping of str to str)
+        Level, name, message and values.
+
+    Raises
+    ------
+    ValueError
+        Where a level is no byte, or the stamp does not fit into a ROS time.
+    """
+    every, body = list(statuses), bytearray()
+    try:
+        body += _STAMP.pack(*divmod(stamp, _NANOSECONDS))
+        _add_string(body, "")
+        _add_uint32(body, len(every))
+        for level, name, message, values in every:
+            body.append(level)
+            for text in (name, message, ""):
+                _add_string(body, text)
+            _add_uint32(body, len(values))
+            for key, value in values.items():
+                _add_string(body, key)
+                _add_string(body, value)
+    except struct.error as exc:
+        raise ValueError(f"stamp: {stamp} ns does not fit into a ROS time") from exc
+    return _HEADER + bytes(body)
+
+
 @functools.lru_cache(maxsize=256)
 def _joint_state(
     names: tuple[str, ...], frame_id: str, has: tuple[bool, ...]
@@ -181,6 +215,18 @@ def _multiarray(dims: tuple[tuple[str, int], ...]) -> bytes:
     body += _padding(body, 4) + struct.pack("<II", 0, total)
     body += _padding(body, 8) if total else b""
     return _HEADER + bytes(body)
+
+
+def _add_string(body: bytearray, text: str) -> None:
+    data = text.encode()
+    _add_uint32(body, len(data) + 1)
+    body += data
+    body.append(0)
+
+
+def _add_uint32(body: bytearray, value: int) -> None:
+    body += _FILL[len(body) % 4]
+    body += _UINT32.pack(value)
 
 
 def _string(text: str) -> bytes:

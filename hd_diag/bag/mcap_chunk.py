@@ -19,6 +19,7 @@ from mcap.opcode import Opcode
 
 from .block import Block, messages_at
 from .errors import BagError
+from .mcap_file import MESSAGE
 from .mcap_scan import CHUNK_HEAD, LENGTH, MAX_CHUNK, Scan, Section, chunk_at, keep
 
 # Opcode of a chunk, and a length below 2**48, as all lengths are.
@@ -35,14 +36,17 @@ def load(path: Path, file: BufferedReader, sections: Sequence[Section], result: 
     BagError
         Where a section is damaged.
     """
-    contents = []
+    contents, places, before = [], [], 0
     for section in sections:
         try:
             contents.append(_content(file, section))
         except _DAMAGE as exc:
             raise BagError(path, f"chunk at byte {section.offset} is damaged: {exc}") from exc
+        places.append(before + indexed_places(file, section))
+        before += section.content_size
     try:
-        return parse(contents[0] if len(contents) == 1 else b"".join(contents), result)
+        content = contents[0] if len(contents) == 1 else b"".join(contents)
+        return _parse_at(content, np.concatenate(places), result) or parse(content, result)
     except _DAMAGE as exc:
         raise BagError(path, f"chunk at or after byte {sections[0].offset} is damaged: {exc}") from exc
 
@@ -160,6 +164,61 @@ def unzstd(stored: bytes, limit: int) -> bytes:
     return zstandard.ZstdDecompressor().decompress(stored, max_output_size=limit)
 
 
+def indexed_places(file: BufferedReader, section: Section) -> npt.NDArray[np.int64]:
+    """Where in a chunk its message indexes say that messages begin; they may be wrong or missing."""
+    begin, end = section.indexes or (0, 0)
+    file.seek(begin)
+    records, position, found = file.read(min(end - begin, MAX_CHUNK)), 0, [np.empty(0, np.int64)]
+    while position + 15 <= len(records) and records[position] == Opcode.MESSAGE_INDEX:
+        (length,) = LENGTH.unpack_from(records, position + 1)
+        stop = position + 9 + length
+        if stop > len(records) or (length - 6) % 16:
+            break
+        found.append(np.frombuffer(records, "<i8", (length - 6) // 8, position + 15)[1::2])
+        position = stop
+    places = np.concatenate(found)
+    places.sort()
+    return places
+
+
+def _parse_at(content: bytes, places: npt.NDArray[np.int64], result: Scan) -> Block | None:
+    """As `parse`, by places where messages should begin; None unless these are all there are."""
+    if not len(places) or places[0] < 0 or places[-1] > len(content) - MESSAGE.size:
+        return None
+    if (np.diff(places) <= 0).any():  # a chunk's may lie in the next one's
+        return None
+    if (np.frombuffer(content, np.uint8)[places] != Opcode.MESSAGE).any():
+        return None
+    try:
+        block = messages_at(content, places)
+        others = _between(content, places, block.offset + block.size)
+    except ValueError:
+        return None
+    if others is not None:
+        _keep_definitions(content, others, result)
+    return None if others is None else block
+
+
+def _between(content: bytes, begins: npt.NDArray[np.int64], ends: npt.NDArray[np.int64]) -> list[int] | None:
+    """Places of the records between messages; None where messages overlap or are among them.
+
+    Raises
+    ------
+    ValueError
+        Where there are no whole records.
+    """
+    after, before = np.append(0, ends), np.append(begins, len(content))
+    if (ends < begins + MESSAGE.size).any() or (after > before).any():
+        return None
+    others: list[int] = []
+    for gap in np.flatnonzero(after < before):  # few, and small: definitions before their first message
+        run, offsets, found = _walk(content[after[gap] : before[gap]])
+        if len(run) or offsets:
+            return None
+        others += [int(after[gap]) + place for place in found]
+    return others
+
+
 def parse(content: bytes, result: Scan) -> Block:
     """Messages among the records in `content`; schemas and channels are added to `result`.
 
@@ -169,12 +228,16 @@ def parse(content: bytes, result: Scan) -> Block:
         Where the records do not fit together.
     """
     run, offsets, others = _walk(content)
-    for place in others:
+    _keep_definitions(content, others, result)
+    return messages_at(content, np.concatenate([run, np.array(offsets, np.int64)]))
+
+
+def _keep_definitions(content: bytes, places: list[int], result: Scan) -> None:
+    for place in places:
         opcode = content[place]
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             (length,) = LENGTH.unpack_from(content, place + 1)
             keep(result, opcode, content[place + 9 : place + 9 + length])
-    return messages_at(content, np.concatenate([run, np.array(offsets, np.int64)]))
 
 
 def _walk(content: bytes) -> tuple[npt.NDArray[np.int64], list[int], list[int]]:

@@ -13,8 +13,8 @@ import time
 import zlib
 from array import array
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import lz4.frame
 import numpy as np
@@ -37,7 +37,9 @@ from mcap.records import (
 )
 
 from .errors import BagError
+from .rows import Rows
 from .schemas import Definition
+from .worker import AtOnce
 
 MAGIC = b"\x89MCAP0\r\n"
 COMPRESSIONS = ("zstd", "lz4", "none")
@@ -45,6 +47,17 @@ COMPRESSIONS = ("zstd", "lz4", "none")
 MESSAGE = struct.Struct("<BQHIQQ")
 _CHUNK = struct.Struct("<BQQQQI")
 _INDEX = struct.Struct("<BQHI")
+HEAD = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log_time", "<u8"),
+        ("publish_time", "<u8"),
+    ]
+)
+"""`MESSAGE` as a type of numpy."""
 # Level 1: floats hardly compress better at higher levels, and the node writes while it works.
 _ZSTD_LEVEL = 1
 
@@ -62,9 +75,13 @@ class McapFile:
         Uncompressed size at which a chunk is closed [byte].
     overwrite : bool
         Replace an existing file; else it is an error.
+    worker : AtOnce
+        Compresses and writes the chunks.
     """
 
-    def __init__(self, path: Path, compression: str, chunk_size: int, *, overwrite: bool = False) -> None:
+    def __init__(
+        self, path: Path, compression: str, chunk_size: int, *, overwrite: bool, worker: AtOnce
+    ) -> None:
         self.path = path
         self.size = 0
         self.channels: dict[tuple[str, str], int] = {}
@@ -72,6 +89,8 @@ class McapFile:
         self._compress = _Compressor(compression)
         self._chunk_size = chunk_size
         self._chunk = _Chunk()
+        self._lost: list[_Chunk] = []
+        self._worker = worker
         # Packed at once: a log of days has a million of them.
         self._indexes, self._chunk_count = bytearray(), 0
         self._metadata: list[MetadataIndex] = []
@@ -127,25 +146,31 @@ class McapFile:
         if self._chunk.size >= self._chunk_size:
             self.close_chunk()
 
-    def room(self, row_size: int) -> int:
-        """How many messages of `row_size` bytes fill the open chunk, at least 1."""
-        return max(1, -(-(self._chunk_size - self._chunk.size) // (row_size + MESSAGE.size)))
+    def room(self, rows: Rows) -> int:
+        """How many of these messages fill the open chunk, at least 1."""
+        return rows.room(self._chunk_size - self._chunk.size, MESSAGE.size)
 
     def add_rows(
         self,
         channel: int,
         times: npt.NDArray[np.int64],
         publish_times: npt.NDArray[np.int64],
-        rows: npt.NDArray[np.uint8],
+        rows: Rows,
     ) -> None:
-        """Append (n, size) messages of one channel at once; the chunk is closed when it is full."""
-        count, size = rows.shape
-        block = np.empty(count, _message_type(size))
-        block["opcode"], block["length"], block["channel"] = Opcode.MESSAGE, 22 + size, channel
-        block["sequence"] = np.arange(self._counts[channel], self._counts[channel] + count) & 0xFFFFFFFF
-        block["log_time"], block["publish_time"] = times, publish_times
-        block["data"] = rows
-        self._chunk.add_block(channel, times, block.tobytes(), block.itemsize)
+        """Append messages of one channel at once; the chunk is closed when it is full."""
+        before, count = self._counts[channel], len(times)
+        records = rows.behind(
+            HEAD,
+            {
+                "opcode": Opcode.MESSAGE,
+                "length": 22 + rows.sizes,
+                "channel": channel,
+                "sequence": np.arange(before, before + count) & 0xFFFFFFFF,
+                "log_time": times,
+                "publish_time": publish_times,
+            },
+        )
+        self._chunk.add_block(channel, times, records, rows.places(MESSAGE.size))
         self._counts[channel] += count
         if self.start is None:
             self.start = int(times[0])
@@ -155,6 +180,7 @@ class McapFile:
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Append a metadata record, after what was added before it."""
         self.close_chunk()
+        self.wait()
         record = _packed(Metadata(name, dict(values)))
         self._metadata.append(MetadataIndex(self.size, len(record), name))
         self._put(record)
@@ -162,28 +188,22 @@ class McapFile:
     def close_chunk(self) -> None:
         """Hand everything added so far to the operating system."""
         chunk = self._chunk
-        if not chunk.size:
-            return
-        data = b"".join(chunk.parts)
-        name, stored = self._compress(data)
-        first = 0 if chunk.opened is None else chunk.first
-        tail = struct.pack("<I", len(name)) + name.encode() + struct.pack("<Q", len(stored))
-        length = _CHUNK.size - 9 + len(tail) + len(stored)
-        head = _CHUNK.pack(Opcode.CHUNK, length, first, chunk.last, len(data), zlib.crc32(data)) + tail
-        start, end = self.size, self.size + len(head) + len(stored)
-        places, index = _message_indexes(chunk.index, end)
-        self._put(b"".join((head, stored, *index)))
-        self._chunk = _Chunk()
-        self._first, self._last = min(self._first, chunk.first), max(self._last, chunk.last)
-        written = (len(stored), chunk.last, self.size - end, places, first, len(data))
-        self._indexes += _packed(ChunkIndex(end - start, start, name, *written))
-        self._chunk_count += 1
+        if chunk.size:
+            self._chunk = _Chunk()
+            self._worker.do(lambda: self._store(chunk))
+
+    def wait(self) -> None:
+        """Until every closed chunk is with the operating system."""
+        self._worker.wait()
 
     def drop_chunk(self) -> None:
         """Forget the messages that were not handed over yet."""
-        for channel, entries in self._chunk.index.items():
-            self._counts[channel] -= len(entries) // 2
-        self._chunk = _Chunk()
+        with suppress(Exception):  # known already
+            self._worker.wait()
+        for chunk in (*self._lost, self._chunk):
+            for channel, entries in chunk.index.items():
+                self._counts[channel] -= len(entries) // 2
+        self._chunk, self._lost = _Chunk(), []
 
     def count_of(self, topic: str, type_name: str) -> int:
         """Messages of a topic added so far."""
@@ -192,6 +212,7 @@ class McapFile:
     def finish(self) -> None:
         """Close the open chunk and write the summary."""
         self.close_chunk()
+        self.wait()
         end = _packed(DataEnd(0))
         start = self.size + len(end)
         groups = (
@@ -208,9 +229,39 @@ class McapFile:
 
     def release(self) -> None:
         """Close the file as it is."""
+        self._worker.close()
         if self._fd >= 0:
             fd, self._fd = self._fd, -1
             os.close(fd)
+
+    def _store(self, chunk: _Chunk) -> None:
+        """Write a chunk; after one that could not be written none is, until what was lost is forgotten."""
+        if self._lost:
+            self._lost.append(chunk)
+            return
+        try:
+            self._write(chunk)
+        except KeyboardInterrupt:
+            self._chunk = chunk  # nothing is wrong with the file
+            raise
+        except BaseException:
+            self._lost.append(chunk)
+            raise
+
+    def _write(self, chunk: _Chunk) -> None:
+        data = b"".join(chunk.parts)
+        name, stored = self._compress(data)
+        first = 0 if chunk.opened is None else chunk.first
+        tail = struct.pack("<I", len(name)) + name.encode() + struct.pack("<Q", len(stored))
+        length = _CHUNK.size - 9 + len(tail) + len(stored)
+        head = _CHUNK.pack(Opcode.CHUNK, length, first, chunk.last, len(data), zlib.crc32(data)) + tail
+        start, end = self.size, self.size + len(head) + len(stored)
+        places, index = _message_indexes(chunk.index, end)
+        self._put(b"".join((head, stored, *index)))
+        self._first, self._last = min(self._first, chunk.first), max(self._last, chunk.last)
+        written = (len(stored), chunk.last, self.size - end, places, first, len(data))
+        self._indexes += _packed(ChunkIndex(end - start, start, name, *written))
+        self._chunk_count += 1
 
     def _statistics(self) -> Statistics:
         first, last = self.times
@@ -243,7 +294,7 @@ class _Chunk:
     """Records of the chunk that is being filled."""
 
     def __init__(self) -> None:
-        self.parts: list[bytes] = []
+        self.parts: list[bytes | memoryview] = []
         self.size = 0
         self.opened: float | None = None
         self.first, self.last = 2**64 - 1, 0
@@ -266,15 +317,22 @@ class _Chunk:
         self.parts.append(data)
         self.size += len(head) + len(data)
 
-    def add_block(self, channel: int, times: npt.NDArray[np.int64], block: bytes, step: int) -> None:
+    def add_block(
+        self,
+        channel: int,
+        times: npt.NDArray[np.int64],
+        block: memoryview,
+        places: npt.NDArray[np.int64],
+    ) -> None:
         if self.opened is None:
             self.opened = time.monotonic()
         self.first, self.last = min(self.first, int(times.min())), max(self.last, int(times.max()))
         entries = np.empty((len(times), 2), np.uint64)
         entries[:, 0] = times
-        entries[:, 1] = np.arange(self.size, self.size + len(block), step)
+        entries[:, 1] = self.size + places
         self.index.setdefault(channel, array("Q")).frombytes(entries.tobytes())
-        self.add_record(block)
+        self.parts.append(block)
+        self.size += len(block)
 
 
 class _Compressor:
@@ -312,21 +370,6 @@ def _packed(record: McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())  # type: ignore[no-untyped-call]
-
-
-def _message_type(size: int) -> np.dtype[Any]:
-    """Numpy type of a message record with `size` bytes of data."""
-    return np.dtype(
-        [
-            ("opcode", "u1"),
-            ("length", "<u8"),
-            ("channel", "<u2"),
-            ("sequence", "<u4"),
-            ("log_time", "<u8"),
-            ("publish_time", "<u8"),
-            ("data", "u1", (size,)),
-        ]
-    )
 
 
 def _message_indexes(index: dict[int, array[int]], start: int) -> tuple[dict[int, int], list[bytes]]:

@@ -29,7 +29,7 @@ MAX_CHUNK = 1 << 30
 _MAX_RECORD = 16 << 20
 # Messages outside of chunks are taken together in runs of about this size [byte].
 _RUN = 1 << 20
-_HEAD = struct.Struct("<BQ")
+_HEAD, _INDEX = struct.Struct("<BQ"), struct.Struct("<HI")
 CHUNK_HEAD = struct.Struct("<QQQII")
 LENGTH = struct.Struct("<Q")
 
@@ -52,6 +52,8 @@ class Section:
         CRC-32 of the content; 0 where there is none.
     counts : dict or None
         Messages of each channel, from the message indexes; None where there are none.
+    indexes : (int, int) or None
+        Where the message indexes begin and end in the file [byte].
     """
 
     offset: int
@@ -62,6 +64,7 @@ class Section:
     content_size: int = 0
     checksum: int = 0
     counts: dict[int, int] | None = None
+    indexes: tuple[int, int] | None = None
 
 
 @dataclass
@@ -226,13 +229,16 @@ def _message_index(file: BufferedReader, result: Scan, length: int) -> None:
     if not result.sections or length > MAX_CHUNK:
         return
     section = result.sections[-1]
-    channel, size = struct.unpack("<HI", file.read(6))
+    content = file.read(length)
+    channel, size = _INDEX.unpack_from(content)
     if size % 16 or size > length - 6:
         raise struct.error("the message index has a wrong size")
-    times = np.frombuffer(file.read(size), "<u8")[::2]
+    times = np.frombuffer(content, "<u8", size // 8, 6)[::2]
     if section.counts is None:
         section.counts = {}
     section.counts[channel] = section.counts.get(channel, 0) + len(times)
+    first, _ = section.indexes or (result.end, 0)
+    section.indexes = first, result.end + 9 + length
     if len(times):
         section.start, section.end = min(section.start, int(times.min())), max(section.end, int(times.max()))
 

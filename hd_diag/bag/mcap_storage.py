@@ -17,7 +17,7 @@ from .mcap_scan import Scan, Section, scan
 from .schemas import Definition
 
 # Size of content that is loaded at once: a log flushed often has many small chunks [byte].
-_STRETCH = 1 << 20
+_STRETCH = 4 << 20
 # Topic, type, offered QoS profiles as YAML, and definition, by channel number.
 Topics = dict[int, tuple[str, str, str, Definition | None]]
 

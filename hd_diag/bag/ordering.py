@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -118,5 +118,15 @@ def runs(block: Block, *, grouped: bool) -> Iterator[Block]:
             yield block[block.channel == channel]
         return
     bounds = np.flatnonzero(np.diff(block.channel)) + 1
+    for start, stop in zip([0, *bounds], [*bounds, len(block)], strict=True):
+        yield block[start:stop]
+
+
+def mixed_runs(block: Block, together: Collection[int]) -> Iterator[Block]:
+    """Parts of consecutive messages of one channel each, or of any of the channels that go together."""
+    key = block.channel
+    if len(together) > 1:
+        key = np.where(np.isin(key, list(together)), -1, key)
+    bounds = (np.flatnonzero(np.diff(key)) + 1).tolist()
     for start, stop in zip([0, *bounds], [*bounds, len(block)], strict=True):
         yield block[start:stop]

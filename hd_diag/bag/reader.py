@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,7 @@ from .columns import Rejection, decode_joint_states, joint_states_from_messages
 from .errors import BagError
 from .folder import find_files, unpacked
 from .mcap_storage import McapStorage
-from .ordering import chosen, ordered, runs
+from .ordering import chosen, mixed_runs, ordered, runs
 from .schemas import Definition
 from .sqlite_file import SqliteFile, is_sqlite
 from .typestore import BagTypes
@@ -76,6 +76,13 @@ class Batch:
         """The messages one by one, each contiguous."""
         for row in self.payload:
             yield row if isinstance(row, memoryview) else memoryview(np.ascontiguousarray(row))
+
+
+class Mixed(NamedTuple):
+    """Consecutive messages: log times [ns] (n,); each topic's batch with the positions of its messages."""
+
+    log_time: npt.NDArray[np.int64]
+    batches: list[tuple[npt.NDArray[np.int64], Batch]]
 
 
 @dataclass
@@ -182,14 +189,34 @@ class BagReader:
         BagError
             Where a chunk is damaged or cannot be sorted.
         """
-        names = None if topics is None else set(topics)
-        for source in self._sources:
-            numbers = [n for n, t in source.topics.items() if names is None or t.name in names]
-            if not numbers:
-                continue
+        for source, numbers in self._numbers(topics):
             for block in self._blocks(source, numbers, start, end):
                 for part in runs(block, grouped=grouped):
                     yield self._batch(source, part)
+
+    def mixed(self, topics: Iterable[str], together: Callable[[Topic], bool]) -> Iterator[Mixed]:
+        """Messages in the order of log time, long runs of them: some topics are not taken apart.
+
+        Parameters
+        ----------
+        topics : iterable of str
+            Names of topics.
+        together : callable
+            Says of a topic whether it may alternate with others of its kind within a run.
+
+        Raises
+        ------
+        BagError
+            As `batches`.
+        """
+        for source, numbers in self._numbers(topics):
+            alternating = {n for n in numbers if together(source.topics[n])}
+            for block in self._blocks(source, numbers, None, None):
+                for part in mixed_runs(block, alternating):
+                    channels = np.unique(part.channel)
+                    rows = [np.flatnonzero(part.channel == channel) for channel in channels]
+                    batches = [self._batch(source, part[at] if len(rows) > 1 else part) for at in rows]
+                    yield Mixed(part.log_time, list(zip(rows, batches, strict=True)))
 
     def deserialize(self, batch: Batch) -> tuple[list[tuple[int, Any]], list[Rejection]]:
         """Message objects of a batch of any type, with their positions, and what could not be decoded.
@@ -253,6 +280,14 @@ class BagReader:
         self, kind: type[BaseException] | None, exc: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    def _numbers(self, topics: Iterable[str] | None) -> Iterator[tuple[_Source, list[int]]]:
+        """Files with the channel numbers that some topics, or all, have in them; those that have none not."""
+        names = None if topics is None else set(topics)
+        for source in self._sources:
+            numbers = [n for n, t in source.topics.items() if names is None or t.name in names]
+            if numbers:
+                yield source, numbers
 
     def _store(self, topic: Topic) -> Any:
         try:

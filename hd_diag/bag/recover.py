@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import TracebackType
 from typing import Any
 
 from .block import Block
@@ -17,7 +18,7 @@ from .mcap_chunk import find_chunk, load, load_part
 from .mcap_scan import Scan, scan, walk
 from .mcap_storage import Topics, declared, kept_custom_data
 from .reader import BagReader
-from .schemas import Definition
+from .schemas import Definition, definition
 from .sqlite_file import SqliteFile, is_sqlite
 from .writer import BagWriter
 
@@ -56,7 +57,7 @@ class RecoveryReport:
     Attributes
     ----------
     out : list of Path
-        Files written, read back and found equal to what was saved.
+        Files written, read back and found equal to what was saved; none where nothing could be saved.
     files : list of FileRecovery
     counts : dict
         Messages saved of each topic.
@@ -121,6 +122,8 @@ def recover(
 ) -> RecoveryReport:
     """Copy everything that can be read of a bag into a new, whole one, and read that back.
 
+    Where nothing of an unfinished or damaged bag can be saved, nothing is written or replaced.
+
     Parameters
     ----------
     bag : str or path-like
@@ -142,21 +145,49 @@ def recover(
     total = sum(p.stat().st_size for p in found.paths)
     tally, files, done = _Tally(), [], 0
     extra = found.custom_data or _custom_data(found.paths)
-    with BagWriter(out, overwrite=overwrite, custom_data=extra) as writer:
+    with _Output(lambda: BagWriter(out, overwrite=overwrite, custom_data=extra)) as output:
         for path in found.paths:
             report = FileRecovery(path, path.stat().st_size)
             before = done
             for topics, block, place in _salvage(path, report):
                 report.messages += _copy(
-                    writer, topics, block, tally, report, packed=found.message_compression
+                    output, topics, block, tally, report, packed=found.message_compression
                 )
                 if progress is not None:
                     progress(before + place, total)
             done += report.size
             files.append(report)
-    _verify(writer, tally)
-    start, end = (tally.start, tally.end) if tally.counts else (None, None)
-    return RecoveryReport(writer.paths, files, tally.counts, start, end, found.problems)
+        result = RecoveryReport([], files, tally.counts, problems=found.problems)
+        if result.complete:
+            output.writer()  # a whole bag that is empty stays one
+    if output.opened is not None:
+        _verify(output.opened, tally)
+        result.out = output.opened.paths
+    if tally.counts:
+        result.start, result.end = tally.start, tally.end
+    return result
+
+
+class _Output:
+    """Writer that is opened for the first message that can be saved."""
+
+    def __init__(self, open_writer: Callable[[], BagWriter]) -> None:
+        self.opened: BagWriter | None = None
+        self._open = open_writer
+
+    def writer(self) -> BagWriter:
+        if self.opened is None:
+            self.opened = self._open()
+        return self.opened
+
+    def __enter__(self) -> _Output:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, exc: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self.opened is not None:
+            self.opened.__exit__(kind, exc, trace)
 
 
 def _custom_data(paths: list[Path]) -> dict[str, str]:
@@ -241,11 +272,13 @@ def _rescan(path: Path, file: Any, found: Scan, report: FileRecovery) -> list[tu
 
 
 def _copy(
-    writer: BagWriter, topics: Topics, block: Block, tally: _Tally, report: FileRecovery, *, packed: bool
+    output: _Output, topics: Topics, block: Block, tally: _Tally, report: FileRecovery, *, packed: bool
 ) -> int:
     """Write the messages whose topics are known; gives their number."""
     lost: dict[int, int] = {}
-    names = {n: topic[:2] for n, topic in topics.items() if _declare(writer, topic)}
+    names: dict[int, tuple[str, str]] = {}
+    if any(_is_known(topics[n]) for n in topics.keys() & set(block.channel.tolist())):
+        names = {n: topic[:2] for n, topic in topics.items() if _declare(output.writer(), topic)}
     columns = (block.channel, block.offset, block.size, block.log_time, block.publish_time)
     view = memoryview(block.data)
     for channel, offset, size, log_time, publish_time in zip(*(c.tolist() for c in columns), strict=True):
@@ -254,12 +287,23 @@ def _copy(
             continue
         data = view[offset : offset + size]
         message = unpacked(report.path, [data])[0] if packed else data
-        writer.write(*names[channel], message, log_time, publish_time)
+        output.writer().write(*names[channel], message, log_time, publish_time)
         tally.add(names[channel][0], message, log_time)
     for count in lost.values():
         report.lost += count
         report.problems.append(f"{count} messages belong to no topic with a known definition")
     return len(block) - sum(lost.values())
+
+
+def _is_known(topic: tuple[str, str, str, Definition | None]) -> bool:
+    """Whether the topic's type has a definition, in the bag or in ROS 2 Jazzy."""
+    _, kind, _, known = topic
+    if known is None or not known.text:
+        try:
+            definition(kind)
+        except KeyError:
+            return False
+    return True
 
 
 def _declare(writer: BagWriter, topic: tuple[str, str, str, Definition | None]) -> bool:

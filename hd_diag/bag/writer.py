@@ -18,7 +18,9 @@ import numpy.typing as npt
 from .errors import BagError
 from .mcap_file import COMPRESSIONS, McapFile
 from .rosbag2 import NO_START, FileInformation, Metadata, Qos, TopicInformation, dump_offers, parse_offers
+from .rows import Rows
 from .schemas import Definition, definition
+from .worker import AtOnce, Beside
 
 _T = TypeVar("_T")
 # Channel numbers have 16 bits, and begin at 1.
@@ -55,6 +57,9 @@ class BagWriter:
         Replace the file, or the bag in the folder, where there is one.
     custom_data : mapping of str to str, optional
         Kept in the bag's metadata.
+    beside : bool, optional
+        Compress and write in a thread beside the caller's, a few chunks behind it: errors come a few calls
+        late, and what `flush` and `close` did not wait for is not on the disk yet.
 
     Raises
     ------
@@ -80,8 +85,10 @@ class BagWriter:
         max_duration: float = 0.0,
         overwrite: bool = False,
         custom_data: Mapping[str, str] | None = None,
+        beside: bool = False,
     ) -> None:
         self.path = Path(path)
+        self._beside = beside
         self.error: BagError | None = None
         if chunk_size < 1:
             raise BagError(self.path, "a chunk must have a size")
@@ -246,12 +253,7 @@ class BagWriter:
         published = times if publish_times is None else np.asarray(publish_times, np.int64)
         if any(t.shape != (len(rows),) or (len(t) and t.min() < 0) for t in (times, published)):
             raise BagError(self.path, f"{topic}: times >= 0 are needed for each of {len(rows)} messages")
-        block = _as_block(rows)
-        if block is None:
-            for data, log_time, publish_time in zip(rows, times.tolist(), published.tolist(), strict=True):
-                self.write(topic, type_name, bytes(data), log_time, publish_time)
-        else:
-            self._guard(lambda: self._write_rows(topic, type_name, block, times, published))
+        self._guard(lambda: self._write_rows(topic, type_name, Rows.of(rows), times, published))
 
     def flush_if_due(self, now_monotonic: float | None = None) -> bool:
         """Hand messages older than the flush period to the operating system; call it from a timer.
@@ -289,7 +291,7 @@ class BagWriter:
             Where it cannot be written.
         """
         self._check_open()
-        self._guard(self._file.close_chunk)
+        self._guard(self._flush)
 
     def close(self) -> None:
         """Finish the bag. A second call, or one after an error, does nothing that can raise.
@@ -320,7 +322,7 @@ class BagWriter:
             return
         with suppress(BagError):
             if self.error is None:
-                self._guard(self._file.close_chunk)
+                self._guard(self._flush)
         self._closed = True
         with suppress(OSError):
             self._file.release()
@@ -370,22 +372,22 @@ class BagWriter:
         self,
         topic: str,
         type_name: str,
-        rows: npt.NDArray[np.uint8],
+        rows: Rows,
         times: npt.NDArray[np.int64],
         published: npt.NDArray[np.int64],
     ) -> None:
         done = 0
-        while done < len(rows):
+        while done < len(times):
             if self._split_due(int(times[done])):
                 self._next()
             channel = self._channel(topic, type_name)
-            stop = done + self._file.room(rows.shape[1])
+            stop = done + self._file.room(rows.part(done, len(times)))
             if self._max_duration:
                 start = int(times[done]) if self._file.start is None else self._file.start
                 late = np.flatnonzero(times[done:stop] - start >= self._max_duration)
                 stop = done + int(late[0]) if len(late) else stop
-            self._file.add_rows(channel, times[done:stop], published[done:stop], rows[done:stop])
-            done = stop
+            self._file.add_rows(channel, times[done:stop], published[done:stop], rows.part(done, stop))
+            done = min(stop, len(times))
         self.flush_if_due()
 
     def _channel(self, topic: str, type_name: str) -> int:
@@ -401,6 +403,8 @@ class BagWriter:
 
     def _split_due(self, log_time: int) -> bool:
         file = self._file
+        if self._max_size:
+            file.wait()  # its size decides
         late = self._max_duration and file.start is not None and log_time - file.start >= self._max_duration
         return bool(late) or bool(self._max_size and file.size >= self._max_size and file.count)
 
@@ -416,7 +420,8 @@ class BagWriter:
             _prepare(self._folder, self._overwrite)
         path = self._file_path(number)
         try:
-            file = McapFile(path, *self._options, overwrite=self._overwrite)
+            worker = Beside() if self._beside else AtOnce()
+            file = McapFile(path, *self._options, overwrite=self._overwrite, worker=worker)
         except FileExistsError as exc:
             raise BagError(path, "exists already") from exc
         except OSError as exc:
@@ -430,6 +435,10 @@ class BagWriter:
             raise
         return file
 
+    def _flush(self) -> None:
+        self._file.close_chunk()
+        self._file.wait()
+
     def _next(self) -> None:
         self._finish()
         self._file.release()
@@ -438,7 +447,7 @@ class BagWriter:
         self._file = self._begin()
 
     def _finish(self) -> None:
-        self._file.close_chunk()
+        self._flush()
         entry = self._metadata.files[-1]
         entry.start, entry.end = (min(t, NO_START) for t in self._file.times)
         entry.count = self._file.count
@@ -467,12 +476,3 @@ def _prepare(folder: Path, overwrite: bool) -> None:
                 entry.unlink()
     except OSError as exc:
         raise BagError(folder, exc) from exc
-
-
-def _as_block(rows: npt.NDArray[np.uint8] | Sequence[_Buffer]) -> npt.NDArray[np.uint8] | None:
-    """Messages as (n, size), or None where their sizes differ."""
-    if isinstance(rows, np.ndarray):
-        return rows
-    if len(rows) < 2 or len({len(r) for r in rows}) > 1:
-        return None
-    return np.frombuffer(b"".join(rows), np.uint8).reshape(len(rows), -1)

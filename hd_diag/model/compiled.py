@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -65,6 +65,7 @@ def warm_up() -> None:
     kernel.torsion_table(mesh, row, center, row, 0)
     kernel.curves(mesh, row, center, 0.0)
     kernel.contacts(mesh, row, center, 0.0)
+    kernel.mesh_state(mesh, row, center, row)
     kernel.interpolate(table, table, 0.0, row, row)
 
 
@@ -233,6 +234,46 @@ def torsion_and_gradient(
     mesh = _mesh(geometry, tooth_compliance, arc_offset)
     beta, stiffness, gradient = _kernel().torsion_and_gradient(mesh, *moments)
     return beta, stiffness, gradient
+
+
+class TeethState(NamedTuple):
+    """All teeth at n moments.
+
+    Backlash D [m], normal force F [N] and pressure angle alpha [rad] of every flank, (n, 2, Z_R); torsion
+    beta [rad], gap at zero torque [rad] (negative: preload) and mean radius of the contacts [m], (n,).
+    """
+
+    backlash: Floats
+    load: Floats
+    pressure_angle: Floats
+    torsion: Floats
+    gap: Floats
+    radius: Floats
+
+
+def mesh_state(
+    geometry: Geometry,
+    tooth_compliance: float,
+    wave_generator_angle: Floats,
+    eccentricity: complex | Complexes,
+    arc_offset: float,
+    cup_torque: float | Floats,
+) -> TeethState:
+    """Backlash and load of every tooth, contacts and load distribution solved together.
+
+    Parameters
+    ----------
+    geometry, tooth_compliance, wave_generator_angle, eccentricity, arc_offset, cup_torque
+        As for :func:`torsion`.
+
+    Returns
+    -------
+    TeethState
+        As ``clearance`` and ``load_sharing`` give them; torsion as :func:`torsion`, to the last bit.
+    """
+    moments = _moments(wave_generator_angle, eccentricity, cup_torque)
+    teeth, whole = _kernel().mesh_state(_mesh(geometry, tooth_compliance, arc_offset), *moments)
+    return TeethState(*teeth, *whole)
 
 
 def contacts(

@@ -9,7 +9,8 @@ import numpy.typing as npt
 
 from hd_diag.model.kernel import entry_point, inline
 from hd_diag.model.kernel.gradient import fill
-from hd_diag.model.kernel.load import balance, curve, flanks, middle, scratch, walk
+from hd_diag.model.kernel.load import balance, closing_angle, curve, flanks, middle, scratch, walk
+from hd_diag.model.kernel.state import contacts_room, spread, touch_teeth
 from hd_diag.model.kernel.table import interpolated
 from hd_diag.model.kernel.teeth import MeshData, Teeth, place, reach, room, width
 from hd_diag.model.kernel.touch import Constants, close
@@ -82,6 +83,21 @@ def torsion_and_gradient(
 
 
 @entry_point
+def mesh_state(
+    mesh: MeshData, turn: Floats, eccentricity: Complexes, torque: Floats
+) -> tuple[Floats, Floats]:
+    """Backlash, load, pressure angle (3, n, 2, Z_R); torsion, gap, mean radius of the contacts (3, n)."""
+    work, seen = scratch(mesh.constants), contacts_room(mesh.constants)
+    teeth = np.empty((3, turn.size, 2, mesh.constants.flexspline_teeth))
+    whole = np.empty((3, turn.size))
+    for i in range(turn.size):
+        count = touch_teeth(mesh, turn[i], eccentricity[i], work, seen)
+        beta, gap, radius = spread(mesh, work, seen, count, torque[i], teeth[0, i], teeth[1, i], teeth[2, i])
+        whole[0, i], whole[1, i], whole[2, i] = beta, gap, radius
+    return teeth, whole
+
+
+@entry_point
 def contacts(
     mesh: MeshData, turn: Floats, eccentricity: Complexes, farthest: float
 ) -> tuple[Integers, Floats]:
@@ -107,7 +123,7 @@ def _seen(c: Constants, teeth: Teeth, j: int, side: float) -> tuple[float, float
     touch = close(c, teeth.height[j], side * teeth.offset[j])
     x, y, normal_x, normal_y = touch.x, touch.y, touch.normal_x, touch.normal_y
     return (
-        math.asin(touch.sine) - side * teeth.lead[j],
+        closing_angle(touch.sine) - side * teeth.lead[j],
         math.sqrt(x * x + y * y),
         math.atan2(x * normal_x + y * normal_y, x * normal_y - y * normal_x),
         teeth.slot[j] * c.slot_pitch + side * math.atan2(y, x),

@@ -41,7 +41,7 @@ class Flanks(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Room for one moment, used again at the next."""
+    """Room for one moment, used again at the next; sines and lever arms are (2, teeth)."""
 
     teeth: Teeth
     sine: Floats
@@ -56,18 +56,34 @@ def scratch(c: Constants) -> Scratch:
     n = c.flexspline_teeth
     plus = Side(np.empty(n), np.empty(n), np.empty(n, dtype=np.int64))
     minus = Side(np.empty(n), np.empty(n), np.empty(n, dtype=np.int64))
-    return Scratch(room(c), np.empty(n), np.empty(n), plus, minus)
+    return Scratch(room(c), np.empty((2, n)), np.empty((2, n)), plus, minus)
 
 
 @part
 def flanks(mesh: MeshData, turn: float, eccentricity: complex, work: Scratch) -> Flanks:
     """Solve the contacts of one moment; none where a number is not finite."""
-    count = 0
-    if math.isfinite(turn) and math.isfinite(eccentricity.real) and math.isfinite(eccentricity.imag):
-        angle = reach(mesh, abs(eccentricity))
-        center = eccentricity * complex(math.cos(turn), -math.sin(turn))
-        count = place(mesh, turn, center, angle, work.teeth)
-    plus, minus = _side(mesh, work, count, 1.0, work.plus), _side(mesh, work, count, -1.0, work.minus)
+    count = place_teeth(mesh, turn, eccentricity, work.teeth)
+    height, offset = work.teeth.height, work.teeth.offset
+    _levers(mesh.constants, height, offset, count, 1.0, work.sine[0], work.lever[0])
+    _levers(mesh.constants, height, offset, count, -1.0, work.sine[1], work.lever[1])
+    return sides(mesh, work, count, work.sine, work.lever)
+
+
+@part
+def place_teeth(mesh: MeshData, turn: float, eccentricity: complex, teeth: Teeth) -> int:
+    """Set the poses of the teeth within reach and give their number; 0 where a number is not finite."""
+    if not (math.isfinite(turn) and math.isfinite(eccentricity.real) and math.isfinite(eccentricity.imag)):
+        return 0
+    angle = reach(mesh, abs(eccentricity))
+    center = eccentricity * complex(math.cos(turn), -math.sin(turn))
+    return place(mesh, turn, center, angle, teeth)
+
+
+@part
+def sides(mesh: MeshData, work: Scratch, count: int, sine: Floats, lever: Floats) -> Flanks:
+    """Flanks that can bear, by the sines of their closing angles and their lever arms (2, teeth)."""
+    plus = _side(mesh, work.teeth.lead, count, 1.0, sine[0], lever[0], work.plus)
+    minus = _side(mesh, work.teeth.lead, count, -1.0, sine[1], lever[1], work.minus)
     low, high = -math.inf, math.inf
     for start in minus.start:
         low = max(low, start)
@@ -77,13 +93,14 @@ def flanks(mesh: MeshData, turn: float, eccentricity: complex, work: Scratch) ->
 
 
 @part
-def _side(mesh: MeshData, work: Scratch, count: int, side: float, room: Side) -> Side:
-    _levers(mesh.constants, work.teeth.height, work.teeth.offset, count, side, work.sine, work.lever)
+def _side(
+    mesh: MeshData, lead: Floats, count: int, side: float, sine: Floats, levers: Floats, room: Side
+) -> Side:
     found = 0
     for j in range(count):
-        lever = work.lever[j]
+        lever = levers[j]
         if not math.isnan(lever):
-            room.start[found] = side * _angle(work.sine[j]) - work.teeth.lead[j]
+            room.start[found] = side * closing_angle(sine[j]) - lead[j]
             room.gain[found] = lever * lever / mesh.compliance
             room.column[found] = j
             found += 1
@@ -102,7 +119,8 @@ def _levers(
 
 
 @inline
-def _angle(sine: float) -> float:
+def closing_angle(sine: float) -> float:
+    """Arcsine, mostly by its series [rad]."""
     if abs(sine) > _SMALL_SINE:
         return math.asin(sine)
     x = sine * sine
