@@ -1,0 +1,47 @@
+"""The parameters of a configuration, from their one definition."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+from hd_diag.parameters import JOINT_PARAMETERS, NODE_PARAMETERS, Parameter
+
+
+def content(folder: Path) -> dict[str, Any]:
+    """What parameters.md is filled with."""
+    drive = [p for p in JOINT_PARAMETERS if not p.name.startswith(("limits.", "tolerance."))]
+    return {
+        "tables": {
+            "Of the node": NODE_PARAMETERS,
+            "Of a joint: the drive": drive,
+            "Of a joint: limits of the diagnostics": _of("limits."),
+            "Of a joint: `hd-diag tolerance`": _of("tolerance."),
+        },
+        "default": default,
+        "allowed": allowed,
+    }
+
+
+def _of(prefix: str) -> list[Parameter]:
+    return [parameter for parameter in JOINT_PARAMETERS if parameter.name.startswith(prefix)]
+
+
+def default(parameter: Parameter) -> str:
+    """As it is written in a parameter file."""
+    value = parameter.default
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list):
+        return f"[{', '.join(map(str, value))}]"
+    return f"{value:g}" if isinstance(value, float) else str(value) or "''"
+
+
+def allowed(parameter: Parameter) -> str:
+    """Values that are taken."""
+    if parameter.choices:
+        return ", ".join(parameter.choices)
+    if not math.isfinite(parameter.low):
+        return ""
+    return f"{parameter.low:g} to {parameter.high:g}"

@@ -1,0 +1,350 @@
+"""The documentation: it builds, what it names exists, what the code has is in it, its examples run."""
+
+import dataclasses
+import importlib.util
+import re
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+from types import ModuleType
+from urllib.parse import unquote, urldefrag
+
+import click
+import numpy as np
+import pytest
+from cli_runner import runner
+from live import config
+from numpy.testing import assert_allclose
+
+from hd_diag.cli import cli
+from hd_diag.config import resolve
+from hd_diag.criticism import base, workbench
+from hd_diag.criticism.record import Record, prepare
+from hd_diag.effects import CATALOGUE
+from hd_diag.effects.effect import Effect
+from hd_diag.health import FAULT_CODES
+from hd_diag.messages import published_topics
+from hd_diag.model.torsion_map import ARCSEC
+from hd_diag.monitor import Monitor
+from hd_diag.parameters import JOINT_PARAMETERS, NODE_PARAMETERS
+from hd_diag.simulation import Motion, simulate, write_bag
+
+ROOT = Path(__file__).resolve().parent.parent
+DOCS = ROOT / "docs"
+PAGES = sorted(path for path in DOCS.rglob("*.md") if "_build" not in path.parts)
+NAMES = [path.relative_to(DOCS).as_posix() for path in PAGES]
+LARGEST_PICTURE = 200_000  # of the README [byte]
+
+
+def load(path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+rerun = load(DOCS / "rerun.py")
+
+
+# What the pages name ---
+
+
+def blocks(text: str) -> Iterator[str]:
+    """Commands in the blocks of a page: those that were run and those that a reader runs."""
+    yield from rerun.commands(text)
+    for block in re.findall(r"(?ms)^```sh\n(.*?)^```$", text):
+        yield from block.splitlines()
+
+
+def calls(text: str) -> list[list[str]]:
+    """Words of every call of hd-diag."""
+    found = []
+    for line in blocks(text):
+        for part in re.split(r"\||&&|;", line):
+            words = shlex.split(part, comments=True)
+            if words and words[0] == "hd-diag":
+                found.append(words[1:])
+    return found
+
+
+def faults(words: list[str]) -> list[str]:
+    """What is not of the command line in a call."""
+    verb = cli.commands.get(words[0])
+    if verb is None:
+        return [f"no verb {words[0]}"]
+    known = {name for option in verb.params for name in option.opts} | {"--help", "-h"}
+    own = words[1 : words.index("--")] if "--" in words else words[1:]
+    given = [word.partition("=")[0] for word in own if re.match(r"--?[a-z]", word)]
+    return [f"{words[0]}: no option {name}" for name in given if name not in known]
+
+
+@pytest.mark.parametrize("page", [*NAMES, "../README.md"])
+def test_commands_exist(page: str) -> None:
+    text = (DOCS / page).read_text(encoding="utf-8")
+    assert [fault for words in calls(text) for fault in faults(words)] == []
+
+
+def test_commands_are_found_and_judged() -> None:
+    text = "```sh\nhd-diag mesh --torque 3 | head\nhd-diag mash\nhd-diag mesh --tork 3 -- --ros\n```\n"
+    assert [faults(words) for words in calls(text)] == [[], ["no verb mash"], ["mesh: no option --tork"]]
+    assert len(calls((DOCS / "tour.md").read_text(encoding="utf-8"))) >= 6
+
+
+@pytest.mark.parametrize("verb", sorted(cli.commands))
+def test_every_verb_is_shown_at_work(verb: str) -> None:
+    text = "\n".join(path.read_text(encoding="utf-8") for path in PAGES)
+    assert re.search(rf"hd-diag {verb}\b", text)
+
+
+@pytest.mark.parametrize("page", NAMES)
+def test_pages_name_no_place_of_a_machine(page: str) -> None:
+    assert re.findall(r"/(?:root|home|tmp|work|Users)/", (DOCS / page).read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.parametrize("page", ["tour.md", "runtime.md"])
+def test_what_check_says_is_what_the_page_shows(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "docs").symlink_to(DOCS)
+    compared = 0
+    text = (DOCS / page).read_text(encoding="utf-8")
+    for command, shown in re.findall(r"(?m)^\$ (.+)\n((?:(?!\$ |```).*\n)*)", text):
+        if command.startswith("printf"):
+            subprocess.run(["sh", "-c", command], check=True)
+        elif command.startswith("hd-diag check"):
+            result = runner().invoke(cli, shlex.split(command)[1:])
+            assert result.stdout + result.stderr == shown
+            compared += 1
+    assert compared
+
+
+def table(page: str, heading: str) -> set[str]:
+    """What stands in code in the first column below a heading."""
+    text = (DOCS / page).read_text(encoding="utf-8").partition(f"{heading}\n")[2]
+    rows = text.partition("\n#")[0].splitlines()
+    return {
+        name for row in rows for name in re.findall(r"`([^`]+)`", row.split("|")[1] if "|" in row else "")
+    }
+
+
+def test_diagnostics_are_all_explained() -> None:
+    status = Monitor(config()).tick(0, 0, {}).statuses[0]
+    assert table("robot.md", "### Diagnostics") == set(status.values)
+    assert table("robot.md", "### Fault codes") == set(FAULT_CODES)
+
+
+def test_topics_are_all_explained() -> None:
+    assert table("robot.md", "## What it gives") >= set(published_topics(["<joint>"]))
+
+
+def test_outputs_are_put_beneath_their_commands(tmp_path: Path) -> None:
+    text = "a\n```console\n$ echo one; pwd\nold\n$ false\n```\nb\n```sh\n$ echo no\n```\n"
+    outputs = rerun.told(rerun.commands(text), tmp_path.resolve())
+    assert rerun.refreshed(text, outputs) == (
+        f"a\n```console\n$ echo one; pwd\none\n{tmp_path.resolve()}\n$ false\n```\nb\n```sh\n$ echo no\n```\n"
+    )
+
+
+def test_readme_has_its_picture() -> None:
+    names = re.findall(r'<img src="([^"]+)"', (ROOT / "README.md").read_text(encoding="utf-8"))
+    assert len(names) == 1
+    assert 0 < (ROOT / names[0]).stat().st_size < LARGEST_PICTURE
+
+
+@pytest.mark.parametrize("file", ["README.md", "CONTRIBUTING.md"])
+def test_files_that_are_linked_exist(file: str) -> None:
+    links = re.findall(r"\]\(([^)#:]+)\)", (ROOT / file).read_text(encoding="utf-8"))
+    assert [link for link in links if not (ROOT / link).exists()] == []
+
+
+# The pages as they are built ---
+
+
+@pytest.fixture(scope="module")
+def site(source_copy: Path) -> Path:
+    """The pages, built from a copy of the tree with warnings as errors."""
+    pytest.importorskip("sphinx")
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html"]
+    built = subprocess.run(
+        [*command, "docs", "docs/_build/html"], cwd=source_copy, capture_output=True, text=True, timeout=170
+    )
+    assert built.returncode == 0, built.stdout + built.stderr
+    return source_copy / "docs/_build/html"
+
+
+class Page(HTMLParser):
+    """Text, places that can be linked to, and links of a page."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.words: list[str] = []
+        self.places: set[str] = set()
+        self.links: list[str] = []
+        self.feed(path.read_text(encoding="utf-8"))
+
+    @property
+    def text(self) -> str:
+        return " ".join("".join(self.words).split())
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        named = dict(attributes)
+        self.places |= {named[key] or "" for key in ("id", "name") if key in named}
+        self.links += [named[key] or "" for key in ("href", "src") if key in named]
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+
+@pytest.fixture(scope="module")
+def pages(site: Path) -> dict[Path, Page]:
+    return {path: Page(path) for path in site.rglob("*.html")}
+
+
+def test_internal_links_resolve(site: Path, pages: dict[Path, Page]) -> None:
+    missing, looked_at = [], 0
+    for path, page in pages.items():
+        for link in page.links:
+            if re.match(r"[a-z]+:", link):
+                continue
+            name, place = urldefrag(unquote(link))
+            target = (path.parent / name.partition("?")[0]).resolve() if name else path
+            looked_at += 1
+            if not target.is_file() or (place and target in pages and place not in pages[target].places):
+                missing.append(f"{path.relative_to(site)}: {link}")
+    assert looked_at > 500
+    assert missing == []
+
+
+def test_pages_need_no_network(pages: dict[Path, Page], site: Path) -> None:
+    text = "".join(path.read_text(encoding="utf-8") for path in pages)
+    assert re.findall(r'(?:src|<link[^>]*href)="(?:https?:)?//[^"]*', text) == []
+    styles = "".join(path.read_text(encoding="utf-8") for path in site.rglob("*.css"))
+    assert re.findall(r"(?:url\(|@import)\s*['\"]?(?:https?:)?//[^)]*", styles) == []
+
+
+def test_built_pages_name_no_place_of_a_machine(pages: dict[Path, Page], source_copy: Path) -> None:
+    for page in pages.values():
+        assert str(source_copy) not in page.text
+        assert re.findall(r"/(?:root|home|tmp|work|Users)/\w", page.text) == []
+
+
+@pytest.mark.parametrize("verb", sorted(cli.commands))
+def test_every_verb_has_its_options(verb: str, site: Path, pages: dict[Path, Page]) -> None:
+    page = pages[site / "command_line.html"]
+    assert f"verb-{verb}" in page.places
+    options = [option for option in cli.commands[verb].params if isinstance(option, click.Option)]
+    assert [name for option in options for name in option.opts if name not in page.text] == []
+
+
+def test_every_parameter_is_there(site: Path, pages: dict[Path, Page]) -> None:
+    text = pages[site / "parameters.html"].text
+    for parameter in (*NODE_PARAMETERS, *JOINT_PARAMETERS):
+        assert parameter.name in text
+        assert parameter.meaning in text.replace("’", "'").replace("‘", "'")  # Sphinx turns them
+
+
+@pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.name)
+def test_every_effect_is_there(effect: Effect, site: Path, pages: dict[Path, Page]) -> None:
+    page = pages[site / "effects.html"]
+    assert effect.name in page.places | {place.replace("-", "_") for place in page.places}
+    wanted = [
+        *(quantity.name for quantity in effect.quantities),
+        *effect.confused_with,
+        *effect.always_confused,
+    ]
+    assert [name for name in wanted if name not in page.text] == []
+    plain = page.text.replace("’", "'").replace("–", "--")
+    assert " ".join(effect.cause.split()) in plain
+
+
+def test_nomenclature_is_that_of_the_model(site: Path, pages: dict[Path, Page]) -> None:
+    text = pages[site / "physics.html"].text
+    for told in (
+        "slot 0 lies on its x axis",
+        "arc offset of tooth 0 along the neutral curve",
+        "negative: the flanks interfere",
+    ):
+        assert told in text
+
+
+def test_the_paper_s_figures_and_claims_are_there(site: Path, pages: dict[Path, Page]) -> None:
+    page = pages[site / "paper.html"]
+    pictures = {name for link in page.links for name in re.findall(r"figure_\d\.svg", link)}
+    assert pictures == {"figure_5.svg", "figure_6.svg", "figure_7.svg"}
+    assert all(f"({letter})" in page.text for letter in "abcde")
+
+
+@pytest.mark.parametrize(
+    "module",
+    ["hd_diag.model.clearance", "hd_diag.drive", "hd_diag.effects.effect", "hd_diag.criticism.diagnosis"],
+)
+def test_the_public_core_is_there(module: str, pages: dict[Path, Page]) -> None:
+    assert any(f"module-{module}" in page.places for page in pages.values())
+
+
+# Examples ---
+
+
+def test_one_moment_runs() -> None:
+    found = load(DOCS / "examples/one_moment.py")
+    assert found.error.shape == (3,)
+    assert np.all((found.peak > 10.0) & (found.peak < 60.0))
+    assert np.all(found.error < 0.0)  # it lags
+
+
+@pytest.fixture(scope="module")
+def pinion() -> Effect:
+    effect: Effect = load(DOCS / "examples/encoder_pinion.py").EFFECT
+    return effect
+
+
+@pytest.fixture(scope="module")
+def pinion_record() -> Record:
+    """What the example's joint reports, faster than on the page."""
+    joint = load(DOCS / "examples/pinion_joint.py").joint()
+    made = simulate(joint, Motion(duration=120.0, sample_rate=50.0), np.random.default_rng(5))
+    time = (made.stamp - made.stamp[0]) * 1e-9
+    zeros = np.zeros(time.size, dtype=np.int64)
+    return prepare(time, made.input_angle, made.output_angle, made.torque, None, zeros, 100.0)
+
+
+@pytest.fixture(scope="module")
+def bench(pinion_record: Record) -> workbench.Workbench:
+    """The record beside the drive that the joint really has."""
+    example = sys.modules["pinion_joint"]
+    drive = example.joint().drive
+    return workbench.Workbench(pinion_record, drive, base.vector(drive, drive))
+
+
+def test_the_worked_example_is_found_at_its_size(pinion: Effect, bench: workbench.Workbench) -> None:
+    example = sys.modules["pinion_joint"]
+    assert pinion.testable(bench.signals) == (True, "")
+    columns = np.column_stack((pinion.columns(bench.signals, ()), np.ones(bench.left.size)))
+    fitted = np.linalg.lstsq(columns, bench.left, rcond=None)[0]
+    told = pinion.to_physical(fitted[:2], ())
+    # 1 arcsec of noise over some 5000 samples leaves 0.02 arcsec, of 6.
+    assert_allclose(told["amplitude"][0], example.SIZE, atol=0.1 * ARCSEC)
+    assert_allclose(told["direction"][0], example.DIRECTION, atol=0.02)
+    again, _ = pinion.from_physical({name: value for name, (value, _) in told.items()})
+    assert_allclose(again, fitted[:2], rtol=1e-9)
+
+
+def test_the_worked_example_is_named_by_a_diagnosis(tmp_path: Path, pinion: Effect) -> None:
+    example, bag = sys.modules["pinion_joint"], tmp_path / "pinion.mcap"
+    motion = dataclasses.replace(example.MOTION, sample_rate=100.0)
+    write_bag(bag, resolve({}), motion, {"joint_1": example.joint()}, seed=1)
+    examples = DOCS / "examples"
+    command = [sys.executable, examples / "diagnose_with.py", examples / "encoder_pinion.py", bag]
+    told = subprocess.run(command, check=True, capture_output=True, text=True, timeout=170).stdout
+    verdict, _, rest = told.partition("\n")
+    assert re.search(
+        r"the eccentricity is 1[12]\.\d+ ± .* beside that: encoder pinion, 4\.\d+ arcsec rms\.", verdict
+    )
+    assert " ".join(pinion.inspect.split()) in rest
