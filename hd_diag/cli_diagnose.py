@@ -83,6 +83,7 @@ def diagnose(
         if json_file != "-":
             for line in result["lines"]:
                 click.echo(f"{joint.name}: {line}")
+        del found  # its arrays, before the next joint's
     if report_file is not None:
         write_report(report_file, pages, bags)
         click.echo(f"report written: {report_file}", err=json_file == "-")
@@ -104,18 +105,20 @@ def _one(
     model_file: Path | None,
 ) -> dict[str, Any]:
     from hd_diag.criticism.diagnosis import diagnose as criticise
+    from hd_diag.criticism.screening import screened
     from hd_diag.verdict import as_json, model_document, summary
 
     console = Console(stderr=True)
     try:
         if console.is_terminal:
             with console.status(f"{joint.name}: reading") as status:
-                record = _record(bags, joint, columns, divided)
+                looked = screened(_record(bags, joint, columns, divided), joint.configured)
                 result = criticise(
-                    record, joint.configured, lambda text: status.update(f"{joint.name}: {text}")
+                    looked, joint.configured, lambda text: status.update(f"{joint.name}: {text}")
                 )
         else:
-            result = criticise(_record(bags, joint, columns, divided), joint.configured)
+            looked = screened(_record(bags, joint, columns, divided), joint.configured)
+            result = criticise(looked, joint.configured)
     except RecordError as error:
         raise Problem(f"{joint.name}: {error}") from error
     lines, written = summary(result), None

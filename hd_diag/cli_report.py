@@ -63,11 +63,12 @@ def _of_joint(
     bags: Sequence[Path], joint: JointConfig, config: Config, progress: Callable[[str], None]
 ) -> JointReport:
     from hd_diag.criticism.diagnosis import diagnose
+    from hd_diag.criticism.screening import screened
     from hd_diag.recording import read_bags, read_motion
     from hd_diag.report import of_motion
 
     try:
-        found = diagnose(read_bags(bags, joint), joint.configured, progress)
+        found = diagnose(screened(read_bags(bags, joint), joint.configured), joint.configured, progress)
     except RecordError as error:
         motion = read_motion(bags, joint)
         if motion is None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import csv
+from array import array
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,10 @@ import numpy.typing as npt
 from hd_diag.bag import BagError
 from hd_diag.bag.reader import BagReader
 from hd_diag.config import JointConfig
+from hd_diag.criticism.blocks import unwrapped
 from hd_diag.criticism.record import Record, RecordError, prepare
 from hd_diag.messages import JOINT_STATE, OWN_OUTPUTS, TEMPERATURE, read_temperature
-from hd_diag.samples import Times
+from hd_diag.samples import JointStates, Times
 
 Floats = npt.NDArray[np.float64]
 
@@ -24,34 +26,70 @@ COLUMNS = ("time", "input", "output", "torque", "temperature")
 """Columns of a table that `read_table` knows."""
 
 
-@dataclass
-class _Stream:
-    """Values of one joint of one kind, in the order of the bag."""
+class _Table:
+    """Columns that arrive together, part by part: the times once, however many values they have.
 
-    time: list[Floats] = field(default_factory=list)
-    value: list[Floats] = field(default_factory=list)
+    Parameters
+    ----------
+    width : int
+        Number of columns.
+    rows : int
+        As many as are expected: parts kept one by one would leave holes in the memory.
+    """
 
-    def add(self, time: npt.ArrayLike, value: npt.ArrayLike) -> None:
-        self.time.append(np.asarray(time, dtype=np.float64))
-        self.value.append(np.asarray(value, dtype=np.float64))
+    def __init__(self, width: int, rows: int) -> None:
+        self._columns = np.empty((width, max(rows, 1)))
+        self._size = 0
 
-    def sorted(self) -> tuple[Floats, Floats]:
-        """Times and values, rising, each time once; nan values left out."""
-        if not self.time:
-            return np.empty(0), np.empty(0)
-        time, value = np.concatenate(self.time), np.concatenate(self.value)
-        finite = np.isfinite(value)
-        time, first = np.unique(time[finite], return_index=True)
-        return time, value[finite][first]
+    def add(self, *columns: Floats) -> None:
+        end, room = self._size + columns[0].size, self._columns.shape[1]
+        if end > room:
+            grown = np.empty((len(columns), max(end, room + room // 2)))
+            grown[:, : self._size] = self._columns[:, : self._size]
+            self._columns = grown
+        for own, column in zip(self._columns, columns, strict=True):
+            own[self._size : end] = column
+        self._size = end
+
+    @property
+    def columns(self) -> list[Floats]:
+        """All of them; the times are the first."""
+        return [column[: self._size] for column in self._columns]
 
 
-@dataclass
 class _Streams:
-    input: _Stream = field(default_factory=_Stream)
-    output: _Stream = field(default_factory=_Stream)
-    torque: _Stream = field(default_factory=_Stream)
-    temperature: _Stream = field(default_factory=_Stream)
-    speed: _Stream = field(default_factory=_Stream)
+    """Values of one joint by their kinds, in the order of the bag."""
+
+    def __init__(self) -> None:
+        self._tables: dict[tuple[str, ...], _Table] = {}
+        self._joined: dict[tuple[str, ...], list[Floats]] = {}
+
+    def add(self, time: Floats, values: dict[str, Floats], rows: int) -> None:
+        """Take a part; `rows` are expected in all."""
+        kinds = tuple(values)
+        if kinds and kinds not in self._tables:
+            self._tables[kinds] = _Table(1 + len(kinds), rows)
+        if kinds:
+            self._tables[kinds].add(time, *values.values())
+
+    def sorted(self, kind: str) -> tuple[Floats, Floats]:
+        """Times and values, rising, each time once; nan values left out.
+
+        Kinds that always come together and are in order have the very same array of times.
+        """
+        self._joined = self._joined or {kinds: table.columns for kinds, table in self._tables.items()}
+        known = [(kinds.index(kind) + 1, table) for kinds, table in self._joined.items() if kind in kinds]
+        columns = [(table[0], table[index]) for index, table in known]
+        if not columns:
+            return np.empty(0), np.empty(0)
+        time, value = columns[0] if len(columns) == 1 else map(np.concatenate, zip(*columns, strict=True))
+        finite = np.isfinite(value)
+        if not finite.all():
+            time, value = time[finite], value[finite]
+        if not (np.diff(time) > 0.0).all():
+            time, first = np.unique(time, return_index=True)
+            value = value[first]
+        return time, value
 
 
 def read_bags(paths: Sequence[str | Path], joint: JointConfig) -> Record:
@@ -74,35 +112,36 @@ def read_bags(paths: Sequence[str | Path], joint: JointConfig) -> Record:
     RecordError
         Where the joint has no input or output angle in them, or too little of them.
     """
-    parts, origin = [], None
+    parts: list[tuple[Floats | None, ...]] = []
+    numbers, origin = [], None
     for number, path in enumerate(paths):
         streams, origin = _collect(path, joint, origin)
-        columns = _aligned(streams, joint)
+        columns = _aligned(streams)
+        del streams
         if columns is not None:
-            parts.append((*columns, np.full(columns[0].size, number)))
+            parts.append(columns)
+            numbers.append(number)
     if not parts:
         raise RecordError(
             f"no input angle ({joint.input_joint!r}) with output angle ({joint.output_joint!r}) "
             f"in {', '.join(map(str, paths))}"
         )
-    has_torque = all(part[3] is not None for part in parts)
-    has_temperature = all(part[4] is not None for part in parts)
-    has_speed = all(part[5] is not None for part in parts)
-    joined = [np.concatenate([part[i] for part in parts]) for i in (0, 1, 2, 6)]
-    torque = np.concatenate([part[3] for part in parts]) if has_torque else None
-    temperature = np.concatenate([part[4] for part in parts]) if has_temperature else None
-    speed = np.concatenate([part[5] for part in parts]) if has_speed else None
-    return prepare(
-        joined[0],
-        joined[1],
-        joined[2],
-        torque,
-        temperature,
-        joined[3].astype(np.int64),
-        joint.drive.kinematics.ratio,
-        joint.torque,
-        speed,
-    )
+    bag = np.repeat(numbers, [part[0].size for part in parts if part[0] is not None]).astype(np.int64)
+    time, angle, output, torque, temperature, speed = map(_joined, zip(*parts, strict=True))
+    del parts, columns
+    assert time is not None
+    assert angle is not None
+    assert output is not None
+    ratio = joint.drive.kinematics.ratio
+    return prepare(time, angle, output, torque, temperature, bag, ratio, joint.torque, speed)
+
+
+def _joined(parts: Sequence[Floats | None]) -> Floats | None:
+    """One column of all bags; None where one of them has none."""
+    known = [part for part in parts if part is not None]
+    if len(known) < len(parts):
+        return None
+    return known[0] if len(known) == 1 else np.concatenate(known)
 
 
 def joints_in(paths: Sequence[str | Path]) -> set[str]:
@@ -168,13 +207,13 @@ def _read_csv(path: Path, columns: dict[str, str]) -> dict[str, Floats]:
             if absent:
                 raise RecordError(f"{path}: has no column {absent[0]!r}; it has {', '.join(header)}")
             places = {key: header.index(name) for key, name in columns.items()}
-            values: dict[str, list[float]] = {key: [] for key in columns}
+            values = {key: array("d") for key in columns}
             for number, row in enumerate(rows, start=2):
                 for key, place in places.items():
                     values[key].append(_number(path, number, row, place))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise RecordError(f"{path}: cannot be read: {error}") from error
-    return {key: np.array(column) for key, column in values.items()}
+    return {key: np.frombuffer(column) for key, column in values.items()}
 
 
 def _number(path: Path, line: int, row: list[str], place: int) -> float:
@@ -198,7 +237,7 @@ def _joint_topics(reader: BagReader) -> list[str]:
 
 def _collect(path: str | Path, joint: JointConfig, origin: int | None) -> tuple[_Streams, int | None]:
     """Streams of a bag, their times from an origin [ns] on: the first stamp where none is given."""
-    streams, both = _Streams(), {joint.input_joint, joint.output_joint}
+    streams = _Streams()
     with BagReader(path) as reader:
         topics = _joint_topics(reader)
         heat = [
@@ -210,23 +249,31 @@ def _collect(path: str | Path, joint: JointConfig, origin: int | None) -> tuple[
             if batch.topic.type_name == TEMPERATURE:
                 values = np.array([read_temperature(bytes(data)) for data in batch.messages()])
                 origin = int(batch.log_time[0]) if origin is None else origin
-                streams.temperature.add(_seconds(batch.log_time, origin), values)
+                streams.add(_seconds(batch.log_time, origin), {"temperature": values}, batch.topic.count)
                 continue
             columns, _ = reader.joint_states(batch)
             for states in columns:
                 origin = int(states.stamp[0]) if origin is None else origin
-                time = _seconds(states.stamp, origin)
-                if states.velocity is not None and both <= set(states.names):
-                    own = states.names.index(joint.input_joint)
-                    streams.speed.add(time, states.velocity[:, own])
-                for column, name in enumerate(states.names):
-                    if name == joint.input_joint and states.position is not None:
-                        streams.input.add(time, states.position[:, column])
-                    if name == joint.output_joint and states.position is not None:
-                        streams.output.add(time, states.position[:, column])
-                    if name == joint.output_joint and states.effort is not None:
-                        streams.torque.add(time, states.effort[:, column])
+                streams.add(_seconds(states.stamp, origin), _values(states, joint), batch.topic.count)
     return streams, origin
+
+
+def _values(states: JointStates, joint: JointConfig) -> dict[str, Floats]:
+    """What joint states say of a joint, by its kinds; its speed only beside the output."""
+    found = {}
+    own, out = (
+        states.names.index(name) if name in states.names else None
+        for name in (joint.input_joint, joint.output_joint)
+    )
+    for kind, column, values in (
+        ("input", own, states.position),
+        ("output", out, states.position),
+        ("torque", out, states.effort),
+        ("speed", None if out is None else own, states.velocity),
+    ):
+        if column is not None and values is not None:
+            found[kind] = values[:, column]
+    return found
 
 
 def _seconds(stamp: Times, origin: int) -> Floats:
@@ -234,16 +281,35 @@ def _seconds(stamp: Times, origin: int) -> Floats:
     return (stamp - origin).astype(np.float64) * 1e-9
 
 
-def _aligned(
-    streams: _Streams, joint: JointConfig
-) -> tuple[Floats, Floats, Floats, Floats | None, Floats | None, Floats | None] | None:
-    """Columns at the output's stamps; None where an angle is missing."""
-    input_time, angle = streams.input.sorted()
-    time, output = streams.output.sorted()
+def _aligned(streams: _Streams) -> tuple[Floats | None, ...] | None:
+    """Time, input, output, torque, temperature and speed at the output's stamps; None without an angle."""
+    input_time, angle = streams.sorted("input")
+    time, output = streams.sorted("output")
     if input_time.size < 2 or time.size < 2:
         return None
-    wrapped = float(np.max(np.abs(angle))) <= 2.0 * np.pi + 1e-6
-    angle = np.unwrap(angle) if wrapped else angle
+    if input_time is not time:
+        kept = _near(input_time, time)
+        time, output = time[kept], output[kept]
+        wrapped = _is_wrapped(angle)
+        angle = np.interp(time, input_time, unwrapped(angle) if wrapped else angle)
+        angle = np.mod(angle, 2.0 * np.pi) if wrapped else angle  # so that the record knows
+    return (
+        time,
+        angle,
+        output,
+        _interpolated(streams, "torque", time),
+        _interpolated(streams, "temperature", time),
+        _reported(streams, time),
+    )
+
+
+def _is_wrapped(angle: Floats) -> bool:
+    """Whether angles stay within a turn about zero [rad]."""
+    return max(float(angle.max()), -float(angle.min())) <= 2.0 * np.pi + 1e-6
+
+
+def _near(input_time: Floats, time: Floats) -> npt.NDArray[np.bool_]:
+    """Times that are the input's own, or between two of them that are not far from each other."""
     after = np.clip(np.searchsorted(input_time, time), 1, input_time.size - 1)
     exact = (input_time[after] == time) | (input_time[after - 1] == time)
     near = (
@@ -251,29 +317,21 @@ def _aligned(
         & (time >= input_time[0])
         & (time <= input_time[-1])
     )
-    kept = exact | near
-    time, output = time[kept], output[kept]
-    angle = np.interp(time, input_time, angle)
-    return (
-        time,
-        np.mod(angle, 2.0 * np.pi) if wrapped else angle,  # so that the record knows
-        output,
-        _interpolated(streams.torque, time),
-        _interpolated(streams.temperature, time),
-        _reported(streams.speed, time),
-    )
+    return np.asarray(exact | near)
 
 
-def _interpolated(stream: _Stream, time: Floats) -> Floats | None:
-    known, value = stream.sorted()
+def _interpolated(streams: _Streams, kind: str, time: Floats) -> Floats | None:
+    known, value = streams.sorted(kind)
+    if known is time:
+        return value
     return np.interp(time, known, value) if known.size > 1 else None
 
 
-def _reported(stream: _Stream, time: Floats) -> Floats | None:
-    """Values that were reported at these very times, nan at the others; None where there are none."""
-    known, value = stream.sorted()
-    if not known.size:
-        return None
+def _reported(streams: _Streams, time: Floats) -> Floats | None:
+    """Speeds that were reported at these very times, nan at the others; None where there are none."""
+    known, value = streams.sorted("speed")
+    if known is time or not known.size:
+        return value if known.size else None
     at = np.clip(np.searchsorted(known, time), 0, known.size - 1)
     return np.where(known[at] == time, value[at], np.nan)
 
@@ -318,11 +376,11 @@ def read_motion(paths: Sequence[str | Path], joint: JointConfig) -> Motion | Non
     parts, origin = [], None
     for number, path in enumerate(paths):
         streams, origin = _collect(path, joint, origin)
-        time, angle = streams.input.sorted()
+        time, angle = streams.sorted("input")
         if time.size > 1:
-            wrapped = float(np.max(np.abs(angle))) <= 2.0 * np.pi + 1e-6
-            torque = _interpolated(streams.torque, time)
-            parts.append((time, np.unwrap(angle) if wrapped else angle, torque, np.full(time.size, number)))
+            torque = _interpolated(streams, "torque", time)
+            turned = unwrapped(angle) if _is_wrapped(angle) else angle
+            parts.append((time, turned, torque, np.full(time.size, number)))
     if not parts:
         return None
     times, angles, torques, bags = zip(*parts, strict=True)

@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hd_diag.criticism import base
+from hd_diag.criticism.acceptance import LEAST_SIZE
+from hd_diag.criticism.causes import Cause
 from hd_diag.criticism.diagnosis import Diagnosis
-from hd_diag.criticism.search import LEAST_SIZE, Cause
 from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE
 from hd_diag.told import arcsec, direction, number, quantity, si, spread_number, words

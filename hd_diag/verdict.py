@@ -12,9 +12,9 @@ import numpy as np
 
 from hd_diag import __version__
 from hd_diag.criticism import base
+from hd_diag.criticism.causes import Cause
 from hd_diag.criticism.checks import Finding
 from hd_diag.criticism.diagnosis import Diagnosis
-from hd_diag.criticism.search import Cause
 from hd_diag.criticism.testability import Testability
 from hd_diag.criticism.unexplained import Line
 from hd_diag.model.torsion_map import ARCSEC
@@ -47,10 +47,7 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
             "schema": "hd_diag/diagnosis/1",
             "joint": joint,
             "record": {
-                "samples": record.size,
-                "duration": record.duration,
-                "input_turns": record.input_turns,
-                "runs": record.runs,
+                **record.extent._asdict(),
                 "has_torque": record.has_torque,
                 "outliers": record.outliers,
                 "dropped": record.dropped,
@@ -153,6 +150,11 @@ def sentence(diagnosis: Diagnosis) -> str:
         parts.append("none of the known causes explains the rest")
     if diagnosis.unexplained:
         parts.append("unexplained: " + ", ".join(_line_words(line) for line in diagnosis.unexplained))
+    record = diagnosis.record
+    if record.whole is not None:
+        parts.append(
+            f"fitted to {record.size} of {record.whole.samples} samples, in stretches all over the record"
+        )
     return "; ".join(parts) + "."
 
 

@@ -7,7 +7,8 @@ from collections.abc import Callable
 import drives
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from joint_records import ARCSEC
+from numpy.testing import assert_allclose, assert_array_equal
 from reference import polyline
 
 from hd_diag.drive import Drive
@@ -275,3 +276,54 @@ def test_table_is_built_once() -> None:
 def test_refuses_a_limit(limit: float) -> None:
     with pytest.raises(ValueError, match=r"torque_limit must be positive, not .* N m"):
         ContactTable(DRIVE, limit)
+
+
+# The torsion itself ---
+
+
+def test_map_is_the_torsion_a_fifth_beyond_the_limit(many: tuple[Array, Array]) -> None:
+    """To 0.01 arcsec; farther there is no value."""
+    angle, torque = many[0], 1.15 * many[1]
+    table = contact_table(DRIVE, LIMIT)
+    away = table.torsion_map(angle, torque) - torsion(DRIVE.mesh, angle, torque)
+    assert 0.0 < rms(away) < 0.01 * ARCSEC
+    assert np.isnan(table.torsion_map(np.zeros(2), np.array([1.21, -1.21]) * LIMIT)).all()
+
+
+@pytest.mark.parametrize("torque", [-70.0, -50.0, -3.0, 10.0, 55.0])
+def test_mean_torsion_is_that_over_a_turn(torque: float) -> None:
+    nodes, mean = contact_table(DRIVE, LIMIT).mean_torsion
+    turn = 2 * math.pi / 1000 * np.arange(1000)
+    expected = float(np.mean(torsion(DRIVE.mesh, turn, np.full(1000, torque))))
+    assert float(np.interp(torque, nodes, mean)) == pytest.approx(expected, abs=0.03 * ARCSEC)
+    assert np.all(np.diff(nodes) > 0.0)
+    assert np.all(np.diff(mean) > 0.0)
+
+
+def test_ripple_is_the_error_less_its_mean_over_a_turn() -> None:
+    """Also where the torque is beyond the map; without the cup's own twist, which has no ripple."""
+    turn = 2 * math.pi / 1000 * np.arange(1000)
+    for drive in (DRIVE, dataclasses.replace(DRIVE, cup_compliance=2e-5)):
+        for torque in (-45.0, 8.0, 1.1 * LIMIT):
+            load = np.full(1000, torque)
+            beta = torsion(drive.mesh, turn, drive.kinematics.cup_torque(load))
+            error = drive.kinematics.transmission_error(beta, load, drive.cup_compliance)
+            found = weights(drive, turn, load).ripple
+            assert rms(found) > 0.5 * ARCSEC
+            assert rms(found - (error - error.mean())) < 0.03 * ARCSEC
+
+
+def test_ripple_beyond_the_map_is_finite() -> None:
+    """There by the exact torsion, less the mean at the map's end."""
+    load = np.full(5, 2.0 * LIMIT)
+    found = weights(DRIVE, ANGLES, load).ripple
+    expected = torsion(DRIVE.mesh, ANGLES, -load) - contact_table(DRIVE, LIMIT).mean_torsion[1][0]
+    assert_allclose(found, -DRIVE.kinematics.torque_sign * expected, rtol=1e-9)
+
+
+def test_a_part_keeps_the_ripple_that_is_known(many: tuple[Array, Array]) -> None:
+    whole, rows = weights(DRIVE, *many), slice(100, 300)
+    assert "ripple" not in whole.part(rows).__dict__
+    assert_allclose(whole.part(rows).ripple, whole.ripple[rows], rtol=0, atol=1e-15)
+    assert "ripple" in whole.part(rows).__dict__
+    assert_array_equal(whole.part(rows).ripple, whole.ripple[rows])

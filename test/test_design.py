@@ -6,7 +6,17 @@ from numpy.testing import assert_allclose
 from scipy import stats
 from scipy.signal import lfilter
 
-from hd_diag.criticism.design import design, f_test, interval, lower_bound, solve
+from hd_diag.criticism.design import (
+    Design,
+    design,
+    f_test,
+    holds,
+    interval,
+    inverse,
+    lower_bound,
+    solve,
+    surprise,
+)
 from hd_diag.criticism.noise import ORDER, whitening
 
 ROWS, BLOCKS = 240, 8
@@ -19,7 +29,7 @@ def problem(seed: int = 0, columns: int = 5) -> tuple[np.ndarray, np.ndarray, np
     return x, y, np.arange(ROWS) * BLOCKS // ROWS
 
 
-def built(x: np.ndarray, y: np.ndarray, block: np.ndarray):
+def built(x: np.ndarray, y: np.ndarray, block: np.ndarray) -> Design:
     return design(x, y, block, np.ones(y.size, dtype=bool))
 
 
@@ -54,6 +64,16 @@ def test_rows_that_do_not_count() -> None:
 def test_a_column_of_zeros_solves_to_nothing() -> None:
     gram = np.diag([4.0, 0.0])
     assert_allclose(solve(gram, np.array([8.0, 0.0])), [2.0, 0.0])
+
+
+def test_a_column_of_zeros_beside_others_solves_to_nothing() -> None:
+    """Whatever rounding mixes into the others' directions."""
+    x, y, _ = problem(columns=12)
+    x[:, 5] = 0.0
+    expected = np.linalg.lstsq(x, y, rcond=None)[0]
+    found = solve(x.T @ x, x.T @ y)
+    assert found[5] == 0.0
+    assert_allclose(found, expected, rtol=1e-9, atol=1e-12)
 
 
 def test_f_test_is_that_of_the_textbook() -> None:
@@ -108,3 +128,128 @@ def test_bootstrap_interval_is_about_the_mean() -> None:
     low, high = interval(gains, np.random.default_rng(6))
     half = 1.96 * gains.std() / np.sqrt(24)
     assert_allclose([low, high], gains.mean() + half * np.array([-1.0, 1.0]), atol=0.15 * half)
+
+
+# Held-out gain ---
+
+
+@pytest.mark.parametrize("dropped", [slice(0, 1), slice(2, 4), slice(3, 5)])
+def test_held_out_gain_is_that_of_refits(dropped: slice) -> None:
+    """Without the block, with and without the columns; what was foretold is the square of the change."""
+    x, y, block = problem()
+    rest = np.delete(x, np.r_[dropped], axis=1)
+    gain, foretold = built(x, y, block).held_out_gain(dropped)
+    for b in range(BLOCKS):
+        here, others = block == b, block != b
+        full, fewer = left(x, y, others)[here], left(rest, y, others)[here]
+        assert gain[b] == pytest.approx(fewer @ fewer - full @ full, rel=1e-9)
+        assert foretold[b] == pytest.approx(np.sum((full - fewer) ** 2), rel=1e-9)
+
+
+def test_gains_of_blocks_scatter_as_foretold() -> None:
+    """By twice the root of what was foretold, in units of the noise; the fit's own errors are less."""
+    pulls = []
+    for seed in range(100):
+        x, _, block = problem(seed)
+        noise = np.random.default_rng(1000 + seed).standard_normal(ROWS)
+        gain, foretold = built(x, 2.0 * x[:, 0] + noise, block).held_out_gain(slice(0, 1))
+        pulls.extend((gain - foretold) / (2.0 * np.sqrt(foretold)))
+    assert np.mean(pulls) == pytest.approx(0.0, abs=4.0 / np.sqrt(800))
+    assert np.std(pulls) == pytest.approx(1.0, rel=0.15)
+
+
+def test_a_column_of_one_block_says_nothing_of_it() -> None:
+    """Held out, the block is predicted without that column: a filter's tail elsewhere is rounding."""
+    x, y, block = problem(columns=4)
+    local = np.where(block == 3, 1.0 / 3.0 + x[:, 0], np.where(block == 4, 1e-10, 0.0))
+    wide = built(np.column_stack((x, 1e-3 * local)), y, block)
+    plain = built(x, y, block)
+    keep = np.arange(BLOCKS) == 3
+    assert_allclose(wide.held_out()[keep], plain.held_out()[keep], rtol=1e-9)
+    for found, expected in zip(
+        wide.held_out_gain(slice(1, 2)), plain.held_out_gain(slice(1, 2)), strict=True
+    ):
+        assert_allclose(found[keep], expected[keep], rtol=1e-9)
+        assert np.abs(found).max() < 1e3
+    gain, foretold = wide.held_out_gain(slice(4, 5))
+    assert_allclose([gain[3], foretold[3]], 0.0, atol=1e-12)
+
+
+def noise_gain(seed: int, blocks: int = 24, size: float = 0.0, rows: slice = slice(None)) -> bool:
+    """Whether a wave held by noise alone, or present in some blocks with a size, is taken as proved."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.standard_normal((720, 3)), rng.standard_normal(720)
+    block = np.arange(720) * blocks // 720
+    x[:, 2] *= np.isin(block, np.arange(blocks)[rows])
+    return holds(*built(x, y + size * x[:, 2], block).held_out_gain(slice(2, 3)))
+
+
+def test_noise_alone_hardly_ever_holds() -> None:
+    """Two one-sided tests of one per cent."""
+    assert np.mean([noise_gain(seed) for seed in range(300)]) < 0.02 + 3.0 * np.sqrt(0.02 / 300)
+
+
+def test_a_cause_in_all_blocks_holds() -> None:
+    assert all(noise_gain(seed, size=0.4) for seed in range(20))
+
+
+def test_a_cause_in_two_of_many_blocks_holds() -> None:
+    """Although the mean over all blocks does not stand out of their scatter."""
+    gain = np.array([60.0, 45.0] + 22 * [0.0])
+    assert lower_bound(gain) < 0.0
+    assert holds(gain, gain)
+    assert all(noise_gain(seed, size=1.2, rows=slice(3, 5)) for seed in range(20))
+
+
+def test_blocks_that_disagree_prove_nothing() -> None:
+    """What one block gains, another of the same weight loses in part."""
+    foretold = np.array([100.0, 100.0] + 22 * [0.0])
+    assert holds(np.array([180.0, 20.0] + 22 * [0.0]), foretold)
+    assert not holds(np.array([180.0, -20.0] + 22 * [0.0]), foretold)
+
+
+def test_a_gain_as_small_as_noise_does_not_hold() -> None:
+    """Three, where the noise of what was foretold is 2 sqrt(3)."""
+    gain = np.array([2.5, 0.5] + 22 * [0.0])
+    assert not holds(gain, gain)
+
+
+# Inverse ---
+
+
+def test_inverse_of_columns_of_any_scale() -> None:
+    x, _, _ = problem()
+    scale = 10.0 ** np.array([-9, 3, 0, -4, 6])
+    expected = np.linalg.inv(x.T @ x) / np.outer(scale, scale)
+    assert_allclose(inverse((x * scale).T @ (x * scale)), expected, rtol=1e-10)
+
+
+def test_inverse_shares_out_between_columns_that_are_alike() -> None:
+    """As the pseudo-inverse of the scaled columns: the fit is that of one of them."""
+    x, y, _ = problem()
+    twice = np.concatenate((x, 1e-6 * x[:, :1]), axis=1)
+    fit = twice @ inverse(twice.T @ twice) @ twice.T @ y
+    assert_allclose(fit, y - left(x, y), rtol=1e-8)
+    assert np.isfinite(inverse(np.zeros((3, 3)))).all()
+
+
+# Surprise ---
+
+
+@pytest.mark.parametrize("gain", [0.0, 0.3, 8.0, 700.0, 1400.0, 1600.0, 1e5])
+def test_surprise_of_four_columns_is_exact(gain: float) -> None:
+    """Chi-square of four degrees of freedom: exp(-g/2) (1 + g/2), far below the least number."""
+    assert surprise(gain, 4) == pytest.approx(0.5 * gain - np.log1p(0.5 * gain), abs=1e-12, rel=1e-5)
+
+
+@pytest.mark.parametrize("added", [1, 2, 3, 8])
+def test_surprise_grows_through_the_asymptote(added: int) -> None:
+    found = np.array([surprise(gain, added) for gain in np.linspace(1300.0, 1700.0, 401)])
+    assert np.all(np.isfinite(found))
+    assert_allclose(np.diff(found), 0.5, rtol=0.03)
+
+
+def test_surprise_counts_columns() -> None:
+    """The same gain by more columns is less; no gain, or a loss, is none."""
+    assert surprise(50.0, 2) > surprise(50.0, 4) > surprise(50.0, 8)
+    assert surprise(0.0, 3) == surprise(-1.0, 3) == 0.0

@@ -1,18 +1,20 @@
 """The refit of the model's own parameters, on records of the independent generator."""
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 from challenge import families, motion
 from challenge.records import Recording, simulate
 from challenge.truth import Base, drawn
-from joint_records import joint
+from joint_records import columns, joint, prepared
 
 from hd_diag.criticism import base
+from hd_diag.criticism import refit as module
+from hd_diag.criticism.causes import Search, parameters_of
 from hd_diag.criticism.record import Record, prepare
-from hd_diag.criticism.refit import nuisance, refit, usable
-from hd_diag.criticism.search import Search, parameters_of
+from hd_diag.criticism.refit import FEW_STARTS, STARTS, distinct, nuisance, refit, usable
 from hd_diag.criticism.workbench import Workbench, settle
 
 CONFIGURED = joint().drive
@@ -69,3 +71,98 @@ def test_terms_that_a_record_does_not_excite_are_left_out() -> None:
     small = dataclasses.replace(one_speed, input_angle=0.01 * record.input_angle)
     assert nuisance(one_speed, 100.0).shape[1] == 3
     assert nuisance(small, 100.0).shape[1] == 1
+
+
+# Several minima ---
+
+POINT = base.vector(CONFIGURED, CONFIGURED) + np.array([8.0, -5.0, 2.0, 1.0, 6.0, 0.7, 2.0])
+FAR = POINT + np.array([0.0, 12.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+def test_mirrored_drives_are_the_same() -> None:
+    assert len(distinct([POINT, POINT * MIRROR, POINT])) == 1
+    found = distinct([FAR * MIRROR, POINT, FAR, POINT * MIRROR])
+    assert [point.tolist() for point in found] == [(FAR * MIRROR).tolist(), POINT.tolist()]
+    assert distinct([]) == []
+
+
+@pytest.mark.parametrize("index", range(base.COUNT), ids=[scale.name for scale in base.SCALES])
+def test_drives_that_are_near_are_the_same(index: int) -> None:
+    """Nearer than a refinement of all rows moves them."""
+    step = np.zeros(base.COUNT)
+    step[index] = [1.0, 1.0, 1.0, 1.0, 3.0, 0.5, 0.7][index]
+    assert len(distinct([POINT, POINT + 0.9 * step, (POINT - 0.9 * step) * MIRROR])) == 1
+    assert len(distinct([POINT, POINT + 1.1 * step])) == 2
+
+
+@pytest.fixture(scope="module")
+def short() -> Record:
+    return prepared(columns(seconds=8.0))
+
+
+Fit = Callable[[np.ndarray], tuple[np.ndarray, float]]
+
+
+def stubbed(monkeypatch: pytest.MonkeyPatch, fit: Fit) -> list[tuple[int, int, np.ndarray]]:
+    """Let a fit from a start end as told; the calls: samples, steps, start."""
+    calls: list[tuple[int, int, np.ndarray]] = []
+
+    def levenberg(problem: module._Problem, point: np.ndarray, steps: int) -> tuple[np.ndarray, float]:
+        calls.append((problem.measured.size, steps, point))
+        return fit(point)
+
+    monkeypatch.setattr(module, "_levenberg", levenberg)
+    return calls
+
+
+def test_rounds_go_on_with_the_best_that_differ(short: Record, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fits that go nowhere: the starts nearest to a point survive, none of them twice or mirrored."""
+    near = POINT * MIRROR
+
+    def distance(point: np.ndarray) -> tuple[np.ndarray, float]:
+        return point, 100.0 * float(np.hypot(*(point - near)[:2]))
+
+    calls = stubbed(monkeypatch, distance)
+    found = refit(short, CONFIGURED, start=near)
+    sizes = [size for size, _, _ in calls]
+    assert sizes == sorted(sizes)
+    assert [sizes.count(size) for size in sorted(set(sizes))] == [len(STARTS) + 2, 5, 2]
+    for size in set(sizes) - {min(sizes)}:
+        starts = [point for rows, _, point in calls if rows == size]
+        assert len(distinct(starts)) == len(starts)
+        assert starts[0] is near
+        assert [distance(p)[1] for p in starts] == sorted(distance(p)[1] for p in starts)
+    np.testing.assert_allclose(found.parameters, near, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("other", "worse", "trustworthy"),
+    [
+        (FAR, 5.0, False),
+        (FAR, 11.9, False),
+        (FAR, 12.1, True),
+        (POINT * MIRROR, 0.0, True),
+        (POINT + 0.01, 0.0, True),
+    ],
+)
+def test_trust_is_lost_to_another_minimum_as_good(
+    other: np.ndarray, worse: float, trustworthy: bool, short: Record, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Starts to one side end in one minimum, all others in another."""
+
+    def fit(point: np.ndarray) -> tuple[np.ndarray, float]:
+        return (other, 1000.0 + worse) if point[1] > 1.0 else (POINT, 1000.0)
+
+    stubbed(monkeypatch, fit)
+    found = refit(short, CONFIGURED)
+    assert found.trustworthy is trustworthy
+    assert len(distinct([POINT, found.parameters])) == 1
+
+
+def test_starts_of_either_lobe_end_in_the_same_drive() -> None:
+    """A start of our own, and the same drive said the other way round."""
+    record = prepared(columns(seconds=8.0))
+    true = base.vector(joint(eccentricity__magnitude=12e-6, eccentricity__direction=0.6).drive, CONFIGURED)
+    found = [refit(record, CONFIGURED, start=p, starts=FEW_STARTS[:1]) for p in (true, true * MIRROR)]
+    assert len(distinct([one.parameters for one in found] + [true])) == 1
+    assert [one.trustworthy for one in found] == [True, True]

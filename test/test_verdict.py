@@ -10,10 +10,10 @@ import pytest
 from joint_records import ARCSEC, columns, joint, prepared
 
 from hd_diag.criticism import base, testability
+from hd_diag.criticism.causes import Cause
 from hd_diag.criticism.checks import Finding
 from hd_diag.criticism.diagnosis import Diagnosis, Gain, Rms
 from hd_diag.criticism.refit import Refit
-from hd_diag.criticism.search import Cause
 from hd_diag.criticism.unexplained import Line
 from hd_diag.effects import CATALOGUE
 from hd_diag.verdict import as_json, sentence, summary

@@ -91,16 +91,22 @@ def drive_of(parameters: Floats, configured: Drive) -> Drive:
 
 def admissible(parameters: Floats, configured: Drive) -> Floats:
     """Parameters moved into bounds wide enough for any drive worth assembling."""
-    datum = configured.mesh.geometry.circular_spline_datum / SCALES[4].si
     p = parameters.copy()
     for pair, most in ((slice(0, 2), 45.0), (slice(2, 4), 20.0)):
         size = float(np.hypot(*p[pair]))
         if size > most:
             p[pair] *= most / size
-    p[4] = np.clip(p[4], datum - 40.0, datum + 45.0)
-    p[5] = np.clip(p[5], 4.0, 25.0)
-    p[6] = np.clip(p[6], 0.0, 20.0)
+    low, high = bounds(configured)
+    p[4:] = np.clip(p[4:], low[4:], high[4:])
     return p
+
+
+def bounds(configured: Drive) -> tuple[Floats, Floats]:
+    """Least and greatest value of every parameter, shape (7,) each; displacements have none of their own."""
+    datum = configured.mesh.geometry.circular_spline_datum / SCALES[4].si
+    low, high = np.full(COUNT, -np.inf), np.full(COUNT, np.inf)
+    low[4:], high[4:] = (datum - 40.0, 4.0, 0.0), (datum + 45.0, 25.0, 20.0)
+    return low, high
 
 
 def prior(configured: Drive) -> tuple[Floats, Floats]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.criticism.blocks import blocks
 from hd_diag.criticism.noise import bounds
 from hd_diag.criticism.record import Record
 
@@ -160,7 +161,7 @@ def find_steps(record: Record, ratio: float, tooth_pitch: float) -> tuple[Floats
     width = 15
     for begin, end in bounds(record.run):
         part = error[begin:end]
-        if part.size < 4 * width:
+        if part.size < 4 * width or _largest_jump(part, width) <= _STEP * tooth_pitch:
             continue
         jump = part[width:] - part[:-width]
         while np.max(np.abs(jump)) > _STEP * tooth_pitch:
@@ -180,6 +181,14 @@ def find_steps(record: Record, ratio: float, tooth_pitch: float) -> tuple[Floats
             if len(findings) > 20:
                 return correction, findings
     return correction, findings
+
+
+def _largest_jump(values: Floats, width: int) -> float:
+    """Greatest change over so many rows."""
+    parts = [rows for rows, _, _ in blocks(width, values.size)]
+    return max(
+        float(np.max(np.abs(values[rows] - values[rows.start - width : rows.stop - width]))) for rows in parts
+    )
 
 
 def _step(size: float, tooth_pitch: float, time: float) -> Finding:

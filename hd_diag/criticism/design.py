@@ -13,6 +13,7 @@ Integers = npt.NDArray[np.int64]
 
 
 _ONE_PER_CENT = 2.326  # standard deviations
+_ALONE = 1e-10  # share of a column outside a block that is nothing but rounding
 _DISAGREEING = 0.1  # share of what was foretold that may lie in blocks which it made worse
 
 
@@ -47,7 +48,7 @@ class Design:
         gram, moment = self.gram.sum(axis=0), self.moment.sum(axis=0)
         result = np.empty(self.square.size)
         for block in range(self.square.size):
-            beta = solve(gram - self.gram[block], moment - self.moment[block])
+            beta = solve(*_without(gram, moment, self.gram[block], self.moment[block]))
             result[block] = (
                 self.square[block] - 2.0 * beta @ self.moment[block] + beta @ self.gram[block] @ beta
             )
@@ -73,12 +74,21 @@ class Design:
         inner = np.ix_(rest, rest)
         gain, foretold = np.empty(self.square.size), np.empty(self.square.size)
         for block, (g, m) in enumerate(zip(self.gram, self.moment, strict=True)):
-            beta, fewer = solve(gram - g, moment - m), np.zeros(moment.size)
-            fewer[rest] = solve((gram - g)[inner], (moment - m)[rest])
+            others, towards = _without(gram, moment, g, m)
+            beta, fewer = solve(others, towards), np.zeros(moment.size)
+            fewer[rest] = solve(others[inner], towards[rest])
             change = beta - fewer
             gain[block] = 2.0 * change @ m - beta @ g @ beta + fewer @ g @ fewer
             foretold[block] = change @ g @ change
         return gain, foretold
+
+
+def _without(gram: Floats, moment: Floats, own: Floats, own_moment: Floats) -> tuple[Floats, Floats]:
+    """Normal equations of all blocks but one; a column that lives there alone leaves only rounding behind."""
+    others, towards = gram - own, moment - own_moment
+    alone = np.diag(others) < _ALONE * np.diag(gram)
+    others[alone], others[:, alone], towards[alone] = 0.0, 0.0, 0.0
+    return others, towards
 
 
 def solve(gram: Floats, moment: Floats) -> Floats:
@@ -88,7 +98,9 @@ def solve(gram: Floats, moment: Floats) -> Floats:
 
 def inverse(gram: Floats) -> Floats:
     """Inverse of a Gram matrix whose columns may be of any scale, or alike; shape (k, k)."""
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    square = np.diag(gram)
+    # Rounding must not blow up a column of zeros: divided by infinity it stays out of the way.
+    scale = np.where(square > 0.0, np.sqrt(np.maximum(square, 1e-300)), np.inf)
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
     kept = values > 1e-10 * values[-1]
     return np.asarray((vectors[:, kept] / values[kept]) @ vectors[:, kept].T / np.outer(scale, scale))

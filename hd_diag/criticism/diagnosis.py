@@ -9,13 +9,15 @@ import numpy as np
 import numpy.typing as npt
 
 from hd_diag.criticism import base
-from hd_diag.criticism.checks import Finding, check_ramp, check_ratio, find_steps
+from hd_diag.criticism.causes import Cause, Search, fitted, parameters_of
+from hd_diag.criticism.checks import Finding
 from hd_diag.criticism.extension import extended_model, left, map_of
 from hd_diag.criticism.foils import Foil
 from hd_diag.criticism.noise import bounds
 from hd_diag.criticism.record import Record
 from hd_diag.criticism.refit import Refit, refit, usable
-from hd_diag.criticism.search import Cause, Search, fitted, parameters_of, search
+from hd_diag.criticism.screening import Screened, screened
+from hd_diag.criticism.search import search
 from hd_diag.criticism.testability import Testability, testability
 from hd_diag.criticism.unexplained import Line, lines
 from hd_diag.criticism.workbench import Chosen, Workbench, settle
@@ -79,13 +81,14 @@ class Diagnosis:
 
 
 def diagnose(
-    record: Record, configured: Drive, progress: Callable[[str], None] = lambda text: None
+    record: Record | Screened, configured: Drive, progress: Callable[[str], None] = lambda text: None
 ) -> Diagnosis:
     """Criticise the model by a record.
 
     Parameters
     ----------
-    record : Record
+    record : Record or Screened
+        Screened already, a long one need not be kept.
     configured : Drive
         The simulation as configured.
     progress : callable
@@ -95,17 +98,12 @@ def diagnose(
     -------
     Diagnosis
     """
-    ratio = configured.kinematics.ratio
-    progress("checking the ratio")
-    wrong = check_ratio(record, ratio)
-    if wrong is not None:
-        return Diagnosis(record, configured, (wrong,), None, None, None, None)
-    correction, steps = find_steps(record, ratio, configured.mesh.geometry.tooth_pitch)
-    record = replace(record, output_angle=record.output_angle - correction)
-    wrong = check_ramp(record, ratio)
-    if wrong is not None:
-        return Diagnosis(record, configured, (wrong, *steps), None, None, None, None)
+    looked = record if isinstance(record, Screened) else screened(record, configured, progress)
+    record, findings = looked.record, looked.findings
+    if any(finding.fatal for finding in findings):
+        return Diagnosis(record, configured, findings, None, None, None, None)
     test, told = held_out(record)
+    record = _renumbered(record)
     train = _renumbered(record.select(~test))
     progress("fitting the model's own parameters")
     first = refit(train, configured)
@@ -117,6 +115,7 @@ def diagnose(
     rms, gain = _gain(record, test, told, configured, plain, found, trained)
     progress("using all data")
     whole = fitted(settle(trained, found.chosen), found)
+    del plain, found, trained  # some hundred columns each
     trusted = first.trustworthy
     parameters, covariance = parameters_of(whole)
     refitted = Refit(base.drive_of(parameters, configured), parameters, covariance, trusted)
@@ -124,7 +123,7 @@ def diagnose(
     return Diagnosis(
         record,
         configured,
-        tuple(steps),
+        findings,
         refitted,
         whole,
         rms,
@@ -150,7 +149,7 @@ def held_out(record: Record) -> tuple[npt.NDArray[np.bool_], str]:
     if record.runs >= _HELD_OUT:
         rows = record.run % _HELD_OUT == _HELD_OUT - 1
         if 0.1 < rows.mean() < 0.5:
-            return rows, f"{len(set(record.run[rows].tolist()))} of {record.runs} runs"
+            return rows, f"{np.unique(record.run[rows]).size} of {record.runs} runs"
     stretch = np.arange(record.size) * _STRETCHES // record.size
     return (
         stretch % _HELD_OUT == _HELD_OUT - 1,

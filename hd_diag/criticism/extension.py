@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hd_diag.criticism import base
+from hd_diag.criticism.causes import Search
 from hd_diag.criticism.record import Record
-from hd_diag.criticism.search import Search
 from hd_diag.drive import Drive
 from hd_diag.effects.effect import Effect
 from hd_diag.extended import TORQUE_RANGE, ExtendedModel, Range, Ranges, Term

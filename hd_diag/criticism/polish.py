@@ -10,7 +10,7 @@ from hd_diag.effects.effect import Effect
 
 Floats = npt.NDArray[np.float64]
 
-_ROUNDS = 4
+_ROUNDS = 8
 _SHORTER = 3  # halvings of a step that makes the fit worse
 _SETTLED = 0.05  # deviance; what a further round could gain
 

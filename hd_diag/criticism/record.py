@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import median_filter
 from scipy.signal import savgol_filter
 
+from hd_diag.criticism.blocks import filtered, unwrapped
 from hd_diag.criticism.noise import bounds
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
+Rows = npt.NDArray[np.bool_]
+Kind = TypeVar("Kind", bound=np.generic)
 
 MINIMUM_SAMPLES = 500
 """Fewer samples than this are too short a record."""
@@ -21,15 +26,41 @@ _PAUSE = 0.2  # rest that ends a run [s]
 _REST_SPEED = 0.02  # of the record's 95th percentile of speed, below which the joint rests [-]
 _GAP_STEPS = 5.5  # a step this many times the usual one is a gap: state and filters restart
 _SPEED_WINDOW = 0.03  # [s]
+_HEAT_WINDOW = 2.0  # [s]
 _TORQUE_WINDOW = 0.06  # [s]; a longer one bends the torque's own steps
+_LONG_GAP_STEPS = 200.0  # a step this many times the usual one is more than a cause remembers through
 _WRAP_SLACK = 0.1  # what noise and outliers may add to the range of a wrapped angle [rad]
 _OUTLIER = 8.0  # robust standard deviations of what neighbours do not foretell
 _OUTLIER_WINDOW = 51  # over which that deviation is taken [samples]
 _OUTLIER_PASSES = 3
 
 
+_COLUMNS = (
+    "time",
+    "input_angle",
+    "output_angle",
+    "torque",
+    "speed",
+    "temperature",
+    "run",
+    "bag",
+    "reported_torque",
+    "reported_speed",
+    "stretch",
+)
+
+
 class RecordError(ValueError):
     """A record that cannot be judged; the text says why."""
+
+
+class Extent(NamedTuple):
+    """What a record covers: samples, runs, time in them [s], turns of the input in both directions."""
+
+    samples: int
+    runs: int
+    duration: float
+    input_turns: float
 
 
 @dataclass(frozen=True)
@@ -54,6 +85,11 @@ class Record:
         Without smoothing, as a model that runs has it [N m].
     reported_speed : ndarray, shape (n,), or None
         Of the input, as the joint itself reports it [rad/s]; nan where it does not.
+    stretch : ndarray of int64, shape (n,), or None
+        Number of the stretch through which a cause with memory goes on, where rows were left out; None where
+        the stamps tell (see `stretches`).
+    whole : Extent or None
+        Of the record that these rows were taken from, where rows were left out.
     """
 
     time: Floats
@@ -69,6 +105,8 @@ class Record:
     bag: Integers
     reported_torque: Floats
     reported_speed: Floats | None = None
+    stretch: Integers | None = None
+    whole: Extent | None = None
 
     @property
     def size(self) -> int:
@@ -76,40 +114,47 @@ class Record:
         return int(self.time.size)
 
     @property
+    def extent(self) -> Extent:
+        """What the record covers; of the whole, where rows were left out."""
+        if self.whole is not None:
+            return self.whole
+        edges = np.flatnonzero(np.diff(self.run)) + 1
+        starts, ends = np.append(0, edges), np.append(edges, self.size) - 1
+        duration = float(np.sum(self.time[ends] - self.time[starts]))
+        way = np.abs(np.diff(self.input_angle))
+        way[edges - 1] = 0.0
+        return Extent(self.size, int(self.run[-1]) + 1, duration, float(np.sum(way)) / (2.0 * np.pi))
+
+    @property
     def runs(self) -> int:
         """Number of runs."""
-        return int(self.run[-1]) + 1
+        return int(self.run[-1]) + 1 if self.whole is None else self.whole.runs
 
     @property
     def duration(self) -> float:
         """Time covered by the runs [s]."""
-        edges = np.flatnonzero(np.diff(self.run)) + 1
-        starts, ends = np.append(0, edges), np.append(edges, self.size) - 1
-        return float(np.sum(self.time[ends] - self.time[starts]))
+        return self.extent.duration
 
     @property
     def input_turns(self) -> float:
         """Turns of the input, both directions counted [-]."""
-        same = np.diff(self.run) == 0
-        return float(np.sum(np.abs(np.diff(self.input_angle))[same]) / (2.0 * np.pi))
+        return self.extent.input_turns
 
-    def select(self, rows: npt.NDArray[np.bool_] | Integers) -> Record:
+    @property
+    def stretches(self) -> Integers:
+        """Numbers of stretches without a long gap: a pause ends a run, but a cause with memory goes on."""
+        if self.stretch is not None:
+            return self.stretch
+        step = np.diff(self.time)
+        usual = float(np.median(step[step > 0.0]))
+        breaks = (step > _LONG_GAP_STEPS * usual) | (step <= 0.0) | (np.diff(self.bag) != 0)
+        return np.concatenate(([0], np.cumsum(breaks))).astype(np.int64)
+
+    def select(self, rows: Rows | Integers) -> Record:
         """The record of some rows; their run numbers stay."""
-        temperature = None if self.temperature is None else self.temperature[rows]
-        reported_speed = None if self.reported_speed is None else self.reported_speed[rows]
-        return replace(
-            self,
-            time=self.time[rows],
-            input_angle=self.input_angle[rows],
-            output_angle=self.output_angle[rows],
-            torque=self.torque[rows],
-            speed=self.speed[rows],
-            temperature=temperature,
-            run=self.run[rows],
-            bag=self.bag[rows],
-            reported_torque=self.reported_torque[rows],
-            reported_speed=reported_speed,
-        )
+        columns = {name: getattr(self, name) for name in _COLUMNS}
+        chosen: dict[str, Any] = {name: None if c is None else c[rows] for name, c in columns.items()}
+        return replace(self, **chosen)
 
 
 def prepare(
@@ -154,52 +199,59 @@ def prepare(
         If too little is left, nothing moves, or stamps contradict each other.
     """
     torque, temperature = _measured(torque), _measured(temperature)
-    columns = [time, input_angle, output_angle] + [c for c in (torque, temperature) if c is not None]
-    usable = np.all(np.isfinite(columns), axis=0)
-    usable &= np.concatenate(([True], (np.diff(time) > 0.0) | (np.diff(bag) != 0)))
-    dropped = int(np.sum(~usable))
-    if usable.sum() < MINIMUM_SAMPLES:
+    usable = _usable((time, input_angle, output_angle, torque, temperature), bag)
+    dropped = usable.size - int(np.count_nonzero(usable))
+    if usable.size - dropped < MINIMUM_SAMPLES:
         raise RecordError(
-            f"too short: {int(usable.sum())} usable samples, at least {MINIMUM_SAMPLES} are needed"
+            f"too short: {usable.size - dropped} usable samples, at least {MINIMUM_SAMPLES} are needed"
         )
     if dropped > 0.5 * usable.size:
         raise RecordError(
             f"{dropped} of {usable.size} samples are not finite or their stamps contradict each other"
         )
-    time, bag = time[usable], bag[usable]
-    segment, output = _segments(time, bag), _unwrapped(output_angle[usable], bag)
-    angle = _with_turns(input_angle[usable], output, bag, segment, ratio)
-    load = None if torque is None else torque[usable]
-    heat = None if temperature is None else temperature[usable]
+    time, bag = _kept(time, usable), _kept(bag, usable)
+    load, heat, own_speed = (_kept_known(c, usable) for c in (torque, temperature, reported_speed))
+    segment, output = _segments(time, bag), _unwrapped(_kept(output_angle, usable), bag)
+    angle = _with_turns(_kept(input_angle, usable), output, bag, segment, ratio)
     if float(np.ptp(angle)) < np.pi:
         raise RecordError(
             f"no motion: the input turns by {float(np.ptp(angle)):.3g} rad, at least half a turn is needed"
         )
     keep = ~_outliers(output - angle / ratio, segment)
-    outliers = int(np.sum(~keep))
-    time, angle, output, segment = time[keep], angle[keep], output[keep], segment[keep]
+    outliers = keep.size - int(np.count_nonzero(keep))
+    time, angle, output = (_kept(column, keep) for column in (time, angle, output))
+    bag, segment = _kept(bag, keep), _kept(segment, keep)
+    load, heat, own_speed = (_kept_known(c, keep) for c in (load, heat, own_speed))
     step = float(np.median(np.diff(time)))
-    speed = _per_segment(segment, angle, lambda x: _derivative(x, step))
-    raw = np.full(time.shape, assumed_torque) if load is None else load[keep]
-    smooth = raw if load is None else _per_segment(segment, raw, lambda x: _smooth(x, step, _TORQUE_WINDOW))
-    heat = None if heat is None else _per_segment(segment, heat[keep], lambda x: _smooth(x, step, 2.0))
+    speed = _derivative(angle, segment, step)
+    raw = np.full(time.shape, assumed_torque) if load is None else load
+    smooth = raw if load is None else _smooth(raw, segment, step, _TORQUE_WINDOW)
+    heat = None if heat is None else _smooth(heat, segment, step, _HEAT_WINDOW)
     run = _runs(time, speed, segment)
-    own_speed = None if reported_speed is None else reported_speed[usable][keep]
+    known = load is not None
     return Record(
-        time,
-        angle,
-        output,
-        smooth,
-        speed,
-        heat,
-        run,
-        load is not None,
-        outliers,
-        dropped,
-        bag[keep],
-        raw,
-        own_speed,
+        time, angle, output, smooth, speed, heat, run, known, outliers, dropped, bag, raw, own_speed
     )
+
+
+def _usable(columns: tuple[Floats | None, ...], bag: Integers) -> Rows:
+    """Rows that are finite in all columns and later than the row before, by the first of the columns."""
+    time = columns[0]
+    assert time is not None
+    usable = np.concatenate(([True], (np.diff(time) > 0.0) | (np.diff(bag) != 0)))[: time.size]
+    for column in columns:
+        if column is not None:
+            usable &= np.isfinite(column)
+    return usable
+
+
+def _kept(column: npt.NDArray[Kind], rows: Rows) -> npt.NDArray[Kind]:
+    """Some rows of a column; all of them are no copy."""
+    return column if rows.all() else column[rows]
+
+
+def _kept_known(column: Floats | None, rows: Rows) -> Floats | None:
+    return None if column is None else _kept(column, rows)
 
 
 def _measured(values: Floats | None) -> Floats | None:
@@ -215,19 +267,21 @@ def _wrapped(angle: Floats) -> bool:
 def _unwrapped(angle: Floats, bag: Integers) -> Floats:
     """Angles without jumps of whole turns, bag by bag; continuous angles stay as they are."""
     parts = [angle[a:b] for a, b in bounds(bag)]
-    return np.concatenate([np.unwrap(part) if _wrapped(part) else part for part in parts])
+    done = [unwrapped(part) if _wrapped(part) else part for part in parts]
+    return done[0] if len(done) == 1 else np.concatenate(done)
 
 
 def _with_turns(angle: Floats, output: Floats, bag: Integers, segment: Integers, ratio: float) -> Floats:
     """Input angles without jumps of whole turns; the output tells those that no sample saw."""
-    result = angle.copy()
+    result = angle
     first = ratio * output[0] - angle[0]
     for begin, end in bounds(bag):
         if not _wrapped(angle[begin:end]):
             continue
+        result = angle.copy() if result is angle else result
         for a, b in bounds(segment[begin:end]):
             part = slice(begin + a, begin + b)
-            result[part] = np.unwrap(angle[part])
+            result[part] = unwrapped(angle[part])
             missing = float(np.median(ratio * output[part] - result[part])) - first
             result[part] += 2.0 * np.pi * np.round(missing / (2.0 * np.pi))
     return result
@@ -241,42 +295,62 @@ def _segments(time: Floats, bag: Integers) -> Integers:
     return np.concatenate(([0], np.cumsum(breaks))).astype(np.int64)
 
 
-def _per_segment(segment: Integers, values: Floats, function: object) -> Floats:
-    assert callable(function)
-    return np.concatenate([function(values[a:b]) for a, b in bounds(segment)])
-
-
 def _window(size: int, step: float, width: float, order: int) -> int:
     wanted = int(width / step) | 1
     largest = size if size % 2 else size - 1
     return min(max(wanted, order + 2 | 1), largest)
 
 
-def _derivative(angle: Floats, step: float) -> Floats:
-    window = _window(angle.size, step, _SPEED_WINDOW, 2)
-    if window < 3:
-        return np.gradient(angle, step) if angle.size > 1 else np.zeros_like(angle)
-    return np.asarray(savgol_filter(angle, window, min(2, window - 1), deriv=1, delta=step))
+def _derivative(angle: Floats, segment: Integers, step: float) -> Floats:
+    """Rate of change, segment by segment."""
+
+    def rate(rows: slice) -> Floats:
+        part = angle[rows]
+        window = _window(part.size, step, _SPEED_WINDOW, 2)
+        if window < 3:
+            return np.gradient(part, step) if part.size > 1 else np.zeros_like(part)
+        return np.asarray(savgol_filter(part, window, min(2, window - 1), deriv=1, delta=step))
+
+    return _by_segment(segment, rate, step, _SPEED_WINDOW)
 
 
-def _smooth(values: Floats, step: float, width: float) -> Floats:
-    window = _window(values.size, step, width, 2)
-    return values if window < 4 else np.asarray(savgol_filter(values, window, 2))
+def _smooth(values: Floats, segment: Integers, step: float, width: float) -> Floats:
+    """Values without their noise, segment by segment."""
+
+    def smooth(rows: slice) -> Floats:
+        window = _window(values[rows].size, step, width, 2)
+        return values[rows] if window < 4 else np.asarray(savgol_filter(values[rows], window, 2))
+
+    return _by_segment(segment, smooth, step, width)
 
 
-def _outliers(error: Floats, segment: Integers) -> npt.NDArray[np.bool_]:
+def _by_segment(segment: Integers, function: Callable[[slice], Floats], step: float, width: float) -> Floats:
+    """Values of a filter of a width [s] along every segment."""
+    result = np.empty(segment.size)
+    for begin, end in bounds(segment):
+        filtered(result, begin, end, function, _window(segment.size, step, width, 2))
+    return result
+
+
+def _outliers(error: Floats, segment: Integers) -> Rows:
     """Single samples off both their neighbours; taken out, they may show others beside them."""
     found = np.zeros(error.size, dtype=bool)
-    for a, b in bounds(segment):
-        rows = np.arange(a, b)
-        for _ in range(_OUTLIER_PASSES):
-            off = _spikes(error[rows])
-            found[rows[off]] = True
-            rows = rows[~off]
+    for begin, end in bounds(segment):
+        filtered(found, begin, end, lambda rows: _repeated(error[rows]), 2 * _OUTLIER_WINDOW)
     return found
 
 
-def _spikes(values: Floats) -> npt.NDArray[np.bool_]:
+def _repeated(error: Floats) -> Rows:
+    found = np.zeros(error.size, dtype=bool)
+    rows = np.arange(error.size)
+    for _ in range(_OUTLIER_PASSES):
+        off = _spikes(error[rows])
+        found[rows[off]] = True
+        rows = rows[~off]
+    return found
+
+
+def _spikes(values: Floats) -> Rows:
     """Samples far off the cubic through their four neighbours, and beyond both next to them.
 
     The cubic follows the gear's ripple, which a running median would cut; flanks that change are a step,

@@ -16,6 +16,8 @@ Floats = npt.NDArray[np.float64]
 # Rounds of the search: samples, steps of a fit, starts that go on to the next. Each round can only mistake
 # starts that are as good as equal, and what it leaves goes on with all rows.
 _ROUNDS = ((250, 5, 5), (700, 5, 2), (1500, 8, 2))
+_MIRROR = np.array([-1.0, -1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
+_FIRST_NOISE, _LEAST_NOISE = 2e-5, 1e-6  # of the residual [rad]; each round takes what the one before left
 _SETTLED = 0.1  # deviance; smaller steps are left to the fit of all rows
 Starts = tuple[tuple[float, float], ...]
 _TURNS = (0.0, 0.25, 0.5, 0.75)  # [pi rad]
@@ -104,15 +106,18 @@ def refit(
     free = nuisance(record, configured.kinematics.ratio)
     if extra is not None:
         free = np.concatenate((free, extra), axis=1)
-    points = _starts(configured, start, starts)
+    points, noise = _starts(configured, start, starts), _FIRST_NOISE
     for samples, steps, kept in _ROUNDS:
-        problem = _Problem(record, configured, free, _chosen(record, samples, rng))
+        problem = _Problem(record, configured, free, _chosen(record, samples, rng), noise)
         trials = sorted((_levenberg(problem, point, steps) for point in points), key=lambda trial: trial[1])
         points = distinct([point for point, _ in trials])[:kept]
+        noise = max(problem.left(points[0]), _LEAST_NOISE)
     point, deviance = trials[0]
     covariance = problem.covariance(point)
     rivals = [other for other, value in trials[1:] if value - deviance < _DISTINCT]
-    return Refit(base.drive_of(point, configured), point, covariance, not distinct([point, *rivals])[1:])
+    rivals = distinct([point, *rivals])[1:]
+    ambiguous = any(_apart(point, rival, covariance) > _DISTINCT for rival in rivals)
+    return Refit(base.drive_of(point, configured), point, covariance, not ambiguous)
 
 
 def usable(record: Record) -> npt.NDArray[np.bool_]:
@@ -144,13 +149,15 @@ def _starts(configured: Drive, start: Floats | None, starts: Starts) -> list[Flo
 class _Problem:
     """Least squares of the transmission error on some rows, free columns projected out, prior included."""
 
-    def __init__(self, record: Record, configured: Drive, free: Floats, rows: npt.NDArray[np.int64]) -> None:
+    def __init__(
+        self, record: Record, configured: Drive, free: Floats, rows: npt.NDArray[np.int64], noise: float
+    ) -> None:
         self.configured = configured
         self.input_angle, self.torque = record.input_angle[rows], record.torque[rows]
         self.measured = record.output_angle[rows] - self.input_angle / configured.kinematics.ratio
         self.free = np.linalg.qr(free[rows])[0]
         self.center, self.width = base.prior(configured)
-        self.noise = 2e-5  # [rad]; replaced by what the fit leaves
+        self.noise = noise
 
     def residual_and_jacobian(self, point: Floats) -> tuple[Floats, Floats]:
         drive = base.drive_of(point, self.configured)
@@ -166,6 +173,11 @@ class _Problem:
             np.sum(((point - self.center) / self.width) ** 2)
         )
 
+    def left(self, point: Floats) -> float:
+        """What the fit leaves at a point [rad rms]."""
+        residual, _ = self.residual_and_jacobian(point)
+        return float(np.sqrt(np.mean(residual**2)))
+
     def covariance(self, point: Floats) -> Floats:
         residual, jacobian = self.residual_and_jacobian(point)
         variance = float(residual @ residual) / max(residual.size - base.COUNT - self.free.shape[1], 1)
@@ -173,7 +185,7 @@ class _Problem:
 
 
 def _levenberg(problem: _Problem, point: Floats, iterations: int) -> tuple[Floats, float]:
-    """Levenberg-Marquardt; the noise level follows the residual."""
+    """Levenberg-Marquardt."""
     point = base.admissible(point, problem.configured)
     damping = 1e-3
     residual, jacobian = problem.residual_and_jacobian(point)
@@ -199,6 +211,12 @@ def _levenberg(problem: _Problem, point: Floats, iterations: int) -> tuple[Float
     return point, problem.deviance(residual, point)
 
 
+def _apart(point: Floats, other: Floats, covariance: Floats) -> float:
+    """Deviance by which another drive should be worse, were there one minimum only; lobes swapped or not."""
+    away = (other - point, other * _MIRROR - point)
+    return min(float(step @ np.linalg.solve(covariance, step)) for step in away)
+
+
 def distinct(points: list[Floats]) -> list[Floats]:
     """Points that are not the same drive: lobes swapped count as the same.
 
@@ -214,7 +232,7 @@ def distinct(points: list[Floats]) -> list[Floats]:
     """
     found: list[Floats] = []
     for point in points:
-        mirrored = point * np.array([-1.0, -1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
+        mirrored = point * _MIRROR
         tolerance = np.array([1.0, 1.0, 1.0, 1.0, 3.0, 0.5, 0.7])
         if not any(
             np.all(np.abs(known - other) < tolerance) for known in found for other in (point, mirrored)

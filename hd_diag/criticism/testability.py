@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from hd_diag.criticism.search import FAMILY_ERROR, LEAST_SIZE, Search
+from hd_diag.criticism.acceptance import FAMILY_ERROR, LEAST_SIZE
+from hd_diag.criticism.causes import Search
+from hd_diag.criticism.ranking import Projector, family_size
 from hd_diag.criticism.workbench import SEARCHED
 
 _POWER = 0.99
@@ -36,10 +38,7 @@ def testability(found: Search) -> list[Testability]:
     """
     bench, chosen = found.bench, found.chosen
     named = {effect.name for effect, _ in chosen}
-    parts = [bench.always_white, *(bench.white(effect, nonlinear) for effect, nonlinear in chosen)]
-    fixed = np.concatenate(parts, axis=1)
-    basis = np.linalg.qr(fixed / np.maximum(np.linalg.norm(fixed, axis=0), 1e-300))[0]
-    family = max(sum(e.trials(bench.signals) for e in SEARCHED if bench.testable(e)[0]), 1)
+    basis, family = Projector(bench, chosen).basis, max(family_size(bench), 1)
     result = []
     for effect in SEARCHED:
         possible, reason = bench.testable(effect)

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.criticism.acceptance import LEAST_SIZE
+from hd_diag.criticism.causes import Search
 from hd_diag.criticism.design import f_test, lower_bound
 from hd_diag.criticism.foils import Foil
-from hd_diag.criticism.search import LEAST_SIZE, Search
+from hd_diag.criticism.noise import Whitening, whitening
 from hd_diag.criticism.workbench import Chosen, Workbench
 from hd_diag.model.torsion_map import ARCSEC
 
@@ -17,6 +19,7 @@ Floats = npt.NDArray[np.float64]
 
 _PER_TURN = 128  # cells per turn of the input, so orders up to 64 are seen
 _MOST_ORDERS = 40.0
+_LEAST_ORDER = 0.012  # once and twice per output turn are causes of their own
 _MOST_LINES = 4
 _CHANCE = 1e-4  # of a line by noise alone, over all orders looked at
 
@@ -116,19 +119,22 @@ def _strongest(bench: Workbench, chosen: Chosen, rest: Floats, taken: list[Float
     _, order, frame, weight = max(found, key=lambda one: one[0])
     order = _refined(bench, rest * weight, order, frame)
     pair = _pair(bench, order, frame) * weight[:, None]
-    white = bench.whiten(np.concatenate([pair, *taken], axis=1), bench.run)
-    fixed = np.concatenate((bench.always_white, *(bench.white(e, v) for e, v in chosen)), axis=1)
-    before, after = _deviances(bench, fixed, white[:, 2:]), _deviances(bench, fixed, white)
+    parts = [bench.always(), bench.joined(chosen), *taken, pair]
+    # Noise is learnt beside the wave, or a strong one would count as noise.
+    columns = np.concatenate(parts, axis=1)
+    learnt = whitening(rest - pair @ np.linalg.lstsq(pair, rest, rcond=None)[0], bench.run)
+    white, left = learnt(columns, bench.run), learnt(bench.left, bench.run)
+    before, after = _deviance(left, white[:, :-2]), _deviance(left, white)
     counted = int(np.count_nonzero(bench.left_white))
     turns = float(np.ptp(bench.signals.wave_generator_angle)) / (2.0 * np.pi)
     tests = 8.0 * _MOST_ORDERS * max(turns, 1.0)
-    p = tests * f_test(before, after, 2, counted, fixed.shape[1] + white.shape[1])
+    p = tests * f_test(before, after, 2, counted, columns.shape[1])
     coefficients = np.linalg.lstsq(pair, rest, rcond=None)[0]
     part = pair @ coefficients
     amplitude = float(np.sqrt(2.0) * np.std(part))
     if p > _CHANCE or amplitude < np.sqrt(2.0) * LEAST_SIZE:
         return None
-    if lower_bound(_block_gains(bench, rest, pair)) <= 0.0:
+    if lower_bound(_block_gains(bench, rest, pair, learnt)) <= 0.0:
         return None
     wave = _pair(bench, order, frame) @ coefficients
     wave /= np.hypot(*coefficients)
@@ -146,16 +152,15 @@ def _weights(bench: Workbench) -> list[Floats]:
     return [np.ones(load.size), *([full] if both else [])]
 
 
-def _deviances(bench: Workbench, fixed: Floats, more: Floats) -> float:
-    columns = np.concatenate((fixed, more), axis=1)
+def _deviance(left: Floats, columns: Floats) -> float:
     basis = np.linalg.qr(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))[0]
-    rest = bench.left_white - basis @ (basis.T @ bench.left_white)
+    rest = left - basis @ (basis.T @ left)
     return float(rest @ rest)
 
 
-def _block_gains(bench: Workbench, rest: Floats, pair: Floats) -> Floats:
+def _block_gains(bench: Workbench, rest: Floats, pair: Floats, learnt: Whitening) -> Floats:
     """Fall of the sum of squares in each block by a wave fitted to all others."""
-    white = bench.whiten(np.column_stack((pair, rest)), bench.run)
+    white = learnt(np.column_stack((pair, rest)), bench.run)
     gains = []
     for block in range(int(bench.block[-1]) + 1):
         inside = bench.block == block
@@ -179,7 +184,7 @@ def _peak(phase: Floats, rest: Floats) -> tuple[float, float] | None:
     mean = np.where(count > 0, total / np.maximum(count, 1), 0.0)
     power = np.abs(np.fft.rfft(mean, 2 * cells)) ** 2
     orders = np.arange(power.size) * _PER_TURN / (2.0 * cells)
-    use = (orders > max(0.05, 2.0 / turns)) & (orders < _MOST_ORDERS)
+    use = (orders > max(_LEAST_ORDER, 2.0 / turns)) & (orders < _MOST_ORDERS)
     if use.sum() < 50:
         return None
     power, orders = power[use], orders[use]

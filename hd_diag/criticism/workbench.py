@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 
@@ -20,7 +22,6 @@ Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
 _BLOCKS = 24
-_GAP_STEPS = 200.0  # a step this many times the usual one is a gap in the record
 _SETTLED = 1.0  # standard deviations; the model is linear over such steps
 # What no refit of the model can be blamed for: a cause must beat a refit of its own as well.
 SEARCHED = tuple(effect for effect in CATALOGUE if effect.name not in ("ratio_error", "tooth_skip"))
@@ -48,7 +49,8 @@ class Workbench:
     ) -> None:
         self.source = record
         self.configured = configured
-        self.record = record.select(usable(record))
+        # Rows left out are no gap for a cause with memory: it goes on through them.
+        self.record = replace(record, stretch=record.stretches).select(usable(record))
         self.run = _broken(record, usable(record))
         self.parameters = parameters
         self.drive = base.drive_of(parameters, configured)
@@ -194,7 +196,24 @@ class Workbench:
         gram = built.gram.sum(axis=0) + np.diag(precision)
         moment = built.moment.sum(axis=0) + precision * pull
         covariance = inverse(gram)
-        return covariance @ moment, covariance, built
+        return self._bounded(covariance @ moment, covariance), covariance, built
+
+    def _bounded(self, beta: Floats, covariance: Floats) -> Floats:
+        """The best coefficients whose parameters a drive can have: those beyond a bound lie on it."""
+        low, high = base.bounds(self.configured)
+        held = np.zeros(base.COUNT, dtype=bool)
+        found = beta
+        for _ in range(base.COUNT):
+            at = self.parameters + found[: base.COUNT]
+            beyond = ((at < low - 1e-9) | (at > high + 1e-9)) & ~held
+            if not beyond.any():
+                break
+            held |= beyond
+            rows = np.flatnonzero(held)
+            wanted = np.clip(self.parameters + beta[: base.COUNT], low, high)[rows] - self.parameters[rows]
+            spread = covariance[np.ix_(rows, rows)]
+            found = beta - covariance[:, rows] @ np.linalg.solve(spread, beta[rows] - wanted)
+        return found
 
     def design(self, chosen: Chosen, more: Floats | None = None) -> Design:
         """Normal equations of [model, nuisance, effects, more] against what the model leaves."""
@@ -236,20 +255,12 @@ def signals(record: Record, drive: Drive, error: Floats, slope: Floats) -> Signa
         speed=record.speed,
         torque=record.torque,
         temperature=record.temperature,
-        run=stretches(record),
+        run=record.stretches,
         predicted=error,
         predicted_torque_slope=slope,
         predicted_rate=rate,
         contact=ContactWeights(drive, angle, record.torque),
     )
-
-
-def stretches(record: Record) -> Integers:
-    """Numbers of stretches without a gap: a pause ends a run, but a cause with memory goes on through it."""
-    step = np.diff(record.time)
-    usual = float(np.median(step[step > 0.0]))
-    breaks = (step > _GAP_STEPS * usual) | (step <= 0.0) | (np.diff(record.bag) != 0)
-    return np.concatenate(([0], np.cumsum(breaks))).astype(np.int64)
 
 
 def blocks(run: Integers) -> Integers:

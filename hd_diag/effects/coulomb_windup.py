@@ -50,7 +50,7 @@ EFFECT = CoulombWindup(
             "reversal_speed",
             "rad/s",
             1e-2,
-            50.0,
+            _SPEEDS[-1],
             1.0,
             "omega_0, input speed of the sign's change",
             linear=False,

@@ -14,6 +14,7 @@ Verdict = tuple[bool, str]
 TURN = 2.0 * math.pi
 
 _SPEED_STEP = 0.1  # of the greatest speed; speeds closer than this count as one
+_DIGIT = 1e-9  # of the rated torque; less is rounding
 _STILL = 1e-3  # [rad/s]; below this the input stands
 
 
@@ -89,7 +90,7 @@ def torque_through_zero(signals: Signals) -> Verdict:
 
 def torque_known(signals: Signals) -> Verdict:
     """Whether the torque is measured: one that never changes by a digit is assumed."""
-    measured = bool(signals.size) and float(np.ptp(signals.torque)) > 0.0
+    measured = bool(signals.size) and float(np.ptp(signals.torque)) > _DIGIT * signals.rated_torque
     return _told(measured, "no torque is measured: record it, for what the load does hides the rest")
 
 

@@ -14,9 +14,10 @@ import numpy as np
 from hd_diag import __version__
 from hd_diag.bag import BagError
 from hd_diag.config import JOINT_PARAMETERS, Config, JointConfig
+from hd_diag.criticism.causes import Cause
 from hd_diag.criticism.diagnosis import Diagnosis, diagnose
 from hd_diag.criticism.record import RecordError
-from hd_diag.criticism.search import Cause
+from hd_diag.criticism.screening import screened
 from hd_diag.fleet.survey import Survey
 from hd_diag.recording import read_bags
 from hd_diag.verdict import as_json
@@ -177,7 +178,8 @@ def judge(task: Task) -> Row:
     versions = {f"{name}_version": version for name, version in running().items()}
     fixed = {"joint": task.joint.name, "config_sha256": task.config_digest, **versions}
     try:
-        found = diagnose(read_bags([task.bag], task.joint), task.joint.configured)
+        configured = task.joint.configured
+        found = diagnose(screened(read_bags([task.bag], task.joint), configured), configured)
     except BagError as error:
         return {**fixed, "error": error.cause}
     except RecordError as error:

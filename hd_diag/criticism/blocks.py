@@ -1,0 +1,64 @@
+"""Long columns block by block, so that what is computed on the way stays small beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Kind = TypeVar("Kind", bound=np.generic)
+
+BLOCK = 1 << 18
+"""Rows of a block."""
+
+
+def blocks(begin: int, end: int, margin: int = 0) -> Iterator[tuple[slice, slice, slice]]:
+    """Blocks of the rows from `begin` to before `end`.
+
+    Yields
+    ------
+    rows : slice
+        Of a block.
+    around : slice
+        The same with `margin` rows before and after, where there are any.
+    inner : slice
+        Where the block lies within them.
+    """
+    for first in range(begin, end, BLOCK):
+        last = min(first + BLOCK, end)
+        low, high = max(first - margin, begin), min(last + margin, end)
+        yield slice(first, last), slice(low, high), slice(first - low, last - low)
+
+
+def filtered(
+    result: npt.NDArray[Kind],
+    begin: int,
+    end: int,
+    function: Callable[[slice], npt.NDArray[Kind]],
+    margin: int,
+) -> None:
+    """Put what a local function makes of the rows from `begin` to before `end` into a column.
+
+    Parameters
+    ----------
+    result : ndarray, shape (n,)
+    begin, end : int
+    function : callable
+        Values at some rows, out of these rows alone.
+    margin : int
+        Rows to either side that a value depends on.
+    """
+    for rows, around, inner in blocks(begin, end, margin):
+        result[rows] = function(around)[inner]
+
+
+def unwrapped(angle: Floats) -> Floats:
+    """Angles without jumps of whole turns [rad], shape (n,)."""
+    result = np.empty_like(angle)
+    for rows, _, _ in blocks(0, angle.size):
+        before = result[max(rows.start - 1, 0) : rows.start]
+        result[rows] = np.unwrap(np.concatenate((before, angle[rows])))[before.size :]
+    return result

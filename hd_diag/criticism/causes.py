@@ -1,0 +1,189 @@
+"""Causes found, with their numbers: coefficients, covariance, held-out share, the class of each."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.criticism import base
+from hd_diag.criticism.acceptance import held_out_gain
+from hd_diag.criticism.design import interval
+from hd_diag.criticism.foils import Foil
+from hd_diag.criticism.polish import covariance
+from hd_diag.criticism.ranking import by_name, ranked
+from hd_diag.criticism.workbench import Chosen, Workbench
+from hd_diag.effects.effect import Effect
+
+Floats = npt.NDArray[np.float64]
+
+CLASS_DEVIANCE = 10.0
+"""Causes whose exchange moves the held-out deviance by less cannot be told apart."""
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A named effect with its fitted numbers.
+
+    Attributes
+    ----------
+    effect : Effect
+    nonlinear : tuple of float
+        Values of its nonlinear quantities.
+    coefficients : ndarray, shape (k,)
+    covariance : ndarray, shape (k + m, k + m)
+        Of the coefficients and the nonlinear values.
+    amplitude : float
+        Of its part in the error [rad rms].
+    p_value : float
+        After correction for the whole family of candidates.
+    alike : tuple of str
+        Names that this record cannot tell from it, itself first.
+    gain : float
+    gain_low, gain_high : float
+        Share of the held-out deviance that it explains, with its interval.
+    """
+
+    effect: Effect
+    nonlinear: tuple[float, ...]
+    coefficients: Floats
+    covariance: Floats
+    amplitude: float
+    p_value: float
+    alike: tuple[str, ...]
+    gain: float = 0.0
+    gain_low: float = 0.0
+    gain_high: float = 0.0
+
+
+@dataclass(frozen=True)
+class Search:
+    """Result of a search: the bench at the final parameters, the causes, most explaining first, and foils."""
+
+    bench: Workbench
+    causes: tuple[Cause, ...]
+    foils: Chosen = ()
+
+    @property
+    def chosen(self) -> Chosen:
+        """Effects and their nonlinear values, then the shapes that have no name."""
+        named = tuple((cause.effect, cause.nonlinear) for cause in self.causes)
+        return (*named, *self.foils)
+
+
+def causes(
+    bench: Workbench, chosen: Chosen, p_values: dict[str, float], rivals: Collection[str]
+) -> tuple[Cause, ...]:
+    """The chosen effects with their numbers, most explaining first; shapes without a name left out.
+
+    Parameters
+    ----------
+    bench : Workbench
+        Settled beside the chosen effects.
+    chosen : sequence of (Effect, nonlinear values)
+    p_values : dict
+        By the effect's name, after correction for the family.
+    rivals : collection of str
+        Names of the effects that may be alike.
+
+    Returns
+    -------
+    tuple of Cause
+    """
+    beta, _, _ = bench.fit(chosen)
+    spread, places = covariance(bench, chosen)
+    rng = np.random.default_rng(0)
+    found = []
+    for index, (effect, nonlinear) in enumerate(chosen):
+        if isinstance(effect, Foil):
+            continue
+        rows = places[index][: effect.size]
+        share = _share(bench, chosen, index)
+        low, high = interval(share, rng)
+        found.append(
+            Cause(
+                effect,
+                nonlinear,
+                beta[rows],
+                _part(spread, places[index]),
+                _amplitude(bench, effect, nonlinear, beta[rows]),
+                p_values.get(effect.name, float("nan")),
+                (effect.name, *_alike(bench, chosen, index, rivals)),
+                float(np.mean(share)),
+                low,
+                high,
+            )
+        )
+    return tuple(sorted(found, key=lambda cause: -cause.gain))
+
+
+def fitted(bench: Workbench, found: Search) -> Search:
+    """The same causes with numbers from another bench; names, classes and gains stay.
+
+    Parameters
+    ----------
+    bench : Workbench
+        Settled beside the causes.
+    found : Search
+
+    Returns
+    -------
+    Search
+    """
+    beta, _, _ = bench.fit(found.chosen)
+    spread, places = covariance(bench, found.chosen)
+    again = []
+    for cause, place in zip(found.causes, places, strict=False):
+        coefficients = beta[place[: cause.effect.size]]
+        amplitude = _amplitude(bench, cause.effect, cause.nonlinear, coefficients)
+        again.append(
+            replace(cause, coefficients=coefficients, covariance=_part(spread, place), amplitude=amplitude)
+        )
+    return replace(found, bench=bench, causes=tuple(again))
+
+
+def parameters_of(found: Search) -> tuple[Floats, Floats]:
+    """The model's parameters beside the causes, and their covariance, in units of `base.SCALES`."""
+    beta, _, _ = found.bench.fit(found.chosen)
+    spread, _ = covariance(found.bench, found.chosen)
+    return found.bench.parameters + beta[: base.COUNT], spread[: base.COUNT, : base.COUNT]
+
+
+def _amplitude(bench: Workbench, effect: Effect, nonlinear: tuple[float, ...], coefficients: Floats) -> float:
+    return float(np.std(bench.full_size(effect, nonlinear, coefficients)))
+
+
+def _share(bench: Workbench, chosen: Chosen, index: int) -> Floats:
+    """What one effect brings in every block not fitted, over the mean of what all others leave there."""
+    others = chosen[:index] + chosen[index + 1 :]
+    gains, _ = held_out_gain(bench, chosen, index)
+    return np.asarray(gains / max(float(np.mean(bench.design(others).held_out())), 1e-300))
+
+
+def _part(spread: Floats, place: npt.NDArray[np.int64]) -> Floats:
+    """Covariance of some values; zero for those that are not fitted."""
+    part = spread[np.ix_(place, place)]
+    fixed = place < 0
+    part[fixed], part[:, fixed] = 0.0, 0.0
+    return part
+
+
+def _alike(bench: Workbench, chosen: Chosen, index: int, rivals: Collection[str]) -> list[str]:
+    """Effects that would do as well in place of one; those that the motion cannot test among them."""
+    effect, others = chosen[index][0], chosen[:index] + chosen[index + 1 :]
+    named = {e.name for e, _ in chosen}
+    here = float(bench.design(chosen).held_out().sum())
+    found = [name for name in effect.always_confused if name not in named]
+    untested = {other.name for other in by_name(effect.confused_with) if not bench.testable(other)[0]}
+    bench.correct(others)
+    for candidate in ranked(bench, others, by_name({*rivals, *untested}), untested):
+        if candidate.effect.name in named or candidate.effect.name in found:
+            continue
+        trial = (*others, (candidate.effect, candidate.nonlinear))
+        bench.correct(trial)
+        if float(bench.design(trial).held_out().sum()) - here < CLASS_DEVIANCE:
+            found.append(candidate.effect.name)
+    bench.correct(chosen)
+    return found

@@ -1,0 +1,48 @@
+"""Workbenches on records of the package's own drive with something added, for tests of the search's parts."""
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+from joint_records import NOISE, RATIO, columns, joint, prepared
+
+from hd_diag.criticism import base
+from hd_diag.criticism.record import Record
+from hd_diag.criticism.workbench import Workbench
+from hd_diag.drive import transmission_error
+from hd_diag.effects import CATALOGUE
+from hd_diag.effects.effect import Effect
+from hd_diag.effects.signals import Signals
+
+CONFIGURED = joint().drive
+TRUE = joint(eccentricity__magnitude=12e-6, eccentricity__direction=0.6).drive
+POINT = base.vector(TRUE, CONFIGURED)
+EFFECTS = {effect.name: effect for effect in CATALOGUE}
+Part = Callable[[Signals], np.ndarray]
+
+
+def swinging(seconds: float = 20.0, seed: int = 0) -> Record:
+    """A joint that moves up and down at several speeds under torques of both signs, with nested reversals."""
+    given = columns(seconds, seed=seed)
+    time = given["time"]
+    angle = 60.0 * np.sin(2.0 * np.pi * time / 10.0) + 25.0 * np.sin(2.0 * np.pi * time / 3.1)
+    torque = 30.0 * np.sin(2.0 * np.pi * time / 5.3) + 18.0 * np.sin(2.0 * np.pi * time / 1.7)
+    noise = NOISE * np.random.default_rng(seed).standard_normal(time.size)
+    output = angle / RATIO + transmission_error(TRUE, angle, torque) + noise
+    return prepared({**given, "input": angle, "output": output, "torque": torque})
+
+
+def bench(*parts: Part, record: Record | None = None) -> Workbench:
+    """At the true parameters, settled beside nothing; the parts are added to the error [rad]."""
+    plain = Workbench(record or swinging(), CONFIGURED, POINT)
+    added = sum((part(plain.signals) for part in parts), np.zeros(plain.record.size))
+    moved = dataclasses.replace(plain.record, output_angle=plain.record.output_angle + added)
+    made = Workbench(moved, CONFIGURED, POINT)
+    made.learn_noise(())
+    return made
+
+
+def of(effect: Effect, **values: float) -> Part:
+    """An effect's part at the size that people state."""
+    coefficients, nonlinear = effect.from_physical(values)
+    return lambda signals: effect.response(signals, coefficients, nonlinear)

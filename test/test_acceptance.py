@@ -1,0 +1,120 @@
+"""What passes: a true cause; what does not: noise, what is too small, and what only looks lasting."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from benches import EFFECTS, Part, bench, of, swinging
+from joint_records import ARCSEC
+
+from hd_diag.criticism.acceptance import FAMILY_ERROR, LEAST_SIZE, held_out_gain, kept, passing, size
+from hd_diag.criticism.foils import FOILS
+from hd_diag.criticism.ranking import ranked
+from hd_diag.criticism.record import Record
+from hd_diag.criticism.workbench import Workbench
+from hd_diag.effects.signals import Signals
+
+RUBBED, DRY = EFFECTS["hysteresis"], EFFECTS["coulomb_windup"]
+RUBBING = (RUBBED, (2.0, 9.0))
+DRIFT = next(foil for foil in FOILS if foil.name == "drift")
+
+
+def friction(times: float = 1.0) -> Part:
+    values = {"first_amplitude": 1e-4 * times, "second_amplitude": 6e-5 * times}
+    return of(RUBBED, **values, first_reach=2.0, second_reach=9.0)
+
+
+@pytest.fixture(scope="module")
+def made() -> Workbench:
+    return bench(friction())
+
+
+@pytest.fixture(scope="module")
+def long() -> Record:
+    """With enough means over seconds."""
+    return swinging(60.0)
+
+
+@pytest.fixture(scope="module")
+def plain() -> Workbench:
+    return bench()
+
+
+def test_a_cause_passes_with_the_family_s_p_value(made: Workbench) -> None:
+    best = ranked(made, (), [RUBBED])
+    found = passing(made, (), best, 50)
+    assert found == dataclasses.replace(best[0], p_value=50 * best[0].p_value)
+
+
+def test_noise_does_not_pass(plain: Workbench) -> None:
+    best = ranked(plain, (), [RUBBED, DRY])
+    assert min(one.p_value for one in best) > FAMILY_ERROR / 50
+    assert passing(plain, (), best, 50) is None
+    assert passing(plain, (), [], 50) is None
+
+
+def test_a_family_may_be_too_large(made: Workbench) -> None:
+    best = [dataclasses.replace(one, p_value=1e-4) for one in ranked(made, (), [RUBBED])]
+    assert passing(made, (), best, 99) is not None
+    assert passing(made, (), best, 101) is None
+
+
+def test_what_is_surprising_and_too_small_makes_room_for_the_next(made: Workbench) -> None:
+    """The second is looked at, however good the first one's chance is."""
+    true = ranked(made, (), [RUBBED])[0]
+    small = dataclasses.replace(true, effect=EFFECTS["encoder_interpolation"], nonlinear=(64.0,))
+    assert size(made, (), small.effect, small.nonlinear) < LEAST_SIZE
+    found = passing(made, (), [small, true], 1)
+    assert found is not None
+    assert found.effect is RUBBED
+
+
+def test_size_is_that_of_what_nothing_else_imitates(made: Workbench) -> None:
+    part = friction()(made.signals)
+    fixed = made.always()
+    scaled = fixed / np.linalg.norm(fixed, axis=0)
+    own = part - scaled @ np.linalg.lstsq(scaled, part, rcond=None)[0]
+    assert size(made, (), *RUBBING) == pytest.approx(np.sqrt(np.mean(own**2)), rel=0.03)
+    assert np.std(own) < 0.9 * np.std(part)
+
+
+def test_size_beside_itself_is_nothing(made: Workbench) -> None:
+    assert size(made, (RUBBING,), *RUBBING) < 0.01 * ARCSEC
+
+
+def test_held_out_gain_is_of_the_effect_s_own_columns(made: Workbench) -> None:
+    chosen = ((DRY, (0.6,)), RUBBING)
+    gain, foretold = held_out_gain(made, chosen, 1)
+    without = made.design(chosen[:1]).held_out().sum() - made.design(chosen).held_out().sum()
+    assert gain.sum() == pytest.approx(without, rel=1e-9)
+    assert foretold.sum() == pytest.approx(gain.sum(), rel=0.1)
+    assert held_out_gain(made, chosen, 0)[0].sum() < 0.01 * gain.sum()
+
+
+def test_idle_effects_are_dropped_and_needed_ones_kept(made: Workbench, plain: Workbench) -> None:
+    assert kept(made, ((DRY, (0.6,)), RUBBING, (EFFECTS["viscous_windup"], ()))) == (RUBBING,)
+    assert kept(plain, ((DRY, (0.6,)), RUBBING)) == ()
+
+
+def test_what_cannot_see_ahead_is_not_judged_by_blocks_held_out(plain: Workbench) -> None:
+    assert kept(plain, ((DRIFT, ()), (DRY, (0.6,)))) == ((DRIFT, ()),)
+
+
+@pytest.mark.parametrize(
+    ("drift", "period", "expected"),
+    [
+        (3.0, None, True),
+        (1.0, None, False),  # too small for something that nothing held out can prove
+        (0.0, None, False),
+        (10.0, 1.0, False),  # over in a second: no drift
+    ],
+)
+def test_a_drift_must_last(long: Record, drift: float, period: float | None, expected: bool) -> None:
+    """Straight over a minute by so many arcsec, or to and fro."""
+
+    def part(signals: Signals) -> np.ndarray:
+        way = (signals.time - signals.time[0]) / (period or np.ptp(signals.time))
+        return drift * ARCSEC * (np.sin(2.0 * np.pi * way) if period else way)
+
+    made = bench(part, record=long)
+    assert (passing(made, (), ranked(made, (), [DRIFT]), 100) is not None) is expected

@@ -1,0 +1,81 @@
+"""Whether a torque excites what it should: reversals that count, and a torque that is only assumed."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from benches import bench
+
+from hd_diag.effects.excitation import torque_known, torque_reverses
+from hd_diag.effects.signals import Signals
+
+COUNT = 800
+SWING = 5.6  # [N m]
+
+
+@pytest.fixture(scope="module")
+def signals() -> Signals:
+    return bench().signals.part(slice(0, COUNT))
+
+
+def under(signals: Signals, torque: np.ndarray | float, *breaks: int) -> Signals:
+    run = np.searchsorted(breaks, np.arange(COUNT), side="right").astype(np.int64)
+    return dataclasses.replace(signals, torque=np.broadcast_to(torque, COUNT).astype(np.float64), run=run)
+
+
+def through(*values: float) -> np.ndarray:
+    """Torque that goes straight from value to value [N m]."""
+    return np.interp(np.linspace(0.0, len(values) - 1.0, COUNT), np.arange(len(values)), values)
+
+
+@pytest.mark.parametrize(
+    ("torque", "levels"),
+    [
+        (through(0.0, 30.0, -30.0, 30.0, -30.0, 30.0), 2),  # the same loop again and again
+        (through(0.0, 30.0, -30.0, 10.0, -30.0, 30.0), 3),
+        (through(0.0, 30.0, 15.0, 25.0, 20.0, 30.0), 2),  # the inner one by less than the swing
+        (through(0.0, 30.0, 10.0, 20.0, 0.0), 3),
+        (through(0.0, 30.0), 0),  # never back
+        (through(30.0, -30.0, 30.0), 1),
+        (20.0, 0),
+    ],
+)
+def test_values_at_which_the_torque_turns_back(
+    signals: Signals, torque: np.ndarray | float, levels: int
+) -> None:
+    possible, reason = torque_reverses(under(signals, torque), SWING)
+    assert possible == (levels >= 3)
+    assert possible == (reason == "")
+    assert possible or f"by 5.6 N m at {levels} values" in reason
+
+
+def test_noise_turns_nothing_back(signals: Signals) -> None:
+    noise = np.random.default_rng(0).normal(0.0, 0.6, COUNT)
+    assert not torque_reverses(under(signals, through(0.0, 30.0, -30.0, 30.0) + noise), SWING)[0]
+    assert torque_reverses(under(signals, through(0.0, 30.0, -30.0, 10.0, -30.0) + noise), SWING)[0]
+
+
+def test_reversals_count_within_a_run(signals: Signals) -> None:
+    """Memory ends with a run: three reversals in two runs close no inner loop."""
+    torque = through(0.0, 30.0, -30.0, 10.0, -20.0)
+    assert torque_reverses(under(signals, torque), SWING)[0]
+    assert "at 1 values" in torque_reverses(under(signals, torque, COUNT // 2), SWING)[1]
+
+
+def test_a_torque_without_end_counts_once(signals: Signals) -> None:
+    """Reversals at almost the same torque are one value."""
+    assert (
+        "at 2 values"
+        in torque_reverses(under(signals, through(0.0, 30.0, -30.0, 31.0, -29.0, 32.0, -30.5, 30.0)), SWING)[
+            1
+        ]
+    )
+
+
+def test_a_torque_that_never_changes_is_assumed(signals: Signals) -> None:
+    for torque in (0.0, 12.5):
+        possible, reason = torque_known(under(signals, torque))
+        assert not possible
+        assert reason.startswith("no torque is measured")
+    assert torque_known(under(signals, through(12.5, 12.6))) == (True, "")
+    assert not torque_known(signals.part(slice(0, 0)))[0]

@@ -1,0 +1,84 @@
+"""Candidates: the gain is that of a fit, the best is first, a family is counted once."""
+
+import numpy as np
+import pytest
+from benches import EFFECTS, bench, of
+
+from hd_diag.criticism.foils import FOILS
+from hd_diag.criticism.ranking import Projector, by_name, candidates, family_size, ranked
+from hd_diag.criticism.workbench import SEARCHED, Workbench
+
+HYSTERESIS = {"first_amplitude": 1e-4, "second_amplitude": 6e-5, "first_reach": 2.0, "second_reach": 9.0}
+RUBBED, DRY = EFFECTS["hysteresis"], EFFECTS["coulomb_windup"]
+
+
+@pytest.fixture(scope="module")
+def made() -> Workbench:
+    return bench(of(RUBBED, **HYSTERESIS))
+
+
+def deviance(columns: np.ndarray, target: np.ndarray) -> float:
+    scaled = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    return float(np.sum((target - scaled @ np.linalg.lstsq(scaled, target, rcond=None)[0]) ** 2))
+
+
+@pytest.mark.parametrize("chosen", [(), ((DRY, (0.6,)),)])
+def test_gain_is_that_of_a_fit(made: Workbench, chosen: tuple) -> None:
+    projector, white = Projector(made, chosen), made.white(RUBBED, (2.0, 9.0))
+    fixed = np.concatenate((made.always_white, *(made.white(*item) for item in chosen)), axis=1)
+    before = deviance(fixed, made.left_white)
+    after = deviance(np.concatenate((fixed, white), axis=1), made.left_white)
+    assert projector.deviance == pytest.approx(before, rel=1e-9)
+    assert projector.gain(white) == pytest.approx(before - after, rel=1e-6)
+    assert projector.fitted == fixed.shape[1]
+    coefficients, _ = projector.fit(white)
+    assert coefficients == pytest.approx([1e-4, 6e-5], rel=0.15)
+
+
+def test_what_is_fitted_already_gains_nothing(made: Workbench) -> None:
+    """Not even the rounding of a column that the others make up."""
+    projector = Projector(made, ((RUBBED, (2.0, 9.0)),))
+    again = made.white(RUBBED, (2.0, 9.0)) @ np.array([[1.0, 2.0, -0.3], [0.5, -1.0, 7.0]])
+    coefficients, _ = projector.fit(again)
+    assert coefficients.tolist() == [0.0, 0.0, 0.0]
+    assert projector.gain(again) == 0.0
+
+
+def test_the_cause_is_first_at_its_best_grid_point(made: Workbench) -> None:
+    found = candidates(made, ())
+    assert found[0].effect is RUBBED
+    assert found[0].nonlinear in RUBBED.grid(made.signals)
+    assert [one.surprise for one in found] == sorted((one.surprise for one in found), reverse=True)
+    assert found[0].p_value < 1e-100
+    assert {one.effect.name for one in found} == {e.name for e in SEARCHED if made.testable(e)[0]}
+
+
+def test_what_is_chosen_is_no_candidate(made: Workbench) -> None:
+    beside = ranked(made, ((RUBBED, (2.0, 9.0)),), [RUBBED, DRY])
+    assert [one.effect for one in beside] == [DRY]
+    alone = next(one for one in ranked(made, (), [RUBBED, DRY]) if one.effect is DRY)
+    assert beside[0].gain < 0.1 * alone.gain
+
+
+def test_what_the_motion_does_not_show_takes_part_on_request(made: Workbench) -> None:
+    drift = EFFECTS["thermal_drift"]
+    assert not made.testable(drift)[0]
+    assert ranked(made, (), [drift]) == []
+    assert [one.effect for one in ranked(made, (), [drift], {"thermal_drift"})] == [drift]
+
+
+def test_shapes_without_a_name_are_ranked_alike(made: Workbench) -> None:
+    found = ranked(made, (), FOILS)
+    assert 2 <= len(found) <= len(FOILS)
+    assert max(one.gain for one in found) < candidates(made, ())[0].gain
+
+
+def test_a_family_is_every_grid_point_of_what_is_testable(made: Workbench) -> None:
+    testable = [effect for effect in SEARCHED if made.testable(effect)[0]]
+    assert len(testable) < len(SEARCHED)
+    assert family_size(made) == sum(effect.trials(made.signals) for effect in testable)
+
+
+def test_effects_by_name_in_the_order_of_the_catalogue() -> None:
+    assert by_name({"hysteresis", "coulomb_windup", "nothing"}) == [RUBBED, DRY]
+    assert by_name(()) == []

@@ -1,0 +1,147 @@
+"""A damaged tooth at its full size: a pair that has parted gives no more; which teeth are looked at next."""
+
+import math
+
+import drives
+import numpy as np
+import pytest
+from joint_records import ARCSEC
+from numpy.testing import assert_allclose, assert_array_equal
+
+from hd_diag.drive import Drive
+from hd_diag.effects.contact_weights import ContactWeights
+from hd_diag.effects.effect import Effect
+from hd_diag.effects.output_runout import EFFECT as RUNOUT
+from hd_diag.effects.signals import Signals
+from hd_diag.effects.tooth_damage import EFFECT, SLOT, TOOTH
+from hd_diag.model.transmission_error import Kinematics
+
+DRIVE = Drive(drives.mesh(eccentricity=(9e-6, 4e-6)), Kinematics(100.0), 56.0)
+PITCH = {SLOT: 2 * math.pi / 202, TOOTH: 2 * math.pi / 200}
+MEMBERS = pytest.mark.parametrize("member", PITCH)
+NUMBER = 77
+
+
+@pytest.fixture(scope="module")
+def signals() -> Signals:
+    """Moments of any angle and torque; only the contact counts."""
+    rng = np.random.default_rng(0)
+    angle, torque = rng.uniform(-300.0, 300.0, 3000), rng.uniform(-60.0, 60.0, 3000)
+    none = np.zeros(3000)
+    return Signals(
+        time=np.arange(3000.0),
+        wave_generator_angle=angle,
+        output_angle=-angle / 101.0,
+        speed=none,
+        torque=torque,
+        temperature=None,
+        run=np.zeros(3000, dtype=np.int64),
+        predicted=none,
+        predicted_torque_slope=none,
+        predicted_rate=none,
+        contact=ContactWeights(DRIVE, angle, torque, 60.0),
+    )
+
+
+def place(member: float) -> tuple[float, float]:
+    return member, NUMBER * PITCH[member]
+
+
+def response(signals: Signals, member: float, *flanks: float) -> np.ndarray:
+    return EFFECT.response(signals, np.array(flanks), place(member))
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+@MEMBERS
+def test_secant_of_nothing_is_the_columns(signals: Signals, member: float) -> None:
+    assert_array_equal(
+        EFFECT.secant(signals, np.zeros(2), place(member)), EFFECT.columns(signals, place(member))
+    )
+
+
+@MEMBERS
+def test_small_damage_is_proportional(signals: Signals, member: float) -> None:
+    small = np.array([1e-9, 2e-9])
+    expected = EFFECT.columns(signals, place(member)) @ small
+    assert rms(response(signals, member, *small) - expected) < 0.02 * rms(expected)
+
+
+@pytest.mark.parametrize("clearance", [2e-6, 1e-5, 4e-5, 1.6e-4])
+@pytest.mark.parametrize("flank", [0, 1])
+def test_a_worn_slot_is_the_contact_solved_with_it(signals: Signals, clearance: float, flank: int) -> None:
+    """To two per cent, where the first order is wrong by a third and more."""
+    opened = np.zeros((2, 202))
+    opened[flank, NUMBER] = clearance
+    expected = signals.contact.displaced(clearance=opened)
+    flanks = np.where(np.arange(2) == flank, clearance, 0.0)
+    assert rms(expected) > 0.05 * ARCSEC
+    assert rms(response(signals, SLOT, *flanks) - expected) < 0.02 * rms(expected)
+    if clearance >= 1e-5:
+        linear = EFFECT.columns(signals, place(SLOT)) @ flanks
+        assert rms(linear - expected) > 0.3 * rms(expected)
+
+
+@MEMBERS
+def test_the_response_grows_until_the_pair_parts(signals: Signals, member: float) -> None:
+    """Then it stays: no torque in this record can bend the others by as much as the greatest of these."""
+    sizes = [0.0, 1e-6, 4e-6, 1e-5, 2e-5, 4e-5, 8e-5, 1.6e-4]
+    for way in ([1.0, 0.0], [0.0, 1.0]):
+        found = np.abs([response(signals, member, *(size * np.array(way))) for size in sizes])
+        assert np.all(np.diff(found, axis=0) >= -1e-15)
+        assert rms(found[3]) > 1.5 * rms(found[1])
+        assert_allclose(found[-1], found[-2], rtol=1e-9, atol=1e-18)
+        assert 1.0 * ARCSEC < found[-1].max() < 10.0 * ARCSEC
+
+
+@MEMBERS
+def test_flanks_bear_one_torque_each(signals: Signals, member: float) -> None:
+    """The response to both is the sum: a moment loads one of them only."""
+    both = response(signals, member, 5e-5, 3e-5)
+    parts = response(signals, member, 5e-5, 0.0), response(signals, member, 0.0, 3e-5)
+    assert_allclose(both, parts[0] + parts[1], rtol=1e-12, atol=1e-18)
+    loaded = np.abs(signals.torque) > 5.0
+    assert not np.any((parts[0] != 0.0) & (parts[1] != 0.0) & loaded)
+
+
+@MEMBERS
+def test_a_part_of_a_record_is_that_part(signals: Signals, member: float) -> None:
+    rows = slice(1000, 1200)
+    whole = response(signals, member, 5e-5, 3e-5)[rows]
+    assert_allclose(response(signals.part(rows), member, 5e-5, 3e-5), whole, rtol=1e-12)
+
+
+@MEMBERS
+@pytest.mark.parametrize("number", [0, 1, 77, 199])
+def test_neighbours_on_both_sides_and_at_the_other_lobe(signals: Signals, member: float, number: int) -> None:
+    count = 202 if member == SLOT else 200
+    found = EFFECT.beside(signals, (member, number * PITCH[member]))
+    away = [-2, -1, 1, 2, count // 2 - 1, count // 2, count // 2 + 1]
+    assert [kind for kind, _ in found] == [member] * len(away)
+    expected = [(number + one) % count * PITCH[member] for one in away]
+    assert_allclose([position for _, position in found], expected, atol=1e-12)
+    assert all(0.0 <= position < 2 * math.pi for _, position in found)
+
+
+def test_other_effects_are_their_columns_with_no_neighbours(signals: Signals) -> None:
+    size = np.array([1e-3, 2e-3])
+    assert type(RUNOUT).secant is Effect.secant
+    assert_array_equal(RUNOUT.secant(signals, size, ()), RUNOUT.columns(signals, ()))
+    assert_array_equal(RUNOUT.response(signals, size, ()), RUNOUT.columns(signals, ()) @ size)
+    assert RUNOUT.beside(signals, ()) == []
+
+
+def test_the_slots_most_alike_are_beside(signals: Signals) -> None:
+    """The next ones of all 202, and the most alike at the other lobe."""
+    size = np.array([5e-5, 3e-5])
+    here = response(signals, SLOT, *size)
+    alike = np.zeros(202)
+    for number in set(range(202)) - {NUMBER}:
+        there = EFFECT.response(signals, size, (SLOT, number * PITCH[SLOT]))
+        alike[number] = here @ there / math.sqrt(float(here @ here) * float(there @ there))
+    looked_at = {round(position / PITCH[SLOT]) for _, position in EFFECT.beside(signals, place(SLOT))}
+    assert set(np.argsort(alike)[-2:].tolist()) == {NUMBER - 1, NUMBER + 1}
+    assert alike.max() < 0.999
+    assert NUMBER + 20 + int(np.argmax(alike[NUMBER + 20 :])) in looked_at

@@ -1,0 +1,92 @@
+"""Waves without a name: even ones, and those that a torque of both signs scales, as cogging does."""
+
+import numpy as np
+import pytest
+from benches import Part, bench, swinging
+from joint_records import ARCSEC, columns, prepared
+
+from hd_diag.criticism.causes import Search
+from hd_diag.criticism.foils import FOILS
+from hd_diag.criticism.record import Record
+from hd_diag.criticism.unexplained import Line, lines
+from hd_diag.effects.signals import Signals
+
+ORDER = 3.37
+SIZE = 3.0 * ARCSEC
+
+
+def wave(order: float = ORDER, size: float = SIZE, frame: str = "input") -> Part:
+    def part(signals: Signals) -> np.ndarray:
+        angle = signals.wave_generator_angle if frame == "input" else 2.0 * np.pi * signals.time
+        return size * np.cos(order * angle + 1.0)
+
+    return part
+
+
+def loaded(order: float = ORDER, size: float = 2.0 * SIZE) -> Part:
+    """In proportion to the torque, with its sign; `size` at the greatest."""
+
+    def part(signals: Signals) -> np.ndarray:
+        return wave(order, size)(signals) * signals.torque / np.abs(signals.torque).max()
+
+    return part
+
+
+def found(*parts: Part, record: Record | None = None) -> list[Line]:
+    return lines(Search(bench(*parts, record=record), ()))
+
+
+def test_noise_has_no_lines() -> None:
+    assert found() == []
+
+
+@pytest.mark.parametrize(("order", "frame"), [(ORDER, "input"), (2.1, "time")])
+def test_a_wave_of_even_size(order: float, frame: str) -> None:
+    line = found(wave(order, SIZE, frame))[0]
+    assert (line.frame, line.description) == (frame, "")
+    assert line.order == pytest.approx(order, abs=0.02)
+    assert line.amplitude == pytest.approx(SIZE, rel=0.15)
+    assert line.torque_law == "independent of torque"
+    assert line.direction_law == "the same in both directions"
+
+
+def test_a_wave_in_proportion_to_the_torque_is_found() -> None:
+    """In the mean over both signs nothing of it is left."""
+    line = found(loaded())[0]
+    assert line.frame == "input"
+    assert line.order == pytest.approx(ORDER, abs=0.02)
+    torque = swinging().torque
+    expected = 2.0 * SIZE * np.sqrt(np.mean((torque / np.abs(torque).max()) ** 2))
+    assert line.amplitude == pytest.approx(expected, rel=0.15)
+    small, large = np.array(line.torque_law.removeprefix("grows with torque: ").split()[:3:2], dtype=float)
+    assert 0.0 < 2.0 * small < large < 2.0 * SIZE / ARCSEC
+    assert line.direction_law == "the same in both directions"
+
+
+def test_a_torque_of_one_sign_is_looked_at_evenly() -> None:
+    """There a wave that grows with the torque has a mean, and its law is told all the same."""
+    line = found(loaded(), record=prepared(columns()))[0]
+    assert line.order == pytest.approx(ORDER, abs=0.02)
+    assert line.torque_law.startswith("grows with torque")
+
+
+def test_two_waves_the_stronger_first() -> None:
+    told = found(wave(ORDER, SIZE), wave(5.9, 2.0 * SIZE))
+    assert [line.order for line in told] == pytest.approx([5.9, ORDER], abs=0.02)
+
+
+def test_a_wave_smaller_than_is_of_use_is_not_told() -> None:
+    assert found(wave(ORDER, 0.2 * ARCSEC)) == []
+
+
+def test_a_nameless_shape_is_told_with_its_words() -> None:
+    foil = next(one for one in FOILS if one.name == "even_torque")
+
+    def part(signals: Signals) -> np.ndarray:
+        return foil.columns(signals, ()) @ np.array([20.0 * ARCSEC, 0.0])
+
+    made = bench(part)
+    line = lines(Search(made, (), ((foil, ()),)))[0]
+    assert (line.order, line.frame, line.description) == (0.0, "input", foil.description)
+    expected = np.sqrt(2.0) * np.std(part(made.signals))
+    assert line.amplitude == pytest.approx(expected, rel=0.1)
