@@ -10,10 +10,12 @@ import json
 import os
 import signal
 import tempfile
+import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import rclpy
@@ -63,6 +65,9 @@ _EXPECTED_TOPICS = (
 _ANSWER_LIMIT = 10.0  # for a parameter to be answered, and to show in the diagnostics [s]
 
 
+_STOP = threading.Event()
+
+
 class Observer(Node):
     """The demo's own node: listens to the diagnostics and sets parameters of the node under show."""
 
@@ -91,6 +96,8 @@ class Observer(Node):
         end = time.monotonic() + seconds
         self._arrived.clear()
         while (left := end - time.monotonic()) > 0.0:
+            if _STOP.is_set():  # the exception was swallowed by a callback that ran just then
+                raise KeyboardInterrupt
             rclpy.spin_once(self, timeout_sec=min(left, 0.1))
             while self._arrived:
                 yield self._arrived.popleft()
@@ -197,6 +204,11 @@ def run(folder: Path | None, seconds: float) -> dict[str, Any]:
     return summary
 
 
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    _STOP.set()
+    raise KeyboardInterrupt
+
+
 def _folder(folder: Path | None) -> Path:
     try:
         if folder is None:
@@ -227,9 +239,9 @@ def _processes(folder: Path, seconds: float) -> Iterator[tuple[Child, Child]]:
     true = {"joints": [_JOINT], _MAGNITUDE: TRUE_ECCENTRICITY * 1e-6}
     (folder / "joint.yaml").write_text(dump(resolve(true)), encoding="utf-8")
     length = str(seconds + len(ECCENTRICITIES) * _ANSWER_LIMIT)
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     with contextlib.ExitStack() as stack:
-        stack.callback(signal.signal, signal.SIGTERM, before)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            stack.callback(signal.signal, number, signal.signal(number, _interrupt))
         node = stack.enter_context(
             Child(
                 "hd_diag.node",

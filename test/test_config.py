@@ -16,7 +16,8 @@ from hd_diag.demo_process import Child
 from hd_diag.parameter_file import read
 
 ROOT = Path(__file__).resolve().parent.parent
-FILES = sorted((ROOT / "config").glob("*.yaml"))
+OTHERS = ("diagnostic_aggregator.yaml",)  # parameters of another node
+FILES = sorted(path for path in (ROOT / "config").glob("*.yaml") if path.name not in OTHERS)
 EXAMPLE = ROOT / "config/example_drive.yaml"
 KNOWN = parameters(["joint_1"])
 

@@ -50,8 +50,9 @@ def thinned(record: Record, limit: int = LIMIT) -> Record:
     Record
         The same where it is short enough. Else stretches, one in each of as many cells as there can be: cells
         divide the runs evenly, or the record where it has many runs. Where in its cell a stretch lies is
-        chosen so that torques, speeds, directions and places of the output's turn are covered. Between stretches there are single rows, at which the torque or the input turns
-        back: friction remembers those. `stretch` joins them, `whole` tells what the record covers.
+        chosen so that torques, speeds, directions and places of the output's turn are covered. Between
+        stretches there are single rows, at which the torque or the input turns back: friction remembers
+        those. `stretch` joins them, `whole` tells what the record covers.
     """
     if record.size <= limit:
         return record
@@ -112,12 +113,12 @@ def _wanted(share: Floats) -> Floats:
     """Shares half-way to equal ones: what is rare in a record is what tells the model's parameters apart."""
     parts = [share[group] for group in _GROUPS]
     return np.concatenate(
-        [0.5 * part + 0.5 * (part > _RARE) / max(np.sum(part > _RARE), 1) for part in parts]
+        [0.5 * part + 0.5 * (part > _RARE) / max(int(np.sum(part > _RARE)), 1) for part in parts]
     )
 
 
 class _Looks:
-    """What rows show: the torque, the speed, both together, and the sector of the output's turn, in levels."""
+    """What rows show: torque, speed, both together, and the sector of the output's turn, in levels."""
 
     def __init__(self, record: Record) -> None:
         self._record = record

@@ -260,7 +260,7 @@ def yields(values: Floats, limits: Floats) -> tuple[Share, list[Share]]:
     """
     within = values <= limits[:, None]
     each = [_share(within[:, k, :]) for k in range(limits.size)]
-    return _share(within.all(axis=1)), each
+    return _share(np.asarray(within.all(axis=1))), each
 
 
 def tolerance_at(share: Share, tolerances: Floats, target: float) -> float:

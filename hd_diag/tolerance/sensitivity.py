@@ -75,7 +75,7 @@ def indices(model: Callable[[Floats], Floats], factors: int, samples: int, seed:
         mixed[k, :, k] = second[:, k]
     output = model(np.concatenate((first, second, mixed.reshape(-1, factors))))
     blocks = np.moveaxis(output.reshape(factors + 2, samples, -1), 2, 1)  # (2 + factors, outputs, samples)
-    finite = np.isfinite(blocks).all(axis=(0, 2))
+    finite = np.asarray(np.isfinite(blocks).all(axis=(0, 2)))
     estimate = _estimate(np.where(finite[:, None], blocks, 0.0))
     again = _again(np.where(finite[:, None], blocks, 0.0), np.random.default_rng(seed))
     ends = 100.0 * np.array([0.5 * (1.0 - _CONFIDENCE), 0.5 * (1.0 + _CONFIDENCE)])
