@@ -62,6 +62,8 @@ pytest: install
 	@$(call IN,test) pytest -n 2 --dist loadfile $(PYTEST_ARGS)
 
 # What does not depend on numpy is tested once, above.
+ONCE = test_colcon.py test_package.py test_replay_live.py test_challenge_benchmark.py test_docs.py test_demo.py \
+       test_report_browser.py test_watch.py test_watch_live.py test_layouts.py test_fleet_cluster.py test_fleet_work.py
 pytest-ubuntu:
 	@python=$$(sh scripts/find_python.sh '$(PYTHON)') && \
 	if "$$python" -c 'import sys; sys.exit(sys.version_info < (3, 13))'; then \
@@ -70,9 +72,7 @@ pytest-ubuntu:
 	else \
 	    $(ENVIRONMENT) ubuntu "$$python" && \
 	    echo "== Tests, numpy 1.26 and scipy 1.11 as in Ubuntu 24.04 (a few minutes)" && \
-	    $(call IN,ubuntu) pytest -n 2 --dist loadfile --ignore test/test_colcon.py --ignore test/test_package.py \
-	        --ignore test/test_replay_live.py --ignore test/test_challenge_benchmark.py --ignore test/test_docs.py \
-	        $(PYTEST_ARGS); \
+	    $(call IN,ubuntu) pytest -n 2 --dist loadfile $(addprefix --ignore test/,$(ONCE)) $(PYTEST_ARGS); \
 	fi
 
 challenge:
