@@ -62,7 +62,9 @@ def diagnose(
 
     The model's own parameters are refitted first; causes are then searched among the catalogue's and named
     only where data that nothing was fitted to confirm them. Several bags are runs of the same joint. "None
-    of the known causes" and "this record cannot tell these apart" are answers too.
+    of the known causes" and "this record cannot tell these apart" are answers too. A record too long to be
+    fitted is looked through sample by sample for a wrong ratio, steps and outliers; stretches spread over
+    all of it are fitted.
     """
     config = configured(config_file)
     if model_file is not None and not model_file.parent.is_dir():
