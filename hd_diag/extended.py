@@ -21,8 +21,6 @@ Floats = npt.NDArray[np.float64]
 TORQUE_RANGE = 2.0
 """Torque that the map of a running joint reaches, over the rated torque [-]; beyond, it is exact."""
 
-_SLOPE_STEP = 0.01  # of the rated torque; half the width over which dTE/dT is taken: over the breaks of pairs
-
 
 class Term(NamedTuple):
     """An effect at its size: its coefficients, and the values of its nonlinear quantities."""
@@ -151,7 +149,7 @@ class ExtendedModel:
                 parts.append(part)
             return np.concatenate(parts), state
         own = transmission_error(self.drive, input_angle, torque, table)
-        signals = self._signals(state, time, input_angle, speed, torque, temperature, own, table)
+        signals = self._signals(state, time, input_angle, speed, torque, temperature, own)
         total, after = own + self.offset, []
         for term, before in zip(self.effects, state.effects, strict=True):
             part, following = term.effect.respond(
@@ -191,7 +189,6 @@ class ExtendedModel:
         torque: Floats,
         temperature: Floats | None,
         own: Floats,
-        table: TorsionMap | None,
     ) -> Signals:
         step = _change(time, state.time)
         moved = _rate(_change(angle, state.angle), step)
@@ -206,17 +203,10 @@ class ExtendedModel:
             temperature=temperature,
             run=np.zeros(time.size, dtype=np.int64),
             predicted=own,
-            predicted_torque_slope=self._slope(angle, torque, table),
+            predicted_torque_slope=np.full(torque.shape, np.nan),  # for fits only
             predicted_rate=_rate(_change(own, state.predicted), step),
             contact=_Contact(self.drive, turned, torque, model=self),
         )
-
-    def _slope(self, angle: Floats, torque: Floats, table: TorsionMap | None) -> Floats:
-        if "predicted_torque_slope" not in self.needs:
-            return np.full(torque.shape, np.nan)
-        step = _SLOPE_STEP * self.drive.rated_torque
-        ends = [transmission_error(self.drive, angle, torque + sign * step, table) for sign in (-1.0, 1.0)]
-        return np.asarray((ends[1] - ends[0]) / (2.0 * step))
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.criticism.design import f_test, holds
+from hd_diag.criticism.design import f_test, holds, orthonormal
 from hd_diag.criticism.foils import Foil
 from hd_diag.criticism.ranking import Candidate
 from hd_diag.criticism.workbench import Chosen, Workbench
@@ -68,9 +68,7 @@ def kept(bench: Workbench, chosen: Chosen) -> Chosen:
 
 def held_out_gain(bench: Workbench, chosen: Chosen, index: int) -> tuple[Floats, Floats]:
     """What one of the chosen effects brings in blocks not fitted; see :meth:`Design.held_out_gain`."""
-    widths = [bench.columns(*item).shape[1] for item in chosen]
-    first = bench.always_white.shape[1] + sum(widths[:index])
-    return bench.design(chosen).held_out_gain(slice(first, first + widths[index]))
+    return bench.design(chosen).held_out_gain(bench.places(chosen)[index])
 
 
 def size(bench: Workbench, chosen: Chosen, effect: Effect, nonlinear: tuple[float, ...]) -> float:
@@ -79,7 +77,7 @@ def size(bench: Workbench, chosen: Chosen, effect: Effect, nonlinear: tuple[floa
     beta, _, _ = bench.fit((*chosen, (effect, nonlinear)))
     part = columns @ beta[-columns.shape[1] :]
     fixed = np.concatenate((bench.always(), bench.joined(chosen)), axis=1)
-    basis = np.linalg.qr(fixed / np.maximum(np.linalg.norm(fixed, axis=0), 1e-300))[0]
+    basis = orthonormal(fixed)
     own = part - basis @ (basis.T @ part)
     return float(np.sqrt(np.mean(own**2)))
 

@@ -130,6 +130,11 @@ def design(columns: Floats, target: Floats, block: Integers, counted: npt.NDArra
     return Design(gram, moment, square, int(np.count_nonzero(counted)))
 
 
+def orthonormal(columns: Floats) -> Floats:
+    """Basis of columns of any scale, shape (n, k)."""
+    return np.linalg.qr(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))[0]
+
+
 def f_test(before: float, after: float, added: int, rows: int, fitted: int) -> float:
     """Chance of such a gain by noise alone.
 

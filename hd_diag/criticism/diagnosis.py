@@ -231,12 +231,9 @@ def _left_by(bench: Workbench, trained: Workbench, chosen: Chosen) -> Floats:
     beta, _, _ = trained.fit(chosen)
     fixed = bench.always()
     left = bench.uncorrected - fixed @ beta[: fixed.shape[1]]
-    at = fixed.shape[1]
-    for effect, nonlinear in chosen:
-        if isinstance(effect, Foil):
-            continue
-        left = left - bench.full_size(effect, nonlinear, beta[at : at + effect.size])
-        at += effect.size
+    for (effect, nonlinear), place in zip(chosen, trained.places(chosen), strict=True):
+        if not isinstance(effect, Foil):
+            left = left - bench.full_size(effect, nonlinear, beta[place])
     return np.asarray(left)
 
 

@@ -51,10 +51,9 @@ def slopes(bench: Workbench, chosen: Chosen) -> Floats:
         [rad] per unit, effect by effect; k = 0 where all effects are linear.
     """
     beta, _, _ = bench.fit(chosen)
-    at, found = bench.always_white.shape[1], []
-    for effect, nonlinear in chosen:
-        width = bench.columns(effect, nonlinear).shape[1]
-        coefficients, at = beta[at : at + width], at + width
+    found = []
+    for (effect, nonlinear), place in zip(chosen, bench.places(chosen), strict=True):
+        coefficients = beta[place]
         step = 0.01 * bench.grid_step(effect, nonlinear) if free(effect) else np.empty(0)
         for index in free(effect):
             ends = [_moved(effect, nonlinear, index, sign * step[index]) for sign in (-1.0, 1.0)]
@@ -73,15 +72,13 @@ def covariance(bench: Workbench, chosen: Chosen) -> tuple[Floats, list[npt.NDArr
     places : list of ndarray
         For every effect the rows of its coefficients and then of its nonlinear values; -1: not free.
     """
-    widths = [bench.columns(*item).shape[1] for item in chosen]
-    first = bench.always_white.shape[1]
-    last, places = first + sum(widths), []
-    for (effect, nonlinear), width in zip(chosen, widths, strict=True):
+    linear = bench.places(chosen)
+    last, places = linear[-1].stop if linear else 0, []
+    for (effect, nonlinear), place in zip(chosen, linear, strict=True):
         inner = np.full(len(nonlinear), -1)
         for index in free(effect):
             inner[index], last = last, last + 1
-        places.append(np.concatenate((np.arange(first, first + width), inner)))
-        first += width
+        places.append(np.concatenate((np.arange(place.start, place.stop), inner)))
     return bench.fit(chosen, slopes(bench, chosen))[1], places
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.criticism.design import f_test, solve, surprise
+from hd_diag.criticism.design import f_test, orthonormal, solve, surprise
 from hd_diag.criticism.workbench import SEARCHED, Chosen, Workbench
 from hd_diag.effects.effect import Effect
 
@@ -38,8 +38,7 @@ class Projector:
     def __init__(self, bench: Workbench, chosen: Chosen) -> None:
         parts = [bench.always_white, *(bench.white(effect, nonlinear) for effect, nonlinear in chosen)]
         fixed = np.concatenate(parts, axis=1)
-        scale = np.maximum(np.linalg.norm(fixed, axis=0), 1e-300)
-        self.basis = np.linalg.qr(fixed / scale)[0]
+        self.basis = orthonormal(fixed)
         self.rest = bench.left_white - self.basis @ (self.basis.T @ bench.left_white)
         self.deviance = float(self.rest @ self.rest)
         self.rows = int(np.count_nonzero(bench.left_white))

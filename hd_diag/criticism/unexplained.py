@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from hd_diag.criticism.acceptance import LEAST_SIZE
 from hd_diag.criticism.causes import Search
-from hd_diag.criticism.design import f_test, lower_bound
+from hd_diag.criticism.design import f_test, lower_bound, orthonormal
 from hd_diag.criticism.foils import Foil
 from hd_diag.criticism.noise import Whitening, whitening
 from hd_diag.criticism.workbench import Chosen, Workbench
@@ -52,9 +52,10 @@ class Line:
 
 @dataclass(frozen=True)
 class Wave:
-    """A line with the columns that hold it, shape (n, 2)."""
+    """A line with the columns that hold it, shape (n, 2), and its part of the remainder, shape (n,) [rad]."""
 
     columns: Floats
+    part: Floats
     line: Line
 
 
@@ -78,21 +79,16 @@ def lines(found: Search) -> list[Line]:
         if wave is None:
             break
         columns.append(wave.columns)
-        rest = rest - wave.columns @ np.linalg.lstsq(wave.columns, rest, rcond=None)[0]
+        rest = rest - wave.part
         result.append(wave.line)
     return result
 
 
 def _shape(found: Search, foil: Foil) -> Line:
     """A part without a period; its amplitude is root two of its rms."""
-    bench, at = found.bench, found.bench.always_white.shape[1]
+    bench, index = found.bench, [effect for effect, _ in found.chosen].index(foil)
     beta, _, _ = bench.fit(found.chosen)
-    for effect, nonlinear in found.chosen:
-        columns = bench.columns(effect, nonlinear)
-        if effect is foil:
-            break
-        at += columns.shape[1]
-    part = columns @ beta[at : at + columns.shape[1]]
+    part = bench.columns(*found.chosen[index]) @ beta[bench.places(found.chosen)[index]]
     part = part - part.mean()
     amplitude = float(np.sqrt(2.0) * np.std(part))
     rest, wave = part + bench.remainder(found.chosen), part / max(amplitude, 1e-300)
@@ -122,15 +118,15 @@ def _strongest(bench: Workbench, chosen: Chosen, rest: Floats, taken: list[Float
     parts = [bench.always(), bench.joined(chosen), *taken, pair]
     # Noise is learnt beside the wave, or a strong one would count as noise.
     columns = np.concatenate(parts, axis=1)
-    learnt = whitening(rest - pair @ np.linalg.lstsq(pair, rest, rcond=None)[0], bench.run)
+    coefficients = np.linalg.lstsq(pair, rest, rcond=None)[0]
+    part = pair @ coefficients
+    learnt = whitening(rest - part, bench.run)
     white, left = learnt(columns, bench.run), learnt(bench.left, bench.run)
     before, after = _deviance(left, white[:, :-2]), _deviance(left, white)
     counted = int(np.count_nonzero(bench.left_white))
     turns = float(np.ptp(bench.signals.wave_generator_angle)) / (2.0 * np.pi)
     tests = 8.0 * _MOST_ORDERS * max(turns, 1.0)
     p = tests * f_test(before, after, 2, counted, columns.shape[1])
-    coefficients = np.linalg.lstsq(pair, rest, rcond=None)[0]
-    part = pair @ coefficients
     amplitude = float(np.sqrt(2.0) * np.std(part))
     if p > _CHANCE or amplitude < np.sqrt(2.0) * LEAST_SIZE:
         return None
@@ -141,7 +137,7 @@ def _strongest(bench: Workbench, chosen: Chosen, rest: Floats, taken: list[Float
     if float(weight.min()) < 0.0:
         wave *= np.sign(bench.signals.torque)
     laws = _torque_law(bench, rest, wave), _direction_law(bench, rest, wave)
-    return Wave(pair, Line(order, frame, amplitude, *laws))
+    return Wave(pair, part, Line(order, frame, amplitude, *laws))
 
 
 def _weights(bench: Workbench) -> list[Floats]:
@@ -153,7 +149,7 @@ def _weights(bench: Workbench) -> list[Floats]:
 
 
 def _deviance(left: Floats, columns: Floats) -> float:
-    basis = np.linalg.qr(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))[0]
+    basis = orthonormal(columns)
     rest = left - basis @ (basis.T @ left)
     return float(rest @ rest)
 

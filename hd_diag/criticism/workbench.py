@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -119,6 +120,11 @@ class Workbench:
         parts = [self.columns(effect, nonlinear) for effect, nonlinear in chosen]
         return np.concatenate(parts, axis=1) if parts else np.empty((self.left.size, 0))
 
+    def places(self, chosen: Chosen) -> list[slice]:
+        """Where the coefficients of every chosen effect stand in a fit."""
+        edges = np.cumsum([self.always_white.shape[1], *(self.columns(*item).shape[1] for item in chosen)])
+        return [slice(first, last) for first, last in pairwise(edges.tolist())]
+
     def remainder(self, chosen: Chosen) -> Floats:
         """What the model with some effects leaves, shape (n,) [rad]."""
         beta, _, _ = self.fit(chosen)
@@ -138,12 +144,9 @@ class Workbench:
     def correct(self, chosen: Chosen) -> None:
         """Take what the chosen effects are at full size beyond their columns out of what the model leaves."""
         beta, _, _ = self.fit(chosen)
-        at = self.always_white.shape[1]
         correction = np.zeros(self.left.size)
-        for effect, nonlinear in chosen:
-            columns = self.columns(effect, nonlinear)
-            coefficients = beta[at : at + columns.shape[1]]
-            at += columns.shape[1]
+        for (effect, nonlinear), place in zip(chosen, self.places(chosen), strict=True):
+            columns, coefficients = self.columns(effect, nonlinear), beta[place]
             if type(effect).secant is not Effect.secant:
                 key = (effect.name, nonlinear)
                 self._columns[key] = np.nan_to_num(effect.secant(self.signals, coefficients, nonlinear))
