@@ -9,6 +9,7 @@ from joint_records import ARCSEC, RATIO, columns, joint, prepared
 from hd_diag.criticism.checks import check_ramp, check_ratio, find_steps
 from hd_diag.criticism.diagnosis import diagnose
 from hd_diag.criticism.record import Record
+from hd_diag.simulation import Motion, Noise, SimulatedJoint, simulate
 
 PITCH = joint().drive.mesh.geometry.tooth_pitch
 
@@ -55,6 +56,24 @@ def test_a_ratio_that_is_slightly_wrong_is_found_as_a_ramp(record: Record, fract
     found = check_ramp(wrong, RATIO)
     assert found is not None
     assert found.value == pytest.approx(RATIO * (1.0 + fraction), abs=RATIO * 1e-5)
+
+
+@pytest.mark.parametrize("seconds", [17.5, 18.5, 24.0, 31.0, 47.0])
+def test_a_large_eccentricity_over_a_part_of_a_turn_is_no_ramp(seconds: float) -> None:
+    """One way, one load: ripple that ends anywhere in its turn must not lean."""
+    count = round(250.0 * seconds)
+    drive = joint(eccentricity__magnitude=18e-6).drive
+    motion = Motion(60.0, 250.0, (13.2,), (14.0,), both_directions=False, ramp_share=0.01, rest_share=0.0)
+    run = simulate(SimulatedJoint(drive, Noise(white=ARCSEC)), motion, np.random.default_rng(0))
+    given = {
+        "time": 1e-9 * (run.stamp - run.stamp[0]),
+        "input": run.input_angle,
+        "output": run.output_angle,
+        "torque": run.torque,
+    }
+    record = prepared({name: column[:count] for name, column in given.items()})
+    assert check_ratio(record, RATIO) is None
+    assert check_ramp(record, RATIO) is None
 
 
 def test_a_ramp_is_not_looked_for_where_nothing_tells_it_from_torsion(record: Record) -> None:

@@ -17,8 +17,10 @@ Integers = npt.NDArray[np.int64]
 _RATIO_MISS = 2e-3  # relative; more than any transmission error can make of a turn
 _RAMP_MISS = 3e-5  # relative
 _RAMP_ERROR = 1e-4  # [rad]; what is not fitted beside a ramp may lean by this over a run
-_LEAST_REACH = 1.5  # of a run at the output [rad]
+_LEAST_REACH = 2.5  # of a run at the output [rad]; over less, a wave of the output bends like a ramp
 _PARTS = 6
+_CLUSTERS = 60
+_INPUT_ORDERS = (1, 2, 4)  # of waves that any gear may have
 _STEP = 0.25  # of a tooth pitch
 
 
@@ -77,15 +79,16 @@ def check_ramp(record: Record, ratio: float) -> Finding | None:
 
     Notes
     -----
-    Torsion, friction and runout are fitted beside the ramps, one for each of `_PARTS` parts. Without a
-    measured torque nothing tells torsion from a ramp, over a small part of a turn nothing tells runout.
+    Torsion, friction, runout and the gear's ripple are fitted beside the ramps, one for each of `_PARTS`
+    parts. Without a measured torque nothing tells torsion from a ramp, over a small part of a turn nothing
+    tells runout.
     """
     reach = float(np.ptp(_centered(record.input_angle / ratio, record.run)))
     if not record.has_torque or reach < _LEAST_REACH:
         return None
-    ramps = _ramps(record, ratio)
+    ramps, deviation = _ramps(record, ratio)
     mean = float(ramps.mean())
-    spread = float(ramps.std(ddof=1)) / np.sqrt(ramps.size)
+    spread = max(float(ramps.std(ddof=1)) / np.sqrt(ramps.size), deviation)
     if abs(mean) > max(_RAMP_MISS, _RAMP_ERROR / reach, 6.0 * spread):
         return _wrong_ratio(ratio / (1.0 + mean), ratio)
     return None
@@ -116,21 +119,37 @@ def _usual_slope(record: Record) -> float:
     return float(slope[order][min(int(half), order.size - 1)])
 
 
-def _ramps(record: Record, ratio: float) -> Floats:
-    """Error per output angle in each part of a record, shape (_PARTS,) [-]."""
+def _ramps(record: Record, ratio: float) -> tuple[Floats, float]:
+    """Error per output angle in each part of a record, shape (_PARTS,) [-], and their mean's deviation.
+
+    The deviation takes what is left as dependent within `_CLUSTERS` stretches.
+    """
     ideal = record.input_angle / ratio
     load = record.torque / max(float(np.max(np.abs(record.torque))), 1e-9)
-    shared = (load, load * np.abs(load), load**3, record.speed, np.cos(ideal), np.sin(ideal))
-    part = np.arange(record.size) * _PARTS // record.size
+    waves = [wave for order in _INPUT_ORDERS for wave in _waves(order * record.input_angle)]
+    shared = (
+        *(load, load * np.abs(load), load**3, record.speed),
+        *_waves(ideal),
+        *waves,
+        *(load * wave for wave in waves),
+    )
+    rows = np.arange(record.size)
+    part = rows * _PARTS // record.size
     way = _centered(ideal, record.run)
-    columns = [way * (part == number) for number in range(_PARTS)] + [
-        _centered(c, record.run) for c in shared
-    ]
-    scale = [max(float(np.linalg.norm(c)), 1e-300) for c in columns]
-    scaled = np.stack([c / s for c, s in zip(columns, scale, strict=True)], axis=1)
+    columns = [way * (part == number) for number in range(_PARTS)]
+    columns += [_centered(column, record.run) for column in shared]
+    scale = np.array([max(float(np.linalg.norm(c)), 1e-300) for c in columns])
+    scaled = np.stack(columns, axis=1) / scale
     error = _centered(record.output_angle - ideal, record.run)
-    found = np.linalg.lstsq(scaled, error, rcond=1e-6)[0] / scale
-    return np.asarray(found[:_PARTS])
+    inverse = np.linalg.pinv(scaled, rcond=1e-6)
+    found = inverse @ error
+    weight = (inverse[:_PARTS] / scale[:_PARTS, None]).mean(axis=0)
+    cluster = np.bincount(rows * _CLUSTERS // record.size, weight * (error - scaled @ found))
+    return np.asarray((found / scale)[:_PARTS]), float(np.sqrt(np.sum(cluster**2)))
+
+
+def _waves(angle: Floats) -> tuple[Floats, Floats]:
+    return np.cos(angle), np.sin(angle)
 
 
 def _centered(values: Floats, run: Integers) -> Floats:
