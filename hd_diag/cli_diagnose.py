@@ -7,28 +7,21 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.console import Console
 
-from hd_diag.cli_options import CONFIG, JSON, Problem, chosen_joints, configured, problems, write_json
-from hd_diag.cli_report import check_folder, joint_report, write_report
+from hd_diag.cli_options import CONFIG, JOINTS, JSON, Problem, chosen_joints, configured, problems
+from hd_diag.cli_record import BAGS, COLUMNS, DIVIDED, check_targets, diagnosed, telling, write_diagnoses
+from hd_diag.cli_report import joint_report, write_report
 from hd_diag.config import JOINT_PARAMETERS, Config, JointConfig
-from hd_diag.criticism.record import Record, RecordError
+from hd_diag.criticism.record import RecordError
 from hd_diag.model_file import write
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
-@click.argument("bags", nargs=-1, required=True, type=click.Path(path_type=Path))
+@BAGS
 @CONFIG
-@click.option("--joint", "names", multiple=True, help="Joint; repeatable. [default: all configured]")
-@click.option(
-    "--columns",
-    "columns",
-    metavar="time=T,input=I,output=O[,torque=M,temperature=C,record=R]",
-    help="The BAG is a CSV file with these columns [s, rad, rad, N m, degree Celsius].",
-)
-@click.option(
-    "--input-divided", is_flag=True, help="In a CSV file the input angle is already divided by the ratio."
-)
+@JOINTS
+@COLUMNS
+@DIVIDED
 @click.option(
     "--fail-on-cause", is_flag=True, help="Exit with 1 where a cause or something unexplained is found."
 )
@@ -67,10 +60,7 @@ def diagnose(
     all of it are fitted.
     """
     config = configured(config_file)
-    if model_file is not None and not model_file.parent.is_dir():
-        raise Problem(f"{model_file}: cannot be written: no such folder")
-    if report_file is not None:
-        check_folder(report_file)
+    check_targets(bags, model_file, report_file, json_file)
     results, pages = [], []
     chosen = chosen_joints(config, names)
     for joint in chosen:
@@ -79,21 +69,18 @@ def diagnose(
             path = path.with_name(f"{path.stem}_{joint.name}{path.suffix}")
         result = _one(bags, joint, config, columns, input_divided, path)
         results.append(result)
-        found = result.pop("diagnosis")
+        found, lines = result.pop("diagnosis"), result.pop("lines")
         if report_file is not None:
             pages.append(joint_report(found, joint, config))
         if json_file != "-":
-            for line in result["lines"]:
+            for line in lines:
                 click.echo(f"{joint.name}: {line}")
         del found  # its arrays, before the next joint's
     if report_file is not None:
         write_report(report_file, pages, bags)
         click.echo(f"report written: {report_file}", err=json_file == "-")
     if json_file:
-        plain = [{key: value for key, value in result.items() if key != "lines"} for result in results]
-        write_json(
-            json_file, plain[0] if len(plain) == 1 else {"schema": "hd_diag/diagnoses/1", "joints": plain}
-        )
+        write_diagnoses(json_file, results)
     named = any(result["causes"] or result["unexplained"] for result in results)
     sys.exit(1 if fail_on_cause and named else 0)
 
@@ -106,21 +93,11 @@ def _one(
     divided: bool,
     model_file: Path | None,
 ) -> dict[str, Any]:
-    from hd_diag.criticism.diagnosis import diagnose as criticise
-    from hd_diag.criticism.screening import screened
     from hd_diag.verdict import as_json, model_document, summary
 
-    console = Console(stderr=True)
     try:
-        if console.is_terminal:
-            with console.status(f"{joint.name}: reading") as status:
-                looked = screened(_record(bags, joint, columns, divided), joint.configured)
-                result = criticise(
-                    looked, joint.configured, lambda text: status.update(f"{joint.name}: {text}")
-                )
-        else:
-            looked = screened(_record(bags, joint, columns, divided), joint.configured)
-            result = criticise(looked, joint.configured)
+        with telling(joint.name) as progress:
+            result = diagnosed(bags, joint, columns, divided, progress)
     except RecordError as error:
         raise Problem(f"{joint.name}: {error}") from error
     lines, written = summary(result), None
@@ -132,16 +109,3 @@ def _one(
         written = str(model_file)
         lines.append(f"model written: {written}")
     return {**as_json(result, joint.name, written), "lines": lines, "diagnosis": result}
-
-
-def _record(bags: tuple[Path, ...], joint: JointConfig, columns: str | None, divided: bool) -> Record:
-    from hd_diag.recording import read_bags, read_table
-
-    if columns is None:
-        return read_bags(bags, joint)
-    pairs = [item.split("=", 1) for item in columns.split(",")]
-    if any(len(pair) != 2 for pair in pairs):
-        raise Problem("--columns takes pairs like time=t,input=motor_position,output=joint_position")
-    if len(bags) > 1:
-        raise Problem("only one CSV file at a time")
-    return read_table(bags[0], {key.strip(): name.strip() for key, name in pairs}, joint, divided)

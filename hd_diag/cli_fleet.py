@@ -15,9 +15,18 @@ from typing import TYPE_CHECKING, Any
 import click
 from rich.console import Console
 
-from hd_diag.bag import check_output
 from hd_diag.cli_bags import INTERRUPTED, bar, interrupts
-from hd_diag.cli_options import CONFIG, JSON, Problem, chosen_joints, configured, problems, write_json
+from hd_diag.cli_options import (
+    CONFIG,
+    JOINTS,
+    JSON,
+    Problem,
+    check_target,
+    chosen_joints,
+    configured,
+    problems,
+    write_json,
+)
 from hd_diag.config import JointConfig
 from hd_diag.fleet.errors import FleetError
 
@@ -28,6 +37,7 @@ if TYPE_CHECKING:
 
 _NEEDED = ("pyarrow", "ruptures")
 _MEMORY_SHARE = 0.9  # of the machine's, for all workers together
+_BAG_TIMEOUT = 1800.0  # [s]
 _ERRORS_SHOWN = 20
 
 
@@ -36,7 +46,7 @@ _ERRORS_SHOWN = 20
     "bags", metavar="BAGS_OR_FOLDERS...", nargs=-1, required=True, type=click.Path(path_type=Path)
 )
 @CONFIG
-@click.option("--joint", "names", multiple=True, help="Joint; repeatable. [default: all configured]")
+@JOINTS
 @click.option("--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="*.parquet")
 @click.option(
     "--figure", type=click.Path(dir_okay=False, path_type=Path), help="Draw the series: *.png, *.pdf, ..."
@@ -47,6 +57,15 @@ _ERRORS_SHOWN = 20
     type=click.FloatRange(min=0.0, min_open=True),
     help="What each process may have [GiB]; a bag that needs more gets an error. "
     "[default: 90 % of the machine's over the processes]",
+)
+@click.option(
+    "--bag-timeout",
+    type=click.FloatRange(min=0.0),
+    metavar="SECONDS",
+    default=_BAG_TIMEOUT,
+    show_default=True,
+    help="What may be spent on looking at a bag, and on diagnosing each of its joints [s]; a bag that takes "
+    "longer gets an error and is tried again by the next run. 0 = any.",
 )
 @click.option(
     "--scheduler",
@@ -122,9 +141,7 @@ def _fleet(
     if len({os.path.realpath(path) for path in outputs}) < len(outputs):
         raise FleetError("--out, --json and --figure must be different files")
     for path in outputs:
-        if not path.parent.is_dir():
-            raise FleetError(f"{path}: cannot be written: no such folder")
-        check_output(path, *found)
+        check_target(path, *found)
     if options["figure"]:
         check_format(options["figure"])
     return Fleet(found, config, joints, _pattern(options["robot"]))
@@ -171,7 +188,7 @@ def _run(
         try:
             with _watched() as (tell, tick):
                 with _crew(options) as crew:
-                    rows = diagnose_fleet(chosen, crew, journal, tell, tick)
+                    rows = diagnose_fleet(chosen, crew, journal, tell, tick, options["bag_timeout"])
                 return rows, trends(series_of(rows, limits), tick)
         except KeyboardInterrupt:
             text = f"{len(journal.results)} results are in {path}; the same command goes on"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 
 import click
 
-from hd_diag.bag import BagError
+from hd_diag.bag import BagError, check_output
 from hd_diag.config import Config, ConfigError, JointConfig, load, resolve
 from hd_diag.demo_process import DemoError
 
@@ -45,6 +46,7 @@ CONFIG = click.option(
     type=click.Path(dir_okay=False),
     help="ROS parameter file; the example drive without.",
 )
+JOINTS = click.option("--joint", "names", multiple=True, help="Joint; repeatable. [default: all configured]")
 JSON = click.option(
     "--json",
     "json_file",
@@ -65,6 +67,22 @@ def chosen_joints(config: Config, names: tuple[str, ...]) -> list[JointConfig]:
         if name not in known:
             raise Problem(f"no joint {name!r} in the configuration; it has {', '.join(known)}")
     return [known[name] for name in names] or list(config.joints)
+
+
+def check_target(path: str | Path, *inputs: Path) -> None:
+    """Refuse before the work a file that could not be written, or that would overwrite an input; - is stdout.
+
+    Raises
+    ------
+    Problem, BagError
+        Where there is no such folder; where it is an input, or a part of one.
+    """
+    if path == "-":
+        return
+    if not Path(path).absolute().parent.is_dir():
+        raise Problem(f"{path}: cannot be written: no such folder")
+    # What does not exist, like links in a circle, is told when it is read.
+    check_output(path, *filter(os.path.exists, inputs))
 
 
 def write_json(path: str, result: Any) -> None:

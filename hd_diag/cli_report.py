@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
-from rich.console import Console
 
-from hd_diag.cli_options import CONFIG, Problem, chosen_joints, configured, problems
+from hd_diag.cli_options import CONFIG, JOINTS, JSON, Problem, chosen_joints, configured, problems
+from hd_diag.cli_record import BAGS, COLUMNS, DIVIDED, check_targets, diagnosed, telling, write_diagnoses
 from hd_diag.config import Config, JointConfig
 from hd_diag.criticism.record import RecordError
 
@@ -20,68 +19,74 @@ if TYPE_CHECKING:  # scipy and matplotlib are slow to import: only where they ar
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
-@click.argument("bags", nargs=-1, required=True, type=click.Path(path_type=Path))
+@BAGS
 @CONFIG
-@click.option("--joint", "names", multiple=True, help="Joint; repeatable. [default: all configured]")
+@JOINTS
+@COLUMNS
+@DIVIDED
 @click.option(
     "--out",
     type=click.Path(dir_okay=False, path_type=Path),
     help="Write the page here. [default: the first bag's name with .html]",
 )
+@JSON
 @problems
-def report(bags: tuple[Path, ...], config_file: str | None, names: tuple[str, ...], out: Path | None) -> None:
+def report(
+    bags: tuple[Path, ...],
+    config_file: str | None,
+    names: tuple[str, ...],
+    columns: str | None,
+    input_divided: bool,
+    out: Path | None,
+    json_file: str | None,
+) -> None:
     """Draw a bag: verdict, what to inspect, measured against simulated, teeth, data.
 
-    Diagnoses the bag as `hd-diag diagnose` does and writes one HTML file that needs nothing else. Where the
-    output angle was not measured, or the record cannot be judged, it shows the model's side of the motion and
-    says so. Several bags are runs of the same joint.
+    Diagnoses the bag as `hd-diag diagnose` does, with the same JSON, and writes one HTML file that needs
+    nothing else. Where a bag does not hold the output angle, or its record cannot be judged, it shows the
+    model's side of the motion and says so; the JSON then has the reason as "error". Several bags are runs of
+    the same joint.
     """
     config = configured(config_file)
     target = out or Path(f"{bags[0].stem}.html")
-    check_folder(target)
-    reports = []
+    check_targets(bags, target, json_file)
+    reports, results = [], []
     for joint in chosen_joints(config, names):
-        with _telling(joint.name) as progress:
-            reports.append(_of_joint(bags, joint, config, progress))
-        click.echo(f"{joint.name}: {reports[-1].verdict}")
+        with telling(joint.name) as progress:
+            page, result = _of_joint(bags, joint, config, columns, input_divided, progress)
+        reports.append(page)
+        results.append(result)
+        if json_file != "-":
+            click.echo(f"{joint.name}: {page.verdict}")
     write_report(target, reports, bags)
-    click.echo(f"report written: {target}")
-
-
-@contextmanager
-def _telling(joint: str) -> Iterator[Callable[[str], None]]:
-    """Says on a terminal what is being done."""
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield lambda text: None
-        return
-    with console.status(f"{joint}: reading") as status:
-        yield lambda text: status.update(f"{joint}: {text}")
+    click.echo(f"report written: {target}", err=json_file == "-")
+    if json_file:
+        write_diagnoses(json_file, results)
 
 
 def _of_joint(
-    bags: Sequence[Path], joint: JointConfig, config: Config, progress: Callable[[str], None]
-) -> JointReport:
-    from hd_diag.criticism.diagnosis import diagnose
-    from hd_diag.criticism.screening import screened
-    from hd_diag.recording import read_bags, read_motion
+    bags: Sequence[Path],
+    joint: JointConfig,
+    config: Config,
+    columns: str | None,
+    divided: bool,
+    progress: Callable[[str], None],
+) -> tuple[JointReport, dict[str, Any]]:
+    """A joint's part of the page, and its JSON."""
+    from hd_diag.recording import read_motion
     from hd_diag.report import of_motion
+    from hd_diag.verdict import as_json
 
     try:
-        found = diagnose(screened(read_bags(bags, joint), joint.configured), joint.configured, progress)
+        found = diagnosed(bags, joint, columns, divided, progress)
     except RecordError as error:
-        motion = read_motion(bags, joint)
+        motion = read_motion(bags, joint) if columns is None else None
         if motion is None:
             raise Problem(f"{joint.name}: {error}") from error
-        return of_motion(motion, joint, config.flat, str(error))
+        told = {"schema": "hd_diag/not_judged/1", "joint": joint.name, "error": str(error)}
+        return of_motion(motion, joint, config.flat, str(error)), told
     progress("gathering the report's numbers")
-    return joint_report(found, joint, config)
-
-
-def check_folder(target: Path) -> None:
-    """Refuse a page that could not be written, before the work."""
-    if not target.absolute().parent.is_dir():
-        raise Problem(f"{target}: cannot be written: no such folder")
+    return joint_report(found, joint, config), as_json(found, joint.name)
 
 
 def joint_report(found: Diagnosis, joint: JointConfig, config: Config) -> JointReport:

@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from hd_diag import simulation
+from hd_diag.cli_options import JOINTS, Problem
 from hd_diag.config import JOINT_PARAMETERS, Config, ConfigError, load, resolve
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.simulation import Motion, Noise, SimulatedJoint
@@ -34,16 +35,10 @@ _SHORT = {
 }
 
 
-class InputError(click.ClickException):
-    """Input that cannot be used: one line, exit code 2."""
-
-    exit_code = 2
-
-
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="*.mcap or a rosbag2 folder.")
 @click.option("--config", "file", type=click.Path(path_type=Path), help="Parameter file of the drive.")
-@click.option("--joint", "names", multiple=True, help="Joint; repeatable. [default: all configured]")
+@JOINTS
 @click.option("--duration", default=_MOTION.duration, show_default=True, help="[s]")
 @click.option("--rate", default=_MOTION.sample_rate, show_default=True, help="Samples per second [Hz].")
 @click.option(
@@ -112,9 +107,9 @@ def simulate(
         if summary is not None:
             summary.write_text(json.dumps(_summary(out, config, joints, options, samples), indent=1) + "\n")
     except OSError as error:
-        raise InputError(f"{error.filename}: {error.strerror}") from error
+        raise Problem(f"{error.filename}: {error.strerror}") from error
     except ValueError as error:
-        raise InputError(str(error)) from error
+        raise Problem(str(error)) from error
     click.echo(f"{out}: {samples} samples, {motion.duration:g} s, joints {', '.join(joints)}")
 
 

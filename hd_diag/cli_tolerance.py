@@ -17,7 +17,7 @@ from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Table
 
-from hd_diag.cli_options import CONFIG, JSON, Problem, configured, problems, write_json
+from hd_diag.cli_options import CONFIG, JSON, Problem, check_target, configured, problems, write_json
 from hd_diag.config import Config, JointConfig
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.tolerance.assembly import ANGLES, FACTORS, WITHIN
@@ -177,8 +177,7 @@ def _check_figure(path: Path | None) -> None:
         return
     if path.suffix.lower() not in _FIGURES:
         raise Problem(f"{path}: a figure ends with {', '.join(_FIGURES)}")
-    if not path.parent.is_dir():
-        raise Problem(f"{path}: cannot be written: no such folder")
+    check_target(path)
 
 
 @contextlib.contextmanager

@@ -12,8 +12,9 @@ import numpy.typing as npt
 from hd_diag.drive import Drive, transmission_error
 from hd_diag.effects.contact_table import ContactTable
 from hd_diag.effects.contact_weights import ContactWeights, Rows
-from hd_diag.effects.effect import Effect, Values
+from hd_diag.effects.effect import Effect, Stage, Values
 from hd_diag.effects.signals import Signals
+from hd_diag.effects.stages import seen_at
 from hd_diag.model.torsion_map import TorsionMap
 
 Floats = npt.NDArray[np.float64]
@@ -52,7 +53,8 @@ class State(NamedTuple):
     Attributes
     ----------
     time, angle, predicted : float
-        Of the last sample [s], [rad], [rad]; nan before the first. `predicted` is the drive's own error.
+        Of the last sample [s], [rad], [rad]; nan before the first. `predicted` is what the stream of samples
+        gets: the drive's own error and that of all effects before it.
     speed : float
         Of the input at the last sample [rad/s].
     effects : tuple
@@ -150,18 +152,24 @@ class ExtendedModel:
             return np.concatenate(parts), state
         own = transmission_error(self.drive, input_angle, torque, table)
         signals = self._signals(state, time, input_angle, speed, torque, temperature, own)
-        total, after = own + self.offset, []
-        for term, before in zip(self.effects, state.effects, strict=True):
-            part, following = term.effect.respond(
-                before, signals, np.array(term.coefficients), term.nonlinear
+        step, after = _change(time, state.time), list(state.effects)
+        parts: list[tuple[Effect, Floats]] = []
+        for index, term in sorted(enumerate(self.effects), key=lambda one: one[1].effect.stage):
+            seen = seen_at(
+                term.effect.stage, signals, parts, lambda error: _rate(_change(error, state.predicted), step)
             )
-            total = total + np.where(np.isfinite(part), part, 0.0)
-            after.append(following)
+            part, after[index] = term.effect.respond(
+                state.effects[index], seen, np.array(term.coefficients), term.nonlinear
+            )
+            parts.append((term.effect, np.where(np.isfinite(part), part, 0.0)))
+        before = [part for effect, part in parts if effect.stage < Stage.STREAM]
+        streamed = float(own[-1] + sum(part[-1] for part in before))
+        total: Floats = own + self.offset + sum(part for _, part in parts)
         begun = not state.is_fresh or (speed is not None and bool(np.isfinite(speed[0])))
         last = State(
             float(time[-1]),
             float(input_angle[-1]),
-            float(own[-1]),
+            streamed,
             float(signals.speed[-1]),
             tuple(after) if begun else state.effects,
         )

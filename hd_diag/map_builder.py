@@ -11,7 +11,7 @@ from hd_diag.model.torsion import Mesh
 from hd_diag.model.torsion_map import BuildCancelled, TorsionMap, build
 
 
-def map_of(joint: JointConfig, torque_limit: float | None = None) -> TorsionMap:
+def map_of(joint: JointConfig, torque_limit: float | None = None, threads: int = 1) -> TorsionMap:
     """Map of a joint, built now.
 
     Parameters
@@ -19,12 +19,14 @@ def map_of(joint: JointConfig, torque_limit: float | None = None) -> TorsionMap:
     joint : JointConfig
     torque_limit : float, optional
         [N m]; TORQUE_RANGE times the rated torque where not given.
+    threads : int, optional
+        How many build it.
 
     Returns
     -------
     TorsionMap
     """
-    return build(joint.drive.mesh, torque_limit or TORQUE_RANGE * joint.drive.rated_torque)
+    return build(joint.drive.mesh, torque_limit or TORQUE_RANGE * joint.drive.rated_torque, threads=threads)
 
 
 class MapBuilder:

@@ -27,6 +27,7 @@ from hd_diag.session import Session
 _NANOSECONDS = 1_000_000_000
 _LONGEST_SILENCE = 60 * _NANOSECONDS  # of a bag, over which reports go on [ns]
 _MAPS_KEPT = 4  # a parameter is often set back
+_MAP_THREADS = 2  # nothing else is to be done before it is there
 _FACTS = {"latency_p99_us": "nan", "log_state": "off"}
 
 Progress = Callable[[int, int], None]
@@ -351,7 +352,7 @@ class _Run:
         table = self._maps.pop(key, None)
         if table is None:
             try:
-                table = map_of(joint, torque_limit)
+                table = map_of(joint, torque_limit, _MAP_THREADS)
             except Exception as error:  # whatever is wrong with the mesh, as in MapBuilder
                 raise BagError(self._reader.path, f"{joint.name} has no map: {error}") from error
         self._maps[key] = table

@@ -48,7 +48,7 @@ def benches(diagnosis: Diagnosis) -> list[Workbench]:
     whole, chosen = diagnosis.found.bench, diagnosis.found.chosen
     start = diagnosis.refitted.parameters
     fewer = [
-        settle(Workbench(whole.source, whole.configured, start, whole.whiten), chosen[:count])
+        settle(whole.moved(start, whole.whiten), chosen[:count])
         for count in range(len(chosen))
     ]
     return [*fewer, whole]

@@ -68,6 +68,16 @@ def ros_log_dir(tmp_path_factory: pytest.TempPathFactory) -> None:
     os.environ["ROS_LOG_DIR"] = str(tmp_path_factory.mktemp("ros_log"))
 
 
+@pytest.fixture(scope="module")
+def ros() -> Iterator[None]:
+    """ROS in this process, for the tests of a module."""
+    import rclpy
+
+    rclpy.init()
+    yield
+    rclpy.try_shutdown()
+
+
 def source_files() -> list[str]:
     """Files of the source tree as git sees it; empty where there is no usable git."""
     if not (ROOT / ".git").exists() or not shutil.which("git"):

@@ -1,6 +1,7 @@
 """What the workers of the fleet's tests do, and bags for them; in a module, for workers import it."""
 
 import os
+import re
 import signal
 import time
 from collections.abc import Callable
@@ -10,6 +11,7 @@ import numpy as np
 from bag_samples import rows, write_with_mcap
 
 from hd_diag.fleet.rows import Row, Task
+from hd_diag.fleet.survey import Survey, survey
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 CALLS = "HD_DIAG_TEST_CALLS"  # environment: folder in which every call leaves a file
@@ -57,6 +59,18 @@ def greedy(size: int) -> int:
     return int(np.ones(size // 8).sum())
 
 
+def stuck(name: str) -> str:
+    """Hangs for ever: in a system call for ``fifo``, with the interpreter's lock for ``pattern``."""
+    note(name)
+    if name == "fifo":
+        folder = Path(os.environ[CALLS]).parent
+        os.mkfifo(folder / "fifo")
+        (folder / "fifo").read_bytes()
+    if name == "pattern":
+        re.match("(a+)+$", "a" * 60 + "b")
+    return name
+
+
 def setting(name: str) -> str | None:
     return os.environ.get(name)
 
@@ -89,6 +103,19 @@ def wait_for(condition: Callable[[], object], patience: float = 60.0) -> None:
 def quick(task: Task) -> Row:
     note(Path(task.bag).name)
     return row(int(task.digest[:6], 16) * 1e-13)
+
+
+def stuck_survey(path: str) -> Survey:
+    if Path(path).name == "00.mcap":
+        time.sleep(3600.0)
+    return survey(path)
+
+
+def stuck_first(task: Task) -> Row:
+    if _day(task) == 0:
+        note("stuck")
+        time.sleep(3600.0)
+    return quick(task)
 
 
 def slow(task: Task) -> Row:

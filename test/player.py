@@ -1,7 +1,6 @@
-"""A bag player on rclpy, as ``ros2 bag play --clock`` is one, and what a bag holds in the end."""
+"""A bag player on rclpy, as ``ros2 bag play --clock`` is one, and the angles that a bag holds."""
 
 import time
-from collections import defaultdict
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any
@@ -59,15 +58,6 @@ def playable(bag: Path) -> list[tuple[int, str, str, bytes]]:
             if batch.topic.type_name in CLASSES
             for now, data in zip(batch.log_time.tolist(), batch.messages(), strict=True)
         ]
-
-
-def content(bag: Path) -> dict[str, list[tuple[int, bytes]]]:
-    """Log time [ns] and CDR of every message of a bag, by topic, in order."""
-    found: dict[str, list[tuple[int, bytes]]] = defaultdict(list)
-    with BagReader(bag) as reader:
-        for batch in reader.batches():
-            found[batch.topic.name] += zip(batch.log_time.tolist(), map(bytes, batch.messages()), strict=True)
-    return dict(found)
 
 
 def angles(bag: Path, topic: str) -> list[tuple[int, tuple[float, ...]]]:

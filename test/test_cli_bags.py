@@ -21,7 +21,7 @@ from bag_samples import cut_end
 from cli_runner import runner
 from click.testing import Result
 from live import MS, START, message, parameters
-from player import content
+from logs import content
 from replay_fuzz import JOINT_STATE, Fuzz, log_of
 
 from hd_diag.bag import BagReader, BagWriter, encode_joint_states

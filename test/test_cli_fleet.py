@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 from collections import Counter
@@ -24,6 +25,7 @@ from hd_diag.fleet import run
 from hd_diag.simulation import Motion, Noise, SimulatedJoint, write_bag
 
 ARCSEC = np.pi / 648000.0
+LATE = "took longer than 2 s"
 SAME = 1e-4  # of an optimum whose search stops at steps of that size
 
 
@@ -259,6 +261,61 @@ def test_a_bag_that_kills_its_worker_is_tried_again_by_the_next_run(
     monkeypatch.setattr(run, "judge", fleet_tasks.quick)
     assert fleet(bags, "--out", out).exit_code == 0
     assert [row["error"] for row in table(out)] == [None] * 3
+
+
+def test_a_bag_that_hangs_is_told_and_tried_again_by_the_next_run(
+    quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run, "judge", fleet_tasks.stuck_first)
+    bags, out = bags_of(tmp_path / "bags", 3), tmp_path / "f.parquet"
+    result = fleet(bags, "--out", out, "--bag-timeout", "2")
+    assert (result.exit_code, result.stderr) == (0, f"not judged: {bags}/00.mcap: joint_1: {LATE}\n")
+    assert [row["error"] for row in table(out)] == [LATE, None, None]
+    assert Counter(name for name, _ in fleet_tasks.calls(quick))["stuck"] == 1
+    monkeypatch.setattr(run, "judge", fleet_tasks.quick)
+    assert fleet(bags, "--out", out).exit_code == 0
+    assert [row["error"] for row in table(out)] == [None] * 3
+    begun = Counter(name for name, _ in fleet_tasks.calls(quick))
+    assert begun == {"stuck": 1, "00.mcap": 1, "01.mcap": 1, "02.mcap": 1}
+
+
+def test_a_bag_that_hangs_while_it_is_looked_at(
+    quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run, "survey", fleet_tasks.stuck_survey)
+    bags, out = bags_of(tmp_path / "bags", 2), tmp_path / "f.parquet"
+    assert fleet(bags, "--out", out, "--bag-timeout", "2").exit_code == 0
+    assert [row["error"] for row in table(out)] == [LATE, None]
+
+
+def test_what_is_no_file_is_told_and_not_opened(
+    quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Opened, the FIFOs would hang and the device never end; no circle is followed."""
+    bags, out = tmp_path / "bags", tmp_path / "f.parquet"
+    (bags / "deep").mkdir(parents=True)
+    fleet_tasks.small_bag(bags / "good.mcap")
+    (bags / "deep" / "back").symlink_to(bags)
+    os.mkfifo(bags / "fifo.mcap")
+    (bags / "circle.mcap").symlink_to("circle.mcap")
+    (bags / "device.db3").symlink_to("/dev/zero")
+    with socket.socket(socket.AF_UNIX) as bound:
+        monkeypatch.chdir(bags)  # the name of a socket must be short
+        bound.bind("socket.mcap")
+    (bags / "whole").mkdir()
+    os.mkfifo(bags / "whole" / "metadata.yaml")
+    os.mkfifo(bags / "whole" / "whole_0.mcap")
+    assert fleet(bags, "--out", out, "--bag-timeout", "60").exit_code == 0
+    errors = {Path(row["bag"]).name: row["error"] for row in table(out)}
+    no_file = "is not a file or folder"
+    assert errors == {
+        "good.mcap": None,
+        "fifo.mcap": no_file,
+        "device.db3": no_file,
+        "socket.mcap": no_file,
+        "circle.mcap": "does not exist",
+        "whole": "holds no .mcap or .db3 file",
+    }
 
 
 # Bad input ---

@@ -111,6 +111,15 @@ def test_what_kills_its_workers_fails_alone(dask: Cluster) -> None:
     assert Counter(name for name, _ in dask.begun())["7"] == work.ATTEMPTS
 
 
+def test_what_hangs_ends_its_worker_once_and_the_others_go_on(dask: Cluster) -> None:
+    names = ["a", "fifo", "b", "pattern", "c", "d"]
+    with ClusterCrew(dask.address) as crew:
+        results = dict(run(crew, fleet_tasks.stuck, names, timeout=1.0))
+    late = Failure("took longer than 1 s")
+    assert results == {**{name: name for name in names}, "fifo": late, "pattern": late}
+    assert sorted(name for name, _ in dask.begun()) == sorted(names)
+
+
 def test_the_cluster_makes_the_same_rows(
     dask: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

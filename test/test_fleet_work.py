@@ -62,6 +62,25 @@ def test_a_worker_that_is_killed_loses_nothing(noted: Path) -> None:
     assert len(fleet_tasks.calls(noted)) == 7
 
 
+def test_what_hangs_ends_its_worker_once_and_the_others_go_on(noted: Path) -> None:
+    names = ["a", "fifo", "b", "pattern", "c", "d"]
+    with LocalCrew(1) as crew:
+        results = dict(run(crew, fleet_tasks.stuck, names, timeout=1.0))
+    late = Failure("took longer than 1 s")
+    assert results == {**{name: name for name in names}, "fifo": late, "pattern": late}
+    begun = fleet_tasks.calls(noted)
+    assert [name for name, _ in begun] == names
+    assert len({process for _, process in begun}) == 3
+
+
+def test_time_is_that_of_each_item(noted: Path) -> None:
+    """Not of the worker, and none goes on after its item."""
+    with LocalCrew(1) as crew:
+        results = list(run(crew, fleet_tasks.slow_square, range(8), timeout=3.0))
+    assert results == [(n, n * n) for n in range(8)]
+    assert len({process for _, process in fleet_tasks.calls(noted)}) == 1
+
+
 def test_what_raises_is_a_failure_even_where_it_cannot_be_sent() -> None:
     with LocalCrew(1) as crew:
         results = dict(run(crew, fleet_tasks.faulty, range(5)))

@@ -15,7 +15,10 @@ CORE = (
     "hd_diag.drive",
     "hd_diag.monitor",
     "hd_diag.criticism",
+    "hd_diag.tolerance",
 )
+# These are numba's, which reads yaml itself; the rest of the core must start without them.
+KERNELS = ("hd_diag.model.kernel", "hd_diag.tolerance.kernel")
 EDGES = {"rclpy", "rosbags", "mcap", "yaml", "matplotlib", "click", "rich", "sensor_msgs", "diagnostic_msgs"}
 LATER = {"numba"}  # imported when something is first computed
 
@@ -30,8 +33,7 @@ def core_modules() -> list[str]:
         names.append(name)
         inside = spec.submodule_search_locations or []
         names += [module.name for module in pkgutil.walk_packages(inside, prefix=f"{name}.")]
-    # The kernels are numba's, which reads yaml itself; the rest of the core must start without them.
-    return [name for name in names if not name.startswith("hd_diag.model.kernel")]
+    return [name for name in names if not name.startswith(KERNELS)]
 
 
 def imported_by(statement: str) -> set[str]:
@@ -52,7 +54,7 @@ def test_core_module_imports_no_edge(module: str) -> None:
 
 
 def test_core_is_found() -> None:
-    assert {"hd_diag.model", "hd_diag.model.tooth_profile"} <= set(core_modules())
+    assert {*CORE, "hd_diag.model.tooth_profile", "hd_diag.tolerance.study"} <= set(core_modules())
 
 
 def test_an_edge_would_be_seen() -> None:

@@ -9,18 +9,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from live import MS, RATIO, START, Recording, config, message, states
+from live import MS, RATIO, START, config, message, states
+from logs import Log, content
 from models import OFFSET, RANGES, STATEFUL, VALUES, motion, write_model
 from numpy.testing import assert_allclose
 
-from hd_diag.bag import BagReader, BagWriter
+from hd_diag.bag import BagReader
 from hd_diag.config import Config, ConfigError
 from hd_diag.criticism.extension import left
 from hd_diag.criticism.extension import map_of as fitted_map
 from hd_diag.drive import transmission_error
 from hd_diag.extended import ExtendedModel
 from hd_diag.map_builder import map_of
-from hd_diag.messages import Encoded, read_string, resolved
+from hd_diag.messages import read_string
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor import Monitor
 from hd_diag.recording import read_bags
@@ -198,36 +199,11 @@ def test_another_model_comes_into_force_at_once(modelled: Config, tmp_path: Path
 # Live, replay, fit ---
 
 
-class Log(Recording):
-    """A recording that is also written as the node writes its log."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__()
-        self.writer = BagWriter(path)
-        self.clock = itertools.count(START)
-
-    def __call__(self, encoded: Encoded) -> None:
-        super().__call__(encoded)
-        for row, received in zip(encoded.rows, encoded.received.tolist(), strict=True):
-            self.writer.write(resolved(encoded.topic), encoded.type_name, bytes(row), received)
-
-    def play(self, session: Session, count: int, first: int = 0) -> None:
-        _, angle, torque, _ = motion(COUNT)
-        for i in range(first, count):
-            position = {NAMES[0]: angle[i], NAMES[1]: angle[i] / RATIO + OFFSET}
-            data = message(int(stamps()[i]), position, {NAMES[1]: torque[i]})
-            now = next(self.clock)
-            self.writer.write("/joint_states", "sensor_msgs/msg/JointState", data, now)
-            session.joint_state(now, data)
-
-
-def written(path: Path) -> dict[str, list[tuple[int, bytes]]]:
-    found: dict[str, list[tuple[int, bytes]]] = {}
-    with BagReader(path) as reader:
-        for batch in reader.batches():
-            pairs = zip(batch.log_time.tolist(), map(bytes, batch.messages()), strict=True)
-            found.setdefault(batch.topic.name, []).extend(pairs)
-    return found
+def play(log: Log, session: Session, count: int, first: int = 0) -> None:
+    _, angle, torque, _ = motion(COUNT)
+    for i in range(first, count):
+        position = {NAMES[0]: angle[i], NAMES[1]: angle[i] / RATIO + OFFSET}
+        log.receive(session, message(int(stamps()[i]), position, {NAMES[1]: torque[i]}))
 
 
 def residuals(path: Path) -> np.ndarray:
@@ -242,15 +218,15 @@ def test_live_replay_and_fit_agree(modelled: Config, model_path: Path, tmp_path:
     session = Session(modelled, log)
     session.start(next(log.clock))
     session.use_map(next(log.clock), "joint_1", map_of(modelled.joints[0]))
-    log.play(session, COUNT)
+    play(log, session, COUNT)
     session.tick(next(log.clock), START, FACTS)
     log.writer.close()
-    content = model_path.read_text()
+    text = model_path.read_text()
     model_path.unlink()
     replay(tmp_path / "live.mcap", tmp_path / "again.mcap")
-    assert written(tmp_path / "again.mcap") == written(tmp_path / "live.mcap")
-    (first, *_) = written(tmp_path / "live.mcap")["/hd_diag/events"]
-    assert json.loads(read_string(first[1]))["models"] == {"joint_1": content}
+    assert content(tmp_path / "again.mcap") == content(tmp_path / "live.mcap")
+    (first, *_) = content(tmp_path / "live.mcap")["/hd_diag/events"]
+    assert json.loads(read_string(first[1]))["models"] == {"joint_1": text}
 
     joint = modelled.joints[0]
     record = read_bags([tmp_path / "live.mcap"], joint)
@@ -263,7 +239,7 @@ def test_fit_and_monitor_agree_without_a_map(modelled: Config, tmp_path: Path) -
     log = Log(tmp_path / "live.mcap")
     session = Session(modelled, log)
     session.start(next(log.clock))
-    log.play(session, COUNT)
+    play(log, session, COUNT)
     log.writer.close()
     record = read_bags([tmp_path / "live.mcap"], modelled.joints[0])
     fit = left(model_of(modelled), record, record.reported_torque, None)
@@ -276,9 +252,9 @@ def test_a_model_that_changes_while_it_runs_is_replayed(
     log = Log(tmp_path / "live.mcap")
     session = Session(config(), log)
     session.start(next(log.clock))
-    log.play(session, 100)
+    play(log, session, 100)
     assert session.configure(next(log.clock), modelled) == ["joint_1"]
-    log.play(session, 200, 100)
+    play(log, session, 200, 100)
     assert (
         session.configure(next(log.clock), config(joint_1__model_file=str(model_path), array_rate=5.0)) == []
     )
@@ -286,15 +262,15 @@ def test_a_model_that_changes_while_it_runs_is_replayed(
     assert (
         session.configure(next(log.clock), config(joint_1__model_file=str(model_path), array_rate=5.0)) == []
     )
-    log.play(session, 300, 200)
+    play(log, session, 300, 200)
     assert session.configure(next(log.clock), config()) == ["joint_1"]
-    log.play(session, 400, 300)
+    play(log, session, 400, 300)
     session.start_again(next(log.clock))
     log.writer.close()
     model_path.unlink()
     replay(tmp_path / "live.mcap", tmp_path / "again.mcap")
-    assert written(tmp_path / "again.mcap") == written(tmp_path / "live.mcap")
-    events = [json.loads(read_string(data)) for _, data in written(tmp_path / "live.mcap")["/hd_diag/events"]]
+    assert content(tmp_path / "again.mcap") == content(tmp_path / "live.mcap")
+    events = [json.loads(read_string(data)) for _, data in content(tmp_path / "live.mcap")["/hd_diag/events"]]
     assert ["models" in event for event in events] == [False, True, False, True, False, False]
     assert events[3]["parameters"] == {}
 
@@ -307,7 +283,7 @@ def test_a_log_without_its_model_is_refused(modelled: Config, model_path: Path, 
     )
     session = Session(stripped, log)
     session.start(next(log.clock))
-    log.play(session, 10)
+    play(log, session, 10)
     log.writer.close()
     with pytest.raises(ConfigError, match="the log does not hold this model"):
         replay(tmp_path / "live.mcap", tmp_path / "again.mcap")

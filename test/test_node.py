@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-import rclpy
 import yaml
 from live import MS, RATIO, START, config, message, parameters, sample
+from logs import content
 from mcap_ros2.reader import read_ros2_messages
 from rcl_interfaces.msg import ParameterType
 from rclpy.parameter import Parameter
@@ -32,15 +32,10 @@ from hd_diag.config import parameters as all_parameters
 from hd_diag.drive import mesh_state, transmission_error
 from hd_diag.replay import replay
 
+pytestmark = pytest.mark.usefixtures("ros")
+
 QUICK = {"diagnostics_rate": 20.0}
 JOINTS = ("shoulder", "elbow")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros() -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.try_shutdown()
 
 
 @pytest.fixture(scope="module")
@@ -394,18 +389,9 @@ def test_log_holds_everything_and_replays(arm: Rig, publisher: Any, tmp_path: Pa
             if folder == log:
                 assert ("elbow.runout.magnitude", 1e-6) in changes
         replay(folder, tmp_path / f"{folder.name}.mcap")
-        live, again = written(folder), written(tmp_path / f"{folder.name}.mcap")
+        live, again = content(folder), content(tmp_path / f"{folder.name}.mcap")
         for topic in live:
             assert again[topic] == live[topic], topic
-
-
-def written(path: Path) -> dict[str, list[tuple[int, bytes]]]:
-    found: dict[str, list[tuple[int, bytes]]] = {}
-    with BagReader(path) as reader:
-        for batch in reader.batches():
-            rows = zip(batch.log_time.tolist(), map(bytes, batch.messages()), strict=True)
-            found.setdefault(batch.topic.name, []).extend(rows)
-    return found
 
 
 def test_a_best_effort_publisher_that_appears_later(tmp_path: Path) -> None:
@@ -502,7 +488,7 @@ def test_a_killed_node_loses_less_than_a_second_of_a_log_in_parts(tmp_path: Path
     parts = sorted((tmp_path / "log").glob("*.mcap"))
     assert len(parts) > 3
     assert all(part.stat().st_size < 400_000 for part in parts)
-    logged = len(written(tmp_path / "log")[f"{rig.process.namespace}/joint_states"])
+    logged = len(content(tmp_path / "log")[f"{rig.process.namespace}/joint_states"])
     safe = [stamp for at, stamp in heard_at if at < killed - 1.0]
     assert safe
     assert START + logged * MS > safe[-1]

@@ -2,12 +2,10 @@
 
 import itertools
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-import rclpy
 from live import MS, RATIO, START, config, parameters, sample
 from models import OFFSET, motion, write_model
 from numpy.testing import assert_allclose
@@ -19,16 +17,11 @@ from hd_diag.criticism.extension import map_of
 from hd_diag.extended import ExtendedModel
 from hd_diag.replay import replay
 
+pytestmark = pytest.mark.usefixtures("ros")
+
 AGREEMENT = 1e-9  # [rad]
 EFFECTS = ("hysteresis", "stream_delay", "resonance")
 COUNT = 300
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros() -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.try_shutdown()
 
 
 def expected(model: ExtendedModel) -> np.ndarray:

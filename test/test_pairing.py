@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 from live import MS, RATIO, START, config
+from logs import content
 from models import write_model
-from player import content
 
 from hd_diag.bag import BagWriter, encode_joint_states
 from hd_diag.config import Config

@@ -1,6 +1,7 @@
 """The paper's figures: claims hold for its drive, their numbers are the published ones, and they can fail."""
 
 import dataclasses
+import re
 from pathlib import Path
 from xml.etree import ElementTree as Xml
 
@@ -15,6 +16,8 @@ from hd_diag.cli import cli
 from hd_diag.drive import Drive
 from hd_diag.model.transmission_error import Kinematics
 from hd_diag.paper_figures import first_interference, neutral_layer, teeth_at_once, tooth_over_time
+
+ROOT = Path(__file__).resolve().parent.parent
 
 
 def drive(datum: float = drives.PAPER.circular_spline_datum) -> Drive:
@@ -36,6 +39,20 @@ def test_interference_begins_where_it_was_published() -> None:
     assert first_interference(drive(published.DATUM_OF_INTERFERENCE)) == pytest.approx(23e-6, abs=0.05e-6)
     rounded = published.ECCENTRICITY_AT_ROUNDED_DATUM
     assert first_interference(drive()) == pytest.approx(rounded, abs=0.01e-6)
+
+
+def test_the_example_drive_tells_where_interference_begins() -> None:
+    """In a comment: with the exact datum, and with the rounded one that the file has."""
+    lines = (ROOT / "config" / "example_drive.yaml").read_text().splitlines()
+    text = " ".join(line.lstrip("# ") for line in lines)
+    found = re.search(
+        r"([\d.]+) mm let interference .*? of ([\d.]+) mm, .*? to ([\d.]+) mm .*? at ([\d.]+) mm", text
+    )
+    assert found is not None
+    exact, first, rounded, begins = map(float, found.groups())
+    assert drives.PAPER.circular_spline_datum == pytest.approx(rounded * 1e-3)
+    assert round(first_interference(drive(exact * 1e-3)) * 1e3, 4) == first
+    assert round(first_interference(drive()) * 1e3, 4) == begins
 
 
 def test_numbers_of_the_load_are_the_published_ones() -> None:

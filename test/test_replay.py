@@ -17,10 +17,11 @@ import yaml
 from bag_samples import cut_end, write_with_mcap
 from hypothesis import strategies as st
 from live import MS, RATIO, START, config, message, parameters
+from logs import content
 from mcap.reader import make_reader
 from mcap_ros2.reader import read_ros2_messages
 from numpy.testing import assert_allclose, assert_array_equal
-from player import angles, content
+from player import angles
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-import rclpy
 from live import MS, RATIO, START, config, message, parameters
-from player import Player, angles, content
+from logs import content
+from player import Player, angles
 from running import PUBLISHER_DEPTH, Rig, running, values_of
 from sensor_msgs.msg import JointState
 
@@ -21,6 +21,8 @@ from hd_diag.messages import JOINT_STATE
 from hd_diag.replay import replay
 
 # None of no bytes at all: Fast DDS itself then delivers nothing more from that publisher.
+pytestmark = pytest.mark.usefixtures("ros")
+
 HOSTILE = (
     b"\0\1\0\0",
     b"\0\1\0\0" + b"\xff" * 60,
@@ -33,13 +35,6 @@ HOSTILE = (
     message(START, {"stranger": 1.0}),
     message(START, {}),
 )
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros() -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.try_shutdown()
 
 
 def turning(stamp: int) -> dict[str, float]:
@@ -237,7 +232,7 @@ def test_a_killed_node_loses_less_than_a_second(tmp_path: Path, seed: int) -> No
             ]
         rig.process.popen.kill()
         killed = time.monotonic()
-        rig.process.popen.wait(10.0)
+        rig.process.popen.wait(60.0)
     assert recover(log, tmp_path / "saved").counts
     saved = [
         stamp

@@ -1,5 +1,6 @@
 """The numbers of a report and its page: the diagnosis's own; nothing out of a bag acts on the page."""
 
+import json
 import re
 from html.parser import HTMLParser
 from pathlib import Path
@@ -309,12 +310,43 @@ def test_diagnose_draws_what_it_says(tmp_path: Path) -> None:
     assert verdict in Reader(out.read_text(encoding="utf-8")).text
 
 
+def test_a_table_s_report_with_the_json_of_its_diagnosis(tmp_path: Path) -> None:
+    table, out = tmp_path / "bench.csv", tmp_path / "page.html"
+    records.write_csv(made("output_runout"), table)
+    names = ("--columns", "time=time,input=input,output=output,torque=torque,temperature=temperature")
+    result = hd_diag("report", table, *names, "--out", out, "--json", "-")
+    assert (result.exit_code, result.stderr) == (0, f"report written: {out}\n")
+    told = json.loads(result.stdout)
+    assert told["verdict"] in Reader(out.read_text(encoding="utf-8")).text
+    assert told == json.loads(hd_diag("diagnose", table, *names, "--json", "-").stdout)
+    assert "output_runout" in told["causes"][0]["class"]
+    wrong = hd_diag("report", table, *names, "--input-divided", "--out", out)
+    assert "a ratio of 1" in wrong.stdout
+
+
+def test_why_a_joint_was_not_judged_is_in_the_json(tmp_path: Path) -> None:
+    bag, told = tmp_path / "a.mcap", tmp_path / "a.json"
+    without_output(bag, "joint_1")
+    result = hd_diag("report", bag, "--out", tmp_path / "a.html", "--json", told)
+    assert (result.exit_code, result.stderr) == (0, "")
+    found = json.loads(told.read_text())
+    assert (found["schema"], found["joint"]) == ("hd_diag/not_judged/1", "joint_1")
+    assert "no input angle ('joint_1_motor') with output angle" in found["error"]
+
+
 def test_pages_that_cannot_be_written_or_read_from(tmp_path: Path) -> None:
     bag = tmp_path / "joint.mcap"
     without_output(bag, "joint_1")
     nowhere = tmp_path / "none" / "page.html"
     empty = parameter_file(tmp_path / "c.yaml", input_joint="elbow_motor", output_joint="elbow")
+    before = bag.read_bytes()
     for arguments, said in (
+        (("report", bag, "--out", bag), "would overwrite the input"),
+        (("report", bag, "--json", bag), "would overwrite the input"),
+        (("diagnose", bag, "--report", bag), "would overwrite the input"),
+        (("diagnose", bag, "--model", bag), "would overwrite the input"),
+        (("report", bag, "--out", tmp_path / "a", "--json", tmp_path / "a"), "must be different files"),
+        (("report", bag, "--columns", "time=t", "--out", tmp_path / "a.html"), "needs input, output"),
         (("report", bag, "--out", nowhere), "no such folder"),
         (("diagnose", bag, "--report", nowhere), "no such folder"),
         (("report", tmp_path / "none.mcap"), "none.mcap"),
@@ -324,6 +356,8 @@ def test_pages_that_cannot_be_written_or_read_from(tmp_path: Path) -> None:
         assert (result.exit_code, result.stdout) == (2, "")
         assert len(result.stderr.splitlines()) == 1
         assert said in result.stderr
+    assert bag.read_bytes() == before
+    assert not list(tmp_path.glob("*.html"))
 
 
 def test_settings_are_told_with_their_units() -> None:

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from live import MS, RATIO, START, Recording, config, message, parameters, sample
+from logs import Log, content
 from rosbags.typesys import Stores, get_typestore
 
-from hd_diag.bag import BagReader, BagWriter
 from hd_diag.config import resolve
 from hd_diag.map_builder import map_of
 from hd_diag.messages import PARAMETER_EVENT, STRING, TEMPERATURE, Encoded, read_string, resolved
@@ -202,31 +202,6 @@ def test_temperature_is_noted_and_a_broken_one_counted(session: Session) -> None
 # Replay ---
 
 
-class Log(Recording):
-    """A recording that is also written as the node writes its log."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__()
-        self.writer = BagWriter(path)
-        self.clock = itertools.count(START)
-
-    def __call__(self, encoded: Encoded) -> None:
-        super().__call__(encoded)
-        topic = resolved(encoded.topic)
-        for row, received in zip(encoded.rows, encoded.received.tolist(), strict=True):
-            self.writer.write(topic, encoded.type_name, bytes(row), received)
-
-    def receive(self, session: Session, data: bytes) -> None:
-        now = next(self.clock)
-        self.writer.write("/joint_states", "sensor_msgs/msg/JointState", data, now)
-        session.joint_state(now, data)
-
-    def warm(self, session: Session, joint: str, value: float) -> None:
-        data = temperature(value)
-        self.writer.write(f"/{joint}/temperature", TEMPERATURE, data, next(self.clock))
-        session.temperature(joint, data)
-
-
 def eventful(session: Session, log: Log) -> None:
     """Everything that can happen to a session of joints a and b."""
     random = np.random.default_rng(5)
@@ -246,7 +221,7 @@ def eventful(session: Session, log: Log) -> None:
             log.receive(session, b"\0\1\0\0 no message")
         if i % 110 == 30:
             log.receive(session, message(stamp + 1, everything | {"a_motor": np.nan}))
-            log.warm(session, "a", 20.0 + i)
+            log.warm(session, "a", temperature(20.0 + i))
         if i == 150:
             log.clock = itertools.count(next(log.clock) + 10**9)
             session.tick(next(log.clock), 5, FACTS)
@@ -261,15 +236,6 @@ def eventful(session: Session, log: Log) -> None:
     session.tick(next(log.clock), 6, {"log_state": "off"})
 
 
-def written(path: Path) -> dict[str, list[tuple[int, bytes]]]:
-    found: dict[str, list[tuple[int, bytes]]] = {}
-    with BagReader(path) as reader:
-        for batch in reader.batches():
-            rows = zip(batch.log_time.tolist(), map(bytes, batch.messages()), strict=True)
-            found.setdefault(batch.topic.name, []).extend(rows)
-    return found
-
-
 def test_a_replay_of_what_came_in_gives_what_went_out(tmp_path: Path) -> None:
     log = Log(tmp_path / "live.mcap")
     session = Session(config("a", "b", mesh_rate=10.0), log)
@@ -277,7 +243,7 @@ def test_a_replay_of_what_came_in_gives_what_went_out(tmp_path: Path) -> None:
     eventful(session, log)
     log.writer.close()
     result = replay(tmp_path / "live.mcap", tmp_path / "again.mcap")
-    live, again = written(tmp_path / "live.mcap"), written(tmp_path / "again.mcap")
+    live, again = content(tmp_path / "live.mcap"), content(tmp_path / "again.mcap")
     assert result.reproduced
     assert set(again) == set(live)
     for topic, rows in live.items():
@@ -306,8 +272,8 @@ def test_a_log_that_begins_later_replays_from_its_own_start(tmp_path: Path) -> N
     first.writer.close()
     second.writer.close()
     replay(tmp_path / "second.mcap", tmp_path / "again.mcap")
-    live = written(tmp_path / "second.mcap")
-    assert written(tmp_path / "again.mcap") == live
+    live = content(tmp_path / "second.mcap")
+    assert content(tmp_path / "again.mcap") == live
     assert len(live["/hd_diag/transmission_error"]) == 50
 
 

@@ -463,7 +463,7 @@ def test_bad_input_is_one_line_and_code_2(
     result = invoke("--out", "out.mcap", "--duration", 0.1, *arguments)
     assert result.exit_code == 2
     assert result.stderr.count("\n") == 1
-    assert result.stderr.startswith("Error: ")
+    assert result.stderr.startswith("hd-diag: ")
     assert text in result.stderr
 
 

@@ -2,6 +2,10 @@
 
 import dataclasses
 import math
+import re
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import drives
@@ -33,6 +37,7 @@ from hd_diag.tolerance.moments import evaluate
 from hd_diag.tolerance.settings import Spread, settings
 from hd_diag.tolerance.workers import Workers
 
+ROOT = Path(__file__).resolve().parent.parent
 RATED = published.RATED_TORQUE
 CUP = -RATED  # output at the flexspline
 LARGEST = 40e-6
@@ -75,6 +80,38 @@ def test_both_solvers_give_the_same() -> None:
         found, expected = getattr(fast, field.name), getattr(slow, field.name)
         assert found.shape == expected.shape
         assert_allclose(found, expected, rtol=1e-8, atol=1e-15)
+
+
+def fresh(code: str) -> str:
+    """What a process of its own prints."""
+    return subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True, timeout=300
+    ).stdout.strip()
+
+
+def test_an_environment_compiles_the_kernels_of_model_and_tolerances() -> None:
+    """What the script runs leaves nothing that the first study would compile."""
+    if not compiled.available():
+        pytest.skip("numba is not installed")
+    (code,) = re.findall(r"-c '(.*warm_up.*)'", (ROOT / "scripts" / "environment.sh").read_text())
+    compiled_by = "print([len(k.signatures) for k in (kernel.moments, compiled._kernel().torsion)])"
+    imports = "from hd_diag.model import compiled; from hd_diag.tolerance import kernel"
+    use = (
+        "import drives, numpy as np; from hd_diag.tolerance.moments import evaluate;"
+        "evaluate(drives.mesh(), np.zeros(2), np.zeros(2, complex), np.array([56.0]))"
+    )
+    told = f"sys.path.insert(0, {str(ROOT / 'test')!r})"
+    ran = fresh(f"import sys; {told}; {code}; {imports}; {compiled_by}; {use}; {compiled_by}")
+    assert ran.splitlines() == ["[1, 1]"] * 2
+
+
+def test_without_numba_all_is_solved_by_numpy() -> None:
+    code = (
+        f"import sys; sys.modules['numba'] = None; sys.path.insert(0, {str(ROOT / 'test')!r});"
+        "import drives, numpy as np; from hd_diag.tolerance.moments import evaluate, warm_up; warm_up();"
+        "print(evaluate(drives.mesh(), np.zeros(1), np.zeros(1, complex), np.array([56.0])).torsion[0, 0])"
+    )
+    assert float(fresh(code)) == pytest.approx(1.399e-3, rel=1e-3)
 
 
 def test_moments_are_those_of_the_mesh() -> None:

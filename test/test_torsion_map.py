@@ -1,5 +1,7 @@
 """Tabulated torsion against the exact solution."""
 
+import threading
+
 import drives
 import numpy as np
 import pytest
@@ -144,6 +146,21 @@ def test_can_be_given_up() -> None:
     assert asked[0] == 0
     assert np.all(np.diff(asked) > 0)
     assert asked[-1] < 1
+
+
+def test_several_threads_build_the_same_map() -> None:
+    mesh = drives.mesh(drives.COARSE, eccentricity=(4e-6, -13e-6))
+    one, three = build(mesh, 6.0), build(mesh, 6.0, threads=3)
+    assert_array_equal(one.torque, three.torque)
+    assert_array_equal(one.torsion, three.torsion)
+    assert (one.torque_limit, one.error_bound) == (three.torque_limit, three.error_bound)
+    assert not any(thread.name.startswith("torsion map") for thread in threading.enumerate())
+
+
+def test_several_threads_can_be_given_up() -> None:
+    with pytest.raises(BuildCancelled):
+        build(drives.mesh(drives.COARSE), 6.0, lambda fraction: fraction == 0.0, threads=2)
+    assert not any(thread.name.startswith("torsion map") for thread in threading.enumerate())
 
 
 def test_refuses_what_the_teeth_cannot_bear() -> None:

@@ -19,19 +19,14 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from live import MS, START, parameters
 from running import Process, Rig, feed, running
 
+pytestmark = pytest.mark.usefixtures("ros")
+
 JOINTS = ("shoulder", "elbow")
 COMMAND = [sys.executable, "-m", "hd_diag.cli", "watch"]
 LIMIT = 60.0  # on a busy machine [s]
 REPORTS = 10.0  # [Hz]
 CPU_SHARE = 0.05  # of a core
 PATIENT = {f"{joint}__limits__silence__{level}": 1e6 for joint in JOINTS for level in ("warn", "error")}
-
-
-@pytest.fixture(scope="module", autouse=True)
-def ros() -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.try_shutdown()
 
 
 @pytest.fixture(scope="module")

@@ -49,7 +49,8 @@ def encode_joint_states(
         if value is not None and value.shape != (len(time), len(names)):
             raise ValueError(f"{what}: shape {(len(time), len(names))} is needed, got {value.shape}")
     template, places = _joint_state(tuple(names), frame_id, tuple(v is not None for v in values))
-    second, nano = np.divmod(time, _NANOSECONDS)
+    second = time // _NANOSECONDS
+    nano = time - second * _NANOSECONDS  # np.divmod takes many times as long
     if len(time) and not (int(second.min()) >= -(2**31) and int(second.max()) < 2**31):
         raise ValueError(f"stamps: seconds beyond 32 bits, {int(second.min())} to {int(second.max())}")
     rows = np.empty((len(time), len(template)), np.uint8)
@@ -218,10 +219,8 @@ def _multiarray(dims: tuple[tuple[str, int], ...]) -> bytes:
 
 
 def _add_string(body: bytearray, text: str) -> None:
-    data = text.encode()
-    _add_uint32(body, len(data) + 1)
-    body += data
-    body.append(0)
+    body += _FILL[len(body) % 4]
+    body += _string(text)
 
 
 def _add_uint32(body: bytearray, value: int) -> None:
@@ -229,6 +228,7 @@ def _add_uint32(body: bytearray, value: int) -> None:
     body += _UINT32.pack(value)
 
 
+@functools.lru_cache(maxsize=512)  # keys, and values that rarely change, come in every report
 def _string(text: str) -> bytes:
     data = text.encode() + b"\0"
     return struct.pack("<I", len(data)) + data

@@ -81,8 +81,9 @@ def unpacked(path: Path, messages: Iterable[Any]) -> list[memoryview]:
     BagError
         Where one is damaged.
     """
+    zstd = zstandard.ZstdDecompressor()
     try:
-        return [memoryview(unzstd(bytes(m), MAX_CHUNK)) for m in messages]
+        return [memoryview(unzstd(bytes(m), MAX_CHUNK, zstd)) for m in messages]
     except (ValueError, zstandard.ZstdError, MemoryError) as exc:
         raise BagError(path, f"a compressed message is damaged: {exc}") from exc
 

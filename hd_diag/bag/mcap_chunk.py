@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import struct
 import zlib
@@ -9,6 +10,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from io import BufferedReader
 from pathlib import Path
+from typing import NamedTuple
 
 import lz4.frame
 import numpy as np
@@ -28,6 +30,13 @@ _MAYBE_CHUNK = re.compile(rb"(?=\x06[\s\S]{6}\0\0)")
 _DAMAGE = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, McapError, EOFError, MemoryError)
 
 
+class Content(NamedTuple):
+    """Records of some sections, and where the message indexes say that messages begin among them (n,)."""
+
+    records: bytes
+    places: npt.NDArray[np.int64]
+
+
 def load(path: Path, file: BufferedReader, sections: Sequence[Section], result: Scan) -> Block:
     """Messages of some sections; schemas and channels found on the way are added to `result`.
 
@@ -36,27 +45,60 @@ def load(path: Path, file: BufferedReader, sections: Sequence[Section], result: 
     BagError
         Where a section is damaged.
     """
+    return messages_of(path, sections, read(path, file, sections), result)
+
+
+def read(path: Path, file: BufferedReader, sections: Sequence[Section]) -> Content:
+    """Decompressed and checked content of some sections; safe beside other readers of the same file.
+
+    Raises
+    ------
+    BagError
+        Where a section is damaged.
+    """
     contents, places, before = [], [], 0
+    zstd = zstandard.ZstdDecompressor()  # one for all: small chunks take as long as making it
     for section in sections:
         try:
-            contents.append(_content(file, section))
+            contents.append(_content(file, section, zstd))
         except _DAMAGE as exc:
             raise BagError(path, f"chunk at byte {section.offset} is damaged: {exc}") from exc
         places.append(before + indexed_places(file, section))
         before += section.content_size
     try:
-        content = contents[0] if len(contents) == 1 else b"".join(contents)
-        return _parse_at(content, np.concatenate(places), result) or parse(content, result)
+        return Content(contents[0] if len(contents) == 1 else b"".join(contents), np.concatenate(places))
     except _DAMAGE as exc:
-        raise BagError(path, f"chunk at or after byte {sections[0].offset} is damaged: {exc}") from exc
+        raise _damaged(path, sections, exc) from exc
 
 
-def _content(file: BufferedReader, section: Section) -> bytes:
+def messages_of(path: Path, sections: Sequence[Section], content: Content, result: Scan) -> Block:
+    """Messages in what was read of some sections; schemas and channels among them are added to `result`.
+
+    Raises
+    ------
+    BagError
+        Where the records do not fit together.
+    """
+    try:
+        return _parse_at(content.records, content.places, result) or parse(content.records, result)
+    except _DAMAGE as exc:
+        raise _damaged(path, sections, exc) from exc
+
+
+def _damaged(path: Path, sections: Sequence[Section], exc: Exception) -> BagError:
+    return BagError(path, f"chunk at or after byte {sections[0].offset} is damaged: {exc}")
+
+
+def _at(file: BufferedReader, offset: int, size: int) -> bytes:
+    """Bytes at a place, without moving the file's own."""
+    return os.pread(file.fileno(), size, offset)
+
+
+def _content(file: BufferedReader, section: Section, zstd: zstandard.ZstdDecompressor) -> bytes:
     if section.content_size > MAX_CHUNK:
         raise ValueError(f"it claims {section.content_size} bytes, more than {MAX_CHUNK}")
-    file.seek(section.offset)
-    stored = file.read(section.size)
-    content = _decompress(section.compression, stored, section.content_size)
+    stored = _at(file, section.offset, section.size)
+    content = _decompress(section.compression, stored, section.content_size, zstd)
     if len(content) != section.content_size:
         raise ValueError(f"it holds {len(content)} bytes instead of {section.content_size}")
     if section.checksum and zlib.crc32(content) != section.checksum:
@@ -64,7 +106,7 @@ def _content(file: BufferedReader, section: Section) -> bytes:
     return content
 
 
-def _decompress(compression: str, stored: bytes, size: int) -> bytes:
+def _decompress(compression: str, stored: bytes, size: int, zstd: zstandard.ZstdDecompressor) -> bytes:
     """Decompressed bytes, never more than `size` + 1."""
     if compression == "":
         return stored
@@ -74,7 +116,7 @@ def _decompress(compression: str, stored: bytes, size: int) -> bytes:
         return bytes(lz4.frame.LZ4FrameDecompressor().decompress(stored, max_length=size + 1))
     if compression != "zstd":
         raise ValueError(f"compression {compression!r} is not known")
-    return unzstd(stored, size)
+    return unzstd(stored, size, zstd)
 
 
 def load_part(path: Path, file: BufferedReader, offset: int, end: int, result: Scan) -> Block:
@@ -156,19 +198,18 @@ def _is_chunk(head: bytes, length: int) -> bool:
     return bool(length == CHUNK_HEAD.size + name_length + 8 + stored)
 
 
-def unzstd(stored: bytes, limit: int) -> bytes:
-    """Decompressed zstd frame of no more than `limit` bytes."""
+def unzstd(stored: bytes, limit: int, zstd: zstandard.ZstdDecompressor) -> bytes:
+    """Zstd frame of no more than `limit` bytes, decompressed."""
     declared = zstandard.get_frame_parameters(stored).content_size
     if declared != zstandard.CONTENTSIZE_UNKNOWN and declared > limit:
         raise ValueError(f"it unpacks to {declared} bytes instead of {limit}")
-    return zstandard.ZstdDecompressor().decompress(stored, max_output_size=limit)
+    return zstd.decompress(stored, max_output_size=limit)
 
 
 def indexed_places(file: BufferedReader, section: Section) -> npt.NDArray[np.int64]:
     """Where in a chunk its message indexes say that messages begin; they may be wrong or missing."""
     begin, end = section.indexes or (0, 0)
-    file.seek(begin)
-    records, position, found = file.read(min(end - begin, MAX_CHUNK)), 0, [np.empty(0, np.int64)]
+    records, position, found = _at(file, begin, min(end - begin, MAX_CHUNK)), 0, [np.empty(0, np.int64)]
     while position + 15 <= len(records) and records[position] == Opcode.MESSAGE_INDEX:
         (length,) = LENGTH.unpack_from(records, position + 1)
         stop = position + 9 + length

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import fcntl
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from .ahead import Ahead
 from .block import Block
 from .errors import BagError
 from .folder import custom_data
-from .mcap_chunk import load
+from .mcap_chunk import Content, load, messages_of, read
 from .mcap_scan import Scan, Section, scan
 from .schemas import Definition
 
@@ -54,6 +56,7 @@ class McapStorage:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.file = path.open("rb")
+        self._ahead: list[Ahead[Stretch, Content]] = []
         try:
             self.scan = scan(path, self.file)
             self.problem = self.scan.problem
@@ -66,9 +69,25 @@ class McapStorage:
             self.file.close()
             raise
 
-    def load(self, stretch: Stretch) -> Block:
-        """Messages of a stretch; BagError where it is damaged."""
-        return load(self.path, self.file, stretch.sections, self.scan)
+    @contextmanager
+    def loading(self, stretches: Sequence[Stretch]) -> Iterator[Callable[[Stretch], Block]]:
+        """What gives the messages of stretches that are asked for in this order, each once; read ahead.
+
+        It raises BagError where a stretch is damaged, and ValueError where the file was closed meanwhile.
+        """
+        ahead = Ahead(stretches, lambda stretch: read(self.path, self.file, stretch.sections), _memory)
+        self._ahead.append(ahead)
+        try:
+            yield lambda stretch: messages_of(self.path, stretch.sections, ahead.take(), self.scan)
+        finally:
+            ahead.close()
+            self._ahead.remove(ahead)
+
+    def close(self) -> None:
+        """Close the file; nothing reads it any more when this returns."""
+        for ahead in self._ahead:
+            ahead.close()
+        self.file.close()
 
     def stretches(self, numbers: list[int], start: int | None, end: int | None) -> list[Stretch]:
         """Sections that may hold messages of the topics in the range of time, small ones taken together."""
@@ -116,6 +135,12 @@ class McapStorage:
             if number not in topics:
                 raise BagError(self.path, f"topic {channel.topic} has no schema, or is not CDR")
         return topics
+
+
+def _memory(stretch: Stretch) -> int:
+    """What the content of a stretch takes at most, joined and in parts [byte]."""
+    indexes = sum(end - begin for begin, end in (s.indexes or (0, 0) for s in stretch.sections))
+    return indexes + sum(max(s.content_size, s.size) for s in stretch.sections)
 
 
 def kept_custom_data(found: Scan) -> dict[str, str]:

@@ -16,6 +16,11 @@ _TARGET = 4 << 20
 MAX_PENDING = 1 << 30
 
 
+def turns(stretches: Sequence[Stretch]) -> list[int]:
+    """Numbers of the stretches in the order in which they are needed, and loaded."""
+    return sorted(range(len(stretches)), key=lambda i: (stretches[i].start, i))
+
+
 def ordered(stretches: Sequence[Stretch], load: Callable[[Stretch], Block]) -> Iterator[Block]:
     """Blocks whose log times never decrease; messages of equal time keep the order of the file.
 
@@ -24,7 +29,7 @@ def ordered(stretches: Sequence[Stretch], load: Callable[[Stretch], Block]) -> I
     stretches : sequence of Stretch
         In the order of the file.
     load : callable
-        Gives the (chosen) messages of a stretch.
+        Gives the (chosen) messages of a stretch; called for each once, in the order of `turns`.
 
     Raises
     ------
@@ -32,7 +37,7 @@ def ordered(stretches: Sequence[Stretch], load: Callable[[Stretch], Block]) -> I
         Where log times are so disordered that sorting them would take more than 1 GiB, or where a chunk holds
         messages from before the range that it declares.
     """
-    queue = sorted(range(len(stretches)), key=lambda i: (stretches[i].start, i))
+    queue = turns(stretches)
     held: list[tuple[int, Block]] = []
     released, loaded = -1, 0
     for turn, number in enumerate(queue):

@@ -19,7 +19,7 @@ from .columns import Rejection, decode_joint_states, joint_states_from_messages
 from .errors import BagError
 from .folder import find_files, unpacked
 from .mcap_storage import McapStorage
-from .ordering import chosen, mixed_runs, ordered, runs
+from .ordering import chosen, mixed_runs, ordered, runs, turns
 from .schemas import Definition
 from .sqlite_file import SqliteFile, is_sqlite
 from .typestore import BagTypes
@@ -270,7 +270,7 @@ class BagReader:
         """Close the files."""
         for source in self._sources:
             if isinstance(source.storage, McapStorage):
-                source.storage.file.close()
+                source.storage.close()
         self._sources = []
 
     def __enter__(self) -> BagReader:
@@ -316,15 +316,14 @@ class BagReader:
             yield from storage.blocks(numbers, start, end)
             return
         wanted = None if len(numbers) == len(source.topics) else numbers
+        stretches = storage.stretches(numbers, start, end)
         try:
-            for block in ordered(
-                storage.stretches(numbers, start, end),
-                lambda stretch: chosen(storage.load(stretch), wanted, start, end),
-            ):
-                unknown = set(np.unique(block.channel).tolist()) - source.topics.keys()
-                if unknown:
-                    raise ValueError(f"messages of channel {min(unknown)}, which is not declared")
-                yield block
+            with storage.loading([stretches[number] for number in turns(stretches)]) as load:
+                for block in ordered(stretches, lambda stretch: chosen(load(stretch), wanted, start, end)):
+                    unknown = set(np.unique(block.channel).tolist()) - source.topics.keys()
+                    if unknown:
+                        raise ValueError(f"messages of channel {min(unknown)}, which is not declared")
+                    yield block
         except BagError:
             raise
         except ValueError as exc:

@@ -20,6 +20,7 @@ _RAMP_ERROR = 1e-4  # [rad]; what is not fitted beside a ramp may lean by this o
 _LEAST_REACH = 2.5  # of a run at the output [rad]; over less, a wave of the output bends like a ramp
 _PARTS = 6
 _CLUSTERS = 60
+_MOST_ROWS = 20_000  # of the fit of ramps
 _INPUT_ORDERS = (1, 2, 4)  # of waves that any gear may have
 _STEP = 0.25  # of a tooth pitch
 
@@ -86,7 +87,7 @@ def check_ramp(record: Record, ratio: float) -> Finding | None:
     reach = float(np.ptp(_centered(record.input_angle / ratio, record.run)))
     if not record.has_torque or reach < _LEAST_REACH:
         return None
-    ramps, deviation = _ramps(record, ratio)
+    ramps, deviation = _ramps(record.select(np.arange(0, record.size, 1 + record.size // _MOST_ROWS)), ratio)
     mean = float(ramps.mean())
     spread = max(float(ramps.std(ddof=1)) / np.sqrt(ramps.size), deviation)
     if abs(mean) > max(_RAMP_MISS, _RAMP_ERROR / reach, 6.0 * spread):

@@ -110,7 +110,7 @@ def diagnose(
     progress("fitting the model's own parameters")
     first = refit(train, configured)
     progress("looking for causes")
-    plain = settle(Workbench(train, configured, first.parameters), ())
+    plain = settle(Workbench(record, configured, first.parameters, rows=~test), ())
     found = search(plain, progress)
     progress("measuring the gain")
     trained = Workbench(record, configured, found.bench.parameters)
@@ -231,9 +231,11 @@ def _left_by(bench: Workbench, trained: Workbench, chosen: Chosen) -> Floats:
     beta, _, _ = trained.fit(chosen)
     fixed = bench.always()
     left = bench.uncorrected - fixed @ beta[: fixed.shape[1]]
-    for (effect, nonlinear), place in zip(chosen, trained.places(chosen), strict=True):
+    sized = [(item, beta[place]) for item, place in zip(chosen, trained.places(chosen), strict=True)]
+    bench.see(sized)
+    for (effect, nonlinear), coefficients in sized:
         if not isinstance(effect, Foil):
-            left = left - bench.full_size(effect, nonlinear, beta[place])
+            left = left - bench.full_size(effect, nonlinear, coefficients)
     return np.asarray(left)
 
 

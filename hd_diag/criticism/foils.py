@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from hd_diag.criticism.noise import bounds
-from hd_diag.effects.effect import Effect, Quantity, Values
+from hd_diag.effects.effect import Effect, Quantity, Stage, Values
 from hd_diag.effects.signals import Signals
 
 Floats = npt.NDArray[np.float64]
@@ -34,6 +35,8 @@ class Foil(Effect):
     sees_ahead : bool
         Whether samples that were not fitted can be foretold.
     """
+
+    stage: ClassVar[Stage] = Stage.NOWHERE
 
     shape: Shape = lambda signals: np.empty((signals.size, 0))
     description: str = ""

@@ -100,7 +100,7 @@ def _begun_slowly(bench: Workbench) -> Workbench:
     """
     speed = np.abs(bench.record.speed)
     slow = refit(bench.record.select(speed <= np.quantile(speed, _SLOW)), bench.configured)
-    other = Workbench(bench.source, bench.configured, slow.parameters, bench.whiten)
+    other = bench.moved(slow.parameters, bench.whiten)
     other.noise_residual = bench.noise_residual
     trials = [(each, next(iter(candidates(each, ())), None)) for each in (bench, other)]
     left = [each.design(((best.effect, best.nonlinear),) if best else ()).deviance() for each, best in trials]
@@ -167,7 +167,7 @@ def _restarted(bench: Workbench, chosen: Chosen) -> Workbench:
     )
     if not distinct([bench.parameters, again.parameters])[1:]:
         return bench
-    other = settle(Workbench(bench.source, bench.configured, again.parameters), chosen, rounds=2)
+    other = settle(bench.moved(again.parameters), chosen, rounds=2)
     other_left = other.design_with(bench.whiten, chosen).deviance()
     return other if other_left < bench.design(chosen).deviance() - _RESTART_GAIN else bench
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -16,11 +17,13 @@ from hd_diag.criticism.refit import usable
 from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.contact_weights import ContactWeights
-from hd_diag.effects.effect import Effect
+from hd_diag.effects.effect import Effect, Stage
 from hd_diag.effects.signals import Signals
+from hd_diag.effects.stages import seen_at
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
+Rows = npt.NDArray[np.bool_]
 
 _BLOCKS = 24
 _SETTLED = 1.0  # standard deviations; the model is linear over such steps
@@ -29,6 +32,10 @@ SEARCHED = tuple(effect for effect in CATALOGUE if effect.name not in ("ratio_er
 
 
 Chosen = tuple[tuple[Effect, tuple[float, ...]], ...]
+Present = Sequence[tuple[tuple[Effect, tuple[float, ...]], Floats]]
+"""Effects with their nonlinear values, and their coefficients."""
+
+_STAGES = {effect.name: effect.stage for effect in CATALOGUE}
 
 
 class Workbench:
@@ -37,31 +44,51 @@ class Workbench:
     Parameters
     ----------
     record : Record
-        Rows to fit.
+        All that is known: causes with memory go through every row of it.
     configured : Drive
     parameters : ndarray, shape (7,)
         Where the model is linearised, in units of `base.SCALES`.
     whiten : Whitening, optional
         Noise model to begin with.
+    rows : ndarray of bool, shape (n,), optional
+        Which rows to fit, where the error is well defined; all without.
+
+    Attributes
+    ----------
+    record, signals : Record, Signals
+        Of the rows that are fitted.
+    whole : Signals
+        Of all rows.
     """
 
     def __init__(
-        self, record: Record, configured: Drive, parameters: Floats, whiten: Whitening | None = None
+        self,
+        record: Record,
+        configured: Drive,
+        parameters: Floats,
+        whiten: Whitening | None = None,
+        rows: Rows | None = None,
     ) -> None:
         self.source = record
         self.configured = configured
-        # Rows left out are no gap for a cause with memory: it goes on through them.
-        self.record = replace(record, stretch=record.stretches).select(usable(record))
-        self.run = _broken(record, usable(record))
+        self.rows = usable(record) if rows is None else usable(record) & rows
+        self.record = replace(record, stretch=record.stretches).select(self.rows)
+        self.run = _broken(record, self.rows)
         self.parameters = parameters
         self.drive = base.drive_of(parameters, configured)
+        error = base.error(self.drive, record.input_angle, record.torque)
+        derivatives, slope = base.jacobian(self.drive, configured, record.input_angle, record.torque)
+        self.whole = signals(record, self.drive, error, slope)
+        self.signals = self.whole.part(self.rows)
+        self.error, self.jacobian = error[self.rows], derivatives[self.rows]
         rec = self.record
-        self.error = base.error(self.drive, rec.input_angle, rec.torque)
-        self.jacobian, slope = base.jacobian(self.drive, configured, rec.input_angle, rec.torque)
         self.left = rec.output_angle - rec.input_angle / configured.kinematics.ratio - self.error
         self.uncorrected = self.left
         self.nuisance = np.ones((rec.size, 1))
-        self.signals = signals(rec, self.drive, self.error, slope)
+        self._derivatives = derivatives
+        self._before: Present = []
+        self._later: Present = []
+        self._behind: dict[Stage, Signals] = {}
         self.block = blocks(self.run)
         self._columns: dict[tuple[str, tuple[float, ...]], Floats] = {}
         self.noise_residual = np.empty(0)
@@ -70,13 +97,17 @@ class Workbench:
         self._grids: dict[str, list[tuple[float, ...]]] = {}
         self._whiten_by(whiten or Whitening(np.zeros(ORDER), 1.0))
 
+    def moved(self, parameters: Floats, whiten: Whitening | None = None) -> Workbench:
+        """The same rows, linearised elsewhere."""
+        return Workbench(self.source, self.configured, parameters, whiten, self.rows)
+
     def columns(self, effect: Effect, nonlinear: tuple[float, ...]) -> Floats:
         """Columns of an effect, shape (n, k) [rad per unit]."""
         key = (effect.name, nonlinear)
         if key not in self._columns:
             if len(self._columns) > 400:
                 self._columns.clear()
-            self._columns[key] = np.nan_to_num(effect.columns(self.signals, nonlinear))
+            self._columns[key] = self._fresh(effect, nonlinear)
         return self._columns[key]
 
     def white(self, effect: Effect, nonlinear: tuple[float, ...], keep: bool = True) -> Floats:
@@ -84,11 +115,7 @@ class Workbench:
         key = (effect.name, nonlinear)
         if key in self._white:
             return self._white[key]
-        columns = (
-            self.columns(effect, nonlinear)
-            if keep
-            else np.nan_to_num(effect.columns(self.signals, nonlinear))
-        )
+        columns = self.columns(effect, nonlinear) if keep else self._fresh(effect, nonlinear)
         white = self.whiten(columns, self.run)
         if keep:
             self._white[key] = white
@@ -144,21 +171,84 @@ class Workbench:
     def correct(self, chosen: Chosen) -> None:
         """Take what the chosen effects are at full size beyond their columns out of what the model leaves."""
         beta, _, _ = self.fit(chosen)
+        sized = [(item, beta[place]) for item, place in zip(chosen, self.places(chosen), strict=True)]
+        self.see(sized)
         correction = np.zeros(self.left.size)
-        for (effect, nonlinear), place in zip(chosen, self.places(chosen), strict=True):
-            columns, coefficients = self.columns(effect, nonlinear), beta[place]
+        for (effect, nonlinear), coefficients in sized:
             if type(effect).secant is not Effect.secant:
                 key = (effect.name, nonlinear)
-                self._columns[key] = np.nan_to_num(effect.secant(self.signals, coefficients, nonlinear))
+                self._columns[key] = self._secant(effect, nonlinear, coefficients)
                 self._white.pop(key, None)
-                continue
+            columns = self.columns(effect, nonlinear)
             correction += self.full_size(effect, nonlinear, coefficients) - columns @ coefficients
         self.left = self.uncorrected - correction
         self.left_white = self.whiten(self.left, self.run)
 
     def full_size(self, effect: Effect, nonlinear: tuple[float, ...], coefficients: Floats) -> Floats:
         """An effect's part in the error, contacts made and lost by it included, shape (n,) [rad]."""
+        if effect.remembers or effect.stage > Stage.GEAR:
+            return np.nan_to_num(effect.response(self._seen(effect), coefficients, nonlinear)[self.rows])
         return np.nan_to_num(effect.response(self.signals, coefficients, nonlinear))
+
+    def see(self, present: Present) -> None:
+        """Let effects see each other at these coefficients: later stages carry what earlier ones add."""
+        before = [one for one in present if Stage.GEAR <= one[0][0].stage < Stage.STREAM]
+        later = [one for one in present if one[0][0].stage > Stage.GEAR]
+        changed = set[Stage]()
+        if before or self._before:
+            changed |= {Stage.SPRING, Stage.STREAM}
+        if later or self._later:
+            changed |= {Stage.GEAR, Stage.SPRING}
+        self._before, self._later = before, later
+        self._behind.clear()
+        for kept in (self._columns, self._white):
+            for key in [key for key in kept if _STAGES.get(key[0]) in changed]:
+                del kept[key]
+        if Stage.GEAR in changed:
+            self.jacobian = self._carried(self._derivatives, Stage.GEAR, of_teeth=True)[self.rows]
+            self.always_white = self.whiten(self.always(), self.run)
+
+    def _fresh(self, effect: Effect, nonlinear: tuple[float, ...]) -> Floats:
+        if not self._sees_all(effect):
+            return np.nan_to_num(effect.columns(self.signals, nonlinear))
+        columns = np.nan_to_num(effect.columns(self._seen(effect), nonlinear))
+        return self._carried(columns, effect.stage, effect.of_teeth)[self.rows]
+
+    def _secant(self, effect: Effect, nonlinear: tuple[float, ...], coefficients: Floats) -> Floats:
+        """Columns that hold at a size."""
+        if not self._sees_all(effect):
+            return np.nan_to_num(effect.secant(self.signals, coefficients, nonlinear))
+        columns = np.nan_to_num(effect.secant(self._seen(effect), coefficients, nonlinear))
+        return self._carried(columns, effect.stage, effect.of_teeth)[self.rows]
+
+    def _carried(self, columns: Floats, stage: Stage, of_teeth: bool) -> Floats:
+        """With what later stages make of them, shape (rows of the whole, k)."""
+        for (effect, nonlinear), coefficients in self._later:
+            if effect.stage > stage and (of_teeth or effect.stage > Stage.SPRING):
+                columns = columns + effect.carry(self.whole, columns, coefficients, nonlinear)
+        return columns
+
+    def _sees_all(self, effect: Effect) -> bool:
+        """Whether it needs rows that are not fitted: they come before others."""
+        if effect.remembers or effect.stage > Stage.GEAR:
+            return True
+        return effect.stage == Stage.GEAR and bool(self._later)
+
+    def _seen(self, effect: Effect) -> Signals:
+        """The whole record, as an effect sees it."""
+        if effect.stage <= Stage.GEAR:
+            return self.whole
+        if effect.stage not in self._behind:
+            parts = [
+                (e, np.nan_to_num(e.response(self._seen(e), coefficients, nonlinear)))
+                for (e, nonlinear), coefficients in self._before
+                if e.stage < effect.stage
+            ]
+            self._behind[effect.stage] = seen_at(effect.stage, self.whole, parts, self._rate)
+        return self._behind[effect.stage]
+
+    def _rate(self, error: Floats) -> Floats:
+        return _rate(self.source, error)
 
     def _whiten_by(self, whiten: Whitening) -> None:
         self.whiten = whiten
@@ -247,10 +337,6 @@ def signals(record: Record, drive: Drive, error: Floats, slope: Floats) -> Signa
     """What the effects need of a record and the model's prediction along it."""
     geometry, kinematics = drive.mesh.geometry, drive.kinematics
     angle = kinematics.wave_generator_angle(geometry, record.input_angle)
-    rate = np.zeros(record.size)
-    for begin, end in bounds(record.run):
-        if end - begin > 2:
-            rate[begin:end] = np.gradient(error[begin:end], record.time[begin:end])
     return Signals(
         time=record.time,
         wave_generator_angle=angle,
@@ -261,9 +347,18 @@ def signals(record: Record, drive: Drive, error: Floats, slope: Floats) -> Signa
         run=record.stretches,
         predicted=error,
         predicted_torque_slope=slope,
-        predicted_rate=rate,
+        predicted_rate=_rate(record, error),
         contact=ContactWeights(drive, angle, record.torque),
     )
+
+
+def _rate(record: Record, values: Floats) -> Floats:
+    """Derivative by time, run by run."""
+    rate = np.zeros(record.size)
+    for begin, end in bounds(record.run):
+        if end - begin > 2:
+            rate[begin:end] = np.gradient(values[begin:end], record.time[begin:end])
+    return rate
 
 
 def blocks(run: Integers) -> Integers:
@@ -304,7 +399,7 @@ def settle(bench: Workbench, chosen: Chosen, rounds: int = 3, learn: bool = True
             break
         moved = base.admissible(bench.parameters + step, bench.configured)
         residual = bench.noise_residual
-        bench = Workbench(bench.source, bench.configured, moved, bench.whiten)
+        bench = bench.moved(moved, bench.whiten)
         bench.noise_residual = residual
         bench.correct(chosen)
     bench.correct(chosen)

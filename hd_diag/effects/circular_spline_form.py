@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +23,8 @@ class CircularSplineForm(Effect):
 
     A ring that is bent keeps its circumference: its slots also move along it, by v with ``dv/dphi = -u``.
     """
+
+    of_teeth: ClassVar[bool] = True
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Response to every lobe number; see :meth:`Effect.columns`."""

@@ -6,7 +6,8 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from enum import IntEnum
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,15 @@ Floats = npt.NDArray[np.float64]
 Values = tuple[float, ...]
 Kind = Literal["kinematic", "torsion", "friction", "sensor"]
 Frame = Literal["input", "output", "housing", "time", "torque"]
+
+
+class Stage(IntEnum):
+    """Where an effect enters, on the way from the gear to the samples."""
+
+    NOWHERE = -1
+    GEAR = 0
+    SPRING = 1
+    STREAM = 2
 
 
 @dataclass(frozen=True)
@@ -103,6 +113,15 @@ class Effect(ABC):
     inspect: str
     always_confused: tuple[str, ...] = ()
 
+    stage: ClassVar[Stage] = Stage.GEAR
+    """Where it enters; effects of later stages see what those of earlier ones add."""
+
+    of_teeth: ClassVar[bool] = False
+    """Whether it enters through the contact: then it is part of the gear's ripple, for later stages."""
+
+    remembers: ClassVar[bool] = False
+    """Whether it depends on samples before: then it has to see all, those too that no fit uses."""
+
     @abstractmethod
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Transmission error by each linear coefficient.
@@ -160,6 +179,23 @@ class Effect(ABC):
     ) -> tuple[Floats, Any]:
         """Transmission error of the effect at the next samples, and the state after them."""
         return self.response(signals, coefficients, nonlinear), state
+
+    def carry(self, signals: Signals, added: Floats, coefficients: Floats, nonlinear: Values) -> Floats:
+        """What it makes of what earlier stages add, beside that itself; nothing unless stated.
+
+        Parameters
+        ----------
+        signals : Signals
+        added : ndarray, shape (n, k)
+            Parts of the transmission error.
+        coefficients : ndarray, shape (size,)
+        nonlinear : tuple of float
+
+        Returns
+        -------
+        ndarray, shape (n, k)
+        """
+        return np.zeros_like(added)
 
     @property
     def linear(self) -> tuple[Quantity, ...]:
@@ -289,6 +325,8 @@ class Effect(ABC):
 @dataclass(frozen=True)
 class StatefulEffect(Effect):
     """An effect that remembers: one sample at a time and the whole record agree."""
+
+    remembers: ClassVar[bool] = True
 
     @abstractmethod
     def start(self, nonlinear: Values) -> Any:

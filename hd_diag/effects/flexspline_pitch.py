@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +20,8 @@ ORDERS = (2, 4)  # two opposite lobes cancel the odd ones
 @dataclass(frozen=True)
 class FlexsplinePitch(Effect):
     """Circumferential displacement of the teeth ``sum a_k cos k (psi - d_k)``."""
+
+    of_teeth: ClassVar[bool] = True
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Response to every harmonic; see :meth:`Effect.columns`."""

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.effects.effect import Quantity, StatefulEffect, Values, amplitude, direction
+from hd_diag.effects.effect import Quantity, Stage, StatefulEffect, Values, amplitude, direction
 from hd_diag.effects.excitation import (
     enough_input_turns,
     sample_interval,
@@ -28,6 +29,7 @@ ORDERS = (1.0, 2.0, 4.0)
 _COARSE = 6  # natural frequencies per order in the grid
 _FINE = 60  # in a scan
 _DAMPINGS = (0.03, 0.08)  # [-]
+_SLACK = 2.5e-3  # torque over the rated one, by which half of the ripple passes the backlash
 _BINS = 256  # of the wave generator's speed, in a scan
 
 Before = tuple[tuple[float, float, float], tuple[complex, ...]]
@@ -42,8 +44,11 @@ class Resonance(StatefulEffect):
     ``x'' + 2 zeta omega_n (x' - u') + omega_n^2 (x - u) = 0``, ``u = exp(i n theta_W)``. At constant speed
     ``x = H u``, ``H = (1 + 2 i zeta r) / (1 - r^2 + 2 i zeta r)``, ``r = n omega / omega_n``. The ripple that
     the model predicts is in the model already: a share c of it goes through the same spring, ``c (H - 1)``.
-    The oscillator starts in the steady state, for the ripple at rest.
+    Without torque the link hangs loose in the backlash and no ripple reaches it. The oscillator starts in the
+    steady state, for the ripple at rest.
     """
+
+    stage: ClassVar[Stage] = Stage.SPRING
 
     def start(self, nonlinear: Values) -> State:
         """Nothing yet."""
@@ -53,9 +58,8 @@ class Resonance(StatefulEffect):
         """Exact between samples while the speed is constant there; see :meth:`Effect.step`."""
         if not signals.size:
             return np.empty((0, 3)), state
-        order, frequency, damping = nonlinear
-        pole = frequency * complex(-damping, np.sqrt(1.0 - damping * damping))
-        phase, ripple = order * signals.wave_generator_angle, signals.contact.ripple
+        order, (pole, residue) = nonlinear[0], _oscillator(nonlinear)
+        phase, ripple = order * signals.wave_generator_angle, signals.ripple * _passing(signals)
         before = state or _steady(
             pole, order * float(signals.wave_generator_speed[0]), signals, phase, ripple
         )
@@ -67,7 +71,6 @@ class Resonance(StatefulEffect):
         cosine, sine = 0.5 * (added[0] + added[1]), -0.5j * (added[0] - added[1])
         inputs = cosine, sine, _straight(pole, time, rippled)
         modes = [relax(q, decay, each) for q, each in zip(before[1], inputs, strict=True)]
-        residue = (2.0 * damping * frequency * pole + frequency**2) / (1j * pole.imag)
         response = np.stack([(residue * mode).real for mode in modes], axis=1)
         response[:, 2] -= ripple
         end = float(time[-1]), float(turned[-1]), float(rippled[-1])
@@ -78,6 +81,20 @@ class Resonance(StatefulEffect):
         if signals.size:
             _ = signals.contact.ripple
         return super().columns(signals, nonlinear)
+
+    def carry(self, signals: Signals, added: Floats, coefficients: Floats, nonlinear: Values) -> Floats:
+        """``c (H - 1)`` of every part; see :meth:`Effect.carry`."""
+        pole, residue = _oscillator(nonlinear)
+        result = np.empty_like(added)
+        passed = added * _passing(signals)[:, None]
+        for run in signals.runs():
+            time, parts = signals.time[run], passed[run]
+            decay = np.exp(pole * np.diff(time, prepend=time[0]))
+            for index, values in enumerate(parts.T):
+                inputs = np.concatenate(([0.0j], _straight(pole, time, values)))
+                mode = relax(-values[0] / pole, decay, inputs)
+                result[run, index] = (residue * mode).real - values
+        return coefficients[2] * result
 
     def grid(self, signals: Signals) -> list[Values]:
         """Natural frequencies [rad/s] that the orders pass."""
@@ -105,6 +122,19 @@ class Resonance(StatefulEffect):
     def testable(self, signals: Signals) -> tuple[bool, str]:
         """Five speeds across it, and turns enough at them."""
         return verdict(torque_known(signals), enough_input_turns(signals, 20.0), several_speeds(signals, 5))
+
+
+def _oscillator(nonlinear: Values) -> tuple[complex, complex]:
+    """Pole [1/s], and residue of what the link does."""
+    _, frequency, damping = nonlinear
+    pole = frequency * complex(-damping, np.sqrt(1.0 - damping * damping))
+    return pole, (2.0 * damping * frequency * pole + frequency**2) / (1j * pole.imag)
+
+
+def _passing(signals: Signals) -> Floats:
+    """Share of the gear's ripple that torque passes on: in the backlash noise would choose the flank."""
+    load = np.abs(signals.torque) / (_SLACK * signals.rated_torque)
+    return np.asarray(load**4 / (1.0 + load**4))
 
 
 def _steady(pole: complex, rate: float, signals: Signals, phase: Floats, ripple: Floats) -> Before:
@@ -171,7 +201,7 @@ def _binned(signals: Signals, residual: Floats) -> tuple[Floats, Floats, Complex
         np.linspace(-greatest, greatest, _BINS),
         count,
         means(residual),
-        2.0 * means(signals.contact.ripple),
+        2.0 * means(signals.ripple),
     )
 
 

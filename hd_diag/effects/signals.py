@@ -42,6 +42,8 @@ class Signals:
         Its derivative by time [rad/s].
     contact : ContactWeights
         Its sensitivity to errors of the teeth.
+    tooth_ripple : ndarray, shape (n,), or None
+        What errors of the teeth add to the ripple [rad]; None: nothing is known of any.
     """
 
     time: Floats
@@ -55,6 +57,7 @@ class Signals:
     predicted_torque_slope: Floats
     predicted_rate: Floats
     contact: ContactWeights
+    tooth_ripple: Floats | None = None
 
     @property
     def size(self) -> int:
@@ -70,6 +73,12 @@ class Signals:
     def rated_torque(self) -> float:
         """[N m]."""
         return self.contact.drive.rated_torque
+
+    @property
+    def ripple(self) -> Floats:
+        """The gear's own: the base model's, and what errors of the teeth add [rad], shape (n,)."""
+        own = self.contact.ripple
+        return own if self.tooth_ripple is None else own + self.tooth_ripple
 
     @property
     def input_angle(self) -> Floats:
@@ -108,6 +117,7 @@ class Signals:
             predicted_torque_slope=self.predicted_torque_slope[rows],
             predicted_rate=self.predicted_rate[rows],
             contact=self.contact.part(rows),
+            tooth_ripple=None if self.tooth_ripple is None else self.tooth_ripple[rows],
         )
 
     def runs(self) -> list[slice]:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.effects.effect import Effect, Quantity, Values
+from hd_diag.effects.effect import Effect, Quantity, Stage, Values
 from hd_diag.effects.excitation import speed_beyond
 from hd_diag.effects.signals import Signals
 
@@ -27,6 +28,9 @@ class StreamDelay(Effect):
 
     What the output will do is not known: a negative delay stays first order.
     """
+
+    stage: ClassVar[Stage] = Stage.STREAM
+    remembers: ClassVar[bool] = True
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """What the output moves in a second; see :meth:`Effect.columns`."""
@@ -58,6 +62,15 @@ class StreamDelay(Effect):
             for run in signals.runs()
         ]
         return np.concatenate(parts) if parts else np.empty(0)
+
+    def carry(self, signals: Signals, added: Floats, coefficients: Floats, nonlinear: Values) -> Floats:
+        """Late by the delay, straight between samples; see :meth:`Effect.carry`."""
+        result, then = np.empty_like(added), signals.time - float(coefficients[0])
+        for run in signals.runs():
+            time = signals.time[run]
+            for index, values in enumerate(added[run].T):
+                result[run, index] = np.interp(then[run], time, values) - values
+        return result
 
     def testable(self, signals: Signals) -> tuple[bool, str]:
         """High speed."""

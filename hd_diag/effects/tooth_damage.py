@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +25,8 @@ _ENOUGH = 20_000  # samples for that
 @dataclass(frozen=True)
 class ToothDamage(Effect):
     """More clearance on the flanks of one slot or tooth, as the contact's shares pass it on."""
+
+    of_teeth: ClassVar[bool] = True
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Both flanks; a flank that never bears in this record has zeros. See :meth:`Effect.columns`."""

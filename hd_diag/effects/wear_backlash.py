@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,8 @@ Floats = npt.NDArray[np.float64]
 @dataclass(frozen=True)
 class WearBacklash(Effect):
     """Clearance of every flank grows by the same; first order of a widening dead zone."""
+
+    of_teeth: ClassVar[bool] = True
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Response to more clearance; see :meth:`Effect.columns`."""

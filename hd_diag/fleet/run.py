@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from hd_diag.config import Config, JointConfig
 from hd_diag.fleet.errors import FleetError
@@ -19,6 +21,9 @@ from hd_diag.versions import running
 
 Progress = Callable[[str, int, int, int], None]
 """Told the stage, how much of it is done, how much it has, and how many tasks are done."""
+
+_Outcomes = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[tuple[Any, Any]]]
+"""`hd_diag.fleet.work.run` of a function and items."""
 
 _NAMES_SHOWN = 8
 
@@ -58,6 +63,7 @@ def diagnose_fleet(
     journal: Journal,
     progress: Progress = lambda stage, done, total, tasks: None,
     tick: Callable[[], None] = lambda: None,
+    timeout: float = 0.0,
 ) -> list[Row]:
     """Rows of every joint of every bag, in the order of bags and joints.
 
@@ -69,6 +75,8 @@ def diagnose_fleet(
         What it holds is not done again; every result goes into it as it comes.
     progress, tick : callable
         See `Progress` and `hd_diag.fleet.work.run`.
+    timeout : float
+        For looking at a bag, and for judging each of its joints [s]; 0 = none.
 
     Returns
     -------
@@ -81,10 +89,11 @@ def diagnose_fleet(
         Where workers are gone, have another version, or the journal cannot be written.
     """
     robots = [fleet.robot_of(bag) for bag in fleet.bags]
-    seen = _surveys(fleet, crew, progress, tick)
+    outcomes = functools.partial(run, crew, tick=tick, timeout=timeout)
+    seen = _surveys(fleet, outcomes, progress)
     wanted = [tasks(one, fleet.config, fleet.joints) for one in seen]
     todo = {task.key: task for own in wanted for task in own if task.key not in journal.results}
-    failed = _judge(list(todo.values()), crew, journal, progress, tick)
+    failed = _judge(list(todo.values()), outcomes, journal, progress)
     rows = []
     for bag, robot, one, own in zip(fleet.bags, robots, seen, wanted, strict=True):
         fixed = {"bag": str(bag), "robot": robot, "start": one.start, "problems": list(one.problems)}
@@ -94,11 +103,11 @@ def diagnose_fleet(
     return rows
 
 
-def _surveys(fleet: Fleet, crew: Crew, progress: Progress, tick: Callable[[], None]) -> list[Survey]:
+def _surveys(fleet: Fleet, outcomes: _Outcomes, progress: Progress) -> list[Survey]:
     paths = [os.path.abspath(bag) for bag in fleet.bags]  # a worker may be in another folder
     found: dict[str, Survey] = {}
     progress("reading", 0, len(paths), 0)
-    for path, outcome in run(crew, survey, paths, tick):
+    for path, outcome in outcomes(survey, paths):
         found[path] = Survey(path, error=outcome.text) if isinstance(outcome, Failure) else outcome
         _check_version(found[path])
         progress("reading", len(found), len(paths), len(found))
@@ -111,15 +120,13 @@ def _check_version(seen: Survey) -> None:
         raise FleetError(f"a worker has hd_diag {there}, this is {here}: install the same everywhere")
 
 
-def _judge(
-    todo: list[Task], crew: Crew, journal: Journal, progress: Progress, tick: Callable[[], None]
-) -> dict[str, Row]:
+def _judge(todo: list[Task], outcomes: _Outcomes, journal: Journal, progress: Progress) -> dict[str, Row]:
     """Fill the journal; what gave no result is returned, and tried again by the next run."""
     failed: dict[str, Row] = {}
     todo.sort(key=lambda task: -task.messages)  # the long ones first, or the last would keep all waiting
     total, samples = sum(task.messages for task in todo), 0
     progress("diagnosing", 0, total, 0)
-    for number, (task, outcome) in enumerate(run(crew, judge, todo, tick), start=1):
+    for number, (task, outcome) in enumerate(outcomes(judge, todo), start=1):
         if isinstance(outcome, Failure):
             failed[task.key] = {
                 "joint": task.joint.name,

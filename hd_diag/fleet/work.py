@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import multiprocessing
 import os
 import resource
 import signal
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -61,6 +63,7 @@ def run(
     function: Callable[[Item], Result],
     items: Sequence[Item],
     tick: Callable[[], None] = lambda: None,
+    timeout: float = 0.0,
 ) -> Iterator[tuple[Item, Result | Failure]]:
     """Outcomes of a function of many items, as they come.
 
@@ -73,6 +76,8 @@ def run(
         Begun in this order.
     tick : callable
         Called several times a second; what it raises ends the run.
+    timeout : float
+        That an item may take [s]; 0 = any. One that takes longer ends its worker and is a `Failure`.
 
     Yields
     ------
@@ -81,21 +86,35 @@ def run(
         times in all, then it is a `Failure`.
     """
     waiting = deque(enumerate(items))
-    died = [0] * len(items)
+    died, begun = [0] * len(items), [0.0] * len(items)
+    timed = functools.partial(_timed, function, timeout)
     while waiting or crew.busy:
         tick()
         for worker in crew.idle() if waiting else ():
             if waiting:
                 number, item = waiting.popleft()
-                crew.send(worker, number, function, item)
+                begun[number] = time.monotonic()
+                crew.send(worker, number, timed, item)
         for number, outcome in crew.done(_PATIENCE):
             if isinstance(outcome, Lost):
                 died[number] += 1
-                if died[number] < ATTEMPTS:
+                if 0.0 < timeout <= time.monotonic() - begun[number]:
+                    outcome = Failure(f"took longer than {timeout:g} s")
+                elif died[number] == ATTEMPTS:
+                    outcome = Failure(f"its worker died in each of {ATTEMPTS} attempts: {outcome.text}")
+                else:
                     waiting.appendleft((number, items[number]))
                     continue
-                outcome = Failure(f"its worker died in each of {ATTEMPTS} attempts: {outcome.text}")
             yield items[number], outcome
+
+
+def _timed(function: Callable[[Any], Any], timeout: float, item: Any) -> Any:
+    """The function's result; the system ends the process where it takes longer [s], whatever it hangs in."""
+    signal.setitimer(signal.ITIMER_REAL, timeout)
+    try:
+        return function(item)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 def guarded(function: Callable[[Any], Any], item: Any) -> Any:

@@ -8,7 +8,8 @@ jump at zero torque, the table holds both ends and gives the middle.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -130,6 +131,7 @@ def build(
     torque_limit: float,
     wanted: Callable[[float], bool] = lambda fraction: True,
     steps_per_tooth: int = STEPS_PER_TOOTH,
+    threads: int = 1,
 ) -> TorsionMap:
     """Build the map of a mesh and check it against the exact solution.
 
@@ -143,6 +145,8 @@ def build(
         Called with the fraction done; returning False gives the build up.
     steps_per_tooth : int
         Wave generator angles per tooth passing of a gear with 202 slots; the error falls with its square.
+    threads : int
+        How many solve angles at once; the map is the same.
 
     Returns
     -------
@@ -156,10 +160,7 @@ def build(
     steps = _steps(mesh.geometry.circular_spline_teeth, steps_per_tooth)
     angle = 2.0 * np.pi / steps * np.arange(steps, dtype=np.float64)
     torques, torsions = [], []
-    for start in range(0, steps, _CHUNK):
-        if not wanted(start / steps):
-            raise BuildCancelled
-        torque, beta = limited_curves(mesh, angle[start : start + _CHUNK], torque_limit)
+    for torque, beta in _curves(mesh, angle, torque_limit, wanted, threads):
         torques.append(torque)
         torsions.append(beta)
     torque, beta = _joined(torques), _joined(torsions)
@@ -167,11 +168,27 @@ def build(
         raise ValueError(f"the teeth cannot bear {torque_limit:g} N m at every wave generator angle")
     used = np.flatnonzero((torque > -torque_limit).any(axis=0) & (torque < torque_limit).any(axis=0))
     columns = slice(used[0] - 1, used[-1] + 2)
-    closed = np.append(np.arange(steps), 0)
-    table = TorsionMap(
-        mesh, torque[closed, columns].copy(), beta[closed, columns].copy(), torque_limit, np.inf
-    )
+    table = TorsionMap(mesh, _closed(torque[:, columns]), _closed(beta[:, columns]), torque_limit, np.inf)
     return _checked(table, 2.0 * TOLERANCE * (STEPS_PER_TOOTH / steps_per_tooth) ** 2)
+
+
+def _curves(
+    mesh: Mesh, angle: Floats, torque_limit: float, wanted: Callable[[float], bool], threads: int
+) -> Iterator[tuple[Floats, Floats]]:
+    """Curves of all angles, some after the other."""
+    starts = range(0, angle.size, _CHUNK)
+    pool = ThreadPoolExecutor(threads, thread_name_prefix="torsion map")
+    try:
+        each = pool.map if threads > 1 else map
+        solved = iter(
+            each(lambda start: limited_curves(mesh, angle[start : start + _CHUNK], torque_limit), starts)
+        )
+        for start in starts:
+            if not wanted(start / angle.size):
+                raise BuildCancelled
+            yield next(solved)
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _steps(teeth: int, per_tooth: int) -> int:
@@ -182,7 +199,18 @@ def _steps(teeth: int, per_tooth: int) -> int:
 def _joined(parts: list[Floats]) -> Floats:
     """Rows below each other; those with fewer breakpoints end with more of the limit."""
     width = max(part.shape[1] for part in parts)
-    return np.concatenate([np.pad(part, ((0, 0), (0, width - part.shape[1])), "edge") for part in parts])
+    joined = np.empty((sum(len(part) for part in parts), width))
+    begin = 0
+    for part in parts:
+        rows = joined[begin : begin + len(part)]
+        rows[:, : part.shape[1]], rows[:, part.shape[1] :] = part, part[:, -1:]
+        begin += len(part)
+    return joined
+
+
+def _closed(rows: Floats) -> Floats:
+    """The rows, with the first once more at the end."""
+    return np.concatenate((rows, rows[:1]))
 
 
 def _checked(built: TorsionMap, jump: float) -> TorsionMap:

@@ -93,7 +93,10 @@ def evaluate(
 
 
 def warm_up() -> None:
-    """Compile now, or read from the disk, what :func:`evaluate` needs; nothing where numba is missing."""
+    """Compile now, or read from the disk, the model's kernels and that of :func:`evaluate`.
+
+    Does nothing where numba is missing.
+    """
     if not compiled.available():
         return
     compiled.warm_up()

@@ -1,0 +1,46 @@
+"""Logs of a session without ROS, and what a log holds."""
+
+import itertools
+from collections import defaultdict
+from pathlib import Path
+
+from live import START, Recording
+
+from hd_diag.bag import BagReader, BagWriter
+from hd_diag.messages import JOINT_STATE, TEMPERATURE, Encoded, resolved
+from hd_diag.session import Session
+
+
+class Log(Recording):
+    """A recording that is also written as the node writes its log."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.writer = BagWriter(path)
+        self.clock = itertools.count(START)
+
+    def __call__(self, encoded: Encoded) -> None:
+        super().__call__(encoded)
+        topic = resolved(encoded.topic)
+        for row, received in zip(encoded.rows, encoded.received.tolist(), strict=True):
+            self.writer.write(topic, encoded.type_name, bytes(row), received)
+
+    def receive(self, session: Session, data: bytes) -> None:
+        """A JointState in CDR comes in."""
+        now = next(self.clock)
+        self.writer.write("/joint_states", JOINT_STATE, data, now)
+        session.joint_state(now, data)
+
+    def warm(self, session: Session, joint: str, data: bytes) -> None:
+        """A Temperature in CDR comes in."""
+        self.writer.write(f"/{joint}/temperature", TEMPERATURE, data, next(self.clock))
+        session.temperature(joint, data)
+
+
+def content(bag: Path) -> dict[str, list[tuple[int, bytes]]]:
+    """Log time [ns] and CDR of every message of a bag, by topic, in order."""
+    found: dict[str, list[tuple[int, bytes]]] = defaultdict(list)
+    with BagReader(bag) as reader:
+        for batch in reader.batches():
+            found[batch.topic.name] += zip(batch.log_time.tolist(), map(bytes, batch.messages()), strict=True)
+    return dict(found)
