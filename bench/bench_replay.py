@@ -3,8 +3,8 @@
     python bench/bench_replay.py [--seconds S] [--rate HZ] [--apart] [--json FILE]
 
 A joint of the example drive at 1 kHz with output angle and torque; the replay writes everything that the node
-publishes: transmission errors, residuals, per-tooth arrays at 20 Hz, diagnostics. The best of several, by CPU time of
-the process (user and system, of all its threads) and by the clock, which needs two idle cores to mean
+publishes: transmission errors, residuals, per-tooth arrays at 20 Hz, diagnostics. The best of several, by CPU
+time of the process (user and system, of all its threads) and by the clock, which needs two idle cores to mean
 something; the map of the torsion is built anew each time and counted.
 """
 
@@ -127,8 +127,10 @@ def main():
         print(f"read with {name:18s} {rate / 1e3:8.0f} k messages/s")
     print(
         f"replay {result['messages_per_second'] / 1e3:8.0f} k messages/s, {written} written: "
-        f"{result['times_real_time']:.0f} times real time, {result['times_real_time_without_map']:.0f} "
-        f"beside the map ({table:.2f} s), {result['times_real_time_by_the_clock']:.0f} by the clock; peak memory {result['peak_memory_mb']:.0f} MB"
+        f"{result['times_real_time']:.0f} times real time by CPU time, "
+        f"{result['times_real_time_without_map']:.0f} beside the map ({table:.2f} s); "
+        f"{result['times_real_time_by_the_clock']:.0f} times by the clock; "
+        f"peak memory {result['peak_memory_mb']:.0f} MB"
     )
     if options.json:
         Path(options.json).write_text(json.dumps(result, indent=1) + "\n")

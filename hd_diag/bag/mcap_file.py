@@ -249,7 +249,7 @@ class McapFile:
             raise
 
     def _write(self, chunk: _Chunk) -> None:
-        data = memoryview(np.concatenate([np.frombuffer(p, np.uint8) for p in chunk.parts])) if len(chunk.parts) < 200 else b"".join(chunk.parts)
+        data = b"".join(chunk.parts)
         name, stored = self._compress(data)
         first = 0 if chunk.opened is None else chunk.first
         tail = struct.pack("<I", len(name)) + name.encode() + struct.pack("<Q", len(stored))

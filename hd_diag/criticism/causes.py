@@ -94,6 +94,7 @@ def causes(
     """
     beta, _, _ = bench.fit(chosen)
     spread, places = covariance(bench, chosen)
+    every = bench.places(chosen)
     rng = np.random.default_rng(0)
     found = []
     for index, (effect, nonlinear) in enumerate(chosen):
@@ -108,7 +109,7 @@ def causes(
                 nonlinear,
                 beta[rows],
                 _part(spread, places[index]),
-                _amplitude(bench, effect, nonlinear, beta[rows]),
+                _amplitude(bench, effect, nonlinear, beta[every[index]]),
                 p_values.get(effect.name, float("nan")),
                 (effect.name, *_alike(bench, chosen, index, rivals)),
                 float(np.mean(share)),
@@ -135,9 +136,9 @@ def fitted(bench: Workbench, found: Search) -> Search:
     beta, _, _ = bench.fit(found.chosen)
     spread, places = covariance(bench, found.chosen)
     again = []
-    for cause, place in zip(found.causes, places, strict=False):
+    for cause, place, every in zip(found.causes, places, bench.places(found.chosen), strict=False):
         coefficients = beta[place[: cause.effect.size]]
-        amplitude = _amplitude(bench, cause.effect, cause.nonlinear, coefficients)
+        amplitude = _amplitude(bench, cause.effect, cause.nonlinear, beta[every])
         again.append(
             replace(cause, coefficients=coefficients, covariance=_part(spread, place), amplitude=amplitude)
         )

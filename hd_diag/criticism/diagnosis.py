@@ -226,12 +226,13 @@ def _left(record: Record, drive: Drive) -> Floats:
 def _left_by(bench: Workbench, trained: Workbench, chosen: Chosen) -> Floats:
     """What a model trained on some rows leaves of all rows, at the parameters of training [rad].
 
-    Shapes without a name are fitted, but are no part of a model.
+    Shapes without a name are fitted, but are no part of a model; nor is what a cause wanders by.
     """
     beta, _, _ = trained.fit(chosen)
     fixed = bench.always()
     left = bench.uncorrected - fixed @ beta[: fixed.shape[1]]
-    sized = [(item, beta[place]) for item, place in zip(chosen, trained.places(chosen), strict=True)]
+    places = trained.places(chosen)
+    sized = [(item, beta[place][: item[0].size]) for item, place in zip(chosen, places, strict=True)]
     bench.see(sized)
     for (effect, nonlinear), coefficients in sized:
         if not isinstance(effect, Foil):

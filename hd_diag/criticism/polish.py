@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hd_diag.criticism.workbench import Chosen, Workbench, settle
-from hd_diag.effects.effect import Effect
+from hd_diag.effects.effect import Effect, Stage
 
 Floats = npt.NDArray[np.float64]
 
@@ -15,20 +15,22 @@ _SHORTER = 3  # halvings of a step that makes the fit worse
 _SETTLED = 0.05  # deviance; what a further round could gain
 
 
-def polished(bench: Workbench, chosen: Chosen) -> tuple[Workbench, Chosen]:
+def polished(bench: Workbench, chosen: Chosen, rounds: int = _ROUNDS) -> tuple[Workbench, Chosen]:
     """Gauss-Newton over the nonlinear values of all effects, the model's parameters settled in between.
 
     Parameters
     ----------
     bench : Workbench
     chosen : sequence of (Effect, nonlinear values)
+    rounds : int
+        At most.
 
     Returns
     -------
     bench, chosen
         At the best values near those given.
     """
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         before = bench.design(chosen).deviance()
         chosen = _stepped(bench, chosen, before)
         bench = settle(bench, chosen, rounds=1, learn=False)
@@ -70,7 +72,7 @@ def covariance(bench: Workbench, chosen: Chosen) -> tuple[Floats, list[npt.NDArr
     covariance : ndarray, shape (k, k)
         Model, offset, coefficients effect by effect, then nonlinear values effect by effect.
     places : list of ndarray
-        For every effect the rows of its coefficients and then of its nonlinear values; -1: not free.
+        For every effect the rows of its own coefficients and then of its nonlinear values; -1: not free.
     """
     linear = bench.places(chosen)
     last, places = linear[-1].stop if linear else 0, []
@@ -78,7 +80,8 @@ def covariance(bench: Workbench, chosen: Chosen) -> tuple[Floats, list[npt.NDArr
         inner = np.full(len(nonlinear), -1)
         for index in free(effect):
             inner[index], last = last, last + 1
-        places.append(np.concatenate((np.arange(place.start, place.stop), inner)))
+        own = place.stop if effect.stage == Stage.NOWHERE else place.start + effect.size
+        places.append(np.concatenate((np.arange(place.start, own), inner)))
     return bench.fit(chosen, slopes(bench, chosen))[1], places
 
 

@@ -92,14 +92,17 @@ def ranked(
     for effect in effects:
         if effect.name in named or not (bench.testable(effect)[0] or effect.name in untested):
             continue
-        best: tuple[float, tuple[float, ...]] | None = None
+        best: Candidate | None = None
         for nonlinear in effect.scan(bench.signals, rest):
             gain = projector.gain(bench.white(effect, nonlinear))
-            if best is None or gain > best[0]:
-                best = gain, nonlinear
+            one = _candidate(bench, projector, effect, nonlinear, gain)
+            if best is None or one.surprise > best.surprise:
+                best = one
         if best is not None:
-            gain = max(best[0], _gain_at_size(bench, projector, effect, best[1]))
-            found.append(_candidate(bench, projector, effect, best[1], gain))
+            gain = _gain_at_size(bench, projector, effect, best.nonlinear)
+            if gain > best.gain:
+                best = _candidate(bench, projector, effect, best.nonlinear, gain)
+            found.append(best)
     return sorted(found, key=lambda candidate: -candidate.surprise)
 
 

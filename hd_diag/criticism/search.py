@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +16,7 @@ from hd_diag.criticism.polish import free, polished
 from hd_diag.criticism.ranking import Candidate, Projector, by_name, candidates, family_size, ranked
 from hd_diag.criticism.refit import FEW_STARTS, distinct, refit
 from hd_diag.criticism.workbench import Chosen, Workbench, settle
-from hd_diag.effects.effect import Effect
+from hd_diag.effects.effect import Effect, Stage
 
 Floats = npt.NDArray[np.float64]
 
@@ -66,6 +67,9 @@ def search(bench: Workbench, progress: Callable[[str], None] = lambda text: None
             bench = _restarted(bench, chosen)
     chosen = kept(bench, chosen)
     bench, chosen = _finished(settle(bench, chosen), chosen)
+    needed = kept(bench, chosen)
+    if needed != chosen:
+        bench, chosen = _finished(settle(bench, needed), needed)
     foils = tuple(item for item in chosen if isinstance(item[0], Foil))
     return Search(bench, causes(bench, chosen, p_values, rivals), foils)
 
@@ -79,13 +83,24 @@ def speed_dependent(bench: Workbench) -> bool:
 
 
 def _next(bench: Workbench, chosen: Chosen, family: int, best: list[Candidate]) -> Candidate | None:
-    """The best candidate that passes every test; where none does, the best nameless shape; else None."""
-    found = passing(bench, chosen, best[:3], family)
+    """The best candidate that passes every test; where none does, the best nameless shape; else None.
+
+    Between grid points a cause may explain too little of blocks that were not fitted.
+    """
+    found = passing(bench, chosen, best[:3], family) or passing(
+        bench, chosen, [_between(bench, chosen, one) for one in best[:1] if free(one.effect)], family
+    )
     if found is not None:
         return found
     if len(chosen) - _named(chosen) < _MOST_FOILS:
         return passing(bench, chosen, ranked(bench, chosen, FOILS)[:2], family)
     return None
+
+
+def _between(bench: Workbench, chosen: Chosen, candidate: Candidate) -> Candidate:
+    """A candidate off its grid point; the chance is that of the grid's best."""
+    effect = candidate.effect
+    return replace(candidate, nonlinear=_best_nonlinear(bench, chosen, effect, candidate.nonlinear))
 
 
 def _named(chosen: Chosen) -> int:
@@ -114,7 +129,23 @@ def _refined(bench: Workbench, chosen: Chosen) -> tuple[Workbench, Chosen]:
     if free(effect):
         chosen = (*chosen[:-1], (effect, _best_nonlinear(bench, chosen[:-1], effect, nonlinear)))
         bench = settle(bench, chosen, rounds=1)
-    return bench, chosen
+    return _of_kind(bench, chosen, len(chosen) - 1)
+
+
+def _of_kind(bench: Workbench, chosen: Chosen, index: int) -> tuple[Workbench, Chosen]:
+    """An effect that carries others, at the discrete values that are best when all is settled beside them."""
+    effect, nonlinear = chosen[index]
+    if effect.stage <= Stage.GEAR:
+        return bench, chosen
+    best, found, least = bench, chosen, _left(bench, chosen)
+    for other in effect.beside(bench.signals, nonlinear):
+        trial = (*chosen[:index], (effect, other), *chosen[index + 1 :])
+        moved = bench.moved(bench.parameters, bench.whiten)
+        moved.noise_residual = bench.noise_residual
+        moved, trial = polished(settle(moved, trial, rounds=2, learn=False), trial, rounds=2)
+        if (left := _left(moved, trial)) < least:
+            best, found, least = moved, trial, left
+    return best, found
 
 
 def _best_nonlinear(
@@ -142,6 +173,9 @@ def _best_nonlinear(
 
 def _swapped(bench: Workbench, chosen: Chosen, rivals: set[str]) -> tuple[Workbench, Chosen]:
     """Exchange a chosen effect for a better one, or for itself at another grid point, where there is one."""
+    for index, (effect, nonlinear) in enumerate(chosen[:-1]):
+        if effect.stage > Stage.GEAR:
+            bench, chosen = _of_kind(bench, chosen, index)
     for index, (effect, nonlinear) in enumerate(chosen):
         others = chosen[:index] + chosen[index + 1 :]
         now = bench.design(chosen).deviance()

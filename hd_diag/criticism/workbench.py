@@ -185,7 +185,13 @@ class Workbench:
         self.left_white = self.whiten(self.left, self.run)
 
     def full_size(self, effect: Effect, nonlinear: tuple[float, ...], coefficients: Floats) -> Floats:
-        """An effect's part in the error, contacts made and lost by it included, shape (n,) [rad]."""
+        """An effect's part in the error, contacts made and lost by it included, shape (n,) [rad].
+
+        Coefficients beyond its own are of what it wanders by.
+        """
+        if (own := effect.size) < coefficients.size and effect.stage > Stage.NOWHERE:
+            wandering = effect.wandering(self.whole, nonlinear)[self.rows] @ coefficients[own:]
+            return self.full_size(effect, nonlinear, coefficients[:own]) + wandering
         if effect.remembers or effect.stage > Stage.GEAR:
             return np.nan_to_num(effect.response(self._seen(effect), coefficients, nonlinear)[self.rows])
         return np.nan_to_num(effect.response(self.signals, coefficients, nonlinear))
@@ -211,7 +217,10 @@ class Workbench:
     def _fresh(self, effect: Effect, nonlinear: tuple[float, ...]) -> Floats:
         if not self._sees_all(effect):
             return np.nan_to_num(effect.columns(self.signals, nonlinear))
-        columns = np.nan_to_num(effect.columns(self._seen(effect), nonlinear))
+        seen = self._seen(effect)
+        columns = np.nan_to_num(effect.columns(seen, nonlinear))
+        if type(effect).wandering is not Effect.wandering:
+            columns = np.concatenate((columns, effect.wandering(seen, nonlinear)), axis=1)
         return self._carried(columns, effect.stage, effect.of_teeth)[self.rows]
 
     def _secant(self, effect: Effect, nonlinear: tuple[float, ...], coefficients: Floats) -> Floats:
@@ -230,7 +239,7 @@ class Workbench:
 
     def _sees_all(self, effect: Effect) -> bool:
         """Whether it needs rows that are not fitted: they come before others."""
-        if effect.remembers or effect.stage > Stage.GEAR:
+        if effect.remembers or effect.stage > Stage.GEAR or type(effect).wandering is not Effect.wandering:
             return True
         return effect.stage == Stage.GEAR and bool(self._later)
 
@@ -240,7 +249,7 @@ class Workbench:
             return self.whole
         if effect.stage not in self._behind:
             parts = [
-                (e, np.nan_to_num(e.response(self._seen(e), coefficients, nonlinear)))
+                (e, np.nan_to_num(e.response(self._seen(e), coefficients[: e.size], nonlinear)))
                 for (e, nonlinear), coefficients in self._before
                 if e.stage < effect.stage
             ]

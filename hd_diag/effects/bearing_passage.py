@@ -29,20 +29,32 @@ BANDS = (
 """Orders of the cage, of the balls over the outer and over the inner ring."""
 
 _CANDIDATES = 4
+_KNOTS = 12  # over a record's way, between which amplitude and phase go straight
 _LEAK = 0.2  # of a line, that may still show beside it where a candidate is allowed
 
 
 @dataclass(frozen=True)
 class BearingPassage(Effect):
-    """``a cos(kappa theta_W - d)``; its phase must be kept over the whole record."""
+    """``a cos(kappa theta_W - d)``; a fit lets the phase slip, as rolling bearings do."""
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """One order; see :meth:`Effect.columns`."""
         return turning(nonlinear[0] * signals.wave_generator_angle)
 
+    def wandering(self, signals: Signals, nonlinear: Values) -> Floats:
+        """The order at every knot of the way, less its mean; see :meth:`Effect.wandering`."""
+        if signals.size < 2 or not nonlinear[1]:
+            return np.empty((signals.size, 0))
+        way = np.cumsum(np.abs(np.diff(signals.wave_generator_angle, prepend=signals.wave_generator_angle[0])))
+        place = way * (_KNOTS / max(float(way[-1]), 1e-300))
+        hats = np.maximum(1.0 - np.abs(place[:, None] - np.arange(1, _KNOTS + 1)), 0.0)
+        hats -= hats.mean(axis=0)
+        own = self.columns(signals, nonlinear)
+        return np.asarray((hats[:, :, None] * own[:, None, :]).reshape(signals.size, -1))
+
     def grid(self, signals: Signals) -> list[Values]:
         """Middle of every band; `scan` looks at all orders that the record resolves."""
-        return [(0.5 * (low + high),) for low, high in BANDS]
+        return [(0.5 * (low + high), slips) for low, high in BANDS for slips in (0.0, 1.0)]
 
     def scan(self, signals: Signals, residual: Floats) -> list[Values]:
         """Strongest lines of the residual's order spectrum inside the bands."""
@@ -51,12 +63,12 @@ class BearingPassage(Effect):
         peak[1:-1] = (strength[1:-1] >= strength[:-2]) & (strength[1:-1] >= strength[2:])
         place = np.flatnonzero(peak & self._allowed(order, signals))
         best = place[np.argsort(strength[place])[::-1][:_CANDIDATES]]
-        return [(float(order[index]),) for index in best]
+        return [(float(order[index]), slips) for index in best for slips in (0.0, 1.0)]
 
     def trials(self, signals: Signals) -> int:
         """Orders that the record resolves inside the bands."""
         width = sum(high - low for low, high in BANDS)
-        return max(len(BANDS), int(2.0 * width * input_turns(signals)))
+        return 2 * max(len(BANDS), int(2.0 * width * input_turns(signals)))
 
     def testable(self, signals: Signals) -> tuple[bool, str]:
         """Two hundred turns: the orders stand close to whole ones."""
@@ -91,6 +103,17 @@ EFFECT = BearingPassage(
             0.02,
             "kappa, periods per wave generator turn",
             linear=False,
+        ),
+        Quantity(
+            "slips",
+            "-",
+            0.0,
+            1.0,
+            1.0,
+            "1: the phase slips over the record, and its mean is all that a model can foretell",
+            False,
+            None,
+            True,
         ),
     ),
     confused_with=("encoder_interpolation", "circular_spline_form"),

@@ -138,6 +138,13 @@ class Effect(ABC):
             [rad] per unit of the coefficient.
         """
 
+    def wandering(self, signals: Signals, nonlinear: Values) -> Floats:
+        """Columns by which it may wander over a record, beside its own, shape (n, k); none unless stated.
+
+        They are fitted with it and are no part of a model that runs, for nothing foretells them.
+        """
+        return np.empty((signals.size, 0))
+
     @abstractmethod
     def testable(self, signals: Signals) -> tuple[bool, str]:
         """Whether the record's motion allows to find it; if not, the shortest extra motion that would."""
