@@ -153,18 +153,18 @@ class ExtendedModel:
         own = transmission_error(self.drive, input_angle, torque, table)
         signals = self._signals(state, time, input_angle, speed, torque, temperature, own)
         step, after = _change(time, state.time), list(state.effects)
-        parts: list[tuple[Effect, Floats]] = []
+        added: list[tuple[Effect, Floats]] = []
         for index, term in sorted(enumerate(self.effects), key=lambda one: one[1].effect.stage):
             seen = seen_at(
-                term.effect.stage, signals, parts, lambda error: _rate(_change(error, state.predicted), step)
+                term.effect.stage, signals, added, lambda error: _rate(_change(error, state.predicted), step)
             )
             part, after[index] = term.effect.respond(
                 state.effects[index], seen, np.array(term.coefficients), term.nonlinear
             )
-            parts.append((term.effect, np.where(np.isfinite(part), part, 0.0)))
-        before = [part for effect, part in parts if effect.stage < Stage.STREAM]
+            added.append((term.effect, np.where(np.isfinite(part), part, 0.0)))
+        before = [part for effect, part in added if effect.stage < Stage.STREAM]
         streamed = float(own[-1] + sum(part[-1] for part in before))
-        total: Floats = own + self.offset + sum(part for _, part in parts)
+        total: Floats = own + self.offset + sum(part for _, part in added)
         begun = not state.is_fresh or (speed is not None and bool(np.isfinite(speed[0])))
         last = State(
             float(time[-1]),

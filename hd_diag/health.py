@@ -95,7 +95,7 @@ def report(joint: JointMonitor, now: int, facts: Mapping[str, str], foreign: int
         "latency_p99_us": facts.get("latency_p99_us", "nan"),
         "log_state": facts.get("log_state", "off"),
     }
-    return Status(f"hd_diag: {joint.config.name}", level, message, values)
+    return Status(joint.config.name, level, message, values)
 
 
 def _faults(

@@ -48,12 +48,14 @@ class Encoded(NamedTuple):
     rows: npt.NDArray[np.uint8] | list[bytes]
 
 
-def encode(publication: Publication) -> Encoded:
+def encode(publication: Publication, node: str = "/hd_diag") -> Encoded:
     """CDR of what a monitor publishes.
 
     Parameters
     ----------
     publication : Angles, Teeth, Drawings or Report
+    node : str
+        Full name of the node, which diagnostics hold.
 
     Returns
     -------
@@ -68,7 +70,7 @@ def encode(publication: Publication) -> Encoded:
     if isinstance(publication, Drawings):
         return Encoded(publication.topic, MARKERS, publication.received, _markers(publication))
     return Encoded(
-        publication.topic, DIAGNOSTICS, np.array([publication.received]), [_diagnostics(publication)]
+        publication.topic, DIAGNOSTICS, np.array([publication.received]), [_diagnostics(publication, node)]
     )
 
 
@@ -168,8 +170,12 @@ def _markers(drawings: Drawings) -> list[bytes]:
     ]
 
 
-def _diagnostics(report: Report) -> bytes:
-    statuses = ((status.level, status.name, status.message, status.values) for status in report.statuses)
+def _diagnostics(report: Report, node: str) -> bytes:
+    """The hardware is the node's joint, named as its topics begin: other nodes may have one of that name."""
+    statuses = (
+        (status.level, status.name, status.message, f"{node}/{status.joint}", status.values)
+        for status in report.statuses
+    )
     return encode_diagnostic_array(report.stamp, statuses)
 
 

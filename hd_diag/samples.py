@@ -102,10 +102,15 @@ class Drawings(NamedTuple):
 class Status(NamedTuple):
     """Diagnostics of one joint: level 0 (OK), 1 (WARN), 2 (ERROR), one line of text, and stable keys."""
 
-    name: str
+    joint: str
     level: int
     message: str
     values: dict[str, str]
+
+    @property
+    def name(self) -> str:
+        """As diagnostics call it."""
+        return f"hd_diag: {self.joint}"
 
 
 class Report(NamedTuple):

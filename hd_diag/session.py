@@ -46,7 +46,7 @@ class Session:
     sink : callable
         Takes every result and event, in order.
     node : str
-        Full name of the node, for its parameter events.
+        Full name of the node, for its parameter events and diagnostics.
     topics : mapping of str to str, optional
         Full names of the node's topics, for the log: it may be that they are remapped.
     """
@@ -162,7 +162,7 @@ class Session:
 
     def _publish(self, publications: Iterable[Publication]) -> None:
         for publication in publications:
-            self._sink(encode(publication))
+            self._sink(encode(publication, self._node))
 
 
 def _models(config: Config) -> dict[str, str]:

@@ -88,16 +88,16 @@ def test_multiarray_of_a_view_that_is_not_contiguous():
 
 @given(
     st.integers(-(2**31) * 10**9, 2**31 * 10**9 - 1),
-    st.lists(st.tuples(st.integers(0, 127), text, text, st.dictionaries(text, text, max_size=4)), max_size=4),
+    st.lists(st.tuples(st.integers(0, 127), text, text, text, st.dictionaries(text, text, max_size=4)), max_size=4),
 )
 def test_diagnostics_are_what_rosbags_serializes(stamp, statuses):
     types = jazzy().types
     key_value = types["diagnostic_msgs/msg/KeyValue"]
     every = [
         types["diagnostic_msgs/msg/DiagnosticStatus"](
-            level, name, message, "", [key_value(k, v) for k, v in values.items()]
+            level, name, message, hardware, [key_value(k, v) for k, v in values.items()]
         )
-        for level, name, message, values in statuses
+        for level, name, message, hardware, values in statuses
     ]
     time = types["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9))
     array = types[DIAGNOSTICS](types["std_msgs/msg/Header"](time, ""), every)

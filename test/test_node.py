@@ -118,6 +118,7 @@ def test_diagnostics(arm: Rig, publisher: Any) -> None:
     feed(publisher, stamps, 100, joint="elbow")
     status = arm.status("elbow", lambda values: values["sample_rate_hz"] not in ("0", "nan"))
     values = values_of(status)
+    assert status.hardware_id == f"{arm.process.namespace}/hd_diag/elbow"
     assert status.level in (b"\0", b"\1", b"\2")
     expected = {
         *("fault_code", "eccentricity_um", "minimum_backlash_um", "interference", "loaded_pairs"),

@@ -89,9 +89,20 @@ def test_diagnostics_hold_one_status_of_each_joint(recording: Recording) -> None
     (array,) = messages(recording, "/diagnostics")
     assert (array.header.stamp.sec, array.header.stamp.nanosec) == (1, 500_000_000)
     assert [(s.name, s.level) for s in array.status] == [("hd_diag: elbow", 0), ("hd_diag: wrist", 0)]
+    assert [s.hardware_id for s in array.status] == ["/hd_diag/elbow", "/hd_diag/wrist"]
     keys = [pair.key for pair in array.status[0].values]
     assert len(set(keys)) == len(keys)
     assert {"fault_code", "eccentricity_um", "samples", "log_state", "latency_p99_us"} <= set(keys)
+
+
+def test_nodes_with_a_joint_of_one_name_are_told_apart_in_diagnostics() -> None:
+    found = []
+    for node in ("/left/hd_diag", "/right/hd_diag"):
+        recording = Recording()
+        Session(config("elbow"), recording, node).tick(START, START, FACTS)
+        ((status,),) = (array.status for array in messages(recording, "/diagnostics"))
+        found.append((status.name, status.hardware_id))
+    assert found == [("hd_diag: elbow", "/left/hd_diag/elbow"), ("hd_diag: elbow", "/right/hd_diag/elbow")]
 
 
 def test_drawing_is_of_the_joint(session: Session, recording: Recording) -> None:

@@ -152,15 +152,17 @@ def encode_float64_multiarray_message(dims: tuple[tuple[str, int], ...], data: F
     return _multiarray(dims) + data.tobytes()
 
 
-def encode_diagnostic_array(stamp: int, statuses: Iterable[tuple[int, str, str, Mapping[str, str]]]) -> bytes:
+def encode_diagnostic_array(
+    stamp: int, statuses: Iterable[tuple[int, str, str, str, Mapping[str, str]]]
+) -> bytes:
     """A DiagnosticArray message.
 
     Parameters
     ----------
     stamp : int
         Time of the header [ns].
-    statuses : iterable of (int, str, str, mapping of str to str)
-        Level, name, message and values.
+    statuses : iterable of (int, str, str, str, mapping of str to str)
+        Level, name, message, hardware_id and values.
 
     Raises
     ------
@@ -172,9 +174,9 @@ def encode_diagnostic_array(stamp: int, statuses: Iterable[tuple[int, str, str, 
         body += _STAMP.pack(*divmod(stamp, _NANOSECONDS))
         _add_string(body, "")
         _add_uint32(body, len(every))
-        for level, name, message, values in every:
+        for level, *texts, values in every:
             body.append(level)
-            for text in (name, message, ""):
+            for text in texts:
                 _add_string(body, text)
             _add_uint32(body, len(values))
             for key, value in values.items():

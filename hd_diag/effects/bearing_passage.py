@@ -45,7 +45,9 @@ class BearingPassage(Effect):
         """The order at every knot of the way, less its mean; see :meth:`Effect.wandering`."""
         if signals.size < 2 or not nonlinear[1]:
             return np.empty((signals.size, 0))
-        way = np.cumsum(np.abs(np.diff(signals.wave_generator_angle, prepend=signals.wave_generator_angle[0])))
+        way = np.cumsum(
+            np.abs(np.diff(signals.wave_generator_angle, prepend=signals.wave_generator_angle[0]))
+        )
         place = way * (_KNOTS / max(float(way[-1]), 1e-300))
         hats = np.maximum(1.0 - np.abs(place[:, None] - np.arange(1, _KNOTS + 1)), 0.0)
         hats -= hats.mean(axis=0)
