@@ -52,7 +52,7 @@ TRUTH: dict[str, dict[str, float]] = {
         "bending": 1.0,
     },
     "coupling_misalignment": {"angle": 0.08, "direction": 2.5},
-    "bearing_passage": {"amplitude": 2e-5, "phase": 1.0, "order": 0.4437},
+    "bearing_passage": {"amplitude": 2e-5, "phase": 1.0, "order": 0.4437, "slips": 0.0},
     "circular_spline_pitch": {
         "pitch_2": 2e-6,
         "pitch_direction_2": 2.0,
@@ -438,11 +438,47 @@ def test_resonance_carries_the_ripple(signals: Signals) -> None:
         wave_generator_angle=-20.0 * time**2,
         output_angle=0.2 * time**2,
         speed=40.0 * time,
+        torque=np.full(time.size, 56.0),
     )
     wave = np.cos(2.0 * sweep.wave_generator_angle)
     sweep.contact.__dict__["ripple"] = wave
     found = effect.columns(sweep, (2.0, 130.0, 0.05))
     assert_allclose(found[:, 2], found[:, 0] - wave, atol=0.01)
+    sweep.contact.__dict__["ripple"] = 0.7 * wave
+    teeth = dataclasses.replace(sweep, tooth_ripple=0.3 * wave)
+    assert_allclose(effect.columns(teeth, (2.0, 130.0, 0.05)), found, atol=1e-12)
+    share = np.array([0.0, 0.0, 0.6])
+    carried = effect.carry(sweep, wave[:, None], share, (2.0, 130.0, 0.05))
+    assert_allclose(carried[:, 0], 0.6 * found[:, 2], atol=1e-9)
+    loose = dataclasses.replace(sweep, torque=np.full(time.size, 0.0056))
+    assert np.max(np.abs(effect.carry(loose, wave[:, None], share, (2.0, 130.0, 0.05)))) < 1e-3
+
+
+def test_a_late_stream_carries_what_the_gear_adds(signals: Signals) -> None:
+    effect, time = by_name("stream_delay"), np.linspace(0.0, 4.0, 4001)
+    moving = dataclasses.replace(signals.part(np.zeros(time.size, dtype=np.int64)), time=time)
+    waves = np.stack((np.sin(30.0 * time), np.cos(20.0 * time)), axis=1)
+    late = np.stack((np.sin(30.0 * (time - 4e-3)), np.cos(20.0 * (time - 4e-3))), axis=1)
+    found = effect.carry(moving, waves, np.array([4e-3]), ())
+    assert_allclose(found[5:], (late - waves)[5:], atol=2e-4)
+
+
+def test_a_bearing_that_slips_is_followed_through_its_record(signals: Signals) -> None:
+    """A phase that creeps by more than half a turn leaves little beside a fit that lets it."""
+    effect, count = by_name("bearing_passage"), 20_000
+    angle = np.linspace(0.0, 2.0 * math.pi * 300.0, count)
+    long = dataclasses.replace(
+        signals.part(np.zeros(count, dtype=np.int64)), wave_generator_angle=angle, time=angle / 20.0
+    )
+    true = np.cos(10.25 * angle + 2.0 * np.sin(angle / angle[-1] * 4.0))
+
+    def left(slips: float) -> float:
+        own = effect.columns(long, (10.25, slips))
+        columns = np.concatenate((own, effect.wandering(long, (10.25, slips))), axis=1)
+        return float(np.std(true - columns @ np.linalg.lstsq(columns, true, rcond=None)[0]))
+
+    assert effect.wandering(long, (10.25, 0.0)).shape == (count, 0)
+    assert left(1.0) < 0.05 < 0.5 < left(0.0)
 
 
 def test_stream_delay_reaches_back_over_many_samples(signals: Signals) -> None:
@@ -515,7 +551,7 @@ def test_scan_finds_the_bearing(signals: Signals, order: float) -> None:
     noise = np.random.default_rng(5).normal(0.0, NOISE, signals.size)
     line = 0.5 * NOISE * np.cos(order * signals.wave_generator_angle + 0.4)
     turns = np.ptp(signals.wave_generator_angle) / (2 * math.pi)
-    assert min(abs(one - order) for (one,) in effect.scan(signals, line + noise)) < 0.5 / turns
+    assert min(abs(one - order) for one, _ in effect.scan(signals, line + noise)) < 0.5 / turns
 
 
 @pytest.mark.parametrize("order", [2.02, 4.04, 6.0, 10.0, 3.3])

@@ -1,0 +1,96 @@
+"""The bench of a fit: effects of later stages see those of earlier ones, and memory goes through every row."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from benches import CONFIGURED, EFFECTS, POINT, bench, of, swinging
+from joint_records import RATIO
+from numpy.testing import assert_allclose, assert_array_equal
+
+from hd_diag.criticism.polish import polished
+from hd_diag.criticism.record import Record
+from hd_diag.criticism.refit import usable
+from hd_diag.criticism.workbench import Workbench, settle
+from hd_diag.extended import ExtendedModel, Range, Ranges, Term
+
+PITCH, DELAY = EFFECTS["circular_spline_pitch"], EFFECTS["stream_delay"]
+RESONANCE, HYSTERESIS = EFFECTS["resonance"], EFFECTS["hysteresis"]
+PITCH_AT = PITCH.from_physical(
+    {"pitch_2": 1.2e-6, "pitch_direction_2": 0.4, "pitch_4": 0.0, "pitch_direction_4": 0.0}
+)[0]
+SPRING = (2.0, 60.0, 0.05)
+ALL = Ranges(Range(-60.0, 60.0), Range(-200.0, 200.0))
+
+
+def recorded(*terms: Term) -> Record:
+    """A joint with effects that act on each other, as the model that runs has them."""
+    record = swinging()
+    base_only = ExtendedModel(Workbench(record, CONFIGURED, POINT).drive, (), 0.0, ALL)
+    model = dataclasses.replace(base_only, effects=terms)
+    run = (record.time, record.input_angle, None, record.torque)
+    change = model.step(model.start(), *run)[0] - base_only.step(base_only.start(), *run)[0]
+    return dataclasses.replace(record, output_angle=record.output_angle + change)
+
+
+def left(record: Record, *chosen: tuple) -> np.ndarray:
+    """Standard deviation of what the settled bench leaves [arcsec], and its parameters."""
+    made = settle(Workbench(record, CONFIGURED, POINT), chosen, rounds=4)
+    made, chosen = polished(made, chosen)
+    return np.std(made.remainder(chosen)) * 206265.0, made
+
+
+def test_a_delay_of_tooth_errors_is_one_delay() -> None:
+    """Both together leave the noise; sizes come back although the late stream shows the pitch late as well."""
+    truth = Term(PITCH, tuple(PITCH_AT), ()), Term(DELAY, (2e-3,), ())
+    rest, made = left(recorded(*truth), (PITCH, ()), (DELAY, ()))
+    assert rest == pytest.approx(2.0, abs=0.1)
+    beta = made.fit(((PITCH, ()), (DELAY, ())))[0]
+    places = made.places(((PITCH, ()), (DELAY, ())))
+    assert beta[places[1]][0] == pytest.approx(2e-3, rel=0.01)
+    assert np.hypot(*beta[places[0]][:2]) == pytest.approx(1.2e-6, rel=0.05)
+
+
+def test_a_spring_carries_tooth_errors_and_the_model_s_own_parameters() -> None:
+    truth = Term(PITCH, tuple(PITCH_AT), ()), Term(RESONANCE, (0.0, 0.0, 1.0), SPRING)
+    chosen = ((PITCH, ()), (RESONANCE, SPRING))
+    rest, made = left(recorded(*truth), *chosen)
+    assert rest == pytest.approx(2.0, abs=0.25)
+    sized = made.fit(chosen)[0][made.places(chosen)[1]]
+    assert sized[2] == pytest.approx(1.0, abs=0.05)
+    # Derivatives of the model pass the spring too: against a difference of benches a step apart.
+    static, step = made.moved(made.parameters).jacobian[:, 0], np.array([0.2, *np.zeros(6)])
+    sized = [((RESONANCE, SPRING), np.array([0.0, 0.0, 1.0]))]
+    ends = []
+    for sign in (-1.0, 1.0):
+        other = made.moved(made.parameters + sign * step)
+        other.see(sized)
+        ends.append(other.error + other.full_size(RESONANCE, SPRING, sized[0][1]))
+    made.see(sized)
+    expected = (ends[1] - ends[0]) / 0.4
+    assert np.std(made.jacobian[:, 0] - expected) < 0.3 * np.std(static - expected)
+
+
+def test_what_is_not_chosen_any_more_is_not_seen() -> None:
+    made = bench(of(DELAY, delay=1e-3))
+    plain, jacobian = made.columns(DELAY, ()).copy(), made.jacobian.copy()
+    made.see([((PITCH, ()), PITCH_AT), ((DELAY, ()), np.array([1e-3]))])
+    assert np.std(made.columns(DELAY, ()) - plain) > 1e-3 * np.std(plain)
+    assert np.std(made.jacobian - jacobian) > 0.0
+    made.see([])
+    assert_array_equal(made.columns(DELAY, ()), plain)
+    assert_array_equal(made.jacobian, jacobian)
+
+
+def test_memory_goes_through_rows_that_are_not_fitted() -> None:
+    record = swinging()
+    rows = np.arange(record.size) * 10 // record.size % 3 != 1
+    made = Workbench(record, CONFIGURED, POINT, rows=rows)
+    every = Workbench(record, CONFIGURED, POINT)
+    fitted = rows & usable(record)
+    assert made.record.size == np.count_nonzero(fitted) < every.record.size
+    inside = fitted[usable(record)]
+    for effect, nonlinear in ((HYSTERESIS, (3.0, 9.0)), (RESONANCE, SPRING)):
+        assert_array_equal(made.columns(effect, nonlinear), every.columns(effect, nonlinear)[inside])
+    assert_allclose(made.left, every.left[inside], atol=1e-12)
+    assert made.left.std() * RATIO > 0.0
