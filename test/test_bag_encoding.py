@@ -88,7 +88,9 @@ def test_multiarray_of_a_view_that_is_not_contiguous():
 
 @given(
     st.integers(-(2**31) * 10**9, 2**31 * 10**9 - 1),
-    st.lists(st.tuples(st.integers(0, 127), text, text, text, st.dictionaries(text, text, max_size=4)), max_size=4),
+    st.lists(
+        st.tuples(st.integers(0, 127), text, text, text, st.dictionaries(text, text, max_size=4)), max_size=4
+    ),
 )
 def test_diagnostics_are_what_rosbags_serializes(stamp, statuses):
     types = jazzy().types

@@ -51,7 +51,7 @@ TRUTH: dict[str, dict[str, float]] = {
         "radial_direction_6": 0.2,
         "bending": 1.0,
     },
-    "coupling_misalignment": {"angle": 0.08, "direction": 2.5},
+    "coupling_misalignment": {"angle": 0.08, "direction": 2.5, "play": 3e-4, "plays": 1.0},
     "bearing_passage": {"amplitude": 2e-5, "phase": 1.0, "order": 0.4437, "slips": 0.0},
     "circular_spline_pitch": {
         "pitch_2": 2e-6,
@@ -592,3 +592,11 @@ def test_standard_deviations_are_propagated() -> None:
     assert_allclose(found["pitch_2"], sigma, rtol=1e-6)
     assert_allclose(found["pitch_direction_2"], sigma / (2 * 2e-6), rtol=1e-6)
     assert_allclose(found["pitch_direction_4"], sigma / (4 * 2e-6), rtol=1e-6)
+
+
+def test_a_coupling_has_no_more_play_than_couplings_have() -> None:
+    effect = by_name("coupling_misalignment")
+    assert effect.sensible(np.array([1e-3, 0.0, 3e-4]), (1.0,))
+    assert effect.sensible(np.array([1e-3, 0.0, 0.0]), (0.0,))
+    for play in (-1e-4, 2e-3):  # that is friction
+        assert not effect.sensible(np.array([1e-3, 0.0, play]), (1.0,))

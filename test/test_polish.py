@@ -96,3 +96,20 @@ def test_a_value_stops_at_its_limit() -> None:
     _, chosen = polished(made, ((effect, (low,)),))
     assert chosen[0][1][0] >= low
     assert_array_equal(np.isfinite(chosen[0][1]), [True])
+
+
+def test_deviations_follow_the_scatter_of_blocks(case: tuple[str, Workbench]) -> None:
+    """A part that no column has, in one block in three, widens what it pulls at; nothing gets narrower."""
+    name, made = case
+    chosen = ((EFFECTS["viscous_windup"], ()),)
+    plain = np.sqrt(np.diag(made.fit(chosen)[1]))
+    assert np.all(np.sqrt(np.diag(covariance(made, chosen)[0])) >= 0.999 * plain)
+    kept = made.left.copy()
+    made.left = made.left + 3e-5 * made.signals.speed / np.max(np.abs(made.signals.speed)) * (
+        made.block % 3 == 0
+    )
+    made.left_white = made.whiten(made.left, made.run)
+    spread, (place,) = covariance(made, chosen)
+    made.left = kept
+    made.left_white = made.whiten(made.left, made.run)
+    assert np.sqrt(spread[place[0], place[0]]) > 1.5 * plain[place[0]]

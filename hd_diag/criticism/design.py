@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -123,7 +124,7 @@ def design(columns: Floats, target: Floats, block: Integers, counted: npt.NDArra
     Design
     """
     edges = np.flatnonzero(np.diff(block)) + 1
-    parts = np.split(np.arange(block.size), edges)
+    parts = [slice(first, last) for first, last in pairwise([0, *edges.tolist(), block.size])]
     gram = np.stack([columns[p].T @ columns[p] for p in parts])
     moment = np.stack([columns[p].T @ target[p] for p in parts])
     square = np.array([float(target[p] @ target[p]) for p in parts])

@@ -8,7 +8,6 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_toeplitz
-from scipy.signal import lfilter
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -48,11 +47,15 @@ class Whitening:
             Same shape.
         """
         taps = np.concatenate(([1.0], -self.coefficients)) / self.scale
-        result = np.zeros_like(columns)
-        for begin, end in bounds(run):
-            if end - begin > ORDER:
-                part = lfilter(taps, 1.0, columns[begin:end], axis=0)
-                result[begin + ORDER : end] = part[ORDER:]
+        rows = run.size
+        result = np.empty_like(columns, order="F")
+        # Over all runs at once: what reaches from one into the next ends in rows that become zero.
+        for one, found in zip(
+            columns.reshape(rows, -1).T, result.reshape(rows, -1, order="F").T, strict=True
+        ):
+            found[:] = np.convolve(one, taps)[:rows] if rows else 0.0
+        begun = np.flatnonzero(np.concatenate(([True], run[1:] != run[:-1])))[:, None] + np.arange(ORDER)
+        result[begun[begun < rows]] = 0.0
         return result
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.criticism.design import Design
 from hd_diag.criticism.workbench import Chosen, Workbench, settle
 from hd_diag.effects.effect import Effect, Stage
 
@@ -67,6 +68,8 @@ def slopes(bench: Workbench, chosen: Chosen) -> Floats:
 def covariance(bench: Workbench, chosen: Chosen) -> tuple[Floats, list[npt.NDArray[np.int64]]]:
     """Covariance of all that is fitted, the free nonlinear values included.
 
+    Where blocks of the record scatter more than the noise model has it, by their scatter.
+
     Returns
     -------
     covariance : ndarray, shape (k, k)
@@ -82,7 +85,17 @@ def covariance(bench: Workbench, chosen: Chosen) -> tuple[Floats, list[npt.NDArr
             inner[index], last = last, last + 1
         own = place.stop if effect.stage == Stage.NOWHERE else place.start + effect.size
         places.append(np.concatenate((np.arange(place.start, own), inner)))
-    return bench.fit(chosen, slopes(bench, chosen))[1], places
+    beta, spread, built = bench.fit(chosen, slopes(bench, chosen))
+    return spread * np.multiply.outer(*[_wider(beta, spread, built)] * 2), places
+
+
+def _wider(beta: Floats, spread: Floats, built: Design) -> Floats:
+    """Deviations by the scatter of blocks (sandwich estimate) over those of the noise model, at least 1."""
+    pulls = built.moment - built.gram @ beta
+    blocks = pulls.shape[0]
+    scatter = np.einsum("bk,kp->bp", pulls, spread)
+    variance = np.sum(scatter**2, axis=0) * blocks / max(blocks - 1, 1)
+    return np.asarray(np.sqrt(np.maximum(variance / np.maximum(np.diag(spread), 1e-300), 1.0)))
 
 
 def free(effect: Effect) -> list[int]:

@@ -94,7 +94,10 @@ def ranked(
             continue
         best: Candidate | None = None
         for nonlinear in effect.scan(bench.signals, rest):
-            gain = projector.gain(bench.white(effect, nonlinear))
+            coefficients, moment = projector.fit(bench.white(effect, nonlinear))
+            if not effect.sensible(coefficients[: effect.size], nonlinear):
+                continue
+            gain = float(moment @ coefficients)
             one = _candidate(bench, projector, effect, nonlinear, gain)
             if best is None or one.surprise > best.surprise:
                 best = one

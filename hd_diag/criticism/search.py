@@ -173,7 +173,7 @@ def _best_nonlinear(
 
 def _swapped(bench: Workbench, chosen: Chosen, rivals: set[str]) -> tuple[Workbench, Chosen]:
     """Exchange a chosen effect for a better one, or for itself at another grid point, where there is one."""
-    for index, (effect, nonlinear) in enumerate(chosen[:-1]):
+    for index, (effect, _) in enumerate(chosen[:-1]):
         if effect.stage > Stage.GEAR:
             bench, chosen = _of_kind(bench, chosen, index)
     for index, (effect, nonlinear) in enumerate(chosen):

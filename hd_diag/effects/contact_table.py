@@ -25,6 +25,7 @@ Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 Integers = npt.NDArray[np.int64]
 
+Displacement = Callable[[Floats, Floats], Floats]
 Openings = tuple[float, float]
 NO_OPENING: Openings = (0.0, 0.0)
 
@@ -34,6 +35,12 @@ TORQUES = 24
 _STEPS_PER_SLOT = 2  # the shares step where a pair comes into load; errors of some um blur the steps anyway
 _IDLE = 1e-9  # share of the torque limit that stands for the limit towards zero torque from one side
 _SLOTS_KEPT = 16
+_BEYOND_KEPT = 4  # 2.6 MB each
+_SPARSE = 4  # angles of the grid at which teeth are displaced: what is beyond the first order is smooth
+
+PHASES = 16
+"""Phases of the flexspline under the wave generator, over half a turn."""
+
 _BEYOND = 1.2  # of the torque limit
 _MEAN_TORQUES, _MEAN_ANGLES = 401, 101
 _MAP_STEPS = 16  # per tooth passing: 0.005 arcsec rms
@@ -104,6 +111,7 @@ class ContactTable:
         self._responses: dict[str, Floats] = {}
         self._slots: dict[tuple[int, Openings], Complexes] = {}
         self._displaced: dict[bytes, Floats] = {}
+        self._beyond: dict[tuple[float, ...], Floats] = {}
 
     def slot_harmonic(self, order: int) -> Complexes:
         """Response to ``c = Re(A exp(i k phi))`` over ``A exp(i k theta_W)`` [rad/m]; (torques, angles)."""
@@ -151,6 +159,27 @@ class ContactTable:
                 self._displaced.clear()
             self._displaced[errors.key] = self._displacement(errors)
         return self._displaced[errors.key]
+
+    def teeth_beyond(self, displacement: Displacement, coefficients: tuple[float, ...]) -> Floats:
+        """What errors of the flexspline's teeth do at their size beyond their first order.
+
+        Parameters
+        ----------
+        displacement : callable
+            Coefficients and angles along the flexspline [rad] to the teeth's displacement [m], alike after
+            half a turn.
+        coefficients : tuple of float
+
+        Returns
+        -------
+        ndarray, shape (PHASES, torques, angles)
+            [rad], at phases ``pi n / PHASES`` by which the flexspline has turned under the wave generator.
+        """
+        if coefficients not in self._beyond:
+            if len(self._beyond) >= _BEYOND_KEPT:
+                self._beyond.clear()
+            self._beyond[coefficients] = self._teeth_beyond(displacement, np.array(coefficients))
+        return self._beyond[coefficients]
 
     def mean_slot(self) -> Floats:
         """Of slot 0, in the mean over all slots; an eccentric wave generator makes them differ.
@@ -282,6 +311,21 @@ class ContactTable:
             stiffness = stiffness * np.exp(np.clip(np.nan_to_num(softening) * outward, -1.0, 1.0))
         curve = load_sharing.torque_curve(rotation, stiffness)
         return np.asarray(load_sharing.torsion(curve, self.torque_nodes).T - self.torsion)
+
+    def _teeth_beyond(self, displacement: Displacement, coefficients: Floats) -> Floats:
+        every = slice(None, None, _SPARSE)
+        rest, stiffness, share = self.contact.rotation[every], self._stiffness[every], self.share[:, every]
+        found = []
+        for phase in np.pi / PHASES * np.arange(PHASES):
+            moved = displacement(coefficients, self._tooth_angle[every] + phase)
+            turned = -_FLANKS * moved[:, None, :] / self._radius[every]
+            curve = load_sharing.torque_curve(rest + turned, stiffness)
+            first = np.einsum("tafp,afp->ta", share, turned)
+            found.append(load_sharing.torsion(curve, self.torque_nodes).T - self.torsion[:, every] - first)
+        place = np.arange(self.steps + 1) / _SPARSE
+        low = np.minimum(place.astype(np.int64), found[0].shape[1] - 2)
+        table = np.nan_to_num(np.stack(found))
+        return np.asarray(table[..., low] + (place - low) * (table[..., low + 1] - table[..., low]))
 
     def _moved(self, outward: float) -> Contact:
         geometry = self.drive.mesh.geometry

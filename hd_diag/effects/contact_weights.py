@@ -12,8 +12,10 @@ import numpy.typing as npt
 from hd_diag.drive import Drive
 from hd_diag.effects.contact_table import (
     NO_OPENING,
+    PHASES,
     TORQUES,
     ContactTable,
+    Displacement,
     Openings,
     SlotErrors,
     contact_table,
@@ -27,6 +29,7 @@ Neighbours = tuple[tuple[Integers, Floats], tuple[Integers, Floats]]
 Part = TypeVar("Part", bound="ContactWeights")
 Rows = slice | npt.NDArray[np.bool_] | Integers
 
+_ROUNDED = 1e-7  # [m]
 _LEAST_LIMIT = 0.125  # of the rated torque; a table of an idle record still has a width
 
 
@@ -216,6 +219,44 @@ class ContactWeights:
         wider = np.broadcast_to(clearance, (2, count)).astype(np.float64)
         change = self.table.displaced(SlotErrors(around, outward, wider))
         return self._sign * self._interpolate(change.astype(np.complex128)).real
+
+    def teeth_beyond(self, displacement: Displacement, coefficients: Floats) -> Floats:
+        """Change of TE by errors of the flexspline's teeth at their full size, beyond the first order.
+
+        Parameters
+        ----------
+        displacement : callable
+            Coefficients and angles along the flexspline [rad] to the teeth's displacement [m], alike after
+            half a turn and in proportion to the coefficients.
+        coefficients : ndarray, shape (k,)
+            [m]
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            [rad]
+
+        Notes
+        -----
+        Solved at sizes `_ROUNDED` apart, and in proportion to the square of the size between.
+        """
+        size = float(np.linalg.norm(coefficients))
+        rounded = _ROUNDED * np.rint(coefficients / _ROUNDED)
+        solved = float(np.linalg.norm(rounded))
+        if not solved:
+            return np.zeros(self.torque.size)
+        table = (
+            self._sign * (size / solved) ** 2 * self.table.teeth_beyond(displacement, tuple(rounded.tolist()))
+        )
+        turned = self.wave_generator_angle * (1.0 + 1.0 / self.drive.mesh.geometry.reduction)
+        (low, low_share), (high, high_share) = _neighbours(np.mod(turned, np.pi) * (PHASES / np.pi), PHASES)
+        result = np.zeros(self.torque.size)
+        for torque_row, torque_share in self.torque_rows:
+            for angle_row, angle_share in self.angle_rows:
+                first = table[low, torque_row, angle_row]
+                second = table[np.mod(high, PHASES), torque_row, angle_row]
+                result += torque_share * angle_share * (low_share * first + high_share * second)
+        return result
 
     @property
     def slot_angles(self) -> Floats:

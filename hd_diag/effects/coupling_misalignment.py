@@ -14,15 +14,31 @@ from hd_diag.effects.signals import Signals
 
 Floats = npt.NDArray[np.float64]
 
+_STILL = 0.1  # speed of the input at which play changes its side [rad/s]
+_MOST_PLAY = 6.5e-4  # [rad]
+
 
 @dataclass(frozen=True)
 class CouplingMisalignment(Effect):
-    """``(gamma^2 / 4) sin 2 (theta_in - d) / N``: its coefficients are gamma^2 cos 2d and gamma^2 sin 2d."""
+    """``(gamma^2 / 4) sin 2 (theta_in - d) / N``, less half of the play where it moves forward.
+
+    Its coefficients are gamma^2 cos 2d, gamma^2 sin 2d and the play. Dry friction looks like play: more than
+    a coupling has is not taken for it.
+    """
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """Twice per input turn; see :meth:`Effect.columns`."""
+        """Twice per input turn, and by its direction; see :meth:`Effect.columns`."""
         twice = 2.0 * signals.input_angle
-        return np.stack((np.sin(twice), -np.cos(twice)), axis=1) / (4.0 * signals.ratio)
+        way = nonlinear[0] * np.tanh(signals.speed / _STILL)
+        return np.stack((np.sin(twice), -np.cos(twice), -2.0 * way), axis=1) / (4.0 * signals.ratio)
+
+    def grid(self, signals: Signals) -> list[Values]:
+        """Without play, and with it."""
+        return [(0.0,), (1.0,)]
+
+    def sensible(self, coefficients: Floats, nonlinear: Values) -> bool:
+        """No more play than a coupling has; see :meth:`Effect.sensible`."""
+        return not nonlinear[0] or 0.0 < float(coefficients[2]) < _MOST_PLAY
 
     def testable(self, signals: Signals) -> tuple[bool, str]:
         """A few turns both ways at two torques."""
@@ -30,8 +46,9 @@ class CouplingMisalignment(Effect):
 
     @property
     def prior_scales(self) -> Floats:
-        """Squares of the usual angle [rad^2], shape (2,)."""
-        return np.full(2, self.quantities[0].prior_scale ** 2)
+        """Squares of the usual angle [rad^2] and the play [rad], shape (3,)."""
+        angle, _, play, _ = (quantity.prior_scale for quantity in self.quantities)
+        return np.array([angle**2, angle**2, play])
 
     def to_physical(
         self, coefficients: Sequence[float] | Floats, nonlinear: Values
@@ -43,7 +60,7 @@ class CouplingMisalignment(Effect):
     def from_physical(self, values: Mapping[str, float]) -> tuple[Floats, Values]:
         """See :meth:`Effect.from_physical`."""
         coefficients, nonlinear = super().from_physical(values)
-        return coefficients * values["angle"], nonlinear
+        return coefficients * [values["angle"], values["angle"], 1.0], nonlinear
 
 
 EFFECT = CouplingMisalignment(
@@ -55,6 +72,8 @@ EFFECT = CouplingMisalignment(
     quantities=(
         Quantity("angle", "rad", 0.0, 0.2, 0.03, "gamma, between the motor's shaft and the wave generator's"),
         direction("direction", "input angle at which the wave generator begins to lead", 2),
+        Quantity("play", "rad", 0.0, _MOST_PLAY, 2e-4, "by which the coupling lets the shafts turn"),
+        Quantity("plays", "-", 0.0, 1.0, 1.0, "1: with play", False, None, True),
     ),
     confused_with=("circular_spline_pitch", "circular_spline_form", "flexspline_pitch"),
     source=(

@@ -145,6 +145,10 @@ class Effect(ABC):
         """
         return np.empty((signals.size, 0))
 
+    def sensible(self, coefficients: Floats, nonlinear: Values) -> bool:
+        """Whether a candidate may have these values: beyond, another cause is meant."""
+        return True
+
     @abstractmethod
     def testable(self, signals: Signals) -> tuple[bool, str]:
         """Whether the record's motion allows to find it; if not, the shortest extra motion that would."""

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.effects.effect import Effect, Values, amplitude, direction, harmonic
+from hd_diag.effects.effect import Effect, Values, amplitude, direction, harmonic, harmonic_sum
 from hd_diag.effects.excitation import enough_output_turns, torque_varies, verdict
 from hd_diag.effects.signals import Signals
 
@@ -27,9 +27,18 @@ class FlexsplinePitch(Effect):
         """Response to every harmonic; see :meth:`Effect.columns`."""
         return np.concatenate([harmonic(signals.contact.tooth_harmonic(k)) for k in ORDERS], axis=1)
 
+    def response(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
+        """The teeth displaced at their full size; see :meth:`Effect.response`."""
+        first = self.columns(signals, nonlinear) @ coefficients
+        return np.asarray(first + signals.contact.teeth_beyond(_displacement, coefficients))
+
     def testable(self, signals: Signals) -> tuple[bool, str]:
         """One turn of the output: it parts orders 2 and 2 (1 + 1/N)."""
         return verdict(enough_output_turns(signals, 1.0), torque_varies(signals))
+
+
+def _displacement(coefficients: Floats, angle: Floats) -> Floats:
+    return harmonic_sum(coefficients, ORDERS, angle)
 
 
 EFFECT = FlexsplinePitch(

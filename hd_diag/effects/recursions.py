@@ -54,6 +54,31 @@ def relax(state: complex, decay: Complexes, added: Complexes) -> Complexes:
     return found
 
 
+def follow(state: Complexes, steps: tuple[Complexes, Complexes, Complexes], values: Floats) -> Floats:
+    """Real part of ``q <- decay q + constant v + rising dv`` for many columns that start from `state`.
+
+    Parameters
+    ----------
+    state : ndarray of complex, shape (k,)
+        q at the first row.
+    steps : tuple of ndarray of complex, shape (n - 1,) or (1,)
+        decay, constant and rising of the step from every row to the next.
+    values : ndarray, shape (n, k)
+        v; dv is the change from a row to the next.
+
+    Returns
+    -------
+    ndarray, shape (n, k)
+        Real part of q at every row.
+    """
+    every = [np.broadcast_to(one, max(values.shape[0] - 1, 0)) for one in steps]
+    # The state is written to: a copy.
+    parts = [np.array(part) for one in (*every, state) for part in (one.real, one.imag)]
+    way = _fast(_follow) if compiled.available() else _follow_rows
+    found: Floats = way(*parts, np.ascontiguousarray(values))
+    return found
+
+
 def _slip(state: float, change: Floats) -> Floats:
     result = np.empty(change.size)
     for index in range(change.size):
@@ -67,6 +92,56 @@ def _relax(state: complex, decay: Complexes, added: Complexes) -> Complexes:
     for index in range(decay.size):
         state = decay[index] * state + added[index]
         result[index] = state
+    return result
+
+
+def _follow(
+    decay: Floats,
+    turn: Floats,
+    constant: Floats,
+    constant_turn: Floats,
+    rising: Floats,
+    rising_turn: Floats,
+    real: Floats,
+    imaginary: Floats,
+    values: Floats,
+) -> Floats:
+    """Real and imaginary parts apart: so both ways round alike."""
+    result = np.empty(values.shape)
+    result[:1] = real
+    for i in range(values.shape[0] - 1):
+        for j in range(values.shape[1]):
+            value, change = values[i, j], values[i + 1, j] - values[i, j]
+            q, p = real[j], imaginary[j]
+            real[j] = (decay[i] * q - turn[i] * p) + (constant[i] * value + rising[i] * change)
+            imaginary[j] = (turn[i] * q + decay[i] * p) + (constant_turn[i] * value + rising_turn[i] * change)
+            result[i + 1, j] = real[j]
+    return result
+
+
+def _follow_rows(
+    decay: Floats,
+    turn: Floats,
+    constant: Floats,
+    constant_turn: Floats,
+    rising: Floats,
+    rising_turn: Floats,
+    real: Floats,
+    imaginary: Floats,
+    values: Floats,
+) -> Floats:
+    """The same, all columns of a row at once: without a compiler a loop over them takes too long."""
+    result = np.empty(values.shape)
+    result[:1] = real
+    change = np.diff(values, axis=0)
+    added = constant[:, None] * values[:-1] + rising[:, None] * change
+    added_turn = constant_turn[:, None] * values[:-1] + rising_turn[:, None] * change
+    for i in range(values.shape[0] - 1):
+        real, imaginary = (
+            (decay[i] * real - turn[i] * imaginary) + added[i],
+            (turn[i] * real + decay[i] * imaginary) + added_turn[i],
+        )
+        result[i + 1] = real
     return result
 
 

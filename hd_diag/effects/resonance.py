@@ -16,7 +16,7 @@ from hd_diag.effects.excitation import (
     torque_known,
     verdict,
 )
-from hd_diag.effects.recursions import relax
+from hd_diag.effects.recursions import follow, relax
 from hd_diag.effects.signals import Signals
 from hd_diag.model.torsion_map import ARCSEC
 
@@ -30,6 +30,7 @@ _COARSE = 6  # natural frequencies per order in the grid
 _FINE = 60  # in a scan
 _DAMPINGS = (0.03, 0.08)  # [-]
 _SLACK = 2.5e-3  # torque over the rated one, by which half of the ripple passes the backlash
+_TICK = 2.0**-40  # [s]; steps of the time are told apart by no less
 _BINS = 256  # of the wave generator's speed, in a scan
 
 Before = tuple[tuple[float, float, float], tuple[complex, ...]]
@@ -58,43 +59,26 @@ class Resonance(StatefulEffect):
         """Exact between samples while the speed is constant there; see :meth:`Effect.step`."""
         if not signals.size:
             return np.empty((0, 3)), state
-        order, (pole, residue) = nonlinear[0], _oscillator(nonlinear)
-        phase, ripple = order * signals.wave_generator_angle, signals.ripple * _passing(signals)
-        before = state or _steady(
-            pole, order * float(signals.wave_generator_speed[0]), signals, phase, ripple
-        )
-        time, turned, rippled = (
-            np.concatenate(([last], now))
-            for last, now in zip(before[0], (signals.time, phase, ripple), strict=True)
-        )
-        decay, added = _turning(pole, time, turned)
-        cosine, sine = 0.5 * (added[0] + added[1]), -0.5j * (added[0] - added[1])
-        inputs = cosine, sine, _straight(pole, time, rippled)
-        modes = [relax(q, decay, each) for q, each in zip(before[1], inputs, strict=True)]
-        response = np.stack([(residue * mode).real for mode in modes], axis=1)
-        response[:, 2] -= ripple
-        end = float(time[-1]), float(turned[-1]), float(rippled[-1])
-        return response, (end, tuple(complex(mode[-1]) for mode in modes))
+        return _stepped(nonlinear, _Path.along(signals, nonlinear[0], state), state)
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """The ripple once for all runs; see :meth:`StatefulEffect.columns`."""
-        if signals.size:
-            _ = signals.contact.ripple
-        return super().columns(signals, nonlinear)
+        """What no natural frequency changes once for all calls; see :meth:`StatefulEffect.columns`."""
+        kept = signals.kept.setdefault(("resonance", nonlinear[0]), [])
+        if not kept and signals.size:
+            _ = signals.ripple, signals.contact.ripple
+            kept += [_Path.along(signals.part(run), nonlinear[0], None) for run in signals.runs()]
+        parts = [_stepped(nonlinear, path, None)[0] for path in kept]
+        return np.concatenate(parts) if parts else np.empty((0, 3))
 
     def carry(self, signals: Signals, added: Floats, coefficients: Floats, nonlinear: Values) -> Floats:
         """``c (H - 1)`` of every part; see :meth:`Effect.carry`."""
         pole, residue = _oscillator(nonlinear)
-        result = np.empty_like(added)
         passed = added * _passing(signals)[:, None]
+        result = np.empty_like(passed)
         for run in signals.runs():
-            time, parts = signals.time[run], passed[run]
-            decay = np.exp(pole * np.diff(time, prepend=time[0]))
-            for index, values in enumerate(parts.T):
-                inputs = np.concatenate(([0.0j], _straight(pole, time, values)))
-                mode = relax(-values[0] / pole, decay, inputs)
-                result[run, index] = (residue * mode).real - values
-        return coefficients[2] * result
+            steps = _Steps.of(pole, _intervals(signals.time[run]))
+            result[run] = follow(-residue / pole * passed[run][0], steps.scaled(residue), passed[run])
+        return np.asarray(coefficients[2] * (result - passed))
 
     def grid(self, signals: Signals) -> list[Values]:
         """Natural frequencies [rad/s] that the orders pass."""
@@ -137,39 +121,116 @@ def _passing(signals: Signals) -> Floats:
     return np.asarray(load**4 / (1.0 + load**4))
 
 
-def _steady(pole: complex, rate: float, signals: Signals, phase: Floats, ripple: Floats) -> Before:
+@dataclass(frozen=True)
+class _Path:
+    """What drives the oscillator through samples that follow each other, whatever its pole.
+
+    Attributes
+    ----------
+    speed : float
+        Of the order's phase at the first [rad/s].
+    time, phase, ripple : ndarray, shape (n,)
+        The sample before them, where there is one, comes first; [s], [rad], [rad].
+    step : ndarray, shape (n - 1,), or (1,) if all are alike
+        [s]
+    drive : ndarray of complex, shape (n,)
+        exp(i phase).
+    rate : ndarray, shape (n - 1,)
+        Of the phase [rad/s].
+    """
+
+    speed: float
+    time: Floats
+    phase: Floats
+    ripple: Floats
+    step: Floats
+    drive: Complexes
+    rate: Floats
+
+    @staticmethod
+    def along(signals: Signals, order: float, state: State) -> _Path:
+        time, phase = signals.time, order * signals.wave_generator_angle
+        ripple = signals.ripple * _passing(signals)
+        if state is not None:
+            time, phase, ripple = (
+                np.concatenate(([last], now))
+                for last, now in zip(state[0], (time, phase, ripple), strict=True)
+            )
+        step, turned = _intervals(time), np.diff(phase)
+        rate = np.where(step == 0.0, 0.0, turned / np.where(step == 0.0, 1.0, step))
+        drive = np.cos(phase) + 1j * np.sin(phase)
+        speed = order * float(signals.wave_generator_speed[0])
+        return _Path(speed, time, phase, ripple, step, drive, rate)
+
+    @property
+    def end(self) -> tuple[float, float, float]:
+        """Time, phase and ripple of the last sample."""
+        return float(self.time[-1]), float(self.phase[-1]), float(self.ripple[-1])
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """A step of ``q' = pole q + v``: what is left of q, what v adds, and what its change adds; (n,) or (1,)."""
+
+    decay: Complexes
+    constant: Complexes
+    rising: Complexes
+
+    @staticmethod
+    def of(pole: complex, step: Floats) -> _Steps:
+        z = pole * step
+        still = step == 0.0
+        safe = np.where(still, 1.0, z)
+        grown = np.expm1(safe)
+        rising = np.where(still, 0.0, (grown - safe) / (pole * safe))
+        return _Steps(np.exp(z), np.where(still, 0.0, grown / pole), rising)
+
+    def scaled(self, factor: complex) -> tuple[Complexes, Complexes, Complexes]:
+        """For a q that is a factor larger."""
+        return self.decay, factor * self.constant, factor * self.rising
+
+
+def _stepped(nonlinear: Values, path: _Path, state: State) -> tuple[Floats, State]:
+    """Columns along a path, and the state at its end."""
+    pole, residue = _oscillator(nonlinear)
+    first = state[1] if state is not None else _steady(pole, path)
+    steps = _Steps.of(pole, path.step)
+    forward, backward = _turning(pole, steps.decay, path)
+    straight = path.ripple[:-1] * steps.constant + np.diff(path.ripple) * steps.rising
+    inputs = 0.5 * (forward + backward), -0.5j * (forward - backward), straight
+    decay = np.broadcast_to(steps.decay, straight.shape)
+    modes = [relax(q, decay, each) for q, each in zip(first, inputs, strict=True)]
+    if state is None:  # the first sample is where it begins
+        modes = [np.concatenate(([q], mode)) for q, mode in zip(first, modes, strict=True)]
+    response = np.stack([residue.real * mode.real - residue.imag * mode.imag for mode in modes], axis=1)
+    response[:, 2] -= path.ripple[path.ripple.size - response.shape[0] :]
+    return response, (path.end, tuple(complex(mode[-1]) for mode in modes))
+
+
+def _steady(pole: complex, path: _Path) -> tuple[complex, ...]:
     """As if the first speed had always been, and the first ripple."""
-    first = np.exp(1j * phase[0])
-    forward, backward = first / (1j * rate - pole), np.conj(first) / (-1j * rate - pole)
-    modes = 0.5 * (forward + backward), -0.5j * (forward - backward), -ripple[0] / pole
-    return (
-        (float(signals.time[0]), float(phase[0]), float(ripple[0])),
-        tuple(complex(mode) for mode in modes),
-    )
+    first, rate = complex(path.drive[0]), path.speed
+    forward, backward = first / (1j * rate - pole), first.conjugate() / (-1j * rate - pole)
+    return 0.5 * (forward + backward), -0.5j * (forward - backward), -float(path.ripple[0]) / pole
 
 
-def _turning(pole: complex, time: Floats, phase: Floats) -> tuple[Complexes, Complexes]:
-    """Decay of ``q' = pole q + u`` over every step, and what u = exp(+-i phase), turning evenly, adds."""
-    step, turned = np.diff(time), np.diff(phase)
-    still = step == 0.0
-    rate = np.where(still, 0.0, turned / np.where(still, 1.0, step))
-    decay: Complexes = np.exp(pole * step)
-    drive: Complexes = np.exp(1j * phase)
-    added = [
-        (u[1:] - decay * u[:-1]) / (1j * way * rate - pole)
-        for way, u in ((1.0, drive), (-1.0, np.conj(drive)))
-    ]
-    return decay, np.where(still, 0.0, np.stack(added))
+def _intervals(time: Floats) -> Floats:
+    """Steps of the time to a picosecond [s], shape (n - 1,); (1,) where all are alike.
+
+    Rounding of the time stamps would make every step of even samples another one.
+    """
+    step = np.round(np.diff(time) / _TICK) * _TICK
+    return step[:1] if step.size and (step == step[0]).all() else step
 
 
-def _straight(pole: complex, time: Floats, values: Floats) -> Complexes:
-    """What values add that go straight from sample to sample; (n,)."""
-    z = pole * np.diff(time)
-    still = z == 0.0
-    safe = np.where(still, 1.0, z)
-    constant = np.expm1(safe) / pole
-    rising = (np.expm1(safe) - safe) / (pole * safe)
-    return np.where(still, 0.0, values[:-1] * constant + np.diff(values) * rising)
+def _turning(pole: complex, decay: Complexes, path: _Path) -> tuple[Complexes, Complexes]:
+    """What u = exp(+-i phase), turning evenly from sample to sample, adds to ``q' = pole q + u``."""
+    before, after = path.drive[:-1], path.drive[1:]
+    turning = 1j * path.rate
+    forward = (after - decay * before) / (turning - pole)
+    backward = (after.conj() - decay * before.conj()) / (-turning - pole)
+    still = path.step == 0.0
+    return np.where(still, 0.0, forward), np.where(still, 0.0, backward)
 
 
 def _passed(signals: Signals, order: float) -> tuple[float, float]:

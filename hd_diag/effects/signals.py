@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Hashable
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -58,6 +61,11 @@ class Signals:
     predicted_rate: Floats
     contact: ContactWeights
     tooth_ripple: Floats | None = None
+
+    @cached_property
+    def kept(self) -> dict[Hashable, Any]:
+        """What effects computed of these samples and will need again, by names of their own."""
+        return {}
 
     @property
     def size(self) -> int:
