@@ -100,7 +100,7 @@ def test_a_value_stops_at_its_limit() -> None:
 
 def test_deviations_follow_the_scatter_of_blocks(case: tuple[str, Workbench]) -> None:
     """A part that no column has, in one block in three, widens what it pulls at; nothing gets narrower."""
-    name, made = case
+    _, made = case
     chosen = ((EFFECTS["viscous_windup"], ()),)
     plain = np.sqrt(np.diag(made.fit(chosen)[1]))
     assert np.all(np.sqrt(np.diag(covariance(made, chosen)[0])) >= 0.999 * plain)

@@ -1,4 +1,4 @@
-"""The bench of a fit: effects of later stages see those of earlier ones, and memory goes through every row."""
+"""The bench of a fit: later stages see what earlier ones add, and memory goes through every row."""
 
 import dataclasses
 
@@ -41,7 +41,7 @@ def left(record: Record, *chosen: tuple) -> np.ndarray:
 
 
 def test_a_delay_of_tooth_errors_is_one_delay() -> None:
-    """Both together leave the noise; sizes come back although the late stream shows the pitch late as well."""
+    """Both together leave the noise; sizes come back although the stream shows the pitch late as well."""
     truth = Term(PITCH, tuple(PITCH_AT), ()), Term(DELAY, (2e-3,), ())
     rest, made = left(recorded(*truth), (PITCH, ()), (DELAY, ()))
     assert rest == pytest.approx(2.0, abs=0.1)

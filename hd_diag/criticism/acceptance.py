@@ -57,10 +57,11 @@ def passing(bench: Workbench, chosen: Chosen, ranked: list[Candidate], family: i
 def kept(bench: Workbench, chosen: Chosen) -> Chosen:
     """Without the effects that are no longer needed beside the others."""
     for index, (effect, nonlinear) in enumerate(chosen):
-        if isinstance(effect, Foil) and not effect.sees_ahead:
-            continue
         rest = chosen[:index] + chosen[index + 1 :]
-        small = size(bench, rest, effect, nonlinear) < LEAST_SIZE
+        blind = isinstance(effect, Foil) and not effect.sees_ahead
+        small = size(bench, rest, effect, nonlinear) < (_CERTAIN_SIZE if blind else LEAST_SIZE)
+        if blind and not small:
+            continue
         if small or not holds(*held_out_gain(bench, chosen, index)):
             return kept(bench, rest)
     return chosen

@@ -11,8 +11,10 @@ import numpy.typing as npt
 from scipy.ndimage import map_coordinates
 
 from hd_diag.drive import Drive, transmission_error
+from hd_diag.effects.contact_table import contact_map
+from hd_diag.effects.contact_weights import greatest_torque
 from hd_diag.model import compiled
-from hd_diag.model.torsion_map import ARCSEC, build
+from hd_diag.model.torsion_map import ARCSEC, TorsionMap, build
 
 Floats = npt.NDArray[np.float64]
 
@@ -120,14 +122,22 @@ def error(drive: Drive, input_angle: Floats, torque: Floats) -> Floats:
     """Transmission error along a record, shape (n,) [rad]; of a long one by a map, to 0.005 arcsec rms."""
     table = None
     if input_angle.size > _MAPPED:
-        limit = max(1.001 * float(np.max(np.abs(torque))), 1.0)
-        table = build(drive.mesh, limit, steps_per_tooth=_STEPS_PER_TOOTH)
+        table = _map(drive, torque)
     return transmission_error(drive, input_angle, torque, table)
+
+
+def _map(drive: Drive, torque: Floats) -> TorsionMap:
+    """The map that the effects need as well; one of the record's own torques where teeth cannot bear more."""
+    try:
+        return contact_map(drive.mesh, greatest_torque(drive, torque))
+    except ValueError:
+        limit = max(1.001 * float(np.max(np.abs(torque))), 1.0)
+        return build(drive.mesh, limit, steps_per_tooth=_STEPS_PER_TOOTH)
 
 
 def error_and_jacobian(
     drive: Drive, configured: Drive, input_angle: Floats, torque: Floats
-) -> tuple[Floats, Floats]:
+) -> tuple[Floats, Floats, Floats]:
     """Exact transmission error and its derivatives by the parameters.
 
     Returns
@@ -136,6 +146,8 @@ def error_and_jacobian(
         [rad]
     jacobian : ndarray, shape (n, 7)
         [rad] per unit of `SCALES`.
+    slope : ndarray, shape (n,)
+        dTE/dT [rad/(N m)].
     """
     kinematics, mesh = drive.kinematics, drive.mesh
     angle = kinematics.wave_generator_angle(mesh.geometry, input_angle)
@@ -146,6 +158,7 @@ def error_and_jacobian(
     return (
         kinematics.transmission_error(beta, torque, drive.cup_compliance),
         _jacobian(drive, configured, angle, gradient[:, :4], torque),
+        -gradient[:, 5] - drive.cup_compliance,
     )
 
 
@@ -191,7 +204,7 @@ def jacobian(drive: Drive, configured: Drive, input_angle: Floats, torque: Float
         ],
         axis=1,
     )
-    slope = -kinematics.torque_sign * at_samples[:, 4] * kinematics.torque_sign - drive.cup_compliance
+    slope = -at_samples[:, 4] - drive.cup_compliance
     return _jacobian(drive, configured, angle, at_samples[:, :4], torque), slope
 
 

@@ -114,7 +114,7 @@ def causes(
                 (effect.name, *_alike(bench, chosen, index, rivals)),
                 float(np.mean(share)),
                 low,
-                high,
+                min(high, 1.0),
             )
         )
     return tuple(sorted(found, key=lambda cause: -cause.gain))

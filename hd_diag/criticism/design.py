@@ -154,7 +154,7 @@ def f_test(before: float, after: float, added: int, rows: int, fitted: int) -> f
     """
     freedom = max(rows - fitted, 1)
     ratio = max(before - after, 0.0) / added / max(after / freedom, 1e-300)
-    return float(stats.f.sf(ratio, added, freedom))
+    return float(special.fdtrc(added, freedom, ratio))
 
 
 def surprise(gain: float, added: int) -> float:
@@ -172,9 +172,9 @@ def surprise(gain: float, added: int) -> float:
     float
         Finite where the chance itself is too small for a number: there by its asymptote.
     """
-    chance = float(stats.chi2.logsf(max(gain, 0.0), added))
-    if np.isfinite(chance):
-        return -chance
+    chance = float(special.chdtrc(added, max(gain, 0.0)))
+    if chance > 0.0:
+        return -float(np.log(chance))
     half = 0.5 * gain
     return half - (0.5 * added - 1.0) * float(np.log(half)) + float(special.gammaln(0.5 * added))
 

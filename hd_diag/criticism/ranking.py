@@ -14,6 +14,8 @@ from hd_diag.effects.effect import Effect
 
 Floats = npt.NDArray[np.float64]
 
+_SECANTS = 3  # steps to the size of an effect that is not proportional to it
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -49,10 +51,16 @@ class Projector:
         coefficients, moment = self.fit(columns)
         return float(moment @ coefficients)
 
-    def fit(self, columns: Floats) -> tuple[Floats, Floats]:
+    def fit_beyond(self, columns: Floats, beyond: Floats) -> tuple[Floats, float]:
+        """Coefficients beside a whitened part that is there anyway, and the gain of both."""
+        rest = self.rest - (beyond - self.basis @ (self.basis.T @ beyond))
+        coefficients, moment = self.fit(columns, rest)
+        return coefficients, self.deviance - float(rest @ rest) + float(moment @ coefficients)
+
+    def fit(self, columns: Floats, rest: Floats | None = None) -> tuple[Floats, Floats]:
         """Coefficients of these columns, zero for those that nothing is left of, and their moments."""
         part = columns - self.basis @ (self.basis.T @ columns)
-        moment = part.T @ self.rest
+        moment = part.T @ (self.rest if rest is None else rest)
         own = np.einsum("ij,ij->j", part, part) > 1e-8 * np.maximum(
             np.einsum("ij,ij->j", columns, columns), 1e-300
         )
@@ -126,8 +134,14 @@ def _gain_at_size(
     if type(effect).secant is Effect.secant:
         return 0.0
     coefficients, _ = projector.fit(bench.white(effect, nonlinear))
-    columns = np.nan_to_num(effect.secant(bench.signals, coefficients, nonlinear))
-    return projector.gain(bench.whiten(columns, bench.run))
+    best = 0.0
+    for _ in range(_SECANTS):
+        columns = np.nan_to_num(effect.secant(bench.signals, coefficients, nonlinear))
+        beyond = bench.full_size(effect, nonlinear, coefficients) - columns @ coefficients
+        white = bench.whiten(np.column_stack((columns, beyond)), bench.run)
+        coefficients, gain = projector.fit_beyond(white[:, :-1], white[:, -1])
+        best = max(best, gain)
+    return best
 
 
 def family_size(bench: Workbench) -> int:

@@ -18,6 +18,8 @@ Floats = npt.NDArray[np.float64]
 _ROUNDS = ((250, 5, 5), (700, 5, 2), (1500, 8, 2))
 _MIRROR = np.array([-1.0, -1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
 _FIRST_NOISE, _LEAST_NOISE = 2e-5, 1e-6  # of the residual [rad]; each round takes what the one before left
+_OFFSET = 0.03  # prior width of the torque's zero, of the rated torque
+_MOST_OFFSET = 3.0  # prior widths
 _SETTLED = 0.1  # deviance; smaller steps are left to the fit of all rows
 Starts = tuple[tuple[float, float], ...]
 _TURNS = (0.0, 0.25, 0.5, 0.75)  # [pi rad]
@@ -83,7 +85,7 @@ def refit(
     starts: Starts = STARTS,
     rng: np.random.Generator | None = None,
 ) -> Refit:
-    """Fit the model's parameters from many starts.
+    """Fit the model's parameters from many starts, a wrong zero of the torque beside them.
 
     Parameters
     ----------
@@ -114,6 +116,8 @@ def refit(
         noise = max(problem.left(points[0]), _LEAST_NOISE)
     point, deviance = trials[0]
     covariance = problem.covariance(point)
+    trials = [(other[: base.COUNT], value) for other, value in trials]
+    point = point[: base.COUNT]
     rivals = [other for other, value in trials[1:] if value - deviance < _DISTINCT]
     rivals = distinct([point, *rivals])[1:]
     ambiguous = any(_apart(point, rival, covariance) > _DISTINCT for rival in rivals)
@@ -156,13 +160,25 @@ class _Problem:
         self.input_angle, self.torque = record.input_angle[rows], record.torque[rows]
         self.measured = record.output_angle[rows] - self.input_angle / configured.kinematics.ratio
         self.free = np.linalg.qr(free[rows])[0]
-        self.center, self.width = base.prior(configured)
+        center, width = base.prior(configured)
+        self.center = np.append(center, 0.0)
+        self.width = np.append(width, 1.0 if record.has_torque else 1e-6)
+        self.offset = _OFFSET * configured.rated_torque
         self.noise = noise
 
+    def admissible(self, point: Floats) -> Floats:
+        """Parameters that a drive can have, and the torque's offset in widths of its prior; shape (8,)."""
+        drive, offset = base.admissible(point[: base.COUNT], self.configured), 0.0
+        if point.size > base.COUNT:
+            offset = float(np.clip(point[-1], -_MOST_OFFSET, _MOST_OFFSET))
+        return np.append(drive, offset)
+
     def residual_and_jacobian(self, point: Floats) -> tuple[Floats, Floats]:
-        drive = base.drive_of(point, self.configured)
-        error, jacobian = base.error_and_jacobian(drive, self.configured, self.input_angle, self.torque)
-        return self._projected(self.measured - error), self._projected(jacobian)
+        drive = base.drive_of(point[: base.COUNT], self.configured)
+        torque = self.torque + float(point[-1]) * self.offset
+        error, jacobian, slope = base.error_and_jacobian(drive, self.configured, self.input_angle, torque)
+        columns = np.concatenate((jacobian, self.offset * slope[:, None]), axis=1)
+        return self._projected(self.measured - error), self._projected(columns)
 
     def _projected(self, columns: Floats) -> Floats:
         columns = np.nan_to_num(columns, posinf=0.0, neginf=0.0)
@@ -180,13 +196,14 @@ class _Problem:
 
     def covariance(self, point: Floats) -> Floats:
         residual, jacobian = self.residual_and_jacobian(point)
-        variance = float(residual @ residual) / max(residual.size - base.COUNT - self.free.shape[1], 1)
-        return np.linalg.inv(jacobian.T @ jacobian / variance + np.diag(self.width**-2.0))
+        variance = float(residual @ residual) / max(residual.size - point.size - self.free.shape[1], 1)
+        spread = np.linalg.inv(jacobian.T @ jacobian / variance + np.diag(self.width**-2.0))
+        return np.asarray(spread[: base.COUNT, : base.COUNT])
 
 
 def _levenberg(problem: _Problem, point: Floats, iterations: int) -> tuple[Floats, float]:
     """Levenberg-Marquardt."""
-    point = base.admissible(point, problem.configured)
+    point = problem.admissible(point)
     damping = 1e-3
     residual, jacobian = problem.residual_and_jacobian(point)
     for _ in range(iterations):
@@ -196,7 +213,7 @@ def _levenberg(problem: _Problem, point: Floats, iterations: int) -> tuple[Float
         moved = False
         for _ in range(6):
             step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), slope)
-            trial = base.admissible(point + step, problem.configured)
+            trial = problem.admissible(point + step)
             new_residual, new_jacobian = problem.residual_and_jacobian(trial)
             if problem.deviance(new_residual, trial) < problem.deviance(residual, point):
                 moved = True
@@ -222,8 +239,8 @@ def distinct(points: list[Floats]) -> list[Floats]:
 
     Parameters
     ----------
-    points : list of ndarray, shape (7,)
-        In the units of `base.SCALES`.
+    points : list of ndarray, shape (7,) or more
+        In the units of `base.SCALES`; what follows is not compared.
 
     Returns
     -------
@@ -232,10 +249,13 @@ def distinct(points: list[Floats]) -> list[Floats]:
     """
     found: list[Floats] = []
     for point in points:
-        mirrored = point * _MIRROR
+        own = point[: base.COUNT]
+        mirrored = own * _MIRROR
         tolerance = np.array([1.0, 1.0, 1.0, 1.0, 3.0, 0.5, 0.7])
         if not any(
-            np.all(np.abs(known - other) < tolerance) for known in found for other in (point, mirrored)
+            np.all(np.abs(known[: base.COUNT] - other) < tolerance)
+            for known in found
+            for other in (own, mirrored)
         ):
             found.append(point)
     return found

@@ -25,6 +25,7 @@ _SLOW = 0.34  # share of the samples that count as slow
 _MOST_FOILS = 3
 _RIVALS = 6  # best candidates of a round that are looked at again in place of others
 _UNEVEN = 1.3  # ratio of what is left fast and slow that asks for a look
+_RESTARTS = 3  # causes found, up to which each lets the model's parameters be searched for again
 _FIRST_MOVE = 0.5  # of a grid step, by which a refinement begins
 _RESTART_GAIN = 12.0  # deviance by which another minimum must beat the present one
 
@@ -63,7 +64,7 @@ def search(bench: Workbench, progress: Callable[[str], None] = lambda text: None
             chosen = kept(bench, chosen)
             continue
         bench, chosen = _swapped(bench, chosen, rivals)
-        if len(chosen) == 1:
+        if len(chosen) <= _RESTARTS:
             bench = _restarted(bench, chosen)
     chosen = kept(bench, chosen)
     bench, chosen = _finished(settle(bench, chosen), chosen)
@@ -191,7 +192,7 @@ def _swapped(bench: Workbench, chosen: Chosen, rivals: set[str]) -> tuple[Workbe
 
 
 def _restarted(bench: Workbench, chosen: Chosen) -> Workbench:
-    """Search the model's parameters globally again, now that the largest cause takes part freely."""
+    """Search the model's parameters globally again, now that the causes found take part freely."""
     again = refit(
         bench.record,
         bench.configured,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -26,9 +26,31 @@ Integers = npt.NDArray[np.int64]
 Rows = npt.NDArray[np.bool_]
 
 _BLOCKS = 24
+_MOST_KEPT = 64 << 20  # bytes
+_KNOWN = 3  # parameters, for a search that goes back to them
+_SHIFT = 2e-4  # of the rated torque; a smaller change of the torque's zero changes no derivative
 _SETTLED = 1.0  # standard deviations; the model is linear over such steps
 # What no refit of the model can be blamed for: a cause must beat a refit of its own as well.
 SEARCHED = tuple(effect for effect in CATALOGUE if effect.name not in ("ratio_error", "tooth_skip"))
+
+
+Linear = dict[bytes, tuple[Signals, Signals, Floats]]
+
+
+@dataclass
+class Known:
+    """What benches of the same rows share.
+
+    Attributes
+    ----------
+    linear : dict
+        Linearisations by the parameters, the latest last.
+    general : ndarray, shape (n, k), optional
+        Columns that any cause may look like and no parameter changes.
+    """
+
+    linear: Linear = field(default_factory=dict)
+    general: Floats | None = None
 
 
 Chosen = tuple[tuple[Effect, tuple[float, ...]], ...]
@@ -52,6 +74,8 @@ class Workbench:
         Noise model to begin with.
     rows : ndarray of bool, shape (n,), optional
         Which rows to fit, where the error is well defined; all without.
+    known : Known, optional
+        What benches of the same rows share.
 
     Attributes
     ----------
@@ -68,29 +92,31 @@ class Workbench:
         parameters: Floats,
         whiten: Whitening | None = None,
         rows: Rows | None = None,
+        known: Known | None = None,
     ) -> None:
         self.source = record
         self.configured = configured
+        known = Known() if known is None else known
         self.rows = usable(record) if rows is None else usable(record) & rows
+        self._known = known
+        self._at = np.flatnonzero(self.rows)  # several times as fast as a mask
         self.record = replace(record, stretch=record.stretches).select(self.rows)
         self.run = _broken(record, self.rows)
         self.parameters = parameters
         self.drive = base.drive_of(parameters, configured)
-        error = base.error(self.drive, record.input_angle, record.torque)
-        derivatives, slope = base.jacobian(self.drive, configured, record.input_angle, record.torque)
-        self.whole = signals(record, self.drive, error, slope)
-        self.signals = self.whole.part(self.rows)
-        self.error, self.jacobian = error[self.rows], derivatives[self.rows]
+        self.whole, self.signals, derivatives = self._linearised(known.linear)
+        self.error, self.jacobian = self.signals.predicted, derivatives.take(self._at, axis=0)
         rec = self.record
         self.left = rec.output_angle - rec.input_angle / configured.kinematics.ratio - self.error
         self.uncorrected = self.left
         self.nuisance = np.ones((rec.size, 1))
-        self._derivatives = derivatives
+        self._derivatives, self._shift = derivatives, 0.0
         self._before: Present = []
         self._later: Present = []
         self._behind: dict[Stage, Signals] = {}
         self.block = blocks(self.run)
         self._columns: dict[tuple[str, tuple[float, ...]], Floats] = {}
+        self._uncarried: dict[tuple[str, tuple[float, ...]], Floats] = {}
         self.noise_residual = np.empty(0)
         self._white: dict[tuple[str, tuple[float, ...]], Floats] = {}
         self._testable: dict[str, tuple[bool, str]] = {}
@@ -99,7 +125,20 @@ class Workbench:
 
     def moved(self, parameters: Floats, whiten: Whitening | None = None) -> Workbench:
         """The same rows, linearised elsewhere."""
-        return Workbench(self.source, self.configured, parameters, whiten, self.rows)
+        return Workbench(self.source, self.configured, parameters, whiten, self.rows, self._known)
+
+    def _linearised(self, known: Linear) -> tuple[Signals, Signals, Floats]:
+        """Signals of all rows and of those that are fitted, and the derivatives by the parameters."""
+        key, record = self.parameters.tobytes(), self.source
+        if key not in known:
+            error = base.error(self.drive, record.input_angle, record.torque)
+            derivatives, slope = base.jacobian(self.drive, self.configured, record.input_angle, record.torque)
+            whole = signals(record, self.drive, error, slope)
+            known[key] = whole, whole.part(self._at), derivatives
+        known[key] = known.pop(key)
+        while len(known) > _KNOWN:
+            del known[next(iter(known))]
+        return known[key]
 
     def columns(self, effect: Effect, nonlinear: tuple[float, ...]) -> Floats:
         """Columns of an effect, shape (n, k) [rad per unit]."""
@@ -170,8 +209,14 @@ class Workbench:
 
     def correct(self, chosen: Chosen) -> None:
         """Take what the chosen effects are at full size beyond their columns out of what the model leaves."""
-        beta, _, _ = self.fit(chosen)
-        sized = [(item, beta[place]) for item, place in zip(chosen, self.places(chosen), strict=True)]
+        self.correct_at(self.sized(chosen, self.fit(chosen)[0]))
+
+    def sized(self, chosen: Chosen, beta: Floats) -> Present:
+        """The chosen effects with their coefficients out of a fit's."""
+        return [(item, beta[place]) for item, place in zip(chosen, self.places(chosen), strict=True)]
+
+    def correct_at(self, sized: Present) -> None:
+        """The same at given coefficients."""
         self.see(sized)
         correction = np.zeros(self.left.size)
         for (effect, nonlinear), coefficients in sized:
@@ -190,10 +235,10 @@ class Workbench:
         Coefficients beyond its own are of what it wanders by.
         """
         if (own := effect.size) < coefficients.size and effect.stage > Stage.NOWHERE:
-            wandering = effect.wandering(self.whole, nonlinear)[self.rows] @ coefficients[own:]
+            wandering = effect.wandering(self.whole, nonlinear).take(self._at, axis=0) @ coefficients[own:]
             return self.full_size(effect, nonlinear, coefficients[:own]) + wandering
         if effect.remembers or effect.stage > Stage.GEAR:
-            return np.nan_to_num(effect.response(self._seen(effect), coefficients, nonlinear)[self.rows])
+            return np.nan_to_num(effect.response(self._seen(effect), coefficients, nonlinear).take(self._at))
         return np.nan_to_num(effect.response(self.signals, coefficients, nonlinear))
 
     def see(self, present: Present) -> None:
@@ -205,30 +250,54 @@ class Workbench:
             changed |= {Stage.SPRING, Stage.STREAM}
         if later or self._later:
             changed |= {Stage.GEAR, Stage.SPRING}
+        moved = self._under(sum(effect.torque_shift(coefficients) for (effect, _), coefficients in present))
         self._before, self._later = before, later
         self._behind.clear()
         for kept in (self._columns, self._white):
             for key in [key for key in kept if _STAGES.get(key[0]) in changed]:
                 del kept[key]
-        if Stage.GEAR in changed:
-            self.jacobian = self._carried(self._derivatives, Stage.GEAR, of_teeth=True)[self.rows]
+        if moved or Stage.GEAR in changed:
+            self.jacobian = self._carried(self._derivatives, Stage.GEAR, of_teeth=True).take(self._at, axis=0)
             self.always_white = self.whiten(self.always(), self.run)
+
+    def _under(self, shift: float) -> bool:
+        """Let the model's derivatives be those under a torque that differs [N m]; whether they change."""
+        if abs(shift - self._shift) < _SHIFT * self.drive.rated_torque:
+            return False
+        rec = self.source
+        self._shift = shift
+        self._derivatives, _ = base.jacobian(self.drive, self.configured, rec.input_angle, rec.torque + shift)
+        return True
 
     def _fresh(self, effect: Effect, nonlinear: tuple[float, ...]) -> Floats:
         if not self._sees_all(effect):
             return np.nan_to_num(effect.columns(self.signals, nonlinear))
+        columns = self._of_teeth(effect, nonlinear) if effect.of_teeth else self._of_whole(effect, nonlinear)
+        return self._carried(columns, effect.stage, effect.of_teeth).take(self._at, axis=0)
+
+    def _of_whole(self, effect: Effect, nonlinear: tuple[float, ...]) -> Floats:
+        """Columns at all rows, not carried by later stages."""
         seen = self._seen(effect)
         columns = np.nan_to_num(effect.columns(seen, nonlinear))
         if type(effect).wandering is not Effect.wandering:
             columns = np.concatenate((columns, effect.wandering(seen, nonlinear)), axis=1)
-        return self._carried(columns, effect.stage, effect.of_teeth)[self.rows]
+        return columns
+
+    def _of_teeth(self, effect: Effect, nonlinear: tuple[float, ...]) -> Floats:
+        """The same of an effect that sees no other: kept, for it takes long and what carries it changes often."""
+        key = (effect.name, nonlinear)
+        if key not in self._uncarried:
+            if sum(columns.nbytes for columns in self._uncarried.values()) > _MOST_KEPT:
+                self._uncarried.clear()
+            self._uncarried[key] = self._of_whole(effect, nonlinear)
+        return self._uncarried[key]
 
     def _secant(self, effect: Effect, nonlinear: tuple[float, ...], coefficients: Floats) -> Floats:
         """Columns that hold at a size."""
         if not self._sees_all(effect):
             return np.nan_to_num(effect.secant(self.signals, coefficients, nonlinear))
         columns = np.nan_to_num(effect.secant(self._seen(effect), coefficients, nonlinear))
-        return self._carried(columns, effect.stage, effect.of_teeth)[self.rows]
+        return self._carried(columns, effect.stage, effect.of_teeth).take(self._at, axis=0)
 
     def _carried(self, columns: Floats, stage: Stage, of_teeth: bool) -> Floats:
         """With what later stages make of them, shape (rows of the whole, k)."""
@@ -266,7 +335,18 @@ class Workbench:
         self.left_white = whiten(self.left, self.run)
 
     def _general(self) -> Floats:
-        """What any cause may look like: low orders, powers of torque, direction, speed."""
+        """What any cause may look like: low orders, powers of torque, direction, speed; with slow ones."""
+        if self._known.general is None:
+            self._known.general = self._smooth()
+        columns, s = [self._known.general], self.signals
+        for effect in SEARCHED:
+            if self.testable(effect)[0]:
+                grid = effect.grid(s)
+                if grid and effect.name in ("hysteresis", "stream_delay", "coulomb_windup", "viscous_windup"):
+                    columns.append(self.columns(effect, grid[len(grid) // 2]))
+        return np.concatenate(columns, axis=1)
+
+    def _smooth(self) -> Floats:
         s = self.signals
         theta, turned = s.wave_generator_angle, s.wave_generator_angle + s.output_angle
         load = s.torque / max(float(np.max(np.abs(s.torque))), 1e-9)
@@ -279,12 +359,7 @@ class Workbench:
             np.abs(load),
             load * s.speed / max(np.max(np.abs(s.speed)), 1e-9),
         ]
-        for effect in SEARCHED:
-            if self.testable(effect)[0]:
-                grid = effect.grid(s)
-                if grid and effect.name in ("hysteresis", "stream_delay", "coulomb_windup", "viscous_windup"):
-                    columns += list(self.columns(effect, grid[len(grid) // 2]).T)
-        return np.stack(columns, axis=1)
+        return np.stack(columns).T
 
     def fit(self, chosen: Chosen, more: Floats | None = None) -> tuple[Floats, Floats, Design]:
         """Coefficients and covariance of [model, nuisance, effects, more], and their normal equations.
@@ -357,8 +432,13 @@ def signals(record: Record, drive: Drive, error: Floats, slope: Floats) -> Signa
         predicted=error,
         predicted_torque_slope=slope,
         predicted_rate=_rate(record, error),
-        contact=ContactWeights(drive, angle, record.torque),
+        contact=ContactWeights(drive, angle, record.torque, torsion=_torsion(drive, error, record.torque)),
     )
+
+
+def _torsion(drive: Drive, error: Floats, torque: Floats) -> Floats:
+    """Of the mesh, from the transmission error that it makes [rad]."""
+    return np.asarray(-drive.kinematics.torque_sign * (error + drive.cup_compliance * torque))
 
 
 def _rate(record: Record, values: Floats) -> Floats:
@@ -408,8 +488,10 @@ def settle(bench: Workbench, chosen: Chosen, rounds: int = 3, learn: bool = True
             break
         moved = base.admissible(bench.parameters + step, bench.configured)
         residual = bench.noise_residual
+        sized = bench.sized(chosen, beta)
         bench = bench.moved(moved, bench.whiten)
         bench.noise_residual = residual
+        bench.correct_at(sized)
         bench.correct(chosen)
     bench.correct(chosen)
     return bench

@@ -19,6 +19,7 @@ import numpy.typing as npt
 from hd_diag.drive import Drive
 from hd_diag.model import load_sharing
 from hd_diag.model.clearance import Contact
+from hd_diag.model.torsion import Mesh
 from hd_diag.model.torsion_map import TorsionMap, build
 
 Floats = npt.NDArray[np.float64]
@@ -182,7 +183,12 @@ class ContactTable:
         return self._beyond[coefficients]
 
     def mean_slot(self) -> Floats:
-        """Of slot 0, in the mean over all slots; an eccentric wave generator makes them differ.
+        """Of slot 0, in the mean over all slots; an eccentric wave generator makes them differ."""
+        return self._mean_slot
+
+    @cached_property
+    def _mean_slot(self) -> Floats:
+        """See :meth:`mean_slot`.
 
         Returns
         -------
@@ -221,8 +227,12 @@ class ContactTable:
         The pair parts where the opening has used up its overlap: there the others bear all of the load, and
         the cup turns no further.
         """
-        share = self.share[torque_row, angle_row, flank, pair]
-        radius = self._radius[angle_row, flank, pair]
+        place = (angle_row * 2 + flank) * self.share.shape[3] + pair
+        radius = self._radius.take(place)
+        if isinstance(torque_row, slice):
+            share = self.share[torque_row, angle_row, flank, pair]
+        else:  # by one index, which is several times as fast
+            share = self.share.take(torque_row * self._radius.size + place)
         if opening <= 0.0:
             return np.asarray(share / radius)
         overlap = _FLANKS[flank, 0] * self.torsion[torque_row, angle_row] - np.nan_to_num(
@@ -241,18 +251,12 @@ class ContactTable:
     @cached_property
     def torsion_map(self) -> TorsionMap:
         """Of the mesh without errors, for torques somewhat beyond the limit."""
-        return build(self.drive.mesh, _BEYOND * self.torque_limit, steps_per_tooth=_MAP_STEPS)
+        return contact_map(self.drive.mesh, self.torque_limit)
 
     @cached_property
     def mean_torsion(self) -> tuple[Floats, Floats]:
         """Torques on the cup [N m], rising, and the torsion's mean over a turn there [rad]."""
-        limit = self.torsion_map.torque_limit
-        share = np.linspace(-1.0, 1.0, _MEAN_TORQUES)
-        torque = limit * np.sign(share) * share**2
-        turn = 2.0 * np.pi / _MEAN_ANGLES * np.arange(_MEAN_ANGLES)
-        angle, load = (grid.ravel() for grid in np.meshgrid(turn, torque))
-        mean: Floats = self.torsion_map(angle, load).reshape(torque.size, turn.size).mean(axis=1)
-        return torque, mean
+        return mean_torsion(self.drive.mesh, self.torque_limit)
 
     @cached_property
     def _radius(self) -> Floats:
@@ -287,8 +291,8 @@ class ContactTable:
 
     def _summed(self, weight: Floats) -> Floats:
         """Shares times a weight of every flank, shape (angles, 2, pairs), summed over both flanks."""
-        summed: Floats = np.einsum("tafp,afp->tap", self.share, weight)
-        return summed
+        plus, minus = (self.share[:, :, flank] * weight[:, flank] for flank in (0, 1))
+        return np.asarray(plus + minus)
 
     @cached_property
     def _radial_slopes(self) -> tuple[Floats, Floats]:
@@ -352,12 +356,29 @@ class ContactTable:
         key = (name, order)
         if key not in self._tables:
             if name not in self._responses:
-                self._responses[name] = response()
+                self._responses[name] = np.ascontiguousarray(response().transpose(1, 0, 2))
             turning: Complexes = np.exp(1j * order * angle())
-            by_angle = self._responses[name].transpose(1, 0, 2)
-            found = by_angle @ np.stack((turning.real, turning.imag), axis=2)
+            found = self._responses[name] @ np.stack((turning.real, turning.imag), axis=2)
             self._tables[key] = (found[..., 0] + 1j * found[..., 1]).T
         return self._tables[key]
+
+
+@lru_cache(maxsize=4)  # some MB each
+def contact_map(mesh: Mesh, torque_limit: float) -> TorsionMap:
+    """Torsion of a mesh for torques somewhat beyond a limit [N m], built once."""
+    return build(mesh, _BEYOND * torque_limit, steps_per_tooth=_MAP_STEPS)
+
+
+@lru_cache(maxsize=4)
+def mean_torsion(mesh: Mesh, torque_limit: float) -> tuple[Floats, Floats]:
+    """Torques on the cup to somewhat beyond a limit [N m], rising, and the torsion's mean over a turn."""
+    table = contact_map(mesh, torque_limit)
+    share = np.linspace(-1.0, 1.0, _MEAN_TORQUES)
+    torque = table.torque_limit * np.sign(share) * share**2
+    turn = 2.0 * np.pi / _MEAN_ANGLES * np.arange(_MEAN_ANGLES)
+    angle, load = (grid.ravel() for grid in np.meshgrid(turn, torque))
+    mean: Floats = table(angle, load).reshape(torque.size, turn.size).mean(axis=1)
+    return torque, mean
 
 
 @lru_cache(maxsize=2)  # 40 MB each

@@ -19,6 +19,7 @@ from hd_diag.effects.contact_table import (
     Openings,
     SlotErrors,
     contact_table,
+    mean_torsion,
 )
 from hd_diag.model.torsion import torsion
 
@@ -47,6 +48,8 @@ class ContactWeights:
     torque_limit : float, optional
         Up to which the contact is solved [N m], beyond it the response stays. Left out, the record's own; a
         later evaluation is the same only with the same limit.
+    torsion : ndarray, shape (n,), optional
+        Of the mesh, where it is known already [rad].
 
     Notes
     -----
@@ -58,12 +61,11 @@ class ContactWeights:
     wave_generator_angle: Floats
     torque: Floats
     torque_limit: float = 0.0
+    torsion: Floats | None = None
 
     def __post_init__(self) -> None:
         if self.torque_limit <= 0.0:
-            greatest = float(np.max(np.abs(self.torque), initial=0.0))
-            limit = max(greatest, _LEAST_LIMIT * self.drive.rated_torque)
-            object.__setattr__(self, "torque_limit", limit)
+            object.__setattr__(self, "torque_limit", greatest_torque(self.drive, self.torque))
 
     @property
     def table(self) -> ContactTable:
@@ -73,7 +75,11 @@ class ContactWeights:
     def part(self, rows: Rows) -> ContactWeights:
         """Weights at some of the samples."""
         found = ContactWeights(
-            self.drive, self.wave_generator_angle[rows], self.torque[rows], self.torque_limit
+            self.drive,
+            self.wave_generator_angle[rows],
+            self.torque[rows],
+            self.torque_limit,
+            None if self.torsion is None else self.torsion[rows],
         )
         return self._handed_on(found, rows)
 
@@ -174,15 +180,21 @@ class ContactWeights:
             [rad]; the cup's own compliance included.
         """
         kinematics = self.drive.kinematics
-        change = self._torsion(self.torque + torque) - self._torsion(self.torque)
+        change = self._torsion(self.torque + torque) - self._own_torsion()
         return -kinematics.torque_sign * change - self.drive.cup_compliance * torque
 
     @cached_property
     def ripple(self) -> Floats:
         """The model's TE less its mean over a turn of the wave generator [rad], shape (n,)."""
-        nodes, mean = self.table.mean_torsion
+        if self.torsion is None:
+            nodes, mean = self.table.mean_torsion
+        else:  # without the table, which takes longer
+            nodes, mean = mean_torsion(self.drive.mesh, self.torque_limit)
         cup_torque = self.drive.kinematics.cup_torque(self.torque)
-        return self._sign * (self._torsion(self.torque) - np.interp(cup_torque, nodes, mean))
+        return self._sign * (self._own_torsion() - np.interp(cup_torque, nodes, mean))
+
+    def _own_torsion(self) -> Floats:
+        return self._torsion(self.torque) if self.torsion is None else self.torsion
 
     def _torsion(self, torque: Floats) -> Floats:
         """Of the mesh [rad]."""
@@ -297,6 +309,11 @@ class ContactWeights:
             for angle_row, angle_share in self.angle_rows:
                 result += torque_share * angle_share * table[torque_row, angle_row]
         return result
+
+
+def greatest_torque(drive: Drive, torque: Floats) -> float:
+    """Up to which a record's contacts are solved [N m], from its torque, shape (n,)."""
+    return max(float(np.max(np.abs(torque), initial=0.0)), _LEAST_LIMIT * drive.rated_torque)
 
 
 def _neighbours(place: Floats, last: int) -> Neighbours:

@@ -182,7 +182,7 @@ class Effect(ABC):
         return np.asarray(self.columns(signals, nonlinear) @ coefficients)
 
     def secant(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
-        """Columns that give the response at this size exactly, where an effect has such; else its columns."""
+        """Columns that hold at this size, mean or local slopes, where it has such; else its columns."""
         return self.columns(signals, nonlinear)
 
     def respond(
@@ -190,6 +190,10 @@ class Effect(ABC):
     ) -> tuple[Floats, Any]:
         """Transmission error of the effect at the next samples, and the state after them."""
         return self.response(signals, coefficients, nonlinear), state
+
+    def torque_shift(self, coefficients: Floats) -> float:
+        """Real less reported torque by it [N m]; none unless stated."""
+        return 0.0
 
     def carry(self, signals: Signals, added: Floats, coefficients: Floats, nonlinear: Values) -> Floats:
         """What it makes of what earlier stages add, beside that itself; nothing unless stated.

@@ -102,7 +102,7 @@ def torque_reverses(signals: Signals, swing: float) -> Verdict:
         found = max(found, int(np.count_nonzero(np.diff(turns) > 0.5 * swing)) + 1 if turns.size else 0)
     return _told(
         found >= 3,
-        f"the torque turns back by {swing:.3g} N m at {found} values: swing the load up, half-way down and "
+        f"the torque turns back by {swing:.3g} N m at {_number(found)}: swing the load up, half-way down and "
         "up again without a pause",
     )
 
@@ -122,8 +122,13 @@ def several_speeds(signals: Signals, number: int) -> Verdict:
         found = int(np.count_nonzero(level >= max(10, 0.005 * speed.size)))
     return _told(
         found >= number,
-        f"{found} speeds: repeat the motion at {number} different speeds, or ramp the speed",
+        f"{found} {'speed' if found == 1 else 'speeds'}: repeat the motion at {number} different speeds, "
+        "or ramp the speed",
     )
+
+
+def _number(values: int) -> str:
+    return {0: "no value", 1: "one value"}.get(values, f"{values} values")
 
 
 def speed_beyond(signals: Signals, speed: float, why: str) -> Verdict:

@@ -71,10 +71,12 @@ def follow(state: Complexes, steps: tuple[Complexes, Complexes, Complexes], valu
     ndarray, shape (n, k)
         Real part of q at every row.
     """
-    every = [np.broadcast_to(one, max(values.shape[0] - 1, 0)) for one in steps]
+    if not values.size:
+        return np.empty(values.shape)
+    every = [np.broadcast_to(one, values.shape[0] - 1) for one in steps]
     # The state is written to: a copy.
     parts = [np.array(part) for one in (*every, state) for part in (one.real, one.imag)]
-    way = _fast(_follow) if compiled.available() else _follow_rows
+    way: Callable[..., Any] = _fast(_follow) if compiled.available() else _follow_rows
     found: Floats = way(*parts, np.ascontiguousarray(values))
     return found
 
@@ -108,7 +110,8 @@ def _follow(
 ) -> Floats:
     """Real and imaginary parts apart: so both ways round alike."""
     result = np.empty(values.shape)
-    result[:1] = real
+    for j in range(values.shape[1]):
+        result[0, j] = real[j]
     for i in range(values.shape[0] - 1):
         for j in range(values.shape[1]):
             value, change = values[i, j], values[i + 1, j] - values[i, j]

@@ -170,7 +170,7 @@ class _Path:
 
 @dataclass(frozen=True)
 class _Steps:
-    """A step of ``q' = pole q + v``: what is left of q, what v adds, and what its change adds; (n,) or (1,)."""
+    """Steps of ``q' = pole q + v``: what is left of q, what v adds, what its change adds; (n,) or (1,)."""
 
     decay: Complexes
     constant: Complexes
@@ -198,7 +198,7 @@ def _stepped(nonlinear: Values, path: _Path, state: State) -> tuple[Floats, Stat
     forward, backward = _turning(pole, steps.decay, path)
     straight = path.ripple[:-1] * steps.constant + np.diff(path.ripple) * steps.rising
     inputs = 0.5 * (forward + backward), -0.5j * (forward - backward), straight
-    decay = np.broadcast_to(steps.decay, straight.shape)
+    decay = np.array(np.broadcast_to(steps.decay, straight.shape))
     modes = [relax(q, decay, each) for q, each in zip(first, inputs, strict=True)]
     if state is None:  # the first sample is where it begins
         modes = [np.concatenate(([q], mode)) for q, mode in zip(first, modes, strict=True)]
@@ -272,15 +272,17 @@ def _quasi_static(
     """Gain of every frequency, bin by bin of the speed: an order of its own, and what carries the ripple."""
     speed, count, rest, ripple = bins
     own = (np.array(ORDERS) == order)[:, None]
+    frequencies = np.geomspace(*_passed(signals, order), _FINE)
+    r = np.array(ORDERS)[:, None] * speed / frequencies[:, None, None]
+    through = (1.0 + 2j * damping * r) / (1.0 - r**2 + 2j * damping * r)
+    # A real mean turned back holds half of an order's amplitude.
+    parts = 0.5 * np.stack((own * through, -1j * own * through, (through - 1.0) * ripple), axis=1)
+    flat, weighted = (every.reshape(_FINE, 3, -1) for every in (parts, parts.conj() * count))
+    moments = (weighted @ rest.ravel()).real
+    grams = (weighted @ flat.transpose(0, 2, 1)).real
     found: list[tuple[float, Values]] = []
-    for frequency in np.geomspace(*_passed(signals, order), _FINE):
-        r = np.array(ORDERS)[:, None] * speed / frequency
-        through = (1.0 + 2j * damping * r) / (1.0 - r**2 + 2j * damping * r)
-        # A real mean turned back holds half of an order's amplitude.
-        parts = 0.5 * np.stack((own * through, -1j * own * through, (through - 1.0) * ripple))
-        moment = np.einsum("pob,ob,b->p", parts.conj(), rest, count).real
-        gram = np.einsum("pob,qob,b->pq", parts.conj(), parts, count).real
-        gram += 1e-9 * np.trace(gram) * np.eye(3)
+    for frequency, moment, gram in zip(frequencies, moments, grams, strict=True):
+        gram = gram + 1e-9 * np.trace(gram) * np.eye(3)
         gain = float(moment @ np.linalg.solve(gram, moment)) if gram.any() else 0.0
         found.append((gain, (order, float(frequency), damping)))
     return found

@@ -65,16 +65,33 @@ class StreamDelay(Effect):
 
     def carry(self, signals: Signals, added: Floats, coefficients: Floats, nonlinear: Values) -> Floats:
         """Late by the delay, straight between samples; see :meth:`Effect.carry`."""
-        result, then = np.empty_like(added), signals.time - float(coefficients[0])
-        for run in signals.runs():
-            time = signals.time[run]
-            for index, values in enumerate(added[run].T):
-                result[run, index] = np.interp(then[run], time, values) - values
-        return result
+        delay = float(coefficients[0])
+        kept = signals.kept.get("stream_delay")
+        if kept is None or kept[0] != delay:  # of many calls with one delay
+            kept = signals.kept["stream_delay"] = delay, *_straight(signals, delay)
+        _, low, share = kept
+        before = added.take(low, axis=0)
+        return np.asarray(
+            before - added + share[:, None] * (added.take(low + 1, axis=0, mode="clip") - before)
+        )
 
     def testable(self, signals: Signals) -> tuple[bool, str]:
         """High speed."""
         return speed_beyond(signals, _SPEED, "run the joint fast, with its ripple")
+
+
+def _straight(signals: Signals, delay: float) -> tuple[npt.NDArray[np.intp], Floats]:
+    """Sample before the moment a delay ago, and the share of the next one, within every run; (n,) each."""
+    low, share = np.zeros(signals.size, dtype=np.intp), np.zeros(signals.size)
+    for run in signals.runs():
+        time = signals.time[run]
+        then = np.clip(time - delay, time[0], time[-1])
+        first = np.clip(np.searchsorted(time, then, side="right") - 1, 0, max(time.size - 2, 0))
+        low[run] = run.start + first
+        if time.size > 1:
+            step = time[first + 1] - time[first]
+            share[run] = np.where(step > 0.0, (then - time[first]) / np.where(step > 0.0, step, 1.0), 0.0)
+    return low, share
 
 
 def _between(time: Floats, values: Floats, after: npt.NDArray[np.intp], at: Floats) -> Floats:

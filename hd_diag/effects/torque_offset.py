@@ -13,6 +13,8 @@ from hd_diag.effects.signals import Signals
 
 Floats = npt.NDArray[np.float64]
 
+_STEP = 4e-3  # of the rated torque, by which the compliance is taken: a change of flanks is a step
+
 
 @dataclass(frozen=True)
 class TorqueOffset(Effect):
@@ -21,6 +23,16 @@ class TorqueOffset(Effect):
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Compliance of the model; see :meth:`Effect.columns`."""
         return signals.predicted_torque_slope[:, None]
+
+    def secant(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
+        """Compliance under the real torque: between both zeros the teeth change flanks."""
+        offset, step = float(coefficients[0]), _STEP * signals.rated_torque
+        ends = [signals.contact.under_more_torque(offset + sign * step) for sign in (-1.0, 1.0)]
+        return ((ends[1] - ends[0]) / (2.0 * step))[:, None]
+
+    def torque_shift(self, coefficients: Floats) -> float:
+        """The offset itself; see :meth:`Effect.torque_shift`."""
+        return float(coefficients[0])
 
     def response(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
         """The model under the real torque; see :meth:`Effect.response`."""
