@@ -221,6 +221,11 @@ def test_output_must_not_touch_the_input(tmp_path, name):
     with pytest.raises(BagError, match="input"):
         check_output(tmp_path / name, source)
     check_output(tmp_path / "bag2", source)
+    circle = tmp_path / "circle"
+    circle.symlink_to(circle)
+    with pytest.raises(BagError):
+        check_output(circle / "out.mcap", source)
+        BagReader(circle)
 
 
 def test_bad_arguments_concern_one_call_only(tmp_path):

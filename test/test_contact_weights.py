@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from reference import polyline
 
 from hd_diag.drive import Drive
-from hd_diag.effects.contact_table import ContactTable, contact_table
+from hd_diag.effects.contact_table import ContactTable, contact_map, contact_table
 from hd_diag.effects.contact_weights import ContactWeights
 from hd_diag.model import load_sharing
 from hd_diag.model.torsion import torsion
@@ -327,3 +327,18 @@ def test_a_part_keeps_the_ripple_that_is_known(many: tuple[Array, Array]) -> Non
     assert_allclose(whole.part(rows).ripple, whole.ripple[rows], rtol=0, atol=1e-15)
     assert "ripple" in whole.part(rows).__dict__
     assert_array_equal(whole.part(rows).ripple, whole.ripple[rows])
+
+
+def test_torsion_known_already_is_the_ripple_s() -> None:
+    """The ripple from the error's own torsion is that of the table."""
+    known = weights(DRIVE, ANGLES, np.linspace(-40.0, 40.0, ANGLES.size))
+    cup = DRIVE.kinematics.cup_torque(known.torque)
+    beta = known.table.torsion_map(ANGLES, cup)
+    given = ContactWeights(DRIVE, ANGLES, known.torque, LIMIT, beta)
+    assert_allclose(given.part(slice(1, 4)).ripple, known.ripple[1:4], rtol=1e-12)
+    moved = ContactWeights(DRIVE, ANGLES, known.torque, LIMIT, beta + 1e-5)
+    assert_allclose(np.abs(moved.ripple - known.ripple), 1e-5, rtol=1e-6)
+
+
+def test_one_map_of_a_mesh() -> None:
+    assert contact_map(DRIVE.mesh, LIMIT) is contact_table(DRIVE, LIMIT).torsion_map

@@ -58,6 +58,16 @@ def test_every_run_is_filtered_on_its_own() -> None:
     assert_array_equal(whole, np.concatenate(alone))
 
 
+def test_it_is_the_filter_of_the_model() -> None:
+    run = runs(300, ORDER + 1, 500)
+    noise = coloured(run.size, 8)
+    filtered = whitening(noise, run)
+    taps = np.concatenate(([1.0], -filtered.coefficients)) / filtered.scale
+    for begin, end in bounds(run):
+        expected = lfilter(taps, 1.0, noise[begin:end])[ORDER:]
+        assert_allclose(filtered(noise, run)[begin + ORDER : end], expected, rtol=1e-9, atol=1e-9)
+
+
 def test_the_first_samples_of_a_run_do_not_count() -> None:
     run = runs(300, ORDER, 500)
     noise = coloured(run.size, 4)

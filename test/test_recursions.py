@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from hd_diag.effects import recursions
-from hd_diag.effects.recursions import relax, slip
+from hd_diag.effects.recursions import follow, relax, slip
 from hd_diag.model import compiled
 
 COUNT = 5000
@@ -15,6 +15,9 @@ RNG = np.random.default_rng(0)
 CHANGE = RNG.normal(0.0, 0.4, COUNT)
 DECAY = 0.97 * np.exp(1j * RNG.uniform(0.1, 0.4, COUNT))
 ADDED = RNG.normal(0.0, 1.0, COUNT) + 1j * RNG.normal(0.0, 1.0, COUNT)
+VALUES = RNG.normal(0.0, 1.0, (COUNT, 3))
+STEPS = DECAY[1:], ADDED[1:], 0.5 * ADDED[:-1]
+START = VALUES[0] * (0.3 - 0.7j)
 
 
 @pytest.mark.skipif(not compiled.available(), reason="numba is not installed")
@@ -24,6 +27,27 @@ def test_compiled_is_plain_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recursions, "_fast", lambda function: function)
     assert_array_equal(fast[0], slip(0.3, CHANGE))
     assert_array_equal(fast[1], relax(0.2 - 1.0j, DECAY, ADDED))
+
+
+@pytest.mark.skipif(not compiled.available(), reason="numba is not installed")
+@pytest.mark.parametrize("steps", [STEPS, tuple(one[:1] for one in STEPS)], ids=["uneven", "even"])
+def test_compiled_columns_are_plain_to_the_bit(
+    steps: tuple[np.ndarray, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fast = follow(START, steps, VALUES)
+    monkeypatch.setattr(compiled, "available", lambda: False)
+    assert_array_equal(fast, follow(START, steps, VALUES))
+
+
+def test_columns_are_what_relax_gives_of_each() -> None:
+    decay, constant, rising = STEPS
+    for column, start, found in zip(VALUES.T, START, follow(START, STEPS, VALUES).T, strict=True):
+        expected = relax(start, decay, constant * column[:-1] + rising * np.diff(column))
+        assert_allclose(found, np.concatenate(([start], expected)).real, atol=1e-12)
+
+
+def test_columns_without_rows() -> None:
+    assert follow(START, tuple(one[:1] for one in STEPS), VALUES[:0]).shape == (0, 3)
 
 
 def test_without_numba_it_is_plain(monkeypatch: pytest.MonkeyPatch) -> None:

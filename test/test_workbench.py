@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from hd_diag.criticism.polish import polished
 from hd_diag.criticism.record import Record
-from hd_diag.criticism.refit import usable
+from hd_diag.criticism.refit import refit, usable
 from hd_diag.criticism.workbench import Workbench, settle
 from hd_diag.extended import ExtendedModel, Range, Ranges, Term
 
@@ -94,3 +94,42 @@ def test_memory_goes_through_rows_that_are_not_fitted() -> None:
         assert_array_equal(made.columns(effect, nonlinear), every.columns(effect, nonlinear)[inside])
     assert_allclose(made.left, every.left[inside], atol=1e-12)
     assert made.left.std() * RATIO > 0.0
+
+
+def test_a_wrong_zero_of_the_torque_is_found_at_full_size() -> None:
+    """Between both zeros the teeth bear on other flanks: no slope at the reported torque tells that."""
+    offset = EFFECTS["torque_offset"]
+    shifted = recorded(Term(offset, (2.5,), ()))
+    made, chosen = settle(Workbench(shifted, CONFIGURED, POINT), ((offset, ()),)), ((offset, ()),)
+    for _ in range(6):
+        made.correct(chosen)
+    beta = made.fit(chosen)[0]
+    assert beta[made.places(chosen)[0]][0] == pytest.approx(2.5, abs=0.05)
+    found = refit(shifted, CONFIGURED).parameters
+    assert min(np.abs(found[:2] - POINT[:2]).max(), np.abs(found[:2] + POINT[:2]).max()) < 1.0
+
+
+def test_back_at_known_parameters_nothing_is_computed_again() -> None:
+    made = bench()
+    away = made.moved(POINT + 0.5)
+    again = away.moved(made.parameters)
+    assert again.whole is made.whole
+    assert_array_equal(again.jacobian, made.jacobian)
+    assert away.whole is not made.whole
+    afresh = Workbench(made.source, CONFIGURED, POINT + 0.5, made.whiten, made.rows)
+    assert_array_equal(afresh.left, away.left)
+    for _ in range(4):
+        away = away.moved(away.parameters + 0.1)
+    assert away.moved(made.parameters).whole is not made.whole  # only the latest are kept
+
+
+def test_columns_of_teeth_are_the_same_when_carried_again() -> None:
+    """What is kept of them does not depend on what carries them."""
+    made, other = bench(), bench()
+    for damping in (0.1, 0.05):
+        made.see([((RESONANCE, (2.0, 60.0, damping)), np.array([0.0, 0.0, 1.0]))])
+        found = made.columns(PITCH, ())
+    other.see([((RESONANCE, SPRING), np.array([0.0, 0.0, 1.0]))])
+    assert_array_equal(found, other.columns(PITCH, ()))
+    other.see([])
+    assert np.abs(found - other.columns(PITCH, ())).max() > 0.0

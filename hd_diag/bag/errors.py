@@ -41,10 +41,18 @@ def check_output(out: str | os.PathLike[str], *inputs: str | os.PathLike[str]) -
     BagError
         Where writing `out` would touch an input.
     """
-    target = Path(out).resolve()
+    target = _resolved(out)
     for name in inputs:
-        source = Path(name).resolve()
+        source = _resolved(name)
         if target == source or target in source.parents or (source.is_dir() and source in target.parents):
             raise BagError(out, f"output would overwrite the input {source}")
         if target.exists() and source.exists() and os.path.samefile(target, source):
             raise BagError(out, f"output is the same file as the input {source}")
+
+
+def _resolved(name: str | os.PathLike[str]) -> Path:
+    """Real place of a path; before Python 3.13 a circle of links is a RuntimeError."""
+    try:
+        return Path(name).resolve()
+    except RuntimeError:
+        raise BagError(name, "a circle of symbolic links") from None

@@ -284,7 +284,7 @@ class Workbench:
         return columns
 
     def _of_teeth(self, effect: Effect, nonlinear: tuple[float, ...]) -> Floats:
-        """The same of an effect that sees no other: kept, for it takes long and what carries it changes often."""
+        """The same of an effect that sees no other: kept, for it takes long and what carries it varies."""
         key = (effect.name, nonlinear)
         if key not in self._uncarried:
             if sum(columns.nbytes for columns in self._uncarried.values()) > _MOST_KEPT:
