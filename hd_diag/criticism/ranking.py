@@ -14,6 +14,7 @@ from hd_diag.effects.effect import Effect
 
 Floats = npt.NDArray[np.float64]
 
+_LOOKED_AT = 5.0  # surprise from which a candidate is looked at, at its size
 _SECANTS = 3  # steps to the size of an effect that is not proportional to it
 
 
@@ -110,7 +111,7 @@ def ranked(
             if best is None or one.surprise > best.surprise:
                 best = one
         if best is not None:
-            gain = _gain_at_size(bench, projector, effect, best.nonlinear)
+            gain = _gain_at_size(bench, projector, best) if best.surprise > _LOOKED_AT else 0.0
             if gain > best.gain:
                 best = _candidate(bench, projector, effect, best.nonlinear, gain)
             found.append(best)
@@ -127,10 +128,9 @@ def _candidate(
     return Candidate(effect, nonlinear, gain, p, surprise(gain / noise, width))
 
 
-def _gain_at_size(
-    bench: Workbench, projector: Projector, effect: Effect, nonlinear: tuple[float, ...]
-) -> float:
+def _gain_at_size(bench: Workbench, projector: Projector, candidate: Candidate) -> float:
     """Gain with the columns that hold at the size found, where an effect has such."""
+    effect, nonlinear = candidate.effect, candidate.nonlinear
     if type(effect).secant is Effect.secant:
         return 0.0
     coefficients, _ = projector.fit(bench.white(effect, nonlinear))

@@ -19,7 +19,7 @@ from hd_diag.criticism.record import Record
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
 
-LIMIT = 100_000
+LIMIT = 60_000
 """Most rows that a fit gets: the whole process then stays below 1 GiB."""
 
 _STRETCHES = 48  # two for each block of the criticism

@@ -26,8 +26,9 @@ Integers = npt.NDArray[np.int64]
 Rows = npt.NDArray[np.bool_]
 
 _BLOCKS = 24
-_MOST_KEPT = 64 << 20  # bytes
-_KNOWN = 3  # parameters, for a search that goes back to them
+_MOST_KEPT = 32 << 20  # bytes
+_MOST_COLUMNS = 96 << 20  # bytes
+_KNOWN = 2  # parameters, for a search that goes back to them
 _SHIFT = 2e-4  # of the rated torque; a smaller change of the torque's zero changes no derivative
 _SETTLED = 1.0  # standard deviations; the model is linear over such steps
 # What no refit of the model can be blamed for: a cause must beat a refit of its own as well.
@@ -144,8 +145,7 @@ class Workbench:
         """Columns of an effect, shape (n, k) [rad per unit]."""
         key = (effect.name, nonlinear)
         if key not in self._columns:
-            if len(self._columns) > 400:
-                self._columns.clear()
+            _make_room(self._columns)
             self._columns[key] = self._fresh(effect, nonlinear)
         return self._columns[key]
 
@@ -157,6 +157,7 @@ class Workbench:
         columns = self.columns(effect, nonlinear) if keep else self._fresh(effect, nonlinear)
         white = self.whiten(columns, self.run)
         if keep:
+            _make_room(self._white)
             self._white[key] = white
         return white
 
@@ -404,6 +405,11 @@ class Workbench:
         columns = np.concatenate((self.always(), self.joined(chosen)), axis=1)
         left = whiten(self.left, self.run)
         return design(whiten(columns, self.run), left, self.block, left != 0.0)
+
+
+def _make_room(kept: dict[tuple[str, tuple[float, ...]], Floats]) -> None:
+    if sum(columns.nbytes for columns in kept.values()) > _MOST_COLUMNS:
+        kept.clear()
 
 
 def _scales(columns: Floats) -> Floats:

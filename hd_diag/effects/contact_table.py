@@ -363,7 +363,7 @@ class ContactTable:
         return self._tables[key]
 
 
-@lru_cache(maxsize=4)  # some MB each
+@lru_cache(maxsize=3)  # 9 MB each
 def contact_map(mesh: Mesh, torque_limit: float) -> TorsionMap:
     """Torsion of a mesh for torques somewhat beyond a limit [N m], built once."""
     return build(mesh, _BEYOND * torque_limit, steps_per_tooth=_MAP_STEPS)

@@ -74,7 +74,9 @@ def torsion_and_gradient(
     work, n = scratch(mesh.constants), turn.size
     beta, stiffness, gradient = np.empty(n), np.empty(n), np.empty((n, 7))
     for i in range(n):
-        found = flanks(mesh, turn[i], eccentricity[i], work)
+        # Contacts do not depend on the torque: at many of them they are solved once.
+        if i == 0 or turn[i] != turn[i - 1] or eccentricity[i] != eccentricity[i - 1]:
+            found = flanks(mesh, turn[i], eccentricity[i], work)
         beta[i] = balance(found, torque[i])
         stiffness[i] = fill(
             mesh, work.teeth, found, turn[i], eccentricity[i], torque[i], beta[i], gradient[i]
