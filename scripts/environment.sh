@@ -46,8 +46,8 @@ install_tree() {
 
 # Once here rather than in every process that is first to compute; unchanged kernels keep their machine code.
 compile_kernels() {
-    echo "== Compiling its kernels, of the model and of the tolerances, where they have changed (half a minute)"
-    $env/bin/python -I -c 'from hd_diag.tolerance.moments import warm_up; warm_up()' >>"$log" 2>&1 ||
+    echo "== Compiling its kernels, of model, diagnosis and tolerances, where they have changed (half a minute)"
+    $env/bin/python -I -c 'from hd_diag.criticism import base; from hd_diag.tolerance import moments; base.warm_up(); moments.warm_up()' >>"$log" 2>&1 ||
         fail "the kernels could not be compiled"
 }
 

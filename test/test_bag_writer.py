@@ -225,6 +225,7 @@ def test_output_must_not_touch_the_input(tmp_path, name):
     circle.symlink_to(circle)
     with pytest.raises(BagError):
         check_output(circle / "out.mcap", source)
+    with pytest.raises(BagError):
         BagReader(circle)
 
 

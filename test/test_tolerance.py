@@ -94,15 +94,24 @@ def test_an_environment_compiles_the_kernels_of_model_and_tolerances() -> None:
     if not compiled.available():
         pytest.skip("numba is not installed")
     (code,) = re.findall(r"-c '(.*warm_up.*)'", (ROOT / "scripts" / "environment.sh").read_text())
-    compiled_by = "print([len(k.signatures) for k in (kernel.moments, compiled._kernel().torsion)])"
-    imports = "from hd_diag.model import compiled; from hd_diag.tolerance import kernel"
+    kernels = "kernel.moments, compiled._kernel().torsion, compiled._kernel().torsion_and_gradient, *slow"
+    compiled_by = f"print([len(k.signatures) for k in ({kernels})])"
+    imports = (
+        "from hd_diag.model import compiled; from hd_diag.tolerance import kernel;"
+        "from hd_diag.effects import recursions as r;"
+        "slow = [r._fast(f) for f in (r._slip, r._relax, r._follow)]"
+    )
     use = (
         "import drives, numpy as np; from hd_diag.tolerance.moments import evaluate;"
-        "evaluate(drives.mesh(), np.zeros(2), np.zeros(2, complex), np.array([56.0]))"
+        "evaluate(drives.mesh(), np.zeros(2), np.zeros(2, complex), np.array([56.0]));"
+        "from hd_diag.config import resolve; from hd_diag.criticism import base;"
+        "own = resolve({}).joints[0].drive; base.error_and_jacobian(own, own, np.ones(2), np.ones(2));"
+        "r.slip(0.5, np.ones(3)); r.relax(1j, np.ones(3) + 0j, np.ones(3) + 0j);"
+        "r.follow(np.ones(2) + 0j, (np.ones(3) + 0j,) * 3, np.ones((4, 2)))"
     )
     told = f"sys.path.insert(0, {str(ROOT / 'test')!r})"
     ran = fresh(f"import sys; {told}; {code}; {imports}; {compiled_by}; {use}; {compiled_by}")
-    assert ran.splitlines() == ["[1, 1]"] * 2
+    assert ran.splitlines() == ["[1, 1, 1, 1, 1, 1]"] * 2
 
 
 def test_without_numba_all_is_solved_by_numpy() -> None:

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from scipy.ndimage import map_coordinates
 
 from hd_diag.drive import Drive, transmission_error
+from hd_diag.effects import recursions
 from hd_diag.effects.contact_table import contact_map
 from hd_diag.effects.contact_weights import greatest_torque
 from hd_diag.model import compiled
@@ -47,6 +48,12 @@ _GRID_ANGLES = 128
 _GRID_TORQUES = 33
 _MAPPED = 6_000  # samples from which a map pays
 _STEPS_PER_TOOTH = 16  # of that map: 0.002 arcsec rms along a record, all of it in the tooth passing
+
+
+def warm_up() -> None:
+    """Compile now, or read from the disk, what a diagnosis needs; nothing where numba is missing."""
+    compiled.warm_up(gradient=True)
+    recursions.warm_up()
 
 
 def vector(drive: Drive, configured: Drive) -> Floats:

@@ -18,6 +18,14 @@ Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 
+def warm_up() -> None:
+    """Compile now, or read from the disk, all of them; nothing where numba is missing."""
+    nothing = np.zeros(1, dtype=np.complex128)
+    slip(0.0, np.zeros(1))
+    relax(0j, nothing, nothing)
+    follow(nothing, (nothing, nothing, nothing), np.zeros((2, 1)))
+
+
 def slip(state: float, change: Floats) -> Floats:
     """Maxwell slip element ``z <- clip(z + change, -1, 1)``.
 

@@ -53,8 +53,14 @@ def available() -> bool:
     return True
 
 
-def warm_up() -> None:
-    """Compile now, or read from the disk, what predictions and maps need; nothing where numba is missing."""
+def warm_up(gradient: bool = False) -> None:
+    """Compile now, or read from the disk, what predictions and maps need; nothing where numba is missing.
+
+    Parameters
+    ----------
+    gradient : bool
+        Also what fits need.
+    """
     if not available():
         return
     from hd_diag.model.kernel.constants import blank
@@ -67,6 +73,8 @@ def warm_up() -> None:
     kernel.contacts(mesh, row, center, 0.0)
     kernel.mesh_state(mesh, row, center, row)
     kernel.interpolate(table, table, 0.0, row, row)
+    if gradient:
+        kernel.torsion_and_gradient(mesh, row, center, row)
 
 
 def torsion(
