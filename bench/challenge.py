@@ -1,7 +1,7 @@
 """The benchmark of `hd-diag diagnose`: hidden causes to be found, beside plain methods on the same records.
 
     python bench/challenge.py [--seeds N] [--families F ...] [--development | --final] [--first SEED]
-        [--jobs N] [--time S] [--no-baselines] [--json FILE] [--markdown FILE]
+        [--jobs N] [--time S] [--no-baselines] [--again FILE] [--json FILE] [--markdown FILE]
 
 Records come from test/challenge, which shares no code with the package. Development seeds may be looked at
 while the method is made; final seeds are for the last count only. `--time` begins no record after so many
@@ -13,6 +13,7 @@ seconds. Times are CPU seconds of one core.
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import math
 import multiprocessing
@@ -22,6 +23,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -32,7 +34,7 @@ for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
 import baselines
 import numpy as np
 import scoring
-from challenge.families import DEVELOPMENT, FAMILIES, FINAL
+from challenge.families import DEVELOPMENT, FAMILIES, FINAL, UNTESTABLE
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from scoring import Score
@@ -68,7 +70,7 @@ def wilson(hits: int, count: int, z: float = 1.96) -> tuple[float, float]:
     middle = share + z**2 / (2 * count)
     half = z * math.sqrt(share * (1 - share) / count + z**2 / (4 * count**2))
     scale = 1 + z**2 / count
-    return (middle - half) / scale, (middle + half) / scale
+    return max((middle - half) / scale, 0.0), min((middle + half) / scale, 1.0)
 
 
 def rate(hits: Iterable[bool]) -> str:
@@ -111,6 +113,85 @@ FITS: tuple[Column, ...] = (
 )
 
 
+KNOWN = ("wrong_parameters", "one_effect", "pair", "triple")
+POOR = tuple(family for family in UNTESTABLE if family in FAMILIES)
+Figure = Callable[[list[Score]], Iterable[float | bool | None]]
+
+
+@dataclass(frozen=True)
+class Target:
+    """What is to be reached: by a share [%] or, of other figures, by the median."""
+
+    told: str
+    families: tuple[str, ...]
+    figure: Figure
+    low: float
+    high: float
+    share: bool = True
+
+    def found(self, scores: list[Score]) -> float:
+        """The figure, nan where no record has it."""
+        own = self.figure([s for s in scores if s.method == OWN and s.family in self.families])
+        given = [float(v) for v in own if v is not None and np.isfinite(v)]
+        if not given:
+            return math.nan
+        return 100.0 * float(np.mean(given)) if self.share else float(np.median(given))
+
+
+def _right(scores: list[Score]) -> Iterable[bool]:
+    return (s.right for s in scores)
+
+
+def _false(scores: list[Score]) -> Iterable[bool]:
+    return (s.false_names > 0 for s in scores)
+
+
+TARGETS = (
+    Target("wrong parameters only: records with a false name [%]", KNOWN[:1], _false, 0.0, 0.4),
+    Target(
+        "wrong parameters only: within their 95 % interval [%]",
+        KNOWN[:1],
+        lambda s: (x.covered / PARAMETERS for x in s if x.covered is not None),
+        *(93.0, 97.0),
+    ),
+    Target("one effect: right up to class [%]", KNOWN[1:2], _right, 99.0, 100.0),
+    Target(
+        "one effect: amplitude error, median [%]",
+        KNOWN[1:2],
+        lambda s: (100.0 * e for x in s for e in x.amplitude_errors),
+        *(0.0, 2.0, False),
+    ),
+    Target("pairs: right up to class [%]", KNOWN[2:3], _right, 97.0, 100.0),
+    Target("triples: right up to class [%]", KNOWN[3:], _right, 93.0, 100.0),
+    Target("unknown effect: flagged [%]", ("unknown",), lambda s: (x.flagged for x in s), 99.0, 100.0),
+    Target("unknown effect: records with a false name [%]", ("unknown",), _false, 0.0, 2.0),
+    Target(
+        "unknown effect: its order within 0.02 [%]",
+        ("unknown",),
+        lambda s: (x.order_right for x in s if x.order_right is not None),
+        *(99.0, 100.0),
+    ),
+    Target(
+        "held-out residual over noise, median", KNOWN, lambda s: (x.over_floor for x in s), 0.0, 1.005, False
+    ),
+    Target("poor motions: records with a false name [%]", POOR, _false, 0.0, 0.0),
+    Target("dropouts, outliers, jitter: right up to class [%]", ("degraded",), _right, 97.0, 100.0),
+    Target("CPU time of a record, median [s]", KNOWN, lambda s: (x.seconds for x in s), 0.0, 5.0, False),
+)
+
+
+def targets(scores: list[Score]) -> str:
+    lines = ["| target | wanted | found | reached |", "| --- | --- | --- | --- |"]
+    for target in TARGETS:
+        found = target.found(scores)
+        if not np.isfinite(found):
+            continue
+        wanted = f"at most {target.high:g}" if target.low == 0.0 else f"{target.low:g} to {target.high:g}"
+        reached = "yes" if target.low <= found <= target.high else "no"
+        lines.append(f"| {target.told} | {wanted} | {found:.4g} | {reached} |")
+    return "\n".join(lines)
+
+
 def rows(scores: list[Score], columns: Sequence[Column], methods: Sequence[str]) -> Iterator[list[str]]:
     for family in FAMILIES:
         for method in methods:
@@ -132,6 +213,7 @@ def report(scores: list[Score], told: str) -> str:
     return "\n\n".join(
         (
             f"{told} In brackets: 95 % intervals (Wilson).",
+            targets(scores),
             markdown(scores, NAMES, methods),
             markdown(scores, FITS, [OWN]),
         )
@@ -188,13 +270,28 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--jobs", type=int, default=2, metavar="N")
     parser.add_argument("--time", type=float, default=math.inf, metavar="S")
     parser.add_argument("--no-baselines", action="store_true")
+    parser.add_argument("--again", type=Path, metavar="FILE", help="tables of an earlier run's --json")
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--markdown", type=Path, metavar="FILE")
     return parser.parse_args()
 
 
+def again(given: argparse.Namespace) -> int:
+    """Print an earlier run's tables."""
+    read = json.loads(given.again.read_text())
+    names = {field.name for field in dataclasses.fields(Score)}
+    scores = [Score(**{k: v for k, v in one.items() if k in names}) for one in read["records"]]
+    text = report(scores, read.get("told", f"{len(scores)} scores."))
+    print(text)
+    if given.markdown:
+        given.markdown.write_text(text + "\n")
+    return 0
+
+
 def main() -> int:
     given, console = arguments(), Console(stderr=True)
+    if given.again:
+        return again(given)
     seeds = (FINAL if given.final else DEVELOPMENT)[given.first : given.first + given.seeds]
     # Seed by seed, so that a run that ends early has some of every family.
     work = [(family, seed) for seed in seeds for family in given.families]
@@ -205,7 +302,8 @@ def main() -> int:
     scores, failures = run(work, given.jobs, with_baselines, given.time, console)
     done = len({(s.family, s.seed) for s in scores})
     kind = "final" if given.final else "development"
-    text = report(scores, f"{done} of {len(work)} records, {kind} seeds from {seeds[0]} on.")
+    told = f"{done} of {len(work)} records, {kind} seeds from {seeds[0]} on."
+    text = report(scores, told)
     print(text)
     for line in missed(scores):
         console.print(f"missed: {line}", highlight=False, soft_wrap=True)
@@ -214,7 +312,11 @@ def main() -> int:
     if given.markdown:
         given.markdown.write_text(text + "\n")
     if given.json:
-        found = {"schema": "hd_diag/challenge/1", "records": [scoring.plain(each) for each in scores]}
+        found = {
+            "schema": "hd_diag/challenge/1",
+            "told": told,
+            "records": [scoring.plain(each) for each in scores],
+        }
         given.json.write_text(json.dumps(found, indent=1) + "\n")
     return 1 if failures else 0
 
