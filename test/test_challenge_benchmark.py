@@ -33,3 +33,8 @@ def test_one_record(tmp_path: Path) -> None:
     own = next(each for each in told["records"] if each["method"] == "hd_diag")
     assert (own["family"], own["seed"], own["hidden"]) == ("short", 1, ["output_runout"])
     assert own["seconds"] > 0.0
+    again = [sys.executable, ROOT / "bench/challenge.py", "--again", str(tmp_path / "f.json")]
+    environment = {**os.environ, "PYTHONPATH": str(Path(hd_diag.__file__).parent.parent)}
+    tables = subprocess.run(again, env=environment, capture_output=True, text=True, timeout=150)
+    assert (tables.returncode, tables.stdout) == (0, done.stdout)
+    assert "| poor motions: records with a false name [%] | at most 0 | 0 | yes |" in done.stdout
