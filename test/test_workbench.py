@@ -133,3 +133,19 @@ def test_columns_of_teeth_are_the_same_when_carried_again() -> None:
     assert_array_equal(found, other.columns(PITCH, ()))
     other.see([])
     assert np.abs(found - other.columns(PITCH, ())).max() > 0.0
+
+
+def test_columns_that_hold_at_a_size_outlast_the_store(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However little is kept, what the model leaves and the columns beside it belong together."""
+    offset, wide = ((EFFECTS["torque_offset"], ()),), []
+    for room in (1 << 30, 0):
+        monkeypatch.setattr("hd_diag.criticism.workbench._MOST_COLUMNS", room)
+        made = Workbench(recorded(Term(EFFECTS["torque_offset"], (2.0,), ())), CONFIGURED, POINT)
+        made.correct(offset)
+        made.correct(offset)
+        for other in ("viscous_windup", "coulomb_windup"):
+            made.white(EFFECTS[other], made.grid(EFFECTS[other])[0])
+        wide.append((made.design(offset).deviance(), made.fit(offset)[0][-1]))
+    assert wide[0] == wide[1]
+    made.correct(())
+    assert np.std(made.columns(*offset[0]) - made.signals.predicted_torque_slope[:, None]) == 0.0

@@ -118,6 +118,7 @@ class Workbench:
         self.block = blocks(self.run)
         self._columns: dict[tuple[str, tuple[float, ...]], Floats] = {}
         self._uncarried: dict[tuple[str, tuple[float, ...]], Floats] = {}
+        self._secants: dict[tuple[str, tuple[float, ...]], Floats] = {}  # of the chosen: never left out
         self.noise_residual = np.empty(0)
         self._white: dict[tuple[str, tuple[float, ...]], Floats] = {}
         self._testable: dict[str, tuple[bool, str]] = {}
@@ -144,6 +145,8 @@ class Workbench:
     def columns(self, effect: Effect, nonlinear: tuple[float, ...]) -> Floats:
         """Columns of an effect, shape (n, k) [rad per unit]."""
         key = (effect.name, nonlinear)
+        if key in self._secants:
+            return self._secants[key]
         if key not in self._columns:
             _make_room(self._columns)
             self._columns[key] = self._fresh(effect, nonlinear)
@@ -219,11 +222,14 @@ class Workbench:
     def correct_at(self, sized: Present) -> None:
         """The same at given coefficients."""
         self.see(sized)
+        for key in self._secants:
+            self._white.pop(key, None)
+        self._secants.clear()
         correction = np.zeros(self.left.size)
         for (effect, nonlinear), coefficients in sized:
             if type(effect).secant is not Effect.secant:
                 key = (effect.name, nonlinear)
-                self._columns[key] = self._secant(effect, nonlinear, coefficients)
+                self._secants[key] = self._secant(effect, nonlinear, coefficients)
                 self._white.pop(key, None)
             columns = self.columns(effect, nonlinear)
             correction += self.full_size(effect, nonlinear, coefficients) - columns @ coefficients
