@@ -24,6 +24,7 @@ LEAST_SIZE = 0.25 * ARCSEC
 
 _CERTAIN_SIZE = 0.5 * ARCSEC  # of a shape that nothing held out can prove [rad rms]
 _SECONDS = 2.5  # of a mean in which quick noise is gone
+_CHANCE_SHARE = 3.0  # times what noise alone gives to so many columns
 _LASTING_CHANCE = 1e-6
 
 
@@ -68,8 +69,34 @@ def kept(bench: Workbench, chosen: Chosen) -> Chosen:
 
 
 def held_out_gain(bench: Workbench, chosen: Chosen, index: int) -> tuple[Floats, Floats]:
-    """What one of the chosen effects brings in blocks not fitted; see :meth:`Design.held_out_gain`."""
-    return bench.design(chosen).held_out_gain(bench.places(chosen)[index])
+    """What one of the chosen effects brings in blocks not fitted; see :meth:`Design.held_out_gain`.
+
+    Of one that wanders, no block tells what it does in the next: what it brings in each block beyond what as
+    many columns bring by chance.
+    """
+    place = bench.places(chosen)[index]
+    if wanders(bench, chosen[index : index + 1]):
+        others = (*chosen[:index], *chosen[index + 1 :])
+        left = [_block_deviances(bench, some) for some in (others, chosen)]
+        by_chance = _CHANCE_SHARE * (place.stop - place.start) / left[0].size
+        gain = left[0] - left[1] - by_chance
+        return gain, np.maximum(gain, 0.0)
+    return bench.design(chosen).held_out_gain(place)
+
+
+def wanders(bench: Workbench, chosen: Chosen) -> bool:
+    """Whether one of some effects is let to wander over the record."""
+    return any(
+        bench.columns(effect, nonlinear).shape[1] > effect.size
+        for effect, nonlinear in chosen
+        if not isinstance(effect, Foil)
+    )
+
+
+def _block_deviances(bench: Workbench, chosen: Chosen) -> Floats:
+    """Sums of squares that a fit to all leaves in every block, less those of the data."""
+    beta, _, built = bench.fit(chosen)
+    return np.asarray(np.einsum("k,bkl,l->b", beta, built.gram, beta) - 2.0 * built.moment @ beta)
 
 
 def size(bench: Workbench, chosen: Chosen, effect: Effect, nonlinear: tuple[float, ...]) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hd_diag.criticism import base
-from hd_diag.criticism.acceptance import held_out_gain
+from hd_diag.criticism.acceptance import held_out_gain, wanders
 from hd_diag.criticism.design import interval
 from hd_diag.criticism.foils import Foil
 from hd_diag.criticism.polish import covariance
@@ -171,11 +171,22 @@ def _part(spread: Floats, place: npt.NDArray[np.int64]) -> Floats:
     return part
 
 
+def _foretold(bench: Workbench, chosen: Chosen) -> float:
+    """Deviance of blocks that were not fitted."""
+    return float(bench.design(chosen).held_out().sum())
+
+
+def _fitted(bench: Workbench, chosen: Chosen) -> float:
+    """Deviance with Akaike's price of every column: what wanders foretells no block."""
+    return float(bench.design(chosen).deviance() + 2.0 * bench.joined(chosen).shape[1])
+
+
 def _alike(bench: Workbench, chosen: Chosen, index: int, rivals: Collection[str]) -> list[str]:
     """Effects that would do as well in place of one; those that the motion cannot test among them."""
     effect, others = chosen[index][0], chosen[:index] + chosen[index + 1 :]
     named = {e.name for e, _ in chosen}
-    here = float(bench.design(chosen).held_out().sum())
+    judged = _fitted if wanders(bench, chosen) else _foretold
+    here = judged(bench, chosen)
     found = [name for name in effect.always_confused if name not in named]
     untested = {other.name for other in by_name(effect.confused_with) if not bench.testable(other)[0]}
     bench.correct(others)
@@ -184,7 +195,7 @@ def _alike(bench: Workbench, chosen: Chosen, index: int, rivals: Collection[str]
             continue
         trial = (*others, (candidate.effect, candidate.nonlinear))
         bench.correct(trial)
-        if float(bench.design(trial).held_out().sum()) - here < CLASS_DEVIANCE:
+        if judged(bench, trial) - here < CLASS_DEVIANCE:
             found.append(candidate.effect.name)
     bench.correct(chosen)
     return found

@@ -26,6 +26,7 @@ _MOST_FOILS = 3
 _RIVALS = 6  # best candidates of a round that are looked at again in place of others
 _UNEVEN = 1.3  # ratio of what is left fast and slow that asks for a look
 _RESTARTS = 3  # causes found, up to which each lets the model's parameters be searched for again
+_PLAINLY = 10.0  # surprise by which a shape without a name must beat all causes to come before them
 _FIRST_MOVE = 0.5  # of a grid step, by which a refinement begins
 _RESTART_GAIN = 12.0  # deviance by which another minimum must beat the present one
 
@@ -88,14 +89,17 @@ def _next(bench: Workbench, chosen: Chosen, family: int, best: list[Candidate]) 
 
     Between grid points a cause may explain too little of blocks that were not fitted.
     """
+    shapes = ranked(bench, chosen, FOILS)[:2] if len(chosen) - _named(chosen) < _MOST_FOILS else []
+    if best and shapes and shapes[0].surprise > best[0].surprise + _PLAINLY:
+        shape = passing(bench, chosen, shapes[:1], family)
+        if shape is not None:
+            return shape
     found = passing(bench, chosen, best[:3], family) or passing(
         bench, chosen, [_between(bench, chosen, one) for one in best[:1] if free(one.effect)], family
     )
     if found is not None:
         return found
-    if len(chosen) - _named(chosen) < _MOST_FOILS:
-        return passing(bench, chosen, ranked(bench, chosen, FOILS)[:2], family)
-    return None
+    return passing(bench, chosen, shapes, family)
 
 
 def _between(bench: Workbench, chosen: Chosen, candidate: Candidate) -> Candidate:

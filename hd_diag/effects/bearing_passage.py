@@ -29,6 +29,8 @@ BANDS = (
 """Orders of the cage, of the balls over the outer and over the inner ring."""
 
 _CANDIDATES = 4
+_HIGHEST, _LOWEST = 40.0, 0.2  # orders that are looked at
+_LEADING = 0.8  # of the strongest line, that a line which slips must have
 _KNOTS = 12  # over a record's way, between which amplitude and phase go straight
 _LEAK = 0.2  # of a line, that may still show beside it where a candidate is allowed
 
@@ -59,13 +61,18 @@ class BearingPassage(Effect):
         return [(0.5 * (low + high), slips) for low, high in BANDS for slips in (0.0, 1.0)]
 
     def scan(self, signals: Signals, residual: Floats) -> list[Values]:
-        """Strongest lines of the residual's order spectrum inside the bands."""
-        order, strength = spectrum(signals.wave_generator_angle, residual, 1.1 * BANDS[-1][1])
+        """Strongest lines of the residual's order spectrum inside the bands.
+
+        One may slip only where no line elsewhere is as strong, for it could follow what leaks from that.
+        """
+        order, strength = spectrum(signals.wave_generator_angle, residual, _HIGHEST)
+        most = _LEADING * float(np.max(strength[order > _LOWEST], initial=0.0))
         peak = np.zeros(order.size, dtype=np.bool_)
         peak[1:-1] = (strength[1:-1] >= strength[:-2]) & (strength[1:-1] >= strength[2:])
         place = np.flatnonzero(peak & self._allowed(order, signals))
         best = place[np.argsort(strength[place])[::-1][:_CANDIDATES]]
-        return [(float(order[index]), slips) for index in best for slips in (0.0, 1.0)]
+        steady: list[Values] = [(float(order[index]), 0.0) for index in best]
+        return steady + [(float(order[index]), 1.0) for index in best if strength[index] >= most]
 
     def trials(self, signals: Signals) -> int:
         """Orders that the record resolves inside the bands."""
