@@ -47,7 +47,7 @@ def benches(diagnosis: Diagnosis) -> list[Workbench]:
         return []
     whole, chosen = diagnosis.found.bench, diagnosis.found.chosen
     start = diagnosis.refitted.parameters
-    fewer = [settle(whole.moved(start, whole.whiten), chosen[:count]) for count in range(len(chosen))]
+    fewer = [settle(whole.moved(start), chosen[:count]) for count in range(len(chosen))]
     return [*fewer, whole]
 
 

@@ -231,8 +231,7 @@ def _left_by(bench: Workbench, trained: Workbench, chosen: Chosen) -> Floats:
     beta, _, _ = trained.fit(chosen)
     fixed = bench.always()
     left = bench.uncorrected - fixed @ beta[: fixed.shape[1]]
-    places = trained.places(chosen)
-    sized = [(item, beta[place][: item[0].size]) for item, place in zip(chosen, places, strict=True)]
+    sized = [(item, part[: item[0].size]) for item, part in trained.sized(chosen, beta)]
     bench.see(sized)
     for (effect, nonlinear), coefficients in sized:
         if not isinstance(effect, Foil):

@@ -120,8 +120,7 @@ def _begun_slowly(bench: Workbench) -> Workbench:
     """
     speed = np.abs(bench.record.speed)
     slow = refit(bench.record.select(speed <= np.quantile(speed, _SLOW)), bench.configured)
-    other = bench.moved(slow.parameters, bench.whiten)
-    other.noise_residual = bench.noise_residual
+    other = bench.moved(slow.parameters)
     trials = [(each, next(iter(candidates(each, ())), None)) for each in (bench, other)]
     left = [each.design(((best.effect, best.nonlinear),) if best else ()).deviance() for each, best in trials]
     return other if left[1] < left[0] - _RESTART_GAIN else bench
@@ -145,9 +144,8 @@ def _of_kind(bench: Workbench, chosen: Chosen, index: int) -> tuple[Workbench, C
     best, found, least = bench, chosen, _left(bench, chosen)
     for other in effect.beside(bench.signals, nonlinear):
         trial = (*chosen[:index], (effect, other), *chosen[index + 1 :])
-        moved = bench.moved(bench.parameters, bench.whiten)
-        moved.noise_residual = bench.noise_residual
-        moved, trial = polished(settle(moved, trial, rounds=2, learn=False), trial, rounds=2)
+        moved = settle(bench.moved(bench.parameters), trial, rounds=2, learn=False)
+        moved, trial = polished(moved, trial, rounds=2)
         if (left := _left(moved, trial)) < least:
             best, found, least = moved, trial, left
     return best, found

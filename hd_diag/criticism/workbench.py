@@ -125,9 +125,11 @@ class Workbench:
         self._grids: dict[str, list[tuple[float, ...]]] = {}
         self._whiten_by(whiten or Whitening(np.zeros(ORDER), 1.0))
 
-    def moved(self, parameters: Floats, whiten: Whitening | None = None) -> Workbench:
-        """The same rows, linearised elsewhere."""
-        return Workbench(self.source, self.configured, parameters, whiten, self.rows, self._known)
+    def moved(self, parameters: Floats) -> Workbench:
+        """The same rows and noise, linearised elsewhere."""
+        other = Workbench(self.source, self.configured, parameters, self.whiten, self.rows, self._known)
+        other.noise_residual = self.noise_residual
+        return other
 
     def _linearised(self, known: Linear) -> tuple[Signals, Signals, Floats]:
         """Signals of all rows and of those that are fitted, and the derivatives by the parameters."""
@@ -499,10 +501,8 @@ def settle(bench: Workbench, chosen: Chosen, rounds: int = 3, learn: bool = True
         if np.max(np.abs(step) / np.sqrt(np.diag(covariance)[: base.COUNT] + 1e-12)) < _SETTLED:
             break
         moved = base.admissible(bench.parameters + step, bench.configured)
-        residual = bench.noise_residual
         sized = bench.sized(chosen, beta)
-        bench = bench.moved(moved, bench.whiten)
-        bench.noise_residual = residual
+        bench = bench.moved(moved)
         bench.correct_at(sized)
         bench.correct(chosen)
     bench.correct(chosen)
