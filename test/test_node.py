@@ -165,8 +165,17 @@ def test_input_and_output_in_messages_of_their_own(arm: Rig, publisher: Any) -> 
 
 
 def test_temperature_is_reported(arm: Rig, publisher: Any) -> None:
-    arm.publisher("elbow/temperature", Temperature).publish(Temperature(temperature=41.25))
-    arm.values("elbow", lambda values: values["temperature_C"] == "41.25")
+    """The node listens with best effort: what is published before it knows the sensor is lost."""
+    sensor = arm.publisher("elbow/temperature", Temperature)
+
+    def reported() -> bool:
+        sensor.publish(Temperature(temperature=41.25))
+        return any(
+            status.name == "hd_diag: elbow" and values_of(status)["temperature_C"] == "41.25"
+            for status in arm.reports[-1].status
+        )
+
+    arm.until(reported, "report of the temperature")
 
 
 def test_maps_come_into_force(arm: Rig) -> None:
