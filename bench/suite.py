@@ -3,7 +3,7 @@
     python bench/suite.py [--only SECTION ...] [--seconds S] [--json FILE] [--markdown FILE]
 
 Every row is a time or a ratio, its aim beside it. Both sides of a ratio are timed here, in turn, in this
-process or as processes of their own; what they compute is compared first. Times are CPU times of one thread
+process or as processes of their own; what they compute is compared first. Times are CPU times on one core
 unless a row says wall. Nothing passes or fails by its speed.
 """
 
@@ -29,6 +29,7 @@ for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ.setdefault(threads, "1")
 
 import numpy as np
+from bench_model import one_core
 from rich.console import Console
 from rich.table import Table
 
@@ -161,20 +162,31 @@ def show(rows: list[Row], skipped: dict[str, str], took: float) -> None:
 
 
 def cpu_time(function, *arguments) -> tuple[object, float]:
-    """What a call gives, and its CPU time [s]."""
-    start = time.process_time()
-    result = function(*arguments)
-    return result, time.process_time() - start
+    """What a call gives, and its CPU time on one core [s]."""
+    with one_core():
+        start = time.process_time()
+        result = function(*arguments)
+        return result, time.process_time() - start
 
 
 def median_time(function, *arguments, budget: float = 1.0) -> float:
-    """Median CPU time of a call [s], after one that is not counted."""
+    """Median CPU time of a call on one core [s], after one that is not counted."""
+    with one_core():
+        return median(function, *arguments, budget=budget, clock=time.process_time)
+
+
+def wall_time(function, *arguments, budget: float = 1.0) -> float:
+    """Median time of a call that may use all cores [s], after one that is not counted."""
+    return median(function, *arguments, budget=budget, clock=time.perf_counter)
+
+
+def median(function, *arguments, budget, clock) -> float:
     function(*arguments)
     times: list[float] = []
     while len(times) < 3 or (sum(times) < budget and len(times) < 5000):
-        start = time.process_time()
+        start = clock()
         function(*arguments)
-        times.append(time.process_time() - start)
+        times.append(clock() - start)
     return statistics.median(times)
 
 

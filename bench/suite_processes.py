@@ -1,12 +1,9 @@
 """Sections of bench/suite.py that start processes: bags from reading to diagnosis, and the node."""
 
-# ruff: noqa: D103
-
 from __future__ import annotations
 
 import importlib.util
 import json
-import os
 import resource
 import subprocess
 import sys
@@ -15,6 +12,7 @@ import time
 from pathlib import Path
 
 import bench_replay
+from bench_model import one_core
 from suite import ROOT, Skipped
 
 from hd_diag.config import resolve
@@ -81,21 +79,13 @@ def diagnosis(folder):
 def command(*arguments):
     """CPU and wall time [s] of the command line on one core."""
     before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-    done = subprocess.run(
-        [sys.executable, "-m", "hd_diag.cli", *arguments],
-        preexec_fn=one_core,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    with one_core():
+        run = [sys.executable, "-m", "hd_diag.cli", *arguments]
+        done = subprocess.run(run, capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError(f"hd-diag {arguments[0]} ended with {done.returncode}: {done.stderr[-500:]}")
     after, wall = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter() - start
     return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime, wall
-
-
-def one_core():
-    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 
 
 def node(options):

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from hd_diag.drive import Drive, mesh_state
-from hd_diag.model import clearance, compiled, load_sharing
+from hd_diag.model import clearance, compiled, load_sharing, threads
 from hd_diag.model.torsion import limited_curves
 from hd_diag.model.torsion_map import TorsionMap, build
 from hd_diag.model.transmission_error import Kinematics
@@ -239,6 +239,45 @@ def test_map_gives_one_place_as_it_gives_many(table):
 
 
 @needs_numba
+@pytest.mark.parametrize("rows", [2, 64, 65, 66, 150])
+def test_map_of_few_rows_gives_the_same_by_numpy(table, rows):
+    """Whole and broken numbers of rows of its index."""
+    part = dataclasses.replace(table, torque=table.torque[:rows], torsion=table.torsion[:rows])
+    turn, torque = (values[::20] for values in places(part))
+    np.testing.assert_array_equal(by_kernels(part, turn, torque), by_numpy(part, turn, torque))
+
+
+@needs_numba
+def test_a_copy_of_a_map_answers_by_its_own_rows(table):
+    turn, torque = (values[::97] for values in places(table))
+    found = by_kernels(table, turn, torque)
+    doubled = dataclasses.replace(table, torsion=2.0 * table.torsion)
+    np.testing.assert_array_equal(by_kernels(doubled, turn, torque), 2.0 * found)
+
+
+@needs_numba
+@pytest.mark.parametrize("solve", ["torsion", "mesh_state", "interpolate"])
+def test_several_threads_give_the_same_to_the_last_bit(table, solve, monkeypatch):
+    turn, eccentricity, torque = moments(14, 1003)
+    turn[3], torque[5] = math.nan, math.nan
+    mesh = (drives.geometry(), COMPLIANCE, turn, eccentricity, 0.0, torque)
+    ways = {
+        "torsion": lambda: [compiled.torsion(*mesh)],
+        "mesh_state": lambda: list(compiled.mesh_state(*mesh)),
+        "interpolate": lambda: [table(*places(table))],
+    }
+    calls, kernel, found = [], getattr(compiled._kernel(), solve), []
+    monkeypatch.setattr(compiled._kernel(), solve, lambda *rest: (calls.append(rest[-2:]), kernel(*rest)))
+    for cores in (1, 3):
+        monkeypatch.setattr(threads, "cores", lambda cores=cores: cores)
+        calls.clear()
+        found.append(ways[solve]())
+        assert (len(calls) == 1) == (cores == 1)
+    for one, three in zip(*found, strict=True):
+        np.testing.assert_array_equal(three, one)
+
+
+@needs_numba
 def test_map_refuses_angles_and_torques_of_different_number(table):
     with pytest.raises(ValueError, match="3 wave generator angles, but 2 torques"):
         by_kernels(table, np.zeros(3), np.zeros(2))
@@ -280,7 +319,7 @@ def test_kernels_are_compiled_once():
     compiled.mesh_state(*mesh, torque)
     by_kernels(table, turn, np.broadcast_to(0.5, 5))
     kernels = compiled._kernel()
-    for name in ("torsion", "torsion_table", "curves", "contacts", "mesh_state", "interpolate"):
+    for name in ("torsion", "torsion_table", "curves", "contacts", "mesh_state", "index", "interpolate"):
         assert len(getattr(kernels, name).signatures) == 1, name
 
 
@@ -315,6 +354,49 @@ def test_one_moment_is_a_moment_of_many():
     np.testing.assert_array_equal(
         compiled.torsion_and_gradient(geometry, COMPLIANCE, turn, eccentricity, 0.0, torque)[0], whole
     )
+
+
+def along(mesh, place, torque, nodes=257):
+    """Torsion and its derivatives by E_x, E_y, r_0 and M side by side, at places in numbers of nodes."""
+    angle = np.linspace(0.0, 2.0 * np.pi, nodes)
+    beta, gradient = compiled.torsion_along(
+        mesh.geometry, mesh.tooth_compliance, angle, mesh.displacement(angle), mesh.arc_offset, place, torque
+    )
+    return np.column_stack((beta, gradient))
+
+
+@needs_numba
+@pytest.mark.parametrize("outward", [0.0, 30e-6], ids=["preload", "gap"])
+def test_torsion_along_samples_is_exact_at_nodes_and_straight_between(outward):
+    mesh = drives.mesh()
+    datum = mesh.geometry.circular_spline_datum + outward
+    geometry = dataclasses.replace(mesh.geometry, circular_spline_datum=datum)
+    mesh = dataclasses.replace(mesh, geometry=geometry, eccentricity=9e-6 - 7e-6j, runout=3e-6 + 1e-6j)
+    random = np.random.default_rng(8)
+    node, torque = random.integers(0, 256, 400), random.uniform(-90.0, 90.0, 400)
+    angle = 2.0 * np.pi / 256 * node
+    pose = (geometry, mesh.tooth_compliance, angle, mesh.displacement(angle), mesh.arc_offset)
+    beta, _, gradient = compiled.torsion_and_gradient(*pose, torque)
+    at_node, half = along(mesh, 1.0 * node, torque), along(mesh, node + 0.5, torque)
+    expected = np.column_stack((beta, gradient[:, [0, 1, 2, 5]]))
+    rounding = 1e-12 * np.abs(expected).max(axis=0)
+    assert np.all(np.abs(at_node - expected) < rounding)
+    assert np.all(np.abs(half - 0.5 * (at_node + along(mesh, node + 1.0, torque))) < rounding)
+    order = random.permutation(400)
+    np.testing.assert_array_equal(along(mesh, node[order] + 0.5, torque[order]), half[order])
+    idle, _, gradient = compiled.torsion_and_gradient(*pose, 0.0)
+    at_node = along(mesh, 1.0 * node, np.zeros(400))
+    np.testing.assert_allclose(at_node[:, 0], idle, rtol=0, atol=ROUNDING)
+    if outward:
+        assert np.all(np.abs(at_node[:, 1:4] - gradient[:, :3]) < rounding[1:4])
+
+
+@needs_numba
+def test_torsion_along_samples_is_nan_where_no_flank_bears_the_torque():
+    mesh = drives.mesh(drives.shallow())
+    lost = np.isnan(along(mesh, np.arange(256.0), np.full(256, 1e-3)))
+    assert 0 < lost[:, 0].sum() < 256
+    np.testing.assert_array_equal(lost.any(axis=1), lost[:, 0])
 
 
 STEPS = {

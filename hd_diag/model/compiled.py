@@ -3,12 +3,13 @@
 ``torsion`` and ``torsion_map`` choose it where they can. numba is optional: where it is missing
 :func:`available` is False and they keep to numpy. It is imported when something is first computed, which
 takes some 0.3 s; compiling takes some 15 s once, for the machine code is kept on disk. :func:`warm_up` does
-both beforehand.
+both beforehand. Large batches are spread over the cores that the process may use.
 """
 
 from __future__ import annotations
 
 import functools
+from functools import partial
 from types import ModuleType
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -17,12 +18,18 @@ import numpy.typing as npt
 
 from hd_diag.model.clearance import Contact
 from hd_diag.model.geometry import Geometry
+from hd_diag.model.threads import spread
 
 if TYPE_CHECKING:
     from hd_diag.model.kernel.teeth import MeshData
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
+
+# Rows that a thread takes at a time: some 0.4 ms of work, where a thread costs 0.1 ms.
+_MOMENTS = 50
+_SAMPLES = 10_000
+_BEYOND = 1.0  # both sides of zero are solved, also without torque [N m]
 
 # What the columns of a gradient are taken by.
 PARAMETERS = (
@@ -65,16 +72,17 @@ def warm_up(gradient: bool = False) -> None:
         return
     from hd_diag.model.kernel.constants import blank
 
-    kernel, mesh, row, table = _kernel(), blank(), np.empty(0), np.zeros((2, 2))
+    kernel, mesh, row, rows = _kernel(), blank(), np.empty(0), np.zeros((2, 2))
     center = row.astype(np.complex128)
-    kernel.torsion(mesh, row, center, row)
+    kernel.torsion(mesh, row, center, row, row, 0, 0)
     kernel.torsion_table(mesh, row, center, row, 0)
     kernel.curves(mesh, row, center, 0.0)
     kernel.contacts(mesh, row, center, 0.0)
-    kernel.mesh_state(mesh, row, center, row)
-    kernel.interpolate(table, table, 0.0, row, row)
+    kernel.mesh_state(mesh, row, center, row, np.empty((3, 0, 2, 0)), np.empty((3, 0)), 0, 0)
+    kernel.interpolate(*table(rows, rows), 0.0, row, row, row, 0, 0)
     if gradient:
         kernel.torsion_and_gradient(mesh, row, center, row)
+        kernel.torsion_along(mesh, row, center, 0.0, row.astype(np.int64), row, row)
 
 
 def torsion(
@@ -107,7 +115,9 @@ def torsion(
         beta [rad]; the middle of a true gap at zero torque; nan if no flank can bear the torque.
     """
     moments = _moments(wave_generator_angle, eccentricity, cup_torque)
-    beta: Floats = _kernel().torsion(_mesh(geometry, tooth_compliance, arc_offset), *moments)
+    beta = np.empty(moments[0].size)
+    mesh = _mesh(geometry, tooth_compliance, arc_offset)
+    spread(partial(_kernel().torsion, mesh, *moments, beta), beta.size, _MOMENTS)
     return beta
 
 
@@ -178,15 +188,36 @@ def limited_curves(
     return torque, beta
 
 
-def interpolate(
-    breakpoints: Floats, values: Floats, torque_limit: float, wave_generator_angle: Floats, torque: Floats
-) -> Floats:
-    """Torsion by a ``TorsionMap``, equal to the last bit.
+class Table(NamedTuple):
+    """A map as :func:`interpolate` reads it: torques [N m], torsions [rad] (rows, columns), an index."""
+
+    breakpoints: Floats
+    values: Floats
+    near: npt.NDArray[np.int16]
+
+
+def table(breakpoints: Floats, values: Floats) -> Table:
+    """What :func:`interpolate` takes.
 
     Parameters
     ----------
     breakpoints, values : ndarray, shape (rows, columns)
         The map's torques [N m] and torsions [rad].
+
+    Returns
+    -------
+    Table
+    """
+    torque = _contiguous(breakpoints)
+    return Table(torque, _contiguous(values), _kernel().index(torque))
+
+
+def interpolate(table: Table, torque_limit: float, wave_generator_angle: Floats, torque: Floats) -> Floats:
+    """Torsion by a ``TorsionMap``, equal to the last bit.
+
+    Parameters
+    ----------
+    table : Table
     torque_limit : float
         [N m]
     wave_generator_angle, torque : ndarray, shape (n,)
@@ -200,8 +231,9 @@ def interpolate(
     turn, load = _contiguous(wave_generator_angle), _contiguous(torque)
     if turn.shape != load.shape:
         raise ValueError(f"interpolate: {turn.size} wave generator angles, but {load.size} torques")
-    table = _contiguous(breakpoints), _contiguous(values)
-    beta: Floats = _kernel().interpolate(*table, float(torque_limit), turn, load)
+    beta = np.empty(turn.size)
+    read = partial(_kernel().interpolate, *table, float(torque_limit), turn, load, beta)
+    spread(read, beta.size, _SAMPLES)
     return beta
 
 
@@ -244,6 +276,51 @@ def torsion_and_gradient(
     return beta, stiffness, gradient
 
 
+def torsion_along(
+    geometry: Geometry,
+    tooth_compliance: float,
+    node_angle: Floats,
+    node_eccentricity: Complexes,
+    arc_offset: float,
+    place: Floats,
+    cup_torque: Floats,
+) -> tuple[Floats, Floats]:
+    """Torsion and its derivatives along many samples, solved at nodes and straight between them.
+
+    At a node they are exact at every torque; what breaks where a pair comes into load is blurred by one step.
+
+    Parameters
+    ----------
+    geometry, tooth_compliance, arc_offset
+        As for :func:`torsion`.
+    node_angle : ndarray, shape (nodes,)
+        theta_W [rad].
+    node_eccentricity : ndarray of complex, shape (nodes,)
+        Displacement of the wave generator's centre there [m].
+    place : ndarray, shape (n,)
+        Of the samples, in numbers of nodes, 0 to nodes - 1.
+    cup_torque : ndarray, shape (n,)
+        M [N m].
+
+    Returns
+    -------
+    torsion : ndarray, shape (n,)
+        beta [rad]; the middle of a true gap at zero torque; nan where no flank can bear the greatest torque.
+    gradient : ndarray, shape (n, 4)
+        By E_x, E_y in the housing [rad/m], r_0 [rad/m] and M [rad/(N m)].
+    """
+    turn, center, _ = _moments(node_angle, node_eccentricity, 0.0)
+    cell = np.minimum(place.astype(np.int64), turn.size - 2)
+    order = np.argsort(cell.astype(np.int32), kind="stable")
+    share = (place - cell)[order]
+    load = _contiguous(cup_torque[order])
+    limit = float(np.max(np.abs(load), initial=0.0)) + _BEYOND
+    mesh = _mesh(geometry, tooth_compliance, arc_offset)
+    found = np.empty((place.size, 5))
+    found[order] = _kernel().torsion_along(mesh, turn, center, limit, cell[order], share, load)
+    return found[:, 4], found[:, :4]
+
+
 class TeethState(NamedTuple):
     """All teeth at n moments.
 
@@ -280,7 +357,10 @@ def mesh_state(
         As ``clearance`` and ``load_sharing`` give them; torsion as :func:`torsion`, to the last bit.
     """
     moments = _moments(wave_generator_angle, eccentricity, cup_torque)
-    teeth, whole = _kernel().mesh_state(_mesh(geometry, tooth_compliance, arc_offset), *moments)
+    n = moments[0].size
+    teeth, whole = np.empty((3, n, 2, geometry.flexspline_teeth)), np.empty((3, n))
+    mesh = _mesh(geometry, tooth_compliance, arc_offset)
+    spread(partial(_kernel().mesh_state, mesh, *moments, teeth, whole), n, _MOMENTS)
     return TeethState(*teeth, *whole)
 
 

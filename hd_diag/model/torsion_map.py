@@ -8,6 +8,7 @@ jump at zero torque, the table holds both ends and gives the middle.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -68,6 +69,10 @@ class TorsionMap:
         """What the table was built for [N m]; `torque_limit` ends before it where the torsion jumps."""
         return float(self.torque[0, -1])
 
+    @functools.cached_property
+    def _table(self) -> compiled.Table:
+        return compiled.table(self.torque, self.torsion)
+
     def __call__(self, wave_generator_angle: Floats, torque: Floats) -> Floats:
         """Torsion by linear interpolation over the angle.
 
@@ -85,9 +90,7 @@ class TorsionMap:
             bit, however many are asked for at once.
         """
         if compiled.available():
-            return compiled.interpolate(
-                self.torque, self.torsion, self.torque_limit, wave_generator_angle, torque
-            )
+            return compiled.interpolate(self._table, self.torque_limit, wave_generator_angle, torque)
         steps = self.torque.shape[0] - 1
         place = np.mod(wave_generator_angle, 2.0 * np.pi) * (steps / (2.0 * np.pi))
         row = np.minimum(np.nan_to_num(place), steps - 1.0).astype(np.int64)

@@ -1,4 +1,7 @@
-"""Entry points, called by ``compiled`` for many moments at once."""
+"""Entry points, called by ``compiled`` for many moments at once.
+
+Those that threads may share work on the rows from ``first`` to before ``last`` and fill them in their result.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +12,10 @@ import numpy.typing as npt
 
 from hd_diag.model.kernel import entry_point, inline
 from hd_diag.model.kernel.gradient import fill
+from hd_diag.model.kernel.gradient_curve import TAKEN_BY, add, fill_pieces, pieces_room
 from hd_diag.model.kernel.load import balance, closing_angle, curve, flanks, middle, scratch, walk
 from hd_diag.model.kernel.state import contacts_room, spread, touch_teeth
-from hd_diag.model.kernel.table import interpolated
+from hd_diag.model.kernel.table import BLOCK, Columns, cells, columns, find, read
 from hd_diag.model.kernel.teeth import MeshData, Teeth, place, reach, room, width
 from hd_diag.model.kernel.touch import Constants, close
 
@@ -21,12 +25,19 @@ Complexes = npt.NDArray[np.complex128]
 
 
 @entry_point
-def torsion(mesh: MeshData, turn: Floats, eccentricity: Complexes, torque: Floats) -> Floats:
+def torsion(
+    mesh: MeshData,
+    turn: Floats,
+    eccentricity: Complexes,
+    torque: Floats,
+    beta: Floats,
+    first: int,
+    last: int,
+) -> None:
     """Torsion (n,) at one torque per moment."""
-    work, beta = scratch(mesh.constants), np.empty(turn.size)
-    for i in range(turn.size):
+    work = scratch(mesh.constants)
+    for i in range(first, last):
         beta[i] = balance(flanks(mesh, turn[i], eccentricity[i], work), torque[i])
-    return beta
 
 
 @entry_point
@@ -57,13 +68,29 @@ def curves(mesh: MeshData, turn: Floats, eccentricity: Complexes, limit: float) 
 
 
 @entry_point
-def interpolate(breakpoints: Floats, values: Floats, limit: float, turn: Floats, torque: Floats) -> Floats:
+def index(breakpoints: Floats) -> Columns:
+    """What :func:`interpolate` needs of a table beside its rows."""
+    return columns(breakpoints)
+
+
+@entry_point
+def interpolate(
+    breakpoints: Floats,
+    values: Floats,
+    near: Columns,
+    limit: float,
+    turn: Floats,
+    torque: Floats,
+    beta: Floats,
+    first: int,
+    last: int,
+) -> None:
     """Torsion (n,) by a table; nan beyond its limit."""
-    beta, below_end, column = np.full(turn.size, math.nan), np.nextafter(breakpoints[0, -1], 0.0), 0
-    for i in range(turn.size):
-        if abs(torque[i]) <= limit:
-            beta[i], column = interpolated(breakpoints, values, turn[i], torque[i], below_end, column)
-    return beta
+    found = cells()
+    for begin in range(first, last, BLOCK):
+        end = min(begin + BLOCK, last)
+        find(breakpoints, values, near, limit, turn, torque, begin, end, found)
+        read(breakpoints, values, torque, begin, end, found, beta)
 
 
 @entry_point
@@ -85,18 +112,56 @@ def torsion_and_gradient(
 
 
 @entry_point
+def torsion_along(
+    mesh: MeshData,
+    turn: Floats,
+    eccentricity: Complexes,
+    limit: float,
+    cell: Integers,
+    share: Floats,
+    torque: Floats,
+) -> Floats:
+    """Gradient by E_x, E_y, r_0, M and torsion (n, 5) at places between angles, in rising cells."""
+    work, room = scratch(mesh.constants), pieces_room(mesh.constants.flexspline_teeth)
+    result, here = np.zeros((cell.size, TAKEN_BY + 2)), np.empty(TAKEN_BY + 2)
+    before = now = 0
+    for node in range(turn.size):
+        after = now
+        while after < cell.size and cell[after] == node:
+            after += 1
+        if after > before:
+            found = flanks(mesh, turn[node], eccentricity[node], work)
+            size = fill_pieces(mesh, work.teeth, found, limit, room)
+            turned = complex(math.cos(turn[node]), math.sin(turn[node]))
+            for i in range(before, after):
+                here[:] = 0.0 if size else math.nan
+                if size:
+                    add(room, size, torque[i], share[i] if i < now else 1.0 - share[i], here)
+                housing = complex(here[0], here[1]) * turned
+                here[0], here[1] = housing.real, housing.imag
+                for k in range(here.size):
+                    result[i, k] += here[k]
+        before, now = now, after
+    return result
+
+
+@entry_point
 def mesh_state(
-    mesh: MeshData, turn: Floats, eccentricity: Complexes, torque: Floats
-) -> tuple[Floats, Floats]:
+    mesh: MeshData,
+    turn: Floats,
+    eccentricity: Complexes,
+    torque: Floats,
+    teeth: Floats,
+    whole: Floats,
+    first: int,
+    last: int,
+) -> None:
     """Backlash, load, pressure angle (3, n, 2, Z_R); torsion, gap, mean radius of the contacts (3, n)."""
     work, seen = scratch(mesh.constants), contacts_room(mesh.constants)
-    teeth = np.empty((3, turn.size, 2, mesh.constants.flexspline_teeth))
-    whole = np.empty((3, turn.size))
-    for i in range(turn.size):
+    for i in range(first, last):
         count = touch_teeth(mesh, turn[i], eccentricity[i], work, seen)
         beta, gap, radius = spread(mesh, work, seen, count, torque[i], teeth[0, i], teeth[1, i], teeth[2, i])
         whole[0, i], whole[1, i], whole[2, i] = beta, gap, radius
-    return teeth, whole
 
 
 @entry_point

@@ -26,7 +26,7 @@ class Slopes(NamedTuple):
 
 
 @inline
-def _slopes(c: Constants, height: float, offset: float, side: float, weight: float, release: float) -> Slopes:
+def slopes(c: Constants, height: float, offset: float, side: float, weight: float, release: float) -> Slopes:
     """``weight`` times db/dp, less ``release`` times the change of half the squared lever arm."""
     touch = close(c, height, side * offset)
     lever = touch.x * touch.normal_y - touch.y * touch.normal_x
@@ -42,11 +42,17 @@ def _slopes(c: Constants, height: float, offset: float, side: float, weight: flo
     )
 
 
+@inline
+def along(teeth: Teeth, i: int, slopes: Slopes) -> tuple[float, float]:
+    """By the eccentricity in the wave generator's frame."""
+    x = slopes.height * teeth.cosine[i] - slopes.offset * teeth.sine[i]
+    return x, slopes.height * teeth.sine[i] + slopes.offset * teeth.cosine[i]
+
+
 @part
 def _add_tooth(c: Constants, teeth: Teeth, i: int, slopes: Slopes, center: complex, gradient: Floats) -> None:
     """Add a flank's share, eccentricity in the wave generator's frame."""
-    along_x = slopes.height * teeth.cosine[i] - slopes.offset * teeth.sine[i]
-    along_y = slopes.height * teeth.sine[i] + slopes.offset * teeth.cosine[i]
+    along_x, along_y = along(teeth, i, slopes)
     # Along the curve the foot point moves by one across the tooth axis and the axis turns by the curvature.
     turned = slopes.height * teeth.offset[i] - slopes.offset * teeth.height[i] + slopes.lead
     shift = slopes.offset + teeth.curvature[i] * turned
@@ -70,8 +76,8 @@ def _add_side(
         if overlap > 0.0:
             i = flanks.column[j]
             release = 2.0 * overlap / mesh.compliance
-            slopes = _slopes(mesh.constants, teeth.height[i], teeth.offset[i], side, flanks.gain[j], release)
-            _add_tooth(mesh.constants, teeth, i, slopes, center, gradient)
+            share = slopes(mesh.constants, teeth.height[i], teeth.offset[i], side, flanks.gain[j], release)
+            _add_tooth(mesh.constants, teeth, i, share, center, gradient)
             stiffness += flanks.gain[j]
     return stiffness
 
@@ -84,8 +90,8 @@ def _add_edge(
     for j in range(flanks.start.size):
         if flanks.start[j] == edge:
             i = flanks.column[j]
-            slopes = _slopes(mesh.constants, teeth.height[i], teeth.offset[i], side, 0.5, 0.0)
-            _add_tooth(mesh.constants, teeth, i, slopes, center, gradient)
+            share = slopes(mesh.constants, teeth.height[i], teeth.offset[i], side, 0.5, 0.0)
+            _add_tooth(mesh.constants, teeth, i, share, center, gradient)
             return
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hd_diag.model.kernel import part
-from hd_diag.model.kernel.load import Scratch, balance, closing_angle, place_teeth, sides
+from hd_diag.model.kernel.load import Scratch, balance, place_teeth, sides
 from hd_diag.model.kernel.teeth import MeshData
 from hd_diag.model.kernel.touch import Constants, close
 
@@ -84,17 +84,16 @@ def spread(
     """Set the values of all teeth (2, Z_R); give torsion and gap [rad] and the contacts' mean radius [m]."""
     backlash[:], load[:], pressure[:] = math.nan, 0.0, math.nan
     found = sides(mesh, work, count, seen.sine, seen.lever)
-    beta, total, touching = balance(found, torque), 0.0, 0
+    beta, total = balance(found, torque), 0.0
     for flank in range(2):
-        side = 1.0 - 2.0 * flank
-        for j in range(count):
-            lever = seen.lever[flank, j]
-            if not math.isnan(lever):
-                tooth = int(work.teeth.number[j]) % mesh.constants.flexspline_teeth
-                rotation = closing_angle(seen.sine[flank, j]) - side * work.teeth.lead[j]
-                radius, overlap = math.sqrt(seen.square[flank, j]), side * beta - rotation
-                backlash[flank, tooth] = radius * rotation
-                load[flank, tooth] = overlap * lever / mesh.compliance if overlap > 0.0 else 0.0
-                pressure[flank, tooth] = math.atan2(seen.push[flank, j], lever)
-                total, touching = total + radius, touching + 1
+        side, bears = 1.0 - 2.0 * flank, found.minus if flank else found.plus
+        for k in range(bears.start.size):
+            j, rotation = bears.column[k], side * bears.start[k]
+            tooth, lever = int(work.teeth.number[j]) % mesh.constants.flexspline_teeth, seen.lever[flank, j]
+            radius, overlap = math.sqrt(seen.square[flank, j]), side * beta - rotation
+            backlash[flank, tooth] = radius * rotation
+            load[flank, tooth] = overlap * lever / mesh.compliance if overlap > 0.0 else 0.0
+            pressure[flank, tooth] = math.atan2(seen.push[flank, j], lever)
+            total += radius
+    touching = found.plus.start.size + found.minus.start.size
     return beta, found.high - found.low, total / touching if touching else math.nan

@@ -1,38 +1,89 @@
-"""Interpolation in a torsion map: the operations of ``torsion_map`` in their order, equal to the last bit."""
+"""Interpolation in a torsion map: the operations of ``torsion_map`` in their order, equal to the last bit.
+
+A map takes far more memory than a core has near it, so that samples anywhere in it wait for their rows. Hence
+an index, small enough to stay near, tells about where in a row a torque is; and the places of a whole block
+of samples are found and asked for before any is read.
+"""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from hd_diag.model.kernel import inline, part
+from hd_diag.model.kernel.memory import fetch
 
 Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+Columns = npt.NDArray[np.int16]
+
+BLOCK = 32
+"""Samples whose places are found at once."""
 
 _TURN = 2.0 * math.pi
 _BELOW_ZERO = -5e-324  # the float before zero
+_ROWS = 64  # from one row of the index to the next; breakpoints move by a few columns meanwhile
+_BINS = 256  # of torque in the index
+
+
+class Cells(NamedTuple):
+    """Places of a block's samples: rows counted with fractions, row (-1: no answer), about which column."""
+
+    place: Floats
+    row: Integers
+    column: Integers
 
 
 @part
-def interpolated(
-    breakpoints: Floats, values: Floats, turn: float, torque: float, below_end: float, column: int
-) -> tuple[float, int]:
-    """Torsion between two rows of the table, and the column in which it was found.
+def cells() -> Cells:
+    """Room for the places of one block."""
+    return Cells(np.empty(BLOCK), np.empty(BLOCK, dtype=np.int64), np.empty(BLOCK, dtype=np.int64))
 
-    ``below_end`` is the float before the last breakpoint; ``column`` is where to look first.
-    """
-    steps = breakpoints.shape[0] - 1
-    place = _within_turn(turn) * (steps / _TURN)
-    if math.isnan(place):
-        return math.nan, column
-    row, value = min(int(place), steps - 1), min(torque, below_end)
-    column = _last_not_above(breakpoints[row], value, column)
-    low = _at(breakpoints[row], values[row], torque, column)
-    column = _last_not_above(breakpoints[row + 1], value, column)
-    high = _at(breakpoints[row + 1], values[row + 1], torque, column)
-    return low + (place - row) * (high - low), column
+
+@part
+def columns(breakpoints: Floats) -> Columns:
+    """The index: about which column holds each bin of torque, for every so many rows."""
+    rows, last = breakpoints.shape[0], breakpoints.shape[1] - 2
+    found = np.empty((1 + (rows - 1) // _ROWS, _BINS), dtype=np.int16)
+    lowest, step = breakpoints[0, 0], (breakpoints[0, -1] - breakpoints[0, 0]) / _BINS
+    for i in range(found.shape[0]):
+        row, column = min(i * _ROWS + _ROWS // 2, rows - 1), 0
+        for k in range(_BINS):
+            while column < last and breakpoints[row, column + 1] <= lowest + (k + 0.5) * step:
+                column += 1
+            found[i, k] = column
+    return found
+
+
+@part
+def find(
+    breakpoints: Floats,
+    values: Floats,
+    near: Columns,
+    limit: float,
+    turn: Floats,
+    torque: Floats,
+    begin: int,
+    end: int,
+    cells: Cells,
+) -> None:
+    """Set the places of the samples from ``begin`` to before ``end``, and have what is there fetched."""
+    steps, lowest = breakpoints.shape[0] - 1, breakpoints[0, 0]
+    scale, bins = steps / _TURN, _BINS / (breakpoints[0, -1] - lowest)
+    for i in range(begin, end):
+        place, k = _within_turn(turn[i]) * scale, i - begin
+        cells.row[k] = -1
+        if abs(torque[i]) <= limit and not math.isnan(place):
+            row, share = min(int(place), steps - 1), (torque[i] - lowest) * bins
+            cells.place[k], cells.row[k] = place, row
+            column = near[row // _ROWS, int(min(share, _BINS - 1.0)) if share > 0.0 else 0]
+            cells.column[k] = column
+            for r in range(row, row + 2):
+                fetch(breakpoints, r, column)
+                fetch(values, r, column)
 
 
 @inline
@@ -41,33 +92,36 @@ def _within_turn(turn: float) -> float:
     return rest + (_TURN if rest < 0.0 else 0.0)
 
 
-@inline
-def _at(breakpoints: Floats, values: Floats, torque: float, column: int) -> float:
-    """Torsion of one row; the middle of a true gap."""
-    beta = _from(breakpoints, values, torque, column)
-    if torque == 0.0:
-        beta = 0.5 * (
-            beta + _from(breakpoints, values, torque, _last_not_above(breakpoints, _BELOW_ZERO, column))
-        )
-    return beta
+@part
+def read(
+    breakpoints: Floats, values: Floats, torque: Floats, begin: int, end: int, cells: Cells, beta: Floats
+) -> None:
+    """Set the torsions of the samples from ``begin`` to before ``end``.
 
-
-@inline
-def _from(breakpoints: Floats, values: Floats, torque: float, column: int) -> float:
-    start, beta = breakpoints[column], values[column]
-    slope = (values[column + 1] - beta) / (breakpoints[column + 1] - start)
-    result: float = beta + slope * (torque - start)
-    return result
-
-
-@inline
-def _last_not_above(breakpoints: Floats, value: float, column: int) -> int:
-    """Column of the last entry <= value, at most the last but one.
-
-    Looked for from another one's column: torques and breakpoints move little from one to the next.
+    Each is in the column of the last breakpoint that is not above its torque, at most the last but one. The
+    rows are read in place: numba counts a reference for every array that a function is given, and for one
+    sample that takes as long as the rest.
     """
-    while column > 0 and breakpoints[column] > value:
-        column -= 1
-    while column < breakpoints.size - 2 and breakpoints[column + 1] <= value:
-        column += 1
-    return column
+    x, y, last = breakpoints, values, breakpoints.shape[1] - 2
+    below_end = np.nextafter(breakpoints[0, -1], 0.0)
+    for i in range(begin, end):
+        row, column, load = cells.row[i - begin], cells.column[i - begin], torque[i]
+        value, low, high = min(load, below_end), math.nan, math.nan
+        for r in range(row, row + 2 if row >= 0 else row):
+            while column > 0 and x[r, column] > value:
+                column -= 1
+            while column < last and x[r, column + 1] <= value:
+                column += 1
+            low, high = high, _line(x[r, column], x[r, column + 1], y[r, column], y[r, column + 1], load)
+            if load == 0.0:  # the middle of a true gap
+                c = column
+                while c > 0 and x[r, c] > _BELOW_ZERO:
+                    c -= 1
+                high = 0.5 * (high + _line(x[r, c], x[r, c + 1], y[r, c], y[r, c + 1], load))
+        beta[i] = low + (cells.place[i - begin] - row) * (high - low)
+
+
+@inline
+def _line(start: float, end: float, beta: float, end_beta: float, torque: float) -> float:
+    slope = (end_beta - beta) / (end - start)
+    return beta + slope * (torque - start)

@@ -1,0 +1,48 @@
+"""Large batches spread over cores: the compiled kernels work side by side, each on some of the rows."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+
+def cores() -> int:
+    """Cores that this process may use; one in a process of a pool, which has a process for each."""
+    if multiprocessing.parent_process() is not None:
+        return 1
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def spread(work: Callable[[int, int], object], size: int, share: int) -> None:
+    """Have all rows worked on, by several threads where each gets two shares or more.
+
+    Parameters
+    ----------
+    work : callable
+        Called with the first row and the one after the last; fills these rows of its results.
+    size : int
+        Number of rows.
+    share : int
+        Rows that a thread takes at a time.
+
+    Notes
+    -----
+    The threads end with the call, so that a process that is forked later finds none of them.
+    """
+    threads = min(cores(), size // (2 * share)) if size >= 4 * share else 1
+    if threads < 2:
+        work(0, size)
+        return
+    shares = iter([(first, min(first + share, size)) for first in range(0, size, share)])
+
+    def some() -> None:
+        for first, last in shares:  # whoever is free takes the next one: cores may be busy with other things
+            work(first, last)
+
+    with ThreadPoolExecutor(threads - 1, thread_name_prefix="rows") as pool:
+        others = [pool.submit(some) for _ in range(threads - 1)]
+        some()
+    for other in others:
+        other.result()

@@ -1,0 +1,90 @@
+"""Batches spread over threads: every row once, whoever works on it; one thread in the processes of a pool."""
+
+import multiprocessing
+import os
+import subprocess
+import sys
+import threading
+from concurrent.futures import ProcessPoolExecutor
+
+import numpy as np
+import pytest
+
+from hd_diag.model import threads
+
+
+def counted(size, share):
+    """How often each row was worked on, and the parts with the threads that did them."""
+    count, parts = np.zeros(size, dtype=int), []
+
+    def work(first, last):
+        count[first:last] += 1
+        parts.append((first, last, threading.current_thread().name))
+
+    threads.spread(work, size, share)
+    return count, parts
+
+
+@pytest.mark.parametrize("cores", [1, 2, 3, 8])
+@pytest.mark.parametrize("size", [0, 1, 19, 39, 40, 41, 79, 80, 123])
+def test_every_row_once(monkeypatch, cores, size):
+    monkeypatch.setattr(threads, "cores", lambda: cores)
+    count, parts = counted(size, 10)
+    assert np.all(count == 1)
+    whole = cores == 1 or size < 40
+    assert (len(parts) == 1) == whole
+    assert all(last - first <= 10 for first, last, _ in parts) or whole
+
+
+def test_small_batches_are_done_here_and_do_not_ask_for_cores(monkeypatch):
+    monkeypatch.setattr(threads, "cores", lambda: pytest.fail("asked"))
+    _, parts = counted(39, 10)
+    assert parts == [(0, 39, threading.current_thread().name)]
+
+
+def test_as_many_threads_as_cores_work_at_once_and_end(monkeypatch):
+    monkeypatch.setattr(threads, "cores", lambda: 3)
+    before, met, names = threading.active_count(), threading.Barrier(3), set()
+
+    def work(first, last):
+        met.wait(timeout=60)  # passed only if two others are at work, too
+        names.add(threading.current_thread().name)
+
+    threads.spread(work, 60, 10)
+    assert len(names) == 3
+    assert threading.active_count() == before
+
+
+def test_each_thread_gets_two_shares_or_more(monkeypatch):
+    monkeypatch.setattr(threads, "cores", lambda: 64)
+    _, parts = counted(59, 10)
+    assert len({name for *_, name in parts}) <= 2
+
+
+@pytest.mark.parametrize("broken", [0, 30])
+def test_what_a_thread_raises_is_raised(monkeypatch, broken):
+    monkeypatch.setattr(threads, "cores", lambda: 2)
+
+    def work(first, last):
+        if first == broken:
+            raise ArithmeticError(f"row {first}")
+
+    with pytest.raises(ArithmeticError, match=f"row {broken}"):
+        threads.spread(work, 40, 10)
+
+
+def test_cores_are_those_that_the_process_may_use():
+    assert threads.cores() == len(os.sched_getaffinity(0))
+    code = (
+        "import os; from hd_diag.model import threads;"
+        "os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); print(threads.cores())"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True, timeout=60
+    )
+    assert done.stdout.strip() == "1"
+
+
+def test_one_core_in_a_process_of_a_pool():
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        assert pool.submit(threads.cores).result(timeout=60) == 1
