@@ -186,9 +186,11 @@ def _cause_words(cause: Cause) -> str:
 def _unexplained(line: Line) -> dict[str, Any]:
     """What has no period is order 0, its law what it looks like."""
     told = {**line.__dict__}
-    description = told.pop("description")
+    description, where = told.pop("description"), told.pop("where")
     if description:
         told["torque_law"] = f"{description}; {line.torque_law}"
+    if where:
+        told["direction_law"] = f"strongest {where}; {line.direction_law}"
     return told
 
 
@@ -196,7 +198,8 @@ def _line_words(line: Line) -> str:
     if line.description:
         return f"a part that {line.description} ({line.amplitude / ARCSEC:.2f} arcsec)"
     unit = {"input": "per input turn", "output": "per output turn", "time": "Hz"}[line.frame]
-    return f"{line.order:.2f} {unit}, {line.amplitude / ARCSEC:.2f} arcsec"
+    where = f" {line.where}" if line.where else ""
+    return f"{line.order:.2f} {unit}{where}, {line.amplitude / ARCSEC:.2f} arcsec"
 
 
 def _refit(diagnosis: Diagnosis) -> dict[str, Any]:

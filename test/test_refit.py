@@ -120,7 +120,7 @@ def test_rounds_go_on_with_the_best_that_differ(short: Record, monkeypatch: pyte
     near = POINT * MIRROR
 
     def distance(point: np.ndarray) -> tuple[np.ndarray, float]:
-        return point, 100.0 * float(np.hypot(*(point - near)[:2]))
+        return point, 1e3 + float(np.hypot(*(point - near)[:2]))
 
     calls = stubbed(monkeypatch, distance)
     found = refit(short, CONFIGURED, start=near)
@@ -133,6 +133,15 @@ def test_rounds_go_on_with_the_best_that_differ(short: Record, monkeypatch: pyte
         assert starts[0] is near
         assert [distance(p)[1] for p in starts] == sorted(distance(p)[1] for p in starts)
     np.testing.assert_allclose(found.parameters, near, rtol=1e-12)
+
+
+def test_starts_far_worse_than_the_best_are_not_followed(
+    short: Record, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = stubbed(monkeypatch, lambda point: (point, 1e3 if point is POINT else 2.1e3))
+    refit(short, CONFIGURED, start=POINT)
+    sizes = [size for size, _, _ in calls]
+    assert [sizes.count(size) for size in sorted(set(sizes))] == [len(STARTS) + 2, 1, 1]
 
 
 @pytest.mark.parametrize(

@@ -8,14 +8,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import map_coordinates
 
-from hd_diag.drive import Drive, transmission_error
+from hd_diag.drive import Drive
 from hd_diag.effects import recursions
-from hd_diag.effects.contact_table import contact_map
-from hd_diag.effects.contact_weights import greatest_torque
 from hd_diag.model import compiled
-from hd_diag.model.torsion_map import ARCSEC, TorsionMap, build
+from hd_diag.model.torsion_map import ARCSEC
 
 Floats = npt.NDArray[np.float64]
 
@@ -43,11 +40,8 @@ SCALES = (
 
 COUNT = len(SCALES)
 
-# Grid of the derivatives along a record: they are smooth but for the ripple, which a Jacobian can do without.
-_GRID_ANGLES = 128
-_GRID_TORQUES = 33
-_MAPPED = 6_000  # samples from which a map pays
-_STEPS_PER_TOOTH = 16  # of that map: 0.002 arcsec rms along a record, all of it in the tooth passing
+_STEPS_PER_TOOTH = 8  # nodes along a record
+_NODES_PAY = 2.0  # samples per node from which they do
 
 
 def warm_up() -> None:
@@ -125,23 +119,6 @@ def prior(configured: Drive) -> tuple[Floats, Floats]:
     return center, np.array([scale.prior for scale in SCALES])
 
 
-def error(drive: Drive, input_angle: Floats, torque: Floats) -> Floats:
-    """Transmission error along a record, shape (n,) [rad]; of a long one by a map, to 0.005 arcsec rms."""
-    table = None
-    if input_angle.size > _MAPPED:
-        table = _map(drive, torque)
-    return transmission_error(drive, input_angle, torque, table)
-
-
-def _map(drive: Drive, torque: Floats) -> TorsionMap:
-    """The map that the effects need as well; one of the record's own torques where teeth cannot bear more."""
-    try:
-        return contact_map(drive.mesh, greatest_torque(drive, torque))
-    except ValueError:
-        limit = max(1.001 * float(np.max(np.abs(torque))), 1.0)
-        return build(drive.mesh, limit, steps_per_tooth=_STEPS_PER_TOOTH)
-
-
 def error_and_jacobian(
     drive: Drive, configured: Drive, input_angle: Floats, torque: Floats
 ) -> tuple[Floats, Floats, Floats]:
@@ -169,50 +146,44 @@ def error_and_jacobian(
     )
 
 
-def jacobian(drive: Drive, configured: Drive, input_angle: Floats, torque: Floats) -> tuple[Floats, Floats]:
-    """Derivatives along a long record, interpolated from a grid over wave generator angle and torque.
+def along(
+    drive: Drive, configured: Drive, input_angle: Floats, torque: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """The same along a record: of a long one solved at nodes of the wave generator's turn, straight between.
 
     Returns
     -------
+    error : ndarray, shape (n,)
+        To 0.01 arcsec rms [rad].
     jacobian : ndarray, shape (n, 7)
         [rad] per unit of `SCALES`.
     slope : ndarray, shape (n,)
         dTE/dT [rad/(N m)].
     """
     kinematics, mesh = drive.kinematics, drive.mesh
+    steps = _STEPS_PER_TOOTH * mesh.geometry.circular_spline_teeth
+    if input_angle.size < _NODES_PAY * steps:
+        return error_and_jacobian(drive, configured, input_angle, torque)
     angle = kinematics.wave_generator_angle(mesh.geometry, input_angle)
     cup_torque = kinematics.cup_torque(torque)
-    most = max(float(np.max(np.abs(cup_torque))), 1.0)
-    half = _GRID_TORQUES // 2
-    nodes = most * np.sign(np.arange(-half, half + 1)) * (np.arange(-half, half + 1) / half) ** 2
-    nodes[half] = 1e-3 * nodes[half + 1]  # a true gap has no slope at zero torque
-    turns = 2.0 * np.pi * np.arange(_GRID_ANGLES) / _GRID_ANGLES
-    grid_angle, grid_torque = (g.ravel() for g in np.meshgrid(turns, nodes, indexing="ij"))
-    _, _, gradient = compiled.torsion_and_gradient(
+    nodes = np.linspace(0.0, 2.0 * np.pi, steps + 1)
+    beta, gradient = compiled.torsion_along(
         mesh.geometry,
         mesh.tooth_compliance,
-        grid_angle,
-        mesh.displacement(grid_angle),
+        nodes,
+        mesh.displacement(nodes),
         mesh.arc_offset,
-        grid_torque,
+        np.mod(angle, 2.0 * np.pi) * (steps / (2.0 * np.pi)),
+        cup_torque,
     )
-    place = np.stack(
-        (
-            np.mod(angle, 2.0 * np.pi) * (_GRID_ANGLES / (2.0 * np.pi)),
-            half + half * np.sign(cup_torque) * np.sqrt(np.abs(cup_torque) / most),
-        )
+    by_torque = gradient[:, 3]
+    by_compliance = cup_torque / mesh.tooth_compliance * by_torque
+    columns = np.column_stack((gradient[:, :3], by_compliance))
+    return (
+        kinematics.transmission_error(beta, torque, drive.cup_compliance),
+        _jacobian(drive, configured, angle, columns, torque),
+        -by_torque - drive.cup_compliance,
     )
-    at_samples = np.stack(
-        [
-            map_coordinates(
-                gradient[:, column].reshape(_GRID_ANGLES, _GRID_TORQUES), place, order=1, mode="grid-wrap"
-            )
-            for column in (0, 1, 2, 3, 5)
-        ],
-        axis=1,
-    )
-    slope = -at_samples[:, 4] - drive.cup_compliance
-    return _jacobian(drive, configured, angle, at_samples[:, :4], torque), slope
 
 
 def _jacobian(drive: Drive, configured: Drive, angle: Floats, gradient: Floats, torque: Floats) -> Floats:

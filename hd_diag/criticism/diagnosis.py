@@ -219,7 +219,7 @@ def _nominal_left(record: Record, configured: Drive, test: npt.NDArray[np.bool_]
 
 def _left(record: Record, drive: Drive) -> Floats:
     """Measured less predicted error [rad]."""
-    error = base.error(drive, record.input_angle, record.torque)
+    error, _, _ = base.along(drive, drive, record.input_angle, record.torque)
     return np.asarray(record.output_angle - record.input_angle / drive.kinematics.ratio - error)
 
 

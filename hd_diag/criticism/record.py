@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import median_filter
-from scipy.signal import savgol_filter
 
 from hd_diag.criticism.blocks import filtered, unwrapped
 from hd_diag.criticism.noise import bounds
+from hd_diag.criticism.smoothing import best_width, rate, smooth
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -27,7 +26,6 @@ _REST_SPEED = 0.02  # of the record's 95th percentile of speed, below which the 
 _GAP_STEPS = 5.5  # a step this many times the usual one is a gap: state and filters restart
 _SPEED_WINDOW = 0.03  # [s]
 _HEAT_WINDOW = 2.0  # [s]
-_TORQUE_WINDOW = 0.06  # [s]; a longer one bends the torque's own steps
 _LONG_GAP_STEPS = 200.0  # a step this many times the usual one is more than a cause remembers through
 _WRAP_SLACK = 0.1  # what noise and outliers may add to the range of a wrapped angle [rad]
 _OUTLIER = 8.0  # robust standard deviations of what neighbours do not foretell
@@ -223,14 +221,14 @@ def prepare(
     bag, segment = _kept(bag, keep), _kept(segment, keep)
     load, heat, own_speed = (_kept_known(c, keep) for c in (load, heat, own_speed))
     step = float(np.median(np.diff(time)))
-    speed = _derivative(angle, segment, step)
+    speed = rate(angle, segment, step, _SPEED_WINDOW)
     raw = np.full(time.shape, assumed_torque) if load is None else load
-    smooth = raw if load is None else _smooth(raw, segment, step, _TORQUE_WINDOW)
-    heat = None if heat is None else _smooth(heat, segment, step, _HEAT_WINDOW)
+    torque = raw if load is None else smooth(raw, segment, step, best_width(raw, segment, step))
+    heat = None if heat is None else smooth(heat, segment, step, _HEAT_WINDOW)
     run = _runs(time, speed, segment)
     known = load is not None
     return Record(
-        time, angle, output, smooth, speed, heat, run, known, outliers, dropped, bag, raw, own_speed
+        time, angle, output, torque, speed, heat, run, known, outliers, dropped, bag, raw, own_speed
     )
 
 
@@ -293,43 +291,6 @@ def _segments(time: Floats, bag: Integers) -> Integers:
     usual = np.median(step[step > 0.0])
     breaks = (step > _GAP_STEPS * usual) | (step <= 0.0) | (np.diff(bag) != 0)
     return np.concatenate(([0], np.cumsum(breaks))).astype(np.int64)
-
-
-def _window(size: int, step: float, width: float, order: int) -> int:
-    wanted = int(width / step) | 1
-    largest = size if size % 2 else size - 1
-    return min(max(wanted, order + 2 | 1), largest)
-
-
-def _derivative(angle: Floats, segment: Integers, step: float) -> Floats:
-    """Rate of change, segment by segment."""
-
-    def rate(rows: slice) -> Floats:
-        part = angle[rows]
-        window = _window(part.size, step, _SPEED_WINDOW, 2)
-        if window < 3:
-            return np.gradient(part, step) if part.size > 1 else np.zeros_like(part)
-        return np.asarray(savgol_filter(part, window, min(2, window - 1), deriv=1, delta=step))
-
-    return _by_segment(segment, rate, step, _SPEED_WINDOW)
-
-
-def _smooth(values: Floats, segment: Integers, step: float, width: float) -> Floats:
-    """Values without their noise, segment by segment."""
-
-    def smooth(rows: slice) -> Floats:
-        window = _window(values[rows].size, step, width, 2)
-        return values[rows] if window < 4 else np.asarray(savgol_filter(values[rows], window, 2))
-
-    return _by_segment(segment, smooth, step, width)
-
-
-def _by_segment(segment: Integers, function: Callable[[slice], Floats], step: float, width: float) -> Floats:
-    """Values of a filter of a width [s] along every segment."""
-    result = np.empty(segment.size)
-    for begin, end in bounds(segment):
-        filtered(result, begin, end, function, _window(segment.size, step, width, 2))
-    return result
 
 
 def _outliers(error: Floats, segment: Integers) -> Rows:

@@ -17,6 +17,7 @@ Floats = npt.NDArray[np.float64]
 # starts that are as good as equal, and what it leaves goes on with all rows.
 _ROUNDS = ((250, 5, 5), (700, 5, 2), (1500, 8, 2))
 _MIRROR = np.array([-1.0, -1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
+_HOPELESS = 2.0  # times the best deviance, beyond which a start is not followed any further
 _FIRST_NOISE, _LEAST_NOISE = 2e-5, 1e-6  # of the residual [rad]; each round takes what the one before left
 _OFFSET = 0.03  # prior width of the torque's zero, of the rated torque
 _MOST_OFFSET = 3.0  # prior widths
@@ -112,7 +113,8 @@ def refit(
     for samples, steps, kept in _ROUNDS:
         problem = _Problem(record, configured, free, _chosen(record, samples, rng), noise)
         trials = sorted((_levenberg(problem, point, steps) for point in points), key=lambda trial: trial[1])
-        points = distinct([point for point, _ in trials])[:kept]
+        hopeful = [point for point, value in trials if value < _HOPELESS * trials[0][1]]
+        points = distinct(hopeful)[:kept]
         noise = max(problem.left(points[0]), _LEAST_NOISE)
     point, deviance = trials[0]
     covariance = problem.covariance(point)

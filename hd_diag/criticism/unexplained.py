@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
 from hd_diag.criticism.acceptance import LEAST_SIZE
 from hd_diag.criticism.causes import Search
-from hd_diag.criticism.design import f_test, lower_bound, orthonormal
+from hd_diag.criticism.design import f_test, holds, orthonormal
 from hd_diag.criticism.foils import Foil
 from hd_diag.criticism.noise import Whitening, whitening
 from hd_diag.criticism.workbench import Chosen, Workbench
 from hd_diag.model.torsion_map import ARCSEC
 
 Floats = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.bool_]
 
 _PER_TURN = 128  # cells per turn of the input, so orders up to 64 are seen
 _MOST_ORDERS = 40.0
 _LEAST_ORDER = 0.012  # once and twice per output turn are causes of their own
 _MOST_LINES = 4
+_LEAST_PART = 0.08  # of the record, in which a wave is looked for alone
+_BORNE_OUT = 0.5  # of what blocks that were not fitted should gain by a wave
+_UNLIKE = 0.8  # ratio of speeds below which they differ
 _CHANCE = 1e-4  # of a line by noise alone, over all orders looked at
 
 
@@ -40,6 +45,8 @@ class Line:
         How it goes with torque and direction, in words.
     description : str
         What is not periodic (order 0), in words.
+    where : str
+        In words, if it shows in one direction, at some speeds or under one sign of the torque only.
     """
 
     order: float
@@ -48,6 +55,15 @@ class Line:
     torque_law: str
     direction_law: str
     description: str = ""
+    where: str = ""
+
+
+@dataclass(frozen=True)
+class Weight:
+    """What a wave is scaled by, shape (n,), and in words where that leaves something of it."""
+
+    values: Floats
+    where: str = ""
 
 
 @dataclass(frozen=True)
@@ -103,49 +119,80 @@ def _shape(found: Search, foil: Foil) -> Line:
 
 
 def _strongest(bench: Workbench, chosen: Chosen, rest: Floats, taken: list[Floats]) -> Wave | None:
-    """The wave that stands out most, of even size or in proportion to the torque."""
-    found = []
+    """The wave that stands out most: evenly, in proportion to the torque, or in a part of the record."""
+    found, weights = [], _weights(bench)
     for frame in ("input", "time"):
-        for weight in _weights(bench):
-            peak = _peak(_phase(bench, frame), rest * weight)
+        for weight in weights:
+            peak = _peak(_phase(bench, frame), rest * weight.values)
             if peak is not None:
                 found.append((peak[1], peak[0], frame, weight))
     if not found:
         return None
     _, order, frame, weight = max(found, key=lambda one: one[0])
-    order = _refined(bench, rest * weight, order, frame)
-    pair = _pair(bench, order, frame) * weight[:, None]
-    parts = [bench.always(), bench.joined(chosen), *taken, pair]
-    # Noise is learnt beside the wave, or a strong one would count as noise.
-    columns = np.concatenate(parts, axis=1)
+    order = _refined(bench, rest * weight.values, order, frame)
+    even = _pair(bench, order, frame)
+    # Noise is learnt beside waves of this order in every part, or strong ones would count as noise.
+    every = [even * one.values[:, None] for one in weights]
+    learnt = whitening(rest - _explained(np.concatenate(every, axis=1), rest), bench.run)
+    white = learnt(rest, bench.run)
+    gains = [float(np.sum(_explained(learnt(pair, bench.run), white) ** 2)) for pair in every]
+    weight, pair = weights[int(np.argmax(gains))], every[int(np.argmax(gains))]
+    columns = np.concatenate([bench.always(), bench.joined(chosen), *taken, pair], axis=1)
     coefficients = np.linalg.lstsq(pair, rest, rcond=None)[0]
     part = pair @ coefficients
-    learnt = whitening(rest - part, bench.run)
     white, left = learnt(columns, bench.run), learnt(bench.left, bench.run)
     before, after = _deviance(left, white[:, :-2]), _deviance(left, white)
     counted = int(np.count_nonzero(bench.left_white))
     turns = float(np.ptp(bench.signals.wave_generator_angle)) / (2.0 * np.pi)
-    tests = 8.0 * _MOST_ORDERS * max(turns, 1.0)
+    tests = 4.0 * len(weights) * _MOST_ORDERS * max(turns, 1.0)
     p = tests * f_test(before, after, 2, counted, columns.shape[1])
     amplitude = float(np.sqrt(2.0) * np.std(part))
     if p > _CHANCE or amplitude < np.sqrt(2.0) * LEAST_SIZE:
         return None
-    if lower_bound(_block_gains(bench, rest, pair, learnt)) <= 0.0:
+    gain, foretold = _block_gains(bench, rest, pair, learnt)
+    if not holds(gain, foretold) and gain.sum() < _BORNE_OUT * foretold.sum():
         return None
-    wave = _pair(bench, order, frame) @ coefficients
+    wave = even @ coefficients
     wave /= np.hypot(*coefficients)
-    if float(weight.min()) < 0.0:
+    if float(weight.values.min()) < 0.0:
         wave *= np.sign(bench.signals.torque)
     laws = _torque_law(bench, rest, wave), _direction_law(bench, rest, wave)
-    return Wave(pair, part, Line(order, frame, amplitude, *laws))
+    return Wave(pair, part, Line(order, frame, amplitude, *laws, where=weight.where))
 
 
-def _weights(bench: Workbench) -> list[Floats]:
-    """One, and the torque over its greatest where it has both signs."""
+def _weights(bench: Workbench) -> list[Weight]:
+    """One; the torque over its greatest where it has both signs; one in a part of the record alone."""
     load = bench.signals.torque
     full = load / max(float(np.max(np.abs(load))), 1e-300)
     both = float(full.min()) < -0.2 and float(full.max()) > 0.2
-    return [np.ones(load.size), *([full] if both else [])]
+    whole = [Weight(np.ones(load.size)), *([Weight(full)] if both else [])]
+    parts = [*_signs(full, "under positive torque", "under negative torque"), *_speeds(bench)]
+    return [*whole, *(Weight(rows.astype(np.float64), where) for rows, where in parts)]
+
+
+def _signs(values: Floats, above: str, below: str) -> list[tuple[Rows, str]]:
+    """Rows with values of either sign, if there are enough of both."""
+    parts = [(values > 0.0, above), (values < 0.0, below)]
+    return parts if min(float(np.mean(rows)) for rows, _ in parts) > _LEAST_PART else []
+
+
+def _speeds(bench: Workbench) -> list[tuple[Rows, str]]:
+    """Rows of one direction, and in it of each third of the speeds, where the speed differs."""
+    speed = bench.signals.forward_speed / (2.0 * np.pi)
+    found = _signs(speed, "forward", "backward") or [(speed != 0.0, "")]
+    edges = np.quantile(np.abs(speed), (0.0, 1 / 3, 2 / 3, 1.0))
+    bands = []
+    for rows, way in found:
+        for low, high in pairwise(edges.tolist()):
+            inside = rows & (np.abs(speed) >= low) & (np.abs(speed) <= high)
+            if edges[1] < _UNLIKE * edges[2] and float(np.mean(inside)) > _LEAST_PART:
+                bands.append((inside, f"{way} at {low:.2g} to {high:.2g} turns/s of the input".strip()))
+    return [*(one for one in found if one[1]), *bands]
+
+
+def _explained(columns: Floats, rest: Floats) -> Floats:
+    """Part of a remainder that columns explain."""
+    return np.asarray(columns @ np.linalg.lstsq(columns, rest, rcond=None)[0])
 
 
 def _deviance(left: Floats, columns: Floats) -> float:
@@ -154,16 +201,17 @@ def _deviance(left: Floats, columns: Floats) -> float:
     return float(rest @ rest)
 
 
-def _block_gains(bench: Workbench, rest: Floats, pair: Floats, learnt: Whitening) -> Floats:
-    """Fall of the sum of squares in each block by a wave fitted to all others."""
+def _block_gains(bench: Workbench, rest: Floats, pair: Floats, learnt: Whitening) -> tuple[Floats, Floats]:
+    """Fall of the sum of squares in each block by a wave fitted to all others, and what that foretells."""
     white = learnt(np.column_stack((pair, rest)), bench.run)
-    gains = []
+    gains, foretold = [], []
     for block in range(int(bench.block[-1]) + 1):
         inside = bench.block == block
         fit = np.linalg.lstsq(white[~inside, :2], white[~inside, 2], rcond=None)[0]
-        here = white[inside, 2]
-        gains.append(float(here @ here - np.sum((here - white[inside, :2] @ fit) ** 2)))
-    return np.array(gains)
+        here, wave = white[inside, 2], white[inside, :2] @ fit
+        gains.append(float(here @ here - np.sum((here - wave) ** 2)))
+        foretold.append(float(wave @ wave))
+    return np.array(gains), np.array(foretold)
 
 
 def _peak(phase: Floats, rest: Floats) -> tuple[float, float] | None:

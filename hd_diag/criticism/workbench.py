@@ -135,8 +135,9 @@ class Workbench:
         """Signals of all rows and of those that are fitted, and the derivatives by the parameters."""
         key, record = self.parameters.tobytes(), self.source
         if key not in known:
-            error = base.error(self.drive, record.input_angle, record.torque)
-            derivatives, slope = base.jacobian(self.drive, self.configured, record.input_angle, record.torque)
+            error, derivatives, slope = base.along(
+                self.drive, self.configured, record.input_angle, record.torque
+            )
             whole = signals(record, self.drive, error, slope)
             known[key] = whole, whole.part(self._at), derivatives
         known[key] = known.pop(key)
@@ -275,7 +276,7 @@ class Workbench:
             return False
         rec = self.source
         self._shift = shift
-        self._derivatives, _ = base.jacobian(self.drive, self.configured, rec.input_angle, rec.torque + shift)
+        _, self._derivatives, _ = base.along(self.drive, self.configured, rec.input_angle, rec.torque + shift)
         return True
 
     def _fresh(self, effect: Effect, nonlinear: tuple[float, ...]) -> Floats:

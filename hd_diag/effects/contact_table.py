@@ -19,7 +19,7 @@ import numpy.typing as npt
 from hd_diag.drive import Drive
 from hd_diag.model import load_sharing
 from hd_diag.model.clearance import Contact
-from hd_diag.model.torsion import Mesh
+from hd_diag.model.torsion import Mesh, torsion_table
 from hd_diag.model.torsion_map import TorsionMap, build
 
 Floats = npt.NDArray[np.float64]
@@ -372,13 +372,10 @@ def contact_map(mesh: Mesh, torque_limit: float) -> TorsionMap:
 @lru_cache(maxsize=4)
 def mean_torsion(mesh: Mesh, torque_limit: float) -> tuple[Floats, Floats]:
     """Torques on the cup to somewhat beyond a limit [N m], rising, and the torsion's mean over a turn."""
-    table = contact_map(mesh, torque_limit)
     share = np.linspace(-1.0, 1.0, _MEAN_TORQUES)
-    torque = table.torque_limit * np.sign(share) * share**2
-    turn = 2.0 * np.pi / _MEAN_ANGLES * np.arange(_MEAN_ANGLES)
-    angle, load = (grid.ravel() for grid in np.meshgrid(turn, torque))
-    mean: Floats = table(angle, load).reshape(torque.size, turn.size).mean(axis=1)
-    return torque, mean
+    torque = _BEYOND * torque_limit * np.sign(share) * share**2
+    turn = np.linspace(0.0, 2.0 * np.pi, _MEAN_ANGLES, endpoint=False)
+    return torque, torsion_table(mesh, turn, torque).mean(axis=0)
 
 
 @lru_cache(maxsize=2)  # 40 MB each

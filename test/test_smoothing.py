@@ -1,0 +1,64 @@
+"""Smoothing keeps what a joint's torque does and takes its noise; the window is chosen by the data."""
+
+import numpy as np
+import pytest
+
+from hd_diag.criticism import blocks
+from hd_diag.criticism.smoothing import best_width, rate, smooth
+
+STEP = 2e-3
+TIME = STEP * np.arange(20_000)
+WHOLE = np.zeros(TIME.size, dtype=np.int64)
+
+
+def torque(frequency):
+    return 40.0 * np.sin(2 * np.pi * frequency * TIME) + 5.0 * np.sin(5.3 * 2 * np.pi * frequency * TIME)
+
+
+def noisy(frequency, size=0.15):
+    return torque(frequency) + size * np.random.default_rng(4).standard_normal(TIME.size)
+
+
+def left(values, frequency, width):
+    return np.std(smooth(values, WHOLE, STEP, width) - torque(frequency))
+
+
+def test_a_quadratic_stays_as_it_is_to_its_ends():
+    quadratic = 3.0 - 2.0 * TIME + 0.5 * TIME**2
+    np.testing.assert_allclose(smooth(quadratic, WHOLE, STEP, 0.1), quadratic, atol=1e-9)
+    np.testing.assert_allclose(rate(quadratic, WHOLE, STEP, 0.03), -2.0 + TIME, atol=1e-6)
+
+
+@pytest.mark.parametrize("frequency", [0.1, 0.3, 1.0])
+def test_the_chosen_window_is_nearly_the_best(frequency):
+    values = noisy(frequency)
+    widths = 0.01 * 1.1 ** np.arange(36)
+    best = min(left(values, frequency, width) for width in widths)
+    assert left(values, frequency, best_width(values, WHOLE, STEP)) < 1.15 * best
+
+
+def test_the_window_follows_the_noise():
+    assert best_width(noisy(0.3, 1.0), WHOLE, STEP) > best_width(noisy(0.3, 0.02), WHOLE, STEP)
+    assert best_width(torque(1.0), WHOLE, STEP) < 0.015
+
+
+def test_segments_do_not_mix():
+    segment = np.repeat([0, 1], TIME.size // 2)
+    values = np.where(segment == 0, 1.0, 9.0)
+    np.testing.assert_allclose(smooth(values, segment, STEP, 0.1), values, atol=1e-12)
+    np.testing.assert_allclose(rate(values, segment, STEP, 0.03), 0.0, atol=1e-9)
+
+
+def test_segments_of_a_few_samples_stay():
+    segment = np.repeat(np.arange(5), [1, 2, 3, 4, TIME.size - 10])
+    values = noisy(0.3)
+    np.testing.assert_array_equal(smooth(values, segment, STEP, 0.1)[:6], values[:6])
+    assert np.isfinite(rate(values, segment, STEP, 0.03)).all()
+
+
+def test_block_by_block_is_the_whole(monkeypatch):
+    values = noisy(0.3)
+    expected = smooth(values, WHOLE, STEP, 0.1), rate(values, WHOLE, STEP, 0.03)
+    monkeypatch.setattr(blocks, "BLOCK", 1_000)
+    np.testing.assert_allclose(smooth(values, WHOLE, STEP, 0.1), expected[0], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(rate(values, WHOLE, STEP, 0.03), expected[1], rtol=0, atol=1e-9)
