@@ -91,7 +91,7 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            "hd-diag = hd_diag.cli:main",
+            "hd-diag = hd_diag.__main__:main",
             "hd_diag_node = hd_diag.node:main",
         ],
     },

@@ -19,6 +19,7 @@ exclude_patterns = ["_build", "tables", "examples"]
 
 myst_enable_extensions = ["dollarmath", "deflist", "colon_fence"]
 myst_heading_anchors = 3
+smartquotes = False  # '' is a value of parameters
 
 autosummary_generate = False
 autodoc_member_order = "bysource"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 import numpy as np
@@ -14,7 +14,17 @@ from hd_diag.cli_bags import recover, replay
 from hd_diag.cli_diagnose import diagnose
 from hd_diag.cli_figures import figures
 from hd_diag.cli_fleet import fleet
-from hd_diag.cli_options import CONFIG, JSON, Problem, configured, problems, write_json
+from hd_diag.cli_options import (
+    CONFIG,
+    INTERRUPTED,
+    JOINT,
+    JSON,
+    SIGNALLED,
+    Problem,
+    configured,
+    problems,
+    write_json,
+)
 from hd_diag.cli_report import report
 from hd_diag.cli_simulate import simulate
 from hd_diag.cli_tolerance import tolerance
@@ -32,8 +42,24 @@ class _OneLine(click.Group):
             click.echo(f"hd-diag: {' '.join(error.format_message().split())}", err=True)
             sys.exit(error.exit_code)
         except click.Abort:
-            sys.exit(130)  # as of a process that SIGINT has ended
+            _interrupted()
+        except SystemError as error:
+            if not _is_interruption(error):
+                raise
+            _interrupted()
         sys.exit(code if isinstance(code, int) else 0)
+
+
+def _is_interruption(error: BaseException | None) -> bool:
+    """Whether it began as a KeyboardInterrupt: numba's compiled code makes SystemErrors of one."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
+def _interrupted() -> NoReturn:
+    click.echo("hd-diag: interrupted", err=True)
+    sys.exit(INTERRUPTED)
 
 
 @click.group(
@@ -47,7 +73,7 @@ def cli(context: click.Context) -> None:
     """Harmonic drives in robot joints: what the teeth do, live and in bags.
 
     Lengths, angles and torques are SI: m, rad, N m. Configurations are ROS parameter files, as the node takes
-    them. Exit codes: 0 done, 1 a finding that you asked to fail on, 2 bad usage or input.
+    them. Exit codes: 0 done, 1 a finding that you asked to fail on, 2 bad usage or input, 130 after Ctrl-C.
     """
     if context.invoked_subcommand is None:
         click.echo(context.get_help())
@@ -64,7 +90,7 @@ cli.add_command(fleet)
 cli.add_command(watch)
 
 
-@cli.command()
+@cli.command(epilog="Example: hd-diag check config/example_drive.yaml")
 @click.argument("config_file", metavar="CONFIG", type=click.Path(dir_okay=False))
 @JSON
 @problems
@@ -90,9 +116,12 @@ def check(config_file: str, json_file: str | None) -> None:
     click.echo(f"{config_file}: valid")
 
 
-@cli.command()
+@cli.command(
+    short_help="One moment: backlash and load of every tooth, torsion, error.",
+    epilog="Example: hd-diag mesh --config arm.yaml --joint elbow --torque 14",
+)
 @CONFIG
-@click.option("--joint", help="Which joint of the configuration; the first without.")
+@JOINT
 @click.option("--input-angle", type=float, default=0.0, show_default=True, help="Reported input angle [rad].")
 @click.option("--torque", type=float, default=0.0, show_default=True, help="Torque M [N m].")
 @JSON
@@ -212,15 +241,18 @@ def _show_moment(result: dict[str, Any]) -> None:
     console.print("Teeth that are not listed cannot touch.")
 
 
-@cli.command(context_settings={"ignore_unknown_options": True})
+@cli.command(
+    context_settings={"ignore_unknown_options": True},
+    short_help="Run the node: joint states in; error, teeth, diagnostics out.",
+    epilog="Example: hd-diag node --config arm.yaml -- --ros-args -r joint_states:=/js",
+)
 @CONFIG
 @click.argument("ros_arguments", nargs=-1, type=click.UNPROCESSED)
 @problems
 def node(config_file: str | None, ros_arguments: tuple[str, ...]) -> None:
     """Run the node: joint states in, diagnostics, tooth arrays and transmission error out.
 
-    Needs ROS 2 Jazzy. Arguments after -- go to ROS: hd-diag node --config F -- --ros-args -r
-    joint_states:=/js. Ends with code 0 on SIGINT and SIGTERM.
+    Needs ROS 2 Jazzy. Arguments after -- go to ROS. Ends with code 0 on SIGINT and SIGTERM.
     """
     if config_file:
         load(config_file)
@@ -232,20 +264,31 @@ def node(config_file: str | None, ros_arguments: tuple[str, ...]) -> None:
     sys.exit(run(["hd_diag_node", *parameter_file, *ros_arguments]))
 
 
-@cli.command()
-@click.option(
-    "--out", "folder", type=click.Path(file_okay=False), help="Where to leave the log; a new folder without."
+@cli.command(
+    short_help="The node beside a simulated joint, its log, replay and verdict.",
+    epilog="Example: hd-diag demo --out demo",
 )
 @click.option(
-    "--seconds", type=click.FloatRange(5.0, 600.0), default=24.0, show_default=True, help="How long to run."
+    "--out",
+    "folder",
+    type=click.Path(file_okay=False),
+    help="Folder for log, replay and report. [default: a new one among the temporary files]",
+)
+@click.option(
+    "--seconds",
+    type=click.FloatRange(5.0, 600.0),
+    default=24.0,
+    show_default=True,
+    help="How long node and joint run [s].",
 )
 @JSON
 @problems
 def demo(folder: str | None, seconds: float, json_file: str | None) -> None:
-    """The main job end to end: the real node beside a simulated joint, over DDS, with a log.
+    """The main job end to end: the real node beside a simulated joint, over DDS, its log, replay and verdict.
 
     Starts both as processes of their own, changes the eccentricity while they run, shows what the diagnostics
-    say, and tells what the log holds.
+    say, replays the log, diagnoses it and writes the report. Needs ROS 2 Jazzy. Exit codes: 0 all held, 1
+    something did not, 130 after Ctrl-C.
     """
     try:
         from hd_diag.demo import run
@@ -254,6 +297,8 @@ def demo(folder: str | None, seconds: float, json_file: str | None) -> None:
     summary = run(Path(folder) if folder else None, seconds)
     if json_file:
         write_json(json_file, summary)
+    if summary["signal"] is not None:
+        sys.exit(SIGNALLED + summary["signal"])
     sys.exit(0 if summary["complete"] else 1)
 
 

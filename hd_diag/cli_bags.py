@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from hd_diag.bag.recover import recover as recover_bag
-from hd_diag.cli_options import CONFIG, JSON, Problem, problems, write_json
+from hd_diag.cli_options import INTERRUPTED, JSON, Problem, problems, write_json
 from hd_diag.config import load
 from hd_diag.replay import Replay
 from hd_diag.replay import replay as replay_bag
@@ -39,10 +39,6 @@ def bar() -> Iterator[Progress]:
         yield progress
 
 
-INTERRUPTED = 130
-"""Exit code after Ctrl-C, as shells have it."""
-
-
 @contextmanager
 def interrupts() -> Iterator[list[int]]:
     """Signals of Ctrl-C since; a second one ends the program at once.
@@ -62,11 +58,25 @@ def interrupts() -> Iterator[list[int]]:
         signal.signal(signal.SIGINT, before)
 
 
-@click.command(context_settings={"help_option_names": ["-h", "--help"]})
+@click.command(
+    context_settings={"help_option_names": ["-h", "--help"]},
+    short_help="Run the model over a bag: the outputs that the node would give.",
+    epilog="Example: hd-diag replay log --out again.mcap",
+)
 @click.argument("bag", type=click.Path(path_type=Path))
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="*.mcap or a rosbag2 folder.")
-@CONFIG
-@click.option("--topic", "topics", multiple=True, help="Topic with joint states; repeatable. [default: all]")
+@click.option(
+    "--config",
+    "config_file",
+    type=click.Path(dir_okay=False),
+    help="ROS parameter file. [default: what the node's log holds]",
+)
+@click.option(
+    "--topic",
+    "topics",
+    multiple=True,
+    help="Topic with joint states; repeatable. [default: all but what a node published]",
+)
 @click.option("--overwrite", is_flag=True, help="Replace the output where it exists.")
 @JSON
 @problems
@@ -148,7 +158,11 @@ def _tell_replay(result: Replay, out: Path, took: float) -> None:
             )
 
 
-@click.command(context_settings={"help_option_names": ["-h", "--help"]})
+@click.command(
+    context_settings={"help_option_names": ["-h", "--help"]},
+    short_help="Save what a crash left of a bag.",
+    epilog="Example: hd-diag recover torn.mcap --out whole.mcap",
+)
 @click.argument("bag", type=click.Path(path_type=Path))
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="*.mcap or a rosbag2 folder.")
 @click.option("--overwrite", is_flag=True, help="Replace the output where it exists.")

@@ -8,15 +8,28 @@ from typing import Any
 
 import click
 
-from hd_diag.cli_options import CONFIG, JOINTS, JSON, Problem, chosen_joints, configured, problems
-from hd_diag.cli_record import BAGS, COLUMNS, DIVIDED, check_targets, diagnosed, telling, write_diagnoses
+from hd_diag.cli_options import CONFIG, JOINTS, JSON, chosen_joints, configured, problems
+from hd_diag.cli_record import (
+    BAGS,
+    COLUMNS,
+    DIVIDED,
+    Unjudged,
+    check_targets,
+    diagnosed,
+    telling,
+    write_diagnoses,
+)
 from hd_diag.cli_report import joint_report, write_report
 from hd_diag.config import JOINT_PARAMETERS, Config, JointConfig
 from hd_diag.criticism.record import RecordError
 from hd_diag.model_file import write
 
 
-@click.command(context_settings={"help_option_names": ["-h", "--help"]})
+@click.command(
+    context_settings={"help_option_names": ["-h", "--help"]},
+    short_help="What the simulation gets wrong, the physical cause, the gain.",
+    epilog="Example: hd-diag diagnose joint.mcap --config arm.yaml --report joint.html",
+)
 @BAGS
 @CONFIG
 @JOINTS
@@ -36,7 +49,7 @@ from hd_diag.model_file import write
     "--report",
     "report_file",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="Draw it all on one HTML page.",
+    help="Draw it all on one HTML page here.",
 )
 @JSON
 @problems
@@ -57,17 +70,23 @@ def diagnose(
     only where data that nothing was fitted to confirm them. Several bags are runs of the same joint. "None
     of the known causes" and "this record cannot tell these apart" are answers too. A record too long to be
     fitted is looked through sample by sample for a wrong ratio, steps and outliers; stretches spread over
-    all of it are fitted.
+    all of it are fitted. A joint that cannot be judged is told on stderr, the others go on, and the exit code
+    is 2.
     """
     config = configured(config_file)
     check_targets(bags, model_file, report_file, json_file)
     results, pages = [], []
     chosen = chosen_joints(config, names)
+    unjudged = Unjudged(len(chosen))
     for joint in chosen:
         path = model_file
         if path is not None and len(chosen) > 1:
             path = path.with_name(f"{path.stem}_{joint.name}{path.suffix}")
-        result = _one(bags, joint, config, columns, input_divided, path)
+        try:
+            result = _one(bags, joint, config, columns, input_divided, path)
+        except RecordError as error:
+            results.append(unjudged.told(joint.name, error))
+            continue
         results.append(result)
         found, lines = result.pop("diagnosis"), result.pop("lines")
         if report_file is not None:
@@ -76,13 +95,13 @@ def diagnose(
             for line in lines:
                 click.echo(f"{joint.name}: {line}")
         del found  # its arrays, before the next joint's
-    if report_file is not None:
+    if report_file is not None and pages:
         write_report(report_file, pages, bags)
         click.echo(f"report written: {report_file}", err=json_file == "-")
     if json_file:
         write_diagnoses(json_file, results)
-    named = any(result["causes"] or result["unexplained"] for result in results)
-    sys.exit(1 if fail_on_cause and named else 0)
+    named = any(result.get("causes") or result.get("unexplained") for result in results)
+    sys.exit(unjudged.code(1 if fail_on_cause and named else 0))
 
 
 def _one(
@@ -95,11 +114,8 @@ def _one(
 ) -> dict[str, Any]:
     from hd_diag.verdict import as_json, model_document, summary
 
-    try:
-        with telling(joint.name) as progress:
-            result = diagnosed(bags, joint, columns, divided, progress)
-    except RecordError as error:
-        raise Problem(f"{joint.name}: {error}") from error
+    with telling(joint.name) as progress:
+        result = diagnosed(bags, joint, columns, divided, progress)
     lines, written = summary(result), None
     if model_file is not None and result.model is None:
         lines.append("no model was written: the record does not allow one")

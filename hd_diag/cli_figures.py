@@ -19,12 +19,23 @@ _RESOLUTION = 200.0  # of PNG files [dots per inch]
 _CAPTIONS = "figures.md"
 
 
-@click.command(context_settings={"help_option_names": ["-h", "--help"]})
+@click.command(
+    context_settings={"help_option_names": ["-h", "--help"]},
+    short_help="The model's counterparts of the paper's Figs. 5 to 7.",
+    epilog="Example: hd-diag figures --out figures --format png",
+)
 @click.option(
     "--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Folder for the files."
 )
 @CONFIG
-@click.option("--format", "kind", type=click.Choice(["svg", "png", "pdf"]), default="svg", show_default=True)
+@click.option(
+    "--format",
+    "kind",
+    type=click.Choice(["svg", "png", "pdf"]),
+    default="svg",
+    show_default=True,
+    help="Of the figures.",
+)
 @problems
 def figures(out: Path, config_file: str | None, kind: str) -> None:
     """Draw the model's counterparts of the paper's Figs. 5, 6 and 7.

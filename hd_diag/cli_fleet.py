@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 import click
 from rich.console import Console
 
-from hd_diag.cli_bags import INTERRUPTED, bar, interrupts
+from hd_diag.cli_bags import bar, interrupts
 from hd_diag.cli_options import (
     CONFIG,
+    INTERRUPTED,
     JOINTS,
     JSON,
     Problem,
@@ -41,13 +42,19 @@ _BAG_TIMEOUT = 1800.0  # [s]
 _ERRORS_SHOWN = 20
 
 
-@click.command(context_settings={"help_option_names": ["-h", "--help"]})
+@click.command(
+    context_settings={"help_option_names": ["-h", "--help"]},
+    short_help="Diagnose every joint of many bags; what changes over time.",
+    epilog="Example: hd-diag fleet bags/ --config arm.yaml --out arm.parquet",
+)
 @click.argument(
     "bags", metavar="BAGS_OR_FOLDERS...", nargs=-1, required=True, type=click.Path(path_type=Path)
 )
 @CONFIG
 @JOINTS
-@click.option("--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="*.parquet")
+@click.option(
+    "--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="The table: *.parquet."
+)
 @click.option(
     "--figure", type=click.Path(dir_okay=False, path_type=Path), help="Draw the series: *.png, *.pdf, ..."
 )
@@ -65,7 +72,7 @@ _ERRORS_SHOWN = 20
     default=_BAG_TIMEOUT,
     show_default=True,
     help="What may be spent on looking at a bag, and on diagnosing each of its joints [s]; a bag that takes "
-    "longer gets an error and is tried again by the next run. 0 = any.",
+    "longer gets an error and is tried again by the next run. 0: no limit.",
 )
 @click.option(
     "--scheduler",
@@ -142,6 +149,8 @@ def _fleet(
         raise FleetError("--out, --json and --figure must be different files")
     for path in outputs:
         check_target(path, *found)
+    if options["out"].suffix != ".parquet":
+        raise FleetError(f"{options['out']}: the table is Parquet: name it *.parquet")
     if options["figure"]:
         check_format(options["figure"])
     return Fleet(found, config, joints, _pattern(options["robot"]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import os
+import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +16,12 @@ import click
 from hd_diag.bag import BagError, check_output
 from hd_diag.config import Config, ConfigError, JointConfig, load, resolve
 from hd_diag.demo_process import DemoError
+
+SIGNALLED = 128
+"""Plus the number of a signal: exit code of what it has ended, as shells have it."""
+
+INTERRUPTED = SIGNALLED + signal.SIGINT
+"""Exit code after Ctrl-C."""
 
 
 class Problem(click.ClickException):
@@ -44,14 +51,15 @@ CONFIG = click.option(
     "--config",
     "config_file",
     type=click.Path(dir_okay=False),
-    help="ROS parameter file; the example drive without.",
+    help="ROS parameter file. [default: the example drive]",
 )
+JOINT = click.option("--joint", help="Joint. [default: the first configured]")
 JOINTS = click.option("--joint", "names", multiple=True, help="Joint; repeatable. [default: all configured]")
 JSON = click.option(
     "--json",
     "json_file",
     type=click.Path(dir_okay=False, allow_dash=True),
-    help="Write the result here; - = stdout.",
+    help="Write the result here; - is stdout.",
 )
 
 

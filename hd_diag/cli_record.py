@@ -77,6 +77,45 @@ def _record(bags: Sequence[Path], joint: JointConfig, columns: str | None, divid
     return read_table(bags[0], {key.strip(): name.strip() for key, name in pairs}, joint, divided)
 
 
+class Unjudged:
+    """Joints of a run that cannot be judged: told on stderr, the others go on, and the exit code is 2.
+
+    The only joint that is asked for ends the run instead.
+
+    Parameters
+    ----------
+    asked : int
+        Number of joints.
+    """
+
+    def __init__(self, asked: int) -> None:
+        self._asked = asked
+        self.joints: list[str] = []
+
+    def told(self, joint: str, error: Exception) -> dict[str, Any]:
+        """What the JSON has of such a joint.
+
+        Raises
+        ------
+        Problem
+            Where no other joint is asked for.
+        """
+        if self._asked == 1:
+            raise Problem(f"{joint}: {error}") from error
+        self.joints.append(joint)
+        click.echo(f"hd-diag: {joint}: not judged: {' '.join(str(error).split())}", err=True)
+        return not_judged(joint, error)
+
+    def code(self, otherwise: int = 0) -> int:
+        """Exit code."""
+        return Problem.exit_code if self.joints else otherwise
+
+
+def not_judged(joint: str, error: Exception) -> dict[str, Any]:
+    """JSON of a joint whose record cannot be judged."""
+    return {"schema": "hd_diag/not_judged/1", "joint": joint, "error": str(error)}
+
+
 def check_targets(bags: Sequence[Path], *targets: Path | str | None) -> None:
     """Refuse before the work what could not be written, or would overwrite a bag or another result."""
     wanted = [target for target in targets if target is not None]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,7 +10,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hd_diag.cli_options import CONFIG, JOINTS, JSON, Problem, chosen_joints, configured, problems
-from hd_diag.cli_record import BAGS, COLUMNS, DIVIDED, check_targets, diagnosed, telling, write_diagnoses
+from hd_diag.cli_record import (
+    BAGS,
+    COLUMNS,
+    DIVIDED,
+    Unjudged,
+    check_targets,
+    diagnosed,
+    not_judged,
+    telling,
+    write_diagnoses,
+)
 from hd_diag.config import Config, JointConfig
 from hd_diag.criticism.record import RecordError
 
@@ -18,7 +29,11 @@ if TYPE_CHECKING:  # scipy and matplotlib are slow to import: only where they ar
     from hd_diag.report import JointReport
 
 
-@click.command(context_settings={"help_option_names": ["-h", "--help"]})
+@click.command(
+    context_settings={"help_option_names": ["-h", "--help"]},
+    short_help="A bag on one HTML page: verdict, what to inspect, pictures.",
+    epilog="Example: hd-diag report joint.mcap --config arm.yaml --out joint.html",
+)
 @BAGS
 @CONFIG
 @JOINTS
@@ -45,23 +60,32 @@ def report(
     Diagnoses the bag as `hd-diag diagnose` does, with the same JSON, and writes one HTML file that needs
     nothing else. Where a bag does not hold the output angle, or its record cannot be judged, it shows the
     model's side of the motion and says so; the JSON then has the reason as "error". Several bags are runs of
-    the same joint.
+    the same joint. A joint of which nothing can be shown is told on stderr, the others go on, and the exit
+    code is 2.
     """
     config = configured(config_file)
     target = out or Path(f"{bags[0].stem}.html")
     check_targets(bags, target, json_file)
     reports, results = [], []
-    for joint in chosen_joints(config, names):
-        with telling(joint.name) as progress:
-            page, result = _of_joint(bags, joint, config, columns, input_divided, progress)
+    chosen = chosen_joints(config, names)
+    unjudged = Unjudged(len(chosen))
+    for joint in chosen:
+        try:
+            with telling(joint.name) as progress:
+                page, result = _of_joint(bags, joint, config, columns, input_divided, progress)
+        except RecordError as error:
+            results.append(unjudged.told(joint.name, error))
+            continue
         reports.append(page)
         results.append(result)
         if json_file != "-":
             click.echo(f"{joint.name}: {page.verdict}")
-    write_report(target, reports, bags)
-    click.echo(f"report written: {target}", err=json_file == "-")
+    if reports:
+        write_report(target, reports, bags)
+        click.echo(f"report written: {target}", err=json_file == "-")
     if json_file:
         write_diagnoses(json_file, results)
+    sys.exit(unjudged.code())
 
 
 def _of_joint(
@@ -82,9 +106,8 @@ def _of_joint(
     except RecordError as error:
         motion = read_motion(bags, joint) if columns is None else None
         if motion is None:
-            raise Problem(f"{joint.name}: {error}") from error
-        told = {"schema": "hd_diag/not_judged/1", "joint": joint.name, "error": str(error)}
-        return of_motion(motion, joint, config.flat, str(error)), told
+            raise
+        return of_motion(motion, joint, config.flat, str(error)), not_judged(joint.name, error)
     progress("gathering the report's numbers")
     return joint_report(found, joint, config), as_json(found, joint.name)
 
@@ -108,7 +131,11 @@ def write_report(target: Path, reports: Sequence[JointReport], bags: Sequence[Pa
     from hd_diag.report_quality import Fact
     from hd_diag.verdict import digests
 
-    sources = [Fact(name, f"SHA-256 {digest}") for bag in bags for name, digest in digests(bag).items()]
+    sources = [
+        Fact(f"{bag.resolve().name}/{name}" if bag.is_dir() else name, f"SHA-256 {digest}")
+        for bag in bags
+        for name, digest in digests(bag).items()
+    ]
     try:
         write_page(target, reports, sources)
     except OSError as error:

@@ -35,11 +35,20 @@ _SHORT = {
 }
 
 
-@click.command(context_settings={"help_option_names": ["-h", "--help"]})
+@click.command(
+    context_settings={"help_option_names": ["-h", "--help"]},
+    short_help="Write a bag of a simulated joint.",
+    epilog="Example: hd-diag simulate --out joint.mcap --eccentricity-um 18",
+)
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="*.mcap or a rosbag2 folder.")
-@click.option("--config", "file", type=click.Path(path_type=Path), help="Parameter file of the drive.")
+@click.option(
+    "--config",
+    "file",
+    type=click.Path(path_type=Path),
+    help="ROS parameter file. [default: the example drive]",
+)
 @JOINTS
-@click.option("--duration", default=_MOTION.duration, show_default=True, help="[s]")
+@click.option("--duration", default=_MOTION.duration, show_default=True, help="Length of the record [s].")
 @click.option("--rate", default=_MOTION.sample_rate, show_default=True, help="Samples per second [Hz].")
 @click.option(
     "--speed",
@@ -60,29 +69,50 @@ _SHORT = {
     help="Torque on the link [N m]; repeatable.",
 )
 @click.option("--one-way", is_flag=True, help="Turn forwards only.")
-@click.option("--eccentricity-um", type=float, help="Eccentricity fixed in the housing [µm].")
-@click.option("--direction-deg", type=float, help="Its direction [degree].")
-@click.option("--runout-um", type=float, help="Part that turns with the wave generator [µm].")
-@click.option("--runout-direction-deg", type=float, help="Its direction at input angle zero [degree].")
+@click.option("--eccentricity-um", type=float, help="Eccentricity, fixed in the housing [µm].")
+@click.option("--direction-deg", type=float, help="Its direction [degrees].")
+@click.option("--runout-um", type=float, help="Runout, which turns with the wave generator [µm].")
+@click.option("--runout-direction-deg", type=float, help="Its direction at input angle 0 [degrees].")
 @click.option("--datum-mm", type=float, help="Datum radius of the circular spline's slots [mm].")
 @click.option(
-    "--set", "assignments", multiple=True, metavar="PARAMETER=VALUE", help="Any parameter; repeatable."
+    "--set",
+    "assignments",
+    multiple=True,
+    metavar="PARAMETER=VALUE",
+    help="Any parameter, such as joint_1.cup_compliance=2e-6; repeatable.",
 )
-@click.option("--offset-arcsec", default=0.0, help="Zero error of the output encoder [arcsec].")
-@click.option("--angle-noise-arcsec", default=0.0, help="White noise of the output angle [arcsec rms].")
-@click.option("--angle-drift-arcsec", default=0.0, help="Correlated noise of the output angle [arcsec rms].")
-@click.option("--torque-noise", default=0.0, help="White noise of the torque [N m rms].")
+@click.option(
+    "--offset-arcsec", default=0.0, show_default=True, help="Zero error of the output encoder [arcsec]."
+)
+@click.option(
+    "--angle-noise-arcsec",
+    default=0.0,
+    show_default=True,
+    help="White noise of the output angle [arcsec rms].",
+)
+@click.option(
+    "--angle-drift-arcsec",
+    default=0.0,
+    show_default=True,
+    help="Correlated noise of the output angle [arcsec rms].",
+)
+@click.option("--torque-noise", default=0.0, show_default=True, help="White noise of the torque [N m rms].")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Seed of the noise.")
-@click.option("--start-time", default=simulation.START / _SECOND, help="First stamp, Unix time [s].")
+@click.option(
+    "--start-time", default=simulation.START / _SECOND, show_default=True, help="First stamp, Unix time [s]."
+)
 @click.option("--temperature", is_flag=True, help="Write /<joint>/temperature at 1 Hz too.")
 @click.option("--overwrite", is_flag=True, help="Replace a bag that exists.")
-@click.option("--json", "summary", type=click.Path(path_type=Path), help="Write the truth to this file.")
+@click.option(
+    "--json", "summary", type=click.Path(path_type=Path), help="Write the true values to this file."
+)
 def simulate(
     out: Path, file: Path | None, names: tuple[str, ...], summary: Path | None, **options: Any
 ) -> None:
     """Write a bag of a simulated joint.
 
-    The truth is the configuration of --config, or the built-in example drive, with what the options change.
+    The joint is that of --config with what the options change; it moves both ways at every speed under every
+    torque. What an option does not give stands in the configuration.
     """
     try:
         config = truth(file, names, options)

@@ -17,7 +17,7 @@ from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Table
 
-from hd_diag.cli_options import CONFIG, JSON, Problem, check_target, configured, problems, write_json
+from hd_diag.cli_options import CONFIG, JOINT, JSON, Problem, check_target, configured, problems, write_json
 from hd_diag.config import Config, JointConfig
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.tolerance.assembly import ANGLES, FACTORS, WITHIN
@@ -50,9 +50,13 @@ _LIMITS = {
 _SHARE = click.FloatRange(0.0, 1.0)
 
 
-@click.command(context_settings={"help_option_names": ["-h", "--help"]})
+@click.command(
+    context_settings={"help_option_names": ["-h", "--help"]},
+    short_help="Say what eccentricity an assembly may have.",
+    epilog="Example: hd-diag tolerance --config arm.yaml --joint elbow --te-arcsec 20",
+)
 @CONFIG
-@click.option("--joint", help="Which joint of the configuration; the first without.")
+@JOINT
 @click.option(
     "--torque",
     "torques",
@@ -85,8 +89,16 @@ _SHARE = click.FloatRange(0.0, 1.0)
     show_default=True,
     help="For the Sobol indices, a power of two; 0 = none.",
 )
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the assemblies drawn.")
-@click.option("--target", type=_SHARE, default=0.95, show_default=True, help="Share that shall be good [-].")
+@click.option(
+    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the random assemblies."
+)
+@click.option(
+    "--target",
+    type=_SHARE,
+    default=0.95,
+    show_default=True,
+    help="Share of assemblies that shall be good [-].",
+)
 @click.option(
     "--jobs",
     type=click.IntRange(1, 256),
@@ -114,7 +126,7 @@ def tolerance(
     For every criterion the eccentricity that first exceeds its limit, over all directions and input angles;
     then assemblies drawn from the configured tolerances: the share within the limits against the tolerance of
     the eccentricity, and which tolerance matters. Limits and tolerances are in the configuration's section
-    "tolerance".
+    "tolerance"; an option takes a limit's place.
     """
     _check_figure(figure_file)
     config = configured(config_file)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, TextIO
 
 import click
 
-from hd_diag.cli_options import Problem, problems, write_json
+from hd_diag.cli_options import SIGNALLED, Problem, problems, write_json
 from hd_diag.told import visible
 from hd_diag.watch import Watch, as_json
 from hd_diag.watch_display import PLAIN_PERIOD, Display
@@ -27,7 +27,6 @@ _STEP = 0.2  # longest sleep between looks at signals [s]
 # Between the first report and a look at who else is there [s]: DDS may take 2.7 s to discover a second node.
 _SETTLE = 3.0
 _SETTLE_JOINTS = 0.5  # where it is known what is waited for
-_SIGNALLED = 128  # plus the signal's number: exit code, as shells have it
 _FAULT = 1
 
 Show = Callable[[Watch, float, bool], None]
@@ -54,7 +53,11 @@ def _signals() -> Iterator[list[int]]:
             signal.signal(number, handler)
 
 
-@click.command(context_settings={"help_option_names": ["-h", "--help"]})
+@click.command(
+    context_settings={"help_option_names": ["-h", "--help"]},
+    short_help="A running node in the terminal: numbers and faults by joint.",
+    epilog="Example: hd-diag watch --once --joint joint_1 --fail-on-fault",
+)
 @click.option("--joint", "joints", multiple=True, help="Joint; repeatable. [default: all]")
 @click.option(
     "--namespace",
@@ -130,7 +133,7 @@ def _once(
     """Wait for every joint that is known of, and show them; exit code."""
     _wait_for_all(state, listener, came, timeout)
     if came:
-        return _SIGNALLED + came[0]
+        return SIGNALLED + came[0]
     now = time.monotonic()
     if json_file:
         write_json(json_file, as_json(state, now))
@@ -171,7 +174,7 @@ def _follow(
             show(state, now, is_last)
             if is_last:
                 return _FAULT
-    return _SIGNALLED + came[0]
+    return SIGNALLED + came[0]
 
 
 @contextlib.contextmanager

@@ -10,7 +10,6 @@ import json
 import os
 import signal
 import tempfile
-import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
@@ -65,7 +64,7 @@ _EXPECTED_TOPICS = (
 _ANSWER_LIMIT = 10.0  # for a parameter to be answered, and to show in the diagnostics [s]
 
 
-_STOP = threading.Event()
+_CAME: list[int] = []  # signals that are to end it
 
 
 class Observer(Node):
@@ -96,7 +95,7 @@ class Observer(Node):
         end = time.monotonic() + seconds
         self._arrived.clear()
         while (left := end - time.monotonic()) > 0.0:
-            if _STOP.is_set():  # the exception was swallowed by a callback that ran just then
+            if _CAME:  # the exception was swallowed by a callback that ran just then
                 raise KeyboardInterrupt
             rclpy.spin_once(self, timeout_sec=min(left, 0.1))
             while self._arrived:
@@ -142,7 +141,8 @@ def run(folder: Path | None, seconds: float) -> dict[str, Any]:
     Returns
     -------
     dict
-        Schema ``hd_diag/demo/1``; ``complete`` is True if everything held, ``missing`` says what did not.
+        Schema ``hd_diag/demo/1``; ``complete`` is True if everything held, ``missing`` says what did not,
+        ``signal`` which one has interrupted it.
 
     Raises
     ------
@@ -181,12 +181,13 @@ def run(folder: Path | None, seconds: float) -> dict[str, Any]:
         try:
             after = look_back(folder)
         except KeyboardInterrupt:
-            missing = ["it was interrupted"]
+            interrupted, missing = True, ["it was interrupted"]
     missing += after.problems
     summary = {
         "schema": "hd_diag/demo/1",
         "complete": not missing,
         "missing": missing,
+        "signal": [*_CAME, signal.SIGINT][0] if interrupted else None,
         "folder": str(folder),
         "log": str(folder / "log"),
         "log_size": log.size,
@@ -205,7 +206,7 @@ def run(folder: Path | None, seconds: float) -> dict[str, Any]:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    _STOP.set()
+    _CAME.append(number)
     raise KeyboardInterrupt
 
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 import statistics
+import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
 
@@ -180,7 +182,9 @@ class Display:
             )
         else:
             self.say("NOT COMPLETE: " + "; ".join(summary["missing"]))
-        self._say_all([line.format(folder=summary["folder"]) for line in _NEXT])
+            return
+        places = {"folder": summary["folder"], "command": _command()}
+        self._say_all([line.format(**places) for line in _NEXT])
 
     def _tell_residual(self, steps: Sequence[Mapping[str, Any]], true_eccentricity: float) -> None:
         residuals = {
@@ -196,10 +200,17 @@ class Display:
 
 _NEXT = (
     "Next:",
-    "  hd-diag mesh --config {folder}/node.yaml --torque 14   every tooth at one moment",
-    "  hd-diag check {folder}/node.yaml                       its values are yours to change",
-    "  hd-diag node --config {folder}/node.yaml               beside your own robot's /joint_states",
+    "  {command} mesh --config {folder}/node.yaml --torque 14   every tooth at one moment",
+    "  {command} check {folder}/node.yaml                       its values are yours to change",
+    "  {command} node --config {folder}/node.yaml               beside your own robot's /joint_states",
 )
+
+
+def _command() -> str:
+    """How the command is called: by its path where it is below this folder, as in an environment of make."""
+    place, here = Path(sys.argv[0]).absolute(), Path.cwd()
+    is_below = place.name == "hd-diag" and place.is_relative_to(here)
+    return str(place.relative_to(here)) if is_below else "hd-diag"
 
 
 def _table(steps: Sequence[Step]) -> Table:

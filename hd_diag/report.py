@@ -25,6 +25,7 @@ from hd_diag.report_advice import Card, cards
 from hd_diag.report_ladder import Rung, benches, ladder
 from hd_diag.report_quality import Fact, facts
 from hd_diag.report_stages import (
+    EXTENDED,
     NOMINAL,
     Comparison,
     Stages,
@@ -289,7 +290,9 @@ def _marks(diagnosis: Diagnosis) -> list[Mark]:
         return marks
     bench = diagnosis.found.bench
     for cause in diagnosis.causes:
-        part = bench.columns(cause.effect, cause.nonlinear) @ cause.coefficients
+        # Columns after the cause's own are of what wanders, which is no order.
+        columns = bench.columns(cause.effect, cause.nonlinear)[:, : cause.coefficients.size]
+        part = columns @ cause.coefficients
         marks += _own_orders(bench.signals.wave_generator_angle, part, words(cause.effect.name))
     return sorted(marks)
 
@@ -308,11 +311,15 @@ def _own_orders(angle: Floats, part: Floats, name: str) -> list[Mark]:
     return marks
 
 
-def told_held(held: Held) -> str:
-    """The gain in one sentence."""
+def told_held(found: Judgement) -> str:
+    """The gain in two sentences; empty where nothing was held out."""
+    held = found.held
+    if held is None:
+        return ""
+    extended = f", extended by the causes {arcsec(held.extended)}" if EXTENDED in found.orders else ""
     return (
         f"On data that no fit saw ({held.told}) the configured model leaves {arcsec(held.nominal)} rms, "
-        f"refitted {arcsec(held.refit)}, extended {arcsec(held.extended)}; the noise floor is "
-        f"{arcsec(held.noise)}. {100.0 * held.fraction:.1f} % of the mean square is explained "
+        f"refitted {arcsec(held.refit)}{extended}; the noise floor is {arcsec(held.noise)}. "
+        f"{100.0 * held.fraction:.1f} % of the mean square is explained "
         f"({100.0 * held.low:.1f} to {100.0 * held.high:.1f} %)."
     )

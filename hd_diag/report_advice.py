@@ -12,8 +12,10 @@ from hd_diag.criticism import base
 from hd_diag.criticism.acceptance import LEAST_SIZE
 from hd_diag.criticism.causes import Cause
 from hd_diag.criticism.diagnosis import Diagnosis
+from hd_diag.criticism.refit import usable
 from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE
+from hd_diag.report_stages import simulated_error
 from hd_diag.told import arcsec, direction, number, quantity, si, spread_number, words
 
 Floats = npt.NDArray[np.float64]
@@ -119,12 +121,19 @@ def _is_other(entry: dict[str, float]) -> bool:
 
 
 def parameter_sizes(diagnosis: Diagnosis) -> dict[str, float]:
-    """How much of the error the change of each group of parameters is, to first order [rad rms]."""
-    assert diagnosis.found is not None
+    """How much the refitted drive's error changes where a group of parameters is as configured [rad rms]."""
     assert diagnosis.refitted is not None
-    bench = diagnosis.found.bench
-    change = diagnosis.refitted.parameters - base.vector(diagnosis.configured, diagnosis.configured)
-    return {name: float(np.std(bench.jacobian[:, at] @ change[at])) for name, (at, _) in _GROUPS.items()}
+    configured, refitted = diagnosis.configured, diagnosis.refitted
+    record = diagnosis.record.select(usable(diagnosis.record))
+    as_configured = base.vector(configured, configured)
+    whole = simulated_error(refitted.drive, record)
+    sizes = {}
+    for name, (at, _) in _GROUPS.items():
+        without = refitted.parameters.copy()
+        without[at] = as_configured[at]
+        drive = base.drive_of(without, configured)
+        sizes[name] = float(np.nanstd(whole - simulated_error(drive, record)))
+    return sizes
 
 
 def _eccentricity(values: dict[str, dict[str, float]], size: float, drive: Drive) -> Card:

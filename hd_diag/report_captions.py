@@ -24,8 +24,8 @@ def over_angle(found: Comparison) -> str:
     low, high = (number(torque) for torque in found.torques)
     return (
         f"Over a turn of the wave generator, at torques from {low} to {high} N m ({found.samples} samples): "
-        f"means in bins of {360 // found.measured.center.size}°, {_SPREAD}. The error is told less the "
-        "drive's mean at the same torque. Ripple of the means, peak to peak: measured "
+        f"means in bins of {360 // found.measured.center.size}°, {_SPREAD}. The drive's mean at "
+        "the same torque is taken off. Ripple of the means, peak to peak: measured "
         f"{_ripple(found.measured.mean)}, "
         f"{_each({name: _ripple(mean) for name, mean in found.simulated.items()})}. Greatest mean left: "
         f"{_each(_worst(found))}."
@@ -63,8 +63,7 @@ def orders(found: Judgement) -> str:
         name: f"{arcsec(float(amplitude.max()))} at order {order[np.argmax(amplitude)]:.2f}"
         for name, (order, amplitude) in found.orders.items()
     }
-    named = "" if found.marks else " No order has a name of its own."
-    return f"Order spectrum of what is left, every peak kept. Highest: {_each(peaks)}.{named}"
+    return f"Order spectrum of what is left, every peak kept. Highest: {_each(peaks)}."
 
 
 def named_orders(found: Judgement) -> str:
@@ -136,7 +135,7 @@ def _floor(held: Held | None) -> str:
     if held is None:
         return ""
     return (
-        f"Diamonds: the data that were never fitted ({held.told}); the extended model as the node runs it. "
+        f"Diamonds: the data that were never fitted ({held.told}), the last model as the node runs it. "
         f"Noise floor {arcsec(held.noise)} ({arcsec(held.noise_low)} to {arcsec(held.noise_high)})."
     )
 

@@ -71,4 +71,9 @@ def _ways(moved: Floats) -> str:
 
 
 def _range(values: Floats, unit: str) -> str:
-    return f"{number(float(values.min()))} to {number(float(values.max()))} {unit}"
+    ends = np.array([values.min(), values.max()])
+    step = 10.0 ** (
+        np.floor(np.log10(max(float(np.abs(ends).max()), 1e-300))) - 2.0
+    )  # three digits of the larger
+    low, high = (number(float(end)) for end in np.round(ends / step) * step)
+    return f"{low} to {high} {unit}"

@@ -43,7 +43,7 @@ class Stages:
     measured : ndarray, shape (n,)
         Transmission error less the encoders' offset [rad].
     residual : dict of str to ndarray, shape (n,)
-        Measured less simulated error [rad] by stage.
+        Measured less simulated error [rad] by stage; without causes the extended model is the refitted one.
     drive : Drive
         The best that is known of it.
     """
@@ -86,17 +86,23 @@ def stages(diagnosis: Diagnosis, plain: Workbench | None) -> Stages:
     record, configured = diagnosis.record.select(rows), diagnosis.configured
     ratio = configured.kinematics.ratio
     error = record.output_angle - record.input_angle / ratio
-    first = error - base.error(configured, record.input_angle, record.torque)
+    first = error - simulated_error(configured, record)
     offset = float(first.mean()) if diagnosis.model is None else diagnosis.model.offset
     residual = {NOMINAL: first - first.mean()}
     if plain is not None:
         residual[REFIT] = plain.remainder(())
-    if diagnosis.model is not None:
+    if diagnosis.model is not None and diagnosis.causes:
         whole = left(diagnosis.model, diagnosis.record, diagnosis.record.torque, map_of(diagnosis.model))
         residual[EXTENDED] = whole[rows]
     drive = diagnosis.refitted.drive if diagnosis.refitted else configured
     angle = drive.kinematics.wave_generator_angle(drive.mesh.geometry, record.input_angle)
     return Stages(record, angle, error - offset, residual, drive)
+
+
+def simulated_error(drive: Drive, record: Record) -> Floats:
+    """Transmission error of a drive along a record [rad]."""
+    error, _, _ = base.along(drive, drive, record.input_angle, record.torque)
+    return error
 
 
 def over_angle(found: Stages) -> Comparison:

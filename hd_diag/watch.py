@@ -31,12 +31,24 @@ _NAMES_TOLD = 5
 
 
 class Message(NamedTuple):
-    """A diagnostic_msgs/DiagnosticStatus: name, level, text, values."""
+    """A diagnostic_msgs/DiagnosticStatus: name, level, text, values, and whose it is."""
 
     name: str
     level: int
     text: str
     values: Mapping[str, str]
+    hardware_id: str = ""
+
+    @property
+    def joint(self) -> str:
+        """What follows the prefix in the name."""
+        return self.name[len(PREFIX) :]
+
+    @property
+    def node(self) -> str:
+        """The node that the hardware_id, ``<node>/<joint>``, names; empty where it names none."""
+        tail = f"/{self.joint}"
+        return self.hardware_id.removesuffix(tail) if self.hardware_id.endswith(tail) else ""
 
 
 @dataclass(frozen=True)
@@ -64,9 +76,9 @@ class JointView:
 
     Attributes
     ----------
-    name, topic, message : str
+    name, topic, hardware_id, message : str
     nodes : tuple of str
-        Who reports it; several where that cannot be told apart.
+        Who reports it; several where there is no hardware_id to tell them apart.
     level : int
         As in DiagnosticStatus.
     values : mapping of str to str
@@ -81,6 +93,7 @@ class JointView:
 
     name: str
     topic: str
+    hardware_id: str
     nodes: tuple[str, ...]
     level: int
     message: str
@@ -150,7 +163,7 @@ class Watch:
     nodes: Sequence[NodeSeen] = ()
     others: list[str] = field(default_factory=list)
     messages: int = 0
-    _known: dict[tuple[str, str], _Known] = field(default_factory=dict)
+    _known: dict[tuple[str, str, str], _Known] = field(default_factory=dict)
 
     def take(self, topic: str, statuses: Iterable[Message], now: float) -> None:
         """Take a DiagnosticArray that came on a topic at a time [s]."""
@@ -158,26 +171,32 @@ class Watch:
         for status in statuses:
             if not status.name.startswith(PREFIX):
                 self._note(_cut(status.name))
-            elif len(self._known) < _MOST_JOINTS or self._key(topic, status) in self._known:
-                self._take_joint(topic, status, now)
+            else:
+                self._take_joint(topic, _bounded(status), now)
 
     def wanted_nodes(self) -> list[NodeSeen]:
         """Nodes asked for that are in the graph."""
-        return [node for node in self.nodes if self._is_wanted(node)]
+        return [node for node in self.nodes if self._is_wanted(node.name)]
 
     def view(self, now: float) -> list[JointView]:
         """The joints asked for that were reported, by node and name, at a time [s]."""
-        views = [self._view(topic, joint, known, now) for (topic, joint), known in self._known.items()]
+        views = [self._view(topic, known, now) for (topic, _, _), known in self._known.items()]
         shown = [view for view in views if view is not None]
-        return sorted(shown, key=lambda view: (view.nodes, view.topic, view.name))
+        return sorted(shown, key=lambda view: (view.nodes, view.topic, view.name, view.hardware_id))
 
     def missing(self) -> list[str]:
         """Joints that are asked for, or that a node asked for has, and that were not reported yet."""
-        reported = {view.name for view in self.view(0.0)}
+        views = self.view(0.0)
+        names = {view.name for view in views}
         if self.joints:
-            return [joint for joint in self.joints if joint not in reported]
-        pairs = [(node, joint) for node in self.wanted_nodes() for joint in sorted(node.joints)]
-        return [joint for node, joint in pairs if (node.topic, joint) not in self._known]
+            return [joint for joint in self.joints if joint not in names]
+        reported = {(name, view.topic, view.name) for view in views for name in view.nodes}
+        return [
+            f"{node.name} {joint}" if joint in names else joint
+            for node in self.wanted_nodes()
+            for joint in sorted(node.joints)
+            if (node.name, node.topic, joint) not in reported
+        ]
 
     def explanation(self) -> list[str]:
         """What was seen instead of what was asked for, one sentence each."""
@@ -189,7 +208,8 @@ class Watch:
         else:
             found.append(f"{_names(self.wanted_nodes())} is there")
         if self.joints and self._known:
-            found.append(f"joints reported: {_listed(sorted({joint for _, joint in self._known}))}")
+            names = {known.message.joint for known in self._known.values()}
+            found.append(f"joints reported: {_listed(sorted(names))}")
         if self.others:
             found.append(f"other diagnostics: {_listed(self.others)}")
         elif not self.messages:
@@ -200,36 +220,41 @@ class Watch:
         if name not in self.others and len(self.others) < _MOST_OTHERS:
             self.others.append(name)
 
-    def _key(self, topic: str, status: Message) -> tuple[str, str]:
-        return topic, _cut(status.name[len(PREFIX) :])
-
     def _take_joint(self, topic: str, status: Message, now: float) -> None:
-        pairs = list(status.values.items())[:_MOST_VALUES]
-        values = {_cut(key): _cut(value) for key, value in pairs}
-        message = Message(_cut(status.name), status.level, _cut(status.text), values)
-        known = self._known.get(self._key(topic, status))
-        if known is None:
-            known = self._known[self._key(topic, status)] = _Known(message, now)
+        key = topic, status.hardware_id, status.joint
+        known = self._known.get(key)
+        if known is not None:
+            known.take(status, now)
+        elif len(self._known) < _MOST_JOINTS:
+            known = self._known[key] = _Known(status, now)
         else:
-            known.take(message, now)
-        known.residuals.append(number(values.get("residual_rms_arcsec", "")))
+            return
+        known.residuals.append(number(status.values.get("residual_rms_arcsec", "")))
 
-    def _is_wanted(self, node: NodeSeen) -> bool:
-        below = [f"/{name.strip('/')}/".replace("//", "/") for name in self.namespaces]
-        return not below or any(node.name.startswith(name) for name in below)
+    def _is_wanted(self, name: str) -> bool:
+        below = [f"/{namespace.strip('/')}/".replace("//", "/") for namespace in self.namespaces]
+        return not below or any(name.startswith(namespace) for namespace in below)
 
-    def _view(self, topic: str, joint: str, known: _Known, now: float) -> JointView | None:
+    def _senders(self, topic: str, message: Message) -> list[str]:
+        """Names of the nodes that may have sent a status: the one it names, or all that the graph leaves."""
+        if message.node:
+            return [message.node]
+        on_topic = [node for node in self.nodes if node.topic == topic]
+        return sorted(node.name for node in on_topic if not node.joints or message.joint in node.joints)
+
+    def _view(self, topic: str, known: _Known, now: float) -> JointView | None:
         """The joint; None where it is not asked for."""
+        joint = known.message.joint
         if self.joints and joint not in self.joints:
             return None
-        on_topic = [node for node in self.nodes if node.topic == topic]
-        senders = [node for node in on_topic if not node.joints or joint in node.joints]
-        if self.namespaces and not any(self._is_wanted(node) for node in senders):
+        senders = self._senders(topic, known.message)
+        if self.namespaces and not any(map(self._is_wanted, senders)):
             return None
         return JointView(
             name=joint,
             topic=topic,
-            nodes=tuple(sorted(node.name for node in senders)),
+            hardware_id=known.message.hardware_id,
+            nodes=tuple(senders),
             level=known.message.level,
             message=known.message.text,
             values=known.message.values,
@@ -277,6 +302,7 @@ def as_json(watch: Watch, now: float) -> dict[str, Any]:
 def _joint_json(view: JointView) -> dict[str, Any]:
     return {
         "joint": view.name,
+        "hardware_id": view.hardware_id,
         "nodes": list(view.nodes),
         "topic": view.topic,
         "level": level_name(view.level),
@@ -299,6 +325,12 @@ def _json_value(text: str) -> Any:
     except ValueError:
         return text
     return value if math.isfinite(value) else None
+
+
+def _bounded(status: Message) -> Message:
+    """What is kept of a status."""
+    values = {_cut(key): _cut(value) for key, value in list(status.values.items())[:_MOST_VALUES]}
+    return Message(_cut(status.name), status.level, _cut(status.text), values, _cut(status.hardware_id))
 
 
 def _cut(text: str) -> str:

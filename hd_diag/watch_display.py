@@ -121,7 +121,8 @@ def table(
     views = watch.view(now)
     if not views:
         return Group(*waiting(watch, width, mark))
-    blocks = [_joint_lines(view, width, bars, mark) for view in views]
+    names = [view.name for view in views]
+    blocks = [_joint_lines(view, names.count(view.name) > 1, width, bars, mark) for view in views]
     kept = _fitting(views, blocks, height - _LINES_ABOUT)
     lines = [_title(views, width, mark), *_heading(width, mark)]
     for index in kept:
@@ -172,7 +173,7 @@ class Display:
         self._live = Live(console=self._console, auto_refresh=False) if is_live else None
         self._bars, self._mark = _marks(self._console.encoding)
         self._next = -math.inf
-        self._told: dict[tuple[str, str], tuple[float, str, bool]] = {}
+        self._told: dict[tuple[str, str, str], tuple[float, str, bool]] = {}
         self._waiting = ""
 
     def __enter__(self) -> Display:
@@ -218,7 +219,7 @@ class Display:
 
     def _is_news(self, view: JointView, arrived: float) -> bool:
         """Whether a report has another fault than the last that was told, or came long after it."""
-        key = (view.topic, view.name)
+        key = (view.topic, view.hardware_id, view.name)
         told, code, was_silent = self._told.get(key, (-math.inf, "", False))
         is_due = arrived >= told + PLAIN_PERIOD
         if not is_due and (view.code, view.is_silent) == (code, was_silent):
@@ -277,8 +278,11 @@ def _heading(width: int, mark: str) -> list[Text]:
     return lines
 
 
-def _joint_lines(view: JointView, width: int, bars: str, mark: str) -> list[Text]:
-    """Numbers; what is wrong; bookkeeping with the curve. Where nothing is wrong the last two are one."""
+def _joint_lines(view: JointView, is_shared: bool, width: int, bars: str, mark: str) -> list[Text]:
+    """Numbers; what is wrong; bookkeeping with the curve. Where nothing is wrong the last two are one.
+
+    Where the joint's name is shared, the bookkeeping begins with its node.
+    """
     name = Text().append(_shown(_shown_name(view)), "bold")
     _truncate(name, _name_width(width), mark)
     numbers = "".join(
@@ -289,7 +293,8 @@ def _joint_lines(view: JointView, width: int, bars: str, mark: str) -> list[Text
     if view.is_silent:
         line.stylize(_GREY)
     verdict = Text("  ").append(_shown(_verdict(view)), _style(view))
-    details = Text("  ").append(", ".join(map(_shown, _bookkeeping(view))), _GREY)
+    bookkeeping = [_node(view), *_bookkeeping(view)] if is_shared else _bookkeeping(view)
+    details = Text("  ").append(", ".join(map(_shown, bookkeeping)), _GREY)
     if not view.is_faulty and not view.is_silent:
         return [_fit(line, width, mark), _with_curve(verdict.append(details), view, width, bars, mark)]
     return [
@@ -351,8 +356,13 @@ def _shown_name(view: JointView) -> str:
     return f"{namespace}/{view.name}" if namespace else view.name
 
 
+def _node(view: JointView) -> str:
+    """Who reports it, as far as that is known."""
+    return " or ".join(view.nodes) or view.hardware_id or view.topic
+
+
 def _whole_name(view: JointView) -> str:
-    return f"{' or '.join(view.nodes) or view.topic} {view.name}"
+    return f"{_node(view)} {view.name}"
 
 
 def _name_width(width: int) -> int:

@@ -88,7 +88,9 @@ class Listener(Node):
 
 def _message(status: Any) -> Message:
     values = {pair.key: pair.value for pair in status.values}
-    return Message(status.name, int.from_bytes(status.level, "little"), status.message, values)
+    return Message(
+        status.name, int.from_bytes(status.level, "little"), status.message, values, status.hardware_id
+    )
 
 
 @contextlib.contextmanager

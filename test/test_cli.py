@@ -1,7 +1,9 @@
 """The command line: every verb's help, exit codes, one-line errors, and what `mesh --json` says."""
 
+import importlib.abc
 import json
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +14,7 @@ from cli_runner import runner
 from click.testing import Result
 from reference import published
 
+from hd_diag.__main__ import main
 from hd_diag.cli import cli
 from hd_diag.config import dump, resolve
 
@@ -66,6 +69,20 @@ def test_help_of_every_verb(verb: str) -> None:
 def test_help_lists_every_verb() -> None:
     listed = hd_diag("--help").output.partition("Commands:")[2]
     assert [line.split()[0] for line in listed.splitlines() if line[:3] == "  " + line[2:3].strip()] == VERBS
+
+
+def test_help_cuts_no_verb_s_line_short_at_80_columns() -> None:
+    told = runner().invoke(cli, ["--help"], terminal_width=80).output.partition("Commands:")[2]
+    assert not [line for line in told.splitlines() if line.endswith("...") or len(line) > 80]
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_has_an_example_that_its_parser_takes(verb: str) -> None:
+    example = cli.commands[verb].epilog
+    command, own, *words = shlex.split(example.removeprefix("Example: "))
+    assert (command, own) == ("hd-diag", verb)
+    cli.commands[verb].make_context(verb, words)
+    assert example in runner().invoke(cli, [verb, "--help"], terminal_width=80).output  # on one line
 
 
 def test_readme_lists_every_verb() -> None:
@@ -204,6 +221,48 @@ def test_mesh_table_lists_the_teeth_that_can_touch(tmp_path: Path) -> None:
 @pytest.mark.parametrize("value", ["nan", "inf"])
 def test_mesh_refuses_what_is_not_finite(value: str) -> None:
     assert_one_line_error(hd_diag("mesh", "--torque", value), "must be finite")
+
+
+# Ctrl-C ---
+
+
+def test_an_interruption_is_one_line_and_130(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The usual one, and what numba's compiled code makes of one that comes while it runs."""
+
+    def interrupted(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    def in_compiled_code(*_: Any) -> None:
+        try:
+            interrupted()
+        except KeyboardInterrupt as error:
+            raise SystemError("CPUDispatcher returned a result with an exception set") from error
+
+    def further_in(*_: Any) -> None:
+        try:
+            in_compiled_code()
+        except SystemError as error:
+            raise SystemError("another returned a result with an exception set") from error
+
+    for happens in (interrupted, in_compiled_code, further_in):
+        monkeypatch.setattr("hd_diag.cli.moment", happens)
+        result = hd_diag("mesh")
+        assert (result.exit_code, result.stdout, result.stderr.strip()) == (130, "", "hd-diag: interrupted")
+
+
+def test_an_interruption_while_modules_are_imported(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Interrupting(importlib.abc.MetaPathFinder):
+        def find_spec(self, name: str, *_: Any) -> None:
+            if name == "hd_diag.cli":
+                raise KeyboardInterrupt
+
+    monkeypatch.delitem(sys.modules, "hd_diag.cli")
+    monkeypatch.setattr(sys, "meta_path", [Interrupting(), *sys.meta_path])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert (ended.value.code, *capsys.readouterr()) == (130, "", "hd-diag: interrupted\n")
 
 
 # As installed ---

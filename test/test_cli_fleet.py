@@ -344,6 +344,7 @@ def test_no_bag_that_can_be_judged(tmp_path: Path) -> None:
         (("a.mcap", "--limit", "eccentricity=x"), "'x' is no number"),
         (("a.mcap", "--limit", "eccentricity=nan"), "must be positive and finite"),
         (("a.mcap", "--scheduler", "tcp://127.0.0.1:9"), "with --scheduler its workers set them"),
+        (("a.mcap", "--out", "f.csv"), "name it *.parquet"),
     ],
 )
 def test_bad_usage_is_told_before_anything_is_done(

@@ -169,7 +169,7 @@ def test_signal_ends_it_with_a_readable_log(number: signal.Signals, tmp_path: Pa
     time.sleep(1.0)
     process.send_signal(number)
     out, err = process.communicate(timeout=60)
-    assert (process.returncode, err) == (1, "")
+    assert (process.returncode, err) == (128 + number, "")
     assert "NOT COMPLETE: it was interrupted" in out
     assert processes_of(tmp_path) == []
     log = summarize(tmp_path / "out/log")

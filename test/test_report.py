@@ -1,5 +1,6 @@
 """The numbers of a report and its page: the diagnosis's own; nothing out of a bag acts on the page."""
 
+import dataclasses
 import json
 import re
 from html.parser import HTMLParser
@@ -8,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from benches import CONFIGURED, EFFECTS, TRUE, bench
 from challenge import records
 from cli_runner import runner
 from click.testing import Result
@@ -16,9 +18,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 from report_samples import HOSTILE, configured, diagnosis, joint_report, made, without_output
 
 from hd_diag.cli import cli
+from hd_diag.config import dump, resolve
 from hd_diag.criticism import base
+from hd_diag.criticism.causes import Search, causes
 from hd_diag.criticism.diagnosis import diagnose
-from hd_diag.drive import mesh_state
+from hd_diag.drive import mesh_state, transmission_error
 from hd_diag.report import Judgement, of_diagnosis
 from hd_diag.report_page import page
 from hd_diag.report_quality import Fact, facts
@@ -188,6 +192,37 @@ def test_a_wrong_ratio_is_all_that_is_said_first() -> None:
     assert len([1 for tag, _ in read.tags if tag == "svg"]) == 7
 
 
+def test_a_joint_that_is_eccentric_and_no_more() -> None:
+    """The card's size is what the displacement does to the error; without a cause no stage is extended."""
+    whole = configured()
+    found = diagnose(prepared(columns()), whole.joints[0].drive)
+    report = of_diagnosis(found, whole.joints[0], whole.flat)
+    assert report.judgement is not None
+    (card,) = report.judgement.cards
+    assert card.title == "Eccentricity of the wave generator in the housing"
+    motion = found.record.input_angle, found.record.torque
+    added = transmission_error(TRUE, *motion) - transmission_error(CONFIGURED, *motion)
+    assert card.size == pytest.approx(np.std(added), rel=0.02)
+    assert list(report.judgement.orders) == ["as configured", "refitted"]
+    assert "extended" not in Reader(page([report], SOURCES)).text
+
+
+def test_a_bearing_that_slips_has_its_order_marked() -> None:
+    """A fit carries more columns of it than the cause keeps coefficients."""
+    bearing, whole = EFFECTS["bearing_passage"], configured()
+    moved = bench(lambda signals: 2e-5 * np.cos(2.6 * signals.wave_generator_angle)).record
+    found = diagnose(moved, whole.joints[0].drive)
+    assert found.found is not None
+    fitted = found.found.bench
+    (cause,) = causes(fitted, ((bearing, (2.6, 1.0)),), {}, ())
+    assert fitted.columns(bearing, cause.nonlinear).shape[1] > cause.coefficients.size
+    slipping = dataclasses.replace(found, found=Search(fitted, (cause,)), unexplained=())
+    judgement = of_diagnosis(slipping, whole.joints[0], whole.flat).judgement
+    assert judgement is not None
+    (mark,) = judgement.marks
+    assert (mark.name, mark.order) == ("bearing passage", pytest.approx(2.6, abs=0.05))
+
+
 def test_a_record_without_torque_has_no_measured_stiffness() -> None:
     given = {name: column for name, column in columns(seconds=10.0).items() if name != "torque"}
     whole = configured()
@@ -332,6 +367,26 @@ def test_why_a_joint_was_not_judged_is_in_the_json(tmp_path: Path) -> None:
     found = json.loads(told.read_text())
     assert (found["schema"], found["joint"]) == ("hd_diag/not_judged/1", "joint_1")
     assert "no input angle ('joint_1_motor') with output angle" in found["error"]
+
+
+@pytest.mark.parametrize("verb", ["diagnose", "report"])
+def test_a_joint_that_the_bag_lacks_does_not_stop_the_others(verb: str, tmp_path: Path) -> None:
+    """Told on stderr and in the JSON; the page has the others, and the exit code says that one is missing."""
+    bag, out, told = tmp_path / "joint.mcap", tmp_path / "page.html", tmp_path / "told.json"
+    records.write_bag(made("output_runout"), bag)
+    config = tmp_path / "two.yaml"
+    config.write_text(dump(resolve({"joints": ["elbow", "joint_1"]})), encoding="utf-8")
+    page = ("--report" if verb == "diagnose" else "--out", out)
+    result = hd_diag(verb, bag, "--config", config, *page, "--json", told, "--joint", "elbow")
+    assert (result.exit_code, out.exists(), told.exists()) == (2, False, False)
+    assert result.stderr.startswith("hd-diag: elbow: no input angle ('elbow_motor')")
+    result = hd_diag(verb, bag, "--config", config, *page, "--json", told)
+    assert result.exit_code == 2
+    assert result.stderr.startswith("hd-diag: elbow: not judged: no input angle ('elbow_motor')")
+    assert len(result.stderr.splitlines()) == 1
+    elbow, joint = json.loads(told.read_text())["joints"]
+    assert (elbow["schema"], joint["schema"]) == ("hd_diag/not_judged/1", "hd_diag/diagnosis/1")
+    assert joint["verdict"] in Reader(out.read_text(encoding="utf-8")).text
 
 
 def test_pages_that_cannot_be_written_or_read_from(tmp_path: Path) -> None:

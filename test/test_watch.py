@@ -40,8 +40,12 @@ def reported(**values: str) -> Mapping[str, str]:
 REAL = reported()
 
 
-def message(joint: str = "joint_1", level: int = 0, text: str = "OK", **values: str) -> Message:
-    return Message(PREFIX + joint, level, text, {**REAL, "fault_code": "OK", "fault_codes": "OK", **values})
+def message(
+    joint: str = "joint_1", level: int = 0, text: str = "OK", node: str = "", **values: str
+) -> Message:
+    """A status, of a node or of one that does not say who it is."""
+    told = {**REAL, "fault_code": "OK", "fault_codes": "OK", **values}
+    return Message(PREFIX + joint, level, text, told, f"{node}/{joint}" if node else "")
 
 
 def watched(*messages: Message, now: float = 0.0, **asked: Any) -> Watch:
@@ -100,6 +104,7 @@ def test_other_statuses_are_noted_once_and_not_without_end() -> None:
 def test_a_flood_of_joints_texts_and_values_is_bounded() -> None:
     watch = watched(*[message(f"j{i}") for i in range(5000)])
     watch.take(TOPIC, [message("j0", **{f"k{i}": "v" for i in range(9999)}, log_state="x" * 10**6)], 1.0)
+    watch.take(TOPIC, [message("j0", node=f"/n{i}") for i in range(100)], 1.0)
     views = watch.view(1.0)
     assert len(views) == 1024
     first = next(view for view in views if view.name == "j0")
@@ -166,11 +171,73 @@ def test_joints_of_a_node_that_are_not_reported_are_missing() -> None:
     assert watch.missing() == ["b"]
 
 
-def test_two_nodes_with_one_joint_on_one_topic_are_said_to_be_so() -> None:
+def test_two_nodes_that_do_not_say_who_they_are_are_said_to_be_two() -> None:
     watch = watched(message("a"))
     watch.nodes = [NodeSeen(f"/{n}/hd_diag", TOPIC, frozenset({"a"})) for n in "xy"]
     assert watch.view(0.0)[0].nodes == ("/x/hd_diag", "/y/hd_diag")
     assert any("several nodes report a" in line for line in lines(watch))
+
+
+@pytest.fixture
+def two_nodes() -> Watch:
+    """Two nodes of one namespace, each with a joint of the same name, on the same topic."""
+    watch = Watch()
+    watch.nodes = [NodeSeen(name, TOPIC, frozenset({"a"})) for name in ("/arm/x", "/arm/y")]
+    watch.take(TOPIC, [message("a", node="/arm/x", samples="1")], 0.0)
+    watch.take(TOPIC, [message("a", node="/arm/y", samples="2", residual_rms_arcsec="7")], 0.5)
+    watch.take(TOPIC, [message("a", node="/arm/x", samples="3")], 1.0)
+    return watch
+
+
+def test_two_nodes_with_one_joint_on_one_topic_are_two_rows(two_nodes: Watch) -> None:
+    seen = [(view.nodes, view.name, view.number("samples"), view.age) for view in two_nodes.view(1.0)]
+    assert seen == [(("/arm/x",), "a", 3.0, 0.0), (("/arm/y",), "a", 2.0, 0.5)]
+    assert [len(view.residuals) for view in two_nodes.view(1.0)] == [2, 1]
+    told = as_json(two_nodes, 1.0)["joints"]
+    assert [joint["hardware_id"] for joint in told] == ["/arm/x/a", "/arm/y/a"]
+
+
+def test_a_shared_name_is_shown_with_its_node(two_nodes: Watch) -> None:
+    shown = lines(two_nodes)
+    assert [line.split()[0] for line in shown if line.startswith("arm/a")] == ["arm/a", "arm/a"]
+    assert [line for line in shown if "/arm/x, 3 samples" in line]
+    assert [line for line in shown if "/arm/y, 2 samples" in line]
+    assert "not to be told apart" not in "\n".join(shown)
+    alone = lines(watched(message("a", node="/arm/x")))
+    assert "/arm/x, " not in "\n".join(alone)
+
+
+def test_a_pipe_tells_of_both_nodes_with_one_joint(two_nodes: Watch) -> None:
+    stream = io.StringIO()
+    with Display(stream) as display:
+        display.show(two_nodes, 1.0)
+    assert [line.split(":")[0] for line in stream.getvalue().splitlines()] == ["/arm/x a", "/arm/y a"]
+
+
+def test_a_node_whose_joint_only_another_has_reported_is_missing(two_nodes: Watch) -> None:
+    assert two_nodes.missing() == []
+    two_nodes.nodes = [*two_nodes.nodes, NodeSeen("/arm/z", TOPIC, frozenset({"a", "b"}))]
+    assert two_nodes.missing() == ["/arm/z a", "b"]
+
+
+def test_a_namespace_chooses_by_who_sent_it(two_nodes: Watch) -> None:
+    two_nodes.take(TOPIC, [message("a", node="/leg/x")], 1.0)
+    two_nodes.namespaces = ("leg",)
+    assert [view.nodes for view in two_nodes.view(1.0)] == [("/leg/x",)]
+
+
+@pytest.mark.parametrize("hardware_id", ["", "robot 7", "/arm/other_joint"])
+def test_an_identifier_that_names_no_node_leaves_that_to_the_graph(hardware_id: str) -> None:
+    statuses = [
+        message("a")._replace(hardware_id=hardware_id),
+        message("b")._replace(hardware_id=hardware_id),
+    ]
+    watch = watched(*statuses)
+    watch.nodes = [NodeSeen("/hd_diag", TOPIC, frozenset({"a", "b"}))]
+    assert [(view.nodes, view.name) for view in watch.view(0.0)] == [
+        (("/hd_diag",), "a"),
+        (("/hd_diag",), "b"),
+    ]
 
 
 def test_explanations() -> None:

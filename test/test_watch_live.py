@@ -23,6 +23,7 @@ pytestmark = pytest.mark.usefixtures("ros")
 
 JOINTS = ("shoulder", "elbow")
 COMMAND = [sys.executable, "-m", "hd_diag.cli", "watch"]
+SET_PARAMETERS = Path(__file__).resolve().parent.parent / "docs/examples/set_parameters.py"
 LIMIT = 60.0  # on a busy machine [s]
 REPORTS = 10.0  # [Hz]
 CPU_SHARE = 0.05  # of a core
@@ -97,6 +98,7 @@ def test_once_tells_every_joint_what_the_diagnostics_say(arm: Rig) -> None:
     assert not told["missing"]
     for name, joint in joints.items():
         assert joint["nodes"] == [f"{arm.process.namespace}/hd_diag"]
+        assert joint["hardware_id"] == f"{arm.process.namespace}/hd_diag/{name}"
         assert set(joint["values"]) == set(reported[name])
         assert joint["values"]["samples"] == 20
         for key in ("eccentricity_um", "minimum_backlash_um", "peak_tooth_load_N", "lost_motion_arcmin"):
@@ -126,6 +128,23 @@ def test_a_fault_appears_and_can_be_failed_on(arm: Rig) -> None:
     assert watch("--once", *arguments, "--fail-on-fault").returncode == 1
     (joint,) = once(*arguments)["joints"]
     assert (joint["fault_code"], joint["level"]) == ("INTERFERENCE", "error")
+
+
+def test_the_tour_s_way_to_set_parameters(arm: Rig) -> None:
+    def set_them(node: str, *values: str) -> tuple[int, str]:
+        command = [sys.executable, SET_PARAMETERS, node, *values]
+        run = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT)
+        return run.returncode, run.stdout + run.stderr
+
+    node = f"{arm.process.namespace}/hd_diag"
+    values = ("shoulder.eccentricity.magnitude=7e-6", "shoulder.torque=1.0")
+    assert set_them(node, *values) == (0, "in force\n")
+    arm.values("shoulder", lambda told: told["eccentricity_um"] == "7")
+    code, told = set_them(node, "shoulder.eccentricity.magnitude=0.0", "shoulder.ratio=3.0")
+    assert (code, told[:9]) == (1, "refused: ")
+    assert set_them("/nobody/hd_diag", *values) == (1, "no node /nobody/hd_diag\n")
+    assert arm.values("shoulder")["eccentricity_um"] == "7"
+    assert set_them(node, "shoulder.eccentricity.magnitude=0.0", "shoulder.torque=0.0")[0] == 0
 
 
 def test_several_nodes_are_told_apart(arm: Rig, tmp_path: Path) -> None:

@@ -25,5 +25,6 @@ def _verb(name: str, command: click.Command) -> dict[str, Any]:
         "name": name,
         "usage": " ".join(command.collect_usage_pieces(context)),
         "help": (command.help or "").split("\n\n"),
+        "example": (command.epilog or "").removeprefix("Example: "),
         "options": [record for option in options if (record := option.get_help_record(context))],
     }

@@ -18,6 +18,7 @@ from hd_diag.criticism.causes import Cause
 from hd_diag.criticism.diagnosis import Diagnosis, diagnose
 from hd_diag.criticism.record import RecordError
 from hd_diag.criticism.screening import screened
+from hd_diag.criticism.workbench import Workbench
 from hd_diag.fleet.survey import Survey
 from hd_diag.recording import read_bags
 from hd_diag.verdict import as_json
@@ -210,8 +211,7 @@ def judged(found: Diagnosis, joint: str) -> Row:
         **_fitted(told["refit"]["parameters"]),
         "trustworthy": told["refit"]["trustworthy"],
         **_causes(told["causes"]),
-        "cause_amplitude_stds_rad": [None] * len(found.findings)
-        + [_null(amplitude_std(found, cause)) for cause in found.causes],
+        "cause_amplitude_stds_rad": [None] * len(found.findings) + _amplitude_stds(found),
         "tested": [test["name"] for test in tested],
         "tested_least_rad": [test["least_size"] for test in tested],
         "rms_nominal_rad": gain["rms_nominal"],
@@ -254,20 +254,26 @@ def _causes(causes: list[dict[str, Any]]) -> Row:
     return row
 
 
-def amplitude_std(found: Diagnosis, cause: Cause) -> float:
+def _amplitude_stds(found: Diagnosis) -> list[float | None]:
+    bench = found.found.bench if found.found is not None else None
+    return [_null(amplitude_std(bench, cause)) if bench else None for cause in found.causes]
+
+
+def amplitude_std(bench: Workbench, cause: Cause) -> float:
     """Standard deviation of a cause's amplitude by that of its coefficients [rad rms].
 
     Notes
     -----
     With columns X about their mean and coefficients c of covariance C, the amplitude is a = |X c| / sqrt(n),
-    its gradient g = X' X c / (n a), its variance g' C g: the first order in C.
+    its gradient g = X' X c / (n a), its variance g' C g: the first order in C. Nonlinear values are held.
     """
-    if found.found is None or not cause.amplitude > 0.0:
-        return math.nan
-    columns = found.found.bench.columns(cause.effect, cause.nonlinear)
+    own = slice(cause.coefficients.size)  # before the columns that wander, of which a cause keeps no numbers
+    columns = bench.columns(cause.effect, cause.nonlinear)[:, own]
     part = columns @ cause.coefficients
-    gradient = columns.T @ (part - part.mean()) / (part.size * cause.amplitude)
-    return float(np.sqrt(max(float(gradient @ cause.covariance @ gradient), 0.0)))
+    if not (amplitude := float(np.std(part))) > 0.0:
+        return math.nan
+    gradient = columns.T @ (part - part.mean()) / (part.size * amplitude)
+    return float(np.sqrt(max(float(gradient @ cause.covariance[own, own] @ gradient), 0.0)))
 
 
 def _null(value: float) -> float | None:

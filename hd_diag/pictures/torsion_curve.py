@@ -15,6 +15,7 @@ from hd_diag.pictures.canvas import ACCENT, EXTENDED, GRID, INK, NOMINAL, REFIT,
 Floats = npt.NDArray[np.float64]
 
 _ARCMIN = 60.0 * ARCSEC
+_LEAST_LABELLED = 0.1  # width of a range over the greatest torque, from which its name has room
 
 
 @drawn
@@ -65,6 +66,8 @@ def torsion_curve(
         if low >= most:
             continue
         axes.axvspan(low, min(high, most), color=(GRID, ACCENT, GRID)[number % 3], alpha=0.12, lw=0)
+        if min(high, most) - low < _LEAST_LABELLED * most:
+            continue
         middle = 0.5 * (low + min(high, most))
         label = f"{name}\n{value * 1e-4:.1f}" if np.isfinite(value) else name
         axes.text(middle, 0.985, label, transform=axes.get_xaxis_transform(), ha="center", va="top")

@@ -1,0 +1,28 @@
+"""A row of the fleet's table: deviations of the amplitudes, for causes of every kind."""
+
+import numpy as np
+import pytest
+from benches import EFFECTS, bench, of
+
+from hd_diag.criticism.causes import causes
+from hd_diag.fleet.rows import amplitude_std
+
+ENCODER, HYSTERESIS, BEARING = (
+    EFFECTS[name] for name in ("input_encoder_eccentricity", "hysteresis", "bearing_passage")
+)
+
+
+def test_the_deviation_of_an_amplitude_is_that_of_drawn_coefficients() -> None:
+    """Of a cause without nonlinear values, of one with them, and of one with columns that wander."""
+    made = bench(of(ENCODER, amplitude=1e-3, direction=0.5))
+    chosen = tuple((effect, tuple(made.grid(effect)[-1])) for effect in (ENCODER, HYSTERESIS, BEARING))
+    rng = np.random.default_rng(0)
+    found = causes(made, chosen, {}, ())
+    assert {cause.covariance.shape[0] > cause.coefficients.size for cause in found} == {False, True}
+    for cause in found:
+        own = slice(cause.coefficients.size)
+        columns = made.columns(cause.effect, cause.nonlinear)[:, own]
+        big = 1e3 * cause.coefficients  # far from zero, where the first order holds
+        drawn = rng.multivariate_normal(big, cause.covariance[own, own], 1000)
+        expected = np.std(np.std(columns @ drawn.T, axis=0))
+        assert amplitude_std(made, cause) == pytest.approx(expected, rel=0.15), cause.effect.name
