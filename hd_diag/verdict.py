@@ -150,12 +150,25 @@ def sentence(diagnosis: Diagnosis) -> str:
         parts.append("none of the known causes explains the rest")
     if diagnosis.unexplained:
         parts.append("unexplained: " + ", ".join(_line_words(line) for line in diagnosis.unexplained))
+    parts += _doubts(diagnosis)
     record = diagnosis.record
     if record.whole is not None:
         parts.append(
             f"fitted to {record.size} of {record.whole.samples} samples, in stretches all over the record"
         )
     return "; ".join(parts) + "."
+
+
+def _doubts(diagnosis: Diagnosis) -> list[str]:
+    """What speaks against the causes found: data that nothing was fitted to."""
+    rms = diagnosis.rms
+    if rms is None or not diagnosis.causes or rms.extended < rms.refit:
+        return []
+    return [
+        "but what nothing was fitted to is foretold no better with it than by the model's parameters alone "
+        f"({rms.extended / ARCSEC:.2f} against {rms.refit / ARCSEC:.2f} arcsec): take it for a hint, and "
+        "record more"
+    ]
 
 
 def _parameters(diagnosis: Diagnosis) -> str:

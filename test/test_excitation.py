@@ -47,7 +47,7 @@ def test_values_at_which_the_torque_turns_back(
     assert possible == (levels >= 3)
     assert possible == (reason == "")
     told = {0: "no value", 1: "one value"}.get(levels, f"{levels} values")
-    assert possible or f"by 5.6 N m at {told}:" in reason
+    assert possible or f"at {told}, three are needed, 5.6 N m apart" in reason
 
 
 def test_noise_turns_nothing_back(signals: Signals) -> None:
@@ -60,7 +60,7 @@ def test_reversals_count_within_a_run(signals: Signals) -> None:
     """Memory ends with a run: three reversals in two runs close no inner loop."""
     torque = through(0.0, 30.0, -30.0, 10.0, -20.0)
     assert torque_reverses(under(signals, torque), SWING)[0]
-    assert "at one value:" in torque_reverses(under(signals, torque, COUNT // 2), SWING)[1]
+    assert "at one value," in torque_reverses(under(signals, torque, COUNT // 2), SWING)[1]
 
 
 def test_a_torque_without_end_counts_once(signals: Signals) -> None:

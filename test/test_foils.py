@@ -206,7 +206,7 @@ def rested(*lengths: int) -> np.ndarray:
 def test_a_constant_for_every_run_between_rests_but_the_first() -> None:
     signals = made(rested(200, 150, 100, 300))
     found = columns("rests", signals)
-    number = np.repeat([0, 1, 2, 3], [200, 175, 125, 325])
+    number = np.repeat([0, 1, 2, 3], [212, 175, 125, 313])
     assert_array_equal(found, number[:, None] == np.arange(1, 4))
 
 
@@ -215,15 +215,25 @@ def test_a_flicker_goes_with_the_run_before() -> None:
     flicker = np.repeat([0.0, 30.0], [2, 3])
     signals = made(np.concatenate((rested(200, 150), flicker, rested(0, 300))))
     found = columns("rests", signals)
-    number = np.repeat([0, 1, 2], [200, 175 + 5, 325])
+    number = np.repeat([0, 1, 2], [212, 175 + 5, 313])
     assert_array_equal(found, number[:, None] == np.arange(1, 3))
 
 
 def test_a_flicker_at_the_very_beginning_goes_with_the_first_run() -> None:
     signals = made(rested(3, 200, 150, 300))
     found = columns("rests", signals)
-    number = np.repeat([0, 1, 2], [28 + 200, 175, 325])
+    number = np.repeat([0, 1, 2], [28 + 212, 175, 313])
     assert_array_equal(found, number[:, None] == np.arange(1, 3))
+
+
+def test_a_slow_run_is_no_longer_rest_than_a_fast_one() -> None:
+    """Its ramp is below a share of the greatest speed for longer."""
+    ramp = np.linspace(0.0, 1.0, 41)[1:]
+    speed = np.concatenate(
+        (np.full(200, 30.0), 30.0 * ramp[::-1], np.zeros(20), 0.6 * ramp, np.full(99, 0.6))
+    )
+    found = columns("rests", made(np.concatenate((speed, np.zeros(20), np.full(200, 30.0)))))
+    assert int(np.flatnonzero(found[:, 0])[0]) == pytest.approx(200 + 40 + 10, abs=2)
 
 
 def test_a_gap_is_a_rest_that_nobody_saw() -> None:

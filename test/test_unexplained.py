@@ -1,5 +1,8 @@
 """Waves without a name: even ones, and those that a torque of both signs scales, as cogging does."""
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 from benches import Part, bench, swinging
@@ -90,3 +93,34 @@ def test_a_nameless_shape_is_told_with_its_words() -> None:
     assert (line.order, line.frame, line.description) == (0.0, "input", foil.description)
     expected = np.sqrt(2.0) * np.std(part(made.signals))
     assert line.amplitude == pytest.approx(expected, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("where", "rows"),
+    [
+        ("under positive torque", lambda s: s.torque > 0.0),
+        ("under negative torque", lambda s: s.torque < 0.0),
+        ("forward", lambda s: s.forward_speed > 0.0),
+        ("backward", lambda s: s.forward_speed < 0.0),
+    ],
+)
+def test_a_wave_in_a_part_of_the_record_is_found_there(where: str, rows: Callable[[Signals], Any]) -> None:
+    line = found(lambda signals: wave()(signals) * rows(signals))[0]
+    assert line.where == where
+    assert line.order == pytest.approx(ORDER, abs=0.02)
+    assert line.amplitude == pytest.approx(SIZE / np.sqrt(2.0), rel=0.2)
+
+
+def test_a_wave_of_fast_motion_is_found_there() -> None:
+    def part(signals: Signals) -> np.ndarray:
+        speed = signals.forward_speed
+        return 2.0 * wave()(signals) * (speed > np.quantile(np.abs(speed), 0.7))
+
+    line = found(part)[0]
+    assert line.where.startswith("forward at ")
+    assert line.where.endswith("turns/s of the input")
+    assert line.order == pytest.approx(ORDER, abs=0.02)
+
+
+def test_an_even_wave_is_not_of_a_part() -> None:
+    assert [line.where for line in found(wave(), wave(5.9))] == ["", ""]

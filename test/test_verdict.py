@@ -209,6 +209,24 @@ def test_something_unexplained() -> None:
     )
 
 
+def test_where_a_wave_shows() -> None:
+    line = dataclasses.replace(LINE, where="under positive torque")
+    made = diagnosis(unexplained=(line,))
+    assert "unexplained: 3.37 per input turn under positive torque, 2.00 arcsec" in sentence(made)
+    (told,) = as_json(made, "joint_1")["unexplained"]
+    assert told["direction_law"] == "strongest under positive torque; the same in both directions"
+
+
+def test_causes_that_foretell_nothing_are_doubted() -> None:
+    """Data that nothing was fitted to decide; without causes there is nothing to doubt."""
+    worse = Rms(*(ARCSEC * v for v in (20.0, 5.0, 5.2, 5.2, 5.3, 3.2, 3.1, 3.3)))
+    text = sentence(diagnosis(cause("hysteresis"), rms=worse))
+    assert "foretold no better" in text
+    assert "(5.20 against 5.00 arcsec)" in text
+    for made in (diagnosis(rms=worse), diagnosis(cause("hysteresis"))):
+        assert "foretold" not in sentence(made)
+
+
 def test_a_wrong_ratio_is_all_that_is_said() -> None:
     assert sentence(DIAGNOSES["wrong ratio"]) == "First of all: the output follows at 101."
 

@@ -52,6 +52,13 @@ class Foil(Effect):
 
 
 @dataclass(frozen=True)
+class Settling(Foil):
+    """A shape that follows the joint through its rests, in which no row may be fit to use."""
+
+    remembers: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
 class Place(Foil):
     """A bump at one place of the output's turn, twice as wide as its half width to 1/e."""
 
@@ -172,12 +179,13 @@ def _drift(signals: Signals) -> Floats:
 
 
 def _rests(signals: Signals) -> Floats:
-    """A constant for every run between rests but the first."""
-    still = np.abs(signals.speed) < 0.01 * np.percentile(np.abs(signals.speed), 95)
-    began = np.concatenate(([False], still[1:] & ~still[:-1]))
-    began |= np.concatenate(([False], np.diff(signals.run) != 0))
+    """A constant for every run but the first, from the middle of one rest to that of the next."""
+    speed = np.abs(signals.speed)
+    least = 0.01 * float(np.percentile(speed, 95))
+    began = np.concatenate(([False], np.diff(signals.run) != 0))
+    began[_rest_middles(speed, least)] = True
     number = np.cumsum(began)
-    count = np.bincount(number)
+    count = np.bincount(number, speed >= least)
     kept = np.flatnonzero(count > 0.01 * signals.size)
     if not 3 <= kept.size <= 60:
         return np.empty((signals.size, 0))
@@ -185,6 +193,17 @@ def _rests(signals: Signals) -> Floats:
     place = np.maximum(np.searchsorted(kept, number, side="right") - 1, 0)
     own: Floats = (place[:, None] == np.arange(1, kept.size)).astype(np.float64)
     return own
+
+
+def _rest_middles(speed: Floats, least: float) -> list[int]:
+    """Rows in the middle of rests: of what is slowest in them, for a slow run begins slowly."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], speed < least, [False])).astype(np.int8)))
+    found = []
+    for begin, end in edges.reshape(-1, 2):
+        part = speed[begin:end]
+        slowest = np.flatnonzero(part <= max(0.1 * least, float(part.min())))
+        found.append(int(begin + (slowest[0] + slowest[-1]) // 2))
+    return found
 
 
 def _fast(signals: Signals) -> Floats:
@@ -198,7 +217,14 @@ FOILS = (
     _foil("sided_torque", _sided_torque, "goes with torque and direction of motion together", "torque"),
     _foil("creep", _creep, "grows with the way, and with torque times way: something creeps", "input"),
     _foil("drift", _drift, "drifts with time, by no measured cause", "time", sees_ahead=False),
-    _foil("rests", _rests, "settles anew at every rest: something is loose", "time", sees_ahead=False),
+    _foil(
+        "rests",
+        _rests,
+        "settles anew at every rest: something is loose",
+        "time",
+        sees_ahead=False,
+        kind=Settling,
+    ),
     _foil(
         "place",
         lambda signals: np.empty((signals.size, 0)),

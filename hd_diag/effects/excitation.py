@@ -63,7 +63,7 @@ def torque_varies(signals: Signals, fraction: float = 0.25) -> Verdict:
     wanted = fraction * signals.rated_torque
     return _told(
         span >= wanted,
-        f"the torque spans {span:.3g} N m: repeat the motion with a load that differs by {wanted:.3g} N m",
+        f"the torque spans {span:.3g} N m, {wanted:.3g} N m are needed: repeat the motion under another load",
     )
 
 
@@ -72,8 +72,8 @@ def torque_beyond(signals: Signals, torque: float) -> Verdict:
     low, high = _torque_ends(signals)
     return _told(
         low <= -torque and high >= torque,
-        f"the torque reaches from {low:.3g} to {high:.3g} N m: load the joint once up to {torque:.3g} N m "
-        "in each direction",
+        f"the torque reaches from {_signed(low)} to {_signed(high)} N m: load the joint once up to "
+        f"{torque:.3g} N m in each direction",
     )
 
 
@@ -83,8 +83,8 @@ def torque_through_zero(signals: Signals) -> Verdict:
     wanted = 0.05 * signals.rated_torque
     return _told(
         low <= -wanted and high >= wanted,
-        f"the torque reaches from {low:.3g} to {high:.3g} N m: lead it slowly through zero, "
-        f"from {-wanted:.3g} to {wanted:.3g} N m",
+        f"the torque reaches from {_signed(low)} to {_signed(high)} N m: lead it slowly through zero, "
+        f"from {_signed(-wanted)} to {_signed(wanted)} N m",
     )
 
 
@@ -102,8 +102,8 @@ def torque_reverses(signals: Signals, swing: float) -> Verdict:
         found = max(found, int(np.count_nonzero(np.diff(turns) > 0.5 * swing)) + 1 if turns.size else 0)
     return _told(
         found >= 3,
-        f"the torque turns back by {swing:.3g} N m at {_number(found)}: swing the load up, half-way down and "
-        "up again without a pause",
+        f"the torque turns back at {_number(found)}, three are needed, {swing:.3g} N m apart or more: swing "
+        "the load up, half-way down and up again without a pause",
     )
 
 
@@ -125,6 +125,11 @@ def several_speeds(signals: Signals, number: int) -> Verdict:
         f"{found} {'speed' if found == 1 else 'speeds'}: repeat the motion at {number} different speeds, "
         "or ramp the speed",
     )
+
+
+def _signed(value: float) -> str:
+    """With the minus of print, and no more zero than zero."""
+    return f"{value:.3g}".replace("-", "\N{MINUS SIGN}", 1) if abs(value) >= 5e-4 else "0"
 
 
 def _number(values: int) -> str:
