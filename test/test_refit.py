@@ -64,6 +64,15 @@ def test_a_true_gap_is_left_out() -> None:
     assert usable(dataclasses.replace(record, has_torque=False)).all()
 
 
+def test_the_gap_of_the_real_torque_is_left_out_as_well() -> None:
+    record, _ = generated(3)
+    kept, shifted = usable(record), usable(record, 4.0)
+    assert np.all(kept[shifted])
+    left_out = record.torque[kept & ~shifted]
+    assert left_out.size > 50
+    assert np.all(np.abs(left_out + 4.0) < 1.0)
+
+
 def test_terms_that_a_record_does_not_excite_are_left_out() -> None:
     record, _ = generated(3)
     assert nuisance(record, 100.0).shape[1] == 6

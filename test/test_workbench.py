@@ -109,6 +109,27 @@ def test_a_wrong_zero_of_the_torque_is_found_at_full_size() -> None:
     assert min(np.abs(found[:2] - POINT[:2]).max(), np.abs(found[:2] + POINT[:2]).max()) < 1.0
 
 
+def test_rows_near_the_real_zero_of_the_torque_are_left_out() -> None:
+    made = bench()
+    clear = made.clear_of(2.5)
+    assert_array_equal(clear.rows, usable(made.source, 2.5))
+    assert 0 < made.record.size - clear.record.size < 0.1 * made.record.size
+    assert clear.whiten is made.whiten
+    assert_array_equal(clear.left, made.left[clear.rows[made.rows]])
+    assert made.clear_of(0.0) is made
+
+
+def test_amplitude_is_that_along_the_whole_record() -> None:
+    """Those rows too that no fit uses."""
+    offset, rows = EFFECTS["torque_offset"], np.arange(swinging().size) % 7 > 2
+    size = np.array([2.0])
+    every = Workbench(swinging(), CONFIGURED, POINT)
+    few = Workbench(swinging(), CONFIGURED, POINT, rows=rows)
+    expected = float(np.std(offset.response(every.whole, size, ())))
+    assert few.amplitude(offset, (), size) == pytest.approx(expected, rel=1e-12)
+    assert every.amplitude(offset, (), size) == few.amplitude(offset, (), size)
+
+
 def test_back_at_known_parameters_nothing_is_computed_again() -> None:
     made = bench()
     away = made.moved(POINT + 0.5)

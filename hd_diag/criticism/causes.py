@@ -72,6 +72,11 @@ class Search:
         named = tuple((cause.effect, cause.nonlinear) for cause in self.causes)
         return (*named, *self.foils)
 
+    @property
+    def torque_shift(self) -> float:
+        """Real less reported torque by the causes [N m]."""
+        return sum(cause.effect.torque_shift(cause.coefficients) for cause in self.causes)
+
 
 def causes(
     bench: Workbench, chosen: Chosen, p_values: dict[str, float], rivals: Collection[str]
@@ -109,7 +114,7 @@ def causes(
                 nonlinear,
                 beta[rows],
                 _part(spread, places[index]),
-                _amplitude(bench, effect, nonlinear, beta[every[index]]),
+                bench.amplitude(effect, nonlinear, beta[every[index]]),
                 p_values.get(effect.name, float("nan")),
                 (effect.name, *_alike(bench, chosen, index, rivals)),
                 float(np.mean(share)),
@@ -138,7 +143,7 @@ def fitted(bench: Workbench, found: Search) -> Search:
     again = []
     for cause, place, every in zip(found.causes, places, bench.places(found.chosen), strict=False):
         coefficients = beta[place[: cause.effect.size]]
-        amplitude = _amplitude(bench, cause.effect, cause.nonlinear, beta[every])
+        amplitude = bench.amplitude(cause.effect, cause.nonlinear, beta[every])
         again.append(
             replace(cause, coefficients=coefficients, covariance=_part(spread, place), amplitude=amplitude)
         )
@@ -150,10 +155,6 @@ def parameters_of(found: Search) -> tuple[Floats, Floats]:
     beta, _, _ = found.bench.fit(found.chosen)
     spread, _ = covariance(found.bench, found.chosen)
     return found.bench.parameters + beta[: base.COUNT], spread[: base.COUNT, : base.COUNT]
-
-
-def _amplitude(bench: Workbench, effect: Effect, nonlinear: tuple[float, ...], coefficients: Floats) -> float:
-    return float(np.std(bench.full_size(effect, nonlinear, coefficients)))
 
 
 def _share(bench: Workbench, chosen: Chosen, index: int) -> Floats:

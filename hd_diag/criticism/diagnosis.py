@@ -25,6 +25,7 @@ from hd_diag.drive import Drive
 from hd_diag.extended import ExtendedModel
 
 Floats = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.bool_]
 
 _HELD_OUT = 4  # every fourth run, or stretch of a single run, is held out
 _STRETCHES = 12
@@ -113,7 +114,7 @@ def diagnose(
     plain = settle(Workbench(record, configured, first.parameters, rows=~test), ())
     found = search(plain, progress)
     progress("measuring the gain")
-    trained = Workbench(record, configured, found.bench.parameters)
+    trained = Workbench(record, configured, found.bench.parameters, rows=usable(record, found.torque_shift))
     rms, gain = _gain(record, test, told, configured, plain, found, trained)
     progress("using all data")
     whole = fitted(settle(trained, found.chosen), found)
@@ -136,7 +137,7 @@ def diagnose(
     )
 
 
-def held_out(record: Record) -> tuple[npt.NDArray[np.bool_], str]:
+def held_out(record: Record) -> tuple[Rows, str]:
     """Rows that no fit sees, and in words which they are: whole runs where there are enough, else stretches.
 
     Parameters
@@ -168,7 +169,7 @@ def _renumbered(record: Record) -> Record:
 
 def _gain(
     record: Record,
-    test: npt.NDArray[np.bool_],
+    test: Rows,
     told: str,
     configured: Drive,
     plain: Workbench,
@@ -176,10 +177,10 @@ def _gain(
     trained: Workbench,
 ) -> tuple[Rms, Gain]:
     unseen = _renumbered(record.select(test))
-    kept = usable(unseen)
-    rows = test[usable(record)]  # of a bench of the whole record, whose effects remember what came before
-    nominal = _nominal_left(record, configured, test)
-    refitted = _left_by(Workbench(record, configured, plain.parameters), plain, ())[rows]
+    kept = trained.rows[test]
+    rows = test[trained.rows]  # of a bench of the whole record, whose effects remember what came before
+    nominal = _nominal_left(record, configured, test, trained.rows)
+    refitted = _left_by(trained.moved(plain.parameters), plain, ())[rows]
     offline = _left_by(trained, found.bench, found.chosen)[rows]
     model = extended_model(found, configured, record.select(~test))
     table = map_of(model)
@@ -209,12 +210,11 @@ def _gain(
     return rms, Gain(fraction, float(np.quantile(shares, 0.025)), float(np.quantile(shares, 0.975)), told)
 
 
-def _nominal_left(record: Record, configured: Drive, test: npt.NDArray[np.bool_]) -> Floats:
+def _nominal_left(record: Record, configured: Drive, test: Rows, kept: Rows) -> Floats:
     """What the configured drive leaves of held-out rows, the encoders' offset taken off [rad]."""
-    known = np.flatnonzero(usable(record) & ~test)[::10]
+    known = np.flatnonzero(kept & ~test)[::10]
     offset = float(_left(record.select(known), configured).mean())
-    unseen = record.select(test)
-    return _left(unseen.select(usable(unseen)), configured) - offset
+    return _left(record.select(kept & test), configured) - offset
 
 
 def _left(record: Record, drive: Drive) -> Floats:

@@ -126,11 +126,24 @@ def refit(
     return Refit(base.drive_of(point, configured), point, covariance, not ambiguous)
 
 
-def usable(record: Record) -> npt.NDArray[np.bool_]:
-    """Samples where the model's error is well defined: in a true gap, noise decides the flank."""
+def usable(record: Record, shift: float = 0.0) -> npt.NDArray[np.bool_]:
+    """Samples where the model's error is well defined: in a true gap, noise decides the flank.
+
+    Parameters
+    ----------
+    record : Record
+    shift : float
+        Real less reported torque, where that is known [N m].
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+    """
     if not record.has_torque:
         return np.ones(record.size, dtype=bool)
-    return np.asarray(np.abs(record.torque) > 0.01 * np.percentile(np.abs(record.torque), 99))
+    least = 0.01 * np.percentile(np.abs(record.torque), 99)
+    found: npt.NDArray[np.bool_] = np.minimum(np.abs(record.torque), np.abs(record.torque + shift)) > least
+    return found
 
 
 def _chosen(record: Record, count: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:

@@ -61,6 +61,7 @@ def search(bench: Workbench, progress: Callable[[str], None] = lambda text: None
         p_values[found.effect.name] = found.p_value
         chosen = (*chosen, (found.effect, found.nonlinear))
         bench, chosen = _refined(bench, chosen)
+        bench, chosen = _clear(bench, chosen)
         if isinstance(found.effect, Foil):  # a cause that was only the nearest to it is not needed any more
             chosen = kept(bench, chosen)
             continue
@@ -134,6 +135,14 @@ def _refined(bench: Workbench, chosen: Chosen) -> tuple[Workbench, Chosen]:
         chosen = (*chosen[:-1], (effect, _best_nonlinear(bench, chosen[:-1], effect, nonlinear)))
         bench = settle(bench, chosen, rounds=1)
     return _of_kind(bench, chosen, len(chosen) - 1)
+
+
+def _clear(bench: Workbench, chosen: Chosen) -> tuple[Workbench, Chosen]:
+    """On the rows that are fit to use where the newest effect tells of another torque."""
+    effect, _ = chosen[-1]
+    (*_, (_, coefficients)) = bench.sized(chosen, bench.fit(chosen)[0])
+    clear = bench.clear_of(effect.torque_shift(coefficients))
+    return (bench, chosen) if clear is bench else _refined(clear, chosen)
 
 
 def _of_kind(bench: Workbench, chosen: Chosen, index: int) -> tuple[Workbench, Chosen]:

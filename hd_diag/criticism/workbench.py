@@ -131,6 +131,13 @@ class Workbench:
         other.noise_residual = self.noise_residual
         return other
 
+    def clear_of(self, shift: float) -> Workbench:
+        """Without the rows in which the real torque, as much above the reported one, is near zero [N m]."""
+        rows = self.rows & usable(self.source, shift)
+        if np.array_equal(rows, self.rows):
+            return self
+        return Workbench(self.source, self.configured, self.parameters, self.whiten, rows)
+
     def _linearised(self, known: Linear) -> tuple[Signals, Signals, Floats]:
         """Signals of all rows and of those that are fitted, and the derivatives by the parameters."""
         key, record = self.parameters.tobytes(), self.source
@@ -250,6 +257,14 @@ class Workbench:
         if effect.remembers or effect.stage > Stage.GEAR:
             return np.nan_to_num(effect.response(self._seen(effect), coefficients, nonlinear).take(self._at))
         return np.nan_to_num(effect.response(self.signals, coefficients, nonlinear))
+
+    def amplitude(self, effect: Effect, nonlinear: tuple[float, ...], coefficients: Floats) -> float:
+        """Rms of an effect's part in the error along the whole record, what it wanders by included [rad]."""
+        own = effect.size
+        part = np.nan_to_num(effect.response(self._seen(effect), coefficients[:own], nonlinear))
+        if own < coefficients.size:
+            part = part + effect.wandering(self.whole, nonlinear) @ coefficients[own:]
+        return float(np.std(part))
 
     def see(self, present: Present) -> None:
         """Let effects see each other at these coefficients: later stages carry what earlier ones add."""
