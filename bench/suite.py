@@ -15,7 +15,6 @@ import argparse
 import json
 import os
 import platform
-import statistics
 import sys
 import time
 import traceback
@@ -29,9 +28,10 @@ for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ.setdefault(threads, "1")
 
 import numpy as np
-from bench_model import one_core
 from rich.console import Console
 from rich.table import Table
+from suite_processes import PROCESSES, Skipped
+from suite_sections import SECTIONS
 
 from hd_diag.model import compiled
 
@@ -58,14 +58,7 @@ class Row:
         return bool(self.ratio and self.ratio >= self.aim) if self.aim_unit == "x" else self.value <= self.aim
 
 
-class Skipped(Exception):
-    """A section that cannot be measured here."""
-
-
 def main() -> int:
-    from suite_processes import PROCESSES
-    from suite_sections import SECTIONS
-
     sections = {**SECTIONS, **PROCESSES}
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
@@ -161,36 +154,5 @@ def show(rows: list[Row], skipped: dict[str, str], took: float) -> None:
         print(f"{name}: NOT MEASURED: {reason}")
 
 
-def cpu_time(function, *arguments) -> tuple[object, float]:
-    """What a call gives, and its CPU time on one core [s]."""
-    with one_core():
-        start = time.process_time()
-        result = function(*arguments)
-        return result, time.process_time() - start
-
-
-def median_time(function, *arguments, budget: float = 1.0) -> float:
-    """Median CPU time of a call on one core [s], after one that is not counted."""
-    with one_core():
-        return median(function, *arguments, budget=budget, clock=time.process_time)
-
-
-def wall_time(function, *arguments, budget: float = 1.0) -> float:
-    """Median time of a call that may use all cores [s], after one that is not counted."""
-    return median(function, *arguments, budget=budget, clock=time.perf_counter)
-
-
-def median(function, *arguments, budget, clock) -> float:
-    function(*arguments)
-    times: list[float] = []
-    while len(times) < 3 or (sum(times) < budget and len(times) < 5000):
-        start = clock()
-        function(*arguments)
-        times.append(clock() - start)
-    return statistics.median(times)
-
-
 if __name__ == "__main__":
-    # Sections import this module by its name.
-    sys.modules["suite"] = sys.modules["__main__"]
     sys.exit(main())

@@ -14,7 +14,7 @@ import models
 import numpy as np
 import paper_method
 from live import config, states
-from suite import cpu_time, median_time, wall_time
+from timing import cpu_time, median_time, wall_time
 
 from hd_diag.drive import Drive, mesh_state, transmission_error
 from hd_diag.extended import ExtendedModel

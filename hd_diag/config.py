@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import cmath
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from hd_diag.configured_drive import drive_from, number
 from hd_diag.drive import Drive
 from hd_diag.extended import ExtendedModel
-from hd_diag.model.geometry import Geometry
-from hd_diag.model.tooth_profile import DoubleArc
-from hd_diag.model.torsion import Mesh
-from hd_diag.model.transmission_error import Kinematics
 from hd_diag.parameters import (
     JOINT_PARAMETERS,
     LIMITS,
@@ -41,7 +37,6 @@ __all__ = [
     "ModelText",
     "Parameter",
     "Value",
-    "drive_from",
     "dump",
     "flatten",
     "load",
@@ -140,9 +135,9 @@ def resolve(given: Mapping[str, Any], model_text: ModelText | None = None) -> Co
     log = LogConfig(**{p.name[4:]: flat[p.name] for p in NODE_PARAMETERS if p.name.startswith("log.")})  # type: ignore[arg-type]
     return Config(
         configured,
-        _float(flat, "array_rate"),
-        _float(flat, "mesh_rate"),
-        _float(flat, "diagnostics_rate"),
+        number(flat, "array_rate"),
+        number(flat, "mesh_rate"),
+        number(flat, "diagnostics_rate"),
         log,
         flat,
     )
@@ -182,16 +177,10 @@ def dump(config: Config) -> str:
     return text(config.flat)
 
 
-def _float(flat: Mapping[str, Value], name: str) -> float:
-    value = flat[name]
-    assert isinstance(value, (int, float))
-    return float(value)
-
-
 def _joint(name: str, flat: Mapping[str, Value], model_text: ModelText | None) -> JointConfig:
     own = {p.name: flat[f"{name}.{p.name}"] for p in JOINT_PARAMETERS}
     limits = {
-        key: Limit(_float(own, f"limits.{key}.warn"), _float(own, f"limits.{key}.error")) for key in LIMITS
+        key: Limit(number(own, f"limits.{key}.warn"), number(own, f"limits.{key}.error")) for key in LIMITS
     }
     for key, limit in limits.items():
         if limit.error < limit.warn:
@@ -208,7 +197,7 @@ def _joint(name: str, flat: Mapping[str, Value], model_text: ModelText | None) -
         str(own["input_joint"]) or f"{name}_motor",
         str(own["output_joint"]) or name,
         model.drive if model else drive,
-        _float(own, "torque"),
+        number(own, "torque"),
         limits,
         drive,
         str(own["model_file"]),
@@ -231,54 +220,6 @@ def _model(
         return model_for(text, own), text
     except ConfigError as error:
         raise ConfigError(f"{name}.model_file: {path!a}: {error}") from error
-
-
-def drive_from(own: Mapping[str, Value]) -> Drive:
-    """Drive from a joint's parameters by their names within it.
-
-    Raises
-    ------
-    ValueError
-        Naming what cannot be.
-    """
-    geometry = Geometry(
-        int(_float(own, "flexspline_teeth")),
-        int(_float(own, "circular_spline_teeth")),
-        _float(own, "neutral_curve.semi_major"),
-        _float(own, "neutral_curve.semi_minor"),
-        _arcs(own, "flexspline_tooth"),
-        _float(own, "flexspline_tooth.root"),
-        _float(own, "flexspline_tooth.tip"),
-        _arcs(own, "circular_spline_slot"),
-        _float(own, "circular_spline_datum"),
-        _float(own, "circular_spline_tip_radius"),
-    )
-    mesh = Mesh(
-        geometry,
-        _float(own, "tooth_compliance"),
-        _polar(own, "eccentricity"),
-        _polar(own, "runout"),
-        _float(own, "arc_offset"),
-    )
-    output = "flexspline" if own["output"] == "flexspline" else "circular_spline"
-    kinematics = Kinematics(_float(own, "ratio"), output, _float(own, "wave_generator_phase"))  # type: ignore[arg-type]
-    return Drive(mesh, kinematics, _float(own, "rated_torque"), _float(own, "cup_compliance"))
-
-
-def _arcs(own: Mapping[str, Value], name: str) -> DoubleArc:
-    outer, inner = own[f"{name}.addendum_center"], own[f"{name}.dedendum_center"]
-    assert isinstance(outer, list)
-    assert isinstance(inner, list)
-    return DoubleArc(
-        _float(own, f"{name}.addendum_radius"),
-        _float(own, f"{name}.dedendum_radius"),
-        (float(outer[0]), float(outer[1])),
-        (float(inner[0]), float(inner[1])),
-    )
-
-
-def _polar(own: Mapping[str, Value], name: str) -> complex:
-    return cmath.rect(_float(own, f"{name}.magnitude"), _float(own, f"{name}.direction"))
 
 
 def _check_names(joints: tuple[JointConfig, ...]) -> None:

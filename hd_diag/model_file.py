@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hd_diag.config import drive_from
+from hd_diag.configured_drive import drive_from
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.effect import Effect
 from hd_diag.extended import ExtendedModel, Range, Ranges, Term

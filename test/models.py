@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from live import config
 
-from hd_diag.config import JOINT_PARAMETERS, Config, drive_from
+from hd_diag.config import JOINT_PARAMETERS, Config
+from hd_diag.configured_drive import drive_from
 from hd_diag.effects import CATALOGUE
 from hd_diag.extended import ExtendedModel, Range, Ranges, Term
 from hd_diag.model_file import document, drive_parameters

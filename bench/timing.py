@@ -1,0 +1,39 @@
+"""Times of calls: CPU time on one core, or by the clock on all that this process may use."""
+
+# ruff: noqa: D103
+
+from __future__ import annotations
+
+import statistics
+import time
+
+from bench_model import one_core
+
+
+def cpu_time(function, *arguments) -> tuple[object, float]:
+    """What a call gives, and its CPU time on one core [s]."""
+    with one_core():
+        start = time.process_time()
+        result = function(*arguments)
+        return result, time.process_time() - start
+
+
+def median_time(function, *arguments, budget: float = 1.0) -> float:
+    """Median CPU time of a call on one core [s], after one that is not counted."""
+    with one_core():
+        return median(function, *arguments, budget=budget, clock=time.process_time)
+
+
+def wall_time(function, *arguments, budget: float = 1.0) -> float:
+    """Median time of a call that may use all cores [s], after one that is not counted."""
+    return median(function, *arguments, budget=budget, clock=time.perf_counter)
+
+
+def median(function, *arguments, budget, clock) -> float:
+    function(*arguments)
+    times: list[float] = []
+    while len(times) < 3 or (sum(times) < budget and len(times) < 5000):
+        start = clock()
+        function(*arguments)
+        times.append(clock() - start)
+    return statistics.median(times)
