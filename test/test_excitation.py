@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from benches import bench
 
-from hd_diag.effects.excitation import torque_known, torque_reverses
+from hd_diag.effects.excitation import loaded, torque_known, torque_reverses
 from hd_diag.effects.signals import Signals
 
 COUNT = 800
@@ -80,3 +80,11 @@ def test_a_torque_that_never_changes_is_assumed(signals: Signals) -> None:
         assert reason.startswith("no torque is measured")
     assert torque_known(under(signals, through(12.5, 12.6))) == (True, "")
     assert not torque_known(signals.part(slice(0, 0)))[0]
+
+
+def test_a_load_within_the_error_of_a_torque_s_zero_is_none(signals: Signals) -> None:
+    possible, reason = loaded(under(signals, 2.0))
+    assert not possible
+    assert "no load is known beyond 2 N m" in reason
+    assert "5.6 N m or more" in reason
+    assert loaded(under(signals, -6.0)) == (True, "")

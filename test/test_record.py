@@ -96,6 +96,17 @@ def test_outliers_beside_each_other_are_taken_out(given: dict[str, np.ndarray]) 
     assert prepared(given).outliers == 3
 
 
+def test_outliers_between_gaps_are_taken_out(given: dict[str, np.ndarray]) -> None:
+    """A few samples between two dropouts tell little by themselves."""
+    row = 2000
+    lost = np.r_[row - 44 : row - 4, row + 2 : row + 42]
+    given = {name: values.copy() for name, values in given.items()}
+    given["output"][row] += 1e-2
+    record = prepared({name: np.delete(values, lost) for name, values in given.items()})
+    assert record.outliers == 1
+    assert given["time"][row] not in record.time
+
+
 def test_ripple_and_changes_of_flank_are_no_outliers(given: dict[str, np.ndarray]) -> None:
     """60 arcsec with 13 samples a wave in one stretch and nothing in the rest; a step within two samples."""
     wave = np.where(given["time"] > 14.0, np.cos(0.48 * np.arange(given["time"].size)), 0.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hd_diag.criticism import blocks
-from hd_diag.criticism.smoothing import best_width, rate, smooth
+from hd_diag.criticism.smoothing import best_width, rate, settled, smooth
 
 STEP = 2e-3
 TIME = STEP * np.arange(20_000)
@@ -62,3 +62,19 @@ def test_block_by_block_is_the_whole(monkeypatch):
     monkeypatch.setattr(blocks, "BLOCK", 1_000)
     np.testing.assert_allclose(smooth(values, WHOLE, STEP, 0.1), expected[0], rtol=0, atol=1e-12)
     np.testing.assert_allclose(rate(values, WHOLE, STEP, 0.03), expected[1], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("mean", "expected"), [(0.0, 0.0), (2.0, 2.0)])
+def test_noise_about_a_constant_is_the_constant(mean, expected):
+    values = mean + 0.15 * np.random.default_rng(1).standard_normal(TIME.size)
+    width = best_width(values, WHOLE, STEP)
+    found = settled(values, smooth(values, WHOLE, STEP, width), STEP, width)
+    assert np.ptp(found) == 0.0
+    assert found[0] == pytest.approx(expected, abs=0.01)
+    assert expected or found[0] == 0.0
+
+
+def test_a_small_swing_above_the_noise_stays():
+    values = noisy(0.3, 0.15) / 200.0 + 0.15 * np.random.default_rng(2).standard_normal(TIME.size)
+    smoothed = smooth(values, WHOLE, STEP, best_width(values, WHOLE, STEP))
+    np.testing.assert_array_equal(settled(values, smoothed, STEP, best_width(values, WHOLE, STEP)), smoothed)

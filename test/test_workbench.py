@@ -119,15 +119,17 @@ def test_rows_near_the_real_zero_of_the_torque_are_left_out() -> None:
     assert made.clear_of(0.0) is made
 
 
-def test_amplitude_is_that_along_the_whole_record() -> None:
-    """Those rows too that no fit uses."""
-    offset, rows = EFFECTS["torque_offset"], np.arange(swinging().size) % 7 > 2
-    size = np.array([2.0])
+def test_amplitude_of_another_torque_is_that_along_the_whole_record() -> None:
+    """Those rows too that no fit uses; of other effects where they are fitted."""
+    offset, size = EFFECTS["torque_offset"], np.array([2.0])
+    friction, both = EFFECTS["viscous_windup"], np.array([1e-7])
+    rows = np.arange(swinging().size) % 7 > 2
     every = Workbench(swinging(), CONFIGURED, POINT)
     few = Workbench(swinging(), CONFIGURED, POINT, rows=rows)
     expected = float(np.std(offset.response(every.whole, size, ())))
     assert few.amplitude(offset, (), size) == pytest.approx(expected, rel=1e-12)
-    assert every.amplitude(offset, (), size) == few.amplitude(offset, (), size)
+    assert few.amplitude(friction, (), both) == np.std(friction.response(few.signals, both, ()))
+    assert few.amplitude(friction, (), both) != every.amplitude(friction, (), both)
 
 
 def test_back_at_known_parameters_nothing_is_computed_again() -> None:

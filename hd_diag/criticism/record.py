@@ -11,7 +11,7 @@ from scipy.ndimage import median_filter
 
 from hd_diag.criticism.blocks import filtered, unwrapped
 from hd_diag.criticism.noise import bounds
-from hd_diag.criticism.smoothing import best_width, rate, smooth
+from hd_diag.criticism.smoothing import best_width, rate, settled, smooth
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -215,7 +215,7 @@ def prepare(
         raise RecordError(
             f"no motion: the input turns by {float(np.ptp(angle)):.3g} rad, at least half a turn is needed"
         )
-    keep = ~_outliers(output - angle / ratio, segment)
+    keep = ~_outliers(output - angle / ratio, bag)
     outliers = keep.size - int(np.count_nonzero(keep))
     time, angle, output = (_kept(column, keep) for column in (time, angle, output))
     bag, segment = _kept(bag, keep), _kept(segment, keep)
@@ -223,13 +223,18 @@ def prepare(
     step = float(np.median(np.diff(time)))
     speed = rate(angle, segment, step, _SPEED_WINDOW)
     raw = np.full(time.shape, assumed_torque) if load is None else load
-    torque = raw if load is None else smooth(raw, segment, step, best_width(raw, segment, step))
+    torque = raw if load is None else _without_noise(raw, segment, step)
     heat = None if heat is None else smooth(heat, segment, step, _HEAT_WINDOW)
     run = _runs(time, speed, segment)
     known = load is not None
     return Record(
         time, angle, output, torque, speed, heat, run, known, outliers, dropped, bag, raw, own_speed
     )
+
+
+def _without_noise(torque: Floats, segment: Integers, step: float) -> Floats:
+    width = best_width(torque, segment, step)
+    return settled(torque, smooth(torque, segment, step, width), step, width)
 
 
 def _usable(columns: tuple[Floats | None, ...], bag: Integers) -> Rows:
@@ -293,10 +298,13 @@ def _segments(time: Floats, bag: Integers) -> Integers:
     return np.concatenate(([0], np.cumsum(breaks))).astype(np.int64)
 
 
-def _outliers(error: Floats, segment: Integers) -> Rows:
-    """Single samples off both their neighbours; taken out, they may show others beside them."""
+def _outliers(error: Floats, bag: Integers) -> Rows:
+    """Single samples off both their neighbours; taken out, they may show others beside them.
+
+    Neighbours are those that were recorded: between gaps there may be too few samples to tell.
+    """
     found = np.zeros(error.size, dtype=bool)
-    for begin, end in bounds(segment):
+    for begin, end in bounds(bag):
         filtered(found, begin, end, lambda rows: _repeated(error[rows]), 2 * _OUTLIER_WINDOW)
     return found
 

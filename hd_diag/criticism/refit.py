@@ -142,7 +142,7 @@ def usable(record: Record, shift: float = 0.0) -> npt.NDArray[np.bool_]:
     if not record.has_torque:
         return np.ones(record.size, dtype=bool)
     least = 0.01 * np.percentile(np.abs(record.torque), 99)
-    found: npt.NDArray[np.bool_] = np.minimum(np.abs(record.torque), np.abs(record.torque + shift)) > least
+    found: npt.NDArray[np.bool_] = np.minimum(np.abs(record.torque), np.abs(record.torque + shift)) >= least
     return found
 
 

@@ -16,6 +16,8 @@ Integers = npt.NDArray[np.int64]
 
 _ORDER = 2
 _WINDOWS = 0.01 * 1.35 ** np.arange(12)  # to choose from [s]
+_STILL = 4.0  # times the variance that noise leaves, up to which smoothed values are as good as constant
+_ZERO = 16.0  # times the variance of a mean, up to which it is as good as zero
 _JUDGED = 100_000  # samples that a window is chosen by
 
 
@@ -63,6 +65,29 @@ def best_width(values: Floats, segment: Integers, step: float) -> float:
     part = values[max(begin, middle - _JUDGED // 2) : min(end, middle + _JUDGED // 2)]
     scores = [_foretold(part, step, width) for width in _WINDOWS]
     return float(_WINDOWS[int(np.argmin(scores))])
+
+
+def settled(values: Floats, smoothed: Floats, step: float, width: float) -> Floats:
+    """The smoothed values; their mean, or zero, where they move no more than noise alone would make them.
+
+    Whether a torque is zero decides what bears in a true gap: noise must not.
+
+    Parameters
+    ----------
+    values, smoothed : ndarray, shape (n,)
+    step, width : float
+        By which they were smoothed [s].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    kernel = savgol_coeffs(_window(values.size, step, width), _ORDER)
+    noise = float(np.var(values - smoothed))
+    if np.var(smoothed) > _STILL * noise * np.sum(np.convolve(kernel, kernel) ** 2):
+        return smoothed
+    mean = float(np.mean(values))
+    return np.full(values.size, mean if mean**2 > _ZERO * noise / values.size else 0.0)
 
 
 def rate(values: Floats, segment: Integers, step: float, width: float) -> Floats:

@@ -259,12 +259,13 @@ class Workbench:
         return np.nan_to_num(effect.response(self.signals, coefficients, nonlinear))
 
     def amplitude(self, effect: Effect, nonlinear: tuple[float, ...], coefficients: Floats) -> float:
-        """Rms of an effect's part in the error along the whole record, what it wanders by included [rad]."""
-        own = effect.size
-        part = np.nan_to_num(effect.response(self._seen(effect), coefficients[:own], nonlinear))
-        if own < coefficients.size:
-            part = part + effect.wandering(self.whole, nonlinear) @ coefficients[own:]
-        return float(np.std(part))
+        """Rms of an effect's part in the error where it is fitted [rad].
+
+        Of another torque, along the whole record: most of it is near zero torque, which no fit uses.
+        """
+        if effect.torque_shift(coefficients):
+            return float(np.std(np.nan_to_num(effect.response(self.whole, coefficients, nonlinear))))
+        return float(np.std(self.full_size(effect, nonlinear, coefficients)))
 
     def see(self, present: Present) -> None:
         """Let effects see each other at these coefficients: later stages carry what earlier ones add."""

@@ -16,6 +16,7 @@ TURN = 2.0 * math.pi
 _SPEED_STEP = 0.1  # of the greatest speed; speeds closer than this count as one
 _DIGIT = 1e-9  # of the rated torque; less is rounding
 _STILL = 1e-3  # [rad/s]; below this the input stands
+_LEAST_LOAD = 0.1  # of the rated torque, under which teeth bear for certain, whatever the error of its zero
 
 
 def verdict(*checks: Verdict) -> Verdict:
@@ -64,6 +65,17 @@ def torque_varies(signals: Signals, fraction: float = 0.25) -> Verdict:
     return _told(
         span >= wanted,
         f"the torque spans {span:.3g} N m, {wanted:.3g} N m are needed: repeat the motion under another load",
+    )
+
+
+def loaded(signals: Signals) -> Verdict:
+    """Whether teeth bear at all: in the gear's play its own ripple hangs on what no record shows."""
+    wanted = _LEAST_LOAD * signals.rated_torque
+    most = float(np.max(np.abs(signals.torque), initial=0.0))
+    return _told(
+        most >= wanted,
+        f"no load is known beyond {_signed(most)} N m, within the gear's play: repeat the motion under "
+        f"{wanted:.2g} N m or more, measured",
     )
 
 

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from hd_diag.effects.effect import Quantity, Stage, StatefulEffect, Values, amplitude, direction
 from hd_diag.effects.excitation import (
     enough_input_turns,
+    loaded,
     sample_interval,
     several_speeds,
     torque_known,
@@ -104,8 +105,13 @@ class Resonance(StatefulEffect):
         return len(ORDERS) * _FINE * len(_DAMPINGS)
 
     def testable(self, signals: Signals) -> tuple[bool, str]:
-        """Five speeds across it, and turns enough at them."""
-        return verdict(torque_known(signals), enough_input_turns(signals, 20.0), several_speeds(signals, 5))
+        """Five speeds across it, and turns enough at them, under a load that makes a ripple."""
+        return verdict(
+            torque_known(signals),
+            loaded(signals),
+            enough_input_turns(signals, 20.0),
+            several_speeds(signals, 5),
+        )
 
 
 def _oscillator(nonlinear: Values) -> tuple[complex, complex]:

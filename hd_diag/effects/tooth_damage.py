@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hd_diag.effects.effect import Effect, Quantity, Values
-from hd_diag.effects.excitation import enough_input_turns, enough_output_turns, verdict
+from hd_diag.effects.excitation import enough_input_turns, enough_output_turns, loaded, verdict
 from hd_diag.effects.signals import Signals
 
 Floats = npt.NDArray[np.float64]
@@ -90,8 +90,8 @@ class ToothDamage(Effect):
         return np.asarray(self.secant(signals, coefficients, nonlinear) @ coefficients)
 
     def testable(self, signals: Signals) -> tuple[bool, str]:
-        """Ten turns of the input let a tooth stand out; one of the output tells the members apart."""
-        return verdict(enough_input_turns(signals, 10.0), enough_output_turns(signals, 1.0))
+        """Ten turns of the input let a loaded tooth stand out; one of the output tells the members apart."""
+        return verdict(loaded(signals), enough_input_turns(signals, 10.0), enough_output_turns(signals, 1.0))
 
 
 def _positions(signals: Signals, angle: Floats, residual: Floats) -> list[float]:
