@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 import time
 
 import bench_model
@@ -19,6 +18,7 @@ from timing import cpu_time, median_time, wall_time
 from hd_diag.drive import Drive, mesh_state, transmission_error
 from hd_diag.extended import ExtendedModel
 from hd_diag.map_builder import MapBuilder
+from hd_diag.model.threads import cores
 from hd_diag.model.torsion import Mesh, torsion
 from hd_diag.model.torsion_map import build
 from hd_diag.model.transmission_error import Kinematics
@@ -89,7 +89,7 @@ def moment(options):
 
 
 def all_cores():
-    return f"all {len(os.sched_getaffinity(0))} cores, wall"
+    return f"all {cores()} cores, wall"
 
 
 def maps(options):

@@ -30,6 +30,7 @@ from hd_diag.cli_options import (
 )
 from hd_diag.config import JointConfig
 from hd_diag.fleet.errors import FleetError
+from hd_diag.model.threads import cores
 
 if TYPE_CHECKING:
     from hd_diag.fleet.rows import Row
@@ -233,16 +234,11 @@ def _crew(options: dict[str, Any]) -> Any:
         return ClusterCrew(options["scheduler"])
     from hd_diag.fleet.work import LocalCrew
 
-    jobs = options["jobs"] or _cores()
+    jobs = options["jobs"] or cores()
     if options["memory"]:
         return LocalCrew(jobs, int(options["memory"] * 2**30))
     machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     return LocalCrew(jobs, int(_MEMORY_SHARE * machine / jobs))
-
-
-def _cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _write(rows: list[Row], trends: list[Trend], options: dict[str, Any]) -> None:

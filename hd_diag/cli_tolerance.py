@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,6 +18,7 @@ from rich.table import Table
 
 from hd_diag.cli_options import CONFIG, JOINT, JSON, Problem, check_target, configured, problems, write_json
 from hd_diag.config import Config, JointConfig
+from hd_diag.model.threads import cores
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.tolerance.assembly import ANGLES, FACTORS, WITHIN
 from hd_diag.tolerance.criteria import CRITERIA
@@ -133,7 +133,7 @@ def tolerance(
     chosen = _joint(config, joint)
     try:
         question = _question(config, chosen, torques, options)
-        with _bars() as progress, Workers(jobs or len(os.sched_getaffinity(0))) as workers:
+        with _bars() as progress, Workers(jobs or cores()) as workers:
             found = study(question, workers, progress)
     except ValueError as error:
         raise Problem(f"{chosen.name}: {error}") from error

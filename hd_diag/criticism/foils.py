@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.criticism.noise import bounds
+from hd_diag.criticism.noise import bounds, spans
 from hd_diag.effects.effect import Effect, Quantity, Stage, Values
 from hd_diag.effects.signals import Signals
 
@@ -197,12 +197,11 @@ def _rests(signals: Signals) -> Floats:
 
 def _rest_middles(speed: Floats, least: float) -> list[int]:
     """Rows in the middle of rests: of what is slowest in them, for a slow run begins slowly."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], speed < least, [False])).astype(np.int8)))
     found = []
-    for begin, end in edges.reshape(-1, 2):
+    for begin, end in spans(speed < least):
         part = speed[begin:end]
         slowest = np.flatnonzero(part <= max(0.1 * least, float(part.min())))
-        found.append(int(begin + (slowest[0] + slowest[-1]) // 2))
+        found.append(begin + int(slowest[0] + slowest[-1]) // 2)
     return found
 
 

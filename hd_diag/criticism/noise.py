@@ -65,6 +65,12 @@ def bounds(run: Integers) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in pairwise(edges.tolist())]
 
 
+def spans(rows: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First row and end of every stretch of rows that are true."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], rows, [False])).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
 def whitening(residual: Floats, run: Integers) -> Whitening:
     """Fit the noise model to a residual.
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy.ndimage import median_filter
 
 from hd_diag.criticism.blocks import filtered, unwrapped
-from hd_diag.criticism.noise import bounds
+from hd_diag.criticism.noise import bounds, spans
 from hd_diag.criticism.smoothing import best_width, rate, settled, smooth
 
 Floats = npt.NDArray[np.float64]
@@ -339,8 +339,7 @@ def _runs(time: Floats, speed: Floats, segment: Integers) -> Integers:
     """Runs: segments, cut in the middle of every rest that lasts."""
     resting = np.abs(speed) < _REST_SPEED * np.percentile(np.abs(speed), 95)
     cut = np.concatenate(([False], np.diff(segment) != 0))
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], resting, [False])).astype(np.int8)))
-    for begin, end in edges.reshape(-1, 2):
+    for begin, end in spans(resting):
         if time[end - 1] - time[begin] >= _PAUSE and begin > 0 and end < time.size:
             cut[(begin + end) // 2] = True
     return np.cumsum(cut).astype(np.int64)
