@@ -166,7 +166,7 @@ def moment(joint: JointConfig, input_angle: float, torque: float) -> dict[str, A
     drive = joint.drive
     angle, load = np.array([input_angle]), np.array([torque])
     state = mesh_state(drive, angle, load)
-    driven = mesh_state(drive, angle, drive.kinematics.cup_torque(load))
+    driven = mesh_state(drive, angle, drive.frame.cup_torque(load))
     return {
         "schema": "hd_diag/mesh/1",
         "joint": joint.name,

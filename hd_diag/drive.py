@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +15,7 @@ from hd_diag.model.clearance import all_teeth
 from hd_diag.model.load_sharing import forces
 from hd_diag.model.torsion import Mesh, torsion
 from hd_diag.model.torsion_map import TorsionMap
-from hd_diag.model.transmission_error import Kinematics
+from hd_diag.model.transmission_error import Frame, Kinematics
 
 Floats = npt.NDArray[np.float64]
 
@@ -49,6 +52,11 @@ class Drive:
             raise ValueError(f"rated_torque must be positive, not {self.rated_torque} N m")
         if not 0.0 <= self.cup_compliance < np.inf:
             raise ValueError(f"cup_compliance must not be negative, not {self.cup_compliance} rad/(N m)")
+
+    @cached_property
+    def frame(self) -> Frame[float]:
+        """How reported numbers map to the mesh and back."""
+        return self.kinematics.frame(self.mesh.geometry, self.cup_compliance)
 
 
 @dataclass(frozen=True)
@@ -116,14 +124,14 @@ def mesh_state(drive: Drive, input_angle: Floats, cup_torque: Floats) -> MeshSta
     input_angle : ndarray, shape (moments,)
         As reported [rad].
     cup_torque : ndarray, shape (moments,)
-        Torque that turns the cup [N m]; :meth:`Kinematics.cup_torque` gives it from the link's.
+        Torque that turns the cup [N m]; :meth:`Frame.cup_torque` gives it from the link's.
 
     Returns
     -------
     MeshState
     """
     mesh = drive.mesh
-    turn = drive.kinematics.wave_generator_angle(mesh.geometry, input_angle)
+    turn = drive.frame.wave_generator_angle(input_angle)
     if not compiled.available():
         return _mesh_state(mesh, turn, cup_torque)
     found = compiled.mesh_state(
@@ -168,8 +176,8 @@ def transmission_error(
     ndarray, shape (n,)
         ``theta_out - theta_in / ratio`` [rad].
     """
-    angle = drive.kinematics.wave_generator_angle(drive.mesh.geometry, input_angle)
-    cup_torque = drive.kinematics.cup_torque(torque)
+    angle = drive.frame.wave_generator_angle(input_angle)
+    cup_torque = drive.frame.cup_torque(torque)
     if table is None:
         beta = torsion(drive.mesh, angle, cup_torque)
     else:
@@ -177,4 +185,50 @@ def transmission_error(
         beyond = np.isnan(beta)
         if beyond.any():
             beta[beyond] = torsion(drive.mesh, angle[beyond], cup_torque[beyond])
-    return drive.kinematics.transmission_error(beta, torque, drive.cup_compliance)
+    return drive.frame.transmission_error(beta, torque)
+
+
+class Drives:
+    """Several drives side by side, one value each: what :func:`transmission_error` gives, to the last bit.
+
+    Parameters
+    ----------
+    drives : sequence of Drive
+        The k drives.
+
+    Attributes
+    ----------
+    frame : Frame of ndarray, shape (k,)
+    """
+
+    def __init__(self, drives: Sequence[Drive]) -> None:
+        self._meshes = [drive.mesh for drive in drives]
+        self.frame = Frame(*map(np.array, zip(*(astuple(drive.frame) for drive in drives), strict=True)))
+
+    def transmission_error(
+        self, input_angle: Floats, torque: Floats, tables: Sequence[TorsionMap | None]
+    ) -> Floats:
+        """Predicted transmission error.
+
+        Parameters
+        ----------
+        input_angle, torque : ndarray, shape (k,)
+            As reported [rad]; what the drives exert on their links [N m].
+        tables : sequence of k TorsionMap or None
+            Maps of the drives' meshes.
+
+        Returns
+        -------
+        ndarray, shape (k,)
+            [rad]
+        """
+        angle, cup_torque = self.frame.wave_generator_angle(input_angle), self.frame.cup_torque(torque)
+        beta = np.full(angle.shape, np.nan)
+        for row, table in enumerate(tables):
+            if table is not None:
+                table.read(angle, cup_torque, beta, row)
+        if math.isnan(beta.sum()):
+            for row in np.flatnonzero(np.isnan(beta)).tolist():
+                at = slice(row, row + 1)
+                beta[at] = torsion(self._meshes[row], angle[at], cup_torque[at])
+        return self.frame.transmission_error(beta, torque)

@@ -200,12 +200,12 @@ class ExtendedModel:
     ) -> Signals:
         step = _change(time, state.time)
         moved = _rate(_change(angle, state.angle), step)
-        kinematics, geometry = self.drive.kinematics, self.drive.mesh.geometry
-        turned = kinematics.wave_generator_angle(geometry, angle)
+        frame = self.drive.frame
+        turned = frame.wave_generator_angle(angle)
         return Signals(
             time=time,
             wave_generator_angle=turned,
-            output_angle=angle / kinematics.ratio,
+            output_angle=angle / frame.ratio,
             speed=moved if speed is None else np.where(np.isfinite(speed), speed, moved),
             torque=torque,
             temperature=temperature,

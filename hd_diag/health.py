@@ -216,7 +216,7 @@ def _mesh(joint: JointMonitor) -> tuple[MeshState | None, Floats]:
         return None, np.array([np.nan])
     drive = joint.config.drive
     angle, torque = (np.array([value]) for value in joint.last)
-    state = mesh_state(drive, angle, drive.kinematics.cup_torque(torque))
+    state = mesh_state(drive, angle, drive.frame.cup_torque(torque))
     count = _ANGLES_OF_TURN if joint.table is not None else _ANGLES_WITHOUT_MAP
     turn = angle + 2.0 * np.pi * np.arange(count) / count
     return state, transmission_error(drive, turn, np.repeat(torque, count), joint.table)
@@ -272,7 +272,7 @@ def _mean(parts: list[Floats]) -> float:
 
 def _rate(window: Window) -> float:
     """Samples per second by their stamps [Hz]."""
-    if window.accepted < 2:
+    if window.accepted < 2 or not window.stamps:
         return 0.0
     span = int(window.stamps[-1][-1]) - int(window.stamps[0][0])
     return (window.accepted - 1) / (span * 1e-9) if span > 0 else float("nan")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -21,7 +21,6 @@ from hd_diag.samples import Floats, Times
 CLOCK_JUMP = 1_000_000_000
 """A stamp this far behind the last one is a clock set back, not a late sample [ns]."""
 
-_ONE = np.zeros(1, np.int64)
 _NO_ROWS, _NO_VALUES = np.empty(0, np.int64), np.empty(0)
 
 
@@ -36,6 +35,30 @@ class Samples(NamedTuple):
     output_angle: Floats | None
     torque: Floats | None
     speed: Floats | None = None
+
+
+class Row(NamedTuple):
+    """What one message tells of a joint: stamp [ns], angles [rad], torque [N m], speed of input [rad/s]."""
+
+    stamp: int
+    input_angle: float | None
+    output_angle: float | None
+    torque: float | None
+    speed: float | None = None
+
+
+class Asked(NamedTuple):
+    """A moment at which a joint's error is to be predicted: stamp [ns], angles [rad], torque [N m].
+
+    `paired` where the output angle arrived apart from the input, which had its prediction at its own stamp.
+    """
+
+    stamp: int
+    input_angle: float
+    torque: float
+    output_angle: float | None
+    speed: float | None = None
+    paired: bool = False
 
 
 class Prediction(NamedTuple):
@@ -236,44 +259,66 @@ class JointMonitor:
             row, rows = plan.inputs
             self.last_received = int(received[row[-1]])
             found.append(self._predict(row, rows, self._held(plan, row)))
-            self._note_inputs(rows)
+            self._note_rows(rows)
         if plan.torque.size:
             self._torque = float(plan.torque[-1])
         if plan.output_stamp is not None:
             self._output_stamp = plan.output_stamp
         return found if plan.pairs is None else found + self._take_pairs(plan.pairs)
 
-    def accept(self, received: int, rows: Samples) -> list[Prediction]:
-        """Predictions that one more row makes possible.
+    def accept(self, received: int, row: Row) -> list[Asked]:
+        """Moments that one more message lets be predicted; `note`, `note_residual` take what comes of each.
 
         Parameters
         ----------
         received : int
             When it arrived [ns].
-        rows : Samples
-            One row.
+        row : Row
 
         Returns
         -------
-        list of Prediction
+        list of Asked
             At the input's stamp; for output angles that arrive apart from the input, at theirs.
         """
-        checked = self._check(rows)
+        checked = self._check(row)
         if checked is None:
             return []
-        rows = checked
-        found: list[Prediction] = []
-        if rows.torque is not None:
-            self._torque = rows.torque.item()
-        if rows.input_angle is not None:
+        stamp, angle, output, torque, speed = checked
+        if torque is not None:
+            self._torque = torque
+        asked: list[Asked] = []
+        if angle is not None:
             self.last_received = received
-            found.append(self._predict(_ONE, rows, np.array([self._current_torque()])))
-            self._note_inputs(rows)
-        elif rows.output_angle is not None:
-            self._output_stamp = rows.stamp.item()
+            self.last = angle, self._current_torque()
+            asked.append(Asked(stamp, *self.last, output, speed))
+            self._note_inputs(((stamp, angle),), 1, output is not None)
+        elif output is not None:
+            self._output_stamp = stamp
             self.unpaired += len(self._pending) == REMEMBERED
-            self._pending.append((self._output_stamp, rows.output_angle.item(), self._current_torque()))
-        return found + self._pair()
+            self._pending.append((stamp, output, self._current_torque()))
+        if self._pending:
+            asked += self._pair()
+        return asked
+
+    def predict(self, rows: Samples, torque: Floats, paired: bool) -> Floats:
+        """Transmission error of the joint's next rows [rad], shape (n,)."""
+        assert rows.input_angle is not None
+        if self._runs is None:
+            return transmission_error(self.config.drive, rows.input_angle, torque, self.table)
+        predicted, speed = self._runs[paired](rows, torque, self.temperature, self.table)
+        self.window.torques.append(torque)
+        self.window.speeds.append(speed)
+        return predicted
+
+    def note(self, stamp: Times, paired: bool) -> None:
+        """Keep the stamps [ns] of rows that were predicted, for the next report."""
+        if not paired:
+            self.window.stamps.append(stamp)
+
+    def note_residual(self, stamp: Times, angle: Floats, output: Floats, residual: Floats) -> None:
+        """Keep what the output angles of rows said of their prediction [rad], shape (n,) each."""
+        self.window.residuals.append(residual)
+        self.orders.add(stamp, angle, output, residual)
 
     def _measured(self, parts: Sequence[Part]) -> list[Part] | None:
         """The parts less what the robot does not measure; None where some numbers are none.
@@ -328,16 +373,15 @@ class JointMonitor:
         row, stamp, output, torque = found.found
         return [self._predict(row, Samples(stamp, found.input_angle, output, None), torque, paired=True)]
 
-    def _check(self, rows: Samples) -> Samples | None:
-        """A single row less what cannot be used; None if nothing is left. Counts what it refuses."""
-        stamp = rows.stamp.item()
+    def _check(self, row: Row) -> Row | None:
+        """A message less what cannot be used; None if nothing is left. Counts what it refuses."""
+        stamp, angle, output, torque, speed = row
         if stamp < max(self._input_stamp, self._output_stamp) - CLOCK_JUMP:
             self.clock_jumps += 1
             self._restart()
-        angle, output, torque = rows.input_angle, rows.output_angle, rows.torque
         if angle is not None:
-            if not math.isfinite(angle.item()):
-                self.reject(f"input angle of {self.config.input_joint} is {angle.item()}")
+            if not math.isfinite(angle):
+                self.reject(f"input angle of {self.config.input_joint} is {angle}")
                 return None
             if stamp <= self._input_stamp:
                 self.reject(_stamp_reason(self.config.input_joint, stamp, self._input_stamp))
@@ -345,20 +389,20 @@ class JointMonitor:
         elif output is not None and stamp <= self._output_stamp:
             self.reject(_stamp_reason(self.config.output_joint, stamp, self._output_stamp))
             return None
-        if torque is not None and not math.isfinite(torque.item()):
+        if torque is not None and not math.isfinite(torque):
             # Broadcasters fill efforts that a robot does not measure with nan: then none is reported at all.
-            if math.isinf(torque.item()) or self._torque is not None:
-                self.reject(f"effort of {self.config.output_joint} is {torque.item()}")
+            if math.isinf(torque) or self._torque is not None:
+                self.reject(f"effort of {self.config.output_joint} is {torque}")
                 return None
             torque = None
-        if output is not None and not math.isfinite(output.item()):
-            if math.isinf(output.item()) or self._output_seen:
-                self.reject(f"output angle of {self.config.output_joint} is {output.item()}")
+        if output is not None and not math.isfinite(output):
+            if math.isinf(output) or self._output_seen:
+                self.reject(f"output angle of {self.config.output_joint} is {output}")
                 return None
             output = None
         if angle is None and output is None and torque is None:
             return None
-        return Samples(rows.stamp, angle, output, torque, rows.speed)
+        return Row(stamp, angle, output, torque, speed)
 
     def _current_torque(self) -> float:
         return self.config.torque if self._torque is None else self._torque
@@ -368,56 +412,50 @@ class JointMonitor:
         last = np.searchsorted(plan.torque_row, row, side="right") - 1
         return np.concatenate(([self._current_torque()], plan.torque))[last + 1]
 
-    def _note_inputs(self, rows: Samples) -> None:
+    def _note_rows(self, rows: Samples) -> None:
         assert rows.input_angle is not None
-        stamp, angle = rows.stamp[-REMEMBERED:], rows.input_angle[-REMEMBERED:]
-        if rows.output_angle is None:
-            self._inputs.extend(zip(stamp.tolist(), angle.tolist(), strict=True))
-        else:
+        last = rows.stamp[-REMEMBERED:].tolist(), rows.input_angle[-REMEMBERED:].tolist()
+        self._note_inputs(list(zip(*last, strict=True)), rows.stamp.size, rows.output_angle is not None)
+
+    def _note_inputs(self, last: Sequence[tuple[int, float]], count: int, with_output: bool) -> None:
+        """Keep the last of some inputs for outputs that come apart from them."""
+        stamp = last[-1][0]
+        if with_output:
             self._inputs.clear()
-            self._inputs.append((int(stamp[-1]), float(angle[-1])))
+            self._inputs.append(last[-1])
             self._output_seen = True
-            self._output_stamp = max(self._output_stamp, int(stamp[-1]))
-        self._input_stamp = int(stamp[-1])
-        self.samples += rows.stamp.size
-        self.window.accepted += rows.stamp.size
-        self.window.stamps.append(rows.stamp)
+            self._output_stamp = max(self._output_stamp, stamp)
+        else:
+            self._inputs.extend(last)
+        self._input_stamp = stamp
+        self.samples += count
+        self.window.accepted += count
 
     def _predict(self, row: Times, rows: Samples, torque: Floats, paired: bool = False) -> Prediction:
-        angle = rows.input_angle
+        angle, output = rows.input_angle, rows.output_angle
         assert angle is not None
-        if self._runs is None:
-            predicted = transmission_error(self.config.drive, angle, torque, self.table)
-        else:
-            predicted, speed = self._runs[paired](rows, torque, self.temperature, self.table)
-            self.window.torques.append(torque)
-            self.window.speeds.append(speed)
-        prediction = Prediction(row, rows.stamp, angle, torque, predicted, paired=paired)
+        predicted = self.predict(rows, torque, paired)
+        measured = None if output is None else self.config.drive.frame.measured_error(angle, output)
+        residual = None if measured is None else measured - predicted
+        found = Prediction(row, rows.stamp, angle, torque, predicted, measured, residual, paired)
         if not paired:
             self.last = float(angle[-1]), float(torque[-1])
-        return prediction if rows.output_angle is None else self._compared(prediction, rows.output_angle)
+        self.note(rows.stamp, paired)
+        if residual is not None:
+            assert output is not None
+            self.note_residual(rows.stamp, angle, output, residual)
+        return found
 
-    def _compared(self, prediction: Prediction, output: Floats) -> Prediction:
-        """The prediction with what the output angle says of it."""
-        measured = output - prediction.input_angle / self.config.drive.kinematics.ratio
-        residual = measured - prediction.predicted
-        self.window.residuals.append(residual)
-        self.orders.add(prediction.stamp, prediction.input_angle, output, residual)
-        return prediction._replace(measured=measured, residual=residual)
-
-    def _pair(self) -> list[Prediction]:
-        """Compare waiting output angles with the input angle interpolated to their stamps."""
-        found = []
+    def _pair(self) -> Iterator[Asked]:
+        """Output angles that waited, with the input angle interpolated to their stamps."""
         while self._pending and self._inputs and self._pending[0][0] <= self._inputs[-1][0]:
             stamp, output, torque = self._pending.popleft()
             self._output_seen = True
             angle = interpolated(self._inputs, stamp)
             if angle is None:
                 self.unpaired += 1
-                continue
-            rows = Samples(np.array([stamp]), np.array([angle]), np.array([output]), None)
-            found.append(self._predict(_ONE, rows, np.array([torque]), paired=True))
-        return found
+            else:
+                yield Asked(stamp, angle, torque, output, paired=True)
 
 
 _NO_INPUTS = Inputs(_NO_ROWS, _NO_ROWS, _NO_VALUES)

@@ -136,7 +136,7 @@ def drawing(
     geometry = drive.mesh.geometry
     if load.shape != (2, geometry.flexspline_teeth):
         raise ValueError(f"load: shape {(2, geometry.flexspline_teeth)} is needed, got {load.shape}")
-    angle = drive.kinematics.wave_generator_angle(geometry, np.array([input_angle]))
+    angle = drive.frame.wave_generator_angle(np.array([input_angle]))
     turn = complex(np.exp(1j * angle[0]))
     displacement = complex(drive.mesh.displacement(angle)[0])
     factor = exaggeration.deformation

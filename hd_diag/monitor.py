@@ -13,12 +13,14 @@ import numpy as np
 from hd_diag.config import Config
 from hd_diag.drive import MeshState, mesh_state
 from hd_diag.health import report
-from hd_diag.joint_monitor import JointMonitor, Part, Prediction, Samples
+from hd_diag.joint_monitor import Asked, JointMonitor, Part, Prediction, Row, Samples
 from hd_diag.model.torsion_map import TorsionMap
-from hd_diag.predictions import angles
-from hd_diag.samples import Drawings, JointStates, Publication, Report, Teeth, Times
+from hd_diag.moment import Moments
+from hd_diag.periods import Periods
+from hd_diag.predictions import angles, angles_of_moment
+from hd_diag.samples import Drawings, Floats, JointStates, Publication, Report, Teeth, Times
 
-_NO_ROWS = np.empty(0, np.int64)
+_NAMELESS = "the message names the joint and gives no position of it"
 
 
 class Monitor:
@@ -33,10 +35,11 @@ class Monitor:
         self.config = config
         self.joints = {joint.name: JointMonitor(joint) for joint in config.joints}
         self.foreign = 0
-        self._array_period = dict.fromkeys(self.joints, -(2**62))
-        self._mesh_period = dict.fromkeys(self.joints, -(2**62))
         # Each joint's periods begin at another time, so that no message has to wait for the arrays of all.
-        self._shift = {name: number / len(self.joints) for number, name in enumerate(self.joints)}
+        shift = {name: number / len(self.joints) for number, name in enumerate(self.joints)}
+        self._array_periods = {name: Periods(shift[name]) for name in self.joints}
+        self._mesh_periods = {name: Periods(shift[name]) for name in self.joints}
+        self._moments = Moments()
         self._columns: dict[tuple[str, ...], list[tuple[str, int, int]]] = {}
 
     def configure(self, config: Config) -> None:
@@ -45,6 +48,9 @@ class Monitor:
             self.joints[joint.name].configure(joint)
         self.config = config
         self._columns.clear()
+        self._moments = Moments()
+        for periods in (*self._array_periods.values(), *self._mesh_periods.values()):
+            periods.change()
 
     def use_map(self, joint: str, table: TorsionMap) -> bool:
         """Predict a joint by its map from the next message on; False if the map is of another mesh."""
@@ -91,20 +97,50 @@ class Monitor:
         -------
         list of Publication
         """
+        if received.size == 1:
+            return self._one(received, shapes[0])
         parts, nameless, foreign = self._parts(shapes)
-        single = received.size == 1
-        plans = {} if single else {name: self.joints[name].plan(part) for name, part in parts.items()}
+        plans = {name: self.joints[name].plan(part) for name, part in parts.items()}
         if None in plans.values():
             return self._in_halves(received, shapes)
         self.foreign += foreign
         for joint, count in nameless:
-            self.joints[joint].reject("the message names the joint and gives no position of it", count)
-        if single:
-            now = int(received[0])
-            results = {name: self.joints[name].accept(now, part[0].samples) for name, part in parts.items()}
-        else:
-            results = {name: self.joints[name].run(received, plan) for name, plan in plans.items() if plan}
-        return angles(received, results) + self._teeth(received, results)
+            self.joints[joint].reject(_NAMELESS, count)
+        results = {name: self.joints[name].run(received, plan) for name, plan in plans.items() if plan}
+        found = angles(received, results)
+        for name, predictions in results.items():
+            for prediction in predictions:
+                if not prediction.paired:
+                    found += self._teeth(received, name, prediction)
+        return found
+
+    def _one(self, received: Times, states: JointStates) -> list[Publication]:
+        """What one message gives: as fast as can be, for live each comes alone."""
+        selected = self._selected(states)
+        self.foreign += not selected
+        now = int(received[0])
+        joints: list[JointMonitor] = []
+        asked: list[Asked] = []
+        stamp, values = int(states.stamp[0]), tuple(map(_listed, states[4:]))
+        for name, *columns in selected:
+            joint, row = self.joints[name], _row(stamp, values, *columns)
+            if row is None:
+                joint.reject(_NAMELESS)
+                continue
+            for each in joint.accept(now, row):
+                joints.append(joint)
+                asked.append(each)
+        if not asked:
+            return []
+        moment = self._moments(joints, asked)
+        found = angles_of_moment(received, moment)
+        for number, each in enumerate(asked):
+            name = joints[number].config.name
+            stamp, arrays, meshes = each.stamp, self._array_periods[name], self._mesh_periods[name]
+            if each.paired or (arrays.within(stamp) and meshes.within(stamp)):
+                continue
+            found += self._teeth(received, name, moment.prediction(number))
+        return found
 
     def temperature(self, joint: str, value: float) -> None:
         """Note a joint's temperature [degree Celsius]."""
@@ -169,20 +205,15 @@ class Monitor:
             found += self.mixed_states(received[low:high], [part for part in parts if part.row.size])
         return found
 
-    def _teeth(self, received: Times, results: Mapping[str, list[Prediction]]) -> list[Publication]:
+    def _teeth(self, received: Times, joint: str, prediction: Prediction) -> list[Publication]:
         """Per-tooth arrays and drawings where a period of their rates has begun."""
         found: list[Publication] = []
-        for joint, predictions in results.items():
-            for prediction in predictions:
-                if prediction.paired:
-                    continue
-                stamp, shift = prediction.stamp, self._shift[joint]
-                rows = _due(self._array_period, joint, stamp, self.config.array_rate, shift)
-                if rows.size:
-                    found += self._arrays(joint, received[prediction.row[rows]], prediction, rows)
-                rows = _due(self._mesh_period, joint, stamp, self.config.mesh_rate, shift)
-                if rows.size:
-                    found.append(self._drawings(joint, received[prediction.row[rows]], prediction, rows))
+        rows = self._array_periods[joint].begun(prediction.stamp, self.config.array_rate)
+        if rows.size:
+            found += self._arrays(joint, received[prediction.row[rows]], prediction, rows)
+        rows = self._mesh_periods[joint].begun(prediction.stamp, self.config.mesh_rate)
+        if rows.size:
+            found.append(self._drawings(joint, received[prediction.row[rows]], prediction, rows))
         return found
 
     def _arrays(self, joint: str, received: Times, prediction: Prediction, rows: Times) -> list[Publication]:
@@ -208,25 +239,8 @@ class Monitor:
 
     def _state(self, joint: str, prediction: Prediction, rows: Times) -> MeshState:
         drive = self.joints[joint].config.drive
-        torque = drive.kinematics.cup_torque(prediction.torque[rows])
+        torque = drive.frame.cup_torque(prediction.torque[rows])
         return mesh_state(drive, prediction.input_angle[rows], torque)
-
-
-def _due(last: dict[str, int], joint: str, stamp: Times, rate: float, shift: float) -> Times:
-    """Rows of rising stamps [ns] at which a period of a rate [Hz] begins; keeps the joint's last period.
-
-    Periods begin earlier by `shift` of their length.
-    """
-    if rate <= 0.0:
-        return _NO_ROWS
-    length = round(1e9 / rate)
-    offset = round(shift * length)
-    before, after = last[joint], (int(stamp[-1]) + offset) // length
-    if before == (int(stamp[0]) + offset) // length == after:
-        return _NO_ROWS
-    last[joint] = after
-    period = (stamp + offset) // length
-    return np.flatnonzero(period != np.concatenate(([before], period[:-1])))
 
 
 def _samples(states: JointStates, input_column: int, output_column: int) -> Samples | None:
@@ -239,3 +253,24 @@ def _samples(states: JointStates, input_column: int, output_column: int) -> Samp
     if angle is None and output is None and torque is None:
         return None
     return Samples(states.stamp, angle, output, torque, speed)
+
+
+def _listed(column: Floats | None) -> list[float] | None:
+    """The only row of a column."""
+    return None if column is None else column[0].tolist()
+
+
+def _row(
+    stamp: int, values: tuple[list[float] | None, ...], input_column: int, output_column: int
+) -> Row | None:
+    """What `_samples` gives, of one message."""
+    position, velocity, effort = values
+    has_input, has_output = input_column >= 0, output_column >= 0
+    angle = position[input_column] if position is not None and has_input else None
+    output = position[output_column] if position is not None and has_output else None
+    torque = effort[output_column] if effort is not None and has_output else None
+    if angle is None and output is None and torque is None:
+        return None
+    return Row(
+        stamp, angle, output, torque, velocity[input_column] if velocity is not None and has_input else None
+    )

@@ -8,7 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from hd_diag.joint_monitor import Prediction
+from hd_diag.moment import Moment
 from hd_diag.samples import Angles, Floats, Publication, Times
+
+_PREDICTED = "~/transmission_error"
+_MEASURED = "~/measured_transmission_error"
+_RESIDUAL = "~/residual"
 
 
 class _Group(NamedTuple):
@@ -33,15 +38,13 @@ def angles(received: Times, results: Mapping[str, list[Prediction]]) -> list[Pub
     received : ndarray of int64, shape (n,)
         When the messages that gave the predictions arrived [ns].
     results : mapping of str to list of Prediction
-        By joint. Of one message as many as there are; of several at most one paired and one that is not.
+        By joint, at most one paired and one that is not.
 
     Returns
     -------
     list of Publication
         In every topic in the order in which the messages one by one would give them.
     """
-    if received.size == 1:  # as fast as can be: live, each message comes alone
-        return [m for group in _of_one_message(results) for m in _messages(received, group)]
     numbers = {name: number for number, name in enumerate(results)}
     groups = [
         group
@@ -56,13 +59,47 @@ def angles(received: Times, results: Mapping[str, list[Prediction]]) -> list[Pub
     return found + [m for group in compared for m in _comparisons(received[group.one.row], group)]
 
 
-def _of_one_message(results: Mapping[str, list[Prediction]]) -> list[_Group]:
-    shared: dict[tuple[bool, int], _Group] = {}
-    for number, (joint, predictions) in enumerate(results.items()):
-        for prediction in predictions:
-            key = prediction.paired, prediction.stamp.item()
-            shared.setdefault(key, _Group({}, number)).joints[joint] = prediction
-    return list(shared.values())
+def angles_of_moment(received: Times, moment: Moment) -> list[Publication]:
+    """Messages of one moment, the same as of several.
+
+    Parameters
+    ----------
+    received : ndarray of int64, shape (1,)
+        When the message that gave it arrived [ns].
+    moment : Moment
+
+    Returns
+    -------
+    list of Publication
+    """
+    shared: dict[tuple[bool, int], list[int]] = {}
+    for number, asked in enumerate(moment.asked):
+        shared.setdefault((asked.paired, asked.stamp), []).append(number)
+    found: list[Publication] = []
+    for (paired, _), rows in shared.items():
+        if not paired:
+            values = moment.predicted, moment.torque
+            found.append(_side_by_side(_PREDICTED, received, moment, rows, *values))
+        compared = [row for row in rows if moment.asked[row].output_angle is not None]
+        if compared:
+            for topic, value in ((_MEASURED, moment.measured), (_RESIDUAL, moment.residual)):
+                found.append(_side_by_side(topic, received, moment, compared, value))
+    return found
+
+
+def _side_by_side(
+    topic: str,
+    received: Times,
+    moment: Moment,
+    rows: list[int],
+    position: Floats,
+    effort: Floats | None = None,
+) -> Angles:
+    names = tuple([moment.joints[row].config.name for row in rows])
+    if len(rows) < len(moment.asked):
+        position, effort = position[rows], None if effort is None else effort[rows]
+    stamp = moment.stamp[rows[0] : rows[0] + 1]
+    return Angles(topic, received, stamp, names, position[None], None if effort is None else effort[None])
 
 
 def _groups(predictions: dict[str, Prediction], numbers: Mapping[str, int]) -> list[_Group]:
@@ -121,25 +158,17 @@ def _in_order(groups: list[_Group]) -> Iterable[_Group]:
     return parts
 
 
-def _messages(received: Times, group: _Group) -> Iterator[Angles]:
-    """All messages of a group."""
-    if not group.one.paired:
-        yield _errors(received, group)
-    for part in _compared(group):
-        yield from _comparisons(received, part)
-
-
 def _errors(received: Times, group: _Group) -> Angles:
     found = list(group.joints.values())
     values = _columns([p.predicted for p in found]), _columns([p.torque for p in found])
-    return Angles("~/transmission_error", received, group.one.stamp, tuple(group.joints), *values)
+    return Angles(_PREDICTED, received, group.one.stamp, tuple(group.joints), *values)
 
 
 def _comparisons(received: Times, group: _Group) -> Iterator[Angles]:
     names, stamp = tuple(group.joints), group.one.stamp
     measured = [p.measured for p in group.joints.values() if p.measured is not None]
     residual = [p.residual for p in group.joints.values() if p.residual is not None]
-    for topic, values in (("~/measured_transmission_error", measured), ("~/residual", residual)):
+    for topic, values in ((_MEASURED, measured), (_RESIDUAL, residual)):
         yield Angles(topic, received, stamp, names, _columns(values), None)
 
 

@@ -167,10 +167,8 @@ def _beside(entry: dict[str, float]) -> str:
 
 def _input_angle(turned: dict[str, float], drive: Drive) -> str:
     """Where the input stands when the long axis points along the eccentricity."""
-    kinematics, geometry = drive.kinematics, drive.mesh.geometry
-    ends = kinematics.wave_generator_angle(geometry, np.array([0.0, 1.0]))
-    rate = float(ends[1] - ends[0])
-    angle, period = (turned["value"] - float(ends[0])) / rate, math.pi / abs(rate)
+    phase, rate = drive.frame.phase, drive.frame.turning
+    angle, period = (turned["value"] - phase) / rate, math.pi / abs(rate)
     return direction(angle, turned["std"] / abs(rate), period)
 
 

@@ -95,7 +95,7 @@ def stages(diagnosis: Diagnosis, plain: Workbench | None) -> Stages:
         whole = left(diagnosis.model, diagnosis.record, diagnosis.record.torque, map_of(diagnosis.model))
         residual[EXTENDED] = whole[rows]
     drive = diagnosis.refitted.drive if diagnosis.refitted else configured
-    angle = drive.kinematics.wave_generator_angle(drive.mesh.geometry, record.input_angle)
+    angle = drive.frame.wave_generator_angle(record.input_angle)
     return Stages(record, angle, error - offset, residual, drive)
 
 

@@ -94,11 +94,11 @@ def teeth(drive: Drive, input_angle: Floats, torque: float) -> Teeth:
     -------
     Teeth
     """
-    kinematics, geometry = drive.kinematics, drive.mesh.geometry
+    frame, geometry = drive.frame, drive.mesh.geometry
     angle = _TURN * (np.arange(_ANGLES) + 0.5) / _ANGLES
-    state = mesh_state(drive, angle, kinematics.cup_torque(np.full(_ANGLES, torque)))
+    state = mesh_state(drive, angle, frame.cup_torque(np.full(_ANGLES, torque)))
     backlash, load = np.fmin(state.backlash[:, 0], state.backlash[:, 1]), state.load.sum(axis=1)
-    turned = kinematics.wave_generator_angle(geometry, angle)
+    turned = frame.wave_generator_angle(angle)
     place = _directions(turned, geometry.flexspline_teeth, geometry.circular_spline_teeth)
     seen = np.bincount((np.mod(input_angle, _TURN) / _TURN * _ANGLES).astype(np.int64) % _ANGLES)
     visited = np.zeros(_ANGLES, dtype=bool)
@@ -154,7 +154,7 @@ def done(drive: Drive, input_angle: Floats, torque: Floats) -> Done:
     Done
     """
     rows = np.unique(np.linspace(0, input_angle.size - 1, _MOMENTS).astype(np.int64))
-    state = mesh_state(drive, input_angle[rows], drive.kinematics.cup_torque(torque[rows]))
+    state = mesh_state(drive, input_angle[rows], drive.frame.cup_torque(torque[rows]))
     pairs = state.loaded_pairs
     return Done(
         rows.size,

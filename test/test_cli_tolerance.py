@@ -93,7 +93,7 @@ def test_a_direction_and_input_angle_of_the_json_are_the_mesh_s(
         "joint_1.eccentricity.direction": worst["direction"],
     }
     drive = resolve(given).joints[0].drive
-    torque = drive.kinematics.cup_torque(np.array([56.0]))
+    torque = drive.frame.cup_torque(np.array([56.0]))
     state = mesh_state(drive, np.array([worst["input_angle"]]), torque)
     assert state.peak_load[0] == pytest.approx(60.0, rel=1e-6)
 

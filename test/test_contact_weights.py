@@ -141,7 +141,7 @@ def test_full_size() -> None:
 
 def exact(angle: Array, torque: Array) -> tuple[load_sharing.LoadSharing, Array, Array, Array]:
     contact = DRIVE.mesh.contacts(angle)
-    share = DRIVE.mesh.share_load(contact, DRIVE.kinematics.cup_torque(torque))
+    share = DRIVE.mesh.share_load(contact, DRIVE.frame.cup_torque(torque))
     return share, np.where(np.isnan(contact.rotation), 1.0, contact.radius), contact.slots, contact.teeth
 
 
@@ -306,8 +306,8 @@ def test_ripple_is_the_error_less_its_mean_over_a_turn() -> None:
     for drive in (DRIVE, dataclasses.replace(DRIVE, cup_compliance=2e-5)):
         for torque in (-45.0, 8.0, 1.1 * LIMIT):
             load = np.full(1000, torque)
-            beta = torsion(drive.mesh, turn, drive.kinematics.cup_torque(load))
-            error = drive.kinematics.transmission_error(beta, load, drive.cup_compliance)
+            beta = torsion(drive.mesh, turn, drive.frame.cup_torque(load))
+            error = drive.frame.transmission_error(beta, load)
             found = weights(drive, turn, load).ripple
             assert rms(found) > 0.5 * ARCSEC
             assert rms(found - (error - error.mean())) < 0.03 * ARCSEC
@@ -318,7 +318,7 @@ def test_ripple_beyond_the_map_is_finite() -> None:
     load = np.full(5, 2.0 * LIMIT)
     found = weights(DRIVE, ANGLES, load).ripple
     expected = torsion(DRIVE.mesh, ANGLES, -load) - contact_table(DRIVE, LIMIT).mean_torsion[1][0]
-    assert_allclose(found, -DRIVE.kinematics.torque_sign * expected, rtol=1e-9)
+    assert_allclose(found, -DRIVE.frame.torque_sign * expected, rtol=1e-9)
 
 
 def test_a_part_keeps_the_ripple_that_is_known(many: tuple[Array, Array]) -> None:
@@ -332,7 +332,7 @@ def test_a_part_keeps_the_ripple_that_is_known(many: tuple[Array, Array]) -> Non
 def test_torsion_known_already_is_the_ripple_s() -> None:
     """The ripple from the error's own torsion is that of the table."""
     known = weights(DRIVE, ANGLES, np.linspace(-40.0, 40.0, ANGLES.size))
-    cup = DRIVE.kinematics.cup_torque(known.torque)
+    cup = DRIVE.frame.cup_torque(known.torque)
     beta = known.table.torsion_map(ANGLES, cup)
     given = ContactWeights(DRIVE, ANGLES, known.torque, LIMIT, beta)
     assert_allclose(given.part(slice(1, 4)).ripple, known.ripple[1:4], rtol=1e-12)

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from reference import published
 
-from hd_diag.drive import Drive, MeshState, mesh_state, transmission_error
+from hd_diag.drive import Drive, Drives, MeshState, mesh_state, transmission_error
 from hd_diag.model.clearance import all_teeth
 from hd_diag.model.torsion import torsion
 from hd_diag.model.torsion_map import ARCSEC, TorsionMap, build
@@ -60,7 +60,7 @@ def test_published_load_cases(case: published.LoadCase) -> None:
 @pytest.mark.parametrize("drive", [ALIGNED, ASTRAY], ids=["aligned", "astray"])
 def test_teeth_stand_at_their_index(drive: Drive) -> None:
     found = mesh_state(drive, ANGLES, np.full(ANGLES.size, 8.0))
-    turned = drive.kinematics.wave_generator_angle(drive.mesh.geometry, ANGLES)
+    turned = drive.frame.wave_generator_angle(ANGLES)
     contact = drive.mesh.contacts(turned)
     for name in ("backlash", "pressure_angle"):
         expected = all_teeth(drive.mesh.geometry, contact, getattr(contact, name))
@@ -162,3 +162,18 @@ def test_beyond_the_map_the_solution_is_exact(table: TorsionMap) -> None:
     beyond = np.abs(torque) > table.torque_limit
     assert_array_equal(found[beyond], exact[beyond])
     assert not np.isnan(found).any()
+
+
+def test_drives_side_by_side_give_each_its_own_error_to_the_last_bit(table: TorsionMap) -> None:
+    """By a map, beyond it, and without one; the output at either member."""
+    backwards = Drive(ASTRAY.mesh, Kinematics(-101.0, "circular_spline", 0.4), RATED)
+    given = [ASTRAY, ASTRAY, ALIGNED, backwards, ASTRAY]
+    tables = [table, table, None, table, None]
+    angle, torque = np.array([0.3, 7.1, -2.0, 4.4, 0.3]), np.array([12.0, 55.0, 5.0, -20.0, 0.0])
+    found = Drives(given).transmission_error(angle, torque, tables)
+    alone = [
+        transmission_error(drive, angle[k : k + 1], torque[k : k + 1], tables[k])[0]
+        for k, drive in enumerate(given)
+    ]
+    assert_array_equal(found, alone)
+    assert len(set(alone)) == len(alone)

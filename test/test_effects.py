@@ -118,7 +118,7 @@ def recorded(drive: Drive = EXACT, hertz: float = 200.0) -> Signals:
     speed = speeds(time) + 40.0
     angle = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))))
     torque = 30.0 * np.sin(2 * math.pi * time / 11.0) + 18.0 * np.sin(2 * math.pi * time / 2.3)
-    wave_generator = drive.kinematics.wave_generator_angle(drive.mesh.geometry, angle)
+    wave_generator = drive.frame.wave_generator_angle(angle)
     error = transmission_error(drive, angle, torque)
     slope = (transmission_error(drive, angle, torque + 0.003) - error) / 0.003
     rate = np.concatenate([np.gradient(error[run == k], time[run == k]) for k in np.unique(run)])

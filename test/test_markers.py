@@ -36,7 +36,7 @@ def drive(**changes: float | str) -> Drive:
 
 
 def shapes(drive: Drive, angle: float = 0.3, torque: float = 40.0, **options: object) -> dict[str, Shape]:
-    state = mesh_state(drive, np.array([angle]), drive.kinematics.cup_torque(np.array([torque])))
+    state = mesh_state(drive, np.array([angle]), drive.frame.cup_torque(np.array([torque])))
     drawn = drawing(drive, angle, state.load[0], torsion=float(state.torsion[0]), **options)
     return {shape.name: shape for shape in drawn}
 
@@ -95,7 +95,7 @@ def drawn_gaps(gear: Drive, drawn: dict[str, Shape]) -> np.ndarray:
 def test_in_true_scale_the_teeth_have_the_models_clearances(gear: Drive, angle: float, chords: float) -> None:
     drawn = shapes(gear, angle, torque=0.0, exaggeration=TRUE)
     state = mesh_state(gear, np.array([angle]), np.array([0.0]))
-    contact = gear.mesh.contacts(gear.kinematics.wave_generator_angle(gear.mesh.geometry, np.array([angle])))
+    contact = gear.mesh.contacts(gear.frame.wave_generator_angle(np.array([angle])))
     turned = np.array([1.0, -1.0])[:, None] * state.torsion[0]
     gaps = drawn_gaps(gear, drawn)
     model = state.backlash[0] - turned * np.nanmean(contact.radius)

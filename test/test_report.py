@@ -153,7 +153,7 @@ def test_teeth_are_those_of_the_refitted_drive() -> None:
     assert refitted is not None
     teeth, drive = report.teeth, refitted.drive
     rows = [0, 60, teeth.moment]
-    cup = drive.kinematics.cup_torque(np.full(3, teeth.torque))
+    cup = drive.frame.cup_torque(np.full(3, teeth.torque))
     state = mesh_state(drive, teeth.input_angle[rows], cup)
     assert_array_equal(teeth.load[rows], state.load.sum(axis=1))
     assert_array_equal(teeth.backlash[rows], np.fmin(state.backlash[:, 0], state.backlash[:, 1]))

@@ -210,7 +210,7 @@ def value(criterion: str, found: Limit, eccentricity: float) -> float:
     towards = eccentricity * np.exp(1j * found.worst.direction)
     own = drive(dataclasses.replace(drives.mesh(), eccentricity=towards))
     angle = np.array([input_angle(own, found.worst.wave_generator_angle)])
-    turn = own.kinematics.wave_generator_angle(own.mesh.geometry, angle)
+    turn = own.frame.wave_generator_angle(angle)
     assert_allclose(turn, found.worst.wave_generator_angle, atol=1e-12)
     state = mesh_state(own, angle, np.array([CUP]))
     if criterion == "interference":
@@ -330,7 +330,7 @@ def test_a_runout_takes_its_part() -> None:
 
 def test_input_angle_of_the_other_output() -> None:
     own = Drive(drives.mesh(), Kinematics(-101.0, "circular_spline", 0.2), RATED)
-    turn = own.kinematics.wave_generator_angle(own.mesh.geometry, np.array([input_angle(own, 1.3)]))
+    turn = own.frame.wave_generator_angle(np.array([input_angle(own, 1.3)]))
     assert_allclose(turn, 1.3, rtol=1e-14)
 
 

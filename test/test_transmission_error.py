@@ -1,6 +1,7 @@
 """Signs and frames between what the robot reports and the mesh."""
 
 import math
+from dataclasses import astuple
 
 import drives
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from hd_diag.model.torsion import torsion
-from hd_diag.model.transmission_error import Kinematics, Output
+from hd_diag.model.transmission_error import Frame, Kinematics, Output
 
 pytestmark = pytest.mark.usefixtures("solver")
 GEOMETRY = drives.geometry()
@@ -47,7 +48,7 @@ def test_refuses_with_the_reason(kinematics: Kinematics, message: str) -> None:
 @pytest.mark.parametrize("ratio", [100.0, -100.0])
 def test_flexspline_turns_by_the_ratio(ratio: float) -> None:
     """Rolling in the fixed circular spline, it turns by -theta_W (Z_G - Z_R) / Z_R."""
-    turned = Kinematics(ratio).wave_generator_angle(GEOMETRY, ANGLES)
+    turned = Kinematics(ratio).frame(GEOMETRY).wave_generator_angle(ANGLES)
     flexspline = -turned * 2 / 200
     # The output is reported as it turns; a negative ratio says that the input is reported backwards.
     assert_allclose(flexspline, ANGLES / ratio, rtol=1e-14)
@@ -58,40 +59,56 @@ def test_circular_spline_turns_by_the_ratio(ratio: float) -> None:
     """It follows the wave generator; the wave generator seen from it turns by the difference."""
     output = ANGLES / ratio
     absolute = ANGLES * np.sign(ratio)
-    turned = Kinematics(ratio, "circular_spline").wave_generator_angle(GEOMETRY, ANGLES)
+    turned = Kinematics(ratio, "circular_spline").frame(GEOMETRY).wave_generator_angle(ANGLES)
     assert_allclose(turned, absolute - output, rtol=1e-13)
     assert_allclose(turned * 2 / 200, output, rtol=1e-13)
 
 
 @pytest.mark.parametrize(("ratio", "output"), FLEXSPLINE + CIRCULAR_SPLINE)
 def test_phase_is_the_long_axis_at_input_zero(ratio: float, output: Output) -> None:
-    found = Kinematics(ratio, output, phase=0.7).wave_generator_angle(GEOMETRY, ANGLES)
-    assert_allclose(found - Kinematics(ratio, output).wave_generator_angle(GEOMETRY, ANGLES), 0.7, atol=1e-14)
+    at_zero, found = (
+        Kinematics(ratio, output, phase).frame(GEOMETRY).wave_generator_angle(ANGLES) for phase in (0.0, 0.7)
+    )
+    assert_allclose(found - at_zero, 0.7, atol=1e-14)
 
 
 @pytest.mark.parametrize(("ratio", "output"), FLEXSPLINE + CIRCULAR_SPLINE)
 @pytest.mark.parametrize("torque", [-20.0, 3.0, 56.0])
 def test_the_output_lags_when_it_drives(ratio: float, output: Output, torque: float) -> None:
-    kinematics = Kinematics(ratio, output)
-    angle = kinematics.wave_generator_angle(GEOMETRY, ANGLES)
+    rigid, soft = (Kinematics(ratio, output).frame(GEOMETRY, compliance) for compliance in (0.0, 1e-6))
+    angle = soft.wave_generator_angle(ANGLES)
     load = np.full(angle.size, torque)
-    beta = torsion(drives.mesh(), angle, kinematics.cup_torque(load))
-    error = kinematics.transmission_error(beta, load, 1e-6)
+    beta = torsion(drives.mesh(), angle, soft.cup_torque(load))
+    error = soft.transmission_error(beta, load)
     assert np.all(error * torque < 0)
-    assert_allclose(error, kinematics.transmission_error(beta, load, 0.0) - 1e-6 * torque, rtol=1e-12)
+    assert_allclose(error, rigid.transmission_error(beta, load) - 1e-6 * torque, rtol=1e-12)
 
 
 def test_error_at_the_flexspline_is_the_cup_s_rotation() -> None:
-    kinematics, torque = Kinematics(100.0), np.full(40, 12.0)
+    frame, torque = Kinematics(100.0).frame(GEOMETRY, 2e-6), np.full(40, 12.0)
     mesh = drives.mesh(eccentricity=(4e-6, 15e-6))
-    assert_array_equal(kinematics.cup_torque(torque), -torque)
+    assert_array_equal(frame.cup_torque(torque), -torque)
     beta = torsion(mesh, -ANGLES, -torque)
-    assert_allclose(kinematics.transmission_error(beta, torque, 2e-6), beta - 2e-6 * 12, rtol=1e-14)
+    assert_allclose(frame.transmission_error(beta, torque), beta - 2e-6 * 12, rtol=1e-14)
 
 
 def test_error_at_the_circular_spline_is_the_cup_s_rotation_backwards() -> None:
-    kinematics, torque = Kinematics(101.0, "circular_spline"), np.full(40, 12.0)
+    frame, torque = Kinematics(101.0, "circular_spline").frame(GEOMETRY, 2e-6), np.full(40, 12.0)
     mesh = drives.mesh(eccentricity=(4e-6, 15e-6))
-    assert_array_equal(kinematics.cup_torque(torque), torque)
+    assert_array_equal(frame.cup_torque(torque), torque)
     beta = torsion(mesh, ANGLES * 200 / 202, torque)
-    assert_allclose(kinematics.transmission_error(beta, torque, 2e-6), -beta - 2e-6 * 12, rtol=1e-14)
+    assert_allclose(frame.transmission_error(beta, torque), -beta - 2e-6 * 12, rtol=1e-14)
+
+
+def test_drives_side_by_side_are_each_drive_to_the_last_bit() -> None:
+    frames = [Kinematics(*case, phase=0.3).frame(GEOMETRY, 1e-6) for case in FLEXSPLINE + CIRCULAR_SPLINE]
+    together = Frame(*map(np.array, zip(*map(astuple, frames), strict=True)))
+    value = np.array([0.7, -3.1, 5.9, 11.3])
+    for name, given in (("wave_generator_angle", 1), ("cup_torque", 1), ("transmission_error", 2)):
+        each = [getattr(frame, name)(*[value[k : k + 1]] * given)[0] for k, frame in enumerate(frames)]
+        assert_array_equal(getattr(together, name)(*[value] * given), each)
+
+
+def test_measured_error_is_what_the_output_is_ahead() -> None:
+    frame = Kinematics(-100.0).frame(GEOMETRY)
+    assert_allclose(frame.measured_error(ANGLES, -ANGLES / 100.0 + 2e-5), 2e-5, rtol=1e-9)

@@ -133,14 +133,14 @@ def error_and_jacobian(
     slope : ndarray, shape (n,)
         dTE/dT [rad/(N m)].
     """
-    kinematics, mesh = drive.kinematics, drive.mesh
-    angle = kinematics.wave_generator_angle(mesh.geometry, input_angle)
-    cup_torque = kinematics.cup_torque(torque)
+    frame, mesh = drive.frame, drive.mesh
+    angle = frame.wave_generator_angle(input_angle)
+    cup_torque = frame.cup_torque(torque)
     beta, _, gradient = compiled.torsion_and_gradient(
         mesh.geometry, mesh.tooth_compliance, angle, mesh.displacement(angle), mesh.arc_offset, cup_torque
     )
     return (
-        kinematics.transmission_error(beta, torque, drive.cup_compliance),
+        frame.transmission_error(beta, torque),
         _jacobian(drive, configured, angle, gradient[:, :4], torque),
         -gradient[:, 5] - drive.cup_compliance,
     )
@@ -160,12 +160,12 @@ def along(
     slope : ndarray, shape (n,)
         dTE/dT [rad/(N m)].
     """
-    kinematics, mesh = drive.kinematics, drive.mesh
+    frame, mesh = drive.frame, drive.mesh
     steps = _STEPS_PER_TOOTH * mesh.geometry.circular_spline_teeth
     if input_angle.size < _NODES_PAY * steps:
         return error_and_jacobian(drive, configured, input_angle, torque)
-    angle = kinematics.wave_generator_angle(mesh.geometry, input_angle)
-    cup_torque = kinematics.cup_torque(torque)
+    angle = frame.wave_generator_angle(input_angle)
+    cup_torque = frame.cup_torque(torque)
     nodes = np.linspace(0.0, 2.0 * np.pi, steps + 1)
     beta, gradient = compiled.torsion_along(
         mesh.geometry,
@@ -180,7 +180,7 @@ def along(
     by_compliance = cup_torque / mesh.tooth_compliance * by_torque
     columns = np.column_stack((gradient[:, :3], by_compliance))
     return (
-        kinematics.transmission_error(beta, torque, drive.cup_compliance),
+        frame.transmission_error(beta, torque),
         _jacobian(drive, configured, angle, columns, torque),
         -by_torque - drive.cup_compliance,
     )
@@ -188,7 +188,7 @@ def along(
 
 def _jacobian(drive: Drive, configured: Drive, angle: Floats, gradient: Floats, torque: Floats) -> Floats:
     """Derivatives of TE by the fitted numbers from the mesh's own (E_x, E_y, r_0, K1 + K2)."""
-    sign = -drive.kinematics.torque_sign
+    sign = -drive.frame.torque_sign
     cosine, sine = np.cos(angle), np.sin(angle)
     by_x, by_y = gradient[:, 0], gradient[:, 1]
     columns = np.stack(

@@ -450,12 +450,11 @@ def _projection(columns: Floats, target: Floats) -> Floats:
 
 def signals(record: Record, drive: Drive, error: Floats, slope: Floats) -> Signals:
     """What the effects need of a record and the model's prediction along it."""
-    geometry, kinematics = drive.mesh.geometry, drive.kinematics
-    angle = kinematics.wave_generator_angle(geometry, record.input_angle)
+    angle = drive.frame.wave_generator_angle(record.input_angle)
     return Signals(
         time=record.time,
         wave_generator_angle=angle,
-        output_angle=record.input_angle / kinematics.ratio,
+        output_angle=record.input_angle / drive.frame.ratio,
         speed=record.speed,
         torque=record.torque,
         temperature=record.temperature,
@@ -469,7 +468,7 @@ def signals(record: Record, drive: Drive, error: Floats, slope: Floats) -> Signa
 
 def _torsion(drive: Drive, error: Floats, torque: Floats) -> Floats:
     """Of the mesh, from the transmission error that it makes [rad]."""
-    return np.asarray(-drive.kinematics.torque_sign * (error + drive.cup_compliance * torque))
+    return np.asarray(-drive.frame.torque_sign * (error + drive.cup_compliance * torque))
 
 
 def _rate(record: Record, values: Floats) -> Floats:

@@ -179,9 +179,8 @@ class ContactWeights:
         ndarray, shape (n,)
             [rad]; the cup's own compliance included.
         """
-        kinematics = self.drive.kinematics
         change = self._torsion(self.torque + torque) - self._own_torsion()
-        return -kinematics.torque_sign * change - self.drive.cup_compliance * torque
+        return self.drive.frame.transmission_error(change, np.full(change.shape, torque))
 
     @cached_property
     def ripple(self) -> Floats:
@@ -190,7 +189,7 @@ class ContactWeights:
             nodes, mean = self.table.mean_torsion
         else:  # without the table, which takes longer
             nodes, mean = mean_torsion(self.drive.mesh, self.torque_limit)
-        cup_torque = self.drive.kinematics.cup_torque(self.torque)
+        cup_torque = self.drive.frame.cup_torque(self.torque)
         return self._sign * (self._own_torsion() - np.interp(cup_torque, nodes, mean))
 
     def _own_torsion(self) -> Floats:
@@ -198,7 +197,7 @@ class ContactWeights:
 
     def _torsion(self, torque: Floats) -> Floats:
         """Of the mesh [rad]."""
-        cup_torque = self.drive.kinematics.cup_torque(torque)
+        cup_torque = self.drive.frame.cup_torque(torque)
         beta = self.table.torsion_map(self.wave_generator_angle, cup_torque)
         beyond = np.isnan(beta)
         beta[beyond] = torsion(self.drive.mesh, self.wave_generator_angle[beyond], cup_torque[beyond])
@@ -278,7 +277,7 @@ class ContactWeights:
 
     @property
     def _sign(self) -> float:
-        return -self.drive.kinematics.torque_sign
+        return -self.drive.frame.torque_sign
 
     def _turning(self, order: int, turns: float) -> Complexes:
         return np.asarray(np.exp(1j * order * turns * self.wave_generator_angle))
@@ -293,7 +292,7 @@ class ContactWeights:
     @cached_property
     def torque_rows(self) -> Neighbours:
         """Rows of the table on both sides of every torque, and their shares; each of shape (n,)."""
-        cup = self.drive.kinematics.cup_torque(self.torque)
+        cup = self.drive.frame.cup_torque(self.torque)
         place = np.sqrt(np.minimum(np.abs(cup) / self.table.torque_limit, 1.0)) * TORQUES
         (low, low_share), (high, high_share) = _neighbours(place, TORQUES)
         low, high = (np.where(cup < 0.0, TORQUES - row, TORQUES + 1 + row) for row in (low, high))

@@ -101,9 +101,7 @@ class Signals:
     @property
     def wave_generator_speed(self) -> Floats:
         """D theta_W / dt [rad/s], shape (n,)."""
-        kinematics, geometry = self.contact.drive.kinematics, self.contact.drive.mesh.geometry
-        start, end = kinematics.wave_generator_angle(geometry, np.array([0.0, 1.0]))
-        return self.speed * float(end - start)
+        return self.speed * self.contact.drive.frame.turning
 
     @property
     def flexspline_angle(self) -> Floats:

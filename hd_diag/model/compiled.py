@@ -44,6 +44,7 @@ PARAMETERS = (
 
 
 @functools.cache
+@functools.cache
 def _kernel() -> ModuleType:
     from hd_diag.model.kernel import entry
 
@@ -235,6 +236,13 @@ def interpolate(table: Table, torque_limit: float, wave_generator_angle: Floats,
     read = partial(_kernel().interpolate, *table, float(torque_limit), turn, load, beta)
     spread(read, beta.size, _SAMPLES)
     return beta
+
+
+def interpolate_row(
+    table: Table, torque_limit: float, wave_generator_angle: Floats, torque: Floats, beta: Floats, row: int
+) -> None:
+    """Set one row of the torsions [rad] as :func:`interpolate` does; all are contiguous already."""
+    _kernel().interpolate(*table, torque_limit, wave_generator_angle, torque, beta, row, row + 1)
 
 
 def torsion_and_gradient(

@@ -91,6 +91,24 @@ class TorsionMap:
         """
         if compiled.available():
             return compiled.interpolate(self._table, self.torque_limit, wave_generator_angle, torque)
+        return self._by_numpy(wave_generator_angle, torque)
+
+    def read(self, wave_generator_angle: Floats, torque: Floats, beta: Floats, row: int) -> None:
+        """Set one row of the torsions, the same as a call gives for it: for maps side by side.
+
+        Parameters
+        ----------
+        wave_generator_angle, torque, beta : ndarray, shape (n,)
+            theta_W [rad], M on the cup [N m], torsions [rad]; contiguous.
+        row : int
+        """
+        if compiled.available():
+            compiled.interpolate_row(self._table, self.torque_limit, wave_generator_angle, torque, beta, row)
+        else:
+            at = slice(row, row + 1)
+            beta[at] = self._by_numpy(wave_generator_angle[at], torque[at])
+
+    def _by_numpy(self, wave_generator_angle: Floats, torque: Floats) -> Floats:
         steps = self.torque.shape[0] - 1
         place = np.mod(wave_generator_angle, 2.0 * np.pi) * (steps / (2.0 * np.pi))
         row = np.minimum(np.nan_to_num(place), steps - 1.0).astype(np.int64)

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Generic, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -25,9 +25,62 @@ from hd_diag.model.geometry import Geometry
 
 Floats = npt.NDArray[np.float64]
 Output = Literal["flexspline", "circular_spline"]
+Value = TypeVar("Value", float, Floats)
 
 # A ratio may miss the teeth's by rounding in a configuration file, no more [-].
 _RATIO_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True)
+class Frame(Generic[Value]):
+    """How reported numbers map to the mesh and back: of one drive, or of k side by side.
+
+    Attributes
+    ----------
+    turning : float or ndarray, shape (k,)
+        dtheta_W / dtheta_in [-].
+    phase : float or ndarray, shape (k,)
+        theta_W at input angle zero [rad].
+    torque_sign : float or ndarray, shape (k,)
+        Torque on the cup over torque on the link [-].
+    ratio : float or ndarray, shape (k,)
+        Reported input angle over reported output angle, signed [-].
+    cup_compliance : float or ndarray, shape (k,)
+        c_cup [rad/(N m)].
+    """
+
+    turning: Value
+    phase: Value
+    torque_sign: Value
+    ratio: Value
+    cup_compliance: Value
+
+    def wave_generator_angle(self, input_angle: Floats) -> Floats:
+        """Angle theta_W of the wave generator's long axis, seen from the circular spline [rad].
+
+        Parameters
+        ----------
+        input_angle : ndarray
+            As reported [rad]; for several drives its last axis is theirs.
+
+        Returns
+        -------
+        ndarray
+            Same shape.
+        """
+        return self.phase + self.turning * input_angle
+
+    def cup_torque(self, torque: Floats) -> Floats:
+        """Torque that turns the cup [N m] for a torque that the drive exerts on the link [N m]."""
+        return self.torque_sign * torque
+
+    def transmission_error(self, torsion: Floats, torque: Floats) -> Floats:
+        """TE [rad] from the mesh torsion at :meth:`cup_torque` [rad] and the torque on the link [N m]."""
+        return -self.torque_sign * torsion - self.cup_compliance * torque
+
+    def measured_error(self, input_angle: Floats, output_angle: Floats) -> Floats:
+        """TE [rad] as reported angles [rad] have it."""
+        return output_angle - input_angle / self.ratio
 
 
 @dataclass(frozen=True)
@@ -73,31 +126,11 @@ class Kinematics:
         """Torque on the cup over torque on the link; TE is torsion times the opposite sign [-]."""
         return -1.0 if self.output == "flexspline" else 1.0
 
-    def wave_generator_angle(self, geometry: Geometry, input_angle: Floats) -> Floats:
-        """Angle of the wave generator's long axis, seen from the circular spline.
-
-        Parameters
-        ----------
-        geometry : Geometry
-        input_angle : ndarray
-            As reported [rad].
-
-        Returns
-        -------
-        ndarray
-            theta_W [rad], same shape.
-        """
+    def frame(self, geometry: Geometry, cup_compliance: float = 0.0) -> Frame[float]:
+        """The same as numbers, for the teeth of a geometry and a torsion of the cup [rad/(N m)]."""
         forward = math.copysign(1.0, self.ratio)
         if self.output == "flexspline":
-            return self.phase - forward * input_angle
-        return self.phase + forward * input_angle * (
-            geometry.flexspline_teeth / geometry.circular_spline_teeth
-        )
-
-    def cup_torque(self, torque: Floats) -> Floats:
-        """Torque that turns the cup [N m] for a torque that the drive exerts on the link [N m]."""
-        return self.torque_sign * torque
-
-    def transmission_error(self, torsion: Floats, torque: Floats, cup_compliance: float) -> Floats:
-        """TE [rad] from the mesh torsion at :meth:`cup_torque` [rad], torque [N m] and c_cup [rad/(N m)]."""
-        return -self.torque_sign * torsion - cup_compliance * torque
+            turning = -forward
+        else:
+            turning = forward * (geometry.flexspline_teeth / geometry.circular_spline_teeth)
+        return Frame(turning, self.phase, self.torque_sign, self.ratio, cup_compliance)

@@ -68,7 +68,7 @@ def cup_torques(drive: Drive, torque: Floats) -> Floats:
     for value in torque:
         if value == 0.0 or not math.isfinite(value):
             raise ValueError(f"torque must be finite and not zero, not {value:g} N m")
-    return drive.kinematics.cup_torque(torque)
+    return drive.frame.cup_torque(torque)
 
 
 def total_stiffness(moments: Moments, cup_compliance: float) -> Floats:

@@ -94,11 +94,7 @@ class Limit:
 
 def input_angle(drive: Drive, wave_generator_angle: float) -> float:
     """Reported input angle [rad] at which the wave generator stands at theta_W [rad]."""
-    kinematics, geometry = drive.kinematics, drive.mesh.geometry
-    forward = math.copysign(1.0, kinematics.ratio) * (wave_generator_angle - kinematics.phase)
-    if kinematics.output == "flexspline":
-        return -forward
-    return forward * geometry.circular_spline_teeth / geometry.flexspline_teeth
+    return (wave_generator_angle - drive.frame.phase) / drive.frame.turning
 
 
 def largest_eccentricity(drive: Drive) -> float:
