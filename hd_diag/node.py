@@ -7,7 +7,8 @@ import gc
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -101,6 +102,7 @@ class DiagnosticNode(Node):
             self._subscribe_temperature(joint.name)
         self.add_on_set_parameters_callback(self._validate)
         self.add_post_set_parameters_callback(self._apply)
+        self._accepted = config
         self._told_log = ""
         self._tell_log()
 
@@ -121,7 +123,7 @@ class DiagnosticNode(Node):
             if now >= self._next_report:
                 period = 1.0 / self._session.config.diagnostics_rate
                 self._next_report = max(self._next_report + period, now)
-                self._report()
+                self._survive("a report failed", self._report)
             self._next_look = min(now + _LOOP_PERIOD, self._next_report)
         return max(0.0, self._next_look - now)
 
@@ -175,30 +177,32 @@ class DiagnosticNode(Node):
             self._session.temperature(joint, data)
 
         profile = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self.create_subscription(Temperature, topic, self._guarded(on_temperature), profile, raw=True)
+        self.create_subscription(Temperature, topic, partial(self._take, on_temperature), profile, raw=True)
 
-    def _guarded(self, callback: Any) -> Any:
-        """The callback, but whatever it raises is counted and told instead of ending the node."""
+    def _survive(self, told: str, action: Callable[..., None], *arguments: Any) -> Exception | None:
+        """Do something; whatever it raises is told instead of ending the node, and returned."""
+        try:
+            action(*arguments)
+        except Exception as error:
+            self.get_logger().error(f"{told}: {error!r}", throttle_duration_sec=5.0)
+            return error
+        return None
 
-        def run(data: bytes) -> None:
-            try:
-                callback(data)
-            except Exception as error:
-                self._session.monitor.reject(f"{type(error).__name__}: {error}")
-                self.get_logger().error(f"a message was dropped: {error!r}", throttle_duration_sec=5.0)
-
-        return run
+    def _take(self, action: Callable[..., None], *arguments: Any) -> None:
+        """Take a message: whatever it does, it is counted and the node lives."""
+        error = self._survive("a message was dropped", action, *arguments)
+        if error is not None:
+            self._session.monitor.reject(f"{type(error).__name__}: {error}")
 
     def _on_joint_state(self, data: bytes) -> None:
         begin = time.perf_counter_ns()
-        now = self._now()
-        try:
-            self._journal.write(self._input_topic, JOINT_STATE, data, now, _QOS)
-            self._session.joint_state(now, data)
-        except Exception as error:  # whatever a message does, the node lives
-            self._session.monitor.reject(f"{type(error).__name__}: {error}")
-            self.get_logger().error(f"a message was dropped: {error!r}", throttle_duration_sec=5.0)
+        self._take(self._joint_state, data)
         self._latencies.append(time.perf_counter_ns() - begin)
+
+    def _joint_state(self, data: bytes) -> None:
+        now = self._now()
+        self._journal.write(self._input_topic, JOINT_STATE, data, now, _QOS)
+        self._session.joint_state(now, data)
 
     @property
     def _input_topic(self) -> str:
@@ -259,7 +263,7 @@ class DiagnosticNode(Node):
 
     def _validate(self, changed: Sequence[Parameter]) -> SetParametersResult:
         try:
-            self._candidate(changed)
+            self._accepted = self._candidate(changed)
         except Exception as error:  # a ConfigError; whatever else a value does, the node lives
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -278,8 +282,10 @@ class DiagnosticNode(Node):
 
         return resolve({**self._session.config.flat, **own}, model_text)
 
-    def _apply(self, changed: Sequence[Parameter]) -> None:
-        config = self._candidate(changed)
+    def _apply(self, _: Sequence[Parameter]) -> None:
+        self._survive("parameters were accepted and are not in force", self._put_in_force, self._accepted)
+
+    def _put_in_force(self, config: Config) -> None:
         joints = {joint.name: joint for joint in config.joints}
         for name in self._session.configure(self._now(), config):
             self._builder.request(joints[name])
