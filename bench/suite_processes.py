@@ -86,7 +86,7 @@ def command(*arguments):
     """CPU and wall time [s] of the command line on one core."""
     before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     with one_core():
-        run = [sys.executable, "-m", "hd_diag.cli", *arguments]
+        run = [sys.executable, "-m", "hd_diag", *arguments]
         done = subprocess.run(run, capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError(f"hd-diag {arguments[0]} ended with {done.returncode}: {done.stderr[-500:]}")

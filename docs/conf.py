@@ -38,7 +38,7 @@ html_show_sourcelink = False
 
 FIGURES = HERE / "_build" / "figures"
 subprocess.run(
-    [sys.executable, "-m", "hd_diag.cli", "figures", "--out", str(FIGURES)],
+    [sys.executable, "-m", "hd_diag", "figures", "--out", str(FIGURES)],
     check=True,
     stdout=subprocess.DEVNULL,
 )

@@ -12,7 +12,7 @@ from click.testing import Result
 from live import MS, RATIO, START, config, message
 
 from hd_diag.bag import BagError, BagReader, BagWriter
-from hd_diag.cli_bags import recover, replay
+from hd_diag.cli.bags import recover, replay
 from hd_diag.criticism.record import RecordError
 from hd_diag.messages import STRING, Encoded, read_string, resolved, string
 from hd_diag.recording import read_bags

@@ -13,7 +13,7 @@ from live import config
 from hd_diag.config import Config
 from hd_diag.criticism.diagnosis import Diagnosis, diagnose
 from hd_diag.criticism.record import prepare
-from hd_diag.report import JointReport, of_diagnosis
+from hd_diag.report.facts import JointReport, of_diagnosis
 
 CAUSES = {"output_runout": 0, "input_encoder_eccentricity": 12}  # effect and development seed
 HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(2)>$\\frac{1}{2}$]]>\"'&\u202egnp\x07"

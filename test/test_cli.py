@@ -245,7 +245,7 @@ def test_an_interruption_is_one_line_and_130(monkeypatch: pytest.MonkeyPatch) ->
             raise SystemError("another returned a result with an exception set") from error
 
     for happens in (interrupted, in_compiled_code, further_in):
-        monkeypatch.setattr("hd_diag.cli.moment", happens)
+        monkeypatch.setattr("hd_diag.cli.verbs.moment", happens)
         result = hd_diag("mesh")
         assert (result.exit_code, result.stdout, result.stderr.strip()) == (130, "", "hd-diag: interrupted")
 

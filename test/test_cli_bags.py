@@ -25,7 +25,7 @@ from logs import content
 from replay_fuzz import JOINT_STATE, Fuzz, log_of
 
 from hd_diag.bag import BagReader, BagWriter, encode_joint_states
-from hd_diag.cli_bags import recover, replay
+from hd_diag.cli.bags import recover, replay
 from hd_diag.config import load
 from hd_diag.parameters import nested
 from hd_diag.replay import replay as replay_bag
@@ -56,7 +56,7 @@ def run(command: click.Command, *arguments: str | Path) -> Result:
 
 def process(*arguments: str | Path, **options: Any) -> subprocess.Popen[str]:
     """``hd-diag`` in a process of its own."""
-    command = [sys.executable, "-m", "hd_diag.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "hd_diag", *map(str, arguments)]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     return subprocess.Popen(command, cwd=ROOT, **pipes, **options)  # type: ignore[call-overload,no-any-return]
 

@@ -19,8 +19,8 @@ from cli_runner import runner
 from click.testing import Result
 from live import config
 
-from hd_diag import cli_fleet
 from hd_diag.cli import cli
+from hd_diag.cli import fleet as cli_fleet
 from hd_diag.fleet import run
 from hd_diag.simulation import Motion, Noise, SimulatedJoint, write_bag
 

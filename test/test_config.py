@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hd_diag.config import ConfigError, dump, flatten, load, nested, parameters, resolve
-from hd_diag.demo_process import Child
+from hd_diag.demo.process import Child
 from hd_diag.parameter_file import read
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -14,9 +14,9 @@ import pytest
 from mcap_ros2.reader import read_ros2_messages
 from rosbags.highlevel import AnyReader
 
-from hd_diag.demo_display import Reading, Step
-from hd_diag.demo_log import summarize
-from hd_diag.demo_process import Child, DemoError
+from hd_diag.demo.display import Reading, Step
+from hd_diag.demo.log import summarize
+from hd_diag.demo.process import Child, DemoError
 
 TYPES = {
     "/joint_states": "sensor_msgs/msg/JointState",
@@ -31,7 +31,7 @@ TYPES = {
 
 
 def demo(folder: Path, *arguments: str, **environment: str) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "hd_diag.cli", "demo", "--out", str(folder), *arguments]
+    command = [sys.executable, "-m", "hd_diag", "demo", "--out", str(folder), *arguments]
     return subprocess.Popen(
         command,
         stdout=subprocess.PIPE,
@@ -204,7 +204,7 @@ def test_node_that_cannot_start_is_named(tmp_path: Path) -> None:
 
 
 def test_child_that_ignores_sigint_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hd_diag.demo_process._END_LIMIT", 0.2)
+    monkeypatch.setattr("hd_diag.demo.process._END_LIMIT", 0.2)
     (tmp_path / "stubborn.py").write_text(
         "import signal, time\n"
         "signal.signal(signal.SIGINT, signal.SIG_IGN)\nprint('ready', flush=True)\ntime.sleep(60)\n"

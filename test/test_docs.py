@@ -25,10 +25,10 @@ from hd_diag.criticism import base, workbench
 from hd_diag.criticism.record import Record, prepare
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.effect import Effect
-from hd_diag.health import FAULT_CODES
 from hd_diag.messages import published_topics
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor import Monitor
+from hd_diag.monitor.health import FAULT_CODES
 from hd_diag.parameters import JOINT_PARAMETERS, NODE_PARAMETERS
 from hd_diag.simulation import Motion, simulate, write_bag
 

@@ -24,9 +24,9 @@ from hd_diag.map_builder import map_of
 from hd_diag.messages import read_string
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor import Monitor
+from hd_diag.monitor.residual_orders import ORDERS, ResidualOrders
 from hd_diag.recording import read_bags
 from hd_diag.replay import replay
-from hd_diag.residual_orders import ORDERS, ResidualOrders
 from hd_diag.samples import Angles, JointStates
 from hd_diag.session import Session
 

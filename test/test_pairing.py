@@ -15,11 +15,11 @@ from models import write_model
 
 from hd_diag.bag import BagWriter, encode_joint_states
 from hd_diag.config import Config
-from hd_diag.joint_monitor import JointMonitor
 from hd_diag.map_builder import map_of
 from hd_diag.messages import JOINT_STATE, Encoded, encode, resolved
 from hd_diag.monitor import Monitor
-from hd_diag.pairing import REMEMBERED, Inputs, Outputs, interpolated, pairs
+from hd_diag.monitor.joint import JointMonitor
+from hd_diag.monitor.pairing import REMEMBERED, Inputs, Outputs, interpolated, pairs
 from hd_diag.replay import replay
 from hd_diag.samples import JointStates, Publication
 from hd_diag.session import Session

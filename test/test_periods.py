@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from hd_diag.periods import Periods
+from hd_diag.monitor.periods import Periods
 
 SECOND = 1_000_000_000
 

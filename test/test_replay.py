@@ -524,7 +524,7 @@ def test_replay_needs_no_ros() -> None:
     code = (
         "import sys\n"
         "for name in ('rclpy', 'sensor_msgs', 'rosbag2_py'): sys.modules[name] = None\n"
-        "import hd_diag.replay, hd_diag.cli_bags\n"
+        "import hd_diag.replay, hd_diag.cli.bags\n"
         "print([name for name in sys.modules if name.startswith(('rclpy.', 'rosidl', 'matplotlib'))])\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

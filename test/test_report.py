@@ -23,9 +23,9 @@ from hd_diag.criticism import base
 from hd_diag.criticism.causes import Search, causes
 from hd_diag.criticism.diagnosis import diagnose
 from hd_diag.drive import mesh_state, transmission_error
-from hd_diag.report import Judgement, of_diagnosis
-from hd_diag.report_page import page
-from hd_diag.report_quality import Fact, facts
+from hd_diag.report.facts import Judgement, of_diagnosis
+from hd_diag.report.page import page
+from hd_diag.report.quality import Fact, facts
 from hd_diag.told import arcsec
 
 ARCSEC = np.pi / 648000.0

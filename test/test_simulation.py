@@ -13,8 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 
-from hd_diag import cli_simulate, simulation
+from hd_diag import simulation
 from hd_diag.bag import BagError, BagReader
+from hd_diag.cli import simulate as cli_simulate
 from hd_diag.config import dump, resolve
 from hd_diag.drive import Drive, transmission_error
 from hd_diag.model.torsion_map import ARCSEC, TorsionMap

@@ -12,7 +12,7 @@ from replay_fuzz import log_of
 
 from hd_diag import versions
 from hd_diag.bag import BagReader, BagWriter
-from hd_diag.cli_bags import replay as replay_command
+from hd_diag.cli.bags import replay as replay_command
 from hd_diag.events import Configured, read_event
 from hd_diag.messages import STRING, read_string, string
 from hd_diag.model import compiled

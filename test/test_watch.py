@@ -17,7 +17,7 @@ from hd_diag.bag.schemas import jazzy
 from hd_diag.messages import DIAGNOSTICS
 from hd_diag.session import Session
 from hd_diag.watch import PREFIX, Message, NodeSeen, Watch, as_json
-from hd_diag.watch_display import Display, plain_line, shown_number, spark, table
+from hd_diag.watch.display import Display, plain_line, shown_number, spark, table
 
 TOPIC = "/diagnostics"
 HOSTILE = "[red]x[/red]\x1b[2J\x1b]0;t\x07\u202egnp\r\n\t" + "宽" * 300 + "\ud800"

@@ -22,7 +22,7 @@ from running import Process, Rig, feed, running
 pytestmark = pytest.mark.usefixtures("ros")
 
 JOINTS = ("shoulder", "elbow")
-COMMAND = [sys.executable, "-m", "hd_diag.cli", "watch"]
+COMMAND = [sys.executable, "-m", "hd_diag", "watch"]
 SET_PARAMETERS = Path(__file__).resolve().parent.parent / "docs/examples/set_parameters.py"
 LIMIT = 60.0  # on a busy machine [s]
 REPORTS = 10.0  # [Hz]

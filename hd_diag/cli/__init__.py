@@ -1,0 +1,5 @@
+"""The command line: one module a verb, joined in `verbs`."""
+
+from hd_diag.cli.verbs import cli, main
+
+__all__ = ["cli", "main"]

@@ -1,0 +1,192 @@
+"""``hd-diag replay`` and ``recover``: bags through the model, and what can be saved of unfinished ones."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from hd_diag.bag.recover import recover as recover_bag
+from hd_diag.cli.options import INTERRUPTED, JSON, Problem, problems, write_json
+from hd_diag.config import load
+from hd_diag.replay import Replay
+from hd_diag.replay import replay as replay_bag
+
+
+@contextlib.contextmanager
+def bar() -> Iterator[Progress]:
+    """Progress with rate and time left, on stderr, gone when done; silent where stderr is no terminal."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+    )
+    console = Console(stderr=True)
+    progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+    # Older releases of rich print an empty line at the end of a bar that never showed.
+    with progress if console.is_terminal else contextlib.nullcontext(progress):
+        yield progress
+
+
+@contextmanager
+def interrupts() -> Iterator[list[int]]:
+    """Signals of Ctrl-C since; a second one ends the program at once.
+
+    A KeyboardInterrupt wherever the program happens to be could hit a file that is half written.
+    """
+    came: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        came.append(number)
+        signal.signal(number, signal.default_int_handler)
+
+    before = signal.signal(signal.SIGINT, note)
+    try:
+        yield came
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@click.command(
+    context_settings={"help_option_names": ["-h", "--help"]},
+    short_help="Run the model over a bag: the outputs that the node would give.",
+    epilog="Example: hd-diag replay log --out again.mcap",
+)
+@click.argument("bag", type=click.Path(path_type=Path))
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="*.mcap or a rosbag2 folder.")
+@click.option(
+    "--config",
+    "config_file",
+    type=click.Path(dir_okay=False),
+    help="ROS parameter file. [default: what the node's log holds]",
+)
+@click.option(
+    "--topic",
+    "topics",
+    multiple=True,
+    help="Topic with joint states; repeatable. [default: all but what a node published]",
+)
+@click.option("--overwrite", is_flag=True, help="Replace the output where it exists.")
+@JSON
+@problems
+def replay(
+    bag: Path,
+    out: Path,
+    config_file: str | None,
+    topics: tuple[str, ...],
+    overwrite: bool,
+    json_file: str | None,
+) -> None:
+    """Run the monitor over a recorded bag and write what the node would have published.
+
+    Time is the bag's; the machine goes as fast as it can. Without --config the bag must be a log of the node:
+    its configuration and every change of it are followed, and the outputs are those of the live run, bit for
+    bit. Reads MCAP files and rosbag2 folders (MCAP or sqlite3), unfinished ones included. Ctrl-C leaves a
+    valid file and ends with code 130; after an error the output is left without its end.
+    """
+    config = load(config_file) if config_file else None
+    begin = time.monotonic()
+    done = 0
+    with bar() as progress, interrupts() as came:
+        task = progress.add_task("replay", total=None, rate="")
+
+        def advance(messages: int, total: int) -> None:
+            nonlocal done
+            done = messages
+            rate = f"{done / max(time.monotonic() - begin, 1e-9):,.0f} messages/s"
+            progress.update(task, completed=done, total=total, rate=rate)
+            if came:
+                raise KeyboardInterrupt
+
+        try:
+            result = replay_bag(bag, out, config, topics=topics, overwrite=overwrite, progress=advance)
+        except KeyboardInterrupt:
+            progress.stop()
+            click.echo(f"hd-diag: interrupted: {out} holds what the first {done} messages give", err=True)
+            sys.exit(INTERRUPTED)
+    took = time.monotonic() - begin
+    if json_file:
+        write_json(json_file, _replay_json(result, out, took))
+    if json_file != "-":
+        _tell_replay(result, out, took)
+
+
+def _replay_json(result: Replay, out: Path, took: float) -> dict[str, object]:
+    return {
+        "schema": "hd_diag/replay/1",
+        "out": str(out),
+        "reproduced": result.reproduced,
+        "messages": result.messages,
+        "written": result.written,
+        "duration": result.duration,
+        "seconds": took,
+        "joints": list(result.joints),
+        "rejected": result.rejected,
+        "missed": result.missed,
+        "last_rejection": result.last_rejection,
+        "problems": result.problems,
+    }
+
+
+def _tell_replay(result: Replay, out: Path, took: float) -> None:
+    for problem in result.problems:
+        click.echo(f"warning: {problem}", err=True)
+    how = "its own configuration followed" if result.reproduced else "with the given configuration"
+    speed = f", {result.duration / took:.0f} times real time" if took > 0 else ""
+    click.echo(
+        f"{result.messages} messages of {result.duration:.1f} s replayed in {took:.1f} s{speed} ({how}); "
+        f"{result.written} written to {out}"
+    )
+    for joint in result.rejected:
+        if joint not in result.joints:
+            click.echo(f"{joint}: no sample in the bag", err=True)
+        elif result.rejected[joint] or result.missed[joint]:
+            last = f", the last because: {result.last_rejection[joint]}" if result.rejected[joint] else ""
+            click.echo(
+                f"{joint}: {result.rejected[joint]} rejected{last}; {result.missed[joint]} never recorded"
+            )
+
+
+@click.command(
+    context_settings={"help_option_names": ["-h", "--help"]},
+    short_help="Save what a crash left of a bag.",
+    epilog="Example: hd-diag recover torn.mcap --out whole.mcap",
+)
+@click.argument("bag", type=click.Path(path_type=Path))
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="*.mcap or a rosbag2 folder.")
+@click.option("--overwrite", is_flag=True, help="Replace the output where it exists.")
+@JSON
+@problems
+def recover(bag: Path, out: Path, overwrite: bool, json_file: str | None) -> None:
+    """Save what can be saved of a bag that a crash left unfinished.
+
+    Everything in closed chunks, and what can be read of the open one, is copied into a new bag and read back.
+    Says what was saved and what was lost. Exit code 0 also where something was lost: losing is not this
+    command's doing; 2 where nothing can be saved.
+    """
+    with bar() as progress:
+        task = progress.add_task("recover", total=None, rate="")
+
+        def advance(done: int, total: int) -> None:
+            progress.update(task, completed=done, total=total, rate="bytes")
+
+        report = recover_bag(bag, out, overwrite=overwrite, progress=advance)
+    if not any(report.counts.values()) and not report.complete:
+        raise Problem(f"{bag}: nothing can be saved: {report.statement()[1]}")
+    if json_file:
+        write_json(json_file, {"schema": "hd_diag/recovery/1", **report.as_dict()})
+    if json_file != "-":
+        for line in report.statement():
+            click.echo(line)
+    sys.exit(0)

@@ -1,0 +1,279 @@
+"""``hd-diag fleet``: every joint of many bags, in parallel, as a table, and what changes over time."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import os
+import re
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+from rich.console import Console
+
+from hd_diag.cli.bags import bar, interrupts
+from hd_diag.cli.options import (
+    CONFIG,
+    INTERRUPTED,
+    JOINTS,
+    JSON,
+    Problem,
+    check_target,
+    chosen_joints,
+    configured,
+    problems,
+    write_json,
+)
+from hd_diag.config import JointConfig
+from hd_diag.fleet.errors import FleetError
+from hd_diag.model.threads import cores
+
+if TYPE_CHECKING:
+    from hd_diag.fleet.rows import Row
+    from hd_diag.fleet.run import Fleet, Progress
+    from hd_diag.fleet.trend import Trend
+
+_NEEDED = ("pyarrow", "ruptures")
+_MEMORY_SHARE = 0.9  # of the machine's, for all workers together
+_BAG_TIMEOUT = 1800.0  # [s]
+_ERRORS_SHOWN = 20
+
+
+@click.command(
+    context_settings={"help_option_names": ["-h", "--help"]},
+    short_help="Diagnose every joint of many bags; what changes over time.",
+    epilog="Example: hd-diag fleet bags/ --config arm.yaml --out arm.parquet",
+)
+@click.argument(
+    "bags", metavar="BAGS_OR_FOLDERS...", nargs=-1, required=True, type=click.Path(path_type=Path)
+)
+@CONFIG
+@JOINTS
+@click.option(
+    "--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="The table: *.parquet."
+)
+@click.option(
+    "--figure", type=click.Path(dir_okay=False, path_type=Path), help="Draw the series: *.png, *.pdf, ..."
+)
+@click.option("--jobs", type=click.IntRange(min=1), help="Processes on this machine. [default: one a core]")
+@click.option(
+    "--memory",
+    type=click.FloatRange(min=0.0, min_open=True),
+    help="What each process may have [GiB]; a bag that needs more gets an error. "
+    "[default: 90 % of the machine's over the processes]",
+)
+@click.option(
+    "--bag-timeout",
+    type=click.FloatRange(min=0.0),
+    metavar="SECONDS",
+    default=_BAG_TIMEOUT,
+    show_default=True,
+    help="What may be spent on looking at a bag, and on diagnosing each of its joints [s]; a bag that takes "
+    "longer gets an error and is tried again by the next run. 0: no limit.",
+)
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Work on the cluster of this Dask scheduler, e.g. tcp://host:8786. Paths are sent, not data: "
+    "workers must see the bags under the same paths.",
+)
+@click.option(
+    "--robot",
+    metavar="REGEX",
+    help="Bags are of several robots; the first group in a bag's path names its robot.",
+)
+@click.option(
+    "--limit",
+    "limits",
+    multiple=True,
+    metavar="QUANTITY=VALUE",
+    help="Foretell when eccentricity [m], residual_nominal, residual_refit or a cause's amplitude [rad] "
+    "reaches this; repeatable. residual_nominal has limits.residual_rms.error of the configuration.",
+)
+@click.option("--fresh", is_flag=True, help="Forget what earlier runs have kept.")
+@click.option(
+    "--fail-on-cause", is_flag=True, help="Exit with 1 where a cause or something unexplained is found."
+)
+@click.option("--fail-on-change", is_flag=True, help="Exit with 1 where something steps or drifts.")
+@JSON
+@problems
+def fleet(bags: tuple[Path, ...], config_file: str | None, names: tuple[str, ...], **options: Any) -> None:
+    """Diagnose every joint of every bag, in parallel, and tell what changes over time.
+
+    Folders are searched for bags; a folder with a metadata.yaml is one. The table has one row for each bag
+    and joint, as ``hd-diag diagnose`` judges it alone; what cannot be judged has a row that says why. Each
+    result is kept beside the table in OUT.journal.jsonl as soon as it is there: the same command goes on
+    after an interruption, and later judges new bags only. Series over time are eccentricity, residuals and
+    the amplitude of each cause; steps and drifts are told with a chance of false alarm of 5 % for the whole
+    run. Exit code 2 where no bag could be judged, 130 after Ctrl-C.
+    """
+    config = configured(config_file)
+    joints = tuple(chosen_joints(config, names))
+    try:
+        limits = _limits(joints, options["limits"])
+        chosen = _fleet(bags, config, joints, options)
+        rows, trends = _run(chosen, limits, options)
+        _write(rows, trends, options)
+    except FleetError as error:
+        raise Problem(str(error)) from error
+    if options["json_file"] != "-":
+        _show(rows, trends, options["out"])
+    sys.exit(_code(rows, trends, options))
+
+
+def _fleet(
+    bags: tuple[Path, ...], config: Any, joints: tuple[JointConfig, ...], options: dict[str, Any]
+) -> Fleet:
+    """What is to be done, checked as far as it can be before hours of work."""
+    missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
+    if missing:
+        raise FleetError(f"fleet needs {' and '.join(missing)}: pip install {' '.join(missing)}")
+    from hd_diag.fleet.plots import check_format
+    from hd_diag.fleet.run import Fleet
+    from hd_diag.fleet.survey import find_bags
+
+    if options["scheduler"] and (options["jobs"] or options["memory"]):
+        raise FleetError("--jobs and --memory are of this machine: with --scheduler its workers set them")
+    for path in bags:
+        if not options["scheduler"] and not path.exists():
+            raise FleetError(f"{path}: does not exist")
+    found = find_bags(bags)
+    if not found:
+        raise FleetError(f"no bag in {', '.join(map(str, bags))}")
+    outputs = [path for path in (options["out"], options["figure"]) if path is not None]
+    outputs += [Path(options["json_file"])] if options["json_file"] not in (None, "-") else []
+    if len({os.path.realpath(path) for path in outputs}) < len(outputs):
+        raise FleetError("--out, --json and --figure must be different files")
+    for path in outputs:
+        check_target(path, *found)
+    if options["out"].suffix != ".parquet":
+        raise FleetError(f"{options['out']}: the table is Parquet: name it *.parquet")
+    if options["figure"]:
+        check_format(options["figure"])
+    return Fleet(found, config, joints, _pattern(options["robot"]))
+
+
+def _pattern(text: str | None) -> re.Pattern[str] | None:
+    try:
+        return None if text is None else re.compile(text)
+    except re.error as error:
+        raise FleetError(f"--robot {text}: {error}") from error
+
+
+def _limits(joints: Sequence[JointConfig], given: tuple[str, ...]) -> dict[tuple[str, str], float]:
+    """Limits by joint and quantity: the configuration's, and those of the command line."""
+    from hd_diag.effects import CATALOGUE
+    from hd_diag.fleet.series import ECCENTRICITY, NOMINAL, REFIT
+
+    known = (ECCENTRICITY, NOMINAL, REFIT, *(effect.name for effect in CATALOGUE))
+    limits = {(joint.name, NOMINAL): joint.limits["residual_rms"].error for joint in joints}
+    for text in given:
+        name, _, number = text.partition("=")
+        if name not in known:
+            raise FleetError(f"--limit {text}: no quantity {name!r}; there are {', '.join(known)}")
+        try:
+            value = float(number)
+        except ValueError:
+            raise FleetError(f"--limit {text}: {number!r} is no number") from None
+        if not 0.0 < value < float("inf"):
+            raise FleetError(f"--limit {text}: must be positive and finite")
+        limits |= {(joint.name, name): value for joint in joints}
+    return limits
+
+
+def _run(
+    chosen: Fleet, limits: dict[tuple[str, str], float], options: dict[str, Any]
+) -> tuple[list[Row], list[Trend]]:
+    from hd_diag.fleet.run import diagnose_fleet
+    from hd_diag.fleet.series import series_of
+    from hd_diag.fleet.store import JOURNAL_SUFFIX, Journal
+    from hd_diag.fleet.trend import trends
+
+    path = options["out"].with_name(options["out"].name + JOURNAL_SUFFIX)
+    with Journal(path, options["fresh"]) as journal:
+        try:
+            with _watched() as (tell, tick):
+                with _crew(options) as crew:
+                    rows = diagnose_fleet(chosen, crew, journal, tell, tick, options["bag_timeout"])
+                return rows, trends(series_of(rows, limits), tick)
+        except KeyboardInterrupt:
+            text = f"{len(journal.results)} results are in {path}; the same command goes on"
+            click.echo(f"hd-diag: interrupted: {text}", err=True)
+            sys.exit(INTERRUPTED)
+
+
+@contextlib.contextmanager
+def _watched() -> Iterator[tuple[Progress, Callable[[], None]]]:
+    """What shows the progress of a run, and what ends it after Ctrl-C."""
+    with bar() as progress, interrupts() as came:
+        task, stage, begin = progress.add_task("fleet", total=None, rate=""), "", time.monotonic()
+
+        def tick() -> None:
+            if came:
+                raise KeyboardInterrupt
+
+        def tell(now: str, done: int, total: int, tasks: int) -> None:
+            nonlocal stage, begin
+            if now != stage:
+                progress.reset(task, description=now, rate="")
+                stage, begin = now, time.monotonic()
+            rate = f"{tasks} done, {60.0 * tasks / max(time.monotonic() - begin, 1e-9):.1f} a minute"
+            progress.update(task, completed=done, total=total, rate=rate)
+
+        yield tell, tick
+
+
+def _crew(options: dict[str, Any]) -> Any:
+    if options["scheduler"]:
+        from hd_diag.fleet.cluster import ClusterCrew
+
+        return ClusterCrew(options["scheduler"])
+    from hd_diag.fleet.work import LocalCrew
+
+    jobs = options["jobs"] or cores()
+    if options["memory"]:
+        return LocalCrew(jobs, int(options["memory"] * 2**30))
+    machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return LocalCrew(jobs, int(_MEMORY_SHARE * machine / jobs))
+
+
+def _write(rows: list[Row], trends: list[Trend], options: dict[str, Any]) -> None:
+    from hd_diag.fleet.plots import draw
+    from hd_diag.fleet.store import write_table
+    from hd_diag.fleet.told import as_json
+
+    write_table(options["out"], rows)
+    if options["json_file"]:
+        write_json(options["json_file"], as_json(str(options["out"]), rows, trends))
+    if options["figure"]:
+        draw(trends, options["figure"])
+
+
+def _show(rows: list[Row], trends: list[Trend], out: Path) -> None:
+    from hd_diag.fleet.told import error_line, sentences, table
+
+    if any(row.get("joint") for row in rows):
+        Console().print(table(rows, trends))
+    for line in sentences(trends):
+        click.echo(line)
+    failed = [row for row in rows if row.get("error")]
+    for row in failed[:_ERRORS_SHOWN]:
+        click.echo(f"not judged: {error_line(row)}", err=True)
+    if len(failed) > _ERRORS_SHOWN:
+        click.echo(f"not judged: {len(failed) - _ERRORS_SHOWN} more; see the column error", err=True)
+    click.echo(
+        f"{len(rows)} rows of {len({row['bag'] for row in rows})} bags in {click.format_filename(out)}"
+    )
+
+
+def _code(rows: list[Row], trends: list[Trend], options: dict[str, Any]) -> int:
+    if all(row.get("error") for row in rows):
+        click.echo("hd-diag: no bag could be judged", err=True)
+        return 2
+    caused = any(row.get("causes") or row.get("unexplained_orders") for row in rows)
+    changed = any(trend.form in ("steps", "drift") for trend in trends)
+    return int((options["fail_on_cause"] and caused) or (options["fail_on_change"] and changed))

@@ -1,0 +1,230 @@
+"""``hd-diag simulate``: a bag of a simulated joint."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+import yaml
+from rich.console import Console
+from rich.progress import Progress
+
+from hd_diag import simulation
+from hd_diag.cli.options import JOINTS, Problem
+from hd_diag.config import JOINT_PARAMETERS, Config, ConfigError, load, resolve
+from hd_diag.model.torsion_map import ARCSEC
+from hd_diag.simulation import Motion, Noise, SimulatedJoint
+
+_TURN = 2.0 * math.pi
+_SECOND = 1_000_000_000  # [ns]
+_MOTION = Motion()
+
+# Short options for the values most asked for: parameter, and its unit in the option's unit.
+_SHORT = {
+    "eccentricity_um": ("eccentricity.magnitude", 1e-6),
+    "direction_deg": ("eccentricity.direction", math.pi / 180.0),
+    "runout_um": ("runout.magnitude", 1e-6),
+    "runout_direction_deg": ("runout.direction", math.pi / 180.0),
+    "datum_mm": ("circular_spline_datum", 1e-3),
+}
+
+
+@click.command(
+    context_settings={"help_option_names": ["-h", "--help"]},
+    short_help="Write a bag of a simulated joint.",
+    epilog="Example: hd-diag simulate --out joint.mcap --eccentricity-um 18",
+)
+@click.option("--out", required=True, type=click.Path(path_type=Path), help="*.mcap or a rosbag2 folder.")
+@click.option(
+    "--config",
+    "file",
+    type=click.Path(path_type=Path),
+    help="ROS parameter file. [default: the example drive]",
+)
+@JOINTS
+@click.option("--duration", default=_MOTION.duration, show_default=True, help="Length of the record [s].")
+@click.option("--rate", default=_MOTION.sample_rate, show_default=True, help="Samples per second [Hz].")
+@click.option(
+    "--speed",
+    "speeds",
+    type=float,
+    multiple=True,
+    default=tuple(speed / _TURN for speed in _MOTION.speeds),
+    show_default=True,
+    help="Speed of the input [rev/s]; repeatable.",
+)
+@click.option(
+    "--torque-level",
+    "torques",
+    type=float,
+    multiple=True,
+    default=_MOTION.torques,
+    show_default=True,
+    help="Torque on the link [N m]; repeatable.",
+)
+@click.option("--one-way", is_flag=True, help="Turn forwards only.")
+@click.option("--eccentricity-um", type=float, help="Eccentricity, fixed in the housing [µm].")
+@click.option("--direction-deg", type=float, help="Its direction [degrees].")
+@click.option("--runout-um", type=float, help="Runout, which turns with the wave generator [µm].")
+@click.option("--runout-direction-deg", type=float, help="Its direction at input angle 0 [degrees].")
+@click.option("--datum-mm", type=float, help="Datum radius of the circular spline's slots [mm].")
+@click.option(
+    "--set",
+    "assignments",
+    multiple=True,
+    metavar="PARAMETER=VALUE",
+    help="Any parameter, such as joint_1.cup_compliance=2e-6; repeatable.",
+)
+@click.option(
+    "--offset-arcsec", default=0.0, show_default=True, help="Zero error of the output encoder [arcsec]."
+)
+@click.option(
+    "--angle-noise-arcsec",
+    default=0.0,
+    show_default=True,
+    help="White noise of the output angle [arcsec rms].",
+)
+@click.option(
+    "--angle-drift-arcsec",
+    default=0.0,
+    show_default=True,
+    help="Correlated noise of the output angle [arcsec rms].",
+)
+@click.option("--torque-noise", default=0.0, show_default=True, help="White noise of the torque [N m rms].")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Seed of the noise.")
+@click.option(
+    "--start-time", default=simulation.START / _SECOND, show_default=True, help="First stamp, Unix time [s]."
+)
+@click.option("--temperature", is_flag=True, help="Write /<joint>/temperature at 1 Hz too.")
+@click.option("--overwrite", is_flag=True, help="Replace a bag that exists.")
+@click.option(
+    "--json", "summary", type=click.Path(path_type=Path), help="Write the true values to this file."
+)
+def simulate(
+    out: Path, file: Path | None, names: tuple[str, ...], summary: Path | None, **options: Any
+) -> None:
+    """Write a bag of a simulated joint.
+
+    The joint is that of --config with what the options change; it moves both ways at every speed under every
+    torque. What an option does not give stands in the configuration.
+    """
+    try:
+        config = truth(file, names, options)
+        motion = _motion(options)
+        joints = _joints(config, names, options)
+        console = Console(stderr=True, quiet=not sys.stderr.isatty())
+        bar = Progress(console=console, transient=True, disable=not console.is_terminal)
+        # Older releases of rich print an empty line at the end of a bar that never showed.
+        with bar if console.is_terminal else contextlib.nullcontext(bar):
+            task = bar.add_task(f"simulate {out.name}", total=1.0)
+            samples = simulation.write_bag(
+                out,
+                config,
+                motion,
+                joints,
+                seed=options["seed"],
+                start=_start(options["start_time"]),
+                with_temperature=options["temperature"],
+                overwrite=options["overwrite"],
+                progress=lambda fraction: bar.update(task, completed=fraction),
+            )
+        if summary is not None:
+            summary.write_text(json.dumps(_summary(out, config, joints, options, samples), indent=1) + "\n")
+    except OSError as error:
+        raise Problem(f"{error.filename}: {error.strerror}") from error
+    except ValueError as error:
+        raise Problem(str(error)) from error
+    click.echo(f"{out}: {samples} samples, {motion.duration:g} s, joints {', '.join(joints)}")
+
+
+def truth(file: Path | None, names: tuple[str, ...], options: dict[str, Any]) -> Config:
+    """Configuration of the simulated joints: a file's, changed by the options.
+
+    Raises
+    ------
+    ConfigError
+        Naming the first value that cannot be.
+    """
+    flat: dict[str, Any] = dict(load(file).flat) if file else {"joints": list(names) or ["joint_1"]}
+    configured: list[str] = flat["joints"]
+    for joint in names:
+        if joint not in configured:
+            raise ConfigError(f"--joint {joint}: not configured; there are {', '.join(configured)}")
+    for joint in names or configured:
+        for option, (parameter, unit) in _SHORT.items():
+            if options[option] is not None:
+                flat[f"{joint}.{parameter}"] = options[option] * unit
+    return resolve(flat | dict(map(_assignment, options["assignments"])))
+
+
+def _assignment(text: str) -> tuple[str, Any]:
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise ConfigError(f"--set {text}: expected PARAMETER=VALUE")
+    try:
+        return name.strip(), float(value) if _is_exponential(value) else yaml.safe_load(value)
+    except yaml.YAMLError as error:
+        raise ConfigError(f"--set {name}: not a value: {value!r}") from error
+
+
+def _is_exponential(value: str) -> bool:
+    """Whether it is a number such as 1e-6, which YAML takes for a text."""
+    try:
+        float(value)
+    except ValueError:
+        return False
+    return "e" in value.lower()
+
+
+def _motion(options: dict[str, Any]) -> Motion:
+    return Motion(
+        options["duration"],
+        options["rate"],
+        tuple(_TURN * speed for speed in options["speeds"]),
+        options["torques"],
+        not options["one_way"],
+    )
+
+
+def _joints(config: Config, names: tuple[str, ...], options: dict[str, Any]) -> dict[str, SimulatedJoint]:
+    noise = Noise(
+        white=options["angle_noise_arcsec"] * ARCSEC,
+        drift=options["angle_drift_arcsec"] * ARCSEC,
+        torque=options["torque_noise"],
+    )
+    drives = {joint.name: joint.drive for joint in config.joints}
+    offset = options["offset_arcsec"] * ARCSEC
+    return {name: SimulatedJoint(drives[name], noise, offset) for name in names or drives}
+
+
+def _start(seconds: float) -> int:
+    if not 0.0 <= seconds < 2.0**31:
+        raise ValueError(f"--start-time must be a Unix time within 32 bits, not {seconds} s")
+    return round(seconds * _SECOND)
+
+
+def _summary(
+    out: Path, config: Config, joints: dict[str, SimulatedJoint], options: dict[str, Any], samples: int
+) -> dict[str, Any]:
+    """What a reader needs to know the truth, in SI units."""
+    return {
+        "schema": "hd_diag/simulation/1",
+        "bag": str(out),
+        "samples": samples,
+        "duration": options["duration"],
+        "sample_rate": options["rate"],
+        "start": _start(options["start_time"]),
+        "seed": options["seed"],
+        "joints": {name: _truth_of(config, name, joint) for name, joint in joints.items()},
+    }
+
+
+def _truth_of(config: Config, name: str, joint: SimulatedJoint) -> dict[str, Any]:
+    parameters = {entry.name: config.flat[f"{name}.{entry.name}"] for entry in JOINT_PARAMETERS}
+    return {"parameters": parameters, "offset": joint.offset, "noise": dataclasses.asdict(joint.noise)}

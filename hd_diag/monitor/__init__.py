@@ -1,0 +1,5 @@
+"""What runs live, and in a replay: samples in, predictions, per-tooth arrays and diagnostics out; no ROS."""
+
+from hd_diag.monitor.all_joints import Monitor
+
+__all__ = ["Monitor"]

@@ -1,0 +1,229 @@
+"""What to look at in the joint: a card for every cause found and every parameter not as configured."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.criticism import base
+from hd_diag.criticism.acceptance import LEAST_SIZE
+from hd_diag.criticism.causes import Cause
+from hd_diag.criticism.diagnosis import Diagnosis
+from hd_diag.criticism.refit import usable
+from hd_diag.drive import Drive
+from hd_diag.effects import CATALOGUE
+from hd_diag.report.stages import simulated_error
+from hd_diag.told import arcsec, direction, number, quantity, si, spread_number, words
+
+Floats = npt.NDArray[np.float64]
+
+_SIGMAS = 3.0  # standard deviations off its configured value from which a parameter is worth a card
+# Fitted numbers that are judged together: their places in `base.SCALES`, and what is compared.
+_GROUPS = {
+    "eccentricity": (slice(0, 2), ("eccentricity.magnitude",)),
+    "runout": (slice(2, 4), ("runout.magnitude",)),
+    "clearance": (slice(4, 5), ("circular_spline_datum",)),
+    "stiffness": (slice(5, 7), ("tooth_compliance", "cup_compliance")),
+}
+_MICROMETRE = 1e-6
+_EFFECTS = {effect.name: effect for effect in CATALOGUE}
+
+
+@dataclass(frozen=True)
+class Card:
+    """One thing to inspect.
+
+    Attributes
+    ----------
+    title : str
+    size : float
+        Its part in the error [rad rms].
+    cause : str
+        One sentence.
+    measures : tuple of (str, str)
+        What it should measure: name, value with unit.
+    inspect : str
+        What to look at, and which test would confirm it.
+    alternatives : tuple of (str, str)
+        Other causes that would look the same in this record, and how to inspect them.
+    setting : bool
+        Whether a number of the configuration may be wrong as well as the joint.
+    """
+
+    title: str
+    size: float
+    cause: str
+    measures: tuple[tuple[str, str], ...]
+    inspect: str
+    alternatives: tuple[tuple[str, str], ...] = ()
+    setting: bool = False
+
+
+def cards(diagnosis: Diagnosis) -> list[Card]:
+    """Cards, the one that explains most first.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+
+    Returns
+    -------
+    list of Card
+        Findings that come before everything else, then causes and displacements by their size, then what may
+        as well be a number of the configuration.
+    """
+    first = [
+        Card(words(f.name).capitalize(), math.nan, f.text, (), _EFFECTS[f.name].inspect)
+        for f in diagnosis.findings
+    ]
+    found = [_of_cause(cause) for cause in diagnosis.causes]
+    if diagnosis.refitted is not None and diagnosis.refitted.trustworthy:
+        found += _of_parameters(diagnosis)
+    return first + sorted(found, key=lambda card: (card.setting, -card.size))
+
+
+def _of_cause(cause: Cause) -> Card:
+    effect = cause.effect
+    values = effect.to_physical(cause.coefficients, cause.nonlinear)
+    spread = effect.standard_deviations(cause.coefficients, cause.nonlinear, cause.covariance)
+    measures = tuple(
+        (words(entry.name), quantity(entry, values[entry.name][0], spread.get(entry.name, math.nan)))
+        for entry in effect.quantities
+    )
+    alike = [name for name in cause.alike if name != effect.name]
+    return Card(
+        words(effect.name).capitalize(),
+        cause.amplitude,
+        effect.cause,
+        measures,
+        effect.inspect,
+        tuple((words(name), _EFFECTS[name].inspect if name in _EFFECTS else "") for name in alike),
+    )
+
+
+def _of_parameters(diagnosis: Diagnosis) -> list[Card]:
+    refitted, configured = diagnosis.refitted, diagnosis.configured
+    assert refitted is not None
+    values = base.physical(refitted.parameters, refitted.covariance, configured)
+    makers = {"eccentricity": _eccentricity, "runout": _runout, "clearance": _datum, "stiffness": _compliance}
+    return [
+        makers[name](values, size, refitted.drive)
+        for name, size in parameter_sizes(diagnosis).items()
+        if size > LEAST_SIZE and any(_is_other(values[entry]) for entry in _GROUPS[name][1])
+    ]
+
+
+def _is_other(entry: dict[str, float]) -> bool:
+    return abs(entry["value"] - entry["configured"]) > _SIGMAS * entry["std"]
+
+
+def parameter_sizes(diagnosis: Diagnosis) -> dict[str, float]:
+    """How much the refitted drive's error changes where a group of parameters is as configured [rad rms]."""
+    assert diagnosis.refitted is not None
+    configured, refitted = diagnosis.configured, diagnosis.refitted
+    record = diagnosis.record.select(usable(diagnosis.record))
+    as_configured = base.vector(configured, configured)
+    whole = simulated_error(refitted.drive, record)
+    sizes = {}
+    for name, (at, _) in _GROUPS.items():
+        without = refitted.parameters.copy()
+        without[at] = as_configured[at]
+        drive = base.drive_of(without, configured)
+        sizes[name] = float(np.nanstd(whole - simulated_error(drive, record)))
+    return sizes
+
+
+def _eccentricity(values: dict[str, dict[str, float]], size: float, drive: Drive) -> Card:
+    magnitude, turned = values["eccentricity.magnitude"], values["eccentricity.direction"]
+    micrometres, spread = magnitude["value"] / _MICROMETRE, magnitude["std"] / _MICROMETRE
+    return Card(
+        "Eccentricity of the wave generator in the housing",
+        size,
+        "The wave generator's axis stands beside the circular spline's: flange, seat or bearing is off "
+        "centre.",
+        (
+            ("eccentricity", _beside(magnitude)),
+            ("dial gauge, total travel", spread_number(2.0 * micrometres, 2.0 * spread, "µm")),
+            ("direction, from slot 0", direction(turned["value"], turned["std"], math.pi)),
+            ("input angle with the long axis there", _input_angle(turned, drive)),
+        ),
+        "Hold a dial gauge on the motor shaft and sweep the circular spline's centring diameter over a turn: "
+        "the total travel is twice the eccentricity, highest and lowest along the direction given "
+        "(counter-clockwise, seen against the circular spline's axis). Then the motor flange's spigot and "
+        "the circular spline's seat. To confirm: turn the motor flange by a quarter turn, tighten crosswise, "
+        "record again. The direction follows an off-centre flange and stays with an off-centre circular "
+        "spline; half a turn would show nothing, for opposite directions act alike.",
+    )
+
+
+def _beside(entry: dict[str, float]) -> str:
+    """A fitted length in micrometres, beside the configured one."""
+    told = spread_number(entry["value"] / _MICROMETRE, entry["std"] / _MICROMETRE, "µm")
+    return f"{told} (configured: {number(entry['configured'] / _MICROMETRE)} µm)"
+
+
+def _input_angle(turned: dict[str, float], drive: Drive) -> str:
+    """Where the input stands when the long axis points along the eccentricity."""
+    phase, rate = drive.frame.phase, drive.frame.turning
+    angle, period = (turned["value"] - phase) / rate, math.pi / abs(rate)
+    return direction(angle, turned["std"] / abs(rate), period)
+
+
+def _runout(values: dict[str, dict[str, float]], size: float, drive: Drive) -> Card:
+    magnitude, turned = values["runout.magnitude"], values["runout.direction"]
+    travel, spread = (2.0 * magnitude[key] / _MICROMETRE for key in ("value", "std"))
+    return Card(
+        "Runout of the wave generator on its shaft",
+        size,
+        "The wave generator's plug turns off centre: its bore, the key or the shaft.",
+        (
+            ("runout", _beside(magnitude)),
+            ("dial gauge, total travel", spread_number(travel, spread, "µm")),
+            ("direction, from the long axis", direction(turned["value"], turned["std"], 2.0 * math.pi)),
+        ),
+        "Dial gauge on the shaft's seat for the plug, then on the plug's own bore: the total travel is twice "
+        "the runout. Its direction and the eccentricity's may both be turned by 180°: only together are they "
+        "known. To confirm: turn the plug on the shaft and record again; the direction moves with it.",
+    )
+
+
+def _datum(values: dict[str, dict[str, float]], size: float, drive: Drive) -> Card:
+    entry = values["circular_spline_datum"]
+    change = (entry["value"] - entry["configured"]) / _MICROMETRE
+    more, out = ("more", "farther out") if change > 0.0 else ("less", "farther in")
+    return Card(
+        f"The teeth have {more} clearance than configured",
+        size,
+        f"The circular spline's slots stand {number(abs(change))} µm {out} than configured.",
+        (("datum radius", _beside(entry)),),
+        _EFFECTS["wear_backlash"].inspect,
+        setting=True,
+    )
+
+
+def _compliance(values: dict[str, dict[str, float]], size: float, drive: Drive) -> Card:
+    units = {"tooth_compliance": "m/N", "cup_compliance": "rad/(N m)"}
+    measures = tuple(
+        (
+            words(name),
+            f"{si(values[name]['value'], values[name]['std'], unit)} "
+            f"(configured: {si(values[name]['configured'], math.nan, unit)})",
+        )
+        for name, unit in units.items()
+    )
+    return Card(
+        "Torsional stiffness",
+        size,
+        "The torsion under load is another than configured.",
+        measures,
+        _EFFECTS["torsional_hardening"].inspect,
+        setting=True,
+    )
+
+
+def told_size(card: Card) -> str:
+    """How much of the error a card's matter is."""
+    return f"{arcsec(card.size)} rms of the error" if math.isfinite(card.size) else ""

@@ -1,0 +1,325 @@
+"""The numbers of a report: all that its page tells and draws, out of a diagnosis or of a motion alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.binned import Envelope
+from hd_diag.config import JOINT_PARAMETERS, JointConfig
+from hd_diag.criticism import base
+from hd_diag.criticism.diagnosis import Diagnosis
+from hd_diag.criticism.testability import Testability
+from hd_diag.criticism.unexplained import Line
+from hd_diag.criticism.workbench import Workbench
+from hd_diag.effects.order_spectrum import line_width, spectrum
+from hd_diag.parameters import Value
+from hd_diag.recording import Motion
+from hd_diag.report.advice import Card, cards
+from hd_diag.report.ladder import Rung, benches, ladder
+from hd_diag.report.quality import Fact, facts
+from hd_diag.report.stages import (
+    EXTENDED,
+    NOMINAL,
+    Comparison,
+    Stages,
+    orders,
+    over_angle,
+    over_time,
+    over_torque,
+    stages,
+)
+from hd_diag.report.teeth import Done, Teeth, done, strongest_torque, teeth
+from hd_diag.report.torsion import Torsion, measured, simulated
+from hd_diag.told import arcsec, direction, number, si, words
+from hd_diag.verdict import sentence
+from hd_diag.versions import running
+
+Floats = npt.NDArray[np.float64]
+
+_LINE_SHARE = 0.2  # of a cause's mean square from which a peak of its spectrum is its order
+_LEAK = 0.1  # strength of a peak's side lobes that are no peaks of their own
+_MOST_MARKS = 2  # orders marked for one cause
+_NOT_OF_THE_DRIVE = ("input_joint", "output_joint", "limits.", "tolerance.")
+_ORDERS = (8.0, 40.0)  # least and greatest end of the spectrum
+
+
+class Mark(NamedTuple):
+    """An order of the wave generator's turn that has a name; amplitude [rad]."""
+
+    order: float
+    name: str
+    amplitude: float
+
+
+class Held(NamedTuple):
+    """Rms on data that no fit saw [rad]; the share explained with its interval; what was held out."""
+
+    nominal: float
+    refit: float
+    extended: float
+    noise: float
+    noise_low: float
+    noise_high: float
+    fraction: float
+    low: float
+    high: float
+    told: str
+
+
+class Parameter(NamedTuple):
+    """A fitted parameter in words."""
+
+    name: str
+    value: str
+    configured: str
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What measured angles add to the model's own side.
+
+    Attributes
+    ----------
+    cards : tuple of Card
+    over_angle, over_torque : Comparison
+    over_time : dict of str to Envelope
+        ``torque``, ``speed`` and the stages' residuals.
+    orders : dict of str to (order, amplitude)
+        By stage; amplitude [rad].
+    highest_order : float
+    marks : tuple of Mark
+    ladder : tuple of Rung
+    stretches : int
+        How many the ladder's data were cut into.
+    held : Held or None
+    parameters : tuple of Parameter
+    trustworthy : bool
+    testable : tuple of Testability
+    classes : tuple of (str, tuple of str)
+        Causes named with others that the record cannot tell from them.
+    unexplained : tuple of Line
+    """
+
+    cards: tuple[Card, ...]
+    over_angle: Comparison
+    over_torque: Comparison
+    over_time: dict[str, Envelope]
+    orders: dict[str, tuple[Floats, Floats]]
+    highest_order: float
+    marks: tuple[Mark, ...]
+    ladder: tuple[Rung, ...]
+    stretches: int
+    held: Held | None
+    parameters: tuple[Parameter, ...]
+    trustworthy: bool
+    testable: tuple[Testability, ...]
+    classes: tuple[tuple[str, tuple[str, ...]], ...]
+    unexplained: tuple[Line, ...]
+
+
+@dataclass(frozen=True)
+class JointReport:
+    """One joint's part of a report; without a judgement where nothing could be judged.
+
+    `best` says whose numbers the teeth and the torsion curve are: the refitted drive's or the configured's.
+    """
+
+    name: str
+    verdict: str
+    best: str
+    torsion: Torsion
+    teeth: Teeth
+    done: Done
+    quality: tuple[Fact, ...]
+    settings: tuple[Fact, ...]
+    judgement: Judgement | None
+
+
+def of_diagnosis(diagnosis: Diagnosis, joint: JointConfig, flat: Mapping[str, Value]) -> JointReport:
+    """A joint's report out of its diagnosis.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+    joint : JointConfig
+    flat : mapping
+        The configuration's parameters by their full names.
+
+    Returns
+    -------
+    JointReport
+    """
+    rungs = benches(diagnosis)
+    found = stages(diagnosis, rungs[0] if rungs else None)
+    record, drive = diagnosis.record, found.drive
+    quality = facts(
+        record.time,
+        record.input_angle,
+        record.torque if record.has_torque else None,
+        drive.kinematics.ratio,
+        record.bag,
+    )
+    runs = Fact("Runs", f"{record.runs}, {number(record.duration)} s in all")
+    taken = Fact("Taken out", f"{record.outliers} outliers, {record.dropped} not finite or out of order")
+    return JointReport(
+        joint.name,
+        sentence(diagnosis),
+        "refitted" if diagnosis.refitted else "configured",
+        measured(found, diagnosis.configured),
+        teeth(drive, record.input_angle, strongest_torque(record.torque)),
+        done(drive, record.input_angle, record.torque),
+        (quality[0], taken, runs, *quality[1:]),
+        settings(joint, flat),
+        _judgement(diagnosis, found, rungs),
+    )
+
+
+def of_motion(motion: Motion, joint: JointConfig, flat: Mapping[str, Value], reason: str) -> JointReport:
+    """The model's side alone, over what a bag did.
+
+    Parameters
+    ----------
+    motion : Motion
+    joint : JointConfig
+    flat : mapping
+    reason : str
+        Why nothing could be judged.
+
+    Returns
+    -------
+    JointReport
+    """
+    drive, assumed = joint.drive, np.full(motion.time.size, joint.torque)
+    torque = assumed if motion.torque is None else motion.torque
+    strong = strongest_torque(torque)
+    return JointReport(
+        joint.name,
+        f"Nothing could be judged: {reason}. What follows is what the model says of the motion.",
+        "configured" if joint.model is None else "extended",
+        simulated(joint.configured, drive, max(abs(strong), drive.rated_torque)),
+        teeth(drive, motion.input_angle, strong),
+        done(drive, motion.input_angle, torque),
+        tuple(facts(motion.time, motion.input_angle, motion.torque, drive.kinematics.ratio, motion.bag)),
+        settings(joint, flat),
+        None,
+    )
+
+
+def settings(joint: JointConfig, flat: Mapping[str, Value]) -> tuple[Fact, ...]:
+    """Parameters of a joint's drive as configured, each with its unit."""
+    found = [Fact("input_joint", joint.input_joint), Fact("output_joint", joint.output_joint)]
+    for entry in JOINT_PARAMETERS:
+        key = f"{joint.name}.{entry.name}"
+        if key in flat and not entry.name.startswith(_NOT_OF_THE_DRIVE):
+            unit = "" if entry.unit == "-" else entry.unit
+            found.append(Fact(entry.name, f"{flat[key]} {unit}".strip() or "none"))
+    return tuple(found)
+
+
+def versions() -> tuple[Fact, ...]:
+    """What computed and drew a report."""
+    found = [Fact(name, version or "not used") for name, version in running().items()]
+    return (*found, *(Fact(name, metadata.version(name)) for name in ("matplotlib", "Jinja2")))
+
+
+def _judgement(diagnosis: Diagnosis, found: Stages, rungs: Sequence[Workbench]) -> Judgement:
+    marks = _marks(diagnosis)
+    top = 1.2 * max((mark.order for mark in marks), default=0.0)
+    highest = min(max(top, _ORDERS[0]), _ORDERS[1])
+    return Judgement(
+        tuple(cards(diagnosis)),
+        over_angle(found),
+        over_torque(found),
+        over_time(found),
+        orders(found, highest),
+        highest,
+        tuple(mark for mark in marks if mark.order <= highest),
+        tuple(ladder(diagnosis, found.residual[NOMINAL], list(rungs))),
+        int(rungs[-1].block[-1]) + 1 if rungs else 0,
+        _held(diagnosis),
+        _parameters(diagnosis),
+        bool(diagnosis.refitted and diagnosis.refitted.trustworthy),
+        diagnosis.testable,
+        tuple((cause.effect.name, cause.alike) for cause in diagnosis.causes if len(cause.alike) > 1),
+        diagnosis.unexplained,
+    )
+
+
+def _held(diagnosis: Diagnosis) -> Held | None:
+    rms, gain = diagnosis.rms, diagnosis.gain
+    if rms is None or gain is None:
+        return None
+    noise = (rms.noise, rms.noise_low, rms.noise_high)
+    share = (gain.fraction, gain.low, gain.high)
+    return Held(rms.nominal, rms.refit, rms.extended, *noise, *share, gain.held_out)
+
+
+def _parameters(diagnosis: Diagnosis) -> tuple[Parameter, ...]:
+    refitted = diagnosis.refitted
+    if refitted is None:
+        return ()
+    values = base.physical(refitted.parameters, refitted.covariance, diagnosis.configured)
+    return tuple(_parameter(name, entry) for name, entry in values.items())
+
+
+def _parameter(name: str, entry: Mapping[str, float]) -> Parameter:
+    title, value, spread = words(name).replace(".", ", "), entry["value"], entry["std"]
+    if name.endswith("direction"):
+        period = math.pi if name.startswith("eccentricity") else 2.0 * math.pi
+        configured = direction(entry["configured"], math.nan, 2.0 * math.pi)
+        return Parameter(title, direction(value, spread, period), configured)
+    unit = str(entry["unit"])
+    return Parameter(title, si(value, spread, unit), si(entry["configured"], math.nan, unit))
+
+
+def _marks(diagnosis: Diagnosis) -> list[Mark]:
+    """Orders that causes and unexplained lines have in the wave generator's angle."""
+    marks = [
+        Mark(line.order, "unexplained", line.amplitude)
+        for line in diagnosis.unexplained
+        if line.frame == "input"
+    ]
+    if diagnosis.found is None:
+        return marks
+    bench = diagnosis.found.bench
+    for cause in diagnosis.causes:
+        # Columns after the cause's own are of what wanders, which is no order.
+        columns = bench.columns(cause.effect, cause.nonlinear)[:, : cause.coefficients.size]
+        part = columns @ cause.coefficients
+        marks += _own_orders(bench.signals.wave_generator_angle, part, words(cause.effect.name))
+    return sorted(marks)
+
+
+def _own_orders(angle: Floats, part: Floats, name: str) -> list[Mark]:
+    """Peaks that hold a good share of a cause's part; none where it is no sum of a few waves."""
+    order, strength = spectrum(angle, part, _ORDERS[1])
+    width = line_width(angle, _LEAK)
+    least, marks = _LINE_SHARE * float(np.var(part)), []
+    for _ in range(_MOST_MARKS):
+        at = int(np.argmax(strength))
+        if not 0.5 * strength[at] ** 2 > least:
+            break
+        marks.append(Mark(float(order[at]), name, float(strength[at])))
+        strength = np.where(np.abs(order - order[at]) < width, 0.0, strength)
+    return marks
+
+
+def told_held(found: Judgement) -> str:
+    """The gain in two sentences; empty where nothing was held out."""
+    held = found.held
+    if held is None:
+        return ""
+    extended = f", extended by the causes {arcsec(held.extended)}" if EXTENDED in found.orders else ""
+    return (
+        f"On data that no fit saw ({held.told}) the configured model leaves {arcsec(held.nominal)} rms, "
+        f"refitted {arcsec(held.refit)}{extended}; the noise floor is {arcsec(held.noise)}. "
+        f"{100.0 * held.fraction:.1f} % of the mean square is explained "
+        f"({100.0 * held.low:.1f} to {100.0 * held.high:.1f} %)."
+    )

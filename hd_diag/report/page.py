@@ -1,0 +1,101 @@
+"""A report as one page of HTML: no network, no script, nothing out of a bag that is not escaped."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import os
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from jinja2 import DictLoader, Environment, StrictUndefined
+
+from hd_diag.report.advice import told_size
+from hd_diag.report.captions import gain, least_size, left
+from hd_diag.report.facts import JointReport, told_held, versions
+from hd_diag.report.pictures import drawn
+from hd_diag.report.quality import Fact
+from hd_diag.told import arcsec, visible, words
+
+_TEMPLATE = "report.html.jinja"
+
+
+def page(reports: Sequence[JointReport], sources: Sequence[Fact]) -> str:
+    """HTML of a report.
+
+    Parameters
+    ----------
+    reports : sequence of JointReport
+    sources : sequence of Fact
+        Files and their digests.
+
+    Returns
+    -------
+    str
+        The same for the same numbers: no date, no random id.
+    """
+    texts = files("hd_diag.report") / "templates"
+    style = (texts / "report.css").read_text(encoding="utf-8")
+    template = _environment((texts / _TEMPLATE).read_text(encoding="utf-8")).get_template(_TEMPLATE)
+    return template.render(
+        title=f"Harmonic drive report: {', '.join(report.name for report in reports)}",
+        policy=_policy(style),
+        style=style,
+        sources=sources,
+        versions=versions(),
+        joints=[
+            {"report": report, "pictures": drawn(report, number)}
+            for number, report in enumerate(reports, start=1)
+        ],
+        told_held=told_held,
+        told_size=told_size,
+        told_left=left,
+        told_gain=gain,
+        told_least=least_size,
+        arcsec=arcsec,
+    )
+
+
+def write_page(path: Path, reports: Sequence[JointReport], sources: Sequence[Fact]) -> None:
+    """Write a report where it is wanted, whole or not at all.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    text = page(reports, sources)
+    part = path.with_name(f".{path.name}.part")
+    try:
+        part.write_text(text, encoding="utf-8")
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _policy(style: str) -> str:
+    """Content-Security-Policy: this one style, pictures within the page, nothing else."""
+    digest = base64.b64encode(hashlib.sha256(style.encode("utf-8")).digest()).decode("ascii")
+    return (
+        f"default-src 'none'; style-src 'sha256-{digest}'; img-src data:; base-uri 'none'; form-action 'none'"
+    )
+
+
+def _environment(text: str) -> Environment:
+    environment = Environment(
+        loader=DictLoader({_TEMPLATE: text}),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=_shown,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["words"] = words
+    return environment
+
+
+def _shown(value: Any) -> Any:
+    """Text in which nothing is hidden: a name may hold control characters and marks that turn the line."""
+    return visible(value) if isinstance(value, str) and not hasattr(value, "__html__") else value

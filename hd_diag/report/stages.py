@@ -1,0 +1,184 @@
+"""A record beside the model in its stages, as configured, refitted and extended, binned for pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.binned import Band, Envelope, band, envelope, strongest
+from hd_diag.criticism import base
+from hd_diag.criticism.diagnosis import Diagnosis
+from hd_diag.criticism.extension import left, map_of
+from hd_diag.criticism.record import Record
+from hd_diag.criticism.refit import usable
+from hd_diag.criticism.workbench import Workbench
+from hd_diag.drive import Drive, transmission_error
+from hd_diag.effects.order_spectrum import spectrum
+from hd_diag.report.teeth import strongest_torque
+
+Floats = npt.NDArray[np.float64]
+
+NOMINAL, REFIT, EXTENDED = "as configured", "refitted", "extended"
+
+_ANGLE_BINS = 72
+_TORQUE_BINS = 40
+_STRETCHES = 240
+_SPECTRUM_POINTS = 600
+_TURN = 2.0 * np.pi
+_GRID_ANGLES, _GRID_TORQUES = 48, 41
+
+
+@dataclass(frozen=True)
+class Stages:
+    """A record with what each stage of the model leaves of it.
+
+    Attributes
+    ----------
+    record : Record
+        The samples where the model's error is well defined.
+    angle : ndarray, shape (n,)
+        Of the wave generator [rad].
+    measured : ndarray, shape (n,)
+        Transmission error less the encoders' offset [rad].
+    residual : dict of str to ndarray, shape (n,)
+        Measured less simulated error [rad] by stage; without causes the extended model is the refitted one.
+    drive : Drive
+        The best that is known of it.
+    """
+
+    record: Record
+    angle: Floats
+    measured: Floats
+    residual: dict[str, Floats]
+    drive: Drive
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Measured and simulated error in bins of an angle or a torque [rad].
+
+    `simulated` holds means over the very samples of each bin, which have torques between `torques` [N m].
+    """
+
+    measured: Band
+    simulated: dict[str, Floats]
+    residual: dict[str, Band]
+    torques: tuple[float, float]
+    samples: int
+
+
+def stages(diagnosis: Diagnosis, plain: Workbench | None) -> Stages:
+    """What each stage of the model leaves.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+    plain : Workbench, optional
+        Settled on the whole record without causes; None where nothing was fitted.
+
+    Returns
+    -------
+    Stages
+    """
+    rows = usable(diagnosis.record)
+    record, configured = diagnosis.record.select(rows), diagnosis.configured
+    ratio = configured.kinematics.ratio
+    error = record.output_angle - record.input_angle / ratio
+    first = error - simulated_error(configured, record)
+    offset = float(first.mean()) if diagnosis.model is None else diagnosis.model.offset
+    residual = {NOMINAL: first - first.mean()}
+    if plain is not None:
+        residual[REFIT] = plain.remainder(())
+    if diagnosis.model is not None and diagnosis.causes:
+        whole = left(diagnosis.model, diagnosis.record, diagnosis.record.torque, map_of(diagnosis.model))
+        residual[EXTENDED] = whole[rows]
+    drive = diagnosis.refitted.drive if diagnosis.refitted else configured
+    angle = drive.frame.wave_generator_angle(record.input_angle)
+    return Stages(record, angle, error - offset, residual, drive)
+
+
+def simulated_error(drive: Drive, record: Record) -> Floats:
+    """Transmission error of a drive along a record [rad]."""
+    error, _, _ = base.along(drive, drive, record.input_angle, record.torque)
+    return error
+
+
+def over_angle(found: Stages) -> Comparison:
+    """Errors over the wave generator's angle, less the drive's mean over a turn at the same torque.
+
+    The ripple changes its sign with the torque: only torques of the stronger direction are taken, the middle
+    half of them.
+    """
+    rows, torques = _middle(found.record)
+    level = _mean_error(found.drive, found.record.torque[rows])
+    edges = np.linspace(0.0, _TURN, _ANGLE_BINS + 1)
+    return _compared(found, rows, np.mod(found.angle[rows], _TURN), edges, level, torques)
+
+
+def _middle(record: Record) -> tuple[npt.NDArray[np.int64], tuple[float, float]]:
+    """Samples with the middle half of the torques in the stronger direction, and between which [N m]."""
+    way = record.torque > 0.0 if strongest_torque(record.torque) > 0.0 else record.torque < 0.0
+    if not (record.has_torque and way.any()):
+        return np.arange(record.size), (float(record.torque.min()), float(record.torque.max()))
+    low, high = (float(q) for q in np.quantile(record.torque[way], (0.25, 0.75)))
+    return np.flatnonzero((record.torque >= low) & (record.torque <= high)), (low, high)
+
+
+def over_torque(found: Stages) -> Comparison:
+    """Errors over the torque."""
+    torque = found.record.torque
+    low, high = float(torque.min()), float(torque.max())
+    edges = np.linspace(low, max(high, low + 1e-6), _TORQUE_BINS + 1)
+    return _compared(found, np.arange(torque.size), torque, edges, np.zeros(torque.size), (low, high))
+
+
+def _compared(
+    found: Stages,
+    rows: npt.NDArray[np.int64],
+    place: Floats,
+    edges: Floats,
+    level: Floats,
+    torques: tuple[float, float],
+) -> Comparison:
+    told = found.measured[rows] - level
+    left_over = {name: rest[rows] for name, rest in found.residual.items()}
+    return Comparison(
+        band(place, told, edges),
+        {name: band(place, told - rest, edges).mean for name, rest in left_over.items()},
+        {name: band(place, rest, edges) for name, rest in left_over.items()},
+        torques,
+        rows.size,
+    )
+
+
+def mean_error(drive: Drive, torque: Floats) -> tuple[Floats, Floats, Floats]:
+    """Mean, least and greatest transmission error over half a turn at some torques [rad]."""
+    turn = np.pi * np.arange(_GRID_ANGLES) / _GRID_ANGLES
+    angle, load = (g.ravel() for g in np.meshgrid(turn, torque, indexing="ij"))
+    table = transmission_error(drive, angle, load).reshape(_GRID_ANGLES, torque.size)
+    return np.asarray(table.mean(axis=0)), np.asarray(table.min(axis=0)), np.asarray(table.max(axis=0))
+
+
+def _mean_error(drive: Drive, torque: Floats) -> Floats:
+    """Error at the samples' torques, averaged over the angle [rad]."""
+    most = max(float(np.max(np.abs(torque))), 1e-3)
+    nodes = most * np.linspace(-1.0, 1.0, _GRID_TORQUES)
+    return np.interp(torque, nodes, mean_error(drive, nodes)[0])
+
+
+def orders(found: Stages, highest: float) -> dict[str, tuple[Floats, Floats]]:
+    """Order and amplitude [rad] of what each stage leaves, every peak kept."""
+    result = {}
+    for name, rest in found.residual.items():
+        order, strength = spectrum(found.angle, rest, highest)
+        result[name] = strongest(order, strength, highest, _SPECTRUM_POINTS)
+    return result
+
+
+def over_time(found: Stages) -> dict[str, Envelope]:
+    """Least and greatest torque [N m], input speed [rad/s] and residuals [rad] along the record."""
+    time = found.record.time - found.record.time[0]
+    columns = {"torque": found.record.torque, "speed": found.record.speed} | found.residual
+    return {name: envelope(time, column, _STRETCHES) for name, column in columns.items()}

@@ -1,0 +1,177 @@
+"""The torsion curve: measured while the torque rises and falls, simulated, and its three stiffnesses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.binned import Band, band
+from hd_diag.drive import Drive
+from hd_diag.report.stages import EXTENDED, Stages, mean_error
+
+Floats = npt.NDArray[np.float64]
+
+# Ends of the ranges of K1, K2 and K3 over the rated torque [-]. The catalogue of a size-25, ratio-100 gear
+# has its knees at T1 = 14 and T2 = 48 N m, these shares of the example drive's 56 N m; K3 ends at 100 N m.
+_KNEES = (1.0 / 56.0, 14.0 / 56.0, 48.0 / 56.0, 100.0 / 56.0)
+
+_BINS = 32
+_NODES = 61
+_BLOCKS = 24
+_DRAWS = 1000
+_LEAST_REACH = 0.3  # share of a range that the torque must cover for a stiffness in it
+_LEAST_SAMPLES = 200
+
+
+@dataclass(frozen=True)
+class Stiffness:
+    """Torsional stiffness within a range of torque [N m/rad]; nan where it is not known.
+
+    Attributes
+    ----------
+    name : str
+    low, high : float
+        The range of |torque| [N m].
+    configured, fitted : float
+        Secants of the simulated curves, averaged over the angle.
+    measured, measured_low, measured_high : float
+        Slope of the measured error on the torque, with its 95 % interval.
+    """
+
+    name: str
+    low: float
+    high: float
+    configured: float
+    fitted: float
+    measured: float = float("nan")
+    measured_low: float = float("nan")
+    measured_high: float = float("nan")
+
+
+@dataclass(frozen=True)
+class Torsion:
+    """Transmission error over torque.
+
+    Attributes
+    ----------
+    torque : ndarray, shape (nodes,)
+        [N m]
+    configured, fitted : ndarray, shape (nodes,)
+        Mean over the angle [rad].
+    low, high : ndarray, shape (nodes,)
+        Least and greatest over the angle, of the fitted drive [rad].
+    rising, falling : Band or None
+        Measured while the torque rises and falls [rad].
+    extended : tuple of ndarray, or None
+        Means of the extended model over the same samples, while the torque rises and falls [rad].
+    stiffness : tuple of Stiffness
+    """
+
+    torque: Floats
+    configured: Floats
+    fitted: Floats
+    low: Floats
+    high: Floats
+    rising: Band | None
+    falling: Band | None
+    extended: tuple[Floats, Floats] | None
+    stiffness: tuple[Stiffness, ...]
+
+
+def simulated(configured: Drive, fitted: Drive, most: float) -> Torsion:
+    """The curve of the model alone, up to a torque [N m]."""
+    torque = most * np.linspace(-1.0, 1.0, _NODES)
+    first = mean_error(configured, torque)[0]
+    mean, low, high = mean_error(fitted, torque)
+    secants = zip(_secants(configured), _secants(fitted), strict=True)
+    ranges = zip(_ranges(configured), secants, strict=True)
+    stiffness = tuple(
+        Stiffness(f"K{n}", low_torque, high_torque, *pair)
+        for n, ((low_torque, high_torque), pair) in enumerate(ranges, start=1)
+    )
+    return Torsion(torque, first, mean, low, high, None, None, None, stiffness)
+
+
+def measured(found: Stages, configured: Drive) -> Torsion:
+    """The measured curve beside the simulated ones."""
+    record = found.record
+    alone = simulated(configured, found.drive, max(float(np.max(np.abs(record.torque))), 1.0))
+    if not record.has_torque:
+        return alone
+    rate = np.gradient(record.torque, record.time)
+    edges = np.linspace(record.torque.min(), max(record.torque.max(), record.torque.min() + 1e-6), _BINS + 1)
+    ways = [rate > 0.0, rate <= 0.0]
+    bands = [band(record.torque[way], found.measured[way], edges) for way in ways]
+    extended = None
+    if EXTENDED in found.residual:
+        told = found.measured - found.residual[EXTENDED]
+        extended = tuple(band(record.torque[way], told[way], edges).mean for way in ways)
+    stiffness = tuple(_with_slope(entry, found) for entry in alone.stiffness)
+    return Torsion(
+        alone.torque,
+        alone.configured,
+        alone.fitted,
+        alone.low,
+        alone.high,
+        bands[0],
+        bands[1],
+        None if extended is None else (extended[0], extended[1]),
+        stiffness,
+    )
+
+
+def _ranges(drive: Drive) -> list[tuple[float, float]]:
+    ends = [share * drive.rated_torque for share in _KNEES]
+    return list(pairwise(ends))
+
+
+def _secants(drive: Drive) -> list[float]:
+    """Torque over torsion between the ends of the ranges, mean of both directions [N m/rad]."""
+    ends = np.array([share * drive.rated_torque for share in _KNEES])
+    error = mean_error(drive, np.concatenate((-ends[::-1], ends)))[0]
+    torsion = 0.5 * (error[: ends.size][::-1] - error[ends.size :])
+    return [float(k) for k in np.diff(ends) / np.diff(torsion)]
+
+
+def _with_slope(entry: Stiffness, found: Stages) -> Stiffness:
+    """The stiffness with what was measured, both directions together, each with its own zero."""
+    load = np.abs(found.record.torque)
+    inside = (load >= entry.low) & (load <= entry.high)
+    if inside.sum() < _LEAST_SAMPLES or np.ptp(load[inside]) < _LEAST_REACH * (entry.high - entry.low):
+        return entry
+    sign = np.sign(found.record.torque[inside])
+    block = np.flatnonzero(inside) * _BLOCKS // load.size
+    sums = _sums(load[inside], -sign * found.measured[inside], sign, block)
+    draws = np.random.default_rng(0).integers(0, _BLOCKS, (_DRAWS, _BLOCKS))
+    slopes = np.array([_slope(sums[draw].sum(axis=0)) for draw in draws])
+    low, high = np.nanquantile(slopes, (0.025, 0.975))
+    return Stiffness(
+        entry.name,
+        entry.low,
+        entry.high,
+        entry.configured,
+        entry.fitted,
+        1.0 / _slope(sums.sum(axis=0)),
+        float(1.0 / high),
+        float(1.0 / low),
+    )
+
+
+def _sums(x: Floats, y: Floats, sign: Floats, block: npt.NDArray[np.int64]) -> Floats:
+    """Sums of 1, x, y, x y, x x in every block and direction, shape (blocks, 2, 5)."""
+    result = np.zeros((_BLOCKS, 2, 5))
+    for side, way in enumerate((1.0, -1.0)):
+        rows = sign == way
+        for column, values in enumerate((np.ones(x.size), x, y, x * y, x * x)):
+            result[:, side, column] = np.bincount(block[rows], values[rows], _BLOCKS)
+    return result
+
+
+def _slope(sums: Floats) -> float:
+    """Common slope of both directions about their own means [rad/(N m)]; nan where there is none."""
+    count, x, y, xy, xx = np.maximum(sums[:, 0], 1.0), *sums[:, 1:].T
+    spread = float(np.sum(xx - x * x / count))
+    return float(np.sum(xy - x * y / count)) / spread if spread > 0.0 else float("nan")

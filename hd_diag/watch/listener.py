@@ -1,0 +1,107 @@
+"""The watcher's ears: a ROS node that hears diagnostics and sees who publishes them."""
+
+# mypy: disallow-untyped-calls=False
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import try_shutdown
+
+from hd_diag.messages import DIAGNOSTICS
+from hd_diag.watch.seen import DEFAULT_TOPIC, Message, NodeSeen, Watch
+
+_LOOK_PERIOD = 1.0  # between looks at the ROS graph [s]
+_DEPTH = 100  # reports that may wait
+
+
+class Listener(Node):
+    """Tells a `Watch` what is published and who is there."""
+
+    def __init__(self, watch: Watch) -> None:
+        name = f"hd_diag_watch_{os.getpid()}"
+        super().__init__(name, enable_rosout=False, start_parameter_services=False)
+        self._watch = watch
+        self._heard: set[str] = set()
+        self._next_look = 0.0
+        self._waiting = SingleThreadedExecutor()
+        self._waiting.add_node(self)
+        if not watch.namespaces:
+            self._hear(DEFAULT_TOPIC)
+
+    def wait(self, seconds: float) -> None:
+        """Sleep until something comes, at most for so long [s]; look around from time to time."""
+        now = time.monotonic()
+        if now >= self._next_look:
+            self._next_look = now + _LOOK_PERIOD
+            self.look()
+        self._waiting.spin_once(timeout_sec=seconds)
+
+    def close(self) -> None:
+        """Leave the ROS graph."""
+        self._waiting.shutdown()
+        self.destroy_node()
+
+    def look(self) -> None:
+        """See which nodes there are, and hear those that are wanted."""
+        topics: dict[str, list[str]] = dict(self.get_topic_names_and_types())
+        seen = [
+            node
+            for topic, types in topics.items()
+            if DIAGNOSTICS in types
+            for node in self._senders(topic, topics)
+        ]
+        self._watch.nodes = sorted(seen, key=lambda node: (node.name, node.topic))
+        for node in self._watch.wanted_nodes():
+            self._hear(node.topic)
+
+    def _senders(self, topic: str, topics: dict[str, list[str]]) -> Iterator[NodeSeen]:
+        """Nodes of this package that publish diagnostics on a topic."""
+        for info in self.get_publishers_info_by_topic(topic):
+            name = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+            below = [other[len(name) + 1 :] for other in topics if other.startswith(f"{name}/")]
+            if "transmission_error" in below:
+                joints = (rest.removesuffix("/backlash") for rest in below if rest.endswith("/backlash"))
+                yield NodeSeen(name, topic, frozenset(joints))
+
+    def _hear(self, topic: str) -> None:
+        if topic not in self._heard:
+            self._heard.add(topic)
+            self.create_subscription(DiagnosticArray, topic, self._taker(topic), QoSProfile(depth=_DEPTH))
+
+    def _taker(self, topic: str) -> Callable[[Any], None]:
+        def take(array: Any) -> None:
+            self._watch.take(topic, map(_message, array.status), time.monotonic())
+
+        return take
+
+
+def _message(status: Any) -> Message:
+    values = {pair.key: pair.value for pair in status.values}
+    return Message(
+        status.name, int.from_bytes(status.level, "little"), status.message, values, status.hardware_id
+    )
+
+
+@contextlib.contextmanager
+def listening(watch: Watch) -> Iterator[Listener]:
+    """A listener in the ROS graph; signals are left to the caller."""
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        listener = Listener(watch)
+        try:
+            yield listener
+        finally:
+            listener.close()
+    finally:
+        try_shutdown()
