@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from hd_diag.report import captions
 from hd_diag.pictures.against_model import over_angle, over_torque
 from hd_diag.pictures.around_the_gear import around_the_gear
 from hd_diag.pictures.markup import inline_svg
@@ -17,6 +16,7 @@ from hd_diag.pictures.record_over_time import record_over_time
 from hd_diag.pictures.residual_orders import residual_orders
 from hd_diag.pictures.tooth_maps import tooth_maps
 from hd_diag.pictures.torsion_curve import torsion_curve
+from hd_diag.report import captions
 from hd_diag.report.facts import Held, JointReport, Judgement
 from hd_diag.report.ladder import Rung
 from hd_diag.report.teeth import Teeth
