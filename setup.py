@@ -92,7 +92,7 @@ setup(
     entry_points={
         "console_scripts": [
             "hd-diag = hd_diag.__main__:main",
-            "hd_diag_node = hd_diag.node:main",
+            "hd_diag_node = hd_diag.__main__:node",
         ],
     },
 )

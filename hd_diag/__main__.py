@@ -1,4 +1,4 @@
-"""``hd-diag`` and ``python -m hd_diag``: Ctrl-C ends it quietly while modules are imported, too."""
+"""``hd-diag``, ``python -m hd_diag``, ``hd_diag_node``: a signal during their imports ends them cleanly."""
 
 import sys
 
@@ -14,6 +14,16 @@ def main() -> None:
     except KeyboardInterrupt:
         print("hd-diag: interrupted", file=sys.stderr)  # noqa: T201
         sys.exit(_INTERRUPTED)
+
+
+def node() -> None:
+    """Entry point of the ``hd_diag_node`` executable."""
+    from hd_diag.stop_signals import noted
+
+    stopped = noted()
+    from hd_diag.node import main as run
+
+    sys.exit(run(stopped=stopped))
 
 
 if __name__ == "__main__":

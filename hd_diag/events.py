@@ -45,7 +45,14 @@ class Reported:
     facts: Mapping[str, str]
 
 
-Event = Configured | MapUsed | Reported
+@dataclass(frozen=True)
+class ClockSetBack:
+    """The clock of the stamps was set back: those later than a stamp [ns] are of before."""
+
+    stamp: int
+
+
+Event = Configured | MapUsed | Reported | ClockSetBack
 
 
 def read_event(data: bytes) -> Event | None:
@@ -57,7 +64,7 @@ def read_event(data: bytes) -> Event | None:
 
     Returns
     -------
-    Configured, MapUsed, Reported or None
+    Configured, MapUsed, Reported, ClockSetBack or None
         None for a kind that later versions may add.
 
     Raises
@@ -97,10 +104,18 @@ def _map_used(content: Mapping[str, Any]) -> MapUsed:
 
 
 def _reported(content: Mapping[str, Any]) -> Reported:
+    return Reported(_stamp(content, "a report"), _texts(content.get("facts"), "facts"))
+
+
+def _clock_set_back(content: Mapping[str, Any]) -> ClockSetBack:
+    return ClockSetBack(_stamp(content, "a clock"))
+
+
+def _stamp(content: Mapping[str, Any], what: str) -> int:
     stamp = content.get("stamp")
     if not isinstance(stamp, int) or isinstance(stamp, bool) or not -LAST_TIME <= stamp <= LAST_TIME:
-        raise ValueError("a report's stamp is no ROS time")
-    return Reported(stamp, _texts(content.get("facts"), "facts"))
+        raise ValueError(f"{what}'s stamp is no ROS time")
+    return stamp
 
 
 def _texts(value: Any, what: str) -> Mapping[str, str]:
@@ -119,4 +134,5 @@ _READERS: dict[str, Callable[[Mapping[str, Any]], Event]] = {
     "configuration": _configured,
     "map": _map_used,
     "report": _reported,
+    "clock": _clock_set_back,
 }

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -16,7 +15,10 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.clock import JumpThreshold
+from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.logging_severity import LoggingSeverity
@@ -25,7 +27,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import ok, try_shutdown
+from rclpy.utilities import ok, remove_ros_args, try_shutdown
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import Float64MultiArray
 from visualization_msgs.msg import MarkerArray
@@ -49,8 +51,11 @@ from hd_diag.messages import (
 from hd_diag.model.torsion import limited_curves, torsion_table
 from hd_diag.model.torsion_map import ARCSEC, TorsionMap
 from hd_diag.model_file import reader
-from hd_diag.parameters import ROS_PARAMETERS
+from hd_diag.monitor.joint import CLOCK_JUMP
+from hd_diag.parameter_file import sections
+from hd_diag.parameters import ROS_PARAMETERS, check_known
 from hd_diag.session import Session
+from hd_diag.stop_signals import ignored, noted
 
 _CLASSES = {
     JOINT_STATE: JointState,
@@ -100,6 +105,11 @@ class DiagnosticNode(Node):
         self._input = self._subscribe()
         for joint in config.joints:
             self._subscribe_temperature(joint.name)
+        backward = JumpThreshold(
+            min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False
+        )
+        self._jumps = self.get_clock().create_jump_callback(backward, post_callback=self._on_jump)
+        self.add_pre_set_parameters_callback(self._known)
         self.add_on_set_parameters_callback(self._validate)
         self.add_post_set_parameters_callback(self._apply)
         self._accepted = config
@@ -126,6 +136,25 @@ class DiagnosticNode(Node):
                 self._survive("a report failed", self._report)
             self._next_look = min(now + _LOOP_PERIOD, self._next_report)
         return max(0.0, self._next_look - now)
+
+    def spin_once(self, executor: Any) -> None:
+        """Do what is due, and take what comes until something may be due again; the node survives it all."""
+        try:
+            executor.spin_once(timeout_sec=self.housekeeping())
+        except ExternalShutdownException:
+            raise
+        except Exception as error:  # such as a parameter of a type that ROS does not know
+            self.get_logger().error(f"a request was dropped: {error!r}", throttle_duration_sec=5.0)
+            time.sleep(_LOOP_PERIOD)  # whatever goes wrong may do so again at once
+
+    def tell_files(self, files: Sequence[str]) -> None:
+        """Warn of parameter files that hold nothing for this node: ROS takes them without a word."""
+        names = {self.get_name(), self.get_fully_qualified_name(), "**", "*"}
+        for file in files:
+            given = {str(name) for name in sections(file)}
+            if not {name.rsplit("/", 1)[-1] for name in given} & names:
+                held = ", ".join(sorted(given)) or "nothing"
+                self.get_logger().warning(f"{file} has no section for {self.get_name()}, but {held}")
 
     def close(self) -> None:
         """Report once more and finish the log."""
@@ -261,6 +290,26 @@ class DiagnosticNode(Node):
             else:
                 self.get_logger().info(f"log {state}")
 
+    def _on_jump(self, jump: Any) -> None:
+        """The clock was set back by less than stamps tell by themselves, as by a short bag that begins anew.
+
+        Samples may come a little before their clock: those that are less than half the jump ahead are new.
+        """
+        back = abs(jump.delta.nanoseconds)
+        if back < CLOCK_JUMP:
+            self._session.clock_set_back(self._now(), self.get_clock().now().nanoseconds + back // 2)
+
+    def _known(self, changed: Sequence[Parameter]) -> list[Parameter]:
+        """The parameters, with numbers of the type that they were declared with; unknown ones are refused."""
+        known = parameters([joint.name for joint in self._session.config.joints])
+        for parameter in changed:
+            if _is_own(parameter.name):
+                try:
+                    check_known([parameter.name], known)
+                except ConfigError as error:
+                    raise _Unknown(str(error)) from error
+        return [_as_declared(parameter, known.get(parameter.name)) for parameter in changed]
+
     def _validate(self, changed: Sequence[Parameter]) -> SetParametersResult:
         try:
             self._accepted = self._candidate(changed)
@@ -298,6 +347,20 @@ class DiagnosticNode(Node):
 _QOS = Qos(depth=_INPUT_DEPTH)
 
 
+class _Unknown(ParameterNotDeclaredException):
+    """A parameter that the node does not have: rclpy answers with the text, and its own names nothing."""
+
+    def __init__(self, reason: str) -> None:
+        Exception.__init__(self, reason)
+
+
+def _as_declared(parameter: Parameter, spec: Any) -> Parameter:
+    """Integers as numbers where a number was declared: who reads them back looks there."""
+    if spec is None or not isinstance(spec.default, float) or parameter.type_ != Parameter.Type.INTEGER:
+        return parameter
+    return Parameter(parameter.name, Parameter.Type.DOUBLE, float(parameter.value))
+
+
 def _warm_up(config: Config) -> None:
     """Compute once what samples would have to wait for: constants, imports, machine code, also of maps."""
     nothing = np.zeros(1)
@@ -327,30 +390,41 @@ def _constraints(low: float, high: float, choices: tuple[str, ...]) -> str:
     return f"{low:g} to {high:g}" if np.isfinite([low, high]).all() else ""
 
 
-def main(args: Sequence[str] | None = None) -> int:
+def main(args: Sequence[str] | None = None, stopped: Sequence[int] | None = None) -> int:
     """Run the node until SIGINT or SIGTERM.
 
     Parameters
     ----------
     args : sequence of str, optional
         Command line with ``--ros-args``; that of the process by default.
+    stopped : sequence of int, optional
+        Signals that came so far, where they are noted already; rclpy's own handlers would break into the
+        writing of the log.
 
     Returns
     -------
     int
-        Exit code: 0 after a signal, 2 where the configuration cannot be used.
+        Exit code: 0 after a signal, 2 where the arguments or the configuration cannot be used.
     """
     arguments = list(sys.argv if args is None else args)
-    stopped = _signals()
+    stopped = noted() if stopped is None else stopped
+    code = 0 if stopped else _run(arguments, stopped)
+    ignored()
+    return code
+
+
+def _run(arguments: Sequence[str], stopped: Sequence[int]) -> int:
     set_logger_level("rcl", LoggingSeverity.FATAL)  # what it says of a faulty file is said below, better
     try:
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        _check_arguments(arguments)
+        rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
         set_logger_level("rcl", LoggingSeverity.UNSET)
         node = DiagnosticNode([Path(file).parent for file in _parameter_files(arguments)])
     except Exception as error:
         sys.stderr.write(f"hd_diag: {_reason(arguments, error)}\n")
         try_shutdown()
         return 2
+    node.tell_files(_parameter_files(arguments))
     executor = EventsExecutor()
     executor.add_node(node)
     sys.setswitchinterval(_SWITCH_INTERVAL)
@@ -358,18 +432,26 @@ def main(args: Sequence[str] | None = None) -> int:
     gc.freeze()  # what lives as long as the node need not be looked at again
     with contextlib.suppress(ExternalShutdownException):
         while not stopped and ok():
-            executor.spin_once(timeout_sec=node.housekeeping())
+            node.spin_once(executor)
     node.close()
     try_shutdown()
     return 0
 
 
-def _signals() -> list[int]:
-    """Signals that came since; rclpy's own handlers would break into the writing of the log."""
-    came: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda received, frame: came.append(received))
-    return came
+class _UsageError(Exception):
+    """Arguments that cannot be used."""
+
+
+def _check_arguments(arguments: Sequence[str]) -> None:
+    """Refuse what neither ROS nor the node knows, and parameter files that are none."""
+    unknown = remove_ros_args(list(arguments))[1:]
+    if unknown:
+        raise _UsageError(f"unknown arguments: {' '.join(unknown)} (those for ROS stand behind --ros-args)")
+    for file in _parameter_files(arguments):
+        try:
+            sections(file)
+        except ConfigError as error:
+            raise _UsageError(f"{file}: {error}") from error
 
 
 def _parameter_files(arguments: Sequence[str]) -> list[str]:
@@ -378,11 +460,13 @@ def _parameter_files(arguments: Sequence[str]) -> list[str]:
 
 def _reason(arguments: Sequence[str], error: Exception) -> str:
     """Why the node cannot start: the parameter file's own fault where it has one, which rcl words badly."""
-    for file in _parameter_files(arguments):
+    for file in _parameter_files(arguments) if not isinstance(error, _UsageError) else []:
         try:
             load(file)
         except ConfigError as found:
             return str(found)
+    if type(error).__name__ == "UnknownROSArgsError":
+        return f"unknown ROS arguments: {error}"
     return " ".join(str(error).split())
 
 

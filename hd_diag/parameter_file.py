@@ -66,6 +66,26 @@ def read(path: str | Path) -> dict[str, Any]:
     ConfigError
         Saying why it is not a parameter file of this node.
     """
+    return _of_this_node(_document(path))
+
+
+def sections(path: str | Path) -> list[Any]:
+    """Names of the nodes for which a file holds something; an empty file has none.
+
+    Raises
+    ------
+    ConfigError
+        Where it is no YAML of ROS, or no mapping.
+    """
+    document = _document(path)
+    if document is None:
+        return []
+    if not isinstance(document, Mapping):
+        raise ConfigError(_EXPECTED)
+    return list(document)
+
+
+def _document(path: str | Path) -> Any:
     try:
         with open(path, "rb") as file:
             data = file.read(_LARGEST + 1)
@@ -77,10 +97,9 @@ def read(path: str | Path) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         raise ConfigError(f"not a text in UTF-8: {error.reason} at byte {error.start}") from error
     try:
-        sections = yaml.load(document, _Loader)
+        return yaml.load(document, _Loader)
     except Exception as error:  # beside YAMLError, PyYAML lets several kinds through on wrong tags and depth
         raise ConfigError(f"not YAML: {' '.join(str(error).split()) or type(error).__name__}") from error
-    return _of_this_node(sections)
 
 
 def text(flat: Mapping[str, Value]) -> str:

@@ -14,7 +14,7 @@ from hd_diag import versions
 from hd_diag.bag import BagError, BagWriter, check_output, encode_joint_states
 from hd_diag.bag.reader import BagReader, Batch, Mixed
 from hd_diag.config import Config, ConfigError, JointConfig, ModelText, resolve
-from hd_diag.events import Configured, Event, MapUsed, Reported
+from hd_diag.events import ClockSetBack, Configured, Event, MapUsed, Reported
 from hd_diag.map_builder import map_of
 from hd_diag.messages import LAST_TIME, TEMPERATURE, Encoded, resolved
 from hd_diag.model.torsion import Mesh
@@ -46,7 +46,7 @@ class Replay:
     duration : float
         Time from the first to the last message of the bag [s].
     rejected, missed : dict of str to int
-        By joint: samples that could not be used, and samples that the stamps say were never recorded.
+        By joint: samples that could not be used, and samples that are missing by the stamps.
     last_rejection : dict of str to str
     problems : list of str
         What is wrong with the bag itself, joints that have no map, and software of other versions than a log
@@ -305,6 +305,8 @@ class _Run:
             self._running.use_map(now, event.joint, self._map(joint, event.torque_limit))
         elif isinstance(event, Reported):
             self._running.tick(now, event.stamp, event.facts)
+        elif isinstance(event, ClockSetBack):
+            self._running.clock_set_back(now, event.stamp)
 
     def _configure(self, now: int, event: Configured) -> None:
         before = {} if event.new else self._running.config.flat

@@ -13,6 +13,12 @@ if TYPE_CHECKING:
 Floats = npt.NDArray[np.float64]
 Times = npt.NDArray[np.int64]
 
+LARGEST_ANGLE = 1e10
+"""Beyond it a double tells no angle to a microradian, and no joint gets there in a lifetime [rad]."""
+
+LARGEST_TORQUE = 1e6
+"""A hundred times what the largest harmonic drives bear [N m]: more is a fault of who reports it."""
+
 
 class JointStates(NamedTuple):
     """Messages with the same joints; n >= 1 rows, one while live.

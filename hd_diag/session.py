@@ -139,6 +139,11 @@ class Session:
         self._event(now, {"event": "map", "joint": joint, "torque_limit": table.requested_limit})
         return True
 
+    def clock_set_back(self, now: int, stamp: int) -> None:
+        """Note at a time [ns] that the clock of stamps was set back: those after one [ns] are of before."""
+        self.monitor.clock_set_back(stamp)
+        self._event(now, {"event": "clock", "stamp": stamp})
+
     def tick(self, now: int, stamp: int, facts: Mapping[str, str]) -> None:
         """Report on all joints at a time, with a header stamp [ns] and what the surroundings know."""
         self._event(now, {"event": "report", "stamp": stamp, "facts": dict(facts)})

@@ -218,9 +218,13 @@ def test_mesh_table_lists_the_teeth_that_can_touch(tmp_path: Path) -> None:
     assert "70 loaded flanks, largest force 39.755 N" in " ".join(result.output.split())
 
 
-@pytest.mark.parametrize("value", ["nan", "inf"])
-def test_mesh_refuses_what_is_not_finite(value: str) -> None:
-    assert_one_line_error(hd_diag("mesh", "--torque", value), "must be finite")
+@pytest.mark.parametrize("value", ["nan", "inf", "-1e7"])
+def test_mesh_refuses_what_no_drive_bears(value: str) -> None:
+    assert_one_line_error(hd_diag("mesh", "--torque", value), "--torque must be a number of at most 1e+06")
+
+
+def test_mesh_refuses_angles_that_a_number_cannot_tell() -> None:
+    assert_one_line_error(hd_diag("mesh", "--input-angle", "1e300"), "--input-angle must be", "1e+10")
 
 
 # Ctrl-C ---

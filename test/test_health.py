@@ -280,6 +280,23 @@ def test_a_sender_that_is_held_up_and_catches_up_has_lost_nothing(life: Life, lo
     assert 0.8 * len(lost) <= missed <= len(lost)
 
 
+def test_what_is_made_up_for_after_a_report_was_not_lost(life: Life) -> None:
+    """A sender is held up for 40 periods at the end of a report's time, and then sends them at once."""
+    assert feed(life, START + np.append(np.arange(961), 1000) * MS) == 39
+    burst = START + 1000 * MS + np.arange(1, 40) * MS // 100
+    assert feed(life, np.append(burst, START + np.arange(1001, 2000) * MS)) == 0
+    assert feed(life, START + np.append(np.arange(2000, 2500), np.arange(2503, 3000)) * MS) == 3
+
+
+def test_rejected_samples_are_not_told_as_missed_too(life: Life) -> None:
+    for row in range(1000):
+        angle = np.nan if row % 10 == 5 else 0.0
+        made = states(NAMES, [START + row * MS], [[angle, 0.0]], [[0.0, 0.0]])
+        life.monitor.joint_states(np.array([START + row * MS]), made)
+    values = life.report().values
+    assert (values["samples_rejected"], values["samples_missed"]) == ("100", "0")
+
+
 def feed(life: Life, stamps: np.ndarray) -> int:
     """Samples at stamps; what the report then says was missed."""
     for stamp in stamps.tolist():

@@ -432,7 +432,7 @@ def test_a_bad_temperature_is_counted() -> None:
 def test_an_unbearable_torque_gives_nan_not_an_end() -> None:
     monitor = Monitor(CONFIG)
     (error,) = found(
-        run(monitor, states(("a_motor", "a"), [START], [[0.1, 0]], [[0, 1e9]])), "~/transmission_error"
+        run(monitor, states(("a_motor", "a"), [START], [[0.1, 0]], [[0, 9e5]])), "~/transmission_error"
     )
     assert error.position.shape == (1, 1)
     report = monitor.tick(START, START, {})

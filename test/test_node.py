@@ -17,11 +17,13 @@ import yaml
 from live import MS, RATIO, START, config, message, parameters, sample
 from logs import content
 from mcap_ros2.reader import read_ros2_messages
-from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
-from running import Process, Rig, feed, running, values_of
+from running import LIMIT, Process, Rig, feed, running, values_of
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import Float64MultiArray
 from visualization_msgs.msg import MarkerArray
@@ -268,6 +270,8 @@ def test_every_number_can_be_set(arm: Rig) -> None:
 
 def test_an_integer_does_for_a_number(arm: Rig) -> None:
     assert arm.set(elbow__torque=2)[0].successful
+    (found,) = arm.get("elbow.torque")
+    assert (found.type, found.double_value) == (ParameterType.PARAMETER_DOUBLE, 2.0)
     assert arm.set(elbow__torque=0.0)[0].successful
 
 
@@ -302,7 +306,19 @@ def test_a_bad_value_is_refused_with_its_reason_and_changes_nothing(
 def test_an_unknown_parameter_is_refused(arm: Rig) -> None:
     (answer,) = arm.set(elbow__excentricity=1e-6)
     assert not answer.successful
-    assert answer.reason
+    assert "unknown parameter 'elbow.excentricity'; the nearest known is 'elbow.eccentricity" in answer.reason
+
+
+def test_a_request_that_ros_itself_cannot_read_is_survived(arm: Rig, publisher: Any) -> None:
+    """A type that does not exist: rclpy raises in its own service."""
+    client = arm.node.create_client(SetParameters, f"{arm.process.namespace}/hd_diag/set_parameters")
+    arm.until(client.service_is_ready, "service")
+    wrong = ParameterMessage(name="elbow.torque", value=ParameterValue(type=42))
+    client.call_async(SetParameters.Request(parameters=[wrong]))
+    arm.until(lambda: "a request was dropped" in arm.process.output(), "word of it")
+    assert arm.set(elbow__torque=1.0)[0].successful
+    assert arm.set(elbow__torque=0.0)[0].successful
+    arm.node.destroy_client(client)
 
 
 def test_a_parameter_cannot_be_removed(arm: Rig) -> None:
@@ -446,6 +462,28 @@ def test_simulated_time_that_jumps_back(tmp_path: Path) -> None:
         assert_log_is_whole(tmp_path / "log.mcap", rig.process.namespace, 270)
 
 
+def test_a_loop_shorter_than_a_second(tmp_path: Path) -> None:
+    """The clock itself tells that it was set back; the log's replay begins anew at the same places."""
+    log, again = tmp_path / "log.mcap", tmp_path / "again.mcap"
+    given = parameters(**QUICK) | {"use_sim_time": True, "log.path": str(log)}
+    with running(tmp_path, given) as rig:
+        clock, source = rig.publisher("clock", Clock), rig.publisher()
+        errors = heard(rig, "transmission_error")
+        for loop in range(4):
+            for i in range(50):
+                now = Clock()
+                now.clock.sec, now.clock.nanosec = 1000, i * 10 * MS
+                clock.publish(now)
+                rig.drain()
+                source.publish(sample(10**12 + i * 10 * MS, 0.1, 0.0, 1.0))
+            rig.until(lambda n=loop: len(errors) >= 50 * (n + 1), "predictions")  # type: ignore[misc]
+        values = rig.values("joint_1", lambda v: v["samples"] == "200")
+        assert (values["clock_jumps"], values["samples_rejected"]) == ("3", "0")
+        assert rig.process.end(signal.SIGINT) == 0
+    replay(log, again)
+    assert content(log) == content(again)
+
+
 def assert_log_is_whole(path: Path, namespace: str, least: int) -> None:
     """Both independent readers read it with types, and nothing was rejected."""
     with BagReader(path) as own:
@@ -564,6 +602,51 @@ def test_a_faulty_argument_is_named_too(tmp_path: Path) -> None:
     assert code == 2
     (line,) = stderr.strip().splitlines()
     assert "ratio 80" in line
+
+
+def test_unknown_arguments_are_refused(tmp_path: Path) -> None:
+    for arguments, told in ((["--", "extra"], "unknown arguments: extra"), (["--bogus"], "'--bogus'")):
+        code, stderr = start(tmp_path, file_of(array_rate=5), *arguments)
+        assert code == 2
+        (line,) = stderr.strip().splitlines()
+        assert told in line
+
+
+@pytest.mark.parametrize(("text", "held"), [("hd_dag: {ros__parameters: {}}", "hd_dag"), ("", "nothing")])
+def test_a_file_without_a_section_for_the_node_is_told(tmp_path: Path, text: str, held: str) -> None:
+    file = tmp_path / "other.yaml"
+    file.write_text(text)
+    with Process(tmp_path, parameters(), "--params-file", str(file)) as process:
+        rig = Rig(process)
+        rig.close()
+        assert process.end() == 0
+        assert f"other.yaml has no section for hd_diag, but {held}" in process.output()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("delay", [0.3, 0.6, 0.9, 1.5])
+def test_a_signal_while_it_starts_ends_it_with_code_0(tmp_path: Path, number: int, delay: float) -> None:
+    code = "import hd_diag.__main__ as main, hd_diag.stop_signals; print(1, flush=True); main.node()"
+    command = [sys.executable, "-c", code]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        time.sleep(delay)
+        process.send_signal(number)
+        _, stderr = process.communicate(timeout=LIMIT)
+    assert process.returncode == 0, stderr
+    assert "Traceback" not in stderr
+
+
+def test_signals_that_come_again_while_it_ends_change_nothing(tmp_path: Path) -> None:
+    with running(tmp_path, parameters(log__path=str(tmp_path / "log.mcap"))) as rig:
+        feed(rig.publisher(), itertools.count(START, MS), 20)
+        rig.values("joint_1", lambda v: v["samples"] == "20")
+        while rig.process.popen.poll() is None:
+            rig.process.popen.send_signal(signal.SIGINT)
+            time.sleep(0.01)
+        assert rig.process.popen.returncode == 0
+        assert_log_is_whole(tmp_path / "log.mcap", rig.process.namespace, 20)
 
 
 def test_events_are_json_of_known_kinds(tmp_path: Path) -> None:

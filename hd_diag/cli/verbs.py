@@ -30,6 +30,8 @@ from hd_diag.cli.simulate import simulate
 from hd_diag.cli.tolerance import tolerance
 from hd_diag.cli.watch import watch
 from hd_diag.config import Config, JointConfig, load
+from hd_diag.samples import LARGEST_ANGLE, LARGEST_TORQUE
+from hd_diag.stop_signals import noted
 
 
 class _OneLine(click.Group):
@@ -135,8 +137,10 @@ def mesh(
     The transmission error is the drive's when it exerts M on the link, whose reaction on the cup is -M for an
     output at the flexspline; "as_driven" holds torsion and loads of that state, which the node publishes.
     """
-    if not (np.isfinite(input_angle) and np.isfinite(torque)):
-        raise click.BadParameter("--input-angle and --torque must be finite")
+    given = ("input-angle", input_angle, LARGEST_ANGLE), ("torque", torque, LARGEST_TORQUE)
+    for name, value, largest in given:
+        if not abs(value) <= largest:
+            raise click.BadParameter(f"--{name} must be a number of at most {largest:g}, not {value:g}")
     chosen = _joint(configured(config_file), joint)
     result = moment(chosen, input_angle, torque)
     if json_file:
@@ -256,12 +260,13 @@ def node(config_file: str | None, ros_arguments: tuple[str, ...]) -> None:
     """
     if config_file:
         load(config_file)
+    stopped = noted()
     try:
         from hd_diag.node import main as run
     except ImportError as error:
         raise Problem(f"the node needs ROS 2 Jazzy (rclpy), which is not to be imported: {error}") from error
     parameter_file = ["--ros-args", "--params-file", config_file, "--"] if config_file else []
-    sys.exit(run(["hd_diag_node", *parameter_file, *ros_arguments]))
+    sys.exit(run(["hd_diag_node", *parameter_file, *ros_arguments], stopped))
 
 
 @cli.command(

@@ -142,6 +142,11 @@ class Monitor:
             found += self._teeth(received, name, moment.prediction(number))
         return found
 
+    def clock_set_back(self, stamp: int) -> None:
+        """Let joints whose last stamp is later than one [ns] begin anew: the clock was set back."""
+        for joint in self.joints.values():
+            joint.clock_set_back(stamp)
+
     def temperature(self, joint: str, value: float) -> None:
         """Note a joint's temperature [degree Celsius]."""
         if np.isfinite(value):

@@ -281,7 +281,8 @@ def _rate(window: Window) -> float:
 def _missed(joint: JointMonitor, window: Window) -> int:
     """Samples that the stamps say were lost: jitter adds and takes away steps, a loss only adds.
 
-    Judged from the last stamp that was judged before, and once there are enough of them.
+    Judged from the last stamp that was judged before, and once there are enough of them. Those that could not
+    be used are told apart. What a sender makes up for after a report was not lost: it is taken back.
     """
     stamps = joint.unjudged + window.stamps
     joint.unjudged = stamps
@@ -296,7 +297,10 @@ def _missed(joint: JointMonitor, window: Window) -> int:
         return 0
     long = np.sum(np.rint(steps[steps > 1.5 * usual] / usual) - 1.0)
     net = np.rint(np.sum(steps) / usual) - steps.size
-    return int(max(0.0, min(long, net)))
+    lost = max(0, int(min(long, net)) - window.rejected)
+    made_up = min(joint.missed_lately, max(0, -int(net)), int(np.count_nonzero(steps < 0.5 * usual)))
+    joint.missed_lately = lost
+    return lost - made_up
 
 
 def _known_step(steps: Floats, known: float) -> float:

@@ -16,7 +16,7 @@ from hd_diag.extended import ExtendedModel
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.monitor.pairing import REMEMBERED, Inputs, Outputs, Pairs, interpolated, pairs
 from hd_diag.monitor.residual_orders import ResidualOrders
-from hd_diag.samples import Floats, Times
+from hd_diag.samples import LARGEST_ANGLE, LARGEST_TORQUE, Floats, Times
 
 CLOCK_JUMP = 1_000_000_000
 """A stamp this far behind the last one is a clock set back, not a late sample [ns]."""
@@ -174,7 +174,7 @@ class JointMonitor:
         self.samples = 0
         self.rejected = 0
         self.last_rejection = ""
-        self.missed = 0
+        self.missed = self.missed_lately = 0
         self.unjudged: list[Times] = []
         self.usual_step = 0.0
         self.unpaired = 0
@@ -218,11 +218,21 @@ class JointMonitor:
         find = {name: column for column, name in enumerate(names)}
         return find.get(self.config.input_joint, -1), find.get(self.config.output_joint, -1)
 
+    def clock_set_back(self, stamp: int) -> None:
+        """Begin anew where the last stamp is later than one [ns]: the clock was set back."""
+        if max(self._input_stamp, self._output_stamp) > stamp:
+            self.clock_jumps += 1
+            self._restart()
+
     def reject(self, reason: str, count: int = 1) -> None:
         """Count samples that cannot be used."""
         self.rejected += count
         self.window.rejected += count
         self.last_rejection = reason
+
+    def _refuse(self, what: str, value: float, largest: float, unit: str) -> None:
+        """Count a sample with a value that cannot be used."""
+        self.reject(f"{what} is {value:g}" + (f" {unit}, beyond {largest:g}" if math.isfinite(value) else ""))
 
     def plan(self, parts: Sequence[Part]) -> Plan | None:
         """How rows of messages can be taken together.
@@ -326,13 +336,16 @@ class JointMonitor:
         Broadcasters fill with nan what a robot does not measure: then it is not reported at all.
         """
         angles = [part.samples.input_angle for part in parts if part.samples.input_angle is not None]
-        if not all(np.isfinite(angle).all() for angle in angles):
+        if not _within(angles, LARGEST_ANGLE):
             return None
-        known = {"torque": self._torque is not None, "output_angle": self._output_seen or bool(self._pending)}
+        known = {
+            "torque": (LARGEST_TORQUE, self._torque is not None),
+            "output_angle": (LARGEST_ANGLE, self._output_seen or bool(self._pending)),
+        }
         found = list(parts)
-        for name, is_known in known.items():
+        for name, (largest, is_known) in known.items():
             values = [v for v in (getattr(part.samples, name) for part in found) if v is not None]
-            if all(np.isfinite(value).all() for value in values):
+            if _within(values, largest):
                 continue
             if is_known or not all(np.isnan(value).all() for value in values):
                 return None
@@ -377,11 +390,10 @@ class JointMonitor:
         """A message less what cannot be used; None if nothing is left. Counts what it refuses."""
         stamp, angle, output, torque, speed = row
         if stamp < max(self._input_stamp, self._output_stamp) - CLOCK_JUMP:
-            self.clock_jumps += 1
-            self._restart()
+            self.clock_set_back(stamp)
         if angle is not None:
-            if not math.isfinite(angle):
-                self.reject(f"input angle of {self.config.input_joint} is {angle}")
+            if not abs(angle) <= LARGEST_ANGLE:
+                self._refuse(f"input angle of {self.config.input_joint}", angle, LARGEST_ANGLE, "rad")
                 return None
             if stamp <= self._input_stamp:
                 self.reject(_stamp_reason(self.config.input_joint, stamp, self._input_stamp))
@@ -389,15 +401,15 @@ class JointMonitor:
         elif output is not None and stamp <= self._output_stamp:
             self.reject(_stamp_reason(self.config.output_joint, stamp, self._output_stamp))
             return None
-        if torque is not None and not math.isfinite(torque):
+        if torque is not None and not abs(torque) <= LARGEST_TORQUE:
             # Broadcasters fill efforts that a robot does not measure with nan: then none is reported at all.
-            if math.isinf(torque) or self._torque is not None:
-                self.reject(f"effort of {self.config.output_joint} is {torque}")
+            if not math.isnan(torque) or self._torque is not None:
+                self._refuse(f"effort of {self.config.output_joint}", torque, LARGEST_TORQUE, "N m")
                 return None
             torque = None
-        if output is not None and not math.isfinite(output):
-            if math.isinf(output) or self._output_seen:
-                self.reject(f"output angle of {self.config.output_joint} is {output}")
+        if output is not None and not abs(output) <= LARGEST_ANGLE:
+            if not math.isnan(output) or self._output_seen:
+                self._refuse(f"output angle of {self.config.output_joint}", output, LARGEST_ANGLE, "rad")
                 return None
             output = None
         if angle is None and output is None and torque is None:
@@ -460,6 +472,11 @@ class JointMonitor:
 
 _NO_INPUTS = Inputs(_NO_ROWS, _NO_ROWS, _NO_VALUES)
 _NO_OUTPUTS = Outputs(_NO_ROWS, _NO_ROWS, _NO_VALUES, _NO_VALUES)
+
+
+def _within(columns: Sequence[Floats], largest: float) -> bool:
+    """Whether all values are numbers of at most this magnitude."""
+    return all((np.abs(values) <= largest).all() for values in columns)
 
 
 def _alike(parts: Sequence[Part]) -> bool:
