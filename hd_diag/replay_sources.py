@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from hd_diag.bag import BagError
@@ -41,16 +42,20 @@ class Sources:
     temperatures: Mapping[str, str]
     names: Mapping[str, str]
 
-    @property
+    @cached_property
     def inputs(self) -> dict[str, str]:
         """Topics to take in, with their types."""
         return dict.fromkeys(self.joint_states, JOINT_STATE) | dict.fromkeys(self.temperatures, TEMPERATURE)
 
     def is_joint_states(self, topic: Topic) -> bool:
         """Whether a topic is one of those with joint states."""
-        return topic.name in self.joint_states and topic.type_name == JOINT_STATE
+        return topic.name in self._joint_states and topic.type_name == JOINT_STATE
 
-    @property
+    @cached_property
+    def _joint_states(self) -> frozenset[str]:
+        return frozenset(self.joint_states)
+
+    @cached_property
     def every(self) -> set[str]:
         """All topics to read."""
         return {*self.inputs, *([self.events] if self.events else [])}

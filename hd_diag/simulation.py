@@ -18,6 +18,7 @@ from scipy.signal import lfilter
 
 from hd_diag.bag import BagError, BagWriter, encode_joint_states
 from hd_diag.bag.schemas import jazzy, serialize
+from hd_diag.bag.writer import replaced
 from hd_diag.config import Config
 from hd_diag.drive import Drive, transmission_error
 from hd_diag.messages import JOINT_STATE, TEMPERATURE
@@ -308,7 +309,8 @@ def write_bag(
     start: int = START,
     with_temperature: bool = False,
     overwrite: bool = False,
-    progress: Callable[[float], None] = lambda fraction: None,
+    mapped: Callable[[float], None] = lambda fraction: None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> int:
     """Write ``/joint_states``, all joints in each message, and optionally ``/<joint>/temperature`` at 1 Hz.
 
@@ -328,9 +330,12 @@ def write_bag(
         Stamp of the first sample [ns].
     with_temperature : bool
     overwrite : bool
-        Replace a bag that exists.
+        Replace a bag that exists, once the new one is whole: after an error or Ctrl-C it is as it was.
+    mapped : callable
+        Called with the fraction done of the maps that a long motion needs, before anything is written.
     progress : callable
-        Called with the fraction done.
+        Called with the samples of each joint that are written and their number. If it raises
+        KeyboardInterrupt, a new bag is finished with what it has; after an error it is left without its end.
 
     Returns
     -------
@@ -347,7 +352,7 @@ def write_bag(
     if Path(path).exists() and not overwrite:
         raise BagError(path, "exists already")
     joints = _joints(config, truths)
-    tables = _tables(joints, motion, lambda fraction: progress(0.9 * fraction))
+    tables = _tables(joints, motion, mapped)
     simulated = [joint for joint in config.joints if joint.name in joints]
     names = [name for joint in simulated for name in (joint.input_joint, joint.output_joint)]
     generators = np.random.default_rng(seed).spawn(len(joints))
@@ -355,17 +360,15 @@ def write_bag(
         parts(joint, motion, rng, start, tables[joint.drive])
         for joint, rng in zip(joints.values(), generators, strict=True)
     ]
-    done, warmed, began = 0, 0, 0.9 if any(tables.values()) else 0.0
-    with BagWriter(path, overwrite=overwrite) as writer:
+    done, warmed = 0, 0
+    with replaced(path, overwrite=overwrite) as place, BagWriter(place, overwrite=overwrite) as writer:
         for records in zip(*streams, strict=True):
             _write_joint_states(writer, names, joints, records)
             last = (int(records[0].stamp[-1]) - start) // _SECOND
             if with_temperature:
                 _write_temperatures(writer, list(joints), range(warmed, last + 1), start)
             done, warmed = done + records[0].stamp.size, last + 1
-            progress(began + (1.0 - began) * done / motion.samples)
-    if writer.error is not None:
-        raise writer.error
+            progress(done, motion.samples)
     return done
 
 
@@ -423,7 +426,10 @@ def _tables(
 
         return wanted
 
-    return {drive: table(drive, motion, report(number)) for number, drive in enumerate(drives)}
+    tables = {drive: table(drive, motion, report(number)) for number, drive in enumerate(drives)}
+    if any(tables.values()):
+        progress(1.0)
+    return tables
 
 
 def _write_joint_states(

@@ -199,6 +199,6 @@ def test_a_chunk_that_claims_too_much_is_not_read_ahead(bag):
     struct.pack_into("<Q", content, section.offset - 8 - 4 - 4 - 4 - 8, 1 << 30)
     bag.write_bytes(content)
     found = []
-    with BagReader(bag) as reader, pytest.raises(BagError, match=r"holds \d+ bytes instead of 1073741824"):
+    with BagReader(bag) as reader, pytest.raises(BagError, match="claims 1073741824 bytes"):
         drain(reader, found)
     assert sum(map(len, found)) >= 2900

@@ -3,11 +3,14 @@
 import itertools
 import random
 import resource
+import sqlite3
 import struct
 import subprocess
 import sys
+import tempfile
 import tracemalloc
 import zlib
+from contextlib import closing
 from pathlib import Path
 
 import lz4.frame
@@ -19,6 +22,7 @@ from mcap.records import Channel, Header, Metadata, Schema
 
 from hd_diag.bag import BagError, BagReader, BagWriter, recover
 from hd_diag.bag.mcap_file import MAGIC, MESSAGE
+from hd_diag.bag.mcap_scan import MAX_CHUNK, check_claim
 from hd_diag.bag.schemas import definition
 
 
@@ -242,6 +246,69 @@ def test_damaged_databases(tmp_path):
     assert refused > 10
 
 
+def test_damaged_databases_are_recovered_row_by_row(tmp_path):
+    """Whatever SQLite gives when it is asked for one message alone is saved."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    from hd_diag.bag.schemas import jazzy
+
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connection = writer.add_connection("/n", STRING, typestore=jazzy())
+        for i in range(400):
+            writer.write(connection, 10**15 + i, string_cdr(f"{i}" * 50))
+    data = (tmp_path / "bag" / "bag.db3").read_bytes()
+    chance, path, partly = random.Random(25), tmp_path / "a.db3", 0
+    for _ in range(25):
+        flipped = bytearray(data)
+        for _ in range(chance.choice([1, 20, 200])):
+            flipped[chance.randrange(4096, len(data))] = chance.randrange(256)
+        path.write_bytes(flipped)
+        alone = readable_alone(path, 400)
+        report = recover(path, tmp_path / "b.mcap", overwrite=True)
+        if report.counts.get("/n"):
+            with BagReader(tmp_path / "b.mcap") as reader:
+                saved = {bytes(m) for b in reader.batches(["/n"]) for m in b.messages()}
+            assert alone <= saved
+            assert report.files[0].messages <= 400
+            partly += 0 < sum(report.counts.values()) < 400
+            assert report.complete or report.files[0].problems
+    assert partly > 5
+
+
+def readable_alone(path, count):
+    """Messages of topic 1 that SQLite gives one by one."""
+    found = set()
+    with closing(sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True)) as db:
+        for i in range(1, count + 1):
+            try:
+                row = db.execute(
+                    "SELECT topic_id, timestamp, data FROM messages WHERE id = ?", (i,)
+                ).fetchone()
+            except sqlite3.Error:
+                continue
+            if row is not None and row[0] == 1 and isinstance(row[1], int) and row[1] >= 0 and row[2]:
+                found |= {row[2]} if isinstance(row[2], bytes) else set()
+    return found
+
+
+@pytest.mark.parametrize("suffix", [".db3", ".mcap"])
+def test_bombs_as_compressed_files(tmp_path, monkeypatch, suffix):
+    """The disk is not filled by what claims to be a bag, nor is anything left."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "scratch"))
+    monkeypatch.setattr("hd_diag.bag.folder._UNPACKED_LEAST", 1 << 20)
+    (tmp_path / "scratch").mkdir()
+    path = tmp_path / f"a{suffix}.zstd"
+    bomb = zstandard.ZstdCompressor(level=19).compress(bytes(1 << 26))
+    for content in (bomb, b"rubbish", b"", bomb[:1000]):
+        path.write_bytes(content)
+        assert accepts(path) is None
+        assert recover(path, tmp_path / "b.mcap").out == []
+        assert list((tmp_path / "scratch").iterdir()) == []
+    path.write_bytes(bomb)
+    with pytest.raises(BagError, match="decompresses to more than 100 times its size"):
+        BagReader(path)
+
+
 def test_damaged_metadata(tmp_path):
     with BagWriter(tmp_path / "bag") as writer:
         writer.write("/n", STRING, string_cdr("x"), 1)
@@ -308,3 +375,90 @@ def test_hostile_files_in_little_memory(tmp_path):
     )
     assert (result.stdout, result.stderr) == ("done\n", "")
     assert resource.getrlimit(resource.RLIMIT_AS)[0] == resource.RLIM_INFINITY
+
+
+# Small files that claim much ---
+
+
+def peak_of(action):
+    """What the action gives, and the memory that it takes beyond what there was [byte]."""
+    tracemalloc.start()
+    try:
+        return action(), tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def test_claims_are_believed_up_to_their_limits():
+    for claimed, stored in ((64 << 20, 1), ((64 << 20) + 1, 67_109), (MAX_CHUNK, MAX_CHUNK)):
+        check_claim(claimed, stored)
+    for claimed, stored, text in (
+        ((64 << 20) + 1, 67_108, "1000 times the 67108 stored"),
+        (MAX_CHUNK + 1, MAX_CHUNK, f"more than {MAX_CHUNK}"),
+        (1, MAX_CHUNK + 1, f"more than {MAX_CHUNK}"),
+    ):
+        with pytest.raises(ValueError, match=text):
+            check_claim(claimed, stored)
+
+
+@pytest.mark.parametrize("finished", [True, False])
+def test_chunks_that_unpack_to_far_more_than_is_stored_are_not_unpacked(tmp_path, finished):
+    """Each claims its size honestly; unpacked they hold 130 MB of messages."""
+    content = topic() + message() * ((65 << 20) // len(message()))
+    bomb = chunk(content, "zstd", stored=zstandard.compress(content))
+    path = tmp_path / "a.mcap"
+    path.write_bytes(bag(bomb, bomb, chunk(topic() + message())) if finished else bag(bomb, bomb))
+    report, peak = peak_of(lambda: recover(path, tmp_path / "b.mcap"))
+    told = [problem for problem in report.files[0].problems if "1000 times the" in problem]
+    assert len(told) == 2
+    assert all(f"it claims {len(content)} bytes" in problem for problem in told)
+    assert report.counts == ({"/n": 1} if finished else {})
+    assert peak < 20 << 20
+    refused, peak = peak_of(lambda: accepts(path))
+    assert refused is None
+    assert peak < 20 << 20
+
+
+def test_a_compressed_message_that_unpacks_to_far_more_is_refused(tmp_path):
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write("/n", STRING, zstandard.compress(string_cdr("x" * (65 << 20))), 1)
+    info = tmp_path / "bag" / "metadata.yaml"
+    info.write_text(info.read_text().replace("compression_mode: ''", "compression_mode: message"))
+    found, peak = peak_of(lambda: accepts(tmp_path / "bag"))
+    assert found is None
+    assert peak < 20 << 20
+
+
+def test_a_chunk_of_records_that_are_none_takes_no_memory(tmp_path):
+    """Zeros are records of opcode 0 and no content; unknown records are passed over, but not for ever."""
+    path = tmp_path / "a.mcap"
+    for unknown, count in ((bytes(9), 10), (b"\x80" + bytes(8), 1_000_001)):
+        content = topic() + message() + unknown * count
+        path.write_bytes(bag(chunk(content, "zstd", stored=zstandard.compress(content))))
+        found, peak = peak_of(lambda: accepts(path))
+        assert found is None
+        assert peak < 3 * len(content) + (1 << 20)
+    path.write_bytes(bag(chunk(topic() + message() + (b"\x80" + bytes(8)) * 1000 + message())))
+    assert consume(path) == 2
+
+
+def test_a_huge_message_outside_of_chunks_is_not_read(tmp_path):
+    path = tmp_path / "a.mcap"
+    content = bag(topic(), message(), b"\x05" + struct.pack("<Q", MAX_CHUNK + 1))
+    path.write_bytes(content)
+    with path.open("r+b") as file:
+        file.truncate(len(content) + MAX_CHUNK + 1)  # sparse
+    report, peak = peak_of(lambda: recover(path, tmp_path / "b.mcap"))
+    assert report.counts == {"/n": 1}
+    assert "it claims" in report.files[0].problems[0]
+    assert peak < 150 << 20
+
+
+def test_many_small_messages_take_little_memory_to_recover(tmp_path):
+    """Of equal times, which reading in their order would hold all at once."""
+    content = topic() + b"".join(message(data=bytes(4 + i % 2)) for i in range(100_000))
+    path = tmp_path / "a.mcap"
+    path.write_bytes(bag(chunk(content, "zstd", stored=zstandard.compress(content))))
+    report, peak = peak_of(lambda: recover(path, tmp_path / "b.mcap"))
+    assert report.counts == {"/n": 100_000}
+    assert peak < 4.3 * len(content)

@@ -1,9 +1,12 @@
 import os
 import re
+import shutil
 import sqlite3
 import struct
 import subprocess
 import sys
+import tempfile
+from contextlib import closing, suppress
 from unittest import mock
 
 import numpy as np
@@ -248,13 +251,232 @@ def test_message_compression_of_rosbag2(tmp_path):
     assert read(tmp_path / "bag") == [m for m in in_order(messages) if m[0] == "/joint_states"]
 
 
-def test_files_compressed_as_a_whole_are_named(tmp_path):
-    writer = RosbagsWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP)
-    writer.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)
+NOTES = [("/n", i * MS, string_cdr(f"n{i}" * 100)) for i in range(300)]
+
+
+def notes_folder(folder, *, plugin=StoragePlugin.SQLITE3, compressed=False, notes=NOTES):
+    """Folder with messages as rosbag2 writes it."""
+    writer = RosbagsWriter(folder, version=9, storage_plugin=plugin)
+    if compressed:
+        writer.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)
     with writer:
-        writer.write(writer.add_connection("/n", STRING, typestore=jazzy()), 1, string_cdr("x"))
-    with pytest.raises(BagError, match="zstd -d"):
-        BagReader(tmp_path / "bag")
+        connection = writer.add_connection("/n", STRING, typestore=jazzy())
+        for _, time, data in notes:
+            writer.write(connection, time, data)
+    return folder
+
+
+def contents(folder):
+    return {p.name: p.read_bytes() for p in folder.iterdir()}
+
+
+@pytest.fixture
+def scratch(tmp_path, monkeypatch):
+    """The folder for temporary files."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "scratch"))
+    (tmp_path / "scratch").mkdir()
+    return tmp_path / "scratch"
+
+
+def crashed(folder, out, mode, before, *, spilled=()):
+    """Copy of a folder to which `NOTES` were added by one who was killed: some before all others stand."""
+    shutil.copytree(folder, out.with_suffix(".live"))
+    with closing(sqlite3.connect(out.with_suffix(".live") / "bag.db3")) as db:
+        db.execute("PRAGMA cache_size=1")
+        db.execute(f"PRAGMA journal_mode={mode}")
+        insert = "INSERT INTO messages(topic_id, timestamp, data) VALUES (1, ?, ?)"
+        for rows, checkpoint in ((NOTES[:before], True), (NOTES[before:], False)):
+            db.executemany(insert, [(time + 1000 * MS, data) for _, time, data in rows])
+            db.commit()
+            if checkpoint:
+                db.execute("PRAGMA wal_checkpoint(FULL)")
+        db.executemany(insert, spilled)
+        shutil.copytree(out.with_suffix(".live"), out)
+    return out
+
+
+@pytest.mark.parametrize("before", [0, 150])
+def test_a_database_that_a_crash_left_in_wal_mode(tmp_path, scratch, before):
+    """What stands in the file beside it counts, and nothing is changed or left behind."""
+    bag = crashed(notes_folder(tmp_path / "bag", notes=[]), tmp_path / "left", "WAL", before)
+    (bag / "bag.db3-shm").unlink()
+    given = contents(bag)
+    # More than the database itself is large.
+    assert sum(len(data) for _, _, data in NOTES) > len(given["bag.db3"])
+    with BagReader(bag) as reader:
+        assert reader.message_count == 300
+        assert list(scratch.iterdir())
+    assert read(bag) == [(topic, time + 1000 * MS, data) for topic, time, data in NOTES]
+    assert contents(bag) == given
+    assert list(scratch.iterdir()) == []
+
+
+def test_a_database_in_wal_mode_that_was_closed(tmp_path):
+    """SQLite itself would make files beside it to read it."""
+    bag = notes_folder(tmp_path / "bag")
+    with closing(sqlite3.connect(bag / "bag.db3")) as db:
+        db.execute("PRAGMA journal_mode=WAL")
+    given = contents(bag)
+    with BagReader(bag) as reader:
+        assert [b.log_time.tolist() for b in reader.batches()] == [[time for _, time, _ in NOTES]]
+        assert contents(bag) == given
+    assert contents(bag) == given
+
+
+def test_a_database_that_a_crash_left_in_a_transaction(tmp_path):
+    """What was written of the transaction is taken back, in a copy."""
+    spilled = [(i, bytes(4000)) for i in range(500)]
+    bag = crashed(notes_folder(tmp_path / "bag"), tmp_path / "left", "DELETE", 150, spilled=spilled)
+    given = contents(bag)
+    assert len(given["bag.db3-journal"]) > 0
+    assert len(given["bag.db3"]) > 100_000
+    assert read(bag) == NOTES + [(topic, time + 1000 * MS, data) for topic, time, data in NOTES]
+    assert contents(bag) == given
+
+
+def test_a_database_that_changes_while_it_is_copied(tmp_path, scratch, monkeypatch):
+    bag = crashed(notes_folder(tmp_path / "bag"), tmp_path / "left", "WAL", 0)
+    copy = shutil.copyfile
+
+    def disturbed(source, out):
+        copy(source, out)
+        os.utime(bag / "bag.db3")
+
+    monkeypatch.setattr(shutil, "copyfile", disturbed)
+    with pytest.raises(BagError, match=r"bag\.db3: is being written"):
+        BagReader(bag)
+    assert list(scratch.iterdir()) == []
+
+
+def test_a_database_for_whose_copy_there_is_no_room(tmp_path, scratch, monkeypatch):
+    bag = crashed(notes_folder(tmp_path / "bag"), tmp_path / "left", "WAL", 0)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: mock.Mock(free=1000))
+    with pytest.raises(BagError, match=r"TMPDIR.* 1000 are free"):
+        BagReader(bag)
+    assert list(scratch.iterdir()) == []
+
+
+@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_files_compressed_as_a_whole(tmp_path, scratch, plugin):
+    bag = notes_folder(tmp_path / "bag", plugin=plugin, compressed=True)
+    (file,) = bag.glob("bag.*.zstd")
+    given = contents(bag)
+    for path in (bag, file):
+        assert read(path) == NOTES
+    with BagReader(bag) as reader:
+        assert (reader.paths, reader.problems) == ([file], [])
+    assert contents(bag) == given
+    (bag / "metadata.yaml").unlink()
+    assert read(bag) == NOTES
+    assert list(scratch.iterdir()) == []
+
+
+def test_a_compressed_file_that_was_decompressed_since(tmp_path):
+    """The metadata still names the compressed one; where both are there they are one."""
+    bag = notes_folder(tmp_path / "bag", compressed=True)
+    file = bag / "bag.db3.zstd"
+    (bag / "bag.db3").write_bytes(zstandard.ZstdDecompressor().stream_reader(file.read_bytes()).read())
+    for _ in range(2):
+        assert read(bag) == NOTES
+        with BagReader(bag) as reader:
+            assert reader.problems == []
+        file.unlink(missing_ok=True)
+    with BagReader(bag) as reader:
+        assert reader.paths == [bag / "bag.db3"]
+
+
+def test_a_file_that_was_being_compressed(tmp_path):
+    """Without metadata the whole file is taken, not its unfinished copy."""
+    bag = notes_folder(tmp_path / "bag")
+    (bag / "metadata.yaml").unlink()
+    (bag / "bag.db3.zstd").write_bytes(zstandard.compress((bag / "bag.db3").read_bytes())[:500])
+    with BagReader(bag) as reader:
+        assert (reader.paths, reader.problems) == ([bag / "bag.db3"], [])
+    assert read(bag) == NOTES
+
+
+def test_a_compressed_file_that_is_cut_off(tmp_path, scratch):
+    bag = notes_folder(tmp_path / "bag", plugin=StoragePlugin.MCAP, compressed=True)
+    chance = np.random.default_rng(2)
+    with BagWriter(tmp_path / "a.mcap", compression="none", chunk_size=20_000) as writer:
+        for i in range(200):
+            writer.write("/n", STRING, string_cdr(chance.bytes(2000).hex()), i)
+    packed = zstandard.compress((tmp_path / "a.mcap").read_bytes())
+    (bag / "bag.mcap.zstd").write_bytes(packed[: len(packed) // 2])
+    with BagReader(bag) as reader:
+        assert 50 < reader.message_count < 150
+        assert re.match(r"bag\.mcap\.zstd: .*cut off", reader.problems[0])
+    (bag / "bag.mcap.zstd").write_bytes(packed[: len(packed) // 2] + b"\xff" * 200_000)
+    with BagReader(bag) as reader:
+        assert 50 < reader.message_count < 150
+        assert "bag.mcap.zstd: its compression is damaged" in reader.problems[0]
+    assert list(scratch.iterdir()) == []
+
+
+def test_other_compressions_are_named(tmp_path):
+    bag = notes_folder(tmp_path / "bag", compressed=True)
+    info = bag / "metadata.yaml"
+    info.write_text(info.read_text().replace("bag.db3.zstd", "bag.db3.lz4"))
+    (bag / "bag.db3.zstd").rename(bag / "bag.db3.lz4")
+    with pytest.raises(BagError, match="not by zstd: decompress them first"):
+        BagReader(bag)
+
+
+@pytest.mark.parametrize("raised", [KeyboardInterrupt, RuntimeError])
+def test_what_was_unpacked_is_deleted_after_errors(tmp_path, scratch, monkeypatch, raised):
+    bag = notes_folder(tmp_path / "bag", compressed=True)
+    left = crashed(notes_folder(tmp_path / "x" / "bag"), tmp_path / "left", "WAL", 0)
+    for path in (bag, left):
+        with suppress(raised), BagReader(path):
+            assert list(scratch.iterdir())
+            raise raised
+        assert list(scratch.iterdir()) == []
+    monkeypatch.setattr("hd_diag.bag.sqlite_file._check_tables", mock.Mock(side_effect=raised))
+    for path in (bag, left):
+        with pytest.raises(raised):
+            BagReader(path)
+        assert list(scratch.iterdir()) == []
+
+
+def split_databases(folder, damaged):
+    """Three databases; some of them cut off."""
+    folder.mkdir()
+    whole = (notes_folder(folder / "whole") / "whole.db3").read_bytes()
+    shutil.rmtree(folder / "whole")
+    for i in range(3):
+        (folder / f"bag_{i}.db3").write_bytes(whole[: len(whole) // 2] if i in damaged else whole)
+    return folder
+
+
+@pytest.mark.parametrize("damaged", [{0}, {1}, {2}, {0, 2}])
+def test_a_torn_database_costs_only_itself(tmp_path, damaged):
+    with BagReader(split_databases(tmp_path / "bag", damaged)) as reader:
+        assert reader.message_count == 300 * (3 - len(damaged))
+        advice = "hd-diag recover saves what can be read"
+        assert [
+            re.match(r"bag_(\d)\.db3: is left out: SQLite: .*" + advice, p)[1] for p in reader.problems
+        ] == [str(i) for i in sorted(damaged)]
+        assert sum(len(b) for b in reader.batches()) == reader.message_count
+
+
+def test_torn_databases_alone_are_refused(tmp_path):
+    bag = split_databases(tmp_path / "bag", {0, 1, 2})
+    for path in (bag, bag / "bag_0.db3"):
+        with pytest.raises(BagError, match=r"bag_\d\.db3: SQLite: .*malformed; hd-diag recover saves"):
+            BagReader(path)
+
+
+@pytest.mark.parametrize("value", ["'soon'", "NULL", "1.5", "-7"])
+def test_times_that_are_none_are_told(tmp_path, value):
+    file = notes_folder(tmp_path / "bag") / "bag.db3"
+    with closing(sqlite3.connect(file)) as db:
+        db.executescript(
+            "ALTER TABLE messages RENAME TO old; CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id,"
+            " timestamp, data); INSERT INTO messages SELECT * FROM old;"
+            f" UPDATE messages SET timestamp={value} WHERE id % 7 = 0"
+        )
+    with pytest.raises(BagError, match="topic or time is no number; hd-diag recover"):
+        BagReader(file)
 
 
 def test_split_folder_is_read_in_order_with_files_that_metadata_does_not_know(tmp_path):

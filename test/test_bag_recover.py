@@ -1,5 +1,11 @@
+import errno
 import json
+import os
+import re
+import sqlite3
+import tempfile
 import zlib
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -10,6 +16,7 @@ from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
+from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 
 from hd_diag.bag import BagError, BagReader, BagWriter, recover
 from hd_diag.bag.mcap_chunk import find_chunk
@@ -168,6 +175,178 @@ def test_sqlite_bag_is_converted(tmp_path):
     assert read(tmp_path / "saved.mcap") == [("/n", i, string_cdr(f"{i}")) for i in range(50)]
 
 
+def database(folder, count=2000):
+    """File with `count` messages as rosbag2 writes them, with its index of times."""
+    with RosbagsWriter(folder, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connection = writer.add_connection("/n", STRING, typestore=jazzy())
+        for i in range(count):
+            writer.write(connection, i, string_cdr(f"{i:030}"))
+    return folder / f"{folder.name}.db3"
+
+
+def leaves(data):
+    """Places of the pages that hold messages, and the numbers of these, by what they contain."""
+    pages = {
+        at: [int(m) for m in re.findall(rb"[0-9]{30}", data[at : at + 4096])]
+        for at in range(0, len(data), 4096)
+        if data[at] == 0x0D
+    }
+    return {at: set(numbers) for at, numbers in pages.items() if numbers}
+
+
+def numbers_saved(path):
+    return [int(d[8:-1]) for _, _, d in read(path)]
+
+
+def test_a_damaged_page_of_a_database_costs_only_itself(tmp_path):
+    """Also the pages behind it are saved, and an index tells how many messages are lost."""
+    path = database(tmp_path / "bag")
+    data = bytearray(path.read_bytes())
+    pages = leaves(data)
+    places = sorted(pages)[5], sorted(pages)[6], sorted(pages)[15]
+    for at in places:
+        data[at] = 0xFF
+    path.write_bytes(data)
+    lost = set.union(*(pages[at] for at in places))
+    assert 50 < len(lost) < 1000
+    report = recover(path, tmp_path / "saved.mcap")
+    assert numbers_saved(tmp_path / "saved.mcap") == sorted(set(range(2000)) - lost)
+    assert report.files[0].lost == len(lost)
+    assert f"bag.db3: at least {len(lost)} messages are lost" in report.statement()
+    assert report.files[0].problems[0].startswith("SQLite: database disk image is malformed")
+
+
+def test_a_page_of_a_database_that_comes_twice(tmp_path):
+    """Its messages are saved once; those that it replaced are lost."""
+    path = database(tmp_path / "bag")
+    data = bytearray(path.read_bytes())
+    pages = leaves(data)
+    first, second = sorted(pages)[3], sorted(pages)[10]
+    data[second : second + 4096] = data[first : first + 4096]
+    path.write_bytes(data)
+    report = recover(path, tmp_path / "saved.mcap")
+    assert sorted(numbers_saved(tmp_path / "saved.mcap")) == sorted(set(range(2000)) - pages[second])
+    assert report.files[0].lost == len(pages[second])
+    assert not report.complete
+
+
+def test_a_database_that_is_cut_off(tmp_path):
+    path = database(tmp_path / "bag")
+    data = path.read_bytes()
+    cut = sorted(leaves(data))[12]
+    path.write_bytes(data[:cut])
+    whole = set.union(*(numbers for at, numbers in leaves(data).items() if at < cut))
+    report = recover(path, tmp_path / "saved.mcap")
+    assert set(numbers_saved(tmp_path / "saved.mcap")) == whole
+    assert "how many messages it held is not known" in report.files[0].problems
+
+
+def test_rows_of_a_wrong_kind_are_lost_and_counted(tmp_path):
+    path = database(tmp_path / "bag", 110)
+    with closing(sqlite3.connect(path)) as db:
+        for column, value, row in (("timestamp", "'soon'", 11), ("topic_id", "'x'", 23), ("data", "7", 31)):
+            db.execute(f"UPDATE messages SET {column} = {value} WHERE id % {row} = 0")
+        db.commit()
+    report = recover(path, tmp_path / "saved.mcap")
+    good = [i - 1 for i in range(1, 111) if i % 11 and i % 23 and i % 31]
+    assert numbers_saved(tmp_path / "saved.mcap") == good
+    assert report.files[0].lost == 110 - len(good)
+    assert not report.complete
+
+
+@pytest.mark.parametrize("change", ["topics SET serialization_format = 'xml'", "messages SET topic_id = 9"])
+def test_messages_of_a_database_that_belong_to_no_topic(tmp_path, change):
+    """As those of an MCAP file: not saved, and not called whole."""
+    path = database(tmp_path / "bag", 50)
+    with closing(sqlite3.connect(path)) as db:
+        db.execute(f"UPDATE {change}")
+        db.commit()
+    report = recover(path, tmp_path / "saved.mcap")
+    assert (report.complete, report.out, report.files[0].lost) == (False, [], 50)
+    assert report.files[0].problems == ["50 messages belong to no topic with a known definition"]
+
+
+def test_topics_without_a_readable_number(tmp_path):
+    """A flipped byte makes `INTEGER PRIMARY KEY` another type: the number of the row is what counts."""
+    path = database(tmp_path / "bag", 50)
+    data = path.read_bytes()
+    schema = b"topics(\n      id INTEGER PRIMARY"
+    assert data.count(schema) == 1
+    path.write_bytes(data.replace(schema, schema.replace(b"R P", b"RnP")))
+    assert recover(path, tmp_path / "saved.mcap").counts == {"/n": 50}
+
+
+def test_definitions_that_are_damaged_cost_no_messages(tmp_path):
+    """Types that ROS knows need none."""
+    path = database(tmp_path / "bag", 50)
+    with closing(sqlite3.connect(path)) as db:
+        (page,) = db.execute(
+            "SELECT rootpage FROM sqlite_master WHERE name = 'message_definitions'"
+        ).fetchone()
+    data = bytearray(path.read_bytes())
+    data[4096 * (page - 1)] = 0xFF
+    path.write_bytes(data)
+    report = recover(path, tmp_path / "saved.mcap")
+    assert report.counts == {"/n": 50}
+    assert "message definitions cannot be read: database disk image is malformed" in report.files[0].problems
+
+
+def test_a_database_that_was_being_written(tmp_path):
+    """What stands in the file beside it is saved, and both stay as they are."""
+    path = database(tmp_path / "bag", 50)
+    (tmp_path / "left").mkdir()
+    with closing(sqlite3.connect(path)) as db:
+        db.execute("PRAGMA journal_mode=WAL")
+        db.execute("INSERT INTO messages SELECT id + 50, topic_id, timestamp + 50, data FROM messages")
+        db.commit()
+        for file in (path, path.with_name("bag.db3-wal")):
+            (tmp_path / "left" / file.name).write_bytes(file.read_bytes())
+    given = {p.name: p.read_bytes() for p in (tmp_path / "left").iterdir()}
+    report = recover(tmp_path / "left", tmp_path / "saved.mcap")
+    assert (report.complete, report.counts) == (True, {"/n": 100})
+    assert {p.name: p.read_bytes() for p in (tmp_path / "left").iterdir()} == given
+
+
+def test_compressed_files_are_recovered(tmp_path, monkeypatch):
+    """A whole one, and what comes before a cut in an MCAP file."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "scratch"))
+    (tmp_path / "scratch").mkdir()
+    writer = RosbagsWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3)
+    writer.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)
+    with writer:
+        writer.write(writer.add_connection("/n", STRING, typestore=jazzy()), 1, string_cdr("x"))
+    assert recover(tmp_path / "bag", tmp_path / "saved.mcap").counts == {"/n": 1}
+    chance = np.random.default_rng(4)
+    given = [("/n", STRING, string_cdr(chance.bytes(1000).hex()), i) for i in range(600)]
+    options = {"compression": "none", "chunk_size": 6000}
+    packed = zstandard.compress(write_with_mcap(tmp_path / "a.mcap", given, **options).read_bytes())
+    (tmp_path / "b.mcap.zstd").write_bytes(packed[: len(packed) * 2 // 3])
+    seen = []
+    report = recover(tmp_path / "b.mcap.zstd", tmp_path / "c.mcap", progress=lambda *at: seen.append(at))
+    saved = read(tmp_path / "c.mcap")
+    assert 100 < len(saved) < 600
+    assert saved == expected(given)[: len(saved)]
+    assert not report.complete
+    assert all(done <= total for done, total in seen)
+    assert list((tmp_path / "scratch").iterdir()) == []
+
+
+def test_a_compressed_message_that_is_damaged_costs_only_itself(tmp_path):
+    writer = RosbagsWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3)
+    writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection("/n", STRING, typestore=jazzy())
+        for i in range(20):
+            writer.write(connection, i, string_cdr(f"{i:030}"))
+    with closing(sqlite3.connect(tmp_path / "bag" / "bag.db3")) as db:
+        db.execute("UPDATE messages SET data = x'00112233' WHERE id IN (3, 7)")
+        db.commit()
+    report = recover(tmp_path / "bag", tmp_path / "saved.mcap")
+    assert numbers_saved(tmp_path / "saved.mcap") == [i for i in range(20) if i not in (2, 6)]
+    assert report.files[0].problems == ["2 compressed messages are damaged"]
+    assert report.files[0].lost == 2
+
+
 def test_offers_times_and_unknown_types_are_kept(tmp_path):
     """Profiles in the numbers that were written before version 9 come out as names."""
     infinite = {"sec": 9223372036, "nsec": 854775807}
@@ -265,6 +444,84 @@ def test_a_bag_that_does_not_read_back_is_an_error(tmp_path, monkeypatch):
     monkeypatch.setattr(BagWriter, "write", careless)
     with pytest.raises(BagError, match="does not read back"):
         recover(path, tmp_path / "b.mcap")
+    with BagReader(tmp_path / "b.mcap") as reader:
+        assert reader.problems  # it does not pass for whole either
+
+
+def full_after(size, monkeypatch):
+    """A disk that has so much room for each file [byte]."""
+    write = os.write
+
+    def limited(fd, data):
+        if os.fstat(fd).st_size + len(data) > size:
+            write(fd, data[: max(0, size - os.fstat(fd).st_size)])
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(fd, data)
+
+    monkeypatch.setattr(os, "write", limited)
+
+
+@pytest.mark.parametrize("name", ["b.mcap", "b"])
+def test_a_full_disk_leaves_nothing_that_passes_for_whole(tmp_path, monkeypatch, name):
+    """Not even where there is room for the end of the file after all."""
+    path = write_with_mcap(tmp_path / "a.mcap", messages(20_000))
+    with monkeypatch.context() as patch:
+        full_after(60_000, patch)
+        with pytest.raises(BagError, match="No space left"):
+            recover(path, tmp_path / name)
+    with BagReader(tmp_path / name) as reader:
+        assert reader.problems
+    assert not recover(tmp_path / name, tmp_path / "c.mcap").complete
+
+
+def test_an_older_result_survives_a_full_disk(tmp_path, monkeypatch):
+    path = write_with_mcap(tmp_path / "a.mcap", messages(20_000))
+    write_with_mcap(tmp_path / "b.mcap", messages(3))
+    before = (tmp_path / "b.mcap").read_bytes()
+    with monkeypatch.context() as patch:
+        full_after(60_000, patch)
+        with pytest.raises(
+            BagError, match=r"b\.mcap: No space left on device; what was there before is kept"
+        ):
+            recover(path, tmp_path / "b.mcap", overwrite=True)
+    assert (tmp_path / "b.mcap").read_bytes() == before
+    assert recover(path, tmp_path / "b.mcap", overwrite=True).out == [tmp_path / "b.mcap"]
+    assert len(read(tmp_path / "b.mcap")) == 20_000
+    assert {p.name for p in tmp_path.iterdir()} == {"a.mcap", "b.mcap"}
+
+
+def test_an_interrupted_recovery_is_whole_as_far_as_it_goes(tmp_path):
+    path = write_with_mcap(tmp_path / "a.mcap", messages(), chunk_size=6000)
+
+    def stop(done, total):
+        if done > total // 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        recover(path, tmp_path / "b.mcap", progress=stop)
+    saved = read(tmp_path / "b.mcap")
+    assert 100 < len(saved) < 600
+    assert saved == expected(messages())[: len(saved)]
+    before = (tmp_path / "b.mcap").read_bytes()
+    with pytest.raises(KeyboardInterrupt):
+        recover(path, tmp_path / "b.mcap", overwrite=True, progress=stop)
+    assert (tmp_path / "b.mcap").read_bytes() == before
+
+
+@pytest.mark.parametrize("chunked", [True, False])
+def test_a_message_with_an_impossible_time_costs_only_itself(tmp_path, chunked):
+    given = messages(90)
+    given[40] = (*given[40][:3], 2**64 - 1)
+    path = write_with_mcap(tmp_path / "a.mcap", given, chunk_size=6000, chunked=chunked)
+    with pytest.raises(BagError, match="beyond the year 2262"), BagReader(path) as reader:
+        list(reader.batches())
+    report = recover(path, tmp_path / "b.mcap")
+    assert read(tmp_path / "b.mcap") == expected(given[:40] + given[41:])
+    assert (report.files[0].messages, report.files[0].lost) == (89, 1)
+    assert report.statement()[-2:] == [
+        "a.mcap: 1 messages have a time beyond the year 2262",
+        "a.mcap: at least 1 messages are lost",
+    ]
 
 
 def test_decompression_in_blocks_is_bounded(tmp_path):

@@ -20,6 +20,7 @@ from rosbags.highlevel import AnyReader
 
 from hd_diag.bag import BagError, BagReader, BagWriter, Qos, check_output, recover
 from hd_diag.bag.schemas import definition, jazzy
+from hd_diag.bag.writer import replaced
 
 COMPRESSIONS = ("zstd", "lz4", "none")
 
@@ -284,7 +285,20 @@ def test_old_messages_are_flushed_by_new_ones(tmp_path):
     assert len(chunks) == 5
 
 
-def test_an_error_inside_with_leaves_a_valid_file(tmp_path):
+def test_an_error_inside_with_leaves_a_file_without_its_end(tmp_path):
+    def failing():
+        with BagWriter(tmp_path / "a.mcap") as writer:
+            writer.write("/a", STRING, string_cdr("x"), 1)
+            raise ValueError("nothing of the writer's")
+
+    with pytest.raises(ValueError, match="nothing of the writer's"):
+        failing()
+    with BagReader(tmp_path / "a.mcap") as reader:
+        assert reader.problems
+        assert reader.message_count == 1
+
+
+def test_an_interrupt_inside_with_leaves_a_valid_file(tmp_path):
     def interrupted():
         with BagWriter(tmp_path / "a.mcap") as writer:
             writer.write("/a", STRING, string_cdr("x"), 1)
@@ -586,3 +600,93 @@ def test_next_file_that_cannot_be_made(tmp_path):
     writer.close()
     assert (tmp_path / "a_1.mcap").read_text() == "precious"
     assert [d for _, _, d in read_raw(tmp_path / "a.mcap")] == [row.tobytes() for row in block[:50]]
+
+
+# In place of an older bag ---
+
+
+def old_bag(path):
+    """A bag of three messages, in as many files where it is a folder; what lies there by name."""
+    with BagWriter(path, max_duration=1e-9 if path.suffix == "" else 0.0) as writer:
+        for time_ns in (1, 2, 3):
+            writer.write("/old", STRING, string_cdr("old"), time_ns)
+    if path.is_dir():
+        (path / "notes.txt").write_text("mine")
+    return lying(path.parent)
+
+
+def lying(folder):
+    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "a"])
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError(errno.ENOSPC, "full"), ValueError("x"), None])
+def test_an_older_bag_stays_until_the_new_one_is_whole(tmp_path, name, error):
+    before = old_bag(tmp_path / name)
+
+    def write():
+        with replaced(tmp_path / name, overwrite=True) as place, BagWriter(place) as writer:
+            writer.write("/new", STRING, string_cdr("new"), 1)
+            writer.flush()
+            assert before.items() <= lying(tmp_path).items()
+            if error is not None:
+                raise error
+
+    if error is None:
+        write()
+        assert read_raw(tmp_path / name) == [("/new", 1, string_cdr("new"))]
+        rest = {"a/a_0.mcap", "a/metadata.yaml", "a/notes.txt"} if name == "a" else {"a.mcap"}
+        assert {str(path) for path in lying(tmp_path)} == rest
+    else:
+        with pytest.raises((KeyboardInterrupt, ValueError)):
+            write()
+        assert lying(tmp_path) == before
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_an_error_of_the_new_bag_names_the_place_it_is_for(tmp_path):
+    old_bag(tmp_path / "a.mcap")
+
+    def write(path):
+        with replaced(tmp_path / "a.mcap", overwrite=True) as place:
+            raise BagError(path or place, "is bad")
+
+    with pytest.raises(BagError, match=f"^{tmp_path}/a.mcap: is bad; what was there before is kept$"):
+        write(None)
+    with pytest.raises(BagError, match=f"^{tmp_path}/b.mcap: is bad$"):
+        write(tmp_path / "b.mcap")
+
+
+def test_where_no_new_bag_is_written_the_older_one_stays(tmp_path):
+    before = old_bag(tmp_path / "a.mcap")
+    with replaced(tmp_path / "a.mcap", overwrite=True):
+        pass
+    assert lying(tmp_path) == before
+
+
+def test_a_link_to_an_older_bag_stays_a_link(tmp_path):
+    old_bag(tmp_path / "a.mcap")
+    (tmp_path / "link.mcap").symlink_to("a.mcap")
+    with replaced(tmp_path / "link.mcap", overwrite=True) as place, BagWriter(place) as writer:
+        writer.write("/new", STRING, string_cdr("new"), 1)
+    assert (tmp_path / "link.mcap").is_symlink()
+    assert read_raw(tmp_path / "a.mcap") == [("/new", 1, string_cdr("new"))]
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "a"])
+def test_a_bag_that_is_being_written_is_not_replaced(tmp_path, name):
+    with BagWriter(tmp_path / name) as writer:
+        writer.write("/old", STRING, string_cdr("old"), 1)
+        with (
+            pytest.raises(BagError, match="is being written by another process"),
+            replaced(tmp_path / name, overwrite=True) as place,
+        ):
+            BagWriter(place).close()
+    assert read_raw(tmp_path / name) == [("/old", 1, string_cdr("old"))]
+
+
+def test_a_new_bag_is_written_in_its_place(tmp_path):
+    """It grows under its name, and after a crash it is there."""
+    for name, overwrite in (("a.mcap", False), ("b", True)):
+        with replaced(tmp_path / name, overwrite=overwrite) as place:
+            assert place == tmp_path / name

@@ -143,7 +143,7 @@ def test_missing_file(verb: tuple[str, ...], tmp_path: Path) -> None:
 
 def test_result_that_cannot_be_written(tmp_path: Path) -> None:
     result = hd_diag("check", config_file(tmp_path), "--json", str(tmp_path / "no" / "folder.json"))
-    assert_one_line_error(result, "folder.json: cannot be written: No such file or directory")
+    assert_one_line_error(result, "folder.json: cannot be written: no such folder")
 
 
 # mesh ---

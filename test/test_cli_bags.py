@@ -1,8 +1,10 @@
 """``hd-diag replay`` and ``recover`` as a user meets them: exit codes, one line, JSON, what stays behind."""
 
+import io
 import json
 import os
 import random
+import re
 import resource
 import shutil
 import signal
@@ -23,9 +25,12 @@ from click.testing import Result
 from live import MS, START, message, parameters
 from logs import content
 from replay_fuzz import JOINT_STATE, Fuzz, log_of
+from rich.console import Console
 
 from hd_diag.bag import BagReader, BagWriter, encode_joint_states
+from hd_diag.cli import bags
 from hd_diag.cli.bags import recover, replay
+from hd_diag.cli.options import visible
 from hd_diag.config import load
 from hd_diag.parameters import nested
 from hd_diag.replay import replay as replay_bag
@@ -195,8 +200,54 @@ def test_an_existing_output_is_kept_unless_told_otherwise(folder: Path, tmp_path
 
 
 def test_a_json_file_that_cannot_be_written_is_told(folder: Path, tmp_path: Path) -> None:
-    given = ("--out", tmp_path / "out.mcap", "--json", folder / "c.yaml" / "r.json")
-    assert "cannot be written" in refused(run(replay, folder / "log.mcap", *given))
+    """Before the work: there is no output either."""
+    for command in (replay, recover):
+        given = ("--out", tmp_path / "out.mcap", "--json", folder / "c.yaml" / "r.json")
+        assert "cannot be written: no such folder" in refused(run(command, folder / "log.mcap", *given))
+        given = ("--out", tmp_path / "out.mcap", "--json", folder / "log.mcap")
+        assert "overwrite the input" in refused(run(command, folder / "log.mcap", *given))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_json_file_on_a_disk_that_is_read_only_is_told_before_the_work(
+    folder: Path, tmp_path: Path, small_disk: Path
+) -> None:
+    subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
+    given = ("--out", tmp_path / "out.mcap", "--json", small_disk / "r.json")
+    assert "read-only" in refused(run(recover, folder / "log.mcap", *given))
+    assert not (tmp_path / "out.mcap").exists()
+
+
+HOSTILE = "/a\nb\x1b[2J\x07\u202e"
+
+
+def test_control_characters_of_a_file_do_not_reach_the_terminal(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "a.mcap") as writer:
+        writer.write(HOSTILE, JOINT_STATE, message(START, {"a_motor": 0.1}), START)
+    result = run(recover, tmp_path / "a.mcap", "--out", tmp_path / "b.mcap")
+    assert result.exit_code == 0
+    assert "  /a\\nb\\x1b[2J\\x07\\u202e: 1\n" in result.stdout
+    assert result.stdout.replace("\n", "").isprintable()
+    result = run(recover, tmp_path / "a.mcap", "--out", tmp_path / "c.mcap", "--json", "-")
+    assert json.loads(result.stdout)["messages"] == {HOSTILE: 1}
+
+
+def test_a_long_name_does_not_fill_the_terminal() -> None:
+    assert visible("x" * 10_000) == "x" * 1999 + "…"
+    assert visible("µ \udc80\0") == "µ \\udc80\\x00"
+
+
+def test_a_damaged_bag_is_refused_with_advice(folder: Path, tmp_path: Path) -> None:
+    rows = [message(START + i, {"a_motor": 0.1}) for i in range(3)]
+    with BagWriter(tmp_path / "a.mcap", compression="none") as writer:
+        for i, row in enumerate(rows):
+            writer.write("/joint_states", JOINT_STATE, row, START + i)
+    data = bytearray((tmp_path / "a.mcap").read_bytes())
+    data[data.index(rows[1])] ^= 1  # now the checksum is wrong
+    (tmp_path / "a.mcap").write_bytes(data)
+    given = ("--config", folder / "c.yaml", "--out", tmp_path / "out.mcap")
+    line = refused(run(replay, tmp_path / "a.mcap", *given))
+    assert "its checksum is wrong; hd-diag recover saves the rest of the bag" in line
 
 
 # What comes in between ---
@@ -236,11 +287,12 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 def test_a_disk_that_runs_full(folder: Path, small_disk: Path) -> None:
     for out in ("out.mcap", "folder"):
         given = ("--config", folder / "c.yaml", "--out", small_disk / out)
-        assert "No space left on device" in refused(run(replay, folder / "long.mcap", *given))
-        with BagReader(small_disk / out) as reader:
-            assert reader.problems
-        for path in small_disk.iterdir():
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        for command, more in ((replay, given), (recover, given[2:])):
+            assert "No space left on device" in refused(run(command, folder / "long.mcap", *more))
+            with BagReader(small_disk / out) as reader:
+                assert reader.problems
+            for path in small_disk.iterdir():
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
 def test_a_disk_that_is_read_only(folder: Path, small_disk: Path) -> None:
@@ -271,6 +323,113 @@ def test_ctrl_c_leaves_a_whole_bag(folder: Path, tmp_path: Path, name: str) -> N
         assert not reader.problems
         counts = {topic.name: topic.count for topic in reader.topics}
     assert 0 < counts["/joint_states"] == counts["/hd_diag/residual"] < COUNT
+
+
+def interrupting(monkeypatch: pytest.MonkeyPatch, place: str, turn: int) -> None:
+    """Ctrl-C during the so-manyth call of a function."""
+    module, _, name = place.rpartition(".")
+    before, calls = getattr(sys.modules[module], name), []
+
+    def call(*arguments: Any, **options: Any) -> Any:
+        calls.append(1)
+        if len(calls) == turn:
+            signal.raise_signal(signal.SIGINT)
+        return before(*arguments, **options)
+
+    monkeypatch.setattr(sys.modules[module], name, call)
+
+
+@pytest.mark.parametrize("name", ["out.mcap", "out"])
+def test_ctrl_c_of_recover_says_what_there_is(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    out = tmp_path / name
+    with monkeypatch.context() as patch:
+        interrupting(patch, "hd_diag.bag.recover._copy", 3)
+        result = run(recover, folder / "long.mcap", "--out", out)
+    with BagReader(out) as reader:
+        assert not reader.problems
+        count = reader.message_count
+    assert 0 < count < COUNT
+    line = f"hd-diag: interrupted: {out} holds the first {count} messages\n"
+    assert (result.exit_code, result.stdout, result.stderr) == (130, "", line)
+    assert content(out)["/joint_states"] == content(folder / "long.mcap")["/joint_states"][:count]
+
+
+def test_ctrl_c_while_the_result_is_read_back(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    interrupting(monkeypatch, "hd_diag.bag.recover._read_back", 1)
+    assert run(recover, folder / "long.mcap", "--out", tmp_path / "out.mcap").exit_code == 130
+
+
+def test_ctrl_c_before_anything_is_written(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out.mcap"
+    for place, command in (("hd_diag.bag.recover.scan", recover), ("hd_diag.replay.sources_of", replay)):
+        with monkeypatch.context() as patch:
+            patch.setattr(sys.modules[place.rpartition(".")[0]], place.rpartition(".")[2], interrupt)
+            result = run(command, folder / "log.mcap", "--out", out)
+        assert result.exit_code == 130
+        assert result.stderr == "hd-diag: interrupted: nothing was written\n"
+        assert not out.exists()
+
+
+def interrupt(*arguments: Any) -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("command", [recover, replay], ids=["recover", "replay"])
+def test_ctrl_c_keeps_what_was_to_be_replaced(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: click.Command
+) -> None:
+    shutil.copy(folder / "log.mcap", tmp_path / "out.mcap")
+    place = "hd_diag.bag.recover._copy" if command is recover else "hd_diag.replay._part"
+    interrupting(monkeypatch, place, 2)
+    given = ("--out", tmp_path / "out.mcap", "--overwrite")
+    given += () if command is recover else ("--config", folder / "c.yaml")
+    result = run(command, folder / "long.mcap", *given)
+    line = f"hd-diag: interrupted: nothing was written, {tmp_path / 'out.mcap'} is as it was\n"
+    assert (result.exit_code, result.stderr) == (130, line)
+    assert (tmp_path / "out.mcap").read_bytes() == (folder / "log.mcap").read_bytes()
+    assert [path.name for path in tmp_path.iterdir()] == ["out.mcap"]
+
+
+@pytest.mark.parametrize("command", [recover, replay], ids=["recover", "replay"])
+@pytest.mark.parametrize("name", ["old.mcap", "old"])
+def test_a_full_disk_keeps_what_was_to_be_replaced(
+    folder: Path, small_disk: Path, command: click.Command, name: str
+) -> None:
+    old = small_disk / name
+    assert run(recover, folder / "log.mcap", "--out", old).exit_code == 0
+    before = content(old)
+    given = () if command is recover else ("--config", folder / "c.yaml")
+    (small_disk / "more").write_bytes(bytes(200_000))
+    line = refused(run(command, folder / "long.mcap", "--out", old, "--overwrite", *given))
+    assert line == f"hd-diag: {old}: No space left on device; what was there before is kept\n"
+    assert content(old) == before
+    assert {path.name for path in small_disk.iterdir()} == {name, "more"}
+
+
+def terminal(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
+    """What a terminal shows of the progress."""
+    shown = io.StringIO()
+    made = Console(file=shown, force_terminal=True, width=120, color_system=None)
+    monkeypatch.setattr(bags, "Console", lambda stderr: made)
+    return shown
+
+
+@pytest.mark.parametrize(
+    ("command", "unit"), [(recover, "kB"), (replay, "messages")], ids=["recover", "replay"]
+)
+def test_progress_has_a_rate_and_the_time_left(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: click.Command, unit: str
+) -> None:
+    shown = terminal(monkeypatch)
+    given = () if command is recover else ("--config", folder / "c.yaml")
+    assert run(command, folder / "long.mcap", "--out", tmp_path / "out.mcap", *given).exit_code == 0
+    assert re.search(rf"{command.name} .* (\d+)/\1 [\d,.]+ {unit}/s \d:\d\d:\d\d", shown.getvalue())
 
 
 ACKNOWLEDGING = """

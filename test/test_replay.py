@@ -26,6 +26,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from hd_diag.bag import BagError, BagReader, BagWriter
+from hd_diag.bag.reader import Topic
 from hd_diag.bag.schemas import jazzy
 from hd_diag.config import ConfigError, resolve
 from hd_diag.drive import transmission_error
@@ -33,6 +34,7 @@ from hd_diag.events import read_event
 from hd_diag.map_builder import map_of
 from hd_diag.messages import JOINT_STATE, STRING, string
 from hd_diag.replay import replay
+from hd_diag.replay_sources import Sources
 
 CONFIG = config("a", "b", array_rate=20.0)
 DRIVE = CONFIG.joints[0].drive
@@ -529,3 +531,28 @@ def test_replay_needs_no_ros() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"
+
+
+class Name(str):
+    """Name of a topic that counts how often it is compared or hashed."""
+
+    used = 0
+
+    def __eq__(self, other: object) -> bool:
+        Name.used += 1
+        return str(self) == str(other)
+
+    def __hash__(self) -> int:
+        Name.used += 1
+        return hash(str(self))
+
+
+def test_the_work_for_a_topic_does_not_grow_with_their_number() -> None:
+    names = tuple(Name(f"/t{i}") for i in range(1000))
+    sources = Sources("/hd_diag", "", names, {}, {})
+    for name in names:
+        topic = Topic(Name(name), "sensor_msgs/msg/JointState")
+        assert sources.inputs[topic.name] == topic.type_name
+        assert sources.is_joint_states(topic)
+        assert name in sources.every
+    assert Name.used < 20 * len(names)

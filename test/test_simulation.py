@@ -1,8 +1,13 @@
 """The simulated joint: its motion, its noise, the bag written of it, and the command that writes one."""
 
+import io
 import json
 import math
-from collections.abc import Iterable
+import re
+import shutil
+import signal
+import subprocess
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +16,12 @@ from cli_runner import runner
 from click.testing import Result
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.console import Console
 from rosbags.highlevel import AnyReader
 
 from hd_diag import simulation
 from hd_diag.bag import BagError, BagReader
+from hd_diag.cli import bags
 from hd_diag.cli import simulate as cli_simulate
 from hd_diag.config import dump, resolve
 from hd_diag.drive import Drive, transmission_error
@@ -339,11 +346,13 @@ def test_a_bag_that_exists_is_kept(tmp_path: Path) -> None:
 
 
 def test_progress_runs_to_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    found: list[float] = []
+    found: list[tuple[int, int]] = []
+    maps: list[float] = []
     monkeypatch.setattr(simulation, "_CHUNK", 75)
-    write_bag(tmp_path / "out.mcap", resolve({}), SHORT, progress=found.append)
-    assert found == pytest.approx([0.25, 0.5, 0.75, 1.0])  # a short motion needs no map
-    assert found[-1] == 1.0
+    out = tmp_path / "out.mcap"
+    write_bag(out, resolve({}), SHORT, mapped=maps.append, progress=lambda *done: found.append(done))
+    assert found == [(75, 300), (150, 300), (225, 300), (300, 300)]
+    assert maps == []  # a short motion needs no map
 
 
 def test_unknown_truths_are_refused(tmp_path: Path) -> None:
@@ -453,7 +462,7 @@ def test_the_command_takes_a_configuration_and_some_of_its_joints(tmp_path: Path
         (["--angle-noise-arcsec", "-1"], "noise: white must not be negative"),
         (["--start-time", "1e12"], "--start-time must be a Unix time within 32 bits"),
         (["--out", "CONFIG"], "exists already"),
-        (["--json", "missing/truth.json"], "missing/truth.json: No such file or directory"),
+        (["--json", "missing/truth.json"], "missing/truth.json: cannot be written: no such folder"),
     ],
 )
 def test_bad_input_is_one_line_and_code_2(
@@ -471,3 +480,97 @@ def test_bad_input_is_one_line_and_code_2(
 def test_the_command_replaces_a_bag_only_when_told(tmp_path: Path) -> None:
     short = ("--out", tmp_path / "out", "--duration", 0.1)
     assert [invoke(*short, *more).exit_code for more in ((), (), ("--overwrite",))] == [0, 2, 0]
+
+
+def test_json_on_stdout_is_alone_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = invoke("--out", "out.mcap", "--duration", 0.1, "--json", "-")
+    assert json.loads(result.stdout)["samples"] == 50
+    assert [path.name for path in tmp_path.iterdir()] == ["out.mcap"]
+
+
+def test_a_json_file_that_cannot_be_written_is_told_before_the_work(tmp_path: Path) -> None:
+    result = invoke("--out", tmp_path / "out.mcap", "--duration", 0.1, "--json", tmp_path / "none" / "a.json")
+    assert result.exit_code == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+def interrupting(monkeypatch: pytest.MonkeyPatch, turn: int) -> None:
+    """Ctrl-C while the so-manyth part is written."""
+    write, calls = simulation._write_joint_states, []
+
+    def call(*arguments: object) -> None:
+        calls.append(1)
+        if len(calls) == turn:
+            signal.raise_signal(signal.SIGINT)
+        write(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(simulation, "_CHUNK", 25)
+    monkeypatch.setattr(simulation, "_write_joint_states", call)
+
+
+def test_ctrl_c_leaves_a_whole_bag_and_says_what_it_holds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out.mcap"
+    interrupting(monkeypatch, 3)
+    result = invoke("--out", out, "--duration", 0.4)
+    line = f"hd-diag: interrupted: {out} holds the first 75 messages\n"
+    assert (result.exit_code, result.stdout, result.stderr) == (130, "", line)
+    with BagReader(out) as reader:
+        assert (reader.problems, reader.message_count) == ([], 75)
+
+
+def test_ctrl_c_keeps_what_was_to_be_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "out.mcap"
+    assert invoke("--out", out, "--duration", 0.1).exit_code == 0
+    before = out.read_bytes()
+    interrupting(monkeypatch, 3)
+    result = invoke("--out", out, "--duration", 0.4, "--overwrite")
+    assert (result.exit_code, result.stdout) == (130, "")
+    assert result.stderr == f"hd-diag: interrupted: nothing was written, {out} is as it was\n"
+    assert out.read_bytes() == before
+
+
+def test_ctrl_c_while_the_map_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def table(drive: Drive, motion: Motion, wanted: Callable[[float], bool]) -> None:
+        signal.raise_signal(signal.SIGINT)
+        wanted(0.5)
+
+    monkeypatch.setattr(simulation, "table", table)
+    result = invoke("--out", tmp_path / "out.mcap", "--duration", 0.1)
+    assert (result.exit_code, result.stderr) == (130, "hd-diag: interrupted: nothing was written\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_leaves_the_older_bag_or_one_without_its_end(tmp_path: Path) -> None:
+    mount = ["mount", "-t", "tmpfs", "-o", "size=100k", "none", str(tmp_path)]
+    try:
+        subprocess.run(mount, check=True, capture_output=True)
+    except (OSError, subprocess.CalledProcessError):
+        pytest.skip("no file system can be mounted here")
+    try:
+        out = tmp_path / "out.mcap"
+        for name in ("new.mcap", "new"):
+            assert "No space left on device" in invoke("--out", tmp_path / name, "--duration", 5).stderr
+            with BagReader(tmp_path / name) as reader:
+                assert reader.problems
+            shutil.rmtree(tmp_path / name) if name == "new" else (tmp_path / name).unlink()
+        assert invoke("--out", out, "--duration", 0.2).exit_code == 0
+        before = out.read_bytes()
+        result = invoke("--out", out, "--duration", 5, "--overwrite")
+        assert result.exit_code == 2
+        assert result.stderr == f"hd-diag: {out}: No space left on device; what was there before is kept\n"
+        assert out.read_bytes() == before
+    finally:
+        subprocess.run(["umount", "--lazy", str(tmp_path)], check=True)
+
+
+def test_progress_has_a_rate_and_the_time_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = io.StringIO()
+    made = Console(file=shown, force_terminal=True, width=120, color_system=None)
+    monkeypatch.setattr(bags, "Console", lambda stderr: made)
+    monkeypatch.setattr(simulation, "_EXACT_SAMPLES", 100)
+    assert invoke("--out", tmp_path / "out.mcap", "--duration", 0.4).exit_code == 0
+    assert re.search(r"map .* 100/100 [\d,.]+ %/s +\d:\d\d:\d\d", shown.getvalue())
+    assert re.search(r"simulate .* 200/200 [\d,.]+ samples/s +\d:\d\d:\d\d", shown.getvalue())

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+import shutil
+import tempfile
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
-from typing import Any
+from typing import Any, BinaryIO
 
 import yaml
 import zstandard
@@ -17,6 +19,11 @@ from .mcap_scan import MAX_CHUNK
 from .rosbag2 import load_yaml
 
 _MAX_YAML = 4 << 20
+_STORED = (".mcap", ".db3")
+_PACKED = ".zstd"
+# What a compressed bag may unpack to: joint states that hardly change shrink to a hundredth [byte], [-].
+_UNPACKED_LEAST = 1 << 30
+_UNPACKED_RATIO = 100
 
 
 @dataclass
@@ -65,12 +72,87 @@ def find_files(path: Path, *, lenient: bool = False) -> BagFiles:
         if not lenient:
             raise
         files = BagFiles(problems=[exc.cause])
-    found = {p for p in path.iterdir() if p.suffix in (".mcap", ".db3") and p.is_file()}
     # A recording that was killed may have files that its metadata does not know yet.
-    files.paths += sorted(found - set(files.paths), key=_natural)
+    found = {p.name: p for p in path.iterdir() if _plain(p.name).suffix in _STORED and p.is_file()}
+    # Of a file and its compressed copy the copy is the unfinished one.
+    whole = [p for name, p in found.items() if p.suffix != _PACKED or _plain(name).name not in found]
+    known = {_plain(p.name) for p in files.paths}
+    files.paths += sorted((p for p in whole if _plain(p.name) not in known), key=_natural)
     if not files.paths:
         raise BagError(path, "holds no .mcap or .db3 file")
     return files
+
+
+class Unpacked:
+    """Storage files as they stand, those that rosbag2 compressed as a whole in a temporary folder.
+
+    Parameters
+    ----------
+    paths : iterable of Path
+        The files; what they may unpack to is bounded by their size.
+    """
+
+    def __init__(self, paths: Iterable[Path] = ()) -> None:
+        sizes = sum(p.stat().st_size for p in paths if p.suffix == _PACKED)
+        self._left = _UNPACKED_LEAST + _UNPACKED_RATIO * sizes
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+
+    def file(self, path: Path) -> tuple[Path, str]:
+        """Where the content of a file can be read, and what is wrong with its compression.
+
+        Raises
+        ------
+        BagError
+            Where it does not fit on the disk, or unpacks to more than can be believed.
+        """
+        if path.suffix != _PACKED:
+            return path, ""
+        try:
+            self._folder = self._folder or workspace(path, 0)
+            out = Path(self._folder.name, path.stem)
+            with path.open("rb") as stored, out.open("wb") as file:
+                return out, self._unpack(path, stored, file)
+        except OSError as exc:
+            where = tempfile.gettempdir()
+            raise BagError(
+                path, f"cannot be decompressed in {where} (TMPDIR): {exc.strerror or exc}"
+            ) from exc
+
+    def close(self) -> None:
+        """Delete what was unpacked."""
+        if self._folder is not None:
+            self._folder.cleanup()
+            self._folder = None
+
+    def _unpack(self, path: Path, stored: BinaryIO, file: BinaryIO) -> str:
+        """A cut is told by what was in the file, which misses its end."""
+        reader = zstandard.ZstdDecompressor().stream_reader(stored, read_across_frames=True)
+        try:
+            while part := reader.read(1 << 17):
+                self._left -= len(part)
+                if self._left < 0:
+                    raise BagError(
+                        path, f"decompresses to more than {_UNPACKED_RATIO} times its size and 1 GiB"
+                    )
+                file.write(part)
+        except zstandard.ZstdError as exc:
+            return f"its compression is damaged: {exc}"
+        return ""
+
+
+def workspace(path: Path, size: int) -> tempfile.TemporaryDirectory[str]:
+    """A temporary folder for what needs `size` bytes on the disk.
+
+    Raises
+    ------
+    BagError
+        Where there is no room.
+    """
+    where = tempfile.gettempdir()
+    free = shutil.disk_usage(where).free
+    if size > free:
+        raise BagError(path, f"needs {size} bytes in {where} (TMPDIR), where {free} are free")
+    return tempfile.TemporaryDirectory(prefix="hd_diag-", dir=where)
 
 
 def unpacked(path: Path, messages: Iterable[Any]) -> list[memoryview]:
@@ -116,13 +198,24 @@ def _listed(folder: Path) -> BagFiles:
         extra = info.get("custom_data")
     except (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError, RecursionError) as exc:
         raise BagError(path, f"is not rosbag2 metadata: {exc}") from exc
-    if mode == "file":
-        raise BagError(folder, "its files are compressed as a whole: decompress them with zstd -d first")
-    there = [folder / name for name in names if name and (folder / name).is_file()]
-    missing = [
-        f"{name}: is named in metadata.yaml but missing" for name in names if folder / name not in there
-    ]
+    paths = {name: _present(folder, name) for name in names}
+    there = list(dict.fromkeys(path for path in paths.values() if path is not None))
+    if mode == "file" and any(path.suffix not in (*_STORED, _PACKED) for path in there):
+        raise BagError(folder, "its files are compressed, but not by zstd: decompress them first")
+    missing = [f"{name}: is named in metadata.yaml but missing" for name, path in paths.items() if not path]
     return BagFiles(there, missing, _texts(extra), mode == "message")
+
+
+def _present(folder: Path, name: str) -> Path | None:
+    """A file that metadata names, which may have been compressed or decompressed since."""
+    stem = PurePath(name).stem
+    names = [name, f"{name}{_PACKED}", *([stem] if PurePath(stem).suffix in _STORED else [])]
+    return next((folder / n for n in names if name and (folder / n).is_file()), None)
+
+
+def _plain(name: str) -> PurePath:
+    """Name of a file when it is decompressed."""
+    return PurePath(name.removesuffix(_PACKED))
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:

@@ -6,6 +6,7 @@ import os
 import re
 import struct
 import zlib
+from array import array
 from collections.abc import Sequence
 from contextlib import suppress
 from io import BufferedReader
@@ -22,12 +23,31 @@ from mcap.opcode import Opcode
 from .block import Block, messages_at
 from .errors import BagError
 from .mcap_file import MESSAGE
-from .mcap_scan import CHUNK_HEAD, LENGTH, MAX_CHUNK, Scan, Section, chunk_at, keep
+from .mcap_scan import (
+    CHUNK_HEAD,
+    LENGTH,
+    MAX_CHUNK,
+    Scan,
+    Section,
+    believable,
+    check_claim,
+    chunk_at,
+    heads_at,
+    keep,
+)
 
 # Opcode of a chunk, and a length below 2**48, as all lengths are.
 _MAYBE_CHUNK = re.compile(rb"(?=\x06[\s\S]{6}\0\0)")
+# Times from here on do not fit into 64 bits with a sign [ns].
+_NO_TIME = np.uint64(1 << 63)
+# More records in a chunk that are no messages are refused: an honest one has a few for each topic.
+_MAX_OTHERS = 1_000_000
 # What the libraries raise on damaged content.
 _DAMAGE = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, McapError, EOFError, MemoryError)
+
+
+class DamagedChunk(BagError):
+    """A chunk cannot be used; what is before and behind it can be recovered."""
 
 
 class Content(NamedTuple):
@@ -62,7 +82,7 @@ def read(path: Path, file: BufferedReader, sections: Sequence[Section]) -> Conte
         try:
             contents.append(_content(file, section, zstd))
         except _DAMAGE as exc:
-            raise BagError(path, f"chunk at byte {section.offset} is damaged: {exc}") from exc
+            raise DamagedChunk(path, f"chunk at byte {section.offset} is damaged: {exc}") from exc
         places.append(before + indexed_places(file, section))
         before += section.content_size
     try:
@@ -85,8 +105,26 @@ def messages_of(path: Path, sections: Sequence[Section], content: Content, resul
         raise _damaged(path, sections, exc) from exc
 
 
-def _damaged(path: Path, sections: Sequence[Section], exc: Exception) -> BagError:
-    return BagError(path, f"chunk at or after byte {sections[0].offset} is damaged: {exc}")
+def load_storable(path: Path, file: BufferedReader, section: Section, result: Scan) -> tuple[Block, int]:
+    """Messages of a section whose times can be written, and the number of the others.
+
+    Raises
+    ------
+    BagError
+        Where the section is damaged.
+    """
+    try:
+        content = _content(file, section, zstandard.ZstdDecompressor())
+        places = _places(content, result)
+        heads = heads_at(content, places)
+        storable = np.maximum(heads["log_time"], heads["publish_time"]) < _NO_TIME
+        return messages_at(content, places[storable]), int((~storable).sum())
+    except _DAMAGE as exc:
+        raise _damaged(path, [section], exc) from exc
+
+
+def _damaged(path: Path, sections: Sequence[Section], exc: Exception) -> DamagedChunk:
+    return DamagedChunk(path, f"chunk at or after byte {sections[0].offset} is damaged: {exc}")
 
 
 def _at(file: BufferedReader, offset: int, size: int) -> bytes:
@@ -95,8 +133,7 @@ def _at(file: BufferedReader, offset: int, size: int) -> bytes:
 
 
 def _content(file: BufferedReader, section: Section, zstd: zstandard.ZstdDecompressor) -> bytes:
-    if section.content_size > MAX_CHUNK:
-        raise ValueError(f"it claims {section.content_size} bytes, more than {MAX_CHUNK}")
+    check_claim(section.content_size, section.size)
     stored = _at(file, section.offset, section.size)
     content = _decompress(section.compression, stored, section.content_size, zstd)
     if len(content) != section.content_size:
@@ -143,8 +180,9 @@ def _readable_part(file: BufferedReader, offset: int, end: int) -> bytes:
             return b""
         section = chunk_at(file, offset, (1 << 64) - 1)
         file.seek(section.offset)
-        stored = file.read(min(section.size, max(0, end - section.offset)))
-        content = _decompress_part(section.compression, stored, min(section.content_size, MAX_CHUNK))
+        stored = file.read(min(section.size, max(0, end - section.offset), MAX_CHUNK))
+        limit = min(section.content_size, believable(len(stored)))
+        content = _decompress_part(section.compression, stored, limit)
     except (struct.error, IndexError, ValueError, RuntimeError, MemoryError):
         return b""
     stop = 0
@@ -200,9 +238,10 @@ def _is_chunk(head: bytes, length: int) -> bool:
 
 def unzstd(stored: bytes, limit: int, zstd: zstandard.ZstdDecompressor) -> bytes:
     """Zstd frame of no more than `limit` bytes, decompressed."""
+    limit = min(limit, believable(len(stored)))
     declared = zstandard.get_frame_parameters(stored).content_size
     if declared != zstandard.CONTENTSIZE_UNKNOWN and declared > limit:
-        raise ValueError(f"it unpacks to {declared} bytes instead of {limit}")
+        raise ValueError(f"it unpacks to {declared} bytes, more than {limit}")
     return zstd.decompress(stored, max_output_size=limit)
 
 
@@ -268,28 +307,36 @@ def parse(content: bytes, result: Scan) -> Block:
     ValueError
         Where the records do not fit together.
     """
+    return messages_at(content, _places(content, result))
+
+
+def _places(content: bytes, result: Scan) -> npt.NDArray[np.int64]:
+    """Places of the messages among the records in `content`; schemas and channels are added to `result`."""
     run, offsets, others = _walk(content)
     _keep_definitions(content, others, result)
-    return messages_at(content, np.concatenate([run, np.array(offsets, np.int64)]))
+    return np.concatenate([run, np.array(offsets, np.int64)])
 
 
 def _keep_definitions(content: bytes, places: list[int], result: Scan) -> None:
     for place in places:
-        opcode = content[place]
-        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            (length,) = LENGTH.unpack_from(content, place + 1)
-            keep(result, opcode, content[place + 9 : place + 9 + length])
+        (length,) = LENGTH.unpack_from(content, place + 1)
+        keep(result, content[place], content[place + 9 : place + 9 + length])
 
 
-def _walk(content: bytes) -> tuple[npt.NDArray[np.int64], list[int], list[int]]:
-    """Places of the first messages, which have one size; of the other messages; of all other records."""
+def _walk(content: bytes) -> tuple[npt.NDArray[np.int64], array[int], list[int]]:
+    """Places of the first messages, which have one size; of the other messages; of schemas and channels."""
     run = np.empty(0, np.int64)
-    offsets: list[int] = []
+    offsets = array("q")
     others: list[int] = []
+    ignored = 0
     position, end, length_at, message = 0, len(content), LENGTH.unpack_from, int(Opcode.MESSAGE)
     while position < end:
         if content[position] != message:
-            others.append(position)
+            if content[position] in (Opcode.SCHEMA, Opcode.CHANNEL):
+                others.append(position)
+            ignored += 1
+            if not content[position] or ignored > _MAX_OTHERS:
+                raise ValueError("it holds records that are none")
         elif offsets or len(run):
             offsets.append(position)
         else:

@@ -14,17 +14,22 @@ from io import BufferedReader, BytesIO
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Metadata, Schema, Statistics
 
-from .block import messages_at
+from .block import gather
 from .errors import BagError
-from .mcap_file import MAGIC
+from .mcap_file import HEAD, MAGIC, MESSAGE
 
-# A chunk above this is refused: it cannot come from a recorder, and would fill the memory.
-MAX_CHUNK = 1 << 30
+# A chunk, or a message outside of one, above this is refused: recorders close a chunk after some megabytes,
+# and what is made of a chunk takes up to five times its memory [byte].
+MAX_CHUNK = 256 << 20
+# A chunk that claims both more than this [byte] and more than so many times what is stored of it is refused
+# unread: recordings seldom reach 100, and a file of some kilobytes could keep the reader busy for minutes.
+_MAX_UNASKED, _MAX_RATIO = 64 << 20, 1000
 # Schemas, channels and metadata above this are refused.
 _MAX_RECORD = 16 << 20
 # Messages outside of chunks are taken together in runs of about this size [byte].
@@ -32,6 +37,27 @@ _RUN = 1 << 20
 _HEAD, _INDEX = struct.Struct("<BQ"), struct.Struct("<HI")
 CHUNK_HEAD = struct.Struct("<QQQII")
 LENGTH = struct.Struct("<Q")
+
+
+def check_claim(claimed: int, stored: int) -> None:
+    """Refuse content [byte] that is too large, or beyond what is `believable` of so little stored.
+
+    Raises
+    ------
+    ValueError
+        Where it is.
+    """
+    if max(claimed, stored) > MAX_CHUNK:
+        raise ValueError(f"it claims {max(claimed, stored)} bytes, more than {MAX_CHUNK}")
+    if claimed > believable(stored):
+        raise ValueError(
+            f"it claims {claimed} bytes, more than {_MAX_UNASKED} and {_MAX_RATIO} times the {stored} stored"
+        )
+
+
+def believable(stored: int) -> int:
+    """How much may unpack from so many bytes [byte]."""
+    return min(MAX_CHUNK, max(_MAX_UNASKED, _MAX_RATIO * stored))
 
 
 @dataclass
@@ -158,6 +184,7 @@ def _take(path: Path, file: BufferedReader, result: Scan, opcode: int, length: i
     if opcode == Opcode.CHUNK:
         result.sections.append(chunk_at(file, result.end, length))
     elif opcode == Opcode.MESSAGE:
+        check_claim(length, length)
         _run(file, result, length)
     elif opcode == Opcode.MESSAGE_INDEX:
         _message_index(file, result, length)
@@ -216,9 +243,26 @@ def _run(file: BufferedReader, result: Scan, length: int) -> None:
             break
         offsets.append(stop)
         stop += 9 + size
-    times = messages_at(content[:stop], np.array(offsets, np.int64)).log_time
+    times = heads_at(content[:stop], np.array(offsets, np.int64))["log_time"]
     result.sections.append(Section(result.end, stop, int(times.min()), int(times.max()), "", stop))
     result.end += stop
+
+
+def heads_at(content: bytes, places: npt.NDArray[np.int64]) -> npt.NDArray[np.void]:
+    """Heads of the messages whose records begin at the places, as they are, whatever their times.
+
+    Raises
+    ------
+    ValueError
+        Where a record is too short for a message.
+    """
+    if len(places) and places[-1] + MESSAGE.size > len(content):
+        raise ValueError("a message has no room for its times")
+    rows = gather(np.frombuffer(content, np.uint8), places, MESSAGE.size)
+    heads: npt.NDArray[np.void] = np.ascontiguousarray(rows).view(HEAD)[:, 0]
+    if len(heads) and int(heads["length"].min()) < MESSAGE.size - 9:
+        raise ValueError("a message is too short for its times")
+    return heads
 
 
 def _message_index(file: BufferedReader, result: Scan, length: int) -> None:

@@ -60,7 +60,7 @@ class McapStorage:
         try:
             self.scan = scan(path, self.file)
             self.problem = self.scan.problem
-            if self.problem and _is_locked(self.file.fileno()):
+            if self.problem and is_locked(self.file.fileno()):
                 self.problem = "is being written by another process"
             self.counts = self._counts()
             self.topics = self._declared()
@@ -168,7 +168,7 @@ def declared(found: Scan) -> Topics:
     return topics
 
 
-def _is_locked(fd: int) -> bool:
+def is_locked(fd: int) -> bool:
     """Whether a writer of this package holds the file."""
     try:
         fcntl.flock(fd, fcntl.LOCK_SH | fcntl.LOCK_NB)

@@ -17,7 +17,7 @@ from hd_diag.samples import JointStates
 from .block import Block, gather
 from .columns import Rejection, decode_joint_states, joint_states_from_messages
 from .errors import BagError
-from .folder import find_files, unpacked
+from .folder import Unpacked, find_files, unpacked
 from .mcap_storage import McapStorage
 from .ordering import chosen, mixed_runs, ordered, runs, turns
 from .schemas import Definition
@@ -96,7 +96,10 @@ class _Source:
 
 
 class BagReader:
-    """Reader of a bag: an MCAP file, a ``.db3`` file or a rosbag2 folder. Use it in a ``with`` statement.
+    """Reader of a bag: an MCAP file, a ``.db3`` file or a rosbag2 folder, or one that rosbag2 compressed.
+
+    Use it in a ``with`` statement: databases with unfinished writes and compressed files are read in a
+    temporary folder, which `close` deletes.
 
     Parameters
     ----------
@@ -127,13 +130,15 @@ class BagReader:
         self._topics: dict[tuple[str, str], Topic] = {}
         self._types = BagTypes()
         self._sources: list[_Source] = []
+        self._unpacked = Unpacked()
         try:
             found = find_files(self.path)
             self.paths, self.problems = found.paths, found.problems
             self.custom_data = found.custom_data
             self._message_compression = found.message_compression
+            self._unpacked = Unpacked(self.paths)
             for file in self.paths:
-                self._sources.append(self._open(file))
+                self._add(file)
         except OSError as exc:
             self.close()
             raise BagError(getattr(exc, "filename", None) or self.path, exc) from exc
@@ -269,9 +274,9 @@ class BagReader:
     def close(self) -> None:
         """Close the files."""
         for source in self._sources:
-            if isinstance(source.storage, McapStorage):
-                source.storage.close()
+            source.storage.close()
         self._sources = []
+        self._unpacked.close()
 
     def __enter__(self) -> BagReader:
         return self
@@ -295,10 +300,21 @@ class BagReader:
         except ValueError as exc:
             raise BagError(self.path, f"{topic.name}: {exc}") from exc
 
+    def _add(self, path: Path) -> None:
+        """Open a storage file; a database cannot be read up to a damage, so that it costs one of several."""
+        try:
+            self._sources.append(self._open(path))
+        except BagError as exc:
+            damaged = BagError(path, exc.cause)
+            if ".db3" not in path.suffixes or (path == self.paths[-1] and not self._sources):
+                raise damaged from exc
+            self.problems.append(BagError(path.name, f"is left out: {exc.cause}").args[0])
+
     def _open(self, path: Path) -> _Source:
-        storage = SqliteFile(path) if is_sqlite(path) else McapStorage(path)
-        if storage.problem:
-            self.problems.append(BagError(path.name, storage.problem).args[0])
+        file, broken = self._unpacked.file(path)
+        storage = SqliteFile(file) if is_sqlite(file) else McapStorage(file)
+        for problem in filter(None, (broken, storage.problem)):
+            self.problems.append(BagError(path.name, problem).args[0])
         if isinstance(storage, McapStorage):
             self.custom_data = storage.custom_data | self.custom_data
         source = _Source(path, storage, counts=storage.counts)
@@ -313,7 +329,10 @@ class BagReader:
     ) -> Iterator[Block]:
         storage = source.storage
         if isinstance(storage, SqliteFile):
-            yield from storage.blocks(numbers, start, end)
+            try:
+                yield from storage.blocks(numbers, start, end)
+            except BagError as exc:
+                raise BagError(source.path, exc.cause) from exc
             return
         wanted = None if len(numbers) == len(source.topics) else numbers
         stretches = storage.stretches(numbers, start, end)
@@ -324,8 +343,8 @@ class BagReader:
                     if unknown:
                         raise ValueError(f"messages of channel {min(unknown)}, which is not declared")
                     yield block
-        except BagError:
-            raise
+        except BagError as exc:
+            raise BagError(source.path, exc.cause) from exc
         except ValueError as exc:
             raise BagError(source.path, exc) from exc
 

@@ -5,24 +5,29 @@ from __future__ import annotations
 import os
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from .block import Block
 from .errors import BagError, check_output
-from .folder import find_files, unpacked
-from .mcap_chunk import find_chunk, load, load_part
-from .mcap_scan import Scan, scan, walk
+from .folder import Unpacked, find_files, unpacked
+from .mcap_chunk import find_chunk, load, load_part, load_storable
+from .mcap_file import MAGIC
+from .mcap_scan import Scan, Section, scan, walk
 from .mcap_storage import Topics, declared, kept_custom_data
-from .reader import BagReader
 from .schemas import Definition, definition
-from .sqlite_file import SqliteFile, is_sqlite
-from .writer import BagWriter
+from .sqlite_file import DamagedSqlite, is_sqlite
+from .writer import BagWriter, replaced
 
 Progress = Callable[[int, int], None]
+# Messages copied at once.
+_AT_ONCE = 1 << 14
 
 
 @dataclass
@@ -122,7 +127,9 @@ def recover(
 ) -> RecoveryReport:
     """Copy everything that can be read of a bag into a new, whole one, and read that back.
 
-    Where nothing of an unfinished or damaged bag can be saved, nothing is written or replaced.
+    Where nothing of an unfinished or damaged bag can be saved, nothing is written or replaced. After an error
+    a new output is left without its end, so that no reader takes it for whole; a bag that `overwrite` would
+    replace stays as it was, also after Ctrl-C.
 
     Parameters
     ----------
@@ -133,7 +140,8 @@ def recover(
     overwrite : bool, optional
         Replace `out` where it exists.
     progress : callable, optional
-        Called with the bytes done and the bytes in all.
+        Called with the bytes done and the bytes in all. If it raises KeyboardInterrupt, a new output is
+        finished with what it has.
 
     Raises
     ------
@@ -141,7 +149,14 @@ def recover(
         Where `bag` is not a bag at all, or `out` cannot be written or does not read back the same.
     """
     check_output(out, bag)
-    found = find_files(Path(bag), lenient=True)
+    with replaced(out, overwrite=overwrite) as place:
+        result = _recover(Path(bag), place, overwrite, progress or (lambda done, total: None))
+    result.out = [Path(out) / path.relative_to(place) for path in result.out]
+    return result
+
+
+def _recover(bag: Path, out: Path, overwrite: bool, progress: Progress) -> RecoveryReport:
+    found = find_files(bag, lenient=True)
     total = sum(p.stat().st_size for p in found.paths)
     tally, files, done = _Tally(), [], 0
     extra = found.custom_data or _custom_data(found.paths)
@@ -153,15 +168,14 @@ def recover(
                 report.messages += _copy(
                     output, topics, block, tally, report, packed=found.message_compression
                 )
-                if progress is not None:
-                    progress(before + place, total)
-            done += report.size
+                progress(min(before + place, total), total)
+            done += path.stat().st_size
             files.append(report)
         result = RecoveryReport([], files, tally.counts, problems=found.problems)
         if result.complete:
             output.writer()  # a whole bag that is empty stays one
     if output.opened is not None:
-        _verify(output.opened, tally)
+        _verify(output.opened, tally, lambda: progress(total, total))
         result.out = output.opened.paths
     if tally.counts:
         result.start, result.end = tally.start, tally.end
@@ -216,16 +230,26 @@ class _Tally:
 def _salvage(path: Path, report: FileRecovery) -> Iterator[tuple[Topics, Block, int]]:
     """Topics, messages and place in the file, piece by piece, for as much as can be read."""
     try:
-        if is_sqlite(path):
-            storage = SqliteFile(path)
-            for block in storage.blocks(list(storage.topics)):
-                yield storage.topics, block, 0
-        else:
-            with path.open("rb") as file:
-                yield from _salvage_mcap(path, file, report)
+        with closing(Unpacked([path])) as unpacked_files:
+            plain, problem = unpacked_files.file(path)
+            report.size = plain.stat().st_size
+            report.problems += [problem] if problem else []
+            if is_sqlite(plain):
+                yield from _salvage_sqlite(plain, report)
+            else:
+                with plain.open("rb") as file:
+                    yield from _salvage_mcap(plain, file, report)
     except (BagError, OSError) as exc:
         report.problems.append(exc.cause if isinstance(exc, BagError) else str(exc))
         report.unread = report.size
+
+
+def _salvage_sqlite(path: Path, report: FileRecovery) -> Iterator[tuple[Topics, Block, int]]:
+    with closing(DamagedSqlite(path)) as found:
+        for block in found.blocks():
+            yield found.topics, block, min(found.read, report.size)
+        report.problems += found.problems
+        report.lost += found.lost
 
 
 def _salvage_mcap(path: Path, file: Any, report: FileRecovery) -> Iterator[tuple[Topics, Block, int]]:
@@ -233,7 +257,7 @@ def _salvage_mcap(path: Path, file: Any, report: FileRecovery) -> Iterator[tuple
     gaps = _rescan(path, file, found, report)
     for section in found.sections:
         try:
-            block = load(path, file, [section], found)
+            block = _load(path, file, section, found, report)
         except BagError as exc:
             report.problems.append(exc.cause)
             report.unread += section.size
@@ -251,6 +275,23 @@ def _salvage_mcap(path: Path, file: Any, report: FileRecovery) -> Iterator[tuple
                 f"{len(block)} messages were read from a chunk that is cut off at byte {end}"
             )
         yield declared(found), block, start
+
+
+def _load(path: Path, file: Any, section: Section, found: Scan, report: FileRecovery) -> Block:
+    """Messages of a section; those whose times cannot be written are counted as lost.
+
+    Raises
+    ------
+    BagError
+        Where it is damaged.
+    """
+    try:
+        return load(path, file, [section], found)
+    except BagError:
+        block, late = load_storable(path, file, section, found)
+    report.lost += late
+    report.problems.append(f"{late} messages have a time beyond the year 2262")
+    return block
 
 
 def _rescan(path: Path, file: Any, found: Scan, report: FileRecovery) -> list[tuple[int, int]]:
@@ -276,23 +317,36 @@ def _copy(
 ) -> int:
     """Write the messages whose topics are known; gives their number."""
     lost: dict[int, int] = {}
+    damaged = 0
     names: dict[int, tuple[str, str]] = {}
     if any(_is_known(topics[n]) for n in topics.keys() & set(block.channel.tolist())):
         names = {n: topic[:2] for n, topic in topics.items() if _declare(output.writer(), topic)}
     columns = (block.channel, block.offset, block.size, block.log_time, block.publish_time)
     view = memoryview(block.data)
-    for channel, offset, size, log_time, publish_time in zip(*(c.tolist() for c in columns), strict=True):
+    for channel, offset, size, log_time, publish_time in _lines(*columns):
         if channel not in names:
             lost[channel] = lost.get(channel, 0) + 1
             continue
         data = view[offset : offset + size]
-        message = unpacked(report.path, [data])[0] if packed else data
+        try:
+            message = unpacked(report.path, [data])[0] if packed else data
+        except BagError:
+            damaged += 1
+            continue
         output.writer().write(*names[channel], message, log_time, publish_time)
         tally.add(names[channel][0], message, log_time)
     for count in lost.values():
-        report.lost += count
         report.problems.append(f"{count} messages belong to no topic with a known definition")
-    return len(block) - sum(lost.values())
+    if damaged:
+        report.problems.append(f"{damaged} compressed messages are damaged")
+    report.lost += damaged + sum(lost.values())
+    return len(block) - damaged - sum(lost.values())
+
+
+def _lines(*columns: npt.NDArray[np.int64]) -> Iterator[tuple[int, ...]]:
+    """The values of some columns side by side; a few at once, as they take far more memory than columns."""
+    for first in range(0, len(columns[0]), _AT_ONCE):
+        yield from zip(*(column[first : first + _AT_ONCE].tolist() for column in columns), strict=True)
 
 
 def _is_known(topic: tuple[str, str, str, Definition | None]) -> bool:
@@ -318,15 +372,31 @@ def _declare(writer: BagWriter, topic: tuple[str, str, str, Definition | None]) 
     return True
 
 
-def _verify(writer: BagWriter, tally: _Tally) -> None:
-    """Read the result and compare it with what was saved."""
+def _verify(writer: BagWriter, tally: _Tally, progress: Callable[[], None]) -> None:
+    """Read the result and compare it with what was saved; a result that is wrong loses its end."""
+    try:
+        again = _read_back(writer.paths, progress)
+        if (again.counts, again.digest) != (tally.counts, tally.digest):
+            raise BagError(writer.path, "does not read back as it was written")
+    except BagError:
+        for path in writer.paths:
+            os.truncate(path, max(0, path.stat().st_size - len(MAGIC)))
+        raise
+
+
+def _read_back(paths: list[Path], progress: Callable[[], None]) -> _Tally:
     again = _Tally()
-    for path in writer.paths:
-        with BagReader(path) as reader:
-            if reader.problems:
-                raise BagError(path, f"was written but {reader.problems[0]}")
-            for batch in reader.batches(grouped=True):
-                for message, log_time in zip(batch.messages(), batch.log_time.tolist(), strict=True):
-                    again.add(batch.topic.name, message, log_time)
-    if (again.counts, again.digest) != (tally.counts, tally.digest):
-        raise BagError(writer.path, "does not read back as it was written")
+    for path in paths:
+        report = FileRecovery(path, path.stat().st_size)
+        for topics, block, _ in _salvage(
+            path, report
+        ):  # in the order of the file: nothing is held for sorting
+            view = memoryview(block.data)
+            for channel, offset, size, log_time in _lines(
+                block.channel, block.offset, block.size, block.log_time
+            ):
+                again.add(topics[channel][0], view[offset : offset + size], log_time)
+            progress()
+        if report.problems:
+            raise BagError(path, f"was written but {report.problems[0]}")
+    return again

@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import re
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import TypeVar
 
@@ -17,6 +18,7 @@ import numpy.typing as npt
 
 from .errors import BagError
 from .mcap_file import COMPRESSIONS, McapFile
+from .mcap_storage import is_locked
 from .rosbag2 import NO_START, FileInformation, Metadata, Qos, TopicInformation, dump_offers, parse_offers
 from .rows import Rows
 from .schemas import Definition, definition
@@ -70,6 +72,8 @@ class BagWriter:
     -----
     Not safe for use by several threads at once. After an error the file is cut back to whole records, and
     every further write raises the same error; `close` finishes the file if it still can, and does not raise.
+    A ``with`` statement finishes it too, unless an error ends it, Ctrl-C excepted: then it is left without
+    its end, so that no reader takes it for whole.
 
     Without splits the summary of a log grows by about 50 MB a day, in memory too, at four chunks a second.
     """
@@ -334,10 +338,13 @@ class BagWriter:
         self, kind: type[BaseException] | None, exc: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            self.close()
+            if self.error is None and (kind is None or issubclass(kind, KeyboardInterrupt)):
+                self.close()
         except BagError:
             if exc is None:
                 raise
+        finally:
+            self.abandon()
 
     def _count(self, topic: str, type_name: str) -> int:
         return self._topics[topic, type_name].before + self._file.count_of(topic, type_name)
@@ -464,15 +471,90 @@ class BagWriter:
             self._metadata.save(self._folder)
 
 
+@contextmanager
+def replaced(path: str | os.PathLike[str], *, overwrite: bool) -> Iterator[Path]:
+    """Where to write a bag, so that one that it replaces stays until the new one is whole.
+
+    Parameters
+    ----------
+    path : str or path-like
+        Place of the bag, as for `BagWriter`.
+    overwrite : bool
+        Whether a bag that is there shall be replaced.
+
+    Yields
+    ------
+    Path
+        `path`, or a place beside the bag that it replaces. After an exception, Ctrl-C included, that bag is
+        as it was.
+
+    Raises
+    ------
+    BagError
+        Where the old bag is being written, or cannot be replaced; what the body raises of the new one, with
+        its own name.
+    """
+    place = Path(path)
+    if not (overwrite and (place.is_dir() or (place.suffix == ".mcap" and place.is_file()))):
+        yield place
+        return
+    try:
+        old = place.resolve()
+        _check_free([old] if old.is_file() else _own_files(old))
+        with TemporaryDirectory(prefix=f".{old.name}.", dir=old.parent) as folder:
+            # The name decides between file and folder, and a folder's names its files.
+            draft = Path(folder) / (place.name if old.is_file() else old.name)
+            with _named(place, draft):
+                yield draft
+            _put_in_place(draft, old)
+    except OSError as exc:
+        raise BagError(place, exc) from exc
+
+
+@contextmanager
+def _named(place: Path, draft: Path) -> Iterator[None]:
+    """What goes wrong with a draft, told of the place that it is for."""
+    try:
+        yield
+    except BagError as exc:
+        if draft not in (exc.path, *exc.path.parents):
+            raise
+        raise BagError(place, f"{exc.cause}; what was there before is kept") from exc
+
+
+def _check_free(files: Iterable[Path]) -> None:
+    for path in files:
+        with path.open("rb") as file:
+            if is_locked(file.fileno()):
+                raise BagError(path, "is being written by another process")
+
+
+def _put_in_place(draft: Path, old: Path) -> None:
+    """Move a new bag, where there is one, over the old one; a folder's metadata come last."""
+    if draft.is_file():
+        os.replace(draft, old)
+    elif draft.is_dir():
+        new = sorted(draft.iterdir(), key=lambda file: file.name == "metadata.yaml")
+        for file in new:
+            os.replace(file, old / file.name)
+        for file in _own_files(old):
+            if file.name not in {entry.name for entry in new}:
+                file.unlink()
+
+
 def _prepare(folder: Path, overwrite: bool) -> None:
     """Make the folder; with `overwrite` remove the bag that is in it, and nothing else."""
     if folder.exists() and not overwrite:
         raise BagError(folder, "exists already")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        own = re.compile(re.escape(folder.resolve().name) + r"_\d+\.(mcap|db3)")
-        for entry in folder.iterdir():
-            if entry.name == "metadata.yaml" or own.fullmatch(entry.name):
-                entry.unlink()
+        for entry in _own_files(folder):
+            entry.unlink()
     except OSError as exc:
         raise BagError(folder, exc) from exc
+
+
+def _own_files(folder: Path) -> list[Path]:
+    """Files of the bag in a folder, and nothing else that lies there."""
+    own = re.compile(re.escape(folder.resolve().name) + r"_\d+\.(mcap|db3)|metadata\.yaml")
+    return [entry for entry in folder.iterdir() if own.fullmatch(entry.name)]

@@ -6,20 +6,27 @@ import contextlib
 import signal
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
+from typing import NoReturn
 
 import click
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from hd_diag.bag import BagError, BagReader, check_output
+from hd_diag.bag.mcap_chunk import DamagedChunk
 from hd_diag.bag.recover import recover as recover_bag
-from hd_diag.cli.options import INTERRUPTED, JSON, Problem, problems, write_json
+from hd_diag.bag.writer import replaced
+from hd_diag.cli.options import INTERRUPTED, JSON, Problem, check_target, problems, tell, write_json
 from hd_diag.config import load
 from hd_diag.replay import Replay
 from hd_diag.replay import replay as replay_bag
+
+Advance = Callable[[float, float], None]
+"""Takes what is done, and what there is in all."""
 
 
 @contextlib.contextmanager
@@ -58,6 +65,51 @@ def interrupts() -> Iterator[list[int]]:
         signal.signal(signal.SIGINT, before)
 
 
+@contextmanager
+def working() -> Iterator[Callable[[str, str], Advance]]:
+    """Progress with rate and time left on stderr, where that is a terminal, and Ctrl-C where work can end.
+
+    Yields
+    ------
+    callable
+        Takes what is done and its unit; gives what is to be called while it is done. A bar shows from the
+        first call on. The call raises KeyboardInterrupt where Ctrl-C has come since the last one.
+    """
+    with bar() as bars, interrupts() as came:
+
+        def part(what: str, unit: str) -> Advance:
+            begin = time.monotonic()
+            task = bars.add_task(what, total=None, rate="", visible=False)
+
+            def advance(done: float, total: float) -> None:
+                rate = done / max(time.monotonic() - begin, 1e-9)
+                shown = f"{rate:,.0f}" if rate >= 100.0 else f"{rate:,.1f}"
+                bars.update(task, completed=done, total=total, rate=f"{shown} {unit}/s", visible=True)
+                if came:
+                    raise KeyboardInterrupt
+
+            return advance
+
+        yield part
+
+
+def interrupted(out: Path, kept: bool, content: str = "") -> NoReturn:
+    """End after Ctrl-C with a line on what `out` holds; `kept` where it was there before, and still is."""
+    if kept:
+        left = f"nothing was written, {out} is as it was"
+    elif out.exists():
+        left = f"{out} holds {content or _first_messages(out)}"
+    else:
+        left = "nothing was written"
+    tell(f"hd-diag: interrupted: {left}", err=True)
+    sys.exit(INTERRUPTED)
+
+
+def _first_messages(out: Path) -> str:
+    with BagReader(out) as reader:
+        return f"the first {reader.message_count} messages"
+
+
 @click.command(
     context_settings={"help_option_names": ["-h", "--help"]},
     short_help="Run the model over a bag: the outputs that the node would give.",
@@ -93,28 +145,30 @@ def replay(
     Time is the bag's; the machine goes as fast as it can. Without --config the bag must be a log of the node:
     its configuration and every change of it are followed, and the outputs are those of the live run, bit for
     bit. Reads MCAP files and rosbag2 folders (MCAP or sqlite3), unfinished ones included. Ctrl-C leaves a
-    valid file and ends with code 130; after an error the output is left without its end.
+    valid file and ends with code 130; after an error the output is left without its end. A bag that
+    --overwrite replaces stays until the new one is whole, also then.
     """
-    config = load(config_file) if config_file else None
-    begin = time.monotonic()
-    done = 0
-    with bar() as progress, interrupts() as came:
-        task = progress.add_task("replay", total=None, rate="")
+    if json_file:
+        check_target(json_file, bag)
+    check_output(out, bag)
+    begin, kept, done = time.monotonic(), out.exists(), 0
+    try:
+        with working() as part, replaced(out, overwrite=overwrite) as place:
+            advance = part("replay", "messages")
 
-        def advance(messages: int, total: int) -> None:
-            nonlocal done
-            done = messages
-            rate = f"{done / max(time.monotonic() - begin, 1e-9):,.0f} messages/s"
-            progress.update(task, completed=done, total=total, rate=rate)
-            if came:
-                raise KeyboardInterrupt
+            def progress(messages: int, total: int) -> None:
+                nonlocal done
+                done = messages
+                advance(messages, total)
 
-        try:
-            result = replay_bag(bag, out, config, topics=topics, overwrite=overwrite, progress=advance)
-        except KeyboardInterrupt:
-            progress.stop()
-            click.echo(f"hd-diag: interrupted: {out} holds what the first {done} messages give", err=True)
-            sys.exit(INTERRUPTED)
+            config = load(config_file) if config_file else None
+            result = replay_bag(bag, place, config, topics=topics, overwrite=overwrite, progress=progress)
+    except KeyboardInterrupt:
+        interrupted(out, kept, f"what the first {done} messages give")
+    except BagError as error:
+        if not isinstance(error, DamagedChunk) and not isinstance(error.__cause__, DamagedChunk):
+            raise
+        raise Problem(f"{error}; hd-diag recover saves the rest of the bag") from error
     took = time.monotonic() - begin
     if json_file:
         write_json(json_file, _replay_json(result, out, took))
@@ -141,21 +195,20 @@ def _replay_json(result: Replay, out: Path, took: float) -> dict[str, object]:
 
 def _tell_replay(result: Replay, out: Path, took: float) -> None:
     for problem in result.problems:
-        click.echo(f"warning: {problem}", err=True)
+        tell(f"warning: {problem}", err=True)
     how = "its own configuration followed" if result.reproduced else "with the given configuration"
     speed = f", {result.duration / took:.0f} times real time" if took > 0 else ""
-    click.echo(
+    tell(
         f"{result.messages} messages of {result.duration:.1f} s replayed in {took:.1f} s{speed} ({how}); "
         f"{result.written} written to {out}"
     )
     for joint in result.rejected:
         if joint not in result.joints:
-            click.echo(f"{joint}: no sample in the bag", err=True)
+            tell(f"{joint}: no sample in the bag", err=True)
         elif result.rejected[joint] or result.missed[joint]:
             last = f", the last because: {result.last_rejection[joint]}" if result.rejected[joint] else ""
-            click.echo(
-                f"{joint}: {result.rejected[joint]} rejected{last}; {result.missed[joint]} never recorded"
-            )
+            gaps = f"{result.missed[joint]} missing by the stamps"
+            tell(f"{joint}: {result.rejected[joint]} rejected{last}; {gaps}")
 
 
 @click.command(
@@ -173,20 +226,28 @@ def recover(bag: Path, out: Path, overwrite: bool, json_file: str | None) -> Non
 
     Everything in closed chunks, and what can be read of the open one, is copied into a new bag and read back.
     Says what was saved and what was lost. Exit code 0 also where something was lost: losing is not this
-    command's doing; 2 where nothing can be saved.
+    command's doing; 2 where nothing can be saved. Ctrl-C leaves a valid file and ends with code 130; after an
+    error the output is left without its end. A bag that --overwrite replaces stays until the new one is
+    whole.
     """
-    with bar() as progress:
-        task = progress.add_task("recover", total=None, rate="")
+    if json_file:
+        check_target(json_file, bag)
+    kept = out.exists()
+    try:
+        with working() as part:
+            advance = part("recover", "kB")
 
-        def advance(done: int, total: int) -> None:
-            progress.update(task, completed=done, total=total, rate="bytes")
+            def progress(done: int, total: int) -> None:
+                advance(done * 1e-3, total * 1e-3)
 
-        report = recover_bag(bag, out, overwrite=overwrite, progress=advance)
+            report = recover_bag(bag, out, overwrite=overwrite, progress=progress)
+    except KeyboardInterrupt:
+        interrupted(out, kept)
     if not any(report.counts.values()) and not report.complete:
         raise Problem(f"{bag}: nothing can be saved: {report.statement()[1]}")
     if json_file:
         write_json(json_file, {"schema": "hd_diag/recovery/1", **report.as_dict()})
     if json_file != "-":
         for line in report.statement():
-            click.echo(line)
+            tell(line)
     sys.exit(0)

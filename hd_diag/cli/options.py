@@ -9,13 +9,15 @@ import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import click
 
 from hd_diag.bag import BagError, check_output
 from hd_diag.config import Config, ConfigError, JointConfig, load, resolve
 from hd_diag.demo.process import DemoError
+
+_Command = TypeVar("_Command", bound=Callable[..., Any])
 
 SIGNALLED = 128
 """Plus the number of a signal: exit code of what it has ended, as shells have it."""
@@ -24,14 +26,32 @@ INTERRUPTED = SIGNALLED + signal.SIGINT
 """Exit code after Ctrl-C."""
 
 
+_LONGEST_LINE = 2000
+
+
 class Problem(click.ClickException):
     """Bad input: one line on stderr, exit code 2."""
 
     exit_code = 2
 
+    def format_message(self) -> str:
+        """The message as one line that a terminal can show."""
+        return visible(" ".join(self.message.split()))
+
     def show(self, file: Any = None) -> None:
         """Print the line."""
-        click.echo(f"hd-diag: {' '.join(self.message.split())}", file=file or sys.stderr)
+        click.echo(f"hd-diag: {self.format_message()}", file=file or sys.stderr)
+
+
+def visible(text: str) -> str:
+    """Text of which some may come from a file: control characters escaped, cut off where it is long."""
+    short = text if len(text) <= _LONGEST_LINE else f"{text[: _LONGEST_LINE - 1]}…"
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in short)
+
+
+def tell(line: str, *, err: bool = False) -> None:
+    """Print one line of which some may come from a file."""
+    click.echo(visible(line), err=err)
 
 
 def problems(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -55,12 +75,24 @@ CONFIG = click.option(
 )
 JOINT = click.option("--joint", help="Joint. [default: the first configured]")
 JOINTS = click.option("--joint", "names", multiple=True, help="Joint; repeatable. [default: all configured]")
-JSON = click.option(
-    "--json",
-    "json_file",
-    type=click.Path(dir_okay=False, allow_dash=True),
-    help="Write the result here; - is stdout.",
-)
+
+
+def _writable(context: click.Context, parameter: click.Parameter, value: str | None) -> str | None:
+    """Refuse before the work a file that could not be written after it."""
+    if value is not None:
+        check_target(value)
+    return value
+
+
+def json_option(what: str) -> Callable[[_Command], _Command]:
+    """Option ``--json`` for a verb that writes this there."""
+    kind = click.Path(dir_okay=False, allow_dash=True)
+    return click.option(
+        "--json", "json_file", type=kind, callback=_writable, help=f"Write {what} here; - is stdout."
+    )
+
+
+JSON = json_option("the result")
 
 
 def configured(config_file: str | None) -> Config:
@@ -83,12 +115,15 @@ def check_target(path: str | Path, *inputs: Path) -> None:
     Raises
     ------
     Problem, BagError
-        Where there is no such folder; where it is an input, or a part of one.
+        Where there is no such folder, or no writing; where it is an input, or a part of one.
     """
     if path == "-":
         return
-    if not Path(path).absolute().parent.is_dir():
+    target = Path(path).absolute()
+    if not target.parent.is_dir():
         raise Problem(f"{path}: cannot be written: no such folder")
+    if not os.access(target if target.exists() else target.parent, os.W_OK):
+        raise Problem(f"{path}: cannot be written: no permission, or a disk that is read-only")
     # What does not exist, like links in a circle, is told when it is read.
     check_output(path, *filter(os.path.exists, inputs))
 

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import json
 import math
-import sys
 from pathlib import Path
 from typing import Any
 
 import click
 import yaml
-from rich.console import Console
-from rich.progress import Progress
 
 from hd_diag import simulation
-from hd_diag.cli.options import JOINTS, Problem
+from hd_diag.cli.bags import interrupted, working
+from hd_diag.cli.options import JOINTS, Problem, json_option, problems, tell, write_json
 from hd_diag.config import JOINT_PARAMETERS, Config, ConfigError, load, resolve
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.simulation import Motion, Noise, SimulatedJoint
@@ -103,26 +99,24 @@ _SHORT = {
 )
 @click.option("--temperature", is_flag=True, help="Write /<joint>/temperature at 1 Hz too.")
 @click.option("--overwrite", is_flag=True, help="Replace a bag that exists.")
-@click.option(
-    "--json", "summary", type=click.Path(path_type=Path), help="Write the true values to this file."
-)
+@json_option("the true values")
+@problems
 def simulate(
-    out: Path, file: Path | None, names: tuple[str, ...], summary: Path | None, **options: Any
+    out: Path, file: Path | None, names: tuple[str, ...], json_file: str | None, **options: Any
 ) -> None:
     """Write a bag of a simulated joint.
 
     The joint is that of --config with what the options change; it moves both ways at every speed under every
-    torque. What an option does not give stands in the configuration.
+    torque. What an option does not give stands in the configuration. Ctrl-C leaves a valid file and ends with
+    code 130; a bag that --overwrite replaces stays until the new one is whole.
     """
+    kept = out.exists()
     try:
         config = truth(file, names, options)
         motion = _motion(options)
         joints = _joints(config, names, options)
-        console = Console(stderr=True, quiet=not sys.stderr.isatty())
-        bar = Progress(console=console, transient=True, disable=not console.is_terminal)
-        # Older releases of rich print an empty line at the end of a bar that never showed.
-        with bar if console.is_terminal else contextlib.nullcontext(bar):
-            task = bar.add_task(f"simulate {out.name}", total=1.0)
+        with working() as part:
+            mapping = part("map", "%")
             samples = simulation.write_bag(
                 out,
                 config,
@@ -132,15 +126,17 @@ def simulate(
                 start=_start(options["start_time"]),
                 with_temperature=options["temperature"],
                 overwrite=options["overwrite"],
-                progress=lambda fraction: bar.update(task, completed=fraction),
+                mapped=lambda fraction: mapping(100.0 * fraction, 100.0),
+                progress=part("simulate", "samples"),
             )
-        if summary is not None:
-            summary.write_text(json.dumps(_summary(out, config, joints, options, samples), indent=1) + "\n")
-    except OSError as error:
-        raise Problem(f"{error.filename}: {error.strerror}") from error
+    except KeyboardInterrupt:
+        interrupted(out, kept)
     except ValueError as error:
         raise Problem(str(error)) from error
-    click.echo(f"{out}: {samples} samples, {motion.duration:g} s, joints {', '.join(joints)}")
+    if json_file:
+        write_json(json_file, _summary(out, config, joints, options, samples))
+    if json_file != "-":
+        tell(f"{out}: {samples} samples, {motion.duration:g} s, joints {', '.join(joints)}")
 
 
 def truth(file: Path | None, names: tuple[str, ...], options: dict[str, Any]) -> Config:
