@@ -431,7 +431,7 @@ def test_what_was_unpacked_is_deleted_after_errors(tmp_path, scratch, monkeypatc
             assert list(scratch.iterdir())
             raise raised
         assert list(scratch.iterdir()) == []
-    monkeypatch.setattr("hd_diag.bag.sqlite_file._check_tables", mock.Mock(side_effect=raised))
+    monkeypatch.setattr("hd_diag.bag.sqlite_file.check_tables", mock.Mock(side_effect=raised))
     for path in (bag, left):
         with pytest.raises(raised):
             BagReader(path)
@@ -694,8 +694,8 @@ def test_endless_queries_are_stopped(tmp_path, monkeypatch):
         for i in range(2000):
             writer.write(connection, i, string_cdr(f"{i}"))
     assert len(read(tmp_path / "bag")) == 2000
-    monkeypatch.setattr("hd_diag.bag.sqlite_file._STEPS_PER_BYTE", 0)
-    monkeypatch.setattr("hd_diag.bag.sqlite_file._STEPS_PER_TURN", 1)
+    monkeypatch.setattr("hd_diag.bag.sqlite_database._STEPS_PER_BYTE", 0)
+    monkeypatch.setattr("hd_diag.bag.sqlite_database._STEPS_PER_TURN", 1)
     with pytest.raises(BagError, match="interrupted"):
         BagReader(tmp_path / "bag")
 

@@ -21,7 +21,8 @@ from .folder import Unpacked, find_files, unpacked
 from .mcap_storage import McapStorage
 from .ordering import chosen, mixed_runs, ordered, runs, turns
 from .schemas import Definition
-from .sqlite_file import SqliteFile, is_sqlite
+from .sqlite_database import is_sqlite
+from .sqlite_file import SqliteFile
 from .typestore import BagTypes
 
 Payload = npt.NDArray[np.uint8] | list[memoryview]

@@ -22,7 +22,8 @@ from .mcap_file import MAGIC
 from .mcap_scan import Scan, Section, scan, walk
 from .mcap_storage import Topics, declared, kept_custom_data
 from .schemas import Definition, definition
-from .sqlite_file import DamagedSqlite, is_sqlite
+from .sqlite_damaged import DamagedSqlite
+from .sqlite_database import is_sqlite
 from .writer import BagWriter, replaced
 
 Progress = Callable[[int, int], None]
