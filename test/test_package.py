@@ -95,7 +95,7 @@ def test_every_module_is_installed(wheel: zipfile.ZipFile, source_copy: Path) ->
 
 
 def test_the_page_s_templates_are_installed(wheel: zipfile.ZipFile) -> None:
-    names = {"hd_diag/templates/report.css", "hd_diag/templates/report.html.jinja"}
+    names = {"hd_diag/report/templates/report.css", "hd_diag/report/templates/report.html.jinja"}
     assert names <= set(wheel.namelist())
 
 
