@@ -117,7 +117,7 @@ def corpus(folder):
 
 def damaged(data, chance):
     """A copy with some bytes flipped, cut out, repeated or overwritten by numbers that lengths might have."""
-    data = bytearray(data)
+    data = bytearray(data or b"\0")
     for _ in range(chance.randint(1, 4)):
         place = chance.randrange(len(data))
         kind = chance.randrange(5)

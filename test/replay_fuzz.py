@@ -70,7 +70,7 @@ def spoiled_messages(messages: list[Message], chance: random.Random) -> list[Mes
                 topic,
                 kind,
                 data,
-                chance.choice([0, time - 10**9, time + 10**9, 2**31 * 10**9, 2**62]),
+                chance.choice([0, max(0, time - 10**9), time + 10**9, 2**31 * 10**9, 2**62]),
             )
         elif what == 2:
             del made[at]
