@@ -6,7 +6,7 @@ import contextlib
 import gc
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -147,14 +147,13 @@ class DiagnosticNode(Node):
             self.get_logger().error(f"a request was dropped: {error!r}", throttle_duration_sec=5.0)
             time.sleep(_LOOP_PERIOD)  # whatever goes wrong may do so again at once
 
-    def tell_files(self, files: Sequence[str]) -> None:
+    def tell_files(self, held: Mapping[str, Sequence[Any]]) -> None:
         """Warn of parameter files that hold nothing for this node: ROS takes them without a word."""
         names = {self.get_name(), self.get_fully_qualified_name(), "**", "*"}
-        for file in files:
-            given = {str(name) for name in sections(file)}
-            if not {name.rsplit("/", 1)[-1] for name in given} & names:
-                held = ", ".join(sorted(given)) or "nothing"
-                self.get_logger().warning(f"{file} has no section for {self.get_name()}, but {held}")
+        for file, given in held.items():
+            if not {str(name).rsplit("/", 1)[-1] for name in given} & names:
+                others = ", ".join(sorted(map(str, given))) or "nothing"
+                self.get_logger().warning(f"{file} has no section for {self.get_name()}, but {others}")
 
     def close(self) -> None:
         """Report once more and finish the log."""
@@ -302,12 +301,10 @@ class DiagnosticNode(Node):
     def _known(self, changed: Sequence[Parameter]) -> list[Parameter]:
         """The parameters, with numbers of the type that they were declared with; unknown ones are refused."""
         known = parameters([joint.name for joint in self._session.config.joints])
-        for parameter in changed:
-            if _is_own(parameter.name):
-                try:
-                    check_known([parameter.name], known)
-                except ConfigError as error:
-                    raise _Unknown(str(error)) from error
+        try:
+            check_known([parameter.name for parameter in changed if _is_own(parameter.name)], known)
+        except ConfigError as error:
+            raise _Unknown(str(error)) from error
         return [_as_declared(parameter, known.get(parameter.name)) for parameter in changed]
 
     def _validate(self, changed: Sequence[Parameter]) -> SetParametersResult:
@@ -416,7 +413,7 @@ def main(args: Sequence[str] | None = None, stopped: Sequence[int] | None = None
 def _run(arguments: Sequence[str], stopped: Sequence[int]) -> int:
     set_logger_level("rcl", LoggingSeverity.FATAL)  # what it says of a faulty file is said below, better
     try:
-        _check_arguments(arguments)
+        held = _checked(arguments)
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
         set_logger_level("rcl", LoggingSeverity.UNSET)
         node = DiagnosticNode([Path(file).parent for file in _parameter_files(arguments)])
@@ -424,7 +421,7 @@ def _run(arguments: Sequence[str], stopped: Sequence[int]) -> int:
         sys.stderr.write(f"hd_diag: {_reason(arguments, error)}\n")
         try_shutdown()
         return 2
-    node.tell_files(_parameter_files(arguments))
+    node.tell_files(held)
     executor = EventsExecutor()
     executor.add_node(node)
     sys.setswitchinterval(_SWITCH_INTERVAL)
@@ -442,16 +439,18 @@ class _UsageError(Exception):
     """Arguments that cannot be used."""
 
 
-def _check_arguments(arguments: Sequence[str]) -> None:
-    """Refuse what neither ROS nor the node knows, and parameter files that are none."""
+def _checked(arguments: Sequence[str]) -> dict[str, list[Any]]:
+    """Names of the sections of each parameter file; refuses files and words that cannot be used."""
     unknown = remove_ros_args(list(arguments))[1:]
     if unknown:
         raise _UsageError(f"unknown arguments: {' '.join(unknown)} (those for ROS stand behind --ros-args)")
+    held = {}
     for file in _parameter_files(arguments):
         try:
-            sections(file)
+            held[file] = sections(file)
         except ConfigError as error:
             raise _UsageError(f"{file}: {error}") from error
+    return held
 
 
 def _parameter_files(arguments: Sequence[str]) -> list[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -13,6 +12,7 @@ import numpy as np
 from hd_diag import versions
 from hd_diag.bag import BagError, BagWriter, check_output, encode_joint_states
 from hd_diag.bag.reader import BagReader, Batch, Mixed
+from hd_diag.bag.writer import replaced
 from hd_diag.config import Config, ConfigError, JointConfig, ModelText, resolve
 from hd_diag.events import ClockSetBack, Configured, Event, MapUsed, Reported
 from hd_diag.map_builder import map_of
@@ -83,7 +83,8 @@ def replay(
         Bag of any storage that rosbag2 has, or the node's own log.
     out : path
         Bag to write: inputs, outputs and events, as in the node's log. After an error it is left without its
-        end, so that no reader takes it for whole.
+        end, so that no reader takes it for whole; a bag that it would replace stays as it was, also after
+        Ctrl-C.
     config : Config, optional
         Without it the bag must be a node's log: its configuration, and every change of it, is followed, and
         the outputs are those of the live run, to the last bit where the software has the same versions.
@@ -91,8 +92,8 @@ def replay(
         Topics with joint states; by default all but a node's outputs.
     overwrite : bool, optional
     progress : callable, optional
-        Called with the messages read so far and their number. If it raises KeyboardInterrupt, the output is
-        finished with what it has.
+        Called with the messages read so far and their number. If it raises KeyboardInterrupt, a new output
+        is finished with what it has.
 
     Returns
     -------
@@ -110,7 +111,10 @@ def replay(
     with BagReader(bag) as reader, np.errstate(all="ignore"):
         sources = sources_of(reader, config, topics)
         total = sum(topic.count for topic in reader.topics if topic.name in sources.every)
-        with _finished(BagWriter(out, overwrite=overwrite, beside=True)) as writer:
+        with (
+            replaced(out, overwrite=overwrite) as place,
+            BagWriter(place, overwrite=overwrite, beside=True) as writer,
+        ):
             run = _Run(reader, writer, sources)
             if config is not None:
                 run.begin(reader.start, config)
@@ -118,20 +122,6 @@ def replay(
                 for _ in run.take(mixed):
                     progress(run.done, total)
             return run.result()
-
-
-@contextmanager
-def _finished(writer: BagWriter) -> Iterator[BagWriter]:
-    """The writer, closed at the end or on Ctrl-C; abandoned on any error."""
-    try:
-        yield writer
-    except KeyboardInterrupt:
-        writer.close()
-        raise
-    except BaseException:
-        writer.abandon()
-        raise
-    writer.close()
 
 
 class _Run:

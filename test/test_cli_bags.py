@@ -28,7 +28,7 @@ from replay_fuzz import JOINT_STATE, Fuzz, log_of
 from rich.console import Console
 
 from hd_diag.bag import BagReader, BagWriter, encode_joint_states
-from hd_diag.cli import bags
+from hd_diag.cli import progress as cli_progress
 from hd_diag.cli.bags import recover, replay
 from hd_diag.cli.options import visible
 from hd_diag.config import load
@@ -416,7 +416,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
     """What a terminal shows of the progress."""
     shown = io.StringIO()
     made = Console(file=shown, force_terminal=True, width=120, color_system=None)
-    monkeypatch.setattr(bags, "Console", lambda stderr: made)
+    monkeypatch.setattr(cli_progress, "Console", lambda stderr: made)
     return shown
 
 

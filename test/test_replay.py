@@ -360,6 +360,21 @@ def test_extreme_numbers_are_taken_or_refused_as_they_come(tmp_path: Path) -> No
 # Errors and interruptions ---
 
 
+def test_a_bag_that_would_be_replaced_survives_an_error_and_ctrl_c(tmp_path: Path) -> None:
+    bag, out = write_with_mcap(tmp_path / "b.mcap", samples()), tmp_path / "out.mcap"
+    replay(bag, out, CONFIG)
+    before = out.read_bytes()
+    for raised in (RuntimeError, KeyboardInterrupt):
+
+        def ends(done: int, total: int, kind: type[BaseException] = raised) -> None:
+            raise kind
+
+        with pytest.raises(raised):
+            replay(bag, out, CONFIG, overwrite=True, progress=ends)
+        assert out.read_bytes() == before
+    assert {path.name for path in tmp_path.iterdir()} == {"b.mcap", "out.mcap"}
+
+
 def test_a_bag_that_is_no_log_needs_a_configuration(tmp_path: Path) -> None:
     bag = write_with_mcap(tmp_path / "b.mcap", samples()[:5])
     with pytest.raises(BagError, match=r"is no log of the node, so a configuration is needed \(--config\)"):

@@ -21,7 +21,7 @@ from rosbags.highlevel import AnyReader
 
 from hd_diag import simulation
 from hd_diag.bag import BagError, BagReader
-from hd_diag.cli import bags
+from hd_diag.cli import progress as cli_progress
 from hd_diag.cli import simulate as cli_simulate
 from hd_diag.config import dump, resolve
 from hd_diag.drive import Drive, transmission_error
@@ -569,7 +569,7 @@ def test_a_full_disk_leaves_the_older_bag_or_one_without_its_end(tmp_path: Path)
 def test_progress_has_a_rate_and_the_time_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shown = io.StringIO()
     made = Console(file=shown, force_terminal=True, width=120, color_system=None)
-    monkeypatch.setattr(bags, "Console", lambda stderr: made)
+    monkeypatch.setattr(cli_progress, "Console", lambda stderr: made)
     monkeypatch.setattr(simulation, "_EXACT_SAMPLES", 100)
     assert invoke("--out", tmp_path / "out.mcap", "--duration", 0.4).exit_code == 0
     assert re.search(r"map .* 100/100 [\d,.]+ %/s +\d:\d\d:\d\d", shown.getvalue())

@@ -2,112 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
-import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
-from typing import NoReturn
 
 import click
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from hd_diag.bag import BagError, BagReader, check_output
+from hd_diag.bag import BagError
 from hd_diag.bag.mcap_chunk import DamagedChunk
 from hd_diag.bag.recover import recover as recover_bag
-from hd_diag.bag.writer import replaced
-from hd_diag.cli.options import INTERRUPTED, JSON, Problem, check_target, problems, tell, write_json
+from hd_diag.cli.options import JSON, Problem, check_target, problems, tell, write_json
+from hd_diag.cli.progress import interrupted, working
 from hd_diag.config import load
 from hd_diag.replay import Replay
 from hd_diag.replay import replay as replay_bag
-
-Advance = Callable[[float, float], None]
-"""Takes what is done, and what there is in all."""
-
-
-@contextlib.contextmanager
-def bar() -> Iterator[Progress]:
-    """Progress with rate and time left, on stderr, gone when done; silent where stderr is no terminal."""
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[rate]}"),
-        TimeRemainingColumn(),
-    )
-    console = Console(stderr=True)
-    progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
-    # Older releases of rich print an empty line at the end of a bar that never showed.
-    with progress if console.is_terminal else contextlib.nullcontext(progress):
-        yield progress
-
-
-@contextmanager
-def interrupts() -> Iterator[list[int]]:
-    """Signals of Ctrl-C since; a second one ends the program at once.
-
-    A KeyboardInterrupt wherever the program happens to be could hit a file that is half written.
-    """
-    came: list[int] = []
-
-    def note(number: int, frame: FrameType | None) -> None:
-        came.append(number)
-        signal.signal(number, signal.default_int_handler)
-
-    before = signal.signal(signal.SIGINT, note)
-    try:
-        yield came
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-@contextmanager
-def working() -> Iterator[Callable[[str, str], Advance]]:
-    """Progress with rate and time left on stderr, where that is a terminal, and Ctrl-C where work can end.
-
-    Yields
-    ------
-    callable
-        Takes what is done and its unit; gives what is to be called while it is done. A bar shows from the
-        first call on. The call raises KeyboardInterrupt where Ctrl-C has come since the last one.
-    """
-    with bar() as bars, interrupts() as came:
-
-        def part(what: str, unit: str) -> Advance:
-            begin = time.monotonic()
-            task = bars.add_task(what, total=None, rate="", visible=False)
-
-            def advance(done: float, total: float) -> None:
-                rate = done / max(time.monotonic() - begin, 1e-9)
-                shown = f"{rate:,.0f}" if rate >= 100.0 else f"{rate:,.1f}"
-                bars.update(task, completed=done, total=total, rate=f"{shown} {unit}/s", visible=True)
-                if came:
-                    raise KeyboardInterrupt
-
-            return advance
-
-        yield part
-
-
-def interrupted(out: Path, kept: bool, content: str = "") -> NoReturn:
-    """End after Ctrl-C with a line on what `out` holds; `kept` where it was there before, and still is."""
-    if kept:
-        left = f"nothing was written, {out} is as it was"
-    elif out.exists():
-        left = f"{out} holds {content or _first_messages(out)}"
-    else:
-        left = "nothing was written"
-    tell(f"hd-diag: interrupted: {left}", err=True)
-    sys.exit(INTERRUPTED)
-
-
-def _first_messages(out: Path) -> str:
-    with BagReader(out) as reader:
-        return f"the first {reader.message_count} messages"
 
 
 @click.command(
@@ -150,10 +58,10 @@ def replay(
     """
     if json_file:
         check_target(json_file, bag)
-    check_output(out, bag)
+    config = load(config_file) if config_file else None
     begin, kept, done = time.monotonic(), out.exists(), 0
     try:
-        with working() as part, replaced(out, overwrite=overwrite) as place:
+        with working() as part:
             advance = part("replay", "messages")
 
             def progress(messages: int, total: int) -> None:
@@ -161,8 +69,7 @@ def replay(
                 done = messages
                 advance(messages, total)
 
-            config = load(config_file) if config_file else None
-            result = replay_bag(bag, place, config, topics=topics, overwrite=overwrite, progress=progress)
+            result = replay_bag(bag, out, config, topics=topics, overwrite=overwrite, progress=progress)
     except KeyboardInterrupt:
         interrupted(out, kept, f"what the first {done} messages give")
     except BagError as error:

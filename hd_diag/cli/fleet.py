@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 import click
 from rich.console import Console
 
-from hd_diag.cli.bags import bar, interrupts
 from hd_diag.cli.options import (
     CONFIG,
     INTERRUPTED,
@@ -28,6 +27,7 @@ from hd_diag.cli.options import (
     problems,
     write_json,
 )
+from hd_diag.cli.progress import bar, interrupts
 from hd_diag.config import JointConfig
 from hd_diag.fleet.errors import FleetError
 from hd_diag.model.threads import cores

@@ -11,8 +11,8 @@ import click
 import yaml
 
 from hd_diag import simulation
-from hd_diag.cli.bags import interrupted, working
 from hd_diag.cli.options import JOINTS, Problem, json_option, problems, tell, write_json
+from hd_diag.cli.progress import interrupted, working
 from hd_diag.config import JOINT_PARAMETERS, Config, ConfigError, load, resolve
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.simulation import Motion, Noise, SimulatedJoint

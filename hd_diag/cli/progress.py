@@ -1,0 +1,103 @@
+"""Long work on bags: progress with rate and time left, and Ctrl-C where the work can end."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import NoReturn
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from hd_diag.bag import BagReader
+from hd_diag.cli.options import INTERRUPTED, tell
+
+Advance = Callable[[float, float], None]
+"""Takes what is done, and what there is in all."""
+
+
+@contextlib.contextmanager
+def bar() -> Iterator[Progress]:
+    """Progress with rate and time left, on stderr, gone when done; silent where stderr is no terminal."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+    )
+    console = Console(stderr=True)
+    progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+    # Older releases of rich print an empty line at the end of a bar that never showed.
+    with progress if console.is_terminal else contextlib.nullcontext(progress):
+        yield progress
+
+
+@contextmanager
+def interrupts() -> Iterator[list[int]]:
+    """Signals of Ctrl-C since; a second one ends the program at once.
+
+    A KeyboardInterrupt wherever the program happens to be could hit a file that is half written.
+    """
+    came: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        came.append(number)
+        signal.signal(number, signal.default_int_handler)
+
+    before = signal.signal(signal.SIGINT, note)
+    try:
+        yield came
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def working() -> Iterator[Callable[[str, str], Advance]]:
+    """Progress with rate and time left on stderr, where that is a terminal, and Ctrl-C where work can end.
+
+    Yields
+    ------
+    callable
+        Takes what is done and its unit; gives what is to be called while it is done. A bar shows from the
+        first call on. The call raises KeyboardInterrupt where Ctrl-C has come since the last one.
+    """
+    with bar() as bars, interrupts() as came:
+
+        def part(what: str, unit: str) -> Advance:
+            begin = time.monotonic()
+            task = bars.add_task(what, total=None, rate="", visible=False)
+
+            def advance(done: float, total: float) -> None:
+                rate = done / max(time.monotonic() - begin, 1e-9)
+                shown = f"{rate:,.0f}" if rate >= 100.0 else f"{rate:,.1f}"
+                bars.update(task, completed=done, total=total, rate=f"{shown} {unit}/s", visible=True)
+                if came:
+                    raise KeyboardInterrupt
+
+            return advance
+
+        yield part
+
+
+def interrupted(out: Path, kept: bool, content: str = "") -> NoReturn:
+    """End after Ctrl-C with a line on what `out` holds; `kept` where it was there before, and still is."""
+    if kept:
+        left = f"nothing was written, {out} is as it was"
+    elif out.exists():
+        left = f"{out} holds {content or _first_messages(out)}"
+    else:
+        left = "nothing was written"
+    tell(f"hd-diag: interrupted: {left}", err=True)
+    sys.exit(INTERRUPTED)
+
+
+def _first_messages(out: Path) -> str:
+    with BagReader(out) as reader:
+        return f"the first {reader.message_count} messages"
