@@ -15,8 +15,8 @@ import numpy as np
 import scoring
 from challenge import records
 
-from hd_diag.criticism.refit import refit
-from hd_diag.criticism.workbench import SEARCHED, Workbench
+from hd_diag.diagnosis.fit.linearised_fit import SEARCHED, Workbench
+from hd_diag.diagnosis.fit.refit import refit
 from hd_diag.model.torsion_map import ARCSEC
 
 ROWS = 6000

@@ -27,7 +27,7 @@ from hd_diag.bag import (
     encode_joint_states,
     recover,
 )
-from hd_diag.bag.schemas import definition
+from hd_diag.messages.schemas import definition
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 PERIOD = 1_000_000

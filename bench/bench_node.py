@@ -167,7 +167,7 @@ def node_case(folder, joints, log, options):
     file = folder / "parameters.yaml"
     file.write_text(yaml.safe_dump({"hd_diag": {"ros__parameters": given}}))
     watch = Watch()
-    command = ["-m", "hd_diag.node", "--ros-args", "--params-file", str(file), "--log-level", "warn"]
+    command = ["-m", "hd_diag.ros.node", "--ros-args", "--params-file", str(file), "--log-level", "warn"]
     with running(*command) as process:
         watch.until(lambda v: len(v) == joints and all(s["prediction"] == "map" for s in v))
         used, wall, sent, count = measured(process, options, joints, watch.settled)

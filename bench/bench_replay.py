@@ -23,10 +23,10 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from hd_diag.bag import BagReader, BagWriter, encode_joint_states
-from hd_diag.config import resolve
-from hd_diag.map_builder import map_of
+from hd_diag.config.configuration import resolve
 from hd_diag.model import compiled
-from hd_diag.replay import replay
+from hd_diag.replay.map_builder import map_of
+from hd_diag.replay.replay import replay
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 START = 1_700_000_000_000_000_000

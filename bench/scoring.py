@@ -15,11 +15,11 @@ from challenge import records
 from challenge.causes import UNKNOWN
 from challenge.families import UNTESTABLE
 
-from hd_diag.config import resolve
-from hd_diag.criticism import base
-from hd_diag.criticism.diagnosis import Diagnosis, diagnose, held_out
-from hd_diag.criticism.record import Record, prepare
-from hd_diag.criticism.refit import usable
+from hd_diag.config.configuration import resolve
+from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose, held_out
+from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit.refit import usable
+from hd_diag.diagnosis.record import Record, prepare
 
 CONFIGURED = resolve({}).joints[0].drive
 RATIO = CONFIGURED.kinematics.ratio
@@ -169,7 +169,7 @@ def true_vector(made: records.Record) -> np.ndarray:
     shift, runout = b.e * np.exp(1j * b.psi), b.runout * np.exp(1j * b.runout_psi)
     compliance = b.compliance / CONFIGURED.mesh.tooth_compliance
     values = [shift.real, shift.imag, runout.real, runout.imag, b.datum, compliance, b.cup]
-    return np.array(values) / [scale.si for scale in base.SCALES]
+    return np.array(values) / [scale.si for scale in fit_parameters.SCALES]
 
 
 def plain(result: Score) -> dict[str, object]:

@@ -14,8 +14,8 @@ from pathlib import Path
 import bench_replay
 from bench_model import one_core
 
-from hd_diag.config import resolve
-from hd_diag.replay import replay
+from hd_diag.config.configuration import resolve
+from hd_diag.replay.replay import replay
 
 ROOT = Path(__file__).resolve().parent.parent
 

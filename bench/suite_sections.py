@@ -16,13 +16,13 @@ from live import config, states
 from timing import cpu_time, median_time, wall_time
 
 from hd_diag.drive import Drive, mesh_state, transmission_error
-from hd_diag.extended import ExtendedModel
-from hd_diag.map_builder import MapBuilder
+from hd_diag.extended_model import ExtendedModel
 from hd_diag.model.threads import cores
 from hd_diag.model.torsion import Mesh, torsion
 from hd_diag.model.torsion_map import build
 from hd_diag.model.transmission_error import Kinematics
 from hd_diag.monitor import Monitor
+from hd_diag.replay.map_builder import MapBuilder
 
 AGREEMENT = 1e-9  # [rad]
 TURNS = (0.3, 7.7, -4.1)  # moments at which both methods are compared and timed

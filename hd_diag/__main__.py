@@ -18,10 +18,10 @@ def main() -> None:
 
 def node() -> None:
     """Entry point of the ``hd_diag_node`` executable."""
-    from hd_diag.stop_signals import noted
+    from hd_diag.ros.stop_signals import noted
 
     stopped = noted()
-    from hd_diag.node import main as run
+    from hd_diag.ros.node import main as run
 
     sys.exit(run(stopped=stopped))
 

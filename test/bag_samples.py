@@ -8,7 +8,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from hd_diag.bag import BagError, BagReader, Qos, encode_joint_states
 from hd_diag.bag.rosbag2 import dump_offers
-from hd_diag.bag.schemas import definition, jazzy, serialize
+from hd_diag.messages.schemas import definition, jazzy, serialize
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 STRING = "std_msgs/msg/String"

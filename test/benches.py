@@ -6,9 +6,9 @@ from collections.abc import Callable
 import numpy as np
 from joint_records import NOISE, RATIO, columns, joint, prepared
 
-from hd_diag.criticism import base
-from hd_diag.criticism.record import Record
-from hd_diag.criticism.workbench import Workbench
+from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit.linearised_fit import Workbench
+from hd_diag.diagnosis.record import Record
 from hd_diag.drive import transmission_error
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.effect import Effect
@@ -16,7 +16,7 @@ from hd_diag.effects.signals import Signals
 
 CONFIGURED = joint().drive
 TRUE = joint(eccentricity__magnitude=12e-6, eccentricity__direction=0.6).drive
-POINT = base.vector(TRUE, CONFIGURED)
+POINT = fit_parameters.vector(TRUE, CONFIGURED)
 EFFECTS = {effect.name: effect for effect in CATALOGUE}
 Part = Callable[[Signals], np.ndarray]
 

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from live import config
 
-from hd_diag.config import JointConfig
-from hd_diag.criticism.record import Record, prepare
+from hd_diag.config.configuration import JointConfig
+from hd_diag.diagnosis.record import Record, prepare
 from hd_diag.drive import transmission_error
 
 ARCSEC = np.pi / 648000.0

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from hd_diag.bag import encode_joint_states
-from hd_diag.config import Config, resolve
-from hd_diag.messages import Encoded
-from hd_diag.samples import JointStates
+from hd_diag.config.configuration import Config, resolve
+from hd_diag.messages.publications import Encoded
+from hd_diag.streams.columns import JointStates
 
 RATIO = 100.0
 TEETH = 200

@@ -7,8 +7,8 @@ from pathlib import Path
 from live import START, Recording
 
 from hd_diag.bag import BagReader, BagWriter
-from hd_diag.messages import JOINT_STATE, TEMPERATURE, Encoded, resolved
-from hd_diag.session import Session
+from hd_diag.messages.publications import JOINT_STATE, TEMPERATURE, Encoded, resolved
+from hd_diag.replay.recorded_monitor import Session
 
 
 class Log(Recording):

@@ -12,11 +12,11 @@ from click.testing import Result
 from live import MS, RATIO, START, config, message
 
 from hd_diag.bag import BagError, BagReader, BagWriter
+from hd_diag.bag.joint_record import read_bags
 from hd_diag.cli.bags import recover, replay
-from hd_diag.criticism.record import RecordError
-from hd_diag.messages import STRING, Encoded, read_string, resolved, string
-from hd_diag.recording import read_bags
-from hd_diag.session import EVENTS, Session
+from hd_diag.diagnosis.record import RecordError
+from hd_diag.messages.publications import STRING, Encoded, read_string, resolved, string
+from hd_diag.replay.recorded_monitor import EVENTS, Session
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 CONFIG = config("a", "b", array_rate=5.0)

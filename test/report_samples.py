@@ -10,9 +10,9 @@ from challenge.records import Recording, simulate
 from challenge.truth import drawn
 from live import config
 
-from hd_diag.config import Config
-from hd_diag.criticism.diagnosis import Diagnosis, diagnose
-from hd_diag.criticism.record import prepare
+from hd_diag.config.configuration import Config
+from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
+from hd_diag.diagnosis.record import prepare
 from hd_diag.report.facts import JointReport, of_diagnosis
 
 CAUSES = {"output_runout": 0, "input_encoder_eccentricity": 12}  # effect and development seed

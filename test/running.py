@@ -28,7 +28,7 @@ _numbers = itertools.count()
 
 
 class Process:
-    """``python -m hd_diag.node`` with a parameter file.
+    """``python -m hd_diag.ros.node`` with a parameter file.
 
     Every node of a test process has a namespace of its own, its diagnostics too.
     """
@@ -50,7 +50,7 @@ class Process:
 
         with self.stderr.open("wb") as stderr:
             self.popen = subprocess.Popen(
-                [sys.executable, "-m", "hd_diag.node", *ros, *remap, *arguments],
+                [sys.executable, "-m", "hd_diag.ros.node", *ros, *remap, *arguments],
                 stdout=stderr,
                 stderr=stderr,
                 preexec_fn=limit,

@@ -7,11 +7,11 @@ import pytest
 from benches import EFFECTS, Part, bench, of, swinging
 from joint_records import ARCSEC
 
-from hd_diag.criticism.acceptance import FAMILY_ERROR, LEAST_SIZE, held_out_gain, kept, passing, size
-from hd_diag.criticism.foils import FOILS
-from hd_diag.criticism.ranking import ranked
-from hd_diag.criticism.record import Record
-from hd_diag.criticism.workbench import Workbench
+from hd_diag.diagnosis.fit.linearised_fit import Workbench
+from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.search.acceptance import FAMILY_ERROR, LEAST_SIZE, held_out_gain, kept, passing, size
+from hd_diag.diagnosis.search.ranking import ranked
+from hd_diag.diagnosis.search.unmodelled_terms import FOILS
 from hd_diag.effects.signals import Signals
 
 RUBBED, DRY = EFFECTS["hysteresis"], EFFECTS["coulomb_windup"]

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hd_diag.bag import JointStateDecoder, decode_joint_states
-from hd_diag.bag.columns import joint_states_from_messages
-from hd_diag.bag.schemas import jazzy
+from hd_diag.messages.joint_states import joint_states_from_messages
+from hd_diag.messages.schemas import jazzy
 
 text = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=9)
 

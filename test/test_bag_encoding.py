@@ -11,8 +11,8 @@ from hd_diag.bag import (
     encode_joint_state,
     encode_joint_states,
 )
-from hd_diag.bag.encoding import encode_diagnostic_array
-from hd_diag.bag.schemas import jazzy, serialize
+from hd_diag.messages.encoding import encode_diagnostic_array
+from hd_diag.messages.schemas import jazzy, serialize
 
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 MULTIARRAY = "std_msgs/msg/Float64MultiArray"

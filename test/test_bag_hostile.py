@@ -23,7 +23,7 @@ from mcap.records import Channel, Header, Metadata, Schema
 from hd_diag.bag import BagError, BagReader, BagWriter, recover
 from hd_diag.bag.mcap_file import MAGIC, MESSAGE
 from hd_diag.bag.mcap_scan import MAX_CHUNK, check_claim
-from hd_diag.bag.schemas import definition
+from hd_diag.messages.schemas import definition
 
 
 def record(opcode, content):
@@ -232,7 +232,7 @@ def test_recovering_damaged_bags(tmp_path):
 def test_damaged_databases(tmp_path):
     from rosbags.rosbag2 import StoragePlugin, Writer
 
-    from hd_diag.bag.schemas import jazzy
+    from hd_diag.messages.schemas import jazzy
 
     with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
         connection = writer.add_connection("/n", STRING, typestore=jazzy())
@@ -250,7 +250,7 @@ def test_damaged_databases_are_recovered_row_by_row(tmp_path):
     """Whatever SQLite gives when it is asked for one message alone is saved."""
     from rosbags.rosbag2 import StoragePlugin, Writer
 
-    from hd_diag.bag.schemas import jazzy
+    from hd_diag.messages.schemas import jazzy
 
     with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
         connection = writer.add_connection("/n", STRING, typestore=jazzy())

@@ -35,7 +35,7 @@ from hd_diag.bag import BagError, BagReader, BagWriter, encode_joint_states
 from hd_diag.bag.mcap_file import MAGIC, MESSAGE
 from hd_diag.bag.mcap_scan import scan
 from hd_diag.bag.ordering import ordered
-from hd_diag.bag.schemas import definition, jazzy
+from hd_diag.messages.schemas import definition, jazzy
 
 
 def sample(count=400, disorder=0):

@@ -21,7 +21,7 @@ from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 from hd_diag.bag import BagError, BagReader, BagWriter, recover
 from hd_diag.bag.mcap_chunk import find_chunk
 from hd_diag.bag.mcap_scan import scan
-from hd_diag.bag.schemas import Definition, jazzy
+from hd_diag.messages.schemas import Definition, jazzy
 
 
 def messages(count=600):

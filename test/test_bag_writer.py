@@ -19,8 +19,8 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from hd_diag.bag import BagError, BagReader, BagWriter, Qos, check_output, recover
-from hd_diag.bag.schemas import definition, jazzy
 from hd_diag.bag.writer import replaced
+from hd_diag.messages.schemas import definition, jazzy
 
 COMPRESSIONS = ("zstd", "lz4", "none")
 

@@ -16,7 +16,7 @@ from reference import published
 
 from hd_diag.__main__ import main
 from hd_diag.cli import cli
-from hd_diag.config import dump, resolve
+from hd_diag.config.configuration import dump, resolve
 
 VERBS = sorted(cli.commands)
 

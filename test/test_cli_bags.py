@@ -31,9 +31,9 @@ from hd_diag.bag import BagReader, BagWriter, encode_joint_states
 from hd_diag.cli import progress as cli_progress
 from hd_diag.cli.bags import recover, replay
 from hd_diag.cli.options import visible
-from hd_diag.config import load
-from hd_diag.parameters import nested
-from hd_diag.replay import replay as replay_bag
+from hd_diag.config.configuration import load
+from hd_diag.config.parameters import nested
+from hd_diag.replay.replay import replay as replay_bag
 
 COUNT = 60_000
 ROOT = Path(__file__).resolve().parent.parent
@@ -367,7 +367,10 @@ def test_ctrl_c_before_anything_is_written(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "out.mcap"
-    for place, command in (("hd_diag.bag.recover.scan", recover), ("hd_diag.replay.sources_of", replay)):
+    for place, command in (
+        ("hd_diag.bag.recover.scan", recover),
+        ("hd_diag.replay.replay.sources_of", replay),
+    ):
         with monkeypatch.context() as patch:
             patch.setattr(sys.modules[place.rpartition(".")[0]], place.rpartition(".")[2], interrupt)
             result = run(command, folder / "log.mcap", "--out", out)
@@ -385,7 +388,7 @@ def test_ctrl_c_keeps_what_was_to_be_replaced(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: click.Command
 ) -> None:
     shutil.copy(folder / "log.mcap", tmp_path / "out.mcap")
-    place = "hd_diag.bag.recover._copy" if command is recover else "hd_diag.replay._part"
+    place = "hd_diag.bag.recover._copy" if command is recover else "hd_diag.replay.replay._part"
     interrupting(monkeypatch, place, 2)
     given = ("--out", tmp_path / "out.mcap", "--overwrite")
     given += () if command is recover else ("--config", folder / "c.yaml")
@@ -434,8 +437,8 @@ def test_progress_has_a_rate_and_the_time_left(
 
 ACKNOWLEDGING = """
 import sys, time
-from hd_diag.config import load
-from hd_diag.replay import replay
+from hd_diag.config.configuration import load
+from hd_diag.replay.replay import replay
 begin = time.monotonic()
 def tell(done, total):
     print(done, time.monotonic(), flush=True)

@@ -22,7 +22,7 @@ from live import config
 from hd_diag.cli import cli
 from hd_diag.cli import fleet as cli_fleet
 from hd_diag.fleet import run
-from hd_diag.simulation import Motion, Noise, SimulatedJoint, write_bag
+from hd_diag.simulation.simulation import Motion, Noise, SimulatedJoint, write_bag
 
 ARCSEC = np.pi / 648000.0
 LATE = "took longer than 2 s"

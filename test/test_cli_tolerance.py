@@ -11,7 +11,7 @@ from click.testing import Result
 from reference import published
 
 from hd_diag.cli import cli
-from hd_diag.config import dump, resolve
+from hd_diag.config.configuration import dump, resolve
 from hd_diag.drive import mesh_state
 from hd_diag.tolerance.assembly import FACTORS
 from hd_diag.tolerance.criteria import NAMES

@@ -11,9 +11,9 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hd_diag.config import ConfigError, dump, flatten, load, nested, parameters, resolve
+from hd_diag.config.configuration import ConfigError, dump, flatten, load, nested, parameters, resolve
+from hd_diag.config.parameter_file import read
 from hd_diag.demo.process import Child
-from hd_diag.parameter_file import read
 
 ROOT = Path(__file__).resolve().parent.parent
 OTHERS = ("diagnostic_aggregator.yaml",)  # parameters of another node
@@ -68,7 +68,7 @@ def test_file_survives_dump_and_load(path: Path, tmp_path: Path) -> None:
 def test_node_starts_with_file(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The parser of ROS itself must take it too."""
     monkeypatch.chdir(tmp_path)  # where a log goes
-    with Child("hd_diag.node", ["--ros-args", "--params-file", str(path)], tmp_path / "out.txt") as node:
+    with Child("hd_diag.ros.node", ["--ros-args", "--params-file", str(path)], tmp_path / "out.txt") as node:
         while not any("log" in line for line in node.lines):
             node.check()
             time.sleep(0.05)

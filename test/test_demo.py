@@ -193,12 +193,12 @@ def wait_for_end(child: Child) -> None:
 
 
 def test_node_that_cannot_start_is_named(tmp_path: Path) -> None:
-    with Child("hd_diag.simulated_joint", ["--config", "none.yaml"], tmp_path / "out.txt") as child:
+    with Child("hd_diag.demo.simulated_joint", ["--config", "none.yaml"], tmp_path / "out.txt") as child:
         wait_for_end(child)
         with pytest.raises(DemoError) as caught:
             child.check()
         assert str(caught.value).startswith(
-            "hd_diag.simulated_joint ended early with code 2: simulated_joint: none.yaml: cannot be read"
+            "hd_diag.demo.simulated_joint ended early with code 2: simulated_joint: none.yaml: cannot be read"
         )
         assert child.end() == 2
 

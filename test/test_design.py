@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose
 from scipy import stats
 from scipy.signal import lfilter
 
-from hd_diag.criticism.design import (
+from hd_diag.diagnosis.fit.design import (
     Design,
     design,
     f_test,
@@ -17,7 +17,7 @@ from hd_diag.criticism.design import (
     solve,
     surprise,
 )
-from hd_diag.criticism.noise import ORDER, whitening
+from hd_diag.diagnosis.noise import ORDER, whitening
 
 ROWS, BLOCKS = 240, 8
 

@@ -19,8 +19,8 @@ from click.testing import Result
 from joint_records import columns, joint
 
 from hd_diag.cli import cli
-from hd_diag.criticism.diagnosis import Diagnosis, diagnose
-from hd_diag.criticism.record import prepare
+from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
+from hd_diag.diagnosis.record import prepare
 
 CONFIGURED = joint().drive
 RATE = 200.0  # [Hz]

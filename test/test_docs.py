@@ -20,17 +20,17 @@ from live import config
 from numpy.testing import assert_allclose
 
 from hd_diag.cli import cli
-from hd_diag.config import resolve
-from hd_diag.criticism import base, workbench
-from hd_diag.criticism.record import Record, prepare
+from hd_diag.config.configuration import resolve
+from hd_diag.config.parameters import JOINT_PARAMETERS, NODE_PARAMETERS
+from hd_diag.diagnosis.fit import fit_parameters, linearised_fit
+from hd_diag.diagnosis.record import Record, prepare
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.effect import Effect
-from hd_diag.messages import published_topics
+from hd_diag.messages.publications import published_topics
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor import Monitor
 from hd_diag.monitor.health import FAULT_CODES
-from hd_diag.parameters import JOINT_PARAMETERS, NODE_PARAMETERS
-from hd_diag.simulation import Motion, simulate, write_bag
+from hd_diag.simulation.simulation import Motion, simulate, write_bag
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
@@ -283,7 +283,7 @@ def test_the_paper_s_figures_and_claims_are_there(site: Path, pages: dict[Path, 
 
 @pytest.mark.parametrize(
     "module",
-    ["hd_diag.model.clearance", "hd_diag.drive", "hd_diag.effects.effect", "hd_diag.criticism.diagnosis"],
+    ["hd_diag.model.clearance", "hd_diag.drive", "hd_diag.effects.effect", "hd_diag.diagnosis.diagnosis"],
 )
 def test_the_public_core_is_there(module: str, pages: dict[Path, Page]) -> None:
     assert any(f"module-{module}" in page.places for page in pages.values())
@@ -316,14 +316,14 @@ def pinion_record() -> Record:
 
 
 @pytest.fixture(scope="module")
-def bench(pinion_record: Record) -> workbench.Workbench:
+def bench(pinion_record: Record) -> linearised_fit.Workbench:
     """The record beside the drive that the joint really has."""
     example = sys.modules["pinion_joint"]
     drive = example.joint().drive
-    return workbench.Workbench(pinion_record, drive, base.vector(drive, drive))
+    return linearised_fit.Workbench(pinion_record, drive, fit_parameters.vector(drive, drive))
 
 
-def test_the_worked_example_is_found_at_its_size(pinion: Effect, bench: workbench.Workbench) -> None:
+def test_the_worked_example_is_found_at_its_size(pinion: Effect, bench: linearised_fit.Workbench) -> None:
     example = sys.modules["pinion_joint"]
     assert pinion.testable(bench.signals) == (True, "")
     columns = np.column_stack((pinion.columns(bench.signals, ()), np.ones(bench.left.size)))

@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 
 import hd_diag.effects
+from hd_diag.config.parameters import JOINT_PARAMETERS
 from hd_diag.drive import Drive, transmission_error
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.contact_weights import ContactWeights
@@ -19,7 +20,6 @@ from hd_diag.effects.effect import Effect, StatefulEffect
 from hd_diag.effects.signals import Signals
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.model.transmission_error import Kinematics
-from hd_diag.parameters import JOINT_PARAMETERS
 
 NAMES = (
     *("output_runout", "output_encoder_eccentricity", "circular_spline_form", "coupling_misalignment"),

@@ -11,11 +11,11 @@ from live import MS, RATIO, START, message
 from models import model, term
 
 from hd_diag.bag import BagReader, BagWriter
+from hd_diag.bag.joint_record import read_bags
 from hd_diag.cli import cli
-from hd_diag.config import load
-from hd_diag.criticism.extension import left, map_of
-from hd_diag.extended import ExtendedModel
-from hd_diag.recording import read_bags
+from hd_diag.config.configuration import load
+from hd_diag.diagnosis.extension import left, map_of
+from hd_diag.extended_model import ExtendedModel
 
 DELAY = 2e-4  # [s]; 25 arcsec at 60 rad/s of the input
 STEP = 4  # [ms]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from benches import EFFECTS, bench, of
 
-from hd_diag.criticism.causes import causes
+from hd_diag.diagnosis.search.causes import causes
 from hd_diag.fleet.rows import amplitude_std
 
 ENCODER, HYSTERESIS, BEARING = (

@@ -8,7 +8,7 @@ import fleet_tasks
 import pytest
 from bag_samples import STRING, cut_end, string_cdr, write_with_mcap
 
-from hd_diag.config import resolve
+from hd_diag.config.configuration import resolve
 from hd_diag.fleet.rows import tasks
 from hd_diag.fleet.survey import find_bags, survey
 

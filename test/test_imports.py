@@ -9,12 +9,12 @@ import sys
 import pytest
 
 CORE = (
-    "hd_diag.samples",
+    "hd_diag.streams.columns",
     "hd_diag.model",
     "hd_diag.effects",
     "hd_diag.drive",
     "hd_diag.monitor",
-    "hd_diag.criticism",
+    "hd_diag.diagnosis",
     "hd_diag.tolerance",
 )
 # These are numba's, which reads yaml itself; the rest of the core must start without them.

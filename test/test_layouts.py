@@ -11,10 +11,10 @@ import pytest
 import yaml
 from live import MS, START, Recording, config, sample
 
-from hd_diag.bag.schemas import jazzy
-from hd_diag.markers import MARKERS
-from hd_diag.messages import DIAGNOSTICS, JOINT_STATE, MULTI_ARRAY, published_topics, resolved
-from hd_diag.session import Session
+from hd_diag.messages.markers import MARKERS
+from hd_diag.messages.publications import DIAGNOSTICS, JOINT_STATE, MULTI_ARRAY, published_topics, resolved
+from hd_diag.messages.schemas import jazzy
+from hd_diag.replay.recorded_monitor import Session
 from hd_diag.watch import PREFIX
 
 FOLDER = Path(__file__).resolve().parent.parent / "config"

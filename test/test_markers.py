@@ -7,11 +7,11 @@ import matplotlib
 import numpy as np
 import pytest
 
-from hd_diag import markers
-from hd_diag.bag.schemas import jazzy, serialize
-from hd_diag.config import resolve
+from hd_diag.config.configuration import resolve
 from hd_diag.drive import Drive, mesh_state
-from hd_diag.markers import Exaggeration, Shape, drawing, marker_array, viridis
+from hd_diag.messages import markers
+from hd_diag.messages.markers import Exaggeration, Shape, drawing, marker_array, viridis
+from hd_diag.messages.schemas import jazzy, serialize
 
 TRUE = Exaggeration(1.0, 1.0)
 MARKERS = "visualization_msgs/msg/MarkerArray"

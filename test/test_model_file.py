@@ -13,10 +13,10 @@ from live import config, parameters
 from models import EFFECTS, REFIT, STATEFUL, VALUES, base_names, content, model, motion, own, write_model
 from numpy.testing import assert_allclose
 
-from hd_diag import model_file
-from hd_diag.config import ConfigError, load, resolve
-from hd_diag.extended import ExtendedModel
-from hd_diag.model_file import REFITTED, base_hash, model_for, parse, write
+from hd_diag.config import model_file
+from hd_diag.config.configuration import ConfigError, load, resolve
+from hd_diag.config.model_file import REFITTED, base_hash, model_for, parse, write
+from hd_diag.extended_model import ExtendedModel
 
 NAMES = tuple(VALUES)
 AGREEMENT = 1e-9  # [rad]

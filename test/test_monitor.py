@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from live import MS, RATIO, START, TEETH, config, states
 from numpy.testing import assert_allclose, assert_array_equal
 
-from hd_diag.config import Config
+from hd_diag.config.configuration import Config
 from hd_diag.drive import mesh_state, transmission_error
-from hd_diag.map_builder import map_of
-from hd_diag.messages import encode
+from hd_diag.messages.publications import encode
 from hd_diag.monitor import Monitor
-from hd_diag.samples import Angles, Drawings, JointStates, Publication, Teeth
+from hd_diag.replay.map_builder import map_of
+from hd_diag.streams.columns import Angles, Drawings, JointStates, Publication, Teeth
 
 CONFIG = config("a", "b", array_rate=100.0, mesh_rate=30.0)
 OTHER = config(

@@ -15,20 +15,20 @@ from models import OFFSET, RANGES, STATEFUL, VALUES, motion, write_model
 from numpy.testing import assert_allclose
 
 from hd_diag.bag import BagReader
-from hd_diag.config import Config, ConfigError
-from hd_diag.criticism.extension import left
-from hd_diag.criticism.extension import map_of as fitted_map
+from hd_diag.bag.joint_record import read_bags
+from hd_diag.config.configuration import Config, ConfigError
+from hd_diag.diagnosis.extension import left
+from hd_diag.diagnosis.extension import map_of as fitted_map
 from hd_diag.drive import transmission_error
-from hd_diag.extended import ExtendedModel
-from hd_diag.map_builder import map_of
-from hd_diag.messages import read_string
+from hd_diag.extended_model import ExtendedModel
+from hd_diag.messages.publications import read_string
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor import Monitor
 from hd_diag.monitor.residual_orders import ORDERS, ResidualOrders
-from hd_diag.recording import read_bags
-from hd_diag.replay import replay
-from hd_diag.samples import Angles, JointStates
-from hd_diag.session import Session
+from hd_diag.replay.map_builder import map_of
+from hd_diag.replay.recorded_monitor import Session
+from hd_diag.replay.replay import replay
+from hd_diag.streams.columns import Angles, JointStates
 
 AGREEMENT = 1e-9  # [rad]
 NAMES = ("joint_1_motor", "joint_1")

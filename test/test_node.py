@@ -29,10 +29,10 @@ from std_msgs.msg import Float64MultiArray
 from visualization_msgs.msg import MarkerArray
 
 from hd_diag.bag import BagReader
-from hd_diag.config import NODE_PARAMETERS, Config
-from hd_diag.config import parameters as all_parameters
+from hd_diag.config.configuration import NODE_PARAMETERS, Config
+from hd_diag.config.configuration import parameters as all_parameters
 from hd_diag.drive import mesh_state, transmission_error
-from hd_diag.replay import replay
+from hd_diag.replay.replay import replay
 
 pytestmark = pytest.mark.usefixtures("ros")
 
@@ -564,7 +564,7 @@ def test_a_full_disk_turns_the_log_off_and_the_node_lives_on(tmp_path: Path) -> 
 def start(folder: Path, text: str, *arguments: str) -> tuple[int, str]:
     file = folder / "robot.yaml"
     file.write_text(text)
-    command = [sys.executable, "-m", "hd_diag.node", "--ros-args", "--params-file", str(file), *arguments]
+    command = [sys.executable, "-m", "hd_diag.ros.node", "--ros-args", "--params-file", str(file), *arguments]
     run = subprocess.run(command, capture_output=True, text=True, timeout=30)
     return run.returncode, run.stderr
 
@@ -626,7 +626,7 @@ def test_a_file_without_a_section_for_the_node_is_told(tmp_path: Path, text: str
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("delay", [0.3, 0.6, 0.9, 1.5])
 def test_a_signal_while_it_starts_ends_it_with_code_0(tmp_path: Path, number: int, delay: float) -> None:
-    code = "import hd_diag.__main__ as main, hd_diag.stop_signals; print(1, flush=True); main.node()"
+    code = "import hd_diag.__main__ as main, hd_diag.ros.stop_signals; print(1, flush=True); main.node()"
     command = [sys.executable, "-c", code]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None

@@ -13,9 +13,9 @@ from running import running
 from sensor_msgs.msg import JointState
 
 from hd_diag.bag import BagReader
-from hd_diag.criticism.extension import map_of
-from hd_diag.extended import ExtendedModel
-from hd_diag.replay import replay
+from hd_diag.diagnosis.extension import map_of
+from hd_diag.extended_model import ExtendedModel
+from hd_diag.replay.replay import replay
 
 pytestmark = pytest.mark.usefixtures("ros")
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import lfilter
 
-from hd_diag.criticism.noise import ORDER, Whitening, bounds, whitening
+from hd_diag.diagnosis.noise import ORDER, Whitening, bounds, whitening
 
 AR = (1.3, -0.4)  # poles at 0.87 and 0.46
 INNOVATION = 3.0e-6  # [rad]

@@ -15,7 +15,7 @@ from reference import published
 from hd_diag.cli import cli
 from hd_diag.drive import Drive
 from hd_diag.model.transmission_error import Kinematics
-from hd_diag.paper_figures import first_interference, neutral_layer, teeth_at_once, tooth_over_time
+from hd_diag.report.paper_figures import first_interference, neutral_layer, teeth_at_once, tooth_over_time
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -9,9 +9,9 @@ import pytest
 from matplotlib.figure import Figure
 from report_samples import HOSTILE
 
-from hd_diag.pictures import canvas
-from hd_diag.pictures.markup import inline_svg
-from hd_diag.pictures.model_ladder import model_ladder
+from hd_diag.report.pictures import canvas
+from hd_diag.report.pictures.markup import inline_svg
+from hd_diag.report.pictures.model_ladder import model_ladder
 
 SVG = "{http://www.w3.org/2000/svg}"
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from benches import EFFECTS, bench, of
 
-from hd_diag.criticism.foils import FOILS
-from hd_diag.criticism.ranking import Projector, by_name, candidates, family_size, ranked
-from hd_diag.criticism.workbench import SEARCHED, Workbench
+from hd_diag.diagnosis.fit.linearised_fit import SEARCHED, Workbench
+from hd_diag.diagnosis.search.ranking import Projector, by_name, candidates, family_size, ranked
+from hd_diag.diagnosis.search.unmodelled_terms import FOILS
 
 HYSTERESIS = {"first_amplitude": 1e-4, "second_amplitude": 6e-5, "first_reach": 2.0, "second_reach": 9.0}
 RUBBED, DRY = EFFECTS["hysteresis"], EFFECTS["coulomb_windup"]

@@ -5,7 +5,7 @@ import pytest
 from joint_records import ARCSEC, RATIO, columns, prepared
 from numpy.testing import assert_allclose, assert_array_equal
 
-from hd_diag.criticism.record import MINIMUM_SAMPLES, RecordError
+from hd_diag.diagnosis.record import MINIMUM_SAMPLES, RecordError
 
 TURN = 2.0 * np.pi
 

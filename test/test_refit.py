@@ -10,12 +10,12 @@ from challenge.records import Recording, simulate
 from challenge.truth import Base, drawn
 from joint_records import columns, joint, prepared
 
-from hd_diag.criticism import base
-from hd_diag.criticism import refit as module
-from hd_diag.criticism.causes import Search, parameters_of
-from hd_diag.criticism.record import Record, prepare
-from hd_diag.criticism.refit import FEW_STARTS, STARTS, distinct, nuisance, refit, usable
-from hd_diag.criticism.workbench import Workbench, settle
+from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit import refit as module
+from hd_diag.diagnosis.fit.linearised_fit import Workbench, settle
+from hd_diag.diagnosis.fit.refit import FEW_STARTS, STARTS, distinct, nuisance, refit, usable
+from hd_diag.diagnosis.record import Record, prepare
+from hd_diag.diagnosis.search.causes import Search, parameters_of
 
 CONFIGURED = joint().drive
 MIRROR = np.array([-1.0, -1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
@@ -34,7 +34,7 @@ def true_vector(truth: Base) -> np.ndarray:
     eccentricity, runout = truth.e * np.exp(1j * truth.psi), truth.runout * np.exp(1j * truth.runout_psi)
     numbers = [eccentricity.real, eccentricity.imag, runout.real, runout.imag, truth.datum]
     compliance = truth.compliance / CONFIGURED.mesh.tooth_compliance
-    return np.array([*numbers, compliance, truth.cup]) / [scale.si for scale in base.SCALES]
+    return np.array([*numbers, compliance, truth.cup]) / [scale.si for scale in fit_parameters.SCALES]
 
 
 def away(point: np.ndarray, truth: Base) -> np.ndarray:
@@ -84,7 +84,7 @@ def test_terms_that_a_record_does_not_excite_are_left_out() -> None:
 
 # Several minima ---
 
-POINT = base.vector(CONFIGURED, CONFIGURED) + np.array([8.0, -5.0, 2.0, 1.0, 6.0, 0.7, 2.0])
+POINT = fit_parameters.vector(CONFIGURED, CONFIGURED) + np.array([8.0, -5.0, 2.0, 1.0, 6.0, 0.7, 2.0])
 FAR = POINT + np.array([0.0, 12.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
@@ -95,10 +95,12 @@ def test_mirrored_drives_are_the_same() -> None:
     assert distinct([]) == []
 
 
-@pytest.mark.parametrize("index", range(base.COUNT), ids=[scale.name for scale in base.SCALES])
+@pytest.mark.parametrize(
+    "index", range(fit_parameters.COUNT), ids=[scale.name for scale in fit_parameters.SCALES]
+)
 def test_drives_that_are_near_are_the_same(index: int) -> None:
     """Nearer than a refinement of all rows moves them."""
-    step = np.zeros(base.COUNT)
+    step = np.zeros(fit_parameters.COUNT)
     step[index] = [1.0, 1.0, 1.0, 1.0, 3.0, 0.5, 0.7][index]
     assert len(distinct([POINT, POINT + 0.9 * step, (POINT - 0.9 * step) * MIRROR])) == 1
     assert len(distinct([POINT, POINT + 1.1 * step])) == 2
@@ -180,7 +182,9 @@ def test_trust_is_lost_to_another_minimum_as_good(
 def test_starts_of_either_lobe_end_in_the_same_drive() -> None:
     """A start of our own, and the same drive said the other way round."""
     record = prepared(columns(seconds=8.0))
-    true = base.vector(joint(eccentricity__magnitude=12e-6, eccentricity__direction=0.6).drive, CONFIGURED)
+    true = fit_parameters.vector(
+        joint(eccentricity__magnitude=12e-6, eccentricity__direction=0.6).drive, CONFIGURED
+    )
     found = [refit(record, CONFIGURED, start=p, starts=FEW_STARTS[:1]) for p in (true, true * MIRROR)]
     assert len(distinct([one.parameters for one in found] + [true])) == 1
     assert [one.trustworthy for one in found] == [True, True]

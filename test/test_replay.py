@@ -27,14 +27,14 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 
 from hd_diag.bag import BagError, BagReader, BagWriter
 from hd_diag.bag.reader import Topic
-from hd_diag.bag.schemas import jazzy
-from hd_diag.config import ConfigError, resolve
+from hd_diag.config.configuration import ConfigError, resolve
 from hd_diag.drive import transmission_error
-from hd_diag.events import read_event
-from hd_diag.map_builder import map_of
-from hd_diag.messages import JOINT_STATE, STRING, string
-from hd_diag.replay import replay
-from hd_diag.replay_sources import Sources
+from hd_diag.messages.publications import JOINT_STATE, STRING, string
+from hd_diag.messages.schemas import jazzy
+from hd_diag.replay.events import read_event
+from hd_diag.replay.map_builder import map_of
+from hd_diag.replay.replay import replay
+from hd_diag.replay.sources import Sources
 
 CONFIG = config("a", "b", array_rate=20.0)
 DRIVE = CONFIG.joints[0].drive
@@ -193,7 +193,7 @@ def test_input_and_output_in_messages_of_their_own_at_different_rates(tmp_path: 
 
 def test_a_bag_with_its_own_joint_state_is_read_by_its_own_definition(tmp_path: Path) -> None:
     """And copied as ROS 2 Jazzy has it, which the outputs are."""
-    from hd_diag.bag.schemas import Definition, definition
+    from hd_diag.messages.schemas import Definition, definition
 
     known = definition(JOINT_STATE)
     head, _, rest = known.text.partition("string[] name")
@@ -544,7 +544,7 @@ def test_replay_needs_no_ros() -> None:
     code = (
         "import sys\n"
         "for name in ('rclpy', 'sensor_msgs', 'rosbag2_py'): sys.modules[name] = None\n"
-        "import hd_diag.replay, hd_diag.cli.bags\n"
+        "import hd_diag.replay.replay, hd_diag.cli.bags\n"
         "print([name for name in sys.modules if name.startswith(('rclpy.', 'rosidl', 'matplotlib'))])\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -17,8 +17,8 @@ from running import PUBLISHER_DEPTH, Rig, running, values_of
 from sensor_msgs.msg import JointState
 
 from hd_diag.bag import BagReader, BagWriter, encode_joint_states, recover
-from hd_diag.messages import JOINT_STATE
-from hd_diag.replay import replay
+from hd_diag.messages.publications import JOINT_STATE
+from hd_diag.replay.replay import replay
 
 # None of no bytes at all: Fast DDS itself then delivers nothing more from that publisher.
 pytestmark = pytest.mark.usefixtures("ros")

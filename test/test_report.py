@@ -18,15 +18,15 @@ from numpy.testing import assert_allclose, assert_array_equal
 from report_samples import HOSTILE, configured, diagnosis, joint_report, made, without_output
 
 from hd_diag.cli import cli
-from hd_diag.config import dump, resolve
-from hd_diag.criticism import base
-from hd_diag.criticism.causes import Search, causes
-from hd_diag.criticism.diagnosis import diagnose
+from hd_diag.config.configuration import dump, resolve
+from hd_diag.diagnosis.diagnosis import diagnose
+from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.search.causes import Search, causes
 from hd_diag.drive import mesh_state, transmission_error
+from hd_diag.formatting import arcsec
 from hd_diag.report.facts import Judgement, of_diagnosis
 from hd_diag.report.page import page
 from hd_diag.report.quality import Fact, facts
-from hd_diag.told import arcsec
 
 ARCSEC = np.pi / 648000.0
 SOURCES = [Fact("a.mcap", "SHA-256 0")]
@@ -135,7 +135,9 @@ def test_the_first_cards_are_the_joint_s_own_and_what_was_hidden_is_among_them()
 def test_the_eccentricity_s_card_tells_what_a_dial_gauge_reads() -> None:
     refitted = diagnosis("output_runout").refitted
     assert refitted is not None
-    values = base.physical(refitted.parameters, refitted.covariance, diagnosis("output_runout").configured)
+    values = fit_parameters.physical(
+        refitted.parameters, refitted.covariance, diagnosis("output_runout").configured
+    )
     card = next(c for c in judged("output_runout").cards if c.title.startswith("Eccentricity"))
     told = {name: float(value.split()[0]) for name, value in card.measures}
     size, turned = (values[f"eccentricity.{key}"]["value"] for key in ("magnitude", "direction"))

@@ -14,9 +14,9 @@ from cli_runner import runner
 from report_samples import HOSTILE, joint_report, made
 
 from hd_diag.cli import cli
+from hd_diag.formatting import arcsec
 from hd_diag.report.page import page, write_page
 from hd_diag.report.quality import Fact
-from hd_diag.told import arcsec
 
 
 @pytest.fixture(scope="module")

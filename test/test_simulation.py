@@ -19,16 +19,25 @@ from hypothesis import strategies as st
 from rich.console import Console
 from rosbags.highlevel import AnyReader
 
-from hd_diag import simulation
 from hd_diag.bag import BagError, BagReader
 from hd_diag.cli import progress as cli_progress
 from hd_diag.cli import simulate as cli_simulate
-from hd_diag.config import dump, resolve
+from hd_diag.config.configuration import dump, resolve
 from hd_diag.drive import Drive, transmission_error
 from hd_diag.model.torsion_map import ARCSEC, TorsionMap
 from hd_diag.monitor import Monitor
-from hd_diag.samples import Angles
-from hd_diag.simulation import START, Motion, Noise, Record, SimulatedJoint, parts, simulate, write_bag
+from hd_diag.simulation import simulation
+from hd_diag.simulation.simulation import (
+    START,
+    Motion,
+    Noise,
+    Record,
+    SimulatedJoint,
+    parts,
+    simulate,
+    write_bag,
+)
+from hd_diag.streams.columns import Angles
 
 TURN = 2.0 * math.pi
 SECOND = 1_000_000_000

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hd_diag.criticism import blocks
-from hd_diag.criticism.smoothing import best_width, rate, settled, smooth
+from hd_diag.diagnosis import blocks
+from hd_diag.diagnosis.smoothing import best_width, rate, settled, smooth
 
 STEP = 2e-3
 TIME = STEP * np.arange(20_000)

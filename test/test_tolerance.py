@@ -14,7 +14,7 @@ import pytest
 from numpy.testing import assert_allclose
 from reference import polyline, published
 
-from hd_diag.config import resolve
+from hd_diag.config.configuration import resolve
 from hd_diag.drive import Drive, mesh_state
 from hd_diag.model import compiled
 from hd_diag.model.torsion import Mesh, torsion
@@ -104,7 +104,7 @@ def test_an_environment_compiles_the_kernels_of_model_and_tolerances() -> None:
     use = (
         "import drives, numpy as np; from hd_diag.tolerance.moments import evaluate;"
         "evaluate(drives.mesh(), np.zeros(2), np.zeros(2, complex), np.array([56.0]));"
-        "from hd_diag.config import resolve; from hd_diag.criticism import base;"
+        "from hd_diag.config.configuration import resolve; from hd_diag.diagnosis import base;"
         "own = resolve({}).joints[0].drive; base.error_and_jacobian(own, own, np.ones(2), np.ones(2));"
         "r.slip(0.5, np.ones(3)); r.relax(1j, np.ones(3) + 0j, np.ones(3) + 0j);"
         "r.follow(np.ones(2) + 0j, (np.ones(3) + 0j,) * 3, np.ones((4, 2)))"

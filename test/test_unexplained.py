@@ -8,10 +8,10 @@ import pytest
 from benches import Part, bench, swinging
 from joint_records import ARCSEC, columns, prepared
 
-from hd_diag.criticism.causes import Search
-from hd_diag.criticism.foils import FOILS
-from hd_diag.criticism.record import Record
-from hd_diag.criticism.unexplained import Line, lines
+from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.search.causes import Search
+from hd_diag.diagnosis.search.unexplained import Line, lines
+from hd_diag.diagnosis.search.unmodelled_terms import FOILS
 from hd_diag.effects.signals import Signals
 
 ORDER = 3.37

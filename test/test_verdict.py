@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 from joint_records import ARCSEC, columns, joint, prepared
 
-from hd_diag.criticism import base, testability
-from hd_diag.criticism.causes import Cause
-from hd_diag.criticism.checks import Finding
-from hd_diag.criticism.diagnosis import Diagnosis, Gain, Rms
-from hd_diag.criticism.refit import Refit
-from hd_diag.criticism.unexplained import Line
+from hd_diag.diagnosis.diagnosis import Diagnosis, Gain, Rms
+from hd_diag.diagnosis.findings import Finding
+from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit.refit import Refit
+from hd_diag.diagnosis.search import detectability
+from hd_diag.diagnosis.search.causes import Cause
+from hd_diag.diagnosis.search.unexplained import Line
+from hd_diag.diagnosis.verdict import as_json, sentence, summary
 from hd_diag.effects import CATALOGUE
-from hd_diag.verdict import as_json, sentence, summary
 
 CONFIGURED = joint().drive
 EFFECTS = {effect.name: effect for effect in CATALOGUE}
@@ -55,16 +56,16 @@ def cause(name: str, amplitude: float = 4.0 * ARCSEC, alike: tuple[str, ...] = (
 
 
 def refitted(trustworthy: bool = True, eccentricity: complex = 18.2 * np.exp(1.29j)) -> Refit:
-    point = base.vector(CONFIGURED, CONFIGURED)
+    point = fit_parameters.vector(CONFIGURED, CONFIGURED)
     point[0], point[1] = eccentricity.real, eccentricity.imag
     covariance = np.diag([0.3, 0.3, 0.2, 0.2, 1.0, 0.1, 0.2]) ** 2
-    return Refit(base.drive_of(point, CONFIGURED), point, covariance, trustworthy)
+    return Refit(fit_parameters.drive_of(point, CONFIGURED), point, covariance, trustworthy)
 
 
 LINE = Line(3.37, "input", 2.0 * ARCSEC, "independent of torque", "the same in both directions")
 TESTS = (
-    testability.Testability("resonance", False, float("nan"), "one speed only"),
-    testability.Testability("hysteresis", True, 0.3 * ARCSEC, "tested"),
+    detectability.Testability("resonance", False, float("nan"), "one speed only"),
+    detectability.Testability("hysteresis", True, 0.3 * ARCSEC, "tested"),
 )
 
 

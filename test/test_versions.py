@@ -10,13 +10,13 @@ import pytest
 from cli_runner import runner
 from replay_fuzz import log_of
 
-from hd_diag import versions
 from hd_diag.bag import BagReader, BagWriter
 from hd_diag.cli.bags import replay as replay_command
-from hd_diag.events import Configured, read_event
-from hd_diag.messages import STRING, read_string, string
+from hd_diag.messages.publications import STRING, read_string, string
 from hd_diag.model import compiled
-from hd_diag.replay import replay
+from hd_diag.replay import versions
+from hd_diag.replay.events import Configured, read_event
+from hd_diag.replay.replay import replay
 
 
 def rewritten(log: Path, path: Path, change: dict[str, Any]) -> Path:

@@ -13,9 +13,9 @@ from live import START, Recording, config, sample
 from rich.console import Console
 from test_imports import EDGES, imported_by
 
-from hd_diag.bag.schemas import jazzy
-from hd_diag.messages import DIAGNOSTICS
-from hd_diag.session import Session
+from hd_diag.messages.publications import DIAGNOSTICS
+from hd_diag.messages.schemas import jazzy
+from hd_diag.replay.recorded_monitor import Session
 from hd_diag.watch import PREFIX, Message, NodeSeen, Watch, as_json
 from hd_diag.watch.display import Display, plain_line, shown_number, spark, table
 

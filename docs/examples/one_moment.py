@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hd_diag.config import resolve
+from hd_diag.config.configuration import resolve
 from hd_diag.drive import mesh_state, transmission_error
 
 drive = resolve({"joint_1.eccentricity.magnitude": 10e-6}).joints[0].drive

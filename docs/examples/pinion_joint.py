@@ -10,9 +10,9 @@ import sys
 
 import numpy as np
 
-from hd_diag.config import resolve
+from hd_diag.config.configuration import resolve
 from hd_diag.model.torsion_map import ARCSEC
-from hd_diag.simulation import Motion, Noise, Record, SimulatedJoint, write_bag
+from hd_diag.simulation.simulation import Motion, Noise, Record, SimulatedJoint, write_bag
 
 TRUTH = {"joint_1.eccentricity.magnitude": 12e-6, "joint_1.eccentricity.direction": 0.8}  # [m], [rad]
 SIZE, DIRECTION = 6.0 * ARCSEC, math.radians(70.0)  # at the output [rad]

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from hd_diag.config.model_file import REFITTED
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.effect import Effect, Quantity
-from hd_diag.model_file import REFITTED
 
 LINKED = {effect.name for effect in CATALOGUE}
 

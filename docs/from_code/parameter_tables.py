@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from hd_diag.parameters import JOINT_PARAMETERS, NODE_PARAMETERS, Parameter
+from hd_diag.config.parameters import JOINT_PARAMETERS, NODE_PARAMETERS, Parameter
 
 
 def content(folder: Path) -> dict[str, Any]:

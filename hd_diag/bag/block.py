@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .mcap_file import HEAD, MESSAGE
+from hd_diag.bag.mcap_file import HEAD, MESSAGE
 
 Bytes = npt.NDArray[np.uint8]
 

@@ -13,10 +13,10 @@ from typing import Any, BinaryIO
 import yaml
 import zstandard
 
-from .errors import BagError
-from .mcap_chunk import unzstd
-from .mcap_scan import MAX_CHUNK
-from .rosbag2 import load_yaml
+from hd_diag.bag.errors import BagError
+from hd_diag.bag.mcap_chunk import unzstd
+from hd_diag.bag.mcap_scan import MAX_CHUNK
+from hd_diag.bag.rosbag2 import load_yaml
 
 _MAX_YAML = 4 << 20
 _STORED = (".mcap", ".db3")

@@ -20,10 +20,10 @@ import zstandard
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
-from .block import Block, messages_at
-from .errors import BagError
-from .mcap_file import MESSAGE
-from .mcap_scan import (
+from hd_diag.bag.block import Block, messages_at
+from hd_diag.bag.errors import BagError
+from hd_diag.bag.mcap_file import MESSAGE
+from hd_diag.bag.mcap_scan import (
     CHUNK_HEAD,
     LENGTH,
     MAX_CHUNK,

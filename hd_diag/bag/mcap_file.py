@@ -36,10 +36,10 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from .errors import BagError
-from .rows import Rows
-from .schemas import Definition
-from .worker import AtOnce
+from hd_diag.bag.errors import BagError
+from hd_diag.bag.rows import Rows
+from hd_diag.bag.worker import AtOnce
+from hd_diag.messages.schemas import Definition
 
 MAGIC = b"\x89MCAP0\r\n"
 COMPRESSIONS = ("zstd", "lz4", "none")

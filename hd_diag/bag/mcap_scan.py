@@ -20,9 +20,9 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Metadata, Schema, Statistics
 
-from .block import gather
-from .errors import BagError
-from .mcap_file import HEAD, MAGIC, MESSAGE
+from hd_diag.bag.block import gather
+from hd_diag.bag.errors import BagError
+from hd_diag.bag.mcap_file import HEAD, MAGIC, MESSAGE
 
 # A chunk, or a message outside of one, above this is refused: recorders close a chunk after some megabytes,
 # and what is made of a chunk takes up to five times its memory [byte].

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from .ahead import Ahead
-from .block import Block
-from .errors import BagError
-from .folder import custom_data
-from .mcap_chunk import Content, load, messages_of, read
-from .mcap_scan import Scan, Section, scan
-from .schemas import Definition
+from hd_diag.bag.block import Block
+from hd_diag.bag.errors import BagError
+from hd_diag.bag.folder import custom_data
+from hd_diag.bag.mcap_chunk import Content, load, messages_of, read
+from hd_diag.bag.mcap_scan import Scan, Section, scan
+from hd_diag.bag.prefetch import Ahead
+from hd_diag.messages.schemas import Definition
 
 # Size of content that is loaded at once: a log flushed often has many small chunks [byte].
 _STRETCH = 4 << 20

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from .block import Block
-from .mcap_storage import Stretch
+from hd_diag.bag.block import Block
+from hd_diag.bag.mcap_storage import Stretch
 
 # Chunks are taken together up to this size, so that what follows works on long columns [byte].
 _TARGET = 4 << 20

@@ -12,18 +12,17 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.samples import JointStates
-
-from .block import Block, gather
-from .columns import Rejection, decode_joint_states, joint_states_from_messages
-from .errors import BagError
-from .folder import Unpacked, find_files, unpacked
-from .mcap_storage import McapStorage
-from .ordering import chosen, mixed_runs, ordered, runs, turns
-from .schemas import Definition
-from .sqlite_database import is_sqlite
-from .sqlite_file import SqliteFile
-from .typestore import BagTypes
+from hd_diag.bag.block import Block, gather
+from hd_diag.bag.errors import BagError
+from hd_diag.bag.folder import Unpacked, find_files, unpacked
+from hd_diag.bag.mcap_storage import McapStorage
+from hd_diag.bag.ordering import chosen, mixed_runs, ordered, runs, turns
+from hd_diag.bag.sqlite_database import is_sqlite
+from hd_diag.bag.sqlite_file import SqliteFile
+from hd_diag.bag.typestore import BagTypes
+from hd_diag.messages.joint_states import Rejection, decode_joint_states, joint_states_from_messages
+from hd_diag.messages.schemas import Definition
+from hd_diag.streams.columns import JointStates
 
 Payload = npt.NDArray[np.uint8] | list[memoryview]
 JOINT_STATE = "sensor_msgs/msg/JointState"

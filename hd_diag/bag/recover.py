@@ -14,17 +14,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .block import Block
-from .errors import BagError, check_output
-from .folder import Unpacked, find_files, unpacked
-from .mcap_chunk import find_chunk, load, load_part, load_storable
-from .mcap_file import MAGIC
-from .mcap_scan import Scan, Section, scan, walk
-from .mcap_storage import Topics, declared, kept_custom_data
-from .schemas import Definition, definition
-from .sqlite_damaged import DamagedSqlite
-from .sqlite_database import is_sqlite
-from .writer import BagWriter, replaced
+from hd_diag.bag.block import Block
+from hd_diag.bag.errors import BagError, check_output
+from hd_diag.bag.folder import Unpacked, find_files, unpacked
+from hd_diag.bag.mcap_chunk import find_chunk, load, load_part, load_storable
+from hd_diag.bag.mcap_file import MAGIC
+from hd_diag.bag.mcap_scan import Scan, Section, scan, walk
+from hd_diag.bag.mcap_storage import Topics, declared, kept_custom_data
+from hd_diag.bag.sqlite_damaged import DamagedSqlite
+from hd_diag.bag.sqlite_database import is_sqlite
+from hd_diag.bag.writer import BagWriter, replaced
+from hd_diag.messages.schemas import Definition, definition
 
 Progress = Callable[[int, int], None]
 # Messages copied at once.

@@ -7,10 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from .block import Block
-from .errors import BagError
-from .schemas import Definition
-from .sqlite_database import (
+from hd_diag.bag.block import Block
+from hd_diag.bag.errors import BagError
+from hd_diag.bag.sqlite_database import (
     DAMAGE,
     ROWS,
     Database,
@@ -20,6 +19,7 @@ from .sqlite_database import (
     read_definitions,
     read_topics,
 )
+from hd_diag.messages.schemas import Definition
 
 # Content that is collected at most, but for one message [byte].
 _BLOCK = 16 << 20

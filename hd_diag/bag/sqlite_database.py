@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from .block import Block
-from .errors import BagError
-from .folder import workspace
-from .schemas import Definition
+from hd_diag.bag.block import Block
+from hd_diag.bag.errors import BagError
+from hd_diag.bag.folder import workspace
+from hd_diag.messages.schemas import Definition
 
 # A damaged or hostile database can keep a query busy for ever; an honest row takes less than 200 steps.
 _STEPS_PER_BYTE = 100

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
-from .block import Block
-from .errors import BagError
-from .sqlite_database import (
+from hd_diag.bag.block import Block
+from hd_diag.bag.errors import BagError
+from hd_diag.bag.sqlite_database import (
     ADVICE,
     DAMAGE,
     ROWS,

@@ -9,7 +9,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import get_types_from_idl, get_types_from_msg
 from rosbags.typesys.store import Typestore
 
-from .schemas import Definition, jazzy
+from hd_diag.messages.schemas import Definition, jazzy
 
 _NAME = re.compile(r"[A-Za-z]\w{0,99}/(msg|srv|action)/[A-Za-z]\w{0,99}", re.ASCII)
 # The deserializer of rosbags is unrolled over fixed arrays: longer ones of anything but numbers are refused.

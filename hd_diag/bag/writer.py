@@ -16,13 +16,21 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from .errors import BagError
-from .mcap_file import COMPRESSIONS, McapFile
-from .mcap_storage import is_locked
-from .rosbag2 import NO_START, FileInformation, Metadata, Qos, TopicInformation, dump_offers, parse_offers
-from .rows import Rows
-from .schemas import Definition, definition
-from .worker import AtOnce, Beside
+from hd_diag.bag.errors import BagError
+from hd_diag.bag.mcap_file import COMPRESSIONS, McapFile
+from hd_diag.bag.mcap_storage import is_locked
+from hd_diag.bag.rosbag2 import (
+    NO_START,
+    FileInformation,
+    Metadata,
+    Qos,
+    TopicInformation,
+    dump_offers,
+    parse_offers,
+)
+from hd_diag.bag.rows import Rows
+from hd_diag.bag.worker import AtOnce, Beside
+from hd_diag.messages.schemas import Definition, definition
 
 _T = TypeVar("_T")
 # Channel numbers have 16 bits, and begin at 1.

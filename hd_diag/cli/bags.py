@@ -13,9 +13,9 @@ from hd_diag.bag.mcap_chunk import DamagedChunk
 from hd_diag.bag.recover import recover as recover_bag
 from hd_diag.cli.options import JSON, Problem, check_target, problems, tell, write_json
 from hd_diag.cli.progress import interrupted, working
-from hd_diag.config import load
-from hd_diag.replay import Replay
-from hd_diag.replay import replay as replay_bag
+from hd_diag.config.configuration import load
+from hd_diag.replay.replay import Replay
+from hd_diag.replay.replay import replay as replay_bag
 
 
 @click.command(

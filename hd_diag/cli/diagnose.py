@@ -20,9 +20,9 @@ from hd_diag.cli.record import (
     write_diagnoses,
 )
 from hd_diag.cli.report import joint_report, write_report
-from hd_diag.config import JOINT_PARAMETERS, Config, JointConfig
-from hd_diag.criticism.record import RecordError
-from hd_diag.model_file import write
+from hd_diag.config.configuration import JOINT_PARAMETERS, Config, JointConfig
+from hd_diag.config.model_file import write
+from hd_diag.diagnosis.record import RecordError
 
 
 @click.command(
@@ -112,7 +112,7 @@ def _one(
     divided: bool,
     model_file: Path | None,
 ) -> dict[str, Any]:
-    from hd_diag.verdict import as_json, model_document, summary
+    from hd_diag.diagnosis.verdict import as_json, model_document, summary
 
     with telling(joint.name) as progress:
         result = diagnosed(bags, joint, columns, divided, progress)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:  # slow to import: only where figures are drawn
     from matplotlib.figure import Figure
 
     from hd_diag.drive import Drive
-    from hd_diag.paper_figures import Claim
+    from hd_diag.report.paper_figures import Claim
 
 _RESOLUTION = 200.0  # of PNG files [dots per inch]
 _CAPTIONS = "figures.md"
@@ -62,10 +62,10 @@ def figures(out: Path, config_file: str | None, kind: str) -> None:
 
 def _drawn(drive: Drive) -> list[tuple[str, str, Figure, tuple[Claim, ...]]]:
     """File name, title, figure and claims of each."""
-    from hd_diag.paper_figures import neutral_layer, teeth_at_once, tooth_over_time
-    from hd_diag.pictures.paper_figure_5 import paper_figure_5
-    from hd_diag.pictures.paper_figure_6 import paper_figure_6
-    from hd_diag.pictures.paper_figure_7 import paper_figure_7
+    from hd_diag.report.paper_figures import neutral_layer, teeth_at_once, tooth_over_time
+    from hd_diag.report.pictures.paper_figure_5 import paper_figure_5
+    from hd_diag.report.pictures.paper_figure_6 import paper_figure_6
+    from hd_diag.report.pictures.paper_figure_7 import paper_figure_7
 
     layer, teeth, tooth = neutral_layer(drive), teeth_at_once(drive), tooth_over_time(drive)
     fifth = paper_figure_5(
@@ -95,7 +95,7 @@ def _told(claims: tuple[Claim, ...]) -> str:
 
 def _save(figure: Figure, path: Path, kind: str) -> None:
     """The same figure is the same file: no date in it."""
-    from hd_diag.pictures.canvas import styled
+    from hd_diag.report.pictures.canvas import styled
 
     undated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}[kind]
     with styled():

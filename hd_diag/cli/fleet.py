@@ -28,7 +28,7 @@ from hd_diag.cli.options import (
     write_json,
 )
 from hd_diag.cli.progress import bar, interrupts
-from hd_diag.config import JointConfig
+from hd_diag.config.configuration import JointConfig
 from hd_diag.fleet.errors import FleetError
 from hd_diag.model.threads import cores
 

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import click
 
 from hd_diag.bag import BagError, check_output
-from hd_diag.config import Config, ConfigError, JointConfig, load, resolve
+from hd_diag.config.configuration import Config, ConfigError, JointConfig, load, resolve
 from hd_diag.demo.process import DemoError
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])

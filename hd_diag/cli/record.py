@@ -12,11 +12,11 @@ import click
 from rich.console import Console
 
 from hd_diag.cli.options import Problem, check_target, write_json
-from hd_diag.config import JointConfig
+from hd_diag.config.configuration import JointConfig
 
 if TYPE_CHECKING:  # scipy is slow to import: only where it is used
-    from hd_diag.criticism.diagnosis import Diagnosis
-    from hd_diag.criticism.record import Record
+    from hd_diag.diagnosis.diagnosis import Diagnosis
+    from hd_diag.diagnosis.record import Record
 
 BAGS = click.argument("bags", nargs=-1, required=True, type=click.Path(path_type=Path))
 COLUMNS = click.option(
@@ -56,8 +56,8 @@ def diagnosed(
     BagError, RecordError
         Where there is nothing that can be judged.
     """
-    from hd_diag.criticism.diagnosis import diagnose
-    from hd_diag.criticism.screening import screened
+    from hd_diag.diagnosis.diagnosis import diagnose
+    from hd_diag.diagnosis.screening import screened
 
     # No name for the record: it goes as soon as it was looked through.
     looked = screened(_record(bags, joint, columns, divided), joint.configured)
@@ -65,7 +65,7 @@ def diagnosed(
 
 
 def _record(bags: Sequence[Path], joint: JointConfig, columns: str | None, divided: bool) -> Record:
-    from hd_diag.recording import read_bags, read_table
+    from hd_diag.bag.joint_record import read_bags, read_table
 
     if columns is None:
         return read_bags(bags, joint)

@@ -21,11 +21,11 @@ from hd_diag.cli.record import (
     telling,
     write_diagnoses,
 )
-from hd_diag.config import Config, JointConfig
-from hd_diag.criticism.record import RecordError
+from hd_diag.config.configuration import Config, JointConfig
+from hd_diag.diagnosis.record import RecordError
 
 if TYPE_CHECKING:  # scipy and matplotlib are slow to import: only where they are used
-    from hd_diag.criticism.diagnosis import Diagnosis
+    from hd_diag.diagnosis.diagnosis import Diagnosis
     from hd_diag.report.facts import JointReport
 
 
@@ -97,9 +97,9 @@ def _of_joint(
     progress: Callable[[str], None],
 ) -> tuple[JointReport, dict[str, Any]]:
     """A joint's part of the page, and its JSON."""
-    from hd_diag.recording import read_motion
+    from hd_diag.bag.joint_record import read_motion
+    from hd_diag.diagnosis.verdict import as_json
     from hd_diag.report.facts import of_motion
-    from hd_diag.verdict import as_json
 
     try:
         found = diagnosed(bags, joint, columns, divided, progress)
@@ -127,9 +127,9 @@ def write_report(target: Path, reports: Sequence[JointReport], bags: Sequence[Pa
     Problem
         If the file cannot be written.
     """
+    from hd_diag.diagnosis.verdict import digests
     from hd_diag.report.page import write_page
     from hd_diag.report.quality import Fact
-    from hd_diag.verdict import digests
 
     sources = [
         Fact(f"{bag.resolve().name}/{name}" if bag.is_dir() else name, f"SHA-256 {digest}")

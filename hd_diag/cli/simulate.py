@@ -10,12 +10,12 @@ from typing import Any
 import click
 import yaml
 
-from hd_diag import simulation
 from hd_diag.cli.options import JOINTS, Problem, json_option, problems, tell, write_json
 from hd_diag.cli.progress import interrupted, working
-from hd_diag.config import JOINT_PARAMETERS, Config, ConfigError, load, resolve
+from hd_diag.config.configuration import JOINT_PARAMETERS, Config, ConfigError, load, resolve
 from hd_diag.model.torsion_map import ARCSEC
-from hd_diag.simulation import Motion, Noise, SimulatedJoint
+from hd_diag.simulation import simulation
+from hd_diag.simulation.simulation import Motion, Noise, SimulatedJoint
 
 _TURN = 2.0 * math.pi
 _SECOND = 1_000_000_000  # [ns]

@@ -17,7 +17,7 @@ from rich.progress import Progress
 from rich.table import Table
 
 from hd_diag.cli.options import CONFIG, JOINT, JSON, Problem, check_target, configured, problems, write_json
-from hd_diag.config import Config, JointConfig
+from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.model.threads import cores
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.tolerance.assembly import ANGLES, FACTORS, WITHIN
@@ -328,7 +328,7 @@ def _null(value: float) -> float | None:
 
 
 def _draw(found: Study, path: Path) -> None:
-    from hd_diag.pictures.tolerance import tolerance_picture  # here, because matplotlib takes its time
+    from hd_diag.report.pictures.tolerance import tolerance_picture  # here, because matplotlib takes its time
 
     try:
         tolerance_picture(found).savefig(path, dpi=200, facecolor="white", bbox_inches="tight")

@@ -29,9 +29,9 @@ from hd_diag.cli.report import report
 from hd_diag.cli.simulate import simulate
 from hd_diag.cli.tolerance import tolerance
 from hd_diag.cli.watch import watch
-from hd_diag.config import Config, JointConfig, load
-from hd_diag.samples import LARGEST_ANGLE, LARGEST_TORQUE
-from hd_diag.stop_signals import noted
+from hd_diag.config.configuration import Config, JointConfig, load
+from hd_diag.ros.stop_signals import noted
+from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TORQUE
 
 
 class _OneLine(click.Group):
@@ -262,7 +262,7 @@ def node(config_file: str | None, ros_arguments: tuple[str, ...]) -> None:
         load(config_file)
     stopped = noted()
     try:
-        from hd_diag.node import main as run
+        from hd_diag.ros.node import main as run
     except ImportError as error:
         raise Problem(f"the node needs ROS 2 Jazzy (rclpy), which is not to be imported: {error}") from error
     parameter_file = ["--ros-args", "--params-file", config_file, "--"] if config_file else []

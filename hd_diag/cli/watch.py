@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, TextIO
 import click
 
 from hd_diag.cli.options import SIGNALLED, Problem, problems, write_json
-from hd_diag.told import visible
+from hd_diag.formatting import visible
 from hd_diag.watch import Watch, as_json
 from hd_diag.watch.display import PLAIN_PERIOD, Display
 

@@ -25,11 +25,11 @@ from rclpy.parameter_client import AsyncParameterClient
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
-from hd_diag.config import dump, resolve
-from hd_diag.demo.after import Aftermath, look_back
+from hd_diag.config.configuration import dump, resolve
 from hd_diag.demo.display import Display, Reading, Step
 from hd_diag.demo.log import LogSummary, summarize
 from hd_diag.demo.process import Child, DemoError
+from hd_diag.demo.replay_and_diagnose import Aftermath, look_back
 from hd_diag.model import compiled
 
 __all__ = ["DemoError", "run"]
@@ -245,14 +245,14 @@ def _processes(folder: Path, seconds: float) -> Iterator[tuple[Child, Child]]:
             stack.callback(signal.signal, number, signal.signal(number, _interrupt))
         node = stack.enter_context(
             Child(
-                "hd_diag.node",
+                "hd_diag.ros.node",
                 ["--ros-args", "--params-file", str(folder / "node.yaml")],
                 folder / "node.txt",
             )
         )
         joint = stack.enter_context(
             Child(
-                "hd_diag.simulated_joint",
+                "hd_diag.demo.simulated_joint",
                 ["--config", str(folder / "joint.yaml"), "--seconds", length, "--rate", str(_RATE)],
                 folder / "joint.txt",
             )

@@ -13,16 +13,16 @@ import numpy as np
 
 from hd_diag import __version__
 from hd_diag.bag import BagError
-from hd_diag.config import JOINT_PARAMETERS, Config, JointConfig
-from hd_diag.criticism.causes import Cause
-from hd_diag.criticism.diagnosis import Diagnosis, diagnose
-from hd_diag.criticism.record import RecordError
-from hd_diag.criticism.screening import screened
-from hd_diag.criticism.workbench import Workbench
+from hd_diag.bag.joint_record import read_bags
+from hd_diag.config.configuration import JOINT_PARAMETERS, Config, JointConfig
+from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
+from hd_diag.diagnosis.fit.linearised_fit import Workbench
+from hd_diag.diagnosis.record import RecordError
+from hd_diag.diagnosis.screening import screened
+from hd_diag.diagnosis.search.causes import Cause
+from hd_diag.diagnosis.verdict import as_json
 from hd_diag.fleet.survey import Survey
-from hd_diag.recording import read_bags
-from hd_diag.verdict import as_json
-from hd_diag.versions import running
+from hd_diag.replay.versions import running
 
 SCHEMA = "hd_diag/fleet/1"
 

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hd_diag.config import Config, JointConfig
+from hd_diag.config.configuration import Config, JointConfig
+from hd_diag.config.parameters import shown
 from hd_diag.fleet.errors import FleetError
 from hd_diag.fleet.rows import Row, Task, judge, tasks
 from hd_diag.fleet.store import Journal
 from hd_diag.fleet.survey import Survey, survey
 from hd_diag.fleet.work import Crew, Failure, run
-from hd_diag.parameters import shown
-from hd_diag.versions import running
+from hd_diag.replay.versions import running
 
 Progress = Callable[[str, int, int, int], None]
 """Told the stage, how much of it is done, how much it has, and how many tasks are done."""

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from hd_diag.bag import BagError, BagReader
-from hd_diag.messages import JOINT_STATE, OWN_OUTPUTS
-from hd_diag.recording import joints_in
-from hd_diag.versions import Versions, running
+from hd_diag.bag.joint_record import joints_in
+from hd_diag.messages.publications import JOINT_STATE, OWN_OUTPUTS
+from hd_diag.replay.versions import Versions, running
 
 SUFFIXES = (".mcap", ".db3")
 _PART = 1 << 20  # read at a time [byte]

@@ -10,7 +10,7 @@ import numpy as np
 
 from hd_diag.drive import Drives
 from hd_diag.monitor.joint import Asked, JointMonitor, Prediction, Samples
-from hd_diag.samples import Floats, Times
+from hd_diag.streams.columns import Floats, Times
 
 _ROW = np.zeros(1, np.int64)
 

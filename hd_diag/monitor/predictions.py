@@ -9,7 +9,7 @@ import numpy as np
 
 from hd_diag.monitor.joint import Prediction
 from hd_diag.monitor.moment import Moment
-from hd_diag.samples import Angles, Floats, Publication, Times
+from hd_diag.streams.columns import Angles, Floats, Publication, Times
 
 _PREDICTED = "~/transmission_error"
 _MEASURED = "~/measured_transmission_error"

@@ -8,20 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.criticism import base
-from hd_diag.criticism.acceptance import LEAST_SIZE
-from hd_diag.criticism.causes import Cause
-from hd_diag.criticism.diagnosis import Diagnosis
-from hd_diag.criticism.refit import usable
+from hd_diag.diagnosis.diagnosis import Diagnosis
+from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit.refit import usable
+from hd_diag.diagnosis.search.acceptance import LEAST_SIZE
+from hd_diag.diagnosis.search.causes import Cause
 from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE
+from hd_diag.formatting import arcsec, direction, number, quantity, si, spread_number, words
 from hd_diag.report.stages import simulated_error
-from hd_diag.told import arcsec, direction, number, quantity, si, spread_number, words
 
 Floats = npt.NDArray[np.float64]
 
 _SIGMAS = 3.0  # standard deviations off its configured value from which a parameter is worth a card
-# Fitted numbers that are judged together: their places in `base.SCALES`, and what is compared.
+# Fitted numbers that are judged together: their places in `fit_parameters.SCALES`, and what is compared.
 _GROUPS = {
     "eccentricity": (slice(0, 2), ("eccentricity.magnitude",)),
     "runout": (slice(2, 4), ("runout.magnitude",)),
@@ -107,7 +107,7 @@ def _of_cause(cause: Cause) -> Card:
 def _of_parameters(diagnosis: Diagnosis) -> list[Card]:
     refitted, configured = diagnosis.refitted, diagnosis.configured
     assert refitted is not None
-    values = base.physical(refitted.parameters, refitted.covariance, configured)
+    values = fit_parameters.physical(refitted.parameters, refitted.covariance, configured)
     makers = {"eccentricity": _eccentricity, "runout": _runout, "clearance": _datum, "stiffness": _compliance}
     return [
         makers[name](values, size, refitted.drive)
@@ -125,13 +125,13 @@ def parameter_sizes(diagnosis: Diagnosis) -> dict[str, float]:
     assert diagnosis.refitted is not None
     configured, refitted = diagnosis.configured, diagnosis.refitted
     record = diagnosis.record.select(usable(diagnosis.record))
-    as_configured = base.vector(configured, configured)
+    as_configured = fit_parameters.vector(configured, configured)
     whole = simulated_error(refitted.drive, record)
     sizes = {}
     for name, (at, _) in _GROUPS.items():
         without = refitted.parameters.copy()
         without[at] = as_configured[at]
-        drive = base.drive_of(without, configured)
+        drive = fit_parameters.drive_of(without, configured)
         sizes[name] = float(np.nanstd(whole - simulated_error(drive, record)))
     return sizes
 

@@ -6,15 +6,15 @@ import math
 
 import numpy as np
 
-from hd_diag.binned import HIGH, LOW, Band
-from hd_diag.criticism.testability import Testability
+from hd_diag.diagnosis.search.detectability import Testability
+from hd_diag.formatting import arcsec, number, si
 from hd_diag.model.torsion_map import ARCSEC
+from hd_diag.report.binned import HIGH, LOW, Band
 from hd_diag.report.facts import Held, JointReport, Judgement
 from hd_diag.report.ladder import Rung
 from hd_diag.report.stages import Comparison
 from hd_diag.report.teeth import Done, Teeth
 from hd_diag.report.torsion import Stiffness
-from hd_diag.told import arcsec, number, si
 
 _SPREAD = f"bands from the {100 * LOW:.0f} % to the {100 * HIGH:.0f} % quantile"
 

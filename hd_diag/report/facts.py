@@ -11,17 +11,20 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.binned import Envelope
-from hd_diag.config import JOINT_PARAMETERS, JointConfig
-from hd_diag.criticism import base
-from hd_diag.criticism.diagnosis import Diagnosis
-from hd_diag.criticism.testability import Testability
-from hd_diag.criticism.unexplained import Line
-from hd_diag.criticism.workbench import Workbench
+from hd_diag.bag.joint_record import Motion
+from hd_diag.config.configuration import JOINT_PARAMETERS, JointConfig
+from hd_diag.config.parameters import Value
+from hd_diag.diagnosis.diagnosis import Diagnosis
+from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit.linearised_fit import Workbench
+from hd_diag.diagnosis.search.detectability import Testability
+from hd_diag.diagnosis.search.unexplained import Line
+from hd_diag.diagnosis.verdict import sentence
 from hd_diag.effects.order_spectrum import line_width, spectrum
-from hd_diag.parameters import Value
-from hd_diag.recording import Motion
+from hd_diag.formatting import arcsec, direction, number, si, words
+from hd_diag.replay.versions import running
 from hd_diag.report.advice import Card, cards
+from hd_diag.report.binned import Envelope
 from hd_diag.report.ladder import Rung, benches, ladder
 from hd_diag.report.quality import Fact, facts
 from hd_diag.report.stages import (
@@ -37,9 +40,6 @@ from hd_diag.report.stages import (
 )
 from hd_diag.report.teeth import Done, Teeth, done, strongest_torque, teeth
 from hd_diag.report.torsion import Torsion, measured, simulated
-from hd_diag.told import arcsec, direction, number, si, words
-from hd_diag.verdict import sentence
-from hd_diag.versions import running
 
 Floats = npt.NDArray[np.float64]
 
@@ -265,7 +265,7 @@ def _parameters(diagnosis: Diagnosis) -> tuple[Parameter, ...]:
     refitted = diagnosis.refitted
     if refitted is None:
         return ()
-    values = base.physical(refitted.parameters, refitted.covariance, diagnosis.configured)
+    values = fit_parameters.physical(refitted.parameters, refitted.covariance, diagnosis.configured)
     return tuple(_parameter(name, entry) for name, entry in values.items())
 
 

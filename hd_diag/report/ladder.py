@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.criticism.design import solve
-from hd_diag.criticism.diagnosis import Diagnosis
-from hd_diag.criticism.workbench import Chosen, Workbench, settle
+from hd_diag.diagnosis.diagnosis import Diagnosis
+from hd_diag.diagnosis.fit.design import solve
+from hd_diag.diagnosis.fit.linearised_fit import Chosen, Workbench, settle
+from hd_diag.formatting import words
 from hd_diag.report.stages import NOMINAL, REFIT
-from hd_diag.told import words
 
 Floats = npt.NDArray[np.float64]
 

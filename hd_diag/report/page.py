@@ -12,12 +12,12 @@ from typing import Any
 
 from jinja2 import DictLoader, Environment, StrictUndefined
 
+from hd_diag.formatting import arcsec, visible, words
 from hd_diag.report.advice import told_size
 from hd_diag.report.captions import gain, least_size, left
 from hd_diag.report.facts import JointReport, told_held, versions
-from hd_diag.report.pictures import drawn
+from hd_diag.report.page_pictures import drawn
 from hd_diag.report.quality import Fact
-from hd_diag.told import arcsec, visible, words
 
 _TEMPLATE = "report.html.jinja"
 

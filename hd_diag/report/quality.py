@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.told import number
+from hd_diag.formatting import number
 
 Floats = npt.NDArray[np.float64]
 

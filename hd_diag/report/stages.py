@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.binned import Band, Envelope, band, envelope, strongest
-from hd_diag.criticism import base
-from hd_diag.criticism.diagnosis import Diagnosis
-from hd_diag.criticism.extension import left, map_of
-from hd_diag.criticism.record import Record
-from hd_diag.criticism.refit import usable
-from hd_diag.criticism.workbench import Workbench
+from hd_diag.diagnosis.diagnosis import Diagnosis
+from hd_diag.diagnosis.extension import left, map_of
+from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit.linearised_fit import Workbench
+from hd_diag.diagnosis.fit.refit import usable
+from hd_diag.diagnosis.record import Record
 from hd_diag.drive import Drive, transmission_error
 from hd_diag.effects.order_spectrum import spectrum
+from hd_diag.report.binned import Band, Envelope, band, envelope, strongest
 from hd_diag.report.teeth import strongest_torque
 
 Floats = npt.NDArray[np.float64]
@@ -101,7 +101,7 @@ def stages(diagnosis: Diagnosis, plain: Workbench | None) -> Stages:
 
 def simulated_error(drive: Drive, record: Record) -> Floats:
     """Transmission error of a drive along a record [rad]."""
-    error, _, _ = base.along(drive, drive, record.input_angle, record.torque)
+    error, _, _ = fit_parameters.along(drive, drive, record.input_angle, record.torque)
     return error
 
 

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.binned import Band, band
 from hd_diag.drive import Drive
+from hd_diag.report.binned import Band, band
 from hd_diag.report.stages import EXTENDED, Stages, mean_error
 
 Floats = npt.NDArray[np.float64]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from hd_diag.parameters import JOINT_PARAMETERS, Value
+from hd_diag.config.parameters import JOINT_PARAMETERS, Value
 
 _PREFIX = "tolerance."
 _LIMITS = f"{_PREFIX}limits."

@@ -12,7 +12,7 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from hd_diag.told import visible
+from hd_diag.formatting import visible
 from hd_diag.watch.seen import LEVELS, JointView, Watch
 
 REFRESH_PERIOD = 0.25

@@ -18,7 +18,7 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
-from hd_diag.messages import DIAGNOSTICS
+from hd_diag.messages.publications import DIAGNOSTICS
 from hd_diag.watch.seen import DEFAULT_TOPIC, Message, NodeSeen, Watch
 
 _LOOK_PERIOD = 1.0  # between looks at the ROS graph [s]

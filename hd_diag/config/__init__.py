@@ -1,0 +1,1 @@
+"""Configuration: parameters, parameter files, files of extended models, as checked joints."""

@@ -1,0 +1,231 @@
+"""Configuration: one flat set of ROS parameters from file, command line or node, checked as a whole."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hd_diag.config.configured_drive import drive_from, number
+from hd_diag.config.parameters import (
+    JOINT_PARAMETERS,
+    LIMITS,
+    NODE_PARAMETERS,
+    ConfigError,
+    Parameter,
+    Value,
+    check_known,
+    checked,
+    flatten,
+    joint_names,
+    nested,
+    parameters,
+    shown,
+)
+from hd_diag.drive import Drive
+from hd_diag.extended_model import ExtendedModel
+
+__all__ = [
+    "JOINT_PARAMETERS",
+    "NODE_PARAMETERS",
+    "Config",
+    "ConfigError",
+    "JointConfig",
+    "Limit",
+    "LogConfig",
+    "ModelText",
+    "Parameter",
+    "Value",
+    "dump",
+    "flatten",
+    "load",
+    "nested",
+    "parameters",
+    "resolve",
+]
+
+ModelText = Callable[[str, str], str]
+"""Gives the text of a joint's model file from the joint's name and the path; raises ConfigError."""
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Thresholds of one quantity, in its unit."""
+
+    warn: float
+    error: float
+
+    def level(self, value: float) -> int:
+        """0, 1 (above warn) or 2 (above error), as in diagnostic_msgs/DiagnosticStatus; nan is 0."""
+        return 2 if value > self.error else 1 if value > self.warn else 0
+
+
+@dataclass(frozen=True)
+class JointConfig:
+    """One joint: the names it has in JointState, its drive, assumed torque [N m] and limits.
+
+    With an extended model `drive` is the model's, refitted; `configured` is what the parameters say.
+    `model_text` is the whole content of the model's file.
+    """
+
+    name: str
+    input_joint: str
+    output_joint: str
+    drive: Drive
+    torque: float
+    limits: Mapping[str, Limit]
+    configured: Drive
+    model_file: str = ""
+    model: ExtendedModel | None = None
+    model_text: str = field(default="", repr=False)
+
+
+@dataclass(frozen=True)
+class LogConfig:
+    """Where and how the node writes its log."""
+
+    path: str = ""
+    compression: str = "zstd"
+    flush_period: float = 0.25
+    split_size: int = 0
+    split_duration: float = 0.0
+    overwrite: bool = False
+
+
+@dataclass(frozen=True)
+class Config:
+    """A whole configuration; `flat` holds every parameter by its full ROS name."""
+
+    joints: tuple[JointConfig, ...]
+    array_rate: float
+    mesh_rate: float
+    diagnostics_rate: float
+    log: LogConfig
+    flat: Mapping[str, Value] = field(repr=False)
+
+
+def resolve(given: Mapping[str, Any], model_text: ModelText | None = None) -> Config:
+    """Configuration from flat parameters, defaults filled in, everything checked.
+
+    Parameters
+    ----------
+    given : mapping
+        Full ROS parameter names to values, e.g. ``joint_1.eccentricity.magnitude``.
+    model_text : callable, optional
+        Where model files come from; by default from disk, relative to the present folder.
+
+    Returns
+    -------
+    Config
+
+    Raises
+    ------
+    ConfigError
+        Naming the first parameter that cannot be, its value and what was expected; for an unknown one, the
+        nearest known.
+    """
+    joints = joint_names(given.get("joints", ["joint_1"]))
+    known = parameters(joints)
+    check_known(list(given), known)
+    flat = {name: checked(name, given.get(name, p.default), p) for name, p in known.items()}
+    flat["joints"] = joints
+    configured = tuple(_joint(name, flat, model_text) for name in joints)
+    _check_names(configured)
+    log = LogConfig(**{p.name[4:]: flat[p.name] for p in NODE_PARAMETERS if p.name.startswith("log.")})  # type: ignore[arg-type]
+    return Config(
+        configured,
+        number(flat, "array_rate"),
+        number(flat, "mesh_rate"),
+        number(flat, "diagnostics_rate"),
+        log,
+        flat,
+    )
+
+
+def load(path: str | Path) -> Config:
+    """Configuration from a ROS parameter file.
+
+    Parameters
+    ----------
+    path : path
+        YAML: ``hd_diag: ros__parameters: ...``; a node name with namespace, and ``/**``, are taken too. Model
+        files are looked for beside it, then in the present folder.
+
+    Returns
+    -------
+    Config
+
+    Raises
+    ------
+    ConfigError
+        Naming the file and what is wrong with it.
+    """
+    from hd_diag.config.model_file import reader
+    from hd_diag.config.parameter_file import read  # here, because the monitor needs no YAML
+
+    try:
+        return resolve(read(path), reader(Path(path).parent))
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from error
+
+
+def dump(config: Config) -> str:
+    """A configuration as the text of a ROS parameter file."""
+    from hd_diag.config.parameter_file import text
+
+    return text(config.flat)
+
+
+def _joint(name: str, flat: Mapping[str, Value], model_text: ModelText | None) -> JointConfig:
+    own = {p.name: flat[f"{name}.{p.name}"] for p in JOINT_PARAMETERS}
+    limits = {
+        key: Limit(number(own, f"limits.{key}.warn"), number(own, f"limits.{key}.error")) for key in LIMITS
+    }
+    for key, limit in limits.items():
+        if limit.error < limit.warn:
+            raise ConfigError(
+                f"{name}.limits.{key}: error ({limit.error:g}) must not be below warn ({limit.warn:g})"
+            )
+    try:
+        drive = drive_from(own)
+    except ValueError as error:
+        raise ConfigError(f"{name}: {error}") from error
+    model, text = _model(name, own, model_text)
+    return JointConfig(
+        name,
+        str(own["input_joint"]) or f"{name}_motor",
+        str(own["output_joint"]) or name,
+        model.drive if model else drive,
+        number(own, "torque"),
+        limits,
+        drive,
+        str(own["model_file"]),
+        model,
+        text,
+    )
+
+
+def _model(
+    name: str, own: Mapping[str, Value], model_text: ModelText | None
+) -> tuple[ExtendedModel | None, str]:
+    """Extended model of a joint and the text of its file; None and nothing where it has none."""
+    path = str(own["model_file"])
+    if not path:
+        return None, ""
+    from hd_diag.config.model_file import model_for, reader  # here, because few joints have one
+
+    try:
+        text = (model_text or reader())(name, path)
+        return model_for(text, own), text
+    except ConfigError as error:
+        raise ConfigError(f"{name}.model_file: {path!a}: {error}") from error
+
+
+def _check_names(joints: tuple[JointConfig, ...]) -> None:
+    taken: dict[str, str] = {}
+    for joint in joints:
+        for role, name in (("input_joint", joint.input_joint), ("output_joint", joint.output_joint)):
+            if name in taken:
+                raise ConfigError(f"{joint.name}.{role}: {shown(name)} is already {taken[name]}")
+            taken[name] = f"{joint.name}.{role}"

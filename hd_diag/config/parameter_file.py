@@ -1,0 +1,122 @@
+"""ROS parameter files: YAML as ROS itself reads it, and back."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from hd_diag.config.parameters import ROS_PARAMETERS, ConfigError, Value, flatten, nested, shown
+
+_LARGEST = 1_000_000  # [byte]; seven joints take 20,000
+_EXPECTED = "expected 'hd_diag: ros__parameters: ...' at the top"
+_INTEGER = re.compile(r"[-+]?(0|[1-9][0-9]*)$")
+_REAL = re.compile(
+    r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?$|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$"
+)
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML with the numbers of ROS (1e-6 is one, 2026-01-01 a text), without aliases or repeated keys."""
+
+    yaml_implicit_resolvers = {  # noqa: RUF012, PyYAML's own way to say it
+        first: [(tag, form) for tag, form in found if not tag.endswith((":int", ":float", ":timestamp"))]
+        for first, found in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """Refuse aliases, as ROS does: a few of them make a document of any size."""
+        if self.check_event(yaml.AliasEvent):
+            line = self.line + 1
+            raise yaml.YAMLError(f"line {line}: an alias (*name), which ROS does not take")
+        return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
+        """Refuse a key that stands twice, of which the last would win unseen."""
+        mapping: dict[Any, Any] = super().construct_mapping(node, deep=deep)
+        if len(mapping) != len(node.value):
+            keys = [key.value for key, _ in node.value]
+            twice = next((key for key in keys if keys.count(key) > 1), keys[0])
+            raise yaml.YAMLError(f"line {node.start_mark.line + 1}: {shown(twice)} stands twice below it")
+        return mapping
+
+
+_Loader.add_implicit_resolver("tag:yaml.org,2002:int", _INTEGER, list("-+0123456789"))
+_Loader.add_implicit_resolver("tag:yaml.org,2002:float", _REAL, list("-+.0123456789"))
+
+
+def read(path: str | Path) -> dict[str, Any]:
+    """Flat parameters of a file, without those that every ROS node has.
+
+    Parameters
+    ----------
+    path : path
+        YAML: ``hd_diag: ros__parameters: ...``; a node name with namespace, and ``/**``, are taken too.
+
+    Returns
+    -------
+    dict
+        Full parameter names to values, not yet checked.
+
+    Raises
+    ------
+    ConfigError
+        Saying why it is not a parameter file of this node.
+    """
+    return _of_this_node(_document(path))
+
+
+def sections(path: str | Path) -> list[Any]:
+    """Names of the nodes for which a file holds something; an empty file has none.
+
+    Raises
+    ------
+    ConfigError
+        Where it is no YAML of ROS, or no mapping.
+    """
+    document = _document(path)
+    if document is None:
+        return []
+    if not isinstance(document, Mapping):
+        raise ConfigError(_EXPECTED)
+    return list(document)
+
+
+def _document(path: str | Path) -> Any:
+    try:
+        with open(path, "rb") as file:
+            data = file.read(_LARGEST + 1)
+        if len(data) > _LARGEST:
+            raise ConfigError(f"longer than {_LARGEST} bytes: not a parameter file")
+        document = data.decode("utf-8")
+    except OSError as error:
+        raise ConfigError(f"cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"not a text in UTF-8: {error.reason} at byte {error.start}") from error
+    try:
+        return yaml.load(document, _Loader)
+    except Exception as error:  # beside YAMLError, PyYAML lets several kinds through on wrong tags and depth
+        raise ConfigError(f"not YAML: {' '.join(str(error).split()) or type(error).__name__}") from error
+
+
+def text(flat: Mapping[str, Value]) -> str:
+    """The text of a parameter file with these values."""
+    written: str = yaml.safe_dump({"hd_diag": {"ros__parameters": nested(flat)}}, sort_keys=False)
+    return written
+
+
+def _of_this_node(document: Any) -> dict[str, Any]:
+    if not isinstance(document, Mapping):
+        raise ConfigError(_EXPECTED)
+    sections = {k: s for k, s in document.items() if str(k).rsplit("/", 1)[-1] in ("hd_diag", "**", "*")}
+    if not sections:
+        raise ConfigError(_EXPECTED)
+    flat: dict[str, Any] = {}
+    for name, section in sections.items():
+        if not isinstance(section, Mapping) or not isinstance(section.get("ros__parameters"), Mapping):
+            raise ConfigError(f"{shown(name)} holds no 'ros__parameters'")
+        flat |= flatten(section["ros__parameters"])
+    return {name: value for name, value in flat.items() if name.split(".")[0] not in ROS_PARAMETERS}

@@ -1,0 +1,99 @@
+"""The model that a diagnosis found, as it runs: one sample after the other, with causal signals."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.search.causes import Search
+from hd_diag.drive import Drive
+from hd_diag.effects.effect import Effect
+from hd_diag.extended_model import TORQUE_RANGE, ExtendedModel, Range, Ranges, Term
+from hd_diag.model.torsion_map import TorsionMap, build
+
+Floats = npt.NDArray[np.float64]
+
+
+def extended_model(found: Search, configured: Drive, record: Record) -> ExtendedModel:
+    """The refitted drive with its causes and the encoders' offset.
+
+    Parameters
+    ----------
+    found : Search
+    configured : Drive
+    record : Record
+        What it was fitted to, for the valid range.
+
+    Returns
+    -------
+    ExtendedModel
+    """
+    beta, _, _ = found.bench.fit(found.chosen)
+    drive = fit_parameters.drive_of(found.bench.parameters + beta[: fit_parameters.COUNT], configured)
+    terms = tuple(_term(cause.effect, cause.coefficients, cause.nonlinear) for cause in found.causes)
+    return ExtendedModel(drive, terms, float(beta[fit_parameters.COUNT]), _ranges(record))
+
+
+def map_of(model: ExtendedModel) -> TorsionMap | None:
+    """The map by which a node predicts with a model; None where it has none and stays exact."""
+    try:
+        return build(model.drive.mesh, TORQUE_RANGE * model.drive.rated_torque)
+    except ValueError:
+        return None
+
+
+def left(model: ExtendedModel, record: Record, torque: Floats, table: TorsionMap | None) -> Floats:
+    """Measured less predicted error of a model that runs along a record, as the node runs it.
+
+    Parameters
+    ----------
+    model : ExtendedModel
+    record : Record
+    torque : ndarray, shape (n,)
+        On the link [N m]: the record's, or as it was reported.
+    table : TorsionMap or None
+        Of the model's drive.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        [rad]
+    """
+    edges = [0, *(np.flatnonzero(np.diff(record.bag)) + 1).tolist(), record.size]
+    predicted = np.empty(record.size)
+    for rows in itertools.starmap(slice, itertools.pairwise(edges)):
+        speed, heat = (None if c is None else c[rows] for c in (record.reported_speed, record.temperature))
+        angle = record.input_angle[rows]
+        predicted[rows], _ = model.step(
+            model.start(), record.time[rows], angle, speed, torque[rows], heat, table
+        )
+    return np.asarray(record.output_angle - record.input_angle / model.drive.kinematics.ratio - predicted)
+
+
+def _term(effect: Effect, coefficients: Floats, nonlinear: tuple[float, ...]) -> Term:
+    """An effect moved into its limits, where the search left them."""
+    values = effect.to_physical(coefficients, nonlinear)
+    limited = {
+        q.name: values[q.name][0] if q.periodic else float(np.clip(values[q.name][0], q.low, q.high))
+        for q in effect.quantities
+    }
+    inside, others = effect.from_physical(limited)
+    return Term(effect, tuple(inside.tolist()), others)
+
+
+def _ranges(record: Record) -> Ranges:
+    """What the record covers; standing still is no other speed."""
+    heat = record.temperature
+    return Ranges(
+        _range(record.torque),
+        Range(min(float(record.speed.min()), 0.0), max(float(record.speed.max()), 0.0)),
+        None if heat is None else _range(heat),
+    )
+
+
+def _range(values: Floats) -> Range:
+    return Range(float(values.min()), float(values.max()))

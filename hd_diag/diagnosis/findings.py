@@ -1,0 +1,221 @@
+"""What must be said before anything else: a wrong ratio, swapped joints, steps between the encoders."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.diagnosis.blocks import blocks
+from hd_diag.diagnosis.noise import bounds
+from hd_diag.diagnosis.record import Record
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+_RATIO_MISS = 2e-3  # relative; more than any transmission error can make of a turn
+_RAMP_MISS = 3e-5  # relative
+_RAMP_ERROR = 1e-4  # [rad]; what is not fitted beside a ramp may lean by this over a run
+_LEAST_REACH = 2.5  # of a run at the output [rad]; over less, a wave of the output bends like a ramp
+_PARTS = 6
+_CLUSTERS = 60
+_MOST_ROWS = 20_000  # of the fit of ramps
+_INPUT_ORDERS = (1, 2, 4)  # of waves that any gear may have
+_STEP = 0.25  # of a tooth pitch
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A finding that comes before the model: catalogue name, one sentence, value and unit."""
+
+    name: str
+    text: str
+    value: float
+    unit: str
+    fatal: bool
+
+
+def check_ratio(record: Record, ratio: float) -> Finding | None:
+    """Whether the output follows the input at the configured ratio, as far as no torsion can hide it.
+
+    Parameters
+    ----------
+    record : Record
+    ratio : float
+        Configured [-].
+
+    Returns
+    -------
+    Finding or None
+    """
+    angle, output = (_centered(column, record.run) for column in (record.input_angle, record.output_angle))
+    slope = _usual_slope(record)
+    if float(np.std(output - slope * angle)) > 0.3 * float(np.std(output)):
+        return Finding(
+            "ratio_error",
+            "the output does not follow the input at any fixed ratio: are the joints' names swapped?",
+            float("nan"),
+            "-",
+            True,
+        )
+    # The error itself may lean with the angle by as much as its own size over the range.
+    if abs(slope * ratio - 1.0) > max(_RATIO_MISS, 0.02 / max(float(np.ptp(output)), 1e-9)):
+        return _wrong_ratio(1.0 / slope, ratio)
+    return None
+
+
+def check_ramp(record: Record, ratio: float) -> Finding | None:
+    """Whether the error grows with the output's way, alike in all parts of a record without steps.
+
+    Parameters
+    ----------
+    record : Record
+    ratio : float
+        Configured [-].
+
+    Returns
+    -------
+    Finding or None
+
+    Notes
+    -----
+    Torsion, friction, runout and the gear's ripple are fitted beside the ramps, one for each of `_PARTS`
+    parts. Without a measured torque nothing tells torsion from a ramp, over a small part of a turn nothing
+    tells runout.
+    """
+    reach = float(np.ptp(_centered(record.input_angle / ratio, record.run)))
+    if not record.has_torque or reach < _LEAST_REACH:
+        return None
+    ramps, deviation = _ramps(record.select(np.arange(0, record.size, 1 + record.size // _MOST_ROWS)), ratio)
+    mean = float(ramps.mean())
+    spread = max(float(ramps.std(ddof=1)) / np.sqrt(ramps.size), deviation)
+    if abs(mean) > max(_RAMP_MISS, _RAMP_ERROR / reach, 6.0 * spread):
+        return _wrong_ratio(ratio / (1.0 + mean), ratio)
+    return None
+
+
+def _wrong_ratio(found: float, configured: float) -> Finding:
+    return Finding(
+        "ratio_error",
+        f"the output follows the input at a ratio of {found:.6g}, not the configured {configured:g}: "
+        "check the ratio, its sign, a belt that was not declared, or swapped joints",
+        found,
+        "-",
+        True,
+    )
+
+
+def _usual_slope(record: Record) -> float:
+    """Output over input: the median over short stretches, weighted by their way; steps do not move it."""
+    lag = max(record.size // 400, 1)
+    same = record.run[lag:] == record.run[:-lag]
+    angle, output = (
+        (column[lag:] - column[:-lag])[same][::lag] for column in (record.input_angle, record.output_angle)
+    )
+    moved = np.abs(angle) > 1e-9
+    slope, way = output[moved] / angle[moved], np.abs(angle[moved])
+    order = np.argsort(slope)
+    half = np.searchsorted(np.cumsum(way[order]), 0.5 * way.sum())
+    return float(slope[order][min(int(half), order.size - 1)])
+
+
+def _ramps(record: Record, ratio: float) -> tuple[Floats, float]:
+    """Error per output angle in each part of a record, shape (_PARTS,) [-], and their mean's deviation.
+
+    The deviation takes what is left as dependent within `_CLUSTERS` stretches.
+    """
+    ideal = record.input_angle / ratio
+    load = record.torque / max(float(np.max(np.abs(record.torque))), 1e-9)
+    waves = [wave for order in _INPUT_ORDERS for wave in _waves(order * record.input_angle)]
+    shared = (
+        *(load, load * np.abs(load), load**3, record.speed),
+        *_waves(ideal),
+        *waves,
+        *(load * wave for wave in waves),
+    )
+    rows = np.arange(record.size)
+    part = rows * _PARTS // record.size
+    way = _centered(ideal, record.run)
+    columns = [way * (part == number) for number in range(_PARTS)]
+    columns += [_centered(column, record.run) for column in shared]
+    scale = np.array([max(float(np.linalg.norm(c)), 1e-300) for c in columns])
+    scaled = np.stack(columns, axis=1) / scale
+    error = _centered(record.output_angle - ideal, record.run)
+    inverse = np.linalg.pinv(scaled, rcond=1e-6)
+    found = inverse @ error
+    weight = (inverse[:_PARTS] / scale[:_PARTS, None]).mean(axis=0)
+    cluster = np.bincount(rows * _CLUSTERS // record.size, weight * (error - scaled @ found))
+    return np.asarray((found / scale)[:_PARTS]), float(np.sqrt(np.sum(cluster**2)))
+
+
+def _waves(angle: Floats) -> tuple[Floats, Floats]:
+    return np.cos(angle), np.sin(angle)
+
+
+def _centered(values: Floats, run: Integers) -> Floats:
+    """Values less the mean of their run: between runs turns may be lost and a hub may slip."""
+    return np.asarray(values - (np.bincount(run, values) / np.maximum(np.bincount(run), 1))[run])
+
+
+def find_steps(record: Record, ratio: float, tooth_pitch: float) -> tuple[Floats, list[Finding]]:
+    """Steps of the error: teeth skipped or encoder counts lost.
+
+    Parameters
+    ----------
+    record : Record
+    ratio : float
+    tooth_pitch : float
+        Angle by which the flexspline turns when it skips a tooth [rad]: after one of its own pitches the mesh
+        is the same again.
+
+    Returns
+    -------
+    correction : ndarray, shape (n,)
+        What to take off the output angle to close the steps [rad].
+    findings : list of Finding
+    """
+    error = record.output_angle - record.input_angle / ratio
+    correction = np.zeros(record.size)
+    findings = []
+    width = 15
+    for begin, end in bounds(record.run):
+        part = error[begin:end]
+        if part.size < 4 * width or _largest_jump(part, width) <= _STEP * tooth_pitch:
+            continue
+        jump = part[width:] - part[:-width]
+        while np.max(np.abs(jump)) > _STEP * tooth_pitch:
+            at = int(np.argmax(np.abs(jump))) + width
+            inner = part[max(at - width, 0) : at + 1]
+            place = max(at - width, 0) + int(np.argmax(np.abs(np.diff(inner)))) + 1
+            size = float(
+                np.median(part[place : place + width]) - np.median(part[max(place - width, 0) : place])
+            )
+            if abs(size) < _STEP * tooth_pitch:
+                break
+            correction[begin + place :] += size
+            part[place:] -= size
+            error[end:] -= size
+            findings.append(_step(size, tooth_pitch, float(record.time[begin + place])))
+            jump = part[width:] - part[:-width]
+            if len(findings) > 20:
+                return correction, findings
+    return correction, findings
+
+
+def _largest_jump(values: Floats, width: int) -> float:
+    """Greatest change over so many rows."""
+    parts = [rows for rows, _, _ in blocks(width, values.size)]
+    return max(
+        float(np.max(np.abs(values[rows] - values[rows.start - width : rows.stop - width]))) for rows in parts
+    )
+
+
+def _step(size: float, tooth_pitch: float, time: float) -> Finding:
+    teeth = round(size / tooth_pitch)
+    if teeth != 0 and abs(size / tooth_pitch - teeth) < 0.05:
+        what = f"{teeth} {'tooth' if abs(teeth) == 1 else 'teeth'} skipped"
+    else:
+        what = "encoder counts lost, or a hub slipped: no whole tooth"
+    text = f"a step of {np.degrees(size) * 3600:.0f} arcsec at {time:.3f} s: {what}"
+    return Finding("tooth_skip", text, size, "rad", False)

@@ -1,0 +1,1 @@
+"""Fits: noise, the model's own parameters, the linearised fit, joint refinement."""

@@ -1,0 +1,136 @@
+"""The last steps of a fit: all parameters, coefficients and nonlinear values of the causes together."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.diagnosis.fit.design import Design
+from hd_diag.diagnosis.fit.linearised_fit import Chosen, Workbench, settle
+from hd_diag.effects.effect import Effect, Stage
+
+Floats = npt.NDArray[np.float64]
+
+_ROUNDS = 8
+_SHORTER = 3  # halvings of a step that makes the fit worse
+_SETTLED = 0.05  # deviance; what a further round could gain
+
+
+def polished(bench: Workbench, chosen: Chosen, rounds: int = _ROUNDS) -> tuple[Workbench, Chosen]:
+    """Gauss-Newton over the nonlinear values of all effects, the model's parameters settled in between.
+
+    Parameters
+    ----------
+    bench : Workbench
+    chosen : sequence of (Effect, nonlinear values)
+    rounds : int
+        At most.
+
+    Returns
+    -------
+    bench, chosen
+        At the best values near those given.
+    """
+    for _ in range(rounds):
+        before = bench.design(chosen).deviance()
+        chosen = _stepped(bench, chosen, before)
+        bench = settle(bench, chosen, rounds=1, learn=False)
+        if bench.design(chosen).deviance() > before - _SETTLED:
+            break
+    return bench, chosen
+
+
+def slopes(bench: Workbench, chosen: Chosen) -> Floats:
+    """What the effects change by their free nonlinear values.
+
+    Parameters
+    ----------
+    bench : Workbench
+    chosen : sequence of (Effect, nonlinear values)
+
+    Returns
+    -------
+    ndarray, shape (n, k)
+        [rad] per unit, effect by effect; k = 0 where all effects are linear.
+    """
+    beta, _, _ = bench.fit(chosen)
+    found = []
+    for (effect, nonlinear), place in zip(chosen, bench.places(chosen), strict=True):
+        coefficients = beta[place]
+        step = 0.01 * bench.grid_step(effect, nonlinear) if free(effect) else np.empty(0)
+        for index in free(effect):
+            ends = [_moved(effect, nonlinear, index, sign * step[index]) for sign in (-1.0, 1.0)]
+            low, high = (bench.full_size(effect, end, coefficients) for end in ends)
+            found.append((high - low) / max(ends[1][index] - ends[0][index], 1e-300))
+    return np.stack(found, axis=1) if found else np.empty((bench.left.size, 0))
+
+
+def covariance(bench: Workbench, chosen: Chosen) -> tuple[Floats, list[npt.NDArray[np.int64]]]:
+    """Covariance of all that is fitted, the free nonlinear values included.
+
+    Where blocks of the record scatter more than the noise model has it, by their scatter.
+
+    Returns
+    -------
+    covariance : ndarray, shape (k, k)
+        Model, offset, coefficients effect by effect, then nonlinear values effect by effect.
+    places : list of ndarray
+        For every effect the rows of its own coefficients and then of its nonlinear values; -1: not free.
+    """
+    linear = bench.places(chosen)
+    last, places = linear[-1].stop if linear else 0, []
+    for (effect, nonlinear), place in zip(chosen, linear, strict=True):
+        inner = np.full(len(nonlinear), -1)
+        for index in free(effect):
+            inner[index], last = last, last + 1
+        own = place.stop if effect.stage == Stage.NOWHERE else place.start + effect.size
+        places.append(np.concatenate((np.arange(place.start, own), inner)))
+    beta, spread, built = bench.fit(chosen, slopes(bench, chosen))
+    return spread * np.multiply.outer(*[_wider(beta, spread, built)] * 2), places
+
+
+def _wider(beta: Floats, spread: Floats, built: Design) -> Floats:
+    """Deviations by the scatter of blocks (sandwich estimate) over those of the noise model, at least 1."""
+    pulls = built.moment - built.gram @ beta
+    blocks = pulls.shape[0]
+    scatter = np.einsum("bk,kp->bp", pulls, spread)
+    variance = np.sum(scatter**2, axis=0) * blocks / max(blocks - 1, 1)
+    return np.asarray(np.sqrt(np.maximum(variance / np.maximum(np.diag(spread), 1e-300), 1.0)))
+
+
+def free(effect: Effect) -> list[int]:
+    """Numbers of the nonlinear values that any real number may be."""
+    return [index for index, quantity in enumerate(effect.nonlinear) if not quantity.discrete]
+
+
+def _stepped(bench: Workbench, chosen: Chosen, before: float) -> Chosen:
+    """Nonlinear values after one step; as they were if none helps."""
+    columns = slopes(bench, chosen)
+    if not columns.shape[1]:
+        return chosen
+    step = bench.fit(chosen, columns)[0][-columns.shape[1] :]
+    for _ in range(_SHORTER):
+        trial = _moved_all(bench, chosen, step)
+        bench.correct(trial)
+        if bench.design(trial).deviance() < before:
+            return trial
+        step = 0.5 * step
+    bench.correct(chosen)
+    return chosen
+
+
+def _moved_all(bench: Workbench, chosen: Chosen, step: Floats) -> Chosen:
+    moved, at = [], 0
+    for effect, nonlinear in chosen:
+        most = bench.grid_step(effect, nonlinear) if free(effect) else np.empty(0)
+        for index in free(effect):
+            nonlinear = _moved(effect, nonlinear, index, float(np.clip(step[at], -most[index], most[index])))
+            at += 1
+        moved.append((effect, nonlinear))
+    return tuple(moved)
+
+
+def _moved(effect: Effect, nonlinear: tuple[float, ...], index: int, step: float) -> tuple[float, ...]:
+    quantity = effect.nonlinear[index]
+    value = float(np.clip(nonlinear[index] + step, quantity.low, quantity.high))
+    return (*nonlinear[:index], value, *nonlinear[index + 1 :])

@@ -1,0 +1,345 @@
+"""A joint's measured record: cleaned, cut into runs, with speed and a torque fit to be a regressor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import median_filter
+
+from hd_diag.diagnosis.blocks import filtered, unwrapped
+from hd_diag.diagnosis.noise import bounds, spans
+from hd_diag.diagnosis.smoothing import best_width, rate, settled, smooth
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+Rows = npt.NDArray[np.bool_]
+Kind = TypeVar("Kind", bound=np.generic)
+
+MINIMUM_SAMPLES = 500
+"""Fewer samples than this are too short a record."""
+
+_PAUSE = 0.2  # rest that ends a run [s]
+_REST_SPEED = 0.02  # of the record's 95th percentile of speed, below which the joint rests [-]
+_GAP_STEPS = 5.5  # a step this many times the usual one is a gap: state and filters restart
+_SPEED_WINDOW = 0.03  # [s]
+_HEAT_WINDOW = 2.0  # [s]
+_LONG_GAP_STEPS = 200.0  # a step this many times the usual one is more than a cause remembers through
+_WRAP_SLACK = 0.1  # what noise and outliers may add to the range of a wrapped angle [rad]
+_OUTLIER = 8.0  # robust standard deviations of what neighbours do not foretell
+_OUTLIER_WINDOW = 51  # over which that deviation is taken [samples]
+_OUTLIER_PASSES = 3
+
+
+_COLUMNS = (
+    "time",
+    "input_angle",
+    "output_angle",
+    "torque",
+    "speed",
+    "temperature",
+    "run",
+    "bag",
+    "reported_torque",
+    "reported_speed",
+    "stretch",
+)
+
+
+class RecordError(ValueError):
+    """A record that cannot be judged; the text says why."""
+
+
+class Extent(NamedTuple):
+    """What a record covers: samples, runs, time in them [s], turns of the input in both directions."""
+
+    samples: int
+    runs: int
+    duration: float
+    input_turns: float
+
+
+@dataclass(frozen=True)
+class Record:
+    """Samples of one joint, in time order within each run.
+
+    Attributes
+    ----------
+    time, input_angle, output_angle, torque, speed : ndarray, shape (n,)
+        [s], [rad], [rad], [N m] on the link, input speed [rad/s].
+    temperature : ndarray, shape (n,), or None
+        [degree Celsius]
+    run : ndarray of int64, shape (n,)
+        Index of the run; a run ends with a pause, a gap or a bag.
+    has_torque : bool
+        Whether the torque was measured; else it is what the configuration assumes.
+    outliers, dropped : int
+        Samples taken out: far off their neighbours, or not finite or out of order.
+    bag : ndarray of int64, shape (n,)
+        Which recording each sample comes from.
+    reported_torque : ndarray, shape (n,)
+        Without smoothing, as a model that runs has it [N m].
+    reported_speed : ndarray, shape (n,), or None
+        Of the input, as the joint itself reports it [rad/s]; nan where it does not.
+    stretch : ndarray of int64, shape (n,), or None
+        Number of the stretch through which a cause with memory goes on, where rows were left out; None where
+        the stamps tell (see `stretches`).
+    whole : Extent or None
+        Of the record that these rows were taken from, where rows were left out.
+    """
+
+    time: Floats
+    input_angle: Floats
+    output_angle: Floats
+    torque: Floats
+    speed: Floats
+    temperature: Floats | None
+    run: Integers
+    has_torque: bool
+    outliers: int
+    dropped: int
+    bag: Integers
+    reported_torque: Floats
+    reported_speed: Floats | None = None
+    stretch: Integers | None = None
+    whole: Extent | None = None
+
+    @property
+    def size(self) -> int:
+        """Number of samples."""
+        return int(self.time.size)
+
+    @property
+    def extent(self) -> Extent:
+        """What the record covers; of the whole, where rows were left out."""
+        if self.whole is not None:
+            return self.whole
+        edges = np.flatnonzero(np.diff(self.run)) + 1
+        starts, ends = np.append(0, edges), np.append(edges, self.size) - 1
+        duration = float(np.sum(self.time[ends] - self.time[starts]))
+        way = np.abs(np.diff(self.input_angle))
+        way[edges - 1] = 0.0
+        return Extent(self.size, int(self.run[-1]) + 1, duration, float(np.sum(way)) / (2.0 * np.pi))
+
+    @property
+    def runs(self) -> int:
+        """Number of runs."""
+        return int(self.run[-1]) + 1 if self.whole is None else self.whole.runs
+
+    @property
+    def duration(self) -> float:
+        """Time covered by the runs [s]."""
+        return self.extent.duration
+
+    @property
+    def input_turns(self) -> float:
+        """Turns of the input, both directions counted [-]."""
+        return self.extent.input_turns
+
+    @property
+    def stretches(self) -> Integers:
+        """Numbers of stretches without a long gap: a pause ends a run, but a cause with memory goes on."""
+        if self.stretch is not None:
+            return self.stretch
+        step = np.diff(self.time)
+        usual = float(np.median(step[step > 0.0]))
+        breaks = (step > _LONG_GAP_STEPS * usual) | (step <= 0.0) | (np.diff(self.bag) != 0)
+        return np.concatenate(([0], np.cumsum(breaks))).astype(np.int64)
+
+    def select(self, rows: Rows | Integers) -> Record:
+        """The record of some rows; their run numbers stay."""
+        columns = {name: getattr(self, name) for name in _COLUMNS}
+        chosen: dict[str, Any] = {name: None if c is None else c[rows] for name, c in columns.items()}
+        return replace(self, **chosen)
+
+
+def prepare(
+    time: Floats,
+    input_angle: Floats,
+    output_angle: Floats,
+    torque: Floats | None,
+    temperature: Floats | None,
+    bag: Integers,
+    ratio: float,
+    assumed_torque: float = 0.0,
+    reported_speed: Floats | None = None,
+) -> Record:
+    """A record from raw columns.
+
+    Parameters
+    ----------
+    time : ndarray, shape (n,)
+        [s]
+    input_angle, output_angle : ndarray, shape (n,)
+        As reported [rad]; wrapped angles are unwrapped.
+    torque : ndarray, shape (n,), or None
+        On the link [N m].
+    temperature : ndarray, shape (n,), or None
+        [degree Celsius]
+    bag : ndarray of int64, shape (n,)
+        Which recording each sample comes from.
+    ratio : float
+        Reported input angle over reported output angle [-].
+    assumed_torque : float
+        Used where no torque was measured [N m].
+    reported_speed : ndarray, shape (n,), or None
+        Of the input, as the joint reports it [rad/s]; nan where it does not.
+
+    Returns
+    -------
+    Record
+
+    Raises
+    ------
+    RecordError
+        If too little is left, nothing moves, or stamps contradict each other.
+    """
+    torque, temperature = _measured(torque), _measured(temperature)
+    usable = _usable((time, input_angle, output_angle, torque, temperature), bag)
+    dropped = usable.size - int(np.count_nonzero(usable))
+    if usable.size - dropped < MINIMUM_SAMPLES:
+        raise RecordError(
+            f"too short: {usable.size - dropped} usable samples, at least {MINIMUM_SAMPLES} are needed"
+        )
+    if dropped > 0.5 * usable.size:
+        raise RecordError(
+            f"{dropped} of {usable.size} samples are not finite or their stamps contradict each other"
+        )
+    time, bag = _kept(time, usable), _kept(bag, usable)
+    load, heat, own_speed = (_kept_known(c, usable) for c in (torque, temperature, reported_speed))
+    segment, output = _segments(time, bag), _unwrapped(_kept(output_angle, usable), bag)
+    angle = _with_turns(_kept(input_angle, usable), output, bag, segment, ratio)
+    if float(np.ptp(angle)) < np.pi:
+        raise RecordError(
+            f"no motion: the input turns by {float(np.ptp(angle)):.3g} rad, at least half a turn is needed"
+        )
+    keep = ~_outliers(output - angle / ratio, bag)
+    outliers = keep.size - int(np.count_nonzero(keep))
+    time, angle, output = (_kept(column, keep) for column in (time, angle, output))
+    bag, segment = _kept(bag, keep), _kept(segment, keep)
+    load, heat, own_speed = (_kept_known(c, keep) for c in (load, heat, own_speed))
+    step = float(np.median(np.diff(time)))
+    speed = rate(angle, segment, step, _SPEED_WINDOW)
+    raw = np.full(time.shape, assumed_torque) if load is None else load
+    torque = raw if load is None else _without_noise(raw, segment, step)
+    heat = None if heat is None else smooth(heat, segment, step, _HEAT_WINDOW)
+    run = _runs(time, speed, segment)
+    known = load is not None
+    return Record(
+        time, angle, output, torque, speed, heat, run, known, outliers, dropped, bag, raw, own_speed
+    )
+
+
+def _without_noise(torque: Floats, segment: Integers, step: float) -> Floats:
+    width = best_width(torque, segment, step)
+    return settled(torque, smooth(torque, segment, step, width), step, width)
+
+
+def _usable(columns: tuple[Floats | None, ...], bag: Integers) -> Rows:
+    """Rows that are finite in all columns and later than the row before, by the first of the columns."""
+    time = columns[0]
+    assert time is not None
+    usable = np.concatenate(([True], (np.diff(time) > 0.0) | (np.diff(bag) != 0)))[: time.size]
+    for column in columns:
+        if column is not None:
+            usable &= np.isfinite(column)
+    return usable
+
+
+def _kept(column: npt.NDArray[Kind], rows: Rows) -> npt.NDArray[Kind]:
+    """Some rows of a column; all of them are no copy."""
+    return column if rows.all() else column[rows]
+
+
+def _kept_known(column: Floats | None, rows: Rows) -> Floats | None:
+    return None if column is None else _kept(column, rows)
+
+
+def _measured(values: Floats | None) -> Floats | None:
+    """A column that holds a value at all, else None."""
+    return None if values is None or not np.isfinite(values).any() else values
+
+
+def _wrapped(angle: Floats) -> bool:
+    """Whether angles stay within one turn [rad], as those of wrapped encoders do."""
+    return float(np.ptp(angle)) < 2.0 * np.pi + _WRAP_SLACK
+
+
+def _unwrapped(angle: Floats, bag: Integers) -> Floats:
+    """Angles without jumps of whole turns, bag by bag; continuous angles stay as they are."""
+    parts = [angle[a:b] for a, b in bounds(bag)]
+    done = [unwrapped(part) if _wrapped(part) else part for part in parts]
+    return done[0] if len(done) == 1 else np.concatenate(done)
+
+
+def _with_turns(angle: Floats, output: Floats, bag: Integers, segment: Integers, ratio: float) -> Floats:
+    """Input angles without jumps of whole turns; the output tells those that no sample saw."""
+    result = angle
+    first = ratio * output[0] - angle[0]
+    for begin, end in bounds(bag):
+        if not _wrapped(angle[begin:end]):
+            continue
+        result = angle.copy() if result is angle else result
+        for a, b in bounds(segment[begin:end]):
+            part = slice(begin + a, begin + b)
+            result[part] = unwrapped(angle[part])
+            missing = float(np.median(ratio * output[part] - result[part])) - first
+            result[part] += 2.0 * np.pi * np.round(missing / (2.0 * np.pi))
+    return result
+
+
+def _segments(time: Floats, bag: Integers) -> Integers:
+    """Stretches without a gap and without a stamp that goes back."""
+    step = np.diff(time)
+    usual = np.median(step[step > 0.0])
+    breaks = (step > _GAP_STEPS * usual) | (step <= 0.0) | (np.diff(bag) != 0)
+    return np.concatenate(([0], np.cumsum(breaks))).astype(np.int64)
+
+
+def _outliers(error: Floats, bag: Integers) -> Rows:
+    """Single samples off both their neighbours; taken out, they may show others beside them.
+
+    Neighbours are those that were recorded: between gaps there may be too few samples to tell.
+    """
+    found = np.zeros(error.size, dtype=bool)
+    for begin, end in bounds(bag):
+        filtered(found, begin, end, lambda rows: _repeated(error[rows]), 2 * _OUTLIER_WINDOW)
+    return found
+
+
+def _repeated(error: Floats) -> Rows:
+    found = np.zeros(error.size, dtype=bool)
+    rows = np.arange(error.size)
+    for _ in range(_OUTLIER_PASSES):
+        off = _spikes(error[rows])
+        found[rows[off]] = True
+        rows = rows[~off]
+    return found
+
+
+def _spikes(values: Floats) -> Rows:
+    """Samples far off the cubic through their four neighbours, and beyond both next to them.
+
+    The cubic follows the gear's ripple, which a running median would cut; flanks that change are a step,
+    beyond one neighbour only.
+    """
+    if values.size < 9:
+        return np.zeros(values.size, dtype=bool)
+    far, near, x, after, last = np.lib.stride_tricks.sliding_window_view(np.pad(values, 2, "reflect"), 5).T
+    off = np.abs(x - (4.0 * (near + after) - far - last) / 6.0)
+    local = median_filter(off, _OUTLIER_WINDOW, mode="nearest")
+    spread = 1.4826 * np.maximum(local, np.median(off))
+    single = ((x - near) * (x - after) > 0.0) & (np.minimum(np.abs(x - near), np.abs(x - after)) > 0.5 * off)
+    return np.asarray(single & (spread > 0.0) & (off > _OUTLIER * spread))
+
+
+def _runs(time: Floats, speed: Floats, segment: Integers) -> Integers:
+    """Runs: segments, cut in the middle of every rest that lasts."""
+    resting = np.abs(speed) < _REST_SPEED * np.percentile(np.abs(speed), 95)
+    cut = np.concatenate(([False], np.diff(segment) != 0))
+    for begin, end in spans(resting):
+        if time[end - 1] - time[begin] >= _PAUSE and begin > 0 and end < time.size:
+            cut[(begin + end) // 2] = True
+    return np.cumsum(cut).astype(np.int64)

@@ -1,0 +1,1 @@
+"""Search for causes: candidates ranked, accepted, refined; what remains unexplained."""

@@ -1,0 +1,240 @@
+"""Shapes without a known cause: they compete with the causes, so that none is named for being the nearest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.diagnosis.noise import bounds, spans
+from hd_diag.effects.effect import Effect, Quantity, Stage, Values
+from hd_diag.effects.signals import Signals
+
+Floats = npt.NDArray[np.float64]
+Shape = Callable[[Signals], Floats]
+
+_STRETCHES = 12  # that a creep may be cut into
+_KNOTS = 7  # of a drift over a recording
+_CELLS = 240  # per turn of the output
+_WIDTHS = (0.06, 0.15)  # of a bump there [rad]
+
+
+@dataclass(frozen=True)
+class Foil(Effect):
+    """Columns of a shape without a cause.
+
+    Parameters
+    ----------
+    shape : callable
+        Signals to columns of order one, shape (n, k); k = 0 where the record has none.
+    description : str
+        What it looks like, in words.
+    sees_ahead : bool
+        Whether samples that were not fitted can be foretold.
+    """
+
+    stage: ClassVar[Stage] = Stage.NOWHERE
+
+    shape: Shape = lambda signals: np.empty((signals.size, 0))
+    description: str = ""
+    sees_ahead: bool = True
+
+    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
+        """See :meth:`Effect.columns`."""
+        return self.shape(signals) if signals.size else np.empty((0, 0))
+
+    def testable(self, signals: Signals) -> tuple[bool, str]:
+        """Where the record has columns of it."""
+        return bool(self.columns(signals, ()).shape[1]), "the record has nothing of the kind"
+
+
+@dataclass(frozen=True)
+class Settling(Foil):
+    """A shape that follows the joint through its rests, in which no row may be fit to use."""
+
+    remembers: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class Place(Foil):
+    """A bump at one place of the output's turn, twice as wide as its half width to 1/e."""
+
+    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
+        """See :meth:`Effect.columns`."""
+        position, width = nonlinear
+        away = np.angle(np.exp(1j * (signals.output_angle - position)))
+        bump: Floats = np.exp(-((away / width) ** 2))
+        return bump[:, None]
+
+    def testable(self, signals: Signals) -> tuple[bool, str]:
+        """Where the output moves."""
+        moved = bool(signals.size) and float(np.ptp(signals.output_angle)) > 0.5
+        return moved, "the output moves by less than half a radian"
+
+    def grid(self, signals: Signals) -> list[Values]:
+        """One of many; `scan` looks at all."""
+        return [(0.0, _WIDTHS[0])]
+
+    def trials(self, signals: Signals) -> int:
+        """Places and widths of a scan."""
+        return _CELLS * len(_WIDTHS)
+
+    def scan(self, signals: Signals, residual: Floats) -> list[Values]:
+        """Where the residual's mean over the turn has the bump of each width that explains most."""
+        cell = np.floor(np.mod(signals.output_angle, 2.0 * np.pi) * (_CELLS / (2.0 * np.pi))).astype(np.int64)
+        cell %= _CELLS
+        total = np.bincount(cell, residual - residual.mean(), _CELLS).astype(np.float64)
+        count = np.bincount(cell, minlength=_CELLS).astype(np.float64)
+        place = 2.0 * np.pi / _CELLS * (np.arange(_CELLS) + 0.5)
+        found: list[Values] = []
+        for width in _WIDTHS:
+            bump = np.exp(-((np.angle(np.exp(1j * (place - place[0]))) / width) ** 2))
+            moment, norm = _around(total, bump), _around(count, bump**2)
+            gain = np.where(norm > 0.02 * norm.max(), moment**2 / np.maximum(norm, 1e-300), 0.0)
+            found.append((float(place[int(np.argmax(gain))]), width))
+        return found
+
+
+def _around(values: Floats, bump: Floats) -> Floats:
+    """Sums of values weighted by a bump around every cell."""
+    return np.asarray(np.fft.irfft(np.fft.rfft(values) * np.conj(np.fft.rfft(bump)), values.size))
+
+
+def _foil(
+    name: str,
+    shape: Shape,
+    description: str,
+    frame: str,
+    sees_ahead: bool = True,
+    kind: type[Foil] = Foil,
+    quantities: tuple[Quantity, ...] = (),
+) -> Foil:
+    assert frame in ("input", "output", "time", "torque")
+    return kind(
+        name=name,
+        cause=description,
+        kind="kinematic",
+        frame=frame,  # type: ignore[arg-type]  # asserted above
+        needs=(),
+        quantities=(Quantity("size", "rad", -1.0, 1.0, 1e-4, "of the greatest column"), *quantities),
+        confused_with=(),
+        source="no cause is known",
+        inspect="",
+        shape=shape,
+        description=description,
+        sees_ahead=sees_ahead,
+    )
+
+
+def _full(values: Floats) -> Floats:
+    return np.asarray(values / max(float(np.max(np.abs(values), initial=0.0)), 1e-300))
+
+
+def _even_torque(signals: Signals) -> Floats:
+    load = _full(signals.torque)
+    if np.min(load) > -0.05 or np.max(load) < 0.05:
+        return np.empty((signals.size, 0))
+    return np.stack((np.abs(load), load**2), axis=1)
+
+
+def _sided_torque(signals: Signals) -> Floats:
+    way = np.tanh(_full(signals.forward_speed) / 0.02)
+    if min(np.mean(way > 0.5), np.mean(way < -0.5)) < 0.05 or np.ptp(np.abs(signals.torque)) == 0.0:
+        return np.empty((signals.size, 0))
+    load = _full(signals.torque)
+    return np.stack((way * load, way * np.abs(load)), axis=1)
+
+
+def _creep(signals: Signals) -> Floats:
+    """What has crept before a stretch begins is not known: a constant for every one but the first."""
+    stretches = bounds(signals.run)
+    if len(stretches) > _STRETCHES:
+        return np.empty((signals.size, 0))
+    columns = np.zeros((signals.size, 2))
+    for begin, end in stretches:
+        rows = slice(begin, end)
+        way = np.abs(np.diff(signals.output_angle[rows], prepend=signals.output_angle[begin]))
+        columns[rows] = np.cumsum(np.stack((way, way * signals.torque[rows]), axis=1), axis=0)
+    started = signals.run[:, None] == signals.run[[begin for begin, _ in stretches[1:]]]
+    return np.concatenate((np.stack([_full(c) for c in columns.T], axis=1), started), axis=1)
+
+
+def _drift(signals: Signals) -> Floats:
+    """Broken lines over every stretch of a recording, the mean of each left out."""
+    parts = []
+    for begin, end in bounds(signals.run):
+        time = signals.time[begin:end]
+        span = float(time[-1] - time[0])
+        if span < 5.0:
+            continue
+        place = (time - time[0]) / span * (_KNOTS - 1)
+        hats = np.maximum(1.0 - np.abs(place[:, None] - np.arange(1, _KNOTS)), 0.0)
+        part = np.zeros((signals.size, _KNOTS - 1))
+        part[begin:end] = hats
+        parts.append(part)
+    return np.concatenate(parts[:4], axis=1) if parts else np.empty((signals.size, 0))
+
+
+def _rests(signals: Signals) -> Floats:
+    """A constant for every run but the first, from the middle of one rest to that of the next."""
+    speed = np.abs(signals.speed)
+    least = 0.01 * float(np.percentile(speed, 95))
+    began = np.concatenate(([False], np.diff(signals.run) != 0))
+    began[_rest_middles(speed, least)] = True
+    number = np.cumsum(began)
+    count = np.bincount(number, speed >= least)
+    kept = np.flatnonzero(count > 0.01 * signals.size)
+    if not 3 <= kept.size <= 60:
+        return np.empty((signals.size, 0))
+    # A flicker goes with the run before.
+    place = np.maximum(np.searchsorted(kept, number, side="right") - 1, 0)
+    own: Floats = (place[:, None] == np.arange(1, kept.size)).astype(np.float64)
+    return own
+
+
+def _rest_middles(speed: Floats, least: float) -> list[int]:
+    """Rows in the middle of rests: of what is slowest in them, for a slow run begins slowly."""
+    found = []
+    for begin, end in spans(speed < least):
+        part = speed[begin:end]
+        slowest = np.flatnonzero(part <= max(0.1 * least, float(part.min())))
+        found.append(begin + int(slowest[0] + slowest[-1]) // 2)
+    return found
+
+
+def _fast(signals: Signals) -> Floats:
+    speed = _full(signals.forward_speed)
+    square: Floats = speed**2
+    return np.stack((square, speed * np.abs(speed)), axis=1)
+
+
+FOILS = (
+    _foil("even_torque", _even_torque, "goes with the torque's size, alike under either sign", "torque"),
+    _foil("sided_torque", _sided_torque, "goes with torque and direction of motion together", "torque"),
+    _foil("creep", _creep, "grows with the way, and with torque times way: something creeps", "input"),
+    _foil("drift", _drift, "drifts with time, by no measured cause", "time", sees_ahead=False),
+    _foil(
+        "rests",
+        _rests,
+        "settles anew at every rest: something is loose",
+        "time",
+        sees_ahead=False,
+        kind=Settling,
+    ),
+    _foil(
+        "place",
+        lambda signals: np.empty((signals.size, 0)),
+        "belongs to one place of the output's turn",
+        "output",
+        kind=Place,
+        quantities=(
+            Quantity("position", "rad", 0.0, 2.0 * np.pi, 6.3, "output angle", False, 2.0 * np.pi, True),
+            Quantity("width", "rad", 0.01, 1.0, 0.1, "half width to 1/e", False, None, True),
+        ),
+    ),
+    _foil("square_speed", _fast, "grows with the square of the speed", "input"),
+)
+"""All of them; each is tested like a cause, and described where it wins."""

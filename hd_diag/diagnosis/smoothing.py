@@ -1,0 +1,134 @@
+"""Columns of a record without their noise, and their rates: local quadratics, segment by segment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import savgol_coeffs, savgol_filter
+
+from hd_diag.diagnosis.blocks import filtered
+from hd_diag.diagnosis.noise import bounds
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+_ORDER = 2
+_WINDOWS = 0.01 * 1.35 ** np.arange(12)  # to choose from [s]
+_STILL = 4.0  # times the variance that noise leaves, up to which smoothed values are as good as constant
+_ZERO = 16.0  # times the variance of a mean, up to which it is as good as zero
+_JUDGED = 100_000  # samples that a window is chosen by
+
+
+def smooth(values: Floats, segment: Integers, step: float, width: float) -> Floats:
+    """Values without their noise, by a local quadratic, applied twice.
+
+    Once leaves much of the noise at high frequencies, which whitening brings out again.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+    segment : ndarray of int64, shape (n,)
+        Number of the stretch without a gap that a sample belongs to, rising.
+    step : float
+        Between samples [s].
+    width : float
+        Of the window [s].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    return _by_segment(segment, lambda rows: _twice(values[rows], step, width), step, 2.0 * width)
+
+
+def best_width(values: Floats, segment: Integers, step: float) -> float:
+    """Window that foretells the values best from their neighbours [s], by generalised cross-validation.
+
+    A regressor's noise biases what is fitted to it, a window too long bends it: both cost about the same at
+    the best. Source: Golub, Heath, Wahba, Technometrics 21 (1979).
+
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+    segment : ndarray of int64, shape (n,)
+    step : float
+        [s]
+
+    Returns
+    -------
+    float
+    """
+    begin, end = max(bounds(segment), key=lambda edges: edges[1] - edges[0])
+    middle = (begin + end) // 2
+    part = values[max(begin, middle - _JUDGED // 2) : min(end, middle + _JUDGED // 2)]
+    scores = [_foretold(part, step, width) for width in _WINDOWS]
+    return float(_WINDOWS[int(np.argmin(scores))])
+
+
+def settled(values: Floats, smoothed: Floats, step: float, width: float) -> Floats:
+    """The smoothed values; their mean, or zero, where they move no more than noise alone would make them.
+
+    Whether a torque is zero decides what bears in a true gap: noise must not.
+
+    Parameters
+    ----------
+    values, smoothed : ndarray, shape (n,)
+    step, width : float
+        By which they were smoothed [s].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+    """
+    kernel = savgol_coeffs(_window(values.size, step, width), _ORDER)
+    noise = float(np.var(values - smoothed))
+    if np.var(smoothed) > _STILL * noise * np.sum(np.convolve(kernel, kernel) ** 2):
+        return smoothed
+    mean = float(np.mean(values))
+    return np.full(values.size, mean if mean**2 > _ZERO * noise / values.size else 0.0)
+
+
+def rate(values: Floats, segment: Integers, step: float, width: float) -> Floats:
+    """Rate of change by a local quadratic [1/s]; arguments as of :func:`smooth`."""
+
+    def local(rows: slice) -> Floats:
+        part = values[rows]
+        window = _window(part.size, step, width)
+        if window < 3:
+            return np.gradient(part, step) if part.size > 1 else np.zeros_like(part)
+        return np.asarray(savgol_filter(part, window, min(_ORDER, window - 1), deriv=1, delta=step))
+
+    return _by_segment(segment, local, step, width)
+
+
+def _twice(values: Floats, step: float, width: float) -> Floats:
+    window = _window(values.size, step, width)
+    if window <= _ORDER + 1:
+        return values
+    return np.asarray(savgol_filter(savgol_filter(values, window, _ORDER), window, _ORDER))
+
+
+def _foretold(values: Floats, step: float, width: float) -> float:
+    """Mean square by which values differ from what their neighbours foretell."""
+    window = _window(values.size, step, width)
+    if window <= _ORDER + 1:
+        return float("inf")
+    own = float(np.sum(savgol_coeffs(window, _ORDER) ** 2))  # weight of a value in its own estimate
+    return float(np.mean((values - _twice(values, step, width)) ** 2)) / (1.0 - own) ** 2
+
+
+def _window(size: int, step: float, width: float) -> int:
+    """Odd number of samples, no more than there are."""
+    wanted = int(width / step) | 1
+    largest = size if size % 2 else size - 1
+    return min(max(wanted, _ORDER + 2 | 1), largest)
+
+
+def _by_segment(segment: Integers, function: Callable[[slice], Floats], step: float, width: float) -> Floats:
+    """Values of a filter of a width [s] along every segment."""
+    result = np.empty(segment.size)
+    for begin, end in bounds(segment):
+        filtered(result, begin, end, function, _window(segment.size, step, width))
+    return result

@@ -1,0 +1,401 @@
+"""The gear drawn for RViz and Foxglove: a visualization_msgs/MarkerArray, seen from the circular spline."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.drive import Drive
+from hd_diag.messages.schemas import jazzy, serialize
+from hd_diag.model.geometry import Geometry
+from hd_diag.model.neutral_curve import tooth_axes
+from hd_diag.model.tooth_profile import DoubleArc
+
+MARKERS = "visualization_msgs/msg/MarkerArray"
+
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+Colour = tuple[float, float, float, float]
+
+# Least-squares fit, c_0 to c_7 for red, green and blue, to the published table of viridis (S. van der Walt,
+# N. Smith, CC0); within 0.011 of it everywhere.
+_VIRIDIS = np.array(
+    [
+        (0.2566, 0.004, 0.3229),
+        (1.1618, 1.5037, 1.9623),
+        (-14.7894, -1.256, -7.804),
+        (76.3146, 2.4706, 24.8852),
+        (-217.0801, -8.5537, -65.2504),
+        (326.8138, 19.0038, 110.5158),
+        (-238.1806, -19.0286, -100.802),
+        (66.4996, 6.7629, 36.3069),
+    ]
+)
+
+_FLANK_POINTS = 9  # heights at which a flank is drawn: its chords show clearances within 9 um
+_FACE_POINTS = 5  # of these, heights between which the faces are filled
+_CURVE_POINTS = 121
+_NANOSECONDS = 1_000_000_000
+
+_STEEL: Colour = (0.55, 0.57, 0.60, 1.0)
+_AMBER: Colour = (0.85, 0.60, 0.25, 1.0)  # seen on RViz's and Foxglove's dark ground, and on a white one
+_BLUE: Colour = (0.20, 0.45, 0.85, 1.0)
+_RED: Colour = (0.90, 0.15, 0.10, 1.0)
+
+Kind = Literal["line_strip", "line_list", "triangle_list", "text"]
+_TYPES: dict[Kind, str] = {
+    "line_strip": "LINE_STRIP",
+    "line_list": "LINE_LIST",
+    "triangle_list": "TRIANGLE_LIST",
+    "text": "TEXT_VIEW_FACING",
+}
+
+
+@dataclass(frozen=True)
+class Shape:
+    """One marker.
+
+    Attributes
+    ----------
+    name : str
+        Namespace of the marker.
+    kind : {"line_strip", "line_list", "triangle_list", "text"}
+    points : ndarray, shape (n, 3)
+        [m]; of a text its place alone.
+    colour : (float, float, float, float)
+        Red, green, blue, opacity [-], where the points have none of their own.
+    size : float
+        Width of lines or height of letters [m]; without meaning for triangles.
+    colours : ndarray, shape (n, 4), or None
+        Of the points.
+    text : str
+    """
+
+    name: str
+    kind: Kind
+    points: Floats
+    colour: Colour
+    size: float = 1.0
+    colours: Floats | None = None
+    text: str = ""
+
+
+class Exaggeration(NamedTuple):
+    """How much larger than true the deformation and the eccentricity are drawn [-]; 1 is true to scale."""
+
+    deformation: float = 8.0
+    eccentricity: float = 200.0
+
+
+EXAGGERATION = Exaggeration()
+
+
+def drawing(
+    drive: Drive,
+    input_angle: float,
+    load: Floats,
+    *,
+    torsion: float = 0.0,
+    full_scale: float = 100.0,
+    exaggeration: Exaggeration = EXAGGERATION,
+) -> tuple[Shape, ...]:
+    """The gear at one moment, in the frame of the circular spline: z along its axis, x through slot 0.
+
+    Parameters
+    ----------
+    drive : Drive
+    input_angle : float
+        As reported [rad].
+    load : ndarray, shape (2, Z_R)
+        Forces on the flanks (+, -) of every tooth [N].
+    torsion : float
+        beta, rotation of the cup under load [rad].
+    full_scale : float
+        Force that has the last colour [N]; larger ones have it too.
+    exaggeration : Exaggeration
+        The deformation is exaggerated from the long axis, where the flexspline stays in its true place, so
+        that the teeth still stand in their slots there.
+
+    Returns
+    -------
+    tuple of Shape
+        ``circular_spline``, ``flexspline``, ``wave_generator`` (the neutral curve), ``long_axis``, ``teeth``
+        (each flank coloured by its own load), ``eccentricity`` (from the axis to the displaced centre),
+        ``legend``.
+
+    Raises
+    ------
+    ValueError
+        If the load does not belong to this many teeth.
+    """
+    geometry = drive.mesh.geometry
+    if load.shape != (2, geometry.flexspline_teeth):
+        raise ValueError(f"load: shape {(2, geometry.flexspline_teeth)} is needed, got {load.shape}")
+    angle = drive.frame.wave_generator_angle(np.array([input_angle]))
+    turn = complex(np.exp(1j * angle[0]))
+    displacement = complex(drive.mesh.displacement(angle)[0])
+    factor = exaggeration.deformation
+    teeth = _teeth(drive, float(angle[0]), factor)
+    teeth = np.exp(1j * torsion) * (turn * teeth + displacement)
+    curve = turn * _neutral_curve(geometry, factor) + displacement
+    arrow = _arrow(displacement * exaggeration.eccentricity)
+    outer = geometry.circular_spline_datum + geometry.slot_end
+    legend = (
+        f"deformation x {factor:g}, eccentricity x {exaggeration.eccentricity:g}\n"
+        f"teeth: force on the flank, dark 0 to yellow {full_scale:g} N\n"
+        "blue: wave generator, amber: flexspline, grey: circular spline"
+    )
+    width = 0.1 * geometry.tooth_pitch * outer
+    faces = _faces(teeth) - (0.0, 0.0, width)  # below the lines: in one plane they would flicker
+    return (
+        Shape("circular_spline", "line_strip", _slots(geometry), _STEEL, width),
+        Shape("flexspline", "line_strip", _flat(np.append(teeth, teeth[0, 0])), _AMBER, 0.5 * width),
+        Shape("wave_generator", "line_strip", _flat(curve), _BLUE, 2.0 * width),
+        Shape("long_axis", "line_list", _flat(curve[[0, _CURVE_POINTS // 2]]), _BLUE, 2.0 * width),
+        Shape("teeth", "triangle_list", faces, _STEEL, colours=_face_colours(load, full_scale)),
+        Shape("eccentricity", "line_list", arrow, _RED, 3.0 * width),
+        Shape("legend", "text", np.array([[0.0, -1.2 * outer, 0.0]]), _STEEL, 0.06 * outer, text=legend),
+    )
+
+
+def viridis(share: Floats) -> Floats:
+    """Colours of shares of the full scale.
+
+    Parameters
+    ----------
+    share : ndarray, shape (...)
+        Clipped to 0 ... 1.
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+        Red, green, blue and opacity 1, 0 ... 1.
+    """
+    rgb = np.polynomial.polynomial.polyval(np.clip(share, 0.0, 1.0), _VIRIDIS)
+    return np.concatenate((np.clip(np.moveaxis(rgb, 0, -1), 0.0, 1.0), np.ones((*share.shape, 1))), axis=-1)
+
+
+def _teeth(drive: Drive, wave_generator_angle: float, exaggeration: float) -> Complexes:
+    """Outlines of the teeth in the wave generator's frame, counter-clockwise, x + iy [m], (Z_R, points).
+
+    Pose as in :func:`hd_diag.model.clearance.contacts`.
+    """
+    mesh = drive.mesh
+    geometry = mesh.geometry
+    start = -wave_generator_angle * (1.0 + 1.0 / geometry.reduction) + mesh.arc_offset / geometry.curve.radius
+    u = start + geometry.tooth_pitch * np.arange(geometry.flexspline_teeth, dtype=np.float64)
+    foot, axis = _deformed(geometry, u, exaggeration)
+    turned: Complexes = np.exp(1j * axis)[:, None] * _tooth_outline(geometry)
+    return foot[:, None] + turned
+
+
+def _deformed(geometry: Geometry, u: Floats, exaggeration: float) -> tuple[Complexes, Floats]:
+    """Points of the neutral curve, x + iy [m], and directions of its normals [rad]."""
+    axis, height, offset = tooth_axes(geometry.curve, u)
+    foot = np.exp(1j * axis) * (height + 1j * offset)
+    place = axis + np.arctan2(offset, height)
+    radius = geometry.semi_major - exaggeration * (geometry.semi_major - np.abs(foot))
+    return np.asarray(radius * np.exp(1j * place)), place + exaggeration * (axis - place)
+
+
+def _neutral_curve(geometry: Geometry, exaggeration: float) -> Complexes:
+    return _deformed(geometry, np.linspace(0.0, 2.0 * np.pi, _CURVE_POINTS), exaggeration)[0]
+
+
+@functools.lru_cache(maxsize=16)
+def _tooth_outline(geometry: Geometry) -> Complexes:
+    """A tooth in its own frame: up its clockwise flank, down the other, x + iy [m]."""
+    flank = _flank(geometry.flexspline_tooth, geometry.flexspline_root, geometry.flexspline_tip)
+    return np.concatenate((flank.conj(), flank[::-1]))
+
+
+@functools.lru_cache(maxsize=16)
+def _slots(geometry: Geometry) -> Floats:
+    """The circular spline's teeth, closed, shape (n, 3) [m]."""
+    datum = geometry.circular_spline_datum
+    start = geometry.circular_spline_tip_radius - datum
+    wall = datum + _flank(geometry.circular_spline_slot, start, geometry.slot_end)
+    slot = np.concatenate((wall.conj(), wall[-2::-1]))
+    turns = np.exp(1j * geometry.slot_pitch * np.arange(geometry.circular_spline_teeth))
+    ring = (turns[:, None] * slot).reshape(-1)
+    return _flat(np.append(ring, ring[0]))
+
+
+def _flank(profile: DoubleArc, start: float, end: float) -> Complexes:
+    """Counter-clockwise flank between two heights [m], x + iy."""
+    heights = np.linspace(start, end, _FLANK_POINTS)
+    # Where a slot ends its half width is 0, and nan if rounding puts the height beyond.
+    width = np.nan_to_num([profile.half_width(x) for x in heights.tolist()])
+    return np.asarray(heights + 1j * width)
+
+
+def _faces(teeth: Complexes) -> Floats:
+    """Triangles that fill the teeth, three points each; normals towards +z."""
+    return _flat(teeth[:, _face_order()])
+
+
+def _face_colours(load: Floats, full_scale: float) -> Floats:
+    clockwise, counter_clockwise = viridis(load[::-1] / full_scale)
+    flanks = np.stack((clockwise, counter_clockwise), axis=1)
+    side = (_face_order() >= _FLANK_POINTS).astype(np.int64)
+    return np.ascontiguousarray(flanks[:, side].reshape(-1, 4))
+
+
+@functools.cache
+def _face_order() -> npt.NDArray[np.int64]:
+    """Which points of a tooth's outline its triangles take: two between one height and the next."""
+    height = np.linspace(0, _FLANK_POINTS - 1, _FACE_POINTS).astype(np.int64)
+    low, high = height[:-1], height[1:]
+    far = 2 * _FLANK_POINTS - 1
+    return np.stack((low, high, far - high, low, far - high, far - low), axis=1).reshape(-1)
+
+
+def _arrow(tip: complex) -> Floats:
+    """Line list from the axis to a point, with a head [m]."""
+    head = tip * (1.0 - 0.25 * np.exp(1j * np.array([0.5, -0.5])))
+    return _flat(np.array([0.0, tip, tip, head[0], tip, head[1]]))
+
+
+def _flat(points: Complexes) -> Floats:
+    """Points of the plane z = 0, shape (n, 3)."""
+    points = points.reshape(-1)
+    return np.stack((points.real, points.imag, np.zeros(points.size)), axis=1)
+
+
+def marker_array(shapes: Sequence[Shape], stamp: int, frame_id: str) -> bytes:
+    """CDR of a visualization_msgs/MarkerArray.
+
+    Parameters
+    ----------
+    shapes : sequence of Shape
+    stamp : int
+        Time of the headers [ns].
+    frame_id : str
+        Frame in which the shapes are drawn.
+
+    Returns
+    -------
+    bytes
+    """
+    template, places = _template(tuple(map(_constant, shapes)), frame_id)
+    message = bytearray(template)
+    time = np.array(divmod(stamp, _NANOSECONDS), "<i4").tobytes()
+    for shape, place in zip(shapes, places, strict=True):
+        _put(message, place.stamp, time)
+        if place.points:
+            _put(message, place.points, np.ascontiguousarray(shape.points, "<f8").tobytes())
+        if place.colours:
+            _put(message, place.colours, np.ascontiguousarray(shape.colours, "<f4").tobytes())
+    return bytes(message)
+
+
+class _Constant(NamedTuple):
+    """What of a marker stays the same from drawing to drawing; of a text that is its place too."""
+
+    name: str
+    kind: Kind
+    points: int
+    coloured: bool
+    colour: Colour
+    size: float
+    text: str
+    position: tuple[float, ...]
+
+
+class _Places(NamedTuple):
+    """Where in a message a marker's own values begin [byte]; 0 where it has none."""
+
+    stamp: int
+    points: int
+    colours: int
+
+
+def _constant(shape: Shape) -> _Constant:
+    is_text = shape.kind == "text"
+    return _Constant(
+        shape.name,
+        shape.kind,
+        0 if is_text else len(shape.points),
+        shape.colours is not None,
+        shape.colour,
+        shape.size,
+        shape.text,
+        tuple(shape.points[0].tolist()) if is_text else (0.0, 0.0, 0.0),
+    )
+
+
+def _put(message: bytearray, place: int, data: bytes) -> None:
+    message[place : place + len(data)] = data
+
+
+# Stands for the time in a template, where it is looked for.
+_MARK = (1_264_661_325, 1_380_009_291)
+
+
+@functools.lru_cache(maxsize=16)
+def _template(constants: tuple[_Constant, ...], frame_id: str) -> tuple[bytes, tuple[_Places, ...]]:
+    """Message with marks in place of times, points and colours, and where they are.
+
+    Serializing every point as an object takes far longer than drawing it: this is done once for a gear.
+    """
+    markers = [_marker(constant, number, frame_id) for number, constant in enumerate(constants)]
+    message = serialize(jazzy().types[MARKERS](markers), MARKERS)
+    places, reached = [], 0
+    for constant in constants:
+        stamp = reached = message.index(np.array(_MARK, "<i4").tobytes(), reached)
+        points = colours = 0
+        if constant.points:
+            points = reached = message.index(_ramp(constant.points, 3).astype("<f8").tobytes(), reached)
+        if constant.coloured:
+            colours = reached = message.index(_ramp(constant.points, 4).astype("<f4").tobytes(), reached)
+        places.append(_Places(stamp, points, colours))
+    return message, tuple(places)
+
+
+def _ramp(count: int, width: int) -> Floats:
+    """Numbers that occur nowhere else in a message, shape (count, width)."""
+    return 0.25 + np.arange(width * count, dtype=np.float64).reshape(count, width)
+
+
+def _marker(constant: _Constant, number: int, frame_id: str) -> Any:
+    types = jazzy().types
+    marker: Any = types["visualization_msgs/msg/Marker"]
+    mesh_file = types["visualization_msgs/msg/MeshFile"]
+    header, time = types["std_msgs/msg/Header"], types["builtin_interfaces/msg/Time"]
+    point, colour = types["geometry_msgs/msg/Point"], types["std_msgs/msg/ColorRGBA"]
+    pose, vector = types["geometry_msgs/msg/Pose"], types["geometry_msgs/msg/Vector3"]
+    unturned = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    image, no_bytes = types["sensor_msgs/msg/CompressedImage"], np.array([], np.uint8)
+    return marker(
+        header=header(time(*_MARK), frame_id),
+        ns=constant.name,
+        id=number,
+        type=getattr(marker, _TYPES[constant.kind]),
+        action=marker.ADD,
+        pose=pose(point(*constant.position), unturned),
+        scale=vector(*_scale(constant)),
+        color=colour(*constant.colour),
+        lifetime=types["builtin_interfaces/msg/Duration"](0, 0),
+        frame_locked=False,
+        points=[point(*row) for row in _ramp(constant.points, 3).tolist()],
+        colors=[colour(*row) for row in _ramp(constant.points if constant.coloured else 0, 4).tolist()],
+        texture_resource="",
+        texture=image(header(time(0, 0), ""), "", no_bytes),
+        uv_coordinates=[],
+        text=constant.text,
+        mesh_resource="",
+        mesh_file=mesh_file("", no_bytes),
+        mesh_use_embedded_materials=False,
+    )
+
+
+def _scale(constant: _Constant) -> tuple[float, float, float]:
+    """What RViz asks of each kind: width in x, height of letters in z, triangles in all three."""
+    if constant.kind == "triangle_list":
+        return 1.0, 1.0, 1.0
+    return (0.0, 0.0, constant.size) if constant.kind == "text" else (constant.size, 0.0, 0.0)

@@ -1,0 +1,86 @@
+"""Maps built beside the running monitor: one worker thread, the newest request of each joint first served."""
+
+from __future__ import annotations
+
+import queue
+import threading
+
+from hd_diag.config.configuration import JointConfig
+from hd_diag.extended_model import TORQUE_RANGE
+from hd_diag.model.torsion import Mesh
+from hd_diag.model.torsion_map import BuildCancelled, TorsionMap, build
+
+
+def map_of(joint: JointConfig, torque_limit: float | None = None, threads: int = 1) -> TorsionMap:
+    """Map of a joint, built now.
+
+    Parameters
+    ----------
+    joint : JointConfig
+    torque_limit : float, optional
+        [N m]; TORQUE_RANGE times the rated torque where not given.
+    threads : int, optional
+        How many build it.
+
+    Returns
+    -------
+    TorsionMap
+    """
+    return build(joint.drive.mesh, torque_limit or TORQUE_RANGE * joint.drive.rated_torque, threads=threads)
+
+
+class MapBuilder:
+    """Builds maps in a thread of its own.
+
+    Attributes
+    ----------
+    finished : queue.SimpleQueue of (str, TorsionMap or Exception)
+        Joint and its map, or why it has none.
+    """
+
+    def __init__(self) -> None:
+        self.finished: queue.SimpleQueue[tuple[str, TorsionMap | Exception]] = queue.SimpleQueue()
+        self._wanted: dict[str, tuple[Mesh, float]] = {}
+        self._changed = threading.Condition()
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name="map builder", daemon=True)
+        self._thread.start()
+
+    def request(self, joint: JointConfig) -> None:
+        """Ask for a joint's map; an older request of the same joint is given up."""
+        with self._changed:
+            self._wanted[joint.name] = (joint.drive.mesh, TORQUE_RANGE * joint.drive.rated_torque)
+            self._changed.notify()
+
+    def close(self) -> None:
+        """Give up what is being built and end the thread."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._closed or bool(self._wanted))
+                if self._closed:
+                    return
+                name, (mesh, limit) = next(iter(self._wanted.items()))
+            self._build(name, mesh, limit)
+
+    def _build(self, name: str, mesh: Mesh, limit: float) -> None:
+        result: TorsionMap | Exception
+        try:
+            result = build(mesh, limit, lambda fraction: self._is_wanted(name, mesh, limit))
+        except BuildCancelled:
+            return
+        except Exception as error:  # whatever it is, the next map shall be built
+            result = error
+        with self._changed:
+            if self._wanted.get(name) == (mesh, limit):
+                del self._wanted[name]
+                self.finished.put((name, result))
+
+    def _is_wanted(self, name: str, mesh: Mesh, limit: float) -> bool:
+        with self._changed:
+            return not self._closed and self._wanted.get(name) == (mesh, limit)

@@ -1,0 +1,179 @@
+"""One run of the monitor, live or replayed: what comes in, what goes out, and the events in between.
+
+The events (configuration, map in force, report) are all that the outputs depend on besides the received
+messages. Recorded in their order, they make a replay give the same bytes.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from hd_diag.config.configuration import Config, JointConfig
+from hd_diag.messages.joint_states import JointStateDecoder
+from hd_diag.messages.publications import (
+    PARAMETER_EVENT,
+    STRING,
+    Encoded,
+    encode,
+    parameter_event,
+    read_temperature,
+    string,
+)
+from hd_diag.model.torsion import Mesh
+from hd_diag.model.torsion_map import TorsionMap
+from hd_diag.monitor import Monitor
+from hd_diag.replay import versions
+from hd_diag.streams.columns import JointStates, Publication, Times
+
+EVENTS = "~/events"
+"""Topic of the events in a log: std_msgs/String with one JSON object, key ``event``."""
+
+PARAMETER_EVENTS = "/parameter_events"
+
+Sink = Callable[[Encoded], None]
+
+
+class Session:
+    """A monitor with its events and its encoded output.
+
+    Parameters
+    ----------
+    config : Config
+    sink : callable
+        Takes every result and event, in order.
+    node : str
+        Full name of the node, for its parameter events and diagnostics.
+    topics : mapping of str to str, optional
+        Full names of the node's topics, for the log: it may be that they are remapped.
+    """
+
+    def __init__(
+        self, config: Config, sink: Sink, node: str = "/hd_diag", topics: Mapping[str, str] | None = None
+    ) -> None:
+        self.monitor = Monitor(config)
+        self._sink = sink
+        self._node = node
+        self._topics = dict(topics or {})
+        self._decoder = JointStateDecoder()
+
+    @property
+    def config(self) -> Config:
+        """Configuration in force."""
+        return self.monitor.config
+
+    def start(self, now: int) -> None:
+        """Record the configuration that the session begins with, at a time [ns]."""
+        self._configuration(now, dict(self.config.flat), _models(self.config), new=True)
+
+    def start_again(self, now: int) -> None:
+        """Forget every sample and record configuration and maps: a replay can begin here."""
+        tables = {name: joint.table for name, joint in self.monitor.joints.items()}
+        self.monitor = Monitor(self.config)
+        self.start(now)
+        for name, table in tables.items():
+            if table is not None:
+                self.use_map(now, name, table)
+
+    def joint_state(self, received: int, data: bytes) -> None:
+        """Take one JointState message in CDR, received at a time [ns]; one that cannot be read is counted."""
+        try:
+            states = self._decoder.decode(data)
+        except ValueError as error:
+            self.unreadable(str(error))
+            return
+        self.joint_states(np.array([received]), states)
+
+    def unreadable(self, reason: str) -> None:
+        """Count a JointState message that cannot be decoded."""
+        self.monitor.reject(f"a JointState message {reason}")
+
+    def joint_states(self, received: Times, states: JointStates) -> None:
+        """Take messages of one shape, received at times [ns] (n,)."""
+        self._publish(self.monitor.joint_states(received, states))
+
+    def mixed_states(self, received: Times, shapes: Sequence[JointStates]) -> None:
+        """Take messages of several shapes; their `row` are positions in the times [ns] (n,)."""
+        self._publish(self.monitor.mixed_states(received, shapes))
+
+    def temperature(self, joint: str, data: bytes) -> None:
+        """Take a Temperature message in CDR."""
+        try:
+            value = read_temperature(data)
+        except Exception as error:  # rosbags raises several kinds on a malformed message
+            self.monitor.reject(f"a Temperature message cannot be read: {error}")
+        else:
+            self.monitor.temperature(joint, value)
+
+    def configure(self, now: int, config: Config) -> list[str]:
+        """Put another configuration in force from the next message on.
+
+        Parameters
+        ----------
+        now : int
+            [ns]
+        config : Config
+
+        Returns
+        -------
+        list of str
+            Joints that need another map, for their mesh or the torque that it has to reach is another now.
+        """
+        before = self.config
+        changed = {name: value for name, value in config.flat.items() if before.flat.get(name) != value}
+        models = {n: text for n, text in _models(config).items() if _models(before).get(n) != text}
+        if not changed and not models:
+            return []
+        self.monitor.configure(config)
+        self._configuration(now, changed, models, new=False)
+        pairs = zip(before.joints, config.joints, strict=True)
+        return [new.name for old, new in pairs if _map_needs(new) != _map_needs(old)]
+
+    def use_map(self, now: int, joint: str, table: TorsionMap) -> bool:
+        """Predict a joint by its map from the next message on; False if its mesh has changed since."""
+        if not self.monitor.use_map(joint, table):
+            return False
+        self._event(now, {"event": "map", "joint": joint, "torque_limit": table.requested_limit})
+        return True
+
+    def clock_set_back(self, now: int, stamp: int) -> None:
+        """Note at a time [ns] that the clock of stamps was set back: those after one [ns] are of before."""
+        self.monitor.clock_set_back(stamp)
+        self._event(now, {"event": "clock", "stamp": stamp})
+
+    def tick(self, now: int, stamp: int, facts: Mapping[str, str]) -> None:
+        """Report on all joints at a time, with a header stamp [ns] and what the surroundings know."""
+        self._event(now, {"event": "report", "stamp": stamp, "facts": dict(facts)})
+        self._publish([self.monitor.tick(now, stamp, facts)])
+
+    def _configuration(
+        self, now: int, values: Mapping[str, Any], models: Mapping[str, str], new: bool
+    ) -> None:
+        data = parameter_event(self._node, now, values, new)
+        self._emit(PARAMETER_EVENTS, PARAMETER_EVENT, now, data)
+        more: dict[str, Any] = {"topics": self._topics, "versions": versions.running()} if new else {}
+        if models:  # the files may be others when the log is replayed
+            more["models"] = dict(models)
+        self._event(now, {"event": "configuration", "new": new, "parameters": dict(values), **more})
+
+    def _event(self, now: int, content: Mapping[str, Any]) -> None:
+        self._emit(EVENTS, STRING, now, string(json.dumps(content)))
+
+    def _emit(self, topic: str, type_name: str, now: int, data: bytes) -> None:
+        self._sink(Encoded(topic, type_name, np.array([now]), [data]))
+
+    def _publish(self, publications: Iterable[Publication]) -> None:
+        for publication in publications:
+            self._sink(encode(publication, self._node))
+
+
+def _models(config: Config) -> dict[str, str]:
+    """Content of the model files in force, by joint."""
+    return {joint.name: joint.model_text for joint in config.joints if joint.model is not None}
+
+
+def _map_needs(joint: JointConfig) -> tuple[Mesh, float]:
+    return joint.drive.mesh, joint.drive.rated_torque

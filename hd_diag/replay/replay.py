@@ -1,0 +1,391 @@
+"""The monitor over a recorded bag, in the bag's time, as fast as the machine goes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from hd_diag.bag import BagError, BagWriter, check_output, encode_joint_states
+from hd_diag.bag.reader import BagReader, Batch, Mixed
+from hd_diag.bag.writer import replaced
+from hd_diag.config.configuration import Config, ConfigError, JointConfig, ModelText, resolve
+from hd_diag.config.parameters import shown
+from hd_diag.messages.publications import LAST_TIME, TEMPERATURE, Encoded, resolved
+from hd_diag.model.torsion import Mesh
+from hd_diag.model.torsion_map import TorsionMap
+from hd_diag.replay import versions
+from hd_diag.replay.events import ClockSetBack, Configured, Event, MapUsed, Reported
+from hd_diag.replay.map_builder import map_of
+from hd_diag.replay.recorded_monitor import Session
+from hd_diag.replay.sources import Sources, event_of, sources_of
+from hd_diag.streams.columns import JointStates, Times
+
+_NANOSECONDS = 1_000_000_000
+_LONGEST_SILENCE = 60 * _NANOSECONDS  # of a bag, over which reports go on [ns]
+_MAPS_KEPT = 4  # a parameter is often set back
+_MAP_THREADS = 2  # nothing else is to be done before it is there
+_FACTS = {"latency_p99_us": "nan", "log_state": "off"}
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass
+class Replay:
+    """What a replay did.
+
+    Attributes
+    ----------
+    reproduced : bool
+        Whether the bag is the node's own log and its events were followed, not a given configuration.
+    messages, written : int
+        Messages read and written.
+    duration : float
+        Time from the first to the last message of the bag [s].
+    rejected, missed : dict of str to int
+        By joint: samples that could not be used, and samples that are missing by the stamps.
+    last_rejection : dict of str to str
+    problems : list of str
+        What is wrong with the bag itself, joints that have no map, and software of other versions than a log
+        was recorded with.
+    joints : tuple of str
+        Joints that had samples.
+    """
+
+    reproduced: bool
+    messages: int = 0
+    written: int = 0
+    duration: float = 0.0
+    rejected: dict[str, int] = field(default_factory=dict)
+    missed: dict[str, int] = field(default_factory=dict)
+    last_rejection: dict[str, str] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+    joints: tuple[str, ...] = ()
+
+
+def replay(
+    bag: str | Path,
+    out: str | Path,
+    config: Config | None = None,
+    *,
+    topics: tuple[str, ...] = (),
+    overwrite: bool = False,
+    progress: Progress = lambda done, total: None,
+) -> Replay:
+    """Run the monitor over a bag and write what the node would have published.
+
+    Parameters
+    ----------
+    bag : path
+        Bag of any storage that rosbag2 has, or the node's own log.
+    out : path
+        Bag to write: inputs, outputs and events, as in the node's log. After an error it is left without its
+        end, so that no reader takes it for whole; a bag that it would replace stays as it was, also after
+        Ctrl-C.
+    config : Config, optional
+        Without it the bag must be a node's log: its configuration, and every change of it, is followed, and
+        the outputs are those of the live run, to the last bit where the software has the same versions.
+    topics : tuple of str, optional
+        Topics with joint states; by default all but a node's outputs.
+    overwrite : bool, optional
+    progress : callable, optional
+        Called with the messages read so far and their number. If it raises KeyboardInterrupt, a new output
+        is finished with what it has.
+
+    Returns
+    -------
+    Replay
+
+    Raises
+    ------
+    BagError
+        Where the bag cannot be read, holds no joint states or events, or the output cannot be written.
+    ConfigError
+        Where a recorded configuration cannot be used.
+    """
+    check_output(out, bag)
+    # Whatever numbers a bag holds, what they give is in the outputs: no warnings beside them.
+    with BagReader(bag) as reader, np.errstate(all="ignore"):
+        sources = sources_of(reader, config, topics)
+        total = sum(topic.count for topic in reader.topics if topic.name in sources.every)
+        with (
+            replaced(out, overwrite=overwrite) as place,
+            BagWriter(place, overwrite=overwrite, beside=True) as writer,
+        ):
+            run = _Run(reader, writer, sources)
+            if config is not None:
+                run.begin(reader.start, config)
+            for mixed in reader.mixed(sources.every, sources.is_joint_states):
+                for _ in run.take(mixed):
+                    progress(run.done, total)
+            return run.result()
+
+
+class _Run:
+    """State of a replay: a session fed with batches, its results written."""
+
+    def __init__(self, reader: BagReader, writer: BagWriter, sources: Sources) -> None:
+        self.done = 0
+        self._reader = reader
+        self._writer = writer
+        self._sources = sources
+        self._session: Session | None = None
+        self._last = 0
+        self._next_report: int | None = None
+        self._maps: dict[tuple[Mesh, float | None], TorsionMap] = {}
+        self._problems = list(reader.problems)
+        self._versions_told = False
+        for topic in reader.topics:
+            if sources.inputs.get(topic.name) == topic.type_name:
+                writer.add_topic(topic.name, topic.type_name, topic.offers)
+
+    def begin(self, now: int, config: Config) -> None:
+        """Start a session; without recorded events every joint gets its map at once."""
+        self._check_time(now)
+        node, names = self._sources.node, self._sources.names
+        self._session = Session(config, self._write, node, names)
+        self._session.start(now)
+        if not self._sources.events:
+            for joint in config.joints:
+                self._use_own_map(now, joint)
+
+    def take(self, mixed: Mixed) -> Iterator[None]:
+        """Take consecutive messages, part by part."""
+        self._last = int(mixed.log_time[-1])
+        self._check_time(self._last)
+        _, batch = mixed.batches[0]
+        name, kind = batch.topic.name, batch.topic.type_name
+        if name == self._sources.events:
+            for now, data in zip(batch.log_time.tolist(), batch.messages(), strict=True):
+                self._event(now, event_of(self._reader.path, bytes(data)))
+        elif self._sources.inputs.get(name) == kind:
+            for part in self._temperatures(batch) if kind == TEMPERATURE else self._joint_states(mixed):
+                self.done += part
+                yield
+            return
+        self.done += len(batch)
+
+    def result(self) -> Replay:
+        """Account of the whole replay, with a last report."""
+        session = self._running
+        if self._next_report is not None:
+            self._report(self._last)
+        joints = session.monitor.joints
+        return Replay(
+            bool(self._sources.events),
+            self.done,
+            self._writer.message_count,
+            self._reader.duration,
+            {name: joint.rejected for name, joint in joints.items()},
+            {name: joint.missed for name, joint in joints.items()},
+            {name: joint.last_rejection for name, joint in joints.items()},
+            self._problems,
+            tuple(name for name, joint in joints.items() if joint.samples),
+        )
+
+    @property
+    def _running(self) -> Session:
+        if self._session is None:
+            raise BagError(self._reader.path, "inputs or events stand before the log's first configuration")
+        return self._session
+
+    def _check_time(self, now: int) -> None:
+        if now > LAST_TIME:
+            raise BagError(self._reader.path, "holds times beyond the year 2038, which ROS 2 does not have")
+
+    def _until_reports(self, times: Times) -> Iterator[slice]:
+        """Rows, cut where a report is due by the bag's time; a log holds its own reports."""
+        if self._sources.events:
+            yield slice(0, times.size)
+            return
+        begin = 0
+        while begin < times.size:
+            due = self._due(int(times[begin]))
+            end = begin + int(np.searchsorted(times[begin:], due))
+            if end > begin:
+                yield slice(begin, end)
+            else:
+                self._report(due)
+                self._next_report = due + self._period
+            begin = end
+
+    def _due(self, now: int) -> int:
+        """Time of the next report [ns]; a long silence has but its last."""
+        if self._next_report is None:
+            self._next_report = now + self._period
+        elif now - self._next_report > _LONGEST_SILENCE:
+            self._next_report += (now - self._next_report) // self._period * self._period
+        return self._next_report
+
+    @property
+    def _period(self) -> int:
+        return round(_NANOSECONDS / self._running.config.diagnostics_rate)
+
+    def _report(self, now: int) -> None:
+        self._running.tick(now, now, _FACTS)
+
+    def _temperatures(self, batch: Batch) -> Iterator[int]:
+        joint = self._sources.temperatures[batch.topic.name]
+        for rows in self._until_reports(batch.log_time):
+            part = _part(batch, rows)
+            self._copy(part)
+            for data in part.messages():
+                self._running.temperature(joint, bytes(data))
+            yield len(part)
+
+    def _joint_states(self, mixed: Mixed) -> Iterator[int]:
+        inputs = [self._input(rows, batch) for rows, batch in mixed.batches]
+        for low, high, refused in _segments(inputs, mixed.log_time.size):
+            for rows in self._until_reports(mixed.log_time[low:high]):
+                begin, end = low + rows.start, low + rows.stop
+                for entry in inputs:
+                    self._copy_input(entry, begin, end)
+                if refused:
+                    self._running.unreadable(refused)
+                else:
+                    shapes = [states.between(begin, end) for entry in inputs for states in entry.shapes]
+                    shapes = [states for states in shapes if states.row.size]
+                    self._running.mixed_states(mixed.log_time[begin:end], shapes)
+                yield end - begin
+
+    def _input(self, rows: Times, batch: Batch) -> _Input:
+        columns, rejected = self._reader.joint_states(batch)
+        shapes = [states._replace(row=rows[states.row]) for states in columns]
+        return _Input(rows, batch, shapes, [(int(rows[r.row]), r.reason) for r in rejected])
+
+    def _copy_input(self, entry: _Input, begin: int, end: int) -> None:
+        """Copy messages at positions from `begin` to before `end`."""
+        first, last = np.searchsorted(entry.rows, (begin, end))
+        part = _part(entry.batch, slice(first, last))
+        if not len(part):
+            return
+        if self._reader.is_standard(part.topic):
+            self._copy(part)
+        else:
+            self._copy_columns(
+                part, entry.rows[first:last] - begin, [s.between(begin, end) for s in entry.shapes]
+            )
+
+    def _copy(self, batch: Batch) -> None:
+        payload = batch.payload
+        rows = payload if isinstance(payload, np.ndarray) else [bytes(data) for data in payload]
+        self._writer.write_many(
+            batch.topic.name, batch.topic.type_name, rows, batch.log_time, batch.publish_time
+        )
+
+    def _copy_columns(self, batch: Batch, rows: Times, shapes: Sequence[JointStates]) -> None:
+        """Copy messages of a bag that defines JointState in its own way as those of ROS 2 Jazzy."""
+        found: dict[int, bytes] = {}
+        for states in shapes:
+            encoded = encode_joint_states(states.names, states.stamp, *states[4:], states.frame_id)
+            found.update(zip(states.row.tolist(), map(bytes, encoded), strict=True))
+        kept = [number for number, row in enumerate(rows.tolist()) if row in found]
+        data = [found[row] for row in rows[kept].tolist()]
+        name, kind = batch.topic.name, batch.topic.type_name
+        self._writer.write_many(name, kind, data, batch.log_time[kept], batch.publish_time[kept])
+
+    def _event(self, now: int, event: Event | None) -> None:
+        if isinstance(event, Configured):
+            self._configure(now, event)
+        elif isinstance(event, MapUsed):
+            joint = self._joint(event.joint)
+            self._running.use_map(now, event.joint, self._map(joint, event.torque_limit))
+        elif isinstance(event, Reported):
+            self._running.tick(now, event.stamp, event.facts)
+        elif isinstance(event, ClockSetBack):
+            self._running.clock_set_back(now, event.stamp)
+
+    def _configure(self, now: int, event: Configured) -> None:
+        before = {} if event.new else self._running.config.flat
+        try:
+            config = resolve({**before, **event.parameters}, self._model_text(event))
+        except ConfigError as error:
+            raise ConfigError(f"{self._reader.path}: {error}") from error
+        if event.new:
+            self._compare(event.versions)
+            self.begin(now, config)
+        elif "joints" in event.parameters:
+            raise BagError(self._reader.path, "holds a log in which the joints change")
+        else:
+            self._running.configure(now, config)
+
+    def _compare(self, recorded: versions.Versions) -> None:
+        """Tell once of software by which the last bits may differ."""
+        other = versions.differences(recorded)
+        if other and not self._versions_told:
+            self._versions_told = True
+            text = f"was recorded with {other}: outputs may differ by rounding"
+            self._problems.append(str(BagError(self._reader.path, text)))
+
+    def _model_text(self, event: Configured) -> ModelText:
+        """Model files as the log holds them, whatever lies at their paths now."""
+        running = [] if event.new else self._running.config.joints
+        known = {joint.name: joint.model_text for joint in running if joint.model} | dict(event.models)
+
+        def recorded(joint: str, path: str) -> str:
+            if joint not in known:
+                raise ConfigError("the log does not hold this model")
+            return known[joint]
+
+        return recorded
+
+    def _joint(self, name: str) -> JointConfig:
+        for joint in self._running.config.joints:
+            if joint.name == name:
+                return joint
+        raise BagError(self._reader.path, f"holds a map of {shown(name)}, which is not configured")
+
+    def _map(self, joint: JointConfig, torque_limit: float | None) -> TorsionMap:
+        """Map of a joint as it is configured now; some are kept for a parameter that is set back."""
+        key = (joint.drive.mesh, torque_limit)
+        table = self._maps.pop(key, None)
+        if table is None:
+            try:
+                table = map_of(joint, torque_limit, _MAP_THREADS)
+            except Exception as error:  # whatever is wrong with the mesh, as in MapBuilder
+                raise BagError(self._reader.path, f"{joint.name} has no map: {error}") from error
+        self._maps[key] = table
+        while len(self._maps) > _MAPS_KEPT:
+            self._maps.pop(next(iter(self._maps)))
+        return table
+
+    def _use_own_map(self, now: int, joint: JointConfig) -> None:
+        """Predict a joint by its map; without one the predictions stay exact, as in the node."""
+        try:
+            table = self._map(joint, None)
+        except BagError as error:
+            self._problems.append(f"{error.cause}; predictions stay exact")
+        else:
+            self._running.use_map(now, joint.name, table)
+
+    def _write(self, encoded: Encoded) -> None:
+        topic = self._sources.names.get(encoded.topic) or resolved(encoded.topic, self._sources.node)
+        self._writer.write_many(topic, encoded.type_name, encoded.rows, encoded.received)
+
+
+def _part(batch: Batch, rows: slice) -> Batch:
+    return Batch(batch.topic, batch.log_time[rows], batch.publish_time[rows], batch.payload[rows])
+
+
+class _Input(NamedTuple):
+    """A topic's messages: positions among those taken together, columns, and what was refused of them."""
+
+    rows: Times
+    batch: Batch
+    shapes: list[JointStates]
+    refused: list[tuple[int, str]]
+
+
+def _segments(inputs: Sequence[_Input], count: int) -> Iterator[tuple[int, int, str]]:
+    """Stretches of messages: first, end, and for one that was refused alone the reason."""
+    begin = 0
+    for row, reason in sorted(refused for entry in inputs for refused in entry.refused):
+        if row > begin:
+            yield begin, row, ""
+        yield row, row + 1, reason
+        begin = row + 1
+    if count > begin:
+        yield begin, count, ""

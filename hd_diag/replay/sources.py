@@ -1,0 +1,164 @@
+"""Which topics of a bag a replay takes in: what the node's log says, or what there is of joint states."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from hd_diag.bag import BagError
+from hd_diag.bag.reader import BagReader, Topic
+from hd_diag.config.configuration import Config, ConfigError
+from hd_diag.config.parameters import joint_names
+from hd_diag.messages.publications import (
+    INPUT,
+    JOINT_STATE,
+    OWN_OUTPUTS,
+    STRING,
+    TEMPERATURE,
+    temperature_topic,
+)
+from hd_diag.replay.events import Configured, Event, read_event
+from hd_diag.replay.recorded_monitor import EVENTS
+
+NODE = "/hd_diag"
+"""Full name that a node has by default."""
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Topics by their names in the bag.
+
+    Attributes
+    ----------
+    node : str
+        Full name of the node that wrote the bag, or whose part is played.
+    events : str
+        Topic of the events; empty where a configuration is given.
+    joint_states : tuple of str
+    temperatures : mapping of str to str
+        Topic to joint.
+    names : mapping of str to str
+        The node's topics, by their names in `messages`, to full names.
+    """
+
+    node: str
+    events: str
+    joint_states: tuple[str, ...]
+    temperatures: Mapping[str, str]
+    names: Mapping[str, str]
+
+    @cached_property
+    def inputs(self) -> dict[str, str]:
+        """Topics to take in, with their types."""
+        return dict.fromkeys(self.joint_states, JOINT_STATE) | dict.fromkeys(self.temperatures, TEMPERATURE)
+
+    def is_joint_states(self, topic: Topic) -> bool:
+        """Whether a topic is one of those with joint states."""
+        return topic.name in self._joint_states and topic.type_name == JOINT_STATE
+
+    @cached_property
+    def _joint_states(self) -> frozenset[str]:
+        return frozenset(self.joint_states)
+
+    @cached_property
+    def every(self) -> set[str]:
+        """All topics to read."""
+        return {*self.inputs, *([self.events] if self.events else [])}
+
+
+def sources_of(reader: BagReader, config: Config | None, topics: tuple[str, ...]) -> Sources:
+    """Topics for a replay.
+
+    Parameters
+    ----------
+    reader : BagReader
+    config : Config or None
+        What is given; None for what the log holds.
+    topics : tuple of str
+        Topics with joint states; empty for all but a node's outputs.
+
+    Returns
+    -------
+    Sources
+
+    Raises
+    ------
+    BagError
+        Where there is no log and no configuration, or no joint state.
+    ConfigError
+        Where the log's joints cannot be.
+    """
+    _check(reader, topics)
+    if config is None:
+        return _of_log(reader, topics)
+    return Sources(
+        NODE,
+        "",
+        topics or _joint_states(reader),
+        {
+            t.name: joint.name
+            for t in reader.topics
+            for joint in config.joints
+            if t.type_name == TEMPERATURE and t.name.endswith(f"/{temperature_topic(joint.name)}")
+        },
+        {},
+    )
+
+
+def event_of(path: Path, data: bytes) -> Event | None:
+    """Event of a log, as `read_event`.
+
+    Raises
+    ------
+    BagError
+        Where it cannot be used.
+    """
+    try:
+        return read_event(data)
+    except ValueError as error:
+        raise BagError(path, f"has an event that cannot be read: {error}") from error
+
+
+def _of_log(reader: BagReader, topics: tuple[str, ...]) -> Sources:
+    events, begin = _log(reader)
+    node = events[: -len(EVENTS[1:])]
+    namespace = node.rpartition("/")[0]
+    try:
+        joints = joint_names(begin.parameters.get("joints"))
+    except ConfigError as error:
+        raise ConfigError(f"{reader.path}: {error}") from error
+    temperatures = {
+        begin.topics.get(t, f"{namespace}/{t}"): j for j in joints for t in [temperature_topic(j)]
+    }
+    inputs = topics or (begin.topics.get(INPUT, f"{namespace}/{INPUT}"),)
+    return Sources(node, events, inputs, temperatures, begin.topics)
+
+
+def _log(reader: BagReader) -> tuple[str, Configured]:
+    """Topic of the events of the node that wrote the bag, and the first of them."""
+    suffix = EVENTS[1:]
+    names = [t.name for t in reader.topics if t.type_name == STRING and t.name.endswith(suffix)]
+    reason = "is no log of the node, so a configuration is needed (--config)"
+    for name in names:
+        batch = next(iter(reader.batches([name])), None)
+        event = None if batch is None else event_of(reader.path, bytes(next(batch.messages())))
+        if isinstance(event, Configured) and event.new:
+            return name, event
+        reason = f"is a log without its beginning: {name} does not begin with a configuration"
+    raise BagError(reader.path, reason)
+
+
+def _joint_states(reader: BagReader) -> tuple[str, ...]:
+    found = tuple(t.name for t in reader.topics if t.type_name == JOINT_STATE)
+    found = tuple(name for name in found if not name.endswith(OWN_OUTPUTS))
+    if not found:
+        raise BagError(reader.path, f"has no topic with {JOINT_STATE}")
+    return found
+
+
+def _check(reader: BagReader, topics: tuple[str, ...]) -> None:
+    missing = set(topics) - {t.name for t in reader.topics if t.type_name == JOINT_STATE}
+    if missing:
+        raise BagError(reader.path, f"has no topic {min(missing)} with {JOINT_STATE}")

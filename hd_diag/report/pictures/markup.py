@@ -1,0 +1,131 @@
+"""A figure as SVG within a page: no style or script, ids of its own, a text for those who cannot see it."""
+
+from __future__ import annotations
+
+import io
+import re
+from xml.etree import ElementTree as Xml
+
+from matplotlib.figure import Figure
+
+from hd_diag.report.pictures.canvas import INK, styled
+
+_SVG, _XLINK = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"
+_FONT = re.compile(r"(?:(italic|oblique)\s+)?(?:(bold|\d{3})\s+)?([\d.]+)px\s+.*")
+_NUMBER = re.compile(r"-?\d+\.\d+")
+_REFERENCE = re.compile(r"url\(#([^)]+)\)")
+_COORDINATES = ("d", "points", "x", "y", "transform", "width", "height", "x1", "y1", "x2", "y2")
+# What a style may say that an attribute can say too; anything else goes.
+_ATTRIBUTES = frozenset(
+    (
+        *("clip-path", "clip-rule", "fill", "fill-opacity", "fill-rule", "image-rendering", "opacity"),
+        *("stroke", "stroke-dasharray", "stroke-dashoffset", "stroke-linecap", "stroke-linejoin"),
+        *("stroke-miterlimit", "stroke-opacity", "stroke-width", "text-anchor"),
+    )
+)
+
+Xml.register_namespace("", _SVG)
+Xml.register_namespace("xlink", _XLINK)
+
+
+def inline_svg(figure: Figure, name: str, title: str, description: str) -> str:
+    """SVG element for a page.
+
+    Parameters
+    ----------
+    figure : Figure
+    name : str
+        Letters, digits and hyphens; before every id, so that pictures of one page share none.
+    title : str
+        What the picture is.
+    description : str
+        What it shows, with its numbers, for those who cannot see it.
+
+    Returns
+    -------
+    str
+        Without styles, so that a page may forbid them; ink is the page's own text colour.
+
+    Raises
+    ------
+    ValueError
+        If the name is none that can begin an id.
+    """
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9-]*", name):
+        raise ValueError(f"name of a picture: letters, digits and hyphens, not {name!r}")
+    root = Xml.fromstring(_written(figure))
+    for parent in root.iter():
+        for child in list(parent):
+            if child.tag in (f"{{{_SVG}}}metadata", f"{{{_SVG}}}style"):
+                parent.remove(child)
+    for element in root.iter():
+        _plain(element)
+    _own_ids(root, name)
+    _told(root, name, title, description)
+    return Xml.tostring(root, encoding="unicode")
+
+
+def _written(figure: Figure) -> bytes:
+    buffer = io.BytesIO()
+    with styled():
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    return buffer.getvalue()
+
+
+def _plain(element: Xml.Element) -> None:
+    """Attributes instead of a style; coordinates to 0.01 points; ink as the text around."""
+    for declaration in element.attrib.pop("style", "").split(";"):
+        key, _, value = (part.strip() for part in declaration.partition(":"))
+        if key == "font":
+            _font(element, value)
+        elif key == "font-size":
+            element.set(key, value.removesuffix("px"))
+        elif key in _ATTRIBUTES:
+            element.set(key, value)
+    for key, value in element.attrib.items():
+        if value.lower() == INK:
+            element.set(key, "currentColor")
+        elif key in _COORDINATES:
+            element.set(key, _NUMBER.sub(lambda number: f"{float(number[0]):.2f}", value))
+
+
+def _font(element: Xml.Element, value: str) -> None:
+    """The shorthand's size and weight; the family is the page's."""
+    if found := _FONT.fullmatch(value):
+        for key, part in zip(("font-style", "font-weight", "font-size"), found.groups(), strict=True):
+            if part:
+                element.set(key, part)
+
+
+def _own_ids(root: Xml.Element, name: str) -> None:
+    """Ids that something refers to, with the picture's name before them; no others."""
+    used = set()
+    for element in root.iter():
+        for key, value in element.attrib.items():
+            used.update(_REFERENCE.findall(value))
+            if key == f"{{{_XLINK}}}href" and value.startswith("#"):
+                used.add(value[1:])
+                element.set(key, f"#{name}-{value[1:]}")
+            else:
+                element.set(key, _REFERENCE.sub(rf"url(#{name}-\1)", value))
+    for element in root.iter():
+        own = element.attrib.pop("id", "")
+        if own in used:
+            element.set("id", f"{name}-{own}")
+
+
+def _told(root: Xml.Element, name: str, title: str, description: str) -> None:
+    root.attrib.pop("version", None)
+    for side in ("width", "height"):  # the page gives the size
+        root.attrib.pop(side, None)
+    root.attrib |= {
+        "role": "img",
+        "aria-labelledby": f"{name}-title",
+        "aria-describedby": f"{name}-told",
+        "stroke-linejoin": "round",
+        "stroke-linecap": "butt",
+    }
+    for place, (tag, suffix, text) in enumerate((("title", "title", title), ("desc", "told", description))):
+        element = Xml.Element(f"{{{_SVG}}}{tag}", {"id": f"{name}-{suffix}"})
+        element.text = text
+        root.insert(place, element)

@@ -1,0 +1,1 @@
+"""The live edge: the rclpy node and the writer of its log."""

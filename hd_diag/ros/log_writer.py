@@ -1,0 +1,114 @@
+"""The node's log: everything that went in and came out, and every event on which the outputs depend."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypedDict
+
+from hd_diag.bag import BagError, BagWriter, Qos
+from hd_diag.config.configuration import LogConfig
+
+
+class Journal:
+    """A log that never stops its owner: what goes wrong with the file turns it off and is told by `state`.
+
+    Parameters
+    ----------
+    config : LogConfig
+
+    Attributes
+    ----------
+    state : str
+        ``off``, ``writing PATH`` or ``failed: REASON``.
+    """
+
+    def __init__(self, config: LogConfig) -> None:
+        self.config = config
+        self.state = "off"
+        self._writer: BagWriter | None = None
+        if config.path:
+            self._open()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the log is being written."""
+        return self._writer is not None
+
+    def write(self, topic: str, type_name: str, data: bytes, time: int, qos: Qos | None = None) -> None:
+        """Write one message, received or caused at a time [ns]."""
+        writer = self._writer
+        if writer is not None:
+            self._attempt(lambda: writer.write(topic, type_name, data, time, qos=qos))
+
+    def flush_if_due(self) -> None:
+        """Hand the open chunk to the system where it has waited for the flush period."""
+        if self._writer is not None:
+            self._attempt(self._writer.flush_if_due)
+
+    def configure(self, config: LogConfig) -> bool:
+        """Go on as another configuration says.
+
+        Parameters
+        ----------
+        config : LogConfig
+            With another path the file is finished, and the log begins anew there. Otherwise periods and sizes
+            act at once, the compression from the next file on.
+
+        Returns
+        -------
+        bool
+            Whether the log begins anew.
+        """
+        moved = config.path != self.config.path
+        self.config = config
+        if moved:
+            self.close()
+            self.state = "off"
+            if config.path:
+                self._open()
+        elif self._writer is not None:
+            self._writer.change(**_options(config))
+        return moved
+
+    def close(self) -> None:
+        """Finish the file."""
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            self.state = "off"
+            self._attempt(writer.close)
+
+    def _open(self) -> None:
+        path = self.config.path
+        self.state = f"writing {path}"
+        self._attempt(self._begin)
+
+    def _begin(self) -> None:
+        config = self.config
+        self._writer = BagWriter(config.path, overwrite=config.overwrite, **_options(config))
+
+    def _attempt(self, action: Callable[[], object]) -> None:
+        try:
+            action()
+        except (BagError, ValueError, OSError) as error:
+            self.state = f"failed: {error}"
+            writer, self._writer = self._writer, None
+            if writer is not None:
+                self._attempt(writer.close)
+
+
+class _Options(TypedDict):
+    """What of a log may change while it is written."""
+
+    compression: str
+    flush_period: float
+    max_size: int
+    max_duration: float
+
+
+def _options(config: LogConfig) -> _Options:
+    return {
+        "compression": config.compression,
+        "flush_period": config.flush_period,
+        "max_size": config.split_size,
+        "max_duration": config.split_duration,
+    }

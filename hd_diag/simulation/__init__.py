@@ -1,0 +1,1 @@
+"""Simulated robot joints: what encoders and torque sensor report."""

@@ -1,0 +1,308 @@
+"""Input and output angles in messages of their own: many at once give what one at a time gives."""
+
+import random
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+import hypothesis
+import numpy as np
+import pytest
+from hypothesis import strategies as st
+from live import MS, RATIO, START, config
+from logs import content
+from models import write_model
+
+from hd_diag.bag import BagWriter, encode_joint_states
+from hd_diag.config.configuration import Config
+from hd_diag.messages.publications import JOINT_STATE, Encoded, encode, resolved
+from hd_diag.monitor import Monitor
+from hd_diag.monitor.joint import JointMonitor
+from hd_diag.replay.map_builder import map_of
+from hd_diag.replay.recorded_monitor import Session
+from hd_diag.replay.replay import replay
+from hd_diag.streams.alignment import REMEMBERED, Inputs, Outputs, interpolated, pairs
+from hd_diag.streams.columns import JointStates, Publication
+
+CONFIG = config("a", "b", array_rate=100.0, mesh_rate=30.0)
+MAPS = {joint.name: map_of(joint) for joint in CONFIG.joints}
+
+# Names; which of position, velocity and effort there are.
+Shape = tuple[tuple[str, ...], str]
+INPUTS: Shape = (("a_motor", "b_motor"), "p")
+OUTPUTS: Shape = (("a", "b"), "pe")
+SHAPES: dict[str, list[Shape]] = {
+    "motors and links": [INPUTS, OUTPUTS],
+    "motors with speed": [(("a_motor", "b_motor"), "pv"), OUTPUTS],
+    "links without effort": [INPUTS, (("a", "b"), "p")],
+    "effort alone": [INPUTS, (("a", "b"), "p"), (("a", "b"), "e")],
+    "every angle alone": [(("a_motor",), "p"), (("b_motor",), "p"), (("a",), "pe"), (("b",), "p")],
+    "links at times apart": [INPUTS, OUTPUTS, (("a",), "p"), (("b", "stranger"), "pe")],
+    "one joint together": [(("a_motor", "b_motor", "b"), "pe"), (("a",), "pe")],
+    "at times together": [INPUTS, OUTPUTS, INPUTS, OUTPUTS, (("a_motor", "a", "b_motor", "b"), "pe")],
+    "strangers": [INPUTS, (("x", "y"), "pe"), OUTPUTS, ((), "p"), (("a_motor",), "v")],
+}
+
+
+class Message:
+    """One message: shape, stamp and the values of its columns."""
+
+    def __init__(self, shape: Shape, stamp: int, chance: random.Random, spoiled: float) -> None:
+        self.names, self.stamp = shape[0], stamp
+        seconds = (stamp - START) * 1e-9
+        angles = [
+            20.0 * np.sin(3.0 * seconds + len(name)) / (1.0 if name.endswith("motor") else RATIO)
+            for name in self.names
+        ]
+        self.columns: list[Any] = []
+        for what in "pve":
+            values = angles if what == "p" else [chance.uniform(-60.0, 60.0) for _ in self.names]
+            if self.names and chance.random() < spoiled:
+                values[chance.randrange(len(values))] = chance.choice([np.nan, np.inf])
+            self.columns.append(values if what in shape[1] else None)
+
+    @property
+    def shape(self) -> tuple[Any, ...]:
+        return self.names, *(column is None for column in self.columns)
+
+
+LAGS = (0, 0, -MS // 3, 2 * MS)  # of the links' stamps [ns]
+
+
+def drawn(
+    kind: str,
+    chance: random.Random,
+    count: int,
+    disorder: float = 0.0,
+    spoiled: float = 0.0,
+    lags: tuple[int, ...] = (0,),
+) -> list[Message]:
+    """Messages in turn, some late, early, repeated or of a clock that was set back."""
+    shapes, stamp, made = SHAPES[kind], START, []
+    for number in range(count):
+        stamp += chance.choice([MS // 2, MS, 3 * MS])
+        if chance.random() < disorder:
+            stamp += chance.choice([0, -MS, -5 * MS, 70 * MS, -400 * MS, -3000 * MS])
+        shape = shapes[number % len(shapes)] if chance.random() < 0.9 else chance.choice(shapes)
+        lag = chance.choice(lags) if shape[0] and not shape[0][0].endswith("motor") else 0
+        made.append(Message(shape, stamp + lag, chance, spoiled))
+    return made
+
+
+def together(messages: list[Message]) -> list[JointStates]:
+    """The messages' shapes, with positions."""
+    groups: dict[Any, list[int]] = {}
+    for row, message in enumerate(messages):
+        groups.setdefault(message.shape, []).append(row)
+    shapes = []
+    for rows in groups.values():
+        members = [messages[row] for row in rows]
+        columns = [
+            None if members[0].columns[i] is None else np.array([m.columns[i] for m in members])
+            for i in range(3)
+        ]
+        stamps = np.array([m.stamp for m in members])
+        shapes.append(JointStates(np.array(rows), stamps, members[0].names, "", *columns))
+    return shapes
+
+
+def play(monitor: Monitor, messages: list[Message], sizes: list[int]) -> tuple[Any, ...]:
+    """Everything published, by topic, and the diagnostics, of messages taken so many at a time."""
+    topics: dict[str, list[tuple[int, bytes]]] = {}
+    begin, turn = 0, 0
+    while begin < len(messages):
+        part = messages[begin : begin + sizes[turn % len(sizes)]]
+        received = START + np.arange(begin, begin + len(part)) // 2  # some arrive at the same time
+        published: list[Publication] = monitor.mixed_states(received, together(part))
+        for encoded in map(encode, published):
+            rows = zip(encoded.received.tolist(), map(bytes, encoded.rows), strict=True)
+            topics.setdefault(encoded.topic, []).extend(rows)
+        begin, turn = begin + len(part), turn + 1
+    for joint in monitor.joints.values():
+        joint.last_rejection = ""  # of several at once it is not said which was the last
+    return topics, monitor.tick(START + len(messages), START, {})
+
+
+def monitor_of(given: Config, with_map: bool) -> Monitor:
+    monitor = Monitor(given)
+    for name, table in MAPS.items():
+        if with_map:
+            monitor.use_map(name, table)
+    return monitor
+
+
+@pytest.mark.parametrize("kind", SHAPES)
+@hypothesis.settings(max_examples=25, suppress_health_check=[hypothesis.HealthCheck.too_slow])
+@hypothesis.given(
+    seed=st.integers(0, 2**32),
+    count=st.integers(2, 90),
+    disorder=st.sampled_from([0.0, 0.0, 0.03, 0.3]),
+    spoiled=st.sampled_from([0.0, 0.0, 0.02, 0.3]),
+    sizes=st.lists(st.integers(1, 60), min_size=1, max_size=4),
+    with_map=st.booleans(),
+)
+def test_many_at_once_is_one_at_a_time(
+    kind: str, seed: int, count: int, disorder: float, spoiled: float, sizes: list[int], with_map: bool
+) -> None:
+    messages = drawn(kind, random.Random(seed), count, disorder, spoiled, LAGS)
+    once = play(monitor_of(CONFIG, with_map), messages, sizes)
+    assert once == play(monitor_of(CONFIG, with_map), messages, [1])
+
+
+@pytest.mark.parametrize("kind", ["motors and links", "links without effort", "effort alone"])
+def test_long_streams(kind: str) -> None:
+    """More inputs and waiting outputs than are remembered: some whose input is long late, some early."""
+    chance = random.Random(5)
+    messages = drawn(kind, chance, 3000)
+    late = [m for m in messages if m.names == INPUTS[0] and m.stamp > START + 10**9]
+    messages = [m for m in messages if m not in late[:400]]
+    for far in (300, 900):
+        messages[700 + far : 700 + far] = [messages.pop(700)]
+    once = play(monitor_of(CONFIG, True), messages, [1500])
+    assert once == play(monitor_of(CONFIG, True), messages, [1])
+    assert once == play(monitor_of(CONFIG, True), messages, [7, 400])
+    assert {"0"} != {status.values["outputs_unpaired"] for status in once[1].statuses}
+
+
+def test_an_extended_model_runs_along_both_streams(tmp_path: Any) -> None:
+    path = write_model(tmp_path / "model.json", "viscous_windup", "hysteresis")
+    given = config(joint_1__model_file=str(path))
+    shapes = {"x": [(("joint_1_motor",), "pv"), (("joint_1",), "pe")]}
+    messages = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(SHAPES, "x", shapes["x"])
+        messages = drawn("x", random.Random(8), 400)
+    once = play(Monitor(given), messages, [133])
+    assert len(once[0]["~/residual"]) > 150
+    assert once == play(Monitor(given), messages, [1])
+
+
+def test_clean_messages_are_taken_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is compared above is really one call for all where nothing is wrong."""
+    alone = []
+    accept = JointMonitor.accept
+
+    def counted(self: JointMonitor, *arguments: Any) -> Any:
+        alone.append(1)
+        return accept(self, *arguments)
+
+    monkeypatch.setattr(JointMonitor, "accept", counted)
+    for kind in SHAPES:
+        if kind != "at times together":
+            play(monitor_of(CONFIG, True), drawn(kind, random.Random(3), 200), [200])
+            assert not alone, kind
+
+
+def test_efforts_that_a_robot_does_not_measure_do_not_matter() -> None:
+    """nan in every message, as broadcasters fill them: taken at once, and as if there were none."""
+    found = []
+    for efforts in ("pe", "p"):
+        messages = drawn("motors and links", random.Random(1), 100)
+        for message in messages:
+            if message.names == OUTPUTS[0]:
+                message.columns[2] = [np.nan, np.nan] if efforts == "pe" else None
+        found.append(play(monitor_of(CONFIG, True), messages, [100]))
+    assert found[0] == found[1]
+
+
+# A log ---
+
+
+def live_log(path: Path) -> int:
+    """A node's log with motors and links in turn, a temperature, a change and reports; its joint states."""
+    chance, count = random.Random(9), 0
+    with BagWriter(path, chunk_size=20_000) as writer:
+
+        def sink(encoded: Encoded) -> None:
+            rows = [bytes(row) for row in encoded.rows]
+            writer.write_many(resolved(encoded.topic), encoded.type_name, rows, encoded.received)
+
+        session = Session(CONFIG, sink)
+        session.start(START)
+        for joint, table in MAPS.items():
+            session.use_map(START + 1, joint, table)
+        for number, entry in enumerate(drawn("links at times apart", chance, 3000, 0.002, 0.002, LAGS)):
+            now = START + 10 + number * MS // 2
+            position, velocity, effort = entry.columns
+            rows = encode_joint_states(
+                entry.names,
+                [entry.stamp],
+                *(None if c is None else [c] for c in (position, velocity, effort)),
+            )
+            data = rows[0].tobytes() if number % 500 != 250 else b"rubbish"
+            writer.write("/joint_states", JOINT_STATE, data, now)
+            session.joint_state(now, data)
+            count += 1
+            if number == 1700:
+                session.configure(now + 1, config("a", "b", array_rate=40.0, a__cup_compliance=1e-5))
+            if number % 300 == 0:
+                session.tick(now + 2, now, {"log_state": "off"})
+    return count
+
+
+def test_a_log_is_replayed_to_the_last_bit(tmp_path: Path) -> None:
+    count = live_log(tmp_path / "log.mcap")
+    result = replay(tmp_path / "log.mcap", tmp_path / "again.mcap")
+    assert result.rejected["a"] > 5
+    live = content(tmp_path / "log.mcap")
+    assert content(tmp_path / "again.mcap") == live
+    assert len(live["/joint_states"]) == count
+    assert len(live["/hd_diag/residual"]) > 500
+
+
+def test_topics_that_alternate_are_as_one(tmp_path: Path) -> None:
+    """Motors and links on topics of their own; log times of both, two by two the same."""
+    outputs = []
+    for name, topics in (("one", ("/joint_states", "/joint_states")), ("two", ("/motors", "/links"))):
+        with BagWriter(tmp_path / f"{name}.mcap") as writer:
+            for number, entry in enumerate(drawn("motors and links", random.Random(2), 2000)):
+                effort = None if entry.columns[2] is None else [entry.columns[2]]
+                data = encode_joint_states(entry.names, [entry.stamp], [entry.columns[0]], None, effort)
+                topic = topics[entry.names[0] == "a"]
+                writer.write(topic, JOINT_STATE, data[0].tobytes(), START + number // 2 * MS)
+        replay(tmp_path / f"{name}.mcap", tmp_path / f"{name}_out.mcap", CONFIG)
+        found = content(tmp_path / f"{name}_out.mcap")
+        outputs.append({topic: messages for topic, messages in found.items() if "hd_diag/" in topic})
+        inputs = {topic: messages for topic, messages in found.items() if topic in topics}
+        assert inputs == content(tmp_path / f"{name}.mcap")
+    assert outputs[0].keys() == outputs[1].keys()
+    assert outputs[0] == outputs[1]
+    assert len(outputs[0]["/hd_diag/residual"]) > 900
+
+
+# Pairs ---
+
+
+@hypothesis.given(seed=st.integers(0, 2**32), count=st.integers(0, 700), share=st.floats(0.0, 1.0))
+def test_pairs_are_those_of_the_walk_backwards(seed: int, count: int, share: float) -> None:
+    """Against one message at a time with a queue of each kind."""
+    chance = np.random.default_rng(seed)
+    is_input = chance.random(count) < share
+    stamp = START + np.cumsum(chance.choice([1, MS, 40 * MS], count)) + np.where(is_input, 0, -5 * MS)
+    stamp[is_input] = np.unique(stamp[is_input]) if np.unique(stamp[is_input]).size == is_input.sum() else 0
+    hypothesis.assume((np.diff(stamp[is_input]) > 0).all() and (np.diff(stamp[~is_input]) > 0).all())
+    angle, row = chance.normal(size=count), np.arange(count)
+    known: deque[tuple[int, float]] = deque(maxlen=REMEMBERED)
+    waiting: deque[tuple[int, float, float]] = deque(maxlen=REMEMBERED)
+    expected, unpaired, overflow = [], 0, False
+    for i in row.tolist():
+        if is_input[i]:
+            known.append((int(stamp[i]), float(angle[i])))
+        else:
+            overflow = overflow or len(waiting) == REMEMBERED
+            waiting.append((int(stamp[i]), float(angle[i]), 1.0))
+        while waiting and known and waiting[0][0] <= known[-1][0]:
+            at, output, _ = waiting.popleft()
+            found = interpolated(known, at)
+            unpaired += found is None
+            if found is not None:
+                expected.append((i, at, output, found))
+    given = Inputs(row[is_input], stamp[is_input], angle[is_input])
+    outputs = Outputs(row[~is_input], stamp[~is_input], angle[~is_input], np.ones(int((~is_input).sum())))
+    result = pairs([], given, [], outputs)
+    assert (result is None) == overflow
+    if result is not None:
+        columns = result.found.row, result.found.stamp, result.found.angle, result.input_angle
+        assert list(zip(*(c.tolist() for c in columns), strict=True)) == expected
+        assert result.unpaired == unpaired
+        assert result.waiting.stamp.tolist() == [entry[0] for entry in waiting]

@@ -1,0 +1,192 @@
+"""The extended model: the same one sample at a time and all at once, and nothing of the future in it."""
+
+from dataclasses import replace
+
+import hypothesis
+import numpy as np
+import pytest
+from hypothesis import strategies as st
+from models import EFFECTS, OFFSET, RANGES, STATEFUL, VALUES, model, motion, term
+from numpy.testing import assert_allclose, assert_array_equal
+
+from hd_diag.drive import transmission_error
+from hd_diag.extended_model import ExtendedModel
+from hd_diag.model.torsion_map import TorsionMap, build
+
+CHUNK_TOLERANCE = 1e-12  # [rad]
+EVERY = tuple(VALUES)
+MODEL = model(*EVERY)
+COUNT = 260
+TIME, ANGLE, TORQUE, HEAT = motion(COUNT)
+SPEED = np.where(np.arange(COUNT) % 3 == 0, np.nan, np.gradient(ANGLE, TIME))
+
+
+@pytest.fixture(scope="module")
+def table() -> TorsionMap:
+    return build(MODEL.drive.mesh, 60.0)
+
+
+def run(
+    made: ExtendedModel, cuts: list[int], speed: np.ndarray | None, table: TorsionMap | None
+) -> np.ndarray:
+    state, parts = made.start(), []
+    for low, high in zip([0, *cuts], [*cuts, COUNT], strict=True):
+        at = slice(low, high)
+        known = None if speed is None else speed[at]
+        part, state = made.step(state, TIME[at], ANGLE[at], known, TORQUE[at], HEAT[at], table)
+        parts.append(part)
+    return np.concatenate(parts)
+
+
+def whole(made: ExtendedModel, **changed: np.ndarray | None) -> np.ndarray:
+    columns = {"time": TIME, "input_angle": ANGLE, "speed": None, "torque": TORQUE, "temperature": HEAT}
+    return made.step(made.start(), **(columns | changed))[0]  # type: ignore[arg-type]
+
+
+def added(name: str, **changed: np.ndarray | None) -> np.ndarray:
+    """What an effect adds."""
+    return whole(model(name), **changed) - whole(model(), **changed)
+
+
+# One at a time and all at once ---
+
+
+@hypothesis.settings(max_examples=25, deadline=None)
+@hypothesis.given(st.lists(st.integers(0, COUNT), max_size=6).map(sorted), st.booleans(), st.booleans())
+def test_chunks_are_the_whole(table: TorsionMap, cuts: list[int], reported: bool, mapped: bool) -> None:
+    used, speed = table if mapped else None, SPEED if reported else None
+    assert_allclose(
+        run(MODEL, cuts, speed, used), run(MODEL, [], speed, used), rtol=0.0, atol=CHUNK_TOLERANCE
+    )
+
+
+@pytest.mark.parametrize("reported", [False, True])
+def test_single_samples_are_the_whole(table: TorsionMap, reported: bool) -> None:
+    speed = SPEED if reported else None
+    singles = run(MODEL, list(range(1, COUNT)), speed, table)
+    assert_allclose(singles, run(MODEL, [], speed, table), rtol=0.0, atol=CHUNK_TOLERANCE)
+
+
+@pytest.mark.parametrize("name", [name for name in EFFECTS if name != "tooth_skip"])
+def test_every_effect_runs(name: str) -> None:
+    effect = EFFECTS[name]
+    usual = {q.name: float(np.clip(q.prior_scale, q.low, q.high)) for q in effect.quantities}
+    values = VALUES.get(name, usual | ({"order": 2.0} if name == "resonance" else {}))
+    made = ExtendedModel(MODEL.drive, (term(name, values),), 0.0, RANGES)
+    singles = run(made, list(range(1, COUNT)), None, None)
+    assert_allclose(singles, run(made, [], None, None), rtol=0.0, atol=CHUNK_TOLERANCE)
+    assert np.std(singles - transmission_error(MODEL.drive, ANGLE, TORQUE)) > 1e-8
+
+
+def test_the_future_changes_nothing() -> None:
+    """With another second half the first half is the same to the last bit."""
+    middle = COUNT // 2
+    late = np.arange(COUNT) >= middle
+    other = whole(
+        MODEL,
+        input_angle=np.where(late, -ANGLE, ANGLE),
+        torque=np.where(late, 0.5 * TORQUE, TORQUE),
+        temperature=np.where(late, 90.0, HEAT),
+    )
+    same = whole(MODEL)
+    assert_array_equal(other[:middle], same[:middle])
+    assert np.abs(other[middle:] - same[middle:]).min() > 0.0
+
+
+def test_no_rows_are_no_step() -> None:
+    nothing = np.empty(0)
+    error, state = MODEL.step(MODEL.start(), nothing, nothing, None, nothing)
+    assert error.size == 0
+    assert state.is_fresh
+
+
+# Against what it is made of ---
+
+
+def test_without_effects_it_is_the_drive(table: TorsionMap) -> None:
+    drive = MODEL.drive
+    bare = ExtendedModel(drive, (), 0.0, RANGES)
+    for used in (None, table):
+        error, _ = bare.step(bare.start(), TIME, ANGLE, None, TORQUE, HEAT, used)
+        assert_array_equal(error, transmission_error(drive, ANGLE, TORQUE, used))
+
+
+def test_the_offset_is_added() -> None:
+    drive = MODEL.drive
+    assert_array_equal(whole(model()), transmission_error(drive, ANGLE, TORQUE) + OFFSET)
+
+
+def test_speed_is_the_difference_of_the_last_two_angles() -> None:
+    lag = VALUES["viscous_windup"]["lag"]
+    speed = np.concatenate(([0.0], np.diff(ANGLE) / np.diff(TIME)))
+    assert_allclose(added("viscous_windup"), -lag * speed, rtol=0.0, atol=1e-17)
+
+
+def test_a_reported_speed_is_taken_where_there_is_one() -> None:
+    lag = VALUES["viscous_windup"]["lag"]
+    difference = np.concatenate(([0.0], np.diff(ANGLE) / np.diff(TIME)))
+    speed = np.where(np.isfinite(SPEED), SPEED, difference)
+    assert_allclose(added("viscous_windup", speed=SPEED), -lag * speed, rtol=0.0, atol=1e-17)
+
+
+def test_delay_looks_back() -> None:
+    """The output is what it was then, from samples that are known when the sample comes."""
+    delay, drive = VALUES["stream_delay"]["delay"], MODEL.drive
+    time, torque = 1e-3 * np.arange(COUNT), np.full(COUNT, 10.0)
+
+    def output(moment: np.ndarray) -> np.ndarray:
+        angle = 40.0 * moment + 3.0
+        return angle / drive.kinematics.ratio + transmission_error(drive, angle, torque)
+
+    late = added("stream_delay", time=time, input_angle=40.0 * time + 3.0, torque=torque)
+    expected = output(time - delay) - output(time)
+    # Teeth pass by faster than these samples: 0.1 arcsec of them is not between samples.
+    assert_allclose(late[5:], expected[5:], rtol=0.0, atol=1e-6)
+
+
+def test_hysteresis_follows_the_torque_of_this_run() -> None:
+    """Both elements slip after a torque far beyond their reach: the sum of the amplitudes, with its sign."""
+    values = VALUES["hysteresis"]
+    total = values["first_amplitude"] + values["second_amplitude"]
+    ramp = np.concatenate((np.linspace(0.0, 40.0, 130), np.linspace(40.0, 0.0, 130)))
+    loop = added("hysteresis", torque=ramp)
+    assert_allclose(loop[[129, -1]], [total, -total], rtol=1e-9)
+
+
+def test_torque_offset_is_about_that_of_another_torque() -> None:
+    offset, drive = VALUES["torque_offset"]["offset"], MODEL.drive
+    loaded = np.where(np.abs(TORQUE) < 10.0, 20.0, TORQUE)
+    exact = transmission_error(drive, ANGLE, loaded + offset) - transmission_error(drive, ANGLE, loaded)
+    assert_allclose(added("torque_offset", torque=loaded), exact, rtol=0.1)
+
+
+@pytest.mark.parametrize("heat", [None, np.full(COUNT, np.nan)], ids=["none", "nan"])
+def test_without_a_temperature_there_is_no_drift(heat: np.ndarray | None) -> None:
+    assert_array_equal(added("thermal_drift", temperature=heat), np.zeros(COUNT))
+
+
+def test_a_resonance_of_a_joint_that_is_met_in_motion_starts_steady() -> None:
+    """At constant speed the amplitude is that of the steady state from the second sample on."""
+    time = 1e-3 * np.arange(COUNT)
+    angle = 25.0 * time + 4.0
+    columns = {"time": time, "input_angle": angle, "torque": np.full(COUNT, 10.0)}
+    own = replace(model(), effects=(term("resonance", VALUES["resonance"] | {"carried": 0.0}),))
+    wave = (whole(own, **columns) - whole(model(), **columns))[1:]
+    phase = 2.0 * angle[1:]
+    fit, rest, *_ = np.linalg.lstsq(np.stack((np.cos(phase), np.sin(phase)), 1), wave, rcond=None)
+    r, values = 2.0 * 25.0 / 60.0, VALUES["resonance"]
+    damped = 2j * values["damping"] * r
+    response = (1.0 + damped) / (1.0 - r * r + damped)
+    assert_allclose(np.hypot(*fit), values["amplitude"] * abs(response), rtol=2e-3)
+    assert rest < 1e-6 * np.sum(wave**2)
+
+
+def test_what_it_needs_is_what_its_effects_need() -> None:
+    assert model("thermal_drift").needs == {"temperature"}
+    assert {"speed", "torque"} <= model(*STATEFUL).needs
+
+
+def test_a_sample_without_prediction_spoils_no_later_one() -> None:
+    error = whole(model("stream_delay"), torque=np.where(np.arange(COUNT) == 100, np.nan, TORQUE))
+    assert np.isnan(error[100])
+    assert np.isfinite(np.delete(error, 100)).all()

@@ -1,0 +1,61 @@
+"""Numbers as people read them."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hd_diag import formatting
+from hd_diag.effects.effect import Quantity, amplitude, direction
+
+
+@pytest.mark.parametrize(
+    ("value", "spread", "expected"),
+    [
+        (8.829, 0.024, "8.83"),
+        (8.829, 0.014, "8.829"),
+        (-8.829, 0.3, "−8.8"),
+        (12.0, 30.0, "12"),
+        (1.234, math.nan, "1.23"),
+        (0.001234, 0.0, "0.00123"),
+        (29868.4, math.nan, "29868"),
+        (0.0, math.nan, "0"),
+        (-1e-9, 0.1, "0.00"),
+        (math.nan, 0.1, "–"),
+        (math.inf, 0.1, "–"),
+    ],
+)
+def test_a_number_has_the_digits_that_its_spread_allows(value: float, spread: float, expected: str) -> None:
+    assert formatting.number(value, spread) == expected
+
+
+@given(st.floats(-1e6, 1e6), st.floats(1e-4, 1e3))
+def test_rounding_stays_within_the_spread(value: float, spread: float) -> None:
+    assert float(formatting.number(value, spread).replace("−", "-")) == pytest.approx(value, abs=0.5 * spread)
+
+
+def test_quantities_come_in_the_units_of_people() -> None:
+    lag, swing = amplitude("pitch_2", "m", 1e-4, 1e-6, ""), direction("direction", "", 2)
+    assert formatting.quantity(lag, 1.234e-6, 2e-8) == "1.23 ± 0.02 µm"
+    assert formatting.quantity(swing, math.radians(-10.0), math.radians(3.0)) == "170 ± 3° (modulo 180°)"
+    assert formatting.quantity(Quantity("angle", "rad", 0, 1, 1, ""), math.radians(3.5), 0.0) == "3.50 °"
+    assert formatting.si(math.pi / 648000.0, math.nan, "rad") == "1.00 arcsec"
+    assert formatting.si(2.5e-5, 5e-6, "s") == "25 ± 5 µs"
+    assert formatting.si(4.0, math.nan, "N m") == "4.00 N m"
+
+
+def test_a_direction_is_told_with_the_turn_after_which_it_is_the_same() -> None:
+    assert formatting.direction(math.radians(271.0), math.radians(2.0), math.pi) == "91 ± 2° (modulo 180°)"
+    assert formatting.direction(math.radians(271.0), math.radians(2.0), 2 * math.pi) == "271 ± 2°"
+
+
+@given(st.text())
+def test_nothing_stays_hidden_in_a_text(text: str) -> None:
+    shown = formatting.visible(text)
+    assert shown.isprintable()
+    assert "".join(c for c in text if c.isprintable()) in shown or not text.isprintable()
+
+
+def test_marks_that_turn_the_line_are_spelled_out() -> None:
+    assert formatting.visible("a\u202eb\x07\u200fé") == "a\\u202eb\\x07\\u200fé"

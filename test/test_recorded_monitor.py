@@ -1,0 +1,294 @@
+"""A session: messages in, bytes out, and a record of it that gives the same bytes again."""
+
+import itertools
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from live import MS, RATIO, START, Recording, config, message, parameters, sample
+from logs import Log, content
+from rosbags.typesys import Stores, get_typestore
+
+from hd_diag.config.configuration import resolve
+from hd_diag.messages.publications import PARAMETER_EVENT, STRING, TEMPERATURE, Encoded, read_string, resolved
+from hd_diag.replay.map_builder import map_of
+from hd_diag.replay.recorded_monitor import EVENTS, PARAMETER_EVENTS, Session
+from hd_diag.replay.replay import replay
+from hd_diag.replay.versions import running
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+FACTS = {"log_state": "writing x", "latency_p99_us": "12.0"}
+TYPES = {
+    "~/transmission_error": "sensor_msgs/msg/JointState",
+    "~/measured_transmission_error": "sensor_msgs/msg/JointState",
+    "~/residual": "sensor_msgs/msg/JointState",
+    "~/joint_1/backlash": "std_msgs/msg/Float64MultiArray",
+    "~/joint_1/load": "std_msgs/msg/Float64MultiArray",
+    "~/joint_1/mesh": "visualization_msgs/msg/MarkerArray",
+    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+    EVENTS: STRING,
+    PARAMETER_EVENTS: PARAMETER_EVENT,
+}
+
+
+def read(encoded: Encoded) -> list[Any]:
+    return [STORE.deserialize_cdr(bytes(row), encoded.type_name) for row in encoded.rows]
+
+
+def messages(recording: Recording, topic: str) -> list[Any]:
+    return [m for encoded in recording.all if encoded.topic == topic for m in read(encoded)]
+
+
+def events(recording: Recording) -> list[dict[str, Any]]:
+    return [json.loads(m.data) for m in messages(recording, EVENTS)]
+
+
+@pytest.fixture
+def recording() -> Recording:
+    return Recording()
+
+
+@pytest.fixture
+def session(recording: Recording) -> Session:
+    return Session(config(mesh_rate=50.0), recording, "/robot/hd_diag", {"~/residual": "/elsewhere"})
+
+
+def test_everything_that_leaves_can_be_read(session: Session, recording: Recording) -> None:
+    session.start(START)
+    session.joint_state(START + 1, sample(START, 0.3, 0.01, 20.0))
+    session.tick(START + 2, START - 7, FACTS)
+    assert {encoded.topic: encoded.type_name for encoded in recording.all} == TYPES
+    (error,) = messages(recording, "~/transmission_error")
+    assert (error.name, error.effort.tolist(), error.velocity.size) == (["joint_1"], [20.0], 0)
+    assert error.header.stamp.sec * 10**9 + error.header.stamp.nanosec == START
+    (measured,) = messages(recording, "~/measured_transmission_error")
+    (residual,) = messages(recording, "~/residual")
+    np.testing.assert_array_equal(residual.position, measured.position - error.position)
+    np.testing.assert_allclose(measured.position, 0.01 - 0.3 / RATIO, rtol=1e-13)
+
+
+def test_tooth_arrays_say_their_dimensions(session: Session, recording: Recording) -> None:
+    session.joint_state(START, sample(START, 0.3, 0.01, 20.0))
+    for topic in ("~/joint_1/backlash", "~/joint_1/load"):
+        (array,) = messages(recording, topic)
+        assert [(d.label, d.size, d.stride) for d in array.layout.dim] == [
+            ("flank", 2, 400),
+            ("tooth", 200, 200),
+        ]
+        assert array.data.size == 400
+    (load,) = messages(recording, "~/joint_1/load")
+    assert np.isfinite(load.data).all()
+    assert load.data.max() > 0.0
+
+
+def test_diagnostics_hold_one_status_of_each_joint(recording: Recording) -> None:
+    session = Session(config("elbow", "wrist"), recording)
+    session.tick(START, 1_500_000_000, FACTS)
+    (array,) = messages(recording, "/diagnostics")
+    assert (array.header.stamp.sec, array.header.stamp.nanosec) == (1, 500_000_000)
+    assert [(s.name, s.level) for s in array.status] == [("hd_diag: elbow", 0), ("hd_diag: wrist", 0)]
+    assert [s.hardware_id for s in array.status] == ["/hd_diag/elbow", "/hd_diag/wrist"]
+    keys = [pair.key for pair in array.status[0].values]
+    assert len(set(keys)) == len(keys)
+    assert {"fault_code", "eccentricity_um", "samples", "log_state", "latency_p99_us"} <= set(keys)
+
+
+def test_nodes_with_a_joint_of_one_name_are_told_apart_in_diagnostics() -> None:
+    found = []
+    for node in ("/left/hd_diag", "/right/hd_diag"):
+        recording = Recording()
+        Session(config("elbow"), recording, node).tick(START, START, FACTS)
+        ((status,),) = (array.status for array in messages(recording, "/diagnostics"))
+        found.append((status.name, status.hardware_id))
+    assert found == [("hd_diag: elbow", "/left/hd_diag/elbow"), ("hd_diag: elbow", "/right/hd_diag/elbow")]
+
+
+def test_drawing_is_of_the_joint(session: Session, recording: Recording) -> None:
+    session.joint_state(START, sample(START, 0.3, 0.01, 20.0))
+    (drawing,) = messages(recording, "~/joint_1/mesh")
+    assert {m.header.frame_id for m in drawing.markers} == {"joint_1"}
+    assert {m.header.stamp.sec for m in drawing.markers} == {START // 10**9}
+    assert any(m.ns == "teeth" for m in drawing.markers)
+
+
+# Events ---
+
+
+def test_the_configuration_is_recorded_at_the_start(session: Session, recording: Recording) -> None:
+    session.start(START)
+    (event,) = events(recording)
+    assert event == {
+        "event": "configuration",
+        "new": True,
+        "parameters": dict(session.config.flat),
+        "topics": {"~/residual": "/elsewhere"},
+        "versions": dict(running()),
+    }
+    assert resolve(event["parameters"]) == session.config
+    (declared,) = messages(recording, PARAMETER_EVENTS)
+    assert declared.node == "/robot/hd_diag"
+    assert {p.name for p in declared.new_parameters} == set(session.config.flat)
+    values = {p.name: p.value for p in declared.new_parameters}
+    assert values["joint_1.ratio"].type == 3
+    assert values["joint_1.ratio"].double_value == RATIO
+    assert values["joint_1.flexspline_teeth"].integer_value == 200
+    assert values["joints"].string_array_value == ["joint_1"]
+    assert values["log.overwrite"].type == 1
+    assert values["joint_1.flexspline_tooth.addendum_center"].double_array_value.size == 2
+
+
+def test_a_change_is_recorded_and_says_whose_map_is_outdated(recording: Recording) -> None:
+    session = Session(config("a", "b"), recording)
+    changed = config("a", "b", b__eccentricity__magnitude=3e-6, a__torque=1.0)
+    assert session.configure(START, changed) == ["b"]
+    (event,) = events(recording)
+    assert event["parameters"] == {"a.torque": 1.0, "b.eccentricity.magnitude": 3e-6}
+    assert not event["new"]
+    (declared,) = messages(recording, PARAMETER_EVENTS)
+    assert [p.name for p in declared.changed_parameters] == ["a.torque", "b.eccentricity.magnitude"]
+
+
+def test_no_change_is_no_event(session: Session, recording: Recording) -> None:
+    assert session.configure(START, config(mesh_rate=50.0)) == []
+    assert not recording.all
+
+
+def test_a_larger_rated_torque_asks_for_a_map_that_reaches_it(session: Session) -> None:
+    assert session.configure(START, config(mesh_rate=50.0, joint_1__rated_torque=60.0)) == ["joint_1"]
+    assert session.configure(START, config(mesh_rate=50.0, joint_1__rated_torque=60.0, array_rate=1.0)) == []
+
+
+def test_maps_in_force_are_recorded_and_outdated_ones_are_not(session: Session, recording: Recording) -> None:
+    table = map_of(session.config.joints[0])
+    assert session.use_map(START, "joint_1", table)
+    session.configure(START, config(mesh_rate=50.0, joint_1__eccentricity__magnitude=1e-6))
+    assert not session.use_map(START, "joint_1", table)
+    assert [e for e in events(recording) if e["event"] == "map"] == [
+        {"event": "map", "joint": "joint_1", "torque_limit": 112.0}
+    ]
+
+
+def test_a_report_is_recorded_with_its_facts(session: Session, recording: Recording) -> None:
+    session.tick(START, 77, FACTS)
+    assert events(recording) == [{"event": "report", "stamp": 77, "facts": FACTS}]
+
+
+# What cannot be used ---
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (b"", "is not a CDR message"),
+        (b"\0\1\0\0", "is not a CDR message"),
+        (sample(START, 0.1, 0.2, 0.3)[:-20], "is cut off"),
+        (sample(START, 0.1, 0.2, 0.3) + bytes(40), "has 40 bytes too many"),
+        (bytes(60), "has 28 bytes too many"),
+    ],
+)
+def test_messages_that_cannot_be_read_are_counted(session: Session, data: bytes, reason: str) -> None:
+    session.joint_state(START, data)
+    joint = session.monitor.joints["joint_1"]
+    assert joint.last_rejection.startswith(f"a JointState message {reason}")
+    assert joint.rejected == 1
+    session.joint_state(START, sample(START, 0.1, 0.2, 0.3))
+    assert joint.samples == 1
+
+
+def temperature(value: float) -> bytes:
+    types = STORE.types
+    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](1, 2), "")
+    return bytes(STORE.serialize_cdr(types[TEMPERATURE](header, value, 0.0), TEMPERATURE))
+
+
+def test_temperature_is_noted_and_a_broken_one_counted(session: Session) -> None:
+    session.temperature("joint_1", temperature(41.5))
+    assert session.monitor.joints["joint_1"].temperature == 41.5
+    session.temperature("joint_1", temperature(41.5)[:9])
+    assert "Temperature message cannot be read" in session.monitor.joints["joint_1"].last_rejection
+
+
+# Replay ---
+
+
+def eventful(session: Session, log: Log) -> None:
+    """Everything that can happen to a session of joints a and b."""
+    random = np.random.default_rng(5)
+    stamp = START
+    for i in range(600):
+        stamp += (MS, MS, MS, 3 * MS)[i % 4]
+        angle, torque = 0.01 * i, 30.0 * np.sin(0.02 * i)
+        noise = random.normal(0.0, 1e-5)
+        everything = {"a_motor": angle, "a": angle / RATIO + noise, "b_motor": -angle}
+        log.receive(session, message(stamp, everything, {"a": torque, "b_motor": 0.0}))
+        if i % 5 == 0:
+            log.receive(session, message(stamp - MS // 2, {"b": -angle / RATIO}))
+        if i % 70 == 10:
+            log.receive(session, message(stamp, everything))  # repeats the stamp
+        if i % 90 == 20:
+            log.receive(session, message(stamp, {"stranger": 1.0}))
+            log.receive(session, b"\0\1\0\0 no message")
+        if i % 110 == 30:
+            log.receive(session, message(stamp + 1, everything | {"a_motor": np.nan}))
+            log.warm(session, "a", temperature(20.0 + i))
+        if i == 150:
+            log.clock = itertools.count(next(log.clock) + 10**9)
+            session.tick(next(log.clock), 5, FACTS)
+        if i in (200, 400):
+            given = {"a__eccentricity__magnitude": 1e-8 * i, "array_rate": 0.3 * i, "mesh_rate": 15.0}
+            session.configure(next(log.clock), config("a", "b", **given))
+        if i in (100, 300, 500):
+            for joint in session.config.joints:
+                session.use_map(next(log.clock), joint.name, map_of(joint))
+        if i == 450:
+            stamp -= 5 * 10**9
+    session.tick(next(log.clock), 6, {"log_state": "off"})
+
+
+def test_a_replay_of_what_came_in_gives_what_went_out(tmp_path: Path) -> None:
+    log = Log(tmp_path / "live.mcap")
+    session = Session(config("a", "b", mesh_rate=10.0), log)
+    session.start(next(log.clock))
+    eventful(session, log)
+    log.writer.close()
+    result = replay(tmp_path / "live.mcap", tmp_path / "again.mcap")
+    live, again = content(tmp_path / "live.mcap"), content(tmp_path / "again.mcap")
+    assert result.reproduced
+    assert set(again) == set(live)
+    for topic, rows in live.items():
+        assert again[topic] == rows, topic
+    assert {resolved(topic) for topic in log.topics()} <= set(live)
+    assert len(live["/hd_diag/transmission_error"]) > 600
+    assert len(live["/hd_diag/residual"]) > len(live["/hd_diag/measured_transmission_error"]) * 0.99
+    kinds = [json.loads(read_string(data))["event"] for _, data in live["/hd_diag/events"]]
+    assert {kind: kinds.count(kind) for kind in kinds} == {"configuration": 3, "map": 6, "report": 2}
+
+
+def test_a_log_that_begins_later_replays_from_its_own_start(tmp_path: Path) -> None:
+    first, second = Log(tmp_path / "first.mcap"), Log(tmp_path / "second.mcap")
+    sink: list[Log] = [first]
+    session = Session(config("a", "b"), lambda encoded: sink[0](encoded))
+    session.start(next(first.clock))
+    eventful(session, first)
+    sink[0] = second
+    second.clock = first.clock
+    session.start_again(next(second.clock))
+    assert session.monitor.joints["a"].samples == 0
+    assert session.monitor.joints["a"].table is not None
+    for i in range(50):
+        second.receive(session, message(START + i * MS, {"a_motor": 0.02 * i, "a": 0.0}, {"a": 1.0}))
+    session.tick(next(second.clock), 6, FACTS)
+    first.writer.close()
+    second.writer.close()
+    replay(tmp_path / "second.mcap", tmp_path / "again.mcap")
+    live = content(tmp_path / "second.mcap")
+    assert content(tmp_path / "again.mcap") == live
+    assert len(live["/hd_diag/transmission_error"]) == 50
+
+
+def test_flat_parameters_survive_their_record() -> None:
+    """Numbers come out of an event's JSON as they went in."""
+    given = parameters(joint_1__tooth_compliance=1.0 / 3e6, joint_1__eccentricity__direction=np.pi / 7)
+    assert resolve(json.loads(json.dumps(dict(resolve(given).flat)))) == resolve(given)

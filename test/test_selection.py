@@ -1,0 +1,56 @@
+"""Parts of the search: when slow motion is looked at first, and a whole search on a known cause."""
+
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+from benches import EFFECTS, bench, of
+from joint_records import ARCSEC
+
+from hd_diag.diagnosis.fit.linearised_fit import Workbench
+from hd_diag.diagnosis.search.selection import search, speed_dependent
+
+NOISE = np.random.default_rng(0).normal(0.0, ARCSEC, 6000)
+
+
+def left(speed: np.ndarray, rest: np.ndarray) -> Workbench:
+    """A bench as far as `speed_dependent` looks at it."""
+    made = SimpleNamespace(signals=SimpleNamespace(speed=speed), remainder=lambda chosen: rest)
+    return cast(Workbench, made)
+
+
+SPEED = np.array([8.0, 8.0, -60.0, 60.0])[np.arange(6000) // 250 % 4]  # half slow, half fast [rad/s]
+
+
+@pytest.mark.parametrize(("growth", "expected"), [(0.0, False), (0.2, False), (0.5, True), (-0.4, True)])
+def test_what_grows_or_falls_with_speed_asks_for_a_slow_start(growth: float, expected: bool) -> None:
+    rest = NOISE * (1.0 + growth * (np.abs(SPEED) > 30.0))
+    assert speed_dependent(left(SPEED, rest)) is expected
+    assert speed_dependent(left(-SPEED, -rest)) is expected
+
+
+def test_speeds_that_are_alike_have_no_slow_part() -> None:
+    """However uneven the rest is."""
+    rest = NOISE * (1.0 + (np.abs(SPEED) > 30.0))
+    assert not speed_dependent(left(np.sign(SPEED) * (25.0 + 0.25 * np.abs(SPEED)), rest))
+
+
+def test_a_delay_is_seen_and_noise_is_not() -> None:
+    """Its error goes with the ripple's rate, so with the speed."""
+    assert not speed_dependent(bench())
+    assert speed_dependent(bench(of(EFFECTS["stream_delay"], delay=2e-3)))
+
+
+def test_search_returns_the_cause_and_no_other() -> None:
+    """With its values, from a grid of three speeds."""
+    told: list[str] = []
+    values = {"amplitude": 5e-5, "stribeck_amplitude": 4e-5, "reversal_speed": 1.3}
+    found = search(bench(of(EFFECTS["coulomb_windup"], **values)), told.append)
+    (cause,) = found.causes
+    assert told == ["looking for cause 1", "looking for cause 2"]
+    assert (cause.alike, found.foils) == (("coulomb_windup",), ())
+    assert found.chosen == ((cause.effect, cause.nonlinear),)
+    assert np.array([*cause.coefficients, *cause.nonlinear]) == pytest.approx([*values.values()], rel=0.03)
+    assert 0.5 < cause.gain_low < cause.gain < min(cause.gain_high, 1.0)
+    assert cause.p_value < 1e-12

@@ -1,0 +1,260 @@
+"""Long records in stretches: what is kept, what causes remember between, the verdict, and the memory."""
+
+import dataclasses
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from challenge import families, motion, records
+from challenge.records import Recording, simulate
+from challenge.truth import drawn
+from hypothesis import given
+from hypothesis import strategies as st
+from joint_records import ARCSEC, columns, joint, prepared
+
+from hd_diag.bag.joint_record import read_bags
+from hd_diag.config.configuration import resolve
+from hd_diag.diagnosis import blocks, subsampling
+from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
+from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit.linearised_fit import Workbench
+from hd_diag.diagnosis.noise import ORDER, bounds
+from hd_diag.diagnosis.record import Record, prepare
+from hd_diag.diagnosis.screening import screened
+from hd_diag.diagnosis.subsampling import LIMIT, thinned
+from hd_diag.diagnosis.verdict import as_json, sentence
+from hd_diag.effects.recursions import slip
+from hd_diag.simulation.simulation import Motion, Noise, SimulatedJoint, write_bag
+
+ROWS = 60_000
+SOME = 12_000
+RATE = 1000.0  # [Hz]
+
+
+def moved(runs: int = 6, seed: int = 0, bags: int = 1, rows: int = ROWS) -> Record:
+    """A record whose runs go to and fro under a wandering torque; nothing of it is measured."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(rows) / RATE
+    run = np.arange(rows) * runs // rows
+    knots = rng.uniform(-40.0, 40.0, rows // 500)
+    torque = np.interp(np.arange(rows), np.linspace(0, rows, knots.size), knots)
+    speed = np.where(run % 2, -1.0, 1.0) * (5.0 + 20.0 * (run // 2 % 3))
+    angle = np.cumsum(speed) / RATE
+    bag = np.arange(rows) * bags // rows
+    return Record(
+        time, angle, angle / 100.0, torque, speed, None, run, True, 3, 5, bag.astype(np.int64), torque
+    )
+
+
+def dense(record: Record) -> list[tuple[int, int]]:
+    """Stretches of rows with one step from each to the next."""
+    place = np.rint(record.time * RATE).astype(np.int64)
+    return [(a, b) for a, b in bounds(np.cumsum(np.diff(place, prepend=place[0]) != 1)) if b - a > 1]
+
+
+def test_a_short_record_stays_itself() -> None:
+    record = moved()
+    assert thinned(record, ROWS) is record
+    assert moved(rows=LIMIT).size == thinned(moved(rows=LIMIT)).size
+
+
+def test_rows_are_neighbours_at_their_true_times() -> None:
+    whole = moved()
+    record = thinned(whole, SOME)
+    assert 0.9 * SOME < record.size <= SOME
+    rows = np.rint(record.time * RATE).astype(np.int64)
+    assert np.all(np.diff(rows) > 0)
+    for name in ("time", "input_angle", "output_angle", "torque", "speed", "run", "bag", "reported_torque"):
+        assert np.array_equal(getattr(record, name), getattr(whole, name)[rows])
+    inside = sum(b - a for a, b in dense(record))
+    assert inside > 0.9 * record.size
+    assert min(b - a for a, b in dense(record)) > 10 * ORDER
+
+
+def test_every_part_of_every_run_is_seen() -> None:
+    """The middles of neighbouring stretches are at most two cells apart."""
+    record = thinned(moved(runs=6), SOME)
+    found = dense(record)
+    assert {int(record.run[a]) for a, _ in found} == set(range(6))
+    middles = np.array([record.time[(a + b) // 2] for a, b in found])
+    assert np.max(np.diff([0.0, *middles, ROWS / RATE])) <= 2.0 * ROWS / RATE / len(found)
+
+
+def test_of_more_runs_than_stretches_there_can_be_some_are_seen() -> None:
+    record = thinned(moved(runs=600), SOME)
+    assert record.size <= SOME
+    middles = np.array([record.time[(a + b) // 2] for a, b in dense(record)])
+    assert np.max(np.diff([0.0, *middles, ROWS / RATE])) < 0.25 * ROWS / RATE
+
+
+def test_what_is_rare_is_seen_too() -> None:
+    """Torques, speeds of either direction and places of the turn that a hundredth of the record has."""
+    whole = moved(runs=12)
+    record = thinned(whole, SOME)
+    for name, low, high in (("torque", -40.0, 40.0), ("speed", -45.0, 45.0), ("output_angle", -0.6, 0.6)):
+        edges = np.linspace(low, high, 13)
+        before, after = (np.histogram(getattr(r, name), edges)[0] / r.size for r in (whole, record))
+        assert np.all(after[before > 0.01] > 0.0)
+
+
+def test_the_same_rows_every_time() -> None:
+    one, other = (thinned(moved(), SOME) for _ in range(2))
+    assert np.array_equal(one.time, other.time)
+
+
+def test_it_tells_what_the_whole_covers() -> None:
+    whole = moved()
+    record = thinned(whole, SOME)
+    assert record.whole == whole.extent
+    assert (record.runs, record.duration, record.input_turns) == whole.extent[1:]
+    assert (record.outliers, record.dropped) == (whole.outliers, whole.dropped)
+    told = as_json(Diagnosis(record, joint().drive, (), None, None, None, None), "joint_1")
+    assert told["record"]["samples"] == ROWS
+    assert f"fitted to {record.size} of {ROWS} samples" in told["verdict"]
+    assert "fitted to" not in sentence(Diagnosis(whole, joint().drive, (), None, None, None, None))
+
+
+def test_memory_goes_on_but_not_into_another_recording() -> None:
+    whole = moved(bags=2)
+    record = thinned(whole, SOME)
+    assert np.array_equal(record.stretches, record.bag)
+    gaps = np.flatnonzero(np.diff(record.time) > 1.0)
+    assert np.all(np.diff(record.stretches)[gaps] == np.diff(record.bag)[gaps])
+
+
+def test_single_rows_are_apart() -> None:
+    """So far from each other that no filter takes them for neighbours."""
+    record = thinned(moved(), SOME)
+    rows = np.rint(record.time * RATE).astype(np.int64)
+    step = np.diff(rows)
+    assert step[step > 1].min() > 20
+
+
+@given(st.integers(0, 1000), st.floats(0.5, 12.0))
+def test_friction_remembers_as_if_it_had_seen_every_row(seed: int, reach: float) -> None:
+    """A slip element that follows the kept torques is where it would be, but for turns of the least size."""
+    whole = moved(seed=seed, rows=30_000)
+    record = thinned(whole, 6000)
+    full = slip(0.0, np.diff(whole.torque, prepend=0.0) / reach)
+    few = slip(0.0, np.diff(record.torque, prepend=0.0) / reach)
+    rows = np.rint(record.time * RATE).astype(np.int64)
+    neighbours = np.concatenate((np.diff(rows) == 1, [False]))
+    off = np.abs(few - full[rows])[neighbours]
+    # Torque that passes unseen within the distance of single rows: 30 of the 500 from knot to knot.
+    assert off.max() <= 2.5 * 80.0 * 30.0 / 500.0 / reach
+    assert np.mean(off) < 0.1 / min(reach, 1.0)
+
+
+def test_memory_goes_on_through_a_pause_without_torque() -> None:
+    """Rows without torque are not fitted; 2 s of them are no gap in what friction remembers."""
+    made = columns(seconds=12.0)
+    made["torque"] = np.where(np.abs(made["time"] - 6.0) < 1.0, 0.0, made["torque"])
+    drive = joint().drive
+    bench = Workbench(prepared(made), drive, fit_parameters.vector(drive, drive))
+    assert bench.record.size < 12.0 * 200.0 - 350
+    assert np.max(np.diff(bench.record.time)) > 1.8
+    assert set(bench.signals.run.tolist()) == {0}
+    assert len(set(bench.run.tolist())) > 1  # which filters do not go through
+
+
+# Block by block ---
+
+
+@pytest.fixture(scope="module")
+def rough() -> dict[str, np.ndarray]:
+    """Wrapped angles, outliers, a gap."""
+    made = columns(seconds=30.0)
+    made["output"][np.arange(100, 6000, 271)] += 300.0 * ARCSEC
+    made["torque"] += np.random.default_rng(1).normal(0.0, 0.3, 6000)
+    made["temperature"] = 20.0 + made["time"]
+    kept = (made["time"] < 11.0) | (made["time"] > 11.5)
+    return {name: (np.mod(c, 2.0 * np.pi) if name == "input" else c)[kept] for name, c in made.items()}
+
+
+def test_a_record_is_the_same_in_blocks(
+    rough: dict[str, np.ndarray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    expected = prepared(rough)
+    monkeypatch.setattr(blocks, "BLOCK", 700)
+    record = prepared(rough)
+    assert (record.outliers, record.dropped, record.runs) == (21, 0, expected.runs)  # one more was in the gap
+    assert expected.outliers == 21
+    for name in ("time", "input_angle", "output_angle", "torque", "speed", "temperature", "run"):
+        np.testing.assert_allclose(getattr(record, name), getattr(expected, name), rtol=1e-12, atol=1e-11)
+
+
+def test_a_skipped_tooth_at_the_edge_of_a_block_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(blocks, "BLOCK", 700)
+    made, drive = columns(seconds=30.0), joint().drive
+    for at in (714, 715, 1414, 3000):
+        output = made["output"] + drive.mesh.geometry.tooth_pitch * (np.arange(6000) >= at)
+        found = screened(prepared({**made, "output": output}), drive, limit=1500)
+        assert [finding.name for finding in found.findings] == ["tooth_skip"]
+        assert f"at {at / 200.0:.3f} s: 1 tooth skipped" in found.findings[0].text
+        assert found.record.size <= 1500
+        assert np.ptp(found.record.output_angle - found.record.input_angle / 100.0) < 2e-3
+
+
+# The verdict ---
+
+
+def test_a_thinned_record_has_the_verdict_of_the_whole() -> None:
+    """Half the rows; hysteresis, which only what came between tells from other causes."""
+    rng = families.generator("one_effect", 9)
+    standard = motion.standard(rng)
+    runs = motion.Motion(tuple(dataclasses.replace(each, duration=10.0) for each in standard.runs))
+    causes = [families.draw(rng, "hysteresis", runs)]
+    made = simulate(drawn(rng), causes, runs, rng, Recording(rate=200.0))
+    data = (made.time, made.input_angle, made.output_angle, made.torque, made.temperature)
+    record = prepare(*data, np.zeros(made.time.size, dtype=np.int64), 100.0)
+    drive = joint().drive
+    whole = diagnose(record, drive)
+    fewer = diagnose(screened(record, drive, limit=record.size // 2), drive)
+    assert fewer.record.size <= record.size // 2
+    for found in (whole, fewer):
+        assert [cause.effect.name for cause in found.causes] == ["hysteresis"]
+        assert found.unexplained == ()
+        amplitude = float(np.std(records.added_by(made, "hysteresis")))
+        assert found.causes[0].amplitude == pytest.approx(amplitude, rel=0.1)
+    assert whole.gain is not None
+    assert fewer.gain is not None
+    assert fewer.gain.low < whole.gain.high
+    assert whole.gain.low < fewer.gain.high
+    assert whole.rms is not None
+    assert fewer.rms is not None
+    assert fewer.rms.extended == pytest.approx(whole.rms.extended, rel=0.15)
+
+
+# Memory ---
+
+_EACH = 100  # a sample of a record that is read and screened needs this much at most [byte]
+
+
+def needed(path: Path, seconds: float) -> tuple[int, int]:
+    """Most memory while a bag at 1 kHz is read and screened, and what is left of it [byte]."""
+    config = resolve({"joints": ["joint_1"]})
+    own = config.joints[0]
+    write_bag(
+        path,
+        config,
+        Motion(duration=seconds, sample_rate=RATE),
+        {"joint_1": SimulatedJoint(own.drive, Noise(white=2.0 * ARCSEC, torque=0.3))},
+    )
+    tracemalloc.start()
+    try:
+        found = screened(read_bags([path], own), own.drive)
+        left, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert found.record.size <= LIMIT
+    assert found.record.extent.samples == round(seconds * RATE)
+    return most, left
+
+
+def test_memory_does_not_grow_with_the_record(tmp_path: Path) -> None:
+    """An hour at 1 kHz in half a gibibyte before the fit, which then always gets `LIMIT` rows."""
+    short, long = (needed(tmp_path / f"{s}.mcap", s) for s in (150.0, 450.0))
+    assert long[0] - short[0] < _EACH * 300_000
+    assert long[1] < 1.1 * short[1]
+    assert long[1] < 130 * subsampling.LIMIT
