@@ -10,14 +10,13 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.model import compiled
 from hd_diag.model.clearance import all_teeth
 from hd_diag.model.load_sharing import forces
 from hd_diag.model.torsion import Mesh, torsion
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.model.transmission_error import Frame, Kinematics
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

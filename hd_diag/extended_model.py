@@ -7,8 +7,8 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.drive import Drive, transmission_error
 from hd_diag.effects.contact_table import ContactTable
 from hd_diag.effects.contact_weights import ContactWeights, Rows
@@ -16,8 +16,6 @@ from hd_diag.effects.effect import Effect, Stage, Values
 from hd_diag.effects.signals import Signals
 from hd_diag.effects.stages import seen_at
 from hd_diag.model.torsion_map import TorsionMap
-
-Floats = npt.NDArray[np.float64]
 
 TORQUE_RANGE = 2.0
 """Torque that the map of a running joint reaches, over the rated torque [-]; beyond, it is exact."""

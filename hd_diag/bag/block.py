@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.arrays import Bytes
 from hd_diag.bag.mcap_file import HEAD, MESSAGE
-
-Bytes = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True)

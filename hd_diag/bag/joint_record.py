@@ -11,15 +11,14 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.arrays import Floats, Times
 from hd_diag.bag import BagError
 from hd_diag.bag.reader import BagReader
 from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.record import Record, RecordError, prepare
 from hd_diag.messages.publications import JOINT_STATE, OWN_OUTPUTS, TEMPERATURE, read_temperature
-from hd_diag.streams.columns import JointStates, Times
-
-Floats = npt.NDArray[np.float64]
+from hd_diag.streams.columns import JointStates
 
 _PAIRING_GAP = 0.05  # an input angle is interpolated over at most this time [s]
 COLUMNS = ("time", "input", "output", "torque", "temperature")

@@ -8,7 +8,8 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from hd_diag.arrays import Floats
+
 Kind = TypeVar("Kind", bound=np.generic)
 
 BLOCK = 1 << 18

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.diagnosis.extension import extended_model, left, map_of
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.fit import fit_parameters
@@ -24,7 +25,6 @@ from hd_diag.diagnosis.search.unmodelled_terms import Foil
 from hd_diag.drive import Drive
 from hd_diag.extended_model import ExtendedModel
 
-Floats = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.bool_]
 
 _HELD_OUT = 4  # every fourth run, or stretch of a single run, is held out

@@ -5,8 +5,8 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.search.causes import Search
@@ -14,8 +14,6 @@ from hd_diag.drive import Drive
 from hd_diag.effects.effect import Effect
 from hd_diag.extended_model import TORQUE_RANGE, ExtendedModel, Range, Ranges, Term
 from hd_diag.model.torsion_map import TorsionMap, build
-
-Floats = npt.NDArray[np.float64]
 
 
 def extended_model(found: Search, configured: Drive, record: Record) -> ExtendedModel:

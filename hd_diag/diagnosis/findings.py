@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.blocks import blocks
 from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 _RATIO_MISS = 2e-3  # relative; more than any transmission error can make of a turn
 _RAMP_MISS = 3e-5  # relative

@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_toeplitz
 
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
+from hd_diag.arrays import Floats, Integers
 
 ORDER = 20
 """Order of the autoregressive model [samples]."""

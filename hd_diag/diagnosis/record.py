@@ -9,12 +9,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import median_filter
 
+from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.blocks import filtered, unwrapped
 from hd_diag.diagnosis.noise import bounds, spans
 from hd_diag.diagnosis.smoothing import best_width, rate, settled, smooth
 
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 Rows = npt.NDArray[np.bool_]
 Kind = TypeVar("Kind", bound=np.generic)
 

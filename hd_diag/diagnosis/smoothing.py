@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 from scipy.signal import savgol_coeffs, savgol_filter
 
+from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.blocks import filtered
 from hd_diag.diagnosis.noise import bounds
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 _ORDER = 2
 _WINDOWS = 0.01 * 1.35 ** np.arange(12)  # to choose from [s]

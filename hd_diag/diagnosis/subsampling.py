@@ -10,14 +10,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.blocks import blocks
 from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 LIMIT = 60_000
 """Most rows that a fit gets: the whole process then stays below 1 GiB."""

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Effect, Quantity, Values, amplitude, direction, turning
 from hd_diag.effects.excitation import enough_input_turns, input_turns
 from hd_diag.effects.order_spectrum import line_width, spectrum
 from hd_diag.effects.signals import Signals
 from hd_diag.model.torsion_map import ARCSEC
-
-Floats = npt.NDArray[np.float64]
 
 BALLS = 23
 """Balls of a wave generator's thin bearing that the bands are drawn for; those of others stay unexplained."""

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Effect, Quantity, Values, amplitude, direction, harmonic, harmonic_sum
 from hd_diag.effects.excitation import enough_input_turns, torque_varies, verdict
 from hd_diag.effects.signals import Signals
-
-Floats = npt.NDArray[np.float64]
 
 ORDERS = (2, 4, 6)
 

@@ -14,17 +14,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Complexes, Floats, Integers
 from hd_diag.drive import Drive
 from hd_diag.model import load_sharing
 from hd_diag.model.clearance import Contact
 from hd_diag.model.torsion import Mesh, torsion_table
 from hd_diag.model.torsion_map import TorsionMap, build
-
-Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
-Integers = npt.NDArray[np.int64]
 
 Displacement = Callable[[Floats, Floats], Floats]
 Openings = tuple[float, float]

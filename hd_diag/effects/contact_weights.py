@@ -9,6 +9,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.arrays import Complexes, Floats, Integers
 from hd_diag.drive import Drive
 from hd_diag.effects.contact_table import (
     NO_OPENING,
@@ -23,9 +24,6 @@ from hd_diag.effects.contact_table import (
 )
 from hd_diag.model.torsion import torsion
 
-Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
-Integers = npt.NDArray[np.int64]
 Neighbours = tuple[tuple[Integers, Floats], tuple[Integers, Floats]]
 Part = TypeVar("Part", bound="ContactWeights")
 Rows = slice | npt.NDArray[np.bool_] | Integers

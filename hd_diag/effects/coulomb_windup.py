@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Effect, Quantity, Values
 from hd_diag.effects.excitation import both_directions, enough_input_turns, verdict
 from hd_diag.effects.signals import Signals
 from hd_diag.model.torsion_map import ARCSEC
-
-Floats = npt.NDArray[np.float64]
 
 _SPEEDS = (0.1, 0.6, 3.0)  # [rad/s] of the input
 _STRIBECK = 10.0  # Stribeck speed over the speed at which the friction turns round

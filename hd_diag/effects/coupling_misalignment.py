@@ -6,13 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Effect, Quantity, Values, direction
 from hd_diag.effects.excitation import both_directions, enough_input_turns, torque_varies, verdict
 from hd_diag.effects.signals import Signals
-
-Floats = npt.NDArray[np.float64]
 
 _STILL = 0.1  # speed of the input at which play changes its side [rad/s]
 _MOST_PLAY = 6.5e-4  # [rad]

@@ -12,9 +12,9 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.effects.signals import Signals
 
-Floats = npt.NDArray[np.float64]
 Values = tuple[float, ...]
 Kind = Literal["kinematic", "torsion", "friction", "sensor"]
 Frame = Literal["input", "output", "housing", "time", "torque"]

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Effect, Quantity, Values, amplitude, direction, turning
 from hd_diag.effects.excitation import enough_input_turns, sample_interval, torque_known, verdict
 from hd_diag.effects.order_spectrum import integer_orders
 from hd_diag.effects.signals import Signals
 from hd_diag.model.torsion_map import ARCSEC
-
-Floats = npt.NDArray[np.float64]
 
 _LEAST, _MOST = 4, 4096
 _USUAL = (4, 5, 8, 12, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096)

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Quantity, StatefulEffect, Values
 from hd_diag.effects.excitation import torque_reverses
 from hd_diag.effects.recursions import slip
 from hd_diag.effects.signals import Signals
 from hd_diag.model.torsion_map import ARCSEC
-
-Floats = npt.NDArray[np.float64]
 
 _FRACTIONS = (0.02, 0.05, 0.12, 0.3)  # of the rated torque
 _SWING = 0.1  # of the rated torque, that must be reversed twice

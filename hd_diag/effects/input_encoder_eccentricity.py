@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
+from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Effect, Values, amplitude, direction, turning
 from hd_diag.effects.excitation import enough_input_turns, torque_varies, verdict
 from hd_diag.effects.signals import Signals
 from hd_diag.model.torsion_map import ARCSEC
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from hd_diag.arrays import Floats
 
 _OVERSAMPLING = 4  # orders per resolvable one: a line between two of them loses 5 % at most
 _MOST_BINS = 2**23

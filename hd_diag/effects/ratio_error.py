@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
+from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Effect, Quantity, Values
 from hd_diag.effects.excitation import enough_input_turns
 from hd_diag.effects.signals import Signals
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

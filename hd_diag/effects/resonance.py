@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Complexes, Floats
 from hd_diag.effects.effect import Quantity, Stage, StatefulEffect, Values, amplitude, direction
 from hd_diag.effects.excitation import (
     enough_input_turns,
@@ -20,9 +20,6 @@ from hd_diag.effects.excitation import (
 from hd_diag.effects.recursions import follow, relax
 from hd_diag.effects.signals import Signals
 from hd_diag.model.torsion_map import ARCSEC
-
-Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
 
 ORDERS = (1.0, 2.0, 4.0)
 """Orders of the wave generator's turn that excite."""

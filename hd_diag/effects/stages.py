@@ -6,12 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Effect, Stage
 from hd_diag.effects.signals import Signals
-
-Floats = npt.NDArray[np.float64]
 
 
 def seen_at(

@@ -8,11 +8,10 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Effect, Quantity, Stage, Values
 from hd_diag.effects.excitation import speed_beyond
 from hd_diag.effects.signals import Signals
-
-Floats = npt.NDArray[np.float64]
 
 _SPEED = 20.0  # [rad/s] of the input: 50 us read a hundredth of an arcmin there at ratio 100
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Effect, Quantity, Values
 from hd_diag.effects.excitation import temperature_varies
 from hd_diag.effects.signals import Signals
 from hd_diag.model.torsion_map import ARCSEC
-
-Floats = npt.NDArray[np.float64]
 
 REFERENCE = 20.0
 """Temperature at which the drift is zero [degC]."""

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Effect, Quantity, Values
 from hd_diag.effects.excitation import enough_input_turns, enough_output_turns, loaded, verdict
 from hd_diag.effects.signals import Signals
-
-Floats = npt.NDArray[np.float64]
 
 SLOT, TOOTH = 0.0, 1.0
 """Member that the damage is on: circular spline or flexspline."""

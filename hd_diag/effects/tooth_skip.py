@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Effect, Quantity, Values
 from hd_diag.effects.signals import Signals
-
-Floats = npt.NDArray[np.float64]
 
 _CANDIDATES = 2
 _APART = 0.02  # of the record: steps nearer than this are one

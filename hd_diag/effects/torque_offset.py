@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
-
+from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Effect, Quantity, Values
 from hd_diag.effects.excitation import torque_through_zero
 from hd_diag.effects.signals import Signals
-
-Floats = npt.NDArray[np.float64]
 
 _STEP = 4e-3  # of the rated torque, by which the compliance is taken: a change of flanks is a step
 

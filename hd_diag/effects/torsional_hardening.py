@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Effect, Quantity, Values
 from hd_diag.effects.excitation import torque_beyond
 from hd_diag.effects.signals import Signals
-
-Floats = npt.NDArray[np.float64]
 
 _FIRST, _SECOND = (0.08, 0.16, 0.35), (0.45, 0.65, 0.9)  # of the greatest torque
 _LEAST = 0.25  # of the rated torque, that the record must reach

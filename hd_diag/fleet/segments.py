@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import ruptures
 from ruptures.base import BaseCost
 
-Floats = npt.NDArray[np.float64]
+from hd_diag.arrays import Floats
 
 LEAST = 3
 """Values in a segment, at least."""

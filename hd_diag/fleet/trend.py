@@ -14,11 +14,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy import stats
 
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
+from hd_diag.arrays import Floats, Integers
 
 FALSE_ALARM = 0.05
 """Chance that a run reports a change or a drift of anything where nothing changes."""

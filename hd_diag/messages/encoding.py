@@ -10,8 +10,8 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
-Bytes = npt.NDArray[np.uint8]
+from hd_diag.arrays import Bytes, Floats
+
 _NANOSECONDS = 1_000_000_000
 _STAMP, _UINT32 = struct.Struct("<iI"), struct.Struct("<I")
 _FILL = (b"", bytes(3), bytes(2), bytes(1))

@@ -15,9 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.streams.columns import Floats, JointStates
+from hd_diag.arrays import Bytes, Floats
+from hd_diag.streams.columns import JointStates
 
-Bytes = npt.NDArray[np.uint8]
 # Number of layouts per decoder that are remembered; one topic rarely has more than one or two.
 _REMEMBERED = 64
 # A batch with more layouts than this is decoded message by message.

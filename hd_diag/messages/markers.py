@@ -10,6 +10,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.arrays import Complexes, Floats
 from hd_diag.drive import Drive
 from hd_diag.messages.schemas import jazzy, serialize
 from hd_diag.model.geometry import Geometry
@@ -18,8 +19,6 @@ from hd_diag.model.tooth_profile import DoubleArc
 
 MARKERS = "visualization_msgs/msg/MarkerArray"
 
-Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
 Colour = tuple[float, float, float, float]
 
 # Least-squares fit, c_0 to c_7 for red, green and blue, to the published table of viridis (S. van der Walt,

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.arrays import Times
 from hd_diag.messages.encoding import (
     encode_diagnostic_array,
     encode_float64_multiarray,
@@ -17,7 +18,7 @@ from hd_diag.messages.encoding import (
 )
 from hd_diag.messages.markers import MARKERS, drawing, marker_array
 from hd_diag.messages.schemas import jazzy, serialize
-from hd_diag.streams.columns import Angles, Drawings, Publication, Report, Teeth, Times
+from hd_diag.streams.columns import Angles, Drawings, Publication, Report, Teeth
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 MULTI_ARRAY = "std_msgs/msg/Float64MultiArray"

@@ -15,11 +15,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.arrays import Floats, Integers
 from hd_diag.model.geometry import Geometry
 from hd_diag.model.neutral_curve import tooth_axes
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 JOINT_SLACK = 1e-9
 """Contacts may lie this far outside a primitive [m].

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.arrays import Complexes, Floats
 from hd_diag.model.clearance import Contact
 from hd_diag.model.geometry import Geometry
 from hd_diag.model.threads import spread
@@ -23,8 +24,6 @@ from hd_diag.model.threads import spread
 if TYPE_CHECKING:
     from hd_diag.model.kernel.teeth import MeshData
 
-Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
 
 # Rows that a thread takes at a time: some 0.4 ms of work, where a thread costs 0.1 ms.
 _MOMENTS = 50

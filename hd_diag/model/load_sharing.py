@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.model.clearance import Contact
-
-Floats = npt.NDArray[np.float64]
 
 # Torques are compared with breakpoints for this many (moment, torque, breakpoint) triples at once [-].
 _BLOCK = 4_000_000

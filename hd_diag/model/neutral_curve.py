@@ -7,10 +7,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import ellipe, ellipeinc
 
-Floats = npt.NDArray[np.float64]
+from hd_diag.arrays import Floats
 
 # The series for the ellipse's parameter converges like (ellipticity / 4)^k; 64 samples leave it at rounding
 # error for semi-axes up to 20 % apart, far more than a flexspline bears.

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.model import clearance, compiled, load_sharing
 from hd_diag.model.clearance import Contact
 from hd_diag.model.geometry import Geometry
-
-Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

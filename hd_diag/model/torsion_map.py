@@ -16,10 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.model import compiled
 from hd_diag.model.torsion import Mesh, limited_curves, torsion_table
-
-Floats = npt.NDArray[np.float64]
 
 ARCSEC = np.pi / 648_000.0
 """One second of arc [rad]."""

@@ -18,12 +18,9 @@ import math
 from dataclasses import dataclass
 from typing import Generic, Literal, TypeVar
 
-import numpy as np
-import numpy.typing as npt
-
+from hd_diag.arrays import Floats
 from hd_diag.model.geometry import Geometry
 
-Floats = npt.NDArray[np.float64]
 Output = Literal["flexspline", "circular_spline"]
 Value = TypeVar("Value", float, Floats)
 

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from hd_diag.arrays import Floats, Times
 from hd_diag.config.configuration import Config
 from hd_diag.drive import MeshState, mesh_state
 from hd_diag.model.torsion_map import TorsionMap
@@ -18,7 +19,7 @@ from hd_diag.monitor.joint import Asked, JointMonitor, Part, Prediction, Row, Sa
 from hd_diag.monitor.moment import Moments
 from hd_diag.monitor.periods import Periods
 from hd_diag.monitor.predictions import angles, angles_of_moment
-from hd_diag.streams.columns import Drawings, Floats, JointStates, Publication, Report, Teeth, Times
+from hd_diag.streams.columns import Drawings, JointStates, Publication, Report, Teeth
 
 _NAMELESS = "the message names the joint and gives no position of it"
 

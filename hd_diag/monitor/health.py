@@ -7,11 +7,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from hd_diag.arrays import Floats
 from hd_diag.drive import MeshState, mesh_state, transmission_error
 from hd_diag.extended_model import Range
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor.joint import JointMonitor, Window
-from hd_diag.streams.columns import Floats, Status
+from hd_diag.streams.columns import Status
 
 FAULT_CODES = (
     "LOG_FAILED",

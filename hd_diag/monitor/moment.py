@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hd_diag.arrays import Floats, Times
 from hd_diag.drive import Drives
 from hd_diag.monitor.joint import Asked, JointMonitor, Prediction, Samples
-from hd_diag.streams.columns import Floats, Times
 
 _ROW = np.zeros(1, np.int64)
 

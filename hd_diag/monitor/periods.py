@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hd_diag.streams.columns import Times
+from hd_diag.arrays import Times
 
 _NO_ROWS = np.empty(0, np.int64)
 _EVER = 2**62  # [ns]

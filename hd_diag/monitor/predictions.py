@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hd_diag.arrays import Floats, Times
 from hd_diag.monitor.joint import Prediction
 from hd_diag.monitor.moment import Moment
-from hd_diag.streams.columns import Angles, Floats, Publication, Times
+from hd_diag.streams.columns import Angles, Publication
 
 _PREDICTED = "~/transmission_error"
 _MEASURED = "~/measured_transmission_error"

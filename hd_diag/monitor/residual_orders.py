@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hd_diag.streams.columns import Floats, Times
+from hd_diag.arrays import Floats, Times
 
 ORDERS = (("input", 1), ("input", 2), ("input", 4), ("output", 1))
 """Followed orders: periods per turn of the input or of the output."""

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from hd_diag.arrays import Times
 from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.messages.joint_states import JointStateDecoder
 from hd_diag.messages.publications import (
@@ -27,7 +28,7 @@ from hd_diag.model.torsion import Mesh
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.monitor import Monitor
 from hd_diag.replay import versions
-from hd_diag.streams.columns import JointStates, Publication, Times
+from hd_diag.streams.columns import JointStates, Publication
 
 EVENTS = "~/events"
 """Topic of the events in a log: std_msgs/String with one JSON object, key ``event``."""

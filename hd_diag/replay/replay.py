@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hd_diag.arrays import Times
 from hd_diag.bag import BagError, BagWriter, check_output, encode_joint_states
 from hd_diag.bag.reader import BagReader, Batch, Mixed
 from hd_diag.bag.writer import replaced
@@ -22,7 +23,7 @@ from hd_diag.replay.events import ClockSetBack, Configured, Event, MapUsed, Repo
 from hd_diag.replay.map_builder import map_of
 from hd_diag.replay.recorded_monitor import Session
 from hd_diag.replay.sources import Sources, event_of, sources_of
-from hd_diag.streams.columns import JointStates, Times
+from hd_diag.streams.columns import JointStates
 
 _NANOSECONDS = 1_000_000_000
 _LONGEST_SILENCE = 60 * _NANOSECONDS  # of a bag, over which reports go on [ns]

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.fit import fit_parameters
@@ -17,8 +16,6 @@ from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE
 from hd_diag.formatting import arcsec, direction, number, quantity, si, spread_number, words
 from hd_diag.report.stages import simulated_error
-
-Floats = npt.NDArray[np.float64]
 
 _SIGMAS = 3.0  # standard deviations off its configured value from which a parameter is worth a card
 # Fitted numbers that are judged together: their places in `fit_parameters.SCALES`, and what is compared.

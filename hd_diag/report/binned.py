@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from hd_diag.arrays import Floats
 
 LOW, HIGH = 0.1, 0.9
 """Quantiles between which a band's spread lies [-]."""

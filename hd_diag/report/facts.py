@@ -9,8 +9,8 @@ from importlib import metadata
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.bag.joint_record import Motion
 from hd_diag.config.configuration import JOINT_PARAMETERS, JointConfig
 from hd_diag.config.parameters import Value
@@ -40,8 +40,6 @@ from hd_diag.report.stages import (
 )
 from hd_diag.report.teeth import Done, Teeth, done, strongest_torque, teeth
 from hd_diag.report.torsion import Torsion, measured, simulated
-
-Floats = npt.NDArray[np.float64]
 
 _LINE_SHARE = 0.2  # of a cause's mean square from which a peak of its spectrum is its order
 _LEAK = 0.1  # strength of a peak's side lobes that are no peaks of their own

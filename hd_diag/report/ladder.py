@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.fit.design import solve
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, Workbench, settle
 from hd_diag.formatting import words
 from hd_diag.report.stages import NOMINAL, REFIT
-
-Floats = npt.NDArray[np.float64]
 
 _DRAWS = 2000
 _INTERVAL = (0.025, 0.975)

@@ -15,11 +15,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import brentq
 
+from hd_diag.arrays import Floats
 from hd_diag.drive import Drive, MeshState, mesh_state
 from hd_diag.model.neutral_curve import tooth_axes
 from hd_diag.model.transmission_error import Kinematics
-
-Floats = npt.NDArray[np.float64]
 
 _PUBLISHED = 23e-6  # eccentricity at which interference first appears, section 4.2 [m]
 _STEPS = 6  # eccentricities drawn, from zero to that

@@ -7,9 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.formatting import number
-
-Floats = npt.NDArray[np.float64]
 
 _GAP_STEPS = 5.5  # a step this many times the usual one is a gap, as the criticism takes it
 _TURN = 2.0 * np.pi

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.extension import left, map_of
 from hd_diag.diagnosis.fit import fit_parameters
@@ -17,8 +18,6 @@ from hd_diag.drive import Drive, transmission_error
 from hd_diag.effects.order_spectrum import spectrum
 from hd_diag.report.binned import Band, Envelope, band, envelope, strongest
 from hd_diag.report.teeth import strongest_torque
-
-Floats = npt.NDArray[np.float64]
 
 NOMINAL, REFIT, EXTENDED = "as configured", "refitted", "extended"
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.drive import Drive, mesh_state
-
-Floats = npt.NDArray[np.float64]
 
 _ANGLES = 180  # over a turn of the input
 _DIRECTIONS = 120  # around the gear

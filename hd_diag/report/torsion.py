@@ -8,11 +8,10 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.drive import Drive
 from hd_diag.report.binned import Band, band
 from hd_diag.report.stages import EXTENDED, Stages, mean_error
-
-Floats = npt.NDArray[np.float64]
 
 # Ends of the ranges of K1, K2 and K3 over the rated torque [-]. The catalogue of a size-25, ratio-100 gear
 # has its knees at T1 = 14 and T2 = 48 N m, these shares of the example drive's 56 N m; K3 ends at 100 N m.

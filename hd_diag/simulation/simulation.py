@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.signal import lfilter
 
+from hd_diag.arrays import Floats, Times
 from hd_diag.bag import BagError, BagWriter, encode_joint_states
 from hd_diag.bag.writer import replaced
 from hd_diag.config.configuration import Config
@@ -24,9 +24,6 @@ from hd_diag.messages.publications import JOINT_STATE, TEMPERATURE
 from hd_diag.messages.schemas import jazzy, serialize
 from hd_diag.model import torsion_map
 from hd_diag.model.torsion_map import TorsionMap
-
-Floats = npt.NDArray[np.float64]
-Times = npt.NDArray[np.int64]
 
 START = 1_767_225_600_000_000_000
 """Stamp of the first sample unless another is asked for: 2026-01-01T00:00:00Z [ns]."""

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.streams.columns import Floats, Times
+from hd_diag.arrays import Floats, Times
 
 REMEMBERED = 256
 """Input samples kept for output angles that arrive later, and output angles that may wait for an input."""

@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+
+from hd_diag.arrays import Floats, Times
 
 if TYPE_CHECKING:
     from hd_diag.drive import Drive
 
-Floats = npt.NDArray[np.float64]
-Times = npt.NDArray[np.int64]
 
 LARGEST_ANGLE = 1e10
 """Beyond it a double tells no angle to a microradian, and no joint gets there in a lifetime [rad]."""

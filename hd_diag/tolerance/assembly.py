@@ -13,13 +13,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
+from hd_diag.arrays import Floats
 from hd_diag.drive import Drive
 from hd_diag.tolerance.criteria import over_turn, reference_stiffness
 from hd_diag.tolerance.moments import Moments, evaluate
 from hd_diag.tolerance.settings import Spread
 from hd_diag.tolerance.workers import Workers
-
-Floats = npt.NDArray[np.float64]
 
 FACTORS = (
     "eccentricity",

@@ -6,13 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.drive import Drive
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.tolerance.moments import Moments, evaluate
-
-Floats = npt.NDArray[np.float64]
 
 _PHASES = 32  # tooth phases over which the reference stiffness is the mean
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from hd_diag.arrays import Floats
 
 _HILLS = 8  # local maxima that are climbed
 _ROUNDS, _CLOSER, _BESIDE = 6, 3, 3  # of a climb: so many grids, each so much finer, points to either side

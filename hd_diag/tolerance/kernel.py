@@ -8,15 +8,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Complexes, Floats
 from hd_diag.model.kernel import entry_point, part
 from hd_diag.model.kernel.load import Flanks, Scratch, Side, balance, bearing, flanks, scratch
 from hd_diag.model.kernel.teeth import MeshData, Teeth, place, reach
 from hd_diag.model.kernel.touch import Constants, close
-
-Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
 
 
 @entry_point

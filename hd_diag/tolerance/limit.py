@@ -7,17 +7,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import brentq
 
+from hd_diag.arrays import Complexes, Floats
 from hd_diag.drive import Drive
 from hd_diag.model.torsion import Mesh, torsion
 from hd_diag.tolerance.criteria import CRITERIA, NAMES, of_moments, reference_stiffness
 from hd_diag.tolerance.hills import NARROWING, climbed, hills
 from hd_diag.tolerance.moments import evaluate
-
-Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
 
 STEPS = 60
 """Steps of the eccentricity in which the first excess is looked for."""

@@ -8,14 +8,11 @@ from dataclasses import dataclass
 from types import ModuleType
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Complexes, Floats
 from hd_diag.model import clearance, compiled, load_sharing
 from hd_diag.model.clearance import Contact
 from hd_diag.model.torsion import Mesh
-
-Floats = npt.NDArray[np.float64]
-Complexes = npt.NDArray[np.complex128]
 
 _SIDES = np.array([1.0, -1.0])[:, None]  # of flanks +, -
 

@@ -8,10 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.stats import qmc, sobol_indices
 
-Floats = npt.NDArray[np.float64]
+from hd_diag.arrays import Floats
 
 _CONFIDENCE = 0.95
 _RESAMPLES = 200

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.drive import Drive
 from hd_diag.tolerance import assembly, sensitivity
 from hd_diag.tolerance.assembly import FACTORS, Population, Share
@@ -17,7 +17,6 @@ from hd_diag.tolerance.sensitivity import Indices
 from hd_diag.tolerance.settings import Spread
 from hd_diag.tolerance.workers import Workers
 
-Floats = npt.NDArray[np.float64]
 Progress = Callable[[str, int], Callable[[], None]]
 """Told what comes and of how many steps; gives what is called after each step."""
 

@@ -9,9 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special, stats
 
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
-
+from hd_diag.arrays import Floats, Integers
 
 _ONE_PER_CENT = 2.326  # standard deviations
 _ALONE = 1e-10  # share of a column outside a block that is nothing but rounding

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.design import Design
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, Workbench, settle
 from hd_diag.effects.effect import Effect, Stage
-
-Floats = npt.NDArray[np.float64]
 
 _ROUNDS = 8
 _SHORTER = 3  # halvings of a step that makes the fit worse

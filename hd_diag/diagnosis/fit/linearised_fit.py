@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import Design, design, inverse, solve
 from hd_diag.diagnosis.fit.refit import usable
@@ -21,8 +22,6 @@ from hd_diag.effects.effect import Effect, Stage
 from hd_diag.effects.signals import Signals
 from hd_diag.effects.stages import seen_at
 
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 Rows = npt.NDArray[np.bool_]
 
 _BLOCKS = 24

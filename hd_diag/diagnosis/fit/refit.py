@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.record import Record
 from hd_diag.drive import Drive
-
-Floats = npt.NDArray[np.float64]
 
 # Rounds of the search: samples, steps of a fit, starts that go on to the next. Each round can only mistake
 # starts that are as good as equal, and what it leaves goes on with all rows.

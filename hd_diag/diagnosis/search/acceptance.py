@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.design import f_test, holds, orthonormal
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, Workbench
 from hd_diag.diagnosis.search.ranking import Candidate
 from hd_diag.diagnosis.search.unmodelled_terms import Foil
 from hd_diag.effects.effect import Effect
 from hd_diag.model.torsion_map import ARCSEC
-
-Floats = npt.NDArray[np.float64]
 
 FAMILY_ERROR = 0.01
 """Chance of any false name by noise, over all candidates and grid points."""

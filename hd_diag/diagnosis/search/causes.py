@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import interval
 from hd_diag.diagnosis.fit.joint_refinement import covariance
@@ -16,8 +17,6 @@ from hd_diag.diagnosis.search.acceptance import held_out_gain, wanders
 from hd_diag.diagnosis.search.ranking import by_name, ranked
 from hd_diag.diagnosis.search.unmodelled_terms import Foil
 from hd_diag.effects.effect import Effect
-
-Floats = npt.NDArray[np.float64]
 
 CLASS_DEVIANCE = 10.0
 """Causes whose exchange moves the held-out deviance by less cannot be told apart."""

@@ -6,13 +6,11 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.design import f_test, orthonormal, solve, surprise
 from hd_diag.diagnosis.fit.linearised_fit import SEARCHED, Chosen, Workbench
 from hd_diag.effects.effect import Effect
-
-Floats = npt.NDArray[np.float64]
 
 _LOOKED_AT = 5.0  # surprise from which a candidate is looked at, at its size
 _SECANTS = 3  # steps to the size of an effect that is not proportional to it

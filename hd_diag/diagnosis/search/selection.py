@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import minimize
 
+from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.joint_refinement import free, polished
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, Workbench, settle
 from hd_diag.diagnosis.fit.refit import FEW_STARTS, distinct, refit
@@ -17,8 +17,6 @@ from hd_diag.diagnosis.search.causes import CLASS_DEVIANCE, Search, causes
 from hd_diag.diagnosis.search.ranking import Candidate, Projector, by_name, candidates, family_size, ranked
 from hd_diag.diagnosis.search.unmodelled_terms import FOILS, Foil
 from hd_diag.effects.effect import Effect, Stage
-
-Floats = npt.NDArray[np.float64]
 
 _MOST_CAUSES = 4
 _SLOW = 0.34  # share of the samples that count as slow

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.design import f_test, holds, orthonormal
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, Workbench
 from hd_diag.diagnosis.noise import Whitening, whitening
@@ -16,7 +17,6 @@ from hd_diag.diagnosis.search.causes import Search
 from hd_diag.diagnosis.search.unmodelled_terms import Foil
 from hd_diag.model.torsion_map import ARCSEC
 
-Floats = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.bool_]
 
 _PER_TURN = 128  # cells per turn of the input, so orders up to 64 are seen

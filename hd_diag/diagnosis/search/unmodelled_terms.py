@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.diagnosis.noise import bounds, spans
 from hd_diag.effects.effect import Effect, Quantity, Stage, Values
 from hd_diag.effects.signals import Signals
 
-Floats = npt.NDArray[np.float64]
 Shape = Callable[[Signals], Floats]
 
 _STRETCHES = 12  # that a creep may be cut into

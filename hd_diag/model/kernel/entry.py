@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Complexes, Floats, Integers
 from hd_diag.model.kernel import entry_point, inline
 from hd_diag.model.kernel.gradient import fill
 from hd_diag.model.kernel.gradient_curve import TAKEN_BY, add, fill_pieces, pieces_room
@@ -18,10 +18,6 @@ from hd_diag.model.kernel.state import contacts_room, spread, touch_teeth
 from hd_diag.model.kernel.table import BLOCK, Columns, cells, columns, find, read
 from hd_diag.model.kernel.teeth import MeshData, Teeth, place, reach, room, width
 from hd_diag.model.kernel.touch import Constants, close
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
-Complexes = npt.NDArray[np.complex128]
 
 
 @entry_point

@@ -5,15 +5,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
+from hd_diag.arrays import Floats
 from hd_diag.model.kernel import inline, part
 from hd_diag.model.kernel.load import Flanks, Side
 from hd_diag.model.kernel.teeth import MeshData, Teeth
 from hd_diag.model.kernel.touch import Constants, close
-
-Floats = npt.NDArray[np.float64]
 
 
 class Slopes(NamedTuple):

@@ -6,15 +6,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.model.kernel import part
 from hd_diag.model.kernel.gradient import along, slopes
 from hd_diag.model.kernel.load import Flanks, Side, balance
 from hd_diag.model.kernel.teeth import MeshData, Teeth
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 TAKEN_BY = 3
 """E_x and E_y in the wave generator's frame, r_0."""

@@ -6,14 +6,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Floats, Integers
 from hd_diag.model.kernel import inline, part
 from hd_diag.model.kernel.teeth import MeshData, Teeth, place, reach, room
 from hd_diag.model.kernel.touch import Constants, close
-
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 
 # Sines up to here become angles by the arcsine's series to x^15, exact to rounding [-].
 _SMALL_SINE = 0.125

@@ -6,14 +6,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.model.kernel import part
 from hd_diag.model.kernel.load import Scratch, balance, place_teeth, sides
 from hd_diag.model.kernel.teeth import MeshData
 from hd_diag.model.kernel.touch import Constants, close
-
-Floats = npt.NDArray[np.float64]
 
 
 class Contacts(NamedTuple):

@@ -13,11 +13,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hd_diag.arrays import Floats, Integers
 from hd_diag.model.kernel import inline, part
 from hd_diag.model.kernel.memory import fetch
 
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
 Columns = npt.NDArray[np.int16]
 
 BLOCK = 32

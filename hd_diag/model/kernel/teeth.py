@@ -6,12 +6,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.model.kernel import inline, part
 from hd_diag.model.kernel.touch import Constants
-
-Floats = npt.NDArray[np.float64]
 
 
 class Tables(NamedTuple):

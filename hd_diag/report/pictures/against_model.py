@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from hd_diag.arrays import Floats
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.report.binned import Band
 from hd_diag.report.pictures.canvas import EXTENDED, INK, NOMINAL, REFIT, drawn, sheet, titled, turn
-
-Floats = npt.NDArray[np.float64]
 
 _LOOKS = ((NOMINAL, (0, (2, 1.2))), (REFIT, (0, (6, 1.8))), (EXTENDED, "-"))
 _HEIGHT = 4.6  # [inch]

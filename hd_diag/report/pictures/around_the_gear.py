@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import MaxNLocator
 
+from hd_diag.arrays import Floats
 from hd_diag.report.pictures.canvas import ACCENT, INK, NOMINAL, REFIT, WIDTH, drawn
-
-Floats = npt.NDArray[np.float64]
 
 _SHOWN = 40e-6  # backlash beyond which a tooth is simply free [m]
 _PLACES = np.radians(np.arange(11.25, 360.0, 22.5))  # where the radius may be labelled [rad]

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
+from hd_diag.arrays import Floats
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.report.pictures.canvas import EXTENDED, GRID, INK, REFIT, drawn, sheet, titled
-
-Floats = npt.NDArray[np.float64]
 
 _FLOOR = 0.4  # height of the noise floor at each rung
 _ROOM = 1.9  # factor to the right of the largest for its number

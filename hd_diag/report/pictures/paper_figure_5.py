@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 
+from hd_diag.arrays import Floats
 from hd_diag.report.pictures.canvas import DASHES, INK, SERIES, drawn, sheet, titled, turn
-
-Floats = npt.NDArray[np.float64]
 
 _SHOWN = 30.0  # to either side of the long axis [°]: over the whole wave the change is a line's width
 

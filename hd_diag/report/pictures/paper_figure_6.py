@@ -6,9 +6,8 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
+from hd_diag.arrays import Floats
 from hd_diag.report.pictures.canvas import DASHES, INK, SERIES, drawn, sheet, titled
-
-Floats = npt.NDArray[np.float64]
 
 _SHOWN = 40.0  # backlash beyond which a tooth is simply free [µm]
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 
+from hd_diag.arrays import Floats
 from hd_diag.report.pictures.canvas import DASHES, INK, SERIES, drawn, sheet, titled
-
-Floats = npt.NDArray[np.float64]
 
 _SHOWN = 60.0  # backlash beyond which the tooth is simply free [µm]
 

@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.report.binned import Envelope
 from hd_diag.report.pictures.canvas import EXTENDED, INK, NOMINAL, REFIT, drawn, sheet, titled
-
-Floats = npt.NDArray[np.float64]
 
 _TURN = 2.0 * np.pi
 _COLOURS = (NOMINAL, REFIT, EXTENDED)

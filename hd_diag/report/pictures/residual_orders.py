@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
+from hd_diag.arrays import Floats
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.report.pictures.canvas import EXTENDED, INK, NOMINAL, REFIT, drawn, sheet, titled
-
-Floats = npt.NDArray[np.float64]
 
 _LOOKS = ((NOMINAL, 0.8), (REFIT, 0.9), (EXTENDED, 1.3))
 _DECADES = 4.0

@@ -11,9 +11,8 @@ from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from hd_diag.arrays import Floats
 from hd_diag.report.pictures.canvas import ACCENT, drawn, sheet, turn
-
-Floats = npt.NDArray[np.float64]
 
 _SHOWN = 40e-6  # backlash beyond which a tooth is simply free [m]
 _LEAST = 1e-6  # [m]

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 
+from hd_diag.arrays import Floats
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.report.binned import Band
 from hd_diag.report.pictures.canvas import ACCENT, EXTENDED, GRID, INK, NOMINAL, REFIT, drawn, sheet, titled
-
-Floats = npt.NDArray[np.float64]
 
 _ARCMIN = 60.0 * ARCSEC
 _LEAST_LABELLED = 0.1  # width of a range over the greatest torque, from which its name has room

@@ -1,0 +1,11 @@
+"""Names of array types: what the columns and tables of this package hold."""
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Complexes = npt.NDArray[np.complex128]
+Integers = npt.NDArray[np.int64]
+Times = npt.NDArray[np.int64]
+"""[ns]"""
+Bytes = npt.NDArray[np.uint8]
