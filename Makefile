@@ -5,6 +5,7 @@
 PYTHON ?=
 ARGS ?=
 PYTEST_ARGS ?=
+SELECTED = -m 'not slow'
 SHELL = /bin/sh
 
 # The environments bring their own ROS; nothing of a sourced one may mix in.
@@ -13,7 +14,7 @@ export RMW_IMPLEMENTATION = rmw_fastrtps_cpp
 ENVIRONMENT = sh scripts/environment.sh
 IN = AMENT_PREFIX_PATH='$(CURDIR)/.venv/$(1)' PATH="$(CURDIR)/.venv/$(1)/bin:$$PATH"
 
-.PHONY: help demo test lint docs types pytest pytest-ubuntu challenge bench install lock clean
+.PHONY: help demo test test-all lint docs types pytest pytest-ubuntu challenge bench install lock clean
 .NOTPARALLEL:
 
 help:
@@ -31,7 +32,8 @@ demo:
 	@echo "== hd-diag demo (about a minute)"
 	@$(call IN,demo) hd-diag demo $(ARGS)
 
-test: lint docs types pytest pytest-ubuntu
+test test-all: lint docs types pytest pytest-ubuntu
+test-all: SELECTED =
 
 install:
 	@$(ENVIRONMENT) test '$(PYTHON)'
@@ -59,7 +61,7 @@ types: install
 
 pytest: install
 	@echo "== Tests, newest numpy (a few minutes)"
-	@$(call IN,test) pytest -n 2 --dist loadfile $(PYTEST_ARGS)
+	@$(call IN,test) pytest -n 2 --dist loadfile --durations=10 $(SELECTED) $(PYTEST_ARGS)
 
 # What does not depend on numpy is tested once, above.
 ONCE = test_colcon.py test_package.py test_replay_live.py test_challenge_benchmark.py test_docs.py test_demo.py \
@@ -72,7 +74,7 @@ pytest-ubuntu:
 	else \
 	    $(ENVIRONMENT) ubuntu "$$python" && \
 	    echo "== Tests, numpy 1.26 and scipy 1.11 as in Ubuntu 24.04 (a few minutes)" && \
-	    $(call IN,ubuntu) pytest -n 2 --dist loadfile $(addprefix --ignore test/,$(ONCE)) $(PYTEST_ARGS); \
+	    $(call IN,ubuntu) pytest -n 2 --dist loadfile $(addprefix --ignore test/,$(ONCE)) $(SELECTED) $(PYTEST_ARGS); \
 	fi
 
 challenge:
