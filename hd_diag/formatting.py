@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
-from hd_diag.effects.effect import Quantity
-from hd_diag.model.torsion_map import ARCSEC
+if TYPE_CHECKING:  # what the command line imports first must be light
+    from hd_diag.effects.effect import Quantity
+
+ARCSEC = math.pi / 648_000.0
+"""One second of arc [rad]."""
 
 _DEGREE = math.pi / 180.0
 _TURN = 2.0 * math.pi
@@ -99,6 +104,37 @@ def words(name: str) -> str:
     return name.replace("_", " ")
 
 
-def visible(text: str) -> str:
-    """Text with every character that does not print, or that turns the direction of others, spelled out."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+def visible(text: str, longest: int | None = None) -> str:
+    """Text with every character that does not print, or that turns the direction of others, spelled out.
+
+    Parameters
+    ----------
+    text : str
+        May come from a file, and be hostile.
+    longest : int, optional
+        Characters after which it is cut off.
+    """
+    part = text if longest is None else text[: longest + 1]
+    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in part)
+    return shown if longest is None or len(shown) <= longest else f"{shown[: longest - 1]}…"
+
+
+def json_ready(value: Any) -> Any:
+    """A value as JSON can hold it: numbers that are not finite as None, numpy's types as Python's.
+
+    Parameters
+    ----------
+    value : any
+        Mappings, lists and tuples of any depth; numpy arrays and scalars; anything else stays.
+
+    Returns
+    -------
+    any
+    """
+    if isinstance(value, Mapping):
+        return {key: json_ready(item) for key, item in value.items()}
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [json_ready(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -30,7 +30,6 @@ from rich.console import Console
 from hd_diag.bag import BagReader, BagWriter, encode_joint_states
 from hd_diag.cli import progress as cli_progress
 from hd_diag.cli.bags import recover, replay
-from hd_diag.cli.options import visible
 from hd_diag.config.configuration import load
 from hd_diag.config.parameters import nested
 from hd_diag.replay.replay import replay as replay_bag
@@ -230,11 +229,6 @@ def test_control_characters_of_a_file_do_not_reach_the_terminal(tmp_path: Path) 
     assert result.stdout.replace("\n", "").isprintable()
     result = run(recover, tmp_path / "a.mcap", "--out", tmp_path / "c.mcap", "--json", "-")
     assert json.loads(result.stdout)["messages"] == {HOSTILE: 1}
-
-
-def test_a_long_name_does_not_fill_the_terminal() -> None:
-    assert visible("x" * 10_000) == "x" * 1999 + "…"
-    assert visible("µ \udc80\0") == "µ \\udc80\\x00"
 
 
 def test_a_damaged_bag_is_refused_with_advice(folder: Path, tmp_path: Path) -> None:

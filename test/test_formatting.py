@@ -1,7 +1,9 @@
 """Numbers as people read them."""
 
+import json
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -59,3 +61,16 @@ def test_nothing_stays_hidden_in_a_text(text: str) -> None:
 
 def test_marks_that_turn_the_line_are_spelled_out() -> None:
     assert formatting.visible("a\u202eb\x07\u200fé") == "a\\u202eb\\x07\\u200fé"
+
+
+def test_a_long_text_is_cut_off_after_it_was_spelled_out() -> None:
+    assert formatting.visible("x" * 10_000, 2000) == "x" * 1999 + "…"
+    assert formatting.visible("\0" * 10, 10) == "\\x00\\x00\\…"
+    assert formatting.visible("µ \udc80\0", 2000) == "µ \\udc80\\x00"
+
+
+def test_json_holds_null_for_what_is_not_finite_and_no_type_of_numpy() -> None:
+    value = {"a": (np.float64(1.5), math.nan), "b": np.array([[1.0, math.inf]]), "c": np.bool_(True), "d": 3}
+    found = formatting.json_ready(value | {"e": None, "f": "nan", "g": np.int64(4)})
+    assert found == {"a": [1.5, None], "b": [[1.0, None]], "c": True, "d": 3, "e": None, "f": "nan", "g": 4}
+    assert json.loads(json.dumps(found, allow_nan=False)) == found

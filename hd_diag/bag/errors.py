@@ -5,6 +5,10 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from hd_diag.formatting import visible
+
+_LONGEST = 300  # characters of a path or a cause: names in a bag may be hostile
+
 
 class BagError(ValueError):
     """A bag cannot be read or written; the message is one line that names the file and the cause.
@@ -19,18 +23,9 @@ class BagError(ValueError):
 
     def __init__(self, path: str | os.PathLike[str], cause: str | Exception) -> None:
         self.path = Path(path)
-        self.cause = _one_line(
-            cause.strerror if isinstance(cause, OSError) and cause.strerror else str(cause)
-        )
-        super().__init__(f"{_one_line(str(path))}: {self.cause}")
-
-
-def _one_line(text: str, limit: int = 300) -> str:
-    """`text` with control characters escaped and bounded in length: names in a bag may be hostile."""
-    shown = "".join(
-        c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text[: limit + 1]
-    )
-    return shown if len(shown) <= limit else shown[: limit - 1] + "…"
+        text = cause.strerror if isinstance(cause, OSError) and cause.strerror else str(cause)
+        self.cause = visible(text, _LONGEST)
+        super().__init__(f"{visible(str(path), _LONGEST)}: {self.cause}")
 
 
 def check_output(out: str | os.PathLike[str], *inputs: str | os.PathLike[str]) -> None:

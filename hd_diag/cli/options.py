@@ -16,6 +16,7 @@ import click
 from hd_diag.bag import BagError, check_output
 from hd_diag.config.configuration import Config, ConfigError, JointConfig, load, resolve
 from hd_diag.demo.process import DemoError
+from hd_diag.formatting import json_ready, visible
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -36,22 +37,16 @@ class Problem(click.ClickException):
 
     def format_message(self) -> str:
         """The message as one line that a terminal can show."""
-        return visible(" ".join(self.message.split()))
+        return visible(" ".join(self.message.split()), _LONGEST_LINE)
 
     def show(self, file: Any = None) -> None:
         """Print the line."""
         click.echo(f"hd-diag: {self.format_message()}", file=file or sys.stderr)
 
 
-def visible(text: str) -> str:
-    """Text of which some may come from a file: control characters escaped, cut off where it is long."""
-    short = text if len(text) <= _LONGEST_LINE else f"{text[: _LONGEST_LINE - 1]}…"
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in short)
-
-
 def tell(line: str, *, err: bool = False) -> None:
     """Print one line of which some may come from a file."""
-    click.echo(visible(line), err=err)
+    click.echo(visible(line, _LONGEST_LINE), err=err)
 
 
 def problems(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -77,7 +72,7 @@ JOINT = click.option("--joint", help="Joint. [default: the first configured]")
 JOINTS = click.option("--joint", "names", multiple=True, help="Joint; repeatable. [default: all configured]")
 
 
-def _writable(context: click.Context, parameter: click.Parameter, value: str | None) -> str | None:
+def _check_writable(context: click.Context, parameter: click.Parameter, value: str | None) -> str | None:
     """Refuse before the work a file that could not be written after it."""
     if value is not None:
         check_target(value)
@@ -88,7 +83,7 @@ def json_option(what: str) -> Callable[[_Command], _Command]:
     """Option ``--json`` for a verb that writes this there."""
     kind = click.Path(dir_okay=False, allow_dash=True)
     return click.option(
-        "--json", "json_file", type=kind, callback=_writable, help=f"Write {what} here; - is stdout."
+        "--json", "json_file", type=kind, callback=_check_writable, help=f"Write {what} here; - is stdout."
     )
 
 
@@ -98,6 +93,11 @@ JSON = json_option("the result")
 def configured(config_file: str | None) -> Config:
     """The configuration of a file, or the example drive's."""
     return load(config_file) if config_file else resolve({})
+
+
+def chosen_joint(config: Config, name: str | None) -> JointConfig:
+    """The joint of this name, or the first."""
+    return chosen_joints(config, () if name is None else (name,))[0]
 
 
 def chosen_joints(config: Config, names: tuple[str, ...]) -> list[JointConfig]:
@@ -130,7 +130,7 @@ def check_target(path: str | Path, *inputs: Path) -> None:
 
 def write_json(path: str, result: Any) -> None:
     """Write a result as JSON; numbers that are not finite become null."""
-    text = json.dumps(result, indent=1, allow_nan=False)
+    text = json.dumps(json_ready(result), indent=1, allow_nan=False)
     if path == "-":
         click.echo(text)
         return

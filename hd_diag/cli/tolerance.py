@@ -16,8 +16,19 @@ from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Table
 
-from hd_diag.cli.options import CONFIG, JOINT, JSON, Problem, check_target, configured, problems, write_json
+from hd_diag.cli.options import (
+    CONFIG,
+    JOINT,
+    JSON,
+    Problem,
+    check_target,
+    chosen_joint,
+    configured,
+    problems,
+    write_json,
+)
 from hd_diag.config.configuration import Config, JointConfig
+from hd_diag.formatting import json_ready
 from hd_diag.model.threads import cores
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.tolerance.assembly import ANGLES, FACTORS, WITHIN
@@ -130,7 +141,7 @@ def tolerance(
     """
     _check_figure(figure_file)
     config = configured(config_file)
-    chosen = _joint(config, joint)
+    chosen = chosen_joint(config, joint)
     try:
         question = _question(config, chosen, torques, options)
         with _bars() as progress, Workers(jobs or cores()) as workers:
@@ -174,15 +185,6 @@ def _question(
     )
 
 
-def _joint(config: Config, name: str | None) -> JointConfig:
-    joints = {joint.name: joint for joint in config.joints}
-    if name is None:
-        return config.joints[0]
-    if name not in joints:
-        raise Problem(f"no joint {name!r} in the configuration; it has {', '.join(joints)}")
-    return joints[name]
-
-
 def _check_figure(path: Path | None) -> None:
     """Refuse before the work what cannot be drawn after it."""
     if path is None:
@@ -222,7 +224,7 @@ def document(joint: str, found: Study) -> dict[str, Any]:
     """
     question = found.question
     allowed = found.allowed
-    return {
+    content = {
         "schema": "hd_diag/tolerance/1",
         "joint": joint,
         "torques": question.torque.tolist(),
@@ -250,12 +252,13 @@ def document(joint: str, found: Study) -> dict[str, Any]:
             **{criterion.name: criterion.unit for criterion in CRITERIA},
         },
     }
+    return dict(json_ready(content))
 
 
 def _interference(found: Study) -> dict[str, Any]:
     first = found.interference
     return {
-        "across_long_axis": {"eccentricity": _null(first.across), "clearance": _null(first.clearance)},
+        "across_long_axis": {"eccentricity": first.across, "clearance": first.clearance},
         "any_direction": _limit(found, first.any_direction),
         "all_teeth": _limit(found, first.all_teeth),
     }
@@ -266,16 +269,16 @@ def _limit(found: Study, limit: Limit) -> dict[str, Any]:
     return {
         "limit": limit.limit,
         "reached": limit.reached,
-        "eccentricity": _null(limit.eccentricity),
-        "value_without": _null(limit.without),
+        "eccentricity": limit.eccentricity,
+        "value_without": limit.without,
         "worst": {
-            "value": _null(worst.value),
+            "value": worst.value,
             "direction": worst.direction,
             "direction_deg": math.degrees(worst.direction),
             "wave_generator_angle": worst.wave_generator_angle,
             "input_angle": input_angle(found.question.drive, worst.wave_generator_angle),
         },
-        "curve": {"eccentricity": scanned[0].tolist(), "value": [_null(value) for value in scanned[1]]},
+        "curve": {"eccentricity": scanned[0].tolist(), "value": scanned[1].tolist()},
     }
 
 
@@ -291,7 +294,7 @@ def _assemblies(found: Study) -> dict[str, Any] | None:
         "tolerances": drawn.tolerances.tolist(),
         "configured_tolerance": drawn.configured,
         "target": found.question.target,
-        "tolerance_at_target": _null(drawn.at_target),
+        "tolerance_at_target": drawn.at_target,
         "yield": {
             name: {"share": s.share.tolist(), "low": s.low.tolist(), "high": s.high.tolist()}
             for name, s in shares.items()
@@ -313,7 +316,7 @@ def _sensitivity(found: Study) -> dict[str, Any] | None:
         "criteria": {
             criterion.name: {
                 factor: {
-                    order: dict(zip(("value", "low", "high"), (_null(a[k, i]) for a in arrays), strict=True))
+                    order: dict(zip(("value", "low", "high"), (a[k, i] for a in arrays), strict=True))
                     for order, arrays in orders.items()
                 }
                 for i, factor in enumerate(FACTORS)
@@ -321,10 +324,6 @@ def _sensitivity(found: Study) -> dict[str, Any] | None:
             for k, criterion in enumerate(CRITERIA)
         },
     }
-
-
-def _null(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def _draw(found: Study, path: Path) -> None:

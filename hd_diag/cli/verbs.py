@@ -10,6 +10,7 @@ import click
 import numpy as np
 
 import hd_diag
+from hd_diag.arrays import Floats
 from hd_diag.cli.bags import recover, replay
 from hd_diag.cli.diagnose import diagnose
 from hd_diag.cli.figures import figures
@@ -21,6 +22,7 @@ from hd_diag.cli.options import (
     JSON,
     SIGNALLED,
     Problem,
+    chosen_joint,
     configured,
     problems,
     write_json,
@@ -29,7 +31,8 @@ from hd_diag.cli.report import report
 from hd_diag.cli.simulate import simulate
 from hd_diag.cli.tolerance import tolerance
 from hd_diag.cli.watch import watch
-from hd_diag.config.configuration import Config, JointConfig, load
+from hd_diag.config.configuration import JointConfig, load
+from hd_diag.formatting import json_ready
 from hd_diag.ros.stop_signals import noted
 from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TORQUE
 
@@ -141,7 +144,7 @@ def mesh(
     for name, value, largest in given:
         if not abs(value) <= largest:
             raise click.BadParameter(f"--{name} must be a number of at most {largest:g}, not {value:g}")
-    chosen = _joint(configured(config_file), joint)
+    chosen = chosen_joint(configured(config_file), joint)
     result = moment(chosen, input_angle, torque)
     if json_file:
         write_json(json_file, result)
@@ -171,23 +174,23 @@ def moment(joint: JointConfig, input_angle: float, torque: float) -> dict[str, A
     angle, load = np.array([input_angle]), np.array([torque])
     state = mesh_state(drive, angle, load)
     driven = mesh_state(drive, angle, drive.frame.cup_torque(load))
-    return {
+    content = {
         "schema": "hd_diag/mesh/1",
         "joint": joint.name,
         "input_angle": input_angle,
         "torque": torque,
-        "torsion": _null(state.torsion[0]),
-        "transmission_error": _null(transmission_error(drive, angle, load)[0]),
-        "lost_motion": _null(state.lost_motion[0]),
+        "torsion": state.torsion[0],
+        "transmission_error": transmission_error(drive, angle, load)[0],
+        "lost_motion": state.lost_motion[0],
         "interference": bool(state.interference[0]),
-        "overlap": _null(state.overlap[0]),
+        "overlap": state.overlap[0],
         "loaded_pairs": int(state.loaded_pairs[0]),
-        "peak_tooth_load": _null(state.peak_load[0]),
-        "load_concentration": _null(state.load_concentration[0]),
+        "peak_tooth_load": state.peak_load[0],
+        "load_concentration": state.load_concentration[0],
         "backlash": _flanks(state.backlash[0]),
         "load": _flanks(state.load[0]),
         "pressure_angle": _flanks(state.pressure_angle[0]),
-        "as_driven": {"torsion": _null(driven.torsion[0]), "load": _flanks(driven.load[0])},
+        "as_driven": {"torsion": driven.torsion[0], "load": _flanks(driven.load[0])},
         "units": {
             "angle": "rad",
             "torque": "N m",
@@ -195,23 +198,11 @@ def moment(joint: JointConfig, input_angle: float, torque: float) -> dict[str, A
             "load": "N, normal to the flank",
         },
     }
+    return dict(json_ready(content))
 
 
-def _flanks(values: np.ndarray[Any, Any]) -> dict[str, list[float | None]]:
-    return {sign: [_null(value) for value in row] for sign, row in zip("+-", values, strict=True)}
-
-
-def _null(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def _joint(config: Config, name: str | None) -> JointConfig:
-    joints = {joint.name: joint for joint in config.joints}
-    if name is None:
-        return config.joints[0]
-    if name not in joints:
-        raise Problem(f"no joint {name!r} in the configuration; it has {', '.join(joints)}")
-    return joints[name]
+def _flanks(values: Floats) -> dict[str, list[float]]:
+    return {sign: row.tolist() for sign, row in zip("+-", values, strict=True)}
 
 
 def _show_moment(result: dict[str, Any]) -> None:

@@ -8,8 +8,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from hd_diag import __version__
 from hd_diag.config.model_file import document
 from hd_diag.config.parameters import Value
@@ -19,7 +17,7 @@ from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.search.causes import Cause
 from hd_diag.diagnosis.search.detectability import Testability
 from hd_diag.diagnosis.search.unexplained import Line
-from hd_diag.formatting import direction, si
+from hd_diag.formatting import direction, json_ready, si
 from hd_diag.model.torsion_map import ARCSEC
 
 _SIGMAS = 3.0  # a parameter this many standard deviations off its configured value is worth a word
@@ -42,7 +40,7 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
     """
     rms, gain, record = diagnosis.rms, diagnosis.gain, diagnosis.record
     none = float("nan")
-    result: dict[str, Any] = _clean(
+    result: dict[str, Any] = json_ready(
         {
             "schema": "hd_diag/diagnosis/1",
             "joint": joint,
@@ -118,7 +116,7 @@ def model_document(
     evidence["trustworthy"] = refitted.trustworthy
     evidence["bags"] = [{"path": str(path), "sha256": digests(path)} for path in bags]
     content = document(joint, configured, diagnosis.model, spreads, effects, evidence, __version__)
-    return dict(_clean(content))
+    return dict(json_ready(content))
 
 
 def digests(path: Path) -> dict[str, str]:
@@ -281,18 +279,3 @@ def _untested(test: Testability) -> str:
 def _number(value: object) -> float:
     assert isinstance(value, (int, float))
     return float(value)
-
-
-def _clean(value: Any) -> Any:
-    """Numbers that are not finite as null, numpy as Python."""
-    if isinstance(value, dict):
-        return {key: _clean(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_clean(item) for item in value]
-    if isinstance(value, (np.bool_, bool)):
-        return bool(value)
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, np.integer):
-        return int(value)
-    return value

@@ -22,6 +22,7 @@ from hd_diag.diagnosis.screening import screened
 from hd_diag.diagnosis.search.causes import Cause
 from hd_diag.diagnosis.verdict import as_json
 from hd_diag.fleet.survey import Survey
+from hd_diag.formatting import json_ready
 from hd_diag.replay.versions import running
 
 SCHEMA = "hd_diag/fleet/1"
@@ -256,7 +257,7 @@ def _causes(causes: list[dict[str, Any]]) -> Row:
 
 def _amplitude_stds(found: Diagnosis) -> list[float | None]:
     bench = found.found.bench if found.found is not None else None
-    return [_null(amplitude_std(bench, cause)) if bench else None for cause in found.causes]
+    return [json_ready(amplitude_std(bench, cause)) if bench else None for cause in found.causes]
 
 
 def amplitude_std(bench: Workbench, cause: Cause) -> float:
@@ -274,7 +275,3 @@ def amplitude_std(bench: Workbench, cause: Cause) -> float:
         return math.nan
     gradient = columns.T @ (part - part.mean()) / (part.size * amplitude)
     return float(np.sqrt(max(float(gradient @ cause.covariance[own, own] @ gradient), 0.0)))
-
-
-def _null(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -16,6 +16,7 @@ from hd_diag.fleet.rows import SCHEMA, Row
 from hd_diag.fleet.series import ECCENTRICITY
 from hd_diag.fleet.store import readable
 from hd_diag.fleet.trend import FALSE_ALARM, Change, Trend
+from hd_diag.formatting import json_ready
 from hd_diag.model.torsion_map import ARCSEC
 
 SHOWN = {"m": (1e-6, "µm"), "rad": (ARCSEC, "arcsec")}
@@ -64,12 +65,12 @@ def _trend(trend: Trend) -> dict[str, Any]:
         "last": {
             "time": moment(series.time[-1]),
             "value": float(series.value[-1]),
-            "std": _null(series.std[-1]),
+            "std": json_ready(series.std[-1]),
         }
         if series.value.size
         else None,
-        "steps": {"p_value": _null(trend.step_p), "q_value": _null(trend.step_q)},
-        "drift": {"p_value": _null(trend.drift_p), "q_value": _null(trend.drift_q)},
+        "steps": {"p_value": json_ready(trend.step_p), "q_value": json_ready(trend.step_q)},
+        "drift": {"p_value": json_ready(trend.drift_p), "q_value": json_ready(trend.drift_q)},
         "changes": [_change(change) for change in trend.changes],
         "slope": {"value": slope.value, "low": slope.low, "high": slope.high, "unit": f"{series.unit}/s"}
         if slope
@@ -106,10 +107,6 @@ def moment(time: float) -> str | None:
         return datetime.fromtimestamp(time, timezone.utc).isoformat(timespec="seconds")
     except (ValueError, OverflowError, OSError):
         return None
-
-
-def _null(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 # For people ---

@@ -17,11 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hd_diag.arrays import Floats
+from hd_diag.formatting import ARCSEC as ARCSEC  # effects of others import it from here
 from hd_diag.model import compiled
 from hd_diag.model.torsion import Mesh, limited_curves, torsion_table
-
-ARCSEC = np.pi / 648_000.0
-"""One second of arc [rad]."""
 
 TOLERANCE = 0.01 * ARCSEC
 """Error that a map aims at [rad]."""

@@ -9,6 +9,8 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+from hd_diag.formatting import json_ready
+
 PREFIX = "hd_diag: "
 """What the names of this package's statuses begin with; the joint follows."""
 
@@ -311,7 +313,7 @@ def _joint_json(view: JointView) -> dict[str, Any]:
         "stale": view.is_stale,
         "age": round(view.age, 3),
         "values": {key: _json_value(value) for key, value in view.values.items()},
-        "residual_rms_arcsec": [value if math.isfinite(value) else None for value in view.residuals],
+        "residual_rms_arcsec": json_ready(view.residuals),
     }
 
 
