@@ -18,9 +18,9 @@ def main() -> None:
 
 def node() -> None:
     """Entry point of the ``hd_diag_node`` executable."""
-    from hd_diag.ros.stop_signals import noted
+    from hd_diag.ros.stop_signals import note_signals
 
-    stopped = noted()
+    stopped = note_signals()
     from hd_diag.ros.node import main as run
 
     sys.exit(run(stopped=stopped))

@@ -22,7 +22,7 @@ from live import config
 from hd_diag.cli import cli
 from hd_diag.cli import fleet as cli_fleet
 from hd_diag.fleet import run
-from hd_diag.simulation.simulation import Motion, Noise, SimulatedJoint, write_bag
+from hd_diag.simulation import Motion, Noise, SimulatedJoint, write_bag
 
 ARCSEC = np.pi / 648000.0
 LATE = "took longer than 2 s"
@@ -68,7 +68,9 @@ def judged(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, Path]:
     (bags / "deep").mkdir(parents=True)
     truth = config(joint_1__eccentricity__magnitude=12e-6)
     joints = {"joint_1": SimulatedJoint(truth.joints[0].drive, Noise(white=2.0 * ARCSEC))}
-    write_bag(bags / "good.mcap", truth, Motion(20.0, 200.0, (2.0 * np.pi,)), joints, start=fleet_tasks.BEGIN)
+    motion = Motion(20.0, 200.0, (2.0 * np.pi,))
+    rng = np.random.default_rng(0)
+    write_bag(bags / "good.mcap", truth, motion, rng, joints, start=fleet_tasks.BEGIN)
     shutil.copy(bags / "good.mcap", bags / HOSTILE)
     shutil.copy(bags / "good.mcap", os.path.join(os.fsencode(bags), b"deep", b"\xff\xfe.mcap"))
     whole = (bags / "good.mcap").read_bytes()

@@ -30,7 +30,7 @@ from hd_diag.messages.publications import published_topics
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor import Monitor
 from hd_diag.monitor.health import FAULT_CODES
-from hd_diag.simulation.simulation import Motion, simulate, write_bag
+from hd_diag.simulation import Motion, simulate, write_bag
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
@@ -339,7 +339,7 @@ def test_the_worked_example_is_found_at_its_size(pinion: Effect, bench: linearis
 def test_the_worked_example_is_named_by_a_diagnosis(tmp_path: Path, pinion: Effect) -> None:
     example, bag = sys.modules["pinion_joint"], tmp_path / "pinion.mcap"
     motion = dataclasses.replace(example.MOTION, sample_rate=100.0)
-    write_bag(bag, resolve({}), motion, {"joint_1": example.joint()}, seed=1)
+    write_bag(bag, resolve({}), motion, np.random.default_rng(1), {"joint_1": example.joint()})
     examples = DOCS / "examples"
     command = [sys.executable, examples / "diagnose_with.py", examples / "encoder_pinion.py", bag]
     told = subprocess.run(command, check=True, capture_output=True, text=True, timeout=170).stdout

@@ -9,7 +9,7 @@ from joint_records import ARCSEC, RATIO, columns, joint, prepared
 from hd_diag.diagnosis.diagnosis import diagnose
 from hd_diag.diagnosis.findings import check_ramp, check_ratio, find_steps
 from hd_diag.diagnosis.record import Record
-from hd_diag.simulation.simulation import Motion, Noise, SimulatedJoint, simulate
+from hd_diag.simulation import Motion, Noise, SimulatedJoint, simulate
 
 PITCH = joint().drive.mesh.geometry.tooth_pitch
 

@@ -1,6 +1,7 @@
 """The simulated joint: its motion, its noise, the bag written of it, and the command that writes one."""
 
 import io
+import itertools
 import json
 import math
 import re
@@ -9,6 +10,7 @@ import signal
 import subprocess
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,24 +21,17 @@ from hypothesis import strategies as st
 from rich.console import Console
 from rosbags.highlevel import AnyReader
 
-from hd_diag.bag import BagError, BagReader
+from hd_diag.bag import BagError, BagReader, BagWriter
 from hd_diag.cli import progress as cli_progress
-from hd_diag.cli import simulate as cli_simulate
+from hd_diag.cli.simulate import simulate as command
 from hd_diag.config.configuration import dump, resolve
 from hd_diag.drive import Drive, transmission_error
+from hd_diag.model import torsion_map
+from hd_diag.model.torsion import Mesh
 from hd_diag.model.torsion_map import ARCSEC, TorsionMap
 from hd_diag.monitor import Monitor
-from hd_diag.simulation import simulation
-from hd_diag.simulation.simulation import (
-    START,
-    Motion,
-    Noise,
-    Record,
-    SimulatedJoint,
-    parts,
-    simulate,
-    write_bag,
-)
+from hd_diag.simulation import START, Motion, Noise, Samples, SimulatedJoint, bag, simulate, write_bag
+from hd_diag.simulation.joint import map_for, parts
 from hd_diag.streams.columns import Angles
 
 TURN = 2.0 * math.pi
@@ -60,8 +55,8 @@ def drive(**given: object) -> Drive:
     return resolve(ECCENTRIC | given).joints[0].drive
 
 
-def joined(records: Iterable[Record]) -> Record:
-    return Record(*(np.concatenate(column) for column in zip(*records, strict=True)))
+def joined(records: Iterable[Samples]) -> Samples:
+    return Samples(*(np.concatenate(column) for column in zip(*records, strict=True)))
 
 
 def rng(seed: int = 0) -> np.random.Generator:
@@ -162,7 +157,7 @@ def test_without_noise_the_error_is_the_drives(gear: Drive) -> None:
 @pytest.fixture(scope="module")
 def table() -> TorsionMap:
     """Map of the drive, so that many samples take little time."""
-    found = simulation.table(drive(), Motion(duration=1000.0))
+    found = map_for(drive(), Motion(duration=1000.0))
     assert found is not None
     return found
 
@@ -201,35 +196,31 @@ def test_a_seed_gives_one_record() -> None:
     assert (first.torque != other.torque).all()
 
 
-def test_parts_join_without_a_seam(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_parts_join_without_a_seam() -> None:
     joint = SimulatedJoint(drive(), Noise(white=1e-5, drift=1e-5, torque=0.1))
     whole = list(parts(joint, SHORT, rng()))
-    monkeypatch.setattr(simulation, "_CHUNK", 7)
-    pieces = list(parts(joint, SHORT, rng()))
+    pieces = list(parts(joint, SHORT, rng(), chunk=7))
     assert (len(whole), len(pieces)) == (1, 43)
     for name, column in joined(pieces)._asdict().items():
         np.testing.assert_allclose(column, getattr(whole[0], name), rtol=0.0, atol=1e-13, err_msg=name)
 
 
-def test_an_alteration_sees_the_whole_record_in_order_before_the_noise(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(simulation, "_CHUNK", 90)
-    seen: list[Record] = []
+def test_an_alteration_sees_all_samples_in_order_before_the_noise() -> None:
+    seen: list[Samples] = []
 
-    def runout(record: Record) -> Record:
-        seen.append(record)
-        return record._replace(output_angle=record.output_angle + 1e-4 * np.cos(record.output_angle))
+    def runout(samples: Samples) -> Samples:
+        seen.append(samples)
+        return samples._replace(output_angle=samples.output_angle + 1e-4 * np.cos(samples.output_angle))
 
     noise = Noise(white=1e-5, torque=0.1)
-    altered = simulate(SimulatedJoint(drive(), noise, alter=runout), SHORT, rng())
+    altered = joined(parts(SimulatedJoint(drive(), noise, alter=runout), SHORT, rng(), chunk=90))
     plain = simulate(SimulatedJoint(drive(), noise), SHORT, rng())
     quiet = simulate(SimulatedJoint(drive()), SHORT, rng())
-    assert [record.stamp.size for record in seen] == [90, 90, 90, 30]
+    assert [samples.stamp.size for samples in seen] == [90, 90, 90, 30]
     for name, column in joined(seen)._asdict().items():
-        np.testing.assert_array_equal(column, getattr(quiet, name))
+        np.testing.assert_allclose(column, getattr(quiet, name), rtol=0.0, atol=1e-13)
     added = altered.output_angle - plain.output_angle
-    np.testing.assert_allclose(added, 1e-4 * np.cos(quiet.output_angle), atol=1e-15)
+    np.testing.assert_allclose(added, 1e-4 * np.cos(quiet.output_angle), atol=1e-13)
 
 
 def test_a_long_motion_by_map_agrees_with_the_exact_solution() -> None:
@@ -241,11 +232,11 @@ def test_a_long_motion_by_map_agrees_with_the_exact_solution() -> None:
     exact = transmission_error(gear, record.input_angle[rows], record.torque[rows])
     difference = np.abs(measured - exact).max()
     assert 0.0 < difference < 0.05 * ARCSEC
-    assert simulation.table(gear, SHORT) is None
+    assert map_for(gear, SHORT) is None
 
 
 def test_temperature_rises_from_the_surroundings_towards_its_end() -> None:
-    found = simulation.temperature(np.array([0.0, 300.0, 1e6]))
+    found = bag.temperature(np.array([0.0, 300.0, 1e6]))
     np.testing.assert_allclose(found, [25.0, 25.0 + 8.0 * (1.0 - math.exp(-1.0)), 33.0])
 
 
@@ -279,7 +270,7 @@ def test_a_bag_holds_what_was_simulated(tmp_path: Path) -> None:
     config = resolve(two_joints())
     noise = Noise(white=1e-5, torque=0.1)
     truths = {joint.name: SimulatedJoint(joint.drive, noise) for joint in config.joints}
-    assert write_bag(tmp_path / "out", config, SHORT, truths, seed=4, with_temperature=True) == 300
+    assert write_bag(tmp_path / "out", config, SHORT, rng(4), truths, with_temperature=True) == 300
     names, stamps, (position, velocity, effort) = joint_states(tmp_path / "out")
     assert names == ["shoulder_motor", "shoulder", "m2", "elbow"]
     np.testing.assert_array_equal(stamps, SHORT.stamps(START, 0, 300))
@@ -297,16 +288,14 @@ def test_a_bag_holds_what_was_simulated(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("rate", "count"), [(40.7, 6), (0.4, 3)])
-def test_temperatures_come_once_a_second(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rate: float, count: int
-) -> None:
-    monkeypatch.setattr(simulation, "_CHUNK", 7)
+def test_temperatures_come_once_a_second(tmp_path: Path, rate: float, count: int) -> None:
     motion = Motion(duration=6.0, sample_rate=rate, speeds=(1.0,), torques=(1.0,))
-    write_bag(tmp_path / "out.mcap", resolve(two_joints()), motion, with_temperature=True, start=START + 250)
-    with BagReader(tmp_path / "out.mcap") as bag:
+    options = {"with_temperature": True, "start": START + 250, "chunk": 7}
+    write_bag(tmp_path / "out.mcap", resolve(two_joints()), motion, rng(), **options)
+    with BagReader(tmp_path / "out.mcap") as reader:
         found = {}
-        for batch in bag.batches(["/elbow/temperature", "/shoulder/temperature"], grouped=True):
-            messages, rejected = bag.deserialize(batch)
+        for batch in reader.batches(["/elbow/temperature", "/shoulder/temperature"], grouped=True):
+            messages, rejected = reader.deserialize(batch)
             assert not rejected
             found.setdefault(batch.topic.name, []).extend(message for _, message in messages)
     assert set(found) == {"/elbow/temperature", "/shoulder/temperature"}
@@ -314,16 +303,16 @@ def test_temperatures_come_once_a_second(
         stamps = [m.header.stamp.sec * SECOND + m.header.stamp.nanosec for m in messages]
         assert stamps == [START + 250 + second * SECOND for second in range(count)]
         values = [m.temperature for m in messages]
-        np.testing.assert_array_equal(values, simulation.temperature(np.arange(float(count))))
+        np.testing.assert_array_equal(values, bag.temperature(np.arange(float(count))))
 
 
 def test_a_monitor_of_the_truth_finds_no_residual(tmp_path: Path) -> None:
     config = resolve(ECCENTRIC | {"joint_1.ratio": -100.0})
-    write_bag(tmp_path / "out.mcap", config, SHORT)
+    write_bag(tmp_path / "out.mcap", config, SHORT, rng())
     monitor, residuals = Monitor(config), []
-    with BagReader(tmp_path / "out.mcap") as bag:
-        for batch in bag.batches(grouped=True):
-            columns, rejected = bag.joint_states(batch)
+    with BagReader(tmp_path / "out.mcap") as reader:
+        for batch in reader.batches(grouped=True):
+            columns, rejected = reader.joint_states(batch)
             assert not rejected
             for states in columns:
                 published = monitor.joint_states(states.stamp, states)
@@ -340,7 +329,7 @@ def test_the_same_seed_writes_the_same_bytes(tmp_path: Path) -> None:
     truths = {"joint_1": SimulatedJoint(config.joints[0].drive, Noise(white=1e-5))}
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()
-        write_bag(tmp_path / folder / "out.mcap", config, SHORT, truths, seed=1, with_temperature=True)
+        write_bag(tmp_path / folder / "out.mcap", config, SHORT, rng(1), truths, with_temperature=True)
     assert (tmp_path / "a/out.mcap").read_bytes() == (tmp_path / "b/out.mcap").read_bytes()
 
 
@@ -348,18 +337,17 @@ def test_a_bag_that_exists_is_kept(tmp_path: Path) -> None:
     out = tmp_path / "out.mcap"
     out.write_text("precious")
     with pytest.raises(BagError, match="exists already"):
-        write_bag(out, resolve({}), SHORT)
+        write_bag(out, resolve({}), SHORT, rng())
     assert out.read_text() == "precious"
-    write_bag(out, resolve({}), SHORT, overwrite=True)
+    write_bag(out, resolve({}), SHORT, rng(), overwrite=True)
     assert joint_states(out)[0] == ["joint_1_motor", "joint_1"]
 
 
-def test_progress_runs_to_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_runs_to_its_end(tmp_path: Path) -> None:
     found: list[tuple[int, int]] = []
     maps: list[float] = []
-    monkeypatch.setattr(simulation, "_CHUNK", 75)
-    out = tmp_path / "out.mcap"
-    write_bag(out, resolve({}), SHORT, mapped=maps.append, progress=lambda *done: found.append(done))
+    steps = {"chunk": 75, "mapped": maps.append, "progress": lambda *done: found.append(done)}
+    write_bag(tmp_path / "out.mcap", resolve({}), SHORT, rng(), **steps)
     assert found == [(75, 300), (150, 300), (225, 300), (300, 300)]
     assert maps == []  # a short motion needs no map
 
@@ -367,14 +355,14 @@ def test_progress_runs_to_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 def test_unknown_truths_are_refused(tmp_path: Path) -> None:
     config = resolve({})
     with pytest.raises(ValueError, match="no joint 'joint_2' is configured; there are joint_1"):
-        write_bag(tmp_path / "out", config, SHORT, {"joint_2": SimulatedJoint(config.joints[0].drive)})
+        write_bag(tmp_path / "out", config, SHORT, rng(), {"joint_2": SimulatedJoint(config.joints[0].drive)})
     with pytest.raises(ValueError, match="no joint is to be simulated"):
-        write_bag(tmp_path / "out", config, SHORT, {})
+        write_bag(tmp_path / "out", config, SHORT, rng(), {})
     assert not (tmp_path / "out").exists()
 
 
 def invoke(*arguments: object) -> Result:
-    return runner().invoke(cli_simulate.simulate, [str(argument) for argument in arguments])
+    return runner().invoke(command, [str(argument) for argument in arguments])
 
 
 def test_the_command_writes_the_joint_that_its_options_describe(tmp_path: Path) -> None:
@@ -506,16 +494,17 @@ def test_a_json_file_that_cannot_be_written_is_told_before_the_work(tmp_path: Pa
 
 def interrupting(monkeypatch: pytest.MonkeyPatch, turn: int) -> None:
     """Ctrl-C while the so-manyth part is written."""
-    write, calls = simulation._write_joint_states, []
+    write, calls = BagWriter.write_many, itertools.count(1)
 
-    def call(*arguments: object) -> None:
-        calls.append(1)
-        if len(calls) == turn:
+    def call(*arguments: Any) -> None:
+        if next(calls) == turn:
             signal.raise_signal(signal.SIGINT)
-        write(*arguments)  # type: ignore[arg-type]
+        write(*arguments)
 
-    monkeypatch.setattr(simulation, "_CHUNK", 25)
-    monkeypatch.setattr(simulation, "_write_joint_states", call)
+    monkeypatch.setattr(BagWriter, "write_many", call)
+
+
+LONG = ("--duration", 8, "--rate", 500)  # four parts
 
 
 def test_ctrl_c_leaves_a_whole_bag_and_says_what_it_holds(
@@ -523,11 +512,11 @@ def test_ctrl_c_leaves_a_whole_bag_and_says_what_it_holds(
 ) -> None:
     out = tmp_path / "out.mcap"
     interrupting(monkeypatch, 3)
-    result = invoke("--out", out, "--duration", 0.4)
-    line = f"hd-diag: interrupted: {out} holds the first 75 messages\n"
+    result = invoke("--out", out, *LONG)
+    line = f"hd-diag: interrupted: {out} holds the first 3000 messages\n"
     assert (result.exit_code, result.stdout, result.stderr) == (130, "", line)
     with BagReader(out) as reader:
-        assert (reader.problems, reader.message_count) == ([], 75)
+        assert (reader.problems, reader.message_count) == ([], 3000)
 
 
 def test_ctrl_c_keeps_what_was_to_be_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -535,19 +524,19 @@ def test_ctrl_c_keeps_what_was_to_be_replaced(tmp_path: Path, monkeypatch: pytes
     assert invoke("--out", out, "--duration", 0.1).exit_code == 0
     before = out.read_bytes()
     interrupting(monkeypatch, 3)
-    result = invoke("--out", out, "--duration", 0.4, "--overwrite")
+    result = invoke("--out", out, *LONG, "--overwrite")
     assert (result.exit_code, result.stdout) == (130, "")
     assert result.stderr == f"hd-diag: interrupted: nothing was written, {out} is as it was\n"
     assert out.read_bytes() == before
 
 
 def test_ctrl_c_while_the_map_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def table(drive: Drive, motion: Motion, wanted: Callable[[float], bool]) -> None:
+    def build(mesh: Mesh, limit: float, wanted: Callable[[float], bool]) -> None:
         signal.raise_signal(signal.SIGINT)
         wanted(0.5)
 
-    monkeypatch.setattr(simulation, "table", table)
-    result = invoke("--out", tmp_path / "out.mcap", "--duration", 0.1)
+    monkeypatch.setattr(torsion_map, "build", build)
+    result = invoke("--out", tmp_path / "out.mcap", "--duration", 100)
     assert (result.exit_code, result.stderr) == (130, "hd-diag: interrupted: nothing was written\n")
     assert list(tmp_path.iterdir()) == []
 
@@ -579,7 +568,6 @@ def test_progress_has_a_rate_and_the_time_left(tmp_path: Path, monkeypatch: pyte
     shown = io.StringIO()
     made = Console(file=shown, force_terminal=True, width=120, color_system=None)
     monkeypatch.setattr(cli_progress, "Console", lambda stderr: made)
-    monkeypatch.setattr(simulation, "_EXACT_SAMPLES", 100)
-    assert invoke("--out", tmp_path / "out.mcap", "--duration", 0.4).exit_code == 0
-    assert re.search(r"map .* 100/100 [\d,.]+ %/s +\d:\d\d:\d\d", shown.getvalue())
-    assert re.search(r"simulate .* 200/200 [\d,.]+ samples/s +\d:\d\d:\d\d", shown.getvalue())
+    assert invoke("--out", tmp_path / "out.mcap", "--duration", 0.4, "--rate", 30_000).exit_code == 0
+    assert re.search(r"map .* 100/100 +[\d,.]+ %/s +\d:\d\d:\d\d", shown.getvalue())
+    assert re.search(r"simulate .* 12000/12000 [\d,.]+ samples/s +\d:\d\d:\d\d", shown.getvalue())

@@ -25,7 +25,7 @@ from hd_diag.diagnosis.screening import screened
 from hd_diag.diagnosis.subsampling import LIMIT, thinned
 from hd_diag.diagnosis.verdict import as_json, sentence
 from hd_diag.effects.recursions import slip
-from hd_diag.simulation.simulation import Motion, Noise, SimulatedJoint, write_bag
+from hd_diag.simulation import Motion, Noise, SimulatedJoint, write_bag
 
 ROWS = 60_000
 SOME = 12_000
@@ -239,6 +239,7 @@ def needed(path: Path, seconds: float) -> tuple[int, int]:
         path,
         config,
         Motion(duration=seconds, sample_rate=RATE),
+        np.random.default_rng(0),
         {"joint_1": SimulatedJoint(own.drive, Noise(white=2.0 * ARCSEC, torque=0.3))},
     )
     tracemalloc.start()

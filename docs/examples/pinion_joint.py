@@ -12,7 +12,7 @@ import numpy as np
 
 from hd_diag.config.configuration import resolve
 from hd_diag.model.torsion_map import ARCSEC
-from hd_diag.simulation.simulation import Motion, Noise, Record, SimulatedJoint, write_bag
+from hd_diag.simulation import Motion, Noise, Samples, SimulatedJoint, write_bag
 
 TRUTH = {"joint_1.eccentricity.magnitude": 12e-6, "joint_1.eccentricity.direction": 0.8}  # [m], [rad]
 SIZE, DIRECTION = 6.0 * ARCSEC, math.radians(70.0)  # at the output [rad]
@@ -20,10 +20,10 @@ PINION_RATIO = 22.5
 MOTION = Motion(duration=120.0, sample_rate=200.0)
 
 
-def misread(record: Record) -> Record:
+def misread(samples: Samples) -> Samples:
     """The output angle as the encoder on the pinion gives it."""
-    pinion = PINION_RATIO * record.output_angle
-    return record._replace(output_angle=record.output_angle + SIZE * np.cos(pinion - DIRECTION))
+    pinion = PINION_RATIO * samples.output_angle
+    return samples._replace(output_angle=samples.output_angle + SIZE * np.cos(pinion - DIRECTION))
 
 
 def joint() -> SimulatedJoint:
@@ -32,4 +32,6 @@ def joint() -> SimulatedJoint:
 
 
 if __name__ == "__main__":
-    write_bag(sys.argv[1], resolve({}), MOTION, {"joint_1": joint()}, seed=1, overwrite=True)
+    write_bag(
+        sys.argv[1], resolve({}), MOTION, np.random.default_rng(1), {"joint_1": joint()}, overwrite=True
+    )

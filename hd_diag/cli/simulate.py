@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import click
-import yaml
+import numpy as np
 
 from hd_diag.cli.options import JOINTS, Problem, json_option, problems, tell, write_json
 from hd_diag.cli.progress import interrupted, working
 from hd_diag.config.configuration import JOINT_PARAMETERS, Config, ConfigError, load, resolve
+from hd_diag.config.parameter_file import parse_value
 from hd_diag.model.torsion_map import ARCSEC
-from hd_diag.simulation import simulation
-from hd_diag.simulation.simulation import Motion, Noise, SimulatedJoint
+from hd_diag.simulation import START, Motion, Noise, SimulatedJoint, write_bag
 
 _TURN = 2.0 * math.pi
 _SECOND = 1_000_000_000  # [ns]
@@ -94,9 +94,7 @@ _SHORT = {
 )
 @click.option("--torque-noise", default=0.0, show_default=True, help="White noise of the torque [N m rms].")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Seed of the noise.")
-@click.option(
-    "--start-time", default=simulation.START / _SECOND, show_default=True, help="First stamp, Unix time [s]."
-)
+@click.option("--start-time", default=START / _SECOND, show_default=True, help="First stamp, Unix time [s].")
 @click.option("--temperature", is_flag=True, help="Write /<joint>/temperature at 1 Hz too.")
 @click.option("--overwrite", is_flag=True, help="Replace a bag that exists.")
 @json_option("the true values")
@@ -112,17 +110,17 @@ def simulate(
     """
     kept = out.exists()
     try:
-        config = truth(file, names, options)
+        config = _true_configuration(file, names, options)
         motion = _motion(options)
         joints = _joints(config, names, options)
         with working() as part:
             mapping = part("map", "%")
-            samples = simulation.write_bag(
+            samples = write_bag(
                 out,
                 config,
                 motion,
+                np.random.default_rng(options["seed"]),
                 joints,
-                seed=options["seed"],
                 start=_start(options["start_time"]),
                 with_temperature=options["temperature"],
                 overwrite=options["overwrite"],
@@ -139,14 +137,8 @@ def simulate(
         tell(f"{out}: {samples} samples, {motion.duration:g} s, joints {', '.join(joints)}")
 
 
-def truth(file: Path | None, names: tuple[str, ...], options: dict[str, Any]) -> Config:
-    """Configuration of the simulated joints: a file's, changed by the options.
-
-    Raises
-    ------
-    ConfigError
-        Naming the first value that cannot be.
-    """
+def _true_configuration(file: Path | None, names: tuple[str, ...], options: dict[str, Any]) -> Config:
+    """Configuration of the simulated joints: a file's, changed by the options."""
     flat: dict[str, Any] = dict(load(file).flat) if file else {"joints": list(names) or ["joint_1"]}
     configured: list[str] = flat["joints"]
     for joint in names:
@@ -164,18 +156,9 @@ def _assignment(text: str) -> tuple[str, Any]:
     if not equals:
         raise ConfigError(f"--set {text}: expected PARAMETER=VALUE")
     try:
-        return name.strip(), float(value) if _is_exponential(value) else yaml.safe_load(value)
-    except yaml.YAMLError as error:
-        raise ConfigError(f"--set {name}: not a value: {value!r}") from error
-
-
-def _is_exponential(value: str) -> bool:
-    """Whether it is a number such as 1e-6, which YAML takes for a text."""
-    try:
-        float(value)
-    except ValueError:
-        return False
-    return "e" in value.lower()
+        return name.strip(), parse_value(value)
+    except ConfigError as error:
+        raise ConfigError(f"--set {name}: {error}") from error
 
 
 def _motion(options: dict[str, Any]) -> Motion:

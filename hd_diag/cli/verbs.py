@@ -33,7 +33,7 @@ from hd_diag.cli.tolerance import tolerance
 from hd_diag.cli.watch import watch
 from hd_diag.config.configuration import JointConfig, load
 from hd_diag.formatting import json_ready
-from hd_diag.ros.stop_signals import noted
+from hd_diag.ros.stop_signals import note_signals
 from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TORQUE
 
 
@@ -251,7 +251,7 @@ def node(config_file: str | None, ros_arguments: tuple[str, ...]) -> None:
     """
     if config_file:
         load(config_file)
-    stopped = noted()
+    stopped = note_signals()
     try:
         from hd_diag.ros.node import main as run
     except ImportError as error:

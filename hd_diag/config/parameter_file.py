@@ -85,6 +85,20 @@ def sections(path: str | Path) -> list[Any]:
     return list(document)
 
 
+def parse_value(text: str) -> Any:
+    """A single value as it stands in a parameter file.
+
+    Raises
+    ------
+    ConfigError
+        Where it is no YAML.
+    """
+    try:
+        return yaml.load(text, _Loader)
+    except yaml.YAMLError as error:
+        raise ConfigError(f"not a value: {text!r}") from error
+
+
 def _document(path: str | Path) -> Any:
     try:
         with open(path, "rb") as file:

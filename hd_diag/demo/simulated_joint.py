@@ -7,15 +7,12 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import signal
 import sys
 import time
 from collections.abc import Sequence
-from threading import Event
 
 import click
 import numpy as np
-import numpy.typing as npt
 import rclpy
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -25,33 +22,23 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import JointState
 
-from hd_diag.bag import encode_joint_states
 from hd_diag.config.configuration import JointConfig, load
 from hd_diag.model.torsion_map import ARCSEC
-from hd_diag.simulation import simulation
-from hd_diag.simulation.simulation import Motion, Noise, Record, SimulatedJoint
+from hd_diag.ros.stop_signals import note_signals
+from hd_diag.simulation import Motion, Noise, Samples, SimulatedJoint, simulate
+from hd_diag.simulation.bag import encode_samples
 
 _TURN = 2.0 * math.pi
 _DEPTH = 2000  # messages kept for a reader that falls behind
 _WAIT = 30.0  # for the first subscriber [s]
 _CHUNK = 100  # messages encoded at a time
+_LONGEST_SLEEP = 0.05  # between looks at signals [s]
 
 
-def motion(seconds: float, rate: float, speed: float, torque: float) -> Motion:
-    """One run of so many seconds at a rate [Hz], speed [rad/s] and torque [N m], with a short start."""
-    return Motion(
-        duration=seconds,
-        sample_rate=rate,
-        speeds=(speed,),
-        torques=(torque,),
-        both_directions=False,
-        ramp_share=min(0.1, 0.5 / seconds),
-        rest_share=0.0,
-    )
-
-
-def publish(publisher: Publisher, joint: JointConfig, record: Record, rate: float, stop: Event) -> int:
-    """Publish a record in real time, from now on.
+def publish(
+    publisher: Publisher, joint: JointConfig, samples: Samples, rate: float, stopped: Sequence[int]
+) -> int:
+    """Publish samples in real time, from now on.
 
     Parameters
     ----------
@@ -59,12 +46,12 @@ def publish(publisher: Publisher, joint: JointConfig, record: Record, rate: floa
         Of JointState.
     joint : JointConfig
         Gives the names.
-    record : Record
-        Its stamps are replaced by the time of sending.
+    samples : Samples
+        Their stamps are replaced by the time of sending.
     rate : float
         [Hz]
-    stop : Event
-        Ends it early.
+    stopped : sequence of int
+        Signals that came; the first one ends it.
 
     Returns
     -------
@@ -72,34 +59,28 @@ def publish(publisher: Publisher, joint: JointConfig, record: Record, rate: floa
         Messages published.
     """
     start, begin, sent = time.time_ns(), time.monotonic(), 0
-    stamp = start + np.rint(np.arange(record.stamp.size) * (1e9 / rate)).astype(np.int64)
-    for first in range(0, stamp.size, _CHUNK):
+    count = samples.stamp.size
+    stamp = start + np.rint(np.arange(count) * (1e9 / rate)).astype(np.int64)
+    names, ratio = [joint.input_joint, joint.output_joint], joint.drive.kinematics.ratio
+    for first in range(0, count, _CHUNK):
         part = slice(first, first + _CHUNK)
-        for row in _encoded(joint, Record(stamp[part], *(column[part] for column in record[1:]))):
-            if stop.wait(max(0.0, begin + sent / rate - time.monotonic())):
+        chunk = Samples(stamp[part], *(column[part] for column in samples[1:]))
+        for row in encode_samples(names, [ratio], [chunk]):
+            while (early := begin + sent / rate - time.monotonic()) > 0.0 and not stopped:
+                time.sleep(min(early, _LONGEST_SLEEP))
+            if stopped:
                 return sent
             publisher.publish(row.tobytes())
             sent += 1
     return sent
 
 
-def _encoded(joint: JointConfig, record: Record) -> npt.NDArray[np.uint8]:
-    """Rows of CDR; the effort of the input, which no sensor measures, is 0."""
-    names = [joint.input_joint, joint.output_joint]
-    ratio = joint.drive.kinematics.ratio
-    position = np.stack((record.input_angle, record.output_angle), axis=1)
-    velocity = np.stack((record.input_velocity, record.input_velocity / ratio), axis=1)
-    effort = np.stack((np.zeros(record.torque.size), record.torque), axis=1)
-    return encode_joint_states(names, record.stamp, position, velocity, effort)
-
-
-def _wait_for_subscriber(publisher: Publisher, stop: Event) -> bool:
+def _wait_for_subscriber(publisher: Publisher, stopped: Sequence[int]) -> bool:
     """Whether to go on: somebody listens, or the end is wanted."""
     end = time.monotonic() + _WAIT
-    while publisher.get_subscription_count() == 0 and time.monotonic() < end:
-        if stop.wait(0.01):
-            return True
-    return bool(publisher.get_subscription_count())
+    while not publisher.get_subscription_count() and not stopped and time.monotonic() < end:
+        time.sleep(0.01)
+    return bool(publisher.get_subscription_count() or stopped)
 
 
 def _arguments(args: Sequence[str] | None) -> argparse.Namespace:
@@ -129,17 +110,10 @@ def main(args: Sequence[str] | None = None) -> int:
     int
         Exit code: 0 done, 1 nobody listens, 2 values that cannot be.
     """
-    stop = Event()
-    for number in (
-        signal.SIGINT,
-        signal.SIGTERM,
-    ):  # no exception: it could fall between a message and its count
-        signal.signal(number, lambda *_: stop.set())
+    stopped = note_signals()
     given = _arguments(args)
     try:
-        joint = load(given.config).joints[0]
-        run = motion(given.seconds, given.rate, _TURN * given.speed, given.torque)
-        return _run(joint, run, given, stop)
+        return _run(given, stopped)
     except ValueError as error:
         click.echo(f"simulated_joint: {error}", err=True)
         return 2
@@ -147,18 +121,28 @@ def main(args: Sequence[str] | None = None) -> int:
         try_shutdown()
 
 
-def _run(joint: JointConfig, run: Motion, given: argparse.Namespace, stop: Event) -> int:
+def _run(given: argparse.Namespace, stopped: Sequence[int]) -> int:
+    joint = load(given.config).joints[0]
+    motion = Motion(
+        duration=given.seconds,
+        sample_rate=given.rate,
+        speeds=(_TURN * given.speed,),
+        torques=(given.torque,),
+        both_directions=False,
+        ramp_share=min(0.1, 0.5 / given.seconds) if given.seconds else 0.1,
+        rest_share=0.0,
+    )
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     profile = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
     publisher = Node("simulated_joint").create_publisher(JointState, "joint_states", profile)
+    # Computed before the wait: meanwhile the processes discover each other.
     truth = SimulatedJoint(joint.drive, Noise(white=given.noise * ARCSEC))
-    # Before waiting: meanwhile the processes discover each other.
-    record = simulation.simulate(truth, run, np.random.default_rng(given.seed))
+    samples = simulate(truth, motion, np.random.default_rng(given.seed))
     click.echo("simulated_joint: ready")
-    if not _wait_for_subscriber(publisher, stop):
+    if not _wait_for_subscriber(publisher, stopped):
         click.echo(f"simulated_joint: nobody subscribed to joint_states within {_WAIT:g} s", err=True)
         return 1
-    sent = publish(publisher, joint, record, given.rate, stop)
+    sent = publish(publisher, joint, samples, given.rate, stopped)
     publisher.wait_for_all_acked(Duration(seconds=2))
     click.echo(json.dumps({"published": sent}))
     return 0

@@ -55,7 +55,7 @@ from hd_diag.monitor.joint import CLOCK_JUMP
 from hd_diag.replay.map_builder import MapBuilder
 from hd_diag.replay.recorded_monitor import Session
 from hd_diag.ros.log_writer import Journal
-from hd_diag.ros.stop_signals import ignored, noted
+from hd_diag.ros.stop_signals import ignore_signals, note_signals
 
 _CLASSES = {
     JOINT_STATE: JointState,
@@ -404,9 +404,9 @@ def main(args: Sequence[str] | None = None, stopped: Sequence[int] | None = None
         Exit code: 0 after a signal, 2 where the arguments or the configuration cannot be used.
     """
     arguments = list(sys.argv if args is None else args)
-    stopped = noted() if stopped is None else stopped
+    stopped = note_signals() if stopped is None else stopped
     code = 0 if stopped else _run(arguments, stopped)
-    ignored()
+    ignore_signals()
     return code
 
 

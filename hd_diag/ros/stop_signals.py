@@ -2,20 +2,55 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
+from collections.abc import Iterator
+from types import FrameType
 
 _STOPPING = (signal.SIGINT, signal.SIGTERM)
 
 
-def noted() -> list[int]:
-    """From now on a list of the signals that came; whoever looks at it ends when it is no longer empty."""
+def note_signals() -> list[int]:
+    """Note signals from now on, for as long as the process lives.
+
+    Returns
+    -------
+    list of int
+        The signals that came: who sees that it is no longer empty ends its work.
+    """
     came: list[int] = []
     for number in _STOPPING:
         signal.signal(number, lambda received, frame: came.append(received))
     return came
 
 
-def ignored() -> None:
-    """All is done; the interpreter notes no more while it ends, and one that came then would kill it."""
+def ignore_signals() -> None:
+    """Ignore signals while the interpreter ends: it notes no more, and one that came then would kill it."""
     for number in _STOPPING:
         signal.signal(number, signal.SIG_IGN)
+
+
+@contextlib.contextmanager
+def noted_signals() -> Iterator[list[int]]:
+    """Note signals inside a ``with`` statement; a second one ends the program at once.
+
+    A KeyboardInterrupt at any place could leave a terminal without a cursor, a process running or a file
+    half written; so would SIGTERM.
+
+    Yields
+    ------
+    list of int
+        The signals that came.
+    """
+    came: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        came.append(number)
+        signal.signal(number, signal.SIG_DFL)
+
+    before = [signal.signal(number, note) for number in _STOPPING]
+    try:
+        yield came
+    finally:
+        for number, handler in zip(_STOPPING, before, strict=True):
+            signal.signal(number, handler)

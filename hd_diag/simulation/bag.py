@@ -1,0 +1,172 @@
+"""Bags of simulated joints: ``/joint_states`` and temperatures as a robot's driver would record them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from hd_diag.arrays import Bytes, Floats
+from hd_diag.bag import BagError, BagWriter, encode_joint_states
+from hd_diag.bag.writer import replaced
+from hd_diag.config.configuration import Config
+from hd_diag.drive import Drive
+from hd_diag.messages.publications import JOINT_STATE, TEMPERATURE
+from hd_diag.messages.schemas import jazzy, serialize
+from hd_diag.model.torsion_map import TorsionMap
+from hd_diag.simulation.joint import CHUNK, START, Samples, SimulatedJoint, map_for, parts
+from hd_diag.simulation.motion import SECOND, Motion
+
+# Warming of a joint at work, first order: small enough to be any size-25 joint's.
+_AMBIENT, _RISE, _WARMING_TIME = 25.0, 8.0, 300.0  # [degree Celsius], [K], [s]
+
+
+def write_bag(
+    path: str | Path,
+    config: Config,
+    motion: Motion,
+    rng: np.random.Generator,
+    truths: Mapping[str, SimulatedJoint] | None = None,
+    *,
+    start: int = START,
+    with_temperature: bool = False,
+    overwrite: bool = False,
+    chunk: int = CHUNK,
+    mapped: Callable[[float], None] = lambda fraction: None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> int:
+    """Write ``/joint_states``, all joints in each message, and optionally ``/<joint>/temperature`` at 1 Hz.
+
+    Parameters
+    ----------
+    path : path
+        ``*.mcap`` is one file, anything else a rosbag2 folder.
+    config : Config
+        Gives the names in JointState, and the drives of joints without a truth.
+    motion : Motion
+        Of all joints.
+    rng : numpy.random.Generator
+        Source of the noise; one is spawned of it for each joint.
+    truths : mapping, optional
+        Joints to simulate, by their names in `config`; all as configured and without noise where not given.
+    start : int
+        Stamp of the first sample [ns].
+    with_temperature : bool
+    overwrite : bool
+        Replace a bag that exists, once the new one is whole: after an error or Ctrl-C it is as it was.
+    chunk : int
+        Samples that are computed and written at a time.
+    mapped : callable
+        Called with the fraction done of the maps that a long motion needs, before anything is written.
+    progress : callable
+        Called with the samples of each joint that are written and their number. If it raises
+        KeyboardInterrupt, a new bag is finished with what it has; after an error it is left without its end.
+
+    Returns
+    -------
+    int
+        Number of samples of each joint.
+
+    Raises
+    ------
+    BagError
+        If the bag cannot be written.
+    ValueError
+        If `truths` names a joint that is not configured, or teeth cannot bear the motion's torque.
+    """
+    if Path(path).exists() and not overwrite:
+        raise BagError(path, "exists already")
+    joints = _simulated(config, truths)
+    maps = _maps(joints, motion, mapped)
+    names = [
+        name
+        for joint in config.joints
+        if joint.name in joints
+        for name in (joint.input_joint, joint.output_joint)
+    ]
+    streams = [
+        parts(joint, motion, generator, start, maps[joint.drive], chunk)
+        for joint, generator in zip(joints.values(), rng.spawn(len(joints)), strict=True)
+    ]
+    ratios = [joint.drive.kinematics.ratio for joint in joints.values()]
+    done, warmed = 0, 0
+    with replaced(path, overwrite=overwrite) as place, BagWriter(place, overwrite=overwrite) as writer:
+        for samples in zip(*streams, strict=True):
+            stamp = samples[0].stamp
+            writer.write_many("/joint_states", JOINT_STATE, encode_samples(names, ratios, samples), stamp)
+            last = (int(stamp[-1]) - start) // SECOND
+            if with_temperature:
+                _write_temperatures(writer, list(joints), range(warmed, last + 1), start)
+            done, warmed = done + stamp.size, last + 1
+            progress(done, motion.samples)
+    return done
+
+
+def temperature(time: Floats) -> Floats:
+    """Temperature of a joint at work [degree Celsius] at times since its start [s]."""
+    return np.asarray(_AMBIENT - _RISE * np.expm1(-np.maximum(time, 0.0) / _WARMING_TIME))
+
+
+def encode_samples(names: Sequence[str], ratios: Sequence[float], samples: Sequence[Samples]) -> Bytes:
+    """JointState messages, one row of CDR for each sample.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of each joint the input's name and the output's.
+    ratios : sequence of float
+        Of each joint.
+    samples : sequence of Samples
+        Of each joint, at the same stamps. The effort of an input, which no sensor measures, is 0.
+    """
+    position, velocity, effort = [], [], []
+    for ratio, joint in zip(ratios, samples, strict=True):
+        position += [joint.input_angle, joint.output_angle]
+        velocity += [joint.input_velocity, joint.input_velocity / ratio]
+        effort += [np.zeros(joint.torque.size), joint.torque]
+    angles, speeds, torques = (np.stack(columns, axis=1) for columns in (position, velocity, effort))
+    return encode_joint_states(list(names), samples[0].stamp, angles, speeds, torques)
+
+
+def _simulated(config: Config, truths: Mapping[str, SimulatedJoint] | None) -> dict[str, SimulatedJoint]:
+    """Joints to simulate, in the configuration's order."""
+    configured = {joint.name: joint.drive for joint in config.joints}
+    if truths is None:
+        return {name: SimulatedJoint(drive) for name, drive in configured.items()}
+    for name in truths:
+        if name not in configured:
+            raise ValueError(f"no joint '{name}' is configured; there are {', '.join(configured)}")
+    if not truths:
+        raise ValueError("no joint is to be simulated")
+    return {name: truths[name] for name in configured if name in truths}
+
+
+def _maps(
+    joints: Mapping[str, SimulatedJoint], motion: Motion, progress: Callable[[float], None]
+) -> dict[Drive, TorsionMap | None]:
+    """Map of every drive; joints with the same drive share it."""
+    drives = list(dict.fromkeys(joint.drive for joint in joints.values()))
+    maps: dict[Drive, TorsionMap | None] = {}
+
+    def wanted(fraction: float) -> bool:
+        progress((len(maps) + fraction) / len(drives))
+        return True
+
+    for drive in drives:
+        maps[drive] = map_for(drive, motion, wanted)
+    if any(maps.values()):
+        progress(1.0)
+    return maps
+
+
+def _write_temperatures(writer: BagWriter, joints: list[str], seconds: range, start: int) -> None:
+    types = jazzy().types
+    for second in seconds:
+        time = start + second * SECOND
+        clock = types["builtin_interfaces/msg/Time"](*divmod(time, SECOND))
+        value = float(temperature(np.array([float(second)]))[0])
+        reading = types[TEMPERATURE](types["std_msgs/msg/Header"](clock, ""), value, 0.0)
+        message = serialize(reading, TEMPERATURE)
+        for joint in joints:
+            writer.write(f"/{joint}/temperature", TEMPERATURE, message, time)

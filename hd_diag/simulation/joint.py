@@ -1,0 +1,193 @@
+"""A simulated robot joint: what its encoders and torque sensor report while it runs through a motion.
+
+A simulated joint is a drive, the noise of its sensors and, where wanted, a departure from the drive's model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import lfilter
+
+from hd_diag.arrays import Floats, Times
+from hd_diag.drive import Drive, transmission_error
+from hd_diag.model import torsion_map
+from hd_diag.model.torsion_map import TorsionMap
+from hd_diag.simulation.motion import SECOND, Motion, Setpoints
+
+START = 1_767_225_600_000_000_000
+"""Stamp of the first sample unless another is asked for: 2026-01-01T00:00:00Z [ns]."""
+
+CHUNK = 1000
+"""Samples at a time: the exact solution's arrays then stay in the cache."""
+
+_EXACT_SAMPLES = 10_000  # beyond, building a map takes less time than the exact solution of every sample
+
+
+class Samples(NamedTuple):
+    """What a joint does or reports, each (n,): stamp [ns], angles [rad], velocity [rad/s], torque [N m]."""
+
+    stamp: Times
+    input_angle: Floats
+    input_velocity: Floats
+    output_angle: Floats
+    torque: Floats
+
+
+Alteration = Callable[[Samples], Samples]
+"""What a joint really does, from what its drive would do; called with consecutive parts, in order."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of the sensors.
+
+    Parameters
+    ----------
+    white : float
+        Of the output angle, independent from sample to sample [rad rms].
+    drift : float
+        Of the output angle, first-order autoregressive [rad rms].
+    drift_correlation : float
+        Correlation of the drift from one sample to the next [-].
+    torque : float
+        Of the reported torque, white [N m rms].
+
+    Raises
+    ------
+    ValueError
+        Naming the value that cannot be.
+    """
+
+    white: float = 0.0
+    drift: float = 0.0
+    drift_correlation: float = 0.97
+    torque: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, unit in (("white", "rad"), ("drift", "rad"), ("torque", "N m")):
+            value = getattr(self, name)
+            if not 0.0 <= value < math.inf:
+                raise ValueError(f"noise: {name} must not be negative, not {value} {unit}")
+        if not 0.0 <= self.drift_correlation < 1.0:
+            raise ValueError(f"noise: drift_correlation must be in [0, 1), not {self.drift_correlation}")
+
+
+@dataclass(frozen=True)
+class SimulatedJoint:
+    """What a joint really is.
+
+    Parameters
+    ----------
+    drive : Drive
+    noise : Noise
+    offset : float
+        Of the output encoder's zero [rad].
+    alter : Alteration
+        Departure from the drive's model; it comes before the noise. None by default.
+    """
+
+    drive: Drive
+    noise: Noise = field(default_factory=Noise)
+    offset: float = 0.0
+    alter: Alteration = lambda samples: samples
+
+
+def map_for(
+    drive: Drive, motion: Motion, wanted: Callable[[float], bool] = lambda fraction: True
+) -> TorsionMap | None:
+    """Map that a long motion is simulated with; None where solving every sample exactly takes less time.
+
+    Parameters
+    ----------
+    drive : Drive
+    motion : Motion
+    wanted : callable
+        As of :func:`hd_diag.model.torsion_map.build`.
+
+    Raises
+    ------
+    ValueError
+        If the teeth cannot bear the motion's torque.
+    """
+    if motion.samples <= _EXACT_SAMPLES:
+        return None
+    limit = max(max(map(abs, motion.torques)), 0.05 * drive.rated_torque)
+    return torsion_map.build(drive.mesh, limit, wanted)
+
+
+def parts(
+    joint: SimulatedJoint,
+    motion: Motion,
+    rng: np.random.Generator,
+    start: int = START,
+    table: TorsionMap | None = None,
+    chunk: int = CHUNK,
+) -> Iterator[Samples]:
+    """What the joint reports, in consecutive parts.
+
+    Parameters
+    ----------
+    joint : SimulatedJoint
+    motion : Motion
+    rng : numpy.random.Generator
+        Three are spawned of it: the same state gives the same samples.
+    start : int
+        Stamp of the first sample [ns].
+    table : TorsionMap, optional
+        Map of the drive's mesh; without one every sample is solved exactly.
+    chunk : int
+        Samples of a part.
+
+    Yields
+    ------
+    Samples
+
+    Raises
+    ------
+    ValueError
+        If the teeth cannot bear the motion's torque.
+    """
+    disturb = _Disturbance(joint.noise, rng)
+    for first in range(0, motion.samples, chunk):
+        stamp = motion.stamps(start, first, first + chunk)
+        exact = _exact(joint, stamp, motion.at((stamp - start) / SECOND), table)
+        yield disturb(joint.alter(exact))
+
+
+def simulate(joint: SimulatedJoint, motion: Motion, rng: np.random.Generator, start: int = START) -> Samples:
+    """What the joint reports over a whole motion; see :func:`parts`."""
+    every = list(parts(joint, motion, rng, start, map_for(joint.drive, motion)))
+    return Samples(*(np.concatenate(column) for column in zip(*every, strict=True)))
+
+
+class _Disturbance:
+    """Noise of one joint; carries the drift from part to part."""
+
+    def __init__(self, noise: Noise, rng: np.random.Generator) -> None:
+        self._noise = noise
+        self._white, self._drift, self._torque = rng.spawn(3)
+        self._state = noise.drift_correlation * noise.drift * self._drift.standard_normal(1)
+
+    def __call__(self, samples: Samples) -> Samples:
+        noise, count = self._noise, samples.stamp.size
+        correlation = noise.drift_correlation
+        gain = noise.drift * math.sqrt(1.0 - correlation**2)
+        innovation = self._drift.standard_normal(count)
+        drift, self._state = lfilter([gain], [1.0, -correlation], innovation, zi=self._state)
+        angle = noise.white * self._white.standard_normal(count) + drift
+        torque = noise.torque * self._torque.standard_normal(count)
+        return samples._replace(output_angle=samples.output_angle + angle, torque=samples.torque + torque)
+
+
+def _exact(joint: SimulatedJoint, stamp: Times, setpoints: Setpoints, table: TorsionMap | None) -> Samples:
+    error = transmission_error(joint.drive, setpoints.input_angle, setpoints.torque, table)
+    if not np.isfinite(error).all():
+        beyond = setpoints.torque[~np.isfinite(error)]
+        raise ValueError(f"the teeth cannot bear {beyond[np.argmax(np.abs(beyond))]:g} N m")
+    output = setpoints.input_angle / joint.drive.kinematics.ratio + error + joint.offset
+    return Samples(stamp, setpoints.input_angle, setpoints.input_velocity, output, setpoints.torque)

@@ -1,0 +1,130 @@
+"""A test motion of a robot joint: runs at constant speed and torque, from rest to rest."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hd_diag.arrays import Floats, Times
+
+SECOND = 1_000_000_000  # [ns]
+_TURN = 2.0 * math.pi
+
+
+class Setpoints(NamedTuple):
+    """What a motion asks for, each (n,): input angle [rad], input velocity [rad/s], torque [N m]."""
+
+    input_angle: Floats
+    input_velocity: Floats
+    torque: Floats
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Runs at constant speed and torque from rest to rest, one for every direction, speed and torque.
+
+    All runs of one direction come first, so that the output travels far.
+
+    Parameters
+    ----------
+    duration : float
+        [s]; shared evenly by the runs.
+    sample_rate : float
+        [Hz]
+    speeds : tuple of float
+        Of the input [rad/s], positive.
+    torques : tuple of float
+        That the drive exerts on the link [N m].
+    both_directions : bool
+        Whether all runs are repeated backwards.
+    ramp_share : float
+        Part of a run in which speed and torque rise with minimum jerk, and again in which they fall [-].
+    rest_share : float
+        Part of a run at rest and free of torque before it starts, and again after it has ended [-].
+
+    Raises
+    ------
+    ValueError
+        Naming the value that cannot be.
+    """
+
+    duration: float = 60.0
+    sample_rate: float = 500.0
+    speeds: tuple[float, ...] = (1.0 * _TURN, 2.0 * _TURN, 4.0 * _TURN)
+    torques: tuple[float, ...] = (-40.0, -14.0, 14.0, 40.0)
+    both_directions: bool = True
+    ramp_share: float = 0.1
+    rest_share: float = 0.05
+
+    def __post_init__(self) -> None:
+        for name, value, unit in (("duration", self.duration, "s"), ("sample_rate", self.sample_rate, "Hz")):
+            if not 0.0 < value < math.inf:
+                raise ValueError(f"{name} must be positive and finite, not {value} {unit}")
+        if not self.speeds or not all(0.0 < speed < math.inf for speed in self.speeds):
+            raise ValueError(f"speeds must be positive and finite, not {list(self.speeds)} rad/s")
+        if not self.torques or not all(math.isfinite(torque) for torque in self.torques):
+            raise ValueError(f"torques must be finite, not {list(self.torques)} N m")
+        if not (self.ramp_share > 0.0 and 0.0 <= self.rest_share <= 0.5 - self.ramp_share):
+            raise ValueError(
+                f"ramp_share must be positive and rest_share not negative, both together at most 0.5, not "
+                f"{self.ramp_share} and {self.rest_share}"
+            )
+        if self.samples < 1:
+            raise ValueError(f"{self.duration} s at {self.sample_rate} Hz hold no sample")
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return round(self.duration * self.sample_rate)
+
+    @property
+    def runs(self) -> list[tuple[float, float]]:
+        """Velocity of the input [rad/s] and torque [N m] of every run."""
+        forward = list(itertools.product(self.speeds, self.torques))
+        return forward + [(-speed, torque) for speed, torque in forward if self.both_directions]
+
+    def stamps(self, start: int, first: int, last: int) -> Times:
+        """Time of the samples from `first` to before `last` [ns]; `start` is that of sample 0."""
+        count = np.arange(first, min(last, self.samples))
+        elapsed: Times = np.rint(count * (SECOND / self.sample_rate)).astype(np.int64)
+        return start + elapsed
+
+    def at(self, time: Floats) -> Setpoints:
+        """What the motion asks for.
+
+        Parameters
+        ----------
+        time : ndarray, shape (n,)
+            Since the start [s]; before it and after the end the joint is at rest.
+
+        Returns
+        -------
+        Setpoints
+        """
+        velocity, torque = np.array(self.runs).T
+        length = self.duration / velocity.size
+        travelled = (1.0 - 2.0 * self.rest_share - self.ramp_share) * length * velocity
+        before = np.concatenate(([0.0], np.cumsum(travelled)))[:-1]
+        run = np.clip(np.floor(time / length), 0, velocity.size - 1).astype(np.int64)
+        ramp = self.ramp_share * length
+        since = time - run * length - self.rest_share * length
+        until = (1.0 - 2.0 * self.rest_share) * length - since
+        share = _smooth_step(since / ramp) * _smooth_step(until / ramp)
+        moving = ramp * (_step_integral(since / ramp) - _step_integral(1.0 - until / ramp))
+        return Setpoints(before[run] + velocity[run] * moving, velocity[run] * share, torque[run] * share)
+
+
+def _smooth_step(x: Floats) -> Floats:
+    """Minimum-jerk rise from 0 at x = 0 to 1 at x = 1; Flash and Hogan (1985)."""
+    x = np.clip(x, 0.0, 1.0)
+    return x**3 * (10.0 - x * (15.0 - 6.0 * x))
+
+
+def _step_integral(x: Floats) -> Floats:
+    """Integral of `_smooth_step` from minus infinity to x."""
+    rising = np.clip(x, 0.0, 1.0)
+    return rising**4 * (2.5 - rising * (3.0 - rising)) + np.maximum(x - 1.0, 0.0)
