@@ -23,8 +23,8 @@ from hd_diag.config.parameters import (
     parameters,
     shown,
 )
-from hd_diag.drive import Drive
 from hd_diag.extended_model import ExtendedModel
+from hd_diag.monitor.settings import JointConfig, Limit, MonitorConfig
 
 __all__ = [
     "JOINT_PARAMETERS",
@@ -50,38 +50,6 @@ ModelText = Callable[[str, str], str]
 
 
 @dataclass(frozen=True)
-class Limit:
-    """Thresholds of one quantity, in its unit."""
-
-    warn: float
-    error: float
-
-    def level(self, value: float) -> int:
-        """0, 1 (above warn) or 2 (above error), as in diagnostic_msgs/DiagnosticStatus; nan is 0."""
-        return 2 if value > self.error else 1 if value > self.warn else 0
-
-
-@dataclass(frozen=True)
-class JointConfig:
-    """One joint: the names it has in JointState, its drive, assumed torque [N m] and limits.
-
-    With an extended model `drive` is the model's, refitted; `configured` is what the parameters say.
-    `model_text` is the whole content of the model's file.
-    """
-
-    name: str
-    input_joint: str
-    output_joint: str
-    drive: Drive
-    torque: float
-    limits: Mapping[str, Limit]
-    configured: Drive
-    model_file: str = ""
-    model: ExtendedModel | None = None
-    model_text: str = field(default="", repr=False)
-
-
-@dataclass(frozen=True)
 class LogConfig:
     """Where and how the node writes its log."""
 
@@ -94,12 +62,9 @@ class LogConfig:
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(MonitorConfig):
     """A whole configuration; `flat` holds every parameter by its full ROS name."""
 
-    joints: tuple[JointConfig, ...]
-    array_rate: float
-    mesh_rate: float
     diagnostics_rate: float
     log: LogConfig
     flat: Mapping[str, Value] = field(repr=False)

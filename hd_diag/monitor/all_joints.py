@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hd_diag.arrays import Floats, Times
-from hd_diag.config.configuration import Config
 from hd_diag.drive import MeshState, mesh_state
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.monitor.health import report
@@ -19,6 +18,7 @@ from hd_diag.monitor.joint import Asked, JointMonitor, Part, Prediction, Row, Sa
 from hd_diag.monitor.moment import Moments
 from hd_diag.monitor.periods import Periods
 from hd_diag.monitor.predictions import angles, angles_of_moment
+from hd_diag.monitor.settings import MonitorConfig
 from hd_diag.streams.columns import Drawings, JointStates, Publication, Report, Teeth
 
 _NAMELESS = "the message names the joint and gives no position of it"
@@ -29,10 +29,10 @@ class Monitor:
 
     Parameters
     ----------
-    config : Config
+    config : MonitorConfig
     """
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: MonitorConfig) -> None:
         self.config = config
         self.joints = {joint.name: JointMonitor(joint) for joint in config.joints}
         self.foreign = 0
@@ -43,7 +43,7 @@ class Monitor:
         self._moments = Moments()
         self._columns: dict[tuple[str, ...], list[tuple[str, int, int]]] = {}
 
-    def configure(self, config: Config) -> None:
+    def configure(self, config: MonitorConfig) -> None:
         """Use another configuration of the same joints from the next message on."""
         for joint in config.joints:
             self.joints[joint.name].configure(joint)

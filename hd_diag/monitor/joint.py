@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hd_diag.arrays import Floats, Times
-from hd_diag.config.configuration import JointConfig
 from hd_diag.drive import transmission_error
 from hd_diag.extended_model import ExtendedModel
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.monitor.residual_orders import ResidualOrders
+from hd_diag.monitor.settings import JointConfig
 from hd_diag.streams.alignment import REMEMBERED, Inputs, Outputs, Pairs, interpolated, pairs
 from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TORQUE
 

@@ -50,21 +50,23 @@ class Session:
         Full name of the node, for its parameter events and diagnostics.
     topics : mapping of str to str, optional
         Full names of the node's topics, for the log: it may be that they are remapped.
+
+    Attributes
+    ----------
+    config : Config
+        In force.
+    monitor : Monitor
     """
 
     def __init__(
         self, config: Config, sink: Sink, node: str = "/hd_diag", topics: Mapping[str, str] | None = None
     ) -> None:
+        self.config = config
         self.monitor = Monitor(config)
         self._sink = sink
         self._node = node
         self._topics = dict(topics or {})
         self._decoder = JointStateDecoder()
-
-    @property
-    def config(self) -> Config:
-        """Configuration in force."""
-        return self.monitor.config
 
     def start(self, now: int) -> None:
         """Record the configuration that the session begins with, at a time [ns]."""
@@ -129,6 +131,7 @@ class Session:
         if not changed and not models:
             return []
         self.monitor.configure(config)
+        self.config = config
         self._configuration(now, changed, models, new=False)
         pairs = zip(before.joints, config.joints, strict=True)
         return [new.name for old, new in pairs if _map_needs(new) != _map_needs(old)]
