@@ -65,7 +65,7 @@ pytest: install
 
 # What does not depend on numpy is tested once, above.
 ONCE = test_colcon.py test_package.py test_replay_live.py test_challenge_benchmark.py test_docs.py test_demo.py \
-       test_report_browser.py test_watch.py test_watch_live.py test_layouts.py test_fleet_cluster.py test_fleet_work.py
+       test_report_browser.py test_watch.py test_watch_live.py test_layouts.py test_fleet_cluster.py test_process_pool.py
 pytest-ubuntu:
 	@python=$$(sh scripts/find_python.sh '$(PYTHON)') && \
 	if "$$python" -c 'import sys; sys.exit(sys.version_info < (3, 13))'; then \

@@ -1,103 +1,20 @@
-"""What the workers of the fleet's tests do, and bags for them; in a module, for workers import it."""
+"""Stand-ins for surveys and diagnoses in the fleet's tests, and bags for them; workers import this module."""
 
 import os
-import re
 import signal
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from bag_samples import rows, write_with_mcap
+from pool_tasks import note
 
 from hd_diag.fleet.rows import Row, Task
 from hd_diag.fleet.survey import Survey, survey
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
-CALLS = "HD_DIAG_TEST_CALLS"  # environment: folder in which every call leaves a file
 DAY = 86_400 * 10**9  # [ns]
 BEGIN = 1_767_225_600 * 10**9  # 2026-01-01 [ns]
-
-
-def note(name: object) -> None:
-    folder = os.environ.get(CALLS)
-    if folder:
-        Path(folder, f"{name}~{os.getpid()}~{time.monotonic_ns()}").touch()
-
-
-def calls(folder: Path) -> list[tuple[str, int]]:
-    """Name and process of every call, in order of time."""
-    noted = sorted((path.name.split("~") for path in folder.iterdir()), key=lambda parts: int(parts[2]))
-    return [(name, int(process)) for name, process, _ in noted]
-
-
-def square(number: int) -> int:
-    return number * number
-
-
-def slow_square(number: int) -> int:
-    note(number)
-    time.sleep(0.4)
-    return number * number
-
-
-def deadly_seven(number: int) -> int:
-    note(number)
-    if number == 7:
-        os.kill(os.getpid(), signal.SIGKILL)
-    time.sleep(0.05)
-    return number * number
-
-
-def faulty(number: int) -> int:
-    if number == 3:
-        raise Unsendable(number, "no")
-    return number
-
-
-def greedy(size: int) -> int:
-    return int(np.ones(size // 8).sum())
-
-
-def stuck(name: str) -> str:
-    """Hangs for ever: in a system call for ``fifo``, with the interpreter's lock for ``pattern``."""
-    note(name)
-    if name == "fifo":
-        folder = Path(os.environ[CALLS]).parent
-        os.mkfifo(folder / "fifo")
-        (folder / "fifo").read_bytes()
-    if name == "pattern":
-        re.match("(a+)+$", "a" * 60 + "b")
-    return name
-
-
-def setting(name: str) -> str | None:
-    return os.environ.get(name)
-
-
-class Unsendable(Exception):
-    """An exception that pickle cannot make again, as many are."""
-
-    def __init__(self, number: int, text: str) -> None:
-        super().__init__(f"{number}: {text}")
-
-
-def alive(process: int) -> bool:
-    """Whether a process runs; one that has ended and is not yet missed does not."""
-    try:
-        return "\nState:\tZ" not in Path(f"/proc/{process}/status").read_text()
-    except OSError:
-        return False
-
-
-def wait_for(condition: Callable[[], object], patience: float = 60.0) -> None:
-    end = time.monotonic() + patience
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.05)
-
-
-# In place of the true diagnosis, which takes seconds ---
 
 
 def quick(task: Task) -> Row:

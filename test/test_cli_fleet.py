@@ -13,6 +13,7 @@ from pathlib import Path
 
 import fleet_tasks
 import numpy as np
+import pool_tasks
 import pyarrow.parquet as pq
 import pytest
 from cli_runner import runner
@@ -51,7 +52,7 @@ def quick(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(run, "judge", fleet_tasks.quick)
     folder = tmp_path / "calls"
     folder.mkdir()
-    monkeypatch.setenv(fleet_tasks.CALLS, str(folder))
+    monkeypatch.setenv(pool_tasks.CALLS, str(folder))
     return folder
 
 
@@ -151,17 +152,17 @@ def test_what_is_known_is_not_judged_again(quick: Path, tmp_path: Path) -> None:
     assert fleet(bags, "--out", out).exit_code == 0
     first = out.read_bytes()
     assert fleet(bags, "--out", out).exit_code == 0
-    assert len(fleet_tasks.calls(quick)) == 4
+    assert len(pool_tasks.calls(quick)) == 4
     assert out.read_bytes() == first
     bags_of(bags, 5)
     assert fleet(bags, "--out", out).exit_code == 0
-    assert [name for name, _ in fleet_tasks.calls(quick)][4:] == ["04.mcap"]
+    assert [name for name, _ in pool_tasks.calls(quick)][4:] == ["04.mcap"]
     assert fleet(bags, "--out", out, "--fresh").exit_code == 0
-    assert len(fleet_tasks.calls(quick)) == 10
+    assert len(pool_tasks.calls(quick)) == 10
     changed = tmp_path / "drive.yaml"
     changed.write_text("hd_diag:\n  ros__parameters:\n    joint_1: {torque: 1.0}\n")
     assert fleet(bags, "--out", out, "--config", changed).exit_code == 0
-    assert len(fleet_tasks.calls(quick)) == 15
+    assert len(pool_tasks.calls(quick)) == 15
 
 
 def test_an_interrupted_run_goes_on(quick: Path, tmp_path: Path) -> None:
@@ -189,11 +190,11 @@ def test_an_interrupted_run_goes_on(quick: Path, tmp_path: Path) -> None:
     kept = len(journal.read_text().splitlines())
     assert errors == f"hd-diag: interrupted: {kept} results are in {journal}; the same command goes on\n"
     assert not out.exists()
-    assert not any(fleet_tasks.alive(worker) for _, worker in fleet_tasks.calls(quick))
+    assert not any(pool_tasks.alive(worker) for _, worker in pool_tasks.calls(quick))
     done = {json.loads(line)["key"] for line in journal.read_text().splitlines()}
-    before = len(fleet_tasks.calls(quick))
+    before = len(pool_tasks.calls(quick))
     assert fleet(bags, "--out", out).exit_code == 0
-    assert len(fleet_tasks.calls(quick)) - before == 12 - kept
+    assert len(pool_tasks.calls(quick)) - before == 12 - kept
     assert {json.loads(line)["key"] for line in journal.read_text().splitlines()[:kept]} == done
     whole = tmp_path / "whole.parquet"
     assert fleet(bags, "--out", whole).exit_code == 0
@@ -273,11 +274,11 @@ def test_a_bag_that_hangs_is_told_and_tried_again_by_the_next_run(
     result = fleet(bags, "--out", out, "--bag-timeout", "2")
     assert (result.exit_code, result.stderr) == (0, f"not judged: {bags}/00.mcap: joint_1: {LATE}\n")
     assert [row["error"] for row in table(out)] == [LATE, None, None]
-    assert Counter(name for name, _ in fleet_tasks.calls(quick))["stuck"] == 1
+    assert Counter(name for name, _ in pool_tasks.calls(quick))["stuck"] == 1
     monkeypatch.setattr(run, "judge", fleet_tasks.quick)
     assert fleet(bags, "--out", out).exit_code == 0
     assert [row["error"] for row in table(out)] == [None] * 3
-    begun = Counter(name for name, _ in fleet_tasks.calls(quick))
+    begun = Counter(name for name, _ in pool_tasks.calls(quick))
     assert begun == {"stuck": 1, "00.mcap": 1, "01.mcap": 1, "02.mcap": 1}
 
 

@@ -11,16 +11,17 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import fleet_tasks
+import pool_tasks
 import pytest
 from live import config
 
-from hd_diag.fleet import cluster, work
-from hd_diag.fleet.cluster import ClusterCrew
+from hd_diag.fleet import cluster
+from hd_diag.fleet.cluster import ClusterPool
 from hd_diag.fleet.errors import FleetError
 from hd_diag.fleet.run import Fleet, diagnose_fleet
 from hd_diag.fleet.store import Journal
 from hd_diag.fleet.survey import find_bags
-from hd_diag.fleet.work import Failure, LocalCrew, run
+from hd_diag.process_pool import ATTEMPTS, Failure, ProcessPool, run
 
 pytest.importorskip("distributed")
 
@@ -46,7 +47,7 @@ class Cluster:
 
     def _start(self, role: str, *arguments: str) -> subprocess.Popen[bytes]:
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-        environment[fleet_tasks.CALLS] = str(self.calls)
+        environment[pool_tasks.CALLS] = str(self.calls)
         command = [sys.executable, "-m", f"distributed.cli.dask_{role}", "--no-dashboard", *arguments]
         process = subprocess.Popen(
             [*command, str(self._file)],
@@ -60,11 +61,11 @@ class Cluster:
 
     @property
     def address(self) -> str:
-        fleet_tasks.wait_for(lambda: self._file.exists() and self._file.read_text().endswith("}"))
+        pool_tasks.wait_for(lambda: self._file.exists() and self._file.read_text().endswith("}"))
         return str(json.loads(self._file.read_text())["address"])
 
     def begun(self) -> list[tuple[str, int]]:
-        return fleet_tasks.calls(self.calls)
+        return pool_tasks.calls(self.calls)
 
 
 @pytest.fixture
@@ -82,8 +83,8 @@ def test_a_worker_killed_in_its_work_loses_no_result(dask: Cluster) -> None:
             killed.append(begun[-1][1])
             os.kill(killed[0], signal.SIGKILL)
 
-    with ClusterCrew(dask.address) as crew:
-        results = sorted(run(crew, fleet_tasks.slow_square, range(15), tick))
+    with ClusterPool(dask.address) as pool:
+        results = sorted(run(pool, pool_tasks.slow_square, range(15), tick))
     assert results == [(n, n * n) for n in range(15)]
     begun = dask.begun()
     again = [name for name, times in Counter(name for name, _ in begun).items() if times > 1]
@@ -104,19 +105,19 @@ def test_what_kills_its_workers_fails_alone(dask: Cluster) -> None:
             alive -= 1
             dask.worker()
 
-    with ClusterCrew(dask.address) as crew:
-        results = dict(run(crew, fleet_tasks.deadly_seven, range(12), tick))
+    with ClusterPool(dask.address) as pool:
+        results = dict(run(pool, pool_tasks.deadly_seven, range(12), tick))
     assert {n: r for n, r in results.items() if n != 7} == {n: n * n for n in range(12) if n != 7}
     assert isinstance(results[7], Failure)
-    assert Counter(name for name, _ in dask.begun())["7"] == work.ATTEMPTS
+    assert Counter(name for name, _ in dask.begun())["7"] == ATTEMPTS
 
 
 def test_what_hangs_ends_its_worker_once_and_the_others_go_on(dask: Cluster) -> None:
     names = ["a", "fifo", "b", "pattern", "c", "d"]
-    with ClusterCrew(dask.address) as crew:
-        results = dict(run(crew, fleet_tasks.stuck, names, timeout=1.0))
+    with ClusterPool(dask.address) as pool:
+        results = dict(run(pool, pool_tasks.stuck, names, timeout=1.0))
     late = Failure("took longer than 1 s")
-    assert results == {**{name: name for name in names}, "fifo": late, "pattern": late}
+    assert results == {0: "a", 1: late, 2: "b", 3: late, 4: "c", 5: "d"}
     assert sorted(name for name, _ in dask.begun()) == sorted(names)
 
 
@@ -131,12 +132,12 @@ def test_the_cluster_makes_the_same_rows(
         fleet_tasks.small_bag(Path("bags") / f"{day}.mcap", day)
     given = config()
     fleet = Fleet(find_bags([Path("bags")]), given, given.joints)
-    monkeypatch.setenv(fleet_tasks.CALLS, str(dask.calls))
-    with LocalCrew(1) as local, Journal(tmp_path / "local") as journal:
+    monkeypatch.setenv(pool_tasks.CALLS, str(dask.calls))
+    with ProcessPool(1) as local, Journal(tmp_path / "local") as journal:
         expected = diagnose_fleet(fleet, local, journal)
-    with ClusterCrew(dask.address) as crew, Journal(tmp_path / "cluster") as journal:
-        assert diagnose_fleet(fleet, crew, journal) == expected
-        assert dict(run(crew, fleet_tasks.faulty, [1, 3])) == {1: 1, 3: Failure("Unsendable: 3: no")}
+    with ClusterPool(dask.address) as pool, Journal(tmp_path / "cluster") as journal:
+        assert diagnose_fleet(fleet, pool, journal) == expected
+        assert dict(run(pool, pool_tasks.faulty, [1, 3])) == {0: 1, 1: Failure("Unsendable: 3: no")}
     assert len(expected) == 5
     assert len(dask.begun()) == 10
 
@@ -146,13 +147,13 @@ def test_a_scheduler_that_goes_ends_the_run(dask: Cluster) -> None:
         if len(dask.begun()) >= 2:
             dask.scheduler.kill()
 
-    with pytest.raises(FleetError, match="is gone"), ClusterCrew(dask.address) as crew:
-        list(run(crew, fleet_tasks.slow_square, range(50), tick))
+    with pytest.raises(FleetError, match="is gone"), ClusterPool(dask.address) as pool:
+        list(run(pool, pool_tasks.slow_square, range(50), tick))
 
 
 def test_no_scheduler(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "_CONNECT", 1.0)
     with pytest.raises(FleetError, match=r"no Dask scheduler at tcp://127\.0\.0\.1:9"):
-        ClusterCrew("tcp://127.0.0.1:9")
+        ClusterPool("tcp://127.0.0.1:9")
     with pytest.raises(FleetError, match="no Dask scheduler at nonsense://x"):
-        ClusterCrew("nonsense://x")
+        ClusterPool("nonsense://x")

@@ -20,6 +20,7 @@ from hd_diag.model import compiled
 from hd_diag.model.torsion import Mesh, torsion
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.model.transmission_error import Kinematics
+from hd_diag.process_pool import ProcessPool
 from hd_diag.tolerance import assembly
 from hd_diag.tolerance.assembly import FACTORS, Assembly, Population, Share, draw, judged, yields
 from hd_diag.tolerance.criteria import CRITERIA, NAMES, cup_torques, of_moments, reference_stiffness
@@ -35,7 +36,6 @@ from hd_diag.tolerance.limit import (
 )
 from hd_diag.tolerance.moments import evaluate
 from hd_diag.tolerance.settings import Spread, settings
-from hd_diag.tolerance.workers import Workers
 
 ROOT = Path(__file__).resolve().parent.parent
 RATED = published.RATED_TORQUE
@@ -363,8 +363,8 @@ def population(**sizes: tuple[str, float]) -> Population:
 
 def values(of: Population, tolerances: Any, samples: int = 24, jobs: int = 1) -> Any:
     numbers = np.random.default_rng(5).random((samples, len(FACTORS)))
-    with Workers(jobs) as workers:
-        return judged(workers, of, numbers, np.asarray(tolerances, dtype=float))
+    with ProcessPool(jobs) as pool:
+        return judged(pool, of, numbers, np.asarray(tolerances, dtype=float))
 
 
 def test_without_tolerances_every_assembly_is_the_perfect_one() -> None:
@@ -490,8 +490,8 @@ def test_the_same_numbers_on_one_core_and_two() -> None:
 def test_work_reports_its_progress() -> None:
     done: list[bool] = []
     numbers = np.full((9, len(FACTORS)), 0.5)
-    with Workers(1) as workers:
-        judged(workers, population(), numbers, np.zeros(1), lambda: done.append(True))
+    with ProcessPool(1) as pool:
+        judged(pool, population(), numbers, np.zeros(1), lambda: done.append(True))
     assert len(done) == assembly.chunks(9)
 
 

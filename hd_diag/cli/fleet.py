@@ -197,8 +197,8 @@ def _run(
     with Journal(path, options["fresh"]) as journal:
         try:
             with _watched() as (tell, tick):
-                with _crew(options) as crew:
-                    rows = diagnose_fleet(chosen, crew, journal, tell, tick, options["bag_timeout"])
+                with _pool(options) as pool:
+                    rows = diagnose_fleet(chosen, pool, journal, tell, tick, options["bag_timeout"])
                 return rows, trends(series_of(rows, limits), tick)
         except KeyboardInterrupt:
             text = f"{len(journal.results)} results are in {path}; the same command goes on"
@@ -227,18 +227,18 @@ def _watched() -> Iterator[tuple[Progress, Callable[[], None]]]:
         yield tell, tick
 
 
-def _crew(options: dict[str, Any]) -> Any:
+def _pool(options: dict[str, Any]) -> Any:
     if options["scheduler"]:
-        from hd_diag.fleet.cluster import ClusterCrew
+        from hd_diag.fleet.cluster import ClusterPool
 
-        return ClusterCrew(options["scheduler"])
-    from hd_diag.fleet.work import LocalCrew
+        return ClusterPool(options["scheduler"])
+    from hd_diag.process_pool import ProcessPool
 
     jobs = options["jobs"] or cores()
     if options["memory"]:
-        return LocalCrew(jobs, int(options["memory"] * 2**30))
+        return ProcessPool(jobs, int(options["memory"] * 2**30))
     machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    return LocalCrew(jobs, int(_MEMORY_SHARE * machine / jobs))
+    return ProcessPool(jobs, int(_MEMORY_SHARE * machine / jobs))
 
 
 def _write(rows: list[Row], trends: list[Trend], options: dict[str, Any]) -> None:

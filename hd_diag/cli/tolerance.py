@@ -31,6 +31,7 @@ from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.formatting import json_ready
 from hd_diag.model.threads import cores
 from hd_diag.model.torsion_map import ARCSEC
+from hd_diag.process_pool import ProcessPool
 from hd_diag.tolerance.assembly import ANGLES, FACTORS, WITHIN
 from hd_diag.tolerance.criteria import CRITERIA
 from hd_diag.tolerance.limit import (
@@ -45,7 +46,6 @@ from hd_diag.tolerance.limit import (
 from hd_diag.tolerance.settings import settings
 from hd_diag.tolerance.study import Progress as Steps
 from hd_diag.tolerance.study import Question, Study, study
-from hd_diag.tolerance.workers import Workers
 
 _UM = 1e-6
 _FIGURES = (".png", ".svg", ".pdf")
@@ -144,8 +144,8 @@ def tolerance(
     chosen = chosen_joint(config, joint)
     try:
         question = _question(config, chosen, torques, options)
-        with _bars() as progress, Workers(jobs or cores()) as workers:
-            found = study(question, workers, progress)
+        with _bars() as progress, ProcessPool(jobs or cores()) as pool:
+            found = study(question, pool, progress)
     except ValueError as error:
         raise Problem(f"{chosen.name}: {error}") from error
     if json_file:

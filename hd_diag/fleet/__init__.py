@@ -2,5 +2,5 @@
 
 A run goes through four steps: `survey` reads which joints each bag holds, `rows` judges one joint of one bag
 (the same functions as ``hd-diag diagnose``), `store` keeps each result as it comes, `trend` looks at the rows
-over time. `work` does the first two in parallel, on this machine or, with `cluster`, on many.
+over time. The first two run in parallel, on this machine (`process_pool`) or on many (`cluster`).
 """

@@ -9,14 +9,14 @@ from collections.abc import Callable
 from typing import Any
 
 from hd_diag.fleet.errors import FleetError
-from hd_diag.fleet.work import Failure, Lost, guarded
+from hd_diag.process_pool import Failure, Lost, guarded
 
 _CONNECT = 10.0  # patience with the scheduler [s]
 _GATHER = 10.0  # with a result [s]
 _WORKERS = 60.0  # with a cluster that has no worker [s]
 
 
-class ClusterCrew:
+class ClusterPool:
     """The worker processes of a Dask scheduler, whichever are there at a time; each does one task at a time.
 
     A task is pinned to its worker, so that a death is the doing of one task only, and counted here.
@@ -124,7 +124,7 @@ class ClusterCrew:
     def _gone(self) -> FleetError:
         return FleetError(f"the scheduler at {self._address} is gone")
 
-    def __enter__(self) -> ClusterCrew:
+    def __enter__(self) -> ClusterPool:
         return self
 
     def __exit__(self, *reason: object) -> None:

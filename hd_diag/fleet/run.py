@@ -16,14 +16,14 @@ from hd_diag.fleet.errors import FleetError
 from hd_diag.fleet.rows import Row, Task, judge, tasks
 from hd_diag.fleet.store import Journal
 from hd_diag.fleet.survey import Survey, survey
-from hd_diag.fleet.work import Crew, Failure, run
+from hd_diag.process_pool import Failure, Pool, run
 from hd_diag.replay.versions import running
 
 Progress = Callable[[str, int, int, int], None]
 """Told the stage, how much of it is done, how much it has, and how many tasks are done."""
 
-_Outcomes = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[tuple[Any, Any]]]
-"""`hd_diag.fleet.work.run` of a function and items."""
+_Outcomes = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[tuple[int, Any]]]
+"""`hd_diag.process_pool.run` of a function and items."""
 
 _NAMES_SHOWN = 8
 
@@ -59,7 +59,7 @@ class Fleet:
 
 def diagnose_fleet(
     fleet: Fleet,
-    crew: Crew,
+    pool: Pool,
     journal: Journal,
     progress: Progress = lambda stage, done, total, tasks: None,
     tick: Callable[[], None] = lambda: None,
@@ -70,11 +70,11 @@ def diagnose_fleet(
     Parameters
     ----------
     fleet : Fleet
-    crew : Crew
+    pool : Pool
     journal : Journal
         What it holds is not done again; every result goes into it as it comes.
     progress, tick : callable
-        See `Progress` and `hd_diag.fleet.work.run`.
+        See `Progress` and `hd_diag.process_pool.run`.
     timeout : float
         For looking at a bag, and for judging each of its joints [s]; 0 = none.
 
@@ -89,7 +89,7 @@ def diagnose_fleet(
         Where workers are gone, have another version, or the journal cannot be written.
     """
     robots = [fleet.robot_of(bag) for bag in fleet.bags]
-    outcomes = functools.partial(run, crew, tick=tick, timeout=timeout)
+    outcomes = functools.partial(run, pool, tick=tick, timeout=timeout)
     seen = _surveys(fleet, outcomes, progress)
     wanted = [tasks(one, fleet.config, fleet.joints) for one in seen]
     todo = {task.key: task for own in wanted for task in own if task.key not in journal.results}
@@ -107,7 +107,8 @@ def _surveys(fleet: Fleet, outcomes: _Outcomes, progress: Progress) -> list[Surv
     paths = [os.path.abspath(bag) for bag in fleet.bags]  # a worker may be in another folder
     found: dict[str, Survey] = {}
     progress("reading", 0, len(paths), 0)
-    for path, outcome in outcomes(survey, paths):
+    for number, outcome in outcomes(survey, paths):
+        path = paths[number]
         found[path] = Survey(path, error=outcome.text) if isinstance(outcome, Failure) else outcome
         _check_version(found[path])
         progress("reading", len(found), len(paths), len(found))
@@ -126,7 +127,8 @@ def _judge(todo: list[Task], outcomes: _Outcomes, journal: Journal, progress: Pr
     todo.sort(key=lambda task: -task.messages)  # the long ones first, or the last would keep all waiting
     total, samples = sum(task.messages for task in todo), 0
     progress("diagnosing", 0, total, 0)
-    for number, (task, outcome) in enumerate(outcomes(judge, todo), start=1):
+    for done, (number, outcome) in enumerate(outcomes(judge, todo), start=1):
+        task = todo[number]
         if isinstance(outcome, Failure):
             failed[task.key] = {
                 "joint": task.joint.name,
@@ -136,7 +138,7 @@ def _judge(todo: list[Task], outcomes: _Outcomes, journal: Journal, progress: Pr
         else:
             journal.add(task.key, outcome)
         samples += task.messages
-        progress("diagnosing", samples, total, number)
+        progress("diagnosing", samples, total, done)
     return failed
 
 

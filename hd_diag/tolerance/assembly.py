@@ -15,10 +15,10 @@ from scipy import stats
 
 from hd_diag.arrays import Floats
 from hd_diag.drive import Drive
+from hd_diag.process_pool import ProcessPool
 from hd_diag.tolerance.criteria import over_turn, reference_stiffness
 from hd_diag.tolerance.moments import Moments, evaluate
 from hd_diag.tolerance.settings import Spread
-from hd_diag.tolerance.workers import Workers
 
 FACTORS = (
     "eccentricity",
@@ -212,7 +212,7 @@ def worst(population: Population, assembly: Assembly, tolerances: Floats) -> Flo
 
 
 def judged(
-    workers: Workers,
+    pool: ProcessPool,
     population: Population,
     numbers: Floats,
     tolerances: Floats,
@@ -222,7 +222,7 @@ def judged(
 
     Parameters
     ----------
-    workers : Workers
+    pool : ProcessPool
     population : Population
     numbers : ndarray, shape (samples, 8)
         Between 0 and 1; see :func:`draw`.
@@ -236,7 +236,7 @@ def judged(
     ndarray, shape (samples, 6, t)
     """
     tasks = [(population, numbers[i : i + _CHUNK], tolerances) for i in range(0, len(numbers), _CHUNK)]
-    return np.concatenate(workers.map(_judged, tasks, done))
+    return np.concatenate(pool.map(_judged, tasks, done))
 
 
 def chunks(samples: int) -> int:

@@ -9,13 +9,14 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.drive import Drive
+from hd_diag.process_pool import ProcessPool
 from hd_diag.tolerance import assembly, sensitivity
 from hd_diag.tolerance.assembly import FACTORS, Population, Share
 from hd_diag.tolerance.criteria import NAMES, cup_torques
 from hd_diag.tolerance.limit import Limit, across_long_axis, check_largest, first_excess
+from hd_diag.tolerance.moments import warm_up
 from hd_diag.tolerance.sensitivity import Indices
 from hd_diag.tolerance.settings import Spread
-from hd_diag.tolerance.workers import Workers
 
 Progress = Callable[[str, int], Callable[[], None]]
 """Told what comes and of how many steps; gives what is called after each step."""
@@ -137,13 +138,13 @@ class Study:
         return min(reached, key=lambda limit: limit.eccentricity, default=None)
 
 
-def study(question: Question, workers: Workers, progress: Progress) -> Study:
+def study(question: Question, pool: ProcessPool, progress: Progress) -> Study:
     """Answer a question.
 
     Parameters
     ----------
     question : Question
-    workers : Workers
+    pool : ProcessPool
     progress : callable
 
     Returns
@@ -155,24 +156,25 @@ def study(question: Question, workers: Workers, progress: Progress) -> Study:
     ValueError
         If the teeth cannot bear a torque, or a drawn assembly cannot be assembled.
     """
+    warm_up()  # here first: other processes then read the kernels from the disk
     population = Population(question.drive, question.spreads, question.cup_torque)
     if question.samples or question.sensitivity_samples:
         assembly.check(population, float(_tolerances(question, population)[-1]))
-    interference, limits = _limits(question, workers, progress)
-    assemblies = _yield(question, population, workers, progress) if question.samples else None
-    indices = _sensitivity(question, population, workers, progress) if question.sensitivity_samples else None
+    interference, limits = _limits(question, pool, progress)
+    assemblies = _yield(question, population, pool, progress) if question.samples else None
+    indices = _sensitivity(question, population, pool, progress) if question.sensitivity_samples else None
     return Study(question, interference, limits, assemblies, indices)
 
 
 def _limits(
-    question: Question, workers: Workers, progress: Progress
+    question: Question, pool: ProcessPool, progress: Progress
 ) -> tuple[Interference, list[list[Limit]]]:
     torques = question.cup_torque
     free = [("interference", 0.0), ("overlap", _ALL_TEETH)]
     asked = [(torques[0], *one) for one in free]
     asked += [(torque, name, question.limits[name]) for torque in torques for name in NAMES]
     tasks = [(question.drive, *one, question.largest) for one in asked]
-    found = workers.map(_first_excess, tasks, progress("limits", len(tasks)))
+    found = pool.map(_first_excess, tasks, progress("limits", len(tasks)))
     rows = [found[k : k + len(NAMES)] for k in range(len(free), len(found), len(NAMES))]
     return Interference(*across_long_axis(question.drive, question.largest), *found[: len(free)]), rows
 
@@ -186,22 +188,24 @@ def _tolerances(question: Question, population: Population) -> Floats:
     return np.linspace(0.0, 2.0 * population.tolerance or question.largest, TOLERANCES)
 
 
-def _yield(question: Question, population: Population, workers: Workers, progress: Progress) -> Yield:
+def _yield(question: Question, population: Population, pool: ProcessPool, progress: Progress) -> Yield:
     tolerances = _tolerances(question, population)
     numbers = np.random.default_rng(question.seed).random((question.samples, len(FACTORS)))
     done = progress("assemblies", assembly.chunks(question.samples))
-    values = assembly.judged(workers, population, numbers, tolerances, done)
+    values = assembly.judged(pool, population, numbers, tolerances, done)
     together, each = assembly.yields(values, np.array([question.limits[name] for name in NAMES]))
     at_target = assembly.tolerance_at(together, tolerances, question.target)
     return Yield(tolerances, population.tolerance, together, each, at_target)
 
 
-def _sensitivity(question: Question, population: Population, workers: Workers, progress: Progress) -> Indices:
+def _sensitivity(
+    question: Question, population: Population, pool: ProcessPool, progress: Progress
+) -> Indices:
     samples, factors = question.sensitivity_samples, len(FACTORS)
     done = progress("sensitivity", assembly.chunks(sensitivity.evaluations(samples, factors)))
     configured = np.array([population.tolerance])
 
     def model(numbers: Floats) -> Floats:
-        return assembly.judged(workers, population, numbers, configured, done)[:, :, 0]
+        return assembly.judged(pool, population, numbers, configured, done)[:, :, 0]
 
     return sensitivity.indices(model, factors, samples, question.seed)

@@ -1,4 +1,4 @@
-"""Tasks done by workers that may die: each has one task, and a task whose worker died is done again."""
+"""Many tasks on several processes, of one thread each; a process that dies or hangs costs only its task."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 ATTEMPTS = 3
-"""Workers that a task may cost."""
+"""How often a task is tried whose worker dies."""
 
-_PATIENCE = 0.2  # between looks at the caller's wishes [s]
+_PATIENCE = 0.2  # between calls of `tick` [s]
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -41,7 +41,7 @@ class Lost:
     text: str
 
 
-class Crew(Protocol):
+class Pool(Protocol):
     """Workers, each of which does one task at a time."""
 
     @property
@@ -52,64 +52,64 @@ class Crew(Protocol):
         """Workers that can take a task."""
 
     def send(self, worker: Any, number: int, function: Callable[[Any], Any], item: Any) -> None:
-        """Have a worker do a task; the number tells which it was when it is done."""
+        """Give a worker a task, known by its number."""
 
     def done(self, patience: float) -> list[tuple[int, Any]]:
         """Numbers and outcomes (result, `Failure` or `Lost`) of tasks that have ended; waits at most [s]."""
 
 
 def run(
-    crew: Crew,
+    pool: Pool,
     function: Callable[[Item], Result],
     items: Sequence[Item],
     tick: Callable[[], None] = lambda: None,
     timeout: float = 0.0,
-) -> Iterator[tuple[Item, Result | Failure]]:
-    """Outcomes of a function of many items, as they come.
+) -> Iterator[tuple[int, Result | Failure]]:
+    """Call a function with many items, and give the outcomes as they come.
 
     Parameters
     ----------
-    crew : Crew
+    pool : Pool
     function : callable
         Of a module that workers can import; what it raises becomes a `Failure`.
     items : sequence
-        Begun in this order.
+        Started in this order.
     tick : callable
         Called several times a second; what it raises ends the run.
     timeout : float
-        That an item may take [s]; 0 = any. One that takes longer ends its worker and is a `Failure`.
+        Time that an item may take [s]; 0 = any. A worker that takes longer is killed: a `Failure`.
 
     Yields
     ------
     tuple
-        Item and result. Each item comes exactly once: one whose worker died is tried again, `ATTEMPTS`
-        times in all, then it is a `Failure`.
+        Index of an item, and its result. Each index comes exactly once: an item whose worker died is tried
+        `ATTEMPTS` times, then it is a `Failure`.
     """
-    waiting = deque(enumerate(items))
-    died, begun = [0] * len(items), [0.0] * len(items)
+    waiting = deque(range(len(items)))
+    deaths, started = [0] * len(items), [0.0] * len(items)
     timed = functools.partial(_timed, function, timeout)
-    while waiting or crew.busy:
+    while waiting or pool.busy:
         tick()
-        for worker in crew.idle() if waiting else ():
+        for worker in pool.idle() if waiting else ():
             if waiting:
-                number, item = waiting.popleft()
-                begun[number] = time.monotonic()
-                crew.send(worker, number, timed, item)
-        for number, outcome in crew.done(_PATIENCE):
+                number = waiting.popleft()
+                started[number] = time.monotonic()
+                pool.send(worker, number, timed, items[number])
+        for number, outcome in pool.done(_PATIENCE):
             if isinstance(outcome, Lost):
-                died[number] += 1
-                if 0.0 < timeout <= time.monotonic() - begun[number]:
+                deaths[number] += 1
+                if 0.0 < timeout <= time.monotonic() - started[number]:
                     outcome = Failure(f"took longer than {timeout:g} s")
-                elif died[number] == ATTEMPTS:
+                elif deaths[number] == ATTEMPTS:
                     outcome = Failure(f"its worker died in each of {ATTEMPTS} attempts: {outcome.text}")
                 else:
-                    waiting.appendleft((number, items[number]))
+                    waiting.appendleft(number)
                     continue
-            yield items[number], outcome
+            yield number, outcome
 
 
 def _timed(function: Callable[[Any], Any], timeout: float, item: Any) -> Any:
-    """The function's result; the system ends the process where it takes longer [s], whatever it hangs in."""
+    """The function's result; the system ends the process where it takes longer [s], wherever it hangs."""
     signal.setitimer(signal.ITIMER_REAL, timeout)
     try:
         return function(item)
@@ -118,7 +118,7 @@ def _timed(function: Callable[[Any], Any], timeout: float, item: Any) -> Any:
 
 
 def guarded(function: Callable[[Any], Any], item: Any) -> Any:
-    """The function's result, or what it raised as a `Failure`: not every exception can be sent."""
+    """The function's result, or a `Failure` for what it raised: not every exception can be pickled."""
     try:
         return function(item)
     except MemoryError:
@@ -127,27 +127,57 @@ def guarded(function: Callable[[Any], Any], item: Any) -> Any:
         return Failure(f"{type(error).__name__}: {error}")
 
 
-class LocalCrew:
-    """Processes of this machine; the death of one costs only its own task.
+class ProcessPool:
+    """Processes of this machine; the death of one costs only its own task. They start with their first task.
 
     Parameters
     ----------
     jobs : int
         Number of processes.
     memory : int
-        That each may have [byte]; 0 = any.
+        Memory that each may have [byte]; 0 = any.
     """
 
     def __init__(self, jobs: int, memory: int = 0) -> None:
-        self._context = multiprocessing.get_context("spawn")  # a fork would copy threads in any state
+        self._context = multiprocessing.get_context("spawn")  # a fork would copy locks that threads hold
         self._memory = memory
         self._before = set(multiprocessing.active_children())
         self._lanes = [self._lane() for _ in range(jobs)]
         self._at_work: dict[Future[Any], tuple[int, int]] = {}
 
     def _lane(self) -> ProcessPoolExecutor:
-        # One process in each pool: a pool of several fails as a whole and does not tell which task killed it.
+        # One process in each: an executor of several fails as a whole and does not say which task killed it.
         return ProcessPoolExecutor(1, self._context, _begin, (self._memory,))
+
+    def map(
+        self,
+        function: Callable[[Item], Result],
+        items: Sequence[Item],
+        done: Callable[[], None] = lambda: None,
+    ) -> list[Result]:
+        """Results in the order of the items; with one job the function is called in this process.
+
+        Parameters
+        ----------
+        function : callable
+            Of a module that workers can import.
+        items : sequence
+        done : callable
+            Called after each item.
+
+        Raises
+        ------
+        RuntimeError
+            Where an item gave no result in another process.
+        """
+        if len(self._lanes) == 1:
+            return [_then(done, function(item)) for item in items]
+        found: dict[int, Result] = {}
+        for number, outcome in run(self, function, items):
+            if isinstance(outcome, Failure):
+                raise RuntimeError(outcome.text)
+            found[number] = _then(done, outcome)
+        return [found[number] for number in range(len(items))]
 
     @property
     def busy(self) -> int:
@@ -160,7 +190,7 @@ class LocalCrew:
         return [lane for lane in range(len(self._lanes)) if lane not in taken]
 
     def send(self, worker: int, number: int, function: Callable[[Any], Any], item: Any) -> None:
-        """Have a lane do a task."""
+        """Give a lane a task."""
         with _one_thread():
             try:
                 future = self._lanes[worker].submit(guarded, function, item)
@@ -183,7 +213,7 @@ class LocalCrew:
                 outcomes.append((number, future.result() if error is None else Failure(str(error))))
         return outcomes
 
-    def __enter__(self) -> LocalCrew:
+    def __enter__(self) -> ProcessPool:
         return self
 
     def __exit__(self, kind: object, *reason: object) -> None:
@@ -194,9 +224,14 @@ class LocalCrew:
                 process.terminate()
 
 
+def _then(done: Callable[[], None], result: Result) -> Result:
+    done()
+    return result
+
+
 @contextlib.contextmanager
 def _one_thread() -> Iterator[None]:
-    """Processes that begin in here compute on one thread each: the crew has one for every core."""
+    """Processes that start in here compute on one thread each: the pool has a process for every core."""
     before = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     try:
@@ -210,14 +245,14 @@ def _one_thread() -> Iterator[None]:
 
 
 def _begin(memory: int) -> None:
-    """Set up a process: Ctrl-C is the parent's to handle, and a parent that was killed is followed."""
+    """Set up a process: Ctrl-C is left to the parent, and the process ends when its parent ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_follow, daemon=True).start()
+    threading.Thread(target=_follow_parent, daemon=True).start()
     if memory:
         resource.setrlimit(resource.RLIMIT_DATA, (memory, resource.getrlimit(resource.RLIMIT_DATA)[1]))
 
 
-def _follow() -> None:
+def _follow_parent() -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

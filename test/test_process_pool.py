@@ -8,41 +8,54 @@ import sys
 from collections import Counter
 from pathlib import Path
 
-import fleet_tasks
+import pool_tasks
 import pytest
 
-from hd_diag.fleet.work import ATTEMPTS, Failure, LocalCrew, run
+from hd_diag.process_pool import ATTEMPTS, Failure, ProcessPool, run
 
 
 @pytest.fixture
 def noted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "calls"
     folder.mkdir()
-    monkeypatch.setenv(fleet_tasks.CALLS, str(folder))
+    monkeypatch.setenv(pool_tasks.CALLS, str(folder))
     return folder
 
 
 def test_every_item_comes_once() -> None:
-    with LocalCrew(2) as crew:
-        results = list(run(crew, fleet_tasks.square, range(20)))
+    with ProcessPool(2) as pool:
+        results = list(run(pool, pool_tasks.square, range(20)))
     assert sorted(results) == [(n, n * n) for n in range(20)]
 
 
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_map_keeps_the_order_and_says_when_an_item_is_done(jobs: int) -> None:
+    done: list[bool] = []
+    with ProcessPool(jobs) as pool:
+        results = pool.map(pool_tasks.slower_first, range(5), lambda: done.append(True))
+    assert (results, len(done)) == ([0, 1, 2, 3, 4], 5)
+
+
+def test_map_raises_what_went_wrong() -> None:
+    with pytest.raises(RuntimeError, match="Unsendable: 3: no"), ProcessPool(2) as pool:
+        pool.map(pool_tasks.faulty, range(5))
+
+
 def test_nothing_to_do_starts_no_process() -> None:
-    before = multiprocessing.active_children()
-    with LocalCrew(2) as crew:
-        assert list(run(crew, fleet_tasks.square, [])) == []
-        assert multiprocessing.active_children() == before
+    before = set(multiprocessing.active_children())
+    with ProcessPool(2) as pool:
+        assert list(run(pool, pool_tasks.square, [])) == []
+        assert not set(multiprocessing.active_children()) - before
 
 
 def test_what_kills_its_worker_fails_alone(noted: Path) -> None:
-    with LocalCrew(2) as crew:
-        results = dict(run(crew, fleet_tasks.deadly_seven, range(12)))
+    with ProcessPool(2) as pool:
+        results = dict(run(pool, pool_tasks.deadly_seven, range(12)))
     assert {n: r for n, r in results.items() if n != 7} == {n: n * n for n in range(12) if n != 7}
     failure = results[7]
     assert isinstance(failure, Failure)
     assert failure.text.startswith(f"its worker died in each of {ATTEMPTS} attempts")
-    begun = Counter(name for name, _ in fleet_tasks.calls(noted))
+    begun = Counter(name for name, _ in pool_tasks.calls(noted))
     assert begun == {str(n): ATTEMPTS if n == 7 else 1 for n in range(12)}
 
 
@@ -50,40 +63,40 @@ def test_a_worker_that_is_killed_loses_nothing(noted: Path) -> None:
     killed: list[int] = []
 
     def tick() -> None:
-        begun = fleet_tasks.calls(noted)
+        begun = pool_tasks.calls(noted)
         if len(begun) >= 3 and not killed:
             killed.append(begun[-1][1])
             os.kill(killed[0], signal.SIGKILL)
 
-    with LocalCrew(2) as crew:
-        results = sorted(run(crew, fleet_tasks.slow_square, range(6), tick))
+    with ProcessPool(2) as pool:
+        results = sorted(run(pool, pool_tasks.slow_square, range(6), tick))
     assert results == [(n, n * n) for n in range(6)]
     assert len(killed) == 1
-    assert len(fleet_tasks.calls(noted)) == 7
+    assert len(pool_tasks.calls(noted)) == 7
 
 
 def test_what_hangs_ends_its_worker_once_and_the_others_go_on(noted: Path) -> None:
     names = ["a", "fifo", "b", "pattern", "c", "d"]
-    with LocalCrew(1) as crew:
-        results = dict(run(crew, fleet_tasks.stuck, names, timeout=1.0))
+    with ProcessPool(1) as pool:
+        results = dict(run(pool, pool_tasks.stuck, names, timeout=1.0))
     late = Failure("took longer than 1 s")
-    assert results == {**{name: name for name in names}, "fifo": late, "pattern": late}
-    begun = fleet_tasks.calls(noted)
+    assert results == {0: "a", 1: late, 2: "b", 3: late, 4: "c", 5: "d"}
+    begun = pool_tasks.calls(noted)
     assert [name for name, _ in begun] == names
     assert len({process for _, process in begun}) == 3
 
 
 def test_time_is_that_of_each_item(noted: Path) -> None:
     """Not of the worker, and none goes on after its item."""
-    with LocalCrew(1) as crew:
-        results = list(run(crew, fleet_tasks.slow_square, range(8), timeout=3.0))
+    with ProcessPool(1) as pool:
+        results = list(run(pool, pool_tasks.slow_square, range(8), timeout=3.0))
     assert results == [(n, n * n) for n in range(8)]
-    assert len({process for _, process in fleet_tasks.calls(noted)}) == 1
+    assert len({process for _, process in pool_tasks.calls(noted)}) == 1
 
 
 def test_what_raises_is_a_failure_even_where_it_cannot_be_sent() -> None:
-    with LocalCrew(1) as crew:
-        results = dict(run(crew, fleet_tasks.faulty, range(5)))
+    with ProcessPool(1) as pool:
+        results = dict(run(pool, pool_tasks.faulty, range(5)))
     assert results == {0: 0, 1: 1, 2: 2, 3: Failure("Unsendable: 3: no"), 4: 4}
 
 
@@ -91,42 +104,40 @@ def test_a_worker_has_one_thread_and_this_process_what_it_had(monkeypatch: pytes
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
     names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-    with LocalCrew(1) as crew:
-        assert dict(run(crew, fleet_tasks.setting, names)) == dict.fromkeys(names, "1")
+    with ProcessPool(1) as pool:
+        assert dict(run(pool, pool_tasks.setting, names)) == {0: "1", 1: "1"}
     assert [os.environ.get(name) for name in names] == ["7", None]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of data are Linux's")
 def test_memory_beyond_the_bound_is_a_failure_and_the_next_task_goes_on() -> None:
     bound = 1 << 30
-    with LocalCrew(1, bound) as crew:
-        results = dict(run(crew, fleet_tasks.greedy, [1 << 20, 2 * bound, 1 << 21]))
-    assert results[1 << 20] == 1 << 17
-    assert results[2 * bound] == Failure("needs more memory than a worker may have")
-    assert results[1 << 21] == 1 << 18
+    with ProcessPool(1, bound) as pool:
+        results = dict(run(pool, pool_tasks.greedy, [1 << 20, 2 * bound, 1 << 21]))
+    assert results == {0: 1 << 20, 1: Failure("needs more memory than a worker may have"), 2: 1 << 21}
 
 
 def test_an_interruption_ends_the_processes(noted: Path) -> None:
     before = set(multiprocessing.active_children())
 
     def tick() -> None:
-        if len(fleet_tasks.calls(noted)) >= 2:
+        if len(pool_tasks.calls(noted)) >= 2:
             raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt), LocalCrew(2) as crew:
-        list(run(crew, fleet_tasks.slow_square, range(50), tick))
-    fleet_tasks.wait_for(lambda: set(multiprocessing.active_children()) == before)
+    with pytest.raises(KeyboardInterrupt), ProcessPool(2) as pool:
+        list(run(pool, pool_tasks.slow_square, range(50), tick))
+    pool_tasks.wait_for(lambda: set(multiprocessing.active_children()) == before)
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks at processes as Linux shows them")
 def test_workers_of_a_killed_parent_end(noted: Path) -> None:
     code = (
-        "import fleet_tasks; from hd_diag.fleet.work import LocalCrew, run\n"
-        "with LocalCrew(1) as crew: list(run(crew, fleet_tasks.slow_square, range(1000)))"
+        "import pool_tasks; from hd_diag.process_pool import ProcessPool, run\n"
+        "with ProcessPool(1) as pool: list(run(pool, pool_tasks.slow_square, range(1000)))"
     )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     with subprocess.Popen([sys.executable, "-c", code], env=environment) as parent:
-        fleet_tasks.wait_for(lambda: fleet_tasks.calls(noted))
+        pool_tasks.wait_for(lambda: pool_tasks.calls(noted))
         parent.kill()
-    worker = fleet_tasks.calls(noted)[0][1]
-    fleet_tasks.wait_for(lambda: not fleet_tasks.alive(worker))
+    worker = pool_tasks.calls(noted)[0][1]
+    pool_tasks.wait_for(lambda: not pool_tasks.alive(worker))
