@@ -8,13 +8,13 @@ from typing import Any
 import click
 
 from hd_diag.cli import cli
-
-VERBS = sorted(cli.commands.items())
+from hd_diag.cli.verbs import VERBS
 
 
 def content(folder: Path) -> dict[str, Any]:
     """What command_line.md is filled with."""
-    return {"about": cli.help or "", "verbs": [_verb(name, command) for name, command in VERBS]}
+    context = click.Context(cli)
+    return {"about": cli.help or "", "verbs": [_verb(name, cli.get_command(context, name)) for name in VERBS]}
 
 
 def _verb(name: str, command: click.Command) -> dict[str, Any]:

@@ -11,18 +11,14 @@ import click
 from hd_diag.bag import BagError
 from hd_diag.bag.mcap_chunk import DamagedChunk
 from hd_diag.bag.recover import recover as recover_bag
-from hd_diag.cli.options import JSON, Problem, check_target, problems, tell, write_json
+from hd_diag.cli.options import JSON, Problem, check_target, tell, verb, write_json
 from hd_diag.cli.progress import interrupted, working
 from hd_diag.config.configuration import load
 from hd_diag.replay.replay import Replay
 from hd_diag.replay.replay import replay as replay_bag
 
 
-@click.command(
-    context_settings={"help_option_names": ["-h", "--help"]},
-    short_help="Run the model over a bag: the outputs that the node would give.",
-    epilog="Example: hd-diag replay log --out again.mcap",
-)
+@verb("replay log --out again.mcap")
 @click.argument("bag", type=click.Path(path_type=Path))
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="*.mcap or a rosbag2 folder.")
 @click.option(
@@ -39,7 +35,6 @@ from hd_diag.replay.replay import replay as replay_bag
 )
 @click.option("--overwrite", is_flag=True, help="Replace the output where it exists.")
 @JSON
-@problems
 def replay(
     bag: Path,
     out: Path,
@@ -118,16 +113,11 @@ def _tell_replay(result: Replay, out: Path, took: float) -> None:
             tell(f"{joint}: {result.rejected[joint]} rejected{last}; {gaps}")
 
 
-@click.command(
-    context_settings={"help_option_names": ["-h", "--help"]},
-    short_help="Save what a crash left of a bag.",
-    epilog="Example: hd-diag recover torn.mcap --out whole.mcap",
-)
+@verb("recover torn.mcap --out whole.mcap")
 @click.argument("bag", type=click.Path(path_type=Path))
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="*.mcap or a rosbag2 folder.")
 @click.option("--overwrite", is_flag=True, help="Replace the output where it exists.")
 @JSON
-@problems
 def recover(bag: Path, out: Path, overwrite: bool, json_file: str | None) -> None:
     """Save what can be saved of a bag that a crash left unfinished.
 

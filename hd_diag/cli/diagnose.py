@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from hd_diag.cli.options import CONFIG, JOINTS, JSON, chosen_joints, configured, problems
+from hd_diag.cli.options import CONFIG, JOINTS, JSON, chosen_joints, configured, verb
 from hd_diag.cli.record import (
     BAGS,
     COLUMNS,
@@ -25,11 +25,7 @@ from hd_diag.config.model_file import write
 from hd_diag.diagnosis.record import RecordError
 
 
-@click.command(
-    context_settings={"help_option_names": ["-h", "--help"]},
-    short_help="What the simulation gets wrong, the physical cause, the gain.",
-    epilog="Example: hd-diag diagnose joint.mcap --config arm.yaml --report joint.html",
-)
+@verb("diagnose joint.mcap --config arm.yaml --report joint.html")
 @BAGS
 @CONFIG
 @JOINTS
@@ -52,7 +48,6 @@ from hd_diag.diagnosis.record import RecordError
     help="Draw it all on one HTML page here.",
 )
 @JSON
-@problems
 def diagnose(
     bags: tuple[Path, ...],
     config_file: str | None,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hd_diag.cli.options import CONFIG, Problem, configured, problems
+from hd_diag.cli.options import CONFIG, Problem, configured, verb
 
 if TYPE_CHECKING:  # slow to import: only where figures are drawn
     from matplotlib.figure import Figure
@@ -19,11 +19,7 @@ _RESOLUTION = 200.0  # of PNG files [dots per inch]
 _CAPTIONS = "figures.md"
 
 
-@click.command(
-    context_settings={"help_option_names": ["-h", "--help"]},
-    short_help="The model's counterparts of the paper's Figs. 5 to 7.",
-    epilog="Example: hd-diag figures --out figures --format png",
-)
+@verb("figures --out figures --format png")
 @click.option(
     "--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Folder for the files."
 )
@@ -36,7 +32,6 @@ _CAPTIONS = "figures.md"
     show_default=True,
     help="Of the figures.",
 )
-@problems
 def figures(out: Path, config_file: str | None, kind: str) -> None:
     """Draw the model's counterparts of the paper's Figs. 5, 6 and 7.
 

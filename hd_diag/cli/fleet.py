@@ -17,17 +17,17 @@ from rich.console import Console
 
 from hd_diag.cli.options import (
     CONFIG,
-    INTERRUPTED,
     JOINTS,
     JSON,
     Problem,
     check_target,
     chosen_joints,
     configured,
-    problems,
+    verb,
     write_json,
 )
 from hd_diag.cli.progress import bar, interrupts
+from hd_diag.cli.verbs import INTERRUPTED
 from hd_diag.config.configuration import JointConfig
 from hd_diag.fleet.errors import FleetError
 from hd_diag.model.threads import cores
@@ -43,11 +43,7 @@ _BAG_TIMEOUT = 1800.0  # [s]
 _ERRORS_SHOWN = 20
 
 
-@click.command(
-    context_settings={"help_option_names": ["-h", "--help"]},
-    short_help="Diagnose every joint of many bags; what changes over time.",
-    epilog="Example: hd-diag fleet bags/ --config arm.yaml --out arm.parquet",
-)
+@verb("fleet bags/ --config arm.yaml --out arm.parquet")
 @click.argument(
     "bags", metavar="BAGS_OR_FOLDERS...", nargs=-1, required=True, type=click.Path(path_type=Path)
 )
@@ -100,7 +96,6 @@ _ERRORS_SHOWN = 20
 )
 @click.option("--fail-on-change", is_flag=True, help="Exit with 1 where something steps or drifts.")
 @JSON
-@problems
 def fleet(bags: tuple[Path, ...], config_file: str | None, names: tuple[str, ...], **options: Any) -> None:
     """Diagnose every joint of every bag, in parallel, and tell what changes over time.
 

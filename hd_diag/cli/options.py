@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import json
 import os
-import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -19,13 +18,6 @@ from hd_diag.demo.process import DemoError
 from hd_diag.formatting import json_ready, visible
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
-
-SIGNALLED = 128
-"""Plus the number of a signal: exit code of what it has ended, as shells have it."""
-
-INTERRUPTED = SIGNALLED + signal.SIGINT
-"""Exit code after Ctrl-C."""
-
 
 _LONGEST_LINE = 2000
 
@@ -49,17 +41,28 @@ def tell(line: str, *, err: bool = False) -> None:
     click.echo(visible(line, _LONGEST_LINE), err=err)
 
 
-def problems(command: Callable[..., Any]) -> Callable[..., Any]:
-    """The command, with input that cannot be used told in one line."""
+def verb(example: str, **settings: Any) -> Callable[[Callable[..., Any]], click.Command]:
+    """A function as a verb: its help with an example of a call, and bad input told in one line.
 
-    @functools.wraps(command)
-    def run(*args: Any, **kwargs: Any) -> Any:
-        try:
-            return command(*args, **kwargs)
-        except (ConfigError, BagError, DemoError) as error:
-            raise Problem(str(error)) from error
+    Parameters
+    ----------
+    example : str
+        What follows ``hd-diag``.
+    **settings
+        Of click's context.
+    """
 
-    return run
+    def made(function: Callable[..., Any]) -> click.Command:
+        @functools.wraps(function)
+        def run(*args: Any, **kwargs: Any) -> Any:
+            try:
+                return function(*args, **kwargs)
+            except (ConfigError, BagError, DemoError) as error:
+                raise Problem(str(error)) from error
+
+        return click.command(epilog=f"Example: hd-diag {example}", context_settings=settings)(run)
+
+    return made
 
 
 CONFIG = click.option(

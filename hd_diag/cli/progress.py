@@ -16,7 +16,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from hd_diag.bag import BagReader
-from hd_diag.cli.options import INTERRUPTED, tell
+from hd_diag.cli.options import tell
+from hd_diag.cli.verbs import INTERRUPTED
 
 Advance = Callable[[float, float], None]
 """Takes what is done, and what there is in all."""

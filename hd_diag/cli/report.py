@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hd_diag.cli.options import CONFIG, JOINTS, JSON, Problem, chosen_joints, configured, problems
+from hd_diag.cli.options import CONFIG, JOINTS, JSON, Problem, chosen_joints, configured, verb
 from hd_diag.cli.record import (
     BAGS,
     COLUMNS,
@@ -29,11 +29,7 @@ if TYPE_CHECKING:  # scipy and matplotlib are slow to import: only where they ar
     from hd_diag.report.facts import JointReport
 
 
-@click.command(
-    context_settings={"help_option_names": ["-h", "--help"]},
-    short_help="A bag on one HTML page: verdict, what to inspect, pictures.",
-    epilog="Example: hd-diag report joint.mcap --config arm.yaml --out joint.html",
-)
+@verb("report joint.mcap --config arm.yaml --out joint.html")
 @BAGS
 @CONFIG
 @JOINTS
@@ -45,7 +41,6 @@ if TYPE_CHECKING:  # scipy and matplotlib are slow to import: only where they ar
     help="Write the page here. [default: the first bag's name with .html]",
 )
 @JSON
-@problems
 def report(
     bags: tuple[Path, ...],
     config_file: str | None,

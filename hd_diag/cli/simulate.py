@@ -10,7 +10,7 @@ from typing import Any
 import click
 import numpy as np
 
-from hd_diag.cli.options import JOINTS, Problem, json_option, problems, tell, write_json
+from hd_diag.cli.options import JOINTS, Problem, json_option, tell, verb, write_json
 from hd_diag.cli.progress import interrupted, working
 from hd_diag.config.configuration import JOINT_PARAMETERS, Config, ConfigError, load, resolve
 from hd_diag.config.parameter_file import parse_value
@@ -31,11 +31,7 @@ _SHORT = {
 }
 
 
-@click.command(
-    context_settings={"help_option_names": ["-h", "--help"]},
-    short_help="Write a bag of a simulated joint.",
-    epilog="Example: hd-diag simulate --out joint.mcap --eccentricity-um 18",
-)
+@verb("simulate --out joint.mcap --eccentricity-um 18")
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="*.mcap or a rosbag2 folder.")
 @click.option(
     "--config",
@@ -98,7 +94,6 @@ _SHORT = {
 @click.option("--temperature", is_flag=True, help="Write /<joint>/temperature at 1 Hz too.")
 @click.option("--overwrite", is_flag=True, help="Replace a bag that exists.")
 @json_option("the true values")
-@problems
 def simulate(
     out: Path, file: Path | None, names: tuple[str, ...], json_file: str | None, **options: Any
 ) -> None:

@@ -24,7 +24,7 @@ from hd_diag.cli.options import (
     check_target,
     chosen_joint,
     configured,
-    problems,
+    verb,
     write_json,
 )
 from hd_diag.config.configuration import Config, JointConfig
@@ -61,11 +61,7 @@ _LIMITS = {
 _SHARE = click.FloatRange(0.0, 1.0)
 
 
-@click.command(
-    context_settings={"help_option_names": ["-h", "--help"]},
-    short_help="Say what eccentricity an assembly may have.",
-    epilog="Example: hd-diag tolerance --config arm.yaml --joint elbow --te-arcsec 20",
-)
+@verb("tolerance --config arm.yaml --joint elbow --te-arcsec 20")
 @CONFIG
 @JOINT
 @click.option(
@@ -122,7 +118,6 @@ _SHARE = click.FloatRange(0.0, 1.0)
     type=click.Path(dir_okay=False, path_type=Path),
     help="Draw the result: *.png, *.svg or *.pdf.",
 )
-@problems
 def tolerance(
     config_file: str | None,
     joint: str | None,

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, TextIO
 
 import click
 
-from hd_diag.cli.options import SIGNALLED, Problem, problems, write_json
+from hd_diag.cli.options import Problem, verb, write_json
+from hd_diag.cli.verbs import SIGNALLED
 from hd_diag.formatting import visible
 from hd_diag.watch import Watch, as_json
 from hd_diag.watch.display import PLAIN_PERIOD, Display
@@ -53,11 +54,7 @@ def _signals() -> Iterator[list[int]]:
             signal.signal(number, handler)
 
 
-@click.command(
-    context_settings={"help_option_names": ["-h", "--help"]},
-    short_help="A running node in the terminal: numbers and faults by joint.",
-    epilog="Example: hd-diag watch --once --joint joint_1 --fail-on-fault",
-)
+@verb("watch --once --joint joint_1 --fail-on-fault")
 @click.option("--joint", "joints", multiple=True, help="Joint; repeatable. [default: all]")
 @click.option(
     "--namespace",
@@ -87,7 +84,6 @@ def _signals() -> Iterator[list[int]]:
     type=click.Path(dir_okay=False, allow_dash=True),
     help="Everything reported as JSON, to stdout or a file; without --once a line a second.",
 )
-@problems
 def watch(
     joints: tuple[str, ...],
     namespaces: tuple[str, ...],

@@ -1,0 +1,45 @@
+"""``hd-diag demo``: the main job end to end on a simulated joint."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from hd_diag.cli.options import JSON, Problem, verb, write_json
+from hd_diag.cli.verbs import SIGNALLED
+
+
+@verb("demo --out demo")
+@click.option(
+    "--out",
+    "folder",
+    type=click.Path(file_okay=False),
+    help="Folder for log, replay and report. [default: a new one among the temporary files]",
+)
+@click.option(
+    "--seconds",
+    type=click.FloatRange(5.0, 600.0),
+    default=24.0,
+    show_default=True,
+    help="How long node and joint run [s].",
+)
+@JSON
+def demo(folder: str | None, seconds: float, json_file: str | None) -> None:
+    """The main job end to end: the real node beside a simulated joint, over DDS, its log, replay and verdict.
+
+    Starts both as processes of their own, changes the eccentricity while they run, shows what the diagnostics
+    say, replays the log, diagnoses it and writes the report. Needs ROS 2 Jazzy. Exit codes: 0 all held, 1
+    something did not, 130 after Ctrl-C.
+    """
+    try:
+        from hd_diag.demo.run import run
+    except ImportError as error:
+        raise Problem(f"the demo needs ROS 2 Jazzy (rclpy), which is not to be imported: {error}") from error
+    summary = run(Path(folder) if folder else None, seconds)
+    if json_file:
+        write_json(json_file, summary)
+    if summary["signal"] is not None:
+        sys.exit(SIGNALLED + summary["signal"])
+    sys.exit(0 if summary["complete"] else 1)
