@@ -15,7 +15,7 @@ import numpy as np
 import scoring
 from challenge import records
 
-from hd_diag.diagnosis.fit.linearised_fit import SEARCHED, Workbench
+from hd_diag.diagnosis.fit.linearised_fit import Workbench
 from hd_diag.diagnosis.fit.refit import refit
 from hd_diag.model.torsion_map import ARCSEC
 
@@ -68,7 +68,7 @@ def fft(bench: Workbench) -> Named:
 def dictionary(bench: Workbench) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Columns of unit rms about zero, the residual [rad], and each column's effect ("" for the model)."""
     parts, owners = [bench.always()], [""] * bench.always().shape[1]
-    for effect in SEARCHED:
+    for effect in bench.searched:
         if not effect.testable(bench.signals)[0]:
             continue
         grid = bench.grid(effect)

@@ -156,7 +156,7 @@ class ExtendedModel:
             seen = seen_at(
                 term.effect.stage, signals, added, lambda error: _rate(_change(error, state.predicted), step)
             )
-            part, after[index] = term.effect.respond(
+            part, after[index] = term.effect.step(
                 state.effects[index], seen, np.array(term.coefficients), term.nonlinear
             )
             added.append((term.effect, np.where(np.isfinite(part), part, 0.0)))

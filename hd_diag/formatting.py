@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # what the command line imports first must be light
-    from hd_diag.effects.effect import Quantity
+    from hd_diag.effects.quantity import Quantity
 
 ARCSEC = math.pi / 648_000.0
 """One second of arc [rad]."""

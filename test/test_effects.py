@@ -1,9 +1,10 @@
 """The catalogue of effects: one contract for all, and what single effects must do."""
 
 import dataclasses
+import importlib
 import itertools
 import math
-from pathlib import Path
+import pickle
 
 import drives
 import numpy as np
@@ -11,12 +12,11 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 
-import hd_diag.effects
 from hd_diag.config.parameters import JOINT_PARAMETERS
 from hd_diag.drive import Drive, transmission_error
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.contact_weights import ContactWeights
-from hd_diag.effects.effect import Effect, StatefulEffect
+from hd_diag.effects.effect import Effect
 from hd_diag.effects.signals import Signals
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.model.transmission_error import Kinematics
@@ -167,10 +167,9 @@ def test_names_are_the_list() -> None:
 
 
 def test_one_file_each() -> None:
-    folder = Path(hd_diag.effects.__file__).parent
     for effect in CATALOGUE:
-        assert type(effect).__module__ == f"hd_diag.effects.{effect.name}"
-        assert (folder / f"{effect.name}.py").is_file()
+        assert importlib.import_module(f"hd_diag.effects.{effect.name}").EFFECT is effect
+        assert pickle.loads(pickle.dumps(effect)).quantities == effect.quantities
 
 
 # The contract, for every effect ---
@@ -210,14 +209,15 @@ class TestContract:
             assert quantity.low < quantity.high
             assert quantity.prior_scale > 0.0
             assert quantity.periodic is None or quantity.unit == "rad"
-        assert effect.prior_scales.shape == (effect.size,)
-        assert np.all(effect.prior_scales > 0.0)
+            assert all(quantity.discrete and quantity.allows(choice) for choice in quantity.choices)
+        assert effect.wanders_by in ("", *(q.name for q in effect.nonlinear if q.discrete))
+        assert effect.formula or type(effect).__doc__
+        assert not effect.own_slopes or not effect.proportional
 
     def test_physical_round_trip(self, effect: Effect) -> None:
         coefficients, nonlinear = truth(effect)
         assert len(coefficients) == effect.size
         assert len(nonlinear) == len(effect.nonlinear)
-        assert effect.within(coefficients, nonlinear)
         back = effect.to_physical(coefficients, nonlinear)
         assert list(back) == [quantity.name for quantity in effect.quantities]
         for quantity in effect.quantities:
@@ -236,14 +236,16 @@ class TestContract:
 
     def test_starts_are_few_and_within_limits(self, effect: Effect, signals: Signals) -> None:
         residual = np.random.default_rng(0).normal(0.0, NOISE, signals.size)
-        for starts in (effect.grid(signals), effect.scan(signals, residual)):
+        grid, trials = effect.starts(signals)
+        for starts in (grid, effect.starts(signals, residual).points):
             assert 1 <= len(starts) <= 24
             assert len(set(starts)) == len(starts)
             for start in starts:
                 assert len(start) == len(effect.nonlinear)
                 for value, quantity in zip(start, effect.nonlinear, strict=True):
                     assert quantity.low <= value <= quantity.high
-        assert effect.trials(signals) >= len(effect.grid(signals))
+        assert effect.starts(signals, residual).trials == trials >= len(grid)
+        assert all(len(other) == len(effect.nonlinear) for other in effect.neighbours(signals, grid[0]))
 
     def test_zero_size_is_no_effect(self, effect: Effect, signals: Signals) -> None:
         columns = effect.columns(signals, truth(effect)[1])
@@ -255,17 +257,16 @@ class TestContract:
         assert not np.any(effect.from_physical(values)[0])
 
     def test_chunks_are_the_whole(self, effect: Effect, signals: Signals) -> None:
-        nonlinear = truth(effect)[1]
-        whole = effect.columns(signals, nonlinear)
+        """One row, a few and all of every run; nothing of a run is left in the next."""
+        coefficients, nonlinear = truth(effect)
+        whole = effect.response(signals, coefficients, nonlinear)
         parts = []
         for run in signals.runs():
-            state = effect.start(nonlinear)
-            inside = signals.part(run)
-            edges = [0, 1, 2, 3, 40, 41, 1000, inside.size]
-            for start, end in itertools.pairwise(edges):
-                columns, state = effect.step(state, inside.part(slice(start, end)), nonlinear)
-                parts.append(columns)
-        assert_allclose(np.concatenate(parts), whole, rtol=1e-12, atol=1e-14 * np.abs(whole).max())
+            state, inside = effect.start(nonlinear), signals.part(run)
+            for start, end in itertools.pairwise([0, 1, 2, 3, 3, 40, 41, 1000, inside.size]):
+                error, state = effect.step(state, inside.part(slice(start, end)), coefficients, nonlinear)
+                parts.append(error)
+        assert_allclose(np.concatenate(parts), whole, rtol=1e-12, atol=1e-12 * np.abs(whole).max())
 
     def test_response_is_the_columns_at_small_size(self, effect: Effect, signals: Signals) -> None:
         coefficients, nonlinear = truth(effect)
@@ -274,21 +275,10 @@ class TestContract:
         away = effect.response(signals, small, nonlinear) - expected
         assert np.sqrt(np.mean(away**2)) < 0.05 * np.sqrt(np.mean(expected**2))
         assert not effect.response(signals, 0.0 * coefficients, nonlinear).any()
-
-    def test_response_in_chunks_is_the_whole(self, effect: Effect, signals: Signals) -> None:
-        coefficients, nonlinear = truth(effect)
-        run = signals.part(signals.runs()[0])
-        whole = effect.response(run, coefficients, nonlinear)
-        state, parts = effect.start(nonlinear), []
-        for start, end in itertools.pairwise([0, 1, 2, 500, run.size]):
-            error, state = effect.respond(state, run.part(slice(start, end)), coefficients, nonlinear)
-            parts.append(error)
-        assert_allclose(np.concatenate(parts), whole, rtol=1e-12, atol=1e-12 * np.abs(whole).max())
-
-    def test_empty_part(self, effect: Effect, signals: Signals) -> None:
-        nonlinear = truth(effect)[1]
-        columns, _ = effect.step(effect.start(nonlinear), signals.part(slice(0, 0)), nonlinear)
-        assert columns.shape == (0, effect.size)
+        first = effect.columns(signals, nonlinear) @ coefficients
+        whole = effect.response(signals, coefficients, nonlinear)
+        assert np.array_equal(whole, first) is effect.proportional
+        assert effect.columns(signals.part(slice(0, 0)), nonlinear).shape == (0, effect.size)
 
     def test_testable(self, effect: Effect, signals: Signals, still: Signals) -> None:
         assert effect.testable(signals) == (True, "")
@@ -331,7 +321,7 @@ def fitted(effect: Effect, signals: Signals, error: np.ndarray) -> tuple[np.ndar
             result[index] = float(value)
         return tuple(result)
 
-    starts = effect.grid(signals) + effect.scan(signals, error)
+    starts = effect.starts(signals).points + effect.starts(signals, error).points
     start = min(starts, key=lambda one: float(np.sum(left(np.array([one[i] for i in free]), one) ** 2)))
     values = np.array([start[i] for i in free])
     if free:
@@ -383,16 +373,6 @@ def test_hysteresis_closes_its_loop(signals: Signals) -> None:
     area = (up[::-1] - down).sum(axis=0) * 40.0 / (count - 1)  # 80 of a rectangle 40 x 2, less two wedges
     assert_allclose(area, 80.0 - 4.0 * reach, rtol=0.02)
     assert np.all(area > 0.0)  # the work that the torque does on a link that lags, -TE, is lost
-
-
-def test_runs_start_anew(signals: Signals) -> None:
-    """What the first run did leaves no trace in the second."""
-    second = signals.part(signals.runs()[1])
-    for effect in CATALOGUE:
-        if isinstance(effect, StatefulEffect):
-            nonlinear = truth(effect)[1]
-            whole = effect.columns(signals, nonlinear)[signals.runs()[1]]
-            assert_allclose(whole, effect.columns(second, nonlinear), rtol=1e-12, atol=1e-13)
 
 
 def test_resonance_follows_the_equation_of_motion(signals: Signals) -> None:
@@ -551,7 +531,7 @@ def test_scan_finds_the_bearing(signals: Signals, order: float) -> None:
     noise = np.random.default_rng(5).normal(0.0, NOISE, signals.size)
     line = 0.5 * NOISE * np.cos(order * signals.wave_generator_angle + 0.4)
     turns = np.ptp(signals.wave_generator_angle) / (2 * math.pi)
-    assert min(abs(one - order) for one, _ in effect.scan(signals, line + noise)) < 0.5 / turns
+    assert min(abs(one - order) for one, _ in effect.starts(signals, line + noise).points) < 0.5 / turns
 
 
 @pytest.mark.parametrize("order", [2.02, 4.04, 6.0, 10.0, 3.3])
@@ -559,7 +539,7 @@ def test_scan_leaves_others_orders_alone(signals: Signals, order: float) -> None
     """A strong line elsewhere, or of whole teeth, is no bearing."""
     effect = by_name("bearing_passage")
     line = 1e-4 * np.cos(order * signals.wave_generator_angle)
-    best = effect.columns(signals, effect.scan(signals, line)[0])
+    best = effect.columns(signals, effect.starts(signals, line).points[0])
     left = line - best @ solved(best, line)
     assert np.sum(left**2) > 0.9 * np.sum(line**2)
 
@@ -571,7 +551,7 @@ def test_scan_finds_the_tooth(signals: Signals, member: float, count: int, tooth
     position = 2 * math.pi / count * tooth
     noise = np.random.default_rng(6).normal(0.0, NOISE, signals.size)
     error = effect.columns(signals, (member, position)) @ [5e-5, 3e-5] + noise
-    found = [place for kind, place in effect.scan(signals, error) if kind == member]
+    found = [place for kind, place in effect.starts(signals, error).points if kind == member]
     assert min(abs(math.remainder(place - position, 2 * math.pi)) for place in found) < 1e-9
 
 

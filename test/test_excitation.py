@@ -10,7 +10,7 @@ from hd_diag.effects.excitation import loaded, torque_known, torque_reverses
 from hd_diag.effects.signals import Signals
 
 COUNT = 800
-SWING = 5.6  # [N m]
+SWING = 0.1  # of the rated torque of 56 N m
 
 
 @pytest.fixture(scope="module")

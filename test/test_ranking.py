@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from benches import EFFECTS, bench, of
 
-from hd_diag.diagnosis.fit.linearised_fit import SEARCHED, Workbench
+from hd_diag.diagnosis.fit.linearised_fit import Workbench
 from hd_diag.diagnosis.search.ranking import Projector, by_name, candidates, family_size, ranked
 from hd_diag.diagnosis.search.unmodelled_terms import FOILS
 
@@ -47,10 +47,10 @@ def test_what_is_fitted_already_gains_nothing(made: Workbench) -> None:
 def test_the_cause_is_first_at_its_best_grid_point(made: Workbench) -> None:
     found = candidates(made, ())
     assert found[0].effect is RUBBED
-    assert found[0].nonlinear in RUBBED.grid(made.signals)
+    assert found[0].nonlinear in RUBBED.starts(made.signals).points
     assert [one.surprise for one in found] == sorted((one.surprise for one in found), reverse=True)
     assert found[0].p_value < 1e-100
-    assert {one.effect.name for one in found} == {e.name for e in SEARCHED if made.testable(e)[0]}
+    assert {one.effect.name for one in found} == {e.name for e in made.searched if made.testable(e)[0]}
 
 
 def test_what_is_chosen_is_no_candidate(made: Workbench) -> None:
@@ -74,11 +74,11 @@ def test_shapes_without_a_name_are_ranked_alike(made: Workbench) -> None:
 
 
 def test_a_family_is_every_grid_point_of_what_is_testable(made: Workbench) -> None:
-    testable = [effect for effect in SEARCHED if made.testable(effect)[0]]
-    assert len(testable) < len(SEARCHED)
-    assert family_size(made) == sum(effect.trials(made.signals) for effect in testable)
+    testable = [effect for effect in made.searched if made.testable(effect)[0]]
+    assert len(testable) < len(made.searched)
+    assert family_size(made) == sum(effect.starts(made.signals).trials for effect in testable)
 
 
-def test_effects_by_name_in_the_order_of_the_catalogue() -> None:
-    assert by_name({"hysteresis", "coulomb_windup", "nothing"}) == [RUBBED, DRY]
-    assert by_name(()) == []
+def test_effects_by_name_in_the_order_of_the_catalogue(made: Workbench) -> None:
+    assert by_name(made, {"hysteresis", "coulomb_windup", "nothing"}) == [RUBBED, DRY]
+    assert by_name(made, ()) == []

@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from hd_diag.drive import Drive
 from hd_diag.effects.contact_weights import ContactWeights
-from hd_diag.effects.effect import Effect
 from hd_diag.effects.output_runout import EFFECT as RUNOUT
 from hd_diag.effects.signals import Signals
 from hd_diag.effects.tooth_damage import EFFECT, SLOT, TOOTH
@@ -58,7 +57,7 @@ def rms(values: np.ndarray) -> float:
 @MEMBERS
 def test_secant_of_nothing_is_the_columns(signals: Signals, member: float) -> None:
     assert_array_equal(
-        EFFECT.secant(signals, np.zeros(2), place(member)), EFFECT.columns(signals, place(member))
+        EFFECT.slopes(signals, np.zeros(2), place(member)), EFFECT.columns(signals, place(member))
     )
 
 
@@ -117,7 +116,7 @@ def test_a_part_of_a_record_is_that_part(signals: Signals, member: float) -> Non
 @pytest.mark.parametrize("number", [0, 1, 77, 199])
 def test_neighbours_on_both_sides_and_at_the_other_lobe(signals: Signals, member: float, number: int) -> None:
     count = 202 if member == SLOT else 200
-    found = EFFECT.beside(signals, (member, number * PITCH[member]))
+    found = EFFECT.neighbours(signals, (member, number * PITCH[member]))
     away = [-2, -1, 1, 2, count // 2 - 1, count // 2, count // 2 + 1]
     assert [kind for kind, _ in found] == [member] * len(away)
     expected = [(number + one) % count * PITCH[member] for one in away]
@@ -127,10 +126,10 @@ def test_neighbours_on_both_sides_and_at_the_other_lobe(signals: Signals, member
 
 def test_other_effects_are_their_columns_with_no_neighbours(signals: Signals) -> None:
     size = np.array([1e-3, 2e-3])
-    assert type(RUNOUT).secant is Effect.secant
-    assert_array_equal(RUNOUT.secant(signals, size, ()), RUNOUT.columns(signals, ()))
+    assert (RUNOUT.own_slopes, EFFECT.own_slopes) == (False, True)
+    assert_array_equal(RUNOUT.slopes(signals, size, ()), RUNOUT.columns(signals, ()))
     assert_array_equal(RUNOUT.response(signals, size, ()), RUNOUT.columns(signals, ()) @ size)
-    assert RUNOUT.beside(signals, ()) == []
+    assert RUNOUT.neighbours(signals, ()) == []
 
 
 def test_the_slots_most_alike_are_beside(signals: Signals) -> None:
@@ -141,7 +140,7 @@ def test_the_slots_most_alike_are_beside(signals: Signals) -> None:
     for number in set(range(202)) - {NUMBER}:
         there = EFFECT.response(signals, size, (SLOT, number * PITCH[SLOT]))
         alike[number] = here @ there / math.sqrt(float(here @ here) * float(there @ there))
-    looked_at = {round(position / PITCH[SLOT]) for _, position in EFFECT.beside(signals, place(SLOT))}
+    looked_at = {round(position / PITCH[SLOT]) for _, position in EFFECT.neighbours(signals, place(SLOT))}
     assert set(np.argsort(alike)[-2:].tolist()) == {NUMBER - 1, NUMBER + 1}
     assert alike.max() < 0.999
     assert NUMBER + 20 + int(np.argmax(alike[NUMBER + 20 :])) in looked_at

@@ -83,7 +83,7 @@ def test_columns_are_finite_and_of_order_one(foil: Foil) -> None:
     if foil.name == "place":
         signals = made(np.full(1200, 400.0))
     assert foil.testable(signals)[0]
-    found = foil.columns(signals, foil.grid(signals)[0])
+    found = foil.columns(signals, foil.starts(signals).points[0])
     assert found.shape[0] == signals.size
     assert np.isfinite(found).all()
     assert_allclose(np.abs(found).max(axis=0), 1.0, rtol=0.05)
@@ -273,7 +273,7 @@ def test_scan_finds_a_bump(turning: Signals, position: float, width: float) -> N
     place = BY_NAME["place"]
     noise = np.random.default_rng(1).normal(0.0, 1.0, turning.size)
     rest = 3.0 + noise + 1.0 * place.columns(turning, (position, width))[:, 0]
-    found = {wide: at for at, wide in place.scan(turning, rest)}
+    found = {wide: at for at, wide in place.starts(turning, rest).points}
     assert set(found) == {0.06, 0.15}
     away = abs(np.angle(np.exp(1j * (found[width] - position))))
     assert away < 2.0 * np.pi / 240.0 * (2.0 if width == 0.06 else 3.0)
@@ -286,7 +286,7 @@ def test_scan_looks_only_where_the_output_was() -> None:
     assert np.ptp(signals.output_angle) == pytest.approx(9.0, rel=0.01)
     signals = signals.part(signals.output_angle < 2.0)
     rest = -5.0 * place.columns(signals, (0.8, 0.06))[:, 0]
-    for position, _ in place.scan(signals, rest):
+    for position, _ in place.starts(signals, rest).points:
         assert position == pytest.approx(0.8, abs=0.03)
 
 
@@ -295,5 +295,5 @@ def test_place_asks_for_motion_and_counts_its_trials(turning: Signals) -> None:
     assert place.testable(turning) == (True, "the output moves by less than half a radian")
     still = dataclasses.replace(turning, output_angle=0.01 * turning.output_angle)
     assert not place.testable(still)[0]
-    assert place.trials(turning) == 480
-    assert len(place.scan(turning, np.zeros(turning.size))) == 2
+    found, trials = place.starts(turning, np.zeros(turning.size))
+    assert (len(found), trials) == (2, 480)

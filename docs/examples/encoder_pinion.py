@@ -3,32 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
-import numpy as np
-import numpy.typing as npt
-
-from hd_diag.effects.effect import Effect, Values, amplitude, direction, turning
+from hd_diag.arrays import Floats
+from hd_diag.effects.effect import Effect, Values
 from hd_diag.effects.excitation import enough_output_turns
+from hd_diag.effects.quantity import amplitude, direction, turning
 from hd_diag.effects.signals import Signals
 from hd_diag.model.torsion_map import ARCSEC
-
-Floats = npt.NDArray[np.float64]
 
 PINION_RATIO = 22.5
 """Turns of the pinion per turn of the output: 360 teeth on 16 [-]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class EncoderPinion(Effect):
     """``a cos(22.5 theta_o - d)``."""
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Once per turn of the pinion; see :meth:`Effect.columns`."""
         return turning(PINION_RATIO * signals.output_angle)
-
-    def testable(self, signals: Signals) -> tuple[bool, str]:
-        """Ten turns of the pinion."""
-        return enough_output_turns(signals, 10.0 / PINION_RATIO)
 
 
 EFFECT = EncoderPinion(
@@ -37,6 +31,7 @@ EFFECT = EncoderPinion(
     kind="sensor",
     frame="output",
     needs=("output_angle",),
+    excitation=(partial(enough_output_turns, turns=10.0 / PINION_RATIO),),
     quantities=(
         amplitude(
             "amplitude", "rad", 1e-2, 15.0 * ARCSEC, "largest lead over a turn of the pinion, at the output"

@@ -7,7 +7,8 @@ from typing import Any
 
 from hd_diag.config.model_file import REFITTED
 from hd_diag.effects import CATALOGUE
-from hd_diag.effects.effect import Effect, Quantity
+from hd_diag.effects.effect import Effect
+from hd_diag.effects.quantity import Quantity
 
 LINKED = {effect.name for effect in CATALOGUE}
 
@@ -18,8 +19,8 @@ def content(folder: Path) -> dict[str, Any]:
 
 
 def formula(effect: Effect) -> str:
-    """What it adds to the transmission error: its class says it."""
-    return " ".join((type(effect).__doc__ or "").split())
+    """What it adds to the transmission error: where it does not say it, its class does."""
+    return " ".join((effect.formula or type(effect).__doc__ or "").split())
 
 
 def limits(quantity: Quantity) -> str:

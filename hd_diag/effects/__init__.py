@@ -27,7 +27,9 @@ from hd_diag.effects import (
 )
 from hd_diag.effects.effect import Effect
 
-CATALOGUE: tuple[Effect, ...] = (
+Catalogue = tuple[Effect, ...]
+
+CATALOGUE: Catalogue = (
     output_runout.EFFECT,
     output_encoder_eccentricity.EFFECT,
     circular_spline_form.EFFECT,

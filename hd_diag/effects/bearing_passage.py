@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
 from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Quantity, Values, amplitude, direction, turning
+from hd_diag.effects.effect import Starts, Values
 from hd_diag.effects.excitation import enough_input_turns, input_turns
+from hd_diag.effects.harmonic import Harmonic
 from hd_diag.effects.order_spectrum import line_width, spectrum
+from hd_diag.effects.quantity import Quantity, amplitude, direction
 from hd_diag.effects.signals import Signals
 from hd_diag.model.torsion_map import ARCSEC
 
@@ -30,65 +33,43 @@ BANDS = (
 _CANDIDATES = 4
 _HIGHEST, _LOWEST = 40.0, 0.2  # orders that are looked at
 _LEADING = 0.8  # of the strongest line, that a line which slips must have
-_KNOTS = 12  # over a record's way, between which amplitude and phase go straight
 _LEAK = 0.2  # of a line, that may still show beside it where a candidate is allowed
 
 
-@dataclass(frozen=True)
-class BearingPassage(Effect):
+@dataclass(frozen=True, kw_only=True)
+class BearingPassage(Harmonic):
     """``a cos(kappa theta_W - d)``; a fit lets the phase slip, as rolling bearings do."""
 
-    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """One order; see :meth:`Effect.columns`."""
-        return turning(nonlinear[0] * signals.wave_generator_angle)
+    def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
+        """Strongest lines of a residual's order spectrum inside the bands; without one their middles.
 
-    def wandering(self, signals: Signals, nonlinear: Values) -> Floats:
-        """The order at every knot of the way, less its mean; see :meth:`Effect.wandering`."""
-        if signals.size < 2 or not nonlinear[1]:
-            return np.empty((signals.size, 0))
-        way = np.cumsum(
-            np.abs(np.diff(signals.wave_generator_angle, prepend=signals.wave_generator_angle[0]))
-        )
-        place = way * (_KNOTS / max(float(way[-1]), 1e-300))
-        hats = np.maximum(1.0 - np.abs(place[:, None] - np.arange(1, _KNOTS + 1)), 0.0)
-        hats -= hats.mean(axis=0)
-        own = self.columns(signals, nonlinear)
-        return np.asarray((hats[:, :, None] * own[:, None, :]).reshape(signals.size, -1))
-
-    def grid(self, signals: Signals) -> list[Values]:
-        """Middle of every band; `scan` looks at all orders that the record resolves."""
-        return [(0.5 * (low + high), slips) for low, high in BANDS for slips in (0.0, 1.0)]
-
-    def scan(self, signals: Signals, residual: Floats) -> list[Values]:
-        """Strongest lines of the residual's order spectrum inside the bands.
-
-        One may slip only where no line elsewhere is as strong, for it could follow what leaks from that.
+        A line may slip only where no line elsewhere is as strong: it could follow what leaks from that.
         """
+        width = sum(high - low for low, high in BANDS)
+        trials = 2 * max(len(BANDS), int(2.0 * width * input_turns(signals)))
+        if residual is None:
+            return Starts(
+                [(0.5 * (low + high), slips) for low, high in BANDS for slips in (0.0, 1.0)], trials
+            )
         order, strength = spectrum(signals.wave_generator_angle, residual, _HIGHEST)
         most = _LEADING * float(np.max(strength[order > _LOWEST], initial=0.0))
         peak = np.zeros(order.size, dtype=np.bool_)
         peak[1:-1] = (strength[1:-1] >= strength[:-2]) & (strength[1:-1] >= strength[2:])
-        place = np.flatnonzero(peak & self._allowed(order, signals))
+        place = np.flatnonzero(peak & _allowed(order, signals))
         best = place[np.argsort(strength[place])[::-1][:_CANDIDATES]]
         steady: list[Values] = [(float(order[index]), 0.0) for index in best]
-        return steady + [(float(order[index]), 1.0) for index in best if strength[index] >= most]
+        slipping: list[Values] = [(float(order[index]), 1.0) for index in best if strength[index] >= most]
+        return Starts(steady + slipping, trials)
 
-    def trials(self, signals: Signals) -> int:
-        """Orders that the record resolves inside the bands."""
-        width = sum(high - low for low, high in BANDS)
-        return 2 * max(len(BANDS), int(2.0 * width * input_turns(signals)))
 
-    def testable(self, signals: Signals) -> tuple[bool, str]:
-        """Two hundred turns: the orders stand close to whole ones."""
-        return enough_input_turns(signals, 200.0)
-
-    def _allowed(self, order: Floats, signals: Signals) -> npt.NDArray[np.bool_]:
-        inside = np.any([(order >= low) & (order <= high) for low, high in BANDS], axis=0)
-        reach = line_width(signals.wave_generator_angle, _LEAK)
-        reduction = signals.contact.drive.mesh.geometry.reduction
-        for whole in (1.0, 1.0 + 1.0 / reduction):  # of housing and flexspline
-            inside &= np.abs(order / whole - np.rint(order / whole)) * whole > reach
-        return np.asarray(inside)
+def _allowed(order: Floats, signals: Signals) -> npt.NDArray[np.bool_]:
+    """Which orders are inside the bands, and no whole ones of housing or flexspline."""
+    inside = np.any([(order >= low) & (order <= high) for low, high in BANDS], axis=0)
+    reach = line_width(signals.wave_generator_angle, _LEAK)
+    reduction = signals.contact.drive.mesh.geometry.reduction
+    for whole in (1.0, 1.0 + 1.0 / reduction):
+        inside &= np.abs(order / whole - np.rint(order / whole)) * whole > reach
+    return np.asarray(inside)
 
 
 EFFECT = BearingPassage(
@@ -100,6 +81,10 @@ EFFECT = BearingPassage(
     kind="kinematic",
     frame="input",
     needs=("wave_generator_angle",),
+    angle="wave_generator_angle",
+    # Its orders stand close to whole ones.
+    excitation=(partial(enough_input_turns, turns=200.0),),
+    wanders_by="slips",
     quantities=(
         amplitude("amplitude", "rad", 1e-3, 1.5 * ARCSEC, "amplitude at the output"),
         direction("phase", "of the order at wave generator angle zero"),
@@ -118,10 +103,9 @@ EFFECT = BearingPassage(
             0.0,
             1.0,
             1.0,
-            "1: the phase slips over the record, and its mean is all that a model can foretell",
-            False,
-            None,
-            True,
+            "1: the phase slips over the record, and its mean is all that a model can predict",
+            linear=False,
+            discrete=True,
         ),
     ),
     confused_with=("encoder_interpolation", "circular_spline_form"),

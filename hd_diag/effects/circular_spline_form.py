@@ -3,81 +3,49 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Quantity, Values, amplitude, direction, harmonic, harmonic_sum
-from hd_diag.effects.excitation import enough_input_turns, torque_varies, verdict
+from hd_diag.effects.effect import Effect, Starts, Stepped, Values
+from hd_diag.effects.excitation import enough_input_turns, torque_varies
+from hd_diag.effects.quantity import Quantity, harmonic_sum, harmonics, lobes
 from hd_diag.effects.signals import Signals
 
 ORDERS = (2, 4, 6)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CircularSplineForm(Effect):
     """Radial slot displacement ``u = sum a_k cos k (phi - d_k)`` through the contact's weights.
 
     A ring that is bent keeps its circumference: its slots also move along it, by v with ``dv/dphi = -u``.
     """
 
-    of_teeth: ClassVar[bool] = True
-
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Response to every lobe number; see :meth:`Effect.columns`."""
         (bending,), contact = nonlinear, signals.contact
-        found = []
-        for k in ORDERS:
-            response = contact.radial_harmonic(k)
-            if bending:
-                response = response + 1j * bending / k * contact.slot_harmonic(k)
-            found.append(harmonic(response))
-        return np.concatenate(found, axis=1)
+        found = [contact.radial_harmonic(k) for k in ORDERS]
+        if bending:
+            along = [1j * bending / k * contact.slot_harmonic(k) for k in ORDERS]
+            found = [radial + moved for radial, moved in zip(found, along, strict=True)]
+        return harmonics(found)
 
-    def grid(self, signals: Signals) -> list[Values]:
+    def step(self, state: Any, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
+        """The slots displaced at their full size; see :meth:`Effect.step`."""
+        cosine, sine = coefficients[::2], coefficients[1::2]
+        # A cosine's integral is a sine over k.
+        along = nonlinear[0] * np.stack((sine, -cosine), axis=1) / np.array(ORDERS)[:, None]
+        angle = signals.contact.slot_angles
+        outward = harmonic_sum(coefficients, ORDERS, angle)
+        return signals.contact.displaced(harmonic_sum(along.ravel(), ORDERS, angle), outward), state
+
+    def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
         """Cut out of round, or bent."""
-        return [(0.0,), (1.0,)]
+        return Starts.grid([(0.0,), (1.0,)])
 
-    def beside(self, signals: Signals, nonlinear: Values) -> list[Values]:
-        """The other way to be out of round."""
-        return [other for other in self.grid(signals) if other != nonlinear]
-
-    def response(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
-        """The slots displaced at their full size; see :meth:`Effect.response`."""
-        contact = signals.contact
-        along = np.zeros(coefficients.size)
-        for index, k in enumerate(ORDERS):  # a cosine's integral is a sine over k
-            cosine, sine = coefficients[2 * index : 2 * index + 2]
-            along[2 * index : 2 * index + 2] = nonlinear[0] / k * np.array([sine, -cosine])
-        return contact.displaced(
-            harmonic_sum(along, ORDERS, contact.slot_angles),
-            harmonic_sum(coefficients, ORDERS, contact.slot_angles),
-        )
-
-    def testable(self, signals: Signals) -> tuple[bool, str]:
-        """A few turns at two torques."""
-        return verdict(enough_input_turns(signals, 3.0), torque_varies(signals))
-
-
-_LOBES = tuple(
-    quantity
-    for k in ORDERS
-    for quantity in (
-        amplitude(f"radial_{k}", "m", 5e-5, 2e-6, f"radial form error with {k} lobes"),
-        direction(f"radial_direction_{k}", "angle in the circular spline of a lobe", k),
-    )
-)
-_BENDING = Quantity(
-    "bending",
-    "-",
-    0.0,
-    1.0,
-    1.0,
-    "0: cut out of round, 1: bent, so that the circumference keeps its length",
-    linear=False,
-    discrete=True,
-)
 
 EFFECT = CircularSplineForm(
     name="circular_spline_form",
@@ -85,7 +53,23 @@ EFFECT = CircularSplineForm(
     kind="kinematic",
     frame="housing",
     needs=("wave_generator_angle", "torque"),
-    quantities=(*_LOBES, _BENDING),
+    excitation=(partial(enough_input_turns, turns=3.0), torque_varies),
+    of_teeth=True,
+    proportional=False,
+    quantities=(
+        *lobes("radial", ORDERS, "radial form error with {} lobes", "angle in the circular spline of a lobe"),
+        Quantity(
+            "bending",
+            "-",
+            0.0,
+            1.0,
+            1.0,
+            "0: cut out of round, 1: bent, so that the circumference keeps its length",
+            linear=False,
+            discrete=True,
+            choices=(0.0, 1.0),
+        ),
+    ),
     confused_with=(
         "circular_spline_pitch",
         "coupling_misalignment",

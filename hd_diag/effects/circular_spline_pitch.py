@@ -3,36 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
-
-import numpy as np
+from functools import partial
+from typing import Any
 
 from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Values, amplitude, direction, harmonic, harmonic_sum
-from hd_diag.effects.excitation import enough_input_turns, torque_varies, verdict
+from hd_diag.effects.effect import Effect, Stepped, Values
+from hd_diag.effects.excitation import enough_input_turns, torque_varies
+from hd_diag.effects.quantity import harmonic_sum, harmonics, lobes
 from hd_diag.effects.signals import Signals
 
 ORDERS = (2, 4)  # two opposite lobes cancel the odd ones
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CircularSplinePitch(Effect):
     """Circumferential displacement of the slots ``sum a_k cos k (phi - d_k)``."""
 
-    of_teeth: ClassVar[bool] = True
-
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Response to every harmonic; see :meth:`Effect.columns`."""
-        return np.concatenate([harmonic(signals.contact.slot_harmonic(k)) for k in ORDERS], axis=1)
+        return harmonics([signals.contact.slot_harmonic(k) for k in ORDERS])
 
-    def response(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
-        """The slots displaced at their full size; see :meth:`Effect.response`."""
+    def step(self, state: Any, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
+        """The slots displaced at their full size; see :meth:`Effect.step`."""
         contact = signals.contact
-        return contact.displaced(circumferential=harmonic_sum(coefficients, ORDERS, contact.slot_angles))
-
-    def testable(self, signals: Signals) -> tuple[bool, str]:
-        """A few turns at two torques."""
-        return verdict(enough_input_turns(signals, 5.0), torque_varies(signals))
+        return contact.displaced(harmonic_sum(coefficients, ORDERS, contact.slot_angles)), state
 
 
 EFFECT = CircularSplinePitch(
@@ -41,15 +35,14 @@ EFFECT = CircularSplinePitch(
     kind="kinematic",
     frame="housing",
     needs=("wave_generator_angle", "torque"),
-    quantities=tuple(
-        quantity
-        for k in ORDERS
-        for quantity in (
-            amplitude(f"pitch_{k}", "m", 5e-5, 2e-6, f"cumulative pitch error, {k} periods around"),
-            direction(
-                f"pitch_direction_{k}", "angle in the circular spline where the slots are most ahead", k
-            ),
-        )
+    excitation=(partial(enough_input_turns, turns=5.0), torque_varies),
+    of_teeth=True,
+    proportional=False,
+    quantities=lobes(
+        "pitch",
+        ORDERS,
+        "cumulative pitch error, {} periods around",
+        "angle in the circular spline where the slots are most ahead",
     ),
     confused_with=("circular_spline_form", "coupling_misalignment", "flexspline_pitch", "tooth_damage"),
     source=(

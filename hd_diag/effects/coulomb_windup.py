@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Quantity, Values
-from hd_diag.effects.excitation import both_directions, enough_input_turns, verdict
+from hd_diag.effects.effect import Effect, Starts, Values
+from hd_diag.effects.excitation import both_directions, enough_input_turns
+from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.signals import Signals
 from hd_diag.model.torsion_map import ARCSEC
 
@@ -16,7 +18,7 @@ _SPEEDS = (0.1, 0.6, 3.0)  # [rad/s] of the input
 _STRIBECK = 10.0  # Stribeck speed over the speed at which the friction turns round
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CoulombWindup(Effect):
     """``-[a + b exp(-(omega / 10 omega_0)^2)] tanh(omega / omega_0)``."""
 
@@ -26,13 +28,9 @@ class CoulombWindup(Effect):
         sign = np.tanh(relative)
         return -np.stack((sign, sign * np.exp(-((relative / _STRIBECK) ** 2))), axis=1)
 
-    def grid(self, signals: Signals) -> list[Values]:
+    def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
         """Speeds at which the friction turns round [rad/s]."""
-        return [(speed,) for speed in _SPEEDS]
-
-    def testable(self, signals: Signals) -> tuple[bool, str]:
-        """Motion both ways."""
-        return verdict(both_directions(signals), enough_input_turns(signals, 1.0))
+        return Starts.grid((speed,) for speed in _SPEEDS)
 
 
 EFFECT = CoulombWindup(
@@ -41,6 +39,8 @@ EFFECT = CoulombWindup(
     kind="friction",
     frame="torque",
     needs=("speed",),
+    excitation=(both_directions, partial(enough_input_turns, turns=1.0)),
+    broadband=True,
     quantities=(
         Quantity("amplitude", "rad", -1e-3, 1e-3, 5.0 * ARCSEC, "a, lag while the joint moves"),
         Quantity("stribeck_amplitude", "rad", -1e-3, 1e-3, 3.0 * ARCSEC, "b, more of it at low speed"),

@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Quantity, Values, direction
-from hd_diag.effects.excitation import both_directions, enough_input_turns, torque_varies, verdict
+from hd_diag.effects.effect import Effect, Starts, Values
+from hd_diag.effects.excitation import both_directions, enough_input_turns, torque_varies
+from hd_diag.effects.quantity import Quantity, direction
 from hd_diag.effects.signals import Signals
 
 _STILL = 0.1  # speed of the input at which play changes its side [rad/s]
-_MOST_PLAY = 6.5e-4  # [rad]
+_MOST_PLAY = 6.5e-4  # [rad]; dry friction looks like play: more than a coupling has is not taken for it
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CouplingMisalignment(Effect):
     """``(gamma^2 / 4) sin 2 (theta_in - d) / N``, less half of the play where it moves forward.
 
-    Its coefficients are gamma^2 cos 2d, gamma^2 sin 2d and the play. Dry friction looks like play: more than
-    a coupling has is not taken for it.
+    Its coefficients are gamma^2 cos 2d, gamma^2 sin 2d and the play.
     """
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
@@ -30,35 +30,9 @@ class CouplingMisalignment(Effect):
         way = nonlinear[0] * np.tanh(signals.speed / _STILL)
         return np.stack((np.sin(twice), -np.cos(twice), -2.0 * way), axis=1) / (4.0 * signals.ratio)
 
-    def grid(self, signals: Signals) -> list[Values]:
+    def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
         """Without play, and with it."""
-        return [(0.0,), (1.0,)]
-
-    def sensible(self, coefficients: Floats, nonlinear: Values) -> bool:
-        """No more play than a coupling has; see :meth:`Effect.sensible`."""
-        return not nonlinear[0] or 0.0 < float(coefficients[2]) < _MOST_PLAY
-
-    def testable(self, signals: Signals) -> tuple[bool, str]:
-        """A few turns both ways at two torques."""
-        return verdict(enough_input_turns(signals, 3.0), torque_varies(signals), both_directions(signals))
-
-    @property
-    def prior_scales(self) -> Floats:
-        """Squares of the usual angle [rad^2] and the play [rad], shape (3,)."""
-        angle, _, play, _ = (quantity.prior_scale for quantity in self.quantities)
-        return np.array([angle**2, angle**2, play])
-
-    def to_physical(
-        self, coefficients: Sequence[float] | Floats, nonlinear: Values
-    ) -> dict[str, tuple[float, str]]:
-        """Angle of the bend instead of its square."""
-        values = super().to_physical(coefficients, nonlinear)
-        return values | {"angle": (float(np.sqrt(values["angle"][0])), "rad")}
-
-    def from_physical(self, values: Mapping[str, float]) -> tuple[Floats, Values]:
-        """See :meth:`Effect.from_physical`."""
-        coefficients, nonlinear = super().from_physical(values)
-        return coefficients * [values["angle"], values["angle"], 1.0], nonlinear
+        return Starts.grid([(0.0,), (1.0,)])
 
 
 EFFECT = CouplingMisalignment(
@@ -67,11 +41,22 @@ EFFECT = CouplingMisalignment(
     kind="kinematic",
     frame="input",
     needs=("output_angle", "torque"),
+    excitation=(partial(enough_input_turns, turns=3.0), torque_varies, both_directions),
     quantities=(
-        Quantity("angle", "rad", 0.0, 0.2, 0.03, "gamma, between the motor's shaft and the wave generator's"),
+        Quantity(
+            "angle",
+            "rad",
+            0.0,
+            0.2,
+            0.03,
+            "gamma, between the motor's shaft and the wave generator's",
+            power=2,
+        ),
         direction("direction", "input angle at which the wave generator begins to lead", 2),
-        Quantity("play", "rad", 0.0, _MOST_PLAY, 2e-4, "by which the coupling lets the shafts turn"),
-        Quantity("plays", "-", 0.0, 1.0, 1.0, "1: with play", False, None, True),
+        Quantity(
+            "play", "rad", 0.0, _MOST_PLAY, 2e-4, "by which the coupling lets the shafts turn", strict=True
+        ),
+        Quantity("plays", "-", 0.0, 1.0, 1.0, "1: with play", linear=False, discrete=True),
     ),
     confused_with=("circular_spline_pitch", "circular_spline_form", "flexspline_pitch"),
     source=(

@@ -1,23 +1,28 @@
-"""What every effect declares and can do."""
+"""What every effect declares as data and can compute."""
 
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from hd_diag.arrays import Floats
+from hd_diag.effects.excitation import Check, first_failure
+from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.signals import Signals
 
 Values = tuple[float, ...]
 Kind = Literal["kinematic", "torsion", "friction", "sensor"]
 Frame = Literal["input", "output", "housing", "time", "torque"]
+
+Stepped = tuple[Floats, Any]
+"""Transmission error of an effect [rad], shape (n,), and its state after the last sample."""
+
+_KNOTS = 12  # along a record, between which the amplitude and phase of a wandering effect go straight
 
 
 class Stage(IntEnum):
@@ -29,55 +34,25 @@ class Stage(IntEnum):
     STREAM = 2
 
 
-@dataclass(frozen=True)
-class Quantity:
-    """One number of an effect, as it is given to people.
+class Starts(NamedTuple):
+    """Start values of the nonlinear quantities, and how many independent values were compared for them."""
 
-    Parameters
-    ----------
-    name : str
-        The field's term.
-    unit : str
-        SI; "-" for a pure number.
-    low, high : float
-        Values that make sense.
-    prior_scale : float
-        Size that is usual, in its unit.
-    meaning : str
-    linear : bool
-        Whether the transmission error is proportional to it. An amplitude and the direction after it count as
-        linear: their cosine and sine parts are the coefficients.
-    periodic : float, optional
-        Period of a direction or position [rad]; ``2 pi / k`` for a k-lobed error.
-    discrete : bool
-        Whether only the values that a grid or scan gives make sense: not to be refined.
-    """
+    points: list[Values]
+    trials: int
 
-    name: str
-    unit: str
-    low: float
-    high: float
-    prior_scale: float
-    meaning: str
-    linear: bool = True
-    periodic: float | None = None
-    discrete: bool = False
+    @staticmethod
+    def grid(points: Iterable[Values]) -> Starts:
+        """Points that are each compared."""
+        every = list(points)
+        return Starts(every, len(every))
 
 
-def amplitude(name: str, unit: str, high: float, prior_scale: float, meaning: str) -> Quantity:
-    """Size of a harmonic, to be followed by its direction."""
-    return Quantity(name, unit, 0.0, high, prior_scale, meaning)
-
-
-def direction(name: str, meaning: str, order: int = 1) -> Quantity:
-    """Where a harmonic is greatest: the amplitude before it times ``cos(k (angle - direction))``."""
-    period = 2.0 * math.pi / order
-    return Quantity(name, "rad", 0.0, period, period, meaning, periodic=period)
-
-
-@dataclass(frozen=True)
-class Effect(ABC):
+@dataclass(frozen=True, kw_only=True)
+class Effect:
     """A physical cause of transmission error that the model leaves out.
+
+    An effect without memory writes `columns`; one that depends on earlier samples, or is not proportional to
+    its coefficients, writes `step` as well. Everything else that a fit needs to know is data.
 
     Parameters
     ----------
@@ -100,6 +75,30 @@ class Effect(ABC):
         What to look at first, what it should measure, which test would confirm.
     always_confused : tuple of str
         Effects, or parameters of the model, that no record can tell from it.
+    formula : str
+        What it adds to the transmission error; if empty, the class says it.
+    excitation : tuple of callable
+        Checks of :mod:`hd_diag.effects.excitation` that a record's motion must pass to show it.
+    stage : Stage
+        Where it enters; effects of later stages see what those of earlier ones add.
+    of_teeth : bool
+        Whether it enters through the contact: then it is part of the gear's ripple, for later stages.
+    remembers : bool
+        Whether it depends on earlier samples: then it has to see all rows, also those that no fit uses.
+    proportional : bool
+        Whether `step` gives its columns times its coefficients.
+    own_slopes : bool
+        Whether its columns change with its size, see `slopes`.
+    shifts_torque : bool
+        Whether its first coefficient is real less reported torque [N m].
+    wanders_by : str
+        Discrete quantity that, at 1, lets amplitude and phase wander over the record; "" for none.
+    broadband : bool
+        Whether it has no line of its own: the noise is learnt beside its columns.
+    searched : bool
+        Whether it is searched for in the residual; others are found before the fit.
+    lasting : bool
+        Whether a model that runs can hold it; not what happened once in a record.
     """
 
     name: str
@@ -112,19 +111,21 @@ class Effect(ABC):
     source: str
     inspect: str
     always_confused: tuple[str, ...] = ()
+    formula: str = ""
+    excitation: tuple[Check, ...] = ()
+    stage: Stage = Stage.GEAR
+    of_teeth: bool = False
+    remembers: bool = False
+    proportional: bool = True
+    own_slopes: bool = False
+    shifts_torque: bool = False
+    wanders_by: str = ""
+    broadband: bool = False
+    searched: bool = True
+    lasting: bool = True
 
-    stage: ClassVar[Stage] = Stage.GEAR
-    """Where it enters; effects of later stages see what those of earlier ones add."""
-
-    of_teeth: ClassVar[bool] = False
-    """Whether it enters through the contact: then it is part of the gear's ripple, for later stages."""
-
-    remembers: ClassVar[bool] = False
-    """Whether it depends on samples before: then it has to see all, those too that no fit uses."""
-
-    @abstractmethod
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """Transmission error by each linear coefficient.
+        """Transmission error by each linear coefficient, at small size.
 
         Parameters
         ----------
@@ -135,65 +136,21 @@ class Effect(ABC):
         Returns
         -------
         ndarray, shape (n, size)
-            [rad] per unit of the coefficient.
+            [rad] per unit of the coefficient; every run from its start.
         """
-
-    def wandering(self, signals: Signals, nonlinear: Values) -> Floats:
-        """Columns by which it may wander over a record, beside its own, shape (n, k); none unless stated.
-
-        They are fitted with it and are no part of a model that runs, for nothing foretells them.
-        """
-        return np.empty((signals.size, 0))
-
-    def sensible(self, coefficients: Floats, nonlinear: Values) -> bool:
-        """Whether a candidate may have these values: beyond, another cause is meant."""
-        return True
-
-    @abstractmethod
-    def testable(self, signals: Signals) -> tuple[bool, str]:
-        """Whether the record's motion allows to find it; if not, the shortest extra motion that would."""
-
-    def grid(self, signals: Signals) -> list[Values]:
-        """Start values of the nonlinear quantities."""
-        return [()]
-
-    def scan(self, signals: Signals, residual: Floats) -> list[Values]:
-        """Start values that fit a residual [rad], shape (n,); no more than the grid unless stated."""
-        return self.grid(signals)
-
-    def beside(self, signals: Signals, nonlinear: Values) -> list[Values]:
-        """Other discrete values next to given ones: worth a look when all else is fitted."""
-        return []
-
-    def trials(self, signals: Signals) -> int:
-        """Number of independent values that a grid or scan looks at, for the family-wise error."""
-        return len(self.grid(signals))
+        raise NotImplementedError
 
     def start(self, nonlinear: Values) -> Any:
-        """State before the first sample of a record."""
+        """State before the first sample of a run."""
         return None
 
-    def step(self, state: Any, signals: Signals, nonlinear: Values) -> tuple[Floats, Any]:
-        """Columns of the next samples, and the state after them."""
-        return self.columns(signals, nonlinear), state
+    def step(self, state: Any, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
+        """Transmission error at the next samples of a run [rad], shape (n,), and the state after them."""
+        return np.asarray(self.columns(signals, nonlinear) @ coefficients), state
 
-    def response(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
-        """Transmission error of the effect at its size [rad], shape (n,): proportional unless stated."""
-        return np.asarray(self.columns(signals, nonlinear) @ coefficients)
-
-    def secant(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
-        """Columns that hold at this size, mean or local slopes, where it has such; else its columns."""
+    def slopes(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
+        """Columns that hold at a size, where they change with it (`own_slopes`)."""
         return self.columns(signals, nonlinear)
-
-    def respond(
-        self, state: Any, signals: Signals, coefficients: Floats, nonlinear: Values
-    ) -> tuple[Floats, Any]:
-        """Transmission error of the effect at the next samples, and the state after them."""
-        return self.response(signals, coefficients, nonlinear), state
-
-    def torque_shift(self, coefficients: Floats) -> float:
-        """Real less reported torque by it [N m]; none unless stated."""
-        return 0.0
 
     def carry(self, signals: Signals, added: Floats, coefficients: Floats, nonlinear: Values) -> Floats:
         """What it makes of what earlier stages add, beside that itself; nothing unless stated.
@@ -212,6 +169,61 @@ class Effect(ABC):
         """
         return np.zeros_like(added)
 
+    def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
+        """Start values of the nonlinear quantities: a grid, or those that fit a residual [rad], (n,)."""
+        return Starts.grid([()])
+
+    def neighbours(self, signals: Signals, nonlinear: Values) -> list[Values]:
+        """Other discrete values that a search should compare when everything else is fitted."""
+        return [
+            (*nonlinear[:index], choice, *nonlinear[index + 1 :])
+            for index, quantity in enumerate(self.nonlinear)
+            for choice in quantity.choices
+            if choice != nonlinear[index]
+        ]
+
+    def testable(self, signals: Signals) -> tuple[bool, str]:
+        """Whether the record's motion allows to find it; if not, the shortest extra motion that would."""
+        return first_failure(signals, self.excitation)
+
+    def response(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
+        """Transmission error of the effect at its size along a record [rad], shape (n,)."""
+        if self.proportional:
+            return np.asarray(self.columns(signals, nonlinear) @ coefficients)
+        if not self.remembers:
+            return self.step(None, signals, coefficients, nonlinear)[0]
+        return by_run(signals, lambda run: self.step(self.start(nonlinear), run, coefficients, nonlinear)[0])
+
+    def wandering(self, signals: Signals, nonlinear: Values) -> Floats:
+        """Columns by which it may wander over a record, beside its own, shape (n, k).
+
+        They are fitted with it, and are no part of a model that runs: nothing predicts them.
+        """
+        if not self.wanders(nonlinear) or signals.size < 2:
+            return np.empty((signals.size, 0))
+        angle = signals.wave_generator_angle
+        way = np.cumsum(np.abs(np.diff(angle, prepend=angle[0])))
+        place = way * (_KNOTS / max(float(way[-1]), 1e-300))
+        hats = np.maximum(1.0 - np.abs(place[:, None] - np.arange(1, _KNOTS + 1)), 0.0)
+        hats -= hats.mean(axis=0)
+        own = self.columns(signals, nonlinear)
+        return np.asarray((hats[:, :, None] * own[:, None, :]).reshape(signals.size, -1))
+
+    def wanders(self, nonlinear: Values) -> bool:
+        """Whether it wanders over a record at these values."""
+        names = [quantity.name for quantity in self.nonlinear]
+        return bool(self.wanders_by and nonlinear[names.index(self.wanders_by)])
+
+    def torque_shift(self, coefficients: Floats) -> float:
+        """Real less reported torque by it [N m]."""
+        return float(coefficients[0]) if self.shifts_torque else 0.0
+
+    def sensible(self, coefficients: Floats, nonlinear: Values) -> bool:
+        """Whether a candidate may have these values: beyond strict limits, another cause is meant."""
+        strict = [quantity for quantity in self.quantities if quantity.strict]
+        values = self.to_physical(coefficients, nonlinear) if strict else {}
+        return all(quantity.allows(values[quantity.name][0]) for quantity in strict)
+
     @property
     def linear(self) -> tuple[Quantity, ...]:
         """Quantities behind the coefficients, one each."""
@@ -226,15 +238,6 @@ class Effect(ABC):
     def size(self) -> int:
         """Number of coefficients."""
         return len(self.linear)
-
-    @property
-    def prior_scales(self) -> Floats:
-        """Usual size of every coefficient, shape (size,)."""
-        scales = [quantity.prior_scale for quantity in self.linear]
-        for index, quantity in enumerate(self.linear):
-            if quantity.periodic is not None:
-                scales[index] = scales[index - 1]
-        return np.array(scales)
 
     def to_physical(
         self, coefficients: Sequence[float] | Floats, nonlinear: Values
@@ -254,7 +257,7 @@ class Effect(ABC):
         values = dict(zip((quantity.name for quantity in self.linear), map(float, coefficients), strict=True))
         for size, turned in self._pairs():
             cosine, sine = values[size.name], values[turned.name]
-            values[size.name] = math.hypot(cosine, sine)
+            values[size.name] = math.hypot(cosine, sine) ** (1.0 / size.power)
             values[turned.name] = _direction(math.atan2(sine, cosine), turned)
         values |= zip((quantity.name for quantity in self.nonlinear), map(float, nonlinear), strict=True)
         return {quantity.name: (values[quantity.name], quantity.unit) for quantity in self.quantities}
@@ -271,17 +274,10 @@ class Effect(ABC):
         found = {quantity.name: float(values[quantity.name]) for quantity in self.quantities}
         for size, turned in self._pairs():
             phase = found[turned.name] * 2.0 * math.pi / (turned.periodic or 1.0)
-            found[size.name], found[turned.name] = (
-                found[size.name] * math.cos(phase),
-                found[size.name] * math.sin(phase),
-            )
+            whole = found[size.name] ** size.power
+            found[size.name], found[turned.name] = whole * math.cos(phase), whole * math.sin(phase)
         coefficients = np.array([found[quantity.name] for quantity in self.linear])
         return coefficients, tuple(found[quantity.name] for quantity in self.nonlinear)
-
-    def within(self, coefficients: Sequence[float] | Floats, nonlinear: Values) -> bool:
-        """Whether all quantities are inside their limits."""
-        values = self.to_physical(coefficients, nonlinear)
-        return all(quantity.low <= values[quantity.name][0] <= quantity.high for quantity in self.quantities)
 
     def standard_deviations(
         self, coefficients: Sequence[float] | Floats, nonlinear: Values, covariance: Floats
@@ -302,11 +298,10 @@ class Effect(ABC):
         center = np.concatenate((np.asarray(coefficients, dtype=np.float64), nonlinear))
         spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         gradient = np.zeros((len(self.quantities), spread.size))
-        for index, deviation in enumerate(spread):
+        for index in np.flatnonzero(spread):
             step = np.zeros(center.size)
-            step[index] = 1e-3 * deviation
-            if deviation > 0.0:
-                gradient[:, index] = self._difference(center - step, center + step) / (2.0 * step[index])
+            step[index] = 1e-3 * spread[index]
+            gradient[:, index] = self._difference(center - step, center + step) / (2.0 * step[index])
         variance = np.einsum("ij,jk,ik->i", gradient, covariance, gradient)
         return {q.name: math.sqrt(max(v, 0.0)) for q, v in zip(self.quantities, variance, strict=True)}
 
@@ -319,6 +314,7 @@ class Effect(ABC):
         return change
 
     def _pairs(self) -> list[tuple[Quantity, Quantity]]:
+        """Every amplitude with its direction."""
         linear = self.linear
         return [(linear[i - 1], q) for i, q in enumerate(linear) if q.periodic is not None]
 
@@ -329,55 +325,17 @@ class Effect(ABC):
             raise ValueError(f"{self.name}: {wrong[0]} is missing or unknown; it takes {expected}")
         for quantity in self.quantities:
             value = values[quantity.name]
-            inside = math.isfinite(value) if quantity.periodic else quantity.low <= value <= quantity.high
-            if not inside:
+            if not (math.isfinite(value) if quantity.periodic else quantity.allows(value)):
                 raise ValueError(
                     f"{self.name}: {quantity.name} must be from {quantity.low:g} to {quantity.high:g} "
                     f"{quantity.unit}, not {value:g}"
                 )
 
 
-@dataclass(frozen=True)
-class StatefulEffect(Effect):
-    """An effect that remembers: one sample at a time and the whole record agree."""
-
-    remembers: ClassVar[bool] = True
-
-    @abstractmethod
-    def start(self, nonlinear: Values) -> Any:
-        """State before the first sample of a run."""
-
-    @abstractmethod
-    def step(self, state: Any, signals: Signals, nonlinear: Values) -> tuple[Floats, Any]:
-        """Columns of the next samples of a run, and the state after them."""
-
-    def respond(
-        self, state: Any, signals: Signals, coefficients: Floats, nonlinear: Values
-    ) -> tuple[Floats, Any]:
-        """See :meth:`Effect.respond`."""
-        columns, state = self.step(state, signals, nonlinear)
-        return np.asarray(columns @ coefficients), state
-
-    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """Columns of a record, each run from its start; see :meth:`Effect.columns`."""
-        parts = [self.step(self.start(nonlinear), signals.part(run), nonlinear)[0] for run in signals.runs()]
-        return np.concatenate(parts) if parts else np.empty((0, self.size))
-
-
-def harmonic(response: npt.NDArray[np.complex128]) -> Floats:
-    """Columns of a cosine and a sine coefficient from a complex response, shape (n, 2)."""
-    return np.stack((response.real, response.imag), axis=1)
-
-
-def harmonic_sum(coefficients: Floats, orders: Sequence[int], angle: Floats) -> Floats:
-    """``sum a_k cos k (angle - d_k)`` of cosine and sine coefficients, in the shape of the angle."""
-    pairs = zip(orders, coefficients[::2], coefficients[1::2], strict=True)
-    return np.asarray(sum(a * np.cos(k * angle) + b * np.sin(k * angle) for k, a, b in pairs))
-
-
-def turning(phase: Floats) -> Floats:
-    """``cos`` and ``sin`` of a phase [rad], shape (n, 2)."""
-    return np.stack((np.cos(phase), np.sin(phase)), axis=1)
+def by_run(signals: Signals, evaluate: Callable[[Signals], Floats]) -> Floats:
+    """Values of a whole record, every run evaluated from its own start."""
+    runs = signals.runs() or [slice(0, 0)]
+    return np.concatenate([evaluate(signals.part(run)) for run in runs])
 
 
 def _direction(phase: float, quantity: Quantity) -> float:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Quantity, Values, amplitude, direction, turning
-from hd_diag.effects.excitation import enough_input_turns, sample_interval, torque_known, verdict
+from hd_diag.effects.effect import Starts
+from hd_diag.effects.excitation import Verdict, enough_input_turns, sample_interval, torque_known
+from hd_diag.effects.harmonic import Harmonic
 from hd_diag.effects.order_spectrum import integer_orders
+from hd_diag.effects.quantity import Quantity, amplitude, direction
 from hd_diag.effects.signals import Signals
 from hd_diag.model.torsion_map import ARCSEC
 
@@ -20,40 +23,30 @@ _ABOVE_MESH = 8  # first order beyond those that two eccentric lobes give under 
 _SLOW = 0.25  # share of the moving samples that must be slow enough
 
 
-@dataclass(frozen=True)
-class EncoderInterpolation(Effect):
+@dataclass(frozen=True, kw_only=True)
+class EncoderInterpolation(Harmonic):
     """The input reads ``a cos(L theta_in - d)`` too far, so the output seems to lag by that over N."""
 
-    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """One order of the input; see :meth:`Effect.columns`."""
-        return -turning(nonlinear[0] * signals.input_angle) / signals.ratio
-
-    def grid(self, signals: Signals) -> list[Values]:
-        """Usual numbers of lines that the record can follow; `scan` looks at all."""
-        return [(float(lines),) for lines in _USUAL if _lowest(signals) <= lines <= _highest(signals)]
-
-    def scan(self, signals: Signals, residual: Floats) -> list[Values]:
-        """Strongest whole orders of the residual over the input angle."""
-        highest = _highest(signals)
-        least = _lowest(signals)
+    def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
+        """Strongest whole orders of a residual over the input angle; without one the usual line numbers."""
+        least, highest = _lowest(signals), _highest(signals)
+        trials = max(1, highest - least + 1)
+        if residual is None:
+            return Starts([(float(lines),) for lines in _USUAL if least <= lines <= highest], trials)
         if highest < least:
-            return []
+            return Starts([], trials)
         strength = integer_orders(signals.input_angle, residual, highest)
         strength[:least] = 0.0
-        return [(float(order),) for order in np.argsort(strength)[::-1][:_CANDIDATES] if order >= least]
+        best = np.argsort(strength)[::-1][:_CANDIDATES]
+        return Starts([(float(order),) for order in best if order >= least], trials)
 
-    def trials(self, signals: Signals) -> int:
-        """Whole orders that the record can follow."""
-        return max(1, _highest(signals) - _lowest(signals) + 1)
 
-    def testable(self, signals: Signals) -> tuple[bool, str]:
-        """Slow enough that the lines do not alias."""
-        limit = np.pi / (_LEAST * sample_interval(signals))
-        slow = _highest(signals) >= _LEAST
-        return verdict(
-            (slow, f"the input is too fast for the sampling: repeat the motion below {limit:.3g} rad/s"),
-            enough_input_turns(signals, 3.0),
-        )
+def _slow_enough(signals: Signals) -> Verdict:
+    """Whether the least number of lines does not alias."""
+    limit = np.pi / (_LEAST * sample_interval(signals))
+    slow = _highest(signals) >= _LEAST
+    text = f"the input is too fast for the sampling: repeat the motion below {limit:.3g} rad/s"
+    return slow, "" if slow else text
 
 
 def _lowest(signals: Signals) -> int:
@@ -77,6 +70,8 @@ EFFECT = EncoderInterpolation(
     kind="sensor",
     frame="input",
     needs=("output_angle", "speed", "time"),
+    angle="input_angle",
+    excitation=(_slow_enough, partial(enough_input_turns, turns=3.0)),
     quantities=(
         amplitude("amplitude", "rad", 0.1, 200.0 * ARCSEC, "a, reading error at the input"),
         direction("phase", "of the error at input angle zero"),

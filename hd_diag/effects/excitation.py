@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from hd_diag.arrays import Floats
 from hd_diag.effects.signals import Signals
 
 Verdict = tuple[bool, str]
+"""Whether the motion suffices; if not, the shortest extra motion that would."""
+
+
+class Check(Protocol):
+    """What an effect asks of a record's motion; arguments beside the signals are bound by `partial`."""
+
+    def __call__(self, signals: Signals, /) -> Verdict:
+        """Judge a record."""
+
 
 TURN = 2.0 * math.pi
 
@@ -19,13 +30,19 @@ _STILL = 1e-3  # [rad/s]; below this the input stands
 _LEAST_LOAD = 0.1  # of the rated torque, under which teeth bear for certain, whatever the error of its zero
 
 
-def verdict(*checks: Verdict) -> Verdict:
-    """The first check that fails, or (True, "")."""
-    return next((check for check in checks if not check[0]), (True, ""))
+def first_failure(signals: Signals, checks: Iterable[Check]) -> Verdict:
+    """The verdict of the first check that fails, or (True, "")."""
+    verdicts = (check(signals) for check in checks)
+    return next((verdict for verdict in verdicts if not verdict[0]), (True, ""))
 
 
-def _told(possible: bool, extra: str) -> Verdict:
+def _verdict(possible: bool, extra: str) -> Verdict:
     return possible, "" if possible else extra
+
+
+def enough_samples(signals: Signals) -> Verdict:
+    """Whether there are samples before and after what a record may show by itself."""
+    return _verdict(signals.size >= 10, "fewer than ten samples: record before and after the step")
 
 
 def input_turns(signals: Signals) -> float:
@@ -41,7 +58,7 @@ def output_turns(signals: Signals) -> float:
 def enough_input_turns(signals: Signals, turns: float) -> Verdict:
     """Whether the wave generator covers enough turns."""
     found = input_turns(signals)
-    return _told(
+    return _verdict(
         found >= turns,
         f"the wave generator covers {found:.3g} turns: let it run one way through {turns:g} turns "
         f"({turns / abs(signals.ratio):.3g} of the output)",
@@ -51,7 +68,7 @@ def enough_input_turns(signals: Signals, turns: float) -> Verdict:
 def enough_output_turns(signals: Signals, turns: float) -> Verdict:
     """Whether the output covers enough turns."""
     found = output_turns(signals)
-    return _told(
+    return _verdict(
         found >= turns,
         f"the output covers {found:.3g} turns: let it run one way through {turns:g} "
         f"({turns * abs(signals.ratio):.0f} of the input)",
@@ -62,7 +79,7 @@ def torque_varies(signals: Signals, fraction: float = 0.25) -> Verdict:
     """Whether the torque spans a fraction of the rated one."""
     span = float(np.ptp(signals.torque)) if signals.size else 0.0
     wanted = fraction * signals.rated_torque
-    return _told(
+    return _verdict(
         span >= wanted,
         f"the torque spans {span:.3g} N m, {wanted:.3g} N m are needed: repeat the motion under another load",
     )
@@ -72,17 +89,18 @@ def loaded(signals: Signals) -> Verdict:
     """Whether teeth bear at all: in the gear's play its own ripple hangs on what no record shows."""
     wanted = _LEAST_LOAD * signals.rated_torque
     most = float(np.max(np.abs(signals.torque), initial=0.0))
-    return _told(
+    return _verdict(
         most >= wanted,
         f"no load is known beyond {_signed(most)} N m, within the gear's play: repeat the motion under "
         f"{wanted:.2g} N m or more, measured",
     )
 
 
-def torque_beyond(signals: Signals, torque: float) -> Verdict:
-    """Whether the torque goes beyond a magnitude [N m] in both directions."""
+def torque_beyond(signals: Signals, fraction: float) -> Verdict:
+    """Whether the torque goes beyond a fraction of the rated one in both directions."""
     low, high = _torque_ends(signals)
-    return _told(
+    torque = fraction * signals.rated_torque
+    return _verdict(
         low <= -torque and high >= torque,
         f"the torque reaches from {_signed(low)} to {_signed(high)} N m: load the joint once up to "
         f"{torque:.3g} N m in each direction",
@@ -93,7 +111,7 @@ def torque_through_zero(signals: Signals) -> Verdict:
     """Whether the torque is well on both sides of zero."""
     low, high = _torque_ends(signals)
     wanted = 0.05 * signals.rated_torque
-    return _told(
+    return _verdict(
         low <= -wanted and high >= wanted,
         f"the torque reaches from {_signed(low)} to {_signed(high)} N m: lead it slowly through zero, "
         f"from {_signed(-wanted)} to {_signed(wanted)} N m",
@@ -103,16 +121,16 @@ def torque_through_zero(signals: Signals) -> Verdict:
 def torque_known(signals: Signals) -> Verdict:
     """Whether the torque is measured: one that never changes by a digit is assumed."""
     measured = bool(signals.size) and float(np.ptp(signals.torque)) > _DIGIT * signals.rated_torque
-    return _told(measured, "no torque is measured: record it, for what the load does hides the rest")
+    return _verdict(measured, "no torque is measured: record it, for what the load does hides the rest")
 
 
-def torque_reverses(signals: Signals, swing: float) -> Verdict:
-    """Whether the torque turns back, within a run, at three different values at least, by a swing [N m]."""
-    found = 0
+def torque_reverses(signals: Signals, fraction: float) -> Verdict:
+    """Whether the torque turns back by a fraction of the rated one, within a run, at three values or more."""
+    swing, found = fraction * signals.rated_torque, 0
     for run in signals.runs():
         turns = np.sort(_turning_points(signals.torque[run], swing))
         found = max(found, int(np.count_nonzero(np.diff(turns) > 0.5 * swing)) + 1 if turns.size else 0)
-    return _told(
+    return _verdict(
         found >= 3,
         f"the torque turns back at {_number(found)}, three are needed, {swing:.3g} N m apart or more: swing "
         "the load up, half-way down and up again without a pause",
@@ -122,7 +140,7 @@ def torque_reverses(signals: Signals, swing: float) -> Verdict:
 def both_directions(signals: Signals) -> Verdict:
     """Whether the input runs both ways for a twentieth of the record at least."""
     share = [float(np.mean(way * signals.speed > _STILL)) if signals.size else 0.0 for way in (1.0, -1.0)]
-    return _told(min(share) >= 0.05, "the joint runs one way only: drive the same stretch back as well")
+    return _verdict(min(share) >= 0.05, "the joint runs one way only: drive the same stretch back as well")
 
 
 def several_speeds(signals: Signals, number: int) -> Verdict:
@@ -132,7 +150,7 @@ def several_speeds(signals: Signals, number: int) -> Verdict:
     if speed.size:
         level = np.bincount(np.rint(speed / (_SPEED_STEP * speed.max())).astype(np.int64))
         found = int(np.count_nonzero(level >= max(10, 0.005 * speed.size)))
-    return _told(
+    return _verdict(
         found >= number,
         f"{found} {'speed' if found == 1 else 'speeds'}: repeat the motion at {number} different speeds, "
         "or ramp the speed",
@@ -148,10 +166,14 @@ def _number(values: int) -> str:
     return {0: "no value", 1: "one value"}.get(values, f"{values} values")
 
 
-def speed_beyond(signals: Signals, speed: float, why: str) -> Verdict:
+def speed_beyond(signals: Signals, speed: float) -> Verdict:
     """Whether the input reaches a speed [rad/s]."""
     found = float(np.max(np.abs(signals.speed), initial=0.0))
-    return _told(found >= speed, f"the input reaches {found:.3g} rad/s: {why}, at {speed:.3g} rad/s or more")
+    return _verdict(
+        found >= speed,
+        f"the input reaches {found:.3g} rad/s: run the joint fast, with its ripple, at {speed:.3g} rad/s or "
+        "more",
+    )
 
 
 def temperature_varies(signals: Signals, span: float = 3.0) -> Verdict:
@@ -159,7 +181,7 @@ def temperature_varies(signals: Signals, span: float = 3.0) -> Verdict:
     if signals.temperature is None:
         return False, "no temperature is measured: record it, cold and after warming up by 3 K"
     found = float(np.ptp(signals.temperature)) if signals.size else 0.0
-    return _told(
+    return _verdict(
         found >= span, f"the temperature changes by {found:.2g} K: repeat the motion {span:g} K warmer"
     )
 
@@ -177,7 +199,7 @@ def _torque_ends(signals: Signals) -> tuple[float, float]:
     return float(np.min(signals.torque)), float(np.max(signals.torque))
 
 
-def _turning_points(torque: npt.NDArray[np.float64], swing: float) -> npt.NDArray[np.float64]:
+def _turning_points(torque: Floats, swing: float) -> Floats:
     """Torques at which it turns back by more than a swing: rainflow counting's reversals [N m]."""
     if not torque.size:
         return np.empty(0)
@@ -194,7 +216,7 @@ def _turning_points(torque: npt.NDArray[np.float64], swing: float) -> npt.NDArra
     return np.array(found)
 
 
-def _extremes(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _extremes(values: Floats) -> Floats:
     """Local extremes, both ends included: a reversal needs no others."""
     change = np.diff(values)
     inner = np.flatnonzero(change[1:] * change[:-1] <= 0.0) + 1

@@ -3,36 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
-
-import numpy as np
+from functools import partial
+from typing import Any
 
 from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Values, amplitude, direction, harmonic, harmonic_sum
-from hd_diag.effects.excitation import enough_output_turns, torque_varies, verdict
+from hd_diag.effects.effect import Effect, Stepped, Values
+from hd_diag.effects.excitation import enough_output_turns, torque_varies
+from hd_diag.effects.quantity import harmonic_sum, harmonics, lobes
 from hd_diag.effects.signals import Signals
 
 ORDERS = (2, 4)  # two opposite lobes cancel the odd ones
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FlexsplinePitch(Effect):
     """Circumferential displacement of the teeth ``sum a_k cos k (psi - d_k)``."""
 
-    of_teeth: ClassVar[bool] = True
-
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Response to every harmonic; see :meth:`Effect.columns`."""
-        return np.concatenate([harmonic(signals.contact.tooth_harmonic(k)) for k in ORDERS], axis=1)
+        return harmonics([signals.contact.tooth_harmonic(k) for k in ORDERS])
 
-    def response(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
-        """The teeth displaced at their full size; see :meth:`Effect.response`."""
+    def step(self, state: Any, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
+        """The teeth displaced at their full size; see :meth:`Effect.step`."""
         first = self.columns(signals, nonlinear) @ coefficients
-        return np.asarray(first + signals.contact.teeth_beyond(_displacement, coefficients))
-
-    def testable(self, signals: Signals) -> tuple[bool, str]:
-        """One turn of the output: it parts orders 2 and 2 (1 + 1/N)."""
-        return verdict(enough_output_turns(signals, 1.0), torque_varies(signals))
+        return first + signals.contact.teeth_beyond(_displacement, coefficients), state
 
 
 def _displacement(coefficients: Floats, angle: Floats) -> Floats:
@@ -45,13 +39,14 @@ EFFECT = FlexsplinePitch(
     kind="kinematic",
     frame="output",
     needs=("wave_generator_angle", "torque"),
-    quantities=tuple(
-        quantity
-        for k in ORDERS
-        for quantity in (
-            amplitude(f"pitch_{k}", "m", 5e-5, 2e-6, f"cumulative pitch error, {k} periods around"),
-            direction(f"pitch_direction_{k}", "angle in the flexspline where the teeth are most ahead", k),
-        )
+    excitation=(partial(enough_output_turns, turns=1.0), torque_varies),  # parts orders 2 and 2 (1 + 1/N)
+    of_teeth=True,
+    proportional=False,
+    quantities=lobes(
+        "pitch",
+        ORDERS,
+        "cumulative pitch error, {} periods around",
+        "angle in the flexspline where the teeth are most ahead",
     ),
     confused_with=(
         "circular_spline_pitch",

@@ -2,36 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from functools import partial
 
-from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Values, amplitude, direction, turning
-from hd_diag.effects.excitation import enough_input_turns, torque_varies, verdict
-from hd_diag.effects.signals import Signals
+from hd_diag.effects.excitation import enough_input_turns, torque_varies
+from hd_diag.effects.harmonic import Harmonic
+from hd_diag.effects.quantity import amplitude, direction
 from hd_diag.model.torsion_map import ARCSEC
 
-
-@dataclass(frozen=True)
-class InputEncoderEccentricity(Effect):
-    """The input reads ``a cos(theta_in - d)`` too far, so the output seems to lag by that over N."""
-
-    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """Once per input turn; see :meth:`Effect.columns`."""
-        return -turning(signals.input_angle) / signals.ratio
-
-    def testable(self, signals: Signals) -> tuple[bool, str]:
-        """A few turns at two torques."""
-        return verdict(enough_input_turns(signals, 3.0), torque_varies(signals))
-
-
-EFFECT = InputEncoderEccentricity(
+EFFECT = Harmonic(
     name="input_encoder_eccentricity",
     cause=(
         "The input encoder's disc or magnet is off centre, so the input angle is read wrongly once per turn."
     ),
+    formula=("The input reads ``a cos(theta_in - d)`` too far, so the output seems to lag by that over N."),
     kind="sensor",
     frame="input",
     needs=("output_angle", "torque"),
+    angle="input_angle",
+    orders=(1,),
+    excitation=(partial(enough_input_turns, turns=3.0), torque_varies),
     quantities=(
         amplitude("amplitude", "rad", 0.2, 300.0 * ARCSEC, "a, reading error at the input, e / R"),
         direction("direction", "input angle at which it reads most too far"),

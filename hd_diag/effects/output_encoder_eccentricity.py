@@ -2,37 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from functools import partial
 
-import numpy as np
-
-from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Values, amplitude, direction, turning
 from hd_diag.effects.excitation import enough_output_turns
-from hd_diag.effects.signals import Signals
+from hd_diag.effects.harmonic import Harmonic
+from hd_diag.effects.quantity import amplitude, direction
 from hd_diag.model.torsion_map import ARCSEC
 
-
-@dataclass(frozen=True)
-class OutputEncoderEccentricity(Effect):
-    """``a cos(theta_o - d) + a_2 cos 2 (theta_o - d_2)``."""
-
-    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """Once and twice per output turn; see :meth:`Effect.columns`."""
-        angle = signals.output_angle
-        return np.concatenate((turning(angle), turning(2.0 * angle)), axis=1)
-
-    def testable(self, signals: Signals) -> tuple[bool, str]:
-        """One turn of the output."""
-        return enough_output_turns(signals, 1.0)
-
-
-EFFECT = OutputEncoderEccentricity(
+EFFECT = Harmonic(
     name="output_encoder_eccentricity",
     cause="The output encoder's disc or magnet is off centre or tilted, so the output angle is read wrongly.",
+    formula="``a cos(theta_o - d) + a_2 cos 2 (theta_o - d_2)``.",
     kind="sensor",
     frame="output",
     needs=("output_angle",),
+    angle="output_angle",
+    orders=(1, 2),
+    excitation=(partial(enough_output_turns, turns=1.0),),
     quantities=(
         amplitude("amplitude", "rad", 1e-2, 15.0 * ARCSEC, "reading error once per turn, e / R"),
         direction("direction", "output angle at which it reads most too far"),

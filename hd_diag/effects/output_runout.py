@@ -2,37 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from functools import partial
 
-from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Values, amplitude, direction, turning
 from hd_diag.effects.excitation import enough_output_turns
-from hd_diag.effects.signals import Signals
+from hd_diag.effects.harmonic import Harmonic
+from hd_diag.effects.quantity import amplitude, direction
 from hd_diag.model.torsion_map import ARCSEC
 
-
-@dataclass(frozen=True)
-class OutputRunout(Effect):
-    """``a cos(theta_o - d)``."""
-
-    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """Once per output turn; see :meth:`Effect.columns`."""
-        return turning(signals.output_angle)
-
-    def testable(self, signals: Signals) -> tuple[bool, str]:
-        """One turn of the output."""
-        return enough_output_turns(signals, 1.0)
-
-
-EFFECT = OutputRunout(
+EFFECT = Harmonic(
     name="output_runout",
     cause=(
         "The output flange, its bearing or its seat is off centre, so the output leads and lags once per "
         "turn."
     ),
+    formula="``a cos(theta_o - d)``.",
     kind="kinematic",
     frame="output",
     needs=("output_angle",),
+    angle="output_angle",
+    orders=(1,),
+    excitation=(partial(enough_output_turns, turns=1.0),),
     quantities=(
         amplitude("amplitude", "rad", 1e-2, 15.0 * ARCSEC, "largest lead over an output turn"),
         direction("direction", "output angle at which the output leads most"),

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Quantity, Values
+from hd_diag.effects.effect import Effect, Values
 from hd_diag.effects.excitation import enough_input_turns
+from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.signals import Signals
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RatioError(Effect):
     """``e theta_in / N``, with ``e = N / N' - 1`` and N' the real ratio."""
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Nominal output angle; see :meth:`Effect.columns`."""
         return signals.output_angle[:, None]
-
-    def testable(self, signals: Signals) -> tuple[bool, str]:
-        """A turn of the input."""
-        return enough_input_turns(signals, 1.0)
 
 
 EFFECT = RatioError(
@@ -29,6 +27,8 @@ EFFECT = RatioError(
     kind="kinematic",
     frame="output",
     needs=("output_angle",),
+    excitation=(partial(enough_input_turns, turns=1.0),),
+    searched=False,
     quantities=(Quantity("relative_error", "-", -1.0, 1e3, 1e-3, "declared over real ratio, less one"),),
     confused_with=("output_runout", "thermal_drift", "tooth_skip"),
     source="definition of the transmission error",

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from functools import partial
 
 import numpy as np
 
 from hd_diag.arrays import Complexes, Floats
-from hd_diag.effects.effect import Quantity, Stage, StatefulEffect, Values, amplitude, direction
+from hd_diag.effects.effect import Effect, Stage, Starts, Stepped, Values
 from hd_diag.effects.excitation import (
     enough_input_turns,
     loaded,
     sample_interval,
     several_speeds,
     torque_known,
-    verdict,
 )
+from hd_diag.effects.quantity import Quantity, amplitude, direction
 from hd_diag.effects.recursions import follow, relax
 from hd_diag.effects.signals import Signals
 from hd_diag.model.torsion_map import ARCSEC
@@ -35,8 +35,8 @@ Before = tuple[tuple[float, float, float], tuple[complex, ...]]
 State = Before | None
 
 
-@dataclass(frozen=True)
-class Resonance(StatefulEffect):
+@dataclass(frozen=True, kw_only=True)
+class Resonance(Effect):
     """What a two-inertia oscillator makes of an order, ``Re a x``, and of the gear's own ripple.
 
     The link x hangs on a spring and damper whose other end the gear moves by u:
@@ -47,26 +47,21 @@ class Resonance(StatefulEffect):
     steady state, for the ripple at rest.
     """
 
-    stage: ClassVar[Stage] = Stage.SPRING
-
-    def start(self, nonlinear: Values) -> State:
-        """Nothing yet."""
-        return None
-
-    def step(self, state: State, signals: Signals, nonlinear: Values) -> tuple[Floats, State]:
-        """Exact between samples while the speed is constant there; see :meth:`Effect.step`."""
-        if not signals.size:
-            return np.empty((0, 3)), state
-        return _stepped(nonlinear, _Path.along(signals, nonlinear[0], state), state)
-
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """What no natural frequency changes once for all calls; see :meth:`StatefulEffect.columns`."""
+        """What no natural frequency changes is kept for later calls; see :meth:`Effect.columns`."""
         kept = signals.kept.setdefault(("resonance", nonlinear[0]), [])
         if not kept and signals.size:
             _ = signals.ripple, signals.contact.ripple
             kept += [_Path.along(signals.part(run), nonlinear[0], None) for run in signals.runs()]
         parts = [_stepped(nonlinear, path, None)[0] for path in kept]
         return np.concatenate(parts) if parts else np.empty((0, 3))
+
+    def step(self, state: State, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
+        """Exact between samples while the speed is constant there; see :meth:`Effect.step`."""
+        if not signals.size:
+            return np.empty(0), state
+        columns, state = _stepped(nonlinear, _Path.along(signals, nonlinear[0], state), state)
+        return np.asarray(columns @ coefficients), state
 
     def carry(self, signals: Signals, added: Floats, coefficients: Floats, nonlinear: Values) -> Floats:
         """``c (H - 1)`` of every part; see :meth:`Effect.carry`."""
@@ -78,37 +73,18 @@ class Resonance(StatefulEffect):
             result[run] = follow(-residue / pole * passed[run][0], steps.scaled(residue), passed[run])
         return np.asarray(coefficients[2] * (result - passed))
 
-    def grid(self, signals: Signals) -> list[Values]:
-        """Natural frequencies [rad/s] that the orders pass."""
-        return [
-            (order, float(frequency), _DAMPINGS[0])
-            for order in ORDERS
-            for frequency in np.geomspace(*_passed(signals, order), _COARSE)
-        ]
+    def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
+        """Natural frequencies [rad/s] that the orders pass, or those that fit a residual best.
 
-    def scan(self, signals: Signals, residual: Floats) -> list[Values]:
-        """Natural frequencies and dampings that fit best as if every speed were constant."""
-        bins = _binned(signals, residual)
-        return [
-            max(_quasi_static(signals, bins, order, damping))[1] for order in ORDERS for damping in _DAMPINGS
-        ]
-
-    def beside(self, signals: Signals, nonlinear: Values) -> list[Values]:
-        """The other orders."""
-        return [(order, *nonlinear[1:]) for order in ORDERS if order != nonlinear[0]]
-
-    def trials(self, signals: Signals) -> int:
-        """Orders, frequencies and dampings of a scan."""
-        return len(ORDERS) * _FINE * len(_DAMPINGS)
-
-    def testable(self, signals: Signals) -> tuple[bool, str]:
-        """Five speeds across it, and turns enough at them, under a load that makes a ripple."""
-        return verdict(
-            torque_known(signals),
-            loaded(signals),
-            enough_input_turns(signals, 20.0),
-            several_speeds(signals, 5),
-        )
+        They are fitted to it as if every speed were constant.
+        """
+        trials = len(ORDERS) * _FINE * len(_DAMPINGS)
+        if residual is not None:
+            bins = _binned(signals, residual)
+            each = [(order, damping) for order in ORDERS for damping in _DAMPINGS]
+            return Starts([max(_quasi_static(signals, bins, *one))[1] for one in each], trials)
+        passed = [(order, np.geomspace(*_passed(signals, order), _COARSE)) for order in ORDERS]
+        return Starts([(order, float(one), _DAMPINGS[0]) for order, every in passed for one in every], trials)
 
 
 def _oscillator(nonlinear: Values) -> tuple[complex, complex]:
@@ -297,6 +273,15 @@ EFFECT = Resonance(
     kind="torsion",
     frame="time",
     needs=("time", "wave_generator_angle", "speed", "torque", "run"),
+    # Five speeds across it, and enough turns at them, under a load that makes a ripple.
+    excitation=(
+        torque_known,
+        loaded,
+        partial(enough_input_turns, turns=20.0),
+        partial(several_speeds, number=5),
+    ),
+    stage=Stage.SPRING,
+    remembers=True,
     quantities=(
         amplitude("amplitude", "rad", 1e-2, 8.0 * ARCSEC, "a, of the exciting order well below resonance"),
         direction("phase", "of the exciting order at wave generator angle zero"),
@@ -308,9 +293,9 @@ EFFECT = Resonance(
             ORDERS[-1],
             1.0,
             "n, exciting order of the wave generator's turn",
-            False,
-            None,
-            True,
+            linear=False,
+            discrete=True,
+            choices=ORDERS,
         ),
         Quantity("natural_frequency", "rad/s", 1.0, 1e4, 100.0, "omega_n, undamped", linear=False),
         Quantity("damping", "-", 2e-3, 0.5, 0.03, "zeta, share of the critical one", linear=False),

@@ -3,33 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
-from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Quantity, Stage, Values
+from hd_diag.arrays import Floats, Integers
+from hd_diag.effects.effect import Effect, Stage, Stepped, Values
 from hd_diag.effects.excitation import speed_beyond
+from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.signals import Signals
 
 _SPEED = 20.0  # [rad/s] of the input: 50 us read a hundredth of an arcmin there at ratio 100
-
-
 _POINTS = 4  # of the polynomial between samples: the ripple turns by half a radian from one to the next
 
 State = tuple[Floats, Floats]
+"""Times [s] and output angles [rad] of the latest samples."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class StreamDelay(Effect):
     """``theta_out(t - dt) - theta_out(t)``, to first order ``-dt (omega_o + dTE/dt)``.
 
     What the output will do is not known: a negative delay stays first order.
     """
-
-    stage: ClassVar[Stage] = Stage.STREAM
-    remembers: ClassVar[bool] = True
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """What the output moves in a second; see :meth:`Effect.columns`."""
@@ -39,10 +35,8 @@ class StreamDelay(Effect):
         """No sample yet."""
         return np.empty(0), np.empty(0)
 
-    def respond(
-        self, state: State, signals: Signals, coefficients: Floats, nonlinear: Values
-    ) -> tuple[Floats, State]:
-        """Where the output was a delay ago; see :meth:`Effect.respond`."""
+    def step(self, state: State, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
+        """Where the output was a delay ago; see :meth:`Effect.step`."""
         delay, now = float(coefficients[0]), signals.output_angle + signals.predicted
         time, angle = np.append(state[0], signals.time), np.append(state[1], now)
         result = self.columns(signals, nonlinear) @ coefficients
@@ -53,14 +47,6 @@ class StreamDelay(Effect):
             result[known] = _between(time, angle, after[known], then[known]) - now[known]
         kept = max(int(np.searchsorted(time, time[-1] - max(delay, 0.0))) - _POINTS, 0) if time.size else 0
         return np.asarray(result), (time[kept:], angle[kept:])
-
-    def response(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
-        """Run by run; see :meth:`Effect.response`."""
-        parts = [
-            self.respond(self.start(nonlinear), signals.part(run), coefficients, nonlinear)[0]
-            for run in signals.runs()
-        ]
-        return np.concatenate(parts) if parts else np.empty(0)
 
     def carry(self, signals: Signals, added: Floats, coefficients: Floats, nonlinear: Values) -> Floats:
         """Late by the delay, straight between samples; see :meth:`Effect.carry`."""
@@ -74,14 +60,10 @@ class StreamDelay(Effect):
             before - added + share[:, None] * (added.take(low + 1, axis=0, mode="clip") - before)
         )
 
-    def testable(self, signals: Signals) -> tuple[bool, str]:
-        """High speed."""
-        return speed_beyond(signals, _SPEED, "run the joint fast, with its ripple")
 
-
-def _straight(signals: Signals, delay: float) -> tuple[npt.NDArray[np.intp], Floats]:
+def _straight(signals: Signals, delay: float) -> tuple[Integers, Floats]:
     """Sample before the moment a delay ago, and the share of the next one, within every run; (n,) each."""
-    low, share = np.zeros(signals.size, dtype=np.intp), np.zeros(signals.size)
+    low, share = np.zeros(signals.size, dtype=np.int64), np.zeros(signals.size)
     for run in signals.runs():
         time = signals.time[run]
         then = np.clip(time - delay, time[0], time[-1])
@@ -93,7 +75,7 @@ def _straight(signals: Signals, delay: float) -> tuple[npt.NDArray[np.intp], Flo
     return low, share
 
 
-def _between(time: Floats, values: Floats, after: npt.NDArray[np.intp], at: Floats) -> Floats:
+def _between(time: Floats, values: Floats, after: Integers, at: Floats) -> Floats:
     """Polynomial through a sample not before a moment and those before it (Lagrange)."""
     points = after[:, None] + np.arange(1 - _POINTS, 1)
     place, result = time[points] - at[:, None], np.zeros(at.size)
@@ -110,6 +92,11 @@ EFFECT = StreamDelay(
     kind="sensor",
     frame="time",
     needs=("time", "speed", "output_angle", "predicted", "predicted_rate"),
+    excitation=(partial(speed_beyond, speed=_SPEED),),
+    stage=Stage.STREAM,
+    remembers=True,
+    proportional=False,
+    broadband=True,
     quantities=(
         Quantity(
             "delay", "s", -0.05, 0.05, 1e-4, "dt, age of the output angle at its stamp beyond the input's"

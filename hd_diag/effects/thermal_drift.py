@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Quantity, Values
+from hd_diag.effects.effect import Effect, Values
 from hd_diag.effects.excitation import temperature_varies
+from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.signals import Signals
 from hd_diag.model.torsion_map import ARCSEC
 
@@ -16,7 +17,7 @@ REFERENCE = 20.0
 """Temperature at which the drift is zero [degC]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ThermalDrift(Effect):
     """``g (Theta - 20 degC)``; nothing where the temperature is not measured."""
 
@@ -26,10 +27,6 @@ class ThermalDrift(Effect):
             return np.zeros((signals.size, 1))
         return (signals.temperature - REFERENCE)[:, None]
 
-    def testable(self, signals: Signals) -> tuple[bool, str]:
-        """The temperature is measured and changes."""
-        return temperature_varies(signals)
-
 
 EFFECT = ThermalDrift(
     name="thermal_drift",
@@ -37,6 +34,7 @@ EFFECT = ThermalDrift(
     kind="sensor",
     frame="time",
     needs=("temperature",),
+    excitation=(temperature_varies,),
     quantities=(Quantity("drift", "rad/K", -1e-3, 1e-3, 1.0 * ARCSEC, "g, at the output per kelvin"),),
     confused_with=("ratio_error", "output_runout", "viscous_windup"),
     source="first order of the angle over temperature",

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Quantity, Values
-from hd_diag.effects.excitation import enough_input_turns, enough_output_turns, loaded, verdict
+from hd_diag.effects.effect import Effect, Starts, Stepped, Values
+from hd_diag.effects.excitation import enough_input_turns, enough_output_turns, loaded
+from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.signals import Signals
+from hd_diag.model.geometry import Geometry
 
 SLOT, TOOTH = 0.0, 1.0
 """Member that the damage is on: circular spline or flexspline."""
@@ -20,46 +23,48 @@ _BESIDE = range(-2, 3)  # teeth beside a position that are compared exactly
 _ENOUGH = 20_000  # samples for that
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ToothDamage(Effect):
     """More clearance on the flanks of one slot or tooth, as the contact's shares pass it on."""
 
-    of_teeth: ClassVar[bool] = True
-
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Both flanks; a flank that never bears in this record has zeros. See :meth:`Effect.columns`."""
+        return self.slopes(signals, np.zeros(2), nonlinear)
+
+    def slopes(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
+        """Mean slopes up to the flanks' clearance: a pair that has parted gives no more."""
         member, position = nonlinear
-        contact = signals.contact
-        return contact.one_slot(position) if member == SLOT else contact.one_tooth(position)
+        contact, opening = signals.contact, (float(coefficients[0]), float(coefficients[1]))
+        one = contact.one_slot if member == SLOT else contact.one_tooth
+        return one(position, opening)
 
-    def grid(self, signals: Signals) -> list[Values]:
-        """The first slot and tooth; `scan` looks at all."""
-        return [(SLOT, 0.0), (TOOTH, 0.0)]
+    def step(self, state: Any, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
+        """At full size; see :meth:`Effect.step`."""
+        return np.asarray(self.slopes(signals, coefficients, nonlinear) @ coefficients), state
 
-    def scan(self, signals: Signals, residual: Floats) -> list[Values]:
-        """Slots and teeth whose pulses fit the residual best."""
+    def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
+        """Slots and teeth whose pulses fit a residual best, of all; without one the first of each."""
         geometry = signals.contact.drive.mesh.geometry
+        trials = geometry.circular_spline_teeth + geometry.flexspline_teeth
+        if residual is None:
+            return Starts([(SLOT, 0.0), (TOOTH, 0.0)], trials)
         every = slice(None, None, -(-signals.size // _ENOUGH))
         some, rest = signals.part(every), residual[every]
-        places = (
-            (SLOT, signals.wave_generator_angle, geometry.slot_pitch),
-            (TOOTH, signals.flexspline_angle, geometry.tooth_pitch),
-        )
         best = [
             max(
                 ((member, pitch * (round(position / pitch) + beside)) for beside in _BESIDE),
                 key=lambda nonlinear: self._gain(some, rest, nonlinear),
             )
-            for member, angle, pitch in places
+            for member, angle in ((SLOT, signals.wave_generator_angle), (TOOTH, signals.flexspline_angle))
+            for pitch in [_pitch(geometry, member)]
             for position in _positions(signals, angle, residual)
         ]
-        return list(dict.fromkeys(best))
+        return Starts(list(dict.fromkeys(best)), trials)
 
-    def beside(self, signals: Signals, nonlinear: Values) -> list[Values]:
+    def neighbours(self, signals: Signals, nonlinear: Values) -> list[Values]:
         """The teeth on both sides, and those at the other lobe."""
         member, position = nonlinear
-        geometry = signals.contact.drive.mesh.geometry
-        pitch = geometry.slot_pitch if member == SLOT else geometry.tooth_pitch
+        pitch = _pitch(signals.contact.drive.mesh.geometry, member)
         tooth, half = round(position / pitch), round(np.pi / pitch)
         teeth = [tooth + away for away in (-2, -1, 1, 2, half - 1, half, half + 1)]
         return [(member, pitch * (other % round(2.0 * np.pi / pitch))) for other in teeth]
@@ -70,26 +75,9 @@ class ToothDamage(Effect):
         moment = columns.T @ (residual - residual.mean())
         return float(moment @ np.linalg.lstsq(columns.T @ columns, moment, rcond=None)[0])
 
-    def trials(self, signals: Signals) -> int:
-        """All slots and teeth."""
-        geometry = signals.contact.drive.mesh.geometry
-        return geometry.circular_spline_teeth + geometry.flexspline_teeth
 
-    def secant(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
-        """Mean slopes up to the flanks' clearance: a pair that has parted gives no more."""
-        member, position = nonlinear
-        contact, opening = signals.contact, (float(coefficients[0]), float(coefficients[1]))
-        if member == SLOT:
-            return contact.one_slot(position, opening)
-        return contact.one_tooth(position, opening)
-
-    def response(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
-        """At full size; see :meth:`Effect.response`."""
-        return np.asarray(self.secant(signals, coefficients, nonlinear) @ coefficients)
-
-    def testable(self, signals: Signals) -> tuple[bool, str]:
-        """Ten turns of the input let a loaded tooth stand out; one of the output tells the members apart."""
-        return verdict(loaded(signals), enough_input_turns(signals, 10.0), enough_output_turns(signals, 1.0))
+def _pitch(geometry: Geometry, member: float) -> float:
+    return geometry.slot_pitch if member == SLOT else geometry.tooth_pitch
 
 
 def _positions(signals: Signals, angle: Floats, residual: Floats) -> list[float]:
@@ -128,6 +116,10 @@ EFFECT = ToothDamage(
     kind="kinematic",
     frame="housing",
     needs=("wave_generator_angle", "torque"),
+    excitation=(loaded, partial(enough_input_turns, turns=10.0), partial(enough_output_turns, turns=1.0)),
+    of_teeth=True,
+    proportional=False,
+    own_slopes=True,
     quantities=(
         Quantity("counter_clockwise_flank", "m", -2e-4, 2e-4, 2e-5, "clearance added to the tooth's + flank"),
         Quantity("clockwise_flank", "m", -2e-4, 2e-4, 2e-5, "clearance added to its - flank"),
@@ -138,9 +130,8 @@ EFFECT = ToothDamage(
             1.0,
             1.0,
             "0: slot of the circular spline, 1: tooth of the flexspline",
-            False,
-            None,
-            True,
+            linear=False,
+            discrete=True,
         ),
         Quantity(
             "position", "rad", 0.0, 2.0 * np.pi, 6.3, "its angle in the member", False, 2.0 * np.pi, True

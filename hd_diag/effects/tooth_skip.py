@@ -7,14 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Quantity, Values
+from hd_diag.effects.effect import Effect, Starts, Values
+from hd_diag.effects.excitation import enough_samples
+from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.signals import Signals
 
 _CANDIDATES = 2
 _APART = 0.02  # of the record: steps nearer than this are one
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ToothSkip(Effect):
     """``m 2 pi / Z_G`` from a moment on."""
 
@@ -23,15 +25,12 @@ class ToothSkip(Effect):
         pitch = signals.contact.drive.mesh.geometry.slot_pitch
         return np.where(signals.time >= nonlinear[0], pitch, 0.0)[:, None]
 
-    def grid(self, signals: Signals) -> list[Values]:
-        """The moment of the greatest torque [s]; `scan` finds the step."""
-        return [(float(signals.time[np.argmax(np.abs(signals.torque))]),)] if signals.size else []
-
-    def scan(self, signals: Signals, residual: Floats) -> list[Values]:
-        """Moments at which a step fits the residual best: cumulative sums."""
-        count = residual.size
-        if count < 4:
-            return []
+    def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
+        """Moments at which a step fits a residual best; without one that of the greatest torque [s]."""
+        count = signals.size
+        if residual is None or count < 4:
+            greatest = [int(np.argmax(np.abs(signals.torque)))] if count else []
+            return Starts([(float(signals.time[index]),) for index in greatest], max(1, count))
         before = np.arange(1, count)
         total = np.cumsum(residual - residual.mean())[:-1]
         strength = np.abs(total) / np.sqrt(before * (count - before) / count)
@@ -41,16 +40,7 @@ class ToothSkip(Effect):
             index = int(np.argmax(strength))
             found.append((float(signals.time[index + 1]),))
             strength[max(0, index - apart) : index + apart] = 0.0
-        return found
-
-    def trials(self, signals: Signals) -> int:
-        """Every moment."""
-        return max(1, signals.size)
-
-    def testable(self, signals: Signals) -> tuple[bool, str]:
-        """Any record shows the step that happens in it."""
-        enough = signals.size >= 10
-        return enough, "" if enough else "fewer than ten samples: record before and after the step"
+        return Starts(found, count)
 
 
 EFFECT = ToothSkip(
@@ -59,6 +49,9 @@ EFFECT = ToothSkip(
     kind="kinematic",
     frame="time",
     needs=("time", "torque"),
+    excitation=(enough_samples,),
+    searched=False,
+    lasting=False,
     quantities=(
         Quantity("teeth", "-", -20.0, 20.0, 1.0, "m, teeth that were skipped: a whole number"),
         Quantity("moment", "s", -1e12, 1e12, 1e3, "time of the step", linear=False, discrete=True),

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Quantity, Values
+from hd_diag.effects.effect import Effect, Stepped, Values
 from hd_diag.effects.excitation import torque_through_zero
+from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.signals import Signals
 
 _STEP = 4e-3  # of the rated torque, by which the compliance is taken: a change of flanks is a step
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TorqueOffset(Effect):
     """``T' = T + a``: to first order ``a dTE/dT``, at full size the difference of both predictions."""
 
@@ -20,23 +22,15 @@ class TorqueOffset(Effect):
         """Compliance of the model; see :meth:`Effect.columns`."""
         return signals.predicted_torque_slope[:, None]
 
-    def secant(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
+    def slopes(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
         """Compliance under the real torque: between both zeros the teeth change flanks."""
         offset, step = float(coefficients[0]), _STEP * signals.rated_torque
         ends = [signals.contact.under_more_torque(offset + sign * step) for sign in (-1.0, 1.0)]
         return ((ends[1] - ends[0]) / (2.0 * step))[:, None]
 
-    def torque_shift(self, coefficients: Floats) -> float:
-        """The offset itself; see :meth:`Effect.torque_shift`."""
-        return float(coefficients[0])
-
-    def response(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
-        """The model under the real torque; see :meth:`Effect.response`."""
-        return signals.contact.under_more_torque(float(coefficients[0]))
-
-    def testable(self, signals: Signals) -> tuple[bool, str]:
-        """Torque through zero, where the compliance changes."""
-        return torque_through_zero(signals)
+    def step(self, state: Any, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
+        """The model under the real torque; see :meth:`Effect.step`."""
+        return signals.contact.under_more_torque(float(coefficients[0])), state
 
 
 EFFECT = TorqueOffset(
@@ -45,6 +39,10 @@ EFFECT = TorqueOffset(
     kind="sensor",
     frame="torque",
     needs=("wave_generator_angle", "torque"),
+    excitation=(torque_through_zero,),
+    proportional=False,
+    own_slopes=True,
+    shifts_torque=True,
     quantities=(Quantity("offset", "N m", -1e3, 1e3, 2.0, "a, real less reported torque"),),
     confused_with=("coulomb_windup", "wear_backlash", "hysteresis", "thermal_drift"),
     source="first order of the model's own torsion over torque",

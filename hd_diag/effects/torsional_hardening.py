@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Quantity, Values
+from hd_diag.effects.effect import Effect, Starts, Values
 from hd_diag.effects.excitation import torque_beyond
+from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.signals import Signals
 
 _FIRST, _SECOND = (0.08, 0.16, 0.35), (0.45, 0.65, 0.9)  # of the greatest torque
 _LEAST = 0.25  # of the rated torque, that the record must reach
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TorsionalHardening(Effect):
     """``-sgn T [a max(0, abs T - T1) + b max(0, abs T - T2)]``; negative a, b: harder."""
 
@@ -24,14 +26,10 @@ class TorsionalHardening(Effect):
         beyond = np.abs(signals.torque)[:, None] - np.asarray(nonlinear)
         return np.asarray(-np.sign(signals.torque)[:, None] * np.maximum(beyond, 0.0))
 
-    def grid(self, signals: Signals) -> list[Values]:
+    def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
         """Knees within the torques that the record has [N m]."""
         greatest = float(np.max(np.abs(signals.torque), initial=0.0))
-        return [(one * greatest, two * greatest) for one in _FIRST for two in _SECOND]
-
-    def testable(self, signals: Signals) -> tuple[bool, str]:
-        """Torques well into both directions."""
-        return torque_beyond(signals, _LEAST * signals.rated_torque)
+        return Starts.grid((one * greatest, two * greatest) for one in _FIRST for two in _SECOND)
 
 
 EFFECT = TorsionalHardening(
@@ -43,6 +41,7 @@ EFFECT = TorsionalHardening(
     kind="torsion",
     frame="torque",
     needs=("torque",),
+    excitation=(partial(torque_beyond, fraction=_LEAST),),
     quantities=(
         Quantity(
             "first_compliance", "rad/(N m)", -1e-3, 1e-3, 3e-6, "a, compliance added beyond the first knee"

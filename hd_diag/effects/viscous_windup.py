@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Quantity, Values
+from hd_diag.effects.effect import Effect, Values
 from hd_diag.effects.excitation import several_speeds
+from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.signals import Signals
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ViscousWindup(Effect):
     """``-c omega``."""
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Lag by speed; see :meth:`Effect.columns`."""
         return -signals.forward_speed[:, None]
-
-    def testable(self, signals: Signals) -> tuple[bool, str]:
-        """Three speeds."""
-        return several_speeds(signals, 3)
 
 
 EFFECT = ViscousWindup(
@@ -32,6 +30,8 @@ EFFECT = ViscousWindup(
     kind="friction",
     frame="torque",
     needs=("speed",),
+    excitation=(partial(several_speeds, number=3),),
+    broadband=True,
     quantities=(
         Quantity("lag", "s", -1e-4, 1e-4, 3e-7, "c, lag at the output per input speed [rad/(rad/s)]"),
     ),

@@ -1,34 +1,29 @@
-"""More clearance on all tooth pairs: soft about zero torque."""
+"""All tooth flanks worn by the same: a wider dead zone."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from functools import partial
+from typing import Any
 
 from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Quantity, Values
-from hd_diag.effects.excitation import enough_input_turns, torque_through_zero, verdict
+from hd_diag.effects.effect import Effect, Stepped, Values
+from hd_diag.effects.excitation import enough_input_turns, torque_through_zero
+from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.signals import Signals
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class WearBacklash(Effect):
     """Clearance of every flank grows by the same; first order of a widening dead zone."""
-
-    of_teeth: ClassVar[bool] = True
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Response to more clearance; see :meth:`Effect.columns`."""
         return signals.contact.clearance()[:, None]
 
-    def response(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
-        """The flanks worn at their full size; see :meth:`Effect.response`."""
-        contact = signals.contact
-        return contact.displaced(clearance=float(coefficients[0]))
-
-    def testable(self, signals: Signals) -> tuple[bool, str]:
-        """Torque through zero."""
-        return verdict(enough_input_turns(signals, 1.0), torque_through_zero(signals))
+    def step(self, state: Any, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
+        """The flanks worn at their full size; see :meth:`Effect.step`."""
+        return signals.contact.displaced(clearance=float(coefficients[0])), state
 
 
 EFFECT = WearBacklash(
@@ -37,6 +32,9 @@ EFFECT = WearBacklash(
     kind="kinematic",
     frame="torque",
     needs=("wave_generator_angle", "torque"),
+    excitation=(partial(enough_input_turns, turns=1.0), torque_through_zero),
+    of_teeth=True,
+    proportional=False,
     quantities=(Quantity("clearance", "m", -2e-5, 1e-4, 3e-6, "circumferential, added to every flank"),),
     confused_with=("torsional_hardening", "hysteresis", "torque_offset"),
     always_confused=("circular_spline_datum",),

@@ -16,7 +16,7 @@ from hd_diag.diagnosis.fit.refit import usable
 from hd_diag.diagnosis.noise import ORDER, Whitening, bounds, whitening
 from hd_diag.diagnosis.record import Record
 from hd_diag.drive import Drive
-from hd_diag.effects import CATALOGUE
+from hd_diag.effects import CATALOGUE, Catalogue
 from hd_diag.effects.contact_weights import ContactWeights
 from hd_diag.effects.effect import Effect, Stage
 from hd_diag.effects.signals import Signals
@@ -30,10 +30,6 @@ _MOST_COLUMNS = 96 << 20  # bytes
 _KNOWN = 2  # parameters, for a search that goes back to them
 _SHIFT = 2e-4  # of the rated torque; a smaller change of the torque's zero changes no derivative
 _SETTLED = 1.0  # standard deviations; the model is linear over such steps
-# What no refit of the model can be blamed for: a cause must beat a refit of its own as well.
-SEARCHED = tuple(effect for effect in CATALOGUE if effect.name not in ("ratio_error", "tooth_skip"))
-
-
 Linear = dict[bytes, tuple[Signals, Signals, Floats]]
 
 
@@ -56,8 +52,6 @@ class Known:
 Chosen = tuple[tuple[Effect, tuple[float, ...]], ...]
 Present = Sequence[tuple[tuple[Effect, tuple[float, ...]], Floats]]
 """Effects with their nonlinear values, and their coefficients."""
-
-_STAGES = {effect.name: effect.stage for effect in CATALOGUE}
 
 
 class Workbench:
@@ -93,8 +87,10 @@ class Workbench:
         whiten: Whitening | None = None,
         rows: Rows | None = None,
         known: Known | None = None,
+        catalogue: Catalogue = CATALOGUE,
     ) -> None:
         self.source = record
+        self.catalogue = catalogue
         self.configured = configured
         known = Known() if known is None else known
         self.rows = usable(record) if rows is None else usable(record) & rows
@@ -126,7 +122,9 @@ class Workbench:
 
     def moved(self, parameters: Floats) -> Workbench:
         """The same rows and noise, linearised elsewhere."""
-        other = Workbench(self.source, self.configured, parameters, self.whiten, self.rows, self._known)
+        other = Workbench(
+            self.source, self.configured, parameters, self.whiten, self.rows, self._known, self.catalogue
+        )
         other.noise_residual = self.noise_residual
         return other
 
@@ -135,7 +133,9 @@ class Workbench:
         rows = self.rows & usable(self.source, shift)
         if np.array_equal(rows, self.rows):
             return self
-        return Workbench(self.source, self.configured, self.parameters, self.whiten, rows)
+        return Workbench(
+            self.source, self.configured, self.parameters, self.whiten, rows, catalogue=self.catalogue
+        )
 
     def _linearised(self, known: Linear) -> tuple[Signals, Signals, Floats]:
         """Signals of all rows and of those that are fitted, and the derivatives by the parameters."""
@@ -179,10 +179,15 @@ class Workbench:
             self._testable[effect.name] = effect.testable(self.signals)
         return self._testable[effect.name]
 
+    @property
+    def searched(self) -> Catalogue:
+        """Effects of the catalogue that are searched for in the residual."""
+        return tuple(effect for effect in self.catalogue if effect.searched)
+
     def grid(self, effect: Effect) -> list[tuple[float, ...]]:
         """Start points of an effect's nonlinear values on this record."""
         if effect.name not in self._grids:
-            self._grids[effect.name] = list(effect.grid(self.signals))
+            self._grids[effect.name] = effect.starts(self.signals).points
         return self._grids[effect.name]
 
     def grid_step(self, effect: Effect, point: tuple[float, ...]) -> Floats:
@@ -236,7 +241,7 @@ class Workbench:
         self._secants.clear()
         correction = np.zeros(self.left.size)
         for (effect, nonlinear), coefficients in sized:
-            if type(effect).secant is not Effect.secant:
+            if effect.own_slopes:
                 key = (effect.name, nonlinear)
                 self._secants[key] = self._secant(effect, nonlinear, coefficients)
                 self._white.pop(key, None)
@@ -278,8 +283,9 @@ class Workbench:
         moved = self._under(sum(effect.torque_shift(coefficients) for (effect, _), coefficients in present))
         self._before, self._later = before, later
         self._behind.clear()
+        stages = {effect.name: effect.stage for effect in self.catalogue}
         for kept in (self._columns, self._white):
-            for key in [key for key in kept if _STAGES.get(key[0]) in changed]:
+            for key in [key for key in kept if stages.get(key[0]) in changed]:
                 del kept[key]
         if moved or Stage.GEAR in changed:
             self.jacobian = self._carried(self._derivatives, Stage.GEAR, of_teeth=True).take(self._at, axis=0)
@@ -306,9 +312,7 @@ class Workbench:
         """Columns at all rows, not carried by later stages."""
         seen = self._seen(effect)
         columns = np.nan_to_num(effect.columns(seen, nonlinear))
-        if type(effect).wandering is not Effect.wandering:
-            columns = np.concatenate((columns, effect.wandering(seen, nonlinear)), axis=1)
-        return columns
+        return np.concatenate((columns, effect.wandering(seen, nonlinear)), axis=1)
 
     def _of_teeth(self, effect: Effect, nonlinear: tuple[float, ...]) -> Floats:
         """The same of an effect that sees no other: kept, for it takes long and what carries it varies."""
@@ -322,8 +326,8 @@ class Workbench:
     def _secant(self, effect: Effect, nonlinear: tuple[float, ...], coefficients: Floats) -> Floats:
         """Columns that hold at a size."""
         if not self._sees_all(effect):
-            return np.nan_to_num(effect.secant(self.signals, coefficients, nonlinear))
-        columns = np.nan_to_num(effect.secant(self._seen(effect), coefficients, nonlinear))
+            return np.nan_to_num(effect.slopes(self.signals, coefficients, nonlinear))
+        columns = np.nan_to_num(effect.slopes(self._seen(effect), coefficients, nonlinear))
         return self._carried(columns, effect.stage, effect.of_teeth).take(self._at, axis=0)
 
     def _carried(self, columns: Floats, stage: Stage, of_teeth: bool) -> Floats:
@@ -335,7 +339,7 @@ class Workbench:
 
     def _sees_all(self, effect: Effect) -> bool:
         """Whether it needs rows that are not fitted: they come before others."""
-        if effect.remembers or effect.stage > Stage.GEAR or type(effect).wandering is not Effect.wandering:
+        if effect.remembers or effect.stage > Stage.GEAR or effect.wanders_by:
             return True
         return effect.stage == Stage.GEAR and bool(self._later)
 
@@ -365,12 +369,11 @@ class Workbench:
         """What any cause may look like: low orders, powers of torque, direction, speed; with slow ones."""
         if self._known.general is None:
             self._known.general = self._smooth()
-        columns, s = [self._known.general], self.signals
-        for effect in SEARCHED:
-            if self.testable(effect)[0]:
-                grid = effect.grid(s)
-                if grid and effect.name in ("hysteresis", "stream_delay", "coulomb_windup", "viscous_windup"):
-                    columns.append(self.columns(effect, grid[len(grid) // 2]))
+        columns = [self._known.general]
+        for effect in self.searched:
+            if effect.broadband and self.testable(effect)[0]:
+                points = self.grid(effect)
+                columns.append(self.columns(effect, points[len(points) // 2]))
         return np.concatenate(columns, axis=1)
 
     def _smooth(self) -> Floats:

@@ -190,9 +190,9 @@ def _alike(bench: Workbench, chosen: Chosen, index: int, rivals: Collection[str]
     judged = _fitted if wanders(bench, chosen) else _foretold
     here = judged(bench, chosen)
     found = [name for name in effect.always_confused if name not in named]
-    untested = {other.name for other in by_name(effect.confused_with) if not bench.testable(other)[0]}
+    untested = {other.name for other in by_name(bench, effect.confused_with) if not bench.testable(other)[0]}
     bench.correct(others)
-    for candidate in ranked(bench, others, by_name({*rivals, *untested}), untested):
+    for candidate in ranked(bench, others, by_name(bench, {*rivals, *untested}), untested):
         if candidate.effect.name in named or candidate.effect.name in found:
             continue
         trial = (*others, (candidate.effect, candidate.nonlinear))

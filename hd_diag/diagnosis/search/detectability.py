@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from hd_diag.diagnosis.fit.linearised_fit import SEARCHED
 from hd_diag.diagnosis.search.acceptance import FAMILY_ERROR, LEAST_SIZE
 from hd_diag.diagnosis.search.causes import Search
 from hd_diag.diagnosis.search.ranking import Projector, family_size
@@ -40,7 +39,7 @@ def testability(found: Search) -> list[Testability]:
     named = {effect.name for effect, _ in chosen}
     basis, family = Projector(bench, chosen).basis, max(family_size(bench), 1)
     result = []
-    for effect in SEARCHED:
+    for effect in bench.searched:
         possible, reason = bench.testable(effect)
         if effect.name in named:
             result.append(Testability(effect.name, True, LEAST_SIZE, "found"))

@@ -9,7 +9,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.design import f_test, orthonormal, solve, surprise
-from hd_diag.diagnosis.fit.linearised_fit import SEARCHED, Chosen, Workbench
+from hd_diag.diagnosis.fit.linearised_fit import Chosen, Workbench
 from hd_diag.effects.effect import Effect
 
 _LOOKED_AT = 5.0  # surprise from which a candidate is looked at, at its size
@@ -71,7 +71,7 @@ class Projector:
 
 def candidates(bench: Workbench, chosen: Chosen) -> list[Candidate]:
     """Every effect not chosen, at its best grid point, by the gain it brings; the best first."""
-    return ranked(bench, chosen, SEARCHED)
+    return ranked(bench, chosen, bench.searched)
 
 
 def ranked(
@@ -100,7 +100,7 @@ def ranked(
         if effect.name in named or not (bench.testable(effect)[0] or effect.name in untested):
             continue
         best: Candidate | None = None
-        for nonlinear in effect.scan(bench.signals, rest):
+        for nonlinear in effect.starts(bench.signals, rest).points:
             coefficients, moment = projector.fit(bench.white(effect, nonlinear))
             if not effect.sensible(coefficients[: effect.size], nonlinear):
                 continue
@@ -129,12 +129,12 @@ def _candidate(
 def _gain_at_size(bench: Workbench, projector: Projector, candidate: Candidate) -> float:
     """Gain with the columns that hold at the size found, where an effect has such."""
     effect, nonlinear = candidate.effect, candidate.nonlinear
-    if type(effect).secant is Effect.secant:
+    if not effect.own_slopes:
         return 0.0
     coefficients, _ = projector.fit(bench.white(effect, nonlinear))
     best = 0.0
     for _ in range(_SECANTS):
-        columns = np.nan_to_num(effect.secant(bench.signals, coefficients, nonlinear))
+        columns = np.nan_to_num(effect.slopes(bench.signals, coefficients, nonlinear))
         beyond = bench.full_size(effect, nonlinear, coefficients) - columns @ coefficients
         white = bench.whiten(np.column_stack((columns, beyond)), bench.run)
         coefficients, gain = projector.fit_beyond(white[:, :-1], white[:, -1])
@@ -144,9 +144,10 @@ def _gain_at_size(bench: Workbench, projector: Projector, candidate: Candidate) 
 
 def family_size(bench: Workbench) -> int:
     """Number of hypotheses: candidates times grid points."""
-    return sum(effect.trials(bench.signals) for effect in SEARCHED if bench.testable(effect)[0])
+    testable = [effect for effect in bench.searched if bench.testable(effect)[0]]
+    return sum(effect.starts(bench.signals).trials for effect in testable)
 
 
-def by_name(names: Collection[str]) -> list[Effect]:
+def by_name(bench: Workbench, names: Collection[str]) -> list[Effect]:
     """The effects searched for that have these names."""
-    return [effect for effect in SEARCHED if effect.name in names]
+    return [effect for effect in bench.searched if effect.name in names]

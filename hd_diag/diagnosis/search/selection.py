@@ -151,7 +151,7 @@ def _of_kind(bench: Workbench, chosen: Chosen, index: int) -> tuple[Workbench, C
     if effect.stage <= Stage.GEAR:
         return bench, chosen
     best, found, least = bench, chosen, _left(bench, chosen)
-    for other in effect.beside(bench.signals, nonlinear):
+    for other in effect.neighbours(bench.signals, nonlinear):
         trial = (*chosen[:index], (effect, other), *chosen[index + 1 :])
         moved = settle(bench.moved(bench.parameters), trial, rounds=2, learn=False)
         moved, trial = polished(moved, trial, rounds=2)
@@ -192,7 +192,7 @@ def _swapped(bench: Workbench, chosen: Chosen, rivals: set[str]) -> tuple[Workbe
         others = chosen[:index] + chosen[index + 1 :]
         now = bench.design(chosen).deviance()
         bench.correct(others)
-        best = next(iter(ranked(bench, others, by_name(rivals))), None)
+        best = next(iter(ranked(bench, others, by_name(bench, rivals))), None)
         if best is not None and (best.effect, best.nonlinear) != (effect, nonlinear):
             trial = (*others, (best.effect, best.nonlinear))
             if _left(bench, trial) < now - CLASS_DEVIANCE:
@@ -223,7 +223,7 @@ def _finished(bench: Workbench, chosen: Chosen) -> tuple[Workbench, Chosen]:
     bench, chosen = polished(bench, chosen)
     again = chosen
     for index, (effect, nonlinear) in enumerate(chosen):
-        for other in effect.beside(bench.signals, nonlinear):
+        for other in effect.neighbours(bench.signals, nonlinear):
             trial = (*again[:index], (effect, other), *again[index + 1 :])
             if _left(bench, trial) < _left(bench, again):
                 again = trial

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.noise import bounds, spans
-from hd_diag.effects.effect import Effect, Quantity, Stage, Values
+from hd_diag.effects.effect import Effect, Stage, Starts, Values
+from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.signals import Signals
 
 Shape = Callable[[Signals], Floats]
@@ -21,7 +21,7 @@ _CELLS = 240  # per turn of the output
 _WIDTHS = (0.06, 0.15)  # of a bump there [rad]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Foil(Effect):
     """Columns of a shape without a cause.
 
@@ -35,8 +35,7 @@ class Foil(Effect):
         Whether samples that were not fitted can be foretold.
     """
 
-    stage: ClassVar[Stage] = Stage.NOWHERE
-
+    stage: Stage = Stage.NOWHERE
     shape: Shape = lambda signals: np.empty((signals.size, 0))
     description: str = ""
     sees_ahead: bool = True
@@ -50,14 +49,14 @@ class Foil(Effect):
         return bool(self.columns(signals, ()).shape[1]), "the record has nothing of the kind"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Settling(Foil):
     """A shape that follows the joint through its rests, in which no row may be fit to use."""
 
-    remembers: ClassVar[bool] = True
+    remembers: bool = True
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Place(Foil):
     """A bump at one place of the output's turn, twice as wide as its half width to 1/e."""
 
@@ -73,16 +72,11 @@ class Place(Foil):
         moved = bool(signals.size) and float(np.ptp(signals.output_angle)) > 0.5
         return moved, "the output moves by less than half a radian"
 
-    def grid(self, signals: Signals) -> list[Values]:
-        """One of many; `scan` looks at all."""
-        return [(0.0, _WIDTHS[0])]
-
-    def trials(self, signals: Signals) -> int:
-        """Places and widths of a scan."""
-        return _CELLS * len(_WIDTHS)
-
-    def scan(self, signals: Signals, residual: Floats) -> list[Values]:
-        """Where the residual's mean over the turn has the bump of each width that explains most."""
+    def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
+        """Where a residual's mean over the turn has the bump of each width that explains most."""
+        trials = _CELLS * len(_WIDTHS)
+        if residual is None:
+            return Starts([(0.0, _WIDTHS[0])], trials)
         cell = np.floor(np.mod(signals.output_angle, 2.0 * np.pi) * (_CELLS / (2.0 * np.pi))).astype(np.int64)
         cell %= _CELLS
         total = np.bincount(cell, residual - residual.mean(), _CELLS).astype(np.float64)
@@ -94,7 +88,7 @@ class Place(Foil):
             moment, norm = _around(total, bump), _around(count, bump**2)
             gain = np.where(norm > 0.02 * norm.max(), moment**2 / np.maximum(norm, 1e-300), 0.0)
             found.append((float(place[int(np.argmax(gain))]), width))
-        return found
+        return Starts(found, trials)
 
 
 def _around(values: Floats, bump: Floats) -> Floats:

@@ -1,0 +1,35 @@
+"""Effects that are waves over an angle: one class for all encoders, flanges and bearings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hd_diag.arrays import Floats
+from hd_diag.effects.effect import Effect, Values
+from hd_diag.effects.quantity import turning
+from hd_diag.effects.signals import Signals
+
+
+@dataclass(frozen=True, kw_only=True)
+class Harmonic(Effect):
+    """``a cos(k angle - d)`` for one order or several.
+
+    Parameters
+    ----------
+    angle : str
+        Name of the signal. An error of the input angle is read: it shows at the output with the opposite sign
+        and divided by the ratio.
+    orders : tuple of float
+        k, one for every amplitude and direction; if empty, the first nonlinear quantity is the order.
+    """
+
+    angle: str
+    orders: tuple[float, ...] = ()
+
+    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
+        """Cosine and sine of every order; see :meth:`Effect.columns`."""
+        angle = getattr(signals, self.angle)
+        waves = np.concatenate([turning(k * angle) for k in self.orders or nonlinear[:1]], axis=1)
+        return -waves / signals.ratio if self.angle == "input_angle" else waves
