@@ -36,8 +36,7 @@ class Range(NamedTuple):
     high: float
 
 
-@dataclass(frozen=True)
-class Ranges:
+class Ranges(NamedTuple):
     """What a model was fitted to: torque [N m], input speed [rad/s], temperature [degree Celsius] or None."""
 
     torque: Range

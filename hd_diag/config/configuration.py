@@ -23,6 +23,7 @@ from hd_diag.config.parameters import (
     parameters,
     shown,
 )
+from hd_diag.effects import Catalogue
 from hd_diag.extended_model import ExtendedModel
 from hd_diag.monitor.settings import JointConfig, Limit, MonitorConfig
 
@@ -70,7 +71,9 @@ class Config(MonitorConfig):
     flat: Mapping[str, Value] = field(repr=False)
 
 
-def resolve(given: Mapping[str, Any], model_text: ModelText | None = None) -> Config:
+def resolve(
+    given: Mapping[str, Any], model_text: ModelText | None = None, catalogue: Catalogue | None = None
+) -> Config:
     """Configuration from flat parameters, defaults filled in, everything checked.
 
     Parameters
@@ -79,6 +82,8 @@ def resolve(given: Mapping[str, Any], model_text: ModelText | None = None) -> Co
         Full ROS parameter names to values, e.g. ``joint_1.eccentricity.magnitude``.
     model_text : callable, optional
         Where model files come from; by default from disk, relative to the present folder.
+    catalogue : tuple of Effect, optional
+        Effects that model files may hold; by default the package's and installed ones.
 
     Returns
     -------
@@ -95,7 +100,7 @@ def resolve(given: Mapping[str, Any], model_text: ModelText | None = None) -> Co
     check_known(list(given), known)
     flat = {name: checked(name, given.get(name, p.default), p) for name, p in known.items()}
     flat["joints"] = joints
-    configured = tuple(_joint(name, flat, model_text) for name in joints)
+    configured = tuple(_joint(name, flat, model_text, catalogue) for name in joints)
     _check_names(configured)
     log = LogConfig(**{p.name[4:]: flat[p.name] for p in NODE_PARAMETERS if p.name.startswith("log.")})  # type: ignore[arg-type]
     return Config(
@@ -108,7 +113,7 @@ def resolve(given: Mapping[str, Any], model_text: ModelText | None = None) -> Co
     )
 
 
-def load(path: str | Path) -> Config:
+def load(path: str | Path, catalogue: Catalogue | None = None) -> Config:
     """Configuration from a ROS parameter file.
 
     Parameters
@@ -116,6 +121,8 @@ def load(path: str | Path) -> Config:
     path : path
         YAML: ``hd_diag: ros__parameters: ...``; a node name with namespace, and ``/**``, are taken too. Model
         files are looked for beside it, then in the present folder.
+    catalogue : tuple of Effect, optional
+        As for :func:`resolve`.
 
     Returns
     -------
@@ -130,7 +137,7 @@ def load(path: str | Path) -> Config:
     from hd_diag.config.parameter_file import read  # here, because the monitor needs no YAML
 
     try:
-        return resolve(read(path), reader(Path(path).parent))
+        return resolve(read(path), reader(Path(path).parent), catalogue)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
 
@@ -142,7 +149,9 @@ def dump(config: Config) -> str:
     return text(config.flat)
 
 
-def _joint(name: str, flat: Mapping[str, Value], model_text: ModelText | None) -> JointConfig:
+def _joint(
+    name: str, flat: Mapping[str, Value], model_text: ModelText | None, catalogue: Catalogue | None
+) -> JointConfig:
     own = {p.name: flat[f"{name}.{p.name}"] for p in JOINT_PARAMETERS}
     limits = {
         key: Limit(number(own, f"limits.{key}.warn"), number(own, f"limits.{key}.error")) for key in LIMITS
@@ -156,7 +165,7 @@ def _joint(name: str, flat: Mapping[str, Value], model_text: ModelText | None) -
         drive = drive_from(own)
     except ValueError as error:
         raise ConfigError(f"{name}: {error}") from error
-    model, text = _model(name, own, model_text)
+    model, text = _model(name, own, model_text, catalogue)
     return JointConfig(
         name,
         str(own["input_joint"]) or f"{name}_motor",
@@ -172,7 +181,7 @@ def _joint(name: str, flat: Mapping[str, Value], model_text: ModelText | None) -
 
 
 def _model(
-    name: str, own: Mapping[str, Value], model_text: ModelText | None
+    name: str, own: Mapping[str, Value], model_text: ModelText | None, catalogue: Catalogue | None
 ) -> tuple[ExtendedModel | None, str]:
     """Extended model of a joint and the text of its file; None and nothing where it has none."""
     path = str(own["model_file"])
@@ -182,7 +191,7 @@ def _model(
 
     try:
         text = (model_text or reader())(name, path)
-        return model_for(text, own), text
+        return model_for(text, own, catalogue), text
     except ConfigError as error:
         raise ConfigError(f"{name}.model_file: {path!a}: {error}") from error
 

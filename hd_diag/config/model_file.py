@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import json
 import os
@@ -14,9 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from hd_diag.config import json_shape
+from hd_diag.config.catalogue import load
 from hd_diag.config.configured_drive import drive_from
+from hd_diag.config.json_shape import Number
 from hd_diag.config.parameters import JOINT_PARAMETERS, ConfigError, Value, check_known, checked, shown
-from hd_diag.effects import CATALOGUE
+from hd_diag.effects import Catalogue
 from hd_diag.effects.effect import Effect
 from hd_diag.extended_model import ExtendedModel, Range, Ranges, Term
 
@@ -33,29 +35,27 @@ REFITTED = (
 )
 """Parameters of a drive that a fit changes; in all others a joint must be what the model was fitted to."""
 
-_LARGEST = 1_000_000  # [byte]
+_UNITS = {"torque": "N m", "speed": "rad/s", "temperature": "degC"}
+_RANGE = {"low": Number(-1e9, 1e9), "high": Number(-1e9, 1e9), "unit?": object}
+_QUANTITY = {"value": Number(), "std?": (Number(0.0), None), "unit?": object}
+_SHAPE = {
+    "schema": object,
+    "version": str,
+    "joint": str,
+    "parameters": dict,
+    "standard_deviations": dict,
+    "base": {"sha256": object, "before_the_fit": dict},
+    "offset": Number(-10.0, 10.0),  # [rad]
+    "effects": [{"name": str, "parameters": {str: _QUANTITY}, "class?": object}],
+    "valid_range": {"torque": _RANGE, "speed": _RANGE, "temperature": (_RANGE, None)},
+    "evidence": dict,
+}
 _NOT_OF_THE_DRIVE = ("input_joint", "output_joint", "torque", "model_file")
 _DRIVE = {
     p.name: p
     for p in JOINT_PARAMETERS
     if p.name not in _NOT_OF_THE_DRIVE and not p.name.startswith(("limits.", "tolerance."))
 }
-_EFFECTS = {effect.name: effect for effect in CATALOGUE}
-_ONE_MOMENT = ("tooth_skip",)  # happened once in one record
-_KEYS = (
-    "schema",
-    "version",
-    "joint",
-    "parameters",
-    "standard_deviations",
-    "base",
-    "offset",
-    "effects",
-    "valid_range",
-    "evidence",
-)
-_LARGEST_OFFSET = 10.0  # [rad]
-_UNITS = {"torque": "N m", "speed": "rad/s", "temperature": "degC"}
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def drive_parameters(own: Mapping[str, Value]) -> dict[str, Value]:
 
 def base_hash(base: Mapping[str, Value]) -> str:
     """SHA-256 of the parameters of a drive, in hexadecimal digits."""
-    return hashlib.sha256(json.dumps(base, sort_keys=True).encode()).hexdigest()
+    return text_hash(json.dumps(base, sort_keys=True))
 
 
 def text_hash(text: str) -> str:
@@ -122,12 +122,12 @@ def reader(*folders: Path) -> Callable[[str, str], str]:
 
     def read(joint: str, path: str) -> str:
         places = [folder / path for folder in folders if (folder / path).exists()]
-        return _read(places[0] if places else Path(path))
+        return json_shape.read_text(places[0] if places else Path(path))
 
     return read
 
 
-def model_for(text: str, own: Mapping[str, Value]) -> ExtendedModel:
+def model_for(text: str, own: Mapping[str, Value], catalogue: Catalogue | None = None) -> ExtendedModel:
     """Model from the text of a file, for a joint with certain parameters, ready to run.
 
     Parameters
@@ -135,44 +135,41 @@ def model_for(text: str, own: Mapping[str, Value]) -> ExtendedModel:
     text : str
     own : mapping
         Parameters of the joint by their names within it.
+    catalogue : tuple of Effect, optional
+        Effects that it may hold; by default the package's and installed ones.
 
     Raises
     ------
     ConfigError
         Saying in one line what is wrong; without the file's name.
     """
-    found = parse(text)
+    found = parse(text, catalogue)
     found.check_base(own)
     _try(found.model)
     return found.model
 
 
-@lru_cache(maxsize=64)
-def parse(text: str) -> ModelFile:
-    """Content of a file, checked.
+def parse(text: str, catalogue: Catalogue | None = None) -> ModelFile:
+    """Content of a file, checked; arguments and errors as for :func:`model_for`."""
+    return _parsed(text, load() if catalogue is None else catalogue)
 
-    Raises
-    ------
-    ConfigError
-        Saying in one line what is wrong; without the file's name.
-    """
-    content = _object(_json(text), "the file", _KEYS)
+
+@lru_cache(maxsize=64)
+def _parsed(text: str, catalogue: Catalogue) -> ModelFile:
+    content = json_shape.parse(text, _SHAPE)
     if content["schema"] != SCHEMA:
         raise ConfigError(f"schema is {shown(content['schema'])}, not '{SCHEMA}'")
-    for key in ("version", "joint"):
-        if not isinstance(content[key], str):
-            raise ConfigError(f"{key}: expected a text, not {shown(content[key])}")
     parameters = _parameters(content["parameters"])
     base = _base(content["base"], parameters)
-    for key in ("evidence", "standard_deviations"):
-        _mapping(content[key], key)
     try:
         drive = drive_from(parameters)
     except ValueError as error:
         raise ConfigError(f"parameters: {error}") from error
-    offset = _number(content["offset"], "offset", -_LARGEST_OFFSET, _LARGEST_OFFSET)
-    model = ExtendedModel(drive, _terms(content["effects"]), offset, _ranges(content["valid_range"]))
-    return ModelFile(model, parameters, base)
+    terms = [_term(item, f"effects[{i}]", catalogue) for i, item in enumerate(content["effects"])]
+    if len({term.effect.name for term in terms}) != len(terms):
+        raise ConfigError("effects: a name stands twice")
+    ranges = Ranges(*(_range(name, content["valid_range"][name]) for name in _UNITS))  # type: ignore[arg-type]
+    return ModelFile(ExtendedModel(drive, tuple(terms), float(content["offset"]), ranges), parameters, base)
 
 
 def document(
@@ -223,13 +220,13 @@ def document(
         "effects": [_effect(term, spread, alike) for term, (spread, alike) in every],
         "valid_range": {
             name: None if limits is None else {"low": limits.low, "high": limits.high, "unit": unit}
-            for (name, unit), limits in zip(_UNITS.items(), _limits(model.ranges), strict=True)
+            for (name, unit), limits in zip(_UNITS.items(), model.ranges, strict=True)
         },
         "evidence": dict(evidence),
     }
 
 
-def write(path: str | Path, content: Mapping[str, Any]) -> None:
+def write(path: str | Path, content: Mapping[str, Any], catalogue: Catalogue | None = None) -> None:
     """Write a file, whole or not at all.
 
     Raises
@@ -239,7 +236,7 @@ def write(path: str | Path, content: Mapping[str, Any]) -> None:
     """
     try:
         text = json.dumps(content, indent=1, allow_nan=False) + "\n"
-        parse(text)
+        parse(text, catalogue)
         partly = Path(f"{path}.part")
         partly.write_text(text, encoding="utf-8")
         os.replace(partly, path)
@@ -247,10 +244,6 @@ def write(path: str | Path, content: Mapping[str, Any]) -> None:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from error
     except ValueError as error:
         raise ConfigError(f"{path}: the model cannot be written: {error}") from error
-
-
-def _limits(ranges: Ranges) -> tuple[Range, Range, Range | None]:
-    return ranges.torque, ranges.speed, ranges.temperature
 
 
 def _refitted(model: ExtendedModel) -> dict[str, Value]:
@@ -277,76 +270,7 @@ def _effect(term: Term, spread: Mapping[str, float], alike: Sequence[str]) -> di
     }
 
 
-def _read(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            data = file.read(_LARGEST + 1)
-    except (OSError, ValueError) as error:
-        cause = error.strerror if isinstance(error, OSError) else error
-        raise ConfigError(f"cannot be read: {cause}") from error
-    if len(data) > _LARGEST:
-        raise ConfigError(f"longer than {_LARGEST} bytes: not a model file")
-    try:
-        return data.decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"not a text in UTF-8: {error.reason} at byte {error.start}") from error
-
-
-def _json(text: str) -> Any:
-    try:
-        return json.loads(text, parse_constant=_refuse, object_pairs_hook=_once)
-    except ConfigError:
-        raise
-    except (ValueError, RecursionError) as error:
-        reason = "nested too deep" if isinstance(error, RecursionError) else " ".join(str(error).split())
-        raise ConfigError(f"not JSON: {reason}") from error
-
-
-def _refuse(constant: str) -> Any:
-    raise ConfigError(f"holds {constant}, which is no number")
-
-
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) != len(pairs):
-        names = [name for name, _ in pairs]
-        twice = next(name for name in names if names.count(name) > 1)
-        raise ConfigError(f"{shown(twice)} stands twice")
-    return found
-
-
-def _mapping(value: Any, what: str) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise ConfigError(f"{what}: expected an object {{...}}, not {shown(value)}")
-    return value
-
-
-def _object(value: Any, what: str, keys: Sequence[str], optional: Sequence[str] = ()) -> dict[str, Any]:
-    """The mapping, which must have these keys and may have the optional ones."""
-    found = _mapping(value, what)
-    for name in found:
-        if name not in (*keys, *optional):
-            raise ConfigError(f"{what} has an unknown key {shown(name)}; {_nearest(name, keys)}")
-    for name in keys:
-        if name not in found:
-            raise ConfigError(f"{what} lacks '{name}'")
-    return found
-
-
-def _nearest(name: str, known: Sequence[str]) -> str:
-    return f"the nearest known is '{difflib.get_close_matches(name[:80], known, n=1, cutoff=0.0)[0]}'"
-
-
-def _number(value: Any, what: str, low: float, high: float) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ConfigError(f"{what}: expected a number, not {shown(value)}")
-    if not low <= value <= high:
-        raise ConfigError(f"{what}: expected a number from {low:g} to {high:g}, not {shown(value)}")
-    return float(value)
-
-
-def _parameters(value: Any) -> dict[str, Value]:
-    given = _mapping(value, "parameters")
+def _parameters(given: Mapping[str, Any]) -> dict[str, Value]:
     check_known(list(given), _DRIVE)
     missing = [name for name in _DRIVE if name not in given]
     if missing:
@@ -354,9 +278,9 @@ def _parameters(value: Any) -> dict[str, Value]:
     return {name: checked(name, given[name], parameter) for name, parameter in _DRIVE.items()}
 
 
-def _base(value: Any, parameters: Mapping[str, Value]) -> dict[str, Value]:
-    found = _object(value, "base", ("sha256", "before_the_fit"))
-    before = _mapping(found["before_the_fit"], "base.before_the_fit")
+def _base(found: Mapping[str, Any], parameters: Mapping[str, Value]) -> dict[str, Value]:
+    """Parameters before the fit: those of the model with what it changed put back."""
+    before = found["before_the_fit"]
     for name in before:
         if name not in REFITTED:
             raise ConfigError(f"base.before_the_fit: {shown(name)} is none that a fit changes")
@@ -366,64 +290,43 @@ def _base(value: Any, parameters: Mapping[str, Value]) -> dict[str, Value]:
     return base
 
 
-def _terms(value: Any) -> tuple[Term, ...]:
-    if not isinstance(value, list):
-        raise ConfigError(f"effects: expected a list, not {shown(value)}")
-    terms = tuple(_term(item, f"effects[{index}]") for index, item in enumerate(value))
-    names = [term.effect.name for term in terms]
-    if len(set(names)) != len(names):
-        raise ConfigError("effects: a name stands twice")
-    return terms
-
-
-def _term(value: Any, where: str) -> Term:
-    found = _object(value, where, ("name", "parameters"), ("class",))
-    effect = _named(found["name"], where)
+def _term(found: Mapping[str, Any], where: str, catalogue: Catalogue) -> Term:
+    effect = _named(found["name"], where, catalogue)
     where = f"{where} ({effect.name})"
-    given = _mapping(found["parameters"], f"{where}.parameters")
     units = {quantity.name: quantity.unit for quantity in effect.quantities}
-    for name in given:
+    for name, one in found["parameters"].items():
         if name not in units:
-            raise ConfigError(f"{where} has an unknown quantity {shown(name)}; {_nearest(name, list(units))}")
-    values = {name: _quantity(one, f"{where}.{name}", units[name]) for name, one in given.items()}
+            near = json_shape.nearest(name, units)
+            raise ConfigError(f"{where} has an unknown quantity {shown(name)}; {near}")
+        if one.get("unit", units[name]) != units[name]:
+            wrong = shown(one["unit"])
+            raise ConfigError(f"{where}.{name}: expected the unit {shown(units[name])}, not {wrong}")
     try:
+        values = {name: float(one["value"]) for name, one in found["parameters"].items()}
         coefficients, nonlinear = effect.from_physical(values)
     except ValueError as error:
         raise ConfigError(f"{where}: {error}") from error
     return Term(effect, tuple(coefficients.tolist()), nonlinear)
 
 
-def _named(name: Any, where: str) -> Effect:
-    if not isinstance(name, str):
-        raise ConfigError(f"{where}.name: expected a text, not {shown(name)}")
-    if name in _ONE_MOMENT:
+def _named(name: str, where: str, catalogue: Catalogue) -> Effect:
+    known = {effect.name: effect for effect in catalogue}
+    if name not in known:
+        near = json_shape.nearest(name, known)
+        raise ConfigError(
+            f"{where}: unknown effect {shown(name)}; {near}; your own must be given or installed"
+        )
+    if not known[name].lasting:
         raise ConfigError(f"{where}: {name} happened once in a record, a model that runs cannot hold it")
-    if name not in _EFFECTS:
-        raise ConfigError(f"{where}: unknown effect {shown(name)}; {_nearest(name, list(_EFFECTS))}")
-    return _EFFECTS[name]
+    return known[name]
 
 
-def _quantity(value: Any, where: str, unit: str) -> float:
-    found = _object(value, where, ("value",), ("std", "unit"))
-    if found.get("unit", unit) != unit:
-        raise ConfigError(f"{where}: expected the unit {shown(unit)}, not {shown(found['unit'])}")
-    if found.get("std") is not None:
-        _number(found["std"], f"{where}.std", 0.0, 1e300)
-    return _number(found["value"], where, -1e300, 1e300)
-
-
-def _ranges(value: Any) -> Ranges:
-    found = _object(value, "valid_range", tuple(_UNITS))
-    torque, speed = (_range(found[name], f"valid_range.{name}") for name in ("torque", "speed"))
-    heat = found["temperature"]
-    return Ranges(torque, speed, None if heat is None else _range(heat, "valid_range.temperature"))
-
-
-def _range(value: Any, where: str) -> Range:
-    found = _object(value, where, ("low", "high"), ("unit",))
-    low, high = (_number(found[end], f"{where}.{end}", -1e9, 1e9) for end in ("low", "high"))
+def _range(name: str, found: Mapping[str, float] | None) -> Range | None:
+    if found is None:
+        return None
+    low, high = float(found["low"]), float(found["high"])
     if low > high:
-        raise ConfigError(f"{where}: low ({low:g}) must not be above high ({high:g})")
+        raise ConfigError(f"valid_range.{name}: low ({low:g}) must not be above high ({high:g})")
     return Range(low, high)
 
 

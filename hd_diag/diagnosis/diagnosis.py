@@ -23,6 +23,7 @@ from hd_diag.diagnosis.search.selection import search
 from hd_diag.diagnosis.search.unexplained import Line, lines
 from hd_diag.diagnosis.search.unmodelled_terms import Foil
 from hd_diag.drive import Drive
+from hd_diag.effects import CATALOGUE, Catalogue
 from hd_diag.extended_model import ExtendedModel
 
 Rows = npt.NDArray[np.bool_]
@@ -74,6 +75,7 @@ class Diagnosis:
     unexplained: tuple[Line, ...] = ()
     testable: tuple[Testability, ...] = ()
     model: ExtendedModel | None = None
+    catalogue: Catalogue = CATALOGUE
 
     @property
     def causes(self) -> tuple[Cause, ...]:
@@ -82,7 +84,10 @@ class Diagnosis:
 
 
 def diagnose(
-    record: Record | Screened, configured: Drive, progress: Callable[[str], None] = lambda text: None
+    record: Record | Screened,
+    configured: Drive,
+    progress: Callable[[str], None] = lambda text: None,
+    catalogue: Catalogue = CATALOGUE,
 ) -> Diagnosis:
     """Criticise the model by a record.
 
@@ -94,6 +99,8 @@ def diagnose(
         The simulation as configured.
     progress : callable
         Told what is being done.
+    catalogue : tuple of Effect
+        Causes to search among.
 
     Returns
     -------
@@ -102,7 +109,7 @@ def diagnose(
     looked = record if isinstance(record, Screened) else screened(record, configured, progress)
     record, findings = looked.record, looked.findings
     if any(finding.fatal for finding in findings):
-        return Diagnosis(record, configured, findings, None, None, None, None)
+        return Diagnosis(record, configured, findings, None, None, None, None, catalogue=catalogue)
     test, told = held_out(record)
     record = _renumbered(record)
     # Single rows of a long record weigh nothing in a fit, which must know of what came between.
@@ -111,14 +118,16 @@ def diagnose(
     progress("fitting the model's own parameters")
     first = refit(train, configured)
     progress("looking for causes")
-    plain = settle(Workbench(record, configured, first.parameters, rows=~test), ())
+    begun = Workbench(record, configured, first.parameters, rows=~test, catalogue=catalogue)
+    plain = settle(begun, ())
     found = search(plain, progress)
     progress("measuring the gain")
-    trained = Workbench(record, configured, found.bench.parameters, rows=usable(record, found.torque_shift))
+    rows = usable(record, found.torque_shift)
+    trained = Workbench(record, configured, found.bench.parameters, rows=rows, catalogue=catalogue)
     rms, gain = _gain(record, test, told, configured, plain, found, trained)
     progress("using all data")
     whole = fitted(settle(trained, found.chosen), found)
-    del plain, found, trained  # some hundred columns each
+    del begun, plain, found, trained  # some hundred columns each
     trusted = first.trustworthy
     parameters, covariance = parameters_of(whole)
     refitted = Refit(fit_parameters.drive_of(parameters, configured), parameters, covariance, trusted)
@@ -134,6 +143,7 @@ def diagnose(
         tuple(lines(whole)),
         tuple(testability(whole)),
         extended_model(whole, configured, record),
+        catalogue,
     )
 
 

@@ -1,0 +1,93 @@
+"""The catalogue of effects in force: the package's own, those of installed packages, and those of files."""
+
+from __future__ import annotations
+
+import functools
+import importlib.util
+import sys
+from collections.abc import Sequence
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any
+
+from hd_diag.config.parameters import ConfigError, shown
+from hd_diag.effects import CATALOGUE, Catalogue
+from hd_diag.effects.effect import Effect
+
+GROUP = "hd_diag.effects"
+"""Entry points of installed packages, each an effect or several."""
+
+
+def load(files: Sequence[str | Path] = ()) -> Catalogue:
+    """Effects of the package, then those of entry points, then those of files.
+
+    Parameters
+    ----------
+    files : sequence of path
+        Python files that define EFFECT, or several effects as EFFECTS.
+
+    Returns
+    -------
+    tuple of Effect
+
+    Raises
+    ------
+    ConfigError
+        Naming the file or package whose effects cannot be used, and why.
+    """
+    found = _installed()
+    for path in files:
+        found = _with(found, _of_file(Path(path)), str(path))
+    return found
+
+
+@functools.cache
+def _installed() -> Catalogue:
+    found = CATALOGUE
+    for entry in entry_points(group=GROUP):
+        found = _with(found, _of_entry(entry), _name(entry))
+    return found
+
+
+def _name(entry: EntryPoint) -> str:
+    return f"{entry.dist.name if entry.dist else 'installed package'}: {entry.name}"
+
+
+def _of_entry(entry: EntryPoint) -> Any:
+    try:
+        return entry.load()
+    except Exception as error:  # whatever a package of others does when it is imported
+        raise ConfigError(f"{_name(entry)}: cannot be loaded: {_one_line(error)}") from error
+
+
+def _of_file(path: Path) -> Any:
+    name = f"{GROUP}.given.{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise ConfigError(f"{path}: no Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look there for the names in their annotations
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:  # whatever a file of others does when it is run
+        del sys.modules[name]
+        raise ConfigError(f"{path}: cannot be loaded: {_one_line(error)}") from error
+    found = getattr(module, "EFFECTS", getattr(module, "EFFECT", None))
+    if found is None:
+        raise ConfigError(f"{path}: defines neither EFFECT nor EFFECTS")
+    return found
+
+
+def _with(catalogue: Catalogue, given: Any, where: str) -> Catalogue:
+    """The catalogue with an effect, or several, that something else defines."""
+    for effect in given if isinstance(given, (list, tuple)) else (given,):
+        if not isinstance(effect, Effect):
+            raise ConfigError(f"{where}: expected an effect, not {shown(effect)}")
+        if effect.name in (one.name for one in catalogue):
+            raise ConfigError(f"{where}: the catalogue has an effect '{effect.name}' already")
+        catalogue = (*catalogue, effect)
+    return catalogue
+
+
+def _one_line(error: Exception) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"

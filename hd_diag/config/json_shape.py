@@ -1,0 +1,124 @@
+"""JSON from files that anybody may have changed: read strictly, and checked by one declared structure."""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hd_diag.config.parameters import ConfigError, shown
+
+_LARGEST = 1_000_000  # [byte]
+_LONGEST = 80  # characters of a name that a similar one is looked for
+
+Shape = Any
+"""`object`: anything; `str`; `dict`: any object; a `Number`; ``[shape]``: a list; ``{str: shape}``: an object
+of any keys; ``{"a": shape, "b?": shape}``: an object of these keys, those with ? optional; ``(shape, None)``:
+that or null."""
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number within limits."""
+
+    low: float = -1e300
+    high: float = 1e300
+
+
+_WORDS: dict[Any, str] = {Number: "a number", str: "a text", list: "a list", dict: "an object {...}"}
+_WHOLE = "the file"
+
+
+def read_text(path: Path) -> str:
+    """Text of a file.
+
+    Raises
+    ------
+    ConfigError
+        Where it cannot be read, is too long or no UTF-8; without the file's name.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(_LARGEST + 1)
+    except (OSError, ValueError) as error:
+        cause = error.strerror if isinstance(error, OSError) else error
+        raise ConfigError(f"cannot be read: {cause}") from error
+    if len(data) > _LARGEST:
+        raise ConfigError(f"longer than {_LARGEST} bytes: not a model file")
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"not a text in UTF-8: {error.reason} at byte {error.start}") from error
+
+
+def parse(text: str, shape: Shape) -> Any:
+    """Content of a JSON text that has the declared structure.
+
+    Raises
+    ------
+    ConfigError
+        Saying in one line where it has not, what was expected and what stands there.
+    """
+    try:
+        content = json.loads(text, parse_constant=_refuse, object_pairs_hook=_once)
+    except ConfigError:
+        raise
+    except (ValueError, RecursionError) as error:
+        reason = "nested too deep" if isinstance(error, RecursionError) else " ".join(str(error).split())
+        raise ConfigError(f"not JSON: {reason}") from error
+    _check(content, shape, "")
+    return content
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Which of the known names is most like one, in words."""
+    return f"the nearest known is '{difflib.get_close_matches(name[:_LONGEST], known, n=1, cutoff=0.0)[0]}'"
+
+
+def _refuse(constant: str) -> Any:
+    raise ConfigError(f"holds {constant}, which is no number")
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ConfigError(f"{shown(twice)} stands twice")
+    return found
+
+
+def _check(value: Any, shape: Shape, where: str) -> None:
+    if isinstance(shape, tuple):
+        if value is None:
+            return
+        shape = shape[0]
+    kind: Any = shape if isinstance(shape, type) else type(shape)
+    types: Any = (int, float) if kind is Number else kind
+    if not isinstance(value, types) or (kind is Number and isinstance(value, bool)):
+        raise ConfigError(f"{where or _WHOLE}: expected {_WORDS[kind]}, not {shown(value)}")
+    if isinstance(shape, Number) and not shape.low <= value <= shape.high:
+        limits = f"from {shape.low:g} to {shape.high:g}"
+        raise ConfigError(f"{where}: expected a number {limits}, not {shown(value)}")
+    if isinstance(shape, list):
+        for index, item in enumerate(value):
+            _check(item, shape[0], f"{where}[{index}]")
+    if isinstance(shape, dict):
+        _check_object(value, shape, where)
+
+
+def _check_object(value: dict[str, Any], shape: Mapping[Any, Shape], where: str) -> None:
+    if str in shape:
+        shape = dict.fromkeys(value, shape[str])
+    known = {key.removesuffix("?"): inner for key, inner in shape.items()}
+    for name in value:
+        if name not in known:
+            raise ConfigError(f"{where or _WHOLE} has an unknown key {shown(name)}; {nearest(name, known)}")
+    for name, inner in known.items():
+        if name in value:
+            _check(value[name], inner, f"{where}.{name}" if where else name)
+        elif name in shape:
+            raise ConfigError(f"{where or _WHOLE} lacks '{name}'")
