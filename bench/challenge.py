@@ -34,7 +34,8 @@ for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
 import baselines
 import numpy as np
 import scoring
-from challenge.families import DEVELOPMENT, FAMILIES, FINAL, UNTESTABLE
+from challenge.families import DEVELOPMENT, FAMILIES, FINAL
+from challenge.families import POOR as POOR_MOTIONS
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from scoring import Score
@@ -114,7 +115,7 @@ FITS: tuple[Column, ...] = (
 
 
 KNOWN = ("wrong_parameters", "one_effect", "pair", "triple")
-POOR = tuple(family for family in UNTESTABLE if family in FAMILIES)
+POOR = tuple(POOR_MOTIONS)
 Figure = Callable[[list[Score]], Iterable[float | bool | None]]
 
 

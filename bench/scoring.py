@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from challenge import records
-from challenge.causes import UNKNOWN
-from challenge.families import UNTESTABLE
+from challenge.families import POOR
+from challenge.unknown_causes import SHAPES
 
 from hd_diag.config.configuration import resolve
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose, held_out
@@ -71,7 +71,7 @@ class Score:
     def right(self) -> bool:
         """All that is hidden named up to its class, no more; poor motions may say what they cannot show."""
         named = {self.hidden[h] for h, _ in matched(self.hidden, self.found)}
-        excused = set(self.listed) if self.family in UNTESTABLE else set()
+        excused = set(self.listed) if self.family in POOR else set()
         return self.false_names == 0 and set(self.hidden) <= named | excused
 
 
@@ -133,11 +133,10 @@ def scored(
 
 def _judge_unknown(result: Score, made: records.Record, found: Diagnosis) -> None:
     result.flagged = bool(found.unexplained)
-    kind = next((cause for cause in UNKNOWN if cause.name == result.unknown), None)
-    if kind is None or (kind.order is None and not hasattr(kind, "frequency")):
+    kind = SHAPES.get(result.unknown)
+    if kind is None or kind.order is None:
         return
-    true = getattr(kind, "frequency", kind.order)
-    true = true / RATIO if kind.frame == "output" else true
+    true = kind.order / RATIO if kind.frame == "output" else kind.order
     result.order_right = any(abs(line.order - true) < ORDER_TOLERANCE for line in found.unexplained)
 
 

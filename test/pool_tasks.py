@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from hd_diag.process_pool import guarded
+
 CALLS = "HD_DIAG_TEST_CALLS"  # environment: folder in which every call leaves a file
 
 
@@ -76,6 +78,33 @@ class Unsendable(Exception):
 
     def __init__(self, number: int, text: str) -> None:
         super().__init__(f"{number}: {text}")
+
+
+class PoolHere:
+    """Stands in for a pool of processes: does its tasks at once, in this process."""
+
+    def __init__(self) -> None:
+        self._done: list[tuple[int, object]] = []
+
+    @property
+    def busy(self) -> int:
+        return len(self._done)
+
+    def idle(self) -> list[int]:
+        return [0] * (not self._done)
+
+    def send(self, worker: int, number: int, function: Callable[[object], object], item: object) -> None:
+        self._done.append((number, guarded(function, item)))
+
+    def done(self, patience: float) -> list[tuple[int, object]]:
+        ended, self._done = self._done, []
+        return ended
+
+    def __enter__(self) -> "PoolHere":
+        return self
+
+    def __exit__(self, *reason: object) -> None:
+        pass
 
 
 def alive(process: int) -> bool:

@@ -5,7 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from challenge import causes, encoders, families, mechanics, motion, noise, records, truth
+from challenge import drive_causes as drive
+from challenge import families, mechanics, motion, noise, records, truth
+from challenge import mesh_causes as mesh
+from challenge import sensor_causes as sensor
 from challenge.contact import Flaws, Gear
 from challenge.findable import LEAST
 from challenge.truth import ARCSEC, Base
@@ -46,7 +49,7 @@ def test_torsion_is_that_of_the_reference(base: Base) -> None:
 
 
 def test_moved_slots_are_those_of_the_reference() -> None:
-    cause = causes.CircularSplinePitch(3e-6, 0.4)
+    cause = mesh.CircularSplinePitch(3e-6, 0.4)
     angles, torques = moments(2)
     shift = cause.flaws().slot_along
     expected = [
@@ -72,25 +75,25 @@ def test_a_gear_that_has_skipped_a_tooth_meshes_as_before() -> None:
     slot = reference_torsion(ERRORS, 0.3, 20.0, arc_offset=tooth * 200 / 202)
     assert after == pytest.approx(before, abs=1e-11)
     assert abs(slot - before) > 50 * ARCSEC  # 360°/202 would not be a place of rest
-    jump = causes.ToothSkip(0.01, -1.0).added(records.scene(ONE_RUN, np.array([0.0, 0.02])))
+    jump = mesh.ToothSkip(0.01, -1.0).added(records.scene(ONE_RUN, np.array([0.0, 0.02])))
     assert_allclose(jump, [0, -2 * np.pi / 200])
 
 
 def test_one_tooth_and_one_slot_return_in_their_own_time() -> None:
-    tooth = Gear(ERRORS, causes.ToothDamage(20e-6, 30, "flexspline").flaws())
-    slot = Gear(ERRORS, causes.ToothDamage(20e-6, 30).flaws())
+    tooth = Gear(ERRORS, mesh.ToothDamage(20e-6, 30, "flexspline").flaws())
+    slot = Gear(ERRORS, mesh.ToothDamage(20e-6, 30).flaws())
     turn = np.linspace(0, 2 * np.pi, 300, endpoint=False)
     whole = Gear(ERRORS).torsion(turn, 40.0)
     assert_allclose(slot.torsion(turn + 2 * np.pi, 40.0), slot.torsion(turn, 40.0), atol=1e-11)
     assert_allclose(tooth.torsion(turn + 200 * np.pi, 40.0), tooth.torsion(turn, 40.0), atol=1e-11)
-    before = Gear(ERRORS, causes.ToothDamage(20e-6, 20, "flexspline").flaws())  # two teeth a turn
+    before = Gear(ERRORS, mesh.ToothDamage(20e-6, 20, "flexspline").flaws())  # two teeth a turn
     assert_allclose(tooth.torsion(turn + 10 * np.pi, 40.0), before.torsion(turn, 40.0), atol=1e-11)
     assert np.abs(tooth.torsion(turn, 40.0) - before.torsion(turn, 40.0)).max() > 1 * ARCSEC
     assert 1 * ARCSEC < np.max(slot.torsion(turn, 40.0) - whole) < 10 * ARCSEC
 
 
 def test_worn_flanks_let_the_torsion_grow_by_what_is_missing() -> None:
-    worn = Gear(truth.NOMINAL, causes.WearBacklash(2e-6).flaws())
+    worn = Gear(truth.NOMINAL, mesh.WearBacklash(2e-6).flaws())
     whole = Gear(truth.NOMINAL)
     angle = np.linspace(0, 1, 20)
     for torque in (-30.0, 30.0):
@@ -142,7 +145,7 @@ def test_one_slip_element_is_the_stop_operator() -> None:
         state = float(np.clip(state + step / 6.0, -1, 1))
         expected.append(3e-5 * state)
     scene = records.scene(ONE_RUN, np.arange(3000) / 1500)
-    found = causes.Hysteresis(3e-5, (6.0,)).added(dataclasses.replace(scene, torque=torque))
+    found = drive.Hysteresis(3e-5, (6.0,)).added(dataclasses.replace(scene, torque=torque))
     assert_allclose(found, expected, atol=1e-12)
 
 
@@ -176,16 +179,16 @@ def test_inertia_swings_as_its_transfer_function_says(frequency: float) -> None:
 
 
 def test_disc_off_its_shaft() -> None:
-    error = encoders.off_centre(TURN, 0.02, 0.4) - TURN
+    error = sensor.off_centre(TURN, 0.02, 0.4) - TURN
     assert harmonic(error, TURN, 1) == pytest.approx(0.02, rel=1e-3)
     assert harmonic(error, TURN, 2) == pytest.approx(0.02**2 / 2, rel=1e-3)
 
 
 def test_uneven_quadrature() -> None:
-    assert harmonic(encoders.quadrature(TURN, 16, 0.03, 1.0) - TURN, TURN, 16) == pytest.approx(
+    assert harmonic(sensor.quadrature(TURN, 16, 0.03, 1.0) - TURN, TURN, 16) == pytest.approx(
         0.03 / 16, rel=1e-3
     )
-    assert harmonic(encoders.quadrature(TURN, 16, 0, 0, 0.04) - TURN, TURN, 32) == pytest.approx(
+    assert harmonic(sensor.quadrature(TURN, 16, 0, 0, 0.04) - TURN, TURN, 32) == pytest.approx(
         0.04 / 2 / 16, rel=0.03
     )
 
@@ -253,7 +256,7 @@ def test_record_is_the_mesh_and_the_stated_noise() -> None:
 
 def test_a_stream_one_sample_late_is_the_stream_before() -> None:
     time = ONE_RUN.times()
-    late = records.transmission_error(ERRORS, (causes.StreamDelay(1 / 500),), ONE_RUN, time)
+    late = records.transmission_error(ERRORS, (sensor.StreamDelay(1 / 500),), ONE_RUN, time)
     now = records.transmission_error(ERRORS, (), ONE_RUN, time)
     ideal = ONE_RUN.angle(time) / 100
     assert_allclose((late + ideal)[1:], (now + ideal)[:-1], atol=1e-10)
@@ -261,14 +264,14 @@ def test_a_stream_one_sample_late_is_the_stream_before() -> None:
 
 def test_torque_offset_is_in_the_reading_only() -> None:
     quiet = records.simulate(ERRORS, (), ONE_RUN, np.random.default_rng(0))
-    off = records.simulate(ERRORS, (causes.TorqueOffset(1.5),), ONE_RUN, np.random.default_rng(0))
+    off = records.simulate(ERRORS, (sensor.TorqueOffset(1.5),), ONE_RUN, np.random.default_rng(0))
     assert_allclose(off.torque + 1.5, quiet.torque)
     assert_allclose(off.clean_output, quiet.clean_output)
 
 
 def test_contributions_are_what_each_cause_adds() -> None:
-    runout, offset = causes.OutputRunout(2e-5, 0.0), causes.TorqueOffset(2.0)
-    wave = causes.CircularSplinePitch(1e-6, 0.2)
+    runout, offset = sensor.OutputRunout(2e-5, 0.0), sensor.TorqueOffset(2.0)
+    wave = mesh.CircularSplinePitch(1e-6, 0.2)
     record = records.simulate(ERRORS, (runout, offset, wave), ONE_RUN, np.random.default_rng(0))
     expected = 2e-5 * np.sin(record.clean_output)
     assert_allclose(records.added_by(record, "output_runout"), expected, atol=1e-8)
@@ -281,24 +284,18 @@ def test_contributions_are_what_each_cause_adds() -> None:
 
 def test_ripple_swells_where_it_meets_the_resonance() -> None:
     run = motion.Run(9.7, duration=6.0)
-    at = {f: causes.Resonance(f, 0.06, 4e-6, 2, 0.0) for f in (2 * 9.7, 60.0)}
+    at = {f: drive.Resonance(f, 0.06, 4e-6, 2, 0.0) for f in (2 * 9.7, 60.0)}
     scene = records.scene(motion.Motion((run,)), np.arange(0, 6, 0.002))
     swing = {f: cause.carried(scene, np.zeros(3000))[1500:2500].std() for f, cause in at.items()}
     assert swing[60.0] < 1.3 * 4e-6 / np.sqrt(2)
     assert swing[19.4] == pytest.approx(4e-6 / np.sqrt(2) / 0.12, rel=0.05)
 
 
-def test_every_cause_names_itself_once() -> None:
-    names = [kind.name for kind in (*causes.CATALOGUE, *causes.UNKNOWN)]
-    assert len(set(names)) == len(names)
-    assert {kind.name for kind in causes.CATALOGUE} == set(families.FAULTS)
-    assert {kind.name for kind in causes.UNKNOWN} == set(families.UNKNOWN)
-
-
 @pytest.mark.parametrize("name", [*families.FAULTS, *families.UNKNOWN])
 def test_every_cause_enters_somewhere(name: str) -> None:
     rng = np.random.default_rng(6)
     cause = families.draw(rng, name, ONE_RUN)
+    assert (cause.name, cause.known) == (name, name in families.FAULTS)
     scene = records.scene(ONE_RUN, ONE_RUN.times())
     still = np.zeros(len(scene.time))
     enters = [
@@ -324,7 +321,7 @@ def test_seeds_are_apart() -> None:
 
 
 def test_a_seed_gives_one_record() -> None:
-    one, again, other = families.short(4), families.short(4), families.short(6)
+    one, again, other = families.poor("short", 4), families.poor("short", 4), families.poor("short", 6)
     assert np.array_equal(one.output_angle, again.output_angle)
     assert one.truth == again.truth
     assert not np.array_equal(one.output_angle, other.output_angle)
@@ -337,7 +334,7 @@ def test_sizes_of_the_field_can_be_found(name: str) -> None:
 
 
 def test_families_hide_what_they_say() -> None:
-    several = families.triple(3)
+    several = families.FAMILIES["triple"](3)
     assert len(set(several.truth["hidden"])) == 3
     assert not several.truth["unknown"]
     assert families.unknown(2).truth["unknown"] == ["cogging"]
@@ -347,7 +344,7 @@ def test_families_hide_what_they_say() -> None:
         0.01, abs=0.003
     )
     assert len(poor.runs) == 12
-    assert families.torque_unmeasured(0).torque is None
+    assert families.poor("torque_unmeasured", 0).torque is None
 
 
 # Files ---
@@ -355,7 +352,7 @@ def test_families_hide_what_they_say() -> None:
 
 @pytest.fixture(scope="module")
 def short_record() -> records.Record:
-    return families.short(2)
+    return families.poor("short", 2)
 
 
 def test_bag_holds_the_record(short_record: records.Record, tmp_path: Path) -> None:

@@ -47,6 +47,12 @@ def assert_one_line(result: Result, said: str) -> None:
 
 
 @pytest.fixture
+def here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tasks are done in this process."""
+    monkeypatch.setattr(cli_fleet, "_pool", lambda options: pool_tasks.PoolHere())
+
+
+@pytest.fixture
 def quick(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Folder of what the quick diagnosis, in place of the true one, was asked for."""
     monkeypatch.setattr(run, "judge", fleet_tasks.quick)
@@ -147,7 +153,7 @@ def bags_of(folder: Path, count: int) -> Path:
     return folder
 
 
-def test_what_is_known_is_not_judged_again(quick: Path, tmp_path: Path) -> None:
+def test_what_is_known_is_not_judged_again(here: None, quick: Path, tmp_path: Path) -> None:
     out, bags = tmp_path / "f.parquet", bags_of(tmp_path / "bags", 4)
     assert fleet(bags, "--out", out).exit_code == 0
     first = out.read_bytes()
@@ -165,7 +171,7 @@ def test_what_is_known_is_not_judged_again(quick: Path, tmp_path: Path) -> None:
     assert len(pool_tasks.calls(quick)) == 15
 
 
-def test_an_interrupted_run_goes_on(quick: Path, tmp_path: Path) -> None:
+def test_an_interrupted_run_goes_on(quick: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     """Ctrl-C to the whole group, as a terminal sends it: code 130, one line, no table, no worker left."""
     out, bags = tmp_path / "f.parquet", bags_of(tmp_path / "bags", 12)
     journal = tmp_path / "f.parquet.journal.jsonl"
@@ -193,6 +199,7 @@ def test_an_interrupted_run_goes_on(quick: Path, tmp_path: Path) -> None:
     assert not any(pool_tasks.alive(worker) for _, worker in pool_tasks.calls(quick))
     done = {json.loads(line)["key"] for line in journal.read_text().splitlines()}
     before = len(pool_tasks.calls(quick))
+    request.getfixturevalue("here")
     assert fleet(bags, "--out", out).exit_code == 0
     assert len(pool_tasks.calls(quick)) - before == 12 - kept
     assert {json.loads(line)["key"] for line in journal.read_text().splitlines()[:kept]} == done
@@ -201,7 +208,7 @@ def test_an_interrupted_run_goes_on(quick: Path, tmp_path: Path) -> None:
     assert whole.read_bytes() == out.read_bytes()
 
 
-def test_robots_are_told_apart(quick: Path, tmp_path: Path) -> None:
+def test_robots_are_told_apart(here: None, quick: Path, tmp_path: Path) -> None:
     for robot in ("arm_a", "arm_b"):
         bags_of(tmp_path / robot, 2)
     out = tmp_path / "f.parquet"
@@ -215,7 +222,7 @@ def test_robots_are_told_apart(quick: Path, tmp_path: Path) -> None:
 
 
 def test_a_step_in_the_bags_is_told_and_fails_on_request(
-    quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    here: None, quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(run, "judge", fleet_tasks.stepped)
     bags, out = bags_of(tmp_path / "bags", 16), tmp_path / "f.parquet"
@@ -231,7 +238,7 @@ def test_a_step_in_the_bags_is_told_and_fails_on_request(
 
 
 def test_a_drift_is_told_with_the_day_of_its_limit(
-    quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    here: None, quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(run, "judge", fleet_tasks.drifting)
     bags, out = bags_of(tmp_path / "bags", 14), tmp_path / "f.parquet"
@@ -245,13 +252,16 @@ def test_a_drift_is_told_with_the_day_of_its_limit(
     assert found["eccentricity"]["form"] == "constant"
 
 
-def test_causes_fail_on_request(quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_causes_fail_on_request(
+    here: None, quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(run, "judge", fleet_tasks.caused)
     bags, out = bags_of(tmp_path / "bags", 2), tmp_path / "f.parquet"
     assert fleet(bags, "--out", out).exit_code == 0
     assert fleet(bags, "--out", out, "--fail-on-cause").exit_code == 1
 
 
+@pytest.mark.slow
 def test_a_bag_that_kills_its_worker_is_tried_again_by_the_next_run(
     quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -282,6 +292,7 @@ def test_a_bag_that_hangs_is_told_and_tried_again_by_the_next_run(
     assert begun == {"stuck": 1, "00.mcap": 1, "01.mcap": 1, "02.mcap": 1}
 
 
+@pytest.mark.slow
 def test_a_bag_that_hangs_while_it_is_looked_at(
     quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -292,7 +303,7 @@ def test_a_bag_that_hangs_while_it_is_looked_at(
 
 
 def test_what_is_no_file_is_told_and_not_opened(
-    quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    here: None, quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Opened, the FIFOs would hang and the device never end; no circle is followed."""
     bags, out = tmp_path / "bags", tmp_path / "f.parquet"
@@ -324,7 +335,7 @@ def test_what_is_no_file_is_told_and_not_opened(
 # Bad input ---
 
 
-def test_no_bag_that_can_be_judged(tmp_path: Path) -> None:
+def test_no_bag_that_can_be_judged(here: None, tmp_path: Path) -> None:
     (tmp_path / "a.mcap").write_bytes(b"garbage")
     result = fleet(tmp_path, "--out", tmp_path / "f.parquet")
     assert result.exit_code == 2

@@ -15,11 +15,10 @@ import pool_tasks
 import pytest
 from live import config
 
-from hd_diag.fleet import cluster
+from hd_diag.fleet import FleetError, cluster
 from hd_diag.fleet.cluster import ClusterPool
-from hd_diag.fleet.errors import FleetError
+from hd_diag.fleet.journal import Journal
 from hd_diag.fleet.run import Fleet, diagnose_fleet
-from hd_diag.fleet.store import Journal
 from hd_diag.fleet.survey import find_bags
 from hd_diag.process_pool import ATTEMPTS, Failure, ProcessPool, run
 
@@ -31,13 +30,13 @@ WORKERS = 3
 class Cluster:
     """A scheduler and workers, each a process of its own; what they note goes into `calls`."""
 
-    def __init__(self, stack: ExitStack, folder: Path) -> None:
+    def __init__(self, stack: ExitStack, folder: Path, workers: int) -> None:
         self.calls = folder / "calls"
         self.calls.mkdir()
         self._stack, self._folder = stack, folder
         self._file = folder / "scheduler.json"
         self.scheduler = self._start("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file")
-        for _ in range(WORKERS):
+        for _ in range(workers):
             self.worker()
 
     def worker(self) -> None:
@@ -71,9 +70,16 @@ class Cluster:
 @pytest.fixture
 def dask(tmp_path: Path) -> Iterator[Cluster]:
     with ExitStack() as stack:
-        yield Cluster(stack, tmp_path)
+        yield Cluster(stack, tmp_path, WORKERS)
 
 
+@pytest.fixture
+def one_worker(tmp_path: Path) -> Iterator[Cluster]:
+    with ExitStack() as stack:
+        yield Cluster(stack, tmp_path, 1)
+
+
+@pytest.mark.slow
 def test_a_worker_killed_in_its_work_loses_no_result(dask: Cluster) -> None:
     killed: list[int] = []
 
@@ -94,6 +100,7 @@ def test_a_worker_killed_in_its_work_loses_no_result(dask: Cluster) -> None:
     assert len({process for _, process in begun}) > 1
 
 
+@pytest.mark.slow
 def test_what_kills_its_workers_fails_alone(dask: Cluster) -> None:
     """As on one machine, whatever the scheduler is set to; a worker comes for each that goes."""
     alive = WORKERS
@@ -112,6 +119,7 @@ def test_what_kills_its_workers_fails_alone(dask: Cluster) -> None:
     assert Counter(name for name, _ in dask.begun())["7"] == ATTEMPTS
 
 
+@pytest.mark.slow
 def test_what_hangs_ends_its_worker_once_and_the_others_go_on(dask: Cluster) -> None:
     names = ["a", "fifo", "b", "pattern", "c", "d"]
     with ClusterPool(dask.address) as pool:
@@ -122,7 +130,7 @@ def test_what_hangs_ends_its_worker_once_and_the_others_go_on(dask: Cluster) -> 
 
 
 def test_the_cluster_makes_the_same_rows(
-    dask: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    one_worker: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """From paths alone, though it is in another folder; and what raises is a failure of its own."""
     monkeypatch.setattr("hd_diag.fleet.run.judge", fleet_tasks.quick)
@@ -132,16 +140,17 @@ def test_the_cluster_makes_the_same_rows(
         fleet_tasks.small_bag(Path("bags") / f"{day}.mcap", day)
     given = config()
     fleet = Fleet(find_bags([Path("bags")]), given, given.joints)
-    monkeypatch.setenv(pool_tasks.CALLS, str(dask.calls))
+    monkeypatch.setenv(pool_tasks.CALLS, str(one_worker.calls))
     with ProcessPool(1) as local, Journal(tmp_path / "local") as journal:
         expected = diagnose_fleet(fleet, local, journal)
-    with ClusterPool(dask.address) as pool, Journal(tmp_path / "cluster") as journal:
+    with ClusterPool(one_worker.address) as pool, Journal(tmp_path / "cluster") as journal:
         assert diagnose_fleet(fleet, pool, journal) == expected
         assert dict(run(pool, pool_tasks.faulty, [1, 3])) == {0: 1, 1: Failure("Unsendable: 3: no")}
     assert len(expected) == 5
-    assert len(dask.begun()) == 10
+    assert len(one_worker.begun()) == 10
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_goes_ends_the_run(dask: Cluster) -> None:
     def tick() -> None:
         if len(dask.begun()) >= 2:

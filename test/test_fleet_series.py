@@ -8,8 +8,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from hd_diag.fleet.rows import Row
-from hd_diag.fleet.series import classes, series_of
-from hd_diag.fleet.trend import Series
+from hd_diag.fleet.series import Series, classes, series_of
 
 
 def row(day: int, joint: str = "joint_1", robot: str | None = None, **given: Any) -> Row:

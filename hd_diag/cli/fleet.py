@@ -29,7 +29,7 @@ from hd_diag.cli.options import (
 from hd_diag.cli.progress import bar, interrupts
 from hd_diag.cli.verbs import INTERRUPTED
 from hd_diag.config.configuration import JointConfig
-from hd_diag.fleet.errors import FleetError
+from hd_diag.fleet import FleetError
 from hd_diag.model.threads import cores
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ _ERRORS_SHOWN = 20
     "limits",
     multiple=True,
     metavar="QUANTITY=VALUE",
-    help="Foretell when eccentricity [m], residual_nominal, residual_refit or a cause's amplitude [rad] "
+    help="Predict when eccentricity [m], residual_nominal, residual_refit or a cause's amplitude [rad] "
     "reaches this; repeatable. residual_nominal has limits.residual_rms.error of the configuration.",
 )
 @click.option("--fresh", is_flag=True, help="Forget what earlier runs have kept.")
@@ -97,14 +97,14 @@ _ERRORS_SHOWN = 20
 @click.option("--fail-on-change", is_flag=True, help="Exit with 1 where something steps or drifts.")
 @JSON
 def fleet(bags: tuple[Path, ...], config_file: str | None, names: tuple[str, ...], **options: Any) -> None:
-    """Diagnose every joint of every bag, in parallel, and tell what changes over time.
+    """Diagnose every joint of every bag, in parallel, and report what changes over time.
 
     Folders are searched for bags; a folder with a metadata.yaml is one. The table has one row for each bag
     and joint, as ``hd-diag diagnose`` judges it alone; what cannot be judged has a row that says why. Each
     result is kept beside the table in OUT.journal.jsonl as soon as it is there: the same command goes on
     after an interruption, and later judges new bags only. Series over time are eccentricity, residuals and
-    the amplitude of each cause; steps and drifts are told with a chance of false alarm of 5 % for the whole
-    run. Exit code 2 where no bag could be judged, 130 after Ctrl-C.
+    the amplitude of each cause; steps and drifts are reported with a chance of false alarm of 5 % for the
+    whole run. Exit code 2 where no bag could be judged, 130 after Ctrl-C.
     """
     config = configured(config_file)
     joints = tuple(chosen_joints(config, names))
@@ -183,9 +183,11 @@ def _limits(joints: Sequence[JointConfig], given: tuple[str, ...]) -> dict[tuple
 def _run(
     chosen: Fleet, limits: dict[tuple[str, str], float], options: dict[str, Any]
 ) -> tuple[list[Row], list[Trend]]:
+    import numpy as np
+
+    from hd_diag.fleet.journal import JOURNAL_SUFFIX, Journal
     from hd_diag.fleet.run import diagnose_fleet
     from hd_diag.fleet.series import series_of
-    from hd_diag.fleet.store import JOURNAL_SUFFIX, Journal
     from hd_diag.fleet.trend import trends
 
     path = options["out"].with_name(options["out"].name + JOURNAL_SUFFIX)
@@ -194,7 +196,7 @@ def _run(
             with _watched() as (tell, tick):
                 with _pool(options) as pool:
                     rows = diagnose_fleet(chosen, pool, journal, tell, tick, options["bag_timeout"])
-                return rows, trends(series_of(rows, limits), tick)
+                return rows, trends(series_of(rows, limits), np.random.default_rng(0), tick)
         except KeyboardInterrupt:
             text = f"{len(journal.results)} results are in {path}; the same command goes on"
             click.echo(f"hd-diag: interrupted: {text}", err=True)
@@ -238,8 +240,8 @@ def _pool(options: dict[str, Any]) -> Any:
 
 def _write(rows: list[Row], trends: list[Trend], options: dict[str, Any]) -> None:
     from hd_diag.fleet.plots import draw
-    from hd_diag.fleet.store import write_table
-    from hd_diag.fleet.told import as_json
+    from hd_diag.fleet.summary import as_json
+    from hd_diag.fleet.table import write_table
 
     write_table(options["out"], rows)
     if options["json_file"]:
@@ -249,7 +251,7 @@ def _write(rows: list[Row], trends: list[Trend], options: dict[str, Any]) -> Non
 
 
 def _show(rows: list[Row], trends: list[Trend], out: Path) -> None:
-    from hd_diag.fleet.told import error_line, sentences, table
+    from hd_diag.fleet.summary import error_line, sentences, table
 
     if any(row.get("joint") for row in rows):
         Console().print(table(rows, trends))
@@ -266,9 +268,11 @@ def _show(rows: list[Row], trends: list[Trend], out: Path) -> None:
 
 
 def _code(rows: list[Row], trends: list[Trend], options: dict[str, Any]) -> int:
+    from hd_diag.fleet.trend import CHANGED
+
     if all(row.get("error") for row in rows):
         click.echo("hd-diag: no bag could be judged", err=True)
         return 2
     caused = any(row.get("causes") or row.get("unexplained_orders") for row in rows)
-    changed = any(trend.form in ("steps", "drift") for trend in trends)
+    changed = any(trend.form in CHANGED for trend in trends)
     return int((options["fail_on_cause"] and caused) or (options["fail_on_change"] and changed))

@@ -1,6 +1,11 @@
 """Many bags: every joint of every bag diagnosed in parallel, kept as a table, and what changes over time.
 
-A run goes through four steps: `survey` reads which joints each bag holds, `rows` judges one joint of one bag
-(the same functions as ``hd-diag diagnose``), `store` keeps each result as it comes, `trend` looks at the rows
-over time. The first two run in parallel, on this machine (`process_pool`) or on many (`cluster`).
+`survey` reads which joints each bag holds, `rows` diagnoses one joint of one bag with the functions of
+``hd-diag diagnose``, `journal` keeps each result as it comes, `table` writes them all, `series` and `trend`
+look at them over time, `summary` and `plots` show that. `run` does the first three in parallel, on processes
+of this machine (`hd_diag.process_pool`) or on many machines (`cluster`).
 """
+
+
+class FleetError(RuntimeError):
+    """A run that cannot begin or go on; the text says why in one line."""

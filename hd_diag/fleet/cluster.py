@@ -8,18 +8,19 @@ import uuid
 from collections.abc import Callable
 from typing import Any
 
-from hd_diag.fleet.errors import FleetError
+from hd_diag.fleet import FleetError
 from hd_diag.process_pool import Failure, Lost, guarded
 
-_CONNECT = 10.0  # patience with the scheduler [s]
-_GATHER = 10.0  # with a result [s]
-_WORKERS = 60.0  # with a cluster that has no worker [s]
+# How long to wait [s]
+_CONNECT = 10.0  # for the scheduler
+_GATHER = 10.0  # for a result
+_WORKERS = 60.0  # for a first worker
 
 
 class ClusterPool:
     """The worker processes of a Dask scheduler, whichever are there at a time; each does one task at a time.
 
-    A task is pinned to its worker, so that a death is the doing of one task only, and counted here.
+    A task is pinned to its worker: when a worker dies, it is known which task it was doing.
 
     Parameters
     ----------
@@ -37,7 +38,7 @@ class ClusterPool:
             from distributed import Client
         except ImportError as error:
             raise FleetError(f"--scheduler needs Dask: pip install 'hd_diag[cluster]' ({error})") from error
-        # It would tell every worker that goes; what matters is told by the run.
+        # Dask would report every worker that goes; the run reports what matters.
         logging.getLogger("distributed").setLevel(logging.CRITICAL)
         self._address = address
         try:
@@ -58,7 +59,7 @@ class ClusterPool:
         return [worker for worker in self._workers() if worker not in taken]
 
     def send(self, worker: str, number: int, function: Callable[[Any], Any], item: Any) -> None:
-        """Have a worker do a task."""
+        """Give a worker a task."""
         key = f"hd_diag-{uuid.uuid4()}"
         future = self._client.submit(guarded, function, item, workers=[worker], key=key, pure=False)
         self._at_work[future] = worker, number

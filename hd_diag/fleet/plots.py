@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
 
-from hd_diag.fleet.errors import FleetError
-from hd_diag.fleet.told import SHOWN
+from hd_diag.fleet import FleetError
+from hd_diag.fleet.summary import SHOWN
 from hd_diag.fleet.trend import Trend
 
 MOST = 24
@@ -24,7 +24,7 @@ _LIMIT_NEAR = 3.0  # times the largest value; a limit farther off would press th
 
 
 def check_format(path: Path) -> None:
-    """FleetError where a picture cannot have this suffix."""
+    """Raise FleetError where a picture cannot have this suffix."""
     known = Figure().canvas.get_supported_filetypes()
     if path.suffix[1:].lower() not in known:
         raise FleetError(f"{path}: no picture format; known are {', '.join(sorted(known))}")
@@ -32,11 +32,6 @@ def check_format(path: Path) -> None:
 
 def draw(trends: Sequence[Trend], path: Path) -> None:
     """Draw the series, the clearest changes first.
-
-    Parameters
-    ----------
-    trends : sequence of Trend
-    path : Path
 
     Raises
     ------

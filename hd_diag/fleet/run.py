@@ -1,4 +1,4 @@
-"""A run over many bags: look at each, judge what is not known yet, put the rows together."""
+"""A run over many bags: look at each, diagnose what is not known yet, put the rows together."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from typing import Any
 
 from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.config.parameters import shown
-from hd_diag.fleet.errors import FleetError
+from hd_diag.fleet import FleetError
+from hd_diag.fleet.journal import Journal
 from hd_diag.fleet.rows import Row, Task, judge, tasks
-from hd_diag.fleet.store import Journal
 from hd_diag.fleet.survey import Survey, survey
 from hd_diag.process_pool import Failure, Pool, run
 from hd_diag.replay.versions import running
 
 Progress = Callable[[str, int, int, int], None]
-"""Told the stage, how much of it is done, how much it has, and how many tasks are done."""
+"""Called with the stage, how much of it is done, how much it has, and how many tasks are done."""
 
 _Outcomes = Callable[[Callable[[Any], Any], Sequence[Any]], Iterator[tuple[int, Any]]]
 """`hd_diag.process_pool.run` of a function and items."""
@@ -30,7 +30,7 @@ _NAMES_SHOWN = 8
 
 @dataclass(frozen=True)
 class Fleet:
-    """Which bags, which joints, and what tells the robots apart.
+    """Which bags, which joints, and how robots are told apart.
 
     Parameters
     ----------

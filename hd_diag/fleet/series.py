@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from hd_diag.arrays import Floats
 from hd_diag.fleet.rows import Row
-from hd_diag.fleet.trend import Series
 
 ECCENTRICITY = "eccentricity"
 NOMINAL = "residual_nominal"
@@ -19,6 +20,31 @@ _SIGMAS_95 = 2.0 * 1.959964  # width of a 95 % interval in standard deviations
 _UNSEEN = 0.5  # of the least size found: what may be there unseen lies within two such deviations
 
 Point = tuple[float, float, float]  # time [s], value, standard deviation
+
+
+@dataclass(frozen=True)
+class Series:
+    """A quantity of one joint over time, in time order.
+
+    Attributes
+    ----------
+    robot, joint, quantity, unit : str
+    time : ndarray, shape (n,)
+        Since 1970 [s].
+    value, std : ndarray, shape (n,)
+        Values and their standard deviations, in `unit`; nan deviations are unknown.
+    limit : float
+        That the quantity should stay below; nan = none.
+    """
+
+    robot: str
+    joint: str
+    quantity: str
+    unit: str
+    time: Floats
+    value: Floats
+    std: Floats
+    limit: float = math.nan
 
 
 def series_of(rows: Sequence[Row], limits: Mapping[tuple[str, str], float]) -> list[Series]:

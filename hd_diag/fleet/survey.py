@@ -19,25 +19,25 @@ _PART = 1 << 20  # read at a time [byte]
 
 @dataclass(frozen=True)
 class Survey:
-    """What was seen of one bag; with an `error` nothing else is.
+    """What was seen of one bag; where it has an `error`, nothing else is known.
 
     Attributes
     ----------
     path : str
     digest : str
-        SHA-256 of the contents, the same under every name.
+        SHA-256 of the contents, whatever the bag is called.
     start : int or None
         First log time [ns since 1970]; None for an empty bag.
     messages : int
-        With joint states.
+        Number of joint states.
     names : frozenset of str
-        That the joint states hold.
+        Names in the joint states.
     problems : tuple of str
         What is unfinished about the bag's files.
     error : str
         Why it cannot be read; empty where it can.
     versions : mapping
-        Of the worker that looked.
+        Versions of the worker that looked.
     """
 
     path: str
@@ -53,16 +53,8 @@ class Survey:
 def find_bags(given: Iterable[Path]) -> list[Path]:
     """Bags among files and folders, each once, in the order of their names within each folder.
 
-    Parameters
-    ----------
-    given : iterable of Path
-        Bags, or folders that hold bags at any depth. A folder with a ``metadata.yaml`` is one bag; in other
-        folders every ``.mcap`` and ``.db3`` file is one.
-
-    Returns
-    -------
-    list of Path
-        A folder that cannot be listed is among them, for its error to be told.
+    A folder with a ``metadata.yaml`` is one bag; in other folders, at any depth, every ``.mcap`` and ``.db3``
+    file is one. A folder that cannot be listed is among the results, so that its error is reported.
     """
     unique: dict[str, Path] = {}
     for path in given:
@@ -84,16 +76,7 @@ def _within(folder: Path) -> Iterator[Path]:
 
 
 def survey(path: str) -> Survey:
-    """Look at a bag: every byte is read twice, nothing is kept.
-
-    Parameters
-    ----------
-    path : str
-
-    Returns
-    -------
-    Survey
-    """
+    """Look at a bag: every byte is read twice, nothing is kept."""
     try:
         with BagReader(path) as reader:
             topics = [t for t in reader.topics if t.type_name == JOINT_STATE]

@@ -78,4 +78,4 @@ class Cause:
 
     def as_dict(self) -> dict[str, float]:
         """Sizes by name [SI]."""
-        return dataclasses.asdict(self)
+        return {name: value for name, value in vars(self).items() if name != "shape"}

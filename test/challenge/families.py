@@ -7,19 +7,23 @@ three times the least findable size, :data:`challenge.findable.LEAST`.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from challenge import causes as c
+from challenge import drive_causes as drive
+from challenge import mesh_causes as mesh
 from challenge import motion as motions
+from challenge import sensor_causes as sensor
 from challenge.cause import Cause
 from challenge.findable import LEAST
 from challenge.motion import Motion
 from challenge.noise import FAMILIES as NOISES
-from challenge.records import Record, Recording, simulate
+from challenge.records import PLAIN, Record, Recording, simulate
 from challenge.truth import ARCSEC, RATIO, drawn
+from challenge.unknown_causes import Unknown
 
 DEVELOPMENT = range(0, 1_000_000)
 FINAL = range(1_000_000_000, 1_001_000_000)
@@ -49,39 +53,46 @@ def _phase(rng: Draw) -> float:
 def _bearing(rng: Draw, a: float, _: Motion) -> Cause:
     part = str(rng.choice(["cage", "outer", "inner"]))
     cage = rng.uniform(0.41, 0.47)
-    return c.BearingPassage(a * ARCSEC, _phase(rng), cage, part, seed=int(rng.integers(1 << 31)))
+    return drive.BearingPassage(a * ARCSEC, _phase(rng), cage, part, seed=int(rng.integers(1 << 31)))
 
 
 def _coupling(rng: Draw, a: float, _: Motion) -> Cause:
     bend = np.sqrt(4 * RATIO * a * ARCSEC)
-    return c.CouplingMisalignment(bend, _phase(rng), 2 * RATIO * rng.uniform(0, 0.3) * a * ARCSEC)
+    return drive.CouplingMisalignment(bend, _phase(rng), 2 * RATIO * rng.uniform(0, 0.3) * a * ARCSEC)
 
 
 def _damage(rng: Draw, a: float, _: Motion) -> Cause:
     member, count = [("circular_spline", 202), ("flexspline", 200)][rng.integers(2)]
-    return c.ToothDamage(a * UM, int(rng.integers(count)), member)
+    return mesh.ToothDamage(a * UM, int(rng.integers(count)), member)
 
 
 def _hardening(rng: Draw, a: float, _: Motion) -> Cause:
     sign = rng.choice([-1, 1])
-    return c.TorsionalHardening(sign * a * ARCSEC, sign * rng.uniform(0, 0.5) * a * ARCSEC)
+    return drive.TorsionalHardening(sign * a * ARCSEC, sign * rng.uniform(0, 0.5) * a * ARCSEC)
 
 
 def _hysteresis(rng: Draw, a: float, _: Motion) -> Cause:
     torques = tuple(sorted(rng.uniform(2, 20, rng.integers(1, 4)).tolist()))
-    return c.Hysteresis(a * ARCSEC, torques, float(rng.choice([-1, 1])))
+    return drive.Hysteresis(a * ARCSEC, torques, float(rng.choice([-1, 1])))
 
 
 def _skip(rng: Draw, _a: float, motion: Motion) -> Cause:
     time = motion.times()
     torque = motion.torque(time)
     worst = int(np.argmax(np.abs(torque)))
-    return c.ToothSkip(float(time[worst]), -float(np.sign(torque[worst])))
+    return mesh.ToothSkip(float(time[worst]), -float(np.sign(torque[worst])))
 
 
 def _resonance(rng: Draw, a: float, _: Motion) -> Cause:
     order = int(rng.choice([1, 2]))
-    return c.Resonance(order * rng.uniform(5, 16), rng.uniform(0.04, 0.12), a * ARCSEC, order, _phase(rng))
+    return drive.Resonance(
+        order * rng.uniform(5, 16), rng.uniform(0.04, 0.12), a * ARCSEC, order, _phase(rng)
+    )
+
+
+def _interpolation(rng: Draw, a: float, _: Motion) -> Cause:
+    lines = int(rng.choice([8, 12, 16, 20, 24, 32]))
+    return sensor.EncoderInterpolation(lines * RATIO * a * ARCSEC, _phase(rng), lines)
 
 
 def _order(rng: Draw) -> int:
@@ -89,72 +100,70 @@ def _order(rng: Draw) -> int:
 
 
 FAULTS: dict[str, Fault] = {
-    "output_runout": Fault(lambda r, a, m: c.OutputRunout(a * ARCSEC, _phase(r)), 2, 40, "arcsec"),
+    "output_runout": Fault(lambda r, a, m: sensor.OutputRunout(a * ARCSEC, _phase(r)), 2, 40, "arcsec"),
     "output_encoder_eccentricity": Fault(
-        lambda r, a, m: c.OutputEncoderEccentricity(a * ARCSEC, _phase(r)), 2, 60, "arcsec"
+        lambda r, a, m: sensor.OutputEncoderEccentricity(a * ARCSEC, _phase(r)), 2, 60, "arcsec"
     ),
     "circular_spline_form": Fault(
-        lambda r, a, m: c.CircularSplineForm(a * UM, _phase(r), int(r.choice([4, 6])), float(r.integers(2))),
+        lambda r, a, m: mesh.CircularSplineForm(
+            a * UM, _phase(r), int(r.choice([4, 6])), float(r.integers(2))
+        ),
         *(1, 8, "um"),
     ),
     "coupling_misalignment": Fault(_coupling, 0.5, 2, "arcsec"),
     "bearing_passage": Fault(_bearing, 0.3, 4, "arcsec"),
     "circular_spline_pitch": Fault(
-        lambda r, a, m: c.CircularSplinePitch(a * UM, _phase(r), _order(r)), 0.3, 4, "um"
+        lambda r, a, m: mesh.CircularSplinePitch(a * UM, _phase(r), _order(r)), 0.3, 4, "um"
     ),
-    "flexspline_pitch": Fault(lambda r, a, m: c.FlexsplinePitch(a * UM, _phase(r), _order(r)), 0.3, 4, "um"),
+    "flexspline_pitch": Fault(
+        lambda r, a, m: mesh.FlexsplinePitch(a * UM, _phase(r), _order(r)), 0.3, 4, "um"
+    ),
     "tooth_damage": Fault(_damage, 5, 30, "um"),
-    "wear_backlash": Fault(lambda r, a, m: c.WearBacklash(a * UM), 0.5, 4, "um"),
+    "wear_backlash": Fault(lambda r, a, m: mesh.WearBacklash(a * UM), 0.5, 4, "um"),
     "torsional_hardening": Fault(_hardening, 0.1, 0.8, "arcsec/(N m)"),
     "hysteresis": Fault(_hysteresis, 5, 60, "arcsec"),
-    "coulomb_windup": Fault(lambda r, a, m: c.CoulombWindup(a * ARCSEC, r.choice([0, 0.4])), 1, 15, "arcsec"),
+    "coulomb_windup": Fault(
+        lambda r, a, m: drive.CoulombWindup(a * ARCSEC, r.choice([0, 0.4])), 1, 15, "arcsec"
+    ),
     "viscous_windup": Fault(
-        lambda r, a, m: c.ViscousWindup(a * ARCSEC / FULL_SPEED), 1, 15, "arcsec at 120 rad/s"
+        lambda r, a, m: drive.ViscousWindup(a * ARCSEC / FULL_SPEED), 1, 15, "arcsec at 120 rad/s"
     ),
     "input_encoder_eccentricity": Fault(
-        lambda r, a, m: c.InputEncoderEccentricity(RATIO * a * ARCSEC, _phase(r)), 0.4, 30, "arcsec"
+        lambda r, a, m: sensor.InputEncoderEccentricity(RATIO * a * ARCSEC, _phase(r)), 0.4, 30, "arcsec"
     ),
-    "encoder_interpolation": Fault(
-        lambda r, a, m: _interpolation(r, a),
-        *(0.3, 5, "arcsec"),
-    ),
-    "stream_delay": Fault(lambda r, a, m: c.StreamDelay(a * 1e-6), 5, 10_000, "us"),
+    "encoder_interpolation": Fault(_interpolation, 0.3, 5, "arcsec"),
+    "stream_delay": Fault(lambda r, a, m: sensor.StreamDelay(a * 1e-6), 5, 10_000, "us"),
     "thermal_drift": Fault(
-        lambda r, a, m: c.ThermalDrift(r.choice([-1, 1]) * a * ARCSEC), 0.1, 3, "arcsec/K"
+        lambda r, a, m: drive.ThermalDrift(r.choice([-1, 1]) * a * ARCSEC), 0.1, 3, "arcsec/K"
     ),
-    "ratio_error": Fault(lambda r, a, m: c.RatioError(r.choice([-1, 1]) * a), 1e-4, 0.05, "-"),
+    "ratio_error": Fault(lambda r, a, m: sensor.RatioError(r.choice([-1, 1]) * a), 1e-4, 0.05, "-"),
     "tooth_skip": Fault(_skip, 1, 1, "teeth"),
     "resonance": Fault(_resonance, 0.5, 4, "arcsec"),
-    "torque_offset": Fault(lambda r, a, m: c.TorqueOffset(r.choice([-1, 1]) * a), 0.3, 3, "N m"),
+    "torque_offset": Fault(lambda r, a, m: sensor.TorqueOffset(r.choice([-1, 1]) * a), 0.3, 3, "N m"),
 }
 
 
-def _interpolation(rng: Draw, a: float) -> Cause:
-    lines = int(rng.choice([8, 12, 16, 20, 24, 32]))
-    return c.EncoderInterpolation(lines * RATIO * a * ARCSEC, _phase(rng), lines)
-
-
-def _plain(kind: type[c.Unknown]) -> Build:
-    return lambda rng, a, motion: kind(a * ARCSEC, _phase(rng))
+def _unknown(name: str) -> Build:
+    return lambda rng, a, motion: Unknown(name, a * ARCSEC, _phase(rng))
 
 
 def _sector(rng: Draw, a: float, motion: Motion) -> Cause:
     time = motion.times()
     place = motion.angle(rng.choice(time, 1))[0] / RATIO  # where the output has been
-    return c.EncoderSector(a * ARCSEC, float(place))
+    return Unknown("encoder_sector", a * ARCSEC, float(place))
 
 
 UNKNOWN: dict[str, Fault] = {
-    "strange_order": Fault(_plain(c.StrangeOrder), 1, 4, "arcsec"),
-    "one_sided_ripple": Fault(_plain(c.OneSidedRipple), 1, 4, "arcsec"),
-    "cogging": Fault(_plain(c.Cogging), 1, 4, "arcsec"),
-    "belt_creep": Fault(_plain(c.BeltCreep), 8, 30, "arcsec per 1000 rad at 50 N m"),
+    "strange_order": Fault(_unknown("strange_order"), 1, 4, "arcsec"),
+    "one_sided_ripple": Fault(_unknown("one_sided_ripple"), 1, 4, "arcsec"),
+    "cogging": Fault(_unknown("cogging"), 1, 4, "arcsec"),
+    "belt_creep": Fault(_unknown("belt_creep"), 8, 30, "arcsec per 1000 rad at 50 N m"),
     "encoder_sector": Fault(_sector, 16, 50, "arcsec"),
-    "unbalance": Fault(_plain(c.Unbalance), 1.5, 5, "arcsec at 60 rad/s"),
-    "floor_vibration": Fault(_plain(c.FloorVibration), 1, 4, "arcsec"),
-    "even_torque": Fault(_plain(c.EvenTorque), 3, 15, "arcsec at 50 N m"),
-    "output_order": Fault(_plain(c.OutputOrder), 4, 15, "arcsec"),
-    "loose_hub": Fault(_plain(c.LooseHub), 3, 15, "arcsec"),
+    "unbalance": Fault(_unknown("unbalance"), 1.5, 5, "arcsec at 60 rad/s"),
+    "floor_vibration": Fault(_unknown("floor_vibration"), 1, 4, "arcsec"),
+    "even_torque": Fault(_unknown("even_torque"), 3, 15, "arcsec at 50 N m"),
+    "output_order": Fault(_unknown("output_order"), 4, 15, "arcsec"),
+    "loose_hub": Fault(_unknown("loose_hub"), 3, 15, "arcsec"),
 }
 
 # Worth no line of its own: a parameter of the drive does the same.
@@ -164,14 +173,26 @@ COMBINED = tuple(name for name in NAMED if name not in ("ratio_error", "tooth_sk
 SAME_CLASS = ({"output_runout", "output_encoder_eccentricity"},)
 
 
-# What a motion cannot show.
-UNTESTABLE: dict[str, tuple[str, ...]] = {
-    "short": ("output_runout", "flexspline_pitch", "thermal_drift", "bearing_passage", "resonance"),
-    "one_direction": ("coulomb_windup",),
-    "one_speed": ("viscous_windup", "stream_delay", "resonance"),
-    "unloaded": ("torsional_hardening", "hysteresis", "torque_offset"),
-    "constant_torque": ("torsional_hardening", "hysteresis"),
-    "torque_unmeasured": ("torsional_hardening", "hysteresis", "torque_offset"),
+@dataclass(frozen=True)
+class Poor:
+    """A motion or recording that cannot show some causes."""
+
+    motion: Callable[[Draw], Motion]
+    hidden: tuple[str, ...]
+    recording: Recording = PLAIN
+
+
+POOR = {
+    "short": Poor(  # four seconds, a few turns of the input
+        motions.short, ("output_runout", "flexspline_pitch", "thermal_drift", "bearing_passage", "resonance")
+    ),
+    "one_direction": Poor(motions.one_direction, ("coulomb_windup",)),
+    "one_speed": Poor(motions.one_speed, ("viscous_windup", "stream_delay", "resonance")),
+    "unloaded": Poor(motions.unloaded, ("torsional_hardening", "hysteresis", "torque_offset")),
+    "constant_torque": Poor(motions.constant_torque, ("torsional_hardening", "hysteresis")),
+    "torque_unmeasured": Poor(  # it acts, but is not reported
+        motions.standard, ("torsional_hardening", "hysteresis", "torque_offset"), Recording(torque=False)
+    ),
 }
 
 
@@ -192,11 +213,11 @@ def draw(rng: Draw, name: str, motion: Motion) -> Cause:
 
 
 def _record(
-    rng: Draw, names: Sequence[str], motion: Motion | None = None, recording: Recording | None = None
+    rng: Draw, names: Sequence[str], motion: Motion | None = None, recording: Recording = PLAIN
 ) -> Record:
     motion = motion or motions.standard(rng)
     found = [draw(rng, name, motion) for name in names]
-    return simulate(drawn(rng), found, motion, rng, recording or Recording())
+    return simulate(drawn(rng), found, motion, rng, recording)
 
 
 def wrong_parameters(seed: int) -> Record:
@@ -210,7 +231,8 @@ def one_effect(seed: int) -> Record:
     return _record(generator("one_effect", seed), [NAMED[seed % len(NAMED)]])
 
 
-def _several(family: str, seed: int, count: int) -> Record:
+def several(count: int, family: str, seed: int) -> Record:
+    """Causes of the catalogue that can be told apart."""
     rng = generator(family, seed)
     names: list[str] = []
     while len(names) < count:
@@ -221,58 +243,16 @@ def _several(family: str, seed: int, count: int) -> Record:
     return _record(rng, names)
 
 
-def pair(seed: int) -> Record:
-    """Two causes."""
-    return _several("pair", seed, 2)
-
-
-def triple(seed: int) -> Record:
-    """Three causes."""
-    return _several("triple", seed, 3)
-
-
 def unknown(seed: int) -> Record:
     """One cause that no catalogue has, by turns."""
     return _record(generator("unknown", seed), [list(UNKNOWN)[seed % len(UNKNOWN)]])
 
 
-def _poor(
-    family: str, seed: int, make: Callable[[Draw], Motion], recording: Recording | None = None
-) -> Record:
+def poor(family: str, seed: int) -> Record:
     """Poor motion; with an odd seed a cause that this motion cannot show."""
-    rng = generator(family, seed)
-    names = [str(rng.choice(UNTESTABLE[family]))] if seed % 2 else []
-    return _record(rng, names, make(rng), recording)
-
-
-def short(seed: int) -> Record:
-    """Four seconds, a few turns of the input."""
-    return _poor("short", seed, motions.short)
-
-
-def one_direction(seed: int) -> Record:
-    """All runs the same way."""
-    return _poor("one_direction", seed, motions.one_direction)
-
-
-def one_speed(seed: int) -> Record:
-    """All runs at one speed."""
-    return _poor("one_speed", seed, motions.one_speed)
-
-
-def unloaded(seed: int) -> Record:
-    """No torque."""
-    return _poor("unloaded", seed, motions.unloaded)
-
-
-def constant_torque(seed: int) -> Record:
-    """One torque."""
-    return _poor("constant_torque", seed, motions.constant_torque)
-
-
-def torque_unmeasured(seed: int) -> Record:
-    """Torque that acts but is not reported."""
-    return _poor("torque_unmeasured", seed, motions.standard, Recording(torque=False))
+    rng, kind = generator(family, seed), POOR[family]
+    names = [str(rng.choice(kind.hidden))] if seed % 2 else []
+    return _record(rng, names, kind.motion(rng), kind.recording)
 
 
 def degraded(seed: int) -> Record:
@@ -282,9 +262,11 @@ def degraded(seed: int) -> Record:
 
 
 FAMILIES: dict[str, Callable[[int], Record]] = {
-    family.__name__: family
-    for family in (
-        *(wrong_parameters, one_effect, pair, triple, unknown),
-        *(short, one_direction, one_speed, unloaded, constant_torque, torque_unmeasured, degraded),
-    )
+    "wrong_parameters": wrong_parameters,
+    "one_effect": one_effect,
+    "pair": functools.partial(several, 2, "pair"),
+    "triple": functools.partial(several, 3, "triple"),
+    "unknown": unknown,
+    **{family: functools.partial(poor, family) for family in POOR},
+    "degraded": degraded,
 }

@@ -7,10 +7,9 @@ import fleet_tasks
 import pyarrow.parquet as pq
 import pytest
 
-from hd_diag.fleet import store
-from hd_diag.fleet.errors import FleetError
-from hd_diag.fleet.rows import COLUMNS
-from hd_diag.fleet.store import Journal, write_table
+from hd_diag.fleet import FleetError, table
+from hd_diag.fleet.journal import Journal
+from hd_diag.fleet.table import COLUMNS, write_table
 
 
 def kept(path: Path) -> dict[str, dict[str, object]]:
@@ -85,12 +84,11 @@ def test_the_table_has_every_column_with_unit_and_values_as_they_were(tmp_path: 
     path = tmp_path / "f.parquet"
     row = {**fleet_tasks.row(1e-6 / 3), "bag": "a\n\udcff.mcap", "start": fleet_tasks.BEGIN + 1_002_003}
     write_table(path, [row, {"bag": "b", "error": "why"}])
-    table = pq.read_table(path)
-    assert table.column_names == [column.name for column in COLUMNS]
-    for column in COLUMNS:
-        assert table.schema.field(column.name).metadata[b"unit"].decode() == column.unit
-    assert table.schema.metadata[b"schema"] == b"hd_diag/fleet/1"
-    first, second = table.to_pylist()
+    stored = pq.read_table(path)
+    assert stored.schema.names == COLUMNS.names
+    assert [f.metadata[b"unit"] for f in stored.schema] == [f.metadata[b"unit"] for f in COLUMNS]
+    assert stored.schema.metadata[b"schema"] == b"hd_diag/fleet/1"
+    first, second = stored.to_pylist()
     assert first["bag"] == "a\n\\udcff.mcap"
     assert first["rms_refit_rad"] == 1e-6 / 3
     assert first["start"].isoformat() == "2026-01-01T00:00:00.001002+00:00"
@@ -101,8 +99,8 @@ def test_the_table_has_every_column_with_unit_and_values_as_they_were(tmp_path: 
 def test_units_are_in_the_names() -> None:
     endings = {"m": "_m", "rad": "_rad", "s": "_s", "m/N": "_m_per_N", "rad/(N m)": "_rad_per_Nm"}
     for column in COLUMNS:
-        if column.unit in endings:
-            assert column.name.endswith(endings[column.unit]), column
+        unit = column.metadata[b"unit"].decode()
+        assert column.name.endswith(endings.get(unit, "")), column
 
 
 def test_a_table_that_cannot_be_finished_leaves_the_old_one(
@@ -114,7 +112,7 @@ def test_a_table_that_cannot_be_finished_leaves_the_old_one(
     def full(handle: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(store.os, "fsync", full)
+    monkeypatch.setattr(table.os, "fsync", full)
     with pytest.raises(FleetError, match="cannot be written: No space left"):
         write_table(path, [{"bag": "new"}])
     assert [row["bag"] for row in pq.read_table(path).to_pylist()] == ["old"]

@@ -1,9 +1,9 @@
-"""What a run says: JSON, and tables and sentences for people."""
+"""What a run shows: JSON, and tables and sentences for people."""
 
 from __future__ import annotations
 
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from datetime import datetime, timezone
 from typing import Any
@@ -14,10 +14,10 @@ from rich.text import Text
 from hd_diag.bag import BagError
 from hd_diag.fleet.rows import SCHEMA, Row
 from hd_diag.fleet.series import ECCENTRICITY
-from hd_diag.fleet.store import readable
-from hd_diag.fleet.trend import FALSE_ALARM, Change, Trend
-from hd_diag.formatting import json_ready
-from hd_diag.model.torsion_map import ARCSEC
+from hd_diag.fleet.steps import FALSE_ALARM, Change
+from hd_diag.fleet.table import readable
+from hd_diag.fleet.trend import CHANGED, Trend
+from hd_diag.formatting import ARCSEC, json_ready, words
 
 SHOWN = {"m": (1e-6, "µm"), "rad": (ARCSEC, "arcsec")}
 """Size and name of the unit that people read, by the unit inside."""
@@ -26,7 +26,7 @@ _MONTH = 30.0 * 86400.0  # [s]
 
 
 def as_json(out: str, rows: Sequence[Row], trends: Sequence[Trend]) -> dict[str, Any]:
-    """What `hd-diag fleet --json` writes.
+    """What `hd-diag fleet --json` writes: schema ``hd_diag/fleet/1``; SI, times in ISO 8601 UTC.
 
     Parameters
     ----------
@@ -34,26 +34,25 @@ def as_json(out: str, rows: Sequence[Row], trends: Sequence[Trend]) -> dict[str,
         Where the table is.
     rows : sequence of dict
     trends : sequence of Trend
-
-    Returns
-    -------
-    dict
-        Schema ``hd_diag/fleet/1``; SI, times in ISO 8601 UTC.
     """
-    errors = [{name: row.get(name) for name in ("bag", "joint", "error")} for row in rows if row.get("error")]
-    return {
+    errors = [row for row in rows if row.get("error")]
+    content = {
         "schema": SCHEMA,
         "out": readable(out),
         "bags": len({row["bag"] for row in rows}),
         "rows": len(rows),
-        "errors": [{name: readable(value) for name, value in error.items()} for error in errors],
+        "errors": [{name: readable(row.get(name)) for name in ("bag", "joint", "error")} for row in errors],
         "false_alarm": FALSE_ALARM,
         "trends": [_trend(trend) for trend in trends],
     }
+    return dict(json_ready(content))
 
 
 def _trend(trend: Trend) -> dict[str, Any]:
     series, slope = trend.series, trend.slope
+    last = None
+    if series.value.size:
+        last = {"time": moment(series.time[-1]), "value": series.value[-1], "std": series.std[-1]}
     return {
         "robot": series.robot or None,
         "joint": series.joint,
@@ -62,19 +61,12 @@ def _trend(trend: Trend) -> dict[str, Any]:
         "bags": series.value.size,
         "needed": trend.needed,
         "form": trend.form,
-        "last": {
-            "time": moment(series.time[-1]),
-            "value": float(series.value[-1]),
-            "std": json_ready(series.std[-1]),
-        }
-        if series.value.size
-        else None,
-        "steps": {"p_value": json_ready(trend.step_p), "q_value": json_ready(trend.step_q)},
-        "drift": {"p_value": json_ready(trend.drift_p), "q_value": json_ready(trend.drift_q)},
+        "last": last,
+        "steps": {"p_value": trend.step_p, "q_value": trend.step_q},
+        "drift": {"p_value": trend.drift_p, "q_value": trend.drift_q},
         "changes": [_change(change) for change in trend.changes],
-        "slope": {"value": slope.value, "low": slope.low, "high": slope.high, "unit": f"{series.unit}/s"}
-        if slope
-        else None,
+        "slope": slope
+        and {"value": slope.value, "low": slope.low, "high": slope.high, "unit": f"{series.unit}/s"},
         "limit": _limit(trend),
         "statement": statement(trend),
     }
@@ -94,11 +86,8 @@ def _change(change: Change) -> dict[str, Any]:
 def _limit(trend: Trend) -> dict[str, Any] | None:
     if math.isnan(trend.series.limit):
         return None
-    times = [moment(time) for time in trend.crossing or (math.inf,) * 3]
-    return {
-        "value": trend.series.limit,
-        **dict(zip(("reached", "reached_low", "reached_high"), times, strict=True)),
-    }
+    when, low, high = map(moment, trend.crossing or (math.inf,) * 3)
+    return {"value": trend.series.limit, "reached": when, "reached_low": low, "reached_high": high}
 
 
 def moment(time: float) -> str | None:
@@ -153,36 +142,25 @@ def _drift(trend: Trend) -> str:
 
 
 def _day(time: float) -> str:
-    told = moment(time)
-    return told[:16].replace("T", " ") if told else "never"
+    text = moment(time)
+    return text[:16].replace("T", " ") if text else "never"
 
 
 def table(rows: Sequence[Row], trends: Sequence[Trend]) -> Table:
-    """One line for each joint of each robot.
-
-    Parameters
-    ----------
-    rows : sequence of dict
-    trends : sequence of Trend
-
-    Returns
-    -------
-    Table
-    """
+    """One line for each joint of each robot."""
     joints: dict[tuple[str, str], list[Row]] = defaultdict(list)
     for row in rows:
         if row.get("joint"):
             joints[row.get("robot") or "", row["joint"]].append(row)
-    named = any(robot for robot, _ in joints)
-    result = Table(
-        *(["robot"] if named else []), "joint", "bags", "judged", "eccentricity", "causes", "changes"
-    )
+    titles = ["robot", "joint", "bags", "judged", "eccentricity", "causes", "changes"]
+    first = 0 if any(robot for robot, _ in joints) else 1  # column
+    result = Table(*titles[first:])
     for (robot, joint), own in sorted(joints.items()):
         of_joint = [t for t in trends if (t.series.robot, t.series.joint) == (robot, joint)]
         judged = [row for row in own if not row.get("error")]
-        cells = [joint, str(len(own)), str(len(judged)), _eccentricity(of_joint), _all_causes(judged)]
-        cells.append(_changes(of_joint))
-        result.add_row(*map(Text, [robot, *cells] if named else cells))
+        cells = [robot, joint, str(len(own)), str(len(judged))]
+        cells += [_eccentricity(of_joint), _all_causes(judged), _changes(of_joint)]
+        result.add_row(*map(Text, cells[first:]))
     return result
 
 
@@ -195,18 +173,14 @@ def _eccentricity(trends: Sequence[Trend]) -> str:
 
 
 def _all_causes(rows: Sequence[Row]) -> str:
-    counts: dict[str, int] = defaultdict(int)
-    for row in rows:
-        for name in row.get("causes") or []:
-            counts[name] += 1
+    counts = Counter(name for row in rows for name in row.get("causes") or [])
     most = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
-    return ", ".join(f"{name.replace('_', ' ')} ({count})" for name, count in most) or "none"
+    return ", ".join(f"{words(name)} ({count})" for name, count in most) or "none"
 
 
 def _changes(trends: Sequence[Trend]) -> str:
-    told = [t.series.quantity.replace("_", " ") for t in trends if t.form in ("steps", "drift")]
-    if told:
-        return ", ".join(told)
+    if changed := [words(t.series.quantity) for t in trends if t.form in CHANGED]:
+        return ", ".join(changed)
     unknown = [trend for trend in trends if trend.form == "unknown"]
     return statement(unknown[0]) if unknown else "none" if trends else "-"
 
@@ -215,9 +189,9 @@ def sentences(trends: Sequence[Trend]) -> list[str]:
     """One for each series that changes."""
     return [
         f"{f'{t.series.robot} ' if t.series.robot else ''}{t.series.joint}: "
-        f"{t.series.quantity.replace('_', ' ')} {statement(t)}"
+        f"{words(t.series.quantity)} {statement(t)}"
         for t in trends
-        if t.form in ("steps", "drift")
+        if t.form in CHANGED
     ]
 
 

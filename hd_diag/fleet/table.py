@@ -1,0 +1,137 @@
+"""The table of a fleet: one row for each joint of each bag, as Parquet with units in the column names."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from hd_diag.fleet import FleetError
+from hd_diag.fleet.rows import SCHEMA, Row
+
+_TEXT, _NUMBER, _COUNT, _FLAG = pa.string(), pa.float64(), pa.int64(), pa.bool_()
+_TEXTS, _NUMBERS = pa.list_(_TEXT), pa.list_(_NUMBER)
+_TIME = pa.timestamp("us", tz="UTC")
+_RMS = "rad rms at the output"
+
+
+def _column(name: str, kind: pa.DataType, unit: str, about: str) -> pa.Field:
+    return pa.field(name, kind, metadata={"unit": unit, "about": about})
+
+
+def _fitted(name: str, unit: str, about: str) -> tuple[pa.Field, pa.Field]:
+    """A fitted number and its standard deviation; `{}` in the name stands before the unit."""
+    return (
+        _column(name.format(""), _NUMBER, unit, about),
+        _column(name.format("_std"), _NUMBER, unit, f"its standard deviation: {about}"),
+    )
+
+
+COLUMNS = pa.schema(
+    [
+        _column("bag", _TEXT, "", "the bag, as it was given"),
+        _column("robot", _TEXT, "", "which robot, by --robot"),
+        _column("joint", _TEXT, "", "name in the configuration; null where a bag has no usable joint"),
+        _column("start", _TIME, "UTC", "first log time of the bag, to the microsecond"),
+        _column("duration_s", _NUMBER, "s", "time covered by the runs"),
+        _column("samples", _COUNT, "1", "samples judged"),
+        _column("runs", _COUNT, "1", "runs in the bag"),
+        _column("input_turns", _NUMBER, "1", "turns of the input, both directions counted"),
+        *_fitted("eccentricity{}_m", "m", "eccentricity, refitted"),
+        *_fitted("eccentricity_direction{}_rad", "rad", "its direction in the housing, modulo pi"),
+        *_fitted("runout{}_m", "m", "part that turns with the wave generator, refitted"),
+        *_fitted("runout_direction{}_rad", "rad", "its direction"),
+        *_fitted("circular_spline_datum{}_m", "m", "datum radius, refitted"),
+        *_fitted("tooth_compliance{}_m_per_N", "m/N", "K1 + K2 of a tooth pair, refitted"),
+        *_fitted("cup_compliance{}_rad_per_Nm", "rad/(N m)", "compliance of the cup, refitted"),
+        _column("trustworthy", _FLAG, "", "whether one set of refitted parameters is clearly the best"),
+        _column("causes", _TEXTS, "", "causes found, most explaining first"),
+        _column("cause_classes", pa.list_(_TEXTS), "", "names that the record cannot tell from each cause"),
+        _column("cause_amplitudes_rad", _NUMBERS, _RMS, "of each cause"),
+        _column("cause_amplitude_stds_rad", _NUMBERS, _RMS, "their standard deviations"),
+        _column("cause", _TEXT, "", "the first cause"),
+        _column("cause_amplitude_rad", _NUMBER, _RMS, "of the first cause"),
+        _column("cause_gain", _NUMBER, "1", "share of the held-out deviance that the first cause explains"),
+        _column("cause_gain_low", _NUMBER, "1", "lower end of its interval"),
+        _column("cause_gain_high", _NUMBER, "1", "upper end of its interval"),
+        _column("cause_p_value", _NUMBER, "1", "corrected for all candidates"),
+        _column("tested", _TEXTS, "", "causes that the record could have shown"),
+        _column("tested_least_rad", _NUMBERS, _RMS, "least size of each found with 99 % chance"),
+        _column("rms_nominal_rad", _NUMBER, "rad", "held-out residual, simulation as configured"),
+        _column("rms_refit_rad", _NUMBER, "rad", "held-out residual, parameters refitted"),
+        _column("rms_extended_rad", _NUMBER, "rad", "held-out residual, with the causes found"),
+        _column("noise_floor_rad", _NUMBER, "rad", "rms of the noise"),
+        _column("noise_floor_low_rad", _NUMBER, "rad", "lower end of its 95 % interval"),
+        _column("noise_floor_high_rad", _NUMBER, "rad", "upper end of its 95 % interval"),
+        _column("fraction_explained", _NUMBER, "1", "of the nominal mean square, by the extended model"),
+        _column("fraction_explained_low", _NUMBER, "1", "lower end of its 95 % interval"),
+        _column("fraction_explained_high", _NUMBER, "1", "upper end of its 95 % interval"),
+        _column(
+            "unexplained_orders", _NUMBERS, "1/turn or Hz by the frame", "lines that no known cause explains"
+        ),
+        _column("unexplained_frames", _TEXTS, "", "input, output (orders per turn) or time (Hz) of each"),
+        _column("unexplained_amplitudes_rad", _NUMBERS, "rad", "amplitude of each"),
+        _column("findings", _TEXTS, "", "what comes before the model: ratio, skipped teeth, ramps"),
+        _column("verdict", _TEXT, "", "one sentence"),
+        _column("error", _TEXT, "", "why it could not be judged; null where it was"),
+        _column("problems", _TEXTS, "", "what is unfinished about the bag's files"),
+        _column("bag_sha256", _TEXT, "", "of the bag's contents"),
+        _column("config_sha256", _TEXT, "", "of the joint's parameters that a diagnosis uses"),
+        _column("hd_diag_version", _TEXT, "", "of the worker that judged"),
+        _column("python_version", _TEXT, "", "the same"),
+        _column("numpy_version", _TEXT, "", "the same"),
+        _column("scipy_version", _TEXT, "", "the same"),
+        _column("numba_version", _TEXT, "", "the same; null where numba was not used"),
+    ],
+    metadata={"schema": SCHEMA},
+)
+"""Schema of the Parquet file, every column with unit and meaning in its metadata."""
+
+
+def write_table(path: Path, rows: Sequence[Row]) -> None:
+    """Write the rows as Parquet; a file that was there before stays until the new one is complete.
+
+    Raises
+    ------
+    FleetError
+        Where the file cannot be written.
+    """
+    table = pa.Table.from_pylist([_storable(row) for row in rows], schema=COLUMNS)
+    try:
+        handle, partial = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                pq.write_table(table, file, compression="zstd")
+                file.flush()
+                os.fsync(file.fileno())
+            os.chmod(partial, 0o666 & ~_umask())
+            os.replace(partial, path)
+        except BaseException:
+            os.unlink(partial)
+            raise
+    except OSError as error:
+        raise FleetError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _storable(row: Row) -> Row:
+    start = row.get("start")
+    stored = {name: readable(value) for name, value in row.items()}
+    return {**stored, "start": None if start is None else start // 1000}
+
+
+def readable(value: Any) -> Any:
+    r"""A value with valid Unicode only: bytes of a file name that are no text become ``\udcXX``."""
+    if isinstance(value, str):
+        return value.encode("utf-8", "backslashreplace").decode()
+    return [readable(item) for item in value] if isinstance(value, list) else value
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
