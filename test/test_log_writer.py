@@ -9,15 +9,15 @@ from live import START, sample
 
 from hd_diag.bag import BagReader
 from hd_diag.config.configuration import LogConfig
-from hd_diag.ros.log_writer import Journal
+from hd_diag.ros.log_writer import LogWriter
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 DATA = sample(START, 0.1, 0.2, 0.3)
 
 
-def fill(journal: Journal, first: int = 0, count: int = 10) -> None:
+def fill(log: LogWriter, first: int = 0, count: int = 10) -> None:
     for i in range(first, first + count):
-        journal.write("/joint_states", JOINT_STATE, DATA, START + i)
+        log.write("/joint_states", JOINT_STATE, DATA, START + i)
 
 
 def count(path: Path) -> int:
@@ -27,22 +27,21 @@ def count(path: Path) -> int:
 
 
 def test_no_path_is_no_log() -> None:
-    journal = Journal(LogConfig())
-    fill(journal)
-    journal.flush_if_due()
-    journal.close()
-    assert journal.state == "off"
-    assert not journal.is_open
+    log = LogWriter(LogConfig())
+    fill(log)
+    log.flush_if_due()
+    log.close()
+    assert log.state == "off"
 
 
 @pytest.mark.parametrize("name", ["log.mcap", "folder"])
 def test_a_log_is_written_and_finished(tmp_path: Path, name: str) -> None:
-    journal = Journal(LogConfig(str(tmp_path / name)))
-    assert journal.state == f"writing {tmp_path / name}"
-    fill(journal)
-    journal.close()
-    journal.close()
-    assert journal.state == "off"
+    log = LogWriter(LogConfig(str(tmp_path / name)))
+    assert log.state == f"writing {tmp_path / name}"
+    fill(log)
+    log.close()
+    log.close()
+    assert log.state == "off"
     assert count(tmp_path / name) == 10
 
 
@@ -60,30 +59,30 @@ def test_a_path_that_cannot_be_written_fails_and_stops_nothing(
 ) -> None:
     (tmp_path / "taken.mcap").write_bytes(b"precious")
     (tmp_path / "taken").mkdir()
-    journal = Journal(LogConfig(str(tmp_path / path)))
-    assert journal.state.startswith("failed: ")
-    assert reason in journal.state
-    fill(journal)
-    journal.flush_if_due()
-    assert not journal.configure(LogConfig(str(tmp_path / path), flush_period=0.1))
-    journal.close()
-    assert journal.state.startswith("failed: ")
+    log = LogWriter(LogConfig(str(tmp_path / path)))
+    assert log.state.startswith("failed: ")
+    assert reason in log.state
+    fill(log)
+    log.flush_if_due()
+    assert not log.configure(LogConfig(str(tmp_path / path), flush_period=0.1))
+    log.close()
+    assert log.state.startswith("failed: ")
     assert (tmp_path / "taken.mcap").read_bytes() == b"precious"
 
 
 def test_overwrite_replaces(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     for _ in range(2):
-        journal = Journal(LogConfig(str(path), overwrite=True))
-        fill(journal)
-        journal.close()
+        log = LogWriter(LogConfig(str(path), overwrite=True))
+        fill(log)
+        log.close()
     assert count(path) == 10
 
 
 def test_two_writers_of_one_file_do_not_mix(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
-    first = Journal(LogConfig(str(path)))
-    second = Journal(LogConfig(str(path), overwrite=True))
+    first = LogWriter(LogConfig(str(path)))
+    second = LogWriter(LogConfig(str(path), overwrite=True))
     assert "being written by another" in second.state
     fill(first)
     first.close()
@@ -92,11 +91,11 @@ def test_two_writers_of_one_file_do_not_mix(tmp_path: Path) -> None:
 
 def test_a_message_that_cannot_be_written_ends_the_log_not_the_caller(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
-    journal = Journal(LogConfig(str(path)))
-    fill(journal)
-    journal.write("/x", "nobody/msg/Knows", b"", START + 20)
-    assert "has no known definition" in journal.state
-    fill(journal, 30)
+    log = LogWriter(LogConfig(str(path)))
+    fill(log)
+    log.write("/x", "nobody/msg/Knows", b"", START + 20)
+    assert "has no known definition" in log.state
+    fill(log, 30)
     assert count(path) == 10
 
 
@@ -105,45 +104,45 @@ def test_a_message_that_cannot_be_written_ends_the_log_not_the_caller(tmp_path: 
 
 def test_another_path_finishes_the_file_and_begins_the_next(tmp_path: Path) -> None:
     first, second = tmp_path / "first.mcap", tmp_path / "second"
-    journal = Journal(LogConfig(str(first)))
-    fill(journal)
-    assert journal.configure(LogConfig(str(second)))
-    assert journal.state == f"writing {second}"
+    log = LogWriter(LogConfig(str(first)))
+    fill(log)
+    assert log.configure(LogConfig(str(second)))
+    assert log.state == f"writing {second}"
     assert count(first) == 10
-    fill(journal, 10, 5)
-    assert journal.configure(LogConfig())
-    assert journal.state == "off"
-    fill(journal, 20)
+    fill(log, 10, 5)
+    assert log.configure(LogConfig())
+    assert log.state == "off"
+    fill(log, 20)
     assert count(second) == 5
 
 
 def test_a_failed_log_can_be_begun_elsewhere(tmp_path: Path) -> None:
-    journal = Journal(LogConfig("/dev/null/log"))
-    assert journal.configure(LogConfig(str(tmp_path / "log.mcap")))
-    fill(journal)
-    journal.close()
+    log = LogWriter(LogConfig("/dev/null/log"))
+    assert log.configure(LogConfig(str(tmp_path / "log.mcap")))
+    fill(log)
+    log.close()
     assert count(tmp_path / "log.mcap") == 10
 
 
 def test_other_options_go_on_in_the_same_log(tmp_path: Path) -> None:
     folder = tmp_path / "log"
-    journal = Journal(LogConfig(str(folder)))
-    fill(journal)
+    log = LogWriter(LogConfig(str(folder)))
+    fill(log)
     # Every ten nanoseconds of log time a new file, with the other compression.
-    assert not journal.configure(LogConfig(str(folder), compression="lz4", split_duration=1e-8))
-    fill(journal, 10, 40)
-    assert journal.state == f"writing {folder}"
-    journal.close()
+    assert not log.configure(LogConfig(str(folder), compression="lz4", split_duration=1e-8))
+    fill(log, 10, 40)
+    assert log.state == f"writing {folder}"
+    log.close()
     assert [b"zstd" in path.read_bytes() for path in sorted(folder.glob("*.mcap"))] == [True, *[False] * 4]
     assert count(folder) == 50
 
 
 def test_a_splitting_log_splits(tmp_path: Path) -> None:
     folder = tmp_path / "log"
-    journal = Journal(LogConfig(str(folder), split_duration=0.5))
+    log = LogWriter(LogConfig(str(folder), split_duration=0.5))
     for i in range(40):
-        journal.write("/joint_states", JOINT_STATE, DATA, START + i * 50_000_000)
-    journal.close()
+        log.write("/joint_states", JOINT_STATE, DATA, START + i * 50_000_000)
+    log.close()
     assert len(list(folder.glob("*.mcap"))) == 4
     assert count(folder) == 40
 
@@ -155,16 +154,16 @@ import resource, signal, sys
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # then a write fails with EFBIG, as it would with ENOSPC
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]),) * 2)
 sys.path.insert(0, sys.argv[3])
-import test_journal
+import test_log_writer
 from hd_diag.config.configuration import LogConfig
-journal = test_journal.Journal(LogConfig(sys.argv[1], compression="none", flush_period=0.01))
+log = test_log_writer.LogWriter(LogConfig(sys.argv[1], compression="none", flush_period=0.01))
 for i in range(int(sys.argv[4])):
-    test_journal.fill(journal, 100 * i, 100)
-    if not journal.is_open:
+    test_log_writer.fill(log, 100 * i, 100)
+    if log.state.startswith("failed"):
         break
-journal.flush_if_due()
-journal.close()
-print(i, journal.state)
+log.flush_if_due()
+log.close()
+print(i, log.state)
 """
 
 

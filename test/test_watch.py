@@ -16,8 +16,9 @@ from test_imports import EDGES, imported_by
 from hd_diag.messages.publications import DIAGNOSTICS
 from hd_diag.messages.schemas import jazzy
 from hd_diag.replay.recorded_monitor import Session
-from hd_diag.watch import PREFIX, Message, NodeSeen, Watch, as_json
-from hd_diag.watch.display import Display, plain_line, shown_number, spark, table
+from hd_diag.watch import PREFIX, NodeSeen, Status, Watch, as_json
+from hd_diag.watch.display import Display, JointTable, plain_line
+from hd_diag.watch.numbers import shown_number, spark
 
 TOPIC = "/diagnostics"
 HOSTILE = "[red]x[/red]\x1b[2J\x1b]0;t\x07\u202egnp\r\n\t" + "宽" * 300 + "\ud800"
@@ -42,28 +43,28 @@ REAL = reported()
 
 def message(
     joint: str = "joint_1", level: int = 0, text: str = "OK", node: str = "", **values: str
-) -> Message:
+) -> Status:
     """A status, of a node or of one that does not say who it is."""
     told = {**REAL, "fault_code": "OK", "fault_codes": "OK", **values}
-    return Message(PREFIX + joint, level, text, told, f"{node}/{joint}" if node else "")
+    return Status(PREFIX + joint, level, text, told, f"{node}/{joint}" if node else "")
 
 
-def watched(*messages: Message, now: float = 0.0, **asked: Any) -> Watch:
+def watched(*statuses: Status, now: float = 0.0, **asked: Any) -> Watch:
     watch = Watch(**asked)
-    watch.take(TOPIC, messages, now)
+    watch.take(TOPIC, statuses, now)
     return watch
 
 
 def lines(watch: Watch, width: int = 80, height: int = 1000, now: float = 0.0) -> list[str]:
     """The table as a terminal of a width without colours shows it."""
     console = Console(file=io.StringIO(), width=width, highlight=False)
-    console.print(table(watch, now, width, height))
+    console.print(JointTable(watch, now, height))
     return console.file.getvalue().splitlines()  # type: ignore[attr-defined]
 
 
 def coloured(watch: Watch, now: float = 0.0) -> str:
     console = Console(file=io.StringIO(), width=80, force_terminal=True, color_system="standard")
-    console.print(table(watch, now, 80))
+    console.print(JointTable(watch, now))
     return console.file.getvalue()  # type: ignore[attr-defined]
 
 
@@ -95,7 +96,7 @@ def test_joints_that_are_not_asked_for_are_left_out() -> None:
 
 
 def test_other_statuses_are_noted_once_and_not_without_end() -> None:
-    watch = watched(*[Message(f"camera {i % 100}", 0, "", {}) for i in range(200)])
+    watch = watched(*[Status(f"camera {i % 100}", 0, "", {}) for i in range(200)])
     assert watch.view(0.0) == []
     assert watch.others == [f"camera {i}" for i in range(32)]
     assert "other diagnostics: camera 0, camera 1" in " ".join(watch.explanation())
@@ -108,8 +109,8 @@ def test_a_flood_of_joints_texts_and_values_is_bounded() -> None:
     views = watch.view(1.0)
     assert len(views) == 1024
     first = next(view for view in views if view.name == "j0")
-    assert len(first.values) <= 256
-    assert max(map(len, first.values.values())) <= 2000
+    assert len(first.status.values) <= 256
+    assert max(map(len, first.status.values.values())) <= 2000
 
 
 @pytest.mark.parametrize(("period", "stale_after"), [(0.1, 3.0), (1.0, 3.0), (10.0, 30.0)])
@@ -352,7 +353,7 @@ def test_where_not_all_fit_the_worst_are_shown() -> None:
 
 
 def test_what_is_waited_for() -> None:
-    watch = watched(Message("camera", 0, "", {}), joints=("a",))
+    watch = watched(Status("camera", 0, "", {}), joints=("a",))
     assert lines(watch) == [
         "waiting for /diagnostics of a ...",
         "  no hd_diag node is in the ROS graph",

@@ -6,18 +6,16 @@ import contextlib
 import json
 import math
 import os
-import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
-from types import FrameType
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, TextIO
 
 import click
 
 from hd_diag.cli.options import Problem, verb, write_json
 from hd_diag.cli.verbs import SIGNALLED
-from hd_diag.formatting import visible
+from hd_diag.ros.stop_signals import noted_signals
 from hd_diag.watch import Watch, as_json
 from hd_diag.watch.display import PLAIN_PERIOD, Display
 
@@ -28,30 +26,6 @@ _STEP = 0.2  # longest sleep between looks at signals [s]
 # Between the first report and a look at who else is there [s]: DDS may take 2.7 s to discover a second node.
 _SETTLE = 3.0
 _SETTLE_JOINTS = 0.5  # where it is known what is waited for
-_FAULT = 1
-
-Show = Callable[[Watch, float, bool], None]
-
-
-@contextlib.contextmanager
-def _signals() -> Iterator[list[int]]:
-    """Signals that came since; a second one ends the program at once.
-
-    A KeyboardInterrupt at any place could leave the terminal without a cursor; so would SIGTERM.
-    """
-    came: list[int] = []
-
-    def note(number: int, frame: FrameType | None) -> None:
-        came.append(number)
-        signal.signal(number, signal.SIG_DFL)
-
-    numbers = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(number, note) for number in numbers]
-    try:
-        yield came
-    finally:
-        for number, handler in zip(numbers, before, strict=True):
-            signal.signal(number, handler)
 
 
 @verb("watch --once --joint joint_1 --fail-on-fault")
@@ -102,53 +76,30 @@ def watch(
     except ImportError as error:
         raise Problem(f"watch needs ROS 2 Jazzy (rclpy), which is not to be imported: {error}") from error
     state = Watch(joints, namespaces)
-    with _signals() as came, contextlib.ExitStack() as stack:
+    with noted_signals() as came, contextlib.ExitStack() as stack:
         try:
             listener = stack.enter_context(listening(state))
         except Exception as error:  # rclpy raises several kinds, of a wrong ROS_DOMAIN_ID for instance
             raise Problem(f"no access to ROS: {error}") from error
         try:
             if once:
-                code = _once(state, listener, came, timeout, fail_on_fault, json_file)
+                _wait_for_all(state, listener, came, timeout)
+                is_faulty = not came and _show_once(state, timeout, json_file)
             else:
-                code = _follow(state, listener, came, fail_on_fault, json_file)
+                is_faulty = _follow(state, listener, came, fail_on_fault, json_file)
         except BrokenPipeError:  # whoever read has enough; the interpreter must not write the rest
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            code = 0
-    sys.exit(code)
+            is_faulty = False
+            came.clear()
+    sys.exit(SIGNALLED + came[0] if came else int(fail_on_fault and is_faulty))
 
 
-def _once(
-    state: Watch,
-    listener: Listener,
-    came: list[int],
-    timeout: float,
-    fail_on_fault: bool,
-    json_file: str | None,
-) -> int:
-    """Wait for every joint that is known of, and show them; exit code."""
-    _wait_for_all(state, listener, came, timeout)
-    if came:
-        return SIGNALLED + came[0]
-    now = time.monotonic()
-    if json_file:
-        write_json(json_file, as_json(state, now))
-    if json_file != "-" and state.view(now):
-        with Display() as display:
-            display.show_once(state, now)
-    if not state.view(now) or (state.joints and state.missing()):
-        raise Problem(
-            visible(f"no report{_of(state)} within {timeout:g} s: {'; '.join(state.explanation())}")
-        )
-    return _FAULT if fail_on_fault and _is_faulty(state, now) else 0
-
-
-def _wait_for_all(state: Watch, listener: Listener, came: list[int], timeout: float) -> None:
+def _wait_for_all(state: Watch, listener: Listener, came: Sequence[int], timeout: float) -> None:
     """Wait until all is reported that the graph shows, which takes its time to show all."""
     end, settled = time.monotonic() + timeout, math.inf
     settle = _SETTLE_JOINTS if state.joints else _SETTLE
-    while not came and (left := end - time.monotonic()) > 0.0:
-        listener.wait(min(_STEP, left))
+    while not came and (remaining := end - time.monotonic()) > 0.0:
+        listener.wait(min(_STEP, remaining))
         now = time.monotonic()
         if math.isinf(settled) and state.view(now):
             settled = now + settle
@@ -158,50 +109,59 @@ def _wait_for_all(state: Watch, listener: Listener, came: list[int], timeout: fl
                 return
 
 
+def _show_once(state: Watch, timeout: float, json_file: str | None) -> bool:
+    """Show every joint that was reported; whether one has a fault."""
+    now = time.monotonic()
+    if json_file:
+        write_json(json_file, as_json(state, now))
+    views = state.view(now)
+    if json_file != "-" and views:
+        with Display() as display:
+            display.show_once(state, now)
+    if not views or (state.joints and state.missing()):
+        of = ", ".join(state.missing() or state.joints) or "an hd_diag node"
+        raise Problem(f"no report of {of} within {timeout:g} s: {'; '.join(state.explanation())}")
+    return _is_faulty(state, now)
+
+
 def _follow(
-    state: Watch, listener: Listener, came: list[int], fail_on_fault: bool, json_file: str | None
-) -> int:
-    """Show what comes until a signal ends it, or a fault where that is asked for; exit code."""
-    with _shown(json_file) as show:
+    state: Watch, listener: Listener, came: Sequence[int], fail_on_fault: bool, json_file: str | None
+) -> bool:
+    """Show what comes until a signal ends it, or a fault where that is asked for; whether it was a fault."""
+    with contextlib.ExitStack() as stack:
+        shows: list[Callable[[Watch, float, bool], None]] = []
+        if json_file:
+            shows.append(_json_lines(_opened(json_file, stack)))
+        if json_file != "-":
+            shows.append(stack.enter_context(Display()).show)
         while not came:
             listener.wait(_STEP)
             now = time.monotonic()
             is_last = fail_on_fault and _is_faulty(state, now)
-            show(state, now, is_last)
+            for show in shows:
+                show(state, now, is_last)
             if is_last:
-                return _FAULT
-    return SIGNALLED + came[0]
+                return True
+    return False
 
 
-@contextlib.contextmanager
-def _shown(json_file: str | None) -> Iterator[Show]:
-    """How a state is shown: as JSON Lines where a file is given, in the terminal otherwise."""
-    if json_file is None or json_file == "-":
-        with Display() if json_file is None else contextlib.nullcontext() as display:
-            yield display.show if display is not None else _json_lines(sys.stdout)
-        return
+def _opened(json_file: str, stack: contextlib.ExitStack) -> TextIO:
+    if json_file == "-":
+        return sys.stdout
     try:
-        file = open(json_file, "w", encoding="utf-8")  # noqa: SIM115 - closed below, opened apart for its error
+        return stack.enter_context(open(json_file, "w", encoding="utf-8"))
     except OSError as error:
         raise Problem(f"{json_file}: cannot be written: {error.strerror}") from error
-    with file, Display() as display:
-        write = _json_lines(file)
-
-        def both(state: Watch, now: float, is_last: bool) -> None:
-            display.show(state, now, is_last)
-            write(state, now, is_last)
-
-        yield both
 
 
-def _json_lines(file: TextIO) -> Show:
+def _json_lines(file: TextIO) -> Callable[[Watch, float, bool], None]:
     """Writes a state as a line of JSON where something came, once a second at most."""
-    told, due = 0, 0.0
+    written, due = 0, 0.0
 
     def write(state: Watch, now: float, is_last: bool) -> None:
-        nonlocal told, due
-        if state.messages > told and (now >= due or is_last):
-            told, due = state.messages, now + PLAIN_PERIOD
+        nonlocal written, due
+        if state.messages > written and (now >= due or is_last):
+            written, due = state.messages, now + PLAIN_PERIOD
             file.write(json.dumps(as_json(state, now), allow_nan=False) + "\n")
             file.flush()
 
@@ -209,8 +169,4 @@ def _json_lines(file: TextIO) -> Show:
 
 
 def _is_faulty(state: Watch, now: float) -> bool:
-    return any(view.is_faulty for view in state.view(now))
-
-
-def _of(state: Watch) -> str:
-    return f" of {', '.join(state.missing() or state.joints)}" if state.joints else " of an hd_diag node"
+    return any(view.level for view in state.view(now))

@@ -8,11 +8,13 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 
 _END_LIMIT = 10.0  # for a process to end after SIGINT [s]
+_STEP = 0.05  # between looks at a process and at signals [s]
 
 
 class DemoError(RuntimeError):
@@ -29,11 +31,16 @@ class Child:
     arguments : sequence of str
     output : Path
         File that takes what it prints.
+    end_limit : float
+        How long it may take to end after SIGINT before it is killed [s].
     """
 
-    def __init__(self, module: str, arguments: Sequence[str], output: Path) -> None:
+    def __init__(
+        self, module: str, arguments: Sequence[str], output: Path, end_limit: float = _END_LIMIT
+    ) -> None:
         self.name = module
         self._output = output
+        self._end_limit = end_limit
         # With setpriv the system ends the child with this process, even if that is killed.
         setpriv = shutil.which("setpriv")
         parent = [setpriv, "--pdeathsig", "TERM"] if setpriv else []
@@ -47,11 +54,6 @@ class Child:
             )
 
     @property
-    def pid(self) -> int:
-        """Number of the process, and of its group."""
-        return self._process.pid
-
-    @property
     def is_running(self) -> bool:
         """Whether it has not ended yet."""
         return self._process.poll() is None
@@ -61,27 +63,43 @@ class Child:
         """What it has printed."""
         return self._output.read_text(encoding="utf-8", errors="replace").splitlines()
 
-    def check(self) -> None:
-        """See that it lives.
+    def check_running(self) -> None:
+        """Refuse a process that has ended.
 
         Raises
         ------
         DemoError
-            If it has ended, with its code and last words.
+            With its exit code and last words.
         """
         code = self._process.poll()
         if code is not None:
             words = self.lines[-1] if self.lines else "nothing printed"
             raise DemoError(f"{self.name} ended early with code {code}: {words} (all of it: {self._output})")
 
+    def wait(self, limit: float, stopped: Sequence[int]) -> int:
+        """Exit code once it ends by itself.
+
+        Parameters
+        ----------
+        limit : float
+            [s]; it is ended then.
+        stopped : sequence of int
+            Signals that came: the first one raises KeyboardInterrupt.
+        """
+        end = time.monotonic() + limit
+        while self.is_running and time.monotonic() < end:
+            if stopped:
+                raise KeyboardInterrupt
+            time.sleep(_STEP)
+        return self.end()
+
     def end(self) -> int:
         """End it by SIGINT, by force if that does nothing; its exit code, negative after a signal."""
         if self.is_running:
             self._process.send_signal(signal.SIGINT)
-            try:
-                self._process.wait(_END_LIMIT)
-            except subprocess.TimeoutExpired:
-                self._kill()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(self._end_limit)
+        self._kill()
         return int(self._process.wait())
 
     def __enter__(self) -> Child:
@@ -98,5 +116,5 @@ class Child:
     def _kill(self) -> None:
         if self.is_running:
             with contextlib.suppress(ProcessLookupError):
-                os.killpg(self.pid, signal.SIGKILL)
+                os.killpg(self._process.pid, signal.SIGKILL)
             self._process.wait()

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypedDict
+from typing import Any
 
 from hd_diag.bag import BagError, BagWriter, Qos
 from hd_diag.config.configuration import LogConfig
 
 
-class Journal:
-    """A log that never stops its owner: what goes wrong with the file turns it off and is told by `state`.
+class LogWriter:
+    """A log that never stops its owner: what goes wrong with the file turns it off and is shown by `state`.
 
     Parameters
     ----------
@@ -26,13 +26,7 @@ class Journal:
         self.config = config
         self.state = "off"
         self._writer: BagWriter | None = None
-        if config.path:
-            self._open()
-
-    @property
-    def is_open(self) -> bool:
-        """Whether the log is being written."""
-        return self._writer is not None
+        self._open()
 
     def write(self, topic: str, type_name: str, data: bytes, time: int, qos: Qos | None = None) -> None:
         """Write one message, received or caused at a time [ns]."""
@@ -51,24 +45,23 @@ class Journal:
         Parameters
         ----------
         config : LogConfig
-            With another path the file is finished, and the log begins anew there. Otherwise periods and sizes
+            With another path the file is finished, and a log begins there. Otherwise periods and sizes
             act at once, the compression from the next file on.
 
         Returns
         -------
         bool
-            Whether the log begins anew.
+            Whether a log begins.
         """
-        moved = config.path != self.config.path
+        has_moved = config.path != self.config.path
         self.config = config
-        if moved:
+        if has_moved:
             self.close()
             self.state = "off"
-            if config.path:
-                self._open()
+            self._open()
         elif self._writer is not None:
-            self._writer.change(**_options(config))
-        return moved
+            self._writer.change(**self._options())
+        return has_moved
 
     def close(self) -> None:
         """Finish the file."""
@@ -78,13 +71,23 @@ class Journal:
             self._attempt(writer.close)
 
     def _open(self) -> None:
-        path = self.config.path
-        self.state = f"writing {path}"
-        self._attempt(self._begin)
-
-    def _begin(self) -> None:
         config = self.config
-        self._writer = BagWriter(config.path, overwrite=config.overwrite, **_options(config))
+
+        def begin() -> None:
+            self._writer = BagWriter(config.path, overwrite=config.overwrite, **self._options())
+
+        if config.path:
+            self.state = f"writing {config.path}"
+            self._attempt(begin)
+
+    def _options(self) -> dict[str, Any]:
+        """What of a log may change while it is written."""
+        return {
+            "compression": self.config.compression,
+            "flush_period": self.config.flush_period,
+            "max_size": self.config.split_size,
+            "max_duration": self.config.split_duration,
+        }
 
     def _attempt(self, action: Callable[[], object]) -> None:
         try:
@@ -94,21 +97,3 @@ class Journal:
             writer, self._writer = self._writer, None
             if writer is not None:
                 self._attempt(writer.close)
-
-
-class _Options(TypedDict):
-    """What of a log may change while it is written."""
-
-    compression: str
-    flush_period: float
-    max_size: int
-    max_duration: float
-
-
-def _options(config: LogConfig) -> _Options:
-    return {
-        "compression": config.compression,
-        "flush_period": config.flush_period,
-        "max_size": config.split_size,
-        "max_duration": config.split_duration,
-    }

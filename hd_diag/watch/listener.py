@@ -1,4 +1,4 @@
-"""The watcher's ears: a ROS node that hears diagnostics and sees who publishes them."""
+"""A ROS node that listens to diagnostics and sees which nodes publish them."""
 
 # mypy: disallow-untyped-calls=False
 
@@ -7,7 +7,8 @@ from __future__ import annotations
 import contextlib
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import rclpy
@@ -19,14 +20,14 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
 from hd_diag.messages.publications import DIAGNOSTICS
-from hd_diag.watch.seen import DEFAULT_TOPIC, Message, NodeSeen, Watch
+from hd_diag.watch.state import DEFAULT_TOPIC, NodeSeen, Status, Watch
 
 _LOOK_PERIOD = 1.0  # between looks at the ROS graph [s]
 _DEPTH = 100  # reports that may wait
 
 
 class Listener(Node):
-    """Tells a `Watch` what is published and who is there."""
+    """Gives a `Watch` what is published and which nodes there are."""
 
     def __init__(self, watch: Watch) -> None:
         name = f"hd_diag_watch_{os.getpid()}"
@@ -77,20 +78,17 @@ class Listener(Node):
     def _hear(self, topic: str) -> None:
         if topic not in self._heard:
             self._heard.add(topic)
-            self.create_subscription(DiagnosticArray, topic, self._taker(topic), QoSProfile(depth=_DEPTH))
+            take = partial(self._take, topic)
+            self.create_subscription(DiagnosticArray, topic, take, QoSProfile(depth=_DEPTH))
 
-    def _taker(self, topic: str) -> Callable[[Any], None]:
-        def take(array: Any) -> None:
-            self._watch.take(topic, map(_message, array.status), time.monotonic())
-
-        return take
+    def _take(self, topic: str, array: DiagnosticArray) -> None:
+        self._watch.take(topic, map(_status, array.status), time.monotonic())
 
 
-def _message(status: Any) -> Message:
+def _status(status: Any) -> Status:
     values = {pair.key: pair.value for pair in status.values}
-    return Message(
-        status.name, int.from_bytes(status.level, "little"), status.message, values, status.hardware_id
-    )
+    level = int.from_bytes(status.level, "little")
+    return Status(status.name, level, status.message, values, status.hardware_id)
 
 
 @contextlib.contextmanager

@@ -1,0 +1,85 @@
+"""The demo's own ROS node: listens to the diagnostics and sets parameters of the node under show."""
+
+# mypy: disallow-untyped-calls=False
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+
+from hd_diag.demo.process import DemoError
+from hd_diag.watch import JointView, Watch
+from hd_diag.watch.listener import Listener
+
+ANSWER_LIMIT = 10.0
+"""For a parameter to be answered, and to show in the diagnostics [s]."""
+
+_STEP = 0.1  # longest sleep between looks at signals [s]
+
+
+class Observer(Listener):
+    """Listens to one joint of a node and sets the node's parameters.
+
+    Parameters
+    ----------
+    node, joint : str
+    stopped : sequence of int
+        Signals that came: the first one raises KeyboardInterrupt in whatever waits here.
+    """
+
+    def __init__(self, node: str, joint: str, stopped: Sequence[int]) -> None:
+        self.state = Watch(joints=(joint,))
+        super().__init__(self.state)
+        self._stopped = stopped
+        self._client = AsyncParameterClient(self, f"/{node}")
+
+    def is_connected(self) -> bool:
+        """Whether the node's services and diagnostics are discovered and samples have reached it."""
+        views = self.state.view(0.0)
+        return bool(self._client.services_are_ready() and views and views[0].number("samples") > 0.0)
+
+    def wait(self, seconds: float) -> None:
+        """Sleep until something comes, at most for so long [s].
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If a signal has come.
+        """
+        if self._stopped:
+            raise KeyboardInterrupt
+        super().wait(min(seconds, _STEP))
+
+    def reports(self, seconds: float) -> Iterator[JointView]:
+        """What the joint's diagnostics say during the next seconds."""
+        end = time.monotonic() + seconds
+        while (remaining := end - time.monotonic()) > 0.0:
+            before = self.state.messages
+            self.wait(remaining)
+            if self.state.messages > before:
+                yield from self.state.view(time.monotonic())
+
+    def set_parameter(self, name: str, value: float | int) -> str:
+        """Set a parameter of the node over DDS.
+
+        Returns
+        -------
+        str
+            Why the node refuses it; empty where it is in force.
+
+        Raises
+        ------
+        DemoError
+            If no answer comes.
+        """
+        future = self._client.set_parameters_atomically([Parameter(name, value=value)])
+        end = time.monotonic() + ANSWER_LIMIT
+        while not future.done() and time.monotonic() < end:
+            self.wait(_STEP)
+        if not future.done():
+            raise DemoError(f"the node has not answered within {ANSWER_LIMIT:g} s that {name} is set")
+        result = future.result().result
+        return "" if result.successful else str(result.reason)

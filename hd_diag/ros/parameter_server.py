@@ -1,0 +1,119 @@
+"""The configuration as the node's ROS parameters, checked as a whole at the start and on each change."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rclpy.exceptions import ParameterNotDeclaredException
+from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
+
+from hd_diag.config.configuration import Config, ConfigError, ModelText, parameters, resolve
+from hd_diag.config.parameters import ROS_PARAMETERS, Parameter, check_known
+
+
+class ParameterServer:
+    """Parameters of a node that was made with those of its overrides.
+
+    Parameters
+    ----------
+    node : Node
+    model_text : callable
+        Gives the text of a joint's model file.
+
+    Attributes
+    ----------
+    config : Config
+        Last configuration that was accepted.
+
+    Raises
+    ------
+    ConfigError
+        Where the values given at the start cannot be.
+    """
+
+    def __init__(self, node: Node, model_text: ModelText) -> None:
+        self._node = node
+        self._model_text = model_text
+        declared: dict[str, Any] = node.get_parameters_by_prefix("")
+        given = {name: _plain(known.value) for name, known in declared.items() if _is_own(name)}
+        self.config = resolve(given, model_text)
+        self._known = parameters([joint.name for joint in self.config.joints])
+        for name in given:
+            node.undeclare_parameter(name)
+        for name, spec in self._known.items():
+            value, descriptor = self.config.flat[name], _descriptor(name, spec)
+            node.declare_parameter(name, value, descriptor, ignore_override=True)
+
+    def serve(self, apply: Callable[[Config], None]) -> None:
+        """Take changes from now on; `apply` puts a configuration in force that was accepted."""
+        self._node.add_pre_set_parameters_callback(self._typed)
+        self._node.add_on_set_parameters_callback(self._validate)
+        self._node.add_post_set_parameters_callback(lambda _: apply(self.config))
+
+    def _typed(self, changed: Sequence[RosParameter]) -> list[RosParameter]:
+        """The parameters, with numbers of the type that they were declared with; unknown ones are refused."""
+        try:
+            check_known([parameter.name for parameter in changed if _is_own(parameter.name)], self._known)
+        except ConfigError as error:
+            raise _Unknown(str(error)) from error
+        return [_as_declared(parameter, self._known.get(parameter.name)) for parameter in changed]
+
+    def _validate(self, changed: Sequence[RosParameter]) -> SetParametersResult:
+        try:
+            self.config = self._candidate(changed)
+        except Exception as error:  # a ConfigError; whatever else a value does, the node lives
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _candidate(self, changed: Sequence[RosParameter]) -> Config:
+        own = {p.name: _plain(p.value) for p in changed if _is_own(p.name)}
+        for name, value in own.items():
+            if value is None:
+                raise ConfigError(f"{name}: cannot be removed")
+        in_force = {joint.name: joint.model_text for joint in self.config.joints}
+
+        def model_text(joint: str, path: str) -> str:
+            """A model is read again only where its parameter is set: the file may be another, or gone."""
+            kept = f"{joint}.model_file" not in own and in_force[joint]
+            return kept or self._model_text(joint, path)
+
+        return resolve({**self.config.flat, **own}, model_text)
+
+
+class _Unknown(ParameterNotDeclaredException):
+    """A parameter that the node does not have: rclpy answers with the text, and its own names nothing."""
+
+    def __init__(self, reason: str) -> None:
+        Exception.__init__(self, reason)
+
+
+def _descriptor(name: str, spec: Parameter) -> ParameterDescriptor:
+    limits = f"{spec.low:g} to {spec.high:g}" if np.isfinite([spec.low, spec.high]).all() else ""
+    return ParameterDescriptor(
+        description=f"{spec.meaning}{f' [{spec.unit}]' if spec.unit else ''}",
+        dynamic_typing=True,  # an integer for a number is welcome: `_validate` checks
+        additional_constraints="one of " + ", ".join(spec.choices) if spec.choices else limits,
+        read_only=name == "joints",
+    )
+
+
+def _as_declared(parameter: RosParameter, spec: Parameter | None) -> RosParameter:
+    """Integers as numbers where a number was declared: who reads them back looks there."""
+    is_number = spec is not None and isinstance(spec.default, float)
+    if not is_number or parameter.type_ != RosParameter.Type.INTEGER:
+        return parameter
+    return RosParameter(parameter.name, RosParameter.Type.DOUBLE, float(parameter.value))
+
+
+def _is_own(parameter: str) -> bool:
+    """Whether a parameter belongs to the configuration; every ROS node has some that do not."""
+    return parameter.split(".")[0] not in ROS_PARAMETERS
+
+
+def _plain(value: Any) -> Any:
+    """A parameter's value as Python has it: arrays as lists."""
+    return list(value) if hasattr(value, "__iter__") and not isinstance(value, str) else value

@@ -1,0 +1,68 @@
+"""What the node publishes and logs, under the names that its topics have after remapping."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from visualization_msgs.msg import MarkerArray
+
+from hd_diag.messages.markers import MARKERS
+from hd_diag.messages.publications import (
+    DIAGNOSTICS,
+    INPUT,
+    JOINT_STATE,
+    MULTI_ARRAY,
+    Encoded,
+    published_topics,
+    temperature_topic,
+)
+from hd_diag.ros.log_writer import LogWriter
+
+_CLASSES = {
+    JOINT_STATE: JointState,
+    MULTI_ARRAY: Float64MultiArray,
+    DIAGNOSTICS: DiagnosticArray,
+    MARKERS: MarkerArray,
+}
+_DEPTH = 2000  # messages that may wait for a reader: two seconds of 1 kHz
+
+
+class Publishing:
+    """Publishers of a node, and the log beside them.
+
+    Parameters
+    ----------
+    node : Node
+    joints : sequence of str
+    log : LogWriter
+
+    Attributes
+    ----------
+    names : dict of str to str
+        Full names of the topics that come in and go out.
+    """
+
+    def __init__(self, node: Node, joints: Sequence[str], log: LogWriter) -> None:
+        self._node = node
+        self._log = log
+        self._publishers = {
+            topic: node.create_publisher(_CLASSES[kind], topic, _DEPTH)
+            for topic, kind in published_topics(joints).items()
+        }
+        topics = (INPUT, *self._publishers, *map(temperature_topic, joints))
+        self.names = {topic: node.resolve_topic_name(topic) for topic in topics}
+
+    def emit(self, encoded: Encoded) -> None:
+        """Publish and log; what has no publisher is for the log alone."""
+        name = self.names.get(encoded.topic) or self._node.resolve_topic_name(encoded.topic)
+        self.names[encoded.topic] = name
+        publisher = self._publishers.get(encoded.topic)
+        for row, received in zip(encoded.rows, encoded.received.tolist(), strict=True):
+            data = bytes(row)
+            self._log.write(name, encoded.type_name, data, received)
+            if publisher is not None:
+                publisher.publish(data)

@@ -1,0 +1,105 @@
+"""The numbers of a joint's diagnostics that are shown, their columns, and the curve of its residuals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from hd_diag.formatting import visible
+
+_BARS = "▁▂▃▄▅▆▇█"
+_PLAIN_BARS = ".:-=+*#@"  # where the terminal has no others
+_LARGEST_WIDTH = 15  # of a number in a plain line
+_LONGEST = 500  # of a text that is shown [characters]
+
+
+class _Number(NamedTuple):
+    """A number: key in the diagnostics, heading of three lines, digits, width of its column."""
+
+    key: str
+    heading: tuple[str, str, str]
+    digits: int
+    width: int
+
+
+_NUMBERS = (
+    _Number("eccentricity_um", ("eccen-", "tricity", "um"), 1, 7),
+    _Number("eccentricity_direction_deg", ("at", "", "deg"), 0, 5),
+    _Number("minimum_backlash_um", ("least", "backl.", "um"), 1, 7),
+    _Number("lost_motion_arcmin", ("lost", "motion", "arcmin"), 2, 6),
+    _Number("loaded_pairs", ("loaded", "pairs", ""), 0, 6),
+    _Number("peak_tooth_load_N", ("peak", "load", "N"), 1, 6),
+    _Number("predicted_te_pp_arcsec", ("TE p-p", "pred.", "arcsec"), 1, 6),
+    _Number("residual_rms_arcsec", ("resid.", "rms", "arcsec"), 2, 6),
+    _Number("sample_rate_hz", ("rate", "", "Hz"), 0, 6),
+)
+
+NUMBERS_WIDTH = sum(number.width + 1 for number in _NUMBERS)
+"""Characters that a row of numbers takes."""
+
+
+def heading() -> list[str]:
+    """Three lines that stand above a row of numbers."""
+    return ["".join(f" {number.heading[line]:>{number.width}}" for number in _NUMBERS) for line in range(3)]
+
+
+def row(value: Callable[[str], float]) -> str:
+    """The numbers in their columns; `value` gives each by its key."""
+    return "".join(
+        f" {shown_number(value(number.key), number.digits, number.width):>{number.width}}"
+        for number in _NUMBERS
+    )
+
+
+def sentence(value: Callable[[str], float]) -> str:
+    """The same numbers in words."""
+    form = (
+        "eccentricity {eccentricity_um} um at {eccentricity_direction_deg} deg; "
+        "least backlash {minimum_backlash_um} um; lost motion {lost_motion_arcmin} arcmin; "
+        "{loaded_pairs} loaded pairs; peak load {peak_tooth_load_N} N; "
+        "predicted TE {predicted_te_pp_arcsec} arcsec p-p; residual {residual_rms_arcsec} arcsec rms; "
+        "{sample_rate_hz} Hz"
+    )
+    return form.format(**{number.key: shown_number(value(number.key), number.digits) for number in _NUMBERS})
+
+
+def shown_number(value: float, digits: int, width: int = _LARGEST_WIDTH) -> str:
+    """A number with as many of its digits as a width allows; a dash where it is not finite."""
+    if not math.isfinite(value):
+        return "-"
+    for places in range(digits, -1, -1):
+        if len(text := f"{value:.{places}f}") <= width:
+            return text
+    text = f"{value:.0e}".replace("e+", "e")
+    return text if len(text) <= width else "*" * width
+
+
+def spark(values: Sequence[float], width: int, is_ascii: bool = False) -> str:
+    """The last values as a row of bars from zero to the largest of them.
+
+    Parameters
+    ----------
+    values : sequence of float
+        Those that are not finite leave a gap.
+    width : int
+        Bars at most.
+    is_ascii : bool
+        Whether the terminal has no other characters.
+
+    Returns
+    -------
+    str
+    """
+    bars = _PLAIN_BARS if is_ascii else _BARS
+    shown = list(values)[-width:] if width > 0 else []
+    largest = max((abs(value) for value in shown if math.isfinite(value)), default=0.0) or 1.0
+    return "".join(
+        bars[min(int(len(bars) * (abs(value) / largest)), len(bars) - 1)] if math.isfinite(value) else " "
+        for value in shown
+    )
+
+
+def shown_text(text: str) -> str:
+    """Text of others, without anything that a terminal obeys, and not without end."""
+    return visible(text[:_LONGEST])
