@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 from live import config
 
-from hd_diag.config.configuration import JOINT_PARAMETERS, Config
+from hd_diag.config.configuration import Config
 from hd_diag.config.configured_drive import drive_from
 from hd_diag.config.model_file import document, drive_parameters
+from hd_diag.config.parameters import JOINT_PARAMETERS
 from hd_diag.effects import CATALOGUE
 from hd_diag.extended_model import ExtendedModel, Range, Ranges, Term
 

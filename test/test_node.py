@@ -29,8 +29,9 @@ from std_msgs.msg import Float64MultiArray
 from visualization_msgs.msg import MarkerArray
 
 from hd_diag.bag import BagReader
-from hd_diag.config.configuration import NODE_PARAMETERS, Config
-from hd_diag.config.configuration import parameters as all_parameters
+from hd_diag.config.configuration import Config
+from hd_diag.config.parameters import NODE_PARAMETERS
+from hd_diag.config.parameters import parameters as all_parameters
 from hd_diag.drive import mesh_state, transmission_error
 from hd_diag.replay.replay import replay
 

@@ -20,8 +20,9 @@ from hd_diag.cli.record import (
     write_diagnoses,
 )
 from hd_diag.cli.report import joint_report, write_report
-from hd_diag.config.configuration import JOINT_PARAMETERS, Config, JointConfig
+from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.config.model_file import write
+from hd_diag.config.parameters import JOINT_PARAMETERS
 from hd_diag.diagnosis.record import RecordError
 
 

@@ -12,8 +12,9 @@ import numpy as np
 
 from hd_diag.cli.options import JOINTS, Problem, json_option, tell, verb, write_json
 from hd_diag.cli.progress import interrupted, working
-from hd_diag.config.configuration import JOINT_PARAMETERS, Config, ConfigError, load, resolve
+from hd_diag.config.configuration import Config, ConfigError, load, resolve
 from hd_diag.config.parameter_file import parse_value
+from hd_diag.config.parameters import JOINT_PARAMETERS
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.simulation import START, Motion, Noise, SimulatedJoint, write_bag
 

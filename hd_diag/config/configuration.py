@@ -7,19 +7,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from hd_diag.config import parameter_file
 from hd_diag.config.configured_drive import drive_from, number
+from hd_diag.config.model_file import model_for, reader
 from hd_diag.config.parameters import (
     JOINT_PARAMETERS,
     LIMITS,
     NODE_PARAMETERS,
     ConfigError,
-    Parameter,
     Value,
     check_known,
     checked,
-    flatten,
     joint_names,
-    nested,
     parameters,
     shown,
 )
@@ -27,24 +26,7 @@ from hd_diag.effects import Catalogue
 from hd_diag.extended_model import ExtendedModel
 from hd_diag.monitor.settings import JointConfig, Limit, MonitorConfig
 
-__all__ = [
-    "JOINT_PARAMETERS",
-    "NODE_PARAMETERS",
-    "Config",
-    "ConfigError",
-    "JointConfig",
-    "Limit",
-    "LogConfig",
-    "ModelText",
-    "Parameter",
-    "Value",
-    "dump",
-    "flatten",
-    "load",
-    "nested",
-    "parameters",
-    "resolve",
-]
+__all__ = ["Config", "ConfigError", "JointConfig", "LogConfig", "ModelText", "dump", "load", "resolve"]
 
 ModelText = Callable[[str, str], str]
 """Gives the text of a joint's model file from the joint's name and the path; raises ConfigError."""
@@ -133,20 +115,15 @@ def load(path: str | Path, catalogue: Catalogue | None = None) -> Config:
     ConfigError
         Naming the file and what is wrong with it.
     """
-    from hd_diag.config.model_file import reader
-    from hd_diag.config.parameter_file import read  # here, because the monitor needs no YAML
-
     try:
-        return resolve(read(path), reader(Path(path).parent), catalogue)
+        return resolve(parameter_file.read(path), reader(Path(path).parent), catalogue)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from error
 
 
 def dump(config: Config) -> str:
     """A configuration as the text of a ROS parameter file."""
-    from hd_diag.config.parameter_file import text
-
-    return text(config.flat)
+    return parameter_file.text(config.flat)
 
 
 def _joint(
@@ -187,8 +164,6 @@ def _model(
     path = str(own["model_file"])
     if not path:
         return None, ""
-    from hd_diag.config.model_file import model_for, reader  # here, because few joints have one
-
     try:
         text = (model_text or reader())(name, path)
         return model_for(text, own, catalogue), text

@@ -32,8 +32,8 @@ _WORDS: dict[Any, str] = {Number: "a number", str: "a text", list: "a list", dic
 _WHOLE = "the file"
 
 
-def read_text(path: Path) -> str:
-    """Text of a file.
+def read_text(path: Path, kind: str = "model file") -> str:
+    """Text of a file of some kind.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def read_text(path: Path) -> str:
         cause = error.strerror if isinstance(error, OSError) else error
         raise ConfigError(f"cannot be read: {cause}") from error
     if len(data) > _LARGEST:
-        raise ConfigError(f"longer than {_LARGEST} bytes: not a model file")
+        raise ConfigError(f"longer than {_LARGEST} bytes: not a {kind}")
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError as error:

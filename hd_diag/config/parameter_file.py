@@ -9,9 +9,9 @@ from typing import Any
 
 import yaml
 
+from hd_diag.config.json_shape import read_text
 from hd_diag.config.parameters import ROS_PARAMETERS, ConfigError, Value, flatten, nested, shown
 
-_LARGEST = 1_000_000  # [byte]; seven joints take 20,000
 _EXPECTED = "expected 'hd_diag: ros__parameters: ...' at the top"
 _INTEGER = re.compile(r"[-+]?(0|[1-9][0-9]*)$")
 _REAL = re.compile(
@@ -100,18 +100,9 @@ def parse_value(text: str) -> Any:
 
 
 def _document(path: str | Path) -> Any:
+    text = read_text(Path(path), "parameter file")
     try:
-        with open(path, "rb") as file:
-            data = file.read(_LARGEST + 1)
-        if len(data) > _LARGEST:
-            raise ConfigError(f"longer than {_LARGEST} bytes: not a parameter file")
-        document = data.decode("utf-8")
-    except OSError as error:
-        raise ConfigError(f"cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"not a text in UTF-8: {error.reason} at byte {error.start}") from error
-    try:
-        return yaml.load(document, _Loader)
+        return yaml.load(text, _Loader)
     except Exception as error:  # beside YAMLError, PyYAML lets several kinds through on wrong tags and depth
         raise ConfigError(f"not YAML: {' '.join(str(error).split()) or type(error).__name__}") from error
 

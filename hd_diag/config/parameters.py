@@ -28,9 +28,8 @@ class Parameter:
     choices: tuple[str, ...] = ()
 
 
-_TINY = 1e-12  # [m]; lengths must exceed it
 _MOST_JOINTS = 256
-_LONGEST_TEXT = 80  # of a name or value that is told in an error
+_LONGEST_TEXT = 80  # of a name or value that an error names
 
 MAGNITUDES = ("fixed", "uniform", "normal", "rayleigh")
 """Distributions of a quantity that cannot be negative."""
@@ -38,14 +37,59 @@ MAGNITUDES = ("fixed", "uniform", "normal", "rayleigh")
 DEVIATIONS = ("fixed", "uniform", "normal", "triangular")
 """Distributions of a quantity that deviates to both sides."""
 
+
+def _length(name: str, default: float, meaning: str, high: float) -> Parameter:
+    return Parameter(name, default, "m", meaning, 1e-12, high)
+
+
+def _point(name: str, default: list[float], meaning: str) -> Parameter:
+    return Parameter(name, default, "m", meaning, -1.0, 1.0)
+
+
+def _limit(
+    name: str, warn: float, error: float, unit: str, meaning: str, low: float, high: float
+) -> tuple[Parameter, Parameter]:
+    """Thresholds of a quantity of the diagnostics."""
+    return (
+        Parameter(f"limits.{name}.warn", warn, unit, meaning, low, high),
+        Parameter(f"limits.{name}.error", error, unit, "the same, error", low, high),
+    )
+
+
+def _scatter(
+    name: str, distribution: str, size: float, unit: str, meaning: str, choices: tuple[str, ...], high: float
+) -> tuple[Parameter, Parameter]:
+    """Distribution of a quantity over many assemblies."""
+    relative = "scale of it, relative" if unit == "-" else "scale of it"
+    return (
+        Parameter(f"tolerance.{name}.distribution", distribution, "", meaning, choices=choices),
+        Parameter(f"tolerance.{name}.size", size, unit, relative, 0.0, high),
+    )
+
+
+_LIMITS = (
+    *_limit("overlap", 0.0, 20e-6, "m", "lobes press against each other at zero torque", -1.0, 1.0),
+    *_limit("peak_tooth_load", 100.0, 200.0, "N", "largest force on a flank", 0.0, 1e9),
+    *_limit("load_concentration", 3.0, 5.0, "-", "largest over mean force of the loaded flanks", 1.0, 1e6),
+    *_limit("residual_rms", 1.5e-4, 5e-4, "rad", "measured less predicted error, mean removed", 0.0, 10.0),
+    *_limit(
+        *("residual_order", 5.0e-5, 2.0e-4, "rad"),
+        *("amplitude of an order of the residual to an extended model", 0.0, 10.0),
+    ),
+    *_limit("torque", 2.0, 3.5, "-", "torque over rated torque", 0.0, 1e6),
+    *_limit("silence", 0.5, 2.0, "s", "time without a valid sample", 0.0, 1e6),
+    *_limit("rejected", 0.0, 0.5, "-", "share of samples rejected since the last report", 0.0, 1.0),
+)
+
+LIMITS = tuple(limit.name.split(".")[1] for limit in _LIMITS[::2])
+"""Quantities with thresholds ``limits.<quantity>.warn`` and ``.error``."""
+
 JOINT_PARAMETERS: tuple[Parameter, ...] = (
     Parameter(
         "input_joint", "", "", "name in JointState with the input (wave generator) angle; '' = <joint>_motor"
     ),
     Parameter("output_joint", "", "", "name in JointState with the output angle and effort; '' = <joint>"),
-    Parameter(
-        "ratio", 100.0, "-", "reported input angle over reported output angle, signed", -1000.0, 1000.0
-    ),
+    Parameter("ratio", 100.0, "-", "reported input angle over reported output angle, signed", -1e3, 1e3),
     Parameter(
         "output", "flexspline", "", "member that drives the link", choices=("flexspline", "circular_spline")
     ),
@@ -53,51 +97,20 @@ JOINT_PARAMETERS: tuple[Parameter, ...] = (
     Parameter("torque", 0.0, "N m", "torque assumed where no effort is reported", -1e6, 1e6),
     Parameter("flexspline_teeth", 200, "-", "teeth of the flexspline", 20, 2000),
     Parameter("circular_spline_teeth", 202, "-", "teeth of the circular spline", 22, 2010),
-    Parameter(
-        "neutral_curve.semi_major", 30.2584e-3, "m", "long semi-axis of the neutral layer", _TINY, 10.0
-    ),
-    Parameter(
-        "neutral_curve.semi_minor", 29.7404e-3, "m", "short semi-axis of the neutral layer", _TINY, 10.0
-    ),
-    Parameter("flexspline_tooth.addendum_radius", 0.2031e-3, "m", "convex arc of the tooth", _TINY, 1.0),
-    Parameter("flexspline_tooth.dedendum_radius", 0.5046e-3, "m", "hollow arc of the tooth", _TINY, 1.0),
-    Parameter(
-        "flexspline_tooth.addendum_center",
-        [0.7625e-3, -0.0548e-3],
-        "m",
-        "centre of the convex arc",
-        -1.0,
-        1.0,
-    ),
-    Parameter(
-        "flexspline_tooth.dedendum_center", [0.6929e-3, 0.6557e-3], "m", "centre of the hollow arc", -1.0, 1.0
-    ),
+    _length("neutral_curve.semi_major", 30.2584e-3, "long semi-axis of the neutral layer", 10.0),
+    _length("neutral_curve.semi_minor", 29.7404e-3, "short semi-axis of the neutral layer", 10.0),
+    _length("flexspline_tooth.addendum_radius", 0.2031e-3, "convex arc of the tooth", 1.0),
+    _length("flexspline_tooth.dedendum_radius", 0.5046e-3, "hollow arc of the tooth", 1.0),
+    _point("flexspline_tooth.addendum_center", [0.7625e-3, -0.0548e-3], "centre of the convex arc"),
+    _point("flexspline_tooth.dedendum_center", [0.6929e-3, 0.6557e-3], "centre of the hollow arc"),
     Parameter("flexspline_tooth.root", 0.4e-3, "m", "start of the flank above the neutral layer", 0.0, 1.0),
     Parameter("flexspline_tooth.tip", 0.8519e-3, "m", "end of the flank above the neutral layer", 0.0, 1.0),
-    Parameter("circular_spline_slot.addendum_radius", 0.2313e-3, "m", "hollow arc of the slot", _TINY, 1.0),
-    Parameter("circular_spline_slot.dedendum_radius", 0.4357e-3, "m", "convex arc of the slot", _TINY, 1.0),
-    Parameter(
-        "circular_spline_slot.addendum_center",
-        [1.2201e-3, -0.0782e-3],
-        "m",
-        "centre of the hollow arc",
-        -1.0,
-        1.0,
-    ),
-    Parameter(
-        "circular_spline_slot.dedendum_center",
-        [1.2791e-3, 0.5886e-3],
-        "m",
-        "centre of the convex arc",
-        -1.0,
-        1.0,
-    ),
-    Parameter(
-        "circular_spline_datum", 29.868e-3, "m", "radius from which the slot's x is measured", _TINY, 10.0
-    ),
-    Parameter(
-        "circular_spline_tip_radius", 30.7755e-3, "m", "tip radius of the circular spline", _TINY, 10.0
-    ),
+    _length("circular_spline_slot.addendum_radius", 0.2313e-3, "hollow arc of the slot", 1.0),
+    _length("circular_spline_slot.dedendum_radius", 0.4357e-3, "convex arc of the slot", 1.0),
+    _point("circular_spline_slot.addendum_center", [1.2201e-3, -0.0782e-3], "centre of the hollow arc"),
+    _point("circular_spline_slot.dedendum_center", [1.2791e-3, 0.5886e-3], "centre of the convex arc"),
+    _length("circular_spline_datum", 29.868e-3, "radius from which the slot's x is measured", 10.0),
+    _length("circular_spline_tip_radius", 30.7755e-3, "tip radius of the circular spline", 10.0),
     Parameter("tooth_compliance", 1.0e-6, "m/N", "K1 + K2 of a tooth pair", 1e-12, 1.0),
     Parameter("cup_compliance", 0.0, "rad/(N m)", "torsion of the cup beyond the teeth's", 0.0, 1.0),
     Parameter("arc_offset", 0.0, "m", "shift of the teeth along the neutral curve", -1e-2, 1e-2),
@@ -111,33 +124,7 @@ JOINT_PARAMETERS: tuple[Parameter, ...] = (
     Parameter("runout.direction", 0.0, "rad", "its direction when the long axis is at angle zero"),
     Parameter("wave_generator_phase", 0.0, "rad", "angle of the long axis at input angle zero"),
     Parameter("model_file", "", "", "extended model written by 'hd-diag diagnose'; '' = none"),
-    Parameter("limits.overlap.warn", 0.0, "m", "lobes press against each other at zero torque", -1.0, 1.0),
-    Parameter("limits.overlap.error", 20e-6, "m", "the same, error", -1.0, 1.0),
-    Parameter("limits.peak_tooth_load.warn", 100.0, "N", "largest force on a flank", 0.0, 1e9),
-    Parameter("limits.peak_tooth_load.error", 200.0, "N", "the same, error", 0.0, 1e9),
-    Parameter(
-        "limits.load_concentration.warn", 3.0, "-", "largest over mean force of the loaded flanks", 1.0, 1e6
-    ),
-    Parameter("limits.load_concentration.error", 5.0, "-", "the same, error", 1.0, 1e6),
-    Parameter(
-        "limits.residual_rms.warn", 1.5e-4, "rad", "measured less predicted error, mean removed", 0.0, 10.0
-    ),
-    Parameter("limits.residual_rms.error", 5.0e-4, "rad", "the same, error", 0.0, 10.0),
-    Parameter(
-        "limits.residual_order.warn",
-        5.0e-5,
-        "rad",
-        "amplitude of an order of the residual to an extended model",
-        0.0,
-        10.0,
-    ),
-    Parameter("limits.residual_order.error", 2.0e-4, "rad", "the same, error", 0.0, 10.0),
-    Parameter("limits.torque.warn", 2.0, "-", "torque over rated torque", 0.0, 1e6),
-    Parameter("limits.torque.error", 3.5, "-", "the same, error", 0.0, 1e6),
-    Parameter("limits.silence.warn", 0.5, "s", "time without a valid sample", 0.0, 1e6),
-    Parameter("limits.silence.error", 2.0, "s", "the same, error", 0.0, 1e6),
-    Parameter("limits.rejected.warn", 0.0, "-", "share of samples rejected since the last report", 0.0, 1.0),
-    Parameter("limits.rejected.error", 0.5, "-", "the same, error", 0.0, 1.0),
+    *_LIMITS,
     Parameter(
         "tolerance.limits.interference", 2.0e-6, "m", "overlap of teeth and slots at one lobe", 0.0, 1e-3
     ),
@@ -155,22 +142,12 @@ JOINT_PARAMETERS: tuple[Parameter, ...] = (
         0.0,
         1.0,
     ),
-    Parameter("tolerance.eccentricity.distribution", "rayleigh", "", "of its magnitude", choices=MAGNITUDES),
-    Parameter("tolerance.eccentricity.size", 3.5e-6, "m", "scale of it", 0.0, 1e-3),
-    Parameter("tolerance.runout.distribution", "rayleigh", "", "of its magnitude", choices=MAGNITUDES),
-    Parameter("tolerance.runout.size", 0.75e-6, "m", "scale of it", 0.0, 1e-3),
-    Parameter(
-        "tolerance.circular_spline_datum.distribution", "normal", "", "of the deviation", choices=DEVIATIONS
-    ),
-    Parameter("tolerance.circular_spline_datum.size", 1.0e-6, "m", "scale of it", 0.0, 1e-3),
-    Parameter("tolerance.pitch.distribution", "normal", "", "of each tooth pair's place", choices=DEVIATIONS),
-    Parameter("tolerance.pitch.size", 0.6e-6, "m", "scale of it", 0.0, 1e-3),
-    Parameter(
-        "tolerance.tooth_compliance.distribution", "normal", "", "of the deviation", choices=DEVIATIONS
-    ),
-    Parameter("tolerance.tooth_compliance.size", 0.05, "-", "scale of it, relative", 0.0, 0.2),
-    Parameter("tolerance.cup_compliance.distribution", "normal", "", "of what is added", choices=MAGNITUDES),
-    Parameter("tolerance.cup_compliance.size", 5.0e-7, "rad/(N m)", "scale of it", 0.0, 1.0),
+    *_scatter("eccentricity", "rayleigh", 3.5e-6, "m", "of its magnitude", MAGNITUDES, 1e-3),
+    *_scatter("runout", "rayleigh", 0.75e-6, "m", "of its magnitude", MAGNITUDES, 1e-3),
+    *_scatter("circular_spline_datum", "normal", 1.0e-6, "m", "of the deviation", DEVIATIONS, 1e-3),
+    *_scatter("pitch", "normal", 0.6e-6, "m", "of each tooth pair's place", DEVIATIONS, 1e-3),
+    *_scatter("tooth_compliance", "normal", 0.05, "-", "of the deviation", DEVIATIONS, 0.2),
+    *_scatter("cup_compliance", "normal", 5.0e-7, "rad/(N m)", "of what is added", MAGNITUDES, 1.0),
 )
 
 NODE_PARAMETERS: tuple[Parameter, ...] = (
@@ -187,18 +164,6 @@ NODE_PARAMETERS: tuple[Parameter, ...] = (
     Parameter("log.split_duration", 0.0, "s", "start a new file after this time; 0 = never", 0.0, 1e9),
     Parameter("log.overwrite", False, "", "replace a log that exists"),
 )
-
-LIMITS = (
-    "overlap",
-    "peak_tooth_load",
-    "load_concentration",
-    "residual_rms",
-    "residual_order",
-    "torque",
-    "silence",
-    "rejected",
-)
-"""Quantities with thresholds ``limits.<quantity>.warn`` and ``.error``."""
 
 ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides")
 """Parameters that every ROS node has: a parameter file may hold them, they are no part of a configuration."""

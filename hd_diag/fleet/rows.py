@@ -14,7 +14,8 @@ import numpy as np
 from hd_diag import __version__
 from hd_diag.bag import BagError
 from hd_diag.bag.joint_record import read_bags
-from hd_diag.config.configuration import JOINT_PARAMETERS, Config, JointConfig
+from hd_diag.config.configuration import Config, JointConfig
+from hd_diag.config.parameters import JOINT_PARAMETERS
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
 from hd_diag.diagnosis.fit.linearised_fit import Workbench
 from hd_diag.diagnosis.record import RecordError

@@ -12,8 +12,8 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.bag.joint_record import Motion
-from hd_diag.config.configuration import JOINT_PARAMETERS, JointConfig
-from hd_diag.config.parameters import Value
+from hd_diag.config.configuration import JointConfig
+from hd_diag.config.parameters import JOINT_PARAMETERS, Value
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.linearised_fit import Workbench

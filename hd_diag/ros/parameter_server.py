@@ -11,8 +11,8 @@ from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
-from hd_diag.config.configuration import Config, ConfigError, ModelText, parameters, resolve
-from hd_diag.config.parameters import ROS_PARAMETERS, Parameter, check_known
+from hd_diag.config.configuration import Config, ConfigError, ModelText, resolve
+from hd_diag.config.parameters import ROS_PARAMETERS, Parameter, check_known, parameters
 
 
 class ParameterServer:
