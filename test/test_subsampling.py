@@ -22,7 +22,7 @@ from hd_diag.diagnosis.fit.linearised_fit import Workbench
 from hd_diag.diagnosis.noise import ORDER, bounds
 from hd_diag.diagnosis.record import Record, prepare
 from hd_diag.diagnosis.screening import screened
-from hd_diag.diagnosis.subsampling import LIMIT, thinned
+from hd_diag.diagnosis.subsampling import LIMIT, subsample
 from hd_diag.diagnosis.verdict import as_json, sentence
 from hd_diag.effects.recursions import slip
 from hd_diag.simulation import Motion, Noise, SimulatedJoint, write_bag
@@ -55,13 +55,13 @@ def dense(record: Record) -> list[tuple[int, int]]:
 
 def test_a_short_record_stays_itself() -> None:
     record = moved()
-    assert thinned(record, ROWS) is record
-    assert moved(rows=LIMIT).size == thinned(moved(rows=LIMIT)).size
+    assert subsample(record, ROWS) is record
+    assert moved(rows=LIMIT).size == subsample(moved(rows=LIMIT)).size
 
 
 def test_rows_are_neighbours_at_their_true_times() -> None:
     whole = moved()
-    record = thinned(whole, SOME)
+    record = subsample(whole, SOME)
     assert 0.9 * SOME < record.size <= SOME
     rows = np.rint(record.time * RATE).astype(np.int64)
     assert np.all(np.diff(rows) > 0)
@@ -74,7 +74,7 @@ def test_rows_are_neighbours_at_their_true_times() -> None:
 
 def test_every_part_of_every_run_is_seen() -> None:
     """The middles of neighbouring stretches are at most two cells apart."""
-    record = thinned(moved(runs=6), SOME)
+    record = subsample(moved(runs=6), SOME)
     found = dense(record)
     assert {int(record.run[a]) for a, _ in found} == set(range(6))
     middles = np.array([record.time[(a + b) // 2] for a, b in found])
@@ -82,7 +82,7 @@ def test_every_part_of_every_run_is_seen() -> None:
 
 
 def test_of_more_runs_than_stretches_there_can_be_some_are_seen() -> None:
-    record = thinned(moved(runs=600), SOME)
+    record = subsample(moved(runs=600), SOME)
     assert record.size <= SOME
     middles = np.array([record.time[(a + b) // 2] for a, b in dense(record)])
     assert np.max(np.diff([0.0, *middles, ROWS / RATE])) < 0.25 * ROWS / RATE
@@ -91,7 +91,7 @@ def test_of_more_runs_than_stretches_there_can_be_some_are_seen() -> None:
 def test_what_is_rare_is_seen_too() -> None:
     """Torques, speeds of either direction and places of the turn that a hundredth of the record has."""
     whole = moved(runs=12)
-    record = thinned(whole, SOME)
+    record = subsample(whole, SOME)
     for name, low, high in (("torque", -40.0, 40.0), ("speed", -45.0, 45.0), ("output_angle", -0.6, 0.6)):
         edges = np.linspace(low, high, 13)
         before, after = (np.histogram(getattr(r, name), edges)[0] / r.size for r in (whole, record))
@@ -99,13 +99,13 @@ def test_what_is_rare_is_seen_too() -> None:
 
 
 def test_the_same_rows_every_time() -> None:
-    one, other = (thinned(moved(), SOME) for _ in range(2))
+    one, other = (subsample(moved(), SOME) for _ in range(2))
     assert np.array_equal(one.time, other.time)
 
 
 def test_it_tells_what_the_whole_covers() -> None:
     whole = moved()
-    record = thinned(whole, SOME)
+    record = subsample(whole, SOME)
     assert record.whole == whole.extent
     assert (record.runs, record.duration, record.input_turns) == whole.extent[1:]
     assert (record.outliers, record.dropped) == (whole.outliers, whole.dropped)
@@ -117,7 +117,7 @@ def test_it_tells_what_the_whole_covers() -> None:
 
 def test_memory_goes_on_but_not_into_another_recording() -> None:
     whole = moved(bags=2)
-    record = thinned(whole, SOME)
+    record = subsample(whole, SOME)
     assert np.array_equal(record.stretches, record.bag)
     gaps = np.flatnonzero(np.diff(record.time) > 1.0)
     assert np.all(np.diff(record.stretches)[gaps] == np.diff(record.bag)[gaps])
@@ -125,7 +125,7 @@ def test_memory_goes_on_but_not_into_another_recording() -> None:
 
 def test_single_rows_are_apart() -> None:
     """So far from each other that no filter takes them for neighbours."""
-    record = thinned(moved(), SOME)
+    record = subsample(moved(), SOME)
     rows = np.rint(record.time * RATE).astype(np.int64)
     step = np.diff(rows)
     assert step[step > 1].min() > 20
@@ -135,7 +135,7 @@ def test_single_rows_are_apart() -> None:
 def test_friction_remembers_as_if_it_had_seen_every_row(seed: int, reach: float) -> None:
     """A slip element that follows the kept torques is where it would be, but for turns of the least size."""
     whole = moved(seed=seed, rows=30_000)
-    record = thinned(whole, 6000)
+    record = subsample(whole, 6000)
     full = slip(0.0, np.diff(whole.torque, prepend=0.0) / reach)
     few = slip(0.0, np.diff(record.torque, prepend=0.0) / reach)
     rows = np.rint(record.time * RATE).astype(np.int64)

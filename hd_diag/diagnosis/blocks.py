@@ -1,4 +1,4 @@
-"""Long columns block by block, so that what is computed on the way stays small beside them."""
+"""Long columns block by block, so that intermediate results need little memory."""
 
 from __future__ import annotations
 
@@ -41,16 +41,16 @@ def filtered(
     function: Callable[[slice], npt.NDArray[Kind]],
     margin: int,
 ) -> None:
-    """Put what a local function makes of the rows from `begin` to before `end` into a column.
+    """Fill rows from `begin` to before `end` of a column by a function of their neighbourhood, in blocks.
 
     Parameters
     ----------
     result : ndarray, shape (n,)
     begin, end : int
     function : callable
-        Values at some rows, out of these rows alone.
+        Takes a slice of rows, gives their values.
     margin : int
-        Rows to either side that a value depends on.
+        Rows on either side that a value depends on.
     """
     for rows, around, inner in blocks(begin, end, margin):
         result[rows] = function(around)[inner]

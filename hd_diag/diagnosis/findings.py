@@ -1,4 +1,4 @@
-"""What must be said before anything else: a wrong ratio, swapped joints, steps between the encoders."""
+"""Checks that come before any fit: a wrong ratio, swapped joints, steps between the encoders."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _STEP = 0.25  # of a tooth pitch
 
 @dataclass(frozen=True)
 class Finding:
-    """A finding that comes before the model: catalogue name, one sentence, value and unit."""
+    """A finding from before any fit: catalogue name, one sentence, value and unit; a fatal one ends all."""
 
     name: str
     text: str
@@ -34,18 +34,7 @@ class Finding:
 
 
 def check_ratio(record: Record, ratio: float) -> Finding | None:
-    """Whether the output follows the input at the configured ratio, as far as no torsion can hide it.
-
-    Parameters
-    ----------
-    record : Record
-    ratio : float
-        Configured [-].
-
-    Returns
-    -------
-    Finding or None
-    """
+    """A finding where the output does not follow the input at the configured ratio [-], torsion aside."""
     angle, output = (_centered(column, record.run) for column in (record.input_angle, record.output_angle))
     slope = _usual_slope(record)
     if float(np.std(output - slope * angle)) > 0.3 * float(np.std(output)):
@@ -63,23 +52,12 @@ def check_ratio(record: Record, ratio: float) -> Finding | None:
 
 
 def check_ramp(record: Record, ratio: float) -> Finding | None:
-    """Whether the error grows with the output's way, alike in all parts of a record without steps.
-
-    Parameters
-    ----------
-    record : Record
-    ratio : float
-        Configured [-].
-
-    Returns
-    -------
-    Finding or None
+    """A finding where the error grows with the output angle, alike in all parts of a record without steps.
 
     Notes
     -----
     Torsion, friction, runout and the gear's ripple are fitted beside the ramps, one for each of `_PARTS`
-    parts. Without a measured torque nothing tells torsion from a ramp, over a small part of a turn nothing
-    tells runout.
+    parts. Without a measured torque, torsion looks like a ramp; over a small part of a turn, runout does.
     """
     reach = float(np.ptp(_centered(record.input_angle / ratio, record.run)))
     if not record.has_torque or reach < _LEAST_REACH:
@@ -104,7 +82,7 @@ def _wrong_ratio(found: float, configured: float) -> Finding:
 
 
 def _usual_slope(record: Record) -> float:
-    """Output over input: the median over short stretches, weighted by their way; steps do not move it."""
+    """Output over input: median of short stretches weighted by their travel; steps do not affect it."""
     lag = max(record.size // 400, 1)
     same = record.run[lag:] == record.run[:-lag]
     angle, output = (
@@ -120,7 +98,7 @@ def _usual_slope(record: Record) -> float:
 def _ramps(record: Record, ratio: float) -> tuple[Floats, float]:
     """Error per output angle in each part of a record, shape (_PARTS,) [-], and their mean's deviation.
 
-    The deviation takes what is left as dependent within `_CLUSTERS` stretches.
+    The deviation allows for a residual that is correlated within `_CLUSTERS` stretches.
     """
     ideal = record.input_angle / ratio
     load = record.torque / max(float(np.max(np.abs(record.torque))), 1e-9)
@@ -163,13 +141,12 @@ def find_steps(record: Record, ratio: float, tooth_pitch: float) -> tuple[Floats
     record : Record
     ratio : float
     tooth_pitch : float
-        Angle by which the flexspline turns when it skips a tooth [rad]: after one of its own pitches the mesh
-        is the same again.
+        Angle by which the flexspline turns when it skips a tooth [rad]: one of its own pitches.
 
     Returns
     -------
     correction : ndarray, shape (n,)
-        What to take off the output angle to close the steps [rad].
+        To be subtracted from the output angle [rad].
     findings : list of Finding
     """
     error = record.output_angle - record.input_angle / ratio
@@ -201,7 +178,7 @@ def find_steps(record: Record, ratio: float, tooth_pitch: float) -> tuple[Floats
 
 
 def _largest_jump(values: Floats, width: int) -> float:
-    """Greatest change over so many rows."""
+    """Largest change over so many rows."""
     parts = [rows for rows, _, _ in blocks(width, values.size)]
     return max(
         float(np.max(np.abs(values[rows] - values[rows.start - width : rows.stop - width]))) for rows in parts

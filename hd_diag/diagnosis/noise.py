@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_toeplitz
+from scipy.signal import lfilter
 
 from hd_diag.arrays import Floats, Integers
 
@@ -37,24 +38,20 @@ class Whitening:
         ----------
         columns : ndarray, shape (n,) or (n, k)
         run : ndarray of int64, shape (n,)
-            The filter restarts where it changes; the first ORDER samples of a run become zero, for
-            their past is not known.
+            The filter restarts where it changes; the first ORDER samples of a run become zero, because
+            their past is unknown.
 
         Returns
         -------
         ndarray
             Same shape.
         """
+        if not columns.size:
+            return np.zeros_like(columns)
         taps = np.concatenate(([1.0], -self.coefficients)) / self.scale
-        rows = run.size
-        result = np.empty_like(columns, order="F")
-        # Over all runs at once: what reaches from one into the next ends in rows that become zero.
-        for one, found in zip(
-            columns.reshape(rows, -1).T, result.reshape(rows, -1, order="F").T, strict=True
-        ):
-            found[:] = np.convolve(one, taps)[:rows] if rows else 0.0
+        result = np.asarray(lfilter(taps, 1.0, columns, axis=0))  # over all runs at once, then:
         begun = np.flatnonzero(np.concatenate(([True], run[1:] != run[:-1])))[:, None] + np.arange(ORDER)
-        result[begun[begun < rows]] = 0.0
+        result[begun[begun < run.size]] = 0.0  # what reaches from one run into the next
         return result
 
 

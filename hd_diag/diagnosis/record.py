@@ -1,9 +1,9 @@
-"""A joint's measured record: cleaned, cut into runs, with speed and a torque fit to be a regressor."""
+"""A joint's measured record: cleaned, cut into runs, with speed and a smoothed torque as regressors."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +15,8 @@ from hd_diag.diagnosis.noise import bounds, spans
 from hd_diag.diagnosis.smoothing import best_width, rate, settled, smooth
 
 Rows = npt.NDArray[np.bool_]
-Kind = TypeVar("Kind", bound=np.generic)
+Columns = dict[str, Any]
+"""Columns of one length by name; None for those that were not recorded."""
 
 MINIMUM_SAMPLES = 500
 """Fewer samples than this are too short a record."""
@@ -27,24 +28,9 @@ _SPEED_WINDOW = 0.03  # [s]
 _HEAT_WINDOW = 2.0  # [s]
 _LONG_GAP_STEPS = 200.0  # a step this many times the usual one is more than a cause remembers through
 _WRAP_SLACK = 0.1  # what noise and outliers may add to the range of a wrapped angle [rad]
-_OUTLIER = 8.0  # robust standard deviations of what neighbours do not foretell
+_OUTLIER = 8.0  # robust standard deviations of what neighbours do not predict
 _OUTLIER_WINDOW = 51  # over which that deviation is taken [samples]
 _OUTLIER_PASSES = 3
-
-
-_COLUMNS = (
-    "time",
-    "input_angle",
-    "output_angle",
-    "torque",
-    "speed",
-    "temperature",
-    "run",
-    "bag",
-    "reported_torque",
-    "reported_speed",
-    "stretch",
-)
 
 
 class RecordError(ValueError):
@@ -75,18 +61,17 @@ class Record:
     has_torque : bool
         Whether the torque was measured; else it is what the configuration assumes.
     outliers, dropped : int
-        Samples taken out: far off their neighbours, or not finite or out of order.
+        Samples removed: far off their neighbours; not finite or out of order.
     bag : ndarray of int64, shape (n,)
-        Which recording each sample comes from.
+        Index of the recording that each sample comes from.
     reported_torque : ndarray, shape (n,)
-        Without smoothing, as a model that runs has it [N m].
+        Torque before smoothing, as a running model gets it [N m].
     reported_speed : ndarray, shape (n,), or None
-        Of the input, as the joint itself reports it [rad/s]; nan where it does not.
+        Input speed as the joint itself reports it [rad/s]; nan where it does not.
     stretch : ndarray of int64, shape (n,), or None
-        Number of the stretch through which a cause with memory goes on, where rows were left out; None where
-        the stamps tell (see `stretches`).
+        Where rows were left out: number of the stretch without a long gap; None otherwise, see `stretches`.
     whole : Extent or None
-        Of the record that these rows were taken from, where rows were left out.
+        Where rows were left out: extent of the record that they were taken from.
     """
 
     time: Floats
@@ -139,18 +124,15 @@ class Record:
 
     @property
     def stretches(self) -> Integers:
-        """Numbers of stretches without a long gap: a pause ends a run, but a cause with memory goes on."""
+        """Numbers of stretches without a long gap: causes with memory go on through pauses between runs."""
         if self.stretch is not None:
             return self.stretch
-        step = np.diff(self.time)
-        usual = float(np.median(step[step > 0.0]))
-        breaks = (step > _LONG_GAP_STEPS * usual) | (step <= 0.0) | (np.diff(self.bag) != 0)
-        return np.concatenate(([0], np.cumsum(breaks))).astype(np.int64)
+        return _segments(self.time, self.bag, _LONG_GAP_STEPS)
 
     def select(self, rows: Rows | Integers) -> Record:
         """The record of some rows; their run numbers stay."""
-        columns = {name: getattr(self, name) for name in _COLUMNS}
-        chosen: dict[str, Any] = {name: None if c is None else c[rows] for name, c in columns.items()}
+        columns = {name: column for name, column in vars(self).items() if isinstance(column, np.ndarray)}
+        chosen: dict[str, Any] = {name: column[rows] for name, column in columns.items()}
         return replace(self, **chosen)
 
 
@@ -193,10 +175,16 @@ def prepare(
     Raises
     ------
     RecordError
-        If too little is left, nothing moves, or stamps contradict each other.
+        If too few samples remain, nothing moves, or stamps contradict each other.
     """
-    torque, temperature = _measured(torque), _measured(temperature)
-    usable = _usable((time, input_angle, output_angle, torque, temperature), bag)
+    columns: Columns = {
+        "time": time,
+        "input_angle": input_angle,
+        "output_angle": output_angle,
+        "torque": _measured(torque),
+        "temperature": _measured(temperature),
+    }
+    usable = _usable(columns, bag)
     dropped = usable.size - int(np.count_nonzero(usable))
     if usable.size - dropped < MINIMUM_SAMPLES:
         raise RecordError(
@@ -206,28 +194,33 @@ def prepare(
         raise RecordError(
             f"{dropped} of {usable.size} samples are not finite or their stamps contradict each other"
         )
-    time, bag = _kept(time, usable), _kept(bag, usable)
-    load, heat, own_speed = (_kept_known(c, usable) for c in (torque, temperature, reported_speed))
-    segment, output = _segments(time, bag), _unwrapped(_kept(output_angle, usable), bag)
-    angle = _with_turns(_kept(input_angle, usable), output, bag, segment, ratio)
+    columns |= {"bag": bag, "reported_speed": reported_speed}
+    columns = _kept(columns, usable)
+    bag, output = columns["bag"], _unwrapped(columns["output_angle"], columns["bag"])
+    segment = _segments(columns["time"], bag, _GAP_STEPS)
+    angle = _with_turns(columns["input_angle"], output, bag, segment, ratio)
     if float(np.ptp(angle)) < np.pi:
         raise RecordError(
             f"no motion: the input turns by {float(np.ptp(angle)):.3g} rad, at least half a turn is needed"
         )
     keep = ~_outliers(output - angle / ratio, bag)
-    outliers = keep.size - int(np.count_nonzero(keep))
-    time, angle, output = (_kept(column, keep) for column in (time, angle, output))
-    bag, segment = _kept(bag, keep), _kept(segment, keep)
-    load, heat, own_speed = (_kept_known(c, keep) for c in (load, heat, own_speed))
+    columns |= {"input_angle": angle, "output_angle": output, "segment": segment}
+    columns = _kept(columns, keep)
+    time, load, heat, segment = (columns.pop(n) for n in ("time", "torque", "temperature", "segment"))
     step = float(np.median(np.diff(time)))
-    speed = rate(angle, segment, step, _SPEED_WINDOW)
+    speed = rate(columns["input_angle"], segment, step, _SPEED_WINDOW)
     raw = np.full(time.shape, assumed_torque) if load is None else load
-    torque = raw if load is None else _without_noise(raw, segment, step)
-    heat = None if heat is None else smooth(heat, segment, step, _HEAT_WINDOW)
-    run = _runs(time, speed, segment)
-    known = load is not None
     return Record(
-        time, angle, output, torque, speed, heat, run, known, outliers, dropped, bag, raw, own_speed
+        **columns,
+        time=time,
+        torque=raw if load is None else _without_noise(raw, segment, step),
+        speed=speed,
+        temperature=None if heat is None else smooth(heat, segment, step, _HEAT_WINDOW),
+        run=_runs(time, speed, segment),
+        has_torque=load is not None,
+        outliers=keep.size - int(np.count_nonzero(keep)),
+        dropped=dropped,
+        reported_torque=raw,
     )
 
 
@@ -236,33 +229,30 @@ def _without_noise(torque: Floats, segment: Integers, step: float) -> Floats:
     return settled(torque, smooth(torque, segment, step, width), step, width)
 
 
-def _usable(columns: tuple[Floats | None, ...], bag: Integers) -> Rows:
-    """Rows that are finite in all columns and later than the row before, by the first of the columns."""
-    time = columns[0]
-    assert time is not None
-    usable = np.concatenate(([True], (np.diff(time) > 0.0) | (np.diff(bag) != 0)))[: time.size]
-    for column in columns:
+def _usable(columns: Columns, bag: Integers) -> Rows:
+    """Rows that are finite in all columns and later than the row before."""
+    later = (np.diff(columns["time"]) > 0.0) | (np.diff(bag) != 0)
+    usable = np.concatenate(([True], later))[: bag.size]
+    for column in columns.values():
         if column is not None:
             usable &= np.isfinite(column)
     return usable
 
 
-def _kept(column: npt.NDArray[Kind], rows: Rows) -> npt.NDArray[Kind]:
-    """Some rows of a column; all of them are no copy."""
-    return column if rows.all() else column[rows]
-
-
-def _kept_known(column: Floats | None, rows: Rows) -> Floats | None:
-    return None if column is None else _kept(column, rows)
+def _kept(columns: Columns, rows: Rows) -> Columns:
+    """Some rows of all columns; all rows are no copy."""
+    if rows.all():
+        return columns
+    return {name: None if column is None else column[rows] for name, column in columns.items()}
 
 
 def _measured(values: Floats | None) -> Floats | None:
-    """A column that holds a value at all, else None."""
+    """None for a column without any value."""
     return None if values is None or not np.isfinite(values).any() else values
 
 
 def _wrapped(angle: Floats) -> bool:
-    """Whether angles stay within one turn [rad], as those of wrapped encoders do."""
+    """Whether angles [rad] stay within one turn, as those of a wrapping encoder do."""
     return float(np.ptp(angle)) < 2.0 * np.pi + _WRAP_SLACK
 
 
@@ -274,7 +264,7 @@ def _unwrapped(angle: Floats, bag: Integers) -> Floats:
 
 
 def _with_turns(angle: Floats, output: Floats, bag: Integers, segment: Integers, ratio: float) -> Floats:
-    """Input angles without jumps of whole turns; the output tells those that no sample saw."""
+    """Input angles without jumps of whole turns; turns lost in a gap follow from the output."""
     result = angle
     first = ratio * output[0] - angle[0]
     for begin, end in bounds(bag):
@@ -289,18 +279,18 @@ def _with_turns(angle: Floats, output: Floats, bag: Integers, segment: Integers,
     return result
 
 
-def _segments(time: Floats, bag: Integers) -> Integers:
-    """Stretches without a gap and without a stamp that goes back."""
+def _segments(time: Floats, bag: Integers, gap: float) -> Integers:
+    """Numbers of stretches without a gap [usual steps], a stamp that goes back, or another recording."""
     step = np.diff(time)
     usual = np.median(step[step > 0.0])
-    breaks = (step > _GAP_STEPS * usual) | (step <= 0.0) | (np.diff(bag) != 0)
+    breaks = (step > gap * usual) | (step <= 0.0) | (np.diff(bag) != 0)
     return np.concatenate(([0], np.cumsum(breaks))).astype(np.int64)
 
 
 def _outliers(error: Floats, bag: Integers) -> Rows:
-    """Single samples off both their neighbours; taken out, they may show others beside them.
+    """Single samples far off both their neighbours; without them, others beside them may stand out.
 
-    Neighbours are those that were recorded: between gaps there may be too few samples to tell.
+    Neighbours are those recorded before and after, even across a gap: between gaps there may be few samples.
     """
     found = np.zeros(error.size, dtype=bool)
     for begin, end in bounds(bag):

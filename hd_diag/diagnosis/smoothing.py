@@ -1,4 +1,4 @@
-"""Columns of a record without their noise, and their rates: local quadratics, segment by segment."""
+"""Smoothed columns of a record, and their rates: Savitzky–Golay filters, segment by segment."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from hd_diag.diagnosis.noise import bounds
 
 _ORDER = 2
 _WINDOWS = 0.01 * 1.35 ** np.arange(12)  # to choose from [s]
-_STILL = 4.0  # times the variance that noise leaves, up to which smoothed values are as good as constant
-_ZERO = 16.0  # times the variance of a mean, up to which it is as good as zero
-_JUDGED = 100_000  # samples that a window is chosen by
+_STILL = 4.0  # times the variance of smoothed noise, up to which smoothed values count as constant
+_ZERO = 16.0  # times the variance of a mean, up to which it counts as zero
+_JUDGED = 100_000  # samples by which a window is chosen
 
 
 def smooth(values: Floats, segment: Integers, step: float, width: float) -> Floats:
-    """Values without their noise, by a local quadratic, applied twice.
+    """Values smoothed by a local quadratic, applied twice.
 
-    Once leaves much of the noise at high frequencies, which whitening brings out again.
+    Applied once it leaves noise at high frequencies, which whitening would amplify.
 
     Parameters
     ----------
     values : ndarray, shape (n,)
     segment : ndarray of int64, shape (n,)
-        Number of the stretch without a gap that a sample belongs to, rising.
+        Number of the stretch without a gap that a sample belongs to, ascending.
     step : float
         Between samples [s].
     width : float
@@ -41,43 +41,29 @@ def smooth(values: Floats, segment: Integers, step: float, width: float) -> Floa
 
 
 def best_width(values: Floats, segment: Integers, step: float) -> float:
-    """Window that foretells the values best from their neighbours [s], by generalised cross-validation.
+    """Window [s] by which neighbours predict each value best; arguments as of :func:`smooth`.
 
-    A regressor's noise biases what is fitted to it, a window too long bends it: both cost about the same at
-    the best. Source: Golub, Heath, Wahba, Technometrics 21 (1979).
-
-    Parameters
-    ----------
-    values : ndarray, shape (n,)
-    segment : ndarray of int64, shape (n,)
-    step : float
-        [s]
-
-    Returns
-    -------
-    float
+    Notes
+    -----
+    Generalised cross-validation: Golub, Heath, Wahba, Technometrics 21 (1979).
     """
     begin, end = max(bounds(segment), key=lambda edges: edges[1] - edges[0])
     middle = (begin + end) // 2
     part = values[max(begin, middle - _JUDGED // 2) : min(end, middle + _JUDGED // 2)]
-    scores = [_foretold(part, step, width) for width in _WINDOWS]
+    scores = [_prediction_error(part, step, width) for width in _WINDOWS]
     return float(_WINDOWS[int(np.argmin(scores))])
 
 
 def settled(values: Floats, smoothed: Floats, step: float, width: float) -> Floats:
-    """The smoothed values; their mean, or zero, where they move no more than noise alone would make them.
+    """The smoothed values; their mean, or zero, where they vary no more than smoothed noise does.
 
-    Whether a torque is zero decides what bears in a true gap: noise must not.
+    Whether a torque is zero decides which teeth carry in a gap: noise must not decide it.
 
     Parameters
     ----------
     values, smoothed : ndarray, shape (n,)
     step, width : float
-        By which they were smoothed [s].
-
-    Returns
-    -------
-    ndarray, shape (n,)
+        Arguments of :func:`smooth` that gave `smoothed` [s].
     """
     kernel = savgol_coeffs(_window(values.size, step, width), _ORDER)
     noise = float(np.var(values - smoothed))
@@ -107,8 +93,8 @@ def _twice(values: Floats, step: float, width: float) -> Floats:
     return np.asarray(savgol_filter(savgol_filter(values, window, _ORDER), window, _ORDER))
 
 
-def _foretold(values: Floats, step: float, width: float) -> float:
-    """Mean square by which values differ from what their neighbours foretell."""
+def _prediction_error(values: Floats, step: float, width: float) -> float:
+    """Mean square by which values differ from what their neighbours predict."""
     window = _window(values.size, step, width)
     if window <= _ORDER + 1:
         return float("inf")

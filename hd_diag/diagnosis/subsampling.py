@@ -1,8 +1,8 @@
-"""Long records: contiguous stretches spread over them, and the few rows between that causes remember.
+"""Subsets of long records: contiguous stretches, and the few rows between them that friction remembers.
 
-A fit needs about two kilobytes for every row. Beyond `LIMIT` rows it gets stretches of neighbouring rows, at
-their true times: noise keeps its colour and the teeth's orders stay what they are, which rows drawn at random
-or at even distances would take from them.
+A fit needs about two kilobytes a row. Of more than `LIMIT` rows it gets stretches of neighbouring rows at
+their true times: they keep the colour of the noise and the orders of the teeth, which random or evenly spaced
+rows would lose.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record
 
 LIMIT = 60_000
-"""Most rows that a fit gets: the whole process then stays below 1 GiB."""
+"""Rows that a fit gets, at most: the whole process then needs less than 1 GiB."""
 
-_STRETCHES = 48  # two for each block of the criticism
+_STRETCHES = 48  # two for each block of the fit
 _SHORTEST = 1000  # rows of a stretch
 _PLACES = 24  # at which a stretch may begin within its cell
 _LEVELS = 16  # of the torque, of the speed, of the output's turn
@@ -28,34 +28,33 @@ _GROUPS = (slice(0, 16), slice(16, 32), slice(32, 48), slice(48, 84))
 _RARE = 0.002  # share of the rows below which nothing needs to be shown
 
 _APART = 30  # rows between single ones, so that none counts as a neighbour of another
-_SWING = 0.005  # of the range of the torque; smaller turns are noise
-_TURNS = 16  # of the torque that are remembered through a gap
+_SWING = 0.005  # of the range of the torque; smaller reversals are noise
+_REVERSALS = 16  # of the torque that are remembered through a gap
 _PARTS = 8  # of a gap, in each of which the input's way is kept
 
 
-def thinned(record: Record, limit: int = LIMIT) -> Record:
+def subsample(record: Record, limit: int = LIMIT) -> Record:
     """A record of at most so many rows.
 
     Parameters
     ----------
     record : Record
-        As it was measured.
     limit : int
 
     Returns
     -------
     Record
-        The same where it is short enough. Else stretches, one in each of as many cells as there can be: cells
-        divide the runs evenly, or the record where it has many runs. Where in its cell a stretch lies is
-        chosen so that torques, speeds, directions and places of the output's turn are covered. Between
-        stretches there are single rows, at which the torque or the input turns back: friction remembers
-        those. `stretch` joins them, `whole` tells what the record covers.
+        The same where it is short enough. Otherwise stretches, one in each of up to 48 cells that divide the
+        runs evenly, or the whole record where it has many runs. The place of a stretch in its cell is chosen
+        so that all torques, speeds, directions and places of the output's turn are covered. Between stretches
+        there are single rows at which torque or input reverse: friction remembers those. `stretch` joins
+        the rows, `whole` is the extent of the record given.
     """
     if record.size <= limit:
         return record
     most = min(_STRETCHES, max(limit // _SHORTEST, 1))
     cells = _cells(record, most)
-    length = max(limit // len(cells) - _TURNS - 2 * _PARTS, 1)
+    length = max(limit // len(cells) - _REVERSALS - 2 * _PARTS, 1)
     begins = _places(record, cells, length)
     ends = [min(begin + length, end) for begin, (_, end) in zip(begins, cells, strict=True)]
     rows, last = [], 0
@@ -81,16 +80,18 @@ def _cells(record: Record, most: int) -> list[tuple[int, int]]:
 
 
 def _places(record: Record, cells: list[tuple[int, int]], length: int) -> list[int]:
-    """Where a stretch begins in each cell, so that all together show what the whole record shows."""
+    """First row of the stretch in each cell: together they shall cover what the whole record covers."""
     starts = [
         np.linspace(begin, max(end - length, begin), _PLACES).astype(np.int64).tolist()
         for begin, end in cells
     ]
-    looks = _Looks(record)
-    wanted = _wanted(np.sum([looks.at(rows) for rows, _, _ in blocks(0, record.size)], axis=0) / record.size)
+    coverage = _Coverage(record)
+    wanted = _wanted(
+        np.sum([coverage.of(rows) for rows, _, _ in blocks(0, record.size)], axis=0) / record.size
+    )
     shown = np.array(
         [
-            [looks.at(slice(begin, min(begin + length, end))) for begin in row]
+            [coverage.of(slice(begin, min(begin + length, end))) for begin in row]
             for row, (_, end) in zip(starts, cells, strict=True)
         ]
     )
@@ -107,23 +108,23 @@ def _places(record: Record, cells: list[tuple[int, int]], length: int) -> list[i
 
 
 def _wanted(share: Floats) -> Floats:
-    """Shares half-way to equal ones: what is rare in a record is what tells the model's parameters apart."""
+    """Shares moved half-way to equal ones: rare conditions tell the model's parameters apart best."""
     parts = [share[group] for group in _GROUPS]
     return np.concatenate(
         [0.5 * part + 0.5 * (part > _RARE) / max(int(np.sum(part > _RARE)), 1) for part in parts]
     )
 
 
-class _Looks:
-    """What rows show: torque, speed, both together, and the sector of the output's turn, in levels."""
+class _Coverage:
+    """Histograms of torque, speed, place in the output's turn, and of torque and speed together."""
 
     def __init__(self, record: Record) -> None:
         self._record = record
         self._low, self._span = float(record.torque.min()), max(float(np.ptp(record.torque)), 1e-9)
         self._fast = max(float(record.speed.max()), -float(record.speed.min()), 1e-9)
 
-    def at(self, rows: slice) -> Floats:
-        """How many rows show what, group by group."""
+    def of(self, rows: slice) -> Floats:
+        """Counts of some rows, group by group."""
         record = self._record
         load = (record.torque[rows] - self._low) / self._span
         fast = 0.5 + 0.5 * record.speed[rows] / self._fast
@@ -142,14 +143,14 @@ def _level(share: Floats, levels: int) -> Integers:
 
 
 def _between(record: Record, begin: int, end: int) -> Integers:
-    """Single rows of a gap: where the torque turned back last, and how far the input went."""
+    """Single rows of a gap: the last reversals of the torque, and extremes of the input angle."""
     rows = slice(begin + _APART, max(end - _APART, 0))
     torque, angle = record.torque[rows], record.input_angle[rows]
     if not torque.size:
         return np.empty(0, dtype=np.int64)
     parts = bounds(np.arange(angle.size) * _PARTS // angle.size)
     ways = [a + int(find(angle[a:b])) for a, b in parts for find in (np.argmin, np.argmax)]
-    found = np.unique(np.array(ways + _turns(torque, _SWING * float(np.ptp(record.torque)))))
+    found = np.unique(np.array(ways + _reversals(torque, _SWING * float(np.ptp(record.torque)))))
     kept: list[int] = []
     for row in found.tolist():
         if not kept or row >= kept[-1] + _APART:
@@ -157,10 +158,10 @@ def _between(record: Record, begin: int, end: int) -> Integers:
     return rows.start + np.array(kept, dtype=np.int64)
 
 
-def _turns(torque: Floats, swing: float) -> list[int]:
-    """Rows of the turns that later ones did not outdo: all that friction remembers at the end (Preisach)."""
+def _reversals(torque: Floats, swing: float) -> list[int]:
+    """Rows of reversals that no later one exceeded: all that friction remembers at the end (Preisach)."""
     first, found = 0, list[int]()
-    while first < torque.size and len(found) < _TURNS:
+    while first < torque.size and len(found) < _REVERSALS:
         rest = torque[first:][::-1]
         pair = sorted(torque.size - 1 - int(find(rest)) for find in (np.argmin, np.argmax))
         if abs(float(torque[pair[1]] - torque[pair[0]])) < swing:
