@@ -58,7 +58,7 @@ def test_a_ratio_that_is_slightly_wrong_is_found_as_a_ramp(record: Record, fract
     assert found.value == pytest.approx(RATIO * (1.0 + fraction), abs=RATIO * 1e-5)
 
 
-@pytest.mark.parametrize("seconds", [17.5, 18.5, 24.0, 31.0, 47.0])
+@pytest.mark.parametrize("seconds", [17.5, 24.0, 47.0])
 def test_a_large_eccentricity_over_a_part_of_a_turn_is_no_ramp(seconds: float) -> None:
     """One way, one load: ripple that ends anywhere in its turn must not lean."""
     count = round(250.0 * seconds)

@@ -9,7 +9,7 @@ import pytest
 from challenge import families, motion, records
 from challenge.records import Recording, simulate
 from challenge.truth import drawn
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from joint_records import ARCSEC, columns, joint, prepared
 
@@ -98,11 +98,6 @@ def test_what_is_rare_is_seen_too() -> None:
         assert np.all(after[before > 0.01] > 0.0)
 
 
-def test_the_same_rows_every_time() -> None:
-    one, other = (subsample(moved(), SOME) for _ in range(2))
-    assert np.array_equal(one.time, other.time)
-
-
 def test_it_tells_what_the_whole_covers() -> None:
     whole = moved()
     record = subsample(whole, SOME)
@@ -131,6 +126,7 @@ def test_single_rows_are_apart() -> None:
     assert step[step > 1].min() > 20
 
 
+@settings(max_examples=25, deadline=None)
 @given(st.integers(0, 1000), st.floats(0.5, 12.0))
 def test_friction_remembers_as_if_it_had_seen_every_row(seed: int, reach: float) -> None:
     """A slip element that follows the kept torques is where it would be, but for turns of the least size."""
@@ -199,7 +195,8 @@ def test_a_skipped_tooth_at_the_edge_of_a_block_is_found(monkeypatch: pytest.Mon
 # The verdict ---
 
 
-def test_a_thinned_record_has_the_verdict_of_the_whole() -> None:
+@pytest.mark.slow
+def test_a_subsample_has_the_verdict_of_the_whole() -> None:
     """Half the rows; hysteresis, which only what came between tells from other causes."""
     rng = families.generator("one_effect", 9)
     standard = motion.standard(rng)
@@ -255,7 +252,7 @@ def needed(path: Path, seconds: float) -> tuple[int, int]:
 
 def test_memory_does_not_grow_with_the_record(tmp_path: Path) -> None:
     """An hour at 1 kHz in half a gibibyte before the fit, which then always gets `LIMIT` rows."""
-    short, long = (needed(tmp_path / f"{s}.mcap", s) for s in (150.0, 450.0))
-    assert long[0] - short[0] < _EACH * 300_000
+    short, long = (needed(tmp_path / f"{s}.mcap", s) for s in (70.0, 140.0))
+    assert long[0] - short[0] < _EACH * 70_000
     assert long[1] < 1.1 * short[1]
     assert long[1] < 130 * subsampling.LIMIT

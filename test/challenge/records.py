@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import functools
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -215,15 +213,8 @@ def columns(record: Record) -> dict[str, Array]:
 def write_csv(record: Record, path: Path) -> None:
     """Write columns with a header line; numbers in full."""
     named = columns(record)
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(named)
-        writer.writerows(zip(*(column.tolist() for column in named.values()), strict=True))
-
-
-def write_truth(record: Record, path: Path) -> None:
-    """Write the truth as JSON."""
-    path.write_text(json.dumps(record.truth, indent=1))
+    table = np.stack(list(named.values()), axis=1)
+    np.savetxt(path, table, "%.17g", delimiter=",", header=",".join(named), comments="")
 
 
 def write_bag(record: Record, path: Path, joint: str = JOINT) -> None:

@@ -1,19 +1,28 @@
-"""Least size at which each cause could be found on a standard record: a calculation, kept here as numbers.
+"""Least size at which each cause could be found on a standard record, for test/challenge/families.py.
 
 A cause's signal is what it adds to the transmission error, less all that other parameters of the drive could
 do instead. It is findable where a test of two degrees of freedom at 1e-6 (some 1e4 looks at 1 %) sees it 99
 times of 100 in the noise of the record (SNR), and where it is worth naming (0.25 arcsec rms).
-``python -m challenge.findable`` (in test/) calculates the numbers anew: the largest of several drawn drives.
+
+    python bench/findable.py
+
+prints the largest of several drawn drives.
 """
+
+# ruff: noqa: T201
 
 from __future__ import annotations
 
 import dataclasses
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "test"))
 
 import numpy as np
-
 from challenge import noise
 from challenge.clearances import Array
+from challenge.families import FAULTS, UNKNOWN
 from challenge.motion import RATE, Motion, standard
 from challenge.records import contribution, transmission_error
 from challenge.truth import ARCSEC, Base, drawn
@@ -21,38 +30,6 @@ from challenge.truth import ARCSEC, Base, drawn
 SNR = 7.6  # sqrt of 58: chi-square with 2 degrees of freedom at 1e-6 is 28; 99 % power doubles it
 WORTH_NAMING = 0.25 * ARCSEC  # [rad] rms
 TORQUE_AS_ANGLE = 5 * ARCSEC  # [rad/(N m)], of torque noise
-
-# Not here: resonance, which the gear's own ripple excites, and ramps and steps; the field's range is enough.
-LEAST: dict[str, float] = {
-    "output_runout": 0.98,  # 0.662 arcsec rms per unit, own share 1.00
-    "output_encoder_eccentricity": 0.95,  # 0.667 arcsec rms per unit, own share 1.00
-    "circular_spline_form": 0.5,  # 0.556 arcsec rms per unit, own share 1.00
-    "coupling_misalignment": 0.36,  # 0.737 arcsec rms per unit, own share 0.97
-    "bearing_passage": 0.35,  # 0.712 arcsec rms per unit, own share 1.00
-    "circular_spline_pitch": 0.11,  # 3.04 arcsec rms per unit, own share 0.89
-    "flexspline_pitch": 0.11,  # 3.02 arcsec rms per unit, own share 1.00
-    "tooth_damage": 5,  # 0.0592 arcsec rms per unit, own share 0.87
-    "wear_backlash": 0.78,  # 6.44 arcsec rms per unit, own share 0.05
-    "torsional_hardening": 0.19,  # 32.8 arcsec rms per unit, own share 0.05
-    "hysteresis": 0.9,  # 0.831 arcsec rms per unit, own share 0.91
-    "coulomb_windup": 0.65,  # 1 arcsec rms per unit, own share 0.96
-    "viscous_windup": 1.3,  # 0.54 arcsec rms per unit, own share 0.93
-    "input_encoder_eccentricity": 0.38,  # 0.707 arcsec rms per unit, own share 0.95
-    "encoder_interpolation": 0.35,  # 0.708 arcsec rms per unit, own share 1.00
-    "stream_delay": 5.3,  # 0.134 arcsec rms per unit, own share 0.93
-    "thermal_drift": 0.33,  # 2.08 arcsec rms per unit, own share 0.93
-    "torque_offset": 0.19,  # 1.56 arcsec rms per unit, own share 0.93
-    "strange_order": 0.36,  # 0.706 arcsec rms per unit, own share 1.00
-    "one_sided_ripple": 0.37,  # 0.683 arcsec rms per unit, own share 1.00
-    "cogging": 0.34,  # 0.751 arcsec rms per unit, own share 1.00
-    "belt_creep": 2.6,  # 0.272 arcsec rms per unit, own share 0.98
-    "encoder_sector": 5.2,  # 0.0994 arcsec rms per unit, own share 1.00
-    "floor_vibration": 0.35,  # 0.707 arcsec rms per unit, own share 1.00
-    "even_torque": 1,  # 0.637 arcsec rms per unit, own share 0.95
-    "output_order": 1.3,  # 0.443 arcsec rms per unit, own share 1.00
-    "loose_hub": 0.82,  # 0.844 arcsec rms per unit, own share 0.99
-    "unbalance": 0.2,  # 1.28 arcsec rms per unit, own share 1.00
-}
 
 
 def whitened(x: Array) -> Array:
@@ -92,9 +69,7 @@ def least(signal: Array, columns: Array) -> tuple[float, float]:
 
 
 def main(drives: int = 2) -> None:
-    """Print LEAST, and the rms at the output of each cause per unit of its amplitude."""
-    from challenge.families import FAULTS, UNKNOWN
-
+    """Print the least sizes, and the rms at the output of each cause per unit of its amplitude."""
     found: dict[str, list[tuple[float, float, float]]] = {}
     for seed in range(drives):
         rng = np.random.default_rng([seed, 1])
@@ -113,7 +88,7 @@ def main(drives: int = 2) -> None:
         worst = max(e[0] for e in each)
         rms, share = np.median([e[1:] for e in each], axis=0)
         line = f'    "{name}": {worst:.2g},  # {rms:.3g} arcsec rms per unit, own share {share:.2f}'
-        print(line, flush=True)  # noqa: T201
+        print(line, flush=True)
 
 
 if __name__ == "__main__":
