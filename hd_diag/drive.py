@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.arrays import Floats
+from hd_diag.arrays import Floats, Integers
 from hd_diag.model import compiled
 from hd_diag.model.clearance import all_teeth
 from hd_diag.model.load_sharing import forces
@@ -188,46 +188,63 @@ def transmission_error(
 
 
 class Drives:
-    """Several drives side by side, one value each: what :func:`transmission_error` gives, to the last bit.
+    """Several drives: what :func:`transmission_error` gives for each, to the last bit.
 
     Parameters
     ----------
     drives : sequence of Drive
         The k drives.
-
-    Attributes
-    ----------
-    frame : Frame of ndarray, shape (k,)
     """
 
     def __init__(self, drives: Sequence[Drive]) -> None:
         self._meshes = [drive.mesh for drive in drives]
-        self.frame = Frame(*map(np.array, zip(*(astuple(drive.frame) for drive in drives), strict=True)))
+        self._columns = np.array([astuple(drive.frame) for drive in drives]).T
+        self._numbers = np.arange(len(drives) + 1)
 
     def transmission_error(
-        self, input_angle: Floats, torque: Floats, tables: Sequence[TorsionMap | None]
+        self, number: Integers, input_angle: Floats, torque: Floats, tables: Sequence[TorsionMap | None]
     ) -> Floats:
-        """Predicted transmission error.
+        """Predicted transmission error of samples of any of the drives.
 
         Parameters
         ----------
-        input_angle, torque : ndarray, shape (k,)
+        number : ndarray of int64, shape (n,)
+            Of the sample's drive, 0 to k - 1.
+        input_angle, torque : ndarray, shape (n,)
             As reported [rad]; what the drives exert on their links [N m].
         tables : sequence of k TorsionMap or None
             Maps of the drives' meshes.
 
         Returns
         -------
-        ndarray, shape (k,)
+        ndarray, shape (n,)
             [rad]
         """
-        angle, cup_torque = self.frame.wave_generator_angle(input_angle), self.frame.cup_torque(torque)
-        beta = np.full(angle.shape, np.nan)
-        for row, table in enumerate(tables):
-            if table is not None:
-                table.read(angle, cup_torque, beta, row)
-        if math.isnan(beta.sum()):
-            for row in np.flatnonzero(np.isnan(beta)).tolist():
-                at = slice(row, row + 1)
-                beta[at] = torsion(self._meshes[row], angle[at], cup_torque[at])
-        return self.frame.transmission_error(beta, torque)
+        frame = self._frame(number)
+        order = np.argsort(number, kind="stable")
+        turn = frame.wave_generator_angle(input_angle).take(order)
+        cup_torque = frame.cup_torque(torque).take(order)
+        found, beta = np.full(number.size, np.nan), np.empty(number.size)
+        ends = number.take(order).searchsorted(self._numbers).tolist()
+        for table, first, last in zip(tables, ends[:-1], ends[1:], strict=True):
+            if table is not None and first < last:
+                table.read(turn, cup_torque, found, first, last)
+        if math.isnan(found.sum()):
+            self._solve(number.take(order), turn, cup_torque, found)
+        beta[order] = found
+        return frame.transmission_error(beta, torque)
+
+    def measured_error(self, number: Integers, input_angle: Floats, output_angle: Floats) -> Floats:
+        """Measured error of samples [rad], shape (n,)."""
+        return self._frame(number).measured_error(input_angle, output_angle)
+
+    def _frame(self, number: Integers) -> Frame[Floats]:
+        return Frame(*self._columns.take(number, axis=1))
+
+    def _solve(self, number: Integers, turn: Floats, cup_torque: Floats, beta: Floats) -> None:
+        """Set the torsions that no map gave."""
+        missing = np.isnan(beta)
+        for mesh, drive in zip(self._meshes, self._numbers, strict=False):
+            rows = np.flatnonzero(missing & (number == drive))
+            if rows.size:
+                beta[rows] = torsion(mesh, turn[rows], cup_torque[rows])

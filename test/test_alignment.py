@@ -1,7 +1,6 @@
 """Input and output angles in messages of their own: many at once give what one at a time gives."""
 
 import random
-from collections import deque
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +16,11 @@ from hd_diag.bag import BagWriter, encode_joint_states
 from hd_diag.config.configuration import Config
 from hd_diag.messages.publications import JOINT_STATE, Encoded, encode, resolved
 from hd_diag.monitor import Monitor
-from hd_diag.monitor.joint import JointMonitor
+from hd_diag.monitor.publications import Publication
 from hd_diag.replay.map_builder import map_of
 from hd_diag.replay.recorded_monitor import Session
 from hd_diag.replay.replay import replay
-from hd_diag.streams.alignment import REMEMBERED, Inputs, Outputs, interpolated, pairs
-from hd_diag.streams.columns import JointStates, Publication
+from hd_diag.streams.columns import JointStates
 
 CONFIG = config("a", "b", array_rate=100.0, mesh_rate=30.0)
 MAPS = {joint.name: map_of(joint) for joint in CONFIG.joints}
@@ -118,8 +116,6 @@ def play(monitor: Monitor, messages: list[Message], sizes: list[int]) -> tuple[A
             rows = zip(encoded.received.tolist(), map(bytes, encoded.rows), strict=True)
             topics.setdefault(encoded.topic, []).extend(rows)
         begin, turn = begin + len(part), turn + 1
-    for joint in monitor.joints.values():
-        joint.last_rejection = ""  # of several at once it is not said which was the last
     return topics, monitor.tick(START + len(messages), START, {})
 
 
@@ -175,22 +171,6 @@ def test_an_extended_model_runs_along_both_streams(tmp_path: Any) -> None:
     once = play(Monitor(given), messages, [133])
     assert len(once[0]["~/residual"]) > 150
     assert once == play(Monitor(given), messages, [1])
-
-
-def test_clean_messages_are_taken_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is compared above is really one call for all where nothing is wrong."""
-    alone = []
-    accept = JointMonitor.accept
-
-    def counted(self: JointMonitor, *arguments: Any) -> Any:
-        alone.append(1)
-        return accept(self, *arguments)
-
-    monkeypatch.setattr(JointMonitor, "accept", counted)
-    for kind in SHAPES:
-        if kind != "at times together":
-            play(monitor_of(CONFIG, True), drawn(kind, random.Random(3), 200), [200])
-            assert not alone, kind
 
 
 def test_efforts_that_a_robot_does_not_measure_do_not_matter() -> None:
@@ -268,41 +248,3 @@ def test_topics_that_alternate_are_as_one(tmp_path: Path) -> None:
     assert outputs[0].keys() == outputs[1].keys()
     assert outputs[0] == outputs[1]
     assert len(outputs[0]["/hd_diag/residual"]) > 900
-
-
-# Pairs ---
-
-
-@hypothesis.given(seed=st.integers(0, 2**32), count=st.integers(0, 700), share=st.floats(0.0, 1.0))
-def test_pairs_are_those_of_the_walk_backwards(seed: int, count: int, share: float) -> None:
-    """Against one message at a time with a queue of each kind."""
-    chance = np.random.default_rng(seed)
-    is_input = chance.random(count) < share
-    stamp = START + np.cumsum(chance.choice([1, MS, 40 * MS], count)) + np.where(is_input, 0, -5 * MS)
-    stamp[is_input] = np.unique(stamp[is_input]) if np.unique(stamp[is_input]).size == is_input.sum() else 0
-    hypothesis.assume((np.diff(stamp[is_input]) > 0).all() and (np.diff(stamp[~is_input]) > 0).all())
-    angle, row = chance.normal(size=count), np.arange(count)
-    known: deque[tuple[int, float]] = deque(maxlen=REMEMBERED)
-    waiting: deque[tuple[int, float, float]] = deque(maxlen=REMEMBERED)
-    expected, unpaired, overflow = [], 0, False
-    for i in row.tolist():
-        if is_input[i]:
-            known.append((int(stamp[i]), float(angle[i])))
-        else:
-            overflow = overflow or len(waiting) == REMEMBERED
-            waiting.append((int(stamp[i]), float(angle[i]), 1.0))
-        while waiting and known and waiting[0][0] <= known[-1][0]:
-            at, output, _ = waiting.popleft()
-            found = interpolated(known, at)
-            unpaired += found is None
-            if found is not None:
-                expected.append((i, at, output, found))
-    given = Inputs(row[is_input], stamp[is_input], angle[is_input])
-    outputs = Outputs(row[~is_input], stamp[~is_input], angle[~is_input], np.ones(int((~is_input).sum())))
-    result = pairs([], given, [], outputs)
-    assert (result is None) == overflow
-    if result is not None:
-        columns = result.found.row, result.found.stamp, result.found.angle, result.input_angle
-        assert list(zip(*(c.tolist() for c in columns), strict=True)) == expected
-        assert result.unpaired == unpaired
-        assert result.waiting.stamp.tolist() == [entry[0] for entry in waiting]

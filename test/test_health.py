@@ -11,8 +11,8 @@ from hd_diag.drive import mesh_state, transmission_error
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor import Monitor
 from hd_diag.monitor.health import FAULT_CODES
+from hd_diag.monitor.publications import Status
 from hd_diag.replay.map_builder import map_of
-from hd_diag.streams.columns import Status
 
 NAMES = ("joint_1_motor", "joint_1")
 SECOND = 1000 * MS

@@ -24,11 +24,12 @@ from hd_diag.extended_model import ExtendedModel
 from hd_diag.messages.publications import read_string
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor import Monitor
+from hd_diag.monitor.publications import Angles
 from hd_diag.monitor.residual_orders import ORDERS, ResidualOrders
 from hd_diag.replay.map_builder import map_of
 from hd_diag.replay.recorded_monitor import Session
 from hd_diag.replay.replay import replay
-from hd_diag.streams.columns import Angles, JointStates
+from hd_diag.streams.columns import JointStates
 
 AGREEMENT = 1e-9  # [rad]
 NAMES = ("joint_1_motor", "joint_1")

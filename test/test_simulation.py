@@ -30,9 +30,9 @@ from hd_diag.model import torsion_map
 from hd_diag.model.torsion import Mesh
 from hd_diag.model.torsion_map import ARCSEC, TorsionMap
 from hd_diag.monitor import Monitor
+from hd_diag.monitor.publications import Angles
 from hd_diag.simulation import START, Motion, Noise, Samples, SimulatedJoint, bag, simulate, write_bag
 from hd_diag.simulation.joint import map_for, parts
-from hd_diag.streams.columns import Angles
 
 TURN = 2.0 * math.pi
 SECOND = 1_000_000_000

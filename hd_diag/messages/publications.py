@@ -18,7 +18,7 @@ from hd_diag.messages.encoding import (
 )
 from hd_diag.messages.markers import MARKERS, drawing, marker_array
 from hd_diag.messages.schemas import jazzy, serialize
-from hd_diag.streams.columns import Angles, Drawings, Publication, Report, Teeth
+from hd_diag.monitor.publications import Angles, Drawings, Publication, Report, ToothArrays
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 MULTI_ARRAY = "std_msgs/msg/Float64MultiArray"
@@ -54,7 +54,7 @@ def encode(publication: Publication, node: str = "/hd_diag") -> Encoded:
 
     Parameters
     ----------
-    publication : Angles, Teeth, Drawings or Report
+    publication : Angles, ToothArrays, Drawings or Report
     node : str
         Full name of the node, which diagnostics hold.
 
@@ -64,7 +64,7 @@ def encode(publication: Publication, node: str = "/hd_diag") -> Encoded:
     """
     if isinstance(publication, Angles):
         return Encoded(publication.topic, JOINT_STATE, publication.received, _joint_states(publication))
-    if isinstance(publication, Teeth):
+    if isinstance(publication, ToothArrays):
         teeth = publication.values.shape[2]
         rows = encode_float64_multiarray((("flank", 2), ("tooth", teeth)), publication.values)
         return Encoded(publication.topic, MULTI_ARRAY, publication.received, rows)

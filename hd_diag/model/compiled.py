@@ -237,11 +237,17 @@ def interpolate(table: Table, torque_limit: float, wave_generator_angle: Floats,
     return beta
 
 
-def interpolate_row(
-    table: Table, torque_limit: float, wave_generator_angle: Floats, torque: Floats, beta: Floats, row: int
+def interpolate_rows(
+    table: Table,
+    torque_limit: float,
+    wave_generator_angle: Floats,
+    torque: Floats,
+    beta: Floats,
+    first: int,
+    last: int,
 ) -> None:
-    """Set one row of the torsions [rad] as :func:`interpolate` does; all are contiguous already."""
-    _kernel().interpolate(*table, torque_limit, wave_generator_angle, torque, beta, row, row + 1)
+    """Set some of the torsions [rad] as :func:`interpolate` does; all are contiguous already."""
+    _kernel().interpolate(*table, torque_limit, wave_generator_angle, torque, beta, first, last)
 
 
 def torsion_and_gradient(

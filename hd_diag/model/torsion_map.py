@@ -90,20 +90,19 @@ class TorsionMap:
             return compiled.interpolate(self._table, self.torque_limit, wave_generator_angle, torque)
         return self._by_numpy(wave_generator_angle, torque)
 
-    def read(self, wave_generator_angle: Floats, torque: Floats, beta: Floats, row: int) -> None:
-        """Set one row of the torsions, the same as a call gives for it: for maps side by side.
+    def read(self, wave_generator_angle: Floats, torque: Floats, beta: Floats, first: int, last: int) -> None:
+        """Set some of the torsions, the same as a call gives for them: for maps one after the other.
 
         Parameters
         ----------
         wave_generator_angle, torque, beta : ndarray, shape (n,)
             theta_W [rad], M on the cup [N m], torsions [rad]; contiguous.
-        row : int
+        first, last : int
+            Rows from the first to before the last.
         """
-        if compiled.available():
-            compiled.interpolate_row(self._table, self.torque_limit, wave_generator_angle, torque, beta, row)
-        else:
-            at = slice(row, row + 1)
-            beta[at] = self._by_numpy(wave_generator_angle[at], torque[at])
+        compiled.interpolate_rows(
+            self._table, self.torque_limit, wave_generator_angle, torque, beta, first, last
+        )
 
     def _by_numpy(self, wave_generator_angle: Floats, torque: Floats) -> Floats:
         steps = self.torque.shape[0] - 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -11,8 +12,8 @@ from hd_diag.arrays import Floats
 from hd_diag.drive import MeshState, mesh_state, transmission_error
 from hd_diag.extended_model import Range
 from hd_diag.model.torsion_map import ARCSEC
-from hd_diag.monitor.joint import JointMonitor, Window
-from hd_diag.streams.columns import Status
+from hd_diag.monitor.joint import Joint, Window
+from hd_diag.monitor.publications import Status
 
 FAULT_CODES = (
     "LOG_FAILED",
@@ -31,11 +32,6 @@ _ARCMIN = 60.0 * ARCSEC
 # orders that an eccentricity causes, and coprime with the tooth numbers so that the ripple is met as well.
 _ANGLES_OF_TURN = 257
 _ANGLES_WITHOUT_MAP = 61
-_STEPS_TOGETHER = 32
-_KEPT = 0.02  # by which the steps of a sender that keeps its period differ [-]
-_OFF_MULTIPLE = 0.25  # by which a step may differ from whole periods [-]
-_SAME = 0.9  # share of steps that are alike: the period is another now
-_JUDGED_AT_LEAST = 8  # stamps, for their usual step
 _RARE = 0.05  # share of the samples that may lie outside a model's range on either side
 _MARGIN = 0.05  # of a range, by which it may be left: what was fitted does not end at once
 _KELVIN = 2.0  # the same, of a temperature [K]
@@ -43,14 +39,15 @@ _KELVIN = 2.0  # the same, of a temperature [K]
 Fault = tuple[str, int, str]
 
 
-def report(joint: JointMonitor, now: int, facts: Mapping[str, str], foreign: int) -> Status:
-    """Status of a joint; begins a new window.
+def report(joint: Joint, silence: float, facts: Mapping[str, str], foreign: int) -> Status:
+    """Status of a joint.
 
     Parameters
     ----------
-    joint : JointMonitor
-    now : int
-        Time of the report [ns].
+    joint : Joint
+        With what happened since the last report in its `window`.
+    silence : float
+        Time since its last input [s].
     facts : mapping
         ``log_state`` and ``latency_p99_us`` as the surroundings know them.
     foreign : int
@@ -61,12 +58,9 @@ def report(joint: JointMonitor, now: int, facts: Mapping[str, str], foreign: int
     Status
         With the fault code of the worst finding, and numbers in the units that their keys name.
     """
-    window, joint.window = joint.window, Window()
-    joint.missed += _missed(joint, window)
-    if joint.last_received < 0:
-        joint.last_received = now
-    silence = max(0.0, (now - joint.last_received) * 1e-9)
-    residual = _rms(window.residuals)
+    window = joint.window
+    residual = float(np.std(window.residual)) if window.residual.size > 1 else math.nan
+    mean = float(np.mean(window.residual)) if window.residual.size else math.nan
     state, turn = _mesh(joint)
     order, amplitude = _largest_order(joint)
     faults = _faults(joint, window, facts, silence, residual, state)
@@ -81,14 +75,14 @@ def report(joint: JointMonitor, now: int, facts: Mapping[str, str], foreign: int
         **_model_values(joint),
         **_mesh_values(state, turn),
         "residual_rms_arcsec": _number(residual / ARCSEC),
-        "residual_mean_arcsec": _number(_mean(window.residuals) / ARCSEC),
+        "residual_mean_arcsec": _number(mean / ARCSEC),
         "residual_order": order,
         "residual_order_amplitude_arcsec": _number(amplitude / ARCSEC),
         "sample_rate_hz": _number(_rate(window)),
         "samples": str(joint.samples),
         "samples_rejected": str(joint.rejected),
         "last_rejection": joint.last_rejection,
-        "samples_missed": str(joint.missed),
+        "samples_missed": str(joint.lost.count),
         "outputs_unpaired": str(joint.unpaired),
         "clock_jumps": str(joint.clock_jumps),
         "messages_without_joint": str(foreign),
@@ -100,7 +94,7 @@ def report(joint: JointMonitor, now: int, facts: Mapping[str, str], foreign: int
 
 
 def _faults(
-    joint: JointMonitor,
+    joint: Joint,
     window: Window,
     facts: Mapping[str, str],
     silence: float,
@@ -133,7 +127,7 @@ def _faults(
     return found
 
 
-def _largest_order(joint: JointMonitor) -> tuple[str, float]:
+def _largest_order(joint: Joint) -> tuple[str, float]:
     """The residual's largest followed order, such as ``input 2``, and its amplitude [rad]."""
     found = joint.orders.amplitudes()
     if not found:
@@ -142,7 +136,7 @@ def _largest_order(joint: JointMonitor) -> tuple[str, float]:
     return f"{frame} {order}", found[frame, order]
 
 
-def _model_faults(joint: JointMonitor, window: Window, order: str, amplitude: float) -> list[Fault]:
+def _model_faults(joint: Joint, window: Window, order: str, amplitude: float) -> list[Fault]:
     """What an extended model adds: its valid range, and orders that have grown since it was fitted."""
     model = joint.config.model
     if model is None:
@@ -151,8 +145,8 @@ def _model_faults(joint: JointMonitor, window: Window, order: str, amplitude: fl
     found: list[Fault] = [
         ("OUT_OF_RANGE", 1, f"outside the model's valid range: {text}")
         for text in (
-            _outside("torque", window.torques, ranges.torque, _margin(ranges.torque), "N m"),
-            _outside("speed", window.speeds, ranges.speed, _margin(ranges.speed), "rad/s"),
+            _outside("torque", window.torque, ranges.torque, _margin(ranges.torque), "N m"),
+            _outside("speed", window.speed, ranges.speed, _margin(ranges.speed), "rad/s"),
             _temperature_outside(joint, ranges.temperature, "temperature" in model.needs),
         )
         if text
@@ -166,9 +160,8 @@ def _margin(limits: Range) -> float:
     return _MARGIN * max(limits.high - limits.low, abs(limits.low), abs(limits.high))
 
 
-def _outside(name: str, parts: list[Floats], limits: Range, margin: float, unit: str) -> str:
+def _outside(name: str, values: Floats, limits: Range, margin: float, unit: str) -> str:
     """How a quantity left its range since the last report; single samples are noise. Empty if it did not."""
-    values = np.concatenate(parts) if parts else np.empty(0)
     values = values[np.isfinite(values)]
     if not values.size:
         return ""
@@ -178,14 +171,14 @@ def _outside(name: str, parts: list[Floats], limits: Range, margin: float, unit:
     return "" if inside else f"{name} {worst:.3g}, not {limits.low:.3g} to {limits.high:.3g} {unit}"
 
 
-def _temperature_outside(joint: JointMonitor, limits: Range | None, needed: bool) -> str:
+def _temperature_outside(joint: Joint, limits: Range | None, needed: bool) -> str:
     if np.isnan(joint.temperature):
         return "temperature is not reported" if needed else ""
-    now = [np.array([joint.temperature])]
+    now = np.array([joint.temperature])
     return _outside("temperature", now, limits, _KELVIN, "degC") if limits else ""
 
 
-def _model_values(joint: JointMonitor) -> dict[str, str]:
+def _model_values(joint: Joint) -> dict[str, str]:
     config = joint.config
     if config.model is None:
         return {"model": "", "model_effects": ""}
@@ -196,7 +189,7 @@ def _model_values(joint: JointMonitor) -> dict[str, str]:
     }
 
 
-def _mesh_faults(joint: JointMonitor, state: MeshState) -> list[Fault]:
+def _mesh_faults(joint: Joint, state: MeshState) -> list[Fault]:
     limits = joint.config.limits
     overlap, peak = float(state.overlap[0]), float(state.peak_load[0])
     concentration = float(state.load_concentration[0])
@@ -211,7 +204,7 @@ def _mesh_faults(joint: JointMonitor, state: MeshState) -> list[Fault]:
     ]
 
 
-def _mesh(joint: JointMonitor) -> tuple[MeshState | None, Floats]:
+def _mesh(joint: Joint) -> tuple[MeshState | None, Floats]:
     """Teeth at the last sample, and the predicted error over one wave generator turn at its torque [rad]."""
     if joint.last is None:
         return None, np.array([np.nan])
@@ -223,7 +216,7 @@ def _mesh(joint: JointMonitor) -> tuple[MeshState | None, Floats]:
     return state, transmission_error(drive, turn, np.repeat(torque, count), joint.table)
 
 
-def _configuration_values(joint: JointMonitor) -> dict[str, str]:
+def _configuration_values(joint: Joint) -> dict[str, str]:
     drive = joint.config.drive
     angle, torque = joint.last if joint.last else (np.nan, np.nan)
     return {
@@ -260,71 +253,9 @@ def _number(value: float) -> str:
     return f"{float(value):.6g}"
 
 
-def _rms(parts: list[Floats]) -> float:
-    """Root mean square about the mean [rad], nan of fewer than two: the encoders' zero is nobody's fault."""
-    values = np.concatenate(parts) if parts else np.empty(0)
-    return float(np.std(values)) if values.size > 1 else float("nan")
-
-
-def _mean(parts: list[Floats]) -> float:
-    values = np.concatenate(parts) if parts else np.empty(0)
-    return float(np.mean(values)) if values.size else float("nan")
-
-
 def _rate(window: Window) -> float:
     """Samples per second by their stamps [Hz]."""
-    if window.accepted < 2 or not window.stamps:
+    if window.accepted < 2 or window.stamps.size < 2:
         return 0.0
-    span = int(window.stamps[-1][-1]) - int(window.stamps[0][0])
-    return (window.accepted - 1) / (span * 1e-9) if span > 0 else float("nan")
-
-
-def _missed(joint: JointMonitor, window: Window) -> int:
-    """Samples that the stamps say were lost: jitter adds and takes away steps, a loss only adds.
-
-    Judged from the last stamp that was judged before, and once there are enough of them. Those that could not
-    be used are told apart. What a sender makes up for after a report was not lost: it is taken back.
-    """
-    stamps = joint.unjudged + window.stamps
-    joint.unjudged = stamps
-    if sum(part.size for part in stamps) < _JUDGED_AT_LEAST:
-        return 0
-    together = np.concatenate(stamps)
-    joint.unjudged = [together[-1:]]
-    steps = np.diff(together).astype(np.float64)
-    steps = steps[steps > 0.0]  # a clock that was set back
-    usual = joint.usual_step = _known_step(steps, joint.usual_step) or _usual_step(steps)
-    if usual <= 0.0:
-        return 0
-    long = np.sum(np.rint(steps[steps > 1.5 * usual] / usual) - 1.0)
-    net = np.rint(np.sum(steps) / usual) - steps.size
-    lost = max(0, int(min(long, net)) - window.rejected)
-    made_up = min(joint.missed_lately, max(0, -int(net)), int(np.count_nonzero(steps < 0.5 * usual)))
-    joint.missed_lately = lost
-    return lost - made_up
-
-
-def _known_step(steps: Floats, known: float) -> float:
-    """The period known so far [ns], where a reader that falls behind lets samples of it through; else 0.
-
-    Then most samples may be lost: nearly all steps are multiples of the period, and not all the same.
-    """
-    if known <= 0.0 or 2 * np.count_nonzero(steps > 1.5 * known) <= steps.size:
-        return 0.0
-    multiples = np.rint(steps / known)
-    whole = np.abs(steps / known - multiples) < _OFF_MULTIPLE
-    _, counts = np.unique(multiples, return_counts=True)
-    return known if counts.max() < _SAME * steps.size and float(np.mean(whole)) > _SAME else 0.0
-
-
-def _usual_step(steps: Floats) -> float:
-    """Period of a sender [ns]: over several steps, for one that makes up for its delays has short ones."""
-    if not steps.size:
-        return 0.0
-    span = max(1, min(_STEPS_TOGETHER, steps.size // 2))
-    time = np.concatenate(([0.0], np.cumsum(steps)))
-    usual = float(np.median(time[span:] - time[:-span])) / span
-    # With many losses there is one in most spans; where the sender keeps its period a single step tells it.
-    single = float(np.median(steps))
-    is_kept = np.mean(np.abs(steps - single) < _KEPT * single) > 0.5
-    return single if is_kept and single > 0.5 * usual else usual
+    span = int(window.stamps[-1] - window.stamps[0])
+    return (window.accepted - 1) / (span * 1e-9) if span > 0 else math.nan

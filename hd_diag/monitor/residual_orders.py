@@ -23,15 +23,22 @@ class ResidualOrders:
 
     What comes of samples depends on their sequence alone, to the last bit, however many come at once: those
     in motion are taken in blocks of one size.
+
+    Attributes
+    ----------
+    sums : (ndarray, ndarray)
+        Normal equations of all whole blocks.
+    last : (int, float) or None
+        Stamp [ns] and input angle [rad] of the last sample.
+    moving : ndarray, shape (n, 4)
+        Samples in motion that make no whole block yet.
     """
 
     def __init__(self) -> None:
         count = 1 + 2 * len(ORDERS)
-        self._sums = np.zeros((count, count)), np.zeros(count)
-        self._last: tuple[np.int64, np.float64] | None = None
-        self._arrived: list[tuple[Times, Floats, Floats, Floats]] = []
-        self._moving = np.empty((0, 4))
-        self._count = 0
+        self.sums = np.zeros((count, count)), np.zeros(count)
+        self.last: tuple[int, float] | None = None
+        self.moving = np.empty((0, 4))
 
     def add(self, stamp: Times, input_angle: Floats, output_angle: Floats, residual: Floats) -> None:
         """Take samples; those at rest and those without a residual are left out.
@@ -45,15 +52,23 @@ class ResidualOrders:
         residual : ndarray, shape (n,)
             [rad]
         """
-        self._arrived.append((stamp, input_angle, output_angle, residual))
-        self._count += stamp.size
-        if self._count >= _BLOCK:
-            self._take()
+        if not stamp.size:
+            return
+        before, angle = self.last or (int(stamp[0]), float(input_angle[0]))
+        self.last = int(stamp[-1]), float(input_angle[-1])
+        step = np.minimum(np.diff(stamp, prepend=before) * 1e-9, _LONGEST_STEP)
+        turned = np.abs(np.diff(input_angle, prepend=angle))
+        used = (step > 0.0) & (turned > _SLOWEST * step) & np.isfinite(residual)
+        rows = np.stack((step, input_angle, output_angle, residual), axis=1)[used]
+        rows = np.concatenate((self.moving, rows))
+        end = len(rows) - len(rows) % _BLOCK
+        for begin in range(0, end, _BLOCK):
+            self.sums = _with(*self.sums, rows[begin : begin + _BLOCK])
+        self.moving = rows[end:]
 
     def amplitudes(self) -> dict[tuple[str, int], float]:
         """Amplitude of every order that the motion shows apart from the others [rad]."""
-        self._take()
-        gram, moment = _with(*self._sums, self._moving)
+        gram, moment = _with(*self.sums, self.moving)
         weight = float(gram[0, 0])
         if weight < _LEAST_SAMPLES:
             return {}
@@ -68,23 +83,6 @@ class ResidualOrders:
             ORDERS, information > _LEAST_INFORMATION, np.hypot(found[cosine], found[sine]), strict=True
         )
         return {order: float(amplitude) for order, apart, amplitude in known if apart}
-
-    def _take(self) -> None:
-        """Find the samples in motion among those that have arrived, and take whole blocks of them."""
-        if not self._count:
-            return
-        stamp, angle, output, residual = map(np.concatenate, zip(*self._arrived, strict=True))
-        self._arrived, self._count = [], 0
-        first = self._last or (stamp[0], angle[0])
-        self._last = stamp[-1], angle[-1]
-        step = np.minimum(np.diff(stamp, prepend=first[0]) * 1e-9, _LONGEST_STEP)
-        turned = np.abs(np.diff(angle, prepend=first[1]))
-        used = (step > 0.0) & (turned > _SLOWEST * step) & np.isfinite(residual)
-        rows = np.concatenate((self._moving, np.stack((step, angle, output, residual), axis=1)[used]))
-        end = len(rows) - len(rows) % _BLOCK
-        for begin in range(0, end, _BLOCK):
-            self._sums = _with(*self._sums, rows[begin : begin + _BLOCK])
-        self._moving = rows[end:]
 
 
 def _with(gram: Floats, moment: Floats, rows: Floats) -> tuple[Floats, Floats]:

@@ -27,8 +27,9 @@ from hd_diag.messages.publications import (
 from hd_diag.model.torsion import Mesh
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.monitor import Monitor
+from hd_diag.monitor.publications import Publication
 from hd_diag.replay import versions
-from hd_diag.streams.columns import JointStates, Publication
+from hd_diag.streams.columns import JointStates
 
 EVENTS = "~/events"
 """Topic of the events in a log: std_msgs/String with one JSON object, key ``event``."""

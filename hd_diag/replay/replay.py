@@ -181,7 +181,7 @@ class _Run:
             self._writer.message_count,
             self._reader.duration,
             {name: joint.rejected for name, joint in joints.items()},
-            {name: joint.missed for name, joint in joints.items()},
+            {name: joint.lost.count for name, joint in joints.items()},
             {name: joint.last_rejection for name, joint in joints.items()},
             self._problems,
             tuple(name for name, joint in joints.items() if joint.samples),

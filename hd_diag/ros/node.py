@@ -30,7 +30,6 @@ from hd_diag.drive import mesh_state, transmission_error
 from hd_diag.messages.publications import INPUT, JOINT_STATE, TEMPERATURE, temperature_topic
 from hd_diag.model.torsion import limited_curves, torsion_table
 from hd_diag.model.torsion_map import ARCSEC, TorsionMap
-from hd_diag.monitor.joint import CLOCK_JUMP
 from hd_diag.replay.map_builder import MapBuilder
 from hd_diag.replay.recorded_monitor import Session
 from hd_diag.ros.arguments import check_arguments, parameter_files, reason
@@ -39,6 +38,7 @@ from hd_diag.ros.parameter_server import ParameterServer
 from hd_diag.ros.publishing import Publishing
 from hd_diag.ros.stop_signals import ignore_signals, note_signals
 from hd_diag.ros.subscriptions import INPUT_DEPTH, JointStateInput, subscribe_temperature
+from hd_diag.streams.alignment import CLOCK_JUMP
 
 _QOS = Qos(depth=INPUT_DEPTH)
 _LOOP_PERIOD = 0.05  # longest sleep between looks at the clock, the log and finished maps [s]

@@ -1,145 +1,331 @@
-"""Output angles that arrive apart from the input: each is compared with the input at its own stamp."""
+"""Messages of joints to aligned samples, live and offline: the rules for clocks, pairs and torques.
+
+* **Stamps rise.** A stamp that repeats the last, or is at most `CLOCK_JUMP` before it, is late: refused. One
+  further back is of a clock that was set back: the joint's stream begins anew (a new `stretch`), and nothing
+  of before is used with what comes after.
+* **Pairs.** Input and output angle of one message belong together. An output angle that comes apart waits for
+  the input angle at its own stamp: interpolated between two inputs that are at most `PAIRING_GAP` apart.
+* **Torque.** Of a sample it is the last one reported up to there, and only if that one's stamp is at most
+  `LONGEST_HOLD` away; else it is not known. Live the configured torque then stands for it. Offline, where the
+  next one is known too, `torque_between` interpolates between reported torques at most as far apart.
+* **What is not measured** is often reported as nan: then it counts as not reported, until a number comes.
+  Other values that are none, and those beyond `LARGEST_ANGLE` and `LARGEST_TORQUE`, refuse the sample.
+
+What comes out depends on the sequence of rows alone, to the last bit, however many come at once.
+"""
 
 from __future__ import annotations
 
-from collections import deque
+import functools
+import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from enum import IntEnum, IntFlag
+from types import ModuleType
+from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from hd_diag.arrays import Floats, Times
+from hd_diag.arrays import Bytes, Floats, Integers, Times
+from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TORQUE, JointStates
+
+CLOCK_JUMP = 1_000_000_000
+"""A stamp this far behind the last one is a clock set back, not a late sample [ns]."""
+
+PAIRING_GAP = 50_000_000
+"""An input angle is interpolated over at most this time [ns]."""
+
+LONGEST_HOLD = 200_000_000
+"""A reported torque stands for at most this time [ns]."""
 
 REMEMBERED = 256
 """Input samples kept for output angles that arrive later, and output angles that may wait for an input."""
 
-# An output angle is compared with an input angle interpolated over at most this time [ns].
-_GAP = 50_000_000
+NEVER = -(2**62)
+"""Before every stamp [ns]."""
 
-Input = tuple[int, float]
-Output = tuple[int, float, float]
-
-
-class Inputs(NamedTuple):
-    """Input angles by rising stamp: position of the message, stamp [ns], angle [rad], each (n,)."""
-
-    row: Times
-    stamp: Times
-    angle: Floats
+_LAYOUTS = 64  # of messages, whose columns are remembered
+_NOTHING = np.zeros((1, 1))
 
 
-class Outputs(NamedTuple):
-    """Output angles by rising stamp: position of the message, stamp [ns], angle [rad], torque [N m], (n,)."""
+class Given(IntFlag):
+    """What a row of a joint gives; `NAMED` where the message names the joint at all."""
 
-    row: Times
-    stamp: Times
-    angle: Floats
-    torque: Floats
-
-    def part(self, rows: npt.NDArray[np.bool_] | slice) -> Outputs:
-        """Some of them."""
-        return Outputs(self.row[rows], self.stamp[rows], self.angle[rows], self.torque[rows])
+    INPUT = 1
+    OUTPUT = 2
+    TORQUE = 4
+    SPEED = 8
+    NAMED = 16
 
 
-class Pairs(NamedTuple):
-    """What becomes of output angles.
+class Reason(IntEnum):
+    """Why a row is refused; `OTHER` has a text of its own."""
+
+    OTHER = 0
+    NAMELESS = 1
+    INPUT = 2
+    OUTPUT = 3
+    TORQUE = 4
+    LATE_INPUT = 5
+    LATE_OUTPUT = 6
+
+
+JOINT = np.dtype(
+    [
+        *((name, np.int64) for name in ("input_stamp", "output_stamp", "torque_stamp", "heard", "stretch")),
+        *((name, np.int64) for name in ("inputs", "first", "waiting", "output_seen")),
+        *((name, np.int64) for name in ("samples", "rejected", "unpaired", "clock_jumps")),
+        *((name, np.int64) for name in ("reason", "reason_late")),
+        *((name, np.float64) for name in ("reason_value", "torque", "assumed_torque", "farthest")),
+        *((name, np.float64) for name in ("angle", "load")),
+    ]
+)
+"""State of one joint: stamps [ns], when an input was last heard [ns], number of its stream, places in rings,
+counters, the last refusal, torque reported and assumed [N m], farthest input angle [rad]; input angle and
+torque of the last sample."""
+
+INPUT = np.dtype([("stamp", np.int64), ("angle", np.float64)])
+OUTPUT = np.dtype(
+    [("stamp", np.int64), ("torque_stamp", np.int64), ("angle", np.float64), ("torque", np.float64)]
+)
+
+
+class Names(NamedTuple):
+    """Names of a joint's input and output in messages, and the torque where none is known [N m]."""
+
+    input_joint: str
+    output_joint: str
+    torque: float = math.nan
+
+
+class Aligned(NamedTuple):
+    """Samples of joints, in the order of the messages that gave them, each column (m,).
 
     Attributes
     ----------
-    found : Outputs
-        Those with an input, at the position of the message that made the pair complete.
-    input_angle : ndarray
-        Interpolated to their stamps [rad].
-    unpaired : int
-        Those whose input is too far away or forgotten.
-    waiting : Outputs
-        Those for which no input is late enough yet.
+    row : ndarray of int64
+        Position of the message that made the sample complete, among those taken together.
+    joint : ndarray of int64
+        Number of the joint.
+    stamp, torque_stamp : ndarray of int64
+        Of the sample; of the reported torque [ns].
+    stretch : ndarray of int64
+        Number of the joint's stream: another one after its clock was set back.
+    paired : ndarray of int64
+        1 where the output angle came apart from the input, which had a sample at its own stamp; else 0.
+    input_angle, output_angle : ndarray
+        [rad]; output nan where none is reported.
+    torque : ndarray
+        On the link, reported or assumed [N m].
+    speed : ndarray
+        Of the input [rad/s]; nan where it is not reported.
     """
 
-    found: Outputs
+    row: Times
+    joint: Integers
+    stamp: Times
+    torque_stamp: Times
+    stretch: Integers
+    paired: Integers
     input_angle: Floats
-    unpaired: int
-    waiting: Outputs
+    output_angle: Floats
+    torque: Floats
+    speed: Floats
+
+    def part(self, rows: Any) -> Aligned:
+        """Some of the samples."""
+        return Aligned(*(column[rows] for column in self))
 
 
-def interpolated(inputs: deque[Input], stamp: int) -> float | None:
-    """Input angle at a stamp between two samples not too far apart; None outside."""
-    later: Input | None = None
-    for time, angle in reversed(inputs):
-        if time == stamp:
-            return angle
-        if time < stamp:
-            if later is None or later[0] - time > _GAP:
-                return None
-            return angle + (later[1] - angle) * ((stamp - time) / (later[0] - time))
-        later = time, angle
-    return None
+class _Columns(NamedTuple):
+    """Where values of k joints are in messages of one layout, (4 k,), what is given (1, k), if anything."""
+
+    place: Integers
+    given: Bytes
+    is_foreign: bool
 
 
-def pairs(
-    known: Sequence[Input], inputs: Inputs, waiting: Sequence[Output], outputs: Outputs
-) -> Pairs | None:
-    """The same for many messages at once, to the last bit.
+class Alignment:
+    """Streams of joints.
 
     Parameters
     ----------
-    known : sequence of (int, float)
-        Earlier inputs: stamp [ns], angle [rad]; the last `REMEMBERED` of them.
-    inputs : Inputs
-        Later than the known ones.
-    waiting : sequence of (int, float, float)
-        Earlier outputs later than the known inputs: stamp [ns], angle [rad], torque [N m].
-    outputs : Outputs
-        Later than those that wait.
+    names : sequence of k Names
+    remembered : int, optional
+        Inputs that are kept for outputs, and outputs that may wait, of each joint.
+
+    Attributes
+    ----------
+    joints : ndarray of JOINT, shape (k,)
+        What is known of each.
+    foreign : int
+        Messages that name none of the joints.
+    """
+
+    def __init__(self, names: Sequence[Names], remembered: int = REMEMBERED) -> None:
+        self._names = list(names)
+        self.joints = np.zeros(len(names), JOINT)
+        self.joints["heard"] = -1
+        self._texts = [""] * len(names)
+        self._inputs = np.zeros((len(names), remembered), INPUT)
+        self._waiting = np.zeros((len(names), remembered), OUTPUT)
+        self._columns: dict[Any, _Columns] = {}
+        self.foreign = 0
+        self.joints["assumed_torque"] = [each.torque for each in names]
+        kernel().begin_after(self.joints, NEVER - 1)
+
+    def configure(self, number: int, names: Names) -> None:
+        """Let a joint have other names, with which its stream begins anew, or another assumed torque."""
+        before, self._names[number] = self._names[number], names
+        self.joints["assumed_torque"][number] = names.torque
+        if names[:2] != before[:2]:
+            self._columns.clear()
+            kernel().begin_after(self.joints[number : number + 1], NEVER - 1)
+
+    def take(self, heard: Times, shapes: Sequence[JointStates]) -> Aligned:
+        """Aligned samples that messages complete.
+
+        Parameters
+        ----------
+        heard : ndarray of int64, shape (n,)
+            When each arrived [ns].
+        shapes : sequence of JointStates
+            The messages of each layout; their `row` are positions in `heard`.
+
+        Returns
+        -------
+        Aligned
+        """
+        stamp, values, given = self._rows(heard.size, shapes)
+        rings = self.joints, self._inputs, self._waiting
+        whole, found = kernel().align(stamp, heard, values, given, *rings)
+        return Aligned(*whole, *found)
+
+    def clock_set_back(self, stamp: int) -> None:
+        """Let joints whose last stamp is later than one [ns] begin anew: the clock was set back."""
+        before = self.joints["stretch"].copy()
+        kernel().begin_after(self.joints, stamp)
+        self.joints["clock_jumps"] += self.joints["stretch"] - before
+
+    def reject(self, number: int, reason: str) -> None:
+        """Count a sample of a joint that cannot be used."""
+        self.joints["rejected"][number] += 1
+        self.joints["reason"][number] = Reason.OTHER
+        self._texts[number] = reason
+
+    def last_rejection(self, number: int) -> str:
+        """Why the last sample of a joint that was refused could not be used; empty if there was none."""
+        joint, names = self.joints[number], self._names[number]
+        value, late = joint["reason_value"], int(joint["reason_late"])
+        match Reason(joint["reason"]):
+            case Reason.NAMELESS:
+                return "the message names the joint and gives no position of it"
+            case Reason.INPUT:
+                return _bad_value(f"input angle of {names.input_joint}", value, LARGEST_ANGLE, "rad")
+            case Reason.OUTPUT:
+                return _bad_value(f"output angle of {names.output_joint}", value, LARGEST_ANGLE, "rad")
+            case Reason.TORQUE:
+                return _bad_value(f"effort of {names.output_joint}", value, LARGEST_TORQUE, "N m")
+            case Reason.LATE_INPUT:
+                return _late(names.input_joint, late)
+            case Reason.LATE_OUTPUT:
+                return _late(names.output_joint, late)
+        return self._texts[number]
+
+    def _rows(self, count: int, shapes: Sequence[JointStates]) -> tuple[Times, Floats, Bytes]:
+        """Stamps (n,), values (n, k, 4) and what is given (n, k)."""
+        if len(shapes) == 1 and shapes[0].stamp.size == count:
+            states = shapes[0]
+            columns = self._columns_of(states)
+            given = columns.given if count == 1 else np.repeat(columns.given, count, axis=0)
+            return states.stamp, self._values(states, columns), given
+        stamp, given = np.zeros(count, np.int64), np.zeros((count, self.joints.size), np.uint8)
+        values = np.zeros((count, self.joints.size, 4))
+        for states in shapes:
+            columns = self._columns_of(states)
+            stamp[states.row], given[states.row] = states.stamp, columns.given
+            values[states.row] = self._values(states, columns)
+        return stamp, values, given
+
+    def _values(self, states: JointStates, columns: _Columns) -> Floats:
+        nothing = _NOTHING if states.stamp.size == 1 else np.zeros((states.stamp.size, 1))
+        blocks = [block for block in states[4:] if block is not None]
+        joined = np.concatenate([nothing, *blocks], axis=1)
+        return joined.take(columns.place, axis=1).reshape(-1, self.joints.size, 4)
+
+    def _columns_of(self, states: JointStates) -> _Columns:
+        _, _, names, _, position, velocity, effort = states
+        key = names, position is None, velocity is None, effort is None
+        found = self._columns.get(key)
+        if found is None:
+            if len(self._columns) >= _LAYOUTS:
+                self._columns.clear()
+            found = self._columns[key] = self._find(states)
+        if found.is_foreign:
+            self.foreign += states.stamp.size
+        return found
+
+    def _find(self, states: JointStates) -> _Columns:
+        columns = {name: column for column, name in enumerate(states.names)}
+        begins, width = [], 1
+        for block in states[4:]:
+            begins.append(None if block is None else width)
+            width += 0 if block is None else len(columns)
+        position, velocity, effort = begins
+        place = np.zeros((len(self._names), 4), np.int64)
+        given = np.zeros((1, len(self._names)), np.uint8)
+        for number, names in enumerate(self._names):
+            own, out = columns.get(names.input_joint), columns.get(names.output_joint)
+            given[0, number] = 0 if own is None and out is None else Given.NAMED
+            wanted = (own, position), (out, position), (out, effort), (own, velocity)
+            for kind, (column, begin) in enumerate(wanted):
+                if column is not None and begin is not None:
+                    place[number, kind] = begin + column
+                    given[0, number] |= 1 << kind
+        return _Columns(place.reshape(-1), given, not given.any())
+
+
+def torque_between(aligned: Aligned) -> Floats:
+    """Torque of one joint's samples where the next reported one is known as well: interpolated.
+
+    Parameters
+    ----------
+    aligned : Aligned
+        Of one joint, stamps rising in each stretch.
 
     Returns
     -------
-    Pairs or None
-        None where more outputs would have to wait than can be.
+    ndarray, shape (m,)
+        [N m]; nan where none is reported nearby. See the rules of this module.
     """
-    inputs, outputs = _after(known, inputs), _outputs_after(waiting, outputs)
-    later = np.searchsorted(inputs.stamp, outputs.stamp)
-    complete = later < inputs.stamp.size
-    ready, later = outputs.part(complete), later[complete]
-    row = np.maximum(ready.row, inputs.row[later])
-    before = np.arange(outputs.row.size) - np.searchsorted(row, outputs.row)
-    if np.any((before >= REMEMBERED) & (outputs.row >= 0)):
-        return None
-    oldest = np.maximum(np.searchsorted(inputs.row, row, side="right") - REMEMBERED, 0)
-    exact = inputs.stamp[later] == ready.stamp
-    earlier = np.where(exact, later, later - 1)
-    near = (earlier >= oldest) & (inputs.stamp[later] - inputs.stamp[earlier] <= _GAP)
-    found, later, earlier = ready._replace(row=row).part(near), later[near], earlier[near]
-    angle = _between(inputs, earlier, later, found.stamp)
-    return Pairs(found, angle, int(near.size - angle.size), outputs.part(~complete))
+    torque = aligned.torque.copy()
+    for stretch in np.unique(aligned.stretch[aligned.torque_stamp != aligned.stamp]):
+        rows = np.flatnonzero((aligned.stretch == stretch) & np.isfinite(aligned.torque))
+        if not rows.size:
+            continue
+        known, first = np.unique(aligned.torque_stamp[rows], return_index=True)
+        value, stamp = aligned.torque[rows[first]], aligned.stamp[rows]
+        after = np.minimum(np.searchsorted(known, stamp), known.size - 1)
+        before = np.maximum(after - 1, 0)
+        near = (known[before] < stamp) & (stamp < known[after])
+        near &= known[after] - known[before] <= LONGEST_HOLD
+        origin = known[0]
+        between = np.interp((stamp - origin) * 1e-9, (known - origin) * 1e-9, value)
+        torque[rows[near]] = between[near]
+    return torque
 
 
-def _between(inputs: Inputs, earlier: Times, later: Times, stamp: Times) -> Floats:
-    start, angle = inputs.stamp[earlier], inputs.angle[earlier]
-    length = np.maximum(inputs.stamp[later] - start, 1)  # where the stamps agree nothing is added
-    share = (stamp - start).astype(np.float64) / length.astype(np.float64)
-    return np.where(earlier == later, angle, angle + (inputs.angle[later] - angle) * share)
+@functools.cache
+def kernel() -> ModuleType:
+    """What is compiled, imported when first needed."""
+    from hd_diag.streams import kernel as compiled
+
+    return compiled
 
 
-def _after(known: Sequence[Input], inputs: Inputs) -> Inputs:
-    if not known:
-        return inputs
-    stamp, angle = zip(*known, strict=True)
-    return Inputs(
-        np.concatenate((np.full(len(known), -1), inputs.row)),
-        np.concatenate((np.array(stamp, np.int64), inputs.stamp)),
-        np.concatenate((np.array(angle), inputs.angle)),
-    )
+def _bad_value(what: str, value: float, largest: float, unit: str) -> str:
+    return f"{what} is {value:g}" + (f" {unit}, beyond {largest:g}" if math.isfinite(value) else "")
 
 
-def _outputs_after(waiting: Sequence[Output], outputs: Outputs) -> Outputs:
-    if not waiting:
-        return outputs
-    stamp, angle, torque = zip(*waiting, strict=True)
-    return Outputs(
-        np.concatenate((np.full(len(waiting), -1), outputs.row)),
-        np.concatenate((np.array(stamp, np.int64), outputs.stamp)),
-        np.concatenate((np.array(angle), outputs.angle)),
-        np.concatenate((np.array(torque), outputs.torque)),
-    )
+def _late(name: str, late: int) -> str:
+    what = f"is {late / 1e9:.6f} s before the last" if late else "repeats the last"
+    return f"stamp of {name} {what}"

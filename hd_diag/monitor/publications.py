@@ -1,0 +1,170 @@
+"""What leaves a monitor: angles, per-tooth arrays, drawings and diagnostics. Times: int64 [ns]."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hd_diag.arrays import Floats, Times
+from hd_diag.drive import Drive
+from hd_diag.streams.alignment import Aligned, kernel
+
+PREDICTED = "~/transmission_error"
+MEASURED = "~/measured_transmission_error"
+RESIDUAL = "~/residual"
+
+
+class Angles(NamedTuple):
+    """Angles to publish: topic, time of the cause [ns] (n,), stamp [ns] (n,), names (k), values (n, k)."""
+
+    topic: str
+    received: Times
+    stamp: Times
+    names: tuple[str, ...]
+    position: Floats
+    effort: Floats | None
+
+
+class ToothArrays(NamedTuple):
+    """Per-tooth values to publish: topic, time of the cause [ns] (n,), values (n, 2, Z_R), flanks (+, -)."""
+
+    topic: str
+    received: Times
+    values: Floats
+
+
+class Drawings(NamedTuple):
+    """Gears to draw: topic, time of the cause [ns] (n,), and what a drawing shows.
+
+    Attributes
+    ----------
+    stamp : ndarray of int64, shape (n,)
+        [ns]
+    joint : str
+    drive : Drive
+    input_angle : ndarray, shape (n,)
+        As reported [rad].
+    load : ndarray, shape (n, 2, Z_R)
+        Forces on the flanks [N].
+    torsion : ndarray, shape (n,)
+        [rad]
+    full_scale : float
+        Force that has the last colour [N].
+    """
+
+    topic: str
+    received: Times
+    stamp: Times
+    joint: str
+    drive: Drive
+    input_angle: Floats
+    load: Floats
+    torsion: Floats
+    full_scale: float
+
+
+class Status(NamedTuple):
+    """Diagnostics of one joint: level 0 (OK), 1 (WARN), 2 (ERROR), one line of text, and stable keys."""
+
+    joint: str
+    level: int
+    message: str
+    values: dict[str, str]
+
+    @property
+    def name(self) -> str:
+        """As diagnostics call it."""
+        return f"hd_diag: {self.joint}"
+
+
+class Report(NamedTuple):
+    """Diagnostics of all joints: topic, time of the cause [ns], header stamp [ns]."""
+
+    topic: str
+    received: int
+    stamp: int
+    statuses: tuple[Status, ...]
+
+
+Publication = Angles | ToothArrays | Drawings | Report
+
+
+class Errors(NamedTuple):
+    """Aligned samples and their transmission error: predicted, measured and the difference [rad], each (m,).
+
+    Measured error and residual are nan where no output angle is reported. `speed` is what a model took for
+    the input's [rad/s]; nan without a model.
+    """
+
+    samples: Aligned
+    predicted: Floats
+    measured: Floats
+    residual: Floats
+    speed: Floats
+
+    @staticmethod
+    def joined(parts: Sequence[Errors]) -> Errors:
+        """Several one after the other."""
+        columns = zip(*((*part.samples, *part[1:]) for part in parts), strict=True)
+        every = [np.concatenate(column) for column in columns]
+        return Errors(Aligned(*every[: len(Aligned._fields)]), *every[len(Aligned._fields) :])
+
+    def part(self, rows: Any) -> Errors:
+        """Some of the samples."""
+        return Errors(self.samples.part(rows), *(column[rows] for column in self[1:]))
+
+
+def angles(received: Times, errors: Errors, names: Sequence[str]) -> Iterator[Angles]:
+    """Messages of transmission errors: joints with a sample at one stamp of one message share one.
+
+    Parameters
+    ----------
+    received : ndarray of int64, shape (n,)
+        When the messages that gave the samples arrived [ns].
+    errors : Errors
+    names : sequence of str
+        Of all joints.
+
+    Yields
+    ------
+    Angles
+        Of each topic in the order in which the messages one by one would give them.
+    """
+    samples = errors.samples
+    own = samples.paired == 0
+    effort = samples.torque
+    yield from _messages(PREDICTED, received, samples, names, _runs(samples, own), errors.predicted, effort)
+    compared = samples.output_angle == samples.output_angle
+    if compared.any():
+        runs = _runs(samples, compared)
+        yield from _messages(MEASURED, received, samples, names, runs, errors.measured)
+        yield from _messages(RESIDUAL, received, samples, names, runs, errors.residual)
+
+
+def _runs(samples: Aligned, used: Any) -> Any:
+    return kernel().runs(samples.row, samples.stamp, samples.paired, samples.joint, used)
+
+
+def _messages(
+    topic: str,
+    received: Times,
+    samples: Aligned,
+    names: Sequence[str],
+    runs: Any,
+    position: Floats,
+    effort: Floats | None = None,
+) -> Iterator[Angles]:
+    chosen, (begins, widths) = runs
+    if chosen.size < position.size:
+        position = position[chosen]
+        effort = None if effort is None else effort[chosen]
+    bounds = pairwise([*begins.tolist(), chosen.size])
+    for (begin, end), width in zip(bounds, widths.tolist(), strict=True):
+        first = chosen[begin:end:width]
+        joints = tuple([names[j] for j in samples.joint[chosen[begin : begin + width]].tolist()])
+        torque = None if effort is None else effort[begin:end].reshape(-1, width)
+        values = position[begin:end].reshape(-1, width)
+        yield Angles(topic, received[samples.row[first]], samples.stamp[first], joints, values, torque)

@@ -1,0 +1,265 @@
+"""The rules of `alignment` compiled: rows of messages in, aligned samples out, with state between calls.
+
+Imported by `alignment` when first needed, for it imports numba. Nothing here depends on how many rows come in
+one call. State stands in arrays of records over the joints (`JOINT`) and rings (`INPUT`, `OUTPUT`).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from hd_diag.arrays import Bytes, Floats, Integers, Times
+from hd_diag.model.kernel import entry_point, part
+from hd_diag.streams.alignment import CLOCK_JUMP, LONGEST_HOLD, NEVER, PAIRING_GAP, Given, Reason
+from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TORQUE
+
+_INPUT, _OUTPUT, _TORQUE, _SPEED = int(Given.INPUT), int(Given.OUTPUT), int(Given.TORQUE), int(Given.SPEED)
+_NAMELESS, _BAD_INPUT, _BAD_OUTPUT = int(Reason.NAMELESS), int(Reason.INPUT), int(Reason.OUTPUT)
+_BAD_TORQUE, _LATE_INPUT, _LATE_OUTPUT = int(Reason.TORQUE), int(Reason.LATE_INPUT), int(Reason.LATE_OUTPUT)
+_TURN = 2.0 * math.pi
+_ROUNDING = 1e-6  # by which a wrapped angle may leave its turn [rad]
+_FIRST, _LAST = -(2**63), 2**63 - 1  # before and after every stamp [ns]
+
+
+@entry_point
+def align(
+    stamp: Times, heard: Times, values: Floats, given: Bytes, joints: Any, inputs: Any, waiting: Any
+) -> tuple[Integers, Floats]:
+    """Aligned samples, columns (6, m) and (4, m) as in `Aligned`.
+
+    Stamps and times of reception [ns] (n,); input and output angle, torque, speed (n, k, 4) of k joints, and
+    which of them are given (n, k).
+    """
+    room = values.shape[0] * joints.size
+    for j in range(joints.size):
+        room += joints[j].waiting
+    whole, found, count = np.empty((6, room), np.int64), np.empty((4, room)), 0
+    for row in range(values.shape[0]):
+        for j in range(joints.size):
+            if given[row, j]:
+                left = _checked(joints[j], stamp[row], int(given[row, j]), values[row, j])
+                if left & _TORQUE:
+                    joints[j].torque, joints[j].torque_stamp = values[row, j, 2], stamp[row]
+                if left & _INPUT:
+                    _take_input(joints[j], stamp[row], heard[row], left, values[row, j], inputs[j])
+                    output = values[row, j, 1] if left & _OUTPUT else math.nan
+                    speed = values[row, j, 3] if left & _SPEED else math.nan
+                    _put(whole, found, count, row, j, stamp[row], joints[j], 0)
+                    found[:, count] = joints[j].angle, output, joints[j].load, speed
+                    count += 1
+                elif left & _OUTPUT:
+                    _keep_output(joints[j], stamp[row], values[row, j, 1], waiting[j])
+        count = _pair(row, joints, inputs, waiting, whole, found, count)
+    return whole[:, :count], found[:, :count]
+
+
+@entry_point
+def begin_after(joints: Any, stamp: int) -> None:
+    """Let the streams of joints whose last stamp is later than one [ns] begin anew."""
+    for j in range(joints.size):
+        if max(joints[j].input_stamp, joints[j].output_stamp) > stamp:
+            _begin(joints[j])
+
+
+@part
+def _begin(joint: Any) -> None:
+    """Forget the stream."""
+    joint.input_stamp = joint.output_stamp = joint.torque_stamp = NEVER
+    joint.inputs = joint.waiting = joint.output_seen = 0
+    joint.torque, joint.farthest = math.nan, 0.0
+    joint.stretch += 1
+
+
+@part
+def _refuse(joint: Any, reason: int, value: float, late: int) -> int:
+    joint.rejected += 1
+    joint.reason, joint.reason_value, joint.reason_late = reason, value, late
+    return 0
+
+
+@part
+def _checked(joint: Any, stamp: int, given: int, value: Floats) -> int:
+    """What is given less what cannot be used; 0 where the row is refused."""
+    if not given & (_INPUT | _OUTPUT | _TORQUE):
+        return _refuse(joint, _NAMELESS, 0.0, 0)
+    if stamp < max(joint.input_stamp, joint.output_stamp) - CLOCK_JUMP:
+        joint.clock_jumps += 1
+        _begin(joint)
+    if given & _INPUT:
+        if not abs(value[0]) <= LARGEST_ANGLE:
+            return _refuse(joint, _BAD_INPUT, value[0], 0)
+        if stamp <= joint.input_stamp:
+            return _refuse(joint, _LATE_INPUT, 0.0, joint.input_stamp - stamp)
+    elif given & _OUTPUT and stamp <= joint.output_stamp:
+        return _refuse(joint, _LATE_OUTPUT, 0.0, joint.output_stamp - stamp)
+    if given & _TORQUE and not abs(value[2]) <= LARGEST_TORQUE:
+        if not (math.isnan(value[2]) and math.isnan(joint.torque)):
+            return _refuse(joint, _BAD_TORQUE, value[2], 0)
+        given &= ~_TORQUE
+    if given & _OUTPUT and not abs(value[1]) <= LARGEST_ANGLE:
+        if not math.isnan(value[1]) or joint.output_seen:
+            return _refuse(joint, _BAD_OUTPUT, value[1], 0)
+        given &= ~_OUTPUT
+    return given
+
+
+@part
+def _load(joint: Any, stamp: int) -> float:
+    """Torque at a stamp [N m]."""
+    is_known = abs(stamp - joint.torque_stamp) <= LONGEST_HOLD and not math.isnan(joint.torque)
+    value: float = joint.torque if is_known else joint.assumed_torque
+    return value
+
+
+@part
+def _take_input(joint: Any, stamp: int, heard: int, given: int, value: Floats, ring: Any) -> None:
+    joint.input_stamp, joint.heard = stamp, heard
+    joint.angle, joint.load = value[0], _load(joint, stamp)
+    joint.farthest = max(joint.farthest, abs(value[0]))
+    joint.samples += 1
+    place = joint.inputs % ring.size
+    ring[place].stamp, ring[place].angle = stamp, value[0]
+    joint.inputs += 1
+    if given & _OUTPUT:
+        joint.output_seen, joint.output_stamp = 1, max(joint.output_stamp, stamp)
+
+
+@part
+def _keep_output(joint: Any, stamp: int, angle: float, ring: Any) -> None:
+    """Let an output angle wait for an input; the oldest of too many is given up."""
+    joint.output_seen, joint.output_stamp = 1, stamp
+    if joint.waiting == ring.size:
+        joint.unpaired += 1
+        joint.waiting -= 1
+        joint.first += 1
+    place = (joint.first + joint.waiting) % ring.size
+    ring[place].stamp, ring[place].angle = stamp, angle
+    ring[place].torque, ring[place].torque_stamp = _load(joint, stamp), joint.torque_stamp
+    joint.waiting += 1
+
+
+@part
+def _pair(
+    row: int, joints: Any, inputs: Any, waiting: Any, whole: Integers, found: Floats, count: int
+) -> int:
+    """Samples of outputs that have waited long enough, by stamp and joint; how many samples there are now."""
+    while True:
+        stamp = _LAST
+        for j in range(joints.size):
+            if joints[j].waiting:
+                first = waiting[j, joints[j].first % waiting.shape[1]].stamp
+                if first <= joints[j].input_stamp:
+                    stamp = min(stamp, first)
+        if stamp == _LAST:
+            return count
+        for j in range(joints.size):
+            output = waiting[j, joints[j].first % waiting.shape[1]]
+            if not joints[j].waiting or output.stamp != stamp or stamp > joints[j].input_stamp:
+                continue
+            joints[j].first += 1
+            joints[j].waiting -= 1
+            angle = _interpolated(joints[j], inputs[j], stamp)
+            if math.isnan(angle):
+                joints[j].unpaired += 1
+            else:
+                _put(whole, found, count, row, j, stamp, joints[j], 1)
+                whole[3, count] = output.torque_stamp
+                found[:, count] = angle, output.angle, output.torque, math.nan
+                count += 1
+
+
+@part
+def _put(
+    whole: Integers, found: Floats, count: int, row: int, j: int, stamp: int, joint: Any, paired: int
+) -> None:
+    whole[:, count] = row, j, stamp, joint.torque_stamp, joint.stretch, paired
+
+
+@part
+def _interpolated(joint: Any, ring: Any, stamp: int) -> float:
+    """Input angle at a stamp that is not after the last [rad]; nan where the inputs around it are far apart.
+
+    An encoder that wraps stays within a turn about zero and jumps by more than half of one: it is followed
+    the short way, and the angle between is put on its turn.
+    """
+    low, high = joint.inputs - min(joint.inputs, ring.size), joint.inputs - 1
+    while low < high:
+        middle = (low + high) // 2
+        low, high = (low, middle) if ring[middle % ring.size].stamp >= stamp else (middle + 1, high)
+    later, earlier = ring[low % ring.size], ring[(low - 1) % ring.size]
+    if later.stamp == stamp:
+        return float(later.angle)
+    is_oldest = low == joint.inputs - min(joint.inputs, ring.size)
+    if is_oldest or later.stamp - earlier.stamp > PAIRING_GAP:
+        return math.nan
+    change, start = later.angle - earlier.angle, earlier.angle
+    share = float(stamp - earlier.stamp) / float(later.stamp - earlier.stamp)
+    if joint.farthest > _TURN + _ROUNDING or abs(change) <= math.pi:
+        return float(start + change * share)
+    begin = -math.pi if min(start, later.angle) < 0.0 else 0.0
+    change -= math.copysign(_TURN, change)
+    return float(begin + (start + change * share - begin) % _TURN)
+
+
+@entry_point
+def runs(row: Times, stamp: Times, paired: Integers, joint: Integers, used: Any) -> tuple[Integers, Integers]:
+    """Samples that are published together: which, and where and how wide runs of like messages are.
+
+    A message holds the used samples of one row and stamp, paired or not; a run is of messages with the same
+    joints one after the other. Returned are the samples' numbers (m,) and for each run its first place among
+    them and the joints of its messages (2, runs).
+    """
+    chosen, bounds = np.empty(row.size, np.int64), np.empty((2, row.size), np.int64)
+    count = messages = 0
+    for i in range(row.size):
+        if used[i]:
+            chosen[count] = i
+            count += 1
+    begin = 0
+    while begin < count:
+        first, end = chosen[begin], begin
+        while end < count and _together(row, stamp, paired, chosen[end], first):
+            end += 1
+        width = end - begin
+        like = messages > 0 and bounds[1, messages - 1] == width
+        for k in range(begin, end if like else begin):
+            like = like and joint[chosen[k]] == joint[chosen[k - width]]
+        if not like:
+            bounds[0, messages], bounds[1, messages] = begin, width
+            messages += 1
+        begin = end
+    return chosen[:count], bounds[:, :messages]
+
+
+@part
+def _together(row: Times, stamp: Times, paired: Integers, one: int, other: int) -> bool:
+    same: bool = row[one] == row[other] and stamp[one] == stamp[other] and paired[one] == paired[other]
+    return same
+
+
+@entry_point
+def begun(stamp: Times, joint: Integers, used: Any, period: int, offset: Times, last: Times) -> Integers:
+    """Numbers of used samples at which a period of their joint begins.
+
+    Parameters
+    ----------
+    stamp, joint, used : ndarray, shape (n,)
+        [ns], number of the joint.
+    period : int
+        [ns]
+    offset : ndarray of int64, shape (k,)
+        By which the joints' periods begin earlier [ns].
+    last : ndarray of int64, shape (k,)
+        Numbers of the joints' last periods; changed.
+    """
+    found, count = np.empty(stamp.size, np.int64), 0
+    for i in range(stamp.size):
+        number = (stamp[i] + offset[joint[i]]) // period
+        if used[i] and number != last[joint[i]]:
+            last[joint[i]] = number
+            found[count] = i
+            count += 1
+    return found[:count]
