@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
+from hd_diag.monitor.periods import Periods
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
-
-from hd_diag.monitor.periods import Periods
 
 SECOND = 1_000_000_000
 
