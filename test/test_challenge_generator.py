@@ -32,7 +32,7 @@ def reference_torsion(base: Base, angle: float, torque: float, **mesh: object) -
     return polyline.torsion(polyline.mesh(angle, **displaced, **mesh, drive=drive), torque, drive)
 
 
-def moments(seed: int, count: int = 8) -> tuple[np.ndarray, np.ndarray]:
+def moments(seed: int, count: int = 4) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     return rng.uniform(-30, 30, count), rng.choice([-85.0, -40.0, -5.0, -0.5, 0.5, 5.0, 40.0, 85.0], count)
 
@@ -40,7 +40,7 @@ def moments(seed: int, count: int = 8) -> tuple[np.ndarray, np.ndarray]:
 # Mesh ---
 
 
-@pytest.mark.parametrize("base", [truth.NOMINAL, ERRORS, truth.drawn(np.random.default_rng(5))])
+@pytest.mark.parametrize("base", [truth.NOMINAL, ERRORS])
 def test_torsion_is_that_of_the_reference(base: Base) -> None:
     angles, torques = moments(1)
     expected = [reference_torsion(base, a, m) for a, m in zip(angles, torques, strict=True)]
@@ -331,6 +331,7 @@ def test_sizes_of_the_field_can_be_found(fault: families.Fault) -> None:
     assert families.TIMES_LEAST * fault.least < fault.high
 
 
+@pytest.mark.slow
 def test_families_hide_what_they_say() -> None:
     several = families.FAMILIES["triple"](3)
     assert len(set(several.truth["hidden"])) == 3
