@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:  # what the command line imports first must be light
-    from hd_diag.effects.quantity import Quantity
+from typing import Any
 
 ARCSEC = math.pi / 648_000.0
 """One second of arc [rad]."""
 
-_DEGREE = math.pi / 180.0
 _TURN = 2.0 * math.pi
 _DIGITS = 3  # of a number without a spread
 _MOST_DECIMALS = 6
@@ -83,15 +79,6 @@ def direction(value: float, spread: float, period: float) -> str:
     """A direction [rad] in degrees, with the turn after which it is the same again."""
     text = spread_number(math.degrees(value % period), math.degrees(spread), "°").replace(" °", "°")
     return f"{text} (modulo {math.degrees(period):.0f}°)" if period < 6.28 else text
-
-
-def quantity(entry: Quantity, value: float, spread: float) -> str:
-    """The value of an effect's quantity."""
-    if entry.periodic is not None:
-        return direction(value, spread, entry.periodic)
-    if entry.unit == "rad" and entry.name == "angle":
-        return spread_number(value / _DEGREE, spread / _DEGREE, "°")
-    return si(value, spread, entry.unit)
 
 
 def arcsec(value: float) -> str:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from hd_diag import formatting
 from hd_diag.effects.effect import Quantity, amplitude, direction
+from hd_diag.report.advice import quantity
 
 
 @pytest.mark.parametrize(
@@ -39,9 +40,9 @@ def test_rounding_stays_within_the_spread(value: float, spread: float) -> None:
 
 def test_quantities_come_in_the_units_of_people() -> None:
     lag, swing = amplitude("pitch_2", "m", 1e-4, 1e-6, ""), direction("direction", "", 2)
-    assert formatting.quantity(lag, 1.234e-6, 2e-8) == "1.23 ± 0.02 µm"
-    assert formatting.quantity(swing, math.radians(-10.0), math.radians(3.0)) == "170 ± 3° (modulo 180°)"
-    assert formatting.quantity(Quantity("angle", "rad", 0, 1, 1, ""), math.radians(3.5), 0.0) == "3.50 °"
+    assert quantity(lag, 1.234e-6, 2e-8) == "1.23 ± 0.02 µm"
+    assert quantity(swing, math.radians(-10.0), math.radians(3.0)) == "170 ± 3° (modulo 180°)"
+    assert quantity(Quantity("angle", "rad", 0, 1, 1, ""), math.radians(3.5), 0.0) == "3.50 °"
     assert formatting.si(math.pi / 648000.0, math.nan, "rad") == "1.00 arcsec"
     assert formatting.si(2.5e-5, 5e-6, "s") == "25 ± 5 µs"
     assert formatting.si(4.0, math.nan, "N m") == "4.00 N m"

@@ -187,7 +187,7 @@ def test_a_wrong_ratio_is_all_that_is_said_first() -> None:
     found = report.judgement
     assert found is not None
     assert [card.title for card in found.cards] == ["Ratio error"]
-    assert (list(found.over_angle.residual), found.ladder, found.held) == (["as configured"], (), None)
+    assert (list(found.over_angle.residual), found.ladder, found.rms) == (["as configured"], (), None)
     read = Reader(page([report], SOURCES))
     assert wrong.findings[0].text in read.text
     assert "Nothing was tested." in read.text
@@ -231,7 +231,7 @@ def test_a_record_without_torque_has_no_measured_stiffness() -> None:
     record = prepared(given, assumed_torque=30.0)
     report = of_diagnosis(diagnose(record, whole.joints[0].drive), whole.joints[0], whole.flat)
     assert not [entry for entry in report.torsion.stiffness if np.isfinite(entry.measured)]
-    assert report.torsion.rising is None
+    assert report.torsion.measured == ()
     assert fact(report.quality, "Torque") == "not measured"
     assert "not measured, fitted" in Reader(page([report], SOURCES)).text
 

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from hd_diag.cli.options import CONFIG, Problem, configured, verb
+from hd_diag.report.paper_figures import Claim, neutral_layer, teeth_at_once, tooth_over_time
+from hd_diag.report.pictures.canvas import save
+from hd_diag.report.pictures.paper import figure_5, figure_6, figure_7
 
-if TYPE_CHECKING:  # slow to import: only where figures are drawn
-    from matplotlib.figure import Figure
-
-    from hd_diag.drive import Drive
-    from hd_diag.report.paper_figures import Claim
-
-_RESOLUTION = 200.0  # of PNG files [dots per inch]
 _CAPTIONS = "figures.md"
+_TITLES = {
+    "figure_5": "Motion of the neutral layer (as Fig. 5)",
+    "figure_6": "Backlash and load of all teeth at one moment (as Fig. 6)",
+    "figure_7": "One tooth over time (as Fig. 7)",
+}
 
 
 @verb("figures --out figures --format png")
@@ -40,58 +40,24 @@ def figures(out: Path, config_file: str | None, kind: str) -> None:
     paper's claims come to.
     """
     joint = configured(config_file).joints[0]
-    entries = _drawn(joint.drive)
+    layer, teeth, tooth = neutral_layer(joint.drive), teeth_at_once(joint.drive), tooth_over_time(joint.drive)
+    drawings = figure_5(layer), figure_6(teeth), figure_7(tooth)
+    lists = [_listed(claims) for claims in (layer.claims, teeth.claims, tooth.claims)]
     captions = [f"Drive of {joint.name}; claims are those of Dong et al. (2019), sections 4.2, 4.3 and 5."]
     try:
         out.mkdir(parents=True, exist_ok=True)
-        for name, title, figure, claims in entries:
-            _save(figure, out / f"{name}.{kind}", kind)
-            captions.append(f"## {title}\n\n![{title}]({name}.{kind})\n\n{_told(claims)}")
+        for (name, title), drawing, claims in zip(_TITLES.items(), drawings, lists, strict=True):
+            save(drawing, out / f"{name}.{kind}")
+            captions.append(f"## {title}\n\n![{title}]({name}.{kind})\n\n{claims}")
         (out / _CAPTIONS).write_text("\n\n".join(captions) + "\n", encoding="utf-8")
     except OSError as error:
         raise Problem(f"{error.filename}: cannot be written: {error.strerror}") from error
-    for name, title, _, claims in entries:
-        click.echo(f"{out / f'{name}.{kind}'}: {title}\n{_told(claims)}")
+    for (name, title), claims in zip(_TITLES.items(), lists, strict=True):
+        click.echo(f"{out / f'{name}.{kind}'}: {title}\n{claims}")
     click.echo(f"{out / _CAPTIONS}: captions")
 
 
-def _drawn(drive: Drive) -> list[tuple[str, str, Figure, tuple[Claim, ...]]]:
-    """File name, title, figure and claims of each."""
-    from hd_diag.report.paper_figures import neutral_layer, teeth_at_once, tooth_over_time
-    from hd_diag.report.pictures.paper_figure_5 import paper_figure_5
-    from hd_diag.report.pictures.paper_figure_6 import paper_figure_6
-    from hd_diag.report.pictures.paper_figure_7 import paper_figure_7
-
-    layer, teeth, tooth = neutral_layer(drive), teeth_at_once(drive), tooth_over_time(drive)
-    fifth = paper_figure_5(
-        layer.stations,
-        layer.from_long_axis,
-        layer.displacement,
-        layer.direction,
-        layer.change,
-        layer.eccentricity,
-    )
-    sixth = paper_figure_6(teeth.eccentricity, teeth.tooth, teeth.backlash, teeth.load, teeth.torque)
-    near = (tooth.near_backlash, tooth.near_load)
-    seventh = paper_figure_7(tooth.eccentricity, tooth.angle, tooth.backlash, tooth.load, near, tooth.torque)
-    return [
-        ("figure_5", "Motion of the neutral layer (as Fig. 5)", fifth, layer.claims),
-        ("figure_6", "Backlash and load of all teeth at one moment (as Fig. 6)", sixth, teeth.claims),
-        ("figure_7", "One tooth over time (as Fig. 7)", seventh, tooth.claims),
-    ]
-
-
-def _told(claims: tuple[Claim, ...]) -> str:
-    """Claims as a list."""
+def _listed(claims: tuple[Claim, ...]) -> str:
     return "\n".join(
         f"* ({c.letter}) {c.text}{'' if c.holds else ' **This does not agree.**'}" for c in claims
     )
-
-
-def _save(figure: Figure, path: Path, kind: str) -> None:
-    """The same figure is the same file: no date in it."""
-    from hd_diag.report.pictures.canvas import styled
-
-    undated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}[kind]
-    with styled():
-        figure.savefig(path, format=kind, dpi=_RESOLUTION, metadata=undated, facecolor="white")

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +16,9 @@ from hd_diag.diagnosis.search.acceptance import LEAST_SIZE
 from hd_diag.diagnosis.search.causes import Cause
 from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE
-from hd_diag.formatting import arcsec, direction, number, quantity, si, spread_number, words
+from hd_diag.effects.effect import Effect
+from hd_diag.effects.quantity import Quantity
+from hd_diag.formatting import arcsec, direction, si, spread_number, words
 from hd_diag.report.stages import simulated_error
 
 _SIGMAS = 3.0  # standard deviations off its configured value from which a parameter is worth a card
@@ -25,8 +29,9 @@ _GROUPS = {
     "clearance": (slice(4, 5), ("circular_spline_datum",)),
     "stiffness": (slice(5, 7), ("tooth_compliance", "cup_compliance")),
 }
-_MICROMETRE = 1e-6
-_EFFECTS = {effect.name: effect for effect in CATALOGUE}
+_OWN = {effect.name: effect for effect in CATALOGUE}
+
+_Entry = dict[str, Any]  # value, std, unit, configured
 
 
 @dataclass(frozen=True)
@@ -58,6 +63,11 @@ class Card:
     alternatives: tuple[tuple[str, str], ...] = ()
     setting: bool = False
 
+    @property
+    def share(self) -> str:
+        """Its size in words; empty where it has none."""
+        return f"{arcsec(self.size)} rms of the error" if math.isfinite(self.size) else ""
+
 
 def cards(diagnosis: Diagnosis) -> list[Card]:
     """Cards, the one that explains most first.
@@ -72,17 +82,18 @@ def cards(diagnosis: Diagnosis) -> list[Card]:
         Findings that come before everything else, then causes and displacements by their size, then what may
         as well be a number of the configuration.
     """
+    effects = _OWN | {effect.name: effect for effect in diagnosis.catalogue}
     first = [
-        Card(words(f.name).capitalize(), math.nan, f.text, (), _EFFECTS[f.name].inspect)
+        Card(words(f.name).capitalize(), math.nan, f.text, (), effects[f.name].inspect)
         for f in diagnosis.findings
     ]
-    found = [_of_cause(cause) for cause in diagnosis.causes]
+    found = [_of_cause(cause, effects) for cause in diagnosis.causes]
     if diagnosis.refitted is not None and diagnosis.refitted.trustworthy:
         found += _of_parameters(diagnosis)
     return first + sorted(found, key=lambda card: (card.setting, -card.size))
 
 
-def _of_cause(cause: Cause) -> Card:
+def _of_cause(cause: Cause, effects: Mapping[str, Effect]) -> Card:
     effect = cause.effect
     values = effect.to_physical(cause.coefficients, cause.nonlinear)
     spread = effect.standard_deviations(cause.coefficients, cause.nonlinear, cause.covariance)
@@ -91,14 +102,18 @@ def _of_cause(cause: Cause) -> Card:
         for entry in effect.quantities
     )
     alike = [name for name in cause.alike if name != effect.name]
-    return Card(
-        words(effect.name).capitalize(),
-        cause.amplitude,
-        effect.cause,
-        measures,
-        effect.inspect,
-        tuple((words(name), _EFFECTS[name].inspect if name in _EFFECTS else "") for name in alike),
-    )
+    others = tuple((words(name), effects[name].inspect if name in effects else "") for name in alike)
+    title = words(effect.name).capitalize()
+    return Card(title, cause.amplitude, effect.cause, measures, effect.inspect, others)
+
+
+def quantity(entry: Quantity, value: float, spread: float) -> str:
+    """The value of an effect's quantity."""
+    if entry.periodic is not None:
+        return direction(value, spread, entry.periodic)
+    if entry.unit == "rad" and entry.name == "angle":
+        return spread_number(math.degrees(value), math.degrees(spread), "°")
+    return si(value, spread, entry.unit)
 
 
 def _of_parameters(diagnosis: Diagnosis) -> list[Card]:
@@ -113,8 +128,8 @@ def _of_parameters(diagnosis: Diagnosis) -> list[Card]:
     ]
 
 
-def _is_other(entry: dict[str, float]) -> bool:
-    return abs(entry["value"] - entry["configured"]) > _SIGMAS * entry["std"]
+def _is_other(entry: _Entry) -> bool:
+    return bool(abs(entry["value"] - entry["configured"]) > _SIGMAS * entry["std"])
 
 
 def parameter_sizes(diagnosis: Diagnosis) -> dict[str, float]:
@@ -133,9 +148,11 @@ def parameter_sizes(diagnosis: Diagnosis) -> dict[str, float]:
     return sizes
 
 
-def _eccentricity(values: dict[str, dict[str, float]], size: float, drive: Drive) -> Card:
+def _eccentricity(values: dict[str, _Entry], size: float, drive: Drive) -> Card:
     magnitude, turned = values["eccentricity.magnitude"], values["eccentricity.direction"]
-    micrometres, spread = magnitude["value"] / _MICROMETRE, magnitude["std"] / _MICROMETRE
+    # Where the input stands when the long axis points along the eccentricity.
+    rate = drive.frame.turning
+    angle, period = (turned["value"] - drive.frame.phase) / rate, math.pi / abs(rate)
     return Card(
         "Eccentricity of the wave generator in the housing",
         size,
@@ -143,9 +160,9 @@ def _eccentricity(values: dict[str, dict[str, float]], size: float, drive: Drive
         "centre.",
         (
             ("eccentricity", _beside(magnitude)),
-            ("dial gauge, total travel", spread_number(2.0 * micrometres, 2.0 * spread, "µm")),
+            ("dial gauge, total travel", _travel(magnitude)),
             ("direction, from slot 0", direction(turned["value"], turned["std"], math.pi)),
-            ("input angle with the long axis there", _input_angle(turned, drive)),
+            ("input angle with the long axis there", direction(angle, turned["std"] / abs(rate), period)),
         ),
         "Hold a dial gauge on the motor shaft and sweep the circular spline's centring diameter over a turn: "
         "the total travel is twice the eccentricity, highest and lowest along the direction given "
@@ -156,29 +173,15 @@ def _eccentricity(values: dict[str, dict[str, float]], size: float, drive: Drive
     )
 
 
-def _beside(entry: dict[str, float]) -> str:
-    """A fitted length in micrometres, beside the configured one."""
-    told = spread_number(entry["value"] / _MICROMETRE, entry["std"] / _MICROMETRE, "µm")
-    return f"{told} (configured: {number(entry['configured'] / _MICROMETRE)} µm)"
-
-
-def _input_angle(turned: dict[str, float], drive: Drive) -> str:
-    """Where the input stands when the long axis points along the eccentricity."""
-    phase, rate = drive.frame.phase, drive.frame.turning
-    angle, period = (turned["value"] - phase) / rate, math.pi / abs(rate)
-    return direction(angle, turned["std"] / abs(rate), period)
-
-
-def _runout(values: dict[str, dict[str, float]], size: float, drive: Drive) -> Card:
+def _runout(values: dict[str, _Entry], size: float, drive: Drive) -> Card:
     magnitude, turned = values["runout.magnitude"], values["runout.direction"]
-    travel, spread = (2.0 * magnitude[key] / _MICROMETRE for key in ("value", "std"))
     return Card(
         "Runout of the wave generator on its shaft",
         size,
         "The wave generator's plug turns off centre: its bore, the key or the shaft.",
         (
             ("runout", _beside(magnitude)),
-            ("dial gauge, total travel", spread_number(travel, spread, "µm")),
+            ("dial gauge, total travel", _travel(magnitude)),
             ("direction, from the long axis", direction(turned["value"], turned["std"], 2.0 * math.pi)),
         ),
         "Dial gauge on the shaft's seat for the plug, then on the plug's own bore: the total travel is twice "
@@ -187,40 +190,37 @@ def _runout(values: dict[str, dict[str, float]], size: float, drive: Drive) -> C
     )
 
 
-def _datum(values: dict[str, dict[str, float]], size: float, drive: Drive) -> Card:
+def _datum(values: dict[str, _Entry], size: float, drive: Drive) -> Card:
     entry = values["circular_spline_datum"]
-    change = (entry["value"] - entry["configured"]) / _MICROMETRE
+    change = entry["value"] - entry["configured"]
     more, out = ("more", "farther out") if change > 0.0 else ("less", "farther in")
     return Card(
         f"The teeth have {more} clearance than configured",
         size,
-        f"The circular spline's slots stand {number(abs(change))} µm {out} than configured.",
+        f"The circular spline's slots stand {si(abs(change), math.nan, 'm')} {out} than configured.",
         (("datum radius", _beside(entry)),),
-        _EFFECTS["wear_backlash"].inspect,
+        _OWN["wear_backlash"].inspect,
         setting=True,
     )
 
 
-def _compliance(values: dict[str, dict[str, float]], size: float, drive: Drive) -> Card:
-    units = {"tooth_compliance": "m/N", "cup_compliance": "rad/(N m)"}
-    measures = tuple(
-        (
-            words(name),
-            f"{si(values[name]['value'], values[name]['std'], unit)} "
-            f"(configured: {si(values[name]['configured'], math.nan, unit)})",
-        )
-        for name, unit in units.items()
-    )
+def _compliance(values: dict[str, _Entry], size: float, drive: Drive) -> Card:
     return Card(
         "Torsional stiffness",
         size,
         "The torsion under load is another than configured.",
-        measures,
-        _EFFECTS["torsional_hardening"].inspect,
+        tuple((words(name), _beside(values[name])) for name in _GROUPS["stiffness"][1]),
+        _OWN["torsional_hardening"].inspect,
         setting=True,
     )
 
 
-def told_size(card: Card) -> str:
-    """How much of the error a card's matter is."""
-    return f"{arcsec(card.size)} rms of the error" if math.isfinite(card.size) else ""
+def _beside(entry: _Entry) -> str:
+    """A fitted value beside the configured one."""
+    unit = entry["unit"]
+    return f"{si(entry['value'], entry['std'], unit)} (configured: {si(entry['configured'], math.nan, unit)})"
+
+
+def _travel(entry: _Entry) -> str:
+    """What a dial gauge shows over a turn of a displacement."""
+    return si(2.0 * entry["value"], 2.0 * entry["std"], "m")

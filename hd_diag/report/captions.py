@@ -3,32 +3,46 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
+from hd_diag.arrays import Floats
 from hd_diag.diagnosis.search.detectability import Testability
-from hd_diag.formatting import arcsec, number, si
-from hd_diag.model.torsion_map import ARCSEC
-from hd_diag.report.binned import HIGH, LOW, Band
-from hd_diag.report.facts import Held, JointReport, Judgement
+from hd_diag.formatting import ARCSEC, arcsec, number, si
+from hd_diag.report.binned import HIGH, LOW
+from hd_diag.report.facts import JointReport, Judgement
 from hd_diag.report.ladder import Rung
-from hd_diag.report.stages import Comparison
-from hd_diag.report.teeth import Done, Teeth
+from hd_diag.report.stages import EXTENDED, Comparison, OverTime
+from hd_diag.report.teeth import Extremes, TeethOverTurn
 from hd_diag.report.torsion import Stiffness
 
 _SPREAD = f"bands from the {100 * LOW:.0f} % to the {100 * HIGH:.0f} % quantile"
 
 
+def held_out(found: Judgement) -> str:
+    """The gain in two sentences; empty where nothing was held out."""
+    rms, gain = found.rms, found.gain
+    if rms is None or gain is None:
+        return ""
+    extended = f", extended by the causes {arcsec(rms.extended)}" if EXTENDED in found.orders else ""
+    return (
+        f"On data that no fit saw ({gain.held_out}) the residual of the configured model is "
+        f"{arcsec(rms.nominal)} rms, refitted {arcsec(rms.refit)}{extended}; the noise floor is "
+        f"{arcsec(rms.noise)}. {_percent(gain.fraction)} of the mean square is explained "
+        f"({_percent(gain.low)} to {_percent(gain.high)})."
+    )
+
+
 def over_angle(found: Comparison) -> str:
     """Caption of the comparison over the wave generator's angle."""
     low, high = (number(torque) for torque in found.torques)
+    ripple = _each({name: _ripple(mean) for name, mean in found.simulated.items()})
     return (
         f"Over a turn of the wave generator, at torques from {low} to {high} N m ({found.samples} samples): "
         f"means in bins of {360 // found.measured.center.size}°, {_SPREAD}. The drive's mean at "
         "the same torque is taken off. Ripple of the means, peak to peak: measured "
-        f"{_ripple(found.measured.mean)}, "
-        f"{_each({name: _ripple(mean) for name, mean in found.simulated.items()})}. Greatest mean left: "
-        f"{_each(_worst(found))}."
+        f"{_ripple(found.measured.mean)}, {ripple}. Greatest mean residual: {_worst(found)}."
     )
 
 
@@ -36,25 +50,21 @@ def over_torque(found: Comparison) -> str:
     """Caption of the comparison over torque."""
     return (
         f"Over torque, all {found.samples} samples: means in {found.measured.center.size} bins, {_SPREAD}. "
-        f"Greatest mean left: {_each(_worst(found))}."
+        f"Greatest mean residual: {_worst(found)}."
     )
 
 
-def _ripple(mean: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
+def _ripple(mean: Floats) -> str:
     return arcsec(float(np.nanmax(mean) - np.nanmin(mean))) if np.isfinite(mean).any() else "–"
 
 
-def _worst(found: Comparison) -> dict[str, str]:
-    return {name: arcsec(_greatest(band)) for name, band in found.residual.items()}
+def _worst(found: Comparison) -> str:
+    means = {name: np.abs(band.mean[np.isfinite(band.mean)]) for name, band in found.residual.items()}
+    return _each({name: arcsec(float(mean.max(initial=-math.inf))) for name, mean in means.items()})
 
 
-def _greatest(band: Band) -> float:
-    known = np.abs(band.mean[np.isfinite(band.mean)])
-    return float(known.max()) if known.size else math.nan
-
-
-def _each(told: dict[str, str]) -> str:
-    return ", ".join(f"{name} {value}" for name, value in told.items())
+def _each(values: Mapping[str, str]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in values.items())
 
 
 def orders(found: Judgement) -> str:
@@ -63,7 +73,7 @@ def orders(found: Judgement) -> str:
         name: f"{arcsec(float(amplitude.max()))} at order {order[np.argmax(amplitude)]:.2f}"
         for name, (order, amplitude) in found.orders.items()
     }
-    return f"Order spectrum of what is left, every peak kept. Highest: {_each(peaks)}."
+    return f"Order spectrum of the residual, every peak kept. Highest: {_each(peaks)}."
 
 
 def named_orders(found: Judgement) -> str:
@@ -74,37 +84,25 @@ def named_orders(found: Judgement) -> str:
     )
 
 
-def torsion(report: JointReport) -> str:
-    """Caption of the torsion curve."""
-    found = report.torsion
-    told = "; ".join(_stiffness(entry, report.judgement is not None) for entry in found.stiffness)
-    marks = (
-        "Means while the torque rises and falls; their distance is the hysteresis. " if found.rising else ""
-    )
-    return (
-        f"Torsion curve, averaged over the angle; the band is the {report.best} drive's least and greatest "
-        f"over a turn. {marks}Stiffness in 10⁴ N m/rad: {told}."
-    )
-
-
-def _stiffness(entry: Stiffness, judged: bool) -> str:
-    scale, parts = 1e-4, []
-    if math.isfinite(entry.measured):
-        ends = f"{entry.measured_low * scale:.2f} to {entry.measured_high * scale:.2f}"
-        parts.append(f"measured {entry.measured * scale:.2f} ({ends})")
-    elif judged:
-        parts.append("not measured")
-    parts.append(f"{'fitted' if judged else 'simulated'} {entry.fitted * scale:.2f}")
-    if judged:
-        parts.append(f"configured {entry.configured * scale:.2f}")
-    return f"{entry.name} ({number(entry.low)} to {number(entry.high)} N m) {', '.join(parts)}"
+def over_time(found: OverTime) -> str:
+    """Caption of the record over time."""
+    ends = {
+        name: f"{arcsec(float(np.nanmin(column.low)))} to {arcsec(float(np.nanmax(column.high)))}"
+        for name, column in found.residual.items()
+    }
+    stretches = found.torque.place.size
+    return f"The record over time, least to greatest of {stretches} stretches. Residual: {_each(ends)}."
 
 
 def ladder(found: Judgement) -> str:
     """Caption of the ladder of models."""
+    assert found.rms is not None
+    assert found.gain is not None
+    floor, low, high = map(arcsec, (found.rms.noise, found.rms.noise_low, found.rms.noise_high))
     return (
         f"Rms of {found.stretches} stretches, each predicted by a fit to the others, with 95 % intervals. "
-        + _floor(found.held)
+        f"Diamonds: the data that were never fitted ({found.gain.held_out}), the last model as the node runs "
+        f"it. Noise floor {floor} ({low} to {high})."
     )
 
 
@@ -113,17 +111,21 @@ def rungs(found: Judgement) -> str:
     return "; ".join(f"{rung.name} {arcsec(rung.rms)}, explained {gain(rung)}" for rung in found.ladder)
 
 
-def left(rung: Rung) -> str:
-    """What a rung leaves, with its interval [arcsec]."""
+def residual(rung: Rung) -> str:
+    """Residual of a rung, with its interval [arcsec]."""
     value, low, high = (f"{angle / ARCSEC:.2f}" for angle in (rung.rms, rung.low, rung.high))
     return f"{value} ({low} to {high})"
 
 
 def gain(rung: Rung) -> str:
-    """How much a rung explains of what the one before left."""
+    """How much a rung explains of the residual of the one before."""
     if not math.isfinite(rung.gain):
         return "–"
     return f"{_percent(rung.gain)} ({_percent(rung.gain_low)} to {_percent(rung.gain_high)})"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.1f} %".replace("-", "−")
 
 
 def least_size(test: Testability) -> str:
@@ -131,72 +133,68 @@ def least_size(test: Testability) -> str:
     return f"{arcsec(test.least_size)} rms" if math.isfinite(test.least_size) else "–"
 
 
-def _floor(held: Held | None) -> str:
-    if held is None:
-        return ""
+def torsion(report: JointReport) -> str:
+    """Caption of the torsion curve."""
+    found, judged = report.torsion, report.judgement is not None
+    stiffness = "; ".join(_stiffness(entry, judged) for entry in found.stiffness)
+    marks = "Means while the torque rises and falls; their distance is the hysteresis. "
     return (
-        f"Diamonds: the data that were never fitted ({held.told}), the last model as the node runs it. "
-        f"Noise floor {arcsec(held.noise)} ({arcsec(held.noise_low)} to {arcsec(held.noise_high)})."
+        f"Torsion curve, averaged over the angle; the band is the {report.best} drive's least and greatest "
+        f"over a turn. {marks if found.measured else ''}Stiffness in 10⁴ N m/rad: {stiffness}."
     )
 
 
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.1f} %".replace("-", "−")
+def _stiffness(entry: Stiffness, judged: bool) -> str:
+    low, value, high = (1e-4 * k for k in (entry.measured_low, entry.measured, entry.measured_high))
+    if not judged:
+        parts = f"simulated {entry.fitted * 1e-4:.2f}"
+    else:
+        measured = f"measured {value:.2f} ({low:.2f} to {high:.2f})"
+        parts = measured if math.isfinite(value) else "not measured"
+        parts += f", fitted {entry.fitted * 1e-4:.2f}, configured {entry.configured * 1e-4:.2f}"
+    return f"{entry.name} ({number(entry.low)} to {number(entry.high)} N m) {parts}"
 
 
-def maps(found: Teeth, report: JointReport) -> str:
+def maps(report: JointReport) -> str:
     """Caption of the tooth maps."""
-    seen = float(np.mean(found.visited))
-    where = (
-        "The record was at every angle."
-        if seen == 1.0
-        else (f"The record was at {100.0 * seen:.0f} % of the angles; the others are marked under the maps.")
-    )
+    found, seen = report.teeth, 100.0 * float(np.mean(report.teeth.visited))
+    where = f"The record was at {seen:.0f} % of the angles; the others are marked under the maps."
     return (
         f"Teeth of the {report.best} drive over a turn of the input, the load at {number(found.torque)} N "
-        "m, which the record hardly exceeds: least backlash "
-        f"{si(float(np.nanmin(found.backlash)), math.nan, 'm')}, greatest load "
-        f"{number(float(found.load.max()))} N. {where} {_done(report.done)}"
+        f"m, which the record hardly exceeds: least backlash {_micrometres(np.nanmin(found.backlash))}, "
+        f"greatest load {number(float(found.load.max()))} N. "
+        f"{'The record was at every angle.' if seen == 100.0 else where} {_extremes(report.extremes)}"
     )
 
 
-def _done(found: Done) -> str:
-    pressed = f"the lobes press against each other by up to {si(found.overlap, math.nan, 'm')}"
-    free = (
-        f"the lobes never press against each other; {si(-found.overlap, math.nan, 'm')} of clearance are left"
-    )
+def _extremes(found: Extremes) -> str:
+    pressed = f"the lobes press against each other by up to {_micrometres(found.overlap)}"
+    free = f"the lobes never press against each other; {_micrometres(-found.overlap)} of clearance are left"
     return (
         f"At {found.moments} of the record's own moments: least backlash "
-        f"{si(found.least_backlash, math.nan, 'm')}, greatest force {number(found.greatest_load)} N, "
+        f"{_micrometres(found.least_backlash)}, greatest force {number(found.greatest_load)} N, "
         f"{found.fewest_pairs} to {found.most_pairs} loaded flanks; "
         f"{pressed if found.overlap > 0.0 else free}."
     )
 
 
-def around(found: Teeth) -> str:
+def _micrometres(length: float) -> str:
+    return si(float(length), math.nan, "m")
+
+
+def around(found: TeethOverTurn) -> str:
     """Caption of the dials."""
-    angle = math.degrees(float(found.input_angle[found.moment]))
-    at = int(np.argmax(found.load[found.moment]))
-    where = math.degrees(float(found.tooth_direction[at]))
+    load = found.load[found.moment]
+    tooth = int(np.argmax(load))
+    angle, where = np.degrees((found.input_angle[found.moment], found.tooth_direction[tooth]))
     displaced = (
-        f"The arrow is the wave generator's displacement, {si(found.displacement, math.nan, 'm')} at "
+        f"The arrow is the wave generator's displacement, {_micrometres(found.displacement)} at "
         f"{math.degrees(found.eccentricity % math.tau):.0f}°. "
         if found.displacement > 0.0
         else "The wave generator is not displaced. "
     )
     return (
         f"Around the gear at {number(found.torque)} N m, directions from slot 0: at input angle "
-        f"{angle:.0f}° tooth {at} bears most, {number(float(found.load[found.moment, at]))} N at "
+        f"{angle:.0f}° tooth {tooth} bears most, {number(float(load[tooth]))} N at "
         f"{where:.0f}°. {displaced}Dashed: the long axis."
     )
-
-
-def over_time(found: Judgement) -> str:
-    """Caption of the record over time."""
-    ends = {
-        name: f"{arcsec(float(np.nanmin(column.low)))} to {arcsec(float(np.nanmax(column.high)))}"
-        for name, column in found.over_time.items()
-        if name not in ("torque", "speed")
-    }
-    stretches = found.over_time["torque"].place.size
-    return f"The record over time, least to greatest of {stretches} stretches. What is left: {_each(ends)}."

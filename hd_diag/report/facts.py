@@ -1,4 +1,4 @@
-"""The numbers of a report: all that its page tells and draws, out of a diagnosis or of a motion alone."""
+"""The numbers of a report: all that its page says and draws, from a diagnosis or from a motion alone."""
 
 from __future__ import annotations
 
@@ -14,32 +14,21 @@ from hd_diag.arrays import Floats
 from hd_diag.bag.joint_record import Motion
 from hd_diag.config.configuration import JointConfig
 from hd_diag.config.parameters import JOINT_PARAMETERS, Value
-from hd_diag.diagnosis.diagnosis import Diagnosis
+from hd_diag.diagnosis.diagnosis import Diagnosis, Gain, Rms
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.linearised_fit import Workbench
 from hd_diag.diagnosis.search.detectability import Testability
 from hd_diag.diagnosis.search.unexplained import Line
 from hd_diag.diagnosis.verdict import sentence
 from hd_diag.effects.order_spectrum import line_width, spectrum
-from hd_diag.formatting import arcsec, direction, number, si, words
+from hd_diag.formatting import direction, number, si, words
 from hd_diag.replay.versions import running
+from hd_diag.report import stages, torsion
 from hd_diag.report.advice import Card, cards
-from hd_diag.report.binned import Envelope
 from hd_diag.report.ladder import Rung, benches, ladder
 from hd_diag.report.quality import Fact, facts
-from hd_diag.report.stages import (
-    EXTENDED,
-    NOMINAL,
-    Comparison,
-    Stages,
-    orders,
-    over_angle,
-    over_time,
-    over_torque,
-    stages,
-)
-from hd_diag.report.teeth import Done, Teeth, done, strongest_torque, teeth
-from hd_diag.report.torsion import Torsion, measured, simulated
+from hd_diag.report.stages import Comparison, OverTime, Stages
+from hd_diag.report.teeth import Extremes, TeethOverTurn, extremes, strongest_torque, teeth_over_turn
 
 _LINE_SHARE = 0.2  # of a cause's mean square from which a peak of its spectrum is its order
 _LEAK = 0.1  # strength of a peak's side lobes that are no peaks of their own
@@ -56,22 +45,7 @@ class Mark(NamedTuple):
     amplitude: float
 
 
-class Held(NamedTuple):
-    """Rms on data that no fit saw [rad]; the share explained with its interval; what was held out."""
-
-    nominal: float
-    refit: float
-    extended: float
-    noise: float
-    noise_low: float
-    noise_high: float
-    fraction: float
-    low: float
-    high: float
-    told: str
-
-
-class Parameter(NamedTuple):
+class FittedParameter(NamedTuple):
     """A fitted parameter in words."""
 
     name: str
@@ -87,38 +61,40 @@ class Judgement:
     ----------
     cards : tuple of Card
     over_angle, over_torque : Comparison
-    over_time : dict of str to Envelope
-        ``torque``, ``speed`` and the stages' residuals.
+    over_time : OverTime
     orders : dict of str to (order, amplitude)
-        By stage; amplitude [rad].
+        Of the residual by stage; amplitude [rad].
     highest_order : float
     marks : tuple of Mark
     ladder : tuple of Rung
     stretches : int
         How many the ladder's data were cut into.
-    held : Held or None
-    parameters : tuple of Parameter
+    rms : Rms or None
+        On data that no fit saw.
+    gain : Gain or None
+    parameters : tuple of FittedParameter
     trustworthy : bool
     testable : tuple of Testability
-    classes : tuple of (str, tuple of str)
-        Causes named with others that the record cannot tell from them.
+    classes : tuple of tuple of str
+        Causes that the record cannot tell from each other.
     unexplained : tuple of Line
     """
 
     cards: tuple[Card, ...]
     over_angle: Comparison
     over_torque: Comparison
-    over_time: dict[str, Envelope]
+    over_time: OverTime
     orders: dict[str, tuple[Floats, Floats]]
     highest_order: float
     marks: tuple[Mark, ...]
     ladder: tuple[Rung, ...]
     stretches: int
-    held: Held | None
-    parameters: tuple[Parameter, ...]
+    rms: Rms | None
+    gain: Gain | None
+    parameters: tuple[FittedParameter, ...]
     trustworthy: bool
     testable: tuple[Testability, ...]
-    classes: tuple[tuple[str, tuple[str, ...]], ...]
+    classes: tuple[tuple[str, ...], ...]
     unexplained: tuple[Line, ...]
 
 
@@ -132,16 +108,16 @@ class JointReport:
     name: str
     verdict: str
     best: str
-    torsion: Torsion
-    teeth: Teeth
-    done: Done
+    torsion: torsion.Torsion
+    teeth: TeethOverTurn
+    extremes: Extremes
     quality: tuple[Fact, ...]
     settings: tuple[Fact, ...]
     judgement: Judgement | None
 
 
 def of_diagnosis(diagnosis: Diagnosis, joint: JointConfig, flat: Mapping[str, Value]) -> JointReport:
-    """A joint's report out of its diagnosis.
+    """A joint's report from its diagnosis.
 
     Parameters
     ----------
@@ -154,33 +130,28 @@ def of_diagnosis(diagnosis: Diagnosis, joint: JointConfig, flat: Mapping[str, Va
     -------
     JointReport
     """
-    rungs = benches(diagnosis)
-    found = stages(diagnosis, rungs[0] if rungs else None)
+    fitted = benches(diagnosis)
+    found = stages.stages(diagnosis, fitted[0] if fitted else None)
     record, drive = diagnosis.record, found.drive
-    quality = facts(
-        record.time,
-        record.input_angle,
-        record.torque if record.has_torque else None,
-        drive.kinematics.ratio,
-        record.bag,
-    )
+    torque = record.torque if record.has_torque else None
+    quality = facts(record.time, record.input_angle, torque, drive.kinematics.ratio, record.bag)
     runs = Fact("Runs", f"{record.runs}, {number(record.duration)} s in all")
-    taken = Fact("Taken out", f"{record.outliers} outliers, {record.dropped} not finite or out of order")
+    excluded = Fact("Taken out", f"{record.outliers} outliers, {record.dropped} not finite or out of order")
     return JointReport(
         joint.name,
         sentence(diagnosis),
         "refitted" if diagnosis.refitted else "configured",
-        measured(found, diagnosis.configured),
-        teeth(drive, record.input_angle, strongest_torque(record.torque)),
-        done(drive, record.input_angle, record.torque),
-        (quality[0], taken, runs, *quality[1:]),
+        torsion.measured(found, diagnosis.configured),
+        teeth_over_turn(drive, record.input_angle, strongest_torque(record.torque)),
+        extremes(drive, record.input_angle, record.torque),
+        (quality[0], excluded, runs, *quality[1:]),
         settings(joint, flat),
-        _judgement(diagnosis, found, rungs),
+        _judgement(diagnosis, found, fitted),
     )
 
 
 def of_motion(motion: Motion, joint: JointConfig, flat: Mapping[str, Value], reason: str) -> JointReport:
-    """The model's side alone, over what a bag did.
+    """The model's side alone, over the motion in a bag.
 
     Parameters
     ----------
@@ -201,9 +172,9 @@ def of_motion(motion: Motion, joint: JointConfig, flat: Mapping[str, Value], rea
         joint.name,
         f"Nothing could be judged: {reason}. What follows is what the model says of the motion.",
         "configured" if joint.model is None else "extended",
-        simulated(joint.configured, drive, max(abs(strong), drive.rated_torque)),
-        teeth(drive, motion.input_angle, strong),
-        done(drive, motion.input_angle, torque),
+        torsion.simulated(joint.configured, drive, max(abs(strong), drive.rated_torque)),
+        teeth_over_turn(drive, motion.input_angle, strong),
+        extremes(drive, motion.input_angle, torque),
         tuple(facts(motion.time, motion.input_angle, motion.torque, drive.kinematics.ratio, motion.bag)),
         settings(joint, flat),
         None,
@@ -227,67 +198,54 @@ def versions() -> tuple[Fact, ...]:
     return (*found, *(Fact(name, metadata.version(name)) for name in ("matplotlib", "Jinja2")))
 
 
-def _judgement(diagnosis: Diagnosis, found: Stages, rungs: Sequence[Workbench]) -> Judgement:
+def _judgement(diagnosis: Diagnosis, found: Stages, fitted: Sequence[Workbench]) -> Judgement:
     marks = _marks(diagnosis)
     top = 1.2 * max((mark.order for mark in marks), default=0.0)
     highest = min(max(top, _ORDERS[0]), _ORDERS[1])
     return Judgement(
         tuple(cards(diagnosis)),
-        over_angle(found),
-        over_torque(found),
-        over_time(found),
-        orders(found, highest),
+        stages.over_angle(found),
+        stages.over_torque(found),
+        stages.over_time(found),
+        stages.orders(found, highest),
         highest,
         tuple(mark for mark in marks if mark.order <= highest),
-        tuple(ladder(diagnosis, found.residual[NOMINAL], list(rungs))),
-        int(rungs[-1].block[-1]) + 1 if rungs else 0,
-        _held(diagnosis),
+        tuple(ladder(diagnosis, found.residual[stages.NOMINAL], list(fitted))),
+        int(fitted[-1].block[-1]) + 1 if fitted else 0,
+        diagnosis.rms,
+        diagnosis.gain,
         _parameters(diagnosis),
         bool(diagnosis.refitted and diagnosis.refitted.trustworthy),
         diagnosis.testable,
-        tuple((cause.effect.name, cause.alike) for cause in diagnosis.causes if len(cause.alike) > 1),
+        tuple(cause.alike for cause in diagnosis.causes if len(cause.alike) > 1),
         diagnosis.unexplained,
     )
 
 
-def _held(diagnosis: Diagnosis) -> Held | None:
-    rms, gain = diagnosis.rms, diagnosis.gain
-    if rms is None or gain is None:
-        return None
-    noise = (rms.noise, rms.noise_low, rms.noise_high)
-    share = (gain.fraction, gain.low, gain.high)
-    return Held(rms.nominal, rms.refit, rms.extended, *noise, *share, gain.held_out)
-
-
-def _parameters(diagnosis: Diagnosis) -> tuple[Parameter, ...]:
+def _parameters(diagnosis: Diagnosis) -> tuple[FittedParameter, ...]:
     refitted = diagnosis.refitted
     if refitted is None:
         return ()
     values = fit_parameters.physical(refitted.parameters, refitted.covariance, diagnosis.configured)
-    return tuple(_parameter(name, entry) for name, entry in values.items())
+    return tuple(_parameter(name, **entry) for name, entry in values.items())
 
 
-def _parameter(name: str, entry: Mapping[str, float]) -> Parameter:
-    title, value, spread = words(name).replace(".", ", "), entry["value"], entry["std"]
+def _parameter(name: str, value: float, std: float, unit: str, configured: float) -> FittedParameter:
+    title = words(name).replace(".", ", ")
     if name.endswith("direction"):
         period = math.pi if name.startswith("eccentricity") else 2.0 * math.pi
-        configured = direction(entry["configured"], math.nan, 2.0 * math.pi)
-        return Parameter(title, direction(value, spread, period), configured)
-    unit = str(entry["unit"])
-    return Parameter(title, si(value, spread, unit), si(entry["configured"], math.nan, unit))
+        given = direction(configured, math.nan, 2.0 * math.pi)
+        return FittedParameter(title, direction(value, std, period), given)
+    return FittedParameter(title, si(value, std, unit), si(configured, math.nan, unit))
 
 
 def _marks(diagnosis: Diagnosis) -> list[Mark]:
     """Orders that causes and unexplained lines have in the wave generator's angle."""
-    marks = [
-        Mark(line.order, "unexplained", line.amplitude)
-        for line in diagnosis.unexplained
-        if line.frame == "input"
-    ]
-    if diagnosis.found is None:
-        return marks
-    bench = diagnosis.found.bench
+    lines = [line for line in diagnosis.unexplained if line.frame == "input"]
+    marks = [Mark(line.order, "unexplained", line.amplitude) for line in lines]
     for cause in diagnosis.causes:
+        assert diagnosis.found is not None
+        bench = diagnosis.found.bench
         # Columns after the cause's own are of what wanders, which is no order.
         columns = bench.columns(cause.effect, cause.nonlinear)[:, : cause.coefficients.size]
         part = columns @ cause.coefficients
@@ -307,17 +265,3 @@ def _own_orders(angle: Floats, part: Floats, name: str) -> list[Mark]:
         marks.append(Mark(float(order[at]), name, float(strength[at])))
         strength = np.where(np.abs(order - order[at]) < width, 0.0, strength)
     return marks
-
-
-def told_held(found: Judgement) -> str:
-    """The gain in two sentences; empty where nothing was held out."""
-    held = found.held
-    if held is None:
-        return ""
-    extended = f", extended by the causes {arcsec(held.extended)}" if EXTENDED in found.orders else ""
-    return (
-        f"On data that no fit saw ({held.told}) the configured model leaves {arcsec(held.nominal)} rms, "
-        f"refitted {arcsec(held.refit)}{extended}; the noise floor is {arcsec(held.noise)}. "
-        f"{100.0 * held.fraction:.1f} % of the mean square is explained "
-        f"({100.0 * held.low:.1f} to {100.0 * held.high:.1f} %)."
-    )

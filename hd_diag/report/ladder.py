@@ -1,8 +1,8 @@
-"""A ladder of models, one cause more each time: what a rung leaves of stretches that its fit did not see."""
+"""A ladder of models, one cause more each time: rms residual on stretches that the rung's fit did not see."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,8 +17,7 @@ _DRAWS = 2000
 _INTERVAL = (0.025, 0.975)
 
 
-@dataclass(frozen=True)
-class Rung:
+class Rung(NamedTuple):
     """One model of the ladder.
 
     Attributes
@@ -34,9 +33,9 @@ class Rung:
     rms: float
     low: float
     high: float
-    gain: float
-    gain_low: float
-    gain_high: float
+    gain: float = float("nan")
+    gain_low: float = float("nan")
+    gain_high: float = float("nan")
 
 
 def benches(diagnosis: Diagnosis) -> list[Workbench]:
@@ -49,46 +48,39 @@ def benches(diagnosis: Diagnosis) -> list[Workbench]:
     return [*fewer, whole]
 
 
-def ladder(diagnosis: Diagnosis, nominal: Floats, rungs: list[Workbench]) -> list[Rung]:
+def ladder(diagnosis: Diagnosis, nominal: Floats, fitted: list[Workbench]) -> list[Rung]:
     """Rungs from the configured model to the extended one.
 
     Parameters
     ----------
     diagnosis : Diagnosis
     nominal : ndarray, shape (n,)
-        What the configured model leaves of the usable samples [rad].
-    rungs : list of Workbench
+        Residual of the configured model at the usable samples [rad].
+    fitted : list of Workbench
         From :func:`benches`.
 
     Returns
     -------
     list of Rung
     """
-    if diagnosis.found is None or not rungs:
+    if diagnosis.found is None or not fitted:
         return []
     chosen = diagnosis.found.chosen
     names = [NOMINAL, REFIT, *(f"+ {words(effect.name)}" for effect, _ in chosen)]
-    rests = [nominal, *(_unseen(bench, chosen[:count]) for count, bench in enumerate(rungs))]
-    block = rungs[-1].block
-    squares = np.stack([np.bincount(block, rest**2) for rest in rests])
-    counts = np.bincount(block)
+    residuals = [nominal, *(_unseen(bench, chosen[:count]) for count, bench in enumerate(fitted))]
+    block = fitted[-1].block
+    squares, counts = np.stack([np.bincount(block, rest**2) for rest in residuals]), np.bincount(block)
     draws = np.random.default_rng(0).integers(0, counts.size, (_DRAWS, counts.size))
-    drawn = squares[:, draws].sum(axis=2)  # shape (rungs, draws)
-    rms = np.sqrt(drawn / counts[draws].sum(axis=1))
-    return [_rung(name, at, squares.sum(axis=1), drawn, rms, block.size) for at, name in enumerate(names)]
-
-
-def _rung(name: str, at: int, total: Floats, drawn: Floats, rms: Floats, rows: int) -> Rung:
-    low, high = np.quantile(rms[at], _INTERVAL)
-    gain, gain_low, gain_high = float("nan"), float("nan"), float("nan")
-    if at:
-        gain = 1.0 - float(total[at] / total[at - 1])
-        gain_low, gain_high = map(float, np.quantile(1.0 - drawn[at] / drawn[at - 1], _INTERVAL))
-    return Rung(name, float(np.sqrt(total[at] / rows)), float(low), float(high), gain, gain_low, gain_high)
+    drawn, total = squares[:, draws].sum(axis=2), squares.sum(axis=1)
+    spread = np.quantile(np.sqrt(drawn / counts[draws].sum(axis=1)), _INTERVAL, axis=1)
+    gains = [1.0 - total[1:] / total[:-1], *np.quantile(1.0 - drawn[1:] / drawn[:-1], _INTERVAL, axis=1)]
+    rms = np.stack([np.sqrt(total / block.size), *spread], axis=1).tolist()
+    gained = [[], *np.stack(gains, axis=1).tolist()]
+    return [Rung(name, *of_rms, *of_gain) for name, of_rms, of_gain in zip(names, rms, gained, strict=True)]
 
 
 def _unseen(bench: Workbench, chosen: Chosen) -> Floats:
-    """What is left of every stretch by coefficients fitted to the others [rad]."""
+    """Residual of every stretch by coefficients fitted to the others [rad]."""
     normal = bench.design(chosen)
     gram, moment = normal.gram.sum(axis=0), normal.moment.sum(axis=0)
     columns = np.concatenate((bench.always(), bench.joined(chosen)), axis=1)

@@ -13,10 +13,9 @@ from typing import Any
 from jinja2 import DictLoader, Environment, StrictUndefined
 
 from hd_diag.formatting import arcsec, visible, words
-from hd_diag.report.advice import told_size
-from hd_diag.report.captions import gain, least_size, left
-from hd_diag.report.facts import JointReport, told_held, versions
-from hd_diag.report.page_pictures import drawn
+from hd_diag.report import captions
+from hd_diag.report.facts import JointReport, versions
+from hd_diag.report.page_pictures import pictures
 from hd_diag.report.quality import Fact
 
 _TEMPLATE = "report.html.jinja"
@@ -46,14 +45,10 @@ def page(reports: Sequence[JointReport], sources: Sequence[Fact]) -> str:
         sources=sources,
         versions=versions(),
         joints=[
-            {"report": report, "pictures": drawn(report, number)}
+            {"report": report, "pictures": pictures(report, number)}
             for number, report in enumerate(reports, start=1)
         ],
-        told_held=told_held,
-        told_size=told_size,
-        told_left=left,
-        told_gain=gain,
-        told_least=least_size,
+        captions=captions,
         arcsec=arcsec,
     )
 

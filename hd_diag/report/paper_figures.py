@@ -8,6 +8,7 @@ stands across it, counter-clockwise: to the right of tooth 0.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -21,7 +22,7 @@ from hd_diag.model.neutral_curve import tooth_axes
 from hd_diag.model.transmission_error import Kinematics
 
 _PUBLISHED = 23e-6  # eccentricity at which interference first appears, section 4.2 [m]
-_STEPS = 6  # eccentricities drawn, from zero to that
+_SIZES = np.linspace(0.0, _PUBLISHED, 6)  # eccentricities drawn [m]
 _MOST = 40e-6  # within which interference is looked for [m]
 _DATUM_REACH = 20e-6  # by how much the datum may be moved to make it appear at the published one [m]
 _ROUNDING = 0.5e-6  # of a datum radius configured in micrometres [m]
@@ -59,6 +60,7 @@ class NeutralLayer:
         Of its radial displacement by the eccentricity [m].
     eccentricity : ndarray, shape (eccentricities,)
         [m]
+    claims : tuple of Claim
     """
 
     stations: Floats
@@ -71,134 +73,104 @@ class NeutralLayer:
 
 
 @dataclass(frozen=True)
-class TeethAtOnce:
-    """Fig. 6: all teeth of the engagement region at one moment, for several eccentricities [m].
+class Engagement:
+    """Figs. 6 and 7: backlash and load of all teeth at one moment, or of one tooth over time.
 
-    `tooth` counts from the long axis, positive to the right; `backlash` [m] and `load` [N] have shape
-    (eccentricities, teeth); `torque` is the rated one [N m].
+    Attributes
+    ----------
+    eccentricity : ndarray, shape (eccentricities,)
+        [m]; in Fig. 7 away from the tooth.
+    place : ndarray, shape (places,)
+        Fig. 6: tooth, from the long axis, positive to the right; Fig. 7: angle of the wave generator [rad].
+    backlash, load : ndarray, shape (eccentricities, places)
+        Lesser of both flanks, without torque [m]; sum of both at the torque [N].
+    near : tuple of two ndarray, shape (places,), or None
+        Fig. 7: backlash and load for the largest eccentricity towards the tooth.
+    torque : float
+        The rated one [N m].
+    claims : tuple of Claim
     """
 
     eccentricity: Floats
-    tooth: npt.NDArray[np.int64]
+    place: Floats
     backlash: Floats
     load: Floats
+    near: tuple[Floats, Floats] | None
     torque: float
     claims: tuple[Claim, ...]
-
-
-@dataclass(frozen=True)
-class ToothOverTime:
-    """Fig. 7: one tooth while a lobe passes it, for several eccentricities [m] away from it.
-
-    `angle` is the wave generator's [rad]; `backlash` [m] and `load` [N] have shape (eccentricities, angles);
-    the `near` ones are of the largest eccentricity, towards the tooth.
-    """
-
-    eccentricity: Floats
-    angle: Floats
-    backlash: Floats
-    load: Floats
-    near_backlash: Floats
-    near_load: Floats
-    torque: float
-    claims: tuple[Claim, ...]
-
-
-def eccentricities() -> Floats:
-    """Eccentricities from zero to the one at which the paper first sees interference [m]."""
-    return np.linspace(0.0, _PUBLISHED, _STEPS)
-
-
-def first_interference(drive: Drive) -> float:
-    """Eccentricity at which a tooth of the engagement region has no backlash left [m]; nan where none has."""
-    if not _least(drive, 0.0) > 0.0 > _least(drive, _MOST):
-        return float("nan")
-    return float(brentq(lambda e: _least(drive, e), 0.0, _MOST, xtol=1e-10))
-
-
-def _least(drive: Drive, eccentricity: float) -> float:
-    """Least backlash in the engagement region [m]."""
-    return float(np.nanmin(_lesser(_moment(drive, eccentricity, 0.0))[_engaged(drive)]))
-
-
-def _published_datum(drive: Drive) -> float:
-    """By how much the slots' datum must move for the published first interference [m]; nan if too far."""
-
-    def least(shift: float) -> float:
-        geometry = drive.mesh.geometry
-        moved = replace(geometry, circular_spline_datum=geometry.circular_spline_datum + shift)
-        return _least(replace(drive, mesh=replace(drive.mesh, geometry=moved)), _PUBLISHED)
-
-    if not least(-_DATUM_REACH) < 0.0 < least(_DATUM_REACH):
-        return float("nan")
-    return float(brentq(least, -_DATUM_REACH, _DATUM_REACH, xtol=1e-10))
 
 
 def neutral_layer(drive: Drive) -> NeutralLayer:
     """Fig. 5 for a drive."""
-    sizes = eccentricities()
     stations = np.radians([0.0, 45.0, 90.0, 135.0])
     place = np.linspace(-np.pi / 2, np.pi / 2, 181)
-    both = np.stack([_radial(drive, place, stations[:, None] - place, e) for e in (0.0, sizes[-1])])
+    both = np.stack([_radial(drive, place, stations[:, None] - place, e) for e in (0.0, _PUBLISHED)])
     around = np.linspace(0.0, _TURN, 361)
-    still = _radial(drive, around, np.zeros(around.size), 0.0)
-    change = np.stack([_radial(drive, around, np.zeros(around.size), e) - still for e in sizes])
+    rows = np.stack([_radial(drive, around, np.zeros(around.size), e) for e in _SIZES])
+    change = rows - rows[0]
     where = np.mod(tooth_axes(drive.mesh.geometry.curve, around)[0], _TURN)
-    found = NeutralLayer(stations, place, both, where, change, sizes, ())
-    return replace(found, claims=_motion_claims(found))
+    claims = _motion_claims(stations, both, where, change[-1])
+    return NeutralLayer(stations, place, both, where, change, _SIZES, claims)
 
 
-def _motion_claims(found: NeutralLayer) -> tuple[Claim, ...]:
-    apart = np.ptp(found.displacement, axis=1).max(axis=1) / _MICROMETRE
-    greatest = float(found.direction[np.argmax(found.change[-1])])
-    most, size = (float(v) / _MICROMETRE for v in (found.change[-1].max(), found.eccentricity[-1]))
+def _radial(drive: Drive, place: Floats, turned: Floats, eccentricity: float) -> Floats:
+    """Radial displacement of points of the layer [m] at places from the long axis, it being turned [rad]."""
+    curve = drive.mesh.geometry.curve
+    angle, height, offset = tooth_axes(curve, place)
+    point = (height + 1j * offset) * np.exp(1j * (angle + turned)) + 1j * eccentricity
+    return np.asarray(np.abs(point) - curve.radius)
+
+
+def _motion_claims(stations: Floats, both: Floats, where: Floats, change: Floats) -> tuple[Claim, ...]:
+    still, apart = np.ptp(both, axis=1).max(axis=1) / _MICROMETRE
+    greatest = float(np.degrees(where[np.argmax(change)]))
+    most, size = float(change.max()) / _MICROMETRE, _PUBLISHED / _MICROMETRE
     return (
         Claim(
             "a",
             f"Without eccentricity all points of the neutral layer share one motion; at {size:.1f} µm those "
-            f"at {', '.join(f'{np.degrees(s):.0f}' for s in found.stations)}° are up to {apart[1]:.1f} µm "
+            f"at {', '.join(f'{np.degrees(s):.0f}' for s in stations)}° are up to {apart:.1f} µm "
             "apart at the same place on the wave generator.",
-            bool(apart[0] < _EQUAL / _MICROMETRE and apart[1] > size),
+            bool(still < _EQUAL / _MICROMETRE and apart > size),
         ),
         Claim(
             "a",
-            f"The radial displacement changes most, by {most:.1f} µm, at {np.degrees(greatest):.0f}°, where "
+            f"The radial displacement changes most, by {most:.1f} µm, at {greatest:.0f}°, where "
             "the eccentricity points (90°).",
-            bool(abs(np.degrees(greatest) - 90.0) < 2.0 and abs(most / size - 1.0) < 0.01),
+            bool(abs(greatest - 90.0) < 2.0 and abs(most / size - 1.0) < 0.01),
         ),
     )
 
 
-def teeth_at_once(drive: Drive) -> TeethAtOnce:
+def teeth_at_once(drive: Drive) -> Engagement:
     """Fig. 6 for a drive."""
-    sizes = eccentricities()
-    rows = _engaged(drive)
-    teeth = drive.mesh.geometry.flexspline_teeth
+    rows, teeth = _engaged(drive), drive.mesh.geometry.flexspline_teeth
     tooth = np.where(rows > teeth // 2, rows - teeth, rows)
-    free = np.stack([_lesser(_moment(drive, e, 0.0))[rows] for e in sizes])
-    states = [_moment(drive, e, drive.rated_torque) for e in sizes]
+    backlash = np.stack([_free(drive, e) for e in _SIZES])
+    states = [_moment(drive, e, drive.rated_torque) for e in _SIZES]
     load = np.stack([state.load[0].sum(axis=0) for state in states])
-    found = TeethAtOnce(sizes, tooth, free, load[:, rows], drive.rated_torque, ())
-    pairs = [int(state.loaded_pairs[0]) for state in states]
-    around = _TURN * np.arange(teeth) / teeth
-    lever = (load @ np.sin(around)) / load.sum(axis=1)
-    claims = (*_backlash_claims(found, teeth), _first_claim(drive), _load_claim(found, pairs, lever))
-    return replace(found, claims=claims)
+    claims = (
+        *_backlash_claims(tooth, backlash, teeth),
+        _first_claim(drive),
+        _load_claim(drive, states, load),
+    )
+    return Engagement(
+        _SIZES, tooth.astype(np.float64), backlash, load[:, rows], None, drive.rated_torque, claims
+    )
 
 
-def _backlash_claims(found: TeethAtOnce, teeth: int) -> tuple[Claim, ...]:
-    near = [share * teeth for share in _FLANKS]
-    skew = float(np.nanmax(np.abs(found.backlash[0] - found.backlash[0][::-1])))
-    growth = np.diff(found.backlash, axis=0)
-    left = growth[:, (-found.tooth >= near[0]) & (-found.tooth <= near[1])]
-    right = growth[:, (found.tooth >= near[0]) & (found.tooth <= near[1])]
-    total = [float(np.nanmean(side.sum(axis=0))) / _MICROMETRE for side in (left, right)]
+def _backlash_claims(tooth: npt.NDArray[np.int64], backlash: Floats, teeth: int) -> tuple[Claim, ...]:
+    low, high = (share * teeth for share in _FLANKS)
+    skew = float(np.nanmax(np.abs(backlash[0] - backlash[0][::-1])))
+    growth = np.diff(backlash, axis=0)
+    left, right = (growth[:, (side >= low) & (side <= high)] for side in (-tooth, tooth))
+    grown, shrunk = (float(np.nanmean(side.sum(axis=0))) / _MICROMETRE for side in (left, right))
     return (
         Claim("b", "Without eccentricity the backlash is symmetric about the long axis.", skew < _EQUAL),
         Claim(
             "b",
-            f"With it, backlash grows on the left half, by {total[0]:.1f} µm on the mean, and shrinks on "
-            f"the right, by {-total[1]:.1f} µm.",
+            f"With it, backlash grows on the left half, by {grown:.1f} µm on the mean, and shrinks on "
+            f"the right, by {-shrunk:.1f} µm.",
             bool(np.all(left > 0.0) and np.all(right < 0.0)),
         ),
     )
@@ -207,7 +179,7 @@ def _backlash_claims(found: TeethAtOnce, teeth: int) -> tuple[Claim, ...]:
 def _first_claim(drive: Drive) -> Claim:
     first, shift = first_interference(drive) / _MICROMETRE, _published_datum(drive) / _MICROMETRE
     published = _PUBLISHED / _MICROMETRE
-    if not (np.isfinite(first) and np.isfinite(shift)):
+    if not np.isfinite(first + shift):
         text = f"Interference does not first appear at an eccentricity near {published:.1f} µm."
         return Claim("c", text, False)
     return Claim(
@@ -219,51 +191,72 @@ def _first_claim(drive: Drive) -> Claim:
     )
 
 
-def _load_claim(found: TeethAtOnce, pairs: list[int], lever: Floats) -> Claim:
-    peak = found.load.max(axis=1)
+def first_interference(drive: Drive) -> float:
+    """Eccentricity at which a tooth of the engagement region has no backlash left [m]; nan where none has."""
+    return _root(lambda e: float(np.nanmin(_free(drive, e))), 0.0, _MOST)
+
+
+def _published_datum(drive: Drive) -> float:
+    """By how much the slots' datum must move for the published first interference [m]; nan if too far."""
+    geometry = drive.mesh.geometry
+
+    def least(shift: float) -> float:
+        moved = replace(geometry, circular_spline_datum=geometry.circular_spline_datum + shift)
+        return float(np.nanmin(_free(replace(drive, mesh=replace(drive.mesh, geometry=moved)), _PUBLISHED)))
+
+    return _root(least, -_DATUM_REACH, _DATUM_REACH)
+
+
+def _root(function: Callable[[float], float], low: float, high: float) -> float:
+    """Where a function of a length [m] is zero; nan where it has one sign at both ends."""
+    if not function(low) * function(high) < 0.0:
+        return float("nan")
+    return float(brentq(function, low, high, xtol=1e-10))
+
+
+def _load_claim(drive: Drive, states: list[MeshState], load: Floats) -> Claim:
+    pairs, peak = [int(state.loaded_pairs[0]) for state in states], load.max(axis=1)
+    around = _TURN * np.arange(load.shape[1]) / load.shape[1]
+    lever = (load @ np.sin(around)) / load.sum(axis=1)
+    rising = np.all(np.diff(peak) > 0.0) and np.all(np.diff(lever) > 0.0)
     return Claim(
         "d",
-        f"At {found.torque:g} N m, from no eccentricity to the largest, the loaded pairs go from {pairs[0]} "
-        f"to {pairs[-1]}, the largest force from {peak[0]:.1f} to {peak[-1]:.1f} N, and the load's centre "
-        f"moves towards the eccentricity, from {abs(lever[0]):.2f} to {lever[-1]:.2f} of the radius.",
-        bool(np.all(np.diff(pairs) <= 0) and pairs[-1] < pairs[0] and np.all(np.diff(peak) > 0.0))
-        and bool(np.all(np.diff(lever) > 0.0)),
+        f"At {drive.rated_torque:g} N m, from no eccentricity to the largest, the loaded pairs go from "
+        f"{pairs[0]} to {pairs[-1]}, the largest force from {peak[0]:.1f} to {peak[-1]:.1f} N, and the "
+        "load's centre moves towards the eccentricity, from "
+        f"{abs(lever[0]):.2f} to {lever[-1]:.2f} of the radius.",
+        bool(rising and np.all(np.diff(pairs) <= 0) and pairs[-1] < pairs[0]),
     )
 
 
-def tooth_over_time(drive: Drive) -> ToothOverTime:
+def tooth_over_time(drive: Drive) -> Engagement:
     """Fig. 7 for a drive."""
-    sizes = eccentricities()
-    free, load = (np.stack(rows) for rows in zip(*(_passage(drive, -e) for e in sizes), strict=True))
-    near_free, near_load = _passage(drive, sizes[-1])
-    least, most = (np.nanmin(free, axis=1) / _MICROMETRE, load.max(axis=1))
-    near = float(np.nanmin(near_free)) / _MICROMETRE, float(near_load.max())
+    backlash, load = (np.stack(rows) for rows in zip(*(_passage(drive, -e) for e in _SIZES), strict=True))
+    near = _passage(drive, _PUBLISHED)
+    least, most = np.nanmin(backlash, axis=1) / _MICROMETRE, load.max(axis=1)
+    nearest, greatest = float(np.nanmin(near[0])) / _MICROMETRE, float(near[1].max())
     claims = (
         Claim(
             "e",
-            f"On the side away from the eccentricity, from none to {sizes[-1] / _MICROMETRE:.1f} µm, the "
+            f"On the side away from the eccentricity, from none to {_PUBLISHED / _MICROMETRE:.1f} µm, the "
             f"tooth's least backlash grows from {_signed(least[0])} to {_signed(least[-1])} µm and its "
             f"largest force at {drive.rated_torque:g} N m falls from {most[0]:.1f} to {most[-1]:.1f} N.",
             bool(np.all(np.diff(least) > 0.0) and np.all(np.diff(most) < 0.0)),
         ),
         Claim(
             "e",
-            f"On the near side it is the other way about: {_signed(near[0])} µm and {near[1]:.1f} N.",
-            bool(near[0] < least[0] and near[1] > most[0]),
+            f"On the near side it is the other way about: {_signed(nearest)} µm and {greatest:.1f} N.",
+            bool(nearest < least[0] and greatest > most[0]),
         ),
     )
-    return ToothOverTime(sizes, _PASSAGE, free, load, near_free, near_load, drive.rated_torque, claims)
+    return Engagement(_SIZES, _PASSAGE, backlash, load, near, drive.rated_torque, claims)
 
 
-def _signed(value: float) -> str:
-    return f"{value:.1f}".replace("-", "−")
-
-
-def _engaged(drive: Drive) -> npt.NDArray[np.int64]:
-    """Teeth near the long axis, from left to right."""
-    teeth = drive.mesh.geometry.flexspline_teeth
-    reach = int(_ENGAGED * teeth)
-    return np.arange(-reach, reach + 1) % teeth
+def _passage(drive: Drive, eccentricity: float) -> tuple[Floats, Floats]:
+    """Backlash [m] and load [N] of tooth 0 over a lobe's passage, the eccentricity along the tooth."""
+    placed = _placed(drive, complex(eccentricity, 0.0), 0.0)
+    state = mesh_state(placed, _PASSAGE, np.full(_PASSAGE.size, drive.rated_torque))
+    return np.fmin(state.backlash[:, 0, 0], state.backlash[:, 1, 0]), state.load[:, :, 0].sum(axis=1)
 
 
 def _placed(drive: Drive, eccentricity: complex, arc_offset: float) -> Drive:
@@ -278,21 +271,18 @@ def _moment(drive: Drive, eccentricity: float, torque: float) -> MeshState:
     return mesh_state(placed, np.zeros(1), np.array([torque]))
 
 
-def _lesser(state: MeshState) -> Floats:
-    """Backlash of every tooth: the lesser of its two flanks [m]."""
-    return np.asarray(np.fmin(state.backlash[0, 0], state.backlash[0, 1]))
+def _engaged(drive: Drive) -> npt.NDArray[np.int64]:
+    """Teeth near the long axis, from left to right."""
+    teeth = drive.mesh.geometry.flexspline_teeth
+    reach = int(_ENGAGED * teeth)
+    return np.arange(-reach, reach + 1) % teeth
 
 
-def _passage(drive: Drive, eccentricity: float) -> tuple[Floats, Floats]:
-    """Backlash [m] and load [N] of tooth 0 over a lobe's passage, the eccentricity along the tooth."""
-    placed = _placed(drive, complex(eccentricity, 0.0), 0.0)
-    state = mesh_state(placed, _PASSAGE, np.full(_PASSAGE.size, drive.rated_torque))
-    return np.fmin(state.backlash[:, 0, 0], state.backlash[:, 1, 0]), state.load[:, :, 0].sum(axis=1)
+def _free(drive: Drive, eccentricity: float) -> Floats:
+    """Backlash of the teeth near the long axis at that moment: the lesser of their two flanks [m]."""
+    backlash = _moment(drive, eccentricity, 0.0).backlash[0]
+    return np.asarray(np.fmin(backlash[0], backlash[1])[_engaged(drive)])
 
 
-def _radial(drive: Drive, place: Floats, turned: Floats, eccentricity: float) -> Floats:
-    """Radial displacement of points of the layer [m] at places from the long axis, it being turned [rad]."""
-    curve = drive.mesh.geometry.curve
-    angle, height, offset = tooth_axes(curve, place)
-    point = (height + 1j * offset) * np.exp(1j * (angle + turned)) + 1j * eccentricity
-    return np.asarray(np.abs(point) - curve.radius)
+def _signed(value: float) -> str:
+    return f"{value:.1f}".replace("-", "−")

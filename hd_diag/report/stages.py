@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -31,7 +32,7 @@ _GRID_ANGLES, _GRID_TORQUES = 48, 41
 
 @dataclass(frozen=True)
 class Stages:
-    """A record with what each stage of the model leaves of it.
+    """A record with the residual of each stage of the model.
 
     Attributes
     ----------
@@ -44,7 +45,7 @@ class Stages:
     residual : dict of str to ndarray, shape (n,)
         Measured less simulated error [rad] by stage; without causes the extended model is the refitted one.
     drive : Drive
-        The best that is known of it.
+        The refitted one, or the configured one where nothing was fitted.
     """
 
     record: Record
@@ -54,8 +55,7 @@ class Stages:
     drive: Drive
 
 
-@dataclass(frozen=True)
-class Comparison:
+class Comparison(NamedTuple):
     """Measured and simulated error in bins of an angle or a torque [rad].
 
     `simulated` holds means over the very samples of each bin, which have torques between `torques` [N m].
@@ -68,8 +68,16 @@ class Comparison:
     samples: int
 
 
+class OverTime(NamedTuple):
+    """Torque [N m], speed of the input [rad/s] and the stages' residuals [rad] along a record [s]."""
+
+    torque: Envelope
+    speed: Envelope
+    residual: dict[str, Envelope]
+
+
 def stages(diagnosis: Diagnosis, plain: Workbench | None) -> Stages:
-    """What each stage of the model leaves.
+    """Residual of each stage of the model.
 
     Parameters
     ----------
@@ -83,8 +91,7 @@ def stages(diagnosis: Diagnosis, plain: Workbench | None) -> Stages:
     """
     rows = usable(diagnosis.record)
     record, configured = diagnosis.record.select(rows), diagnosis.configured
-    ratio = configured.kinematics.ratio
-    error = record.output_angle - record.input_angle / ratio
+    error = record.output_angle - record.input_angle / configured.kinematics.ratio
     first = error - simulated_error(configured, record)
     offset = float(first.mean()) if diagnosis.model is None else diagnosis.model.offset
     residual = {NOMINAL: first - first.mean()}
@@ -100,56 +107,7 @@ def stages(diagnosis: Diagnosis, plain: Workbench | None) -> Stages:
 
 def simulated_error(drive: Drive, record: Record) -> Floats:
     """Transmission error of a drive along a record [rad]."""
-    error, _, _ = fit_parameters.along(drive, drive, record.input_angle, record.torque)
-    return error
-
-
-def over_angle(found: Stages) -> Comparison:
-    """Errors over the wave generator's angle, less the drive's mean over a turn at the same torque.
-
-    The ripple changes its sign with the torque: only torques of the stronger direction are taken, the middle
-    half of them.
-    """
-    rows, torques = _middle(found.record)
-    level = _mean_error(found.drive, found.record.torque[rows])
-    edges = np.linspace(0.0, _TURN, _ANGLE_BINS + 1)
-    return _compared(found, rows, np.mod(found.angle[rows], _TURN), edges, level, torques)
-
-
-def _middle(record: Record) -> tuple[npt.NDArray[np.int64], tuple[float, float]]:
-    """Samples with the middle half of the torques in the stronger direction, and between which [N m]."""
-    way = record.torque > 0.0 if strongest_torque(record.torque) > 0.0 else record.torque < 0.0
-    if not (record.has_torque and way.any()):
-        return np.arange(record.size), (float(record.torque.min()), float(record.torque.max()))
-    low, high = (float(q) for q in np.quantile(record.torque[way], (0.25, 0.75)))
-    return np.flatnonzero((record.torque >= low) & (record.torque <= high)), (low, high)
-
-
-def over_torque(found: Stages) -> Comparison:
-    """Errors over the torque."""
-    torque = found.record.torque
-    low, high = float(torque.min()), float(torque.max())
-    edges = np.linspace(low, max(high, low + 1e-6), _TORQUE_BINS + 1)
-    return _compared(found, np.arange(torque.size), torque, edges, np.zeros(torque.size), (low, high))
-
-
-def _compared(
-    found: Stages,
-    rows: npt.NDArray[np.int64],
-    place: Floats,
-    edges: Floats,
-    level: Floats,
-    torques: tuple[float, float],
-) -> Comparison:
-    told = found.measured[rows] - level
-    left_over = {name: rest[rows] for name, rest in found.residual.items()}
-    return Comparison(
-        band(place, told, edges),
-        {name: band(place, told - rest, edges).mean for name, rest in left_over.items()},
-        {name: band(place, rest, edges) for name, rest in left_over.items()},
-        torques,
-        rows.size,
-    )
+    return fit_parameters.along(drive, drive, record.input_angle, record.torque)[0]
 
 
 def mean_error(drive: Drive, torque: Floats) -> tuple[Floats, Floats, Floats]:
@@ -160,24 +118,53 @@ def mean_error(drive: Drive, torque: Floats) -> tuple[Floats, Floats, Floats]:
     return np.asarray(table.mean(axis=0)), np.asarray(table.min(axis=0)), np.asarray(table.max(axis=0))
 
 
-def _mean_error(drive: Drive, torque: Floats) -> Floats:
-    """Error at the samples' torques, averaged over the angle [rad]."""
-    most = max(float(np.max(np.abs(torque))), 1e-3)
-    nodes = most * np.linspace(-1.0, 1.0, _GRID_TORQUES)
-    return np.interp(torque, nodes, mean_error(drive, nodes)[0])
+def over_angle(found: Stages) -> Comparison:
+    """Errors over the wave generator's angle, less the drive's mean over a turn at the same torque.
+
+    The ripple changes its sign with the torque: only torques of the stronger direction are taken, the middle
+    half of them.
+    """
+    torque, rows = found.record.torque, np.arange(found.record.size)
+    way = torque > 0.0 if strongest_torque(torque) > 0.0 else torque < 0.0
+    if found.record.has_torque and way.any():
+        low, high = np.quantile(torque[way], (0.25, 0.75))
+        rows = np.flatnonzero((torque >= low) & (torque <= high))
+    nodes = max(float(np.max(np.abs(torque[rows]))), 1e-3) * np.linspace(-1.0, 1.0, _GRID_TORQUES)
+    level = np.interp(torque[rows], nodes, mean_error(found.drive, nodes)[0])
+    edges = np.linspace(0.0, _TURN, _ANGLE_BINS + 1)
+    return _compared(found, rows, np.mod(found.angle[rows], _TURN), edges, level)
+
+
+def over_torque(found: Stages) -> Comparison:
+    """Errors over the torque."""
+    torque = found.record.torque
+    edges = np.linspace(torque.min(), max(torque.max(), torque.min() + 1e-6), _TORQUE_BINS + 1)
+    return _compared(found, np.arange(torque.size), torque, edges, np.zeros(torque.size))
+
+
+def _compared(
+    found: Stages, rows: npt.NDArray[np.int64], place: Floats, edges: Floats, level: Floats
+) -> Comparison:
+    measured, torque = found.measured[rows] - level, found.record.torque[rows]
+    residual = {name: rest[rows] for name, rest in found.residual.items()}
+    return Comparison(
+        band(place, measured, edges),
+        {name: band(place, measured - rest, edges).mean for name, rest in residual.items()},
+        {name: band(place, rest, edges) for name, rest in residual.items()},
+        (float(torque.min()), float(torque.max())),
+        rows.size,
+    )
 
 
 def orders(found: Stages, highest: float) -> dict[str, tuple[Floats, Floats]]:
-    """Order and amplitude [rad] of what each stage leaves, every peak kept."""
-    result = {}
-    for name, rest in found.residual.items():
-        order, strength = spectrum(found.angle, rest, highest)
-        result[name] = strongest(order, strength, highest, _SPECTRUM_POINTS)
-    return result
+    """Order and amplitude [rad] of each stage's residual, every peak kept."""
+    spectra = {name: spectrum(found.angle, rest, highest) for name, rest in found.residual.items()}
+    return {name: strongest(*pair, highest, _SPECTRUM_POINTS) for name, pair in spectra.items()}
 
 
-def over_time(found: Stages) -> dict[str, Envelope]:
-    """Least and greatest torque [N m], input speed [rad/s] and residuals [rad] along the record."""
+def over_time(found: Stages) -> OverTime:
+    """Least and greatest torque, input speed and residuals along the record."""
     time = found.record.time - found.record.time[0]
-    columns = {"torque": found.record.torque, "speed": found.record.speed} | found.residual
-    return {name: envelope(time, column, _STRETCHES) for name, column in columns.items()}
+    torque, speed = (envelope(time, c, _STRETCHES) for c in (found.record.torque, found.record.speed))
+    residual = {name: envelope(time, rest, _STRETCHES) for name, rest in found.residual.items()}
+    return OverTime(torque, speed, residual)

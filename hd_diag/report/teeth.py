@@ -1,8 +1,9 @@
-"""Backlash and load of every tooth over a turn of the input, and what a record's own moments did to them."""
+"""Backlash and load of every tooth over a turn of the input, and at a record's own moments."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +19,7 @@ _TURN = 2.0 * np.pi
 
 
 @dataclass(frozen=True)
-class Teeth:
+class TeethOverTurn:
     """Teeth over a turn of the input at one torque.
 
     Attributes
@@ -60,9 +61,8 @@ class Teeth:
     displacement: float
 
 
-@dataclass(frozen=True)
-class Done:
-    """What a record's moments were: least backlash [m], greatest force [N], loaded flanks, overlap [m]."""
+class Extremes(NamedTuple):
+    """Of a record's moments: least backlash [m], greatest force [N], loaded flanks, overlap [m]."""
 
     moments: int
     least_backlash: float
@@ -78,7 +78,7 @@ def strongest_torque(torque: Floats) -> float:
     return high if high >= -low else low
 
 
-def teeth(drive: Drive, input_angle: Floats, torque: float) -> Teeth:
+def teeth_over_turn(drive: Drive, input_angle: Floats, torque: float) -> TeethOverTurn:
     """Teeth over a turn.
 
     Parameters
@@ -91,55 +91,50 @@ def teeth(drive: Drive, input_angle: Floats, torque: float) -> Teeth:
 
     Returns
     -------
-    Teeth
+    TeethOverTurn
     """
     frame, geometry = drive.frame, drive.mesh.geometry
     angle = _TURN * (np.arange(_ANGLES) + 0.5) / _ANGLES
     state = mesh_state(drive, angle, frame.cup_torque(np.full(_ANGLES, torque)))
     backlash, load = np.fmin(state.backlash[:, 0], state.backlash[:, 1]), state.load.sum(axis=1)
-    turned = frame.wave_generator_angle(angle)
-    place = _directions(turned, geometry.flexspline_teeth, geometry.circular_spline_teeth)
-    seen = np.bincount((np.mod(input_angle, _TURN) / _TURN * _ANGLES).astype(np.int64) % _ANGLES)
-    visited = np.zeros(_ANGLES, dtype=bool)
-    visited[: seen.size] = seen > 0
+    turned, teeth = frame.wave_generator_angle(angle), geometry.flexspline_teeth
+    # Where the teeth stand in the housing, shape (angles, teeth) [rad]; their bending is left out.
+    cup = -turned[:, None] * ((geometry.circular_spline_teeth - teeth) / teeth)
+    place = np.mod(cup + _TURN * np.arange(teeth) / teeth, _TURN)
     at = int(np.argmax(load.max(axis=1)))
     displacement = complex(drive.mesh.displacement(turned[at : at + 1])[0])
-    around, least, greatest = _around(place, backlash, load)
-    return Teeth(
+    return TeethOverTurn(
         torque,
         angle,
         backlash,
         load,
-        visited,
+        np.bincount(_sector(input_angle, _ANGLES), minlength=_ANGLES) > 0,
         at,
         place[at],
-        around,
-        least,
-        greatest,
+        *_around(place, backlash, load),
         float(np.mod(turned[at], _TURN)),
         float(np.angle(displacement)),
         abs(displacement),
     )
 
 
-def _directions(turned: Floats, teeth: int, slots: int) -> Floats:
-    """Where the teeth stand in the housing, shape (angles, teeth) [rad]; their bending is left out."""
-    cup = -turned[:, None] * ((slots - teeth) / teeth)
-    return np.asarray(np.mod(cup + _TURN * np.arange(teeth) / teeth, _TURN))
+def _sector(angle: Floats, sectors: int) -> npt.NDArray[np.int64]:
+    """In which of the equal parts of a turn an angle [rad] lies."""
+    return (np.mod(angle, _TURN) / _TURN * sectors).astype(np.int64) % sectors
 
 
 def _around(place: Floats, backlash: Floats, load: Floats) -> tuple[Floats, Floats, Floats]:
     """Direction in the housing, least backlash and greatest load there over a turn."""
-    index = (place / _TURN * _DIRECTIONS).astype(np.int64) % _DIRECTIONS
+    sector = _sector(place, _DIRECTIONS)
     least, greatest = np.full(_DIRECTIONS, np.inf), np.zeros(_DIRECTIONS)
     known = np.isfinite(backlash)
-    np.minimum.at(least, index[known], backlash[known])
-    np.maximum.at(greatest, index.ravel(), load.ravel())
+    np.minimum.at(least, sector[known], backlash[known])
+    np.maximum.at(greatest, sector.ravel(), load.ravel())
     least[~np.isfinite(least)] = np.nan
     return _TURN * (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS, least, greatest
 
 
-def done(drive: Drive, input_angle: Floats, torque: Floats) -> Done:
+def extremes(drive: Drive, input_angle: Floats, torque: Floats) -> Extremes:
     """What the record's own angles and torques did to the teeth.
 
     Parameters
@@ -150,16 +145,15 @@ def done(drive: Drive, input_angle: Floats, torque: Floats) -> Done:
 
     Returns
     -------
-    Done
+    Extremes
     """
     rows = np.unique(np.linspace(0, input_angle.size - 1, _MOMENTS).astype(np.int64))
     state = mesh_state(drive, input_angle[rows], drive.frame.cup_torque(torque[rows]))
-    pairs = state.loaded_pairs
-    return Done(
+    return Extremes(
         rows.size,
         float(np.nanmin(state.minimum_backlash)),
         float(np.max(state.peak_load)),
-        int(pairs.min()),
-        int(pairs.max()),
+        int(state.loaded_pairs.min()),
+        int(state.loaded_pairs.max()),
         float(np.nanmax(state.overlap)),
     )

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +14,7 @@ from hd_diag.report.stages import EXTENDED, Stages, mean_error
 
 # Ends of the ranges of K1, K2 and K3 over the rated torque [-]. The catalogue of a size-25, ratio-100 gear
 # has its knees at T1 = 14 and T2 = 48 N m, these shares of the example drive's 56 N m; K3 ends at 100 N m.
-_KNEES = (1.0 / 56.0, 14.0 / 56.0, 48.0 / 56.0, 100.0 / 56.0)
+_KNEES = np.array([1.0, 14.0, 48.0, 100.0]) / 56.0
 
 _BINS = 32
 _NODES = 61
@@ -62,11 +61,11 @@ class Torsion:
         Mean over the angle [rad].
     low, high : ndarray, shape (nodes,)
         Least and greatest over the angle, of the fitted drive [rad].
-    rising, falling : Band or None
-        Measured while the torque rises and falls [rad].
-    extended : tuple of ndarray, or None
-        Means of the extended model over the same samples, while the torque rises and falls [rad].
     stiffness : tuple of Stiffness
+    measured : tuple of Band
+        While the torque rises and falls [rad]; empty without a measured torque.
+    extended : tuple of ndarray
+        Means of the extended model over the same samples [rad]; empty without causes.
     """
 
     torque: Floats
@@ -74,65 +73,45 @@ class Torsion:
     fitted: Floats
     low: Floats
     high: Floats
-    rising: Band | None
-    falling: Band | None
-    extended: tuple[Floats, Floats] | None
     stiffness: tuple[Stiffness, ...]
+    measured: tuple[Band, ...] = ()
+    extended: tuple[Floats, ...] = ()
 
 
 def simulated(configured: Drive, fitted: Drive, most: float) -> Torsion:
     """The curve of the model alone, up to a torque [N m]."""
     torque = most * np.linspace(-1.0, 1.0, _NODES)
-    first = mean_error(configured, torque)[0]
-    mean, low, high = mean_error(fitted, torque)
-    secants = zip(_secants(configured), _secants(fitted), strict=True)
-    ranges = zip(_ranges(configured), secants, strict=True)
-    stiffness = tuple(
-        Stiffness(f"K{n}", low_torque, high_torque, *pair)
-        for n, ((low_torque, high_torque), pair) in enumerate(ranges, start=1)
-    )
-    return Torsion(torque, first, mean, low, high, None, None, None, stiffness)
+    ends = configured.rated_torque * _KNEES
+    secants = np.stack([ends[:-1], ends[1:], _secants(configured, ends), _secants(fitted, ends)], axis=1)
+    stiffness = tuple(Stiffness(f"K{n}", *row) for n, row in enumerate(secants.tolist(), start=1))
+    return Torsion(torque, mean_error(configured, torque)[0], *mean_error(fitted, torque), stiffness)
+
+
+def _secants(drive: Drive, ends: Floats) -> Floats:
+    """Torque over torsion between the ends of the ranges, mean of both directions [N m/rad]."""
+    error = mean_error(drive, np.concatenate((-ends[::-1], ends)))[0]
+    torsion = 0.5 * (error[: ends.size][::-1] - error[ends.size :])
+    return np.asarray(np.diff(ends) / np.diff(torsion))
 
 
 def measured(found: Stages, configured: Drive) -> Torsion:
     """The measured curve beside the simulated ones."""
-    record = found.record
-    alone = simulated(configured, found.drive, max(float(np.max(np.abs(record.torque))), 1.0))
+    record, torque = found.record, found.record.torque
+    alone = simulated(configured, found.drive, max(float(np.max(np.abs(torque))), 1.0))
     if not record.has_torque:
         return alone
-    rate = np.gradient(record.torque, record.time)
-    edges = np.linspace(record.torque.min(), max(record.torque.max(), record.torque.min() + 1e-6), _BINS + 1)
-    ways = [rate > 0.0, rate <= 0.0]
-    bands = [band(record.torque[way], found.measured[way], edges) for way in ways]
-    extended = None
-    if EXTENDED in found.residual:
-        told = found.measured - found.residual[EXTENDED]
-        extended = tuple(band(record.torque[way], told[way], edges).mean for way in ways)
-    stiffness = tuple(_with_slope(entry, found) for entry in alone.stiffness)
-    return Torsion(
-        alone.torque,
-        alone.configured,
-        alone.fitted,
-        alone.low,
-        alone.high,
-        bands[0],
-        bands[1],
-        None if extended is None else (extended[0], extended[1]),
-        stiffness,
+    rate = np.gradient(torque, record.time)
+    edges = np.linspace(torque.min(), max(torque.max(), torque.min() + 1e-6), _BINS + 1)
+    ways, extended = [rate > 0.0, rate <= 0.0], found.residual.get(EXTENDED)
+    model = [] if extended is None else [found.measured - extended] * 2
+    return replace(
+        alone,
+        stiffness=tuple(_with_slope(entry, found) for entry in alone.stiffness),
+        measured=tuple(band(torque[way], found.measured[way], edges) for way in ways),
+        extended=tuple(
+            band(torque[way], error[way], edges).mean for way, error in zip(ways, model, strict=False)
+        ),
     )
-
-
-def _ranges(drive: Drive) -> list[tuple[float, float]]:
-    ends = [share * drive.rated_torque for share in _KNEES]
-    return list(pairwise(ends))
-
-
-def _secants(drive: Drive) -> list[float]:
-    """Torque over torsion between the ends of the ranges, mean of both directions [N m/rad]."""
-    ends = np.array([share * drive.rated_torque for share in _KNEES])
-    error = mean_error(drive, np.concatenate((-ends[::-1], ends)))[0]
-    torsion = 0.5 * (error[: ends.size][::-1] - error[ends.size :])
-    return [float(k) for k in np.diff(ends) / np.diff(torsion)]
 
 
 def _with_slope(entry: Stiffness, found: Stages) -> Stiffness:
@@ -145,17 +124,10 @@ def _with_slope(entry: Stiffness, found: Stages) -> Stiffness:
     block = np.flatnonzero(inside) * _BLOCKS // load.size
     sums = _sums(load[inside], -sign * found.measured[inside], sign, block)
     draws = np.random.default_rng(0).integers(0, _BLOCKS, (_DRAWS, _BLOCKS))
-    slopes = np.array([_slope(sums[draw].sum(axis=0)) for draw in draws])
-    low, high = np.nanquantile(slopes, (0.025, 0.975))
-    return Stiffness(
-        entry.name,
-        entry.low,
-        entry.high,
-        entry.configured,
-        entry.fitted,
-        1.0 / _slope(sums.sum(axis=0)),
-        float(1.0 / high),
-        float(1.0 / low),
+    low, high = np.nanquantile([_slope(sums[draw].sum(axis=0)) for draw in draws], (0.025, 0.975))
+    slope = _slope(sums.sum(axis=0))
+    return replace(
+        entry, measured=1.0 / slope, measured_low=float(1.0 / high), measured_high=float(1.0 / low)
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, ParamSpec
 
 import matplotlib as mpl
@@ -17,6 +18,7 @@ P = ParamSpec("P")
 WIDTH = 3.75
 """Width of every picture [inch]: that of a phone, so that letters keep their size there."""
 
+_RESOLUTION = 200.0  # of PNG files [dots per inch]
 _COLUMNS = 2  # of a legend: three do not fit a phone
 _ROW = 12.5  # height of a legend's row [points]
 
@@ -27,6 +29,9 @@ GRID = "#8a9099"
 
 # Okabe and Ito's colours for all kinds of colour vision, darkened to 3:1 and more against white and black.
 NOMINAL, REFIT, EXTENDED = "#d55e00", "#0072b2", "#00875f"
+STAGES: tuple[tuple[str, Any], ...] = ((NOMINAL, (0, (2, 1.2))), (REFIT, (0, (6, 1.8))), (EXTENDED, "-"))
+"""Colour and dashes of the model as configured, refitted and extended."""
+
 ACCENT = "#a8508b"
 SERIES = ("#0072b2", "#00875f", "#b07800", "#d55e00", "#a8508b", "#5a6b7b")
 """For curves of one family, which are told apart by their dashes too."""
@@ -145,3 +150,17 @@ def turn(axes: Axes, label: str) -> None:
     axes.set_xlim(0.0, 360.0)
     axes.set_xticks(range(0, 361, 60))
     axes.set_xlabel(label)
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as SVG, PDF or PNG, by the file's suffix: the same figure is the same file.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    kind = path.suffix.removeprefix(".")
+    undated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}[kind]
+    with styled():
+        figure.savefig(path, format=kind, dpi=_RESOLUTION, metadata=undated, facecolor="white")
