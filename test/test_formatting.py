@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hd_diag import formatting
-from hd_diag.effects.effect import Quantity, amplitude, direction
+from hd_diag.effects.quantity import Quantity, amplitude, direction
 from hd_diag.report.advice import quantity
 
 

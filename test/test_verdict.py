@@ -218,14 +218,14 @@ def test_where_a_wave_shows() -> None:
     assert told["direction_law"] == "strongest under positive torque; the same in both directions"
 
 
-def test_causes_that_foretell_nothing_are_doubted() -> None:
+def test_causes_that_predict_nothing_are_doubted() -> None:
     """Data that nothing was fitted to decide; without causes there is nothing to doubt."""
     worse = Rms(*(ARCSEC * v for v in (20.0, 5.0, 5.2, 5.2, 5.3, 3.2, 3.1, 3.3)))
     text = sentence(diagnosis(cause("hysteresis"), rms=worse))
-    assert "foretold no better" in text
+    assert "predicted no better" in text
     assert "(5.20 against 5.00 arcsec)" in text
     for made in (diagnosis(rms=worse), diagnosis(cause("hysteresis"))):
-        assert "foretold" not in sentence(made)
+        assert "predicted" not in sentence(made)
 
 
 def test_a_wrong_ratio_is_all_that_is_said() -> None:

@@ -8,30 +8,20 @@ from typing import Any
 
 import click
 
-from hd_diag.cli.options import CONFIG, JOINTS, JSON, chosen_joints, configured, verb
-from hd_diag.cli.record import (
-    BAGS,
-    COLUMNS,
-    DIVIDED,
-    Unjudged,
-    check_targets,
-    diagnosed,
-    telling,
-    write_diagnoses,
-)
-from hd_diag.cli.report import joint_report, write_report
-from hd_diag.config.configuration import Config, JointConfig
-from hd_diag.config.model_file import write
+from hd_diag import __version__
+from hd_diag.cli.options import JSON, Problem, verb
+from hd_diag.cli.record import Judged, Records, digests, judge_each, on_records, status
+from hd_diag.config.configuration import JointConfig
+from hd_diag.config.model_file import document, write
 from hd_diag.config.parameters import JOINT_PARAMETERS
-from hd_diag.diagnosis.record import RecordError
+from hd_diag.diagnosis.diagnosis import Diagnosis
+from hd_diag.diagnosis.verdict import as_json, summary
+from hd_diag.formatting import json_ready
+from hd_diag.report.facts import of_diagnosis
 
 
 @verb("diagnose joint.mcap --config arm.yaml --report joint.html")
-@BAGS
-@CONFIG
-@JOINTS
-@COLUMNS
-@DIVIDED
+@on_records
 @click.option(
     "--fail-on-cause", is_flag=True, help="Exit with 1 where a cause or something unexplained is found."
 )
@@ -50,11 +40,7 @@ from hd_diag.diagnosis.record import RecordError
 )
 @JSON
 def diagnose(
-    bags: tuple[Path, ...],
-    config_file: str | None,
-    names: tuple[str, ...],
-    columns: str | None,
-    input_divided: bool,
+    records: Records,
     fail_on_cause: bool,
     model_file: Path | None,
     report_file: Path | None,
@@ -66,58 +52,56 @@ def diagnose(
     only where data that nothing was fitted to confirm them. Several bags are runs of the same joint. "None
     of the known causes" and "this record cannot tell these apart" are answers too. A record too long to be
     fitted is looked through sample by sample for a wrong ratio, steps and outliers; stretches spread over
-    all of it are fitted. A joint that cannot be judged is told on stderr, the others go on, and the exit code
-    is 2.
+    all of it are fitted. A joint that cannot be judged is reported on stderr, the others go on, and the exit
+    code is 2.
     """
-    config = configured(config_file)
-    check_targets(bags, model_file, report_file, json_file)
-    results, pages = [], []
-    chosen = chosen_joints(config, names)
-    unjudged = Unjudged(len(chosen))
-    for joint in chosen:
-        path = model_file
-        if path is not None and len(chosen) > 1:
-            path = path.with_name(f"{path.stem}_{joint.name}{path.suffix}")
-        try:
-            result = _one(bags, joint, config, columns, input_divided, path)
-        except RecordError as error:
-            results.append(unjudged.told(joint.name, error))
-            continue
-        results.append(result)
-        found, lines = result.pop("diagnosis"), result.pop("lines")
+    records.check_targets(model_file, report_file, json_file)
+
+    def judge(joint: JointConfig) -> Judged:
+        with status(joint.name) as progress:
+            found = records.diagnosed(joint, progress)
+        lines, written, page = summary(found), None, None
+        if model_file is not None and found.model is None:
+            lines.append("no model was written: the record does not allow one")
+        elif model_file is not None:
+            several = len(records.joints) > 1
+            name = f"{model_file.stem}_{joint.name}{model_file.suffix}" if several else model_file.name
+            written = str(model_file.with_name(name))
+            write(written, model_document(found, joint.name, records), records.catalogue)
+            lines.append(f"model written: {written}")
         if report_file is not None:
-            pages.append(joint_report(found, joint, config))
-        if json_file != "-":
-            for line in lines:
-                click.echo(f"{joint.name}: {line}")
-        del found  # its arrays, before the next joint's
-    if report_file is not None and pages:
-        write_report(report_file, pages, bags)
-        click.echo(f"report written: {report_file}", err=json_file == "-")
-    if json_file:
-        write_diagnoses(json_file, results)
+            page = of_diagnosis(found, joint, records.config.flat)
+        return Judged(as_json(found, joint.name, written), lines, page)
+
+    results, complete = judge_each(records, judge, report_file, json_file)
     named = any(result.get("causes") or result.get("unexplained") for result in results)
-    sys.exit(unjudged.code(1 if fail_on_cause and named else 0))
+    sys.exit(int(fail_on_cause and named) if complete else Problem.exit_code)
 
 
-def _one(
-    bags: tuple[Path, ...],
-    joint: JointConfig,
-    config: Config,
-    columns: str | None,
-    divided: bool,
-    model_file: Path | None,
-) -> dict[str, Any]:
-    from hd_diag.diagnosis.verdict import as_json, model_document, summary
+def model_document(found: Diagnosis, joint: str, records: Records) -> dict[str, Any]:
+    """What `hd-diag diagnose --model` writes.
 
-    with telling(joint.name) as progress:
-        result = diagnosed(bags, joint, columns, divided, progress)
-    lines, written = summary(result), None
-    if model_file is not None and result.model is None:
-        lines.append("no model was written: the record does not allow one")
-    elif model_file is not None:
-        own = {p.name: config.flat[f"{joint.name}.{p.name}"] for p in JOINT_PARAMETERS}
-        write(model_file, model_document(result, joint.name, own, bags))
-        written = str(model_file)
-        lines.append(f"model written: {written}")
-    return {**as_json(result, joint.name, written), "lines": lines, "diagnosis": result}
+    Parameters
+    ----------
+    found : Diagnosis
+        With a model.
+    joint : str
+    records : Records
+
+    Returns
+    -------
+    dict
+        Schema ``hd_diag/model/1``; SI.
+    """
+    assert found.model is not None
+    own = {p.name: records.config.flat[f"{joint}.{p.name}"] for p in JOINT_PARAMETERS}
+    spreads = {name: value["std"] for name, value in found.parameters.items()}
+    effects = [
+        (cause.effect.standard_deviations(cause.coefficients, cause.nonlinear, cause.covariance), cause.alike)
+        for cause in found.causes
+    ]
+    content = as_json(found, joint)
+    evidence = {key: content[key] for key in ("record", "gain", "noise_floor", "extended", "unexplained")}
+    evidence["trustworthy"] = content["refit"]["trustworthy"]
+    evidence["bags"] = [{"path": str(path), "sha256": digests(path)} for path in records.bags]
+    return dict(json_ready(document(joint, own, found.model, spreads, effects, evidence, __version__)))

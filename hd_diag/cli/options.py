@@ -15,6 +15,7 @@ import click
 from hd_diag.bag import BagError, check_output
 from hd_diag.config.configuration import Config, ConfigError, JointConfig, load, resolve
 from hd_diag.demo.process import DemoError
+from hd_diag.effects import Catalogue
 from hd_diag.formatting import json_ready, visible
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
@@ -93,9 +94,9 @@ def json_option(what: str) -> Callable[[_Command], _Command]:
 JSON = json_option("the result")
 
 
-def configured(config_file: str | None) -> Config:
-    """The configuration of a file, or the example drive's."""
-    return load(config_file) if config_file else resolve({})
+def configured(config_file: str | None, catalogue: Catalogue | None = None) -> Config:
+    """The configuration of a file, or the example drive's; its model files hold effects of the catalogue."""
+    return load(config_file, catalogue) if config_file else resolve({}, catalogue=catalogue)
 
 
 def chosen_joint(config: Config, name: str | None) -> JointConfig:

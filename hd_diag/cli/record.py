@@ -1,114 +1,171 @@
-"""What ``hd-diag diagnose`` and ``hd-diag report`` share: which records, their diagnosis, its JSON."""
+"""What ``hd-diag diagnose`` and ``hd-diag report`` share: options, diagnosis of each joint, JSON, page."""
 
 from __future__ import annotations
 
+import functools
+import hashlib
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import click
 from rich.console import Console
 
-from hd_diag.cli.options import Problem, check_target, write_json
-from hd_diag.config.configuration import JointConfig
+from hd_diag.bag.joint_record import read_bags, read_table
+from hd_diag.cli.options import CONFIG, JOINTS, Problem, check_target, chosen_joints, configured, write_json
+from hd_diag.config.catalogue import load
+from hd_diag.config.configuration import Config, JointConfig
+from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
+from hd_diag.diagnosis.record import Record, RecordError
+from hd_diag.diagnosis.screening import screened
+from hd_diag.effects import Catalogue
+from hd_diag.report.facts import JointReport
+from hd_diag.report.quality import Fact
 
-if TYPE_CHECKING:  # scipy is slow to import: only where it is used
-    from hd_diag.diagnosis.diagnosis import Diagnosis
-    from hd_diag.diagnosis.record import Record
-
-BAGS = click.argument("bags", nargs=-1, required=True, type=click.Path(path_type=Path))
-COLUMNS = click.option(
-    "--columns",
-    metavar="time=T,input=I,output=O[,torque=M,temperature=C,record=R]",
-    help="The BAG is a CSV file with these columns [s, rad, rad, N m, degree Celsius].",
+_OPTIONS = (
+    click.argument("bags", nargs=-1, required=True, type=click.Path(path_type=Path)),
+    CONFIG,
+    JOINTS,
+    click.option(
+        "--columns",
+        metavar="time=T,input=I,output=O[,torque=M,temperature=C,record=R]",
+        help="The BAG is a CSV file with these columns [s, rad, rad, N m, degree Celsius].",
+    ),
+    click.option(
+        "--input-divided",
+        "divided",
+        is_flag=True,
+        help="In a CSV file the input angle is already divided by the ratio.",
+    ),
+    click.option(
+        "--effects",
+        "effect_files",
+        metavar="FILE",
+        multiple=True,
+        type=click.Path(dir_okay=False, path_type=Path),
+        help="Python file with further effects to search among, as EFFECT or EFFECTS; repeatable. It is run.",
+    ),
 )
-DIVIDED = click.option(
-    "--input-divided", is_flag=True, help="In a CSV file the input angle is already divided by the ratio."
-)
 
 
-@contextmanager
-def telling(joint: str) -> Iterator[Callable[[str], None]]:
-    """What says on a terminal, and only there, what is being done."""
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield lambda text: None
-        return
-    with console.status(f"{joint}: reading") as status:
-        yield lambda text: status.update(f"{joint}: {text}")
+@dataclass(frozen=True)
+class Records:
+    """Records that a verb was given: files, the joints asked for, and the effects to search among."""
 
+    bags: tuple[Path, ...]
+    config: Config
+    joints: list[JointConfig]
+    columns: str | None
+    divided: bool
+    catalogue: Catalogue
 
-def diagnosed(
-    bags: Sequence[Path],
-    joint: JointConfig,
-    columns: str | None,
-    divided: bool,
-    progress: Callable[[str], None],
-) -> Diagnosis:
-    """Diagnosis of a joint of bags, or of a CSV file where columns are given.
+    def check_targets(self, *targets: Path | str | None) -> None:
+        """Refuse before the work what could not be written, or would overwrite a bag or another result."""
+        wanted = [target for target in targets if target is not None]
+        for target in wanted:
+            check_target(target, *self.bags)
+        if len({os.path.realpath(target) for target in wanted}) < len(wanted):
+            raise Problem(f"{' and '.join(map(str, wanted))} must be different files")
 
-    Raises
-    ------
-    Problem
-        Where the columns are not named as they must be.
-    BagError, RecordError
-        Where there is nothing that can be judged.
-    """
-    from hd_diag.diagnosis.diagnosis import diagnose
-    from hd_diag.diagnosis.screening import screened
-
-    # No name for the record: it goes as soon as it was looked through.
-    looked = screened(_record(bags, joint, columns, divided), joint.configured)
-    return diagnose(looked, joint.configured, progress)
-
-
-def _record(bags: Sequence[Path], joint: JointConfig, columns: str | None, divided: bool) -> Record:
-    from hd_diag.bag.joint_record import read_bags, read_table
-
-    if columns is None:
-        return read_bags(bags, joint)
-    pairs = [item.split("=", 1) for item in columns.split(",")]
-    if any(len(pair) != 2 for pair in pairs):
-        raise Problem("--columns takes pairs like time=t,input=motor_position,output=joint_position")
-    if len(bags) > 1:
-        raise Problem("only one CSV file at a time")
-    return read_table(bags[0], {key.strip(): name.strip() for key, name in pairs}, joint, divided)
-
-
-class Unjudged:
-    """Joints of a run that cannot be judged: told on stderr, the others go on, and the exit code is 2.
-
-    The only joint that is asked for ends the run instead.
-
-    Parameters
-    ----------
-    asked : int
-        Number of joints.
-    """
-
-    def __init__(self, asked: int) -> None:
-        self._asked = asked
-        self.joints: list[str] = []
-
-    def told(self, joint: str, error: Exception) -> dict[str, Any]:
-        """What the JSON has of such a joint.
+    def diagnosed(self, joint: JointConfig, progress: Callable[[str], None]) -> Diagnosis:
+        """Diagnosis of a joint.
 
         Raises
         ------
         Problem
-            Where no other joint is asked for.
+            Where the columns are not named as they must be.
+        BagError, RecordError
+            Where there is nothing that can be judged.
         """
-        if self._asked == 1:
-            raise Problem(f"{joint}: {error}") from error
-        self.joints.append(joint)
-        click.echo(f"hd-diag: {joint}: not judged: {' '.join(str(error).split())}", err=True)
-        return not_judged(joint, error)
+        # No name for the record: it goes as soon as it was looked through.
+        looked = screened(self._record(joint), joint.configured)
+        return diagnose(looked, joint.configured, progress, self.catalogue)
 
-    def code(self, otherwise: int = 0) -> int:
-        """Exit code."""
-        return Problem.exit_code if self.joints else otherwise
+    def _record(self, joint: JointConfig) -> Record:
+        if self.columns is None:
+            return read_bags(self.bags, joint)
+        pairs = [item.split("=", 1) for item in self.columns.split(",")]
+        if any(len(pair) != 2 for pair in pairs):
+            raise Problem("--columns takes pairs like time=t,input=motor_position,output=joint_position")
+        if len(self.bags) > 1:
+            raise Problem("only one CSV file at a time")
+        names = {key.strip(): name.strip() for key, name in pairs}
+        return read_table(self.bags[0], names, joint, self.divided)
+
+
+def on_records(function: Callable[..., None]) -> Callable[..., None]:
+    """A verb's function with the options that say which records; it gets them as :class:`Records`."""
+
+    @functools.wraps(function)
+    def run(
+        bags: tuple[Path, ...],
+        config_file: str | None,
+        names: tuple[str, ...],
+        columns: str | None,
+        divided: bool,
+        effect_files: tuple[Path, ...],
+        **own: Any,
+    ) -> None:
+        catalogue = load(effect_files)
+        config = configured(config_file, catalogue)
+        joints = chosen_joints(config, names)
+        function(Records(bags, config, joints, columns, divided, catalogue), **own)
+
+    for option in reversed(_OPTIONS):
+        run = option(run)
+    return run
+
+
+class Judged(NamedTuple):
+    """A joint's JSON, lines for the terminal, and part of the page if there is to be one."""
+
+    content: dict[str, Any]
+    lines: list[str]
+    page: JointReport | None
+
+
+def judge_each(
+    records: Records, judge: Callable[[JointConfig], Judged], page_file: Path | None, json_file: str | None
+) -> tuple[list[dict[str, Any]], bool]:
+    """Judge all joints; show the lines, write page and JSON.
+
+    A joint that cannot be judged is reported on stderr and in the JSON, and the others go on.
+
+    Returns
+    -------
+    contents : list of dict
+        JSON of each joint.
+    complete : bool
+        Whether all could be judged.
+
+    Raises
+    ------
+    Problem
+        Where the only joint cannot be judged, or a file cannot be written.
+    """
+    contents, pages, complete = [], [], True
+    for joint in records.joints:
+        try:
+            content, lines, page = judge(joint)
+        except RecordError as error:
+            if len(records.joints) == 1:
+                raise Problem(f"{joint.name}: {error}") from error
+            click.echo(f"hd-diag: {joint.name}: not judged: {' '.join(str(error).split())}", err=True)
+            content, lines, page, complete = not_judged(joint.name, error), [], None, False
+        contents.append(content)
+        pages += [page] if page is not None else []
+        for line in lines if json_file != "-" else ():
+            click.echo(f"{joint.name}: {line}")
+    if page_file is not None and pages:
+        _write_page(page_file, pages, records.bags)
+        click.echo(f"report written: {page_file}", err=json_file == "-")
+    if json_file:
+        several = {"schema": "hd_diag/diagnoses/1", "joints": contents}
+        write_json(json_file, contents[0] if len(contents) == 1 else several)
+    return contents, complete
 
 
 def not_judged(joint: str, error: Exception) -> dict[str, Any]:
@@ -116,16 +173,39 @@ def not_judged(joint: str, error: Exception) -> dict[str, Any]:
     return {"schema": "hd_diag/not_judged/1", "joint": joint, "error": str(error)}
 
 
-def check_targets(bags: Sequence[Path], *targets: Path | str | None) -> None:
-    """Refuse before the work what could not be written, or would overwrite a bag or another result."""
-    wanted = [target for target in targets if target is not None]
-    for target in wanted:
-        check_target(target, *bags)
-    if len({os.path.realpath(target) for target in wanted}) < len(wanted):
-        raise Problem(f"{' and '.join(map(str, wanted))} must be different files")
+def _write_page(target: Path, reports: Sequence[JointReport], bags: Sequence[Path]) -> None:
+    from hd_diag.report.page import write_page  # here, because matplotlib takes its time
+
+    sources = [
+        Fact(f"{bag.resolve().name}/{name}" if bag.is_dir() else name, f"SHA-256 {digest}")
+        for bag in bags
+        for name, digest in digests(bag).items()
+    ]
+    try:
+        write_page(target, reports, sources)
+    except OSError as error:
+        raise Problem(f"{target}: cannot be written: {error.strerror}") from error
 
 
-def write_diagnoses(path: str, joints: Sequence[Mapping[str, Any]]) -> None:
-    """Write the diagnosis of one joint, or a list of several, as JSON."""
-    several = {"schema": "hd_diag/diagnoses/1", "joints": list(joints)}
-    write_json(path, joints[0] if len(joints) == 1 else several)
+def digests(path: Path) -> dict[str, str]:
+    """SHA-256 of a file, or of every file of a folder, by name."""
+    found = {}
+    for file in sorted(path.iterdir()) if path.is_dir() else [path]:
+        if file.is_file():
+            digest = hashlib.sha256()
+            with file.open("rb") as opened:
+                while part := opened.read(1 << 20):
+                    digest.update(part)
+            found[file.name] = digest.hexdigest()
+    return found
+
+
+@contextmanager
+def status(joint: str) -> Iterator[Callable[[str], None]]:
+    """Shows on a terminal, and only there, what is being done."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda text: None
+        return
+    with console.status(f"{joint}: reading") as shown:
+        yield lambda text: shown.update(f"{joint}: {text}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -81,6 +82,12 @@ class Diagnosis:
     def causes(self) -> tuple[Cause, ...]:
         """Causes found, most explaining first."""
         return self.found.causes if self.found else ()
+
+    @property
+    def parameters(self) -> dict[str, dict[str, Any]]:
+        """Fitted parameters by name: value, std, unit, configured; empty where nothing was fitted."""
+        fit = self.refitted
+        return fit_parameters.physical(fit.parameters, fit.covariance, self.configured) if fit else {}
 
 
 def diagnose(

@@ -117,9 +117,8 @@ def quantity(entry: Quantity, value: float, spread: float) -> str:
 
 
 def _of_parameters(diagnosis: Diagnosis) -> list[Card]:
-    refitted, configured = diagnosis.refitted, diagnosis.configured
+    refitted, values = diagnosis.refitted, diagnosis.parameters
     assert refitted is not None
-    values = fit_parameters.physical(refitted.parameters, refitted.covariance, configured)
     makers = {"eccentricity": _eccentricity, "runout": _runout, "clearance": _datum, "stiffness": _compliance}
     return [
         makers[name](values, size, refitted.drive)

@@ -15,7 +15,6 @@ from hd_diag.bag.joint_record import Motion
 from hd_diag.config.configuration import JointConfig
 from hd_diag.config.parameters import JOINT_PARAMETERS, Value
 from hd_diag.diagnosis.diagnosis import Diagnosis, Gain, Rms
-from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.linearised_fit import Workbench
 from hd_diag.diagnosis.search.detectability import Testability
 from hd_diag.diagnosis.search.unexplained import Line
@@ -223,11 +222,7 @@ def _judgement(diagnosis: Diagnosis, found: Stages, fitted: Sequence[Workbench])
 
 
 def _parameters(diagnosis: Diagnosis) -> tuple[FittedParameter, ...]:
-    refitted = diagnosis.refitted
-    if refitted is None:
-        return ()
-    values = fit_parameters.physical(refitted.parameters, refitted.covariance, diagnosis.configured)
-    return tuple(_parameter(name, **entry) for name, entry in values.items())
+    return tuple(_parameter(name, **entry) for name, entry in diagnosis.parameters.items())
 
 
 def _parameter(name: str, value: float, std: float, unit: str, configured: float) -> FittedParameter:
