@@ -15,8 +15,8 @@ from hd_diag.diagnosis.noise import bounds, spans
 from hd_diag.diagnosis.smoothing import best_width, rate, settled, smooth
 
 Rows = npt.NDArray[np.bool_]
+# Columns of one length by name; None for those that were not recorded.
 Columns = dict[str, Any]
-"""Columns of one length by name; None for those that were not recorded."""
 
 MINIMUM_SAMPLES = 500
 """Fewer samples than this are too short a record."""

@@ -19,8 +19,8 @@ Values = tuple[float, ...]
 Kind = Literal["kinematic", "torsion", "friction", "sensor"]
 Frame = Literal["input", "output", "housing", "time", "torque"]
 
+# Transmission error of an effect [rad], shape (n,), and its state after the last sample.
 Stepped = tuple[Floats, Any]
-"""Transmission error of an effect [rad], shape (n,), and its state after the last sample."""
 
 _KNOTS = 12  # along a record, between which the amplitude and phase of a wandering effect go straight
 

@@ -11,8 +11,8 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.effects.signals import Signals
 
+# Whether the motion suffices; if not, the shortest extra motion that would.
 Verdict = tuple[bool, str]
-"""Whether the motion suffices; if not, the shortest extra motion that would."""
 
 
 class Check(Protocol):
