@@ -15,7 +15,7 @@ import numpy as np
 import scoring
 from challenge import records
 
-from hd_diag.diagnosis.fit.linearised_fit import Workbench
+from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.fit.refit import refit
 from hd_diag.model.torsion_map import ARCSEC
 
@@ -41,9 +41,9 @@ KNOWN_ORDERS = (
 Named = tuple[list[list[str]], list[float]]
 
 
-def fft(bench: Workbench) -> Named:
+def fft(bench: LinearisedFit) -> Named:
     """Peaks of the residual's spectrum over the input angle, at orders that textbooks know."""
-    bench_left = bench.left - bench.left.mean()
+    bench_left = bench.residual - bench.residual.mean()
     cell = np.round(bench.signals.wave_generator_angle * PER_TURN / (2.0 * np.pi)).astype(np.int64)
     cell -= cell.min()
     total, count = np.bincount(cell, bench_left), np.bincount(cell)
@@ -65,18 +65,18 @@ def fft(bench: Workbench) -> Named:
     return named, sizes
 
 
-def dictionary(bench: Workbench) -> tuple[np.ndarray, np.ndarray, list[str]]:
+def dictionary(bench: LinearisedFit) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Columns of unit rms about zero, the residual [rad], and each column's effect ("" for the model)."""
     parts, owners = [bench.always()], [""] * bench.always().shape[1]
-    for effect in bench.searched:
+    for effect in bench.data.searched:
         if not effect.testable(bench.signals)[0]:
             continue
-        grid = bench.grid(effect)
+        grid = bench.data.grid(effect)
         for point in grid[:: max(len(grid) // GRID_POINTS, 1)][:GRID_POINTS]:
             parts.append(bench.columns(effect, point))
             owners += [effect.name] * parts[-1].shape[1]
-    rows = slice(None, None, max(bench.left.size // ROWS, 1))
-    columns, left = np.concatenate([part[rows] for part in parts], axis=1), bench.left[rows]
+    rows = slice(None, None, max(bench.residual.size // ROWS, 1))
+    columns, left = np.concatenate([part[rows] for part in parts], axis=1), bench.residual[rows]
     spread = columns.std(axis=0)
     moving = spread > 1e-9 * np.abs(columns).max(axis=0)
     centered = (columns - columns.mean(axis=0))[:, moving] / spread[moving]
@@ -99,7 +99,7 @@ def _named(columns: np.ndarray, owners: list[str], weights: np.ndarray) -> Named
     return named, sizes
 
 
-def lasso(bench: Workbench) -> Named:
+def lasso(bench: LinearisedFit) -> Named:
     """LassoCV over five contiguous folds."""
     from sklearn.linear_model import LassoCV
 
@@ -110,7 +110,7 @@ def lasso(bench: Workbench) -> Named:
     return _named(columns, owners, fit.coef_ * ARCSEC)
 
 
-def sindy(bench: Workbench) -> Named:
+def sindy(bench: LinearisedFit) -> Named:
     """Sequential threshold least squares of PySINDy, threshold at what is worth naming."""
     from pysindy import STLSQ
 
@@ -121,7 +121,7 @@ def sindy(bench: Workbench) -> Named:
     return _named(columns, owners, np.asarray(fit.coef_).ravel() * ARCSEC)
 
 
-METHODS: dict[str, tuple[str, Callable[[Workbench], Named]]] = {
+METHODS: dict[str, tuple[str, Callable[[LinearisedFit], Named]]] = {
     "FFT peaks": ("numpy", fft),
     "LassoCV": ("sklearn", lasso),
     "PySINDy STLSQ": ("pysindy", sindy),
@@ -136,7 +136,7 @@ def available() -> list[str]:
 def scores(made: records.Record, family: str, seed: int) -> list[scoring.Score]:
     """Scores of all baselines that can run."""
     record = scoring.prepared(made)
-    bench = Workbench(record, scoring.CONFIGURED, refit(record, scoring.CONFIGURED).parameters)
+    bench = linearise(record, scoring.CONFIGURED, refit(record, scoring.CONFIGURED).parameters)
     found = []
     for name in available():
         begin = time.process_time()

@@ -1,4 +1,4 @@
-"""Workbenches on records of the package's own drive with something added, for tests of the search's parts."""
+"""Linearised fits of records of the package's own drive with something added, for tests of the search."""
 
 import dataclasses
 from collections.abc import Callable
@@ -7,7 +7,7 @@ import numpy as np
 from joint_records import NOISE, RATIO, columns, joint, prepared
 
 from hd_diag.diagnosis.fit import fit_parameters
-from hd_diag.diagnosis.fit.linearised_fit import Workbench
+from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.record import Record
 from hd_diag.drive import transmission_error
 from hd_diag.effects import CATALOGUE
@@ -32,14 +32,12 @@ def swinging(seconds: float = 20.0, seed: int = 0) -> Record:
     return prepared({**given, "input": angle, "output": output, "torque": torque})
 
 
-def bench(*parts: Part, record: Record | None = None) -> Workbench:
+def bench(*parts: Part, record: Record | None = None) -> LinearisedFit:
     """At the true parameters, settled beside nothing; the parts are added to the error [rad]."""
-    plain = Workbench(record or swinging(), CONFIGURED, POINT)
-    added = sum((part(plain.signals) for part in parts), np.zeros(plain.record.size))
-    moved = dataclasses.replace(plain.record, output_angle=plain.record.output_angle + added)
-    made = Workbench(moved, CONFIGURED, POINT)
-    made.learn_noise(())
-    return made
+    plain = linearise(record or swinging(), CONFIGURED, POINT)
+    added = sum((part(plain.signals) for part in parts), np.zeros(plain.data.record.size))
+    moved = dataclasses.replace(plain.data.record, output_angle=plain.data.record.output_angle + added)
+    return linearise(moved, CONFIGURED, POINT).with_noise(())
 
 
 def of(effect: Effect, **values: float) -> Part:

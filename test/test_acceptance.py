@@ -7,7 +7,7 @@ import pytest
 from benches import EFFECTS, Part, bench, of, swinging
 from joint_records import ARCSEC
 
-from hd_diag.diagnosis.fit.linearised_fit import Workbench
+from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.search.acceptance import FAMILY_ERROR, LEAST_SIZE, held_out_gain, kept, passing, size
 from hd_diag.diagnosis.search.ranking import ranked
@@ -25,7 +25,7 @@ def friction(times: float = 1.0) -> Part:
 
 
 @pytest.fixture(scope="module")
-def made() -> Workbench:
+def made() -> LinearisedFit:
     return bench(friction())
 
 
@@ -36,30 +36,30 @@ def long() -> Record:
 
 
 @pytest.fixture(scope="module")
-def plain() -> Workbench:
+def plain() -> LinearisedFit:
     return bench()
 
 
-def test_a_cause_passes_with_the_family_s_p_value(made: Workbench) -> None:
+def test_a_cause_passes_with_the_family_s_p_value(made: LinearisedFit) -> None:
     best = ranked(made, (), [RUBBED])
     found = passing(made, (), best, 50)
     assert found == dataclasses.replace(best[0], p_value=50 * best[0].p_value)
 
 
-def test_noise_does_not_pass(plain: Workbench) -> None:
+def test_noise_does_not_pass(plain: LinearisedFit) -> None:
     best = ranked(plain, (), [RUBBED, DRY])
     assert min(one.p_value for one in best) > FAMILY_ERROR / 50
     assert passing(plain, (), best, 50) is None
     assert passing(plain, (), [], 50) is None
 
 
-def test_a_family_may_be_too_large(made: Workbench) -> None:
+def test_a_family_may_be_too_large(made: LinearisedFit) -> None:
     best = [dataclasses.replace(one, p_value=1e-4) for one in ranked(made, (), [RUBBED])]
     assert passing(made, (), best, 99) is not None
     assert passing(made, (), best, 101) is None
 
 
-def test_what_is_surprising_and_too_small_makes_room_for_the_next(made: Workbench) -> None:
+def test_what_is_surprising_and_too_small_makes_room_for_the_next(made: LinearisedFit) -> None:
     """The second is looked at, however good the first one's chance is."""
     true = ranked(made, (), [RUBBED])[0]
     small = dataclasses.replace(true, effect=EFFECTS["encoder_interpolation"], nonlinear=(64.0,))
@@ -69,7 +69,7 @@ def test_what_is_surprising_and_too_small_makes_room_for_the_next(made: Workbenc
     assert found.effect is RUBBED
 
 
-def test_size_is_that_of_what_nothing_else_imitates(made: Workbench) -> None:
+def test_size_is_that_of_what_nothing_else_imitates(made: LinearisedFit) -> None:
     part = friction()(made.signals)
     fixed = made.always()
     scaled = fixed / np.linalg.norm(fixed, axis=0)
@@ -78,11 +78,11 @@ def test_size_is_that_of_what_nothing_else_imitates(made: Workbench) -> None:
     assert np.std(own) < 0.9 * np.std(part)
 
 
-def test_size_beside_itself_is_nothing(made: Workbench) -> None:
+def test_size_beside_itself_is_nothing(made: LinearisedFit) -> None:
     assert size(made, (RUBBING,), *RUBBING) < 0.01 * ARCSEC
 
 
-def test_held_out_gain_is_of_the_effect_s_own_columns(made: Workbench) -> None:
+def test_held_out_gain_is_of_the_effect_s_own_columns(made: LinearisedFit) -> None:
     chosen = ((DRY, (0.6,)), RUBBING)
     gain, foretold = held_out_gain(made, chosen, 1)
     without = made.design(chosen[:1]).held_out().sum() - made.design(chosen).held_out().sum()
@@ -91,12 +91,12 @@ def test_held_out_gain_is_of_the_effect_s_own_columns(made: Workbench) -> None:
     assert held_out_gain(made, chosen, 0)[0].sum() < 0.01 * gain.sum()
 
 
-def test_idle_effects_are_dropped_and_needed_ones_kept(made: Workbench, plain: Workbench) -> None:
+def test_idle_effects_are_dropped_and_needed_ones_kept(made: LinearisedFit, plain: LinearisedFit) -> None:
     assert kept(made, ((DRY, (0.6,)), RUBBING, (EFFECTS["viscous_windup"], ()))) == (RUBBING,)
     assert kept(plain, ((DRY, (0.6,)), RUBBING)) == ()
 
 
-def test_what_cannot_see_ahead_is_not_judged_by_blocks_held_out(plain: Workbench) -> None:
+def test_what_cannot_see_ahead_is_not_judged_by_blocks_held_out(plain: LinearisedFit) -> None:
     drifting = bench(lambda signals: 2e-5 * np.sin(0.9 * signals.time))
     assert kept(drifting, ((DRIFT, ()), (DRY, (0.6,)))) == ((DRIFT, ()),)
     assert kept(plain, ((DRIFT, ()), (DRY, (0.6,)))) == ()  # too small to be told

@@ -319,18 +319,18 @@ def pinion_record() -> Record:
 
 
 @pytest.fixture(scope="module")
-def bench(pinion_record: Record) -> linearised_fit.Workbench:
+def bench(pinion_record: Record) -> linearised_fit.LinearisedFit:
     """The record beside the drive that the joint really has."""
     example = sys.modules["pinion_joint"]
     drive = example.joint().drive
-    return linearised_fit.Workbench(pinion_record, drive, fit_parameters.vector(drive, drive))
+    return linearised_fit.linearise(pinion_record, drive, fit_parameters.vector(drive, drive))
 
 
-def test_the_worked_example_is_found_at_its_size(pinion: Effect, bench: linearised_fit.Workbench) -> None:
+def test_the_worked_example_is_found_at_its_size(pinion: Effect, bench: linearised_fit.LinearisedFit) -> None:
     example = sys.modules["pinion_joint"]
     assert pinion.testable(bench.signals) == (True, "")
-    columns = np.column_stack((pinion.columns(bench.signals, ()), np.ones(bench.left.size)))
-    fitted = np.linalg.lstsq(columns, bench.left, rcond=None)[0]
+    columns = np.column_stack((pinion.columns(bench.signals, ()), np.ones(bench.residual.size)))
+    fitted = np.linalg.lstsq(columns, bench.residual, rcond=None)[0]
     told = pinion.to_physical(fitted[:2], ())
     # 1 arcsec of noise over some 5000 samples leaves 0.02 arcsec, of 6.
     assert_allclose(told["amplitude"][0], example.SIZE, atol=0.1 * ARCSEC)

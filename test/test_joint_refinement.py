@@ -1,5 +1,7 @@
 """The last steps of a fit: nonlinear values and their covariance, on records with a known effect."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from benches import EFFECTS, bench, of
@@ -7,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.joint_refinement import covariance, free, polished, slopes
-from hd_diag.diagnosis.fit.linearised_fit import Workbench
+from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 
 HARDENING = {
     "first_compliance": -6e-6,
@@ -21,11 +23,11 @@ MODEL = fit_parameters.COUNT + 1  # and the encoders' offset
 
 
 @pytest.fixture(scope="module", params=TRUTH)
-def case(request: pytest.FixtureRequest) -> tuple[str, Workbench]:
+def case(request: pytest.FixtureRequest) -> tuple[str, LinearisedFit]:
     return request.param, bench(of(EFFECTS[request.param], **TRUTH[request.param]))
 
 
-def test_nonlinear_values_are_returned(case: tuple[str, Workbench]) -> None:
+def test_nonlinear_values_are_returned(case: tuple[str, LinearisedFit]) -> None:
     """From a start as far off as a search may leave it; within four standard deviations, which are small."""
     name, start = case
     effect, expected = EFFECTS[name], np.array(list(TRUTH[name].values()))
@@ -39,7 +41,7 @@ def test_nonlinear_values_are_returned(case: tuple[str, Workbench]) -> None:
     assert np.all(np.abs(moved) < 4.0 * np.sqrt(np.diag(spread))[: fit_parameters.COUNT])
 
 
-def test_slopes_are_those_of_the_response(case: tuple[str, Workbench]) -> None:
+def test_slopes_are_those_of_the_response(case: tuple[str, LinearisedFit]) -> None:
     name, made = case
     effect = EFFECTS[name]
     _, nonlinear = effect.from_physical(TRUTH[name])
@@ -53,16 +55,16 @@ def test_slopes_are_those_of_the_response(case: tuple[str, Workbench]) -> None:
         expected = (ends[0] - ends[1]) @ fitted / 2e-3
         assert column @ expected / (expected @ expected) == pytest.approx(1.0, rel=0.02)
     assert found.shape[1] == 2
-    assert slopes(made, chosen[:1]).shape == (made.record.size, 0)
+    assert slopes(made, chosen[:1]).shape == (made.data.record.size, 0)
 
 
-def test_linear_effects_stay_as_they_are(case: tuple[str, Workbench]) -> None:
+def test_linear_effects_stay_as_they_are(case: tuple[str, LinearisedFit]) -> None:
     _, made = case
     chosen = ((EFFECTS["viscous_windup"], ()), (EFFECTS["encoder_interpolation"], (64.0,)))
     assert polished(made, chosen)[1] == chosen
 
 
-def test_places_in_the_covariance(case: tuple[str, Workbench]) -> None:
+def test_places_in_the_covariance(case: tuple[str, LinearisedFit]) -> None:
     """Coefficients effect by effect, then what is free; a discrete value has no place."""
     name, made = case
     lines = EFFECTS["encoder_interpolation"]
@@ -79,7 +81,7 @@ def test_places_in_the_covariance(case: tuple[str, Workbench]) -> None:
     assert (free(lines), free(EFFECTS[name])) == ([], [0, 1])
 
 
-def test_free_values_widen_what_is_known_of_the_coefficients(case: tuple[str, Workbench]) -> None:
+def test_free_values_widen_what_is_known_of_the_coefficients(case: tuple[str, LinearisedFit]) -> None:
     name, made = case
     chosen = ((EFFECTS[name], EFFECTS[name].from_physical(TRUTH[name])[1]),)
     alone = np.diag(made.fit(chosen)[1])
@@ -98,18 +100,14 @@ def test_a_value_stops_at_its_limit() -> None:
     assert_array_equal(np.isfinite(chosen[0][1]), [True])
 
 
-def test_deviations_follow_the_scatter_of_blocks(case: tuple[str, Workbench]) -> None:
+def test_deviations_follow_the_scatter_of_blocks(case: tuple[str, LinearisedFit]) -> None:
     """A part that no column has, in one block in three, widens what it pulls at; nothing gets narrower."""
     _, made = case
     chosen = ((EFFECTS["viscous_windup"], ()),)
     plain = np.sqrt(np.diag(made.fit(chosen)[1]))
     assert np.all(np.sqrt(np.diag(covariance(made, chosen)[0])) >= 0.999 * plain)
-    kept = made.left.copy()
-    made.left = made.left + 3e-5 * made.signals.speed / np.max(np.abs(made.signals.speed)) * (
-        made.block % 3 == 0
-    )
-    made.left_white = made.whiten(made.left, made.run)
-    spread, (place,) = covariance(made, chosen)
-    made.left = kept
-    made.left_white = made.whiten(made.left, made.run)
+    shape = made.signals.speed / np.max(np.abs(made.signals.speed)) * (made.data.block % 3 == 0)
+    uneven = dataclasses.replace(made)
+    uneven.__dict__["residual"] = made.residual + 3e-5 * shape
+    spread, (place,) = covariance(uneven, chosen)
     assert np.sqrt(spread[place[0], place[0]]) > 1.5 * plain[place[0]]

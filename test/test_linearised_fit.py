@@ -1,4 +1,4 @@
-"""The bench of a fit: later stages see what earlier ones add, and memory goes through every row."""
+"""The linearised fit: later stages see what earlier ones add, and memory goes through every row."""
 
 import dataclasses
 
@@ -9,7 +9,7 @@ from joint_records import RATIO
 from numpy.testing import assert_allclose, assert_array_equal
 
 from hd_diag.diagnosis.fit.joint_refinement import polished
-from hd_diag.diagnosis.fit.linearised_fit import Workbench, settle
+from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit, linearise, settle
 from hd_diag.diagnosis.fit.refit import refit, usable
 from hd_diag.diagnosis.record import Record
 from hd_diag.extended_model import ExtendedModel, Range, Ranges, Term
@@ -20,24 +20,25 @@ PITCH_AT = PITCH.from_physical(
     {"pitch_2": 1.2e-6, "pitch_direction_2": 0.4, "pitch_4": 0.0, "pitch_direction_4": 0.0}
 )[0]
 SPRING = (2.0, 60.0, 0.05)
+CARRYING = (((RESONANCE, SPRING), np.array([0.0, 0.0, 1.0])),)
 ALL = Ranges(Range(-60.0, 60.0), Range(-200.0, 200.0))
 
 
 def recorded(*terms: Term) -> Record:
     """A joint with effects that act on each other, as the model that runs has them."""
     record = swinging()
-    base_only = ExtendedModel(Workbench(record, CONFIGURED, POINT).drive, (), 0.0, ALL)
+    base_only = ExtendedModel(linearise(record, CONFIGURED, POINT).drive, (), 0.0, ALL)
     model = dataclasses.replace(base_only, effects=terms)
     run = (record.time, record.input_angle, None, record.torque)
     change = model.step(model.start(), *run)[0] - base_only.step(base_only.start(), *run)[0]
     return dataclasses.replace(record, output_angle=record.output_angle + change)
 
 
-def left(record: Record, *chosen: tuple) -> np.ndarray:
-    """Standard deviation of what the settled bench leaves [arcsec], and its parameters."""
-    made = settle(Workbench(record, CONFIGURED, POINT), chosen, rounds=4)
+def left(record: Record, *chosen: tuple) -> tuple[float, LinearisedFit]:
+    """Standard deviation of what the settled fit leaves [arcsec], and the fit."""
+    made = settle(linearise(record, CONFIGURED, POINT), chosen, rounds=4)
     made, chosen = polished(made, chosen)
-    return np.std(made.remainder(chosen)) * 206265.0, made
+    return float(np.std(made.remainder(chosen))) * 206265.0, made
 
 
 def test_a_delay_of_tooth_errors_is_one_delay() -> None:
@@ -58,51 +59,51 @@ def test_a_spring_carries_tooth_errors_and_the_model_s_own_parameters() -> None:
     assert rest == pytest.approx(2.0, abs=0.25)
     sized = made.fit(chosen)[0][made.places(chosen)[1]]
     assert sized[2] == pytest.approx(1.0, abs=0.05)
-    # Derivatives of the model pass the spring too: against a difference of benches a step apart.
+    # Derivatives of the model pass the spring too: against a difference of fits a step apart.
     static, step = made.moved(made.parameters).jacobian[:, 0], np.array([0.2, *np.zeros(6)])
-    sized = [((RESONANCE, SPRING), np.array([0.0, 0.0, 1.0]))]
     ends = []
     for sign in (-1.0, 1.0):
-        other = made.moved(made.parameters + sign * step)
-        other.see(sized)
-        ends.append(other.error + other.full_size(RESONANCE, SPRING, sized[0][1]))
-    made.see(sized)
+        other = made.moved(made.parameters + sign * step).beside(CARRYING)
+        ends.append(other.signals.predicted + other.full_size(RESONANCE, SPRING, CARRYING[0][1]))
     expected = (ends[1] - ends[0]) / 0.4
-    assert np.std(made.jacobian[:, 0] - expected) < 0.3 * np.std(static - expected)
+    assert np.std(made.beside(CARRYING).jacobian[:, 0] - expected) < 0.3 * np.std(static - expected)
 
 
-def test_what_is_not_chosen_any_more_is_not_seen() -> None:
+def test_effects_beside_a_fit_are_seen_and_the_fit_itself_never_changes() -> None:
     made = bench(of(DELAY, delay=1e-3))
-    plain, jacobian = made.columns(DELAY, ()).copy(), made.jacobian.copy()
-    made.see([((PITCH, ()), PITCH_AT), ((DELAY, ()), np.array([1e-3]))])
-    assert np.std(made.columns(DELAY, ()) - plain) > 1e-3 * np.std(plain)
-    assert np.std(made.jacobian - jacobian) > 0.0
-    made.see([])
-    assert_array_equal(made.columns(DELAY, ()), plain)
-    assert_array_equal(made.jacobian, jacobian)
+    kept = [one.copy() for one in (made.columns(DELAY, ()), made.jacobian, made.residual)]
+    both = made.beside((((PITCH, ()), PITCH_AT), ((DELAY, ()), np.array([1e-3]))))
+    assert np.std(both.columns(DELAY, ()) - kept[0]) > 1e-3 * np.std(kept[0])
+    assert np.std(both.jacobian - kept[1]) > 0.0
+    assert np.std(both.residual - kept[2]) > 0.0
+    for one in (made, both.beside(())):
+        for now, before in zip((one.columns(DELAY, ()), one.jacobian, one.residual), kept, strict=True):
+            assert_array_equal(now, before)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        made.parameters = POINT  # type: ignore[misc]
 
 
 def test_memory_goes_through_rows_that_are_not_fitted() -> None:
     record = swinging()
     rows = np.arange(record.size) * 10 // record.size % 3 != 1
-    made = Workbench(record, CONFIGURED, POINT, rows=rows)
-    every = Workbench(record, CONFIGURED, POINT)
+    made = linearise(record, CONFIGURED, POINT, rows=rows)
+    every = linearise(record, CONFIGURED, POINT)
     fitted = rows & usable(record)
-    assert made.record.size == np.count_nonzero(fitted) < every.record.size
+    assert made.data.record.size == np.count_nonzero(fitted) < every.data.record.size
     inside = fitted[usable(record)]
     for effect, nonlinear in ((HYSTERESIS, (3.0, 9.0)), (RESONANCE, SPRING)):
         assert_array_equal(made.columns(effect, nonlinear), every.columns(effect, nonlinear)[inside])
-    assert_allclose(made.left, every.left[inside], atol=1e-12)
-    assert made.left.std() * RATIO > 0.0
+    assert_allclose(made.residual, every.residual[inside], atol=1e-12)
+    assert made.residual.std() * RATIO > 0.0
 
 
 def test_a_wrong_zero_of_the_torque_is_found_at_full_size() -> None:
     """Between both zeros the teeth bear on other flanks: no slope at the reported torque tells that."""
     offset = EFFECTS["torque_offset"]
     shifted = recorded(Term(offset, (2.5,), ()))
-    made, chosen = settle(Workbench(shifted, CONFIGURED, POINT), ((offset, ()),)), ((offset, ()),)
+    made, chosen = settle(linearise(shifted, CONFIGURED, POINT), ((offset, ()),)), ((offset, ()),)
     for _ in range(6):
-        made.correct(chosen)
+        made = made.corrected(chosen)
     beta = made.fit(chosen)[0]
     assert beta[made.places(chosen)[0]][0] == pytest.approx(2.5, abs=0.05)
     found = refit(shifted, CONFIGURED).parameters
@@ -112,10 +113,10 @@ def test_a_wrong_zero_of_the_torque_is_found_at_full_size() -> None:
 def test_rows_near_the_real_zero_of_the_torque_are_left_out() -> None:
     made = bench()
     clear = made.clear_of(2.5)
-    assert_array_equal(clear.rows, usable(made.source, 2.5))
-    assert 0 < made.record.size - clear.record.size < 0.1 * made.record.size
+    assert_array_equal(clear.data.mask, usable(made.data.source, 2.5))
+    assert 0 < made.data.record.size - clear.data.record.size < 0.1 * made.data.record.size
     assert clear.whiten is made.whiten
-    assert_array_equal(clear.left, made.left[clear.rows[made.rows]])
+    assert_array_equal(clear.residual, made.residual[clear.data.mask[made.data.mask]])
     assert made.clear_of(0.0) is made
 
 
@@ -124,8 +125,8 @@ def test_amplitude_of_another_torque_is_that_along_the_whole_record() -> None:
     offset, size = EFFECTS["torque_offset"], np.array([2.0])
     friction, both = EFFECTS["viscous_windup"], np.array([1e-7])
     rows = np.arange(swinging().size) % 7 > 2
-    every = Workbench(swinging(), CONFIGURED, POINT)
-    few = Workbench(swinging(), CONFIGURED, POINT, rows=rows)
+    every = linearise(swinging(), CONFIGURED, POINT)
+    few = linearise(swinging(), CONFIGURED, POINT, rows=rows)
     expected = float(np.std(offset.response(every.whole, size, ())))
     assert few.amplitude(offset, (), size) == pytest.approx(expected, rel=1e-12)
     assert few.amplitude(friction, (), both) == np.std(friction.response(few.signals, both, ()))
@@ -139,10 +140,11 @@ def test_back_at_known_parameters_nothing_is_computed_again() -> None:
     assert again.whole is made.whole
     assert_array_equal(again.jacobian, made.jacobian)
     assert away.whole is not made.whole
-    afresh = Workbench(made.source, CONFIGURED, POINT + 0.5, made.whiten, made.rows)
-    assert_array_equal(afresh.left, away.left)
+    afresh = linearise(made.data.source, CONFIGURED, POINT + 0.5, made.data.mask)
+    assert_array_equal(afresh.residual, away.residual)
     for _ in range(4):
         away = away.moved(away.parameters + 0.1)
+        assert away.jacobian.size
     assert away.moved(made.parameters).whole is not made.whole  # only the latest are kept
 
 
@@ -150,25 +152,24 @@ def test_columns_of_teeth_are_the_same_when_carried_again() -> None:
     """What is kept of them does not depend on what carries them."""
     made, other = bench(), bench()
     for damping in (0.1, 0.05):
-        made.see([((RESONANCE, (2.0, 60.0, damping)), np.array([0.0, 0.0, 1.0]))])
-        found = made.columns(PITCH, ())
-    other.see([((RESONANCE, SPRING), np.array([0.0, 0.0, 1.0]))])
-    assert_array_equal(found, other.columns(PITCH, ()))
-    other.see([])
+        carried = made.beside((((RESONANCE, (2.0, 60.0, damping)), np.array([0.0, 0.0, 1.0])),))
+        found = carried.columns(PITCH, ())
+    assert_array_equal(found, other.beside(CARRYING).columns(PITCH, ()))
     assert np.abs(found - other.columns(PITCH, ())).max() > 0.0
 
 
-def test_columns_that_hold_at_a_size_outlast_the_store(monkeypatch: pytest.MonkeyPatch) -> None:
-    """However little is kept, what the model leaves and the columns beside it belong together."""
-    offset, wide = ((EFFECTS["torque_offset"], ()),), []
-    for room in (1 << 30, 0):
-        monkeypatch.setattr("hd_diag.diagnosis.fit.linearised_fit._MOST_COLUMNS", room)
-        made = Workbench(recorded(Term(EFFECTS["torque_offset"], (2.0,), ())), CONFIGURED, POINT)
-        made.correct(offset)
-        made.correct(offset)
+@pytest.mark.parametrize("room", [1 << 30, 0])
+def test_what_is_kept_changes_no_result(room: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Columns that hold at a size and the residual beside them belong together, however little is kept."""
+    chosen: Chosen = ((EFFECTS["torque_offset"], ()),)
+    found = []
+    for most in (192 << 20, room):
+        monkeypatch.setattr("hd_diag.diagnosis.fit.fitted_rows._MOST_KEPT", most)
+        plain = linearise(recorded(Term(EFFECTS["torque_offset"], (2.0,), ())), CONFIGURED, POINT)
+        made = plain.corrected(chosen).corrected(chosen)
         for other in ("viscous_windup", "coulomb_windup"):
-            made.white(EFFECTS[other], made.grid(EFFECTS[other])[0])
-        wide.append((made.design(offset).deviance(), made.fit(offset)[0][-1]))
-    assert wide[0] == wide[1]
-    made.correct(())
-    assert np.std(made.columns(*offset[0]) - made.signals.predicted_torque_slope[:, None]) == 0.0
+            made.white(EFFECTS[other], made.data.grid(EFFECTS[other])[0])
+        found.append((made.design(chosen).deviance(), made.fit(chosen)[0][-1]))
+        assert np.std(plain.columns(*chosen[0]) - plain.signals.predicted_torque_slope[:, None]) == 0.0
+        assert np.std(made.columns(*chosen[0]) - plain.columns(*chosen[0])) > 0.0
+    assert found[0] == found[1]

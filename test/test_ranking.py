@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from benches import EFFECTS, bench, of
 
-from hd_diag.diagnosis.fit.linearised_fit import Workbench
+from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.search.ranking import Projector, by_name, candidates, family_size, ranked
 from hd_diag.diagnosis.search.unmodelled_terms import FOILS
 
@@ -13,7 +13,7 @@ RUBBED, DRY = EFFECTS["hysteresis"], EFFECTS["coulomb_windup"]
 
 
 @pytest.fixture(scope="module")
-def made() -> Workbench:
+def made() -> LinearisedFit:
     return bench(of(RUBBED, **HYSTERESIS))
 
 
@@ -23,11 +23,11 @@ def deviance(columns: np.ndarray, target: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("chosen", [(), ((DRY, (0.6,)),)])
-def test_gain_is_that_of_a_fit(made: Workbench, chosen: tuple) -> None:
+def test_gain_is_that_of_a_fit(made: LinearisedFit, chosen: tuple) -> None:
     projector, white = Projector(made, chosen), made.white(RUBBED, (2.0, 9.0))
     fixed = np.concatenate((made.always_white, *(made.white(*item) for item in chosen)), axis=1)
-    before = deviance(fixed, made.left_white)
-    after = deviance(np.concatenate((fixed, white), axis=1), made.left_white)
+    before = deviance(fixed, made.residual_white)
+    after = deviance(np.concatenate((fixed, white), axis=1), made.residual_white)
     assert projector.deviance == pytest.approx(before, rel=1e-9)
     assert projector.gain(white) == pytest.approx(before - after, rel=1e-6)
     assert projector.fitted == fixed.shape[1]
@@ -35,7 +35,7 @@ def test_gain_is_that_of_a_fit(made: Workbench, chosen: tuple) -> None:
     assert coefficients == pytest.approx([1e-4, 6e-5], rel=0.15)
 
 
-def test_what_is_fitted_already_gains_nothing(made: Workbench) -> None:
+def test_what_is_fitted_already_gains_nothing(made: LinearisedFit) -> None:
     """Not even the rounding of a column that the others make up."""
     projector = Projector(made, ((RUBBED, (2.0, 9.0)),))
     again = made.white(RUBBED, (2.0, 9.0)) @ np.array([[1.0, 2.0, -0.3], [0.5, -1.0, 7.0]])
@@ -44,41 +44,43 @@ def test_what_is_fitted_already_gains_nothing(made: Workbench) -> None:
     assert projector.gain(again) == 0.0
 
 
-def test_the_cause_is_first_at_its_best_grid_point(made: Workbench) -> None:
+def test_the_cause_is_first_at_its_best_grid_point(made: LinearisedFit) -> None:
     found = candidates(made, ())
     assert found[0].effect is RUBBED
     assert found[0].nonlinear in RUBBED.starts(made.signals).points
     assert [one.surprise for one in found] == sorted((one.surprise for one in found), reverse=True)
     assert found[0].p_value < 1e-100
-    assert {one.effect.name for one in found} == {e.name for e in made.searched if made.testable(e)[0]}
+    assert {one.effect.name for one in found} == {
+        e.name for e in made.data.searched if made.data.testable(e)[0]
+    }
 
 
-def test_what_is_chosen_is_no_candidate(made: Workbench) -> None:
+def test_what_is_chosen_is_no_candidate(made: LinearisedFit) -> None:
     beside = ranked(made, ((RUBBED, (2.0, 9.0)),), [RUBBED, DRY])
     assert [one.effect for one in beside] == [DRY]
     alone = next(one for one in ranked(made, (), [RUBBED, DRY]) if one.effect is DRY)
     assert beside[0].gain < 0.1 * alone.gain
 
 
-def test_what_the_motion_does_not_show_takes_part_on_request(made: Workbench) -> None:
+def test_what_the_motion_does_not_show_takes_part_on_request(made: LinearisedFit) -> None:
     drift = EFFECTS["thermal_drift"]
-    assert not made.testable(drift)[0]
+    assert not made.data.testable(drift)[0]
     assert ranked(made, (), [drift]) == []
     assert [one.effect for one in ranked(made, (), [drift], {"thermal_drift"})] == [drift]
 
 
-def test_shapes_without_a_name_are_ranked_alike(made: Workbench) -> None:
+def test_shapes_without_a_name_are_ranked_alike(made: LinearisedFit) -> None:
     found = ranked(made, (), FOILS)
     assert 2 <= len(found) <= len(FOILS)
     assert max(one.gain for one in found) < candidates(made, ())[0].gain
 
 
-def test_a_family_is_every_grid_point_of_what_is_testable(made: Workbench) -> None:
-    testable = [effect for effect in made.searched if made.testable(effect)[0]]
-    assert len(testable) < len(made.searched)
+def test_a_family_is_every_grid_point_of_what_is_testable(made: LinearisedFit) -> None:
+    testable = [effect for effect in made.data.searched if made.data.testable(effect)[0]]
+    assert len(testable) < len(made.data.searched)
     assert family_size(made) == sum(effect.starts(made.signals).trials for effect in testable)
 
 
-def test_effects_by_name_in_the_order_of_the_catalogue(made: Workbench) -> None:
+def test_effects_by_name_in_the_order_of_the_catalogue(made: LinearisedFit) -> None:
     assert by_name(made, {"hysteresis", "coulomb_windup", "nothing"}) == [RUBBED, DRY]
     assert by_name(made, ()) == []

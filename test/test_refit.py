@@ -12,7 +12,7 @@ from joint_records import columns, joint, prepared
 
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit import refit as module
-from hd_diag.diagnosis.fit.linearised_fit import Workbench, settle
+from hd_diag.diagnosis.fit.linearised_fit import linearise, settle
 from hd_diag.diagnosis.fit.refit import FEW_STARTS, STARTS, distinct, nuisance, refit, usable
 from hd_diag.diagnosis.record import Record, prepare
 from hd_diag.diagnosis.search.causes import Search, parameters_of
@@ -50,7 +50,7 @@ def test_parameters_are_recovered(seed: int) -> None:
     found = refit(record, CONFIGURED)
     assert found.trustworthy
     assert np.all(np.abs(away(found.parameters, truth)) < [1.0, 1.0, 2.0, 1.0, 3.0, 2.0, 0.5])
-    point, covariance = parameters_of(Search(settle(Workbench(record, CONFIGURED, found.parameters), ()), ()))
+    point, covariance = parameters_of(Search(settle(linearise(record, CONFIGURED, found.parameters), ()), ()))
     off = away(point, truth)
     assert np.all(np.abs(off) < 4.0 * np.sqrt(np.diag(covariance)))
     assert off @ np.linalg.solve(covariance, off) < 31.0  # chi-square, 7 degrees of freedom, 6e-5

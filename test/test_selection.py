@@ -8,16 +8,16 @@ import pytest
 from benches import EFFECTS, bench, of
 from joint_records import ARCSEC
 
-from hd_diag.diagnosis.fit.linearised_fit import Workbench
+from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.search.selection import search, speed_dependent
 
 NOISE = np.random.default_rng(0).normal(0.0, ARCSEC, 6000)
 
 
-def left(speed: np.ndarray, rest: np.ndarray) -> Workbench:
+def left(speed: np.ndarray, rest: np.ndarray) -> LinearisedFit:
     """A bench as far as `speed_dependent` looks at it."""
     made = SimpleNamespace(signals=SimpleNamespace(speed=speed), remainder=lambda chosen: rest)
-    return cast(Workbench, made)
+    return cast(LinearisedFit, made)
 
 
 SPEED = np.array([8.0, 8.0, -60.0, 60.0])[np.arange(6000) // 250 % 4]  # half slow, half fast [rad/s]

@@ -18,7 +18,7 @@ from hd_diag.config.configuration import resolve
 from hd_diag.diagnosis import blocks, subsampling
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
 from hd_diag.diagnosis.fit import fit_parameters
-from hd_diag.diagnosis.fit.linearised_fit import Workbench
+from hd_diag.diagnosis.fit.linearised_fit import linearise
 from hd_diag.diagnosis.noise import ORDER, bounds
 from hd_diag.diagnosis.record import Record, prepare
 from hd_diag.diagnosis.screening import screened
@@ -147,11 +147,11 @@ def test_memory_goes_on_through_a_pause_without_torque() -> None:
     made = columns(seconds=12.0)
     made["torque"] = np.where(np.abs(made["time"] - 6.0) < 1.0, 0.0, made["torque"])
     drive = joint().drive
-    bench = Workbench(prepared(made), drive, fit_parameters.vector(drive, drive))
-    assert bench.record.size < 12.0 * 200.0 - 350
-    assert np.max(np.diff(bench.record.time)) > 1.8
+    bench = linearise(prepared(made), drive, fit_parameters.vector(drive, drive))
+    assert bench.data.record.size < 12.0 * 200.0 - 350
+    assert np.max(np.diff(bench.data.record.time)) > 1.8
     assert set(bench.signals.run.tolist()) == {0}
-    assert len(set(bench.run.tolist())) > 1  # which filters do not go through
+    assert len(set(bench.data.run.tolist())) > 1  # which filters do not go through
 
 
 # Block by block ---

@@ -13,7 +13,7 @@ from hd_diag.arrays import Floats
 from hd_diag.diagnosis.extension import extended_model, left, map_of
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.fit import fit_parameters
-from hd_diag.diagnosis.fit.linearised_fit import Chosen, Workbench, settle
+from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit, linearise, settle
 from hd_diag.diagnosis.fit.refit import Refit, refit, usable
 from hd_diag.diagnosis.noise import ORDER, bounds
 from hd_diag.diagnosis.record import Record
@@ -125,12 +125,12 @@ def diagnose(
     progress("fitting the model's own parameters")
     first = refit(train, configured)
     progress("looking for causes")
-    begun = Workbench(record, configured, first.parameters, rows=~test, catalogue=catalogue)
+    begun = linearise(record, configured, first.parameters, rows=~test, catalogue=catalogue)
     plain = settle(begun, ())
     found = search(plain, progress)
     progress("measuring the gain")
     rows = usable(record, found.torque_shift)
-    trained = Workbench(record, configured, found.bench.parameters, rows=rows, catalogue=catalogue)
+    trained = linearise(record, configured, found.bench.parameters, rows=rows, catalogue=catalogue)
     rms, gain = _gain(record, test, told, configured, plain, found, trained)
     progress("using all data")
     whole = fitted(settle(trained, found.chosen), found)
@@ -189,14 +189,14 @@ def _gain(
     test: Rows,
     told: str,
     configured: Drive,
-    plain: Workbench,
+    plain: LinearisedFit,
     found: Search,
-    trained: Workbench,
+    trained: LinearisedFit,
 ) -> tuple[Rms, Gain]:
     unseen = _renumbered(record.select(test))
-    kept = trained.rows[test]
-    rows = test[trained.rows]  # of a bench of the whole record, whose effects remember what came before
-    nominal = _nominal_left(record, configured, test, trained.rows)
+    kept = trained.data.mask[test]
+    rows = test[trained.data.mask]  # of a bench of the whole record, whose effects remember what came before
+    nominal = _nominal_left(record, configured, test, trained.data.mask)
     refitted = _left_by(trained.moved(plain.parameters), plain, ())[rows]
     offline = _left_by(trained, found.bench, found.chosen)[rows]
     model = extended_model(found, configured, record.select(~test))
@@ -206,7 +206,7 @@ def _gain(
     )
     time, run = unseen.time[kept], unseen.run[kept]
     noise = found.bench.noise_residual
-    low, high = _rms_interval(noise, found.bench.record.time, found.bench.run)
+    low, high = _rms_interval(noise, found.bench.data.record.time, found.bench.data.run)
     freedom = noise.size / max(noise.size - found.bench.always().shape[1] - 30, 1)
     slices = _slices(time, run)
     before, after = _sums(nominal**2, slices), _sums(extended**2, slices)
@@ -240,7 +240,7 @@ def _left(record: Record, drive: Drive) -> Floats:
     return np.asarray(record.output_angle - record.input_angle / drive.kinematics.ratio - error)
 
 
-def _left_by(bench: Workbench, trained: Workbench, chosen: Chosen) -> Floats:
+def _left_by(bench: LinearisedFit, trained: LinearisedFit, chosen: Chosen) -> Floats:
     """What a model trained on some rows leaves of all rows, at the parameters of training [rad].
 
     Shapes without a name are fitted, but are no part of a model; nor is what a cause wanders by.
@@ -248,11 +248,11 @@ def _left_by(bench: Workbench, trained: Workbench, chosen: Chosen) -> Floats:
     beta, _, _ = trained.fit(chosen)
     fixed = bench.always()
     left = bench.uncorrected - fixed @ beta[: fixed.shape[1]]
-    sized = [(item, part[: item[0].size]) for item, part in trained.sized(chosen, beta)]
-    bench.see(sized)
+    sized = tuple((item, part[: item[0].size]) for item, part in trained.sized(chosen, beta))
+    beside = bench.beside(sized)
     for (effect, nonlinear), coefficients in sized:
         if not isinstance(effect, Foil):
-            left = left - bench.full_size(effect, nonlinear, coefficients)
+            left = left - beside.full_size(effect, nonlinear, coefficients)
     return np.asarray(left)
 
 

@@ -17,7 +17,7 @@ from hd_diag.bag.joint_record import read_bags
 from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.config.parameters import JOINT_PARAMETERS
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
-from hd_diag.diagnosis.fit.linearised_fit import Workbench
+from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.record import RecordError
 from hd_diag.diagnosis.screening import screened
 from hd_diag.diagnosis.search.causes import Cause
@@ -155,7 +155,7 @@ def _amplitude_stds(found: Diagnosis) -> list[float]:
     return [amplitude_std(bench, cause) if bench else math.nan for cause in found.causes]
 
 
-def amplitude_std(bench: Workbench, cause: Cause) -> float:
+def amplitude_std(bench: LinearisedFit, cause: Cause) -> float:
     """Standard deviation of a cause's amplitude, from that of its coefficients [rad rms].
 
     Notes

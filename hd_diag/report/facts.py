@@ -15,7 +15,7 @@ from hd_diag.bag.joint_record import Motion
 from hd_diag.config.configuration import JointConfig
 from hd_diag.config.parameters import JOINT_PARAMETERS, Value
 from hd_diag.diagnosis.diagnosis import Diagnosis, Gain, Rms
-from hd_diag.diagnosis.fit.linearised_fit import Workbench
+from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.search.detectability import Testability
 from hd_diag.diagnosis.search.unexplained import Line
 from hd_diag.diagnosis.verdict import sentence
@@ -197,7 +197,7 @@ def versions() -> tuple[Fact, ...]:
     return (*found, *(Fact(name, metadata.version(name)) for name in ("matplotlib", "Jinja2")))
 
 
-def _judgement(diagnosis: Diagnosis, found: Stages, fitted: Sequence[Workbench]) -> Judgement:
+def _judgement(diagnosis: Diagnosis, found: Stages, fitted: Sequence[LinearisedFit]) -> Judgement:
     marks = _marks(diagnosis)
     top = 1.2 * max((mark.order for mark in marks), default=0.0)
     highest = min(max(top, _ORDERS[0]), _ORDERS[1])
@@ -210,7 +210,7 @@ def _judgement(diagnosis: Diagnosis, found: Stages, fitted: Sequence[Workbench])
         highest,
         tuple(mark for mark in marks if mark.order <= highest),
         tuple(ladder(diagnosis, found.residual[stages.NOMINAL], list(fitted))),
-        int(fitted[-1].block[-1]) + 1 if fitted else 0,
+        int(fitted[-1].data.block[-1]) + 1 if fitted else 0,
         diagnosis.rms,
         diagnosis.gain,
         _parameters(diagnosis),

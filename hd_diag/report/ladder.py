@@ -9,7 +9,7 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.fit.design import solve
-from hd_diag.diagnosis.fit.linearised_fit import Chosen, Workbench, settle
+from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit, settle
 from hd_diag.formatting import words
 from hd_diag.report.stages import NOMINAL, REFIT
 
@@ -38,7 +38,7 @@ class Rung(NamedTuple):
     gain_high: float = float("nan")
 
 
-def benches(diagnosis: Diagnosis) -> list[Workbench]:
+def benches(diagnosis: Diagnosis) -> list[LinearisedFit]:
     """The record with each fitted rung's model, parameters settled; empty where nothing was fitted."""
     if diagnosis.found is None or diagnosis.refitted is None:
         return []
@@ -48,7 +48,7 @@ def benches(diagnosis: Diagnosis) -> list[Workbench]:
     return [*fewer, whole]
 
 
-def ladder(diagnosis: Diagnosis, nominal: Floats, fitted: list[Workbench]) -> list[Rung]:
+def ladder(diagnosis: Diagnosis, nominal: Floats, fitted: list[LinearisedFit]) -> list[Rung]:
     """Rungs from the configured model to the extended one.
 
     Parameters
@@ -56,7 +56,7 @@ def ladder(diagnosis: Diagnosis, nominal: Floats, fitted: list[Workbench]) -> li
     diagnosis : Diagnosis
     nominal : ndarray, shape (n,)
         Residual of the configured model at the usable samples [rad].
-    fitted : list of Workbench
+    fitted : list of LinearisedFit
         From :func:`benches`.
 
     Returns
@@ -68,7 +68,7 @@ def ladder(diagnosis: Diagnosis, nominal: Floats, fitted: list[Workbench]) -> li
     chosen = diagnosis.found.chosen
     names = [NOMINAL, REFIT, *(f"+ {words(effect.name)}" for effect, _ in chosen)]
     residuals = [nominal, *(_unseen(bench, chosen[:count]) for count, bench in enumerate(fitted))]
-    block = fitted[-1].block
+    block = fitted[-1].data.block
     squares, counts = np.stack([np.bincount(block, rest**2) for rest in residuals]), np.bincount(block)
     draws = np.random.default_rng(0).integers(0, counts.size, (_DRAWS, counts.size))
     drawn, total = squares[:, draws].sum(axis=2), squares.sum(axis=1)
@@ -79,14 +79,14 @@ def ladder(diagnosis: Diagnosis, nominal: Floats, fitted: list[Workbench]) -> li
     return [Rung(name, *of_rms, *of_gain) for name, of_rms, of_gain in zip(names, rms, gained, strict=True)]
 
 
-def _unseen(bench: Workbench, chosen: Chosen) -> Floats:
+def _unseen(bench: LinearisedFit, chosen: Chosen) -> Floats:
     """Residual of every stretch by coefficients fitted to the others [rad]."""
     normal = bench.design(chosen)
     gram, moment = normal.gram.sum(axis=0), normal.moment.sum(axis=0)
     columns = np.concatenate((bench.always(), bench.joined(chosen)), axis=1)
-    rest = np.empty(bench.left.size)
+    rest = np.empty(bench.residual.size)
     for block in range(normal.square.size):
-        rows = bench.block == block
+        rows = bench.data.block == block
         beta = solve(gram - normal.gram[block], moment - normal.moment[block])
-        rest[rows] = bench.left[rows] - columns[rows] @ beta
+        rest[rows] = bench.residual[rows] - columns[rows] @ beta
     return rest

@@ -12,7 +12,7 @@ from hd_diag.arrays import Floats
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.extension import left, map_of
 from hd_diag.diagnosis.fit import fit_parameters
-from hd_diag.diagnosis.fit.linearised_fit import Workbench
+from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.fit.refit import usable
 from hd_diag.diagnosis.record import Record
 from hd_diag.drive import Drive, transmission_error
@@ -76,13 +76,13 @@ class OverTime(NamedTuple):
     residual: dict[str, Envelope]
 
 
-def stages(diagnosis: Diagnosis, plain: Workbench | None) -> Stages:
+def stages(diagnosis: Diagnosis, plain: LinearisedFit | None) -> Stages:
     """Residual of each stage of the model.
 
     Parameters
     ----------
     diagnosis : Diagnosis
-    plain : Workbench, optional
+    plain : LinearisedFit, optional
         Settled on the whole record without causes; None where nothing was fitted.
 
     Returns

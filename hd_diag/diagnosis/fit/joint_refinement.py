@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.design import Design
-from hd_diag.diagnosis.fit.linearised_fit import Chosen, Workbench, settle
+from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit, settle
 from hd_diag.effects.effect import Effect, Stage
 
 _ROUNDS = 8
@@ -15,12 +15,12 @@ _SHORTER = 3  # halvings of a step that makes the fit worse
 _SETTLED = 0.05  # deviance; what a further round could gain
 
 
-def polished(bench: Workbench, chosen: Chosen, rounds: int = _ROUNDS) -> tuple[Workbench, Chosen]:
+def polished(bench: LinearisedFit, chosen: Chosen, rounds: int = _ROUNDS) -> tuple[LinearisedFit, Chosen]:
     """Gauss-Newton over the nonlinear values of all effects, the model's parameters settled in between.
 
     Parameters
     ----------
-    bench : Workbench
+    bench : LinearisedFit
     chosen : sequence of (Effect, nonlinear values)
     rounds : int
         At most.
@@ -32,19 +32,19 @@ def polished(bench: Workbench, chosen: Chosen, rounds: int = _ROUNDS) -> tuple[W
     """
     for _ in range(rounds):
         before = bench.design(chosen).deviance()
-        chosen = _stepped(bench, chosen, before)
+        bench, chosen = _stepped(bench, chosen, before)
         bench = settle(bench, chosen, rounds=1, learn=False)
         if bench.design(chosen).deviance() > before - _SETTLED:
             break
     return bench, chosen
 
 
-def slopes(bench: Workbench, chosen: Chosen) -> Floats:
+def slopes(bench: LinearisedFit, chosen: Chosen) -> Floats:
     """What the effects change by their free nonlinear values.
 
     Parameters
     ----------
-    bench : Workbench
+    bench : LinearisedFit
     chosen : sequence of (Effect, nonlinear values)
 
     Returns
@@ -56,15 +56,15 @@ def slopes(bench: Workbench, chosen: Chosen) -> Floats:
     found = []
     for (effect, nonlinear), place in zip(chosen, bench.places(chosen), strict=True):
         coefficients = beta[place]
-        step = 0.01 * bench.grid_step(effect, nonlinear) if free(effect) else np.empty(0)
+        step = 0.01 * bench.data.grid_step(effect, nonlinear) if free(effect) else np.empty(0)
         for index in free(effect):
             ends = [_moved(effect, nonlinear, index, sign * step[index]) for sign in (-1.0, 1.0)]
             low, high = (bench.full_size(effect, end, coefficients) for end in ends)
             found.append((high - low) / max(ends[1][index] - ends[0][index], 1e-300))
-    return np.stack(found, axis=1) if found else np.empty((bench.left.size, 0))
+    return np.stack(found, axis=1) if found else np.empty((bench.residual.size, 0))
 
 
-def covariance(bench: Workbench, chosen: Chosen) -> tuple[Floats, list[npt.NDArray[np.int64]]]:
+def covariance(bench: LinearisedFit, chosen: Chosen) -> tuple[Floats, list[npt.NDArray[np.int64]]]:
     """Covariance of all that is fitted, the free nonlinear values included.
 
     Where blocks of the record scatter more than the noise model has it, by their scatter.
@@ -102,26 +102,25 @@ def free(effect: Effect) -> list[int]:
     return [index for index, quantity in enumerate(effect.nonlinear) if not quantity.discrete]
 
 
-def _stepped(bench: Workbench, chosen: Chosen, before: float) -> Chosen:
+def _stepped(bench: LinearisedFit, chosen: Chosen, before: float) -> tuple[LinearisedFit, Chosen]:
     """Nonlinear values after one step; as they were if none helps."""
     columns = slopes(bench, chosen)
     if not columns.shape[1]:
-        return chosen
+        return bench, chosen
     step = bench.fit(chosen, columns)[0][-columns.shape[1] :]
     for _ in range(_SHORTER):
         trial = _moved_all(bench, chosen, step)
-        bench.correct(trial)
-        if bench.design(trial).deviance() < before:
-            return trial
+        tried = bench.corrected(trial)
+        if tried.design(trial).deviance() < before:
+            return tried, trial
         step = 0.5 * step
-    bench.correct(chosen)
-    return chosen
+    return bench, chosen
 
 
-def _moved_all(bench: Workbench, chosen: Chosen, step: Floats) -> Chosen:
+def _moved_all(bench: LinearisedFit, chosen: Chosen, step: Floats) -> Chosen:
     moved, at = [], 0
     for effect, nonlinear in chosen:
-        most = bench.grid_step(effect, nonlinear) if free(effect) else np.empty(0)
+        most = bench.data.grid_step(effect, nonlinear) if free(effect) else np.empty(0)
         for index in free(effect):
             nonlinear = _moved(effect, nonlinear, index, float(np.clip(step[at], -most[index], most[index])))
             at += 1

@@ -1,208 +1,188 @@
-"""A record linearised about a drive: the columns of every fit, whitened, and the fit itself."""
+"""A record linearised about a drive and the causes beside it: columns of a fit, and the fit itself."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.arrays import Floats, Integers
+from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import Design, design, inverse, solve
-from hd_diag.diagnosis.fit.refit import usable
-from hd_diag.diagnosis.noise import ORDER, Whitening, bounds, whitening
+from hd_diag.diagnosis.fit.fitted_rows import FittedRows, Linearised, fitted_rows
+from hd_diag.diagnosis.noise import ORDER, Whitening, whitening
 from hd_diag.diagnosis.record import Record
 from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE, Catalogue
-from hd_diag.effects.contact_weights import ContactWeights
-from hd_diag.effects.effect import Effect, Stage
+from hd_diag.effects.effect import Effect, Stage, Values
 from hd_diag.effects.signals import Signals
 from hd_diag.effects.stages import seen_at
 
-Rows = npt.NDArray[np.bool_]
-
-_BLOCKS = 24
-_MOST_KEPT = 32 << 20  # bytes
-_MOST_COLUMNS = 96 << 20  # bytes
-_KNOWN = 2  # parameters, for a search that goes back to them
-_SHIFT = 2e-4  # of the rated torque; a smaller change of the torque's zero changes no derivative
+_SHIFT = 2e-4  # of the rated torque: steps of its zero between which the derivatives are not told apart
 _SETTLED = 1.0  # standard deviations; the model is linear over such steps
-Linear = dict[bytes, tuple[Signals, Signals, Floats]]
+_WHITE = Whitening(np.zeros(ORDER), 1.0)
+
+Item = tuple[Effect, Values]
+Chosen = tuple[Item, ...]
+"""Effects with their nonlinear values."""
+
+Sized = tuple[tuple[Item, Floats], ...]
+"""The same with their coefficients."""
 
 
-@dataclass
-class Known:
-    """What benches of the same rows share.
+@dataclass(frozen=True, eq=False)
+class LinearisedFit:
+    """Everything that a fit needs at some parameters, beside some effects at their size.
 
-    Attributes
-    ----------
-    linear : dict
-        Linearisations by the parameters, the latest last.
-    general : ndarray, shape (n, k), optional
-        Columns that any cause may look like and no parameter changes.
-    """
-
-    linear: Linear = field(default_factory=dict)
-    general: Floats | None = None
-
-
-Chosen = tuple[tuple[Effect, tuple[float, ...]], ...]
-Present = Sequence[tuple[tuple[Effect, tuple[float, ...]], Floats]]
-"""Effects with their nonlinear values, and their coefficients."""
-
-
-class Workbench:
-    """A record with a drive: everything that a fit needs, whitened once.
+    It never changes: what corrects, moves or whitens it returns another one. All fits of the same rows share
+    what was computed.
 
     Parameters
     ----------
-    record : Record
-        All that is known: causes with memory go through every row of it.
-    configured : Drive
+    data : FittedRows
     parameters : ndarray, shape (7,)
         Where the model is linearised, in units of `fit_parameters.SCALES`.
-    whiten : Whitening, optional
-        Noise model to begin with.
-    rows : ndarray of bool, shape (n,), optional
-        Which rows to fit, where the error is well defined; all without.
-    known : Known, optional
-        What benches of the same rows share.
-
-    Attributes
-    ----------
-    record, signals : Record, Signals
-        Of the rows that are fitted.
-    whole : Signals
-        Of all rows.
+    whiten : Whitening
+        Noise model.
+    noise_residual : ndarray, shape (n,)
+        What the noise was learnt from [rad]; empty before that.
+    present : tuple
+        Effects that it is linearised beside: what they are at full size beyond their columns is no longer in
+        the residual, and effects of later stages carry what earlier ones add.
     """
 
-    def __init__(
-        self,
-        record: Record,
-        configured: Drive,
-        parameters: Floats,
-        whiten: Whitening | None = None,
-        rows: Rows | None = None,
-        known: Known | None = None,
-        catalogue: Catalogue = CATALOGUE,
-    ) -> None:
-        self.source = record
-        self.catalogue = catalogue
-        self.configured = configured
-        known = Known() if known is None else known
-        self.rows = usable(record) if rows is None else usable(record) & rows
-        self._known = known
-        self._at = np.flatnonzero(self.rows)  # several times as fast as a mask
-        self.record = replace(record, stretch=record.stretches).select(self.rows)
-        self.run = _broken(record, self.rows)
-        self.parameters = parameters
-        self.drive = fit_parameters.drive_of(parameters, configured)
-        self.whole, self.signals, derivatives = self._linearised(known.linear)
-        self.error, self.jacobian = self.signals.predicted, derivatives.take(self._at, axis=0)
-        rec = self.record
-        self.left = rec.output_angle - rec.input_angle / configured.kinematics.ratio - self.error
-        self.uncorrected = self.left
-        self.nuisance = np.ones((rec.size, 1))
-        self._derivatives, self._shift = derivatives, 0.0
-        self._before: Present = []
-        self._later: Present = []
-        self._behind: dict[Stage, Signals] = {}
-        self.block = blocks(self.run)
-        self._columns: dict[tuple[str, tuple[float, ...]], Floats] = {}
-        self._uncarried: dict[tuple[str, tuple[float, ...]], Floats] = {}
-        self._secants: dict[tuple[str, tuple[float, ...]], Floats] = {}  # of the chosen: never left out
-        self.noise_residual = np.empty(0)
-        self._white: dict[tuple[str, tuple[float, ...]], Floats] = {}
-        self._testable: dict[str, tuple[bool, str]] = {}
-        self._grids: dict[str, list[tuple[float, ...]]] = {}
-        self._whiten_by(whiten or Whitening(np.zeros(ORDER), 1.0))
+    data: FittedRows
+    parameters: Floats
+    whiten: Whitening = _WHITE
+    noise_residual: Floats = field(default_factory=lambda: np.empty(0))
+    present: Sized = ()
 
-    def moved(self, parameters: Floats) -> Workbench:
-        """The same rows and noise, linearised elsewhere."""
-        other = Workbench(
-            self.source, self.configured, parameters, self.whiten, self.rows, self._known, self.catalogue
-        )
-        other.noise_residual = self.noise_residual
-        return other
+    def moved(self, parameters: Floats) -> LinearisedFit:
+        """The same rows and noise, linearised elsewhere beside nothing."""
+        return replace(self, parameters=parameters, present=())
 
-    def clear_of(self, shift: float) -> Workbench:
-        """Without the rows in which the real torque, as much above the reported one, is near zero [N m]."""
-        rows = self.rows & usable(self.source, shift)
-        if np.array_equal(rows, self.rows):
+    def clear_of(self, shift: float) -> LinearisedFit:
+        """Exclude rows where reported torque plus a shift [N m] is near zero; beside nothing."""
+        data = fitted_rows(self.data.source, self.data.configured, self.data.catalogue, self.data.mask, shift)
+        if np.array_equal(data.mask, self.data.mask):
             return self
-        return Workbench(
-            self.source, self.configured, self.parameters, self.whiten, rows, catalogue=self.catalogue
-        )
+        return LinearisedFit(data, self.parameters, self.whiten)
 
-    def _linearised(self, known: Linear) -> tuple[Signals, Signals, Floats]:
-        """Signals of all rows and of those that are fitted, and the derivatives by the parameters."""
-        key, record = self.parameters.tobytes(), self.source
-        if key not in known:
-            error, derivatives, slope = fit_parameters.along(
-                self.drive, self.configured, record.input_angle, record.torque
-            )
-            whole = signals(record, self.drive, error, slope)
-            known[key] = whole, whole.part(self._at), derivatives
-        known[key] = known.pop(key)
-        while len(known) > _KNOWN:
-            del known[next(iter(known))]
-        return known[key]
+    def with_noise(self, chosen: Chosen) -> LinearisedFit:
+        """Whitened by the residual of a model rich enough to leave only noise."""
+        broadband = []
+        for effect in self.data.searched:
+            if effect.broadband and self.data.testable(effect)[0]:
+                points = self.data.grid(effect)
+                broadband.append(self.columns(effect, points[len(points) // 2]))
+        parts = (self.always(), self.joined(chosen), self.data.smooth, *broadband)
+        rest = self.residual - _projection(np.concatenate(parts, axis=1), self.residual)
+        return replace(self, whiten=whitening(rest, self.data.run), noise_residual=rest)
 
-    def columns(self, effect: Effect, nonlinear: tuple[float, ...]) -> Floats:
-        """Columns of an effect, shape (n, k) [rad per unit]."""
-        key = (effect.name, nonlinear)
-        if key in self._secants:
-            return self._secants[key]
-        if key not in self._columns:
-            _make_room(self._columns)
-            self._columns[key] = self._fresh(effect, nonlinear)
-        return self._columns[key]
+    def corrected(self, chosen: Chosen) -> LinearisedFit:
+        """Linearised beside the chosen effects at the size that fits here."""
+        return self.beside(self.sized(chosen, self.fit(chosen)[0]))
 
-    def white(self, effect: Effect, nonlinear: tuple[float, ...], keep: bool = True) -> Floats:
-        """Whitened columns of an effect."""
-        key = (effect.name, nonlinear)
-        if key in self._white:
-            return self._white[key]
-        columns = self.columns(effect, nonlinear) if keep else self._fresh(effect, nonlinear)
-        white = self.whiten(columns, self.run)
-        if keep:
-            _make_room(self._white)
-            self._white[key] = white
-        return white
+    def beside(self, sized: Sized) -> LinearisedFit:
+        """Linearised beside effects of given coefficients."""
+        return replace(self, present=sized)
 
-    def testable(self, effect: Effect) -> tuple[bool, str]:
-        """Whether the record's motion allows to find an effect; if not, which extra motion would."""
-        if effect.name not in self._testable:
-            self._testable[effect.name] = effect.testable(self.signals)
-        return self._testable[effect.name]
+    def sized(self, chosen: Chosen, beta: Floats) -> Sized:
+        """The chosen effects with their coefficients out of a fit's."""
+        return tuple((item, beta[place]) for item, place in zip(chosen, self.places(chosen), strict=True))
 
     @property
-    def searched(self) -> Catalogue:
-        """Effects of the catalogue that are searched for in the residual."""
-        return tuple(effect for effect in self.catalogue if effect.searched)
+    def drive(self) -> Drive:
+        """At the parameters."""
+        return self.signals.contact.drive
 
-    def grid(self, effect: Effect) -> list[tuple[float, ...]]:
-        """Start points of an effect's nonlinear values on this record."""
-        if effect.name not in self._grids:
-            self._grids[effect.name] = effect.starts(self.signals).points
-        return self._grids[effect.name]
+    @cached_property
+    def _model(self) -> Linearised:
+        return self.data.linearised(self.parameters)
 
-    def grid_step(self, effect: Effect, point: tuple[float, ...]) -> Floats:
-        """Distance from a grid point to the next, in each nonlinear value."""
-        grid = np.array([*self.grid(effect), point])
-        away = np.abs(grid - np.array(point))
-        steps = [np.min(column[column > 0.0], initial=np.inf) for column in away.T]
-        return np.array(
-            [s if np.isfinite(s) else 0.1 * max(abs(p), 1e-3) for s, p in zip(steps, point, strict=True)]
+    @property
+    def whole(self) -> Signals:
+        """Of all rows."""
+        return self._model.whole
+
+    @property
+    def signals(self) -> Signals:
+        """Of the fitted rows."""
+        return self._model.signals
+
+    @cached_property
+    def uncorrected(self) -> Floats:
+        """Measured less predicted error of the model alone [rad], shape (n,)."""
+        record, ratio = self.data.record, self.data.configured.kinematics.ratio
+        return np.asarray(record.output_angle - record.input_angle / ratio - self.signals.predicted)
+
+    @cached_property
+    def residual(self) -> Floats:
+        """The same less what the present effects are at full size beyond their columns [rad], shape (n,)."""
+
+        def corrected() -> Floats:
+            left = self.uncorrected
+            for item, coefficients in self.present:
+                beyond = self.full_size(*item, coefficients) - self.columns(*item) @ coefficients
+                left = left - beyond
+            return left
+
+        return self._kept("residual", _key(self.present), compute=corrected)
+
+    @cached_property
+    def jacobian(self) -> Floats:
+        """Derivatives by the parameters, under the real torque, as later stages show them, (n, 7)."""
+        step = _SHIFT * self.drive.rated_torque
+        shift = step * round(sum(item[0].torque_shift(one) for item, one in self.present) / step)
+
+        def carried() -> Floats:
+            derivatives = self._model.derivatives
+            if shift:
+                derivatives = self.data.derivatives_under(self.parameters, shift)
+            return self._carried(derivatives, Stage.GEAR, of_teeth=True).take(self.data.at, axis=0)
+
+        return self._kept("jacobian", shift, _key(self._later), compute=carried)
+
+    def always(self) -> Floats:
+        """Columns that every fit carries: the model's derivatives and the zero offset of the encoders."""
+        return np.column_stack((self.jacobian, np.ones(self.data.at.size)))
+
+    @cached_property
+    def always_white(self) -> Floats:
+        """The same whitened."""
+        return self.whiten(self.always(), self.data.run)
+
+    @cached_property
+    def residual_white(self) -> Floats:
+        """The residual whitened."""
+        return self.whiten(self.residual, self.data.run)
+
+    def columns(self, effect: Effect, nonlinear: Values) -> Floats:
+        """Columns of an effect, shape (n, k) [rad per unit]; of a present one those that hold at its size."""
+        return self._kept(
+            "columns", *self._context(effect, nonlinear), compute=lambda: self._columns(effect, nonlinear)
+        )
+
+    def white(self, effect: Effect, nonlinear: Values, keep: bool = True) -> Floats:
+        """Whitened columns of an effect."""
+        if not keep:
+            return self.whiten(self._columns(effect, nonlinear), self.data.run)
+        noise = self.whiten.coefficients.tobytes(), self.whiten.scale
+        return self._kept(
+            "white",
+            *noise,
+            *self._context(effect, nonlinear),
+            compute=lambda: self.whiten(self.columns(effect, nonlinear), self.data.run),
         )
 
     def joined(self, chosen: Chosen) -> Floats:
         """Columns of several effects side by side."""
-        parts = [self.columns(effect, nonlinear) for effect, nonlinear in chosen]
-        return np.concatenate(parts, axis=1) if parts else np.empty((self.left.size, 0))
+        parts = [self.columns(*item) for item in chosen]
+        return np.concatenate([np.empty((self.data.at.size, 0)), *parts], axis=1)
 
     def places(self, chosen: Chosen) -> list[slice]:
         """Where the coefficients of every chosen effect stand in a fit."""
@@ -210,59 +190,25 @@ class Workbench:
         return [slice(first, last) for first, last in pairwise(edges.tolist())]
 
     def remainder(self, chosen: Chosen) -> Floats:
-        """What the model with some effects leaves, shape (n,) [rad]."""
-        beta, _, _ = self.fit(chosen)
-        return np.asarray(self.left - np.concatenate((self.always(), self.joined(chosen)), axis=1) @ beta)
+        """Residual of a fit with some effects, shape (n,) [rad]."""
+        columns = np.concatenate((self.always(), self.joined(chosen)), axis=1)
+        return np.asarray(self.residual - columns @ self.fit(chosen)[0])
 
-    def always(self) -> Floats:
-        """Columns that every fit carries: the model's derivatives and the zero offset of the encoders."""
-        return np.concatenate((self.jacobian, self.nuisance), axis=1)
-
-    def learn_noise(self, chosen: Chosen) -> None:
-        """Whiten by the residual of a model rich enough to leave only noise."""
-        rich = np.concatenate((self.always(), self.joined(chosen), self._general()), axis=1)
-        rest = self.left - _projection(rich, self.left)
-        self.noise_residual = rest
-        self._whiten_by(whitening(rest, self.run))
-
-    def correct(self, chosen: Chosen) -> None:
-        """Take what the chosen effects are at full size beyond their columns out of what the model leaves."""
-        self.correct_at(self.sized(chosen, self.fit(chosen)[0]))
-
-    def sized(self, chosen: Chosen, beta: Floats) -> Present:
-        """The chosen effects with their coefficients out of a fit's."""
-        return [(item, beta[place]) for item, place in zip(chosen, self.places(chosen), strict=True)]
-
-    def correct_at(self, sized: Present) -> None:
-        """The same at given coefficients."""
-        self.see(sized)
-        for key in self._secants:
-            self._white.pop(key, None)
-        self._secants.clear()
-        correction = np.zeros(self.left.size)
-        for (effect, nonlinear), coefficients in sized:
-            if effect.own_slopes:
-                key = (effect.name, nonlinear)
-                self._secants[key] = self._secant(effect, nonlinear, coefficients)
-                self._white.pop(key, None)
-            columns = self.columns(effect, nonlinear)
-            correction += self.full_size(effect, nonlinear, coefficients) - columns @ coefficients
-        self.left = self.uncorrected - correction
-        self.left_white = self.whiten(self.left, self.run)
-
-    def full_size(self, effect: Effect, nonlinear: tuple[float, ...], coefficients: Floats) -> Floats:
+    def full_size(self, effect: Effect, nonlinear: Values, coefficients: Floats) -> Floats:
         """An effect's part in the error, contacts made and lost by it included, shape (n,) [rad].
 
         Coefficients beyond its own are of what it wanders by.
         """
         if (own := effect.size) < coefficients.size and effect.stage > Stage.NOWHERE:
-            wandering = effect.wandering(self.whole, nonlinear).take(self._at, axis=0) @ coefficients[own:]
-            return self.full_size(effect, nonlinear, coefficients[:own]) + wandering
+            wandering = effect.wandering(self.whole, nonlinear).take(self.data.at, axis=0)
+            return self.full_size(effect, nonlinear, coefficients[:own]) + wandering @ coefficients[own:]
         if effect.remembers or effect.stage > Stage.GEAR:
-            return np.nan_to_num(effect.response(self._seen(effect), coefficients, nonlinear).take(self._at))
-        return np.nan_to_num(effect.response(self.signals, coefficients, nonlinear))
+            found = effect.response(self._seen(effect.stage), coefficients, nonlinear).take(self.data.at)
+        else:
+            found = effect.response(self.signals, coefficients, nonlinear)
+        return np.nan_to_num(found)
 
-    def amplitude(self, effect: Effect, nonlinear: tuple[float, ...], coefficients: Floats) -> float:
+    def amplitude(self, effect: Effect, nonlinear: Values, coefficients: Floats) -> float:
         """Rms of an effect's part in the error where it is fitted [rad].
 
         Of another torque, along the whole record: most of it is near zero torque, which no fit uses.
@@ -271,64 +217,97 @@ class Workbench:
             return float(np.std(np.nan_to_num(effect.response(self.whole, coefficients, nonlinear))))
         return float(np.std(self.full_size(effect, nonlinear, coefficients)))
 
-    def see(self, present: Present) -> None:
-        """Let effects see each other at these coefficients: later stages carry what earlier ones add."""
-        before = [one for one in present if Stage.GEAR <= one[0][0].stage < Stage.STREAM]
-        later = [one for one in present if one[0][0].stage > Stage.GEAR]
-        changed = set[Stage]()
-        if before or self._before:
-            changed |= {Stage.SPRING, Stage.STREAM}
-        if later or self._later:
-            changed |= {Stage.GEAR, Stage.SPRING}
-        moved = self._under(sum(effect.torque_shift(coefficients) for (effect, _), coefficients in present))
-        self._before, self._later = before, later
-        self._behind.clear()
-        stages = {effect.name: effect.stage for effect in self.catalogue}
-        for kept in (self._columns, self._white):
-            for key in [key for key in kept if stages.get(key[0]) in changed]:
-                del kept[key]
-        if moved or Stage.GEAR in changed:
-            self.jacobian = self._carried(self._derivatives, Stage.GEAR, of_teeth=True).take(self._at, axis=0)
-            self.always_white = self.whiten(self.always(), self.run)
+    def fit(self, chosen: Chosen, more: Floats | None = None) -> tuple[Floats, Floats, Design]:
+        """Coefficients and covariance of [model, offset, effects, more], and their normal equations.
 
-    def _under(self, shift: float) -> bool:
-        """Let the model's derivatives be those under a torque that differs [N m]; whether they change."""
-        if abs(shift - self._shift) < _SHIFT * self.drive.rated_torque:
-            return False
-        rec = self.source
-        self._shift = shift
-        _, self._derivatives, _ = fit_parameters.along(
-            self.drive, self.configured, rec.input_angle, rec.torque + shift
+        The model's coefficients are steps from `parameters`, drawn to the prior. `more` are columns (n, k).
+        """
+        built = self.design(chosen, more)
+        center, width = fit_parameters.prior(self.data.configured)
+        precision, pull = np.zeros((2, built.moment.shape[1]))
+        precision[: fit_parameters.COUNT] = width**-2.0
+        pull[: fit_parameters.COUNT] = center - self.parameters
+        covariance = inverse(built.gram.sum(axis=0) + np.diag(precision))
+        beta = covariance @ (built.moment.sum(axis=0) + precision * pull)
+        return self._bounded(beta, covariance), covariance, built
+
+    def design(self, chosen: Chosen, more: Floats | None = None) -> Design:
+        """Normal equations of [model, offset, effects, more] against the residual."""
+        parts = [self.always_white, *(self.white(*item) for item in chosen)]
+        if more is not None and more.shape[1]:
+            parts.append(self.whiten(more, self.data.run))
+        white = self.residual_white
+        return design(np.concatenate(parts, axis=1), white, self.data.block, white != 0.0)
+
+    def _bounded(self, beta: Floats, covariance: Floats) -> Floats:
+        """The best coefficients whose parameters a drive can have: those beyond a bound lie on it."""
+        low, high = fit_parameters.bounds(self.data.configured)
+        own = slice(fit_parameters.COUNT)
+        held = np.zeros(fit_parameters.COUNT, dtype=np.bool_)
+        found = beta
+        for _ in range(fit_parameters.COUNT):
+            at = self.parameters + found[own]
+            beyond = ((at < low - 1e-9) | (at > high + 1e-9)) & ~held
+            if not beyond.any():
+                break
+            held |= beyond
+            rows = np.flatnonzero(held)
+            wanted = (np.clip(self.parameters + beta[own], low, high) - self.parameters)[rows]
+            spread = covariance[np.ix_(rows, rows)]
+            found = beta - covariance[:, rows] @ np.linalg.solve(spread, beta[rows] - wanted)
+        return found
+
+    @cached_property
+    def _before(self) -> Sized:
+        """Present effects that a later stage sees."""
+        return tuple(one for one in self.present if Stage.GEAR <= one[0][0].stage < Stage.STREAM)
+
+    @cached_property
+    def _later(self) -> Sized:
+        """Present effects that carry what earlier stages add."""
+        return tuple(one for one in self.present if one[0][0].stage > Stage.GEAR)
+
+    def _kept(self, *key: Hashable, compute: Callable[[], Floats]) -> Floats:
+        return self.data.kept.get((self.parameters.tobytes(), *key), compute)
+
+    def _context(self, effect: Effect, nonlinear: Values) -> tuple[Hashable, ...]:
+        """What the columns of an effect depend on, beside the parameters."""
+        seen: dict[Stage, Sized] = {
+            Stage.GEAR: self._later,
+            Stage.SPRING: self._before + self._later,
+            Stage.STREAM: self._before,
+        }
+        size = self._size_of(effect, nonlinear)
+        return (
+            effect.name,
+            nonlinear,
+            _key(seen.get(effect.stage, ())),
+            None if size is None else size.tobytes(),
         )
-        return True
 
-    def _fresh(self, effect: Effect, nonlinear: tuple[float, ...]) -> Floats:
+    def _size_of(self, effect: Effect, nonlinear: Values) -> Floats | None:
+        """Coefficients at which its columns are taken, if it is present and they depend on its size."""
+        if not effect.own_slopes:
+            return None
+        return next((one for item, one in self.present if item == (effect, nonlinear)), None)
+
+    def _columns(self, effect: Effect, nonlinear: Values) -> Floats:
+        size = self._size_of(effect, nonlinear)
         if not self._sees_all(effect):
-            return np.nan_to_num(effect.columns(self.signals, nonlinear))
-        columns = self._of_teeth(effect, nonlinear) if effect.of_teeth else self._of_whole(effect, nonlinear)
-        return self._carried(columns, effect.stage, effect.of_teeth).take(self._at, axis=0)
+            return np.nan_to_num(_at_size(effect, self.signals, size, nonlinear))
 
-    def _of_whole(self, effect: Effect, nonlinear: tuple[float, ...]) -> Floats:
-        """Columns at all rows, not carried by later stages."""
-        seen = self._seen(effect)
-        columns = np.nan_to_num(effect.columns(seen, nonlinear))
-        return np.concatenate((columns, effect.wandering(seen, nonlinear)), axis=1)
+        def whole() -> Floats:
+            seen = self._seen(effect.stage)
+            columns = np.nan_to_num(_at_size(effect, seen, size, nonlinear))
+            if effect.wanders_by:
+                columns = np.concatenate((columns, effect.wandering(seen, nonlinear)), axis=1)
+            return columns
 
-    def _of_teeth(self, effect: Effect, nonlinear: tuple[float, ...]) -> Floats:
-        """The same of an effect that sees no other: kept, for it takes long and what carries it varies."""
-        key = (effect.name, nonlinear)
-        if key not in self._uncarried:
-            if sum(columns.nbytes for columns in self._uncarried.values()) > _MOST_KEPT:
-                self._uncarried.clear()
-            self._uncarried[key] = self._of_whole(effect, nonlinear)
-        return self._uncarried[key]
-
-    def _secant(self, effect: Effect, nonlinear: tuple[float, ...], coefficients: Floats) -> Floats:
-        """Columns that hold at a size."""
-        if not self._sees_all(effect):
-            return np.nan_to_num(effect.slopes(self.signals, coefficients, nonlinear))
-        columns = np.nan_to_num(effect.slopes(self._seen(effect), coefficients, nonlinear))
-        return self._carried(columns, effect.stage, effect.of_teeth).take(self._at, axis=0)
+        if effect.of_teeth and size is None:  # they see no other effect, but what carries them varies
+            columns = self._kept("whole", effect.name, nonlinear, compute=whole)
+        else:
+            columns = whole()
+        return self._carried(columns, effect.stage, effect.of_teeth).take(self.data.at, axis=0)
 
     def _carried(self, columns: Floats, stage: Stage, of_teeth: bool) -> Floats:
         """With what later stages make of them, shape (rows of the whole, k)."""
@@ -343,171 +322,58 @@ class Workbench:
             return True
         return effect.stage == Stage.GEAR and bool(self._later)
 
-    def _seen(self, effect: Effect) -> Signals:
-        """The whole record, as an effect sees it."""
-        if effect.stage <= Stage.GEAR:
+    def _seen(self, stage: Stage) -> Signals:
+        """The whole record, as effects of a stage see it."""
+        if stage <= Stage.GEAR:
             return self.whole
-        if effect.stage not in self._behind:
+        if stage not in self._behind:
             parts = [
-                (e, np.nan_to_num(e.response(self._seen(e), coefficients[: e.size], nonlinear)))
+                (e, np.nan_to_num(e.response(self._seen(e.stage), coefficients[: e.size], nonlinear)))
                 for (e, nonlinear), coefficients in self._before
-                if e.stage < effect.stage
+                if e.stage < stage
             ]
-            self._behind[effect.stage] = seen_at(effect.stage, self.whole, parts, self._rate)
-        return self._behind[effect.stage]
+            self._behind[stage] = seen_at(stage, self.whole, parts, self.data.rate)
+        return self._behind[stage]
 
-    def _rate(self, error: Floats) -> Floats:
-        return _rate(self.source, error)
-
-    def _whiten_by(self, whiten: Whitening) -> None:
-        self.whiten = whiten
-        self._white.clear()
-        self.always_white = whiten(self.always(), self.run)
-        self.left_white = whiten(self.left, self.run)
-
-    def _general(self) -> Floats:
-        """What any cause may look like: low orders, powers of torque, direction, speed; with slow ones."""
-        if self._known.general is None:
-            self._known.general = self._smooth()
-        columns = [self._known.general]
-        for effect in self.searched:
-            if effect.broadband and self.testable(effect)[0]:
-                points = self.grid(effect)
-                columns.append(self.columns(effect, points[len(points) // 2]))
-        return np.concatenate(columns, axis=1)
-
-    def _smooth(self) -> Floats:
-        s = self.signals
-        theta, turned = s.wave_generator_angle, s.wave_generator_angle + s.output_angle
-        load = s.torque / max(float(np.max(np.abs(s.torque))), 1e-9)
-        columns = [f(k * theta) for k in (1, 2, 3, 4, 6, 8) for f in (np.cos, np.sin)]
-        columns += [f(k * theta) * load for k in (1, 2, 4) for f in (np.cos, np.sin)]
-        columns += [f(k * turned) for k in (2, 4) for f in (np.cos, np.sin)]
-        columns += [
-            load**3,
-            load * np.abs(load),
-            np.abs(load),
-            load * s.speed / max(np.max(np.abs(s.speed)), 1e-9),
-        ]
-        return np.stack(columns).T
-
-    def fit(self, chosen: Chosen, more: Floats | None = None) -> tuple[Floats, Floats, Design]:
-        """Coefficients and covariance of [model, nuisance, effects, more], and their normal equations.
-
-        The model's coefficients are steps from `parameters`, drawn to the prior. `more` are columns (n, k).
-        """
-        built = self.design(chosen, more)
-        center, width = fit_parameters.prior(self.configured)
-        precision, pull = np.zeros(built.moment.shape[1]), np.zeros(built.moment.shape[1])
-        precision[: fit_parameters.COUNT], pull[: fit_parameters.COUNT] = (
-            width**-2.0,
-            center - self.parameters,
-        )
-        gram = built.gram.sum(axis=0) + np.diag(precision)
-        moment = built.moment.sum(axis=0) + precision * pull
-        covariance = inverse(gram)
-        return self._bounded(covariance @ moment, covariance), covariance, built
-
-    def _bounded(self, beta: Floats, covariance: Floats) -> Floats:
-        """The best coefficients whose parameters a drive can have: those beyond a bound lie on it."""
-        low, high = fit_parameters.bounds(self.configured)
-        held = np.zeros(fit_parameters.COUNT, dtype=bool)
-        found = beta
-        for _ in range(fit_parameters.COUNT):
-            at = self.parameters + found[: fit_parameters.COUNT]
-            beyond = ((at < low - 1e-9) | (at > high + 1e-9)) & ~held
-            if not beyond.any():
-                break
-            held |= beyond
-            rows = np.flatnonzero(held)
-            wanted = (
-                np.clip(self.parameters + beta[: fit_parameters.COUNT], low, high)[rows]
-                - self.parameters[rows]
-            )
-            spread = covariance[np.ix_(rows, rows)]
-            found = beta - covariance[:, rows] @ np.linalg.solve(spread, beta[rows] - wanted)
-        return found
-
-    def design(self, chosen: Chosen, more: Floats | None = None) -> Design:
-        """Normal equations of [model, nuisance, effects, more] against what the model leaves."""
-        parts = [self.always_white, *(self.white(effect, nonlinear) for effect, nonlinear in chosen)]
-        if more is not None and more.shape[1]:
-            parts.append(self.whiten(more, self.run))
-        return design(np.concatenate(parts, axis=1), self.left_white, self.block, self.left_white != 0.0)
-
-    def design_with(self, whiten: Whitening, chosen: Chosen) -> Design:
-        """The same with another bench's noise model, so that deviances compare."""
-        columns = np.concatenate((self.always(), self.joined(chosen)), axis=1)
-        left = whiten(self.left, self.run)
-        return design(whiten(columns, self.run), left, self.block, left != 0.0)
+    @cached_property
+    def _behind(self) -> dict[Stage, Signals]:
+        return {}
 
 
-def _make_room(kept: dict[tuple[str, tuple[float, ...]], Floats]) -> None:
-    if sum(columns.nbytes for columns in kept.values()) > _MOST_COLUMNS:
-        kept.clear()
+def linearise(
+    record: Record,
+    configured: Drive,
+    parameters: Floats,
+    rows: npt.NDArray[np.bool_] | None = None,
+    catalogue: Catalogue = CATALOGUE,
+) -> LinearisedFit:
+    """A record linearised about a drive, its noise not known yet.
+
+    Parameters
+    ----------
+    record : Record
+        All that is known: causes with memory go through every row of it.
+    configured : Drive
+    parameters : ndarray, shape (7,)
+        Where the model is linearised, in units of `fit_parameters.SCALES`.
+    rows : ndarray of bool, shape (n,), optional
+        Which rows to fit, where the error is well defined; all without.
+    catalogue : tuple of Effect
+        Causes to search among.
+
+    Returns
+    -------
+    LinearisedFit
+    """
+    return LinearisedFit(fitted_rows(record, configured, catalogue, rows), parameters)
 
 
-def _scales(columns: Floats) -> Floats:
-    mean_square: Floats = np.mean(columns**2, axis=0)
-    return np.sqrt(np.maximum(mean_square, 1e-300))
-
-
-def _projection(columns: Floats, target: Floats) -> Floats:
-    """Part of the target that columns of any scale explain."""
-    scaled = columns / _scales(columns)
-    return np.asarray(scaled @ solve(scaled.T @ scaled, scaled.T @ target))
-
-
-def signals(record: Record, drive: Drive, error: Floats, slope: Floats) -> Signals:
-    """What the effects need of a record and the model's prediction along it."""
-    angle = drive.frame.wave_generator_angle(record.input_angle)
-    return Signals(
-        time=record.time,
-        wave_generator_angle=angle,
-        output_angle=record.input_angle / drive.frame.ratio,
-        speed=record.speed,
-        torque=record.torque,
-        temperature=record.temperature,
-        run=record.stretches,
-        predicted=error,
-        predicted_torque_slope=slope,
-        predicted_rate=_rate(record, error),
-        contact=ContactWeights(drive, angle, record.torque, torsion=_torsion(drive, error, record.torque)),
-    )
-
-
-def _torsion(drive: Drive, error: Floats, torque: Floats) -> Floats:
-    """Of the mesh, from the transmission error that it makes [rad]."""
-    return np.asarray(-drive.frame.torque_sign * (error + drive.cup_compliance * torque))
-
-
-def _rate(record: Record, values: Floats) -> Floats:
-    """Derivative by time, run by run."""
-    rate = np.zeros(record.size)
-    for begin, end in bounds(record.run):
-        if end - begin > 2:
-            rate[begin:end] = np.gradient(values[begin:end], record.time[begin:end])
-    return rate
-
-
-def blocks(run: Integers) -> Integers:
-    """About `_BLOCKS` contiguous stretches of equal length; shape (n,)."""
-    return (np.arange(run.size) * _BLOCKS // max(run.size, 1)).astype(np.int64)
-
-
-def _broken(record: Record, kept: npt.NDArray[np.bool_]) -> Integers:
-    """Run numbers of the kept rows, with a new number after every row left out."""
-    gap = np.concatenate(([False], np.diff(np.flatnonzero(kept)) > 1))
-    change = np.concatenate(([False], np.diff(record.run[kept]) != 0))
-    return np.cumsum(gap | change).astype(np.int64)
-
-
-def settle(bench: Workbench, chosen: Chosen, rounds: int = 3, learn: bool = True) -> Workbench:
+def settle(fit: LinearisedFit, chosen: Chosen, rounds: int = 3, learn: bool = True) -> LinearisedFit:
     """Move the model to the best parameters beside the chosen effects: Gauss-Newton on all rows.
 
     Parameters
     ----------
-    bench : Workbench
+    fit : LinearisedFit
     chosen : sequence of (Effect, nonlinear values)
     rounds : int
     learn : bool
@@ -515,21 +381,33 @@ def settle(bench: Workbench, chosen: Chosen, rounds: int = 3, learn: bool = True
 
     Returns
     -------
-    Workbench
-        Linearised at the parameters found, its noise learnt.
+    LinearisedFit
+        At the parameters found, beside the chosen effects.
     """
     if learn:
-        bench.learn_noise(chosen)
+        fit = fit.with_noise(chosen)
     for _ in range(rounds):
-        beta, covariance, _ = bench.fit(chosen)
+        beta, covariance, _ = fit.fit(chosen)
         step = beta[: fit_parameters.COUNT]
         # The fit itself still adds a step this small, linearly.
         if np.max(np.abs(step) / np.sqrt(np.diag(covariance)[: fit_parameters.COUNT] + 1e-12)) < _SETTLED:
             break
-        moved = fit_parameters.admissible(bench.parameters + step, bench.configured)
-        sized = bench.sized(chosen, beta)
-        bench = bench.moved(moved)
-        bench.correct_at(sized)
-        bench.correct(chosen)
-    bench.correct(chosen)
-    return bench
+        moved = fit_parameters.admissible(fit.parameters + step, fit.data.configured)
+        fit = fit.moved(moved).beside(fit.sized(chosen, beta)).corrected(chosen)
+    return fit.corrected(chosen)
+
+
+def _at_size(effect: Effect, signals: Signals, size: Floats | None, nonlinear: Values) -> Floats:
+    if size is None:
+        return effect.columns(signals, nonlinear)
+    return effect.slopes(signals, size, nonlinear)
+
+
+def _key(sized: Sized) -> Hashable:
+    return tuple((effect.name, nonlinear, one.tobytes()) for (effect, nonlinear), one in sized)
+
+
+def _projection(columns: Floats, target: Floats) -> Floats:
+    """Part of the target that columns of any scale explain."""
+    scaled = columns / np.sqrt(np.maximum(np.mean(columns**2, axis=0), 1e-300))
+    return np.asarray(scaled @ solve(scaled.T @ scaled, scaled.T @ target))

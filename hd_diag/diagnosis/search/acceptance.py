@@ -8,7 +8,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.design import f_test, holds, orthonormal
-from hd_diag.diagnosis.fit.linearised_fit import Chosen, Workbench
+from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.search.ranking import Candidate
 from hd_diag.diagnosis.search.unmodelled_terms import Foil
 from hd_diag.effects.effect import Effect
@@ -26,12 +26,12 @@ _CHANCE_SHARE = 3.0  # times what noise alone gives to so many columns
 _LASTING_CHANCE = 1e-6
 
 
-def passing(bench: Workbench, chosen: Chosen, ranked: list[Candidate], family: int) -> Candidate | None:
+def passing(bench: LinearisedFit, chosen: Chosen, ranked: list[Candidate], family: int) -> Candidate | None:
     """The first candidate that passes every test, its p value that of the whole family.
 
     Parameters
     ----------
-    bench : Workbench
+    bench : LinearisedFit
     chosen : sequence of (Effect, nonlinear values)
         What the candidates are to be added to.
     ranked : list of Candidate
@@ -53,7 +53,7 @@ def passing(bench: Workbench, chosen: Chosen, ranked: list[Candidate], family: i
     return None
 
 
-def kept(bench: Workbench, chosen: Chosen) -> Chosen:
+def kept(bench: LinearisedFit, chosen: Chosen) -> Chosen:
     """Without the effects that are no longer needed beside the others."""
     for index, (effect, nonlinear) in enumerate(chosen):
         rest = chosen[:index] + chosen[index + 1 :]
@@ -66,7 +66,7 @@ def kept(bench: Workbench, chosen: Chosen) -> Chosen:
     return chosen
 
 
-def held_out_gain(bench: Workbench, chosen: Chosen, index: int) -> tuple[Floats, Floats]:
+def held_out_gain(bench: LinearisedFit, chosen: Chosen, index: int) -> tuple[Floats, Floats]:
     """What one of the chosen effects brings in blocks not fitted; see :meth:`Design.held_out_gain`.
 
     Of one that wanders, no block tells what it does in the next: what it brings in each block beyond what as
@@ -82,7 +82,7 @@ def held_out_gain(bench: Workbench, chosen: Chosen, index: int) -> tuple[Floats,
     return bench.design(chosen).held_out_gain(place)
 
 
-def wanders(bench: Workbench, chosen: Chosen) -> bool:
+def wanders(bench: LinearisedFit, chosen: Chosen) -> bool:
     """Whether one of some effects is let to wander over the record."""
     return any(
         bench.columns(effect, nonlinear).shape[1] > effect.size
@@ -91,13 +91,13 @@ def wanders(bench: Workbench, chosen: Chosen) -> bool:
     )
 
 
-def _block_deviances(bench: Workbench, chosen: Chosen) -> Floats:
+def _block_deviances(bench: LinearisedFit, chosen: Chosen) -> Floats:
     """Sums of squares that a fit to all leaves in every block, less those of the data."""
     beta, _, built = bench.fit(chosen)
     return np.asarray(np.einsum("k,bkl,l->b", beta, built.gram, beta) - 2.0 * built.moment @ beta)
 
 
-def size(bench: Workbench, chosen: Chosen, effect: Effect, nonlinear: tuple[float, ...]) -> float:
+def size(bench: LinearisedFit, chosen: Chosen, effect: Effect, nonlinear: tuple[float, ...]) -> float:
     """Rms of an effect's part that neither the model nor the chosen effects could imitate [rad]."""
     columns = bench.columns(effect, nonlinear)
     beta, _, _ = bench.fit((*chosen, (effect, nonlinear)))
@@ -108,14 +108,14 @@ def size(bench: Workbench, chosen: Chosen, effect: Effect, nonlinear: tuple[floa
     return float(np.sqrt(np.mean(own**2)))
 
 
-def _proved(bench: Workbench, chosen: Chosen, effect: Effect, nonlinear: tuple[float, ...]) -> bool:
+def _proved(bench: LinearisedFit, chosen: Chosen, effect: Effect, nonlinear: tuple[float, ...]) -> bool:
     """Whether blocks that were not fitted bear it out; of what they cannot, a great gain is asked."""
     if isinstance(effect, Foil) and not effect.sees_ahead:
         return size(bench, chosen, effect, nonlinear) > _CERTAIN_SIZE and _lasting(bench, chosen, effect)
     return holds(*held_out_gain(bench, (*chosen, (effect, nonlinear)), len(chosen)))
 
 
-def _lasting(bench: Workbench, chosen: Chosen, foil: Foil) -> bool:
+def _lasting(bench: LinearisedFit, chosen: Chosen, foil: Foil) -> bool:
     """Whether means over seconds are explained far better than slow noise of their own scatter would be."""
     rest = bench.remainder(chosen)
     mean, columns = _means(bench, rest), _means(bench, bench.columns(foil, ()))
@@ -125,10 +125,10 @@ def _lasting(bench: Workbench, chosen: Chosen, foil: Foil) -> bool:
     return f_test(before, after, columns.shape[1] - 1, mean.size, columns.shape[1]) < _LASTING_CHANCE
 
 
-def _means(bench: Workbench, columns: Floats) -> Floats:
+def _means(bench: LinearisedFit, columns: Floats) -> Floats:
     """Over stretches of `_SECONDS` within runs."""
-    stretch = np.floor(bench.record.time / _SECONDS).astype(np.int64)
-    change = np.concatenate(([0], (np.diff(stretch) != 0) | (np.diff(bench.run) != 0)))
+    stretch = np.floor(bench.data.record.time / _SECONDS).astype(np.int64)
+    change = np.concatenate(([0], (np.diff(stretch) != 0) | (np.diff(bench.data.run) != 0)))
     number = np.cumsum(change)
     count = np.bincount(number)
     wide = columns.reshape(columns.shape[0], -1)

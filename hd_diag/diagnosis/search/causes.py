@@ -12,7 +12,7 @@ from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import interval
 from hd_diag.diagnosis.fit.joint_refinement import covariance
-from hd_diag.diagnosis.fit.linearised_fit import Chosen, Workbench
+from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.search.acceptance import held_out_gain, wanders
 from hd_diag.diagnosis.search.ranking import by_name, ranked
 from hd_diag.diagnosis.search.unmodelled_terms import Foil
@@ -61,7 +61,7 @@ class Cause:
 class Search:
     """Result of a search: the bench at the final parameters, the causes, most explaining first, and foils."""
 
-    bench: Workbench
+    bench: LinearisedFit
     causes: tuple[Cause, ...]
     foils: Chosen = ()
 
@@ -78,13 +78,13 @@ class Search:
 
 
 def causes(
-    bench: Workbench, chosen: Chosen, p_values: dict[str, float], rivals: Collection[str]
+    bench: LinearisedFit, chosen: Chosen, p_values: dict[str, float], rivals: Collection[str]
 ) -> tuple[Cause, ...]:
     """The chosen effects with their numbers, most explaining first; shapes without a name left out.
 
     Parameters
     ----------
-    bench : Workbench
+    bench : LinearisedFit
         Settled beside the chosen effects.
     chosen : sequence of (Effect, nonlinear values)
     p_values : dict
@@ -124,12 +124,12 @@ def causes(
     return tuple(sorted(found, key=lambda cause: -cause.gain))
 
 
-def fitted(bench: Workbench, found: Search) -> Search:
+def fitted(bench: LinearisedFit, found: Search) -> Search:
     """The same causes with numbers from another bench; names, classes and gains stay.
 
     Parameters
     ----------
-    bench : Workbench
+    bench : LinearisedFit
         Settled beside the causes.
     found : Search
 
@@ -158,7 +158,7 @@ def parameters_of(found: Search) -> tuple[Floats, Floats]:
     ]
 
 
-def _share(bench: Workbench, chosen: Chosen, index: int) -> Floats:
+def _share(bench: LinearisedFit, chosen: Chosen, index: int) -> Floats:
     """What one effect brings in every block not fitted, over the mean of what all others leave there."""
     others = chosen[:index] + chosen[index + 1 :]
     gains, _ = held_out_gain(bench, chosen, index)
@@ -173,31 +173,31 @@ def _part(spread: Floats, place: npt.NDArray[np.int64]) -> Floats:
     return part
 
 
-def _foretold(bench: Workbench, chosen: Chosen) -> float:
+def _foretold(bench: LinearisedFit, chosen: Chosen) -> float:
     """Deviance of blocks that were not fitted."""
     return float(bench.design(chosen).held_out().sum())
 
 
-def _fitted(bench: Workbench, chosen: Chosen) -> float:
+def _fitted(bench: LinearisedFit, chosen: Chosen) -> float:
     """Deviance with Akaike's price of every column: what wanders foretells no block."""
     return float(bench.design(chosen).deviance() + 2.0 * bench.joined(chosen).shape[1])
 
 
-def _alike(bench: Workbench, chosen: Chosen, index: int, rivals: Collection[str]) -> list[str]:
+def _alike(bench: LinearisedFit, chosen: Chosen, index: int, rivals: Collection[str]) -> list[str]:
     """Effects that would do as well in place of one; those that the motion cannot test among them."""
     effect, others = chosen[index][0], chosen[:index] + chosen[index + 1 :]
     named = {e.name for e, _ in chosen}
     judged = _fitted if wanders(bench, chosen) else _foretold
     here = judged(bench, chosen)
     found = [name for name in effect.always_confused if name not in named]
-    untested = {other.name for other in by_name(bench, effect.confused_with) if not bench.testable(other)[0]}
-    bench.correct(others)
-    for candidate in ranked(bench, others, by_name(bench, {*rivals, *untested}), untested):
+    untested = {
+        other.name for other in by_name(bench, effect.confused_with) if not bench.data.testable(other)[0]
+    }
+    without = bench.corrected(others)
+    for candidate in ranked(without, others, by_name(bench, {*rivals, *untested}), untested):
         if candidate.effect.name in named or candidate.effect.name in found:
             continue
         trial = (*others, (candidate.effect, candidate.nonlinear))
-        bench.correct(trial)
-        if judged(bench, trial) - here < CLASS_DEVIANCE:
+        if judged(without.corrected(trial), trial) - here < CLASS_DEVIANCE:
             found.append(candidate.effect.name)
-    bench.correct(chosen)
     return found

@@ -39,14 +39,14 @@ def testability(found: Search) -> list[Testability]:
     named = {effect.name for effect, _ in chosen}
     basis, family = Projector(bench, chosen).basis, max(family_size(bench), 1)
     result = []
-    for effect in bench.searched:
-        possible, reason = bench.testable(effect)
+    for effect in bench.data.searched:
+        possible, reason = bench.data.testable(effect)
         if effect.name in named:
             result.append(Testability(effect.name, True, LEAST_SIZE, "found"))
         elif not possible:
             result.append(Testability(effect.name, False, float("nan"), reason))
         else:
-            nonlinear = bench.grid(effect)[len(bench.grid(effect)) // 2]
+            nonlinear = bench.data.grid(effect)[len(bench.data.grid(effect)) // 2]
             columns, white = bench.columns(effect, nonlinear), bench.white(effect, nonlinear)
             own = white - basis @ (basis.T @ white)
             information = float(np.sum(own**2)) / max(float(np.sum(np.mean(columns**2, axis=0))), 1e-300)

@@ -9,7 +9,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.design import f_test, orthonormal, solve, surprise
-from hd_diag.diagnosis.fit.linearised_fit import Chosen, Workbench
+from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.effects.effect import Effect
 
 _LOOKED_AT = 5.0  # surprise from which a candidate is looked at, at its size
@@ -32,17 +32,17 @@ class Projector:
 
     Parameters
     ----------
-    bench : Workbench
+    bench : LinearisedFit
     chosen : sequence of (Effect, nonlinear values)
     """
 
-    def __init__(self, bench: Workbench, chosen: Chosen) -> None:
+    def __init__(self, bench: LinearisedFit, chosen: Chosen) -> None:
         parts = [bench.always_white, *(bench.white(effect, nonlinear) for effect, nonlinear in chosen)]
         fixed = np.concatenate(parts, axis=1)
         self.basis = orthonormal(fixed)
-        self.rest = bench.left_white - self.basis @ (self.basis.T @ bench.left_white)
+        self.rest = bench.residual_white - self.basis @ (self.basis.T @ bench.residual_white)
         self.deviance = float(self.rest @ self.rest)
-        self.rows = int(np.count_nonzero(bench.left_white))
+        self.rows = int(np.count_nonzero(bench.residual_white))
         self.fitted = fixed.shape[1]
 
     def gain(self, columns: Floats) -> float:
@@ -69,19 +69,19 @@ class Projector:
         return coefficients, moment
 
 
-def candidates(bench: Workbench, chosen: Chosen) -> list[Candidate]:
+def candidates(bench: LinearisedFit, chosen: Chosen) -> list[Candidate]:
     """Every effect not chosen, at its best grid point, by the gain it brings; the best first."""
-    return ranked(bench, chosen, bench.searched)
+    return ranked(bench, chosen, bench.data.searched)
 
 
 def ranked(
-    bench: Workbench, chosen: Chosen, effects: Sequence[Effect], untested: Collection[str] = ()
+    bench: LinearisedFit, chosen: Chosen, effects: Sequence[Effect], untested: Collection[str] = ()
 ) -> list[Candidate]:
     """Some effects, each at its best grid point; the most surprising first.
 
     Parameters
     ----------
-    bench : Workbench
+    bench : LinearisedFit
     chosen : sequence of (Effect, nonlinear values)
         Beside which they are looked at; its own effects are no candidates.
     effects : sequence of Effect
@@ -97,7 +97,7 @@ def ranked(
     rest = bench.remainder(chosen)
     found = []
     for effect in effects:
-        if effect.name in named or not (bench.testable(effect)[0] or effect.name in untested):
+        if effect.name in named or not (bench.data.testable(effect)[0] or effect.name in untested):
             continue
         best: Candidate | None = None
         for nonlinear in effect.starts(bench.signals, rest).points:
@@ -117,7 +117,7 @@ def ranked(
 
 
 def _candidate(
-    bench: Workbench, projector: Projector, effect: Effect, nonlinear: tuple[float, ...], gain: float
+    bench: LinearisedFit, projector: Projector, effect: Effect, nonlinear: tuple[float, ...], gain: float
 ) -> Candidate:
     width = bench.columns(effect, nonlinear).shape[1]
     after = projector.deviance - gain
@@ -126,7 +126,7 @@ def _candidate(
     return Candidate(effect, nonlinear, gain, p, surprise(gain / noise, width))
 
 
-def _gain_at_size(bench: Workbench, projector: Projector, candidate: Candidate) -> float:
+def _gain_at_size(bench: LinearisedFit, projector: Projector, candidate: Candidate) -> float:
     """Gain with the columns that hold at the size found, where an effect has such."""
     effect, nonlinear = candidate.effect, candidate.nonlinear
     if not effect.own_slopes:
@@ -136,18 +136,18 @@ def _gain_at_size(bench: Workbench, projector: Projector, candidate: Candidate) 
     for _ in range(_SECANTS):
         columns = np.nan_to_num(effect.slopes(bench.signals, coefficients, nonlinear))
         beyond = bench.full_size(effect, nonlinear, coefficients) - columns @ coefficients
-        white = bench.whiten(np.column_stack((columns, beyond)), bench.run)
+        white = bench.whiten(np.column_stack((columns, beyond)), bench.data.run)
         coefficients, gain = projector.fit_beyond(white[:, :-1], white[:, -1])
         best = max(best, gain)
     return best
 
 
-def family_size(bench: Workbench) -> int:
+def family_size(bench: LinearisedFit) -> int:
     """Number of hypotheses: candidates times grid points."""
-    testable = [effect for effect in bench.searched if bench.testable(effect)[0]]
+    testable = [effect for effect in bench.data.searched if bench.data.testable(effect)[0]]
     return sum(effect.starts(bench.signals).trials for effect in testable)
 
 
-def by_name(bench: Workbench, names: Collection[str]) -> list[Effect]:
+def by_name(bench: LinearisedFit, names: Collection[str]) -> list[Effect]:
     """The effects searched for that have these names."""
-    return [effect for effect in bench.searched if effect.name in names]
+    return [effect for effect in bench.data.searched if effect.name in names]

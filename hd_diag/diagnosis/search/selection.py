@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.joint_refinement import free, polished
-from hd_diag.diagnosis.fit.linearised_fit import Chosen, Workbench, settle
+from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit, settle
 from hd_diag.diagnosis.fit.refit import FEW_STARTS, distinct, refit
 from hd_diag.diagnosis.search.acceptance import kept, passing
 from hd_diag.diagnosis.search.causes import CLASS_DEVIANCE, Search, causes
@@ -29,12 +29,12 @@ _FIRST_MOVE = 0.5  # of a grid step, by which a refinement begins
 _RESTART_GAIN = 12.0  # deviance by which another minimum must beat the present one
 
 
-def search(bench: Workbench, progress: Callable[[str], None] = lambda text: None) -> Search:
+def search(bench: LinearisedFit, progress: Callable[[str], None] = lambda text: None) -> Search:
     """Find the causes of what the refitted model leaves.
 
     Parameters
     ----------
-    bench : Workbench
+    bench : LinearisedFit
         At the refitted parameters.
     progress : callable
         Told what is being done.
@@ -75,7 +75,7 @@ def search(bench: Workbench, progress: Callable[[str], None] = lambda text: None
     return Search(bench, causes(bench, chosen, p_values, rivals), foils)
 
 
-def speed_dependent(bench: Workbench) -> bool:
+def speed_dependent(bench: LinearisedFit) -> bool:
     """Whether what is left is larger, or smaller, where the joint runs fast."""
     speed, rest = np.abs(bench.signals.speed), bench.remainder(())
     slow, fast = np.quantile(speed, (_SLOW, 1.0 - _SLOW))
@@ -83,7 +83,7 @@ def speed_dependent(bench: Workbench) -> bool:
     return bool(slow < 0.5 * fast and not 1.0 / _UNEVEN < ratio < _UNEVEN)
 
 
-def _next(bench: Workbench, chosen: Chosen, family: int, best: list[Candidate]) -> Candidate | None:
+def _next(bench: LinearisedFit, chosen: Chosen, family: int, best: list[Candidate]) -> Candidate | None:
     """The best candidate that passes every test; where none does, the best nameless shape; else None.
 
     Between grid points a cause may explain too little of blocks that were not fitted. A shape that foretells
@@ -103,7 +103,7 @@ def _next(bench: Workbench, chosen: Chosen, family: int, best: list[Candidate]) 
     return passing(bench, chosen, shapes, family)
 
 
-def _between(bench: Workbench, chosen: Chosen, candidate: Candidate) -> Candidate:
+def _between(bench: LinearisedFit, chosen: Chosen, candidate: Candidate) -> Candidate:
     """A candidate off its grid point; the chance is that of the grid's best."""
     effect = candidate.effect
     return replace(candidate, nonlinear=_best_nonlinear(bench, chosen, effect, candidate.nonlinear))
@@ -113,21 +113,21 @@ def _named(chosen: Chosen) -> int:
     return sum(not isinstance(effect, Foil) for effect, _ in chosen)
 
 
-def _begun_slowly(bench: Workbench) -> Workbench:
+def _begun_slowly(bench: LinearisedFit) -> LinearisedFit:
     """The parameters that the slow part shows, if a cause beside them then explains more.
 
     A resonance, a delay or an unbalance changes the ripple at speed: fitted to all of it, the model's own
     parameters go astray, and no cause stands out beside them.
     """
-    speed = np.abs(bench.record.speed)
-    slow = refit(bench.record.select(speed <= np.quantile(speed, _SLOW)), bench.configured)
+    speed = np.abs(bench.data.record.speed)
+    slow = refit(bench.data.record.select(speed <= np.quantile(speed, _SLOW)), bench.data.configured)
     other = bench.moved(slow.parameters)
     trials = [(each, next(iter(candidates(each, ())), None)) for each in (bench, other)]
     left = [each.design(((best.effect, best.nonlinear),) if best else ()).deviance() for each, best in trials]
     return other if left[1] < left[0] - _RESTART_GAIN else bench
 
 
-def _refined(bench: Workbench, chosen: Chosen) -> tuple[Workbench, Chosen]:
+def _refined(bench: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
     """The newest effect's nonlinear values and all parameters, brought to their best."""
     bench = settle(bench, chosen, rounds=2)
     effect, nonlinear = chosen[-1]
@@ -137,7 +137,7 @@ def _refined(bench: Workbench, chosen: Chosen) -> tuple[Workbench, Chosen]:
     return _of_kind(bench, chosen, len(chosen) - 1)
 
 
-def _clear(bench: Workbench, chosen: Chosen) -> tuple[Workbench, Chosen]:
+def _clear(bench: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
     """On the rows that are fit to use where the newest effect tells of another torque."""
     effect, _ = chosen[-1]
     (*_, (_, coefficients)) = bench.sized(chosen, bench.fit(chosen)[0])
@@ -145,29 +145,29 @@ def _clear(bench: Workbench, chosen: Chosen) -> tuple[Workbench, Chosen]:
     return (bench, chosen) if clear is bench else _refined(clear, chosen)
 
 
-def _of_kind(bench: Workbench, chosen: Chosen, index: int) -> tuple[Workbench, Chosen]:
+def _of_kind(bench: LinearisedFit, chosen: Chosen, index: int) -> tuple[LinearisedFit, Chosen]:
     """An effect that carries others, at the discrete values that are best when all is settled beside them."""
     effect, nonlinear = chosen[index]
     if effect.stage <= Stage.GEAR:
         return bench, chosen
-    best, found, least = bench, chosen, _left(bench, chosen)
+    best, found, least = bench, chosen, _deviance(bench, chosen)
     for other in effect.neighbours(bench.signals, nonlinear):
         trial = (*chosen[:index], (effect, other), *chosen[index + 1 :])
         moved = settle(bench.moved(bench.parameters), trial, rounds=2, learn=False)
         moved, trial = polished(moved, trial, rounds=2)
-        if (left := _left(moved, trial)) < least:
-            best, found, least = moved, trial, left
+        if (deviance := _deviance(moved, trial)) < least:
+            best, found, least = moved, trial, deviance
     return best, found
 
 
 def _best_nonlinear(
-    bench: Workbench, others: Chosen, effect: Effect, start: tuple[float, ...]
+    bench: LinearisedFit, others: Chosen, effect: Effect, start: tuple[float, ...]
 ) -> tuple[float, ...]:
     """Nonlinear values of least residual, from a grid point, within the effect's bounds."""
     projector = Projector(bench, others)
     quantities, moving = effect.nonlinear, free(effect)
     low, high = np.array([q.low for q in quantities]), np.array([q.high for q in quantities])
-    width = bench.grid_step(effect, start)
+    width = bench.data.grid_step(effect, start)
 
     def moved(move: Floats) -> tuple[float, ...]:
         values = np.array(start)
@@ -183,7 +183,7 @@ def _best_nonlinear(
     return moved(best.x)
 
 
-def _swapped(bench: Workbench, chosen: Chosen, rivals: set[str]) -> tuple[Workbench, Chosen]:
+def _swapped(bench: LinearisedFit, chosen: Chosen, rivals: set[str]) -> tuple[LinearisedFit, Chosen]:
     """Exchange a chosen effect for a better one, or for itself at another grid point, where there is one."""
     for index, (effect, _) in enumerate(chosen[:-1]):
         if effect.stage > Stage.GEAR:
@@ -191,22 +191,20 @@ def _swapped(bench: Workbench, chosen: Chosen, rivals: set[str]) -> tuple[Workbe
     for index, (effect, nonlinear) in enumerate(chosen):
         others = chosen[:index] + chosen[index + 1 :]
         now = bench.design(chosen).deviance()
-        bench.correct(others)
-        best = next(iter(ranked(bench, others, by_name(bench, rivals))), None)
+        without = bench.corrected(others)
+        best = next(iter(ranked(without, others, by_name(bench, rivals))), None)
         if best is not None and (best.effect, best.nonlinear) != (effect, nonlinear):
             trial = (*others, (best.effect, best.nonlinear))
-            if _left(bench, trial) < now - CLASS_DEVIANCE:
-                bench, chosen = _refined(bench, trial)
-                continue
-        bench.correct(chosen)
+            if _deviance(without, trial) < now - CLASS_DEVIANCE:
+                bench, chosen = _refined(without.corrected(trial), trial)
     return bench, chosen
 
 
-def _restarted(bench: Workbench, chosen: Chosen) -> Workbench:
+def _restarted(bench: LinearisedFit, chosen: Chosen) -> LinearisedFit:
     """Search the model's parameters globally again, now that the causes found take part freely."""
     again = refit(
-        bench.record,
-        bench.configured,
+        bench.data.record,
+        bench.data.configured,
         extra=bench.joined(chosen),
         start=bench.parameters,
         starts=FEW_STARTS,
@@ -214,24 +212,24 @@ def _restarted(bench: Workbench, chosen: Chosen) -> Workbench:
     if not distinct([bench.parameters, again.parameters])[1:]:
         return bench
     other = settle(bench.moved(again.parameters), chosen, rounds=2)
-    other_left = other.design_with(bench.whiten, chosen).deviance()
-    return other if other_left < bench.design(chosen).deviance() - _RESTART_GAIN else bench
+    deviance = replace(other, whiten=bench.whiten).design(chosen).deviance()  # with one noise model
+    return other if deviance < bench.design(chosen).deviance() - _RESTART_GAIN else bench
 
 
-def _finished(bench: Workbench, chosen: Chosen) -> tuple[Workbench, Chosen]:
+def _finished(bench: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
     """Everything at its best, the discrete values looked at once more where all others are."""
     bench, chosen = polished(bench, chosen)
     again = chosen
     for index, (effect, nonlinear) in enumerate(chosen):
         for other in effect.neighbours(bench.signals, nonlinear):
             trial = (*again[:index], (effect, other), *again[index + 1 :])
-            if _left(bench, trial) < _left(bench, again):
+            if _deviance(bench, trial) < _deviance(bench, again):
                 again = trial
-    bench.correct(again)
-    return (bench, chosen) if again == chosen else polished(settle(bench, again, learn=False), again)
+    if again == chosen:
+        return bench, chosen
+    return polished(settle(bench.corrected(again), again, learn=False), again)
 
 
-def _left(bench: Workbench, chosen: Chosen) -> float:
-    """Deviance with the effects at the size that fits."""
-    bench.correct(chosen)
-    return bench.design(chosen).deviance()
+def _deviance(bench: LinearisedFit, chosen: Chosen) -> float:
+    """With the effects at the size that fits."""
+    return bench.corrected(chosen).design(chosen).deviance()

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.design import f_test, holds, orthonormal
-from hd_diag.diagnosis.fit.linearised_fit import Chosen, Workbench
+from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.noise import Whitening, whitening
 from hd_diag.diagnosis.search.acceptance import LEAST_SIZE
 from hd_diag.diagnosis.search.causes import Search
@@ -118,7 +118,7 @@ def _shape(found: Search, foil: Foil) -> Line:
     )
 
 
-def _strongest(bench: Workbench, chosen: Chosen, rest: Floats, taken: list[Floats]) -> Wave | None:
+def _strongest(bench: LinearisedFit, chosen: Chosen, rest: Floats, taken: list[Floats]) -> Wave | None:
     """The wave that stands out most: evenly, in proportion to the torque, or in a part of the record."""
     found, weights = [], _weights(bench)
     for frame in ("input", "time"):
@@ -133,16 +133,16 @@ def _strongest(bench: Workbench, chosen: Chosen, rest: Floats, taken: list[Float
     even = _pair(bench, order, frame)
     # Noise is learnt beside waves of this order in every part, or strong ones would count as noise.
     every = [even * one.values[:, None] for one in weights]
-    learnt = whitening(rest - _explained(np.concatenate(every, axis=1), rest), bench.run)
-    white = learnt(rest, bench.run)
-    gains = [float(np.sum(_explained(learnt(pair, bench.run), white) ** 2)) for pair in every]
+    learnt = whitening(rest - _explained(np.concatenate(every, axis=1), rest), bench.data.run)
+    white = learnt(rest, bench.data.run)
+    gains = [float(np.sum(_explained(learnt(pair, bench.data.run), white) ** 2)) for pair in every]
     weight, pair = weights[int(np.argmax(gains))], every[int(np.argmax(gains))]
     columns = np.concatenate([bench.always(), bench.joined(chosen), *taken, pair], axis=1)
     coefficients = np.linalg.lstsq(pair, rest, rcond=None)[0]
     part = pair @ coefficients
-    white, left = learnt(columns, bench.run), learnt(bench.left, bench.run)
+    white, left = learnt(columns, bench.data.run), learnt(bench.residual, bench.data.run)
     before, after = _deviance(left, white[:, :-2]), _deviance(left, white)
-    counted = int(np.count_nonzero(bench.left_white))
+    counted = int(np.count_nonzero(bench.residual_white))
     turns = float(np.ptp(bench.signals.wave_generator_angle)) / (2.0 * np.pi)
     tests = 4.0 * len(weights) * _MOST_ORDERS * max(turns, 1.0)
     p = tests * f_test(before, after, 2, counted, columns.shape[1])
@@ -160,7 +160,7 @@ def _strongest(bench: Workbench, chosen: Chosen, rest: Floats, taken: list[Float
     return Wave(pair, part, Line(order, frame, amplitude, *laws, where=weight.where))
 
 
-def _weights(bench: Workbench) -> list[Weight]:
+def _weights(bench: LinearisedFit) -> list[Weight]:
     """One; the torque over its greatest where it has both signs; one in a part of the record alone."""
     load = bench.signals.torque
     full = load / max(float(np.max(np.abs(load))), 1e-300)
@@ -176,7 +176,7 @@ def _signs(values: Floats, above: str, below: str) -> list[tuple[Rows, str]]:
     return parts if min(float(np.mean(rows)) for rows, _ in parts) > _LEAST_PART else []
 
 
-def _speeds(bench: Workbench) -> list[tuple[Rows, str]]:
+def _speeds(bench: LinearisedFit) -> list[tuple[Rows, str]]:
     """Rows of one direction, and in it of each third of the speeds, where the speed differs."""
     speed = bench.signals.forward_speed / (2.0 * np.pi)
     found = _signs(speed, "forward", "backward") or [(speed != 0.0, "")]
@@ -201,12 +201,14 @@ def _deviance(left: Floats, columns: Floats) -> float:
     return float(rest @ rest)
 
 
-def _block_gains(bench: Workbench, rest: Floats, pair: Floats, learnt: Whitening) -> tuple[Floats, Floats]:
+def _block_gains(
+    bench: LinearisedFit, rest: Floats, pair: Floats, learnt: Whitening
+) -> tuple[Floats, Floats]:
     """Fall of the sum of squares in each block by a wave fitted to all others, and what that foretells."""
-    white = learnt(np.column_stack((pair, rest)), bench.run)
+    white = learnt(np.column_stack((pair, rest)), bench.data.run)
     gains, foretold = [], []
-    for block in range(int(bench.block[-1]) + 1):
-        inside = bench.block == block
+    for block in range(int(bench.data.block[-1]) + 1):
+        inside = bench.data.block == block
         fit = np.linalg.lstsq(white[~inside, :2], white[~inside, 2], rcond=None)[0]
         here, wave = white[inside, 2], white[inside, :2] @ fit
         gains.append(float(here @ here - np.sum((here - wave) ** 2)))
@@ -240,16 +242,16 @@ def _peak(phase: Floats, rest: Floats) -> tuple[float, float] | None:
     return float(orders[best]), float(ratio[best])
 
 
-def _phase(bench: Workbench, frame: str) -> Floats:
+def _phase(bench: LinearisedFit, frame: str) -> Floats:
     return bench.signals.wave_generator_angle if frame == "input" else 2.0 * np.pi * bench.signals.time
 
 
-def _pair(bench: Workbench, order: float, frame: str) -> Floats:
+def _pair(bench: LinearisedFit, order: float, frame: str) -> Floats:
     phase = order * _phase(bench, frame)
     return np.stack((np.cos(phase), np.sin(phase)), axis=1)
 
 
-def _refined(bench: Workbench, rest: Floats, order: float, frame: str) -> float:
+def _refined(bench: LinearisedFit, rest: Floats, order: float, frame: str) -> float:
     """The order near a peak at which a wave explains most."""
     step = 0.5 / max(float(np.ptp(_phase(bench, frame))) / (2.0 * np.pi), 1.0)
     for _ in range(3):
@@ -266,7 +268,7 @@ def _share(rest: Floats, wave: Floats, rows: npt.NDArray[np.bool_]) -> float:
     return float(rest[rows] @ wave[rows] / max(float(wave[rows] @ wave[rows]), 1e-300))
 
 
-def _torque_law(bench: Workbench, rest: Floats, wave: Floats) -> str:
+def _torque_law(bench: LinearisedFit, rest: Floats, wave: Floats) -> str:
     load = np.abs(bench.signals.torque)
     if np.ptp(load) < 0.2 * max(float(load.max()), 1e-9):
         return "not tested: the torque did not change"
@@ -278,7 +280,7 @@ def _torque_law(bench: Workbench, rest: Floats, wave: Floats) -> str:
     return f"{trend} with torque: {small / ARCSEC:.2f} to {large / ARCSEC:.2f} arcsec"
 
 
-def _direction_law(bench: Workbench, rest: Floats, wave: Floats) -> str:
+def _direction_law(bench: LinearisedFit, rest: Floats, wave: Floats) -> str:
     forward, backward = bench.signals.speed > 0.0, bench.signals.speed < 0.0
     if min(forward.mean(), backward.mean()) < 0.1:
         return "not tested: one direction only"

@@ -1,0 +1,224 @@
+"""The rows of a record that fits use, and what all fits of these rows share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.arrays import Floats, Integers
+from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit.refit import usable
+from hd_diag.diagnosis.noise import bounds
+from hd_diag.diagnosis.record import Record
+from hd_diag.drive import Drive
+from hd_diag.effects import Catalogue
+from hd_diag.effects.contact_weights import ContactWeights
+from hd_diag.effects.effect import Effect, Values
+from hd_diag.effects.signals import Signals
+
+_BLOCKS = 24
+_MOST_KEPT = 192 << 20  # bytes
+_KNOWN = 2  # parameters, for a search that goes back to them
+
+
+class Linearised(NamedTuple):
+    """The model at some parameters: signals of all rows and of the fitted ones, derivatives of all rows."""
+
+    whole: Signals
+    signals: Signals
+    derivatives: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class FittedRows:
+    """Rows of a record to be fitted.
+
+    Parameters
+    ----------
+    source : Record
+        All that is known: causes with memory go through every row of it.
+    configured : Drive
+    mask : ndarray of bool, shape (n,)
+        Which rows are fitted.
+    catalogue : tuple of Effect
+        Causes to search among.
+    """
+
+    source: Record
+    configured: Drive
+    mask: npt.NDArray[np.bool_]
+    catalogue: Catalogue
+
+    @cached_property
+    def at(self) -> Integers:
+        """Numbers of the fitted rows: several times as fast as a mask."""
+        return np.flatnonzero(self.mask)
+
+    @cached_property
+    def record(self) -> Record:
+        """The fitted rows."""
+        return replace(self.source, stretch=self.source.stretches).select(self.mask)
+
+    @cached_property
+    def run(self) -> Integers:
+        """Run numbers of the fitted rows, with a new number after every row left out."""
+        gap = np.concatenate(([False], np.diff(self.at) > 1))
+        change = np.concatenate(([False], np.diff(self.source.run[self.mask]) != 0))
+        return np.cumsum(gap | change).astype(np.int64)
+
+    @cached_property
+    def block(self) -> Integers:
+        """Numbers of some 24 contiguous stretches of equal length, of which each can be held out."""
+        return blocks(self.at.size)
+
+    @property
+    def searched(self) -> Catalogue:
+        """Effects of the catalogue that are searched for in the residual."""
+        return tuple(effect for effect in self.catalogue if effect.searched)
+
+    @cached_property
+    def kept(self) -> Kept:
+        """What was computed of these rows and may be needed again."""
+        return Kept(_MOST_KEPT)
+
+    def linearised(self, parameters: Floats) -> Linearised:
+        """The model at parameters in units of `fit_parameters.SCALES`; the latest are kept."""
+        known, key = self._linearised, parameters.tobytes()
+        if key not in known:
+            known[key] = self._linearise(parameters)
+        known[key] = known.pop(key)
+        while len(known) > _KNOWN:
+            del known[next(iter(known))]
+        return known[key]
+
+    def testable(self, effect: Effect) -> tuple[bool, str]:
+        """Whether the motion allows to find an effect; if not, which extra motion would."""
+        if effect.name not in self._testable:
+            self._testable[effect.name] = effect.testable(self._any_signals)
+        return self._testable[effect.name]
+
+    def grid(self, effect: Effect) -> list[Values]:
+        """Start points of an effect's nonlinear values."""
+        if effect.name not in self._grids:
+            self._grids[effect.name] = effect.starts(self._any_signals).points
+        return self._grids[effect.name]
+
+    def grid_step(self, effect: Effect, point: Values) -> Floats:
+        """Distance from a grid point to the next, in each nonlinear value."""
+        grid = np.array([*self.grid(effect), point])
+        away = np.abs(grid - np.array(point))
+        steps = [np.min(column[column > 0.0], initial=np.inf) for column in away.T]
+        return np.array(
+            [s if np.isfinite(s) else 0.1 * max(abs(p), 1e-3) for s, p in zip(steps, point, strict=True)]
+        )
+
+    def derivatives_under(self, parameters: Floats, shift: float) -> Floats:
+        """Derivatives of the model by its parameters at all rows, under another torque [N m]."""
+        drive = fit_parameters.drive_of(parameters, self.configured)
+        torque = self.source.torque + shift
+        return fit_parameters.along(drive, self.configured, self.source.input_angle, torque)[1]
+
+    def rate(self, values: Floats) -> Floats:
+        """Derivative by time of values at all rows, run by run."""
+        rate = np.zeros(self.source.size)
+        for begin, end in bounds(self.source.run):
+            if end - begin > 2:
+                rate[begin:end] = np.gradient(values[begin:end], self.source.time[begin:end])
+        return rate
+
+    @cached_property
+    def smooth(self) -> Floats:
+        """What any cause may look like at the fitted rows: low orders, powers of torque, speed; (n, k)."""
+        s = self._any_signals
+        theta, turned = s.wave_generator_angle, s.wave_generator_angle + s.output_angle
+        load = s.torque / max(float(np.max(np.abs(s.torque))), 1e-9)
+        columns = [f(k * theta) for k in (1, 2, 3, 4, 6, 8) for f in (np.cos, np.sin)]
+        columns += [f(k * theta) * load for k in (1, 2, 4) for f in (np.cos, np.sin)]
+        columns += [f(k * turned) for k in (2, 4) for f in (np.cos, np.sin)]
+        speed = s.speed / max(float(np.max(np.abs(s.speed))), 1e-9)
+        return np.stack([*columns, load**3, load * np.abs(load), np.abs(load), load * speed]).T
+
+    @cached_property
+    def _linearised(self) -> dict[bytes, Linearised]:
+        return {}
+
+    @cached_property
+    def _testable(self) -> dict[str, tuple[bool, str]]:
+        return {}
+
+    @cached_property
+    def _grids(self) -> dict[str, list[Values]]:
+        return {}
+
+    @property
+    def _any_signals(self) -> Signals:
+        """Of the fitted rows at whatever parameters, for what is asked of the motion alone."""
+        known = next(iter(self._linearised.values()), None)
+        start = fit_parameters.vector(self.configured, self.configured)
+        return (known or self.linearised(start)).signals
+
+    def _linearise(self, parameters: Floats) -> Linearised:
+        record, drive = self.source, fit_parameters.drive_of(parameters, self.configured)
+        error, derivatives, slope = fit_parameters.along(
+            drive, self.configured, record.input_angle, record.torque
+        )
+        angle = drive.frame.wave_generator_angle(record.input_angle)
+        torsion = -drive.frame.torque_sign * (error + drive.cup_compliance * record.torque)
+        whole = Signals(
+            time=record.time,
+            wave_generator_angle=angle,
+            output_angle=record.input_angle / drive.frame.ratio,
+            speed=record.speed,
+            torque=record.torque,
+            temperature=record.temperature,
+            run=record.stretches,
+            predicted=error,
+            predicted_torque_slope=slope,
+            predicted_rate=self.rate(error),
+            contact=ContactWeights(drive, angle, record.torque, torsion=torsion),
+        )
+        return Linearised(whole, whole.part(self.at), derivatives)
+
+
+class Kept:
+    """Arrays by what they were computed of; the latest used, up to a number of bytes."""
+
+    def __init__(self, most: int) -> None:
+        self._most, self._size = most, 0
+        self._arrays: dict[Hashable, Floats] = {}
+
+    def get(self, key: Hashable, compute: Callable[[], Floats]) -> Floats:
+        """The array of this key, computed where it is not there."""
+        if key in self._arrays:
+            self._arrays[key] = found = self._arrays.pop(key)
+            return found
+        found = compute()
+        self._arrays[key], self._size = found, self._size + found.nbytes
+        while self._size > self._most and len(self._arrays) > 1:
+            self._size -= self._arrays.pop(next(iter(self._arrays))).nbytes
+        return found
+
+
+def fitted_rows(
+    record: Record,
+    configured: Drive,
+    catalogue: Catalogue,
+    mask: npt.NDArray[np.bool_] | None = None,
+    shift: float = 0.0,
+) -> FittedRows:
+    """Rows of a record where the model's error is well defined; of these the ones in a mask, if given.
+
+    Near zero torque it is not, reported or shifted [N m].
+    """
+    found = usable(record, shift)
+    return FittedRows(record, configured, found if mask is None else found & mask, catalogue)
+
+
+def blocks(count: int) -> Integers:
+    """About `_BLOCKS` contiguous stretches of equal length; shape (count,)."""
+    return (np.arange(count) * _BLOCKS // max(count, 1)).astype(np.int64)
