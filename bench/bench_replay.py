@@ -24,7 +24,6 @@ from rosbags.highlevel import AnyReader
 
 from hd_diag.bag import BagReader, BagWriter, encode_joint_states
 from hd_diag.config.configuration import resolve
-from hd_diag.model import compiled
 from hd_diag.replay.map_builder import map_of
 from hd_diag.replay.replay import replay
 
@@ -107,7 +106,6 @@ def main():
         written = replay(bag, out, config, overwrite=True).written
         size = out.stat().st_size
     result = {
-        "compiled": compiled.available(),
         "seconds": options.seconds,
         "messages": count,
         "written": written,
@@ -122,7 +120,7 @@ def main():
         "reading_messages_per_second": {name: count / seconds for name, seconds in ways.items()},
         "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     }
-    print(f"{count} messages of {options.seconds:g} s ({'compiled' if result['compiled'] else 'numpy'})")
+    print(f"{count} messages of {options.seconds:g} s")
     for name, rate in result["reading_messages_per_second"].items():
         print(f"read with {name:18s} {rate / 1e3:8.0f} k messages/s")
     print(

@@ -40,7 +40,7 @@ from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from scoring import Score
 
-from hd_diag.model import compiled
+from hd_diag.model.torsion import warm_up
 
 OWN = "hd_diag"
 PARAMETERS = 7
@@ -240,7 +240,7 @@ def run(
         TextColumn("{task.description}"), MofNCompleteColumn(), TimeRemainingColumn(), console=console
     )
     context = multiprocessing.get_context("spawn")
-    with progress, ProcessPoolExecutor(jobs, context, compiled.warm_up) as pool:
+    with progress, ProcessPoolExecutor(jobs, context, warm_up) as pool:
         bar = progress.add_task("records", total=len(work))
         pending = {}
         while pending or waiting:

@@ -33,7 +33,7 @@ from rich.table import Table
 from suite_processes import PROCESSES, Skipped
 from suite_sections import SECTIONS
 
-from hd_diag.model import compiled
+from hd_diag.model.torsion import warm_up
 
 
 @dataclass(frozen=True)
@@ -68,9 +68,7 @@ def main() -> int:
     parser.add_argument("--json", type=Path, help="keep the figures, such as bench/results.json")
     parser.add_argument("--markdown", type=Path, help="the table for a page, such as docs/tables/suite.md")
     options = parser.parse_args()
-    if not compiled.available():
-        sys.exit("numba is not installed: there is only the numpy path")
-    compiled.warm_up()
+    warm_up()
     begin, rows, skipped = time.perf_counter(), [], {}
     console = Console(stderr=True)
     for name in options.only or sections:

@@ -17,8 +17,9 @@ from timing import cpu_time, median_time, wall_time
 
 from hd_diag.drive import Drive, mesh_state, transmission_error
 from hd_diag.extended_model import ExtendedModel
+from hd_diag.model.mesh import Mesh
 from hd_diag.model.threads import cores
-from hd_diag.model.torsion import Mesh, torsion
+from hd_diag.model.torsion import torsion
 from hd_diag.model.torsion_map import build
 from hd_diag.model.transmission_error import Kinematics
 from hd_diag.monitor import Monitor
@@ -42,7 +43,7 @@ EFFECTS = (
 
 
 def mesh() -> Mesh:
-    return Mesh(bench_model.DRIVE, bench_model.COMPLIANCE, bench_model.ECCENTRICITY)
+    return bench_model.MESH
 
 
 def moment(options):
@@ -240,19 +241,14 @@ def by_effects():
 
 
 def kernels(options):
-    """Compiled kernels against numpy on the same inputs; bench_model.py stops where they differ."""
-    rows = [*bench_model.cases(1000, 64), *bench_model.maps()]
-    for row in rows:
-        yield {
-            "what": row["case"],
-            **{"value": row["compiled"] * US, "unit": "us", "ratio": row["ratio"], "against": "numpy"},
-            "note": f"agree to {row['worst']:.0e} rad" if row["worst"] else "",
-        }
+    """What the compiled kernels take: exact solutions, and predictions by a map."""
+    for what, took in (*bench_model.moments(1000, 64), *bench_model.maps()):
+        yield {"what": what, "value": took * US, "unit": "us"}
 
 
 def tolerance(options):
     """Moments of a tolerance study: 96 angles of an assembly, everything that is judged of them."""
-    from hd_diag.tolerance.moments import evaluate, warm_up
+    from hd_diag.tolerance.evaluation import evaluate, warm_up
 
     warm_up()
     own, turn = mesh(), np.linspace(0.0, 2 * np.pi, BATCH, endpoint=False)

@@ -8,13 +8,12 @@ from dataclasses import astuple, dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from hd_diag.arrays import Floats, Integers
-from hd_diag.model import compiled
-from hd_diag.model.clearance import all_teeth
-from hd_diag.model.load_sharing import forces
-from hd_diag.model.torsion import Mesh, torsion
+from hd_diag.model import load_sharing
+from hd_diag.model.load_sharing import MeshState as MeshState
+from hd_diag.model.mesh import Mesh
+from hd_diag.model.torsion import torsion
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.model.transmission_error import Frame, Kinematics
 
@@ -58,62 +57,6 @@ class Drive:
         return self.kinematics.frame(self.mesh.geometry, self.cup_compliance)
 
 
-@dataclass(frozen=True)
-class MeshState:
-    """All tooth pairs at some moments. Flanks (+, -): counter-clockwise, clockwise.
-
-    Attributes
-    ----------
-    backlash : ndarray, shape (moments, 2, Z_R)
-        Circumferential, at zero torsion [m]; negative: interference; nan: cannot touch.
-    load : ndarray, shape (moments, 2, Z_R)
-        Normal forces [N].
-    pressure_angle : ndarray, shape (moments, 2, Z_R)
-        [rad]; nan where the pair cannot touch.
-    torsion : ndarray, shape (moments,)
-        Rotation of the cup [rad].
-    lost_motion : ndarray, shape (moments,)
-        Gap at zero torque [rad].
-    overlap : ndarray, shape (moments,)
-        How far the lobes press against each other at zero torque: circumferential, at the contacts [m];
-        negative: the clearance that is left.
-    """
-
-    backlash: Floats
-    load: Floats
-    pressure_angle: Floats
-    torsion: Floats
-    lost_motion: Floats
-    overlap: Floats
-
-    @property
-    def loaded_pairs(self) -> npt.NDArray[np.int64]:
-        """Number of flanks that bear load, shape (moments,)."""
-        return np.asarray(np.count_nonzero(self.load > 0.0, axis=(1, 2)), dtype=np.int64)
-
-    @property
-    def peak_load(self) -> Floats:
-        """Largest normal force [N], shape (moments,)."""
-        return np.asarray(self.load.max(axis=(1, 2)))
-
-    @property
-    def load_concentration(self) -> Floats:
-        """Largest force over the mean of the loaded flanks [-], 1 where none is loaded; shape (moments,)."""
-        loaded = np.maximum(self.loaded_pairs, 1)
-        mean = self.load.sum(axis=(1, 2)) / loaded
-        return np.where(mean > 0.0, self.peak_load / np.where(mean > 0.0, mean, 1.0), 1.0)
-
-    @property
-    def minimum_backlash(self) -> Floats:
-        """Least backlash over all flanks [m], shape (moments,)."""
-        return np.asarray(np.nanmin(self.backlash, axis=(1, 2)))
-
-    @property
-    def interference(self) -> npt.NDArray[np.bool_]:
-        """Whether no rotation of the cup frees all teeth: the lobes press against each other; (moments,)."""
-        return np.asarray(self.overlap > 0.0)
-
-
 def mesh_state(drive: Drive, input_angle: Floats, cup_torque: Floats) -> MeshState:
     """Backlash and load of every tooth.
 
@@ -129,30 +72,7 @@ def mesh_state(drive: Drive, input_angle: Floats, cup_torque: Floats) -> MeshSta
     -------
     MeshState
     """
-    mesh = drive.mesh
-    turn = drive.frame.wave_generator_angle(input_angle)
-    if not compiled.available():
-        return _mesh_state(mesh, turn, cup_torque)
-    found = compiled.mesh_state(
-        mesh.geometry, mesh.tooth_compliance, turn, mesh.displacement(turn), mesh.arc_offset, cup_torque
-    )
-    teeth = found.backlash, found.load, found.pressure_angle, found.torsion
-    return MeshState(*teeth, lost_motion=np.maximum(found.gap, 0.0), overlap=-found.gap * found.radius)
-
-
-def _mesh_state(mesh: Mesh, turn: Floats, cup_torque: Floats) -> MeshState:
-    """The same by numpy."""
-    geometry, contact = mesh.geometry, mesh.contacts(turn)
-    beta = mesh.share_load(contact, cup_torque).torsion
-    gap = np.fmin.reduce(contact.rotation, axis=2, initial=np.inf).sum(axis=1)
-    return MeshState(
-        backlash=all_teeth(geometry, contact, contact.backlash),
-        load=all_teeth(geometry, contact, forces(contact, mesh.tooth_compliance, beta), missing=0.0),
-        pressure_angle=all_teeth(geometry, contact, contact.pressure_angle),
-        torsion=beta,
-        lost_motion=np.maximum(gap, 0.0),
-        overlap=-gap * np.nanmean(contact.radius, axis=(1, 2)),
-    )
+    return load_sharing.mesh_state(drive.mesh, drive.frame.wave_generator_angle(input_angle), cup_torque)
 
 
 def transmission_error(

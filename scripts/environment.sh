@@ -47,7 +47,7 @@ install_tree() {
 # Once here rather than in every process that is first to compute; unchanged kernels keep their machine code.
 compile_kernels() {
     echo "== Compiling its kernels, of model, diagnosis and tolerances, where they have changed (half a minute)"
-    $env/bin/python -I -c 'from hd_diag.diagnosis.fit import fit_parameters; from hd_diag.tolerance import moments; fit_parameters.warm_up(); moments.warm_up()' >>"$log" 2>&1 ||
+    $env/bin/python -I -c 'from hd_diag.diagnosis.fit import fit_parameters; from hd_diag.tolerance import evaluation; fit_parameters.warm_up(); evaluation.warm_up()' >>"$log" 2>&1 ||
         fail "the kernels could not be compiled"
 }
 

@@ -14,8 +14,7 @@ import hypothesis
 import pytest
 
 import hd_diag
-from hd_diag.model import compiled
-from hd_diag.model.torsion import Mesh
+from hd_diag.model.mesh import Mesh
 
 ROOT = Path(__file__).resolve().parent.parent
 NOT_SOURCE = shutil.ignore_patterns(
@@ -104,14 +103,3 @@ def source_copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def paper_mesh() -> Mesh:
     """The paper's drive without errors of assembly."""
     return drives.mesh()
-
-
-@pytest.fixture(scope="module", params=["numpy", "compiled"])
-def solver(request: pytest.FixtureRequest) -> Iterator[None]:
-    """The mechanics solved by numpy, then, where numba is there, compiled."""
-    if request.param == "compiled" and not compiled.available():
-        pytest.skip("numba is not installed")
-    with pytest.MonkeyPatch.context() as patch:
-        if request.param == "numpy":
-            patch.setattr(compiled, "available", lambda: False)
-        yield

@@ -5,8 +5,8 @@ import dataclasses
 from reference import polyline
 
 from hd_diag.model.geometry import Geometry
+from hd_diag.model.mesh import Mesh
 from hd_diag.model.tooth_profile import DoubleArc
-from hd_diag.model.torsion import Mesh
 
 PAPER = polyline.DEFAULT
 

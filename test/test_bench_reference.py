@@ -13,7 +13,6 @@ from numpy.testing import assert_allclose
 
 import hd_diag
 from hd_diag.drive import Drive, mesh_state
-from hd_diag.model import compiled
 from hd_diag.model.transmission_error import Kinematics
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -47,8 +46,6 @@ def test_torsion_backlash_and_force(turn: float, eccentricity: complex, torque: 
 
 def test_suite_measures_and_tells(tmp_path: Path) -> None:
     """One short section: its table on stdout, its figures as JSON; speeds are not judged."""
-    if not compiled.available():
-        pytest.skip("numba is not installed")
     told = tmp_path / "results.json"
     run = [sys.executable, ROOT / "bench/suite.py", "--only", "tolerance", "--json", told]
     environment = {**os.environ, "PYTHONPATH": str(Path(hd_diag.__file__).parent.parent)}

@@ -12,6 +12,7 @@ from hd_diag.drive import Drive, mesh_state
 from hd_diag.messages import markers
 from hd_diag.messages.markers import Exaggeration, Shape, drawing, marker_array, viridis
 from hd_diag.messages.schemas import jazzy, serialize
+from hd_diag.model.contact import contacts
 
 TRUE = Exaggeration(1.0, 1.0)
 MARKERS = "visualization_msgs/msg/MarkerArray"
@@ -95,7 +96,7 @@ def drawn_gaps(gear: Drive, drawn: dict[str, Shape]) -> np.ndarray:
 def test_in_true_scale_the_teeth_have_the_models_clearances(gear: Drive, angle: float, chords: float) -> None:
     drawn = shapes(gear, angle, torque=0.0, exaggeration=TRUE)
     state = mesh_state(gear, np.array([angle]), np.array([0.0]))
-    contact = gear.mesh.contacts(gear.frame.wave_generator_angle(np.array([angle])))
+    contact = contacts(gear.mesh, gear.frame.wave_generator_angle(np.array([angle])))
     turned = np.array([1.0, -1.0])[:, None] * state.torsion[0]
     gaps = drawn_gaps(gear, drawn)
     model = state.backlash[0] - turned * np.nanmean(contact.radius)

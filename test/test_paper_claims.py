@@ -16,11 +16,11 @@ from reference import polyline, published
 from scipy.optimize import brentq
 
 from hd_diag.drive import Drive, MeshState, mesh_state
+from hd_diag.model.mesh import Mesh
 from hd_diag.model.neutral_curve import tooth_axes
-from hd_diag.model.torsion import Mesh, torsion
+from hd_diag.model.torsion import torsion
 from hd_diag.model.transmission_error import Kinematics
 
-pytestmark = pytest.mark.usefixtures("solver")
 Array = polyline.Array
 GROWING = np.linspace(0.0, published.ECCENTRICITY, 6)  # [m]
 RATED = published.RATED_TORQUE

@@ -1,4 +1,4 @@
-"""Recursions over samples: compiled or not, the same to the last bit."""
+"""Recursions over samples."""
 
 import math
 
@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from hd_diag.effects import recursions
 from hd_diag.effects.recursions import follow, relax, slip
-from hd_diag.model import compiled
 
 COUNT = 5000
 RNG = np.random.default_rng(0)
@@ -20,23 +19,15 @@ STEPS = DECAY[1:], ADDED[1:], 0.5 * ADDED[:-1]
 START = VALUES[0] * (0.3 - 0.7j)
 
 
-@pytest.mark.skipif(not compiled.available(), reason="numba is not installed")
-def test_compiled_is_plain_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> None:
-    fast = slip(0.3, CHANGE), relax(0.2 - 1.0j, DECAY, ADDED)
-    assert recursions._fast(recursions._slip) is not recursions._slip
-    monkeypatch.setattr(recursions, "_fast", lambda function: function)
-    assert_array_equal(fast[0], slip(0.3, CHANGE))
-    assert_array_equal(fast[1], relax(0.2 - 1.0j, DECAY, ADDED))
+def test_compiled_is_plain_to_the_bit() -> None:
+    assert_array_equal(slip(0.3, CHANGE), recursions._slip(0.3, CHANGE))
+    assert_array_equal(relax(0.2 - 1.0j, DECAY, ADDED), recursions._relax(0.2 - 1.0j, DECAY, ADDED))
 
 
-@pytest.mark.skipif(not compiled.available(), reason="numba is not installed")
-@pytest.mark.parametrize("steps", [STEPS, tuple(one[:1] for one in STEPS)], ids=["uneven", "even"])
-def test_compiled_columns_are_plain_to_the_bit(
-    steps: tuple[np.ndarray, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fast = follow(START, steps, VALUES)
-    monkeypatch.setattr(compiled, "available", lambda: False)
-    assert_array_equal(fast, follow(START, steps, VALUES))
+def test_an_even_step_is_that_of_every_row() -> None:
+    even = tuple(one[:1] for one in STEPS)
+    every = tuple(np.repeat(one, COUNT - 1) for one in even)
+    assert_array_equal(follow(START, even, VALUES), follow(START, every, VALUES))
 
 
 def test_columns_are_what_relax_gives_of_each() -> None:
@@ -48,11 +39,6 @@ def test_columns_are_what_relax_gives_of_each() -> None:
 
 def test_columns_without_rows() -> None:
     assert follow(START, tuple(one[:1] for one in STEPS), VALUES[:0]).shape == (0, 3)
-
-
-def test_without_numba_it_is_plain(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiled, "available", lambda: False)
-    assert recursions._fast.__wrapped__(recursions._slip) is recursions._slip
 
 
 def test_slip_is_a_play_between_two_stops() -> None:

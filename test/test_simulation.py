@@ -27,7 +27,7 @@ from hd_diag.cli.simulate import simulate as command
 from hd_diag.config.configuration import dump, resolve
 from hd_diag.drive import Drive, transmission_error
 from hd_diag.model import torsion_map
-from hd_diag.model.torsion import Mesh
+from hd_diag.model.mesh import Mesh
 from hd_diag.model.torsion_map import ARCSEC, TorsionMap
 from hd_diag.monitor import Monitor
 from hd_diag.monitor.publications import Angles

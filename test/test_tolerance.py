@@ -16,14 +16,16 @@ from reference import polyline, published
 
 from hd_diag.config.configuration import resolve
 from hd_diag.drive import Drive, mesh_state
-from hd_diag.model import compiled
-from hd_diag.model.torsion import Mesh, torsion
+from hd_diag.model.contact import contacts
+from hd_diag.model.mesh import Mesh
+from hd_diag.model.torsion import torsion, torsion_and_gradient
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.model.transmission_error import Kinematics
 from hd_diag.process_pool import ProcessPool
 from hd_diag.tolerance import assembly
 from hd_diag.tolerance.assembly import FACTORS, Assembly, Population, Share, draw, judged, yields
 from hd_diag.tolerance.criteria import CRITERIA, NAMES, cup_torques, of_moments, reference_stiffness
+from hd_diag.tolerance.evaluation import evaluate
 from hd_diag.tolerance.hills import NARROWING, climbed, hills
 from hd_diag.tolerance.limit import (
     STEPS,
@@ -34,7 +36,6 @@ from hd_diag.tolerance.limit import (
     input_angle,
     largest_eccentricity,
 )
-from hd_diag.tolerance.moments import evaluate
 from hd_diag.tolerance.settings import Spread, settings
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -66,22 +67,6 @@ def random_moments(count: int, seed: int = 0) -> tuple[Any, ...]:
 # Moments ---
 
 
-def test_both_solvers_give_the_same() -> None:
-    if not compiled.available():
-        pytest.skip("numba is not installed")
-    turn, center = random_moments(60)
-    slots = np.random.default_rng(1).normal(0.0, 2e-5, 202)
-    torque = np.array([CUP, 3.0, 0.0])
-    fast = evaluate(drives.mesh(), turn, center, torque, slots)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compiled, "available", lambda: False)
-        slow = evaluate(drives.mesh(), turn, center, torque, slots)
-    for field in dataclasses.fields(fast):
-        found, expected = getattr(fast, field.name), getattr(slow, field.name)
-        assert found.shape == expected.shape
-        assert_allclose(found, expected, rtol=1e-8, atol=1e-15)
-
-
 def fresh(code: str) -> str:
     """What a process of its own prints."""
     return subprocess.run(
@@ -90,37 +75,27 @@ def fresh(code: str) -> str:
 
 
 def test_an_environment_compiles_the_kernels_of_model_and_tolerances() -> None:
-    """What the script runs leaves nothing that the first study would compile."""
-    if not compiled.available():
-        pytest.skip("numba is not installed")
+    """What the script runs leaves nothing that the first study or diagnosis would compile."""
     (code,) = re.findall(r"-c '(.*warm_up.*)'", (ROOT / "scripts" / "environment.sh").read_text())
-    kernels = "kernel.moments, compiled._kernel().torsion, compiled._kernel().torsion_and_gradient, *slow"
-    compiled_by = f"print([len(k.signatures) for k in ({kernels})])"
+    kernels = "tolerance.evaluate, entry.torsion, entry.torsion_and_gradient, entry.torsion_of_flanks, *slow"
+    compiled = f"print([len(k.signatures) for k in ({kernels})])"
     imports = (
-        "from hd_diag.model import compiled; from hd_diag.tolerance import kernel;"
+        "from hd_diag.model.kernel import entry; from hd_diag.tolerance import kernel as tolerance;"
         "from hd_diag.effects import recursions as r;"
-        "slow = [r._fast(f) for f in (r._slip, r._relax, r._follow)]"
+        "from hd_diag.effects.contact_table import contact_table;"
+        "slow = [r._compiled(f) for f in (r._slip, r._relax, r._follow)]"
     )
     use = (
-        "import drives, numpy as np; from hd_diag.tolerance.moments import evaluate;"
+        "import drives, numpy as np; from hd_diag.tolerance.evaluation import evaluate;"
         "evaluate(drives.mesh(), np.zeros(2), np.zeros(2, complex), np.array([56.0]));"
-        "from hd_diag.config.configuration import resolve; from hd_diag.diagnosis import base;"
-        "own = resolve({}).joints[0].drive; base.error_and_jacobian(own, own, np.ones(2), np.ones(2));"
+        "from hd_diag.config.configuration import resolve; own = resolve({}).joints[0].drive;"
+        "fit_parameters.error_and_jacobian(own, own, np.ones(2), np.ones(2)); contact_table(own, 20.0);"
         "r.slip(0.5, np.ones(3)); r.relax(1j, np.ones(3) + 0j, np.ones(3) + 0j);"
         "r.follow(np.ones(2) + 0j, (np.ones(3) + 0j,) * 3, np.ones((4, 2)))"
     )
-    told = f"sys.path.insert(0, {str(ROOT / 'test')!r})"
-    ran = fresh(f"import sys; {told}; {code}; {imports}; {compiled_by}; {use}; {compiled_by}")
-    assert ran.splitlines() == ["[1, 1, 1, 1, 1, 1]"] * 2
-
-
-def test_without_numba_all_is_solved_by_numpy() -> None:
-    code = (
-        f"import sys; sys.modules['numba'] = None; sys.path.insert(0, {str(ROOT / 'test')!r});"
-        "import drives, numpy as np; from hd_diag.tolerance.moments import evaluate, warm_up; warm_up();"
-        "print(evaluate(drives.mesh(), np.zeros(1), np.zeros(1, complex), np.array([56.0])).torsion[0, 0])"
-    )
-    assert float(fresh(code)) == pytest.approx(1.399e-3, rel=1e-3)
+    here = f"sys.path.insert(0, {str(ROOT / 'test')!r})"
+    ran = fresh(f"import sys; {here}; {code}; {imports}; {compiled}; {use}; {compiled}")
+    assert ran.splitlines() == ["[1, 1, 1, 1, 1, 1, 1]"] * 2
 
 
 def test_moments_are_those_of_the_mesh() -> None:
@@ -215,7 +190,7 @@ def value(criterion: str, found: Limit, eccentricity: float) -> float:
     state = mesh_state(own, angle, np.array([CUP]))
     if criterion == "interference":
         across = (towards * np.exp(-1j * turn[0])).imag
-        contact = dataclasses.replace(own.mesh, arc_offset=-across).contacts(turn)
+        contact = contacts(dataclasses.replace(own.mesh, arc_offset=-across), turn)
         return -float(np.nanmin(contact.backlash[:, :, : contact.teeth.shape[1] // 2]))
     if criterion == "transmission_error":
         around = np.linspace(0, 2 * np.pi, 202 * 40)
@@ -243,7 +218,8 @@ def test_stiffness_loss_is_that_of_the_loaded_flanks() -> None:
     own = drive(drives.mesh(eccentricity=(20e-6, 5e-6)), cup_compliance=2e-6)
     turn, torque = np.linspace(0.0, 3.0, 20), np.array([CUP])
     moments = evaluate(own.mesh, turn, own.mesh.displacement(turn), torque)
-    teeth = own.mesh.share_load(own.mesh.contacts(turn), np.full(20, CUP)).stiffness
+    _, gradient = torsion_and_gradient(own.mesh, turn, np.full(20, CUP))
+    teeth = 1 / gradient[:, 4]
     expected = 1 - (1 / (1 / teeth + 2e-6)) / 5e4
     found = of_moments(moments, 2e-6, np.array([5e4]))[NAMES.index("stiffness_loss"), :, 0]
     assert_allclose(found, expected, rtol=1e-9)

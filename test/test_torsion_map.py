@@ -1,6 +1,7 @@
 """Tabulated torsion against the exact solution."""
 
 import threading
+from dataclasses import replace
 
 import drives
 import numpy as np
@@ -10,21 +11,23 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from reference import polyline
 
-from hd_diag.model.torsion import Mesh, torsion, torsion_table
+from hd_diag.model import threads
+from hd_diag.model.load_sharing import mesh_state
+from hd_diag.model.mesh import Mesh
+from hd_diag.model.torsion import torsion, torsion_table
 from hd_diag.model.torsion_map import TOLERANCE, BuildCancelled, TorsionMap, build
 
-pytestmark = pytest.mark.usefixtures("solver")
 Array = polyline.Array
 
 
 @pytest.fixture(scope="module")
-def astray(solver: None) -> TorsionMap:
+def astray() -> TorsionMap:
     """The paper's drive with every displacement, in preload over part of the turn."""
     return build(drives.mesh(eccentricity=(4e-6, -13e-6), runout=(2e-6, 1e-6), arc_offset=3e-6), 112.0)
 
 
 @pytest.fixture(scope="module")
-def gap(solver: None, paper_mesh: Mesh) -> TorsionMap:
+def gap(paper_mesh: Mesh) -> TorsionMap:
     """The paper's drive without errors: a true gap everywhere."""
     return build(paper_mesh, 60.0)
 
@@ -121,7 +124,7 @@ def test_the_middle_of_the_gap_at_zero_torque(table: TorsionMap) -> None:
 def test_jumps_over_the_gap(gap: TorsionMap) -> None:
     angle, _ = points(gap, 50, 4)
     tiny = np.full(angle.size, 1e-12)
-    lost = gap.mesh.share_load(gap.mesh.contacts(angle), np.zeros(angle.size)).lost_motion
+    lost = mesh_state(gap.mesh, angle, np.zeros(angle.size)).lost_motion
     assert np.all(lost > 50e-6)
     assert_allclose(gap(angle, tiny) - gap(angle, -tiny), lost, atol=2 * gap.error_bound)
 
@@ -131,6 +134,74 @@ def test_nan_beyond_the_limit(table: TorsionMap) -> None:
     limit = table.torque_limit
     torque = np.array([limit, -limit, np.nextafter(limit, 999), -np.nextafter(limit, 999), np.nan, np.inf])
     assert_array_equal(np.isnan(table(np.zeros(6), torque)), [False, False, True, True, True, True])
+
+
+def plain(table: TorsionMap, turn: float, torque: float) -> float:
+    """The map's value by plain interpolation: at both angles beside, then between them."""
+    steps = table.torque.shape[0] - 1
+    place = turn % (2 * np.pi) * (steps / (2 * np.pi))
+    row = min(int(place), steps - 1)
+    low, high = (
+        # Where a gap's ends stand above each other, the mean of what is beside them.
+        0.5 * (np.interp(torque, x, y) - np.interp(-torque, -x[::-1], -y[::-1]))
+        for x, y in zip(table.torque[row : row + 2], table.torsion[row : row + 2], strict=True)
+    )
+    return float(low + (place - row) * (high - low))
+
+
+def places(table: TorsionMap) -> tuple[Array, Array]:
+    """Random places of a map, its own nodes and ends, zero torque."""
+    random, n = np.random.default_rng(10), 3000
+    turn, torque = random.uniform(-50, 50, n), random.uniform(-1, 1, n) * table.torque_limit
+    steps, width = table.torque.shape[0] - 1, table.torque.shape[1]
+    row = random.integers(0, steps, 500)
+    turn[:500] = 2 * np.pi / steps * row
+    torque[:500] = np.clip(
+        table.torque[row, random.integers(0, width, 500)], -table.torque_limit, table.torque_limit
+    )
+    limit = table.torque_limit
+    special = [0.0, -0.0, 1e-300, -1e-300, limit, -limit]
+    angles = [0.0, -0.0, -1e-20, 1e-300, 2 * np.pi, -2 * np.pi, np.nextafter(2 * np.pi, 0), 1e9]
+    pairs = np.array(np.meshgrid(angles, special)).reshape(2, -1)
+    return np.concatenate((turn, pairs[0])), np.concatenate((torque, pairs[1]))
+
+
+def test_is_that_of_plain_interpolation(table: TorsionMap) -> None:
+    turn, torque = places(table)
+    expected = [plain(table, *place) for place in zip(turn, torque, strict=True)]
+    assert_allclose(table(turn, torque), expected, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("rows", [2, 64, 65, 66, 150])
+def test_few_rows(astray: TorsionMap, rows: int) -> None:
+    """Whole and broken numbers of rows of its index; a copy answers by its own rows."""
+    part = replace(astray, torque=astray.torque[:rows], torsion=2.0 * astray.torsion[:rows])
+    turn, torque = (values[::20] for values in places(part))
+    expected = [plain(part, *place) for place in zip(turn, torque, strict=True)]
+    assert_allclose(part(turn, torque), expected, rtol=1e-9, atol=1e-12)
+
+
+def test_some_rows(table: TorsionMap) -> None:
+    turn, torque = (values[:5].copy() for values in places(table))
+    beta = np.zeros(5)
+    table.read(turn, torque, beta, 3, 4)
+    assert_array_equal(beta, [0.0, 0.0, 0.0, table(turn, torque)[3], 0.0])
+
+
+def test_refuses_angles_and_torques_of_different_number(table: TorsionMap) -> None:
+    with pytest.raises(ValueError, match="3 wave generator angles, but 2 torques"):
+        table(np.zeros(3), np.zeros(2))
+
+
+def test_several_threads_give_the_same_to_the_last_bit(
+    table: TorsionMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    turn, torque = points(table, 50_000, 5)
+    found = []
+    for cores in (1, 3):
+        monkeypatch.setattr(threads, "cores", lambda cores=cores: cores)
+        found.append(table(turn, torque))
+    assert_array_equal(*found)
 
 
 def test_can_be_given_up() -> None:

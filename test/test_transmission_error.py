@@ -11,7 +11,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from hd_diag.model.torsion import torsion
 from hd_diag.model.transmission_error import Frame, Kinematics, Output
 
-pytestmark = pytest.mark.usefixtures("solver")
 GEOMETRY = drives.geometry()
 ANGLES = np.linspace(-12.0, 9.0, 40)
 FLEXSPLINE = [(100.0, "flexspline"), (-100.0, "flexspline")]

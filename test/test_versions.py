@@ -13,7 +13,6 @@ from replay_fuzz import log_of
 from hd_diag.bag import BagReader, BagWriter
 from hd_diag.cli.bags import replay as replay_command
 from hd_diag.messages.publications import STRING, read_string, string
-from hd_diag.model import compiled
 from hd_diag.replay import versions
 from hd_diag.replay.events import Configured, read_event
 from hd_diag.replay.replay import replay
@@ -39,12 +38,7 @@ def test_versions_are_those_of_the_installed_packages() -> None:
     assert found["python"] == platform.python_version()
     assert found["numpy"] == metadata.version("numpy")
     assert found["scipy"] == metadata.version("scipy")
-    assert found["numba"] == (metadata.version("numba") if compiled.available() else None)
-
-
-def test_numba_is_null_where_it_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiled, "available", lambda: False)
-    assert versions.running()["numba"] is None
+    assert found["numba"] == metadata.version("numba")
 
 
 def test_a_log_names_its_versions_and_the_same_ones_are_no_problem(tmp_path: Path) -> None:

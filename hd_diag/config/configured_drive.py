@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from hd_diag.config.parameters import Value
 from hd_diag.drive import Drive
 from hd_diag.model.geometry import Geometry
+from hd_diag.model.mesh import Mesh
 from hd_diag.model.tooth_profile import DoubleArc
-from hd_diag.model.torsion import Mesh
 from hd_diag.model.transmission_error import Kinematics
 
 

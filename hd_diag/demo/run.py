@@ -23,7 +23,7 @@ from hd_diag.demo.display import DemoDisplay, Step
 from hd_diag.demo.log import Log, read_log
 from hd_diag.demo.observer import ANSWER_LIMIT, Observer
 from hd_diag.demo.process import Child, DemoError
-from hd_diag.model import compiled
+from hd_diag.model.torsion import warm_up
 from hd_diag.ros.stop_signals import noted_signals
 
 __all__ = ["DemoError", "run"]
@@ -82,7 +82,7 @@ def run(folder: Path | None, seconds: float) -> dict[str, Any]:
     folder = _prepared(folder)
     display = DemoDisplay()
     display.say("Preparing the model; the first time it is compiled, which can take a minute")
-    compiled.warm_up()  # before both processes need it at the same time
+    warm_up()  # before both processes need it at the same time
     display.say(
         f"Starting the node and a simulated joint, each a process of its own; what they leave: {folder}"
     )

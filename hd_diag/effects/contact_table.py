@@ -17,9 +17,10 @@ import numpy as np
 
 from hd_diag.arrays import Complexes, Floats, Integers
 from hd_diag.drive import Drive
-from hd_diag.model import load_sharing
-from hd_diag.model.clearance import Contact
-from hd_diag.model.torsion import Mesh, torsion_table
+from hd_diag.model.contact import Contact, contacts
+from hd_diag.model.load_sharing import FLANKS, flank_stiffness, shares, torsion_of_flanks
+from hd_diag.model.mesh import Mesh
+from hd_diag.model.torsion import torsion_table
 from hd_diag.model.torsion_map import TorsionMap, build
 
 Displacement = Callable[[Floats, Floats], Floats]
@@ -42,7 +43,6 @@ _BEYOND = 1.2  # of the torque limit
 _MEAN_TORQUES, _MEAN_ANGLES = 401, 101
 _MAP_STEPS = 16  # per tooth passing: 0.005 arcsec rms
 _STEP = 5e-9  # [m]; radial step of the central difference: far above rounding, far below a fillet
-_FLANKS = np.array([1.0, -1.0])[:, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,10 +100,10 @@ class ContactTable:
         self.drive = drive
         self.torque_limit = torque_limit
         self.steps = _STEPS_PER_SLOT * geometry.circular_spline_teeth
-        self.contact = drive.mesh.contacts(np.linspace(0.0, 2.0 * np.pi, self.steps + 1))
-        self._stiffness = load_sharing.flank_stiffness(self.contact, drive.mesh.tooth_compliance)
+        self.contact = contacts(drive.mesh, np.linspace(0.0, 2.0 * np.pi, self.steps + 1))
+        self._stiffness = flank_stiffness(self.contact, drive.mesh.tooth_compliance)
         self.torsion = self._torsion()
-        self.share = np.stack([self._shares(beta) for beta in self.torsion])
+        self.share = np.stack([shares(self.contact.rotation, self._stiffness, beta) for beta in self.torsion])
         self._tables: dict[tuple[str, int], Complexes] = {}
         self._responses: dict[str, Floats] = {}
         self._slots: dict[tuple[int, Openings], Complexes] = {}
@@ -113,13 +113,13 @@ class ContactTable:
     def slot_harmonic(self, order: int) -> Complexes:
         """Response to ``c = Re(A exp(i k phi))`` over ``A exp(i k theta_W)`` [rad/m]; (torques, angles)."""
         return self._harmonic(
-            "slot", order, lambda: self._slot_angle, lambda: self._summed(_FLANKS / self._radius)
+            "slot", order, lambda: self._slot_angle, lambda: self._summed(FLANKS / self._radius)
         )
 
     def tooth_harmonic(self, order: int) -> Complexes:
         """The same for the flexspline's teeth, over ``A exp(i k theta_F)``, theta_F = theta_W (1 + 1/N)."""
         return self._harmonic(
-            "tooth", order, lambda: self._tooth_angle, lambda: self._summed(-_FLANKS / self._radius)
+            "tooth", order, lambda: self._tooth_angle, lambda: self._summed(-FLANKS / self._radius)
         )
 
     def radial_harmonic(self, order: int) -> Complexes:
@@ -231,7 +231,7 @@ class ContactTable:
             share = self.share.take(torque_row * self._radius.size + place)
         if opening <= 0.0:
             return np.asarray(share / radius)
-        overlap = _FLANKS[flank, 0] * self.torsion[torque_row, angle_row] - np.nan_to_num(
+        overlap = FLANKS[flank, 0] * self.torsion[torque_row, angle_row] - np.nan_to_num(
             self.contact.rotation[angle_row, flank, pair], nan=np.inf
         )
         parted = np.maximum(overlap, 0.0) / np.maximum(1.0 - np.abs(share), 1e-6) * radius
@@ -282,7 +282,7 @@ class ContactTable:
         """
         opening, softening = self._radial_slopes
         fixed = np.nan_to_num(opening + self.contact.rotation * softening)
-        with_torsion = self._summed(_FLANKS * np.nan_to_num(softening))
+        with_torsion = self._summed(FLANKS * np.nan_to_num(softening))
         return self._summed(fixed) - self.torsion[:, :, None] * with_torsion
 
     def _summed(self, weight: Floats) -> Floats:
@@ -294,14 +294,14 @@ class ContactTable:
     def _radial_slopes(self) -> tuple[Floats, Floats]:
         """Closing rotation and logarithm of the stiffness by the radial displacement [rad/m], [1/m]."""
         moved = [self._moved(sign * _STEP) for sign in (-1.0, 1.0)]
-        low, high = (load_sharing.flank_stiffness(one, self.drive.mesh.tooth_compliance) for one in moved)
+        low, high = (flank_stiffness(one, self.drive.mesh.tooth_compliance) for one in moved)
         opening = (moved[1].rotation - moved[0].rotation) / (2.0 * _STEP)
         stiffness = np.where(self._stiffness > 0.0, self._stiffness, 1.0)
         return opening, (high - low) / (2.0 * _STEP * stiffness)
 
     def _displacement(self, errors: SlotErrors) -> Floats:
         slots = self.contact.slots
-        around = _FLANKS * errors.circumferential[slots][:, None, :]
+        around = FLANKS * errors.circumferential[slots][:, None, :]
         around = around + errors.clearance[:, slots].transpose(1, 0, 2)
         rotation, stiffness = self.contact.rotation + around / self._radius, self._stiffness
         if errors.radial.any():
@@ -309,8 +309,7 @@ class ContactTable:
             outward = errors.radial[slots][:, None, :]
             rotation = rotation + opening * outward
             stiffness = stiffness * np.exp(np.clip(np.nan_to_num(softening) * outward, -1.0, 1.0))
-        curve = load_sharing.torque_curve(rotation, stiffness)
-        return np.asarray(load_sharing.torsion(curve, self.torque_nodes).T - self.torsion)
+        return np.asarray(torsion_of_flanks(rotation, stiffness, self.torque_nodes).T - self.torsion)
 
     def _teeth_beyond(self, displacement: Displacement, coefficients: Floats) -> Floats:
         every = slice(None, None, _SPARSE)
@@ -318,10 +317,10 @@ class ContactTable:
         found = []
         for phase in np.pi / PHASES * np.arange(PHASES):
             moved = displacement(coefficients, self._tooth_angle[every] + phase)
-            turned = -_FLANKS * moved[:, None, :] / self._radius[every]
-            curve = load_sharing.torque_curve(rest + turned, stiffness)
+            turned = -FLANKS * moved[:, None, :] / self._radius[every]
             first = np.einsum("tafp,afp->ta", share, turned)
-            found.append(load_sharing.torsion(curve, self.torque_nodes).T - self.torsion[:, every] - first)
+            beta = torsion_of_flanks(rest + turned, stiffness, self.torque_nodes)
+            found.append(beta.T - self.torsion[:, every] - first)
         place = np.arange(self.steps + 1) / _SPARSE
         low = np.minimum(place.astype(np.int64), found[0].shape[1] - 2)
         table = np.nan_to_num(np.stack(found))
@@ -331,20 +330,13 @@ class ContactTable:
         geometry = self.drive.mesh.geometry
         datum = geometry.circular_spline_datum + outward
         mesh = replace(self.drive.mesh, geometry=replace(geometry, circular_spline_datum=datum))
-        return mesh.contacts(self._angle)
+        return contacts(mesh, self._angle)
 
     def _torsion(self) -> Floats:
-        curve = load_sharing.torque_curve(self.contact.rotation, self._stiffness)
-        beta = load_sharing.torsion(curve, self.torque_nodes)
+        beta = torsion_of_flanks(self.contact.rotation, self._stiffness, self.torque_nodes)
         if np.isnan(beta).any():
             raise ValueError(f"the teeth cannot bear {self.torque_limit:g} N m at every wave generator angle")
         return beta.T
-
-    def _shares(self, beta: Floats) -> Floats:
-        loaded = _FLANKS * beta[:, None, None] > self.contact.rotation
-        bearing = np.where(loaded, self._stiffness, 0.0)
-        total = bearing.sum(axis=(1, 2), keepdims=True)
-        return np.asarray(_FLANKS * bearing / np.where(total > 0.0, total, np.inf))
 
     def _harmonic(
         self, name: str, order: int, angle: Callable[[], Floats], response: Callable[[], Floats]

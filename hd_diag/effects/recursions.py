@@ -1,7 +1,4 @@
-"""Recursions over samples that no array operation replaces, compiled where numba is there.
-
-Both ways do the same operations in the same order, so they agree to the last bit.
-"""
+"""Recursions over samples that no array operation replaces, compiled when first called."""
 
 from __future__ import annotations
 
@@ -12,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from hd_diag.arrays import Complexes, Floats
-from hd_diag.model import compiled
 
 
 def warm_up() -> None:
-    """Compile now, or read from the disk, all of them; nothing where numba is missing."""
+    """Compile all of them now, or read them from the disk."""
     nothing = np.zeros(1, dtype=np.complex128)
     slip(0.0, np.zeros(1))
     relax(0j, nothing, nothing)
@@ -37,7 +33,7 @@ def slip(state: float, change: Floats) -> Floats:
     ndarray, shape (n,)
         z after every change.
     """
-    found: Floats = _fast(_slip)(float(state), np.ascontiguousarray(change))
+    found: Floats = _compiled(_slip)(float(state), np.ascontiguousarray(change))
     return found
 
 
@@ -55,7 +51,8 @@ def relax(state: complex, decay: Complexes, added: Complexes) -> Complexes:
     ndarray of complex, shape (n,)
         q after every step.
     """
-    found: Complexes = _fast(_relax)(complex(state), np.ascontiguousarray(decay), np.ascontiguousarray(added))
+    steps = np.ascontiguousarray(decay), np.ascontiguousarray(added)
+    found: Complexes = _compiled(_relax)(complex(state), *steps)
     return found
 
 
@@ -81,8 +78,7 @@ def follow(state: Complexes, steps: tuple[Complexes, Complexes, Complexes], valu
     every = [np.broadcast_to(one, values.shape[0] - 1) for one in steps]
     # The state is written to: a copy.
     parts = [np.array(part) for one in (*every, state) for part in (one.real, one.imag)]
-    way: Callable[..., Any] = _fast(_follow) if compiled.available() else _follow_rows
-    found: Floats = way(*parts, np.ascontiguousarray(values))
+    found: Floats = _compiled(_follow)(*parts, np.ascontiguousarray(values))
     return found
 
 
@@ -113,7 +109,7 @@ def _follow(
     imaginary: Floats,
     values: Floats,
 ) -> Floats:
-    """Real and imaginary parts apart: so both ways round alike."""
+    """Real and imaginary parts apart, so that the compiler works on several columns at once."""
     result = np.empty(values.shape)
     for j in range(values.shape[1]):
         result[0, j] = real[j]
@@ -127,36 +123,8 @@ def _follow(
     return result
 
 
-def _follow_rows(
-    decay: Floats,
-    turn: Floats,
-    constant: Floats,
-    constant_turn: Floats,
-    rising: Floats,
-    rising_turn: Floats,
-    real: Floats,
-    imaginary: Floats,
-    values: Floats,
-) -> Floats:
-    """The same, all columns of a row at once: without a compiler a loop over them takes too long."""
-    result = np.empty(values.shape)
-    result[:1] = real
-    change = np.diff(values, axis=0)
-    added = constant[:, None] * values[:-1] + rising[:, None] * change
-    added_turn = constant_turn[:, None] * values[:-1] + rising_turn[:, None] * change
-    for i in range(values.shape[0] - 1):
-        real, imaginary = (
-            (decay[i] * real - turn[i] * imaginary) + added[i],
-            (turn[i] * real + decay[i] * imaginary) + added_turn[i],
-        )
-        result[i + 1] = real
-    return result
-
-
 @functools.cache
-def _fast(function: Callable[..., Any]) -> Callable[..., Any]:
-    if not compiled.available():
-        return function
-    from hd_diag.model.kernel import entry_point
+def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    from hd_diag.model.kernel.compiler import entry_point  # here, because numba takes its time
 
     return entry_point(function)

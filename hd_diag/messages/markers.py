@@ -182,7 +182,7 @@ def viridis(share: Floats) -> Floats:
 def _teeth(drive: Drive, wave_generator_angle: float, exaggeration: float) -> Complexes:
     """Outlines of the teeth in the wave generator's frame, counter-clockwise, x + iy [m], (Z_R, points).
 
-    Pose as in :func:`hd_diag.model.clearance.contacts`.
+    Pose as in :func:`hd_diag.model.contact.contacts`.
     """
     mesh = drive.mesh
     geometry = mesh.geometry

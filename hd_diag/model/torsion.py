@@ -1,113 +1,55 @@
-"""Torsion of a mesh: the pose, contact and load solution in one call, for any number of moments."""
+"""Torsion of a mesh: pose, contact and load solved exactly, for any number of moments, with derivatives."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
 from hd_diag.arrays import Floats
-from hd_diag.model import clearance, compiled, load_sharing
-from hd_diag.model.clearance import Contact
-from hd_diag.model.geometry import Geometry
+from hd_diag.model import kernel
+from hd_diag.model.mesh import Mesh, contiguous, moments
+from hd_diag.model.threads import MOMENTS, spread
+
+_BEYOND = 1.0  # both sides of zero are solved, also without torque [N m]
 
 
-@dataclass(frozen=True)
-class Mesh:
-    """A geometry with what assembly and material add to it.
+def warm_up(gradient: bool = False) -> None:
+    """Compile now, or read from the disk, what predictions and maps need.
 
     Parameters
     ----------
-    geometry : Geometry
-    tooth_compliance : float
-        K1 + K2 of a tooth pair [m/N].
-    eccentricity : complex
-        E, displacement of the wave generator's centre fixed in the housing, x + iy [m].
-    runout : complex
-        The part that turns with the wave generator, at theta_W = 0 [m].
-    arc_offset : float
-        s_0, shift of the teeth along the neutral curve [m].
-
-    Raises
-    ------
-    ValueError
-        Naming the value that cannot be; for eccentricity and runout together, the largest sum that can.
+    gradient : bool
+        Also what fits need.
     """
-
-    geometry: Geometry
-    tooth_compliance: float = 1.0e-6
-    eccentricity: complex = 0.0
-    runout: complex = 0.0
-    arc_offset: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.tooth_compliance < math.inf:
-            raise ValueError(
-                f"tooth_compliance must be positive and finite, not {self.tooth_compliance:g} m/N"
-            )
-        if not math.isfinite(self.arc_offset):
-            raise ValueError(f"arc_offset must be finite, not {self.arc_offset:g} m")
-        _check_displacement(self)
-
-    def displacement(self, wave_generator_angle: Floats) -> npt.NDArray[np.complex128]:
-        """Where the wave generator's centre is at theta_W [rad]: x + iy in the housing [m]."""
-        turning: npt.NDArray[np.complex128] = np.exp(1j * wave_generator_angle)
-        return self.eccentricity + self.runout * turning
-
-    def contacts(self, wave_generator_angle: Floats) -> Contact:
-        """Contacts at theta_W [rad], shape (moments,)."""
-        displacement = self.displacement(wave_generator_angle)
-        farthest = abs(self.eccentricity) + abs(self.runout)
-        solve = compiled.contacts if compiled.available() else clearance.contacts
-        return solve(self.geometry, wave_generator_angle, displacement, self.arc_offset, farthest)
-
-    def share_load(self, contact: Contact, torque: Floats) -> load_sharing.LoadSharing:
-        """Load distribution at the cup torque M [N m], shape (moments,)."""
-        return load_sharing.share_load(contact, self.tooth_compliance, torque)
+    kernel.entry.warm_up(gradient)
 
 
-def _check_displacement(mesh: Mesh) -> None:
-    geometry = mesh.geometry
-    tip_radius = geometry.circular_spline_tip_radius
-    slot_end = geometry.circular_spline_datum + geometry.slot_end
-    largest, place = min(
-        (tip_radius - geometry.semi_major - geometry.flexspline_root, "root at the long axis"),
-        (slot_end - geometry.semi_major - geometry.flexspline_tip, "tip at the long axis"),
-        (tip_radius - geometry.semi_minor - geometry.flexspline_tip, "tip at the short axis"),
-    )
-    eccentricity, runout = abs(mesh.eccentricity), abs(mesh.runout)
-    if not eccentricity + runout < largest:
-        raise ValueError(
-            f"eccentricity ({eccentricity * 1e6:.6g} um) and runout ({runout * 1e6:.6g} um) must add up to "
-            f"less than {largest * 1e6:.6g} um, at which the flexspline's {place} strikes the circular spline"
-        )
-
-
-def torsion(mesh: Mesh, wave_generator_angle: Floats, torque: Floats) -> Floats:
-    """Exact torsion at one torque per moment.
+def torsion(mesh: Mesh, wave_generator_angle: Floats, torque: float | Floats) -> Floats:
+    """Exact torsion at one torque per moment; a large batch is spread over the cores.
 
     Parameters
     ----------
     mesh : Mesh
     wave_generator_angle : ndarray, shape (moments,)
         theta_W [rad].
-    torque : ndarray, shape (moments,)
+    torque : float or ndarray, shape (moments,)
         M on the cup [N m].
 
     Returns
     -------
     ndarray, shape (moments,)
-        beta [rad]; the middle of a true gap at zero torque; nan if no flank can bear the torque.
+        beta [rad]; the middle of a true gap at zero torque; nan if no flank can bear the torque. Every
+        element depends on its own inputs alone, to the last bit.
     """
-    if compiled.available():
-        return compiled.torsion(*_pose(mesh, wave_generator_angle), torque)
-    return load_sharing.torsion(_curve(mesh, wave_generator_angle), torque[:, None])[:, 0]
+    rows = moments(mesh, wave_generator_angle, torque)
+    beta = np.empty(rows[0].size)
+    spread(partial(kernel.entry.torsion, mesh.data, *rows, beta), beta.size, MOMENTS)
+    return beta
 
 
 def torsion_table(mesh: Mesh, wave_generator_angle: Floats, torque: Floats) -> Floats:
-    """Exact torsion at every pair of moment and torque.
+    """Exact torsion at every pair of moment and torque: contacts are solved and sorted once per moment.
 
     Parameters
     ----------
@@ -120,12 +62,11 @@ def torsion_table(mesh: Mesh, wave_generator_angle: Floats, torque: Floats) -> F
     Returns
     -------
     ndarray, shape (moments, torques)
-        beta [rad]; the middle of a true gap at zero torque; nan if no flank can bear the torque.
+        beta [rad], as :func:`torsion` gives it.
     """
-    if not compiled.available():
-        return load_sharing.torsion(_curve(mesh, wave_generator_angle), torque)
     order = np.argsort(torque)
-    table = compiled.torsion_table(*_pose(mesh, wave_generator_angle), torque[order])
+    turn, center, _ = moments(mesh, wave_generator_angle)
+    table: Floats = kernel.entry.torsion_table(mesh.data, turn, center, contiguous(torque[order]))
     return table[:, np.argsort(order)]
 
 
@@ -144,32 +85,79 @@ def limited_curves(mesh: Mesh, wave_generator_angle: Floats, torque_limit: float
     -------
     torque, torsion : ndarray, shape (moments, breakpoints)
         Breakpoints M [N m] and beta [rad], rising, from -torque_limit to torque_limit; a true gap has two at
-        zero torque. nan where no flank can bear the limit.
+        zero torque. Rows with fewer breakpoints end with more of the limit; nan where no flank can bear it.
     """
-    if compiled.available():
-        return compiled.limited_curves(*_pose(mesh, wave_generator_angle), torque_limit)
-    curve = _curve(mesh, wave_generator_angle)
-    limits = np.array([-torque_limit, torque_limit])
-    ends = load_sharing.torsion(curve, limits)
-    ends[np.isnan(ends).any(axis=1)] = np.nan
-    return _between(curve.torque, np.where(np.isnan(ends), np.nan, limits)), _between(curve.torsion, ends)
+    turn, center, _ = moments(mesh, wave_generator_angle)
+    torque, beta = kernel.entry.curves(mesh.data, turn, center, float(torque_limit))
+    return torque, beta
 
 
-def _between(values: Floats, ends: Floats) -> Floats:
-    """Rows of values, kept within their ends and put between them."""
-    low, high = ends[:, :1], ends[:, 1:]
-    return np.concatenate((low, np.clip(values, low, high), high), axis=1)
+def torsion_and_gradient(mesh: Mesh, wave_generator_angle: Floats, torque: Floats) -> tuple[Floats, Floats]:
+    """Exact torsion and its derivatives, in one pass.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    wave_generator_angle : ndarray, shape (moments,)
+        theta_W [rad].
+    torque : ndarray, shape (moments,)
+        M on the cup [N m].
+
+    Returns
+    -------
+    torsion : ndarray, shape (moments,)
+        beta [rad].
+    gradient : ndarray, shape (moments, 5)
+        Derivatives of beta by E_x, E_y in the housing [rad/m], r_0 [rad/m], K1 + K2 [rad N/m] and
+        M [rad/(N m)] (infinite in a true gap).
+
+    Notes ----- ``d beta / d M = 1 / K``, K the stiffness of the loaded flanks; ``d beta / d (K1 + K2) = M /
+    (K1 + K2) / K``; the others: :mod:`hd_diag.model.kernel.sensitivity`.
+    """
+    turn, center, load = moments(mesh, wave_generator_angle, torque)
+    beta, gradient = kernel.entry.torsion_and_gradient(mesh.data, turn, center, load)
+    return beta, _with_compliance(mesh, load, gradient)
 
 
-def _pose(
-    mesh: Mesh, wave_generator_angle: Floats
-) -> tuple[Geometry, float, Floats, npt.NDArray[np.complex128], float]:
-    displacement = mesh.displacement(wave_generator_angle)
-    return mesh.geometry, mesh.tooth_compliance, wave_generator_angle, displacement, mesh.arc_offset
+def torsion_along(
+    mesh: Mesh, wave_generator_angle: Floats, torque: Floats, nodes: int
+) -> tuple[Floats, Floats]:
+    """Torsion and its derivatives along many samples, solved at nodes of a turn and straight between them.
 
+    At a node they are exact at every torque; what breaks where a pair comes into load is blurred by one step.
 
-def _curve(mesh: Mesh, wave_generator_angle: Floats) -> load_sharing.TorqueCurve:
-    contact = mesh.contacts(wave_generator_angle)
-    return load_sharing.torque_curve(
-        contact.rotation, load_sharing.flank_stiffness(contact, mesh.tooth_compliance)
+    Parameters
+    ----------
+    mesh : Mesh
+    wave_generator_angle : ndarray, shape (n,)
+        theta_W [rad].
+    torque : ndarray, shape (n,)
+        M on the cup [N m].
+    nodes : int
+        Steps of a turn.
+
+    Returns
+    -------
+    torsion : ndarray, shape (n,)
+        beta [rad]; the middle of a true gap at zero torque; nan where no flank can bear the greatest torque.
+    gradient : ndarray, shape (n, 5)
+        As of :func:`torsion_and_gradient`.
+    """
+    turn, center, _ = moments(mesh, np.linspace(0.0, 2.0 * np.pi, nodes + 1))
+    place = np.mod(wave_generator_angle, 2.0 * np.pi) * (nodes / (2.0 * np.pi))
+    cell = np.minimum(place.astype(np.int64), nodes - 1)
+    order = np.argsort(cell.astype(np.int32), kind="stable")
+    load, limit = contiguous(torque[order]), float(np.max(np.abs(torque), initial=0.0)) + _BEYOND
+    found = np.empty((place.size, 5))
+    found[order] = kernel.entry.torsion_along(
+        mesh.data, turn, center, limit, cell[order], (place - cell)[order], load
     )
+    return found[:, 4], _with_compliance(mesh, torque, found[:, :4])
+
+
+def _with_compliance(mesh: Mesh, torque: Floats, gradient: Floats) -> Floats:
+    """Derivatives by E_x, E_y, r_0, M with that by K1 + K2 before the last."""
+    by_torque = gradient[:, 3]
+    with np.errstate(invalid="ignore"):  # in a true gap there is no torque
+        by_compliance = torque / mesh.tooth_compliance * by_torque
+    return np.column_stack((gradient[:, :3], np.where(torque == 0.0, 0.0, by_compliance), by_torque))

@@ -8,18 +8,19 @@ jump at zero torque, the table holds both ends and gives the middle.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property, partial
 
 import numpy as np
-import numpy.typing as npt
 
 from hd_diag.arrays import Floats
 from hd_diag.formatting import ARCSEC as ARCSEC  # effects of others import it from here
-from hd_diag.model import compiled
-from hd_diag.model.torsion import Mesh, limited_curves, torsion_table
+from hd_diag.model import kernel
+from hd_diag.model.mesh import Mesh, contiguous
+from hd_diag.model.threads import spread
+from hd_diag.model.torsion import limited_curves, torsion_table
 
 TOLERANCE = 0.01 * ARCSEC
 """Error that a map aims at [rad]."""
@@ -32,6 +33,7 @@ _FINE_TEETH = 202
 _CHECKED_ANGLES = 512
 _CHECKED_TORQUES = 64
 _MISSED = 2.0  # checks rarely meet a cell's worst place, but half of the greatest error they do [-]
+_SAMPLES = 10_000  # that a thread takes at a time
 _CHUNK = 128  # angles per call, so that a build can be given up and lets other threads run
 
 
@@ -66,9 +68,12 @@ class TorsionMap:
         """What the table was built for [N m]; `torque_limit` ends before it where the torsion jumps."""
         return float(self.torque[0, -1])
 
-    @functools.cached_property
-    def _table(self) -> compiled.Table:
-        return compiled.table(self.torque, self.torsion)
+    @cached_property
+    def _interpolate(self) -> partial[None]:
+        """The kernel, given the table and an index of it."""
+        torque, torsion = contiguous(self.torque), contiguous(self.torsion)
+        index = kernel.entry.index(torque)
+        return partial(kernel.entry.interpolate, torque, torsion, index, float(self.torque_limit))
 
     def __call__(self, wave_generator_angle: Floats, torque: Floats) -> Floats:
         """Torsion by linear interpolation over the angle.
@@ -86,9 +91,12 @@ class TorsionMap:
             beta [rad]; nan beyond `torque_limit`. Every element depends on its own inputs alone, to the last
             bit, however many are asked for at once.
         """
-        if compiled.available():
-            return compiled.interpolate(self._table, self.torque_limit, wave_generator_angle, torque)
-        return self._by_numpy(wave_generator_angle, torque)
+        turn, load = contiguous(wave_generator_angle), contiguous(torque)
+        if turn.shape != load.shape:
+            raise ValueError(f"{turn.size} wave generator angles, but {load.size} torques")
+        beta = np.empty(turn.size)
+        spread(partial(self._interpolate, turn, load, beta), beta.size, _SAMPLES)
+        return beta
 
     def read(self, wave_generator_angle: Floats, torque: Floats, beta: Floats, first: int, last: int) -> None:
         """Set some of the torsions, the same as a call gives for them: for maps one after the other.
@@ -100,47 +108,7 @@ class TorsionMap:
         first, last : int
             Rows from the first to before the last.
         """
-        compiled.interpolate_rows(
-            self._table, self.torque_limit, wave_generator_angle, torque, beta, first, last
-        )
-
-    def _by_numpy(self, wave_generator_angle: Floats, torque: Floats) -> Floats:
-        steps = self.torque.shape[0] - 1
-        place = np.mod(wave_generator_angle, 2.0 * np.pi) * (steps / (2.0 * np.pi))
-        row = np.minimum(np.nan_to_num(place), steps - 1.0).astype(np.int64)
-        held = np.abs(torque) <= self.torque_limit
-        within = np.where(held, torque, 0.0)
-        low, high = self._at(row, within), self._at(row + 1, within)
-        return np.where(held, low + (place - row) * (high - low), np.nan)
-
-    def _at(self, row: npt.NDArray[np.int64], torque: Floats) -> Floats:
-        below_limit = np.minimum(torque, np.nextafter(self.torque[0, -1], 0.0))
-        result = self._from(row, torque, _last_not_above(self.torque, row, below_limit))
-        idle = torque == 0.0
-        if idle.any():  # the middle of a true gap: the mean of both its ends
-            before = _last_not_above(self.torque, row[idle], np.nextafter(torque[idle], -1.0))
-            result[idle] = 0.5 * (result[idle] + self._from(row[idle], torque[idle], before))
-        return result
-
-    def _from(self, row: npt.NDArray[np.int64], torque: Floats, column: npt.NDArray[np.int64]) -> Floats:
-        first = row * self.torque.shape[1] + column
-        flat_torque, flat_torsion = self.torque.reshape(-1), self.torsion.reshape(-1)
-        start, beta = flat_torque[first], flat_torsion[first]
-        slope = (flat_torsion[first + 1] - beta) / (flat_torque[first + 1] - start)
-        return np.asarray(beta + slope * (torque - start))
-
-
-def _last_not_above(table: Floats, row: npt.NDArray[np.int64], value: Floats) -> npt.NDArray[np.int64]:
-    """Column of the last entry <= value in each row, at most the last but one: binary search, vectorised."""
-    width = table.shape[1]
-    flat, first = table.reshape(-1), row * width
-    found = np.zeros(row.shape, dtype=np.int64)
-    step = 1 << (max(1, width - 2).bit_length() - 1)
-    while step:
-        ahead = np.minimum(found + step, width - 2)
-        found = np.where(flat[first + ahead] <= value, ahead, found)
-        step >>= 1
-    return found
+        self._interpolate(wave_generator_angle, torque, beta, first, last)
 
 
 def build(

@@ -7,7 +7,7 @@ import threading
 
 from hd_diag.config.configuration import JointConfig
 from hd_diag.extended_model import TORQUE_RANGE
-from hd_diag.model.torsion import Mesh
+from hd_diag.model.mesh import Mesh
 from hd_diag.model.torsion_map import BuildCancelled, TorsionMap, build
 
 

@@ -24,7 +24,7 @@ from hd_diag.messages.publications import (
     read_temperature,
     string,
 )
-from hd_diag.model.torsion import Mesh
+from hd_diag.model.mesh import Mesh
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.monitor import Monitor
 from hd_diag.monitor.publications import Publication

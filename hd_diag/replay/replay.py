@@ -16,7 +16,7 @@ from hd_diag.bag.writer import replaced
 from hd_diag.config.configuration import Config, ConfigError, JointConfig, ModelText, resolve
 from hd_diag.config.parameters import shown
 from hd_diag.messages.publications import LAST_TIME, TEMPERATURE, Encoded, resolved
-from hd_diag.model.torsion import Mesh
+from hd_diag.model.mesh import Mesh
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.replay import versions
 from hd_diag.replay.events import ClockSetBack, Configured, Event, MapUsed, Reported

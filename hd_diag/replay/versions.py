@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-import functools
 import platform
 from collections.abc import Mapping
+from importlib import metadata
 
 import numpy as np
 import scipy
 
 import hd_diag
-from hd_diag.model import compiled
 
 Versions = Mapping[str, str | None]
 
 
 def running() -> Versions:
-    """Versions of this package and of what it computes with; None for numba where it is not used."""
+    """Versions of this package and of what it computes with."""
     return {
         "hd_diag": hd_diag.__version__,
         "python": platform.python_version(),
         "numpy": np.__version__,
         "scipy": scipy.__version__,
-        "numba": _numba() if compiled.available() else None,
+        "numba": metadata.version("numba"),
     }
 
 
@@ -34,10 +33,3 @@ def differences(recorded: Versions) -> str:
         for name, version in recorded.items()
         if name in here and here[name] != version
     )
-
-
-@functools.cache
-def _numba() -> str:
-    import numba
-
-    return str(numba.__version__)

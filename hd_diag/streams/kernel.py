@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hd_diag.arrays import Bytes, Floats, Integers, Times
-from hd_diag.model.kernel import entry_point, part
+from hd_diag.model.kernel.compiler import entry_point, part
 from hd_diag.streams.alignment import CLOCK_JUMP, LONGEST_HOLD, NEVER, PAIRING_GAP, Given, Reason
 from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TORQUE
 

@@ -17,7 +17,7 @@ from hd_diag.arrays import Floats
 from hd_diag.drive import Drive
 from hd_diag.process_pool import ProcessPool
 from hd_diag.tolerance.criteria import over_turn, reference_stiffness
-from hd_diag.tolerance.moments import Moments, evaluate
+from hd_diag.tolerance.evaluation import Evaluation, evaluate
 from hd_diag.tolerance.settings import Spread
 
 FACTORS = (
@@ -307,7 +307,7 @@ def _judged(task: tuple[Population, Floats, Floats]) -> Floats:
     return np.stack([worst(population, draw(population, row), tolerances) for row in numbers])
 
 
-def _part(moments: Moments, rows: slice) -> Moments:
+def _part(moments: Evaluation, rows: slice) -> Evaluation:
     fields = (getattr(moments, field.name) for field in dataclasses.fields(moments))
     return type(moments)(*(values[rows] for values in fields))
 

@@ -10,7 +10,7 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.drive import Drive
 from hd_diag.model.torsion_map import ARCSEC
-from hd_diag.tolerance.moments import Moments, evaluate
+from hd_diag.tolerance.evaluation import Evaluation, evaluate
 
 _PHASES = 32  # tooth phases over which the reference stiffness is the mean
 
@@ -69,7 +69,7 @@ def cup_torques(drive: Drive, torque: Floats) -> Floats:
     return drive.frame.cup_torque(torque)
 
 
-def total_stiffness(moments: Moments, cup_compliance: float) -> Floats:
+def total_stiffness(moments: Evaluation, cup_compliance: float) -> Floats:
     """Torsional stiffness of teeth and cup [N m/rad], shape (n, q); zero where no tooth bears."""
     return np.asarray(moments.stiffness / (1.0 + cup_compliance * moments.stiffness))
 
@@ -96,12 +96,12 @@ def reference_stiffness(drive: Drive, cup_torque: Floats) -> Floats:
     return mean
 
 
-def of_moments(moments: Moments, cup_compliance: float, reference: Floats) -> Floats:
+def of_moments(moments: Evaluation, cup_compliance: float, reference: Floats) -> Floats:
     """Values of the criteria of a moment.
 
     Parameters
     ----------
-    moments : Moments
+    moments : Evaluation
         n moments, q torques.
     cup_compliance : float
         [rad/(N m)]
@@ -127,7 +127,7 @@ def of_moments(moments: Moments, cup_compliance: float, reference: Floats) -> Fl
     return np.where(np.isnan(values), np.inf, values)
 
 
-def over_turn(moments: Moments, cup_compliance: float, reference: Floats) -> Floats:
+def over_turn(moments: Evaluation, cup_compliance: float, reference: Floats) -> Floats:
     """Worst of every criterion over moments of one turn of the wave generator.
 
     Parameters

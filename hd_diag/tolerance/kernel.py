@@ -1,7 +1,4 @@
-"""The quantities of ``moments`` compiled: contacts and load distribution of many moments in one pass.
-
-Imported when first needed, for it imports numba.
-"""
+"""What :func:`hd_diag.tolerance.evaluation.evaluate` gives, compiled; imports numba."""
 
 from __future__ import annotations
 
@@ -10,14 +7,15 @@ import math
 import numpy as np
 
 from hd_diag.arrays import Complexes, Floats
-from hd_diag.model.kernel import entry_point, part
-from hd_diag.model.kernel.load import Flanks, Scratch, Side, balance, bearing, flanks, scratch
-from hd_diag.model.kernel.teeth import MeshData, Teeth, place, reach
-from hd_diag.model.kernel.touch import Constants, close
+from hd_diag.model.kernel.compiler import entry_point, part
+from hd_diag.model.kernel.contact import find
+from hd_diag.model.kernel.load_sharing import Flanks, Scratch, Side, balance, bearing, both, flanks, scratch
+from hd_diag.model.kernel.mesh_data import MeshData
+from hd_diag.model.kernel.poses import Teeth, place, reach
 
 
 @entry_point
-def moments(
+def evaluate(
     mesh: MeshData, turn: Floats, center: Complexes, anchor: Floats, slot_angle: Floats, torque: Floats
 ) -> tuple[Floats, Floats]:
     """Gap, least backlash and mean contact radius at lobe 0 (n, 3); `_load` at every torque (n, q, 4).
@@ -26,33 +24,23 @@ def moments(
     slot stands counter-clockwise of its place [rad].
     """
     work, geometry = scratch(mesh.constants), np.empty((turn.size, 3))
-    seen = np.empty((2, mesh.constants.flexspline_teeth))
     loads = np.empty((turn.size, torque.size, 4))
     for i in range(turn.size):
-        found = _displaced(flanks(mesh, turn[i], center[i], work), work.teeth, slot_angle)
+        found = flanks(mesh, turn[i], center[i], work)
+        _turn(found.plus, work.teeth, slot_angle)
+        _turn(found.minus, work.teeth, slot_angle)
+        found = both(found.plus, found.minus)
         for j in range(torque.size):
             _load(mesh.compliance, found, torque[j], loads[i, j])
         geometry[i, 0] = found.high - found.low
         held = MeshData(mesh.constants, mesh.tables, mesh.compliance, anchor[i])
-        geometry[i, 1], geometry[i, 2] = _lobe(held, turn[i], center[i], slot_angle, work, seen)
+        geometry[i, 1], geometry[i, 2] = _lobe(held, turn[i], center[i], slot_angle, work)
     return geometry, loads
 
 
 @part
-def _displaced(found: Flanks, teeth: Teeth, slot_angle: Floats) -> Flanks:
-    """The flanks with their slots turned: they begin to bear at as much greater a torsion."""
-    low, high = -math.inf, math.inf
-    _turn(found.minus, teeth, slot_angle)
-    _turn(found.plus, teeth, slot_angle)
-    for start in found.minus.start:
-        low = max(low, start)
-    for start in found.plus.start:
-        high = min(high, start)
-    return Flanks(found.plus, found.minus, low, high)
-
-
-@part
 def _turn(side: Side, teeth: Teeth, slot_angle: Floats) -> None:
+    """Turn the slots: flanks begin to bear at as much greater a torsion."""
     for j in range(side.start.size):
         side.start[j] += slot_angle[int(teeth.slot[side.column[j]]) % slot_angle.size]
 
@@ -63,11 +51,11 @@ def _load(compliance: float, found: Flanks, torque: float, out: Floats) -> None:
     beta = balance(found, torque)
     peak, total, count = 0.0, 0.0, 0
     for flank in range(2):
-        side, flanks_ = (1.0, found.plus) if flank == 0 else (-1.0, found.minus)
-        for j in range(flanks_.start.size):
-            overlap = side * (beta - flanks_.start[j])
+        side, bears = 1.0 - 2.0 * flank, found.minus if flank else found.plus
+        for j in range(bears.start.size):
+            overlap = side * (beta - bears.start[j])
             if overlap > 0.0:
-                force = overlap * math.sqrt(flanks_.gain[j] / compliance)
+                force = overlap * math.sqrt(bears.gain[j] / compliance)
                 peak, total, count = max(peak, force), total + force, count + 1
     idle = torque == 0.0 and found.high > found.low
     out[0] = beta
@@ -78,29 +66,21 @@ def _load(compliance: float, found: Flanks, torque: float, out: Floats) -> None:
 
 @part
 def _lobe(
-    mesh: MeshData, turn: float, eccentricity: complex, slot_angle: Floats, work: Scratch, seen: Floats
+    mesh: MeshData, turn: float, eccentricity: complex, slot_angle: Floats, work: Scratch
 ) -> tuple[float, float]:
     """Least backlash of the teeth at lobe 0, and mean radius of their contacts [m]."""
-    teeth, center = work.teeth, eccentricity * complex(math.cos(turn), -math.sin(turn))
+    teeth, seen = work.teeth, work.contacts
+    center = eccentricity * complex(math.cos(turn), -math.sin(turn))
     # The first half of the columns is the lobe on the long axis.
     count = place(mesh, turn, center, reach(mesh, abs(eccentricity)), teeth) // 2
+    find(mesh.constants, teeth, count, seen)
     least, total, touching = math.inf, 0.0, 0
     for flank in range(2):
         side = 1.0 - 2.0 * flank
-        _touch(mesh.constants, teeth.height, teeth.offset, count, side, seen)
         for j in range(count):
-            if math.isfinite(seen[0, j]):
-                radius, shift = math.sqrt(seen[1, j]), slot_angle[int(teeth.slot[j]) % slot_angle.size]
-                least = min(least, radius * (math.asin(seen[0, j]) + side * (shift - teeth.lead[j])))
+            if math.isfinite(seen.sine[flank, j]):
+                radius = math.sqrt(seen.x[flank, j] ** 2 + seen.y[flank, j] ** 2)
+                shift = slot_angle[int(teeth.slot[j]) % slot_angle.size]
+                least = min(least, radius * (math.asin(seen.sine[flank, j]) + side * (shift - teeth.lead[j])))
                 total, touching = total + radius, touching + 1
     return (least, total / touching) if touching else (math.nan, math.nan)
-
-
-@part
-def _touch(c: Constants, height: Floats, offset: Floats, count: int, side: float, seen: Floats) -> None:
-    """Sine of the closing angle and squared radius [m2] of one side's contacts; several are done at once."""
-    sine, square = seen[0], seen[1]
-    for j in range(count):
-        touch = close(c, height[j], side * offset[j])
-        sine[j] = touch.sine
-        square[j] = touch.x * touch.x + touch.y * touch.y

@@ -11,10 +11,11 @@ from scipy.optimize import brentq
 
 from hd_diag.arrays import Complexes, Floats
 from hd_diag.drive import Drive
-from hd_diag.model.torsion import Mesh, torsion
+from hd_diag.model.mesh import Mesh
+from hd_diag.model.torsion import torsion
 from hd_diag.tolerance.criteria import CRITERIA, NAMES, of_moments, reference_stiffness
+from hd_diag.tolerance.evaluation import evaluate
 from hd_diag.tolerance.hills import NARROWING, climbed, hills
-from hd_diag.tolerance.moments import evaluate
 
 STEPS = 60
 """Steps of the eccentricity in which the first excess is looked for."""

@@ -13,8 +13,8 @@ from hd_diag.process_pool import ProcessPool
 from hd_diag.tolerance import assembly, sensitivity
 from hd_diag.tolerance.assembly import FACTORS, Population, Share
 from hd_diag.tolerance.criteria import NAMES, cup_torques
+from hd_diag.tolerance.evaluation import warm_up
 from hd_diag.tolerance.limit import Limit, across_long_axis, check_largest, first_excess
-from hd_diag.tolerance.moments import warm_up
 from hd_diag.tolerance.sensitivity import Indices
 from hd_diag.tolerance.settings import Spread
 

@@ -11,7 +11,7 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.drive import Drive
 from hd_diag.effects import recursions
-from hd_diag.model import compiled
+from hd_diag.model import torsion
 from hd_diag.model.torsion_map import ARCSEC
 
 
@@ -43,8 +43,8 @@ _NODES_PAY = 2.0  # samples per node from which they do
 
 
 def warm_up() -> None:
-    """Compile now, or read from the disk, what a diagnosis needs; nothing where numba is missing."""
-    compiled.warm_up(gradient=True)
+    """Compile now, or read from the disk, what a diagnosis needs."""
+    torsion.warm_up(gradient=True)
     recursions.warm_up()
 
 
@@ -131,17 +131,9 @@ def error_and_jacobian(
     slope : ndarray, shape (n,)
         dTE/dT [rad/(N m)].
     """
-    frame, mesh = drive.frame, drive.mesh
-    angle = frame.wave_generator_angle(input_angle)
-    cup_torque = frame.cup_torque(torque)
-    beta, _, gradient = compiled.torsion_and_gradient(
-        mesh.geometry, mesh.tooth_compliance, angle, mesh.displacement(angle), mesh.arc_offset, cup_torque
-    )
-    return (
-        frame.transmission_error(beta, torque),
-        _jacobian(drive, configured, angle, gradient[:, :4], torque),
-        -gradient[:, 5] - drive.cup_compliance,
-    )
+    angle = drive.frame.wave_generator_angle(input_angle)
+    beta, gradient = torsion.torsion_and_gradient(drive.mesh, angle, drive.frame.cup_torque(torque))
+    return _in_units(drive, configured, angle, torque, beta, gradient)
 
 
 def along(
@@ -158,52 +150,33 @@ def along(
     slope : ndarray, shape (n,)
         dTE/dT [rad/(N m)].
     """
-    frame, mesh = drive.frame, drive.mesh
-    steps = _STEPS_PER_TOOTH * mesh.geometry.circular_spline_teeth
-    if input_angle.size < _NODES_PAY * steps:
+    nodes = _STEPS_PER_TOOTH * drive.mesh.geometry.circular_spline_teeth
+    if input_angle.size < _NODES_PAY * nodes:
         return error_and_jacobian(drive, configured, input_angle, torque)
-    angle = frame.wave_generator_angle(input_angle)
-    cup_torque = frame.cup_torque(torque)
-    nodes = np.linspace(0.0, 2.0 * np.pi, steps + 1)
-    beta, gradient = compiled.torsion_along(
-        mesh.geometry,
-        mesh.tooth_compliance,
-        nodes,
-        mesh.displacement(nodes),
-        mesh.arc_offset,
-        np.mod(angle, 2.0 * np.pi) * (steps / (2.0 * np.pi)),
-        cup_torque,
-    )
-    by_torque = gradient[:, 3]
-    by_compliance = cup_torque / mesh.tooth_compliance * by_torque
-    columns = np.column_stack((gradient[:, :3], by_compliance))
-    return (
-        frame.transmission_error(beta, torque),
-        _jacobian(drive, configured, angle, columns, torque),
-        -by_torque - drive.cup_compliance,
-    )
+    angle = drive.frame.wave_generator_angle(input_angle)
+    beta, gradient = torsion.torsion_along(drive.mesh, angle, drive.frame.cup_torque(torque), nodes)
+    return _in_units(drive, configured, angle, torque, beta, gradient)
 
 
-def _jacobian(drive: Drive, configured: Drive, angle: Floats, gradient: Floats, torque: Floats) -> Floats:
-    """Derivatives of TE by the fitted numbers from the mesh's own (E_x, E_y, r_0, K1 + K2)."""
-    sign = -drive.frame.torque_sign
+def _in_units(
+    drive: Drive, configured: Drive, angle: Floats, torque: Floats, beta: Floats, gradient: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """TE, Jacobian and slope from the torsion and its derivatives by E_x, E_y, r_0, K1 + K2 and M."""
+    by_x, by_y, by_datum, by_compliance, by_torque = gradient.T
     cosine, sine = np.cos(angle), np.sin(angle)
-    by_x, by_y = gradient[:, 0], gradient[:, 1]
-    columns = np.stack(
-        (
-            by_x,
-            by_y,
-            by_x * cosine + by_y * sine,
-            by_y * cosine - by_x * sine,
-            gradient[:, 2],
-            gradient[:, 3] * configured.mesh.tooth_compliance,
-        ),
-        axis=1,
+    columns = (
+        by_x,
+        by_y,
+        by_x * cosine + by_y * sine,
+        by_y * cosine - by_x * sine,
+        by_datum,
+        by_compliance * configured.mesh.tooth_compliance,
     )
-    result = np.empty((angle.size, COUNT))
-    result[:, :6] = sign * columns * [scale.si for scale in SCALES[:6]]
-    result[:, 6] = -torque * SCALES[6].si
-    return result
+    jacobian = np.empty((angle.size, COUNT))
+    scales = [scale.si for scale in SCALES]
+    jacobian[:, :6] = -drive.frame.torque_sign * np.stack(columns, axis=1) * scales[:6]
+    jacobian[:, 6] = -torque * scales[6]
+    return drive.frame.transmission_error(beta, torque), jacobian, -by_torque - drive.cup_compliance
 
 
 def physical(parameters: Floats, covariance: Floats, configured: Drive) -> dict[str, dict[str, Any]]:

@@ -1,38 +1,22 @@
-"""The closed forms of ``clearance`` and ``load_sharing`` as scalar code for numba.
+"""The mechanics as scalar code that numba compiles, from a tooth's pose to the torsion of the whole mesh.
 
-Imported by ``compiled`` when first needed, for it imports numba. Angles of contacts stay sines and cosines as
-long as they can and choices are selections, so that the compiler can work on several flanks at once.
+In the order in which a moment is solved: ``mesh_data`` numbers of a mesh · ``poses`` of the teeth near both
+lobes · ``contact`` of a flank with the slot's wall, in closed form · ``load_sharing`` one torsion for all
+teeth · ``mesh_state`` backlash and load of every tooth · ``sensitivity`` derivatives of the torsion ·
+``interpolation`` in a torsion map · ``entry`` what Python calls, for many moments at once.
+
+numba is imported with ``entry``, when something is first computed: that takes 0.3 s. Compiling takes some 30
+s once, for the machine code is kept on disk.
 """
 
 from __future__ import annotations
 
-import zlib
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any, TypeVar, cast
-
-import numba
-
-Kernel = TypeVar("Kernel", bound=Callable[..., Any])
-
-# Of all kernels: numba's cache looks at the entry point's own file only and misses changes in the others.
-_CHECKSUM = zlib.crc32(b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))))
+import importlib
+from types import ModuleType
 
 
-def entry_point(function: Kernel) -> Kernel:
-    """Compile when first called; keep the machine code on disk if any cache folder can be written."""
-    function.__qualname__ = f"{function.__name__}_{_CHECKSUM:08x}"  # the file on disk is named after it
-    try:
-        return cast(Kernel, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
-    except RuntimeError:  # numba can write neither beside the package nor in the user's cache folder
-        return part(function)
-
-
-def part(function: Kernel) -> Kernel:
-    """Compile as part of entry points, in whose machine code it is kept."""
-    return cast(Kernel, numba.njit(nogil=True, error_model="numpy")(function))
-
-
-def inline(function: Kernel) -> Kernel:
-    """Compile as part of a loop over flanks, which the compiler can spread only if it sees it whole."""
-    return cast(Kernel, numba.njit(nogil=True, error_model="numpy", forceinline=True)(function))
+def __getattr__(name: str) -> ModuleType:
+    """Import ``entry`` when it is first used; from then on it is an attribute like any other."""
+    if name != "entry":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return importlib.import_module(f"{__name__}.entry")

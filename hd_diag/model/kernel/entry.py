@@ -1,6 +1,8 @@
-"""Entry points, called by ``compiled`` for many moments at once.
+"""Entry points: what Python calls, for many moments at once.
 
 Those that threads may share work on the rows from ``first`` to before ``last`` and fill them in their result.
+Arrays have one value per moment: wave generator angle [rad], displacement of its centre in the housing [m],
+torque on the cup [N m].
 """
 
 from __future__ import annotations
@@ -10,14 +12,23 @@ import math
 import numpy as np
 
 from hd_diag.arrays import Complexes, Floats, Integers
-from hd_diag.model.kernel import entry_point, inline
-from hd_diag.model.kernel.gradient import fill
-from hd_diag.model.kernel.gradient_curve import TAKEN_BY, add, fill_pieces, pieces_room
-from hd_diag.model.kernel.load import balance, closing_angle, curve, flanks, middle, scratch, walk
-from hd_diag.model.kernel.state import contacts_room, spread, touch_teeth
-from hd_diag.model.kernel.table import BLOCK, Columns, cells, columns, find, read
-from hd_diag.model.kernel.teeth import MeshData, Teeth, place, reach, room, width
-from hd_diag.model.kernel.touch import Constants, close
+from hd_diag.model.kernel.compiler import entry_point
+from hd_diag.model.kernel.contact import closing_angle, contacts_room, find
+from hd_diag.model.kernel.interpolation import BLOCK, Columns, cells, columns, locate, read
+from hd_diag.model.kernel.load_sharing import (
+    balance,
+    balance_all,
+    both,
+    curve,
+    flanks,
+    given_side,
+    scratch,
+    side_room,
+)
+from hd_diag.model.kernel.mesh_data import MeshData, blank
+from hd_diag.model.kernel.mesh_state import spread
+from hd_diag.model.kernel.poses import place, reach, room, width
+from hd_diag.model.kernel.sensitivity import PARAMETERS, add, fill, fill_pieces, pieces_room
 
 
 @entry_point
@@ -37,19 +48,25 @@ def torsion(
 
 
 @entry_point
-def torsion_table(
-    mesh: MeshData, turn: Floats, eccentricity: Complexes, torque: Floats, branch: int
-) -> Floats:
+def torsion_table(mesh: MeshData, turn: Floats, eccentricity: Complexes, torque: Floats) -> Floats:
     """Torsions (n, q) at rising torques (q,), the same at every moment."""
     work, beta = scratch(mesh.constants), np.empty((turn.size, torque.size))
-    before, after = np.searchsorted(torque, 0.0), np.searchsorted(torque, 0.0, side="right")
     for i in range(turn.size):
-        found = flanks(mesh, turn[i], eccentricity[i], work)
-        first, last = (before, after) if found.high > found.low else (0, 0)
-        idle = found.high if branch > 0 else (found.low if branch < 0 else middle(found))
-        beta[i, first:last] = idle if math.isfinite(idle) else math.nan
-        walk(found, torque[:first], beta[i, :first])
-        walk(found, torque[last:], beta[i, last:])
+        balance_all(flanks(mesh, turn[i], eccentricity[i], work), torque, beta[i])
+    return beta
+
+
+@entry_point
+def torsion_of_flanks(rotation: Floats, stiffness: Floats, torque: Floats) -> Floats:
+    """The same (n, q) of flanks whose closing rotations and stiffness (n, 2, flanks) are given."""
+    plus, minus = side_room(rotation.shape[2]), side_room(rotation.shape[2])
+    beta = np.empty((rotation.shape[0], torque.size))
+    for i in range(beta.shape[0]):
+        found = both(
+            given_side(rotation[i, 0], stiffness[i, 0], 1.0, plus),
+            given_side(rotation[i, 1], stiffness[i, 1], -1.0, minus),
+        )
+        balance_all(found, torque, beta[i])
     return beta
 
 
@@ -85,26 +102,26 @@ def interpolate(
     found = cells()
     for begin in range(first, last, BLOCK):
         end = min(begin + BLOCK, last)
-        find(breakpoints, values, near, limit, turn, torque, begin, end, found)
+        locate(breakpoints, values, near, limit, turn, torque, begin, end, found)
         read(breakpoints, values, torque, begin, end, found, beta)
 
 
 @entry_point
 def torsion_and_gradient(
     mesh: MeshData, turn: Floats, eccentricity: Complexes, torque: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """Torsion (n,), stiffness (n,) and gradient (n, 7)."""
+) -> tuple[Floats, Floats]:
+    """Torsion (n,) and its derivatives by E_x, E_y, r_0, M (n, 4)."""
     work, n = scratch(mesh.constants), turn.size
-    beta, stiffness, gradient = np.empty(n), np.empty(n), np.empty((n, 7))
+    beta, gradient = np.empty(n), np.empty((n, PARAMETERS + 1))
     for i in range(n):
         # Contacts do not depend on the torque: at many of them they are solved once.
         if i == 0 or turn[i] != turn[i - 1] or eccentricity[i] != eccentricity[i - 1]:
             found = flanks(mesh, turn[i], eccentricity[i], work)
         beta[i] = balance(found, torque[i])
-        stiffness[i] = fill(
-            mesh, work.teeth, found, turn[i], eccentricity[i], torque[i], beta[i], gradient[i]
-        )
-    return beta, stiffness, gradient
+        fill(mesh, work.teeth, found, torque[i], beta[i], gradient[i])
+        housing = complex(gradient[i, 0], gradient[i, 1]) * complex(math.cos(turn[i]), math.sin(turn[i]))
+        gradient[i, 0], gradient[i, 1] = housing.real, housing.imag
+    return beta, gradient
 
 
 @entry_point
@@ -117,9 +134,9 @@ def torsion_along(
     share: Floats,
     torque: Floats,
 ) -> Floats:
-    """Gradient by E_x, E_y, r_0, M and torsion (n, 5) at places between angles, in rising cells."""
+    """Derivatives by E_x, E_y, r_0, M and torsion (n, 5) at places between angles, in rising cells."""
     work, room = scratch(mesh.constants), pieces_room(mesh.constants.flexspline_teeth)
-    result, here = np.zeros((cell.size, TAKEN_BY + 2)), np.empty(TAKEN_BY + 2)
+    result, here = np.zeros((cell.size, PARAMETERS + 2)), np.empty(PARAMETERS + 2)
     before = now = 0
     for node in range(turn.size):
         after = now
@@ -153,10 +170,10 @@ def mesh_state(
     last: int,
 ) -> None:
     """Backlash, load, pressure angle (3, n, 2, Z_R); torsion, gap, mean radius of the contacts (3, n)."""
-    work, seen = scratch(mesh.constants), contacts_room(mesh.constants)
+    work = scratch(mesh.constants)
     for i in range(first, last):
-        count = touch_teeth(mesh, turn[i], eccentricity[i], work, seen)
-        beta, gap, radius = spread(mesh, work, seen, count, torque[i], teeth[0, i], teeth[1, i], teeth[2, i])
+        found = flanks(mesh, turn[i], eccentricity[i], work)
+        beta, gap, radius = spread(mesh, work, found, torque[i], teeth[0, i], teeth[1, i], teeth[2, i])
         whole[0, i], whole[1, i], whole[2, i] = beta, gap, radius
 
 
@@ -165,29 +182,39 @@ def contacts(
     mesh: MeshData, turn: Floats, eccentricity: Complexes, farthest: float
 ) -> tuple[Integers, Floats]:
     """Indices (2, n, teeth): teeth, slots; values (4, n, 2, teeth): b, r, alpha, position."""
-    c, angle, teeth = mesh.constants, reach(mesh, farthest), room(mesh.constants)
+    c, angle = mesh.constants, reach(mesh, farthest)
+    teeth, seen = room(c), contacts_room(c)
     indices = np.empty((2, turn.size, 2 * width(c, angle)), dtype=np.int64)
     values = np.empty((4, turn.size, 2, indices.shape[2]))
     for i in range(turn.size):
         center = eccentricity[i] * complex(math.cos(turn[i]), -math.sin(turn[i]))
-        for j in range(place(mesh, turn[i], center, angle, teeth)):
+        count = place(mesh, turn[i], center, angle, teeth)
+        find(c, teeth, count, seen)
+        for j in range(count):
             indices[0, i, j] = int(teeth.number[j]) % c.flexspline_teeth
             indices[1, i, j] = int(teeth.slot[j]) % c.circular_spline_teeth
             for flank in range(2):
-                rotation, radius, pressure_angle, position = _seen(c, teeth, j, 1.0 - 2.0 * flank)
-                values[0, i, flank, j], values[1, i, flank, j] = rotation, radius
-                values[2, i, flank, j], values[3, i, flank, j] = pressure_angle, position
+                side, x, y = 1.0 - 2.0 * flank, seen.x[flank, j], seen.y[flank, j]
+                normal_x, normal_y = seen.normal_x[flank, j], seen.normal_y[flank, j]
+                along, lever = x * normal_x + y * normal_y, x * normal_y - y * normal_x
+                values[0, i, flank, j] = closing_angle(seen.sine[flank, j]) - side * teeth.lead[j]
+                values[1, i, flank, j] = math.sqrt(x * x + y * y)
+                values[2, i, flank, j] = math.atan2(along, lever)
+                values[3, i, flank, j] = teeth.slot[j] * c.slot_pitch + side * math.atan2(y, x)
     return indices, values
 
 
-@inline
-def _seen(c: Constants, teeth: Teeth, j: int, side: float) -> tuple[float, float, float, float]:
-    """b, r, alpha, position of one flank."""
-    touch = close(c, teeth.height[j], side * teeth.offset[j])
-    x, y, normal_x, normal_y = touch.x, touch.y, touch.normal_x, touch.normal_y
-    return (
-        closing_angle(touch.sine) - side * teeth.lead[j],
-        math.sqrt(x * x + y * y),
-        math.atan2(x * normal_x + y * normal_y, x * normal_y - y * normal_x),
-        teeth.slot[j] * c.slot_pitch + side * math.atan2(y, x),
-    )
+def warm_up(gradient: bool) -> None:
+    """Compile now, or read from the disk, what predictions and maps need; with `gradient` also fits."""
+    mesh, row, rows, flat = blank(), np.empty(0), np.zeros((2, 2)), np.zeros((0, 2, 0))
+    center = row.astype(np.complex128)
+    torsion(mesh, row, center, row, row, 0, 0)
+    torsion_table(mesh, row, center, row)
+    curves(mesh, row, center, 0.0)
+    contacts(mesh, row, center, 0.0)
+    mesh_state(mesh, row, center, row, np.empty((3, 0, 2, 0)), np.empty((3, 0)), 0, 0)
+    interpolate(rows, rows, index(rows), 0.0, row, row, row, 0, 0)
+    if gradient:
+        torsion_of_flanks(flat, flat, row)
+        torsion_and_gradient(mesh, row, center, row)
+        torsion_along(mesh, row, center, 0.0, row.astype(np.int64), row, row)

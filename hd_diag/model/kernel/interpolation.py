@@ -1,4 +1,4 @@
-"""Interpolation in a torsion map: the operations of ``torsion_map`` in their order, equal to the last bit.
+"""Interpolation in a torsion map.
 
 A map takes far more memory than a core has near it, so that samples anywhere in it wait for their rows. Hence
 an index, small enough to stay near, tells about where in a row a torque is; and the places of a whole block
@@ -8,14 +8,16 @@ of samples are found and asked for before any is read.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic
 
 from hd_diag.arrays import Floats, Integers
-from hd_diag.model.kernel import inline, part
-from hd_diag.model.kernel.memory import fetch
+from hd_diag.model.kernel.compiler import inline, part
 
 Columns = npt.NDArray[np.int16]
 
@@ -26,6 +28,27 @@ _TURN = 2.0 * math.pi
 _BELOW_ZERO = -5e-324  # the float before zero
 _ROWS = 64  # from one row of the index to the next; breakpoints move by a few columns meanwhile
 _BINS = 256  # of torque in the index
+_READ, _KEEP, _DATA = 0, 3, 1  # as LLVM's prefetch has them: for reading, in all caches, not instructions
+
+
+def _fetch(typing: Any, rows: Any, row: Any, column: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        code: Any = cgutils  # without types
+        kind = signature.args[0]
+        table = context.make_array(kind)(context, builder, arguments[0])
+        address = code.get_item_pointer(context, builder, kind, table, arguments[1:])
+        byte, number = ir.IntType(8).as_pointer(), ir.IntType(32)
+        form = ir.FunctionType(ir.VoidType(), [byte, number, number, number])
+        prefetch = code.get_or_insert_function(builder.module, form, "llvm.prefetch.p0i8")
+        how = [number(value) for value in (_READ, _KEEP, _DATA)]
+        builder.call(prefetch, [builder.bitcast(address, byte), *how])
+        return context.get_dummy_value()
+
+    return types.void(rows, types.intp, types.intp), generate
+
+
+fetch: Any = intrinsic(_fetch)
+"""Have one place of a table (array, row, column) on its way to the core, without waiting for it."""
 
 
 class Cells(NamedTuple):
@@ -58,7 +81,7 @@ def columns(breakpoints: Floats) -> Columns:
 
 
 @part
-def find(
+def locate(
     breakpoints: Floats,
     values: Floats,
     near: Columns,

@@ -1,61 +1,49 @@
-"""First contact of one flank with the slot's wall: ``clearance`` without trigonometric functions."""
+"""First contact of a flank with the slot's wall, in closed form.
+
+The flexspline's flank is an arc, a line, an arc and a tip corner; so is the slot's wall. Turning one
+primitive about the circular spline's axis until it touches another has a closed form for every pair:
+
+- Two arcs touch when their centres are d apart: the difference of the radii for hollow on convex, their sum
+  for convex on convex. With the centres p and q from the axis, the angle between them is then ``2 arcsin
+  sqrt((d - p + q) (d + p - q) / (4 p q))``.
+- An arc of radius a touches the line ``n . x = c`` where its centre, p from the axis, stands
+  ``arccos((c - a) / p)`` behind the normal's direction.
+- A tip corner is an arc of radius zero.
+
+As functions of the radius, wall angle less flank angle is the gap; each tangency is a stationary point of
+that gap and each corner an end of its range, so the least of them is the rotation that closes the flank.
+Angles stay sines and cosines and choices are selections, so that the compiler works on several flanks at
+once. A - flank is the + flank of the mirrored tooth.
+"""
 
 from __future__ import annotations
 
 import math
 from typing import NamedTuple
 
-from hd_diag.model.kernel import inline
+import numpy as np
+
+from hd_diag.arrays import Floats
+from hd_diag.model.kernel.compiler import inline, part
+from hd_diag.model.kernel.mesh_data import Arc, Constants, Line
+from hd_diag.model.kernel.poses import Teeth
+
+# Sines up to here become angles by the arcsine's series to x^15, exact to rounding [-].
+_SMALL_SINE = 0.125
 
 
-class Arc(NamedTuple):
-    """Arc: centre, its distance from the origin, radius [m]."""
+class Contacts(NamedTuple):
+    """First contacts of both flanks of some teeth, each (2, teeth).
 
-    x: float
-    y: float
-    distance: float
-    radius: float
+    nan where a tooth does not reach the slots. Sine of the angle by which the tooth axis then leads the
+    slot's; contact point [m] and unit normal in the slot frame about the axis.
+    """
 
-
-class Line(NamedTuple):
-    """Common tangent: unit normal, distance from the origin, end points and (wall) their radii [m]."""
-
-    normal_x: float
-    normal_y: float
-    distance: float
-    outer_x: float
-    outer_y: float
-    outer_radius: float
-    inner_x: float
-    inner_y: float
-    inner_radius: float
-
-
-class Constants(NamedTuple):
-    """What the kernels need of a geometry [m, rad]; the wall is placed about the axis, the tooth is not."""
-
-    semi_major: float
-    semi_minor: float
-    curve_radius: float
-    tooth_pitch: float
-    slot_pitch: float
-    turn_ratio: float
-    pitch_height: float
-    slack: float
-    tip_x: float
-    tip_y: float
-    tooth_addendum: Arc
-    tooth_dedendum: Arc
-    tooth_line: Line
-    wall_addendum: Arc
-    wall_dedendum: Arc
-    wall_line: Line
-    wall_tip: float
-    wall_tip_x: float
-    wall_tip_y: float
-    wall_tip_datum: float
-    flexspline_teeth: int
-    circular_spline_teeth: int
+    sine: Floats
+    x: Floats
+    y: Floats
+    normal_x: Floats
+    normal_y: Floats
 
 
 class Point(NamedTuple):
@@ -264,3 +252,50 @@ def close(c: Constants, height: float, offset: float) -> Touch:
     best = _either(touch.sine < best.sine, touch, best)
     touch = _slot_tip(c, addendum, dedendum, distance, low <= inner, low >= outer)
     return _either(touch.sine < best.sine, touch, best)
+
+
+@part
+def contacts_room(c: Constants) -> Contacts:
+    """Contacts that are not yet found, for all teeth."""
+    shape = (2, c.flexspline_teeth)
+    return Contacts(np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape))
+
+
+@part
+def find(c: Constants, teeth: Teeth, count: int, found: Contacts) -> None:
+    """Set the contacts of the first teeth, so many of them."""
+    for flank in range(2):
+        _find_side(
+            c, teeth.height, teeth.offset, count, 1.0 - 2.0 * flank,
+            found.sine[flank], found.x[flank], found.y[flank], found.normal_x[flank], found.normal_y[flank],
+        )  # fmt: skip
+
+
+@part
+def _find_side(
+    c: Constants,
+    height: Floats,
+    offset: Floats,
+    count: int,
+    side: float,
+    sine: Floats,
+    x: Floats,
+    y: Floats,
+    normal_x: Floats,
+    normal_y: Floats,
+) -> None:
+    for j in range(count):
+        touch = close(c, height[j], side * offset[j])
+        sine[j] = touch.sine
+        x[j], y[j] = touch.x, touch.y
+        normal_x[j], normal_y[j] = touch.normal_x, touch.normal_y
+
+
+@inline
+def closing_angle(sine: float) -> float:
+    """Arcsine, mostly by its series [rad]."""
+    if abs(sine) > _SMALL_SINE:
+        return math.asin(sine)
+    x = sine * sine
+    low = 1 / 6 + x * (3 / 40 + x * (5 / 112 + x * 35 / 1152))
+    return sine + sine * x * (low + x * x * x * x * (63 / 2816 + x * (231 / 13312 + x * 143 / 10240)))

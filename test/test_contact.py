@@ -10,10 +10,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from reference import polyline, published
 
-from hd_diag.model.clearance import Contact, all_teeth
-from hd_diag.model.torsion import Mesh
+from hd_diag.model.contact import Contact, contacts
+from hd_diag.model.mesh import Mesh
 
-pytestmark = pytest.mark.usefixtures("solver")
 Array = polyline.Array
 Vector = tuple[float, float]
 
@@ -39,11 +38,13 @@ moments = st.builds(Moment, st.floats(-20, 20), vectors(20e-6), vectors(8e-6), s
 
 
 def spread(mesh: Mesh, angle: float) -> tuple[Array, Array, Array]:
-    """Rotation, radius and pressure angle, each (2, Z_R)."""
-    contact = mesh.contacts(np.array([angle]))
-    values = (contact.rotation, contact.radius, contact.pressure_angle)
-    rotation, radius, pressure = (all_teeth(mesh.geometry, contact, value)[0] for value in values)
-    return rotation, radius, pressure
+    """Rotation, radius and pressure angle of all teeth, each (2, Z_R)."""
+    contact = contacts(mesh, np.array([angle]))
+    found = np.full((3, 2, mesh.geometry.flexspline_teeth), np.nan)
+    values = contact.rotation[0], contact.radius[0], contact.pressure_angle[0]
+    found[:, :, contact.teeth[0]] = np.stack(values)
+    assert np.unique(contact.teeth[0]).size == contact.teeth.shape[1]
+    return found[0], found[1], found[2]
 
 
 def backlash(mesh: Mesh, angle: float) -> Array:
@@ -81,7 +82,7 @@ def test_published_backlash(eccentricity: float) -> None:
 def test_contact_point_lies_on_both_flanks(moment: Moment) -> None:
     mesh = drives.mesh(drives.PAPER, *moment[1:])
     geometry = mesh.geometry
-    contact = mesh.contacts(np.array([moment.angle]))
+    contact = contacts(mesh, np.array([moment.angle]))
     origin, normal = polyline.tooth_axes(*moment)
     for side, sign in enumerate((1, -1)):
         touching = np.flatnonzero(~np.isnan(contact.rotation[0, side]))
@@ -102,7 +103,7 @@ def test_contact_point_lies_on_both_flanks(moment: Moment) -> None:
 
 def test_teeth_meet_the_nearest_slots(paper_mesh: Mesh) -> None:
     angle = np.linspace(0, 40, 50)
-    contact = paper_mesh.contacts(angle)
+    contact = contacts(paper_mesh, angle)
     for k, turned in enumerate(angle):
         origin, _ = polyline.tooth_axes(turned)
         direction = np.arctan2(origin[1], origin[0])[contact.teeth[k]]
@@ -133,7 +134,7 @@ def test_pairs_that_cannot_touch_are_nan(moment: Moment) -> None:
 def test_tips_of_the_circular_spline_touch() -> None:
     """In one of the drives; without it the reference would test no such contact."""
     drive = drives.DRIVES["200/202 with tips of 31.05 mm, which touch"]
-    contact = drives.mesh(drive, (0.0, 15e-6)).contacts(np.linspace(0, 1, 5))
+    contact = contacts(drives.mesh(drive, (0.0, 15e-6)), np.linspace(0, 1, 5))
     assert np.count_nonzero(np.abs(contact.radius - drive.circular_spline_tip_radius) < 1e-15) > 50
 
 
@@ -227,20 +228,8 @@ def contact_of(contact: Contact, row: int) -> list[Array]:
 def test_one_moment_equals_many_to_the_last_bit() -> None:
     mesh = drives.mesh(eccentricity=(9e-6, -14e-6), runout=(3e-6, 0.0))
     angle = np.linspace(-9, 30, 400)
-    many = mesh.contacts(angle)
+    many = contacts(mesh, angle)
     for row in range(0, angle.size, 7):
-        one = mesh.contacts(angle[row : row + 1])
+        one = contacts(mesh, angle[row : row + 1])
         for found, expected in zip(contact_of(one, 0), contact_of(many, row), strict=True):
             assert_array_equal(found, expected)
-
-
-def test_all_teeth_places_every_value_and_marks_the_others(paper_mesh: Mesh) -> None:
-    contact = paper_mesh.contacts(np.array([0.0, 2.5]))
-    found = all_teeth(paper_mesh.geometry, contact, contact.rotation, missing=-7.0)
-    assert found.shape == (2, 2, 200)
-    for row in range(2):
-        assert_array_equal(found[row][:, contact.teeth[row]], contact.rotation[row])
-        others = np.setdiff1d(np.arange(200), contact.teeth[row])
-        assert others.size > 0
-        assert np.all(found[row][:, others] == -7.0)
-        assert np.unique(contact.teeth[row]).size == contact.teeth.shape[1]

@@ -1,4 +1,9 @@
-"""Poses of the teeth near both lobes: ``neutral_curve.tooth_axes`` and the pose of ``clearance.contacts``."""
+"""Poses of the teeth near both lobes, the only ones that can reach the slots.
+
+Tooth i stands at ``s_i = R_b (theta_F + 2 pi i / Z_R - theta_W) + s_0`` along the neutral curve: Dong et al.
+(2019), eqs. (1)-(7). Its foot point and axis are those of ``neutral_curve.tooth_axes``, moved by the wave
+generator's displacement. Angles are cosines and sines here: the next tooth is one rotation by a pitch away.
+"""
 
 from __future__ import annotations
 
@@ -8,38 +13,23 @@ from typing import NamedTuple
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.model.kernel import inline, part
-from hd_diag.model.kernel.touch import Constants
-
-
-class Tables(NamedTuple):
-    """Arrays of a geometry: the curve's harmonics, cos and sin of whole pitches, how far out teeth end."""
-
-    harmonics: Floats
-    pitch_cos: Floats
-    pitch_sin: Floats
-    reach_angle: Floats
-    reach_radius: Floats
-
-
-class MeshData(NamedTuple):
-    """A geometry, its tooth compliance [m/N] and arc offset [m]."""
-
-    constants: Constants
-    tables: Tables
-    compliance: float
-    arc_offset: float
+from hd_diag.model.kernel.compiler import inline, part
+from hd_diag.model.kernel.mesh_data import Constants, MeshData
 
 
 class Teeth(NamedTuple):
-    """Poses of teeth: foot point, lead, tooth axis, curvature, slot, number; and the curve's own arrays."""
+    """Poses of teeth, each (teeth,), and working space.
+
+    Foot point along the tooth axis and counter-clockwise across it, about the circular spline's axis [m];
+    angle by which the tooth axis leads its slot's [rad]; cosine and sine of the tooth axis from the long
+    axis; number of the slot; number of the tooth, counted on over turns.
+    """
 
     height: Floats
     offset: Floats
     lead: Floats
     cosine: Floats
     sine: Floats
-    curvature: Floats
     slot: Floats
     number: Floats
     place_cos: Floats
@@ -54,13 +44,13 @@ def room(c: Constants) -> Teeth:
     n = c.flexspline_teeth
     return Teeth(
         np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n),
-        np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n),
+        np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n),
     )  # fmt: skip
 
 
 @part
 def reach(mesh: MeshData, eccentricity: float) -> float:
-    """Greatest angle from a lobe at which a tooth can reach the slots [rad], as ``clearance`` has it."""
+    """Greatest angle from a lobe at which a tooth's tip can lie beyond the slots' tip radius [rad]."""
     radius, k = mesh.tables.reach_radius, 0
     while k < radius.size - 1 and not radius[k] + eccentricity < mesh.constants.wall_tip:
         k += 1
@@ -108,7 +98,7 @@ def _excess(harmonics: Floats, count: int, sine: Floats, later: Floats, last: Fl
 
 @part
 def _axes(c: Constants, count: int, center: complex, excess: Floats, teeth: Teeth) -> None:
-    """Tooth axes, foot points and curvatures; lead is for now the axis' angle less u."""
+    """Tooth axes and foot points; lead is for now the axis' angle less u."""
     a, b, center_x, center_y = c.semi_major, c.semi_minor, center.real, center.imag
     for j in range(count):
         cosine, sine = teeth.place_cos[j], teeth.place_sin[j]
@@ -123,7 +113,6 @@ def _axes(c: Constants, count: int, center: complex, excess: Floats, teeth: Teet
         teeth.height[j] = a * b * inverse + center_x * axis_x + center_y * axis_y
         teeth.offset[j] = (b * b - a * a) * cross * inverse + center_y * axis_x - center_x * axis_y
         teeth.cosine[j], teeth.sine[j] = axis_x, axis_y
-        teeth.curvature[j] = a * b * inverse * inverse * inverse
 
 
 @part

@@ -1,4 +1,10 @@
-"""One torsion for all teeth: ``load_sharing`` solved from piece to piece, or in one walk for many torques."""
+"""One torsion for all teeth, solved exactly.
+
+A torsion beta asks for the torque ``sum k+ (beta - b+)_+ - sum k- (-beta - b-)_+`` with ``k = (r cos alpha)^2
+/ (K1 + K2)`` of each flank: Dong et al. (2019), eq. (8), in the form that agrees with "loaded where the
+torsion exceeds the backlash". It rises and is linear between the torsions at which flanks begin to bear, so
+its inverse is found from piece to piece, exactly, for one torque or in one walk for many.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from hd_diag.arrays import Floats, Integers
-from hd_diag.model.kernel import inline, part
-from hd_diag.model.kernel.teeth import MeshData, Teeth, place, reach, room
-from hd_diag.model.kernel.touch import Constants, close
-
-# Sines up to here become angles by the arcsine's series to x^15, exact to rounding [-].
-_SMALL_SINE = 0.125
+from hd_diag.model.kernel.compiler import part
+from hd_diag.model.kernel.contact import Contacts, closing_angle, contacts_room, find
+from hd_diag.model.kernel.mesh_data import Constants, MeshData
+from hd_diag.model.kernel.poses import Teeth, place, reach, room
 
 # A torsion is found when an iteration moves it by less than this share of itself [-], or of this one [rad].
 _ROUNDING = 1e-15
@@ -38,11 +42,10 @@ class Flanks(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Room for one moment, used again at the next; sines and lever arms are (2, teeth)."""
+    """Working space for one moment, used again at the next."""
 
     teeth: Teeth
-    sine: Floats
-    lever: Floats
+    contacts: Contacts
     plus: Side
     minus: Side
 
@@ -51,53 +54,34 @@ class Scratch(NamedTuple):
 def scratch(c: Constants) -> Scratch:
     """Room for as many flanks as there are teeth."""
     n = c.flexspline_teeth
-    plus = Side(np.empty(n), np.empty(n), np.empty(n, dtype=np.int64))
-    minus = Side(np.empty(n), np.empty(n), np.empty(n, dtype=np.int64))
-    return Scratch(room(c), np.empty((2, n)), np.empty((2, n)), plus, minus)
+    return Scratch(room(c), contacts_room(c), side_room(n), side_room(n))
+
+
+@part
+def side_room(count: int) -> Side:
+    """Room for so many flanks of one side."""
+    return Side(np.empty(count), np.empty(count), np.empty(count, dtype=np.int64))
 
 
 @part
 def flanks(mesh: MeshData, turn: float, eccentricity: complex, work: Scratch) -> Flanks:
-    """Solve the contacts of one moment; none where a number is not finite."""
-    count = place_teeth(mesh, turn, eccentricity, work.teeth)
-    height, offset = work.teeth.height, work.teeth.offset
-    _levers(mesh.constants, height, offset, count, 1.0, work.sine[0], work.lever[0])
-    _levers(mesh.constants, height, offset, count, -1.0, work.sine[1], work.lever[1])
-    return sides(mesh, work, count, work.sine, work.lever)
+    """Solve the contacts of one moment, which stay in the scratch; none where a number is not finite."""
+    count = 0
+    if math.isfinite(turn) and math.isfinite(eccentricity.real) and math.isfinite(eccentricity.imag):
+        center = eccentricity * complex(math.cos(turn), -math.sin(turn))
+        count = place(mesh, turn, center, reach(mesh, abs(eccentricity)), work.teeth)
+    find(mesh.constants, work.teeth, count, work.contacts)
+    plus = _side(mesh, work, count, 0, work.plus)
+    return both(plus, _side(mesh, work, count, 1, work.minus))
 
 
 @part
-def place_teeth(mesh: MeshData, turn: float, eccentricity: complex, teeth: Teeth) -> int:
-    """Set the poses of the teeth within reach and give their number; 0 where a number is not finite."""
-    if not (math.isfinite(turn) and math.isfinite(eccentricity.real) and math.isfinite(eccentricity.imag)):
-        return 0
-    angle = reach(mesh, abs(eccentricity))
-    center = eccentricity * complex(math.cos(turn), -math.sin(turn))
-    return place(mesh, turn, center, angle, teeth)
-
-
-@part
-def sides(mesh: MeshData, work: Scratch, count: int, sine: Floats, lever: Floats) -> Flanks:
-    """Flanks that can bear, by the sines of their closing angles and their lever arms (2, teeth)."""
-    plus = _side(mesh, work.teeth.lead, count, 1.0, sine[0], lever[0], work.plus)
-    minus = _side(mesh, work.teeth.lead, count, -1.0, sine[1], lever[1], work.minus)
-    low, high = -math.inf, math.inf
-    for start in minus.start:
-        low = max(low, start)
-    for start in plus.start:
-        high = min(high, start)
-    return Flanks(plus, minus, low, high)
-
-
-@part
-def _side(
-    mesh: MeshData, lead: Floats, count: int, side: float, sine: Floats, levers: Floats, room: Side
-) -> Side:
-    found = 0
+def _side(mesh: MeshData, work: Scratch, count: int, flank: int, room: Side) -> Side:
+    seen, side, found = work.contacts, 1.0 - 2.0 * flank, 0
     for j in range(count):
-        lever = levers[j]
+        lever = seen.x[flank, j] * seen.normal_y[flank, j] - seen.y[flank, j] * seen.normal_x[flank, j]
         if not math.isnan(lever):
-            room.start[found] = side * closing_angle(sine[j]) - lead[j]
+            room.start[found] = side * closing_angle(seen.sine[flank, j]) - work.teeth.lead[j]
             room.gain[found] = lever * lever / mesh.compliance
             room.column[found] = j
             found += 1
@@ -105,24 +89,25 @@ def _side(
 
 
 @part
-def _levers(
-    c: Constants, height: Floats, offset: Floats, count: int, side: float, sine: Floats, lever: Floats
-) -> None:
-    """Sine of the closing angle and lever arm [m] of one side's flanks; the compiler does several at once."""
-    for j in range(count):
-        touch = close(c, height[j], side * offset[j])
-        sine[j] = touch.sine
-        lever[j] = touch.x * touch.normal_y - touch.y * touch.normal_x
+def given_side(rotation: Floats, stiffness: Floats, side: float, room: Side) -> Side:
+    """Flanks of given closing rotations [rad] and stiffness [N m/rad]; not finite: cannot touch."""
+    found = 0
+    for j in range(rotation.size):
+        if math.isfinite(rotation[j]):
+            room.start[found], room.gain[found], room.column[found] = side * rotation[j], stiffness[j], j
+            found += 1
+    return Side(room.start[:found], room.gain[:found], room.column[:found])
 
 
-@inline
-def closing_angle(sine: float) -> float:
-    """Arcsine, mostly by its series [rad]."""
-    if abs(sine) > _SMALL_SINE:
-        return math.asin(sine)
-    x = sine * sine
-    low = 1 / 6 + x * (3 / 40 + x * (5 / 112 + x * 35 / 1152))
-    return sine + sine * x * (low + x * x * x * x * (63 / 2816 + x * (231 / 13312 + x * 143 / 10240)))
+@part
+def both(plus: Side, minus: Side) -> Flanks:
+    """Both sides together."""
+    low, high = -math.inf, math.inf
+    for start in minus.start:
+        low = max(low, start)
+    for start in plus.start:
+        high = min(high, start)
+    return Flanks(plus, minus, low, high)
 
 
 @part
@@ -147,15 +132,6 @@ def middle(flanks: Flanks) -> float:
 
 
 @part
-def _first_guess(flanks: Flanks, torque: float) -> float:
-    """Within the preload, or (true gap) as if every flank of the loaded side bore: beyond the solution."""
-    if flanks.low >= flanks.high:
-        return 0.5 * (flanks.low + flanks.high)
-    stiffness, moment = bearing(flanks, math.inf if torque > 0.0 else -math.inf)
-    return (torque + moment) / stiffness if stiffness > 0.0 else math.nan
-
-
-@part
 def balance(flanks: Flanks, torque: float) -> float:
     """Torsion at one torque: Newton's iteration over the pieces, kept in a bracket; exact where it rests."""
     if torque == 0.0 and flanks.high > flanks.low:
@@ -174,7 +150,27 @@ def balance(flanks: Flanks, torque: float) -> float:
 
 
 @part
-def walk(flanks: Flanks, torque: Floats, beta: Floats) -> None:
+def _first_guess(flanks: Flanks, torque: float) -> float:
+    """Within the preload, or (true gap) as if every flank of the loaded side bore: beyond the solution."""
+    if flanks.low >= flanks.high:
+        return 0.5 * (flanks.low + flanks.high)
+    stiffness, moment = bearing(flanks, math.inf if torque > 0.0 else -math.inf)
+    return (torque + moment) / stiffness if stiffness > 0.0 else math.nan
+
+
+@part
+def balance_all(flanks: Flanks, torque: Floats, beta: Floats) -> None:
+    """Torsions at rising torques."""
+    first = last = 0
+    if flanks.high > flanks.low:
+        first, last = int(np.searchsorted(torque, 0.0)), int(np.searchsorted(torque, 0.0, side="right"))
+        beta[first:last] = middle(flanks)
+    _walk(flanks, torque[:first], beta[:first])
+    _walk(flanks, torque[last:], beta[last:])
+
+
+@part
+def _walk(flanks: Flanks, torque: Floats, beta: Floats) -> None:
     """Torsions at rising torques that do not cross a true gap; only breakpoints in between are sorted."""
     if torque.size == 0:
         return

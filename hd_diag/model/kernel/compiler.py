@@ -1,0 +1,34 @@
+"""How kernels are compiled: entry points are kept on disk, parts become part of the entry points."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numba
+
+Kernel = TypeVar("Kernel", bound=Callable[..., Any])
+
+# Of all kernels: numba's cache looks at the entry point's own file only and misses changes in the others.
+_CHECKSUM = zlib.crc32(b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))))
+
+
+def entry_point(function: Kernel) -> Kernel:
+    """Compile when first called; keep the machine code on disk if any cache folder can be written."""
+    function.__qualname__ = f"{function.__name__}_{_CHECKSUM:08x}"  # the file on disk is named after it
+    try:
+        return cast(Kernel, numba.njit(cache=True, nogil=True, error_model="numpy")(function))
+    except RuntimeError:  # numba can write neither beside the package nor in the user's cache folder
+        return part(function)
+
+
+def part(function: Kernel) -> Kernel:
+    """Compile as part of entry points, in whose machine code it is kept."""
+    return cast(Kernel, numba.njit(nogil=True, error_model="numpy")(function))
+
+
+def inline(function: Kernel) -> Kernel:
+    """Compile as part of a loop over flanks, which the compiler can vectorise only if it sees it whole."""
+    return cast(Kernel, numba.njit(nogil=True, error_model="numpy", forceinline=True)(function))

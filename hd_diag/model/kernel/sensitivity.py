@@ -1,0 +1,206 @@
+"""Derivatives of the torsion by parameters of the mesh, got with the torsion itself.
+
+With K the stiffness of the loaded flanks, ``K d beta`` is the sum of ``k db - (beta - b) dk`` over the loaded
++ flanks less that of ``k db - (-beta - b) dk`` over the loaded - flanks. By the envelope theorem db is the
+tooth's motion against the contact's normal over the lever arm: the contact's own motion does not count. ``k =
+(r cos alpha)^2 / (K1 + K2)`` changes too, for conformal arcs turn their normal fast. Tip radii stay when the
+datum moves. beta has kinks where a flank begins to bear; there a derivative is that of one side.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hd_diag.arrays import Floats
+from hd_diag.model.kernel.compiler import inline, part
+from hd_diag.model.kernel.contact import close
+from hd_diag.model.kernel.load_sharing import Flanks, Side, balance
+from hd_diag.model.kernel.mesh_data import Constants, MeshData
+from hd_diag.model.kernel.poses import Teeth
+
+PARAMETERS = 3
+"""E_x and E_y in the wave generator's frame, r_0; of the others the derivatives follow from dbeta/dM."""
+
+
+@inline
+def _slopes(
+    c: Constants, teeth: Teeth, i: int, side: float, weight: float, release: float
+) -> tuple[float, float, float]:
+    """What a flank adds to K d beta by the parameters.
+
+    That is ``weight`` times db/dp, less ``release`` times the change of half the squared lever arm.
+    """
+    touch = close(c, teeth.height[i], side * teeth.offset[i])
+    lever = touch.x * touch.normal_y - touch.y * touch.normal_x
+    sine, cosine = touch.sine, math.sqrt(1.0 - touch.sine * touch.sine)
+    along = -(touch.normal_x * cosine + touch.normal_y * sine) / lever
+    across = -(touch.normal_y * cosine - touch.normal_x * sine) / lever
+    height = side * (weight * along - release * touch.lever_height)
+    offset = weight * across - release * touch.lever_offset
+    return (
+        height * teeth.cosine[i] - offset * teeth.sine[i],
+        height * teeth.sine[i] + offset * teeth.cosine[i],
+        side * (weight * touch.datum / lever - release * touch.lever_datum),
+    )
+
+
+@inline
+def _add(gradient: Floats, slopes: tuple[float, float, float]) -> None:
+    gradient[0] += slopes[0]
+    gradient[1] += slopes[1]
+    gradient[2] += slopes[2]
+
+
+# At one torque ---
+
+
+@part
+def fill(mesh: MeshData, teeth: Teeth, flanks: Flanks, torque: float, beta: float, gradient: Floats) -> None:
+    """Set the derivatives of one moment by `PARAMETERS` and by M (4,)."""
+    gradient[:] = 0.0 if math.isfinite(beta) else math.nan
+    if torque == 0.0 and flanks.high > flanks.low:
+        _add_edge(mesh, teeth, flanks.plus, flanks.high, 1.0, gradient)
+        _add_edge(mesh, teeth, flanks.minus, flanks.low, -1.0, gradient)
+        gradient[PARAMETERS] = math.inf
+    else:
+        stiffness = _add_side(mesh, teeth, flanks.plus, beta, 1.0, gradient)
+        stiffness += _add_side(mesh, teeth, flanks.minus, beta, -1.0, gradient)
+        gradient /= stiffness
+        gradient[PARAMETERS] = 1.0 / stiffness
+
+
+@part
+def _add_side(
+    mesh: MeshData, teeth: Teeth, flanks: Side, beta: float, side: float, gradient: Floats
+) -> float:
+    """Add the flanks of one side that bear, and give their stiffness."""
+    stiffness = 0.0
+    for j in range(flanks.start.size):
+        overlap = side * (beta - flanks.start[j])
+        if overlap > 0.0:
+            release = 2.0 * overlap / mesh.compliance
+            _add(gradient, _slopes(mesh.constants, teeth, flanks.column[j], side, flanks.gain[j], release))
+            stiffness += flanks.gain[j]
+    return stiffness
+
+
+@part
+def _add_edge(mesh: MeshData, teeth: Teeth, flanks: Side, edge: float, side: float, gradient: Floats) -> None:
+    """Add one end of a true gap, whose middle is the torsion."""
+    for j in range(flanks.start.size):
+        if flanks.start[j] == edge:
+            _add(gradient, _slopes(mesh.constants, teeth, flanks.column[j], side, 0.5, 0.0))
+            return
+
+
+# Over torque ---
+
+
+class Pieces(NamedTuple):
+    """Pieces of the torsion over torque, rising: torque at which each begins, and what bears on it.
+
+    The sums over its flanks are, in columns: stiffness; stiffness times start; K d beta by every parameter
+    at zero torsion; its change with the torsion. Flanks, + before -, have the same of their own.
+    """
+
+    begin: Floats
+    sums: Floats
+    flank: Floats
+    start: Floats
+
+
+@part
+def pieces_room(flexspline_teeth: int) -> Pieces:
+    """Room for as many flanks as there are teeth."""
+    flanks, columns = 2 * flexspline_teeth, 2 + 2 * PARAMETERS
+    pieces = flanks + 4
+    return Pieces(
+        np.empty(pieces), np.empty((pieces, columns)), np.empty((flanks, columns)), np.empty(flanks)
+    )
+
+
+@part
+def fill_pieces(mesh: MeshData, teeth: Teeth, flanks: Flanks, limit: float, room: Pieces) -> int:
+    """Set the pieces from -limit to limit and give their number; none where the teeth cannot bear it."""
+    lowest, highest = balance(flanks, -limit), balance(flanks, limit)
+    if not (math.isfinite(lowest) and math.isfinite(highest)):
+        return 0
+    _set_flanks(mesh, teeth, flanks.plus, 1.0, highest, 0, room)
+    _set_flanks(mesh, teeth, flanks.minus, -1.0, lowest, flanks.plus.start.size, room)
+    if flanks.high > flanks.low:
+        size = _append(flanks, lowest, flanks.low, -limit, 0, room)
+        return _append(flanks, flanks.high, highest, 0.0, size, room)
+    return _append(flanks, lowest, highest, -limit, 0, room)
+
+
+@part
+def add(room: Pieces, size: int, torque: float, weight: float, found: Floats) -> None:
+    """Add the weighted derivatives at a torque, by the parameters and by itself, then the torsion.
+
+    Between two pieces that meet it is the middle: that of a true gap at zero torque.
+    """
+    at = max(int(np.searchsorted(room.begin[:size], torque, side="right")) - 1, 0)
+    if at > 0 and room.begin[at] == torque:
+        _add_piece(room.sums[at - 1], torque, 0.5 * weight, found)
+        weight = 0.5 * weight
+    _add_piece(room.sums[at], torque, weight, found)
+
+
+@part
+def _add_piece(sums: Floats, torque: float, weight: float, found: Floats) -> None:
+    beta = (torque + sums[1]) / sums[0]
+    share = weight / sums[0]
+    for k in range(PARAMETERS):
+        found[k] += share * (sums[2 + k] + beta * sums[2 + PARAMETERS + k])
+    found[PARAMETERS] += share
+    found[PARAMETERS + 1] += weight * beta
+
+
+@part
+def _set_flanks(
+    mesh: MeshData, teeth: Teeth, flanks: Side, side: float, farthest: float, first: int, room: Pieces
+) -> None:
+    """Set what a side's flanks have of their own, where they begin before the farthest torsion."""
+    softening = 2.0 / mesh.compliance
+    for j in range(flanks.start.size):
+        start, i, own = flanks.start[j], flanks.column[j], room.flank[first + j]
+        room.start[first + j] = start
+        if side * start > side * farthest:
+            continue
+        at_rest = _slopes(mesh.constants, teeth, i, side, flanks.gain[j], 0.0)
+        released = _slopes(mesh.constants, teeth, i, side, 0.0, softening)
+        own[0], own[1] = flanks.gain[j], flanks.gain[j] * start
+        own[5], own[6], own[7] = side * released[0], side * released[1], side * released[2]
+        own[2], own[3] = at_rest[0] - start * own[5], at_rest[1] - start * own[6]
+        own[4] = at_rest[2] - start * own[7]
+
+
+@part
+def _append(flanks: Flanks, lowest: float, highest: float, torque: float, size: int, room: Pieces) -> int:
+    """Append the pieces between two torsions, the first of which begins at a torque."""
+    plus = flanks.plus.start.size
+    sums = room.sums[size]
+    sums[:] = 0.0
+    changing, found = np.empty(plus + flanks.minus.start.size, dtype=np.int64), 0
+    for j in range(changing.size):
+        start = room.start[j]
+        if start <= lowest if j < plus else start >= lowest:
+            for k in range(sums.size):
+                sums[k] += room.flank[j, k]
+        if (lowest < start < highest) if j < plus else (lowest <= start < highest):
+            changing[found] = j
+            found += 1
+    room.begin[size] = torque
+    order = np.argsort(room.start[changing[:found]])
+    for j in changing[order]:
+        before, after = room.sums[size], room.sums[size + 1]
+        # Rounding must not give a torque that falls.
+        room.begin[size + 1] = max(before[0] * room.start[j] - before[1], room.begin[size])
+        sign = 1.0 if j < plus else -1.0
+        for k in range(before.size):
+            after[k] = before[k] + sign * room.flank[j, k]
+        size += 1
+    return size + 1

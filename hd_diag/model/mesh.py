@@ -1,0 +1,92 @@
+"""A mesh: geometry, what assembly and material add to it, and where the wave generator then stands."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from hd_diag.arrays import Complexes, Floats
+from hd_diag.model.geometry import Geometry
+from hd_diag.model.kernel.mesh_data import MeshData
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A geometry with what assembly and material add to it.
+
+    Parameters
+    ----------
+    geometry : Geometry
+    tooth_compliance : float
+        K1 + K2 of a tooth pair [m/N].
+    eccentricity : complex
+        E, displacement of the wave generator's centre fixed in the housing, x + iy [m].
+    runout : complex
+        The part that turns with the wave generator, at theta_W = 0 [m].
+    arc_offset : float
+        s_0, shift of the teeth along the neutral curve [m].
+
+    Raises
+    ------
+    ValueError
+        Naming the value that cannot be; for eccentricity and runout together, the largest sum that can.
+    """
+
+    geometry: Geometry
+    tooth_compliance: float = 1.0e-6
+    eccentricity: complex = 0.0
+    runout: complex = 0.0
+    arc_offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.tooth_compliance < math.inf:
+            raise ValueError(
+                f"tooth_compliance must be positive and finite, not {self.tooth_compliance:g} m/N"
+            )
+        if not math.isfinite(self.arc_offset):
+            raise ValueError(f"arc_offset must be finite, not {self.arc_offset:g} m")
+        _check_displacement(self)
+
+    def displacement(self, wave_generator_angle: Floats) -> Complexes:
+        """Where the wave generator's centre is at theta_W [rad]: x + iy in the housing [m]."""
+        turning: Complexes = np.exp(1j * wave_generator_angle)
+        return self.eccentricity + self.runout * turning
+
+    @cached_property
+    def data(self) -> MeshData:
+        """Its numbers as the kernels take them."""
+        return MeshData(*self.geometry.data, float(self.tooth_compliance), float(self.arc_offset))
+
+
+def contiguous(values: float | Floats) -> Floats:
+    """Contiguous and free to be written to: numba would compile kernels anew for anything else."""
+    found = np.ascontiguousarray(values, dtype=np.float64)
+    return found if found.flags.writeable else found.copy()
+
+
+def moments(
+    mesh: Mesh, wave_generator_angle: Floats, torque: float | Floats = 0.0
+) -> tuple[Floats, Complexes, Floats]:
+    """Wave generator angle [rad], displacement of its centre [m] and torque [N m] of every moment."""
+    turn = contiguous(wave_generator_angle)
+    return turn, mesh.displacement(turn), contiguous(np.broadcast_to(torque, turn.shape))
+
+
+def _check_displacement(mesh: Mesh) -> None:
+    geometry = mesh.geometry
+    tip_radius = geometry.circular_spline_tip_radius
+    slot_end = geometry.circular_spline_datum + geometry.slot_end
+    largest, place = min(
+        (tip_radius - geometry.semi_major - geometry.flexspline_root, "root at the long axis"),
+        (slot_end - geometry.semi_major - geometry.flexspline_tip, "tip at the long axis"),
+        (tip_radius - geometry.semi_minor - geometry.flexspline_tip, "tip at the short axis"),
+    )
+    eccentricity, runout = abs(mesh.eccentricity), abs(mesh.runout)
+    if not eccentricity + runout < largest:
+        raise ValueError(
+            f"eccentricity ({eccentricity * 1e6:.6g} um) and runout ({runout * 1e6:.6g} um) must add up to "
+            f"less than {largest * 1e6:.6g} um, at which the flexspline's {place} strikes the circular spline"
+        )

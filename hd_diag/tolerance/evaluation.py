@@ -1,0 +1,95 @@
+"""Everything that is judged of a mesh, at many moments and torques at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hd_diag.arrays import Complexes, Floats
+from hd_diag.model import torsion
+from hd_diag.model.kernel.mesh_data import blank
+from hd_diag.model.mesh import Mesh, contiguous
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Quantities of n moments, those under load at q torques.
+
+    Attributes
+    ----------
+    interference : ndarray, shape (n,)
+        How far the teeth at lobe 0 overlap with the slots, circumferential [m]: the least backlash of their
+        flanks with the opposite sign, the tooth at the lobe held on the axis (see :func:`evaluate`).
+    overlap : ndarray, shape (n,)
+        How far both lobes press against each other at zero torque, circumferential [m]; negative: clearance.
+        Above zero no rotation of the cup frees all teeth.
+    torsion : ndarray, shape (n, q)
+        beta [rad].
+    stiffness : ndarray, shape (n, q)
+        dM/dbeta of the teeth [N m/rad].
+    peak_load : ndarray, shape (n, q)
+        Largest normal force on a flank [N].
+    load_concentration : ndarray, shape (n, q)
+        Largest over mean force of the loaded flanks [-]; 1 where none is.
+    """
+
+    interference: Floats
+    overlap: Floats
+    torsion: Floats
+    stiffness: Floats
+    peak_load: Floats
+    load_concentration: Floats
+
+
+def evaluate(
+    mesh: Mesh,
+    wave_generator_angle: Floats,
+    displacement: Complexes,
+    torque: Floats,
+    slot_angle: Floats | None = None,
+) -> Evaluation:
+    """Quantities of a mesh at any number of moments.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Gives geometry and compliance; its eccentricity and runout do not count.
+    wave_generator_angle : ndarray, shape (n,)
+        theta_W [rad].
+    displacement : ndarray of complex, shape (n,)
+        Of the wave generator's centre in the housing, x + iy [m].
+    torque : ndarray, shape (q,)
+        M on the cup [N m].
+    slot_angle : ndarray, shape (Z_G,), optional
+        By how much each slot stands counter-clockwise of its place [rad].
+
+    Returns
+    -------
+    Evaluation
+        nan where no flank can bear the torque.
+
+    Notes
+    -----
+    Interference as in Dong et al. (2019), section 4.2: tooth 0 stays on the axis although the wave generator
+    is displaced across it (eq. 1), hence the arc offset ``s_0 = -E_across``; a tooth's backlash is the lesser
+    of its two flanks; the least of the lobe at tooth 0 counts, for at the other lobe the displacement points
+    the other way.
+    """
+    from hd_diag.tolerance import kernel  # here, because numba takes its time
+
+    turn, center = contiguous(wave_generator_angle), np.ascontiguousarray(displacement, dtype=np.complex128)
+    across: Floats = np.imag(center * np.exp(-1j * turn))
+    slots = np.zeros(mesh.geometry.circular_spline_teeth) if slot_angle is None else contiguous(slot_angle)
+    geometry, loads = kernel.evaluate(mesh.data, turn, center, -across, slots, contiguous(torque))
+    gap, least, radius = geometry.T
+    return Evaluation(-least, -gap * radius, *np.moveaxis(loads, 2, 0))
+
+
+def warm_up() -> None:
+    """Compile now, or read from the disk, the model's kernels and that of :func:`evaluate`."""
+    from hd_diag.tolerance import kernel
+
+    torsion.warm_up()
+    row = np.empty(0)
+    kernel.evaluate(blank(), row, row.astype(np.complex128), row, row, row)
