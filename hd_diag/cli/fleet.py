@@ -10,9 +10,10 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
+import numpy as np
 from rich.console import Console
 
 from hd_diag.cli.options import (
@@ -28,14 +29,19 @@ from hd_diag.cli.options import (
 )
 from hd_diag.cli.progress import bar, interrupts
 from hd_diag.cli.verbs import INTERRUPTED
+from hd_diag.config.catalogue import load
 from hd_diag.config.configuration import JointConfig
 from hd_diag.fleet import FleetError
+from hd_diag.fleet.cluster import ClusterPool
+from hd_diag.fleet.journal import JOURNAL_SUFFIX, Journal
+from hd_diag.fleet.rows import Row
+from hd_diag.fleet.run import Fleet, Progress, diagnose_fleet
+from hd_diag.fleet.series import ECCENTRICITY, NOMINAL, REFIT, series_of
+from hd_diag.fleet.summary import as_json, error_line, sentences, table
+from hd_diag.fleet.survey import find_bags
+from hd_diag.fleet.trend import CHANGED, Trend, trends
 from hd_diag.model.threads import cores
-
-if TYPE_CHECKING:
-    from hd_diag.fleet.rows import Row
-    from hd_diag.fleet.run import Fleet, Progress
-    from hd_diag.fleet.trend import Trend
+from hd_diag.process_pool import ProcessPool
 
 _NEEDED = ("pyarrow", "ruptures")
 _MEMORY_SHARE = 0.9  # of the machine's, for all workers together
@@ -111,13 +117,13 @@ def fleet(bags: tuple[Path, ...], config_file: str | None, names: tuple[str, ...
     try:
         limits = _limits(joints, options["limits"])
         chosen = _fleet(bags, config, joints, options)
-        rows, trends = _run(chosen, limits, options)
-        _write(rows, trends, options)
+        rows, found = _run(chosen, limits, options)
+        _write(rows, found, options)
     except FleetError as error:
         raise Problem(str(error)) from error
     if options["json_file"] != "-":
-        _show(rows, trends, options["out"])
-    sys.exit(_code(rows, trends, options))
+        _show(rows, found, options["out"])
+    sys.exit(_code(rows, found, options))
 
 
 def _fleet(
@@ -128,8 +134,6 @@ def _fleet(
     if missing:
         raise FleetError(f"fleet needs {' and '.join(missing)}: pip install {' '.join(missing)}")
     from hd_diag.fleet.plots import check_format
-    from hd_diag.fleet.run import Fleet
-    from hd_diag.fleet.survey import find_bags
 
     if options["scheduler"] and (options["jobs"] or options["memory"]):
         raise FleetError("--jobs and --memory are of this machine: with --scheduler its workers set them")
@@ -161,10 +165,7 @@ def _pattern(text: str | None) -> re.Pattern[str] | None:
 
 def _limits(joints: Sequence[JointConfig], given: tuple[str, ...]) -> dict[tuple[str, str], float]:
     """Limits by joint and quantity: the configuration's, and those of the command line."""
-    from hd_diag.effects import CATALOGUE
-    from hd_diag.fleet.series import ECCENTRICITY, NOMINAL, REFIT
-
-    known = (ECCENTRICITY, NOMINAL, REFIT, *(effect.name for effect in CATALOGUE))
+    known = (ECCENTRICITY, NOMINAL, REFIT, *(effect.name for effect in load()))
     limits = {(joint.name, NOMINAL): joint.limits["residual_rms"].error for joint in joints}
     for text in given:
         name, _, number = text.partition("=")
@@ -183,13 +184,6 @@ def _limits(joints: Sequence[JointConfig], given: tuple[str, ...]) -> dict[tuple
 def _run(
     chosen: Fleet, limits: dict[tuple[str, str], float], options: dict[str, Any]
 ) -> tuple[list[Row], list[Trend]]:
-    import numpy as np
-
-    from hd_diag.fleet.journal import JOURNAL_SUFFIX, Journal
-    from hd_diag.fleet.run import diagnose_fleet
-    from hd_diag.fleet.series import series_of
-    from hd_diag.fleet.trend import trends
-
     path = options["out"].with_name(options["out"].name + JOURNAL_SUFFIX)
     with Journal(path, options["fresh"]) as journal:
         try:
@@ -226,36 +220,28 @@ def _watched() -> Iterator[tuple[Progress, Callable[[], None]]]:
 
 def _pool(options: dict[str, Any]) -> Any:
     if options["scheduler"]:
-        from hd_diag.fleet.cluster import ClusterPool
-
         return ClusterPool(options["scheduler"])
-    from hd_diag.process_pool import ProcessPool
-
     jobs = options["jobs"] or cores()
-    if options["memory"]:
-        return ProcessPool(jobs, int(options["memory"] * 2**30))
     machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    return ProcessPool(jobs, int(_MEMORY_SHARE * machine / jobs))
+    each = options["memory"] * 2**30 if options["memory"] else _MEMORY_SHARE * machine / jobs
+    return ProcessPool(jobs, int(each))
 
 
-def _write(rows: list[Row], trends: list[Trend], options: dict[str, Any]) -> None:
+def _write(rows: list[Row], found: list[Trend], options: dict[str, Any]) -> None:
     from hd_diag.fleet.plots import draw
-    from hd_diag.fleet.summary import as_json
     from hd_diag.fleet.table import write_table
 
     write_table(options["out"], rows)
     if options["json_file"]:
-        write_json(options["json_file"], as_json(str(options["out"]), rows, trends))
+        write_json(options["json_file"], as_json(str(options["out"]), rows, found))
     if options["figure"]:
-        draw(trends, options["figure"])
+        draw(found, options["figure"])
 
 
-def _show(rows: list[Row], trends: list[Trend], out: Path) -> None:
-    from hd_diag.fleet.summary import error_line, sentences, table
-
+def _show(rows: list[Row], found: list[Trend], out: Path) -> None:
     if any(row.get("joint") for row in rows):
-        Console().print(table(rows, trends))
-    for line in sentences(trends):
+        Console().print(table(rows, found))
+    for line in sentences(found):
         click.echo(line)
     failed = [row for row in rows if row.get("error")]
     for row in failed[:_ERRORS_SHOWN]:
@@ -267,12 +253,10 @@ def _show(rows: list[Row], trends: list[Trend], out: Path) -> None:
     )
 
 
-def _code(rows: list[Row], trends: list[Trend], options: dict[str, Any]) -> int:
-    from hd_diag.fleet.trend import CHANGED
-
+def _code(rows: list[Row], found: list[Trend], options: dict[str, Any]) -> int:
     if all(row.get("error") for row in rows):
         click.echo("hd-diag: no bag could be judged", err=True)
         return 2
     caused = any(row.get("causes") or row.get("unexplained_orders") for row in rows)
-    changed = any(trend.form in CHANGED for trend in trends)
+    changed = any(trend.form in CHANGED for trend in found)
     return int((options["fail_on_cause"] and caused) or (options["fail_on_change"] and changed))

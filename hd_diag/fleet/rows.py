@@ -14,6 +14,7 @@ import numpy as np
 from hd_diag import __version__
 from hd_diag.bag import BagError
 from hd_diag.bag.joint_record import read_bags
+from hd_diag.config.catalogue import load
 from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.config.parameters import JOINT_PARAMETERS
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
@@ -22,6 +23,7 @@ from hd_diag.diagnosis.record import RecordError
 from hd_diag.diagnosis.screening import screened
 from hd_diag.diagnosis.search.causes import Cause
 from hd_diag.diagnosis.verdict import as_json
+from hd_diag.effects import CATALOGUE
 from hd_diag.fleet.survey import Survey
 from hd_diag.formatting import json_ready
 from hd_diag.replay.versions import running
@@ -55,8 +57,9 @@ class Task:
 
     @property
     def key(self) -> str:
-        """What the result depends on: contents of the bag, parameters of the joint, version of hd_diag."""
-        parts = (SCHEMA, __version__, self.digest, self.joint.name, self.config_digest)
+        """What the result depends on: the bag's contents, the joint's parameters, version, effects added."""
+        added = (effect.name for effect in load() if effect not in CATALOGUE)
+        parts = (SCHEMA, __version__, self.digest, self.joint.name, self.config_digest, *added)
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
@@ -89,7 +92,8 @@ def judge(task: Task) -> Row:
     fixed = {"joint": task.joint.name, "config_sha256": task.config_digest, **versions}
     try:
         configured = task.joint.configured
-        found = diagnose(screened(read_bags([task.bag], task.joint), configured), configured)
+        record = screened(read_bags([task.bag], task.joint), configured)
+        found = diagnose(record, configured, catalogue=load())
     except BagError as error:
         return {**fixed, "error": error.cause}
     except RecordError as error:
@@ -170,3 +174,10 @@ def amplitude_std(bench: LinearisedFit, cause: Cause) -> float:
         return math.nan
     gradient = columns.T @ (part - part.mean()) / (part.size * amplitude)
     return float(np.sqrt(max(float(gradient @ cause.covariance[own, own] @ gradient), 0.0)))
+
+
+def readable(value: Any) -> Any:
+    r"""A value with valid Unicode only: bytes of a file name that are no text become ``\udcXX``."""
+    if isinstance(value, str):
+        return value.encode("utf-8", "backslashreplace").decode()
+    return [readable(item) for item in value] if isinstance(value, list) else value

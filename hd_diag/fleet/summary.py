@@ -12,10 +12,9 @@ from rich.table import Table
 from rich.text import Text
 
 from hd_diag.bag import BagError
-from hd_diag.fleet.rows import SCHEMA, Row
+from hd_diag.fleet.rows import SCHEMA, Row, readable
 from hd_diag.fleet.series import ECCENTRICITY
 from hd_diag.fleet.steps import FALSE_ALARM, Change
-from hd_diag.fleet.table import readable
 from hd_diag.fleet.trend import CHANGED, Trend
 from hd_diag.formatting import ARCSEC, json_ready, words
 

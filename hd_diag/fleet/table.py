@@ -6,13 +6,12 @@ import os
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from hd_diag.fleet import FleetError
-from hd_diag.fleet.rows import SCHEMA, Row
+from hd_diag.fleet.rows import SCHEMA, Row, readable
 
 _TEXT, _NUMBER, _COUNT, _FLAG = pa.string(), pa.float64(), pa.int64(), pa.bool_()
 _TEXTS, _NUMBERS = pa.list_(_TEXT), pa.list_(_NUMBER)
@@ -122,13 +121,6 @@ def _storable(row: Row) -> Row:
     start = row.get("start")
     stored = {name: readable(value) for name, value in row.items()}
     return {**stored, "start": None if start is None else start // 1000}
-
-
-def readable(value: Any) -> Any:
-    r"""A value with valid Unicode only: bytes of a file name that are no text become ``\udcXX``."""
-    if isinstance(value, str):
-        return value.encode("utf-8", "backslashreplace").decode()
-    return [readable(item) for item in value] if isinstance(value, list) else value
 
 
 def _umask() -> int:
