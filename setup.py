@@ -27,6 +27,7 @@ setup(
         (f"share/{NAME}", ["package.xml"]),
         *share("config"),
         *share("launch"),
+        *share("examples"),
     ],
     zip_safe=False,
     python_requires=">=3.10",

@@ -72,7 +72,7 @@ def test_licence_agrees(metadata: Message, package_xml: Package) -> None:
     )
 
 
-@pytest.mark.parametrize("folder", ["config", "launch"])
+@pytest.mark.parametrize("folder", ["config", "launch", "examples"])
 def test_every_data_file_is_installed(wheel: zipfile.ZipFile, source_copy: Path, folder: str) -> None:
     files = {
         path.relative_to(source_copy).as_posix()

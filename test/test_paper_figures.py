@@ -3,6 +3,7 @@
 import dataclasses
 import re
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as Xml
 
 import drives
@@ -13,96 +14,101 @@ from numpy.testing import assert_allclose
 from reference import published
 
 from hd_diag.cli import cli
+from hd_diag.cli.examples import load_example
 from hd_diag.drive import Drive
 from hd_diag.model.transmission_error import Kinematics
-from hd_diag.report.paper_figures import first_interference, neutral_layer, teeth_at_once, tooth_over_time
+from hd_diag.report.pictures.canvas import save
 
 ROOT = Path(__file__).resolve().parent.parent
+paper = load_example("paper_figures")
 
 
 def drive(datum: float = drives.PAPER.circular_spline_datum) -> Drive:
-    paper = dataclasses.replace(drives.PAPER, circular_spline_datum=datum)
-    return Drive(drives.mesh(paper), Kinematics(100.0), published.RATED_TORQUE)
+    geometry = dataclasses.replace(drives.PAPER, circular_spline_datum=datum)
+    return Drive(drives.mesh(geometry), Kinematics(100.0), published.RATED_TORQUE)
 
 
-def test_every_claim_holds() -> None:
-    claims = [
-        claim
-        for figure in (neutral_layer, teeth_at_once, tooth_over_time)
-        for claim in figure(drive()).claims
-    ]
+@pytest.fixture(scope="module")
+def teeth() -> Any:
+    return paper.teeth_at_once(drive())
+
+
+@pytest.fixture(scope="module")
+def tooth() -> Any:
+    return paper.tooth_over_time(drive())
+
+
+def test_every_claim_holds(teeth: Any, tooth: Any) -> None:
+    claims = [*paper.neutral_layer(drive()).claims, *teeth.claims, *tooth.claims]
     assert [claim.letter for claim in claims] == ["a", "a", "b", "b", "c", "d", "e", "e"]
     assert [claim.text for claim in claims if not claim.holds] == []
 
 
-def test_interference_begins_where_it_was_published() -> None:
-    assert first_interference(drive(published.DATUM_OF_INTERFERENCE)) == pytest.approx(23e-6, abs=0.05e-6)
-    rounded = published.ECCENTRICITY_AT_ROUNDED_DATUM
-    assert first_interference(drive()) == pytest.approx(rounded, abs=0.01e-6)
-
-
-def test_the_example_drive_tells_where_interference_begins() -> None:
-    """In a comment: with the exact datum, and with the rounded one that the file has."""
+def test_interference_begins_where_it_was_published_and_the_example_drive_says_so() -> None:
+    """In a comment of its file: with the exact datum, and with the rounded one that the file has."""
     lines = (ROOT / "config" / "example_drive.yaml").read_text().splitlines()
     text = " ".join(line.lstrip("# ") for line in lines)
     found = re.search(
         r"([\d.]+) mm let interference .*? of ([\d.]+) mm, .*? to ([\d.]+) mm .*? at ([\d.]+) mm", text
     )
     assert found is not None
-    exact, first, rounded, begins = map(float, found.groups())
-    assert drives.PAPER.circular_spline_datum == pytest.approx(rounded * 1e-3)
-    assert round(first_interference(drive(exact * 1e-3)) * 1e3, 4) == first
-    assert round(first_interference(drive()) * 1e3, 4) == begins
+    exact, first, rounded, begins = (float(group) * 1e-3 for group in found.groups())
+    assert drives.PAPER.circular_spline_datum == pytest.approx(rounded)
+    assert exact == pytest.approx(published.DATUM_OF_INTERFERENCE, abs=1e-9)
+    assert paper.first_interference(drive(exact)) == pytest.approx(first, abs=0.05e-6)
+    assert first == pytest.approx(23e-6)
+    at_rounded = paper.first_interference(drive())
+    assert at_rounded == pytest.approx(published.ECCENTRICITY_AT_ROUNDED_DATUM, abs=0.01e-6)
+    assert at_rounded == pytest.approx(begins, abs=0.05e-6)
 
 
-def test_numbers_of_the_load_are_the_published_ones() -> None:
-    found = teeth_at_once(drive())
-    assert_allclose(found.load.max(axis=1)[[0, -1]], [39.8, 60.1], atol=0.05)
-    assert "from 70 to 64" in found.claims[-1].text
-    assert "39.8 to 60.1 N" in found.claims[-1].text
+def test_numbers_of_the_load_are_the_published_ones(teeth: Any) -> None:
+    assert_allclose(teeth.load.max(axis=1)[[0, -1]], [39.8, 60.1], atol=0.05)
+    assert "from 70 to 64" in teeth.claims[-1].text
+    assert "39.8 to 60.1 N" in teeth.claims[-1].text
 
 
-def test_numbers_of_one_tooth_are_the_published_ones() -> None:
-    found = tooth_over_time(drive())
+def test_numbers_of_one_tooth_are_the_published_ones(tooth: Any) -> None:
     by_size = {turn.eccentricity: turn for turn in published.TURNS}
-    for row, turn in ((0, by_size[0.0]), (-1, by_size[-published.ECCENTRICITY])):
-        assert np.nanmin(found.backlash[row]) == pytest.approx(turn.least_backlash, abs=0.01e-6)
-        assert found.load[row].max() == pytest.approx(turn.largest_force, abs=0.05)
-    near = by_size[published.ECCENTRICITY]
-    assert np.nanmin(found.near[0]) == pytest.approx(near.least_backlash, abs=0.01e-6)
-    assert found.near[1].max() == pytest.approx(near.largest_force, abs=0.05)
+    away = {-size: (tooth.backlash[row], tooth.load[row]) for row, size in enumerate(tooth.eccentricity)}
+    largest = published.ECCENTRICITY
+    for size, (backlash, load) in ((0.0, away[0.0]), (-largest, away[-largest]), (largest, tooth.near)):
+        assert np.nanmin(backlash) == pytest.approx(by_size[size].least_backlash, abs=0.01e-6)
+        assert load.max() == pytest.approx(by_size[size].largest_force, abs=0.05)
 
 
 def test_a_drive_of_another_clearance_does_not_agree() -> None:
     """Slots 8 um farther out never interfere at the published eccentricity."""
-    claims = teeth_at_once(drive(29.876e-3)).claims
+    claims = paper.teeth_at_once(drive(29.876e-3)).claims
     assert "c" in [claim.letter for claim in claims if not claim.holds]
 
 
-@pytest.mark.parametrize("kind", ["svg", "png", "pdf"])
-def test_files_are_written_the_same_each_time(kind: str, tmp_path: Path) -> None:
-    folders = [tmp_path / name for name in ("first", "second")]
-    for folder in folders:
-        result = runner().invoke(cli, ["figures", "--out", str(folder), "--format", kind])
-        assert (result.exit_code, result.stderr) == (0, "")
-        assert "does not agree" not in result.stdout
-    names = {f"figure_{number}.{kind}" for number in (5, 6, 7)}
-    assert {path.name for path in folders[0].iterdir()} == {*names, "figures.md"}
-    for name in names:
-        content = (folders[0] / name).read_bytes()
-        assert content == (folders[1] / name).read_bytes()
-        assert is_whole(content, kind)
-    captions = (folders[0] / "figures.md").read_text(encoding="utf-8")
+def test_the_command_writes_figures_and_captions(tmp_path: Path) -> None:
+    result = runner().invoke(cli, ["figures", "--out", str(tmp_path / "new"), "--format", "png"])
+    assert (result.exit_code, result.stderr) == (0, "")
+    assert "does not agree" not in result.stdout
+    names = {f"figure_{number}.png" for number in (5, 6, 7)}
+    assert {path.name for path in (tmp_path / "new").iterdir()} == {*names, "figures.md"}
+    captions = (tmp_path / "new/figures.md").read_text(encoding="utf-8")
     assert all(f"]({name})" in captions for name in names)
     assert all(f"* ({letter}) " in captions for letter in "abcde")
 
 
-def is_whole(content: bytes, kind: str) -> bool:
+@pytest.mark.parametrize("kind", ["svg", "png", "pdf"])
+def test_the_same_figure_is_the_same_whole_file(kind: str, teeth: Any, tmp_path: Path) -> None:
+    first, second = (tmp_path / f"{name}.{kind}" for name in ("first", "second"))
+    for path in (first, second):
+        save(paper.figure_6(teeth), path)
+    content = first.read_bytes()
+    assert content == second.read_bytes()
     if kind == "svg":
-        return Xml.fromstring(content).tag == "{http://www.w3.org/2000/svg}svg"
-    if kind == "png":
-        return content.startswith(b"\x89PNG\r\n") and content.endswith(b"IEND\xaeB`\x82")
-    return content.startswith(b"%PDF-") and content.rstrip().endswith(b"%%EOF")
+        assert Xml.fromstring(content).tag == "{http://www.w3.org/2000/svg}svg"
+    elif kind == "png":
+        assert content.startswith(b"\x89PNG\r\n")
+        assert content.endswith(b"IEND\xaeB`\x82")
+    else:
+        assert content.startswith(b"%PDF-")
+        assert content.rstrip().endswith(b"%%EOF")
 
 
 def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
@@ -111,3 +117,11 @@ def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
     assert result.exit_code == 2
     assert len(result.stderr.splitlines()) == 1
     assert "cannot be written" in result.stderr
+
+
+def test_an_example_that_was_not_installed_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hd_diag.__file__", "/nowhere/hd_diag/__init__.py")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", "")
+    result = runner().invoke(cli, ["figures", "--out", "never"])
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert result.stderr.startswith("hd-diag: examples/paper_figures.py is not installed")
