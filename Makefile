@@ -1,4 +1,4 @@
-# make demo   the main job on a simulated joint       make test   linters, types, tests
+# make demo   the main job on a simulated joint       make test     linters, types, pages, tests
 # Both make their own environment from a lock. Options: PYTHON=/path/to/python  PYTEST_ARGS='...'
 # ARGS='...' (to hd-diag demo, to bench/challenge.py, to bench/suite.py)
 
@@ -10,6 +10,8 @@ SHELL = /bin/sh
 
 # The environments bring their own ROS; nothing of a sourced one may mix in.
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE COLCON_PREFIX_PATH CMAKE_PREFIX_PATH
+# pytest keeps its compiled tests, which costs ten seconds a process otherwise.
+unexport PYTHONDONTWRITEBYTECODE
 export RMW_IMPLEMENTATION = rmw_fastrtps_cpp
 ENVIRONMENT = sh scripts/environment.sh
 IN = AMENT_PREFIX_PATH='$(CURDIR)/.venv/$(1)' PATH="$(CURDIR)/.venv/$(1)/bin:$$PATH"
@@ -19,7 +21,8 @@ IN = AMENT_PREFIX_PATH='$(CURDIR)/.venv/$(1)' PATH="$(CURDIR)/.venv/$(1)/bin:$$P
 
 help:
 	@echo "make demo     run the main job on a simulated joint (about a minute; the first time also installs)"
-	@echo "make test     linters, documentation, types and tests, on the newest numpy and on Ubuntu 24.04's"
+	@echo "make test     linters, types, documentation and tests, on the newest numpy and on Ubuntu 24.04's (6 minutes)"
+	@echo "make test-all the same with all that takes long: whole challenges, fuzzing, fleets, colcon (half an hour)"
 	@echo "make docs     the documentation alone: docs/_build/html/index.html"
 	@echo "make challenge  hidden causes to be found, beside plain methods (about 25 s a record; see ARGS=--help)"
 	@echo "make bench    speed beside the paper's method and plain libraries (some minutes; see ARGS=--help)"
@@ -32,7 +35,8 @@ demo:
 	@echo "== hd-diag demo (about a minute)"
 	@$(call IN,demo) hd-diag demo $(ARGS)
 
-test test-all: lint docs types pytest pytest-ubuntu
+# The tests build the pages too (test/test_docs.py).
+test test-all: lint types pytest pytest-ubuntu
 test-all: SELECTED =
 
 install:
@@ -61,7 +65,7 @@ types: install
 
 pytest: install
 	@echo "== Tests, newest numpy (a few minutes)"
-	@$(call IN,test) pytest -n 2 --dist loadfile --durations=10 $(SELECTED) $(PYTEST_ARGS)
+	@$(call IN,test) pytest -n 2 --dist worksteal --durations=10 $(SELECTED) $(PYTEST_ARGS)
 
 # What does not depend on numpy is tested once, above.
 ONCE = test_colcon.py test_package.py test_replay_live.py test_challenge_benchmark.py test_docs.py test_demo.py \
@@ -74,7 +78,7 @@ pytest-ubuntu:
 	else \
 	    $(ENVIRONMENT) ubuntu "$$python" && \
 	    echo "== Tests, numpy 1.26 and scipy 1.11 as in Ubuntu 24.04 (a few minutes)" && \
-	    $(call IN,ubuntu) pytest -n 2 --dist loadfile $(addprefix --ignore test/,$(ONCE)) $(SELECTED) $(PYTEST_ARGS); \
+	    $(call IN,ubuntu) pytest -n 2 --dist worksteal $(addprefix --ignore test/,$(ONCE)) $(SELECTED) $(PYTEST_ARGS); \
 	fi
 
 challenge:

@@ -62,7 +62,7 @@ if [ "$(cat "$env/lock.stamp" 2>/dev/null)" != "$lock_stamp" ]; then
     echo "$lock_stamp" >"$env/lock.stamp"
 fi
 
-sources="hd_diag config launch resource package.xml setup.py setup.cfg pyproject.toml README.md LICENSE"
+sources="hd_diag config launch examples resource package.xml setup.py setup.cfg pyproject.toml README.md LICENSE"
 tree_stamp=$(find $sources -type f ! -path '*/__pycache__/*' | LC_ALL=C sort | xargs cksum | cksum)
 if [ "$(cat "$env/tree.stamp" 2>/dev/null)" != "$tree_stamp" ]; then
     install_tree
