@@ -121,15 +121,26 @@ class Drives:
         self._columns = np.array([astuple(drive.frame) for drive in drives]).T
         self._numbers = np.arange(len(drives) + 1)
 
+    def frame(self, number: Integers) -> Frame[Floats]:
+        """Frames of the drives with these numbers, 0 to k - 1, side by side; shape (n,)."""
+        return Frame(*self._columns.take(number, axis=1))
+
     def transmission_error(
-        self, number: Integers, input_angle: Floats, torque: Floats, tables: Sequence[TorsionMap | None]
+        self,
+        frame: Frame[Floats],
+        number: Integers,
+        input_angle: Floats,
+        torque: Floats,
+        tables: Sequence[TorsionMap | None],
     ) -> Floats:
         """Predicted transmission error of samples of any of the drives.
 
         Parameters
         ----------
+        frame : Frame
+            As :meth:`frame` gives it for the numbers.
         number : ndarray of int64, shape (n,)
-            Of the sample's drive, 0 to k - 1.
+            Of the sample's drive.
         input_angle, torque : ndarray, shape (n,)
             As reported [rad]; what the drives exert on their links [N m].
         tables : sequence of k TorsionMap or None
@@ -140,31 +151,24 @@ class Drives:
         ndarray, shape (n,)
             [rad]
         """
-        frame = self._frame(number)
-        order = np.argsort(number, kind="stable")
+        order = number.argsort(kind="stable")
+        by_drive = number.take(order)
         turn = frame.wave_generator_angle(input_angle).take(order)
         cup_torque = frame.cup_torque(torque).take(order)
         found, beta = np.full(number.size, np.nan), np.empty(number.size)
-        ends = number.take(order).searchsorted(self._numbers).tolist()
+        ends = by_drive.searchsorted(self._numbers).tolist()
         for table, first, last in zip(tables, ends[:-1], ends[1:], strict=True):
             if table is not None and first < last:
                 table.read(turn, cup_torque, found, first, last)
         if math.isnan(found.sum()):
-            self._solve(number.take(order), turn, cup_torque, found)
+            self._solve(by_drive, turn, cup_torque, found)
         beta[order] = found
         return frame.transmission_error(beta, torque)
-
-    def measured_error(self, number: Integers, input_angle: Floats, output_angle: Floats) -> Floats:
-        """Measured error of samples [rad], shape (n,)."""
-        return self._frame(number).measured_error(input_angle, output_angle)
-
-    def _frame(self, number: Integers) -> Frame[Floats]:
-        return Frame(*self._columns.take(number, axis=1))
 
     def _solve(self, number: Integers, turn: Floats, cup_torque: Floats, beta: Floats) -> None:
         """Set the torsions that no map gave."""
         missing = np.isnan(beta)
-        for mesh, drive in zip(self._meshes, self._numbers, strict=False):
+        for drive, mesh in enumerate(self._meshes):
             rows = np.flatnonzero(missing & (number == drive))
             if rows.size:
                 beta[rows] = torsion(mesh, turn[rows], cup_torque[rows])

@@ -14,6 +14,7 @@ import numpy as np
 from hd_diag.arrays import Floats, Times
 from hd_diag.drive import Drives, MeshState, mesh_state
 from hd_diag.model.torsion_map import TorsionMap
+from hd_diag.model.transmission_error import Frame
 from hd_diag.monitor.health import report
 from hd_diag.monitor.joint import Joint, names_of
 from hd_diag.monitor.publications import Drawings, Errors, Publication, Report, ToothArrays, angles
@@ -174,26 +175,29 @@ class Monitor:
 
     def _compare(self, samples: Aligned) -> Errors:
         """Predicted and measured errors."""
-        tables = [joint.table for joint in self.joints.values()]
-        speed = np.full(samples.row.size, np.nan)
-        given = samples.joint, samples.input_angle, samples.torque
+        frame, speed = self._drives.frame(samples.joint), samples.speed
         if self._modelled:
-            predicted = self._by_models(samples, tables, speed)
+            predicted, speed = self._by_models(samples)
         else:
-            predicted = self._drives.transmission_error(*given, tables)
-        measured = self._drives.measured_error(*given[:2], samples.output_angle)
+            predicted = self._by_drives(samples, frame)
+        measured = frame.measured_error(samples.input_angle, samples.output_angle)
         return Errors(samples, predicted, measured, measured - predicted, speed)
 
-    def _by_models(self, samples: Aligned, tables: Sequence[TorsionMap | None], speed: Floats) -> Floats:
-        """Predicted errors where some joints have extended models, whose speeds are set."""
-        predicted = np.empty(samples.row.size)
-        plain = np.flatnonzero(~np.isin(samples.joint, self._modelled))
-        given = samples.joint[plain], samples.input_angle[plain], samples.torque[plain]
-        predicted[plain] = self._drives.transmission_error(*given, tables)
+    def _by_drives(self, samples: Aligned, frame: Frame[Floats]) -> Floats:
+        tables = [joint.table for joint in self.joints.values()]
+        given = samples.joint, samples.input_angle, samples.torque
+        return self._drives.transmission_error(frame, *given, tables)
+
+    def _by_models(self, samples: Aligned) -> tuple[Floats, Floats]:
+        """Predicted errors [rad] and speeds [rad/s] where some joints have extended models."""
+        predicted, speed = np.empty(samples.row.size), samples.speed.copy()
+        plain = ~np.isin(samples.joint, self._modelled)
+        rest = samples.part(plain)
+        predicted[plain] = self._by_drives(rest, self._drives.frame(rest.joint))
         for number in self._modelled:
             rows = np.flatnonzero(samples.joint == number)
             predicted[rows], speed[rows] = self.joints[self._names[number]].predict(samples.part(rows))
-        return predicted
+        return predicted, speed
 
     def _note(self) -> None:
         """Give the joints what is new of them."""
@@ -212,7 +216,7 @@ class Monitor:
             period = round(1e9 / rate)
             # Each joint's periods begin at another time: no message has to wait for the arrays of all.
             offset = period * np.arange(last.size) // last.size
-            rows = kernel().begun(samples.stamp, samples.joint, samples.paired == 0, period, offset, last)
+            rows = kernel().begun(samples.stamp, samples.joint, samples.paired, period, offset, last)
             for number in np.unique(samples.joint[rows]).tolist():
                 yield from published(received, samples.part(rows[samples.joint[rows] == number]), number)
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hd_diag.arrays import Floats, Times
+from hd_diag.arrays import Floats, Integers, Times
 from hd_diag.drive import Drive
 from hd_diag.streams.alignment import Aligned, kernel
 
@@ -134,37 +134,40 @@ def angles(received: Times, errors: Errors, names: Sequence[str]) -> Iterator[An
         Of each topic in the order in which the messages one by one would give them.
     """
     samples = errors.samples
-    own = samples.paired == 0
-    effort = samples.torque
-    yield from _messages(PREDICTED, received, samples, names, _runs(samples, own), errors.predicted, effort)
-    compared = samples.output_angle == samples.output_angle
-    if compared.any():
-        runs = _runs(samples, compared)
-        yield from _messages(MEASURED, received, samples, names, runs, errors.measured)
-        yield from _messages(RESIDUAL, received, samples, names, runs, errors.residual)
+    own = _messages(received, samples, names, compared=False)
+    yield from own.angles(PREDICTED, errors.predicted, samples.torque)
+    both = _messages(received, samples, names, compared=True)
+    yield from both.angles(MEASURED, errors.measured)
+    yield from both.angles(RESIDUAL, errors.residual)
 
 
-def _runs(samples: Aligned, used: Any) -> Any:
-    return kernel().runs(samples.row, samples.stamp, samples.paired, samples.joint, used)
+class _Messages(NamedTuple):
+    """Samples of some messages, None for all, and for each run of like messages what they have in common.
+
+    That is: its first sample and the one after its last, times of the cause and stamps [ns], names of joints.
+    """
+
+    chosen: Integers | None
+    runs: list[tuple[int, int, Times, Times, tuple[str, ...]]]
+
+    def angles(self, topic: str, position: Floats, effort: Floats | None = None) -> Iterator[Angles]:
+        """Messages with a value of each sample (m,)."""
+        if self.chosen is not None:
+            position = position[self.chosen]
+            effort = None if effort is None else effort[self.chosen]
+        for begin, end, received, stamp, joints in self.runs:
+            shape = stamp.size, len(joints)
+            torque = None if effort is None else effort[begin:end].reshape(shape)
+            yield Angles(topic, received, stamp, joints, position[begin:end].reshape(shape), torque)
 
 
-def _messages(
-    topic: str,
-    received: Times,
-    samples: Aligned,
-    names: Sequence[str],
-    runs: Any,
-    position: Floats,
-    effort: Floats | None = None,
-) -> Iterator[Angles]:
-    chosen, (begins, widths) = runs
-    if chosen.size < position.size:
-        position = position[chosen]
-        effort = None if effort is None else effort[chosen]
-    bounds = pairwise([*begins.tolist(), chosen.size])
+def _messages(received: Times, samples: Aligned, names: Sequence[str], *, compared: bool) -> _Messages:
+    """Messages of the inputs' own samples, or of all that have an output angle."""
+    columns = samples.row, samples.stamp, samples.paired, samples.joint, samples.output_angle
+    chosen, (begins, widths) = kernel().runs(*columns, compared)
+    bounds, found = pairwise([*begins.tolist(), chosen.size]), []
     for (begin, end), width in zip(bounds, widths.tolist(), strict=True):
         first = chosen[begin:end:width]
         joints = tuple([names[j] for j in samples.joint[chosen[begin : begin + width]].tolist()])
-        torque = None if effort is None else effort[begin:end].reshape(-1, width)
-        values = position[begin:end].reshape(-1, width)
-        yield Angles(topic, received[samples.row[first]], samples.stamp[first], joints, values, torque)
+        found.append((begin, end, received[samples.row[first]], samples.stamp[first], joints))
+    return _Messages(None if chosen.size == samples.row.size else chosen, found)

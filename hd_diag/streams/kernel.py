@@ -205,17 +205,20 @@ def _interpolated(joint: Any, ring: Any, stamp: int) -> float:
 
 
 @entry_point
-def runs(row: Times, stamp: Times, paired: Integers, joint: Integers, used: Any) -> tuple[Integers, Integers]:
+def runs(
+    row: Times, stamp: Times, paired: Integers, joint: Integers, output_angle: Floats, compared: bool
+) -> tuple[Integers, Integers]:
     """Samples that are published together: which, and where and how wide runs of like messages are.
 
-    A message holds the used samples of one row and stamp, paired or not; a run is of messages with the same
-    joints one after the other. Returned are the samples' numbers (m,) and for each run its first place among
-    them and the joints of its messages (2, runs).
+    Used are the samples at the inputs' own stamps, or all that have an output angle (`compared`). A message
+    holds those of one row and stamp, paired or not; a run is of messages with the same joints one after the
+    other. Returned are the samples' numbers (m,) and for each run its first place among them and the joints
+    of its messages (2, runs).
     """
     chosen, bounds = np.empty(row.size, np.int64), np.empty((2, row.size), np.int64)
     count = messages = 0
     for i in range(row.size):
-        if used[i]:
+        if not math.isnan(output_angle[i]) if compared else not paired[i]:
             chosen[count] = i
             count += 1
     begin = 0
@@ -241,13 +244,15 @@ def _together(row: Times, stamp: Times, paired: Integers, one: int, other: int) 
 
 
 @entry_point
-def begun(stamp: Times, joint: Integers, used: Any, period: int, offset: Times, last: Times) -> Integers:
-    """Numbers of used samples at which a period of their joint begins.
+def begun(
+    stamp: Times, joint: Integers, paired: Integers, period: int, offset: Times, last: Times
+) -> Integers:
+    """Numbers of samples at which a period of their joint begins; paired ones are passed over.
 
     Parameters
     ----------
-    stamp, joint, used : ndarray, shape (n,)
-        [ns], number of the joint.
+    stamp, joint, paired : ndarray of int64, shape (n,)
+        [ns], number of the joint, whether the sample is paired.
     period : int
         [ns]
     offset : ndarray of int64, shape (k,)
@@ -258,7 +263,7 @@ def begun(stamp: Times, joint: Integers, used: Any, period: int, offset: Times, 
     found, count = np.empty(stamp.size, np.int64), 0
     for i in range(stamp.size):
         number = (stamp[i] + offset[joint[i]]) // period
-        if used[i] and number != last[joint[i]]:
+        if not paired[i] and number != last[joint[i]]:
             last[joint[i]] = number
             found[count] = i
             count += 1
