@@ -41,9 +41,7 @@ def messages() -> dict[str, Any]:
 
 FOXGLOVE = json.loads((FOLDER / "foxglove_layout.json").read_text())
 PANELS: dict[str, dict[str, Any]] = FOXGLOVE["configById"]
-PANEL_TYPES = {
-    *("3D", "Plot", "StateTransitions", "DiagnosticSummary", "DiagnosticStatusPanel", "RawMessages", "Tab"),
-}
+KINDS = {"3D", "Plot", "StateTransitions", "DiagnosticSummary", "DiagnosticStatusPanel", "RawMessages", "Tab"}
 PATHS = sorted(
     {path["value"] for panel in PANELS.values() for path in panel.get("paths", ())}
     | {panel["topicPath"] for panel in PANELS.values() if "topicPath" in panel}
@@ -52,9 +50,14 @@ PATHS = sorted(
 ELEMENT = re.compile(r'\.(\w+)(?:\[(\d*)(:?)(\d*)\])?(?:\{(\w+)=="([^"]*)"\})?')
 
 
-def chosen(message: Any, path: str) -> list[Any]:
-    """What a message path without its topic takes from a message."""
-    found = [message]
+def topic_of(path: str) -> str:
+    return path.split(".")[0]
+
+
+def chosen(messages: dict[str, Any], path: str) -> list[Any]:
+    """What a message path takes from the message of its topic."""
+    found = [messages[topic_of(path)]]
+    path = path.removeprefix(topic_of(path))
     while path:
         element = ELEMENT.match(path)
         assert element, f"not a message path: {path}"
@@ -85,45 +88,39 @@ def panels_of(node: Any) -> Iterator[str]:
         yield from panels_of(node["second"])
 
 
-def test_foxglove_layout_has_the_parts_of_an_exported_one() -> None:
+def test_foxglove_layout_has_the_parts_of_an_exported_one_and_every_panel_once() -> None:
     assert set(FOXGLOVE) == {"configById", "globalVariables", "userNodes", "playbackConfig", "layout"}
     assert FOXGLOVE["globalVariables"] == FOXGLOVE["userNodes"] == {}
-    assert {panel.split("!")[0] for panel in PANELS} <= PANEL_TYPES
-
-
-def test_every_foxglove_panel_is_shown_once() -> None:
+    assert {panel.split("!")[0] for panel in PANELS} <= KINDS
     assert sorted(panels_of(FOXGLOVE["layout"])) == sorted(PANELS)
 
 
 @pytest.mark.parametrize("path", PATHS)
 def test_foxglove_paths_take_something_from_real_messages(path: str, messages: dict[str, Any]) -> None:
-    topic = path.split(".")[0]
-    assert topic in TOPICS
-    found = chosen(messages[topic], path[len(topic) :])
+    assert topic_of(path) in TOPICS
+    found = chosen(messages, path)
     assert found, f"{path} takes nothing"
-    if topic == "/diagnostics" and path.endswith(".value"):
+    if topic_of(path) == "/diagnostics" and path.endswith(".value"):
         assert len(found) == 1
 
 
 def test_foxglove_plots_are_of_numbers(messages: dict[str, Any]) -> None:
-    plots = {name: panel for name, panel in PANELS.items() if name.startswith("Plot!")}
-    for panel in plots.values():
-        for path in panel["paths"]:
-            topic = path["value"].split(".")[0]
-            [float(value) for value in chosen(messages[topic], path["value"][len(topic) :])]
+    plotted = set()
+    for panel in (panel for name, panel in PANELS.items() if name.startswith("Plot!")):
+        paths = [path["value"] for path in panel["paths"]]
+        assert [float(value) for path in paths for value in chosen(messages, path)]
         by_index = panel["xAxisVal"] == "index"
-        assert by_index == all(TOPICS[p["value"].split(".")[0]] == MULTI_ARRAY for p in panel["paths"])
-    plotted = {path["value"].split(".")[0] for panel in plots.values() for path in panel["paths"]}
+        assert by_index == all(TOPICS[topic_of(path)] == MULTI_ARRAY for path in paths)
+        plotted |= set(map(topic_of, paths))
     assert plotted == {topic for topic, kind in TOPICS.items() if kind != MARKERS}
 
 
 def test_foxglove_tooth_plots_show_each_flank_whole(messages: dict[str, Any]) -> None:
     for what in ("backlash", "load"):
-        topic = f"/hd_diag/{JOINT}/{what}"
-        data = messages[topic].data
-        parts = [chosen(messages[topic], p["value"][len(topic) :]) for p in PANELS[f"Plot!{what}"]["paths"]]
-        assert [len(part) for part in parts] == [dim.size for dim in messages[topic].layout.dim[1:]] * 2
-        assert [str(value) for part in parts for value in part] == [str(value) for value in data]
+        message = messages[f"/hd_diag/{JOINT}/{what}"]
+        parts = [chosen(messages, path["value"]) for path in PANELS[f"Plot!{what}"]["paths"]]
+        assert [len(part) for part in parts] == [dim.size for dim in message.layout.dim[1:]] * 2
+        assert [str(value) for part in parts for value in part] == [str(value) for value in message.data]
 
 
 def test_foxglove_diagnostics_panels_find_the_joint(messages: dict[str, Any]) -> None:
@@ -145,6 +142,7 @@ def test_foxglove_3d_panel_shows_the_mesh_in_its_frame(messages: dict[str, Any])
 # PlotJuggler ---
 
 PLOTJUGGLER = ElementTree.parse(FOLDER / "plotjuggler_layout.xml").getroot()
+NUMBER = re.compile(r"[-+]?[\d.]+(e[-+]?\d+)?|nan|-?inf")
 
 
 def series(topic: str, message: Any) -> Iterator[str]:
@@ -155,22 +153,10 @@ def series(topic: str, message: Any) -> Iterator[str]:
                 yield from (f"{topic}/{name}/{field}" for name in message.name)
     elif TOPICS[topic] == DIAGNOSTICS:
         for status in message.status:
-            owner = (
-                f"{topic}/{status.hardware_id}/{status.name}"
-                if status.hardware_id
-                else f"{topic}/{status.name}"
-            )
-            yield from (f"{owner}/{pair.key}" for pair in status.values if is_number(pair.value))
+            owner = "/".join(filter(None, (topic, status.hardware_id, status.name)))
+            yield from (f"{owner}/{pair.key}" for pair in status.values if NUMBER.fullmatch(pair.value))
     elif TOPICS[topic] == MULTI_ARRAY:
         yield from (f"{topic}/data[{i}]" for i in range(len(message.data)))
-
-
-def is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def test_plotjuggler_layout_has_the_parts_of_a_saved_one() -> None:
@@ -231,46 +217,44 @@ def test_rviz_view_holds_the_gear_and_its_legend(messages: dict[str, Any]) -> No
 
 # diagnostic_aggregator ---
 
-AGGREGATOR = yaml.safe_load((FOLDER / "diagnostic_aggregator.yaml").read_text())
-ANALYZERS = {
-    name: value
-    for name, value in AGGREGATOR["analyzers"]["ros__parameters"].items()
-    if isinstance(value, dict)
-}
+AGGREGATOR = yaml.safe_load((FOLDER / "diagnostic_aggregator.yaml").read_text())["analyzers"]
+(ANALYZER,) = (value for value in AGGREGATOR["ros__parameters"].values() if isinstance(value, dict))
 STRANGERS = (
-    *("hd_diagnostics: battery", "hd_diag", "hd_diag_watch: x", "my hd_diag: joint_1", "camera: joint_1", ""),
+    "hd_diagnostics: battery",
+    "hd_diag",
+    "hd_diag_watch: x",
+    "my hd_diag: joint_1",
+    "camera: joint_1",
+    "",
 )
 
 
-def matches(analyzer: dict[str, Any], name: str) -> bool:
+def matches(name: str) -> bool:
     """As a GenericAnalyzer decides."""
-    assert set(analyzer) <= {"type", "path", "timeout", "remove_prefix", "startswith", "contains", "name"}
     return (
-        any(name.startswith(begin) for begin in analyzer.get("startswith", ()))
-        or any(part in name for part in analyzer.get("contains", ()))
-        or name in analyzer.get("name", ())
+        any(name.startswith(begin) for begin in ANALYZER.get("startswith", ()))
+        or any(part in name for part in ANALYZER.get("contains", ()))
+        or name in ANALYZER.get("name", ())
     )
 
 
 def test_the_aggregator_takes_this_node_s_statuses_and_no_others(messages: dict[str, Any]) -> None:
-    (analyzer,) = ANALYZERS.values()
-    assert analyzer["type"] == "diagnostic_aggregator/GenericAnalyzer"
+    assert set(ANALYZER) <= {"type", "path", "timeout", "remove_prefix", "startswith", "contains", "name"}
+    assert ANALYZER["type"] == "diagnostic_aggregator/GenericAnalyzer"
     names = [status.name for status in messages["/diagnostics"].status] + [f"{PREFIX}shoulder pan"]
-    assert [name for name in names if not matches(analyzer, name)] == []
-    assert [name for name in STRANGERS if matches(analyzer, name)] == []
+    assert [name for name in names if not matches(name)] == []
+    assert [name for name in STRANGERS if matches(name)] == []
 
 
 def test_the_aggregator_shows_joints_by_their_names(messages: dict[str, Any]) -> None:
-    (analyzer,) = ANALYZERS.values()
     (status,) = messages["/diagnostics"].status
-    (prefix,) = analyzer["remove_prefix"]
+    (prefix,) = ANALYZER["remove_prefix"]
     assert status.name.removeprefix(prefix) == JOINT
 
 
 def test_the_aggregator_waits_longer_than_the_default_period() -> None:
-    (analyzer,) = ANALYZERS.values()
-    assert isinstance(analyzer["timeout"], float)
-    assert analyzer["timeout"] > 2.0 / config(JOINT).diagnostics_rate
+    assert isinstance(ANALYZER["timeout"], float)
+    assert ANALYZER["timeout"] > 2.0 / config(JOINT).diagnostics_rate
 
 
 # README ---
