@@ -11,7 +11,7 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.drive import Drive, transmission_error
 from hd_diag.effects.contact_table import ContactTable
-from hd_diag.effects.contact_weights import ContactWeights, Rows
+from hd_diag.effects.contact_weights import ContactWeights, greatest_torque
 from hd_diag.effects.effect import Effect, Stage, Values
 from hd_diag.effects.signals import Signals
 from hd_diag.effects.stages import seen_at
@@ -179,11 +179,11 @@ class ExtendedModel:
 
     @cached_property
     def contact_table(self) -> ContactTable:
-        """Contact of the teeth up to the greatest torque of the fit, kept as long as the model."""
-        limit = max(abs(self.ranges.torque.low), abs(self.ranges.torque.high))
-        nothing = np.empty(0)
-        limit = ContactWeights(self.drive, nothing, np.array([limit])).torque_limit
-        return ContactTable(self.drive, limit)
+        """Contact of the teeth up to the greatest torque of the fit, kept as long as the model.
+
+        Many joints would push each other's out of a shared store.
+        """
+        return ContactTable(self.drive, greatest_torque(self.drive, np.array(self.ranges.torque)))
 
     def _signals(
         self,
@@ -210,29 +210,8 @@ class ExtendedModel:
             predicted=own,
             predicted_torque_slope=np.full(torque.shape, np.nan),  # for fits only
             predicted_rate=_rate(_change(own, state.predicted), step),
-            contact=_Contact(self.drive, turned, torque, model=self),
+            contact=ContactWeights(self.contact_table, turned, torque),
         )
-
-
-@dataclass(frozen=True, eq=False)
-class _Contact(ContactWeights):
-    """Weights that use the model's own table: many joints would push each other's out of a shared store."""
-
-    model: ExtendedModel | None = None
-
-    def __post_init__(self) -> None:
-        """The limit is the table's."""
-
-    @property
-    def table(self) -> ContactTable:
-        """See :class:`ContactWeights`."""
-        assert self.model is not None
-        return self.model.contact_table
-
-    def part(self, rows: Rows) -> _Contact:
-        """See :meth:`ContactWeights.part`."""
-        found = _Contact(self.drive, self.wave_generator_angle[rows], self.torque[rows], model=self.model)
-        return self._handed_on(found, rows)
 
 
 def _change(values: Floats, before: float) -> Floats:

@@ -15,7 +15,7 @@ from scipy.optimize import least_squares
 from hd_diag.config.parameters import JOINT_PARAMETERS
 from hd_diag.drive import Drive, transmission_error
 from hd_diag.effects import CATALOGUE
-from hd_diag.effects.contact_weights import ContactWeights
+from hd_diag.effects.contact_weights import contact_weights
 from hd_diag.effects.effect import Effect
 from hd_diag.effects.signals import Signals
 from hd_diag.model.torsion_map import ARCSEC
@@ -133,7 +133,7 @@ def recorded(drive: Drive = EXACT, hertz: float = 200.0) -> Signals:
         predicted=error,
         predicted_torque_slope=slope,
         predicted_rate=rate,
-        contact=ContactWeights(drive, wave_generator, torque),
+        contact=contact_weights(drive, wave_generator, torque),
     )
 
 

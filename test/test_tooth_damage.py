@@ -9,6 +9,7 @@ from joint_records import ARCSEC
 from numpy.testing import assert_allclose, assert_array_equal
 
 from hd_diag.drive import Drive
+from hd_diag.effects.contact_table import contact_table
 from hd_diag.effects.contact_weights import ContactWeights
 from hd_diag.effects.output_runout import EFFECT as RUNOUT
 from hd_diag.effects.signals import Signals
@@ -38,7 +39,7 @@ def signals() -> Signals:
         predicted=none,
         predicted_torque_slope=none,
         predicted_rate=none,
-        contact=ContactWeights(DRIVE, angle, torque, 60.0),
+        contact=ContactWeights(contact_table(DRIVE, 60.0), angle, torque),
     )
 
 

@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from hd_diag.diagnosis.search.unmodelled_terms import FOILS, Foil, Place
 from hd_diag.effects import CATALOGUE
+from hd_diag.effects.contact_table import contact_table
 from hd_diag.effects.contact_weights import ContactWeights
 from hd_diag.effects.signals import Signals
 
@@ -34,7 +35,7 @@ def made(speed: np.ndarray, torque: np.ndarray | float = 20.0, run: np.ndarray |
         predicted=none,
         predicted_torque_slope=none,
         predicted_rate=none,
-        contact=ContactWeights(CONFIGURED, -angle, load, 60.0),
+        contact=ContactWeights(contact_table(CONFIGURED, 60.0), -angle, load),
     )
 
 

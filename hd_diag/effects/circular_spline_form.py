@@ -27,9 +27,9 @@ class CircularSplineForm(Effect):
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Response to every lobe number; see :meth:`Effect.columns`."""
         (bending,), contact = nonlinear, signals.contact
-        found = [contact.radial_harmonic(k) for k in ORDERS]
+        found = [contact.harmonic("radial", k) for k in ORDERS]
         if bending:
-            along = [1j * bending / k * contact.slot_harmonic(k) for k in ORDERS]
+            along = [1j * bending / k * contact.harmonic("slot", k) for k in ORDERS]
             found = [radial + moved for radial, moved in zip(found, along, strict=True)]
         return harmonics(found)
 

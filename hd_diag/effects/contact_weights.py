@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -17,15 +17,13 @@ from hd_diag.effects.contact_table import (
     TORQUES,
     ContactTable,
     Displacement,
+    Error,
     Openings,
-    SlotErrors,
     contact_table,
-    mean_torsion,
 )
 from hd_diag.model.torsion import torsion
 
 Neighbours = tuple[tuple[Integers, Floats], tuple[Integers, Floats]]
-Part = TypeVar("Part", bound="ContactWeights")
 Rows = slice | npt.NDArray[np.bool_] | Integers
 
 _ROUNDED = 1e-7  # [m]
@@ -38,14 +36,12 @@ class ContactWeights:
 
     Parameters
     ----------
-    drive : Drive
+    table : ContactTable
+        What is interpolated; beyond its torque limit the response stays.
     wave_generator_angle : ndarray, shape (n,)
         theta_W [rad], continuous over the turns: which teeth are at the lobes follows from their number.
     torque : ndarray, shape (n,)
         On the link [N m].
-    torque_limit : float, optional
-        Up to which the contact is solved [N m], beyond it the response stays. Left out, the record's own; a
-        later evaluation is the same only with the same limit.
     torsion : ndarray, shape (n,), optional
         Of the mesh, where it is known already [rad].
 
@@ -55,68 +51,47 @@ class ContactWeights:
     ``Re(a exp(-i k d) H) = a cos(k d) Re H + a sin(k d) Im H`` with H the harmonic's response.
     """
 
-    drive: Drive
+    table: ContactTable
     wave_generator_angle: Floats
     torque: Floats
-    torque_limit: float = 0.0
     torsion: Floats | None = None
 
-    def __post_init__(self) -> None:
-        if self.torque_limit <= 0.0:
-            object.__setattr__(self, "torque_limit", greatest_torque(self.drive, self.torque))
-
     @property
-    def table(self) -> ContactTable:
-        """What is interpolated; built when first needed."""
-        return contact_table(self.drive, self.torque_limit)
+    def drive(self) -> Drive:
+        """The table's."""
+        return self.table.drive
 
     def part(self, rows: Rows) -> ContactWeights:
-        """Weights at some of the samples."""
-        found = ContactWeights(
-            self.drive,
-            self.wave_generator_angle[rows],
-            self.torque[rows],
-            self.torque_limit,
-            None if self.torsion is None else self.torsion[rows],
-        )
-        return self._handed_on(found, rows)
-
-    def _handed_on(self, part: Part, rows: Rows) -> Part:
-        """A part, with what is known of it already."""
+        """Weights at some of the samples, with what is known of them already."""
+        known = None if self.torsion is None else self.torsion[rows]
+        found = ContactWeights(self.table, self.wave_generator_angle[rows], self.torque[rows], known)
         if "ripple" in self.__dict__:
-            part.__dict__["ripple"] = self.ripple[rows]
-        return part
+            found.__dict__["ripple"] = self.ripple[rows]
+        return found
 
-    def slot_harmonic(self, order: int) -> Complexes:
-        """Response H to a circumferential displacement of the slots.
+    def harmonic(self, error: Error, order: int) -> Complexes:
+        """Response H to errors with some periods around the gear.
 
         Parameters
         ----------
+        error : {"slot", "tooth", "radial"}
+            Displacement of slots or teeth counter-clockwise, or of slots outward.
         order : int
-            k, periods around the circular spline.
+            k, periods around.
 
         Returns
         -------
         ndarray of complex, shape (n,)
-            Of TE to ``c = Re(A exp(i k phi))``, counter-clockwise at slot angle phi: Re(A H); H in [rad/m].
+            Of TE to the displacement ``Re(A exp(i k phi))``: Re(A H), H in [rad/m]. phi is the angle of the
+            slot, or of the tooth along the flexspline, tooth 0 at zero.
         """
-        return self._sign * self._interpolate(self.table.slot_harmonic(order)) * self._turning(order, 1.0)
-
-    def tooth_harmonic(self, order: int) -> Complexes:
-        """Response H to a circumferential displacement of the flexspline's teeth [rad/m], shape (n,).
-
-        The angle is that of the tooth along the flexspline, tooth 0 at zero.
-        """
-        turns = 1.0 + 1.0 / self.drive.mesh.geometry.reduction
-        return self._sign * self._interpolate(self.table.tooth_harmonic(order)) * self._turning(order, turns)
-
-    def radial_harmonic(self, order: int) -> Complexes:
-        """Response H to a radial displacement of the slots, outward [rad/m], shape (n,)."""
-        return self._sign * self._interpolate(self.table.radial_harmonic(order)) * self._turning(order, 1.0)
+        turns = 1.0 + 1.0 / self.drive.mesh.geometry.reduction if error == "tooth" else 1.0
+        turned: Complexes = np.exp(1j * order * turns * self.wave_generator_angle)
+        return self._sign * self._interpolate(self.table.harmonic(error, order)) * turned
 
     def clearance(self) -> Floats:
         """Response to more circumferential clearance on both flanks of all pairs [rad/m], shape (n,)."""
-        return self._sign * self._interpolate(self.table.clearance()).real
+        return self._sign * self._interpolate(self.table.harmonic("clearance", 0)).real
 
     def one_slot(self, position: float, opening: Openings = NO_OPENING) -> Floats:
         """Response to more clearance on the flanks (+, -) of the slot nearest an angle.
@@ -134,38 +109,24 @@ class ContactWeights:
         ndarray, shape (n, 2)
             [rad/m]; wear of both flanks is the sum, a displaced slot the difference.
         """
-        slot = round(position / self.drive.mesh.geometry.slot_pitch)
+        geometry = self.drive.mesh.geometry
+        slot = round(position / geometry.slot_pitch) % geometry.circular_spline_teeth
         flanks = self.table.one_slot(slot, opening)
         return self._sign * np.stack([self._interpolate(flank).real for flank in flanks], axis=1)
 
     def one_tooth(self, position: float, opening: Openings = NO_OPENING) -> Floats:
-        """Response to more clearance on the flanks (+, -) of the tooth nearest an angle of the flexspline.
-
-        Parameters
-        ----------
-        position : float
-            Angle of the tooth along the flexspline, tooth 0 at zero [rad].
-        opening : (float, float)
-            As for :meth:`one_slot` [m].
-
-        Returns
-        -------
-        ndarray, shape (n, 2)
-            [rad/m]
-        """
+        """The same of the tooth nearest an angle along the flexspline [rad/m], shape (n, 2)."""
         geometry = self.drive.mesh.geometry
         turn = np.floor(self.wave_generator_angle / (2.0 * np.pi)).astype(np.int64)
         ahead = geometry.circular_spline_teeth - geometry.flexspline_teeth
         tooth = np.mod(round(position / geometry.tooth_pitch) - ahead * turn, geometry.flexspline_teeth)
         result = np.zeros((2, self.torque.size))
-        for torque_row, torque_share in self.torque_rows:
-            for angle_row, angle_share in self.angle_rows:
-                slope = self.table.one_tooth(torque_row, angle_row, tooth, opening)
-                result += torque_share * angle_share * slope
+        for torque_row, angle_row, share in self._cells():
+            result += share * self.table.one_tooth(torque_row, angle_row, tooth, opening)
         return self._sign * result.T
 
     def under_more_torque(self, torque: float) -> Floats:
-        """Change of TE if the drive exerted more torque on the link.
+        """Change of TE if the drive exerted more torque on the link, the cup's compliance included.
 
         Parameters
         ----------
@@ -175,7 +136,7 @@ class ContactWeights:
         Returns
         -------
         ndarray, shape (n,)
-            [rad]; the cup's own compliance included.
+            [rad]
         """
         change = self._torsion(self.torque + torque) - self._own_torsion()
         return self.drive.frame.transmission_error(change, np.full(change.shape, torque))
@@ -183,23 +144,8 @@ class ContactWeights:
     @cached_property
     def ripple(self) -> Floats:
         """The model's TE less its mean over a turn of the wave generator [rad], shape (n,)."""
-        if self.torsion is None:
-            nodes, mean = self.table.mean_torsion
-        else:  # without the table, which takes longer
-            nodes, mean = mean_torsion(self.drive.mesh, self.torque_limit)
         cup_torque = self.drive.frame.cup_torque(self.torque)
-        return self._sign * (self._own_torsion() - np.interp(cup_torque, nodes, mean))
-
-    def _own_torsion(self) -> Floats:
-        return self._torsion(self.torque) if self.torsion is None else self.torsion
-
-    def _torsion(self, torque: Floats) -> Floats:
-        """Of the mesh [rad]."""
-        cup_torque = self.drive.frame.cup_torque(torque)
-        beta = self.table.torsion_map(self.wave_generator_angle, cup_torque)
-        beyond = np.isnan(beta)
-        beta[beyond] = torsion(self.drive.mesh, self.wave_generator_angle[beyond], cup_torque[beyond])
-        return beta
+        return self._sign * (self._own_torsion() - np.interp(cup_torque, *self.table.mean_torsion))
 
     def displaced(
         self,
@@ -221,12 +167,9 @@ class ContactWeights:
         ndarray, shape (n,)
             [rad]
         """
-        count = self.drive.mesh.geometry.circular_spline_teeth
-        around, outward = (
-            np.broadcast_to(one, count).astype(np.float64) for one in (circumferential, radial)
-        )
-        wider = np.broadcast_to(clearance, (2, count)).astype(np.float64)
-        change = self.table.displaced(SlotErrors(around, outward, wider))
+        errors = np.empty((4, self.drive.mesh.geometry.circular_spline_teeth))
+        errors[0], errors[1], errors[2:] = circumferential, radial, clearance
+        change = self.table.displaced(errors)
         return self._sign * self._interpolate(change.astype(np.complex128)).real
 
     def teeth_beyond(self, displacement: Displacement, coefficients: Floats) -> Floats:
@@ -235,8 +178,6 @@ class ContactWeights:
         Parameters
         ----------
         displacement : callable
-            Coefficients and angles along the flexspline [rad] to the teeth's displacement [m], alike after
-            half a turn and in proportion to the coefficients.
         coefficients : ndarray, shape (k,)
             [m]
 
@@ -254,17 +195,15 @@ class ContactWeights:
         solved = float(np.linalg.norm(rounded))
         if not solved:
             return np.zeros(self.torque.size)
-        table = (
-            self._sign * (size / solved) ** 2 * self.table.teeth_beyond(displacement, tuple(rounded.tolist()))
-        )
+        table = self.table.teeth_beyond(displacement, tuple(rounded.tolist()))
+        table = self._sign * (size / solved) ** 2 * table
         turned = self.wave_generator_angle * (1.0 + 1.0 / self.drive.mesh.geometry.reduction)
         (low, low_share), (high, high_share) = _neighbours(np.mod(turned, np.pi) * (PHASES / np.pi), PHASES)
         result = np.zeros(self.torque.size)
-        for torque_row, torque_share in self.torque_rows:
-            for angle_row, angle_share in self.angle_rows:
-                first = table[low, torque_row, angle_row]
-                second = table[np.mod(high, PHASES), torque_row, angle_row]
-                result += torque_share * angle_share * (low_share * first + high_share * second)
+        for torque_row, angle_row, share in self._cells():
+            first = table[low, torque_row, angle_row]
+            second = table[np.mod(high, PHASES), torque_row, angle_row]
+            result += share * (low_share * first + high_share * second)
         return result
 
     @property
@@ -272,13 +211,6 @@ class ContactWeights:
         """Of all slots in the circular spline [rad], shape (Z_G,)."""
         geometry = self.drive.mesh.geometry
         return geometry.slot_pitch * np.arange(geometry.circular_spline_teeth, dtype=np.float64)
-
-    @property
-    def _sign(self) -> float:
-        return -self.drive.frame.torque_sign
-
-    def _turning(self, order: int, turns: float) -> Complexes:
-        return np.asarray(np.exp(1j * order * turns * self.wave_generator_angle))
 
     @cached_property
     def angle_rows(self) -> Neighbours:
@@ -300,12 +232,41 @@ class ContactWeights:
             (np.where(idle, TORQUES + 1, high), np.where(idle, 0.5, high_share)),
         )
 
-    def _interpolate(self, table: Complexes) -> Complexes:
-        result = np.zeros(self.torque.shape, dtype=np.complex128)
+    def _cells(self) -> Iterator[tuple[Integers, Integers, Floats]]:
+        """Rows of the four nodes around every sample, and their shares."""
         for torque_row, torque_share in self.torque_rows:
             for angle_row, angle_share in self.angle_rows:
-                result += torque_share * angle_share * table[torque_row, angle_row]
+                yield torque_row, angle_row, torque_share * angle_share
+
+    @property
+    def _sign(self) -> float:
+        return -self.drive.frame.torque_sign
+
+    def _own_torsion(self) -> Floats:
+        return self._torsion(self.torque) if self.torsion is None else self.torsion
+
+    def _torsion(self, torque: Floats) -> Floats:
+        """Of the mesh [rad]."""
+        cup_torque = self.drive.frame.cup_torque(torque)
+        beta = self.table.torsion_map(self.wave_generator_angle, cup_torque)
+        beyond = np.isnan(beta)
+        beta[beyond] = torsion(self.drive.mesh, self.wave_generator_angle[beyond], cup_torque[beyond])
+        return beta
+
+    def _interpolate(self, table: Complexes) -> Complexes:
+        result = np.zeros(self.torque.shape, dtype=np.complex128)
+        for torque_row, angle_row, share in self._cells():
+            result += share * table[torque_row, angle_row]
         return result
+
+
+def contact_weights(
+    drive: Drive, wave_generator_angle: Floats, torque: Floats, torsion: Floats | None = None
+) -> ContactWeights:
+    """Weights of a drive at samples, up to the greatest torque among them; see :class:`ContactWeights`."""
+    return ContactWeights(
+        contact_table(drive, greatest_torque(drive, torque)), wave_generator_angle, torque, torsion
+    )
 
 
 def greatest_torque(drive: Drive, torque: Floats) -> float:

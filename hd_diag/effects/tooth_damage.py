@@ -83,7 +83,7 @@ def _pitch(geometry: Geometry, member: float) -> float:
 def _positions(signals: Signals, angle: Floats, residual: Floats) -> list[float]:
     """Angles in the member [rad] where a damaged tooth fits best, by circular correlation over bins."""
     table, rows = signals.contact.table, signals.contact.torque_rows
-    template = table.mean_slot()
+    template = table.mean_slot
     bins = table.steps
     row = np.where(rows[0][1] >= 0.5, rows[0][0], rows[1][0])
     place = np.floor(np.mod(angle, 2.0 * np.pi) * (bins / (2.0 * np.pi)) + 0.5).astype(np.int64) % bins

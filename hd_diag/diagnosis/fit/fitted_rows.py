@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -17,8 +16,9 @@ from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record
 from hd_diag.drive import Drive
 from hd_diag.effects import Catalogue
-from hd_diag.effects.contact_weights import ContactWeights
+from hd_diag.effects.contact_weights import contact_weights
 from hd_diag.effects.effect import Effect, Values
+from hd_diag.effects.kept import Kept
 from hd_diag.effects.signals import Signals
 
 _BLOCKS = 24
@@ -180,28 +180,9 @@ class FittedRows:
             predicted=error,
             predicted_torque_slope=slope,
             predicted_rate=self.rate(error),
-            contact=ContactWeights(drive, angle, record.torque, torsion=torsion),
+            contact=contact_weights(drive, angle, record.torque, torsion),
         )
         return Linearised(whole, whole.part(self.at), derivatives)
-
-
-class Kept:
-    """Arrays by what they were computed of; the latest used, up to a number of bytes."""
-
-    def __init__(self, most: int) -> None:
-        self._most, self._size = most, 0
-        self._arrays: dict[Hashable, Floats] = {}
-
-    def get(self, key: Hashable, compute: Callable[[], Floats]) -> Floats:
-        """The array of this key, computed where it is not there."""
-        if key in self._arrays:
-            self._arrays[key] = found = self._arrays.pop(key)
-            return found
-        found = compute()
-        self._arrays[key], self._size = found, self._size + found.nbytes
-        while self._size > self._most and len(self._arrays) > 1:
-            self._size -= self._arrays.pop(next(iter(self._arrays))).nbytes
-        return found
 
 
 def fitted_rows(
