@@ -10,7 +10,7 @@ from hd_diag.effects.effect import Effect, Values
 from hd_diag.effects.excitation import enough_output_turns
 from hd_diag.effects.quantity import amplitude, direction, turning
 from hd_diag.effects.signals import Signals
-from hd_diag.model.torsion_map import ARCSEC
+from hd_diag.formatting import ARCSEC
 
 PINION_RATIO = 22.5
 """Turns of the pinion per turn of the output: 360 teeth on 16 [-]."""

@@ -15,7 +15,7 @@ from hd_diag.effects.harmonic import Harmonic
 from hd_diag.effects.order_spectrum import line_width, spectrum
 from hd_diag.effects.quantity import Quantity, amplitude, direction
 from hd_diag.effects.signals import Signals
-from hd_diag.model.torsion_map import ARCSEC
+from hd_diag.formatting import ARCSEC
 
 BALLS = 23
 """Balls of a wave generator's thin bearing that the bands are drawn for; those of others stay unexplained."""

@@ -12,7 +12,7 @@ from hd_diag.effects.effect import Effect, Starts, Values
 from hd_diag.effects.excitation import both_directions, enough_input_turns
 from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.signals import Signals
-from hd_diag.model.torsion_map import ARCSEC
+from hd_diag.formatting import ARCSEC
 
 _SPEEDS = (0.1, 0.6, 3.0)  # [rad/s] of the input
 _STRIBECK = 10.0  # Stribeck speed over the speed at which the friction turns round

@@ -14,7 +14,7 @@ from hd_diag.effects.harmonic import Harmonic
 from hd_diag.effects.order_spectrum import integer_orders
 from hd_diag.effects.quantity import Quantity, amplitude, direction
 from hd_diag.effects.signals import Signals
-from hd_diag.model.torsion_map import ARCSEC
+from hd_diag.formatting import ARCSEC
 
 _LEAST, _MOST = 4, 4096
 _USUAL = (4, 5, 8, 12, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096)

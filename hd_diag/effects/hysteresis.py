@@ -13,13 +13,13 @@ from hd_diag.effects.excitation import torque_reverses
 from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.recursions import slip
 from hd_diag.effects.signals import Signals
-from hd_diag.model.torsion_map import ARCSEC
+from hd_diag.formatting import ARCSEC
 
 _FRACTIONS = (0.02, 0.05, 0.12, 0.3)  # of the rated torque
 _SWING = 0.1  # of the rated torque, that must be reversed twice
 
+# Last torque [N m], None before the first sample; z of both elements.
 State = tuple[float | None, tuple[float, ...]]
-"""Last torque [N m], None before the first sample; z of both elements."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,7 +7,7 @@ from functools import partial
 from hd_diag.effects.excitation import enough_output_turns
 from hd_diag.effects.harmonic import Harmonic
 from hd_diag.effects.quantity import amplitude, direction
-from hd_diag.model.torsion_map import ARCSEC
+from hd_diag.formatting import ARCSEC
 
 EFFECT = Harmonic(
     name="output_runout",

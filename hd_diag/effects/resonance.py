@@ -19,7 +19,7 @@ from hd_diag.effects.excitation import (
 from hd_diag.effects.quantity import Quantity, amplitude, direction
 from hd_diag.effects.recursions import follow, relax
 from hd_diag.effects.signals import Signals
-from hd_diag.model.torsion_map import ARCSEC
+from hd_diag.formatting import ARCSEC
 
 ORDERS = (1.0, 2.0, 4.0)
 """Orders of the wave generator's turn that excite."""

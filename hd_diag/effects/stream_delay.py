@@ -16,8 +16,8 @@ from hd_diag.effects.signals import Signals
 _SPEED = 20.0  # [rad/s] of the input: 50 us read a hundredth of an arcmin there at ratio 100
 _POINTS = 4  # of the polynomial between samples: the ripple turns by half a radian from one to the next
 
+# Times [s] and output angles [rad] of the latest samples.
 State = tuple[Floats, Floats]
-"""Times [s] and output angles [rad] of the latest samples."""
 
 
 @dataclass(frozen=True, kw_only=True)

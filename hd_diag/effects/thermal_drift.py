@@ -11,7 +11,7 @@ from hd_diag.effects.effect import Effect, Values
 from hd_diag.effects.excitation import temperature_varies
 from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.signals import Signals
-from hd_diag.model.torsion_map import ARCSEC
+from hd_diag.formatting import ARCSEC
 
 REFERENCE = 20.0
 """Temperature at which the drift is zero [degC]."""

@@ -11,8 +11,8 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.drive import Drive
 from hd_diag.effects import recursions
+from hd_diag.formatting import ARCSEC
 from hd_diag.model import torsion
-from hd_diag.model.torsion_map import ARCSEC
 
 
 @dataclass(frozen=True)

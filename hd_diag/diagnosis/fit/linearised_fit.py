@@ -27,11 +27,11 @@ _SETTLED = 1.0  # standard deviations; the model is linear over such steps
 _WHITE = Whitening(np.zeros(ORDER), 1.0)
 
 Item = tuple[Effect, Values]
+# Effects with their nonlinear values.
 Chosen = tuple[Item, ...]
-"""Effects with their nonlinear values."""
 
+# The same with their coefficients.
 Sized = tuple[tuple[Item, Floats], ...]
-"""The same with their coefficients."""
 
 
 @dataclass(frozen=True, eq=False)
