@@ -23,28 +23,27 @@ from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.model.transmission_error import Kinematics
 from hd_diag.process_pool import ProcessPool
 from hd_diag.tolerance import assembly
-from hd_diag.tolerance.assembly import FACTORS, Assembly, Population, Share, draw, judged, yields
-from hd_diag.tolerance.criteria import CRITERIA, NAMES, cup_torques, of_moments, reference_stiffness
-from hd_diag.tolerance.evaluation import evaluate
+from hd_diag.tolerance.assembly import FACTORS, Assembly, Population, Share, Spread, draw, judged, yields
+from hd_diag.tolerance.criteria import CRITERIA, NAMES, cup_torques, of_moments
+from hd_diag.tolerance.evaluation import evaluate, reference_stiffness
 from hd_diag.tolerance.hills import NARROWING, climbed, hills
 from hd_diag.tolerance.limit import (
     STEPS,
-    Limit,
+    EccentricityLimit,
     across_long_axis,
     check_largest,
     first_excess,
     input_angle,
     largest_eccentricity,
 )
-from hd_diag.tolerance.settings import Spread, settings
+from hd_diag.tolerance.study import limits_and_spreads
 
 ROOT = Path(__file__).resolve().parent.parent
 RATED = published.RATED_TORQUE
 CUP = -RATED  # output at the flexspline
 LARGEST = 40e-6
 NOMINAL = resolve({})
-LIMITS = settings(NOMINAL.flat, "joint_1").limits
-SPREADS = settings(NOMINAL.flat, "joint_1").spreads
+LIMITS, SPREADS = limits_and_spreads(NOMINAL.flat, "joint_1")
 NONE = {name: Spread(spread.distribution, 0.0) for name, spread in SPREADS.items()}
 QUIET = {"overlap": 5e-6, "peak_tooth_load": 50.0, "transmission_error": 5 * ARCSEC}
 
@@ -53,7 +52,7 @@ def drive(mesh: Mesh | None = None, **changes: Any) -> Drive:
     return dataclasses.replace(Drive(mesh or drives.mesh(), Kinematics(100.0), RATED), **changes)
 
 
-def excess(criterion: str, limit: float, of: Drive | None = None, torque: float = CUP) -> Limit:
+def excess(criterion: str, limit: float, of: Drive | None = None, torque: float = CUP) -> EccentricityLimit:
     return first_excess(of or drive(), torque, criterion, limit, LARGEST)
 
 
@@ -180,7 +179,7 @@ def test_a_limit_is_crossed_where_it_says(criterion: str) -> None:
         assert (value(criterion, found, at) > found.limit) == is_exceeded
 
 
-def value(criterion: str, found: Limit, eccentricity: float) -> float:
+def value(criterion: str, found: EccentricityLimit, eccentricity: float) -> float:
     """A criterion at the direction and input angle found, computed beside the search."""
     towards = eccentricity * np.exp(1j * found.worst.direction)
     own = drive(dataclasses.replace(drives.mesh(), eccentricity=towards))

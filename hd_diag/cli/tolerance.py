@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ import click
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import Progress
 from rich.table import Table
 
 from hd_diag.cli.options import (
@@ -27,38 +25,52 @@ from hd_diag.cli.options import (
     verb,
     write_json,
 )
+from hd_diag.cli.progress import bar
 from hd_diag.config.configuration import Config, JointConfig
-from hd_diag.formatting import json_ready
+from hd_diag.formatting import ARCSEC
 from hd_diag.model.threads import cores
-from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.process_pool import ProcessPool
-from hd_diag.tolerance.assembly import ANGLES, FACTORS, WITHIN
+from hd_diag.tolerance.assembly import FACTORS, WITHIN
 from hd_diag.tolerance.criteria import CRITERIA
+from hd_diag.tolerance.document import document
 from hd_diag.tolerance.limit import (
     FINE_STEPS,
     RESOLUTION,
     ROOT_TOLERANCE,
     STEPS,
-    Limit,
+    EccentricityLimit,
     input_angle,
     largest_eccentricity,
 )
-from hd_diag.tolerance.settings import settings
-from hd_diag.tolerance.study import Progress as Steps
-from hd_diag.tolerance.study import Question, Study, study
+from hd_diag.tolerance.study import Question, Study, limits_and_spreads, study
 
 _UM = 1e-6
 _FIGURES = (".png", ".svg", ".pdf")
-# Options that take the place of configured limits: criterion and size of the option's unit.
-_LIMITS = {
-    "interference_um": ("interference", _UM),
-    "overlap_um": ("overlap", _UM),
-    "peak_load": ("peak_tooth_load", 1.0),
-    "load_concentration": ("load_concentration", 1.0),
-    "stiffness_loss": ("stiffness_loss", 1.0),
-    "te_arcsec": ("transmission_error", ARCSEC),
-}
 _SHARE = click.FloatRange(0.0, 1.0)
+# Options that take the place of configured limits: criterion, unit in SI, range, help.
+_LIMITS = {
+    "interference_um": ("interference", _UM, click.FLOAT, "the overlap of teeth at one lobe [um]"),
+    "overlap_um": ("overlap", _UM, click.FLOAT, "the overlap of both lobes, no torque [um]"),
+    "peak_load": ("peak_tooth_load", 1.0, click.FloatRange(0.0), "the force on a flank [N]"),
+    "load_concentration": ("load_concentration", 1.0, click.FloatRange(1.0), "largest over mean force [-]"),
+    "stiffness_loss": ("stiffness_loss", 1.0, _SHARE, "the share of torsional stiffness lost [-]"),
+    "te_arcsec": ("transmission_error", ARCSEC, click.FloatRange(0.0), "the error, peak to peak [arcsec]"),
+}
+
+
+def _limit_options(function: Callable[..., None]) -> Callable[..., None]:
+    for name, (_, _, kind, what) in reversed(_LIMITS.items()):
+        function = click.option(f"--{name.replace('_', '-')}", type=kind, help=f"Limit on {what}.")(function)
+    return function
+
+
+def _check_figure(context: click.Context, parameter: click.Parameter, path: Path | None) -> Path | None:
+    """Refuse before the work what cannot be drawn after it."""
+    if path is not None:
+        if path.suffix.lower() not in _FIGURES:
+            raise Problem(f"{path}: a figure ends with {', '.join(_FIGURES)}")
+        check_target(path)
+    return path
 
 
 @verb("tolerance --config arm.yaml --joint elbow --te-arcsec 20")
@@ -71,14 +83,7 @@ _SHARE = click.FloatRange(0.0, 1.0)
     multiple=True,
     help="On the link [N m]; repeatable. [default: the rated torque]",
 )
-@click.option("--interference-um", type=float, help="Limit on the overlap of teeth at one lobe [um].")
-@click.option("--overlap-um", type=float, help="Limit on the overlap of both lobes, no torque [um].")
-@click.option("--peak-load", type=click.FloatRange(0.0), help="Limit on the force on a flank [N].")
-@click.option(
-    "--load-concentration", type=click.FloatRange(1.0), help="Limit on largest over mean force [-]."
-)
-@click.option("--stiffness-loss", type=_SHARE, help="Limit on the share of torsional stiffness lost [-].")
-@click.option("--te-arcsec", type=click.FloatRange(0.0), help="Limit on the error, peak to peak [arcsec].")
+@_limit_options
 @click.option(
     "--largest-um", type=float, help="Look for limits up to here [um]. [default: a fifth of the module]"
 )
@@ -116,6 +121,7 @@ _SHARE = click.FloatRange(0.0, 1.0)
     "--figure",
     "figure_file",
     type=click.Path(dir_okay=False, path_type=Path),
+    callback=_check_figure,
     help="Draw the result: *.png, *.svg or *.pdf.",
 )
 def tolerance(
@@ -134,13 +140,16 @@ def tolerance(
     the eccentricity, and which tolerance matters. Limits and tolerances are in the configuration's section
     "tolerance"; an option takes a limit's place.
     """
-    _check_figure(figure_file)
     config = configured(config_file)
     chosen = chosen_joint(config, joint)
     try:
         question = _question(config, chosen, torques, options)
-        with _bars() as progress, ProcessPool(jobs or cores()) as pool:
-            found = study(question, pool, progress)
+        with bar() as bars, ProcessPool(jobs or cores()) as pool:
+
+            def part(what: str, steps: int) -> Callable[[], None]:
+                return partial(bars.advance, bars.add_task(what, total=steps, rate=""))
+
+            found = study(question, pool, part)
     except ValueError as error:
         raise Problem(f"{chosen.name}: {error}") from error
     if json_file:
@@ -154,171 +163,26 @@ def tolerance(
 def _question(
     config: Config, joint: JointConfig, torques: tuple[float, ...], options: dict[str, Any]
 ) -> Question:
-    given, drive = settings(config.flat, joint.name), joint.drive
-    samples = options["sensitivity_samples"]
+    samples, largest = options["sensitivity_samples"], options["largest_um"]
     if samples & (samples - 1) or samples == 1:
         raise Problem(f"--sensitivity-samples must be a power of two from 2 on, not {samples}")
-    own = {
-        name: options[option] * unit
-        for option, (name, unit) in _LIMITS.items()
-        if options[option] is not None
-    }
-    for name, limit in own.items():
-        if not math.isfinite(limit):
-            raise Problem(f"the limit of {name} must be finite")
-    largest = options["largest_um"]
+    limits, spreads = limits_and_spreads(config.flat, joint.name)
+    for option, (name, unit, *_) in _LIMITS.items():
+        if options[option] is not None:
+            limits[name] = options[option] * unit
+            if not math.isfinite(limits[name]):
+                raise Problem(f"the limit of {name} must be finite")
     return Question(
-        drive,
-        np.array(torques or (drive.rated_torque,), dtype=np.float64),
-        {**given.limits, **own},
-        given.spreads,
-        largest_eccentricity(drive) if largest is None else largest * _UM,
+        joint.drive,
+        np.array(torques or (joint.drive.rated_torque,), dtype=np.float64),
+        limits,
+        spreads,
+        largest_eccentricity(joint.drive) if largest is None else largest * _UM,
         options["samples"],
         samples,
         options["seed"],
         options["target"],
     )
-
-
-def _check_figure(path: Path | None) -> None:
-    """Refuse before the work what cannot be drawn after it."""
-    if path is None:
-        return
-    if path.suffix.lower() not in _FIGURES:
-        raise Problem(f"{path}: a figure ends with {', '.join(_FIGURES)}")
-    check_target(path)
-
-
-@contextlib.contextmanager
-def _bars() -> Iterator[Steps]:
-    """A bar for each part of the work, on a terminal."""
-    console = Console(stderr=True, quiet=not sys.stderr.isatty())
-    bar = Progress(console=console, transient=True, disable=not console.is_terminal)
-
-    def begin(what: str, steps: int) -> Callable[[], None]:
-        task = bar.add_task(what, total=steps)
-        return lambda: bar.advance(task)
-
-    # Older releases of rich print an empty line at the end of a bar that never showed.
-    with bar if console.is_terminal else contextlib.nullcontext():
-        yield begin
-
-
-def document(joint: str, found: Study) -> dict[str, Any]:
-    """What `hd-diag tolerance --json` writes.
-
-    Parameters
-    ----------
-    joint : str
-    found : Study
-
-    Returns
-    -------
-    dict
-        Schema ``hd_diag/tolerance/1``; SI units; null where a limit is not reached.
-    """
-    question = found.question
-    allowed = found.allowed
-    content = {
-        "schema": "hd_diag/tolerance/1",
-        "joint": joint,
-        "torques": question.torque.tolist(),
-        "largest_eccentricity": question.largest,
-        "resolution": {
-            "eccentricity_step": question.largest / STEPS,
-            "eccentricity_step_of_jumps": question.largest / STEPS / FINE_STEPS,
-            "eccentricity_root": ROOT_TOLERANCE,
-            "angle_from_long_axis": RESOLUTION[0],
-            "wave_generator_angle": RESOLUTION[1] * question.drive.mesh.geometry.slot_pitch,
-        },
-        "interference": _interference(found),
-        "limits": [
-            {"torque": torque, "criteria": {limit.criterion: _limit(found, limit) for limit in row}}
-            for torque, row in zip(question.torque.tolist(), found.limits, strict=True)
-        ],
-        "allowed": allowed and {"eccentricity": allowed.eccentricity, "criterion": allowed.criterion},
-        "assemblies": _assemblies(found),
-        "sensitivity": _sensitivity(found),
-        "units": {
-            "eccentricity": "m",
-            "direction": "rad, in the housing",
-            "angle": "rad",
-            "torque": "N m",
-            **{criterion.name: criterion.unit for criterion in CRITERIA},
-        },
-    }
-    return dict(json_ready(content))
-
-
-def _interference(found: Study) -> dict[str, Any]:
-    first = found.interference
-    return {
-        "across_long_axis": {"eccentricity": first.across, "clearance": first.clearance},
-        "any_direction": _limit(found, first.any_direction),
-        "all_teeth": _limit(found, first.all_teeth),
-    }
-
-
-def _limit(found: Study, limit: Limit) -> dict[str, Any]:
-    worst, scanned = limit.worst, limit.scanned
-    return {
-        "limit": limit.limit,
-        "reached": limit.reached,
-        "eccentricity": limit.eccentricity,
-        "value_without": limit.without,
-        "worst": {
-            "value": worst.value,
-            "direction": worst.direction,
-            "direction_deg": math.degrees(worst.direction),
-            "wave_generator_angle": worst.wave_generator_angle,
-            "input_angle": input_angle(found.question.drive, worst.wave_generator_angle),
-        },
-        "curve": {"eccentricity": scanned[0].tolist(), "value": scanned[1].tolist()},
-    }
-
-
-def _assemblies(found: Study) -> dict[str, Any] | None:
-    if found.assemblies is None:
-        return None
-    drawn = found.assemblies
-    shares = {"all": drawn.together} | dict(zip((c.name for c in CRITERIA), drawn.each, strict=True))
-    return {
-        "samples": found.question.samples,
-        "seed": found.question.seed,
-        "angles_per_turn": ANGLES,
-        "tolerances": drawn.tolerances.tolist(),
-        "configured_tolerance": drawn.configured,
-        "target": found.question.target,
-        "tolerance_at_target": drawn.at_target,
-        "yield": {
-            name: {"share": s.share.tolist(), "low": s.low.tolist(), "high": s.high.tolist()}
-            for name, s in shares.items()
-        },
-        "spreads": {
-            name: {"distribution": spread.distribution, "size": spread.size}
-            for name, spread in found.question.spreads.items()
-        },
-    }
-
-
-def _sensitivity(found: Study) -> dict[str, Any] | None:
-    s = found.sensitivity
-    if s is None:
-        return None
-    orders = {"first": (s.first, s.first_low, s.first_high), "total": (s.total, s.total_low, s.total_high)}
-    return {
-        "samples": found.question.sensitivity_samples,
-        "criteria": {
-            criterion.name: {
-                factor: {
-                    order: dict(zip(("value", "low", "high"), (a[k, i] for a in arrays), strict=True))
-                    for order, arrays in orders.items()
-                }
-                for i, factor in enumerate(FACTORS)
-            }
-            for k, criterion in enumerate(CRITERIA)
-        },
-    }
 
 
 def _draw(found: Study, path: Path) -> None:
@@ -380,7 +244,7 @@ def _table(title: str, *columns: str) -> Table:
     return table
 
 
-def _limit_table(found: Study, torque: float, row: list[Limit]) -> Table:
+def _limit_table(found: Study, torque: float, row: list[EccentricityLimit]) -> Table:
     columns = ("limit", "without", "at\n[um]", "direction\n[rad]", "\n[deg]", "input\n[rad]")
     table = _table(f"Limits at {torque:g} N m", "criterion", *columns)
     for criterion, limit in zip(CRITERIA, row, strict=True):
@@ -389,7 +253,7 @@ def _limit_table(found: Study, torque: float, row: list[Limit]) -> Table:
     return table
 
 
-def _place(found: Study, limit: Limit) -> tuple[str, ...]:
+def _place(found: Study, limit: EccentricityLimit) -> tuple[str, ...]:
     if not limit.reached:
         return f"> {found.question.largest * 1e6:.4g}", "not reached", "", ""
     worst = limit.worst

@@ -16,9 +16,8 @@ from scipy import stats
 from hd_diag.arrays import Floats
 from hd_diag.drive import Drive
 from hd_diag.process_pool import ProcessPool
-from hd_diag.tolerance.criteria import over_turn, reference_stiffness
-from hd_diag.tolerance.evaluation import Evaluation, evaluate
-from hd_diag.tolerance.settings import Spread
+from hd_diag.tolerance.criteria import over_turns
+from hd_diag.tolerance.evaluation import evaluate, reference_stiffness
 
 FACTORS = (
     "eccentricity",
@@ -56,6 +55,14 @@ _DEVIATION: Mapping[str, Callable[[Floats], Floats]] = {
     "triangular": stats.triang(0.5, -1.0, 2.0).ppf,
 }
 _MAGNITUDES = ("eccentricity", "runout", "cup_compliance")
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How a quantity differs between assemblies: name of the distribution, and its size in its unit."""
+
+    distribution: str
+    size: float
 
 
 @dataclass(frozen=True)
@@ -107,7 +114,7 @@ class Population:
     def tolerance(self) -> float:
         """Eccentricity that the configured distribution keeps within in a share :data:`WITHIN` [m]."""
         spread = self.spreads["eccentricity"]
-        return spread.size * float(_unit("eccentricity", spread, np.array([WITHIN]))[0])
+        return spread.size * float(_unit("eccentricity", spread, WITHIN))
 
 
 @dataclass(frozen=True)
@@ -137,32 +144,26 @@ def draw(population: Population, numbers: Floats) -> Assembly:
     ValueError
         If what is drawn cannot be assembled.
     """
-    kept = np.clip(numbers, _EDGE, 1.0 - _EDGE)
-    u = dict(zip(FACTORS, kept, strict=True))
+    u = dict(zip(FACTORS, np.clip(numbers, _EDGE, 1.0 - _EDGE), strict=True))
 
     def drawn(name: str) -> float:
         spread = population.spreads[name]
-        return spread.size * float(_unit(name, spread, np.array([u[name]]))[0])
+        return spread.size * float(_unit(name, spread, u[name]))
 
-    drive, shape = population.drive, population.spreads["eccentricity"]
-    mesh, geometry = drive.mesh, drive.mesh.geometry
-    size = _unit("eccentricity", shape, np.array([u["eccentricity"], WITHIN]))
+    drive, mesh = population.drive, population.drive.mesh
+    datum = mesh.geometry.circular_spline_datum + drawn("circular_spline_datum")
+    own = dataclasses.replace(
+        mesh,
+        geometry=dataclasses.replace(mesh.geometry, circular_spline_datum=datum),
+        tooth_compliance=mesh.tooth_compliance * (1.0 + drawn("tooth_compliance")),
+        eccentricity=0.0,
+        runout=cmath.rect(drawn("runout"), 2.0 * math.pi * u["runout.direction"]),
+    )
+    shape = population.spreads["eccentricity"]
+    size, within = _unit("eccentricity", shape, np.array([u["eccentricity"], WITHIN]))
     return Assembly(
-        dataclasses.replace(
-            drive,
-            mesh=dataclasses.replace(
-                mesh,
-                geometry=dataclasses.replace(
-                    geometry,
-                    circular_spline_datum=geometry.circular_spline_datum + drawn("circular_spline_datum"),
-                ),
-                tooth_compliance=mesh.tooth_compliance * (1.0 + drawn("tooth_compliance")),
-                eccentricity=0.0,
-                runout=cmath.rect(drawn("runout"), 2.0 * math.pi * u["runout.direction"]),
-            ),
-            cup_compliance=drive.cup_compliance + drawn("cup_compliance"),
-        ),
-        cmath.rect(float(size[0] / size[1]), 2.0 * math.pi * u["eccentricity.direction"]),
+        dataclasses.replace(drive, mesh=own, cup_compliance=drive.cup_compliance + drawn("cup_compliance")),
+        cmath.rect(float(size / within), 2.0 * math.pi * u["eccentricity.direction"]),
         _slot_angles(population, u["pitch"]),
     )
 
@@ -201,14 +202,12 @@ def worst(population: Population, assembly: Assembly, tolerances: Floats) -> Flo
     ndarray, shape (6, t)
         In the order of ``criteria.CRITERIA``.
     """
-    drive, n = assembly.drive, population.angles
-    turn = np.tile(2.0 * np.pi * np.arange(n, dtype=np.float64) / n, tolerances.size)
-    turning: npt.NDArray[np.complex128] = np.exp(1j * turn)
-    center = np.repeat(tolerances, n) * assembly.eccentricity + drive.mesh.runout * turning
-    moments = evaluate(drive.mesh, turn, center, population.cup_torque, assembly.slot_angle)
-    parts = [_part(moments, slice(k * n, (k + 1) * n)) for k in range(tolerances.size)]
-    turns = [over_turn(part, drive.cup_compliance, population.reference).max(axis=1) for part in parts]
-    return np.stack(turns, axis=1)
+    mesh, n, turns = assembly.drive.mesh, population.angles, tolerances.size
+    turn = np.tile(2.0 * np.pi * np.arange(n, dtype=np.float64) / n, turns)
+    center = np.repeat(tolerances, n) * assembly.eccentricity + mesh.displacement(turn)
+    found = evaluate(mesh, turn, center, population.cup_torque, assembly.slot_angle)
+    values = over_turns(found, turns, assembly.drive.cup_compliance, population.reference)
+    return np.asarray(values.max(axis=2))
 
 
 def judged(
@@ -287,10 +286,10 @@ def tolerance_at(share: Share, tolerances: Floats, target: float) -> float:
     return float(np.interp(-target, -share.share[ends], tolerances[ends]))
 
 
-def _unit(name: str, spread: Spread, numbers: Floats) -> Floats:
+def _unit(name: str, spread: Spread, numbers: float | Floats) -> Floats:
     """Quantiles of a distribution of size 1."""
     family = _MAGNITUDE if name in _MAGNITUDES else _DEVIATION
-    return np.asarray(family[spread.distribution](numbers), dtype=np.float64)
+    return np.asarray(family[spread.distribution](np.asarray(numbers)), dtype=np.float64)
 
 
 def _slot_angles(population: Population, number: float) -> Floats:
@@ -305,11 +304,6 @@ def _slot_angles(population: Population, number: float) -> Floats:
 def _judged(task: tuple[Population, Floats, Floats]) -> Floats:
     population, numbers, tolerances = task
     return np.stack([worst(population, draw(population, row), tolerances) for row in numbers])
-
-
-def _part(moments: Evaluation, rows: slice) -> Evaluation:
-    fields = (getattr(moments, field.name) for field in dataclasses.fields(moments))
-    return type(moments)(*(values[rows] for values in fields))
 
 
 def _share(within: npt.NDArray[np.bool_]) -> Share:

@@ -7,9 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from hd_diag.arrays import Complexes, Floats
+from hd_diag.drive import Drive
 from hd_diag.model import torsion
 from hd_diag.model.kernel.mesh_data import blank
 from hd_diag.model.mesh import Mesh, contiguous
+
+_PHASES = 32  # tooth phases over which the reference stiffness is the mean
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,10 @@ class Evaluation:
     stiffness: Floats
     peak_load: Floats
     load_concentration: Floats
+
+    def total_stiffness(self, cup_compliance: float) -> Floats:
+        """Torsional stiffness of teeth and cup [N m/rad], shape (n, q); zero where no tooth bears."""
+        return np.asarray(self.stiffness / (1.0 + cup_compliance * self.stiffness))
 
 
 def evaluate(
@@ -84,6 +91,34 @@ def evaluate(
     geometry, loads = kernel.evaluate(mesh.data, turn, center, -across, slots, contiguous(torque))
     gap, least, radius = geometry.T
     return Evaluation(-least, -gap * radius, *np.moveaxis(loads, 2, 0))
+
+
+def reference_stiffness(drive: Drive, cup_torque: Floats) -> Floats:
+    """Mean torsional stiffness of a drive without eccentricity and runout.
+
+    Parameters
+    ----------
+    drive : Drive
+    cup_torque : ndarray, shape (q,)
+        [N m]
+
+    Returns
+    -------
+    ndarray, shape (q,)
+        [N m/rad]
+
+    Raises
+    ------
+    ValueError
+        If the teeth cannot bear a torque.
+    """
+    turn = drive.mesh.geometry.slot_pitch * np.arange(_PHASES) / _PHASES
+    found = evaluate(drive.mesh, turn, np.zeros(_PHASES, dtype=np.complex128), cup_torque)
+    if not np.isfinite(found.torsion).all():
+        torques = ", ".join(f"{value:g}" for value in cup_torque)
+        raise ValueError(f"the teeth cannot bear {torques} N m even without eccentricity")
+    mean: Floats = np.mean(found.total_stiffness(drive.cup_compliance), axis=0)
+    return mean
 
 
 def warm_up() -> None:

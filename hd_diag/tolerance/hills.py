@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
+from scipy import ndimage
 
-from hd_diag.arrays import Floats
+from hd_diag.arrays import Floats, Integers
 
 _HILLS = 8  # local maxima that are climbed
 _ROUNDS, _CLOSER, _BESIDE = 6, 3, 3  # of a climb: so many grids, each so much finer, points to either side
@@ -16,7 +16,7 @@ NARROWING = _CLOSER**_ROUNDS
 """By how much a climb refines the grid that it starts from."""
 
 
-def hills(values: Floats) -> npt.NDArray[np.int64]:
+def hills(values: Floats) -> Integers:
     """Flat indices of the greatest local maxima.
 
     Parameters
@@ -29,11 +29,8 @@ def hills(values: Floats) -> npt.NDArray[np.int64]:
     ndarray of int
         At most eight, the greatest first.
     """
-    peak = np.ones(values.shape, dtype=bool)
-    for axis in range(values.ndim):
-        for side in (-1, 1):
-            peak &= values >= np.roll(values, side, axis)
-    index = np.flatnonzero(peak)
+    beside = ndimage.generate_binary_structure(values.ndim, 1)
+    index = np.flatnonzero(values >= ndimage.maximum_filter(values, footprint=beside, mode="wrap"))
     order = np.argsort(-values.ravel()[index], kind="stable")
     return np.asarray(index[order[:_HILLS]], dtype=np.int64)
 

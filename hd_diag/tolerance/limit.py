@@ -13,8 +13,8 @@ from hd_diag.arrays import Complexes, Floats
 from hd_diag.drive import Drive
 from hd_diag.model.mesh import Mesh
 from hd_diag.model.torsion import torsion
-from hd_diag.tolerance.criteria import CRITERIA, NAMES, of_moments, reference_stiffness
-from hd_diag.tolerance.evaluation import evaluate
+from hd_diag.tolerance.criteria import CRITERIA, NAMES, of_moments
+from hd_diag.tolerance.evaluation import evaluate, reference_stiffness
 from hd_diag.tolerance.hills import NARROWING, climbed, hills
 
 STEPS = 60
@@ -59,7 +59,7 @@ class Worst:
 
 
 @dataclass(frozen=True)
-class Limit:
+class EccentricityLimit:
     """Where a criterion is first exceeded.
 
     Attributes
@@ -114,7 +114,9 @@ def check_largest(drive: Drive, largest: float) -> None:
     _with(drive.mesh, largest)
 
 
-def first_excess(drive: Drive, cup_torque: float, criterion: str, limit: float, largest: float) -> Limit:
+def first_excess(
+    drive: Drive, cup_torque: float, criterion: str, limit: float, largest: float
+) -> EccentricityLimit:
     """The eccentricity at which a criterion is first exceeded.
 
     Parameters
@@ -132,7 +134,7 @@ def first_excess(drive: Drive, cup_torque: float, criterion: str, limit: float, 
 
     Returns
     -------
-    Limit
+    EccentricityLimit
 
     Notes
     -----
@@ -157,14 +159,14 @@ def first_excess(drive: Drive, cup_torque: float, criterion: str, limit: float, 
     while first < STEPS and excess(eccentricity[first]) <= 0.0:
         first += 1
     if excess(eccentricity[first]) <= 0.0:
-        return Limit(criterion, limit, math.nan, search.worst(largest), without, scanned)
+        return EccentricityLimit(criterion, limit, math.nan, search.worst(largest), without, scanned)
     if not first:
-        return Limit(criterion, limit, 0.0, search.worst(0.0), without, scanned)
+        return EccentricityLimit(criterion, limit, 0.0, search.worst(0.0), without, scanned)
     low, high = eccentricity[first - 1], eccentricity[first]
     if search.jumps:
         low, high = _first_step(excess, low, high)
     found = _root(excess, low, high)
-    return Limit(criterion, limit, found, search.worst(found), without, scanned)
+    return EccentricityLimit(criterion, limit, found, search.worst(found), without, scanned)
 
 
 def across_long_axis(drive: Drive, largest: float) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from hd_diag.arrays import Floats
 _CONFIDENCE = 0.95
 _RESAMPLES = 200
 # scipy has renamed the argument.
-_SEED = "rng" if "rng" in inspect.signature(qmc.Sobol).parameters else "seed"
+_GENERATOR = "rng" if "rng" in inspect.signature(qmc.Sobol).parameters else "seed"
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,9 @@ def evaluations(samples: int, factors: int) -> int:
     return samples * (factors + 2)
 
 
-def indices(model: Callable[[Floats], Floats], factors: int, samples: int, seed: int) -> Indices:
+def indices(
+    model: Callable[[Floats], Floats], factors: int, samples: int, rng: np.random.Generator
+) -> Indices:
     """Sobol indices of a model of independent numbers between 0 and 1.
 
     Parameters
@@ -49,7 +51,7 @@ def indices(model: Callable[[Floats], Floats], factors: int, samples: int, seed:
     factors : int
     samples : int
         A power of two.
-    seed : int
+    rng : numpy.random.Generator
 
     Returns
     -------
@@ -67,7 +69,7 @@ def indices(model: Callable[[Floats], Floats], factors: int, samples: int, seed:
     """
     if samples < 2 or samples & (samples - 1):
         raise ValueError(f"samples of the sensitivity must be a power of two, not {samples}")
-    points = qmc.Sobol(2 * factors, **{_SEED: seed}).random(samples)
+    points = qmc.Sobol(2 * factors, **{_GENERATOR: rng}).random(samples)
     first, second = points[:, :factors], points[:, factors:]
     mixed = np.repeat(first[None], factors, axis=0)
     for k in range(factors):
@@ -75,8 +77,9 @@ def indices(model: Callable[[Floats], Floats], factors: int, samples: int, seed:
     output = model(np.concatenate((first, second, mixed.reshape(-1, factors))))
     blocks = np.moveaxis(output.reshape(factors + 2, samples, -1), 2, 1)  # (2 + factors, outputs, samples)
     finite = np.asarray(np.isfinite(blocks).all(axis=(0, 2)))
-    estimate = _estimate(np.where(finite[:, None], blocks, 0.0))
-    again = _again(np.where(finite[:, None], blocks, 0.0), np.random.default_rng(seed))
+    blocks = np.where(finite[:, None], blocks, 0.0)
+    estimate = _estimate(blocks)
+    again = _again(blocks, rng)
     ends = 100.0 * np.array([0.5 * (1.0 - _CONFIDENCE), 0.5 * (1.0 + _CONFIDENCE)])
     low, high = np.percentile(again, ends, axis=0)
     columns = (np.where(finite[:, None], part, math.nan) for part in (estimate, low, high))
@@ -91,7 +94,7 @@ def _estimate(blocks: Floats) -> Floats:
     return np.stack((found.first_order.reshape(shape), found.total_order.reshape(shape)))
 
 
-def _again(blocks: Floats, random: np.random.Generator) -> Floats:
+def _again(blocks: Floats, rng: np.random.Generator) -> Floats:
     """Estimates of samples drawn again, (resamples, 2, outputs, factors)."""
     n = blocks.shape[2]
-    return np.stack([_estimate(blocks[:, :, random.integers(n, size=n)]) for _ in range(_RESAMPLES)])
+    return np.stack([_estimate(blocks[:, :, rng.integers(n, size=n)]) for _ in range(_RESAMPLES)])

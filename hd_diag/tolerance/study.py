@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from hd_diag.arrays import Floats
+from hd_diag.config.parameters import Value
 from hd_diag.drive import Drive
 from hd_diag.process_pool import ProcessPool
 from hd_diag.tolerance import assembly, sensitivity
-from hd_diag.tolerance.assembly import FACTORS, Population, Share
+from hd_diag.tolerance.assembly import FACTORS, Population, Share, Spread
 from hd_diag.tolerance.criteria import NAMES, cup_torques
 from hd_diag.tolerance.evaluation import warm_up
-from hd_diag.tolerance.limit import Limit, across_long_axis, check_largest, first_excess
+from hd_diag.tolerance.limit import EccentricityLimit, across_long_axis, check_largest, first_excess
 from hd_diag.tolerance.sensitivity import Indices
-from hd_diag.tolerance.settings import Spread
 
 Progress = Callable[[str, int], Callable[[], None]]
 """Told what comes and of how many steps; gives what is called after each step."""
@@ -25,6 +25,38 @@ TOLERANCES = 13
 """Eccentricity tolerances of a yield curve, from zero to twice the configured one, the middle one."""
 
 _ALL_TEETH = 0.0  # [m]; overlap from which no rotation frees all teeth
+
+
+def limits_and_spreads(flat: Mapping[str, Value], joint: str) -> tuple[dict[str, float], dict[str, Spread]]:
+    """Limits and tolerances of a joint, out of its configuration.
+
+    Parameters
+    ----------
+    flat : mapping
+        Every parameter of a configuration by its full name, checked.
+    joint : str
+
+    Returns
+    -------
+    limits : dict
+        By the names of the criteria [m, N, -, rad].
+    spreads : dict
+        By the names of the quantities.
+    """
+    start, limit = f"{joint}.tolerance.", f"{joint}.tolerance.limits."
+    own = {name: value for name, value in flat.items() if name.startswith(start)}
+    limits = {name.removeprefix(limit): _number(own[name]) for name in own if name.startswith(limit)}
+    quantities = [name.removeprefix(start).removesuffix(".size") for name in own if name.endswith(".size")]
+    spreads = {
+        name: Spread(str(own[f"{start}{name}.distribution"]), _number(own[f"{start}{name}.size"]))
+        for name in quantities
+    }
+    return limits, spreads
+
+
+def _number(value: Value) -> float:
+    assert isinstance(value, (int, float))
+    return float(value)
 
 
 @dataclass(frozen=True)
@@ -84,16 +116,16 @@ class Interference:
         The paper's own arrangement; see ``limit.across_long_axis``.
     clearance : float
         Least backlash there without eccentricity [m].
-    any_direction : Limit
+    any_direction : EccentricityLimit
         The same lobe, over all directions and angles.
-    all_teeth : Limit
+    all_teeth : EccentricityLimit
         No rotation of the cup frees all teeth: the interference flag of a mesh.
     """
 
     across: float
     clearance: float
-    any_direction: Limit
-    all_teeth: Limit
+    any_direction: EccentricityLimit
+    all_teeth: EccentricityLimit
 
 
 @dataclass(frozen=True)
@@ -127,12 +159,12 @@ class Study:
 
     question: Question
     interference: Interference
-    limits: list[list[Limit]]
+    limits: list[list[EccentricityLimit]]
     assemblies: Yield | None
     sensitivity: Indices | None
 
     @property
-    def allowed(self) -> Limit | None:
+    def allowed(self) -> EccentricityLimit | None:
         """The limit that is reached first, at any torque; none if none is reached."""
         reached = [limit for row in self.limits for limit in row if limit.reached]
         return min(reached, key=lambda limit: limit.eccentricity, default=None)
@@ -168,7 +200,7 @@ def study(question: Question, pool: ProcessPool, progress: Progress) -> Study:
 
 def _limits(
     question: Question, pool: ProcessPool, progress: Progress
-) -> tuple[Interference, list[list[Limit]]]:
+) -> tuple[Interference, list[list[EccentricityLimit]]]:
     torques = question.cup_torque
     free = [("interference", 0.0), ("overlap", _ALL_TEETH)]
     asked = [(torques[0], *one) for one in free]
@@ -179,7 +211,7 @@ def _limits(
     return Interference(*across_long_axis(question.drive, question.largest), *found[: len(free)]), rows
 
 
-def _first_excess(task: tuple[Drive, float, str, float, float]) -> Limit:
+def _first_excess(task: tuple[Drive, float, str, float, float]) -> EccentricityLimit:
     return first_excess(*task)
 
 
@@ -208,4 +240,4 @@ def _sensitivity(
     def model(numbers: Floats) -> Floats:
         return assembly.judged(pool, population, numbers, configured, done)[:, :, 0]
 
-    return sensitivity.indices(model, factors, samples, question.seed)
+    return sensitivity.indices(model, factors, samples, np.random.default_rng(question.seed))
