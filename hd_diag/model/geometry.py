@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
-from hd_diag.model.kernel.mesh_data import Constants, Tables, constants, tables
 from hd_diag.model.neutral_curve import NeutralCurve, neutral_curve
 from hd_diag.model.tooth_profile import DoubleArc
 
@@ -59,11 +58,6 @@ class Geometry:
     def curve(self) -> NeutralCurve:
         """Neutral curve of the flexspline."""
         return neutral_curve(self.semi_major, self.semi_minor)
-
-    @cached_property
-    def data(self) -> tuple[Constants, Tables]:
-        """Its numbers and arrays as the kernels take them."""
-        return constants(self), tables(self)
 
     @property
     def reduction(self) -> float:

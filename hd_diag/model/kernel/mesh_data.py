@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import cmath
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
 from hd_diag.arrays import Floats
+from hd_diag.model.geometry import Geometry
 from hd_diag.model.neutral_curve import tooth_axes
 from hd_diag.model.tooth_profile import DoubleArc
-
-if TYPE_CHECKING:
-    from hd_diag.model.geometry import Geometry
 
 JOINT_SLACK = 1e-9
 """Contacts may lie this far outside a primitive [m].
@@ -106,8 +105,17 @@ def blank() -> MeshData:
     return MeshData(constants, Tables(*[np.ones(1)] * 5), 1.0, 0.0)
 
 
-def constants(geometry: Geometry) -> Constants:
-    """Numbers of a geometry."""
+def mesh_data(geometry: Geometry, tooth_compliance: float, arc_offset: float) -> MeshData:
+    """What the entry points take."""
+    return MeshData(*_of(geometry), float(tooth_compliance), float(arc_offset))
+
+
+@lru_cache(maxsize=64)
+def _of(geometry: Geometry) -> tuple[Constants, Tables]:
+    return _constants(geometry), _tables(geometry)
+
+
+def _constants(geometry: Geometry) -> Constants:
     curve, datum = geometry.curve, geometry.circular_spline_datum
     tooth, wall = geometry.flexspline_tooth, geometry.circular_spline_slot
     wall_dedendum = _arc(wall.dedendum_center, wall.dedendum_radius, datum)
@@ -139,8 +147,7 @@ def constants(geometry: Geometry) -> Constants:
     )
 
 
-def tables(geometry: Geometry) -> Tables:
-    """Arrays of a geometry."""
+def _tables(geometry: Geometry) -> Tables:
     pitches = np.arange(geometry.flexspline_teeth // 2) * geometry.tooth_pitch
     from_lobe = np.linspace(0.0, np.pi / 2, 181)
     _, height, offset = tooth_axes(geometry.curve, from_lobe)
