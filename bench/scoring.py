@@ -98,7 +98,7 @@ def size_of(made: records.Record, name: str, rows: np.ndarray | slice = slice(No
 def score(made: records.Record, family: str, seed: int) -> Score:
     """Score of the package's diagnosis."""
     begin = time.process_time()
-    found = diagnose(prepared(made), CONFIGURED)
+    found = diagnose(prepared(made), CONFIGURED, np.random.default_rng(0))
     seconds = time.process_time() - begin
     named = [[finding.name] for finding in found.findings] + [list(cause.alike) for cause in found.causes]
     sizes = [float("nan")] * len(found.findings) + [cause.amplitude for cause in found.causes]

@@ -34,7 +34,7 @@ def diagnosis(name: str) -> Diagnosis:
     record = made(name)
     data = (record.time, record.input_angle, record.output_angle, record.torque, record.temperature)
     prepared = prepare(*data, np.zeros(record.time.size, dtype=np.int64), 100.0)
-    return diagnose(prepared, config().joints[0].drive)
+    return diagnose(prepared, config().joints[0].drive, np.random.default_rng(0))
 
 
 @functools.cache

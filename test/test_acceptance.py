@@ -9,14 +9,14 @@ from joint_records import ARCSEC
 
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.record import Record
-from hd_diag.diagnosis.search.acceptance import FAMILY_ERROR, LEAST_SIZE, held_out_gain, kept, passing, size
+from hd_diag.diagnosis.search.acceptance import FAMILY_ERROR, LEAST_SIZE, held_out_gain, needed, passing, size
 from hd_diag.diagnosis.search.ranking import ranked
-from hd_diag.diagnosis.search.unmodelled_terms import FOILS
+from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS
 from hd_diag.effects.signals import Signals
 
 RUBBED, DRY = EFFECTS["hysteresis"], EFFECTS["coulomb_windup"]
 RUBBING = (RUBBED, (2.0, 9.0))
-DRIFT = next(foil for foil in FOILS if foil.name == "drift")
+DRIFT = next(term for term in UNMODELLED_TERMS if term.name == "drift")
 
 
 def friction(times: float = 1.0) -> Part:
@@ -84,22 +84,22 @@ def test_size_beside_itself_is_nothing(made: LinearisedFit) -> None:
 
 def test_held_out_gain_is_of_the_effect_s_own_columns(made: LinearisedFit) -> None:
     chosen = ((DRY, (0.6,)), RUBBING)
-    gain, foretold = held_out_gain(made, chosen, 1)
+    gain, predicted = held_out_gain(made, chosen, 1)
     without = made.design(chosen[:1]).held_out().sum() - made.design(chosen).held_out().sum()
     assert gain.sum() == pytest.approx(without, rel=1e-9)
-    assert foretold.sum() == pytest.approx(gain.sum(), rel=0.1)
+    assert predicted.sum() == pytest.approx(gain.sum(), rel=0.1)
     assert held_out_gain(made, chosen, 0)[0].sum() < 0.01 * gain.sum()
 
 
 def test_idle_effects_are_dropped_and_needed_ones_kept(made: LinearisedFit, plain: LinearisedFit) -> None:
-    assert kept(made, ((DRY, (0.6,)), RUBBING, (EFFECTS["viscous_windup"], ()))) == (RUBBING,)
-    assert kept(plain, ((DRY, (0.6,)), RUBBING)) == ()
+    assert needed(made, ((DRY, (0.6,)), RUBBING, (EFFECTS["viscous_windup"], ()))) == (RUBBING,)
+    assert needed(plain, ((DRY, (0.6,)), RUBBING)) == ()
 
 
-def test_what_cannot_see_ahead_is_not_judged_by_blocks_held_out(plain: LinearisedFit) -> None:
+def test_what_is_not_predictive_is_not_judged_by_blocks_held_out(plain: LinearisedFit) -> None:
     drifting = bench(lambda signals: 2e-5 * np.sin(0.9 * signals.time))
-    assert kept(drifting, ((DRIFT, ()), (DRY, (0.6,)))) == ((DRIFT, ()),)
-    assert kept(plain, ((DRIFT, ()), (DRY, (0.6,)))) == ()  # too small to be told
+    assert needed(drifting, ((DRIFT, ()), (DRY, (0.6,)))) == ((DRIFT, ()),)
+    assert needed(plain, ((DRIFT, ()), (DRY, (0.6,)))) == ()  # too small to be reported
 
 
 @pytest.mark.parametrize(

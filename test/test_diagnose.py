@@ -40,7 +40,9 @@ def generated(family: str, seed: int, *names: str, run: float = RUN) -> Truth:
 
 def diagnosed(made: Truth) -> Diagnosis:
     data = (made.time, made.input_angle, made.output_angle, made.torque, made.temperature)
-    return diagnose(prepare(*data, np.zeros(made.time.size, dtype=np.int64), 100.0), CONFIGURED)
+    return diagnose(
+        prepare(*data, np.zeros(made.time.size, dtype=np.int64), 100.0), CONFIGURED, np.random.default_rng(0)
+    )
 
 
 def hd_diag(*arguments: object) -> Result:

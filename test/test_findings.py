@@ -138,6 +138,6 @@ def test_a_step_between_runs_is_a_hub_that_slipped_at_rest_and_no_skip(record: R
 
 
 def test_a_wrong_ratio_ends_the_diagnosis(record: Record) -> None:
-    found = diagnose(scaled(record, 1.01), joint().drive)
+    found = diagnose(scaled(record, 1.01), joint().drive, np.random.default_rng(0))
     assert [f.name for f in found.findings] == ["ratio_error"]
     assert (found.refitted, found.rms, found.causes) == (None, None, ())

@@ -17,7 +17,7 @@ def test_the_deviation_of_an_amplitude_is_that_of_drawn_coefficients() -> None:
     made = bench(of(ENCODER, amplitude=1e-3, direction=0.5))
     chosen = tuple((effect, tuple(made.data.grid(effect)[-1])) for effect in (ENCODER, HYSTERESIS, BEARING))
     rng = np.random.default_rng(0)
-    found = causes(made, chosen, {}, ())
+    found = causes(made, chosen, {}, (), rng)
     assert {cause.covariance.shape[0] > cause.coefficients.size for cause in found} == {False, True}
     for cause in found:
         own = slice(cause.coefficients.size)

@@ -6,7 +6,7 @@ from benches import EFFECTS, bench, of
 
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.search.ranking import Projector, by_name, candidates, family_size, ranked
-from hd_diag.diagnosis.search.unmodelled_terms import FOILS
+from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS
 
 HYSTERESIS = {"first_amplitude": 1e-4, "second_amplitude": 6e-5, "first_reach": 2.0, "second_reach": 9.0}
 RUBBED, DRY = EFFECTS["hysteresis"], EFFECTS["coulomb_windup"]
@@ -69,9 +69,9 @@ def test_what_the_motion_does_not_show_takes_part_on_request(made: LinearisedFit
     assert [one.effect for one in ranked(made, (), [drift], {"thermal_drift"})] == [drift]
 
 
-def test_shapes_without_a_name_are_ranked_alike(made: LinearisedFit) -> None:
-    found = ranked(made, (), FOILS)
-    assert 2 <= len(found) <= len(FOILS)
+def test_unmodelled_terms_are_ranked_alike(made: LinearisedFit) -> None:
+    found = ranked(made, (), UNMODELLED_TERMS)
+    assert 2 <= len(found) <= len(UNMODELLED_TERMS)
     assert max(one.gain for one in found) < candidates(made, ())[0].gain
 
 

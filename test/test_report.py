@@ -182,7 +182,9 @@ def test_a_wrong_ratio_is_all_that_is_said_first() -> None:
     """Nothing was fitted: one card, one stage, no ladder; and the page stands."""
     given = columns(seconds=6.0)
     whole = configured()
-    wrong = diagnose(prepared(given | {"output": -given["output"]}), whole.joints[0].drive)
+    wrong = diagnose(
+        prepared(given | {"output": -given["output"]}), whole.joints[0].drive, np.random.default_rng(0)
+    )
     report = of_diagnosis(wrong, whole.joints[0], whole.flat)
     found = report.judgement
     assert found is not None
@@ -197,7 +199,7 @@ def test_a_wrong_ratio_is_all_that_is_said_first() -> None:
 def test_a_joint_that_is_eccentric_and_no_more() -> None:
     """The card's size is what the displacement does to the error; without a cause no stage is extended."""
     whole = configured()
-    found = diagnose(prepared(columns()), whole.joints[0].drive)
+    found = diagnose(prepared(columns()), whole.joints[0].drive, np.random.default_rng(0))
     report = of_diagnosis(found, whole.joints[0], whole.flat)
     assert report.judgement is not None
     (card,) = report.judgement.cards
@@ -213,10 +215,10 @@ def test_a_bearing_that_slips_has_its_order_marked() -> None:
     """A fit carries more columns of it than the cause keeps coefficients."""
     bearing, whole = EFFECTS["bearing_passage"], configured()
     moved = bench(lambda signals: 2e-5 * np.cos(2.6 * signals.wave_generator_angle)).record
-    found = diagnose(moved, whole.joints[0].drive)
+    found = diagnose(moved, whole.joints[0].drive, np.random.default_rng(0))
     assert found.found is not None
-    fitted = found.found.bench
-    (cause,) = causes(fitted, ((bearing, (2.6, 1.0)),), {}, ())
+    fitted = found.found.fit
+    (cause,) = causes(fitted, ((bearing, (2.6, 1.0)),), {}, (), np.random.default_rng(0))
     assert fitted.columns(bearing, cause.nonlinear).shape[1] > cause.coefficients.size
     slipping = dataclasses.replace(found, found=Search(fitted, (cause,)), unexplained=())
     judgement = of_diagnosis(slipping, whole.joints[0], whole.flat).judgement
@@ -229,7 +231,9 @@ def test_a_record_without_torque_has_no_measured_stiffness() -> None:
     given = {name: column for name, column in columns(seconds=10.0).items() if name != "torque"}
     whole = configured()
     record = prepared(given, assumed_torque=30.0)
-    report = of_diagnosis(diagnose(record, whole.joints[0].drive), whole.joints[0], whole.flat)
+    report = of_diagnosis(
+        diagnose(record, whole.joints[0].drive, np.random.default_rng(0)), whole.joints[0], whole.flat
+    )
     assert not [entry for entry in report.torsion.stiffness if np.isfinite(entry.measured)]
     assert report.torsion.measured == ()
     assert fact(report.quality, "Torque") == "not measured"

@@ -44,12 +44,12 @@ def test_a_delay_is_seen_and_noise_is_not() -> None:
 
 def test_search_returns_the_cause_and_no_other() -> None:
     """With its values, from a grid of three speeds."""
-    told: list[str] = []
+    said: list[str] = []
     values = {"amplitude": 5e-5, "stribeck_amplitude": 4e-5, "reversal_speed": 1.3}
-    found = search(bench(of(EFFECTS["coulomb_windup"], **values)), told.append)
+    found = search(bench(of(EFFECTS["coulomb_windup"], **values)), np.random.default_rng(0), said.append)
     (cause,) = found.causes
-    assert told == ["looking for cause 1", "looking for cause 2"]
-    assert (cause.alike, found.foils) == (("coulomb_windup",), ())
+    assert said == ["looking for cause 1", "looking for cause 2"]
+    assert (cause.alike, found.unmodelled) == (("coulomb_windup",), ())
     assert found.chosen == ((cause.effect, cause.nonlinear),)
     assert np.array([*cause.coefficients, *cause.nonlinear]) == pytest.approx([*values.values()], rel=0.03)
     assert 0.5 < cause.gain_low < cause.gain < min(cause.gain_high, 1.0)

@@ -206,8 +206,8 @@ def test_a_subsample_has_the_verdict_of_the_whole() -> None:
     data = (made.time, made.input_angle, made.output_angle, made.torque, made.temperature)
     record = prepare(*data, np.zeros(made.time.size, dtype=np.int64), 100.0)
     drive = joint().drive
-    whole = diagnose(record, drive)
-    fewer = diagnose(screened(record, drive, limit=record.size // 2), drive)
+    whole = diagnose(record, drive, np.random.default_rng(0))
+    fewer = diagnose(screened(record, drive, limit=record.size // 2), drive, np.random.default_rng(0))
     assert fewer.record.size <= record.size // 2
     for found in (whole, fewer):
         assert [cause.effect.name for cause in found.causes] == ["hysteresis"]

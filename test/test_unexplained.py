@@ -10,8 +10,8 @@ from joint_records import ARCSEC, columns, prepared
 
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.search.causes import Search
-from hd_diag.diagnosis.search.unexplained import Line, lines
-from hd_diag.diagnosis.search.unmodelled_terms import FOILS
+from hd_diag.diagnosis.search.unexplained import Unexplained, unexplained
+from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS
 from hd_diag.effects.signals import Signals
 
 ORDER = 3.37
@@ -35,8 +35,8 @@ def loaded(order: float = ORDER, size: float = 2.0 * SIZE) -> Part:
     return part
 
 
-def found(*parts: Part, record: Record | None = None) -> list[Line]:
-    return lines(Search(bench(*parts, record=record), ()))
+def found(*parts: Part, record: Record | None = None) -> list[Unexplained]:
+    return unexplained(Search(bench(*parts, record=record), ()))
 
 
 def test_noise_has_no_lines() -> None:
@@ -54,7 +54,7 @@ def test_a_wave_of_even_size(order: float, frame: str) -> None:
 
 
 def test_a_wave_in_proportion_to_the_torque_is_found() -> None:
-    """In the mean over both signs nothing of it is left."""
+    """In the mean over both signs nothing of it remains."""
     line = found(loaded())[0]
     assert line.frame == "input"
     assert line.order == pytest.approx(ORDER, abs=0.02)
@@ -67,7 +67,7 @@ def test_a_wave_in_proportion_to_the_torque_is_found() -> None:
 
 
 def test_a_torque_of_one_sign_is_looked_at_evenly() -> None:
-    """There a wave that grows with the torque has a mean, and its law is told all the same."""
+    """A wave that grows with the torque has a mean, and its law is reported all the same."""
     line = found(loaded(), record=prepared(columns()))[0]
     assert line.order == pytest.approx(ORDER, abs=0.02)
     assert line.torque_law.startswith("grows with torque")
@@ -78,19 +78,19 @@ def test_two_waves_the_stronger_first() -> None:
     assert [line.order for line in told] == pytest.approx([5.9, ORDER], abs=0.02)
 
 
-def test_a_wave_smaller_than_is_of_use_is_not_told() -> None:
+def test_a_wave_smaller_than_is_of_use_is_not_reported() -> None:
     assert found(wave(ORDER, 0.2 * ARCSEC)) == []
 
 
-def test_a_nameless_shape_is_told_with_its_words() -> None:
-    foil = next(one for one in FOILS if one.name == "even_torque")
+def test_an_unmodelled_term_is_described_by_its_words() -> None:
+    term = next(one for one in UNMODELLED_TERMS if one.name == "even_torque")
 
     def part(signals: Signals) -> np.ndarray:
-        return foil.columns(signals, ()) @ np.array([20.0 * ARCSEC, 0.0])
+        return term.columns(signals, ()) @ np.array([20.0 * ARCSEC, 0.0])
 
     made = bench(part)
-    line = lines(Search(made, (), ((foil, ()),)))[0]
-    assert (line.order, line.frame, line.description) == (0.0, "input", foil.description)
+    line = unexplained(Search(made, (), ((term, ()),)))[0]
+    assert (line.order, line.frame, line.description) == (0.0, "input", term.cause)
     expected = np.sqrt(2.0) * np.std(part(made.signals))
     assert line.amplitude == pytest.approx(expected, rel=0.1)
 

@@ -7,14 +7,14 @@ import pytest
 from benches import CONFIGURED
 from numpy.testing import assert_allclose, assert_array_equal
 
-from hd_diag.diagnosis.search.unmodelled_terms import FOILS, Foil, Place
+from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS, UnmodelledTerm
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.contact_table import contact_table
 from hd_diag.effects.contact_weights import ContactWeights
 from hd_diag.effects.signals import Signals
 
 NAMES = ("even_torque", "sided_torque", "creep", "drift", "rests", "place", "square_speed")
-BY_NAME = {foil.name: foil for foil in FOILS}
+BY_NAME = {term.name: term for term in UNMODELLED_TERMS}
 RATE = 50.0  # [Hz]
 FEW = 600
 
@@ -55,7 +55,7 @@ def columns(name: str, signals: Signals) -> np.ndarray:
 
 
 def has_none(name: str, signals: Signals) -> bool:
-    """Whether a record has no columns of a foil, which is then not testable."""
+    """Whether a record has no columns of a term, which is then not testable."""
     found, (possible, reason) = columns(name, signals), BY_NAME[name].testable(signals)
     assert found.shape[0] == signals.size
     assert possible == bool(found.shape[1])
@@ -66,35 +66,35 @@ def has_none(name: str, signals: Signals) -> bool:
 # All of them ---
 
 
-def test_names_and_which_see_ahead() -> None:
-    assert tuple(foil.name for foil in FOILS) == NAMES
+def test_names_and_which_are_predictive() -> None:
+    assert tuple(term.name for term in UNMODELLED_TERMS) == NAMES
     assert not set(NAMES) & {effect.name for effect in CATALOGUE}
-    assert {foil.name for foil in FOILS if not foil.sees_ahead} == {"drift", "rests"}
-    assert all(len(foil.description) > 10 for foil in FOILS)
+    assert {term.name for term in UNMODELLED_TERMS if not term.predictive} == {"drift", "rests"}
+    assert all(len(term.cause) > 10 for term in UNMODELLED_TERMS)
 
 
-@pytest.mark.parametrize("foil", FOILS, ids=NAMES)
-def test_columns_are_finite_and_of_order_one(foil: Foil) -> None:
+@pytest.mark.parametrize("term", UNMODELLED_TERMS, ids=NAMES)
+def test_columns_are_finite_and_of_order_one(term: UnmodelledTerm) -> None:
     speed = both_ways(24.0) * (np.arange(24 * 50) % 300 > 40)
     signals = made(np.abs(speed) * 3.0, wave(24.0))
-    if foil.name == "sided_torque":
+    if term.name == "sided_torque":
         signals = made(both_ways(24.0), wave(24.0))
-    if foil.name == "rests":
+    if term.name == "rests":
         signals = made(speed, wave(24.0))
-    if foil.name == "place":
+    if term.name == "place":
         signals = made(np.full(1200, 400.0))
-    assert foil.testable(signals)[0]
-    found = foil.columns(signals, foil.starts(signals).points[0])
+    assert term.testable(signals)[0]
+    found = term.columns(signals, term.starts(signals).points[0])
     assert found.shape[0] == signals.size
     assert np.isfinite(found).all()
     assert_allclose(np.abs(found).max(axis=0), 1.0, rtol=0.05)
 
 
-@pytest.mark.parametrize("foil", FOILS, ids=NAMES)
-def test_an_empty_record(foil: Foil) -> None:
+@pytest.mark.parametrize("term", UNMODELLED_TERMS, ids=NAMES)
+def test_an_empty_record(term: UnmodelledTerm) -> None:
     nothing = made(both_ways()).part(slice(0, 0))
-    assert foil.columns(nothing, (0.0, 0.06) if foil.name == "place" else ()).shape[0] == 0
-    assert not foil.testable(nothing)[0]
+    assert term.columns(nothing, (0.0, 0.06) if term.name == "place" else ()).shape[0] == 0
+    assert not term.testable(nothing)[0]
 
 
 # Torque and speed ---
@@ -259,7 +259,6 @@ def turning() -> Signals:
 
 def test_bump_is_at_its_place_every_turn(turning: Signals) -> None:
     place = BY_NAME["place"]
-    assert isinstance(place, Place)
     bump = place.columns(turning, (2.0, 0.15))[:, 0]
     assert bump.shape == (2800,)
     away = np.mod(turning.output_angle - 2.0 + np.pi, 2.0 * np.pi) - np.pi

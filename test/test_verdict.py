@@ -15,7 +15,7 @@ from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.refit import Refit
 from hd_diag.diagnosis.search import detectability
 from hd_diag.diagnosis.search.causes import Cause
-from hd_diag.diagnosis.search.unexplained import Line
+from hd_diag.diagnosis.search.unexplained import Unexplained
 from hd_diag.diagnosis.verdict import as_json, sentence, summary
 from hd_diag.effects import CATALOGUE
 
@@ -62,7 +62,7 @@ def refitted(trustworthy: bool = True, eccentricity: complex = 18.2 * np.exp(1.2
     return Refit(fit_parameters.drive_of(point, CONFIGURED), point, covariance, trustworthy)
 
 
-LINE = Line(3.37, "input", 2.0 * ARCSEC, "independent of torque", "the same in both directions")
+LINE = Unexplained(3.37, "input", 2.0 * ARCSEC, "independent of torque", "the same in both directions")
 TESTS = (
     detectability.Testability("resonance", False, float("nan"), "one speed only"),
     detectability.Testability("hysteresis", True, 0.3 * ARCSEC, "tested"),

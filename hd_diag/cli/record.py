@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import click
+import numpy as np
 from rich.console import Console
 
 from hd_diag.bag.joint_record import read_bags, read_table
@@ -82,7 +83,7 @@ class Records:
         """
         # No name for the record: it goes as soon as it was looked through.
         looked = screened(self._record(joint), joint.configured)
-        return diagnose(looked, joint.configured, progress, self.catalogue)
+        return diagnose(looked, joint.configured, np.random.default_rng(0), progress, self.catalogue)
 
     def _record(self, joint: JointConfig) -> Record:
         if self.columns is None:

@@ -1,4 +1,4 @@
-"""The whole criticism of one joint: checks, refit, causes, what is left, gain on data never fitted."""
+"""The whole diagnosis of one joint: checks, refit, causes, unexplained parts, gain on data never fitted."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.arrays import Floats
+from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.extension import extended_model, left, map_of
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.fit import fit_parameters
@@ -18,11 +18,11 @@ from hd_diag.diagnosis.fit.refit import Refit, refit, usable
 from hd_diag.diagnosis.noise import ORDER, bounds
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.screening import Screened, screened
-from hd_diag.diagnosis.search.causes import Cause, Search, fitted, parameters_of
+from hd_diag.diagnosis.search.causes import Cause, Search, parameters_of, refitted
 from hd_diag.diagnosis.search.detectability import Testability, testability
 from hd_diag.diagnosis.search.selection import search
-from hd_diag.diagnosis.search.unexplained import Line, lines
-from hd_diag.diagnosis.search.unmodelled_terms import Foil
+from hd_diag.diagnosis.search.unexplained import Unexplained, unexplained
+from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
 from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE, Catalogue
 from hd_diag.extended_model import ExtendedModel
@@ -32,6 +32,7 @@ Rows = npt.NDArray[np.bool_]
 _HELD_OUT = 4  # every fourth run, or stretch of a single run, is held out
 _STRETCHES = 12
 _SLICE = 1.0  # length of a block of the bootstrap [s]
+_DRAWS = 2000
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,7 @@ class Diagnosis:
     found: Search | None
     rms: Rms | None
     gain: Gain | None
-    unexplained: tuple[Line, ...] = ()
+    unexplained: tuple[Unexplained, ...] = ()
     testable: tuple[Testability, ...] = ()
     model: ExtendedModel | None = None
     catalogue: Catalogue = CATALOGUE
@@ -93,61 +94,58 @@ class Diagnosis:
 def diagnose(
     record: Record | Screened,
     configured: Drive,
+    rng: np.random.Generator,
     progress: Callable[[str], None] = lambda text: None,
     catalogue: Catalogue = CATALOGUE,
 ) -> Diagnosis:
-    """Criticise the model by a record.
+    """Compare the model with a record and find the causes of the difference.
 
     Parameters
     ----------
     record : Record or Screened
-        Screened already, a long one need not be kept.
+        A caller who screens a long record first need not keep it.
     configured : Drive
         The simulation as configured.
+    rng : numpy.random.Generator
+        For bootstrap intervals.
     progress : callable
-        Told what is being done.
+        Called with what is being done.
     catalogue : tuple of Effect
         Causes to search among.
-
-    Returns
-    -------
-    Diagnosis
     """
-    looked = record if isinstance(record, Screened) else screened(record, configured, progress)
-    record, findings = looked.record, looked.findings
+    checked = record if isinstance(record, Screened) else screened(record, configured, progress)
+    record, findings = checked.record, checked.findings
     if any(finding.fatal for finding in findings):
         return Diagnosis(record, configured, findings, None, None, None, None, catalogue=catalogue)
-    test, told = held_out(record)
+    test, which = held_out(record)
     record = _renumbered(record)
     # Single rows of a long record weigh nothing in a fit, which must know of what came between.
     test &= (np.bincount(record.run) > ORDER)[record.run]
-    train = _renumbered(record.select(~test))
     progress("fitting the model's own parameters")
-    first = refit(train, configured)
+    first = refit(_renumbered(record.select(~test)), configured)
     progress("looking for causes")
     begun = linearise(record, configured, first.parameters, rows=~test, catalogue=catalogue)
     plain = settle(begun, ())
-    found = search(plain, progress)
+    found = search(plain, rng, progress)
     progress("measuring the gain")
     rows = usable(record, found.torque_shift)
-    trained = linearise(record, configured, found.bench.parameters, rows=rows, catalogue=catalogue)
-    rms, gain = _gain(record, test, told, configured, plain, found, trained)
+    every = linearise(record, configured, found.fit.parameters, rows=rows, catalogue=catalogue)
+    rms, gain = _gain(record, test, which, plain, found, every, rng)
     progress("using all data")
-    whole = fitted(settle(trained, found.chosen), found)
-    del begun, plain, found, trained  # some hundred columns each
-    trusted = first.trustworthy
+    whole = refitted(settle(every, found.chosen), found)
+    del begun, plain, found, every  # some hundred columns each
     parameters, covariance = parameters_of(whole)
-    refitted = Refit(fit_parameters.drive_of(parameters, configured), parameters, covariance, trusted)
-    progress("looking at what is left")
+    drive = fit_parameters.drive_of(parameters, configured)
+    progress("looking at what no cause explains")
     return Diagnosis(
         record,
         configured,
         findings,
-        refitted,
+        Refit(drive, parameters, covariance, first.trustworthy),
         whole,
         rms,
         gain,
-        tuple(lines(whole)),
+        tuple(unexplained(whole)),
         tuple(testability(whole)),
         extended_model(whole, configured, record),
         catalogue,
@@ -155,30 +153,18 @@ def diagnose(
 
 
 def held_out(record: Record) -> tuple[Rows, str]:
-    """Rows that no fit sees, and in words which they are: whole runs where there are enough, else stretches.
-
-    Parameters
-    ----------
-    record : Record
-
-    Returns
-    -------
-    rows : ndarray of bool, shape (n,)
-    told : str
-    """
+    """Rows that no fit sees, shape (n,), and in words which: whole runs if there are enough, or stretches."""
     if record.runs >= _HELD_OUT:
         rows = record.run % _HELD_OUT == _HELD_OUT - 1
         if 0.1 < rows.mean() < 0.5:
             return rows, f"{np.unique(record.run[rows]).size} of {record.runs} runs"
     stretch = np.arange(record.size) * _STRETCHES // record.size
-    return (
-        stretch % _HELD_OUT == _HELD_OUT - 1,
-        f"{_STRETCHES // _HELD_OUT} of {_STRETCHES} stretches of the record",
-    )
+    which = f"{_STRETCHES // _HELD_OUT} of {_STRETCHES} stretches of the record"
+    return stretch % _HELD_OUT == _HELD_OUT - 1, which
 
 
 def _renumbered(record: Record) -> Record:
-    """Run numbers from zero, with a new run wherever rows were taken out."""
+    """Run numbers from zero, with a new run wherever rows are missing."""
     step = float(np.median(np.diff(record.time)))
     change = (np.diff(record.run) != 0) | (np.diff(record.time) > 20.0 * step)
     return replace(record, run=np.concatenate(([0], np.cumsum(change))).astype(np.int64))
@@ -187,100 +173,87 @@ def _renumbered(record: Record) -> Record:
 def _gain(
     record: Record,
     test: Rows,
-    told: str,
-    configured: Drive,
+    which: str,
     plain: LinearisedFit,
     found: Search,
-    trained: LinearisedFit,
+    every: LinearisedFit,
+    rng: np.random.Generator,
 ) -> tuple[Rms, Gain]:
-    unseen = _renumbered(record.select(test))
-    kept = trained.data.mask[test]
-    rows = test[trained.data.mask]  # of a bench of the whole record, whose effects remember what came before
-    nominal = _nominal_left(record, configured, test, trained.data.mask)
-    refitted = _left_by(trained.moved(plain.parameters), plain, ())[rows]
-    offline = _left_by(trained, found.bench, found.chosen)[rows]
+    """Residuals of held-out rows; `every` fits all rows, so that its effects remember what came before."""
+    configured, fitted = every.data.configured, every.data.mask
+    kept, rows = fitted[test], test[fitted]
+    nominal = _nominal_residual(record, configured, test, fitted)
     model = extended_model(found, configured, record.select(~test))
     table = map_of(model)
     extended, live = (
         left(model, record, torque, table)[test][kept] for torque in (record.torque, record.reported_torque)
     )
-    time, run = unseen.time[kept], unseen.run[kept]
-    noise = found.bench.noise_residual
-    low, high = _rms_interval(noise, found.bench.data.record.time, found.bench.data.run)
-    freedom = noise.size / max(noise.size - found.bench.always().shape[1] - 30, 1)
-    slices = _slices(time, run)
+    noise, own = found.fit.noise_residual, found.fit.data
+    noise_slices = _slices(own.record.time, own.run)
+    squares, counts = _sums(noise**2, noise_slices), _sums(np.ones(noise.size), noise_slices)
+    noise_low, noise_high = np.sqrt(_ratio_interval(squares, counts, rng)).tolist()
+    freedom = noise.size / max(noise.size - found.fit.always().shape[1] - 30, 1)
+    unseen = _renumbered(record.select(test))
+    slices = _slices(unseen.time[kept], unseen.run[kept])
     before, after = _sums(nominal**2, slices), _sums(extended**2, slices)
-    rng = np.random.default_rng(0)
-    draws = rng.integers(0, before.size, (2000, before.size))
-    shares = 1.0 - after[draws].sum(axis=1) / before[draws].sum(axis=1)
+    high, low = (1.0 - _ratio_interval(after, before, rng)).tolist()
     rms = Rms(
-        _rms(nominal),
-        _rms(refitted),
-        _rms(extended),
-        _rms(offline),
-        _rms(live[np.isfinite(live)]),
-        _rms(noise) * float(np.sqrt(freedom)),
-        low,
-        high,
+        nominal=_rms(nominal),
+        refit=_rms(_residual_of(every.moved(plain.parameters), plain, ())[rows]),
+        extended=_rms(extended),
+        offline=_rms(_residual_of(every, found.fit, found.chosen)[rows]),
+        live=_rms(live[np.isfinite(live)]),
+        noise=_rms(noise) * float(np.sqrt(freedom)),
+        noise_low=noise_low,
+        noise_high=noise_high,
     )
-    fraction = 1.0 - float(after.sum() / before.sum())
-    return rms, Gain(fraction, float(np.quantile(shares, 0.025)), float(np.quantile(shares, 0.975)), told)
+    return rms, Gain(1.0 - float(after.sum() / before.sum()), low, high, which)
 
 
-def _nominal_left(record: Record, configured: Drive, test: Rows, kept: Rows) -> Floats:
-    """What the configured drive leaves of held-out rows, the encoders' offset taken off [rad]."""
-    known = np.flatnonzero(kept & ~test)[::10]
-    offset = float(_left(record.select(known), configured).mean())
-    return _left(record.select(kept & test), configured) - offset
+def _nominal_residual(record: Record, configured: Drive, test: Rows, fitted: Rows) -> Floats:
+    """Residual of the configured drive on held-out rows, less the encoders' offset on others [rad]."""
+
+    def residual(rows: Rows | Integers) -> Floats:
+        part = record.select(rows)
+        error, _, _ = fit_parameters.along(configured, configured, part.input_angle, part.torque)
+        return np.asarray(part.output_angle - part.input_angle / configured.kinematics.ratio - error)
+
+    return residual(fitted & test) - float(residual(np.flatnonzero(fitted & ~test)[::10]).mean())
 
 
-def _left(record: Record, drive: Drive) -> Floats:
-    """Measured less predicted error [rad]."""
-    error, _, _ = fit_parameters.along(drive, drive, record.input_angle, record.torque)
-    return np.asarray(record.output_angle - record.input_angle / drive.kinematics.ratio - error)
+def _residual_of(fit: LinearisedFit, trained: LinearisedFit, chosen: Chosen) -> Floats:
+    """Residual of all rows of a fit, with coefficients trained on some rows [rad].
 
-
-def _left_by(bench: LinearisedFit, trained: LinearisedFit, chosen: Chosen) -> Floats:
-    """What a model trained on some rows leaves of all rows, at the parameters of training [rad].
-
-    Shapes without a name are fitted, but are no part of a model; nor is what a cause wanders by.
+    Unmodelled terms are fitted, but are no part of the model; nor is what a cause wanders by.
     """
     beta, _, _ = trained.fit(chosen)
-    fixed = bench.always()
-    left = bench.uncorrected - fixed @ beta[: fixed.shape[1]]
+    fixed = fit.always()
+    residual = fit.uncorrected - fixed @ beta[: fixed.shape[1]]
     sized = tuple((item, part[: item[0].size]) for item, part in trained.sized(chosen, beta))
-    beside = bench.beside(sized)
+    beside = fit.beside(sized)
     for (effect, nonlinear), coefficients in sized:
-        if not isinstance(effect, Foil):
-            left = left - beside.full_size(effect, nonlinear, coefficients)
-    return np.asarray(left)
+        if not isinstance(effect, UnmodelledTerm):
+            residual = residual - beside.full_size(effect, nonlinear, coefficients)
+    return np.asarray(residual)
 
 
 def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _slices(time: Floats, run: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """Numbers of consecutive stretches of about `_SLICE` seconds within runs."""
-    result = np.zeros(time.size, dtype=np.int64)
-    number = 0
-    for begin, end in bounds(run):
-        inner = ((time[begin:end] - time[begin]) / _SLICE).astype(np.int64)
-        result[begin:end] = number + inner
-        number = int(result[end - 1]) + 1
-    return result
+def _slices(time: Floats, run: Integers) -> Integers:
+    """Numbers, from zero without a gap, of stretches of about `_SLICE` seconds within runs."""
+    begun = np.repeat([time[a] for a, _ in bounds(run)], [b - a for a, b in bounds(run)])
+    inner = np.floor((time - begun) / _SLICE)
+    change = (np.diff(inner) != 0) | (np.diff(run) != 0)
+    return np.concatenate(([0], np.cumsum(change))).astype(np.int64)
 
 
-def _sums(values: Floats, slices: npt.NDArray[np.int64]) -> Floats:
-    sums = np.bincount(slices, weights=values)
-    return np.asarray(sums[np.bincount(slices) > 0])
+def _sums(values: Floats, number: Integers) -> Floats:
+    return np.asarray(np.bincount(number, values), np.float64)
 
 
-def _rms_interval(values: Floats, time: Floats, run: npt.NDArray[np.int64]) -> tuple[float, float]:
-    """95 % block bootstrap interval of an rms."""
-    slices = _slices(time, run)
-    sums, counts = _sums(values**2, slices), _sums(np.ones(values.size), slices)
-    draws = np.random.default_rng(0).integers(0, sums.size, (1000, sums.size))
-    rms = np.sqrt(sums[draws].sum(axis=1) / counts[draws].sum(axis=1))
-    low, high = np.quantile(rms, (0.025, 0.975))
-    return float(low), float(high)
+def _ratio_interval(top: Floats, bottom: Floats, rng: np.random.Generator) -> Floats:
+    """95 % interval of a ratio of sums by bootstrap of their parts, shape (2,)."""
+    draws = rng.integers(0, top.size, (_DRAWS, top.size))
+    return np.asarray(np.quantile(top[draws].sum(axis=1) / bottom[draws].sum(axis=1), (0.025, 0.975)))

@@ -30,8 +30,8 @@ def extended_model(found: Search, configured: Drive, record: Record) -> Extended
     -------
     ExtendedModel
     """
-    beta, _, _ = found.bench.fit(found.chosen)
-    drive = fit_parameters.drive_of(found.bench.parameters + beta[: fit_parameters.COUNT], configured)
+    beta, _, _ = found.fit.fit(found.chosen)
+    drive = fit_parameters.drive_of(found.fit.parameters + beta[: fit_parameters.COUNT], configured)
     terms = tuple(_term(cause.effect, cause.coefficients, cause.nonlinear) for cause in found.causes)
     return ExtendedModel(drive, terms, float(beta[fit_parameters.COUNT]), _ranges(record))
 

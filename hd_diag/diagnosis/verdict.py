@@ -8,7 +8,7 @@ from typing import Any
 from hd_diag.diagnosis.diagnosis import Diagnosis, Gain, Rms
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.search.causes import Cause
-from hd_diag.diagnosis.search.unexplained import Line
+from hd_diag.diagnosis.search.unexplained import Unexplained
 from hd_diag.formatting import ARCSEC, arcsec, direction, json_ready, si, words
 
 _SIGMAS = 3.0  # a parameter this many standard deviations off its configured value is worth a word
@@ -93,7 +93,7 @@ def _finding(finding: Finding) -> dict[str, Any]:
     }
 
 
-def _unexplained(line: Line) -> dict[str, Any]:
+def _unexplained(line: Unexplained) -> dict[str, Any]:
     """What has no period is order 0, its law what it looks like."""
     content = {**line.__dict__}
     if description := content.pop("description"):
@@ -151,7 +151,7 @@ def _cause_in_words(cause: Cause) -> str:
     return f"{name}, {arcsec(cause.amplitude)} rms"
 
 
-def _line_in_words(line: Line) -> str:
+def _line_in_words(line: Unexplained) -> str:
     if line.description:
         return f"a part that {line.description} ({arcsec(line.amplitude)})"
     where = f" {line.where}" if line.where else ""

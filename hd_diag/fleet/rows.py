@@ -93,7 +93,7 @@ def judge(task: Task) -> Row:
     try:
         configured = task.joint.configured
         record = screened(read_bags([task.bag], task.joint), configured)
-        found = diagnose(record, configured, catalogue=load())
+        found = diagnose(record, configured, np.random.default_rng(0), catalogue=load())
     except BagError as error:
         return {**fixed, "error": error.cause}
     except RecordError as error:
@@ -155,11 +155,10 @@ def _causes(causes: list[dict[str, Any]]) -> Row:
 
 
 def _amplitude_stds(found: Diagnosis) -> list[float]:
-    bench = found.found.bench if found.found is not None else None
-    return [amplitude_std(bench, cause) if bench else math.nan for cause in found.causes]
+    return [amplitude_std(found.found.fit, cause) for cause in found.causes] if found.found else []
 
 
-def amplitude_std(bench: LinearisedFit, cause: Cause) -> float:
+def amplitude_std(fit: LinearisedFit, cause: Cause) -> float:
     """Standard deviation of a cause's amplitude, from that of its coefficients [rad rms].
 
     Notes
@@ -168,7 +167,7 @@ def amplitude_std(bench: LinearisedFit, cause: Cause) -> float:
     its gradient g = X' X c / (n a), its variance g' C g: the first order in C. Nonlinear values are held.
     """
     own = slice(cause.coefficients.size)  # without the columns that wander: a cause keeps no numbers of them
-    columns = bench.columns(cause.effect, cause.nonlinear)[:, own]
+    columns = fit.columns(cause.effect, cause.nonlinear)[:, own]
     part = columns @ cause.coefficients
     if not (amplitude := float(np.std(part))) > 0.0:
         return math.nan

@@ -17,7 +17,7 @@ from hd_diag.config.parameters import JOINT_PARAMETERS, Value
 from hd_diag.diagnosis.diagnosis import Diagnosis, Gain, Rms
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.search.detectability import Testability
-from hd_diag.diagnosis.search.unexplained import Line
+from hd_diag.diagnosis.search.unexplained import Unexplained
 from hd_diag.diagnosis.verdict import sentence
 from hd_diag.effects.order_spectrum import line_width, spectrum
 from hd_diag.formatting import direction, number, si, words
@@ -76,7 +76,7 @@ class Judgement:
     testable : tuple of Testability
     classes : tuple of tuple of str
         Causes that the record cannot tell from each other.
-    unexplained : tuple of Line
+    unexplained : tuple of Unexplained
     """
 
     cards: tuple[Card, ...]
@@ -94,7 +94,7 @@ class Judgement:
     trustworthy: bool
     testable: tuple[Testability, ...]
     classes: tuple[tuple[str, ...], ...]
-    unexplained: tuple[Line, ...]
+    unexplained: tuple[Unexplained, ...]
 
 
 @dataclass(frozen=True)
@@ -240,11 +240,11 @@ def _marks(diagnosis: Diagnosis) -> list[Mark]:
     marks = [Mark(line.order, "unexplained", line.amplitude) for line in lines]
     for cause in diagnosis.causes:
         assert diagnosis.found is not None
-        bench = diagnosis.found.bench
+        fit = diagnosis.found.fit
         # Columns after the cause's own are of what wanders, which is no order.
-        columns = bench.columns(cause.effect, cause.nonlinear)[:, : cause.coefficients.size]
+        columns = fit.columns(cause.effect, cause.nonlinear)[:, : cause.coefficients.size]
         part = columns @ cause.coefficients
-        marks += _own_orders(bench.signals.wave_generator_angle, part, words(cause.effect.name))
+        marks += _own_orders(fit.signals.wave_generator_angle, part, words(cause.effect.name))
     return sorted(marks)
 
 

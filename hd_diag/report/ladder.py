@@ -42,7 +42,7 @@ def benches(diagnosis: Diagnosis) -> list[LinearisedFit]:
     """The record with each fitted rung's model, parameters settled; empty where nothing was fitted."""
     if diagnosis.found is None or diagnosis.refitted is None:
         return []
-    whole, chosen = diagnosis.found.bench, diagnosis.found.chosen
+    whole, chosen = diagnosis.found.fit, diagnosis.found.chosen
     start = diagnosis.refitted.parameters
     fewer = [settle(whole.moved(start), chosen[:count]) for count in range(len(chosen))]
     return [*fewer, whole]

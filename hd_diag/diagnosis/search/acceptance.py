@@ -1,4 +1,4 @@
-"""What a candidate must pass: chance, practical size, proof on blocks not fitted or in lasting means."""
+"""Tests of a candidate: chance, practical size, gain in held-out blocks or in means over seconds."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.design import f_test, holds, orthonormal
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.search.ranking import Candidate
-from hd_diag.diagnosis.search.unmodelled_terms import Foil
+from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
 from hd_diag.effects.effect import Effect
 from hd_diag.model.torsion_map import ARCSEC
 
@@ -26,109 +26,96 @@ _CHANCE_SHARE = 3.0  # times what noise alone gives to so many columns
 _LASTING_CHANCE = 1e-6
 
 
-def passing(bench: LinearisedFit, chosen: Chosen, ranked: list[Candidate], family: int) -> Candidate | None:
-    """The first candidate that passes every test, its p value that of the whole family.
+def passing(fit: LinearisedFit, chosen: Chosen, ranked: list[Candidate], family: int) -> Candidate | None:
+    """The first candidate, the best first, that passes every test beside those chosen already.
 
-    Parameters
-    ----------
-    bench : LinearisedFit
-    chosen : sequence of (Effect, nonlinear values)
-        What the candidates are to be added to.
-    ranked : list of Candidate
-        The best first.
-    family : int
-        Number of hypotheses.
-
-    Returns
-    -------
-    Candidate or None
+    Its p value is corrected for the number of hypotheses of the family.
     """
     for candidate in ranked:
         p = min(1.0, candidate.p_value * family)
         if p > FAMILY_ERROR:
             return None
         effect, nonlinear = candidate.effect, candidate.nonlinear
-        if size(bench, chosen, effect, nonlinear) > LEAST_SIZE and _proved(bench, chosen, effect, nonlinear):
+        if size(fit, chosen, effect, nonlinear) > LEAST_SIZE and _confirmed(fit, chosen, effect, nonlinear):
             return replace(candidate, p_value=p)
     return None
 
 
-def kept(bench: LinearisedFit, chosen: Chosen) -> Chosen:
-    """Without the effects that are no longer needed beside the others."""
+def needed(fit: LinearisedFit, chosen: Chosen) -> Chosen:
+    """The chosen effects that are still needed beside the others."""
     for index, (effect, nonlinear) in enumerate(chosen):
         rest = chosen[:index] + chosen[index + 1 :]
-        blind = isinstance(effect, Foil) and not effect.sees_ahead
-        small = size(bench, rest, effect, nonlinear) < (_CERTAIN_SIZE if blind else LEAST_SIZE)
+        blind = isinstance(effect, UnmodelledTerm) and not effect.predictive
+        small = size(fit, rest, effect, nonlinear) < (_CERTAIN_SIZE if blind else LEAST_SIZE)
         if blind and not small:
             continue
-        if small or not holds(*held_out_gain(bench, chosen, index)):
-            return kept(bench, rest)
+        if small or not holds(*held_out_gain(fit, chosen, index)):
+            return needed(fit, rest)
     return chosen
 
 
-def held_out_gain(bench: LinearisedFit, chosen: Chosen, index: int) -> tuple[Floats, Floats]:
-    """What one of the chosen effects brings in blocks not fitted; see :meth:`Design.held_out_gain`.
+def held_out_gain(fit: LinearisedFit, chosen: Chosen, index: int) -> tuple[Floats, Floats]:
+    """Gain of one of the chosen effects in held-out blocks; see :meth:`Design.held_out_gain`.
 
-    Of one that wanders, no block tells what it does in the next: what it brings in each block beyond what as
-    many columns bring by chance.
+    An effect that wanders cannot be predicted from block to block: its gain in each block beyond that of as
+    many columns by chance.
     """
-    place = bench.places(chosen)[index]
-    if wanders(bench, chosen[index : index + 1]):
+    place = fit.places(chosen)[index]
+    if wanders(fit, chosen[index : index + 1]):
         others = (*chosen[:index], *chosen[index + 1 :])
-        left = [_block_deviances(bench, some) for some in (others, chosen)]
-        by_chance = _CHANCE_SHARE * (place.stop - place.start) / left[0].size
-        gain = left[0] - left[1] - by_chance
+        without, beside = (_block_deviances(fit, some) for some in (others, chosen))
+        gain = without - beside - _CHANCE_SHARE * (place.stop - place.start) / without.size
         return gain, np.maximum(gain, 0.0)
-    return bench.design(chosen).held_out_gain(place)
+    return fit.design(chosen).held_out_gain(place)
 
 
-def wanders(bench: LinearisedFit, chosen: Chosen) -> bool:
-    """Whether one of some effects is let to wander over the record."""
+def wanders(fit: LinearisedFit, chosen: Chosen) -> bool:
+    """Whether amplitude and phase of one of the effects may wander over the record."""
     return any(
-        bench.columns(effect, nonlinear).shape[1] > effect.size
+        fit.columns(effect, nonlinear).shape[1] > effect.size
         for effect, nonlinear in chosen
-        if not isinstance(effect, Foil)
+        if not isinstance(effect, UnmodelledTerm)
     )
 
 
-def _block_deviances(bench: LinearisedFit, chosen: Chosen) -> Floats:
-    """Sums of squares that a fit to all leaves in every block, less those of the data."""
-    beta, _, built = bench.fit(chosen)
+def _block_deviances(fit: LinearisedFit, chosen: Chosen) -> Floats:
+    """Residual sum of squares of a fit to all blocks, in every block, less that of the data."""
+    beta, _, built = fit.fit(chosen)
     return np.asarray(np.einsum("k,bkl,l->b", beta, built.gram, beta) - 2.0 * built.moment @ beta)
 
 
-def size(bench: LinearisedFit, chosen: Chosen, effect: Effect, nonlinear: tuple[float, ...]) -> float:
-    """Rms of an effect's part that neither the model nor the chosen effects could imitate [rad]."""
-    columns = bench.columns(effect, nonlinear)
-    beta, _, _ = bench.fit((*chosen, (effect, nonlinear)))
+def size(fit: LinearisedFit, chosen: Chosen, effect: Effect, nonlinear: tuple[float, ...]) -> float:
+    """Rms of an effect's part that neither the model nor the chosen effects can imitate [rad]."""
+    columns = fit.columns(effect, nonlinear)
+    beta, _, _ = fit.fit((*chosen, (effect, nonlinear)))
     part = columns @ beta[-columns.shape[1] :]
-    fixed = np.concatenate((bench.always(), bench.joined(chosen)), axis=1)
+    fixed = np.concatenate((fit.always(), fit.joined(chosen)), axis=1)
     basis = orthonormal(fixed)
     own = part - basis @ (basis.T @ part)
     return float(np.sqrt(np.mean(own**2)))
 
 
-def _proved(bench: LinearisedFit, chosen: Chosen, effect: Effect, nonlinear: tuple[float, ...]) -> bool:
-    """Whether blocks that were not fitted bear it out; of what they cannot, a great gain is asked."""
-    if isinstance(effect, Foil) and not effect.sees_ahead:
-        return size(bench, chosen, effect, nonlinear) > _CERTAIN_SIZE and _lasting(bench, chosen, effect)
-    return holds(*held_out_gain(bench, (*chosen, (effect, nonlinear)), len(chosen)))
+def _confirmed(fit: LinearisedFit, chosen: Chosen, effect: Effect, nonlinear: tuple[float, ...]) -> bool:
+    """Whether held-out blocks confirm a gain; a term that is not predictive needs a large one."""
+    if isinstance(effect, UnmodelledTerm) and not effect.predictive:
+        return size(fit, chosen, effect, nonlinear) > _CERTAIN_SIZE and _lasting(fit, chosen, effect)
+    return holds(*held_out_gain(fit, (*chosen, (effect, nonlinear)), len(chosen)))
 
 
-def _lasting(bench: LinearisedFit, chosen: Chosen, foil: Foil) -> bool:
-    """Whether means over seconds are explained far better than slow noise of their own scatter would be."""
-    rest = bench.remainder(chosen)
-    mean, columns = _means(bench, rest), _means(bench, bench.columns(foil, ()))
+def _lasting(fit: LinearisedFit, chosen: Chosen, term: UnmodelledTerm) -> bool:
+    """Whether means over seconds are explained far better than slow noise would be."""
+    rest = fit.remainder(chosen)
+    mean, columns = _means(fit, rest), _means(fit, fit.columns(term, ()))
     columns = np.concatenate((columns, np.ones((mean.size, 1))), axis=1)
-    left = mean - columns @ np.linalg.lstsq(columns, mean, rcond=None)[0]
-    before, after = float(np.sum((mean - mean.mean()) ** 2)), float(left @ left)
+    residual = mean - columns @ np.linalg.lstsq(columns, mean, rcond=None)[0]
+    before, after = float(np.sum((mean - mean.mean()) ** 2)), float(residual @ residual)
     return f_test(before, after, columns.shape[1] - 1, mean.size, columns.shape[1]) < _LASTING_CHANCE
 
 
-def _means(bench: LinearisedFit, columns: Floats) -> Floats:
+def _means(fit: LinearisedFit, columns: Floats) -> Floats:
     """Over stretches of `_SECONDS` within runs."""
-    stretch = np.floor(bench.data.record.time / _SECONDS).astype(np.int64)
-    change = np.concatenate(([0], (np.diff(stretch) != 0) | (np.diff(bench.data.run) != 0)))
+    stretch = np.floor(fit.data.record.time / _SECONDS).astype(np.int64)
+    change = np.concatenate(([0], (np.diff(stretch) != 0) | (np.diff(fit.data.run) != 0)))
     number = np.cumsum(change)
     count = np.bincount(number)
     wide = columns.reshape(columns.shape[0], -1)

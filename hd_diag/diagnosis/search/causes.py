@@ -15,11 +15,11 @@ from hd_diag.diagnosis.fit.joint_refinement import covariance
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.search.acceptance import held_out_gain, wanders
 from hd_diag.diagnosis.search.ranking import by_name, ranked
-from hd_diag.diagnosis.search.unmodelled_terms import Foil
+from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
 from hd_diag.effects.effect import Effect
 
 CLASS_DEVIANCE = 10.0
-"""Causes whose exchange moves the held-out deviance by less cannot be told apart."""
+"""Causes whose exchange changes the held-out deviance by less cannot be told apart."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,7 @@ class Cause:
         After correction for the whole family of candidates.
     alike : tuple of str
         Names that this record cannot tell from it, itself first.
-    gain : float
-    gain_low, gain_high : float
+    gain, gain_low, gain_high : float
         Share of the held-out deviance that it explains, with its interval.
     """
 
@@ -59,17 +58,17 @@ class Cause:
 
 @dataclass(frozen=True)
 class Search:
-    """Result of a search: the bench at the final parameters, the causes, most explaining first, and foils."""
+    """Result of a search: the fit at the final parameters, causes, most explaining first, and other terms."""
 
-    bench: LinearisedFit
+    fit: LinearisedFit
     causes: tuple[Cause, ...]
-    foils: Chosen = ()
+    unmodelled: Chosen = ()
 
     @property
     def chosen(self) -> Chosen:
-        """Effects and their nonlinear values, then the shapes that have no name."""
+        """Effects and their nonlinear values, then the unmodelled terms."""
         named = tuple((cause.effect, cause.nonlinear) for cause in self.causes)
-        return (*named, *self.foils)
+        return (*named, *self.unmodelled)
 
     @property
     def torque_shift(self) -> float:
@@ -78,91 +77,73 @@ class Search:
 
 
 def causes(
-    bench: LinearisedFit, chosen: Chosen, p_values: dict[str, float], rivals: Collection[str]
+    fit: LinearisedFit,
+    chosen: Chosen,
+    p_values: dict[str, float],
+    rivals: Collection[str],
+    rng: np.random.Generator,
 ) -> tuple[Cause, ...]:
-    """The chosen effects with their numbers, most explaining first; shapes without a name left out.
+    """The chosen effects with their numbers, most explaining first, without unmodelled terms.
 
     Parameters
     ----------
-    bench : LinearisedFit
+    fit : LinearisedFit
         Settled beside the chosen effects.
     chosen : sequence of (Effect, nonlinear values)
     p_values : dict
         By the effect's name, after correction for the family.
     rivals : collection of str
         Names of the effects that may be alike.
-
-    Returns
-    -------
-    tuple of Cause
+    rng : numpy.random.Generator
+        For the intervals of the gains.
     """
-    beta, _, _ = bench.fit(chosen)
-    spread, places = covariance(bench, chosen)
-    every = bench.places(chosen)
-    rng = np.random.default_rng(0)
     found = []
-    for index, (effect, nonlinear) in enumerate(chosen):
-        if isinstance(effect, Foil):
+    for index, ((effect, nonlinear), numbers) in enumerate(zip(chosen, _numbers(fit, chosen), strict=True)):
+        if isinstance(effect, UnmodelledTerm):
             continue
-        rows = places[index][: effect.size]
-        share = _share(bench, chosen, index)
+        share = _share(fit, chosen, index)
         low, high = interval(share, rng)
-        found.append(
-            Cause(
-                effect,
-                nonlinear,
-                beta[rows],
-                _part(spread, places[index]),
-                bench.amplitude(effect, nonlinear, beta[every[index]]),
-                p_values.get(effect.name, float("nan")),
-                (effect.name, *_alike(bench, chosen, index, rivals)),
-                float(np.mean(share)),
-                low,
-                min(high, 1.0),
-            )
-        )
+        alike = (effect.name, *_alike(fit, chosen, index, rivals))
+        p_value = p_values.get(effect.name, float("nan"))
+        gains = float(np.mean(share)), low, min(high, 1.0)
+        found.append(Cause(effect, nonlinear, *numbers, p_value, alike, *gains))
     return tuple(sorted(found, key=lambda cause: -cause.gain))
 
 
-def fitted(bench: LinearisedFit, found: Search) -> Search:
-    """The same causes with numbers from another bench; names, classes and gains stay.
-
-    Parameters
-    ----------
-    bench : LinearisedFit
-        Settled beside the causes.
-    found : Search
-
-    Returns
-    -------
-    Search
-    """
-    beta, _, _ = bench.fit(found.chosen)
-    spread, places = covariance(bench, found.chosen)
-    again = []
-    for cause, place, every in zip(found.causes, places, bench.places(found.chosen), strict=False):
-        coefficients = beta[place[: cause.effect.size]]
-        amplitude = bench.amplitude(cause.effect, cause.nonlinear, beta[every])
-        again.append(
-            replace(cause, coefficients=coefficients, covariance=_part(spread, place), amplitude=amplitude)
+def refitted(fit: LinearisedFit, found: Search) -> Search:
+    """The same causes with numbers from a fit to other rows; names, classes and gains stay."""
+    again = tuple(
+        replace(cause, coefficients=coefficients, covariance=spread, amplitude=amplitude)
+        for cause, (coefficients, spread, amplitude) in zip(
+            found.causes, _numbers(fit, found.chosen), strict=False
         )
-    return replace(found, bench=bench, causes=tuple(again))
+    )
+    return replace(found, fit=fit, causes=again)
+
+
+def _numbers(fit: LinearisedFit, chosen: Chosen) -> list[tuple[Floats, Floats, float]]:
+    """Coefficients, covariance and amplitude of every chosen effect."""
+    beta, _, _ = fit.fit(chosen)
+    spread, places = covariance(fit, chosen)
+    return [
+        (beta[place[: effect.size]], _part(spread, place), fit.amplitude(effect, nonlinear, beta[every]))
+        for (effect, nonlinear), place, every in zip(chosen, places, fit.places(chosen), strict=True)
+    ]
 
 
 def parameters_of(found: Search) -> tuple[Floats, Floats]:
     """The model's parameters beside the causes, and their covariance, in units of `fit_parameters.SCALES`."""
-    beta, _, _ = found.bench.fit(found.chosen)
-    spread, _ = covariance(found.bench, found.chosen)
-    return found.bench.parameters + beta[: fit_parameters.COUNT], spread[
-        : fit_parameters.COUNT, : fit_parameters.COUNT
-    ]
+    own = slice(fit_parameters.COUNT)
+    beta, _, _ = found.fit.fit(found.chosen)
+    spread, _ = covariance(found.fit, found.chosen)
+    return found.fit.parameters + beta[own], spread[own, own]
 
 
-def _share(bench: LinearisedFit, chosen: Chosen, index: int) -> Floats:
-    """What one effect brings in every block not fitted, over the mean of what all others leave there."""
+def _share(fit: LinearisedFit, chosen: Chosen, index: int) -> Floats:
+    """Gain of one effect in every held-out block, over the mean residual deviance of all others."""
     others = chosen[:index] + chosen[index + 1 :]
-    gains, _ = held_out_gain(bench, chosen, index)
-    return np.asarray(gains / max(float(np.mean(bench.design(others).held_out())), 1e-300))
+    gains, _ = held_out_gain(fit, chosen, index)
+    return np.asarray(gains / max(float(np.mean(fit.design(others).held_out())), 1e-300))
 
 
 def _part(spread: Floats, place: npt.NDArray[np.int64]) -> Floats:
@@ -173,31 +154,29 @@ def _part(spread: Floats, place: npt.NDArray[np.int64]) -> Floats:
     return part
 
 
-def _foretold(bench: LinearisedFit, chosen: Chosen) -> float:
-    """Deviance of blocks that were not fitted."""
-    return float(bench.design(chosen).held_out().sum())
+def _held_out_deviance(fit: LinearisedFit, chosen: Chosen) -> float:
+    return float(fit.design(chosen).held_out().sum())
 
 
-def _fitted(bench: LinearisedFit, chosen: Chosen) -> float:
-    """Deviance with Akaike's price of every column: what wanders foretells no block."""
-    return float(bench.design(chosen).deviance() + 2.0 * bench.joined(chosen).shape[1])
+def _akaike(fit: LinearisedFit, chosen: Chosen) -> float:
+    """Deviance with Akaike's price of every column: what wanders predicts no block."""
+    return float(fit.design(chosen).deviance() + 2.0 * fit.joined(chosen).shape[1])
 
 
-def _alike(bench: LinearisedFit, chosen: Chosen, index: int, rivals: Collection[str]) -> list[str]:
+def _alike(fit: LinearisedFit, chosen: Chosen, index: int, rivals: Collection[str]) -> list[str]:
     """Effects that would do as well in place of one; those that the motion cannot test among them."""
     effect, others = chosen[index][0], chosen[:index] + chosen[index + 1 :]
     named = {e.name for e, _ in chosen}
-    judged = _fitted if wanders(bench, chosen) else _foretold
-    here = judged(bench, chosen)
+    criterion = _akaike if wanders(fit, chosen) else _held_out_deviance
+    here = criterion(fit, chosen)
     found = [name for name in effect.always_confused if name not in named]
-    untested = {
-        other.name for other in by_name(bench, effect.confused_with) if not bench.data.testable(other)[0]
-    }
-    without = bench.corrected(others)
-    for candidate in ranked(without, others, by_name(bench, {*rivals, *untested}), untested):
+    confused = by_name(fit, effect.confused_with)
+    untested = {other.name for other in confused if not fit.data.testable(other)[0]}
+    without = fit.corrected(others)
+    for candidate in ranked(without, others, by_name(fit, {*rivals, *untested}), untested):
         if candidate.effect.name in named or candidate.effect.name in found:
             continue
         trial = (*others, (candidate.effect, candidate.nonlinear))
-        if judged(without.corrected(trial), trial) - here < CLASS_DEVIANCE:
+        if criterion(without.corrected(trial), trial) - here < CLASS_DEVIANCE:
             found.append(candidate.effect.name)
     return found

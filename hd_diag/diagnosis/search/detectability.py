@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import optimize, stats
 
+from hd_diag.arrays import Floats
+from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.search.acceptance import FAMILY_ERROR, LEAST_SIZE
 from hd_diag.diagnosis.search.causes import Search
 from hd_diag.diagnosis.search.ranking import Projector, family_size
+from hd_diag.effects.effect import Effect
 
 _POWER = 0.99
+_OWN = 1e-3  # least share of an effect that the model's own parameters cannot imitate
+_IMITATED = "the model's own parameters imitate it: this record cannot tell them apart"
 
 
 @dataclass(frozen=True)
@@ -25,49 +31,33 @@ class Testability:
 
 
 def testability(found: Search) -> list[Testability]:
-    """Testability of every effect of the catalogue on a record.
+    """Testability of every effect of the catalogue on a record."""
+    fit = found.fit
+    named = {effect.name for effect, _ in found.chosen}
+    basis, family = Projector(fit, found.chosen).basis, max(family_size(fit), 1)
+    return [
+        Testability(effect.name, True, LEAST_SIZE, "found")
+        if effect.name in named
+        else _tested(fit, effect, basis, family)
+        for effect in fit.data.searched
+    ]
 
-    Parameters
-    ----------
-    found : Search
 
-    Returns
-    -------
-    list of Testability
-    """
-    bench, chosen = found.bench, found.chosen
-    named = {effect.name for effect, _ in chosen}
-    basis, family = Projector(bench, chosen).basis, max(family_size(bench), 1)
-    result = []
-    for effect in bench.data.searched:
-        possible, reason = bench.data.testable(effect)
-        if effect.name in named:
-            result.append(Testability(effect.name, True, LEAST_SIZE, "found"))
-        elif not possible:
-            result.append(Testability(effect.name, False, float("nan"), reason))
-        else:
-            nonlinear = bench.data.grid(effect)[len(bench.data.grid(effect)) // 2]
-            columns, white = bench.columns(effect, nonlinear), bench.white(effect, nonlinear)
-            own = white - basis @ (basis.T @ white)
-            information = float(np.sum(own**2)) / max(float(np.sum(np.mean(columns**2, axis=0))), 1e-300)
-            size = float(np.sqrt(_noncentrality(columns.shape[1], family) / max(information, 1e-300)))
-            share = float(np.sum(own**2) / max(float(np.sum(white**2)), 1e-300))
-            if share < 1e-3:
-                text = "the model's own parameters imitate it: this record cannot tell them apart"
-                result.append(Testability(effect.name, False, size, text))
-            else:
-                result.append(Testability(effect.name, True, max(size, LEAST_SIZE), "tested"))
-    return result
+def _tested(fit: LinearisedFit, effect: Effect, basis: Floats, family: int) -> Testability:
+    possible, reason = fit.data.testable(effect)
+    if not possible:
+        return Testability(effect.name, False, math.nan, reason)
+    nonlinear = fit.data.grid(effect)[len(fit.data.grid(effect)) // 2]
+    columns, white = fit.columns(effect, nonlinear), fit.white(effect, nonlinear)
+    own = float(np.sum((white - basis @ (basis.T @ white)) ** 2))
+    information = own / max(float(np.sum(np.mean(columns**2, axis=0))), 1e-300)
+    size = math.sqrt(_noncentrality(columns.shape[1], family) / max(information, 1e-300))
+    if own < _OWN * max(float(np.sum(white**2)), 1e-300):
+        return Testability(effect.name, False, size, _IMITATED)
+    return Testability(effect.name, True, max(size, LEAST_SIZE), "tested")
 
 
 def _noncentrality(width: int, family: int) -> float:
     """Noncentrality at which a chi-square test at the family's level has the power wanted."""
     threshold = stats.chi2.isf(FAMILY_ERROR / family, width)
-    low, high = 1.0, 1000.0
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        if stats.ncx2.sf(threshold, width, middle) < _POWER:
-            low = middle
-        else:
-            high = middle
-    return high
+    return float(optimize.brentq(lambda x: stats.ncx2.sf(threshold, width, x) - _POWER, 1.0, 1000.0))

@@ -28,21 +28,15 @@ class Candidate:
 
 
 class Projector:
-    """What the model, nuisance and chosen effects leave of whitened columns.
+    """Projects whitened columns off the model, the encoders' offset and the chosen effects."""
 
-    Parameters
-    ----------
-    bench : LinearisedFit
-    chosen : sequence of (Effect, nonlinear values)
-    """
-
-    def __init__(self, bench: LinearisedFit, chosen: Chosen) -> None:
-        parts = [bench.always_white, *(bench.white(effect, nonlinear) for effect, nonlinear in chosen)]
+    def __init__(self, fit: LinearisedFit, chosen: Chosen) -> None:
+        parts = [fit.always_white, *(fit.white(effect, nonlinear) for effect, nonlinear in chosen)]
         fixed = np.concatenate(parts, axis=1)
         self.basis = orthonormal(fixed)
-        self.rest = bench.residual_white - self.basis @ (self.basis.T @ bench.residual_white)
+        self.rest = fit.residual_white - self.basis @ (self.basis.T @ fit.residual_white)
         self.deviance = float(self.rest @ self.rest)
-        self.rows = int(np.count_nonzero(bench.residual_white))
+        self.rows = int(np.count_nonzero(fit.residual_white))
         self.fitted = fixed.shape[1]
 
     def gain(self, columns: Floats) -> float:
@@ -51,13 +45,13 @@ class Projector:
         return float(moment @ coefficients)
 
     def fit_beyond(self, columns: Floats, beyond: Floats) -> tuple[Floats, float]:
-        """Coefficients beside a whitened part that is there anyway, and the gain of both."""
+        """Coefficients beside a whitened part that is present anyway, and the gain of both."""
         rest = self.rest - (beyond - self.basis @ (self.basis.T @ beyond))
         coefficients, moment = self.fit(columns, rest)
         return coefficients, self.deviance - float(rest @ rest) + float(moment @ coefficients)
 
     def fit(self, columns: Floats, rest: Floats | None = None) -> tuple[Floats, Floats]:
-        """Coefficients of these columns, zero for those that nothing is left of, and their moments."""
+        """Coefficients of these columns, zero for those that vanish by projection, and their moments."""
         part = columns - self.basis @ (self.basis.T @ columns)
         moment = part.T @ (self.rest if rest is None else rest)
         own = np.einsum("ij,ij->j", part, part) > 1e-8 * np.maximum(
@@ -69,85 +63,72 @@ class Projector:
         return coefficients, moment
 
 
-def candidates(bench: LinearisedFit, chosen: Chosen) -> list[Candidate]:
+def candidates(fit: LinearisedFit, chosen: Chosen) -> list[Candidate]:
     """Every effect not chosen, at its best grid point, by the gain it brings; the best first."""
-    return ranked(bench, chosen, bench.data.searched)
+    return ranked(fit, chosen, fit.data.searched)
 
 
 def ranked(
-    bench: LinearisedFit, chosen: Chosen, effects: Sequence[Effect], untested: Collection[str] = ()
+    fit: LinearisedFit, chosen: Chosen, effects: Sequence[Effect], untested: Collection[str] = ()
 ) -> list[Candidate]:
-    """Some effects, each at its best grid point; the most surprising first.
+    """Some effects beside those chosen already, each at its best grid point; the most surprising first.
 
-    Parameters
-    ----------
-    bench : LinearisedFit
-    chosen : sequence of (Effect, nonlinear values)
-        Beside which they are looked at; its own effects are no candidates.
-    effects : sequence of Effect
-    untested : collection of str
-        Names that take part although the motion does not allow to find them.
-
-    Returns
-    -------
-    list of Candidate
+    Effects named in `untested` take part although the motion does not allow to find them.
     """
     named = {effect.name for effect, _ in chosen}
-    projector = Projector(bench, chosen)
-    rest = bench.remainder(chosen)
+    projector = Projector(fit, chosen)
+    rest = fit.remainder(chosen)
     found = []
     for effect in effects:
-        if effect.name in named or not (bench.data.testable(effect)[0] or effect.name in untested):
+        if effect.name in named or not (fit.data.testable(effect)[0] or effect.name in untested):
             continue
-        best: Candidate | None = None
-        for nonlinear in effect.starts(bench.signals, rest).points:
-            coefficients, moment = projector.fit(bench.white(effect, nonlinear))
-            if not effect.sensible(coefficients[: effect.size], nonlinear):
-                continue
-            gain = float(moment @ coefficients)
-            one = _candidate(bench, projector, effect, nonlinear, gain)
-            if best is None or one.surprise > best.surprise:
-                best = one
-        if best is not None:
-            gain = _gain_at_size(bench, projector, best) if best.surprise > _LOOKED_AT else 0.0
+        points = []
+        for nonlinear in effect.starts(fit.signals, rest).points:
+            coefficients, moment = projector.fit(fit.white(effect, nonlinear))
+            if effect.sensible(coefficients[: effect.size], nonlinear):
+                gain = float(moment @ coefficients)
+                points.append(_candidate(fit, projector, effect, nonlinear, gain))
+        if points:
+            best = max(points, key=lambda point: point.surprise)
+            gain = _gain_at_size(fit, projector, best) if best.surprise > _LOOKED_AT else 0.0
             if gain > best.gain:
-                best = _candidate(bench, projector, effect, best.nonlinear, gain)
+                best = _candidate(fit, projector, effect, best.nonlinear, gain)
             found.append(best)
     return sorted(found, key=lambda candidate: -candidate.surprise)
 
 
 def _candidate(
-    bench: LinearisedFit, projector: Projector, effect: Effect, nonlinear: tuple[float, ...], gain: float
+    fit: LinearisedFit, projector: Projector, effect: Effect, nonlinear: tuple[float, ...], gain: float
 ) -> Candidate:
-    width = bench.columns(effect, nonlinear).shape[1]
+    width = fit.columns(effect, nonlinear).shape[1]
     after = projector.deviance - gain
     p = f_test(projector.deviance, after, width, projector.rows, projector.fitted + width)
     noise = max(after, 1e-300) / max(projector.rows - projector.fitted, 1)
     return Candidate(effect, nonlinear, gain, p, surprise(gain / noise, width))
 
 
-def _gain_at_size(bench: LinearisedFit, projector: Projector, candidate: Candidate) -> float:
-    """Gain with the columns that hold at the size found, where an effect has such."""
+def _gain_at_size(fit: LinearisedFit, projector: Projector, candidate: Candidate) -> float:
+    """Gain with the columns at the size found, of an effect whose columns change with its size."""
     effect, nonlinear = candidate.effect, candidate.nonlinear
     if not effect.own_slopes:
         return 0.0
-    coefficients, _ = projector.fit(bench.white(effect, nonlinear))
+    coefficients, _ = projector.fit(fit.white(effect, nonlinear))
     best = 0.0
     for _ in range(_SECANTS):
-        columns = np.nan_to_num(effect.slopes(bench.signals, coefficients, nonlinear))
-        beyond = bench.full_size(effect, nonlinear, coefficients) - columns @ coefficients
-        white = bench.whiten(np.column_stack((columns, beyond)), bench.data.run)
+        columns = np.nan_to_num(effect.slopes(fit.signals, coefficients, nonlinear))
+        beyond = fit.full_size(effect, nonlinear, coefficients) - columns @ coefficients
+        white = fit.whiten(np.column_stack((columns, beyond)), fit.data.run)
         coefficients, gain = projector.fit_beyond(white[:, :-1], white[:, -1])
         best = max(best, gain)
     return best
 
 
-def family_size(bench: LinearisedFit) -> int:
+def family_size(fit: LinearisedFit) -> int:
     """Number of hypotheses: candidates times grid points."""
-    testable = [effect for effect in bench.data.searched if bench.data.testable(effect)[0]]
-    return sum(effect.starts(bench.signals).trials for effect in testable)
+    testable = [effect for effect in fit.data.searched if fit.data.testable(effect)[0]]
+    return sum(effect.starts(fit.signals).trials for effect in testable)
 
 
-def by_name(bench: LinearisedFit, names: Collection[str]) -> list[Effect]:
+def by_name(fit: LinearisedFit, names: Collection[str]) -> list[Effect]:
     """The effects searched for that have these names."""
-    return [effect for effect in bench.data.searched if effect.name in names]
+    return [effect for effect in fit.data.searched if effect.name in names]

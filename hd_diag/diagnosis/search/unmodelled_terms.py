@@ -1,4 +1,4 @@
-"""Shapes without a known cause: they compete with the causes, so that none is named for being the nearest."""
+"""Terms without a known cause: they compete with the causes, lest the nearest cause is named for them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.noise import bounds, spans
-from hd_diag.effects.effect import Effect, Stage, Starts, Values
+from hd_diag.effects.effect import Effect, Kind, Stage, Starts, Values
 from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.signals import Signals
 
@@ -21,24 +21,30 @@ _CELLS = 240  # per turn of the output
 _WIDTHS = (0.06, 0.15)  # of a bump there [rad]
 
 
+_SIZE = Quantity("size", "rad", -1.0, 1.0, 1e-4, "of the greatest column")
+
+
 @dataclass(frozen=True, kw_only=True)
-class Foil(Effect):
-    """Columns of a shape without a cause.
+class UnmodelledTerm(Effect):
+    """Columns of a shape without a known cause; `cause` says what it looks like.
 
     Parameters
     ----------
     shape : callable
         Signals to columns of order one, shape (n, k); k = 0 where the record has none.
-    description : str
-        What it looks like, in words.
-    sees_ahead : bool
-        Whether samples that were not fitted can be foretold.
+    predictive : bool
+        Whether a fit to some samples predicts others.
     """
 
+    kind: Kind = "kinematic"
+    needs: tuple[str, ...] = ()
+    quantities: tuple[Quantity, ...] = (_SIZE,)
+    confused_with: tuple[str, ...] = ()
+    source: str = "no cause is known"
+    inspect: str = ""
     stage: Stage = Stage.NOWHERE
     shape: Shape = lambda signals: np.empty((signals.size, 0))
-    description: str = ""
-    sees_ahead: bool = True
+    predictive: bool = True
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """See :meth:`Effect.columns`."""
@@ -50,14 +56,7 @@ class Foil(Effect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settling(Foil):
-    """A shape that follows the joint through its rests, in which no row may be fit to use."""
-
-    remembers: bool = True
-
-
-@dataclass(frozen=True, kw_only=True)
-class Place(Foil):
+class Place(UnmodelledTerm):
     """A bump at one place of the output's turn, twice as wide as its half width to 1/e."""
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
@@ -73,7 +72,7 @@ class Place(Foil):
         return moved, "the output moves by less than half a radian"
 
     def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
-        """Where a residual's mean over the turn has the bump of each width that explains most."""
+        """The place where a bump of each width explains most of a residual's mean over the turn."""
         trials = _CELLS * len(_WIDTHS)
         if residual is None:
             return Starts([(0.0, _WIDTHS[0])], trials)
@@ -96,32 +95,6 @@ def _around(values: Floats, bump: Floats) -> Floats:
     return np.asarray(np.fft.irfft(np.fft.rfft(values) * np.conj(np.fft.rfft(bump)), values.size))
 
 
-def _foil(
-    name: str,
-    shape: Shape,
-    description: str,
-    frame: str,
-    sees_ahead: bool = True,
-    kind: type[Foil] = Foil,
-    quantities: tuple[Quantity, ...] = (),
-) -> Foil:
-    assert frame in ("input", "output", "time", "torque")
-    return kind(
-        name=name,
-        cause=description,
-        kind="kinematic",
-        frame=frame,  # type: ignore[arg-type]  # asserted above
-        needs=(),
-        quantities=(Quantity("size", "rad", -1.0, 1.0, 1e-4, "of the greatest column"), *quantities),
-        confused_with=(),
-        source="no cause is known",
-        inspect="",
-        shape=shape,
-        description=description,
-        sees_ahead=sees_ahead,
-    )
-
-
 def _full(values: Floats) -> Floats:
     return np.asarray(values / max(float(np.max(np.abs(values), initial=0.0)), 1e-300))
 
@@ -142,7 +115,7 @@ def _sided_torque(signals: Signals) -> Floats:
 
 
 def _creep(signals: Signals) -> Floats:
-    """What has crept before a stretch begins is not known: a constant for every one but the first."""
+    """Travel, torque times travel, and a constant for every stretch but the first: the creep before it."""
     stretches = bounds(signals.run)
     if len(stretches) > _STRETCHES:
         return np.empty((signals.size, 0))
@@ -189,7 +162,7 @@ def _rests(signals: Signals) -> Floats:
 
 
 def _rest_middles(speed: Floats, least: float) -> list[int]:
-    """Rows in the middle of rests: of what is slowest in them, for a slow run begins slowly."""
+    """Rows in the middle of the slowest part of every rest: a slow run begins slowly."""
     found = []
     for begin, end in spans(speed < least):
         part = speed[begin:end]
@@ -204,30 +177,52 @@ def _fast(signals: Signals) -> Floats:
     return np.stack((square, speed * np.abs(speed)), axis=1)
 
 
-FOILS = (
-    _foil("even_torque", _even_torque, "goes with the torque's size, alike under either sign", "torque"),
-    _foil("sided_torque", _sided_torque, "goes with torque and direction of motion together", "torque"),
-    _foil("creep", _creep, "grows with the way, and with torque times way: something creeps", "input"),
-    _foil("drift", _drift, "drifts with time, by no measured cause", "time", sees_ahead=False),
-    _foil(
-        "rests",
-        _rests,
-        "settles anew at every rest: something is loose",
-        "time",
-        sees_ahead=False,
-        kind=Settling,
+UNMODELLED_TERMS = (
+    UnmodelledTerm(
+        name="even_torque",
+        shape=_even_torque,
+        cause="goes with the torque's size, alike under either sign",
+        frame="torque",
     ),
-    _foil(
-        "place",
-        lambda signals: np.empty((signals.size, 0)),
-        "belongs to one place of the output's turn",
-        "output",
-        kind=Place,
+    UnmodelledTerm(
+        name="sided_torque",
+        shape=_sided_torque,
+        cause="goes with torque and direction of motion together",
+        frame="torque",
+    ),
+    UnmodelledTerm(
+        name="creep",
+        shape=_creep,
+        cause="grows with the way, and with torque times way: something creeps",
+        frame="input",
+    ),
+    UnmodelledTerm(
+        name="drift",
+        shape=_drift,
+        cause="drifts with time, by no measured cause",
+        frame="time",
+        predictive=False,
+    ),
+    UnmodelledTerm(
+        name="rests",
+        shape=_rests,
+        cause="settles anew at every rest: something is loose",
+        frame="time",
+        predictive=False,
+        remembers=True,  # rows at rest, which are not fitted, say where it changes
+    ),
+    Place(
+        name="place",
+        cause="belongs to one place of the output's turn",
+        frame="output",
         quantities=(
+            _SIZE,
             Quantity("position", "rad", 0.0, 2.0 * np.pi, 6.3, "output angle", False, 2.0 * np.pi, True),
             Quantity("width", "rad", 0.01, 1.0, 0.1, "half width to 1/e", False, None, True),
         ),
     ),
-    _foil("square_speed", _fast, "grows with the square of the speed", "input"),
+    UnmodelledTerm(
+        name="square_speed", shape=_fast, cause="grows with the square of the speed", frame="input"
+    ),
 )
 """All of them; each is tested like a cause, and described where it wins."""
