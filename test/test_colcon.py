@@ -68,6 +68,6 @@ def test_command_runs_from_the_installed_tree(workspace: Path, environment: dict
 def test_colcon_test_runs_the_tests(workspace: Path, environment: dict[str, str]) -> None:
     # A quick selection; without one this test would start itself.
     command = ["colcon", "test", "--event-handlers", "console_direct+", "--return-code-on-test-failure"]
-    output = run([*command, "--pytest-args", "test/test_imports.py"], workspace, environment)
+    output = run([*command, "--pytest-args", "test/test_formatting.py"], workspace, environment)
     assert " passed" in output
     assert " failed" not in output

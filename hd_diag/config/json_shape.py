@@ -15,8 +15,8 @@ _LARGEST = 1_000_000  # [byte]
 _LONGEST = 80  # characters of a name that a similar one is looked for
 
 # `object`: anything; `str`; `dict`: any object; a `Number`; ``[shape]``: a list; ``{str: shape}``: an object
-# of any keys; ``{"a": shape, "b?": shape}``: an object of these keys, those with ? optional; ``(shape, None)``:
-# that or null.
+# of any keys; ``{"a": shape, "b?": shape}``: an object of these keys, those with ? optional;
+# ``(shape, None)``: that or null.
 Shape = Any
 
 
