@@ -180,6 +180,7 @@ def _gain(
     rng: np.random.Generator,
 ) -> tuple[Rms, Gain]:
     """Residuals of held-out rows; `every` fits all rows, so that its effects remember what came before."""
+    plain = replace(plain, whiten=found.fit.whiten)  # one noise model, that of the whole model, for both
     configured, fitted = every.data.configured, every.data.mask
     kept, rows = fitted[test], test[fitted]
     nominal = _nominal_residual(record, configured, test, fitted)
