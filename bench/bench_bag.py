@@ -18,15 +18,13 @@ from mcap.writer import CompressionType, Writer
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
-from hd_diag.bag import (
-    BagReader,
-    BagWriter,
-    JointStateDecoder,
+from hd_diag.bag import BagReader, BagWriter, recover
+from hd_diag.messages.encoding import (
     encode_float64_multiarray_message,
     encode_joint_state,
     encode_joint_states,
-    recover,
 )
+from hd_diag.messages.joint_states import JointStateDecoder
 from hd_diag.messages.schemas import definition
 
 JOINT_STATE = "sensor_msgs/msg/JointState"

@@ -31,7 +31,7 @@ from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 
-from hd_diag.bag import encode_joint_states
+from hd_diag.messages.encoding import encode_joint_states
 
 DEPTH = 2000
 WARM_UP = 1.0  # [s]

@@ -22,8 +22,9 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
-from hd_diag.bag import BagReader, BagWriter, encode_joint_states
+from hd_diag.bag import BagReader, BagWriter
 from hd_diag.config.configuration import resolve
+from hd_diag.messages.encoding import encode_joint_states
 from hd_diag.replay.map_builder import map_of
 from hd_diag.replay.replay import replay
 

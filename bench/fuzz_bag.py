@@ -20,7 +20,8 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "test"))
 from bag_samples import accepts, corpus, damaged, joint_state_cdr
 
-from hd_diag.bag import BagError, JointStateDecoder, decode_joint_states, recover
+from hd_diag.bag import BagError, recover
+from hd_diag.messages.joint_states import JointStateDecoder, decode_joint_states
 
 
 def try_bag(path, out, chance):

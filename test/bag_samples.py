@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 from mcap.writer import CompressionType, IndexType, Writer
 
-from hd_diag.bag import BagError, BagReader, Qos, encode_joint_states
+from hd_diag.bag import RELIABLE, BagError, BagReader
 from hd_diag.bag.rosbag2 import dump_offers
+from hd_diag.messages.encoding import encode_joint_states
 from hd_diag.messages.schemas import definition, jazzy, serialize
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -64,7 +65,7 @@ def write_with_mcap(
         for topic, kind, data, time in messages:
             if topic not in channels:
                 schema = writer.register_schema(kind, "ros2msg", definition(kind).text.encode())
-                offers = {"offered_qos_profiles": dump_offers([Qos()])}
+                offers = {"offered_qos_profiles": dump_offers([RELIABLE])}
                 channels[topic] = writer.register_channel(topic, "cdr", schema, offers)
             writer.add_message(channels[topic], time, data, time)
         writer.finish()

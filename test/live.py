@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from hd_diag.bag import encode_joint_states
 from hd_diag.config.configuration import Config, resolve
+from hd_diag.messages.encoding import encode_joint_states
 from hd_diag.messages.publications import Encoded
 from hd_diag.streams.columns import JointStates
 

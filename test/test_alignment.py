@@ -12,8 +12,9 @@ from live import MS, RATIO, START, config
 from logs import content
 from models import write_model
 
-from hd_diag.bag import BagWriter, encode_joint_states
+from hd_diag.bag import BagWriter
 from hd_diag.config.configuration import Config
+from hd_diag.messages.encoding import encode_joint_states
 from hd_diag.messages.publications import JOINT_STATE, Encoded, encode, resolved
 from hd_diag.monitor import Monitor
 from hd_diag.monitor.publications import Publication

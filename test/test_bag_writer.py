@@ -17,9 +17,9 @@ from mcap.records import Channel, Chunk, Header, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosReliability
 
-from hd_diag.bag import BagError, BagReader, BagWriter, Qos, check_output, recover
-from hd_diag.bag.writer import replaced
+from hd_diag.bag import RELIABLE, BagError, BagReader, BagWriter, check_output, recover, replaced
 from hd_diag.messages.schemas import definition, jazzy
 
 COMPRESSIONS = ("zstd", "lz4", "none")
@@ -89,7 +89,14 @@ def test_records_are_those_of_rosbag2(tmp_path):
 
 def test_times_and_offers_are_kept(tmp_path):
     with BagWriter(tmp_path / "a.mcap") as writer:
-        writer.write("/a", STRING, string_cdr("x"), 20, 10, qos=Qos(reliability="best_effort", depth=3))
+        writer.write(
+            "/a",
+            STRING,
+            string_cdr("x"),
+            20,
+            10,
+            qos=RELIABLE._replace(reliability=QosReliability.BEST_EFFORT, depth=3),
+        )
     with BagReader(tmp_path / "a.mcap") as reader:
         (batch,) = reader.batches()
     assert (batch.log_time.tolist(), batch.publish_time.tolist()) == ([20], [10])
@@ -152,7 +159,7 @@ def test_split_by_size(tmp_path, many):
 
 
 def test_metadata_yaml_of_a_folder(tmp_path):
-    writer, _ = written(tmp_path / "bag", 100, max_duration=0.05, custom_data={"joint": "joint_1"})
+    writer, _ = written(tmp_path / "bag", 100, max_duration=0.05)
     info = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     assert (info["version"], info["storage_identifier"], info["ros_distro"]) == (9, "mcap", "jazzy")
     assert info["relative_file_paths"] == [p.name for p in writer.paths] == ["bag_0.mcap", "bag_1.mcap"]
@@ -161,7 +168,6 @@ def test_metadata_yaml_of_a_folder(tmp_path):
     assert info["starting_time"] == {"nanoseconds_since_epoch": 0}
     assert [f["message_count"] for f in info["files"]] == [100, 100]
     assert [f["starting_time"]["nanoseconds_since_epoch"] for f in info["files"]] == [0, 50 * MS]
-    assert info["custom_data"] == {"joint": "joint_1"}
     topic = info["topics_with_message_count"][0]
     assert topic["message_count"] == 100
     assert topic["topic_metadata"]["type_description_hash"].startswith("RIHS01_")

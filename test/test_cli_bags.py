@@ -27,11 +27,12 @@ from logs import content
 from replay_fuzz import JOINT_STATE, Fuzz, log_of
 from rich.console import Console
 
-from hd_diag.bag import BagReader, BagWriter, encode_joint_states
+from hd_diag.bag import BagReader, BagWriter
 from hd_diag.cli import progress as cli_progress
 from hd_diag.cli.bags import recover, replay
 from hd_diag.config.configuration import load
 from hd_diag.config.parameters import nested
+from hd_diag.messages.encoding import encode_joint_states
 from hd_diag.replay.replay import replay as replay_bag
 
 COUNT = 60_000
@@ -339,7 +340,7 @@ def test_ctrl_c_of_recover_says_what_there_is(
 ) -> None:
     out = tmp_path / name
     with monkeypatch.context() as patch:
-        interrupting(patch, "hd_diag.bag.recover._copy", 3)
+        interrupting(patch, "hd_diag.bag.recover._lines", 3)
         result = run(recover, folder / "long.mcap", "--out", out)
     with BagReader(out) as reader:
         assert not reader.problems
@@ -382,7 +383,7 @@ def test_ctrl_c_keeps_what_was_to_be_replaced(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: click.Command
 ) -> None:
     shutil.copy(folder / "log.mcap", tmp_path / "out.mcap")
-    place = "hd_diag.bag.recover._copy" if command is recover else "hd_diag.replay.replay._part"
+    place = "hd_diag.bag.recover._lines" if command is recover else "hd_diag.replay.replay._part"
     interrupting(monkeypatch, place, 2)
     given = ("--out", tmp_path / "out.mcap", "--overwrite")
     given += () if command is recover else ("--config", folder / "c.yaml")

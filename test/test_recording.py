@@ -10,10 +10,11 @@ from bag_samples import JOINT_STATE, STRING, string_cdr, write_with_mcap
 from joint_records import RATIO, columns, joint, prepared
 from numpy.testing import assert_allclose, assert_array_equal
 
-from hd_diag.bag import BagError, encode_joint_states
+from hd_diag.bag import BagError
 from hd_diag.bag.joint_record import joints_in, read_bags, read_table
 from hd_diag.config.configuration import resolve
 from hd_diag.diagnosis.record import Record, RecordError
+from hd_diag.messages.encoding import encode_joint_states
 from hd_diag.messages.schemas import jazzy, serialize
 
 START = 1_760_000_000 * 10**9  # [ns]

@@ -16,7 +16,8 @@ from player import Player, angles
 from running import PUBLISHER_DEPTH, Rig, running, values_of
 from sensor_msgs.msg import JointState
 
-from hd_diag.bag import BagReader, BagWriter, encode_joint_states, recover
+from hd_diag.bag import BagReader, BagWriter, recover
+from hd_diag.messages.encoding import encode_joint_states
 from hd_diag.messages.publications import JOINT_STATE
 from hd_diag.replay.replay import replay
 

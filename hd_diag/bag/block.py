@@ -1,81 +1,98 @@
-"""Messages side by side in one buffer, their heads as columns."""
+"""What every storage gives: topics, and messages side by side in one buffer, their heads as columns."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from hd_diag.arrays import Bytes
-from hd_diag.bag.mcap_file import HEAD, MESSAGE
+from hd_diag.arrays import Bytes, Integers, Times
+from hd_diag.messages.schemas import Definition
+
+Payload = Bytes | list[memoryview]
+
+
+@dataclass
+class Topic:
+    """A topic of a bag.
+
+    Attributes
+    ----------
+    name, type_name : str
+        As ``/joint_states`` and ``sensor_msgs/msg/JointState``.
+    count : int
+        Messages.
+    definition : Definition or None
+        The type as the bag defines it.
+    offers : str
+        Offered QoS profiles, YAML.
+    """
+
+    name: str
+    type_name: str
+    count: int = 0
+    definition: Definition | None = None
+    offers: str = ""
 
 
 @dataclass(frozen=True)
 class Block:
-    """Messages in one buffer.
+    """Messages in one buffer `data`: place and size of each content there [byte], channel, times [ns], (n,).
 
-    Attributes
-    ----------
-    data : ndarray of uint8
-        The buffer.
-    offset, size : ndarray of int64, shape (n,)
-        Place of each message's content in it [byte].
-    channel : ndarray of int64, shape (n,)
-        Channel numbers.
-    log_time, publish_time : ndarray of int64, shape (n,)
-        Times [ns].
+    Times that do not fit into 63 bits are negative.
     """
 
     data: Bytes
-    offset: npt.NDArray[np.int64]
-    size: npt.NDArray[np.int64]
-    channel: npt.NDArray[np.int64]
-    log_time: npt.NDArray[np.int64]
-    publish_time: npt.NDArray[np.int64]
+    offset: Integers
+    size: Integers
+    channel: Integers
+    log_time: Times
+    publish_time: Times
 
     def __len__(self) -> int:
         return len(self.offset)
 
     def __getitem__(self, rows: Any) -> Block:
-        return Block(
-            self.data,
-            self.offset[rows],
-            self.size[rows],
-            self.channel[rows],
-            self.log_time[rows],
-            self.publish_time[rows],
-        )
+        return Block(self.data, *(column[rows] for column in self._columns()))
+
+    def payload(self) -> Payload:
+        """Contents of the messages: an array of shape (n, size) where they have one size."""
+        if len(self) and (self.size == self.size[0]).all():
+            return gather(self.data, self.offset, int(self.size[0]))
+        view = memoryview(self.data)
+        return [view[o : o + s] for o, s in zip(self.offset.tolist(), self.size.tolist(), strict=True)]
+
+    def compact(self) -> Block:
+        """The same messages without the rest of their buffer, where that is most of it."""
+        if 4 * int(self.size.sum()) > len(self.data):
+            return self
+        parts = [np.frombuffer(message, np.uint8) for message in self.payload()]
+        data = np.concatenate([*parts, self.data[:0]])
+        return Block(data, np.cumsum(self.size) - self.size, *self._columns()[1:])
+
+    def _columns(self) -> tuple[Integers, ...]:
+        return self.offset, self.size, self.channel, self.log_time, self.publish_time
 
 
-def messages_at(content: bytes, offset: npt.NDArray[np.int64]) -> Block:
-    """Messages whose records begin at the offsets.
-
-    Raises
-    ------
-    ValueError
-        Where a record is not a message.
-    """
-    data = np.frombuffer(content, np.uint8)
-    if len(offset) and offset[-1] + MESSAGE.size > len(data):
-        raise ValueError("a message has no room for its times")
-    heads = np.ascontiguousarray(gather(data, offset, MESSAGE.size)).view(HEAD)[:, 0]
-    if len(offset) and int(heads["length"].min()) < MESSAGE.size - 9:
-        raise ValueError("a message is too short for its times")
-    if len(offset) and max(int(heads["log_time"].max()), int(heads["publish_time"].max())) >= 1 << 63:
-        raise ValueError("a message has a time beyond the year 2262")
-    return Block(
-        data,
-        offset + MESSAGE.size,
-        heads["length"].astype(np.int64) - (MESSAGE.size - 9),
-        heads["channel"].astype(np.int64),
-        heads["log_time"].astype(np.int64),
-        heads["publish_time"].astype(np.int64),
-    )
+def joined(blocks: Sequence[Block]) -> Block:
+    """All messages of the blocks, at least one, in one buffer and in the order of log time."""
+    block = blocks[0]
+    if len(blocks) > 1:
+        starts = np.cumsum([0, *(len(b.data) for b in blocks[:-1])])
+        moved = [
+            Block(b.data, b.offset + start, *b._columns()[1:])
+            for b, start in zip(blocks, starts, strict=True)
+        ]
+        columns = map(np.concatenate, zip(*(b._columns() for b in moved), strict=True))
+        block = Block(np.concatenate([b.data for b in blocks]), *columns)
+    if (np.diff(block.log_time) < 0).any():
+        block = block[np.argsort(block.log_time, kind="stable")]
+    return block
 
 
-def gather(data: Bytes, offset: npt.NDArray[np.int64], size: int) -> Bytes:
+def gather(data: Bytes, offset: Integers, size: int) -> Bytes:
     """Rows of `size` bytes that begin at the offsets, shape (n, size); a view where evenly spaced."""
     if size == 0 or len(offset) == 0:
         return np.empty((len(offset), size), np.uint8)

@@ -1,7 +1,7 @@
 """One MCAP file being written: small chunks that reach the operating system whole, and a summary at the end.
 
-A file that is cut off anywhere holds every chunk that was closed before; records are laid out as in the MCAP
-specification, https://mcap.dev/spec.
+A file that is cut off anywhere holds every chunk that was closed before. Records are those of `mcap`; only
+messages and their indexes, of which there are many, are laid out here, https://mcap.dev/spec.
 """
 
 from __future__ import annotations
@@ -11,19 +11,19 @@ import os
 import struct
 import time
 import zlib
-from array import array
-from collections.abc import Iterable, Mapping
-from contextlib import suppress
+from collections import deque
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 import lz4.frame
 import numpy as np
-import numpy.typing as npt
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
+    Chunk,
     ChunkIndex,
     DataEnd,
     Footer,
@@ -36,68 +36,61 @@ from mcap.records import (
     SummaryOffset,
 )
 
+from hd_diag.arrays import Bytes, Times
 from hd_diag.bag.errors import BagError
-from hd_diag.bag.rows import Rows
-from hd_diag.bag.worker import AtOnce
-from hd_diag.messages.schemas import Definition
+from hd_diag.bag.mcap_chunk import HEAD
+from hd_diag.bag.mcap_scan import MAGIC, MESSAGE, RECORD
+from hd_diag.bag.rosbag2 import Offered, dump_offers
 
-MAGIC = b"\x89MCAP0\r\n"
-COMPRESSIONS = ("zstd", "lz4", "none")
-# opcode, record length, channel, sequence, log time [ns], publish time [ns]
-MESSAGE = struct.Struct("<BQHIQQ")
-_CHUNK = struct.Struct("<BQQQQI")
-_INDEX = struct.Struct("<BQHI")
-HEAD = np.dtype(
-    [
-        ("opcode", "u1"),
-        ("length", "<u8"),
-        ("channel", "<u2"),
-        ("sequence", "<u4"),
-        ("log_time", "<u8"),
-        ("publish_time", "<u8"),
-    ]
-)
-"""`MESSAGE` as a type of numpy."""
 # Level 1: floats hardly compress better at higher levels, and the node writes while it works.
-_ZSTD_LEVEL = 1
+_COMPRESS = {
+    "zstd": zstandard.ZstdCompressor(level=1).compress,
+    "lz4": lz4.frame.compress,
+    "none": lambda data: data,
+}
+COMPRESSIONS = tuple(_COMPRESS)
+# Chunks that may wait to be written: they bound the memory, and what a crash costs.
+_MOST_WAITING = 4
+_HEAD = MESSAGE.size - RECORD.size  # of a message, in the length of its record [byte]
+_INDEX, _ENTRY = struct.Struct("<BQHI"), struct.Struct("<QQ")
 
 
 class McapFile:
-    """An MCAP file with profile ``ros2``.
+    """An MCAP file with profile ``ros2``, locked for as long as it is written.
 
-    Parameters
+    Chunks are closed at an uncompressed `chunk_size` [byte]. With `in_thread` they are compressed and written
+    in a thread; what goes wrong there is raised by one of the next calls.
+
+    Attributes
     ----------
-    path : Path
-        File to write.
-    compression : {'zstd', 'lz4', 'none'}
-        Compression of the chunks.
-    chunk_size : int
-        Uncompressed size at which a chunk is closed [byte].
-    overwrite : bool
-        Replace an existing file; else it is an error.
-    worker : AtOnce
-        Compresses and writes the chunks.
+    channels : dict
+        Numbers of the topics, by name and type.
+    counts : dict
+        Messages added, by channel number.
+    written : Statistics
+        Of what has reached the operating system.
+    size : int
+        Size of the file [byte].
+    start : int or None
+        Log time of the first message [ns].
     """
 
     def __init__(
-        self, path: Path, compression: str, chunk_size: int, *, overwrite: bool, worker: AtOnce
+        self, path: Path, compression: str, chunk_size: int, overwrite: bool, in_thread: bool
     ) -> None:
-        self.path = path
         self.size = 0
         self.channels: dict[tuple[str, str], int] = {}
+        self.counts: dict[int, int] = {}
         self.start: int | None = None
-        self._compress = _Compressor(compression)
-        self._chunk_size = chunk_size
+        self.written = Statistics(0, 0, {}, 0, 0, 0, 2**64 - 1, 1, 0)
+        self._compression, self._chunk_size = compression, chunk_size
         self._chunk = _Chunk()
-        self._lost: list[_Chunk] = []
-        self._worker = worker
-        # Packed at once: a log of days has a million of them.
-        self._indexes, self._chunk_count = bytearray(), 0
-        self._metadata: list[MetadataIndex] = []
+        self._failed = False
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="bag writer") if in_thread else None
+        self._waiting: deque[Future[None]] = deque()
+        self._indexes = bytearray()  # packed at once: a log of days has a million of them
         self._schemas: dict[str, Schema] = {}
-        self._channels: list[Channel] = []
-        self._counts: dict[int, int] = {}
-        self._first, self._last = 2**64 - 1, 0
+        self._declared: list[Channel] = []
         self._fd = _create(path, overwrite)
         try:
             self._put(MAGIC + _packed(Header("ros2", "hd_diag")))
@@ -106,176 +99,146 @@ class McapFile:
             raise
 
     @property
-    def count(self) -> int:
-        """Messages added so far."""
-        return sum(self._counts.values())
-
-    @property
-    def times(self) -> tuple[int, int]:
-        """Least and greatest log time so far [ns]; (2**64 - 1, 0) before the first message."""
-        return min(self._first, self._chunk.first), max(self._last, self._chunk.last)
-
-    @property
-    def pending(self) -> float | None:
+    def opened(self) -> float | None:
         """When the open chunk got its first message (``time.monotonic``) [s]; None if it has none."""
         return self._chunk.opened
 
-    def add_channel(self, topic: str, definition: Definition, metadata: Mapping[str, str]) -> int:
-        """Register a topic, and its schema where this is the first topic of the type."""
-        name = definition.type_name
+    def add_channel(self, topic: Offered) -> int:
+        """Register a topic, and its schema where this is the first topic of the type; gives its number."""
+        known, number = topic.definition, len(self._declared) + 1
+        name = known.type_name
         if name not in self._schemas:
-            text = definition.text.encode()
-            self._schemas[name] = Schema(len(self._schemas) + 1, text, definition.encoding, name)
-            self._chunk.add_record(_packed(self._schemas[name]))
-        number = len(self._channels) + 1
-        channel = Channel(number, topic, "cdr", dict(metadata), self._schemas[name].id)
-        self._chunk.add_record(_packed(channel))
-        self._channels.append(channel)
-        self.channels[topic, name] = number
-        self._counts[number] = 0
+            self._schemas[name] = Schema(len(self._schemas) + 1, known.text.encode(), known.encoding, name)
+            self._chunk.add(_packed(self._schemas[name]))
+        extra = {"offered_qos_profiles": dump_offers(topic.offers), "topic_type_hash": known.type_hash}
+        self._declared.append(Channel(number, topic.name, "cdr", extra, self._schemas[name].id))
+        self._chunk.add(_packed(self._declared[-1]))
+        self.channels[topic.name, name] = number
+        self.counts[number] = self.written.channel_message_counts[number] = 0
         return number
 
     def add(self, channel: int, log_time: int, publish_time: int, data: bytes) -> None:
         """Append a message; the chunk is closed when it is full."""
-        sequence = self._counts[channel] & 0xFFFFFFFF
-        head = MESSAGE.pack(Opcode.MESSAGE, 22 + len(data), channel, sequence, log_time, publish_time)
-        self._chunk.add_message(channel, log_time, head, data)
-        self._counts[channel] += 1
-        if self.start is None:
-            self.start = log_time
-        if self._chunk.size >= self._chunk_size:
-            self.close_chunk()
+        entry, count = _ENTRY.pack(log_time, self._chunk.size), self.counts[channel] & 0xFFFFFFFF
+        head = MESSAGE.pack(Opcode.MESSAGE, _HEAD + len(data), channel, count, log_time, publish_time)
+        self._chunk.add(head + data)
+        self._added(channel, 1, log_time, log_time, entry)
 
-    def room(self, rows: Rows) -> int:
-        """How many of these messages fill the open chunk, at least 1."""
-        return rows.room(self._chunk_size - self._chunk.size, MESSAGE.size)
+    def room(self, size: int) -> int:
+        """How many messages of a size [byte] fill the open chunk, at least 1."""
+        return max(1, -(-(self._chunk_size - self._chunk.size) // (size + MESSAGE.size)))
 
-    def add_rows(
-        self,
-        channel: int,
-        times: npt.NDArray[np.int64],
-        publish_times: npt.NDArray[np.int64],
-        rows: Rows,
-    ) -> None:
-        """Append messages of one channel at once; the chunk is closed when it is full."""
-        before, count = self._counts[channel], len(times)
-        records = rows.behind(
-            HEAD,
-            {
-                "opcode": Opcode.MESSAGE,
-                "length": 22 + rows.sizes,
-                "channel": channel,
-                "sequence": np.arange(before, before + count) & 0xFFFFFFFF,
-                "log_time": times,
-                "publish_time": publish_times,
-            },
-        )
-        self._chunk.add_block(channel, times, records, rows.places(MESSAGE.size))
-        self._counts[channel] += count
+    def add_rows(self, channel: int, times: Times, publish_times: Times, rows: Bytes) -> None:
+        """Append messages of one channel and one size, shape (n, size); the chunk is closed when full."""
+        before, (count, size) = self.counts[channel], rows.shape
+        records = np.empty(count, np.dtype([*HEAD.descr, ("data", "u1", (size,))]))
+        records["opcode"], records["length"], records["channel"] = Opcode.MESSAGE, _HEAD + size, channel
+        records["sequence"] = np.arange(before, before + count) & 0xFFFFFFFF
+        records["log_time"], records["publish_time"], records["data"] = times, publish_times, rows
+        places = self._chunk.size + records.itemsize * np.arange(count)
         if self.start is None:
             self.start = int(times[0])
+        self._chunk.add(memoryview(records.view(np.uint8)))
+        entries = np.stack((times, places), axis=1).tobytes()
+        self._added(channel, count, int(times.min()), int(times.max()), entries)
+
+    def _added(self, channel: int, count: int, first: int, last: int, entries: bytes) -> None:
+        """Account for messages that were added: least and greatest time [ns], entries of the index."""
+        self.counts[channel] += count
+        if self.start is None:
+            self.start = first
+        self._chunk.note(channel, first, last, entries)
         if self._chunk.size >= self._chunk_size:
             self.close_chunk()
 
-    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Append a metadata record, after what was added before it."""
-        self.close_chunk()
-        self.wait()
-        record = _packed(Metadata(name, dict(values)))
-        self._metadata.append(MetadataIndex(self.size, len(record), name))
-        self._put(record)
-
     def close_chunk(self) -> None:
-        """Hand everything added so far to the operating system."""
+        """Hand everything added so far to the operating system, or to the thread that does."""
         chunk = self._chunk
-        if chunk.size:
-            self._chunk = _Chunk()
-            self._worker.do(lambda: self._store(chunk))
+        if not chunk.size:
+            return
+        self._chunk = _Chunk()
+        if self._pool is None:
+            try:
+                self._store(chunk)
+            except KeyboardInterrupt:
+                self._chunk = chunk  # nothing is wrong with the file
+                raise
+            return
+        self._waiting.append(self._pool.submit(self._store, chunk))
+        while len(self._waiting) > _MOST_WAITING or (self._waiting and self._waiting[0].done()):
+            self._waiting.popleft().result()
 
     def wait(self) -> None:
-        """Until every closed chunk is with the operating system."""
-        self._worker.wait()
+        """Until every closed chunk is with the operating system; raises what first went wrong."""
+        waiting, self._waiting = self._waiting, deque()
+        errors = [error for error in [future.exception() for future in waiting] if error is not None]
+        if errors:
+            raise errors[0]
 
-    def drop_chunk(self) -> None:
-        """Forget the messages that were not handed over yet."""
-        with suppress(Exception):  # known already
-            self._worker.wait()
-        for chunk in (*self._lost, self._chunk):
-            for channel, entries in chunk.index.items():
-                self._counts[channel] -= len(entries) // 2
-        self._chunk, self._lost = _Chunk(), []
+    def drop(self) -> None:
+        """Forget the messages that could not be written."""
+        for future in self._waiting:
+            future.exception()
+        self._waiting.clear()
+        self._chunk, self._failed = _Chunk(), False
+        self.counts = dict(self.written.channel_message_counts)
 
-    def count_of(self, topic: str, type_name: str) -> int:
-        """Messages of a topic added so far."""
-        return self._counts.get(self.channels.get((topic, type_name), 0), 0)
-
-    def finish(self) -> None:
-        """Close the open chunk and write the summary."""
-        self.close_chunk()
-        self.wait()
-        end = _packed(DataEnd(0))
-        start = self.size + len(end)
-        groups = (
-            (Opcode.SCHEMA, b"".join(map(_packed, self._schemas.values()))),
-            (Opcode.CHANNEL, b"".join(map(_packed, self._channels))),
-            (Opcode.STATISTICS, _packed(self._statistics())),
+    def finish(self, metadata: Mapping[str, str]) -> None:
+        """Write rosbag2's metadata and the summary; every chunk must be closed and written."""
+        written = self.written
+        written.message_start_time = min(written.message_start_time, written.message_end_time)
+        written.schema_count, written.channel_count = len(self._schemas), len(self._declared)
+        kept = _packed(Metadata("rosbag2", dict(metadata)))
+        end = kept + _packed(DataEnd(0))
+        start, summary, offsets = self.size + len(end), b"", b""
+        for opcode, group in (
+            (Opcode.SCHEMA, _packed(*self._schemas.values())),
+            (Opcode.CHANNEL, _packed(*self._declared)),
+            (Opcode.STATISTICS, _packed(written)),
             (Opcode.CHUNK_INDEX, bytes(self._indexes)),
-            (Opcode.METADATA_INDEX, b"".join(map(_packed, self._metadata))),
-        )
-        summary, offsets = _summary(groups, start)
-        footer = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, start + len(summary))
-        checksum = zlib.crc32(summary + offsets + footer)
-        self._put(end + summary + offsets + _packed(Footer(start, start + len(summary), checksum)) + MAGIC)
+            (Opcode.METADATA_INDEX, _packed(MetadataIndex(self.size, len(kept), "rosbag2"))),
+        ):
+            if group:
+                offsets += _packed(SummaryOffset(opcode, start + len(summary), len(group)))
+            summary += group
+        places = start, start + len(summary)
+        checksum = zlib.crc32(summary + offsets + struct.pack("<BQQQ", Opcode.FOOTER, 20, *places))
+        self._put(end + summary + offsets + _packed(Footer(*places, checksum)) + MAGIC)
 
     def release(self) -> None:
         """Close the file as it is."""
-        self._worker.close()
+        if self._pool is not None:
+            self._pool.shutdown()
         if self._fd >= 0:
             fd, self._fd = self._fd, -1
             os.close(fd)
 
     def _store(self, chunk: _Chunk) -> None:
-        """Write a chunk; after one that could not be written none is, until what was lost is forgotten."""
-        if self._lost:
-            self._lost.append(chunk)
+        """Write a chunk; after one that could not be written none is."""
+        if self._failed:
             return
+        data, start = b"".join(chunk.parts), self.size
+        first, name = (0 if chunk.opened is None else chunk.first), self._compression.replace("none", "")
+        stored = _COMPRESS[self._compression](data)
+        record = _packed(Chunk(name, stored, chunk.last, first, zlib.crc32(data), len(data)))
+        places, index = {}, b""
+        for channel, entries in chunk.index.items():
+            places[channel] = start + len(record) + len(index)
+            index += _INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)) + entries
         try:
-            self._write(chunk)
-        except KeyboardInterrupt:
-            self._chunk = chunk  # nothing is wrong with the file
+            self._put(record + index)
+        except OSError:
+            self._failed = True
             raise
-        except BaseException:
-            self._lost.append(chunk)
-            raise
-
-    def _write(self, chunk: _Chunk) -> None:
-        data = b"".join(chunk.parts)
-        name, stored = self._compress(data)
-        first = 0 if chunk.opened is None else chunk.first
-        tail = struct.pack("<I", len(name)) + name.encode() + struct.pack("<Q", len(stored))
-        length = _CHUNK.size - 9 + len(tail) + len(stored)
-        head = _CHUNK.pack(Opcode.CHUNK, length, first, chunk.last, len(data), zlib.crc32(data)) + tail
-        start, end = self.size, self.size + len(head) + len(stored)
-        places, index = _message_indexes(chunk.index, end)
-        self._put(b"".join((head, stored, *index)))
-        self._first, self._last = min(self._first, chunk.first), max(self._last, chunk.last)
-        written = (len(stored), chunk.last, self.size - end, places, first, len(data))
-        self._indexes += _packed(ChunkIndex(end - start, start, name, *written))
-        self._chunk_count += 1
-
-    def _statistics(self) -> Statistics:
-        first, last = self.times
-        return Statistics(
-            attachment_count=0,
-            channel_count=len(self._channels),
-            channel_message_counts=dict(self._counts),
-            chunk_count=self._chunk_count,
-            message_count=self.count,
-            message_end_time=last,
-            message_start_time=min(first, last),
-            metadata_count=len(self._metadata),
-            schema_count=len(self._schemas),
-        )
+        sizes = len(stored), chunk.last, len(index), places, first, len(data)
+        self._indexes += _packed(ChunkIndex(len(record), start, name, *sizes))
+        written = self.written
+        written.chunk_count += 1
+        written.message_start_time = min(written.message_start_time, chunk.first)
+        written.message_end_time = max(written.message_end_time, chunk.last)
+        for channel, entries in chunk.index.items():
+            written.channel_message_counts[channel] += len(entries) // _ENTRY.size
+            written.message_count += len(entries) // _ENTRY.size
 
     def _put(self, data: bytes) -> None:
         """Write all of `data`, or nothing: a record that does not fit is cut off again."""
@@ -291,103 +254,43 @@ class McapFile:
 
 
 class _Chunk:
-    """Records of the chunk that is being filled."""
+    """Records of the chunk that is being filled, their times, and where the messages of each channel are."""
 
     def __init__(self) -> None:
         self.parts: list[bytes | memoryview] = []
         self.size = 0
         self.opened: float | None = None
         self.first, self.last = 2**64 - 1, 0
-        self.index: dict[int, array[int]] = {}
+        self.index: dict[int, bytearray] = {}
 
-    def add_record(self, record: bytes) -> None:
-        self.parts.append(record)
-        self.size += len(record)
+    def add(self, records: bytes | memoryview) -> None:
+        self.parts.append(records)
+        self.size += len(records)
 
-    def add_message(self, channel: int, log_time: int, head: bytes, data: bytes) -> None:
+    def note(self, channel: int, first: int, last: int, entries: bytes) -> None:
         if self.opened is None:
             self.opened = time.monotonic()
-        self.first, self.last = min(self.first, log_time), max(self.last, log_time)
-        entries = self.index.get(channel)
-        if entries is None:
-            entries = self.index[channel] = array("Q")
-        entries.append(log_time)
-        entries.append(self.size)
-        self.parts.append(head)
-        self.parts.append(data)
-        self.size += len(head) + len(data)
-
-    def add_block(
-        self,
-        channel: int,
-        times: npt.NDArray[np.int64],
-        block: memoryview,
-        places: npt.NDArray[np.int64],
-    ) -> None:
-        if self.opened is None:
-            self.opened = time.monotonic()
-        self.first, self.last = min(self.first, int(times.min())), max(self.last, int(times.max()))
-        entries = np.empty((len(times), 2), np.uint64)
-        entries[:, 0] = times
-        entries[:, 1] = self.size + places
-        self.index.setdefault(channel, array("Q")).frombytes(entries.tobytes())
-        self.parts.append(block)
-        self.size += len(block)
-
-
-class _Compressor:
-    """Compression of chunks; gives the name that the chunk carries and the bytes."""
-
-    def __init__(self, name: str) -> None:
-        if name not in COMPRESSIONS:
-            raise ValueError(f"compression: one of {', '.join(COMPRESSIONS)} expected, got {name!r}")
-        self._name = "" if name == "none" else name
-        self._zstd = zstandard.ZstdCompressor(level=_ZSTD_LEVEL)
-
-    def __call__(self, data: bytes) -> tuple[str, bytes]:
-        if self._name == "zstd":
-            return self._name, self._zstd.compress(data)
-        return self._name, lz4.frame.compress(data) if self._name == "lz4" else data
+        self.first, self.last = min(self.first, first), max(self.last, last)
+        self.index.setdefault(channel, bytearray()).extend(entries)
 
 
 def _create(path: Path, overwrite: bool) -> int:
-    """File descriptor of a new file, locked for as long as it is written."""
+    """File descriptor of a new, locked file."""
     flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | (0 if overwrite else os.O_EXCL)
     fd = os.open(path, flags, 0o666)
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         os.ftruncate(fd, 0)
-    except BlockingIOError as exc:
+    except BaseException as exc:
         os.close(fd)
-        raise BagError(path, "is being written by another process") from exc
-    except BaseException:
-        os.close(fd)
+        if isinstance(exc, BlockingIOError):
+            raise BagError(path, "is being written by another process") from exc
         raise
     return fd
 
 
-def _packed(record: McapRecord) -> bytes:
+def _packed(*records: McapRecord) -> bytes:
     builder = RecordBuilder()
-    record.write(builder)
+    for record in records:
+        record.write(builder)
     return bytes(builder.end())  # type: ignore[no-untyped-call]
-
-
-def _message_indexes(index: dict[int, array[int]], start: int) -> tuple[dict[int, int], list[bytes]]:
-    """Places of the message index records of a chunk that ends at `start`, and the records."""
-    places, parts = {}, []
-    for channel, entries in index.items():
-        places[channel] = start
-        size = len(entries) * 8
-        parts += [_INDEX.pack(Opcode.MESSAGE_INDEX, 6 + size, channel, size), entries.tobytes()]
-        start += _INDEX.size + size
-    return places, parts
-
-
-def _summary(groups: Iterable[tuple[Opcode, bytes]], start: int) -> tuple[bytes, bytes]:
-    """Summary section that begins at `start`, and its summary offset section."""
-    summary, offsets = b"", b""
-    for opcode, group in groups:
-        if group:
-            offsets += _packed(SummaryOffset(opcode, start + len(summary), len(group)))
-        summary += group
-    return summary, offsets

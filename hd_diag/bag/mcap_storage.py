@@ -1,35 +1,28 @@
-"""An MCAP file open for reading: its topics, counts and sections."""
+"""An MCAP file open for reading: its topics and its messages in the order of log time."""
 
 from __future__ import annotations
 
 import fcntl
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from hd_diag.bag.block import Block
+from hd_diag.bag.block import Block, joined
 from hd_diag.bag.errors import BagError
-from hd_diag.bag.folder import custom_data
-from hd_diag.bag.mcap_chunk import Content, load, messages_of, read
-from hd_diag.bag.mcap_scan import Scan, Section, scan
-from hd_diag.bag.prefetch import Ahead
-from hd_diag.messages.schemas import Definition
+from hd_diag.bag.mcap_chunk import DamagedChunk, load
+from hd_diag.bag.mcap_scan import Section, scan
 
 # Size of content that is loaded at once: a log flushed often has many small chunks [byte].
-_STRETCH = 4 << 20
-# Topic, type, offered QoS profiles as YAML, and definition, by channel number.
-Topics = dict[int, tuple[str, str, str, Definition | None]]
-
-
-@dataclass
-class Stretch:
-    """Sections that follow one another in the file, and the least of their start times [ns]."""
-
-    sections: list[Section]
-    start: int
+_AT_ONCE = 4 << 20
+# What is read ahead takes no more memory than this [byte].
+_AHEAD = 12 << 20
+# More than this is never held back for sorting [byte].
+_MAX_HELD = 1 << 30
 
 
 class McapStorage:
@@ -37,135 +30,163 @@ class McapStorage:
 
     Attributes
     ----------
-    scan : Scan
     topics : dict
-        As `declared`.
-    counts : dict
-        Messages of each channel.
-    custom_data : dict
-        From the metadata that rosbag2 keeps inside the file.
+        `Topic` by channel number.
+    start, end : int
+        Least and greatest log time [ns]; 0 for an empty file.
     problem : str
         Why the file is not finished; empty where it is.
 
     Raises
     ------
     BagError
-        Where it is not an MCAP file of ROS 2, or a chunk that must be opened is damaged.
+        Where it is not an MCAP file of ROS 2, or holds what cannot be read.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.file = path.open("rb")
-        self._ahead: list[Ahead[Stretch, Content]] = []
+        self._file = path.open("rb")
         try:
-            self.scan = scan(path, self.file)
-            self.problem = self.scan.problem
-            if self.problem and is_locked(self.file.fileno()):
+            self._scan = scan(path, self._file)
+            self.problem = self._scan.problem
+            if self.problem and is_locked(self._file.fileno()):
                 self.problem = "is being written by another process"
-            self.counts = self._counts()
-            self.topics = self._declared()
-            self.custom_data = kept_custom_data(self.scan)
+            counts, error = self._count()
+            self.topics = self._scan.topics()
+            if error is not None and not any(counts.values()):
+                raise error
+            for number, count in counts.items():
+                if count and number not in self._scan.channels:
+                    raise BagError(path, f"holds messages of channel {number}, which is not declared")
+            for number, channel in self._scan.channels.items():
+                if number not in self.topics:
+                    raise BagError(path, f"topic {channel.topic} has no schema, or is not CDR")
+                self.topics[number].count = counts.get(number, 0)
         except BaseException:
-            self.file.close()
+            self._file.close()
             raise
 
-    @contextmanager
-    def loading(self, stretches: Sequence[Stretch]) -> Iterator[Callable[[Stretch], Block]]:
-        """What gives the messages of stretches that are asked for in this order, each once; read ahead.
+    def blocks(self, numbers: Sequence[int] | None, start: int | None, end: int | None) -> Iterator[Block]:
+        """Messages of some channels, or all, from one log time until before another [ns], in order.
 
-        It raises BagError where a stretch is damaged, and ValueError where the file was closed meanwhile.
+        Raises
+        ------
+        BagError
+            Where a chunk is damaged or cannot be sorted.
         """
-        ahead = Ahead(stretches, lambda stretch: read(self.path, self.file, stretch.sections), _memory)
-        self._ahead.append(ahead)
+        wanted = None if numbers is not None and len(numbers) == len(self.topics) else numbers
+
+        def chosen(stretch: _Stretch) -> Block:
+            block = load(self.path, self._file, stretch.sections, self._scan)
+            keep = np.ones(len(block), bool) if wanted is None else np.isin(block.channel, wanted)
+            keep &= True if start is None else block.log_time >= start
+            keep &= True if end is None else block.log_time < end
+            return block if keep.all() else block[keep]
+
+        sections = [s for s in self._scan.sections if start is None or s.end >= start]
+        sections = [s for s in sections if end is None or s.start < end]
         try:
-            yield lambda stretch: messages_of(self.path, stretch.sections, ahead.take(), self.scan)
-        finally:
-            ahead.close()
-            self._ahead.remove(ahead)
+            for block in _ordered(_stretches_of(sections), chosen):
+                unknown = set(np.unique(block.channel).tolist()) - self.topics.keys()
+                if unknown:
+                    raise ValueError(f"messages of channel {min(unknown)}, which is not declared")
+                if int(block.log_time[0]) < 0 or int(block.publish_time.min()) < 0:
+                    raise ValueError("a message has a time beyond the year 2262")
+                yield block
+        except ValueError as exc:
+            raise exc if isinstance(exc, BagError) else BagError(self.path, exc) from exc
 
     def close(self) -> None:
-        """Close the file; nothing reads it any more when this returns."""
-        for ahead in self._ahead:
-            ahead.close()
-        self.file.close()
+        """Close the file."""
+        self._file.close()
 
-    def stretches(self, numbers: list[int], start: int | None, end: int | None) -> list[Stretch]:
-        """Sections that may hold messages of the topics in the range of time, small ones taken together."""
-        wanted = [
-            s
-            for s in self.scan.sections
-            if (end is None or s.start < end)
-            and (start is None or s.end >= start)
-            and (s.counts is None or not s.counts.keys().isdisjoint(numbers))
-        ]
-        stretches: list[Stretch] = []
-        size = _STRETCH
-        for section in wanted:
-            if size >= _STRETCH:
-                stretches.append(Stretch([], section.start))
-                size = 0
-            stretches[-1].sections.append(section)
-            stretches[-1].start = min(stretches[-1].start, section.start)
-            size += section.content_size
-        return stretches
+    def _count(self) -> tuple[dict[int, int], DamagedChunk | None]:
+        """Messages by channel as the statistics say; where a file has none its chunks are opened.
 
-    def _counts(self) -> dict[int, int]:
-        """Messages of each channel; the chunks are opened only where nothing else tells."""
-        found = self.scan
-        if found.counts is not None and not found.problem and found.channels:
-            return found.counts
-        counts: dict[int, int] = {}
+        A damaged chunk is an error when it is its turn to be read.
+        """
+        found, known = self._scan, self._scan.statistics
+        if known is not None and not found.problem and found.channels:
+            self.start, self.end = known.message_start_time, known.message_end_time
+            return known.channel_message_counts, None
+        counts: Counter[int] = Counter()
+        error: DamagedChunk | None = None
         for section in found.sections:
-            if section.counts is None or not section.counts.keys() <= found.channels.keys():
-                block = load(self.path, self.file, [section], self.scan)
-                channels, number = np.unique(block.channel, return_counts=True)
-                section.counts = dict(zip(channels.tolist(), number.tolist(), strict=True))
+            try:
+                block = load(self.path, self._file, [section], found)
+                channels, numbers = np.unique(block.channel, return_counts=True)
+                counts.update(dict(zip(channels.tolist(), numbers.tolist(), strict=True)))
                 if len(block):
                     section.start, section.end = int(block.log_time.min()), int(block.log_time.max())
-            for channel, count in section.counts.items():
-                counts[channel] = counts.get(channel, 0) + count
-        return counts
-
-    def _declared(self) -> Topics:
-        topics = declared(self.scan)
-        for number, count in self.counts.items():
-            if count and number not in self.scan.channels:
-                raise BagError(self.path, f"holds messages of channel {number}, which is not declared")
-        for number, channel in self.scan.channels.items():
-            if number not in topics:
-                raise BagError(self.path, f"topic {channel.topic} has no schema, or is not CDR")
-        return topics
+            except DamagedChunk as exc:
+                error = error or exc
+        self.start = min((s.start for s in found.sections), default=0)
+        self.end = max((s.end for s in found.sections), default=0)
+        return counts, error
 
 
-def _memory(stretch: Stretch) -> int:
-    """What the content of a stretch takes at most, joined and in parts [byte]."""
-    indexes = sum(end - begin for begin, end in (s.indexes or (0, 0) for s in stretch.sections))
-    return indexes + sum(max(s.content_size, s.size) for s in stretch.sections)
+@dataclass
+class _Stretch:
+    """Sections that follow one another in the file, the least of their times [ns], size in memory [byte]."""
+
+    sections: list[Section]
+    start: int
+    size: int
 
 
-def kept_custom_data(found: Scan) -> dict[str, str]:
-    """Custom data in the file's own metadata."""
-    return custom_data(found.metadata.get("rosbag2", {}).get("serialized_metadata", ""))
+def _stretches_of(sections: Sequence[Section]) -> list[_Stretch]:
+    """Sections in the order of the file, small ones taken together."""
+    stretches: list[_Stretch] = []
+    for section in sections:
+        size = max(section.content_size, section.size)
+        if not stretches or stretches[-1].size + size > _AT_ONCE:
+            stretches.append(_Stretch([], section.start, 0))
+        last = stretches[-1]
+        last.sections.append(section)
+        last.start, last.size = min(last.start, section.start), last.size + size
+    return stretches
 
 
-def declared(found: Scan) -> Topics:
-    """Topics of the channels that have a schema and are in CDR."""
-    topics: Topics = {}
-    for number, channel in found.channels.items():
-        schema = found.schemas.get(channel.schema_id)
-        if schema is not None and channel.message_encoding in ("cdr", ""):
-            text, type_hash = (
-                schema.data.decode(errors="replace"),
-                channel.metadata.get("topic_type_hash", ""),
-            )
-            known = Definition(schema.name, text, schema.encoding, type_hash)
-            topics[number] = (
-                channel.topic,
-                schema.name,
-                channel.metadata.get("offered_qos_profiles", ""),
-                known,
-            )
-    return topics
+def _ordered(stretches: Sequence[_Stretch], load_one: Callable[[_Stretch], Block]) -> Iterator[Block]:
+    """Blocks whose log times never decrease; messages of equal time keep the order of the file.
+
+    Raises ValueError where times are so disordered that sorting takes more than 1 GiB, or where a chunk holds
+    messages from before the time that it declares.
+    """
+    turns = sorted(range(len(stretches)), key=lambda number: (stretches[number].start, number))
+    limits = [*(stretches[number].start for number in turns[1:]), 2**63 - 1]
+    blocks = _ahead([stretches[number] for number in turns], load_one)
+    held: list[tuple[int, Block]] = []
+    released = -(2**63)
+    for turn, (number, limit, block) in enumerate(zip(turns, limits, blocks, strict=True), start=1):
+        if len(block) and int(block.log_time.min()) < released:
+            raise ValueError("a chunk holds messages from before its declared start: times cannot be sorted")
+        held = sorted([*held, (number, block)], key=lambda entry: entry[0])
+        masks = [b.log_time < limit if turn < len(turns) else np.ones(len(b), bool) for _, b in held]
+        early = [b[mask] for (_, b), mask in zip(held, masks, strict=True) if mask.any()]
+        held = [(n, b[~mask].compact()) for (n, b), mask in zip(held, masks, strict=True) if not mask.all()]
+        if sum(len(b.data) for _, b in held) > _MAX_HELD:
+            raise ValueError("log times are too disordered: sorting them takes more than 1 GiB")
+        if early:
+            ready = joined(early)
+            released = int(ready.log_time[-1])
+            yield ready
+
+
+def _ahead(stretches: Sequence[_Stretch], load_one: Callable[[_Stretch], Block]) -> Iterator[Block]:
+    """What the stretches hold, in their order; what fits into `_AHEAD` is loaded before its turn."""
+    left, held = deque(stretches), 0
+    waiting: deque[tuple[int, Future[Block]]] = deque()
+    pool = ThreadPoolExecutor(2, thread_name_prefix="bag reader")
+    try:
+        while left or waiting:
+            while left and (not waiting or held + left[0].size <= _AHEAD):
+                held += left[0].size
+                waiting.append((left[0].size, pool.submit(load_one, left.popleft())))
+            held -= waiting[0][0]
+            yield waiting.popleft()[1].result()
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def is_locked(fd: int) -> bool:

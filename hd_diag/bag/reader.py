@@ -4,51 +4,24 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from rosbags.typesys.store import Typestore
 
-from hd_diag.bag.block import Block, gather
+from hd_diag.arrays import Integers, Times
+from hd_diag.bag.block import Block, Payload, Topic
 from hd_diag.bag.errors import BagError
 from hd_diag.bag.folder import Unpacked, find_files, unpacked
 from hd_diag.bag.mcap_storage import McapStorage
-from hd_diag.bag.ordering import chosen, mixed_runs, ordered, runs, turns
-from hd_diag.bag.sqlite_database import is_sqlite
-from hd_diag.bag.sqlite_file import SqliteFile
-from hd_diag.bag.typestore import BagTypes
-from hd_diag.messages.joint_states import Rejection, decode_joint_states, joint_states_from_messages
-from hd_diag.messages.schemas import Definition
+from hd_diag.bag.sqlite_file import SqliteFile, is_sqlite
+from hd_diag.bag.typestore import standard_joint_state, store_of
+from hd_diag.messages.joint_states import JOINT_STATE, Rejection, decode_joint_states
+from hd_diag.messages.schemas import jazzy
 from hd_diag.streams.columns import JointStates
-
-Payload = npt.NDArray[np.uint8] | list[memoryview]
-JOINT_STATE = "sensor_msgs/msg/JointState"
-
-
-@dataclass
-class Topic:
-    """A topic of a bag.
-
-    Attributes
-    ----------
-    name, type_name : str
-        As ``/joint_states`` and ``sensor_msgs/msg/JointState``.
-    count : int
-        Messages.
-    definition : Definition or None
-        The type as the bag defines it.
-    offers : str
-        Offered QoS profiles, YAML.
-    """
-
-    name: str
-    type_name: str
-    count: int = 0
-    definition: Definition | None = None
-    offers: str = ""
 
 
 @dataclass(frozen=True)
@@ -65,8 +38,8 @@ class Batch:
     """
 
     topic: Topic
-    log_time: npt.NDArray[np.int64]
-    publish_time: npt.NDArray[np.int64]
+    log_time: Times
+    publish_time: Times
     payload: Payload
 
     def __len__(self) -> int:
@@ -81,25 +54,24 @@ class Batch:
 class Mixed(NamedTuple):
     """Consecutive messages: log times [ns] (n,); each topic's batch with the positions of its messages."""
 
-    log_time: npt.NDArray[np.int64]
-    batches: list[tuple[npt.NDArray[np.int64], Batch]]
+    log_time: Times
+    batches: list[tuple[Integers, Batch]]
 
 
-@dataclass
-class _Source:
+class _Source(NamedTuple):
     """One storage file with the topics of its channel numbers."""
 
     path: Path
-    storage: Any
-    topics: dict[int, Topic] = field(default_factory=dict)
-    counts: dict[int, int] = field(default_factory=dict)
+    storage: McapStorage | SqliteFile
+    topics: dict[int, Topic]
 
 
 class BagReader:
     """Reader of a bag: an MCAP file, a ``.db3`` file or a rosbag2 folder, or one that rosbag2 compressed.
 
     Use it in a ``with`` statement: databases with unfinished writes and compressed files are read in a
-    temporary folder, which `close` deletes.
+    temporary folder, which `close` deletes. JointState messages of a bag that defines them otherwise than
+    ROS 2 Jazzy are given as Jazzy's.
 
     Parameters
     ----------
@@ -108,7 +80,6 @@ class BagReader:
 
     Attributes
     ----------
-    topics : list of Topic
     start, end : int
         Least and greatest log time [ns]; 0 and 0 for an empty bag.
     problems : list of str
@@ -116,8 +87,6 @@ class BagReader:
         What precedes the damage is read. Empty for a whole bag.
     paths : list of Path
         Storage files in order.
-    custom_data : dict
-        From the metadata.
 
     Raises
     ------
@@ -128,26 +97,24 @@ class BagReader:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
         self._topics: dict[tuple[str, str], Topic] = {}
-        self._types = BagTypes()
+        self._stores: dict[int, Typestore] = {}
         self._sources: list[_Source] = []
         self._unpacked = Unpacked()
         try:
             found = find_files(self.path)
             self.paths, self.problems = found.paths, found.problems
-            self.custom_data = found.custom_data
             self._message_compression = found.message_compression
             self._unpacked = Unpacked(self.paths)
             for file in self.paths:
                 self._add(file)
-        except OSError as exc:
+        except BaseException as exc:
             self.close()
-            raise BagError(getattr(exc, "filename", None) or self.path, exc) from exc
-        except BaseException:
-            self.close()
+            if isinstance(exc, OSError):
+                raise BagError(getattr(exc, "filename", None) or self.path, exc) from exc
             raise
-        ranges = [r for r in map(_time_range, self._sources) if r is not None]
-        self.start = min((r[0] for r in ranges), default=0)
-        self.end = max((r[1] for r in ranges), default=0)
+        full = [s.storage for s in self._sources if any(t.count for t in s.storage.topics.values())]
+        self.start = min((storage.start for storage in full), default=0)
+        self.end = max((storage.end for storage in full), default=0)
 
     @property
     def topics(self) -> list[Topic]:
@@ -163,11 +130,6 @@ class BagReader:
     def duration(self) -> float:
         """Time between the first and the last message [s]."""
         return (self.end - self.start) * 1e-9
-
-    @property
-    def unfinished(self) -> bool:
-        """Whether a file of the bag is cut off, damaged near its end, or still being written."""
-        return bool(self.problems)
 
     def batches(
         self,
@@ -194,34 +156,29 @@ class BagReader:
         BagError
             Where a chunk is damaged or cannot be sorted.
         """
-        for source, numbers in self._numbers(topics):
-            for block in self._blocks(source, numbers, start, end):
-                for part in runs(block, grouped=grouped):
-                    yield self._batch(source, part)
+        for mixed in self.mixed(topics, lambda topic: grouped, start=start, end=end):
+            for _, batch in mixed.batches:
+                yield batch
 
-    def mixed(self, topics: Iterable[str], together: Callable[[Topic], bool]) -> Iterator[Mixed]:
-        """Messages in the order of log time, long runs of them: some topics are not taken apart.
-
-        Parameters
-        ----------
-        topics : iterable of str
-            Names of topics.
-        together : callable
-            Says of a topic whether it may alternate with others of its kind within a run.
-
-        Raises
-        ------
-        BagError
-            As `batches`.
-        """
-        for source, numbers in self._numbers(topics):
-            alternating = {n for n in numbers if together(source.topics[n])}
-            for block in self._blocks(source, numbers, None, None):
-                for part in mixed_runs(block, alternating):
-                    channels = np.unique(part.channel)
-                    rows = [np.flatnonzero(part.channel == channel) for channel in channels]
-                    batches = [self._batch(source, part[at] if len(rows) > 1 else part) for at in rows]
-                    yield Mixed(part.log_time, list(zip(rows, batches, strict=True)))
+    def mixed(
+        self,
+        topics: Iterable[str] | None,
+        together: Callable[[Topic], bool],
+        *,
+        start: int | None = None,
+        end: int | None = None,
+    ) -> Iterator[Mixed]:
+        """As `batches`, in long runs: topics for which `together` is true may alternate within one."""
+        names = None if topics is None else set(topics)
+        for source in self._sources:
+            numbers = [n for n, t in source.topics.items() if names is None or t.name in names]
+            alternating = [n for n in numbers if together(source.topics[n])]
+            try:
+                for block in source.storage.blocks(numbers, start, end) if numbers else ():
+                    for part in _runs(block, alternating):
+                        yield self._mixed(source, part)
+            except BagError as exc:
+                raise type(exc)(source.path, exc.cause) from exc
 
     def deserialize(self, batch: Batch) -> tuple[list[tuple[int, Any]], list[Rejection]]:
         """Message objects of a batch of any type, with their positions, and what could not be decoded.
@@ -231,7 +188,7 @@ class BagReader:
         BagError
             Where the type is not known.
         """
-        store = self._store(batch.topic)
+        store = jazzy() if batch.topic.type_name == JOINT_STATE else self._store(batch.topic)
         messages, rejected = [], []
         for index, data in enumerate(batch.messages()):
             try:
@@ -241,35 +198,17 @@ class BagReader:
         return messages, rejected
 
     def joint_states(self, batch: Batch) -> tuple[list[JointStates], list[Rejection]]:
-        """Columns of a batch of JointState, as `columns.decode_joint_states`.
+        """Columns of a batch of JointState, as `decode_joint_states`.
 
         Raises
         ------
         BagError
-            Where the bag defines the type in a way that cannot be used.
+            Where it is of another type.
         """
         if batch.topic.type_name != JOINT_STATE:
-            raise BagError(
-                self.path, f"{batch.topic.name} has type {batch.topic.type_name}, not {JOINT_STATE}"
-            )
-        if self.is_standard(batch.topic):
-            return decode_joint_states(batch.payload)
-        messages, rejected = self.deserialize(batch)
-        columns, more = joint_states_from_messages(messages)
-        return columns, sorted(rejected + more)
-
-    def is_standard(self, topic: Topic) -> bool:
-        """Whether the bag means the same by a topic's type as ROS 2 Jazzy does.
-
-        Raises
-        ------
-        BagError
-            Where the type is not known.
-        """
-        try:
-            return self._types.is_standard(topic.type_name, topic.definition)
-        except ValueError as exc:
-            raise BagError(self.path, f"{topic.name}: {exc}") from exc
+            what = f"{batch.topic.name} has type {batch.topic.type_name}, not {JOINT_STATE}"
+            raise BagError(self.path, what)
+        return decode_joint_states(batch.payload)
 
     def close(self) -> None:
         """Close the files."""
@@ -286,88 +225,50 @@ class BagReader:
     ) -> None:
         self.close()
 
-    def _numbers(self, topics: Iterable[str] | None) -> Iterator[tuple[_Source, list[int]]]:
-        """Files with the channel numbers that some topics, or all, have in them; those that have none not."""
-        names = None if topics is None else set(topics)
-        for source in self._sources:
-            numbers = [n for n, t in source.topics.items() if names is None or t.name in names]
-            if numbers:
-                yield source, numbers
-
-    def _store(self, topic: Topic) -> Any:
-        try:
-            return self._types.store(topic.type_name, topic.definition)
-        except ValueError as exc:
-            raise BagError(self.path, f"{topic.name}: {exc}") from exc
-
     def _add(self, path: Path) -> None:
         """Open a storage file; a database cannot be read up to a damage, so that it costs one of several."""
         try:
-            self._sources.append(self._open(path))
+            file, broken = self._unpacked.file(path)
+            storage = SqliteFile(file) if is_sqlite(file) else McapStorage(file)
         except BagError as exc:
-            damaged = BagError(path, exc.cause)
             if ".db3" not in path.suffixes or (path == self.paths[-1] and not self._sources):
-                raise damaged from exc
-            self.problems.append(BagError(path.name, f"is left out: {exc.cause}").args[0])
-
-    def _open(self, path: Path) -> _Source:
-        file, broken = self._unpacked.file(path)
-        storage = SqliteFile(file) if is_sqlite(file) else McapStorage(file)
-        for problem in filter(None, (broken, storage.problem)):
-            self.problems.append(BagError(path.name, problem).args[0])
-        if isinstance(storage, McapStorage):
-            self.custom_data = storage.custom_data | self.custom_data
-        source = _Source(path, storage, counts=storage.counts)
-        for number, (name, kind, offers, known) in storage.topics.items():
-            topic = self._topics.setdefault((name, kind), Topic(name, kind, 0, known, offers))
-            topic.count += storage.counts.get(number, 0)
-            source.topics[number] = topic
-        return source
-
-    def _blocks(
-        self, source: _Source, numbers: list[int], start: int | None, end: int | None
-    ) -> Iterator[Block]:
-        storage = source.storage
-        if isinstance(storage, SqliteFile):
-            try:
-                yield from storage.blocks(numbers, start, end)
-            except BagError as exc:
-                raise BagError(source.path, exc.cause) from exc
+                raise BagError(path, exc.cause) from exc
+            self.problems.append(str(BagError(path.name, f"is left out: {exc.cause}")))
             return
-        wanted = None if len(numbers) == len(source.topics) else numbers
-        stretches = storage.stretches(numbers, start, end)
-        try:
-            with storage.loading([stretches[number] for number in turns(stretches)]) as load:
-                for block in ordered(stretches, lambda stretch: chosen(load(stretch), wanted, start, end)):
-                    unknown = set(np.unique(block.channel).tolist()) - source.topics.keys()
-                    if unknown:
-                        raise ValueError(f"messages of channel {min(unknown)}, which is not declared")
-                    yield block
-        except BagError as exc:
-            raise BagError(source.path, exc.cause) from exc
-        except ValueError as exc:
-            raise BagError(source.path, exc) from exc
+        self.problems += [str(BagError(path.name, p)) for p in (broken, storage.problem) if p]
+        self._sources.append(_Source(path, storage, {}))
+        for number, topic in storage.topics.items():
+            known = self._topics.setdefault((topic.name, topic.type_name), topic)
+            known.count += topic.count if known is not topic else 0
+            self._sources[-1].topics[number] = known
 
-    def _batch(self, source: _Source, part: Block) -> Batch:
-        topic = source.topics[int(part.channel[0])]
-        payload = payload_of(part)
-        if self._message_compression:
-            payload = unpacked(source.path, payload)
-        return Batch(topic, part.log_time, part.publish_time, payload)
+    def _store(self, topic: Topic) -> Typestore:
+        """Types as the bag means them for a topic."""
+        if id(topic) not in self._stores:
+            try:
+                self._stores[id(topic)] = store_of(topic.type_name, topic.definition)
+            except ValueError as exc:
+                raise BagError(self.path, f"{topic.name}: {exc}") from exc
+        return self._stores[id(topic)]
+
+    def _mixed(self, source: _Source, part: Block) -> Mixed:
+        channels, first = np.unique(part.channel, return_index=True)
+        batches = []
+        for channel in channels[np.argsort(first)]:
+            rows = np.flatnonzero(part.channel == channel)
+            own, topic = part[rows] if len(channels) > 1 else part, source.topics[int(channel)]
+            payload = own.payload()
+            if self._message_compression:
+                payload = unpacked(source.path, payload)
+            if topic.type_name == JOINT_STATE and self._store(topic) is not jazzy():
+                payload = [standard_joint_state(data, self._store(topic)) for data in payload]
+            batches.append((rows, Batch(topic, own.log_time, own.publish_time, payload)))
+        return Mixed(part.log_time, batches)
 
 
-def payload_of(part: Block) -> Payload:
-    """Contents of messages: an array where they have one size."""
-    sizes = part.size
-    if (sizes == sizes[0]).all():
-        return gather(part.data, part.offset, int(sizes[0]))
-    view = memoryview(part.data)
-    return [view[o : o + s] for o, s in zip(part.offset.tolist(), sizes.tolist(), strict=True)]
-
-
-def _time_range(source: _Source) -> tuple[int, int] | None:
-    storage = source.storage
-    if isinstance(storage, SqliteFile):
-        return (storage.start, storage.end) if storage.counts else None
-    full = [s for s in storage.scan.sections if s.counts is None or sum(s.counts.values())]
-    return (min(s.start for s in full), max(s.end for s in full)) if full else None
+def _runs(block: Block, alternating: list[int]) -> Iterator[Block]:
+    """Consecutive messages of one channel, or of any of those that may alternate."""
+    key = np.where(np.isin(block.channel, alternating), -1, block.channel)
+    bounds = (np.flatnonzero(np.diff(key)) + 1).tolist()
+    for first, last in zip([0, *bounds], [*bounds, len(block)], strict=True):
+        yield block[first:last]

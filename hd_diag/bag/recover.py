@@ -4,48 +4,34 @@ from __future__ import annotations
 
 import os
 import zlib
+from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import closing, suppress
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
-from hd_diag.bag.block import Block
+from hd_diag.bag.block import Block, Topic
 from hd_diag.bag.errors import BagError, check_output
 from hd_diag.bag.folder import Unpacked, find_files, unpacked
-from hd_diag.bag.mcap_chunk import find_chunk, load, load_part, load_storable
-from hd_diag.bag.mcap_file import MAGIC
-from hd_diag.bag.mcap_scan import Scan, Section, scan, walk
-from hd_diag.bag.mcap_storage import Topics, declared, kept_custom_data
-from hd_diag.bag.sqlite_damaged import DamagedSqlite
-from hd_diag.bag.sqlite_database import is_sqlite
-from hd_diag.bag.writer import BagWriter, replaced
-from hd_diag.messages.schemas import Definition, definition
+from hd_diag.bag.mcap_chunk import find_chunk, load, load_part
+from hd_diag.bag.mcap_scan import MAGIC, scan, walk
+from hd_diag.bag.replacing import replaced
+from hd_diag.bag.sqlite_file import SqliteFile, is_sqlite
+from hd_diag.bag.writer import BagWriter
+from hd_diag.messages.schemas import jazzy
 
-Progress = Callable[[int, int], None]
-# Messages copied at once.
+# Messages copied at once: their columns as Python numbers take far more memory than they themselves.
 _AT_ONCE = 1 << 14
+_Piece = tuple[dict[int, Topic], Block, int]  # topics, messages, place in the file [byte]
 
 
 @dataclass
 class FileRecovery:
-    """What became of one storage file.
+    """What became of one storage file: its size and what of it could not be read [byte], messages saved.
 
-    Attributes
-    ----------
-    path : Path
-    size, unread : int
-        Size of the file, and bytes of it that could not be read [byte].
-    messages : int
-        Messages saved.
-    lost : int
-        Messages lost for certain: those that an index counts in a damaged chunk, or that belong to no topic.
-    problems : list of str
-        What is wrong with the file, one line each; empty for a whole file.
+    Lost for certain are messages that the file counts and that were not read, or that belong to no topic;
+    `problems` says in one line each what is wrong with the file.
     """
 
     path: Path
@@ -63,7 +49,7 @@ class RecoveryReport:
     Attributes
     ----------
     out : list of Path
-        Files written, read back and found equal to what was saved; none where nothing could be saved.
+        Files written and found equal to what was saved; none where nothing could be saved.
     files : list of FileRecovery
     counts : dict
         Messages saved of each topic.
@@ -102,11 +88,6 @@ class RecoveryReport:
 
     def as_dict(self) -> dict[str, Any]:
         """The report as plain values."""
-        files = [
-            {"path": str(f.path), "size": f.size, "unread": f.unread, "messages": f.messages, "lost": f.lost}
-            | {"problems": f.problems}
-            for f in self.files
-        ]
         return {
             "schema": "hd_diag/recovery/1",
             "complete": self.complete,
@@ -115,7 +96,7 @@ class RecoveryReport:
             "start": self.start,
             "end": self.end,
             "problems": self.problems,
-            "files": files,
+            "files": [{**vars(file), "path": str(file.path)} for file in self.files],
         }
 
 
@@ -124,7 +105,7 @@ def recover(
     out: str | os.PathLike[str],
     *,
     overwrite: bool = False,
-    progress: Progress | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> RecoveryReport:
     """Copy everything that can be read of a bag into a new, whole one, and read that back.
 
@@ -150,227 +131,155 @@ def recover(
         Where `bag` is not a bag at all, or `out` cannot be written or does not read back the same.
     """
     check_output(out, bag)
+    found = find_files(Path(bag), lenient=True)
+    files = [FileRecovery(path, path.stat().st_size) for path in found.paths]
+    total, before = sum(file.size for file in files), 0
+    report, tally = RecoveryReport([], files, {}, problems=found.problems), _Tally()
     with replaced(out, overwrite=overwrite) as place:
-        result = _recover(Path(bag), place, overwrite, progress or (lambda done, total: None))
-    result.out = [Path(out) / path.relative_to(place) for path in result.out]
-    return result
-
-
-def _recover(bag: Path, out: Path, overwrite: bool, progress: Progress) -> RecoveryReport:
-    found = find_files(bag, lenient=True)
-    total = sum(p.stat().st_size for p in found.paths)
-    tally, files, done = _Tally(), [], 0
-    extra = found.custom_data or _custom_data(found.paths)
-    with _Output(lambda: BagWriter(out, overwrite=overwrite, custom_data=extra)) as output:
-        for path in found.paths:
-            report = FileRecovery(path, path.stat().st_size)
-            before = done
-            for topics, block, place in _salvage(path, report):
-                report.messages += _copy(
-                    output, topics, block, tally, report, packed=found.message_compression
-                )
-                progress(min(before + place, total), total)
-            done += path.stat().st_size
-            files.append(report)
-        result = RecoveryReport([], files, tally.counts, problems=found.problems)
-        if result.complete:
-            output.writer()  # a whole bag that is empty stays one
-    if output.opened is not None:
-        _verify(output.opened, tally, lambda: progress(total, total))
-        result.out = output.opened.paths
+        with ExitStack() as stack:
+            copy = _Copy(lambda: stack.enter_context(BagWriter(place, overwrite=overwrite)), tally)
+            for file in files:
+                size = file.size
+                for topics, block, reached in _salvage(file):
+                    copy.add(topics, block, file, packed=found.message_compression)
+                    progress(min(before + reached, total), total)
+                before += size
+            if report.complete:
+                copy.begin()  # a whole bag that is empty stays one
+        if copy.writer is not None:
+            _verify(copy.writer, tally, lambda: progress(total, total))
+            report.out = [Path(out) / path.relative_to(place) for path in copy.writer.paths]
+    report.counts = dict(tally.counts)
     if tally.counts:
-        result.start, result.end = tally.start, tally.end
-    return result
-
-
-class _Output:
-    """Writer that is opened for the first message that can be saved."""
-
-    def __init__(self, open_writer: Callable[[], BagWriter]) -> None:
-        self.opened: BagWriter | None = None
-        self._open = open_writer
-
-    def writer(self) -> BagWriter:
-        if self.opened is None:
-            self.opened = self._open()
-        return self.opened
-
-    def __enter__(self) -> _Output:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, exc: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self.opened is not None:
-            self.opened.__exit__(kind, exc, trace)
-
-
-def _custom_data(paths: list[Path]) -> dict[str, str]:
-    """Custom data from inside MCAP files, for a file without a folder's metadata."""
-    kept: dict[str, str] = {}
-    for path in paths:
-        with suppress(BagError, OSError), path.open("rb") as file:
-            kept = kept_custom_data(scan(path, file)) | kept
-    return kept
+        report.start, report.end = tally.start, tally.end
+    return report
 
 
 class _Tally:
-    """Order-independent digest of the messages that were saved."""
+    """Counts, times [ns] and an order-independent digest of messages."""
 
     def __init__(self) -> None:
-        self.counts: dict[str, int] = {}
+        self.counts: Counter[str] = Counter()
         self.digest = 0
         self.start, self.end = 2**63 - 1, 0
 
     def add(self, topic: str, data: memoryview, log_time: int) -> None:
-        self.counts[topic] = self.counts.get(topic, 0) + 1
+        self.counts[topic] += 1
         self.start, self.end = min(self.start, log_time), max(self.end, log_time)
         self.digest += zlib.crc32(data, zlib.crc32(topic.encode(), log_time & 0xFFFFFFFF))
 
 
-def _salvage(path: Path, report: FileRecovery) -> Iterator[tuple[Topics, Block, int]]:
+class _Copy:
+    """A bag that is begun with the first message that can be saved."""
+
+    def __init__(self, open_writer: Callable[[], BagWriter], tally: _Tally) -> None:
+        self.writer: BagWriter | None = None
+        self._open, self._tally = open_writer, tally
+
+    def begin(self) -> BagWriter:
+        self.writer = self.writer or self._open()
+        return self.writer
+
+    def add(self, topics: dict[int, Topic], block: Block, report: FileRecovery, *, packed: bool) -> None:
+        """Write the messages whose topics are known and whose times can be."""
+        lost: Counter[str] = Counter()
+        known = {
+            n: topic for n, topic in topics.items() if (block.channel == n).any() and self._declare(topic)
+        }
+        for channel, data, log_time, publish_time in _lines(block):
+            topic = known.get(channel)
+            if log_time < 0 or publish_time < 0:
+                lost["messages have a time beyond the year 2262"] += 1
+            elif topic is None:
+                lost["messages belong to no topic with a known definition"] += 1
+            else:
+                try:
+                    message = unpacked(report.path, [data])[0] if packed else data
+                except BagError:
+                    lost["compressed messages are damaged"] += 1
+                    continue
+                self.begin().write(topic.name, topic.type_name, message, log_time, publish_time)
+                self._tally.add(topic.name, message, log_time)
+        report.problems += [f"{count} {what}" for what, count in lost.items()]
+        report.lost += sum(lost.values())
+        report.messages += len(block) - sum(lost.values())
+
+    def _declare(self, topic: Topic) -> bool:
+        """Whether the topic could be declared: it cannot where its type has no definition anywhere."""
+        known = topic.definition if topic.definition is not None and topic.definition.text else None
+        if known is None and topic.type_name not in jazzy().fielddefs:
+            return False
+        self.begin().add_topic(topic.name, topic.type_name, topic.offers, known)
+        return True
+
+
+def _lines(block: Block) -> Iterator[tuple[int, memoryview, int, int]]:
+    """Channel, content, log time and publish time [ns] of the messages, one by one."""
+    view = memoryview(block.data)
+    for first in range(0, len(block), _AT_ONCE):
+        part = block[first : first + _AT_ONCE]
+        columns = (part.channel, part.offset, part.size, part.log_time, part.publish_time)
+        for channel, offset, size, *times in zip(*(column.tolist() for column in columns), strict=True):
+            yield channel, view[offset : offset + size], *times
+
+
+def _salvage(report: FileRecovery) -> Iterator[_Piece]:
     """Topics, messages and place in the file, piece by piece, for as much as can be read."""
     try:
-        with closing(Unpacked([path])) as unpacked_files:
-            plain, problem = unpacked_files.file(path)
+        with closing(Unpacked([report.path])) as unpacked_files:
+            plain, problem = unpacked_files.file(report.path)
             report.size = plain.stat().st_size
             report.problems += [problem] if problem else []
-            if is_sqlite(plain):
-                yield from _salvage_sqlite(plain, report)
-            else:
-                with plain.open("rb") as file:
-                    yield from _salvage_mcap(plain, file, report)
+            yield from (_salvage_sqlite if is_sqlite(plain) else _salvage_mcap)(plain, report)
     except (BagError, OSError) as exc:
         report.problems.append(exc.cause if isinstance(exc, BagError) else str(exc))
         report.unread = report.size
 
 
-def _salvage_sqlite(path: Path, report: FileRecovery) -> Iterator[tuple[Topics, Block, int]]:
-    with closing(DamagedSqlite(path)) as found:
-        for block in found.blocks():
-            yield found.topics, block, min(found.read, report.size)
-        report.problems += found.problems
-        report.lost += found.lost
+def _salvage_sqlite(path: Path, report: FileRecovery) -> Iterator[_Piece]:
+    """All messages, also those that belong to no topic; a damaged database is an error."""
+    with closing(SqliteFile(path)) as found:
+        place = 0
+        for block in found.blocks(None, None, None):
+            place += len(block.data)
+            yield found.topics, block, min(place, report.size)
 
 
-def _salvage_mcap(path: Path, file: Any, report: FileRecovery) -> Iterator[tuple[Topics, Block, int]]:
-    found = scan(path, file)
-    gaps = _rescan(path, file, found, report)
-    for section in found.sections:
-        try:
-            block = _load(path, file, section, found, report)
-        except BagError as exc:
-            report.problems.append(exc.cause)
-            report.unread += section.size
-            report.lost += sum((section.counts or {}).values())
-            continue
-        yield declared(found), block, section.offset
-    for start, end in gaps:
-        try:
-            block = load_part(path, file, start, end, found)
-        except BagError as exc:
-            report.problems.append(exc.cause)
-            continue
-        if len(block):
-            report.problems.append(
-                f"{len(block)} messages were read from a chunk that is cut off at byte {end}"
-            )
-        yield declared(found), block, start
-
-
-def _load(path: Path, file: Any, section: Section, found: Scan, report: FileRecovery) -> Block:
-    """Messages of a section; those whose times cannot be written are counted as lost.
-
-    Raises
-    ------
-    BagError
-        Where it is damaged.
-    """
-    try:
-        return load(path, file, [section], found)
-    except BagError:
-        block, late = load_storable(path, file, section, found)
-    report.lost += late
-    report.problems.append(f"{late} messages have a time beyond the year 2262")
-    return block
-
-
-def _rescan(path: Path, file: Any, found: Scan, report: FileRecovery) -> list[tuple[int, int]]:
-    """Go on behind damage where a whole chunk follows; gives the ranges of bytes that were not understood."""
-    gaps = []
-    while found.problem:
-        report.problems.append(found.problem)
-        gap = found.end
-        following = find_chunk(file, gap + 1, found.size)
-        end = found.size if following is None else following
-        if end > gap:
-            gaps.append((gap, end))
-        report.unread += end - gap
-        if following is None:
-            break
-        found.end = following
-        walk(path, file, found)
-    return gaps
-
-
-def _copy(
-    output: _Output, topics: Topics, block: Block, tally: _Tally, report: FileRecovery, *, packed: bool
-) -> int:
-    """Write the messages whose topics are known; gives their number."""
-    lost: dict[int, int] = {}
-    damaged = 0
-    names: dict[int, tuple[str, str]] = {}
-    if any(_is_known(topics[n]) for n in topics.keys() & set(block.channel.tolist())):
-        names = {n: topic[:2] for n, topic in topics.items() if _declare(output.writer(), topic)}
-    columns = (block.channel, block.offset, block.size, block.log_time, block.publish_time)
-    view = memoryview(block.data)
-    for channel, offset, size, log_time, publish_time in _lines(*columns):
-        if channel not in names:
-            lost[channel] = lost.get(channel, 0) + 1
-            continue
-        data = view[offset : offset + size]
-        try:
-            message = unpacked(report.path, [data])[0] if packed else data
-        except BagError:
-            damaged += 1
-            continue
-        output.writer().write(*names[channel], message, log_time, publish_time)
-        tally.add(names[channel][0], message, log_time)
-    for count in lost.values():
-        report.problems.append(f"{count} messages belong to no topic with a known definition")
-    if damaged:
-        report.problems.append(f"{damaged} compressed messages are damaged")
-    report.lost += damaged + sum(lost.values())
-    return len(block) - damaged - sum(lost.values())
-
-
-def _lines(*columns: npt.NDArray[np.int64]) -> Iterator[tuple[int, ...]]:
-    """The values of some columns side by side; a few at once, as they take far more memory than columns."""
-    for first in range(0, len(columns[0]), _AT_ONCE):
-        yield from zip(*(column[first : first + _AT_ONCE].tolist() for column in columns), strict=True)
-
-
-def _is_known(topic: tuple[str, str, str, Definition | None]) -> bool:
-    """Whether the topic's type has a definition, in the bag or in ROS 2 Jazzy."""
-    _, kind, _, known = topic
-    if known is None or not known.text:
-        try:
-            definition(kind)
-        except KeyError:
-            return False
-    return True
-
-
-def _declare(writer: BagWriter, topic: tuple[str, str, str, Definition | None]) -> bool:
-    """Whether the topic could be declared: it cannot where its type has no definition anywhere."""
-    name, kind, offers, known = topic
-    try:
-        writer.add_topic(name, kind, offers, known if known is not None and known.text else None)
-    except BagError:
-        if writer.error is not None:
-            raise
-        return False
-    return True
+def _salvage_mcap(path: Path, report: FileRecovery) -> Iterator[_Piece]:
+    """Messages of every section, and what can be read where the walk over the records was stuck."""
+    with path.open("rb") as file:
+        found = scan(path, file)
+        gaps = []
+        while found.problem:
+            report.problems.append(found.problem)
+            begin, following = found.end, find_chunk(file, found.end + 1, found.size)
+            end = found.size if following is None else following
+            gaps.append((begin, end))
+            report.unread += end - begin
+            if following is None:
+                break
+            found.end = following
+            walk(file, found)
+        read = 0
+        for section in found.sections:
+            try:
+                block = load(path, file, [section], found)
+            except BagError as exc:
+                report.problems.append(exc.cause)
+                report.unread += section.size
+            else:
+                read += len(block)
+                yield found.topics(), block, section.offset + section.size
+        for begin, end in gaps:
+            part = load_part(file, begin, end, found)
+            if part is not None and len(part):
+                read += len(part)
+                report.problems.append(
+                    f"{len(part)} messages were read from a chunk that is cut off at byte {end}"
+                )
+                yield found.topics(), part, end
+        if found.statistics is not None:
+            report.lost += max(0, found.statistics.message_count - read)
 
 
 def _verify(writer: BagWriter, tally: _Tally, progress: Callable[[], None]) -> None:
@@ -389,14 +298,9 @@ def _read_back(paths: list[Path], progress: Callable[[], None]) -> _Tally:
     again = _Tally()
     for path in paths:
         report = FileRecovery(path, path.stat().st_size)
-        for topics, block, _ in _salvage(
-            path, report
-        ):  # in the order of the file: nothing is held for sorting
-            view = memoryview(block.data)
-            for channel, offset, size, log_time in _lines(
-                block.channel, block.offset, block.size, block.log_time
-            ):
-                again.add(topics[channel][0], view[offset : offset + size], log_time)
+        for topics, block, _ in _salvage(report):  # in the order of the file: nothing is held for sorting
+            for channel, data, log_time, _ in _lines(block):
+                again.add(topics[channel].name, data, log_time)
             progress()
         if report.problems:
             raise BagError(path, f"was written but {report.problems[0]}")

@@ -2,173 +2,120 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
-VERSION = 9
-# rmw's infinite duration; rosbag2 writes it where a deadline, lifespan or lease is not set.
-INFINITE = (9223372036, 854775807)
-# rosbag2 starts from the largest time and lowers it with each message.
+from hd_diag.messages.schemas import Definition
+
 NO_START = 2**63 - 1
-
-_POLICIES = {
-    "history": ("system_default", "keep_last", "keep_all", "unknown"),
-    "reliability": ("system_default", "reliable", "best_effort", "unknown", "best_available"),
-    "durability": ("system_default", "transient_local", "volatile", "unknown", "best_available"),
-    "liveliness": (
-        "system_default",
-        "automatic",
-        "manual_by_node",
-        "manual_by_topic",
-        "unknown",
-        "best_available",
-    ),
-}
-
-
-@dataclass(frozen=True)
-class Qos:
-    """Quality of service that a publisher offered; durations as (seconds, nanoseconds)."""
-
-    history: str = "keep_last"
-    depth: int = 10
-    reliability: str = "reliable"
-    durability: str = "volatile"
-    deadline: tuple[int, int] = INFINITE
-    lifespan: tuple[int, int] = INFINITE
-    liveliness: str = "automatic"
-    liveliness_lease_duration: tuple[int, int] = INFINITE
-    avoid_ros_namespace_conventions: bool = False
-
-    def node(self) -> dict[str, Any]:
-        """The profile as version 9 of the metadata spells it."""
-        pairs = asdict(self).items()
-        return {k: {"sec": v[0], "nsec": v[1]} if isinstance(v, tuple) else v for k, v in pairs}
+"""rosbag2 starts from the largest time and lowers it with each message [ns]."""
+# rmw's infinite duration; rosbag2 writes it where a deadline, lifespan or lease is not set.
+_INFINITE = QosTime(9223372036, 854775807)
+RELIABLE = Qos(
+    history=QosHistory.KEEP_LAST,
+    depth=10,
+    reliability=QosReliability.RELIABLE,
+    durability=QosDurability.VOLATILE,
+    deadline=_INFINITE,
+    lifespan=_INFINITE,
+    liveliness=QosLiveliness.AUTOMATIC,
+    liveliness_lease_duration=_INFINITE,
+    avoid_ros_namespace_conventions=False,
+)
+"""What publishers offer by default."""
+UNREADABLE = (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError, RecursionError)
+"""What comes of YAML that is none, or not what was expected."""
+_MAX_DEPTH = 50  # rosbag2's own files have a depth of 7
+_MAX_TEXT = 4 << 20
 
 
-def dump_offers(offers: Iterable[Qos]) -> str:
+def dump_offers(offers: Sequence[Qos]) -> str:
     """Profiles as the YAML text of a channel's ``offered_qos_profiles``; empty text for none."""
-    nodes = [qos.node() for qos in offers]
-    return _dump(nodes).rstrip("\n") if nodes else ""
+    return dump_yaml(dump_qos_v9(list(offers))).rstrip("\n") if offers else ""
 
 
-def parse_offers(text: Any) -> tuple[Qos, ...]:
+def parse_offers(text: str) -> list[Qos]:
     """Profiles from a channel's ``offered_qos_profiles``, of any metadata version; none where unreadable."""
     try:
-        nodes = load_yaml(text) if isinstance(text, str) else text
-        return tuple(_qos(node) for node in nodes or ())
-    except (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError, RecursionError):
-        return ()
+        return [_plain(offer) for offer in parse_qos(load_yaml(text) or [])]
+    except UNREADABLE:
+        return []
 
 
-def _qos(node: Mapping[str, Any]) -> Qos:
-    values = {key: _value(key, node[key]) for key in Qos.__dataclass_fields__ if key in node}
-    return Qos(**values)
+def _plain(offer: Qos) -> Qos:
+    """The profile with numbers where a hostile one may hold anything."""
+    pairs = offer._asdict().items()
+    plain: dict[str, Any] = {
+        name: QosTime(*map(int, time)) for name, time in pairs if isinstance(time, QosTime)
+    }
+    plain["avoid_ros_namespace_conventions"] = bool(offer.avoid_ros_namespace_conventions)
+    return offer._replace(depth=int(offer.depth), **plain)
 
 
-def _value(key: str, value: Any) -> Any:
-    """One entry of a profile; before version 9 the policies were rmw's enum numbers."""
-    if key in _POLICIES:
-        names = _POLICIES[key]
-        name = value if isinstance(value, str) else names[value] if 0 <= value < len(names) else ""
-        return name if name in names else "unknown"
-    if key == "depth":
-        return int(value)
-    if key == "avoid_ros_namespace_conventions":
-        return bool(value)
-    return int(value["sec"]), int(value["nsec"])
+class Offered(NamedTuple):
+    """A topic of a bag that is written: name, definition of its type, offered profiles."""
+
+    name: str
+    definition: Definition
+    offers: Sequence[Qos]
 
 
 @dataclass
 class FileInformation:
-    """Counts and times of one storage file; times in log time [ns]."""
+    """Counts and log times [ns] of one storage file."""
 
     path: str
     start: int = NO_START
     end: int = 0
     count: int = 0
 
-    def node(self) -> dict[str, Any]:
-        """The entry as ``metadata.yaml`` spells it."""
-        return {"path": self.path, **_times(self.start, self.end), "message_count": self.count}
+
+def metadata(files: Sequence[FileInformation], topics: Sequence[tuple[Offered, int]]) -> dict[str, Any]:
+    """The mapping that rosbag2 puts below ``rosbag2_bagfile_information``; topics with their counts."""
+    whole = FileInformation(
+        "", min(f.start for f in files), max(f.end for f in files), sum(f.count for f in files)
+    )
+    extent = _extent(whole)
+    return {
+        "version": 9,
+        "storage_identifier": "mcap",
+        "duration": extent["duration"],
+        "starting_time": extent["starting_time"],
+        "message_count": whole.count,
+        "topics_with_message_count": [
+            {
+                "topic_metadata": {
+                    "name": topic.name,
+                    "type": topic.definition.type_name,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": dump_qos_v9(list(topic.offers)),
+                    "type_description_hash": topic.definition.type_hash,
+                },
+                "message_count": count,
+            }
+            for topic, count in topics
+        ],
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [f.path for f in files],
+        "files": [{"path": f.path, **_extent(f), "message_count": f.count} for f in files],
+        "custom_data": None,
+        "ros_distro": "jazzy",
+    }
 
 
-@dataclass
-class TopicInformation:
-    """A topic of a bag."""
-
-    name: str
-    type_name: str
-    offers: tuple[Qos, ...] = ()
-    type_hash: str = ""
-    count: int = 0
-
-    def node(self) -> dict[str, Any]:
-        """The entry as ``metadata.yaml`` spells it."""
-        topic = {
-            "name": self.name,
-            "type": self.type_name,
-            "serialization_format": "cdr",
-            "offered_qos_profiles": [qos.node() for qos in self.offers],
-            "type_description_hash": self.type_hash,
-        }
-        return {"topic_metadata": topic, "message_count": self.count}
-
-
-@dataclass
-class Metadata:
-    """Content of ``metadata.yaml``."""
-
-    storage: str = "mcap"
-    files: list[FileInformation] = field(default_factory=list)
-    topics: list[TopicInformation] = field(default_factory=list)
-    custom_data: dict[str, str] = field(default_factory=dict)
-    ros_distro: str = "jazzy"
-
-    def node(self) -> dict[str, Any]:
-        """The mapping that rosbag2 puts below ``rosbag2_bagfile_information``."""
-        start = min((f.start for f in self.files), default=NO_START)
-        return {
-            "version": VERSION,
-            "storage_identifier": self.storage,
-            **_times(start, max((f.end for f in self.files), default=0), duration_first=True),
-            "message_count": sum(f.count for f in self.files),
-            "topics_with_message_count": [t.node() for t in self.topics],
-            "compression_format": "",
-            "compression_mode": "",
-            "relative_file_paths": [f.path for f in self.files],
-            "files": [f.node() for f in self.files],
-            "custom_data": self.custom_data or None,
-            "ros_distro": self.ros_distro,
-        }
-
-    def text(self) -> str:
-        """The mapping as YAML, as rosbag2 keeps it inside an MCAP file."""
-        return _dump(self.node())
-
-    def save(self, folder: Path) -> None:
-        """Write ``metadata.yaml``; the old one stays whole until the new one is there.
-
-        Raises
-        ------
-        OSError
-            Where the folder cannot be written.
-        """
-        target = folder / "metadata.yaml"
-        draft = target.with_suffix(".yaml.tmp")
-        draft.write_text(_dump({"rosbag2_bagfile_information": self.node()}), encoding="utf-8")
-        os.replace(draft, target)
-
-
-def _times(start: int, end: int, *, duration_first: bool = False) -> dict[str, Any]:
-    begin = {"starting_time": {"nanoseconds_since_epoch": start}}
-    length = {"duration": {"nanoseconds": max(0, end - start)}}
-    return length | begin if duration_first else begin | length
+def _extent(file: FileInformation) -> dict[str, Any]:
+    duration = max(0, file.end - file.start)
+    return {
+        "starting_time": {"nanoseconds_since_epoch": file.start},
+        "duration": {"nanoseconds": duration},
+    }
 
 
 class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]
@@ -179,12 +126,14 @@ class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[mi
 
 
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-# rosbag2's own files have a depth of 7.
-_MAX_DEPTH = 50
-_MAX_TEXT = 4 << 20
 
 
-def load_yaml(text: str | bytes) -> Any:
+def dump_yaml(node: Mapping[str, Any] | Sequence[Any]) -> str:
+    """YAML as rosbag2 writes it."""
+    return yaml.dump(node, Dumper=_Dumper, sort_keys=False, default_flow_style=False, allow_unicode=True)
+
+
+def load_yaml(source: str | Path) -> Any:
     """Plain values of YAML of bounded size and depth: libyaml's loader crashes on deep nesting.
 
     Raises
@@ -192,15 +141,13 @@ def load_yaml(text: str | bytes) -> Any:
     ValueError or yaml.YAMLError
         Where it is not YAML, too large or too deep.
     """
-    if len(text) > _MAX_TEXT:
-        raise ValueError(f"{len(text)} bytes of YAML are too many")
+    size = source.stat().st_size if isinstance(source, Path) else len(source)
+    if size > _MAX_TEXT:
+        raise ValueError(f"{size} bytes of YAML are too many")
+    text = source.read_bytes() if isinstance(source, Path) else source
     depth = 0
     for event in yaml.parse(text, Loader=_Loader):
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         if depth > _MAX_DEPTH:
             raise ValueError("YAML is nested too deep")
     return yaml.load(text, Loader=_Loader)
-
-
-def _dump(node: Any) -> str:
-    return yaml.dump(node, Dumper=_Dumper, sort_keys=False, default_flow_style=False, allow_unicode=True)

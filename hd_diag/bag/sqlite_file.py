@@ -1,109 +1,174 @@
-"""Storage files of rosbag2 in SQLite (``.db3``) that are whole, read only, in the order of time."""
+"""Storage files of rosbag2 in SQLite (``.db3``): opened unchanged, read in the order of time."""
 
 from __future__ import annotations
 
+import itertools
+import os
+import shutil
 import sqlite3
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 
-from hd_diag.bag.block import Block
+import numpy as np
+
+from hd_diag.bag.block import Block, Topic
 from hd_diag.bag.errors import BagError
-from hd_diag.bag.sqlite_database import (
-    ADVICE,
-    DAMAGE,
-    ROWS,
-    Database,
-    block_of,
-    check_tables,
-    read_definitions,
-    read_topics,
-)
+from hd_diag.messages.schemas import Definition
+
+# A damaged or hostile database can keep a query busy for ever; an honest row takes less than 200 steps.
+_STEPS_PER_BYTE = 100
+_STEPS_PER_TURN = 10_000
+_ROWS = 4096  # that are read at a time
+_DAMAGE = (sqlite3.Error, TypeError, ValueError, OverflowError)
+_COUNT = """
+    SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp),
+        SUM(typeof(timestamp) <> 'integer' OR timestamp < 0) + (typeof(topic_id) <> 'integer')
+    FROM messages GROUP BY 1
+"""
+
+
+def is_sqlite(path: Path) -> bool:
+    """Whether a file begins as SQLite databases do."""
+    with path.open("rb") as file:
+        return file.read(16) == b"SQLite format 3\0"
 
 
 class SqliteFile:
-    """A ``.db3`` file that is whole.
+    """A ``.db3`` file with what `McapStorage` gives of the other format; read and never changed.
 
-    Attributes
-    ----------
-    topics : dict
-        Number: (topic, type, offered QoS profiles as YAML, definition or None).
-    counts : dict
-        Messages of each topic number.
-    start, end : int
-        Least and greatest time [ns]; 0 for an empty file.
-    problem : str
-        Empty: a database is whole or cannot be opened.
+    What a crash left unfinished stands in a file beside it, ``-wal`` or ``-journal``. SQLite would clear up
+    there, and without the right to write would not open it: such a database is read in a temporary copy.
+
+    Raises
+    ------
+    BagError
+        Where it is no database of rosbag2, or damaged.
     """
 
-    problem = ""
+    problem = ""  # a database is whole or cannot be read
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self._database = Database(path)
+        self._path = path
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        beside = [Path(os.path.realpath(path) + end) for end in ("-wal", "-journal")]
+        beside = [file for file in beside if file.is_file() and file.stat().st_size]
+        self._size = sum(file.stat().st_size for file in (path, *beside))
+        with path.open("rb") as file:
+            in_wal_mode = file.read(20)[18:] == b"\2\2"
+        # Immutable: in that mode SQLite makes files beside the database even to read it.
+        self._uri = f"{path.absolute().as_uri()}?mode=ro" + ("&immutable=1" if in_wal_mode else "")
         try:
-            with closing(self._database.open()) as db:
-                check_tables(db)
-                self.topics = read_topics(db, read_definitions(db))
-                found = _extent(db)
+            if beside:
+                self._copy(beside)
+            with closing(self._open()) as db:
+                self.topics = _topics(db)
+                found = db.execute(_COUNT).fetchall()
+            if any(wrong for *_, wrong in found):
+                raise TypeError("a topic or time is no number")
         except BaseException as exc:
             self.close()
-            if isinstance(exc, DAMAGE):
-                raise BagError(path, _cause(exc)) from exc
-            raise
-        self.counts = {number: count for number, count, _, _ in found}
-        self.start = min((row[2] for row in found), default=0)
-        self.end = max((row[3] for row in found), default=0)
+            raise self._error(exc) if isinstance(exc, _DAMAGE) else exc from exc
+        self.start = min((start for _, _, start, _, _ in found), default=0)
+        self.end = max((end for _, _, _, end, _ in found), default=0)
+        for number, count, *_ in found:
+            if number in self.topics:
+                self.topics[number].count = count
 
-    def blocks(self, numbers: list[int], start: int | None = None, end: int | None = None) -> Iterator[Block]:
-        """Messages of some topics in the order of time [ns].
+    def blocks(self, numbers: Sequence[int] | None, start: int | None, end: int | None) -> Iterator[Block]:
+        """Messages of some topics, or all, from one time until before another [ns], in order.
 
         Raises
         ------
         BagError
             Where the database is damaged.
         """
-        marks = ",".join("?" * len(numbers))
+        which = "" if numbers is None else f"AND topic_id IN ({','.join(map(str, numbers))})"
         query = (
-            f"SELECT topic_id, timestamp, CAST(data AS BLOB) FROM messages WHERE topic_id IN ({marks}) "
-            "AND timestamp >= ? AND timestamp < ? ORDER BY timestamp, id"
+            "SELECT topic_id, timestamp, CAST(data AS BLOB) FROM messages"
+            f" WHERE timestamp >= ? AND timestamp < ? {which} ORDER BY timestamp, id"
         )
         low, high = start if start is not None else 0, end if end is not None else 2**63 - 1
         read = 0
         try:
-            with closing(self._database.open()) as db:
-                cursor = db.execute(query, (*numbers, low, high))
-                while rows := cursor.fetchmany(ROWS):
-                    block = block_of(rows)
+            with closing(self._open()) as db:
+                cursor = db.execute(query, (low, high))
+                while rows := cursor.fetchmany(_ROWS):
+                    block = _block_of(rows)
                     read += len(block.data) + len(block)
-                    if read > self._database.size:
-                        raise ValueError("holds more data than the file is large" + ADVICE)
+                    if read > self._size:
+                        raise TypeError("more data than the file is large")
                     yield block
-        except DAMAGE as exc:
-            raise BagError(self.path, _cause(exc)) from exc
+        except _DAMAGE as exc:
+            raise self._error(exc) from exc
 
     def close(self) -> None:
         """Delete the copy that was read."""
-        self._database.close()
+        if self._folder is not None:
+            self._folder.cleanup()
+            self._folder = None
+
+    def _copy(self, beside: Sequence[Path]) -> None:
+        """Copy files that belong together: a writer may be at work."""
+        self._folder = tempfile.TemporaryDirectory(prefix="hd_diag-")
+        copy = Path(self._folder.name, "copy.db3")
+        self._uri = f"{copy.as_uri()}?mode=rw"
+        for _ in range(3):
+            before = self._path.stat()
+            shutil.copyfile(self._path, copy)
+            for file in beside:
+                shutil.copyfile(file, f"{copy}-{file.name.rpartition('-')[2]}")
+            after = self._path.stat()
+            if (before.st_mtime_ns, before.st_size) == (after.st_mtime_ns, after.st_size):
+                return
+        raise BagError(self._path, "is being written by another process")
+
+    def _open(self) -> sqlite3.Connection:
+        """Open a connection that writes nothing and takes no longer than the size of the file allows."""
+        db = sqlite3.connect(self._uri, uri=True)
+        db.text_factory = lambda text: text.decode(errors="replace")
+        db.execute("PRAGMA trusted_schema=OFF")
+        db.execute("PRAGMA query_only=ON")
+        turns, most = itertools.count(), 1000 + self._size * _STEPS_PER_BYTE // _STEPS_PER_TURN
+        db.set_progress_handler(lambda: next(turns) > most, _STEPS_PER_TURN)
+        return db
+
+    def _error(self, exc: Exception) -> BagError:
+        """The error in words for people, with advice where the database is damaged."""
+        if isinstance(exc, ValueError):
+            return exc if isinstance(exc, BagError) else BagError(self._path, exc)
+        what = f"SQLite: {exc}" if isinstance(exc, sqlite3.Error) else f"is damaged: {exc}"
+        # Subclasses stand for what is no damage: no right to read, a query that takes too long.
+        if not isinstance(exc, sqlite3.Error) or type(exc) is sqlite3.DatabaseError:
+            what += f"; `sqlite3 {self._path.name} .recover | sqlite3 new.db3` saves what can be read"
+        return BagError(self._path, what)
 
 
-def _extent(db: sqlite3.Connection) -> list[tuple[int, int, int, int]]:
-    """Number, count, least and greatest time [ns] of each topic."""
-    rows = db.execute(
-        "SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp), SUM(typeof(timestamp) <> 'integer')"
-        " FROM messages GROUP BY 1"
-    ).fetchall()
-    for number, _, start, _, unfit in rows:
-        if unfit or not isinstance(number, int) or start < 0:
-            raise ValueError("holds messages whose topic or time is no number" + ADVICE)
-    return [row[:4] for row in rows]
+def _topics(db: sqlite3.Connection) -> dict[int, Topic]:
+    """Topics with messages in CDR, by number."""
+    # Views could be endless queries: what is read must be plain tables.
+    tables = {name for (name,) in db.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+    if not {"messages", "topics"} <= tables:
+        raise ValueError("is not a rosbag2 database: the tables messages and topics are missing")
+    known = {}
+    if "message_definitions" in tables:
+        columns = "topic_type, encoded_message_definition, encoding, type_description_hash"
+        rows = db.execute(f"SELECT {columns} FROM message_definitions")
+        known = {str(row[0]): Definition(*map(str, row)) for row in rows if row[1]}
+    has_offers = "offered_qos_profiles" in {row[1] for row in db.execute("PRAGMA table_info(topics)")}
+    offers = "offered_qos_profiles" if has_offers else "''"
+    topics = db.execute(f"SELECT id, name, type, serialization_format, {offers} FROM topics")
+    return {
+        int(number): Topic(str(name), str(kind), 0, known.get(kind), str(profiles))
+        for number, name, kind, form, profiles in topics
+        if form == "cdr"
+    }
 
 
-def _cause(exc: Exception) -> str:
-    """Words for people, with advice where the database is damaged."""
-    if isinstance(exc, ValueError):
-        return str(exc)
-    if isinstance(exc, (TypeError, OverflowError)):
-        return f"holds values of a wrong kind{ADVICE}"
-    # Subclasses stand for what is no damage: no right to read, a query that takes too long.
-    return f"SQLite: {exc}" + (ADVICE if type(exc) is sqlite3.DatabaseError else "")
+def _block_of(rows: list[tuple[int, int, bytes]]) -> Block:
+    """Rows of (number of the topic, time [ns], content) as columns."""
+    channels, times, contents = zip(*rows, strict=True)
+    sizes, time = np.array([len(content) for content in contents], np.int64), np.array(times, np.int64)
+    data = np.frombuffer(b"".join(contents), np.uint8)
+    return Block(data, np.cumsum(sizes) - sizes, sizes, np.array(channels, np.int64), time, time)

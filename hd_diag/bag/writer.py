@@ -3,47 +3,26 @@
 from __future__ import annotations
 
 import os
-import re
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import TracebackType
-from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
+from rosbags.interfaces import Qos
 
+from hd_diag.arrays import Bytes
 from hd_diag.bag.errors import BagError
 from hd_diag.bag.mcap_file import COMPRESSIONS, McapFile
-from hd_diag.bag.mcap_storage import is_locked
-from hd_diag.bag.rosbag2 import (
-    NO_START,
-    FileInformation,
-    Metadata,
-    Qos,
-    TopicInformation,
-    dump_offers,
-    parse_offers,
-)
-from hd_diag.bag.rows import Rows
-from hd_diag.bag.worker import AtOnce, Beside
+from hd_diag.bag.replacing import bag_files
+from hd_diag.bag.rosbag2 import RELIABLE, FileInformation, Offered, dump_yaml, metadata, parse_offers
 from hd_diag.messages.schemas import Definition, definition
 
-_T = TypeVar("_T")
-# Channel numbers have 16 bits, and begin at 1.
-_MAX_TOPICS = 65535
-_Buffer = bytes | bytearray | memoryview
-
-
-@dataclass
-class _Topic:
-    definition: Definition
-    offers: tuple[Qos, ...]
-    # Messages in the files before the one that is being written.
-    before: int = 0
+_LAST_TIME = 2**63 - 1
+_MAX_TOPICS = 65535  # channel numbers have 16 bits, and begin at 1
 
 
 class BagWriter:
@@ -65,11 +44,16 @@ class BagWriter:
         Log time after which the next file is begun [s]; 0 for one file.
     overwrite : bool, optional
         Replace the file, or the bag in the folder, where there is one.
-    custom_data : mapping of str to str, optional
-        Kept in the bag's metadata.
     beside : bool, optional
         Compress and write in a thread beside the caller's, a few chunks behind it: errors come a few calls
         late, and what `flush` and `close` did not wait for is not on the disk yet.
+
+    Attributes
+    ----------
+    paths : list of Path
+        Files begun so far.
+    error : BagError or None
+        What ended the writing.
 
     Raises
     ------
@@ -96,50 +80,32 @@ class BagWriter:
         max_size: int = 0,
         max_duration: float = 0.0,
         overwrite: bool = False,
-        custom_data: Mapping[str, str] | None = None,
         beside: bool = False,
     ) -> None:
         self.path = Path(path)
-        self._beside = beside
+        self.paths: list[Path] = []
         self.error: BagError | None = None
+        self.change(compression, flush_period, max_size, max_duration)
         if chunk_size < 1:
             raise BagError(self.path, "a chunk must have a size")
-        self._folder = None if self.path.suffix == ".mcap" else self.path
-        self._chunk_size = chunk_size
-        self.change(
-            compression=compression, flush_period=flush_period, max_size=max_size, max_duration=max_duration
-        )
-        self._overwrite = overwrite
-        self._topics: dict[tuple[str, str], _Topic] = {}
-        self._metadata = Metadata(custom_data=dict(custom_data or {}))
+        self._chunk_size, self._overwrite, self._beside = chunk_size, overwrite, beside
+        self._files: list[FileInformation] = []
+        self._topics: dict[tuple[str, str], Offered] = {}
+        self._counts: Counter[tuple[str, str]] = Counter()  # of the files that are finished
         self._closed = False
-        self._file = self._guard(self._begin)
-
-    @property
-    def paths(self) -> list[Path]:
-        """Files begun so far."""
-        return [self._file_path(i) for i in range(len(self._metadata.files))]
+        with self._guarded():
+            self._begin()
 
     @property
     def counts(self) -> dict[str, int]:
         """Messages written of each topic."""
-        counts: dict[str, int] = {}
-        for name, kind in self._topics:
-            counts[name] = counts.get(name, 0) + self._count(name, kind)
-        return counts
+        counts: Counter[str] = Counter()
+        for topic, kind in self._topics:
+            counts[topic] += self._count(topic, kind)
+        return dict(counts)
 
-    @property
-    def message_count(self) -> int:
-        """Messages written."""
-        return sum(self.counts.values())
-
-    def change(self, *, compression: str, flush_period: float, max_size: int, max_duration: float) -> None:
+    def change(self, compression: str, flush_period: float, max_size: int, max_duration: float) -> None:
         """Go on with other options: periods and sizes act at once, the compression from the next file on.
-
-        Parameters
-        ----------
-        compression, flush_period, max_size, max_duration
-            As for the class.
 
         Raises
         ------
@@ -147,138 +113,111 @@ class BagWriter:
             Where a value cannot be.
         """
         if compression not in COMPRESSIONS:
-            raise BagError(
-                self.path, f"compression must be one of {', '.join(COMPRESSIONS)}, not {compression!r}"
-            )
+            what = f"compression must be one of {', '.join(COMPRESSIONS)}, not {compression!r}"
+            raise BagError(self.path, what)
         if max_size < 0 or not flush_period >= 0 or not max_duration >= 0:
             raise BagError(self.path, "sizes and times must not be negative")
-        self._options = (compression, min(self._chunk_size, max_size or self._chunk_size))
-        self._flush_period, self._max_size = flush_period, max_size
-        self._max_duration = int(max_duration * 1e9)
+        self._compression, self._flush_period = compression, flush_period
+        self._max_size, self._max_duration = max_size, int(max_duration * 1e9)
 
     def add_topic(
-        self,
-        topic: str,
-        type_name: str,
-        qos: Qos | str | None = None,
-        message_definition: Definition | None = None,
+        self, topic: str, type_name: str, qos: Qos | str | None = None, known: Definition | None = None
     ) -> None:
         """Declare a topic before its first message; needed only for types that ROS 2 Jazzy does not have.
 
         Parameters
         ----------
-        topic : str
-        type_name : str
-            As ``sensor_msgs/msg/JointState``.
+        topic, type_name : str
+            As ``/joint_states`` and ``sensor_msgs/msg/JointState``.
         qos : Qos or str, optional
             Offered profile, or the YAML text of another bag's ``offered_qos_profiles``.
-        message_definition : Definition, optional
-            Definition to carry; by default that of ROS 2 Jazzy.
+        known : Definition, optional
+            Definition of the type to carry; by default that of ROS 2 Jazzy.
 
         Raises
         ------
         BagError
-            Where the type is not known, or the file cannot be written.
+            Where the type is not known, or the bag is closed or failed.
         """
         self._check_open()
         if (topic, type_name) in self._topics:
             return
         if len(self._topics) >= _MAX_TOPICS:
             raise BagError(self.path, f"{topic}: a bag holds no more than {_MAX_TOPICS} topics")
-        if message_definition is None:
-            try:
-                message_definition = definition(type_name)
-            except KeyError as exc:
-                raise BagError(
-                    self.path, f"type {type_name} of topic {topic} has no known definition"
-                ) from exc
-        offers = parse_offers(qos) if isinstance(qos, str) else (Qos() if qos is None else qos,)
-        self._topics[topic, type_name] = _Topic(message_definition, tuple(offers))
+        try:
+            offers = parse_offers(qos) if isinstance(qos, str) else [qos or RELIABLE]
+            self._topics[topic, type_name] = Offered(topic, known or definition(type_name), offers)
+        except KeyError as exc:
+            raise BagError(self.path, f"type {type_name} of topic {topic} has no known definition") from exc
 
     def write(
         self,
         topic: str,
         type_name: str,
-        data: _Buffer,
-        log_time_ns: int,
-        publish_time_ns: int | None = None,
-        qos: Qos | str | None = None,
+        data: bytes | memoryview,
+        log_time: int,
+        publish_time: int | None = None,
+        qos: Qos | None = None,
     ) -> None:
-        """Append one message.
+        """Append one message: CDR with its 4-byte header, as a raw subscription gives it.
 
-        Parameters
-        ----------
-        topic, type_name : str
-            Topic and its type, as ``sensor_msgs/msg/JointState``.
-        data : bytes
-            CDR with its 4-byte header, as a raw subscription gives it.
-        log_time_ns, publish_time_ns : int
-            Times [ns], 0 or more; publish time defaults to log time.
-        qos : Qos, optional
-            Offered profile; matters with the first message of a topic.
+        Times [ns] are 0 or more; the publish time defaults to the log time. The topic is declared with the
+        profile where it is new.
 
         Raises
         ------
         BagError
             Where the message cannot be written (disk full, closed, unknown type, time out of range).
         """
-        if (topic, type_name) not in self._topics or self.error is not None or self._closed:
+        if self.error is not None or self._closed or (topic, type_name) not in self._topics:
             self.add_topic(topic, type_name, qos)
-        publish = log_time_ns if publish_time_ns is None else publish_time_ns
-        if not (0 <= log_time_ns <= NO_START and 0 <= publish <= NO_START):
-            raise BagError(
-                self.path, f"{topic}: time {log_time_ns} ns, published {publish} ns, is out of range"
-            )
-        self._guard(lambda: self._write(topic, type_name, bytes(data), log_time_ns, publish))
+        publish = log_time if publish_time is None else publish_time
+        if not (0 <= log_time <= _LAST_TIME and 0 <= publish <= _LAST_TIME):
+            what = f"{topic}: time {log_time} ns, published {publish} ns, is out of range"
+            raise BagError(self.path, what)
+        try:  # a context manager would take as long as the rest
+            self._split_if_due(log_time)
+            self._file.add(self._channel(topic, type_name), log_time, publish, bytes(data))
+            self._close_old_chunk(time.monotonic())
+        except (BagError, OSError) as exc:
+            raise self._failure(exc) from exc
 
     def write_many(
         self,
         topic: str,
         type_name: str,
-        rows: npt.NDArray[np.uint8] | Sequence[_Buffer],
-        log_times: npt.NDArray[np.int64] | Sequence[int],
-        publish_times: npt.NDArray[np.int64] | Sequence[int] | None = None,
-        qos: Qos | str | None = None,
+        rows: Bytes | Sequence[bytes | memoryview],
+        log_times: npt.ArrayLike,
+        publish_times: npt.ArrayLike | None = None,
     ) -> None:
-        """Append messages of one topic; fast where they have one size.
-
-        Parameters
-        ----------
-        topic, type_name : str
-        rows : ndarray of uint8, shape (n, size), or sequence of bytes
-            The messages.
-        log_times, publish_times : ndarray of int64, shape (n,)
-            Times [ns]; publish times default to log times.
-        qos : Qos, optional
-
-        Raises
-        ------
-        BagError
-            As `write`.
-        """
-        if len(rows) == len(log_times) == 1:
-            publish_time = None if publish_times is None else int(publish_times[0])
-            self.write(topic, type_name, bytes(rows[0]), int(log_times[0]), publish_time, qos)
-            return
-        self.add_topic(topic, type_name, qos)
+        """Append n messages of one topic, as `write`; fast where they are an array of shape (n, size)."""
+        self.add_topic(topic, type_name)
         times = np.asarray(log_times, np.int64)
         published = times if publish_times is None else np.asarray(publish_times, np.int64)
         if any(t.shape != (len(rows),) or (len(t) and t.min() < 0) for t in (times, published)):
             raise BagError(self.path, f"{topic}: times >= 0 are needed for each of {len(rows)} messages")
-        self._guard(lambda: self._write_rows(topic, type_name, Rows.of(rows), times, published))
+        if not isinstance(rows, np.ndarray) or len(rows) == 1:
+            for data, log_time, publish in zip(rows, times.tolist(), published.tolist(), strict=True):
+                self.write(topic, type_name, data, log_time, publish)
+            return
+        done = 0
+        with self._guarded():
+            while done < len(times):
+                self._split_if_due(int(times[done]))
+                channel = self._channel(topic, type_name)
+                stop = done + self._file.room(rows.shape[1])
+                if self._max_duration:
+                    start = int(times[done]) if self._file.start is None else self._file.start
+                    late = np.flatnonzero(times[done:stop] - start >= self._max_duration)
+                    stop = done + int(late[0]) if len(late) else stop
+                self._file.add_rows(channel, times[done:stop], published[done:stop], rows[done:stop])
+                done = stop
+            self._close_old_chunk(time.monotonic())
 
-    def flush_if_due(self, now_monotonic: float | None = None) -> bool:
+    def flush_if_due(self, now: float | None = None) -> bool:
         """Hand messages older than the flush period to the operating system; call it from a timer.
 
-        Parameters
-        ----------
-        now_monotonic : float, optional
-            ``time.monotonic()`` [s].
-
-        Returns
-        -------
-        bool
-            True where something was written.
+        `now` is ``time.monotonic()`` [s]; gives whether something was written.
 
         Raises
         ------
@@ -287,26 +226,20 @@ class BagWriter:
         """
         if self.error is not None or self._closed:
             return False
-        now = time.monotonic() if now_monotonic is None else now_monotonic
-        pending = self._file.pending
-        due = pending is not None and now - pending >= self._flush_period
-        if due:
-            self._guard(self._file.close_chunk)
-        return due
+        with self._guarded():
+            return self._close_old_chunk(time.monotonic() if now is None else now)
 
     def flush(self) -> None:
-        """Hand every message to the operating system now.
-
-        Raises
-        ------
-        BagError
-            Where it cannot be written.
-        """
+        """Hand every message to the operating system now; raises BagError where that fails."""
         self._check_open()
-        self._guard(self._flush)
+        with self._guarded():
+            self._file.close_chunk()
+            self._file.wait()
 
-    def close(self) -> None:
-        """Finish the bag. A second call, or one after an error, does nothing that can raise.
+    def close(self, *, whole: bool = True) -> None:
+        """Finish the bag; if not `whole`, leave it without its end, so that every reader sees that.
+
+        A second call, or one after an error, does nothing that can raise.
 
         Raises
         ------
@@ -315,29 +248,22 @@ class BagWriter:
         """
         if self._closed:
             return
-        self._closed = True
         failed = self.error is not None
-        if failed:
-            self._file.drop_chunk()
         try:
-            self._guard(self._finish)
+            if failed:
+                self._file.drop()
+            else:
+                self.flush()
+            if whole:
+                with self._guarded():
+                    self._finish()
         except BagError:
             if not failed:
                 raise
         finally:
+            self._closed = True
             with suppress(OSError):
                 self._file.release()
-
-    def abandon(self) -> None:
-        """Leave the bag without its end: every reader sees that it is not whole, and it can be recovered."""
-        if self._closed:
-            return
-        with suppress(BagError):
-            if self.error is None:
-                self._guard(self._flush)
-        self._closed = True
-        with suppress(OSError):
-            self._file.release()
 
     def __enter__(self) -> BagWriter:
         return self
@@ -346,16 +272,10 @@ class BagWriter:
         self, kind: type[BaseException] | None, exc: BaseException | None, trace: TracebackType | None
     ) -> None:
         try:
-            if self.error is None and (kind is None or issubclass(kind, KeyboardInterrupt)):
-                self.close()
+            self.close(whole=self.error is None and (kind is None or issubclass(kind, KeyboardInterrupt)))
         except BagError:
             if exc is None:
                 raise
-        finally:
-            self.abandon()
-
-    def _count(self, topic: str, type_name: str) -> int:
-        return self._topics[topic, type_name].before + self._file.count_of(topic, type_name)
 
     def _check_open(self) -> None:
         if self.error is not None:
@@ -363,206 +283,96 @@ class BagWriter:
         if self._closed:
             raise BagError(self.path, "the writer is closed")
 
-    def _guard(self, action: Callable[[], _T]) -> _T:
-        """Run `action`; its errors become BagError and end the writing."""
+    @contextmanager
+    def _guarded(self) -> Iterator[None]:
         try:
-            return action()
-        except BagError as exc:
-            self.error = self.error or exc
-            raise
-        except OSError as exc:
-            error = BagError(self.paths[-1] if self._metadata.files else self.path, exc)
-            self.error = self.error or error
-            raise error from exc
+            yield
+        except (BagError, OSError) as exc:
+            raise self._failure(exc) from exc
 
-    def _write(self, topic: str, type_name: str, data: bytes, log_time: int, publish_time: int) -> None:
-        if self._split_due(log_time):
-            self._next()
-        self._file.add(self._channel(topic, type_name), log_time, publish_time, data)
-        pending = self._file.pending
-        if pending is not None and time.monotonic() - pending >= self._flush_period:
+    def _failure(self, exc: Exception) -> BagError:
+        """The error as BagError; it ends the writing."""
+        path = self.paths[-1] if self.paths else self.path
+        error = exc if isinstance(exc, BagError) else BagError(path, exc)
+        self.error = self.error or error
+        return error
+
+    def _close_old_chunk(self, now: float) -> bool:
+        opened = self._file.opened
+        is_due = opened is not None and now - opened >= self._flush_period
+        if is_due:
             self._file.close_chunk()
-
-    def _write_rows(
-        self,
-        topic: str,
-        type_name: str,
-        rows: Rows,
-        times: npt.NDArray[np.int64],
-        published: npt.NDArray[np.int64],
-    ) -> None:
-        done = 0
-        while done < len(times):
-            if self._split_due(int(times[done])):
-                self._next()
-            channel = self._channel(topic, type_name)
-            stop = done + self._file.room(rows.part(done, len(times)))
-            if self._max_duration:
-                start = int(times[done]) if self._file.start is None else self._file.start
-                late = np.flatnonzero(times[done:stop] - start >= self._max_duration)
-                stop = done + int(late[0]) if len(late) else stop
-            self._file.add_rows(channel, times[done:stop], published[done:stop], rows.part(done, stop))
-            done = min(stop, len(times))
-        self.flush_if_due()
+        return is_due
 
     def _channel(self, topic: str, type_name: str) -> int:
         channel = self._file.channels.get((topic, type_name))
-        if channel is None:
-            known = self._topics[topic, type_name]
-            extra = {
-                "offered_qos_profiles": dump_offers(known.offers),
-                "topic_type_hash": known.definition.type_hash,
-            }
-            channel = self._file.add_channel(topic, known.definition, extra)
-        return channel
+        return self._file.add_channel(self._topics[topic, type_name]) if channel is None else channel
 
-    def _split_due(self, log_time: int) -> bool:
+    def _count(self, topic: str, type_name: str) -> int:
+        number = self._file.channels.get((topic, type_name), 0)
+        return self._counts[topic, type_name] + self._file.counts.get(number, 0)
+
+    def _split_if_due(self, log_time: int) -> None:
+        """Begin the next file where it is time."""
         file = self._file
+        if file.start is None:
+            return
         if self._max_size:
             file.wait()  # its size decides
-        late = self._max_duration and file.start is not None and log_time - file.start >= self._max_duration
-        return bool(late) or bool(self._max_size and file.size >= self._max_size and file.count)
+        is_late = self._max_duration and log_time - file.start >= self._max_duration
+        if is_late or (self._max_size and file.size >= self._max_size):
+            self.flush()
+            self._finish()
+            file.release()
+            self._counts = Counter({key: self._count(*key) for key in self._topics})
+            self._begin()
 
-    def _file_path(self, number: int) -> Path:
-        if self._folder is not None:
-            return self._folder / f"{self._folder.resolve().name}_{number}.mcap"
-        return self.path if number == 0 else self.path.with_name(f"{self.path.stem}_{number}.mcap")
-
-    def _begin(self) -> McapFile:
+    def _begin(self) -> None:
         """Open the next file and name it in the metadata, so that a crash leaves it findable."""
-        number = len(self._metadata.files)
-        if number == 0 and self._folder is not None:
-            _prepare(self._folder, self._overwrite)
-        path = self._file_path(number)
+        number, path = len(self.paths), self.path
+        if self.path.suffix != ".mcap":
+            if not number:
+                self._make_folder()
+            path = self.path / f"{self.path.resolve().name}_{number}.mcap"
+        elif number:
+            path = self.path.with_name(f"{self.path.stem}_{number}.mcap")
+        size = min(self._chunk_size, self._max_size or self._chunk_size)
         try:
-            worker = Beside() if self._beside else AtOnce()
-            file = McapFile(path, *self._options, overwrite=self._overwrite, worker=worker)
+            self._file = McapFile(path, self._compression, size, self._overwrite, self._beside)
         except FileExistsError as exc:
             raise BagError(path, "exists already") from exc
         except OSError as exc:
             raise BagError(path, exc) from exc
-        self._metadata.files.append(FileInformation(path.name))
+        self.paths.append(path)
+        self._files.append(FileInformation(path.name))
         try:
-            file.add_metadata("rosbag2", {"serialized_metadata": self._metadata.text()})
             self._save()
         except BaseException:
-            file.release()
+            self._file.release()
             raise
-        return file
 
-    def _flush(self) -> None:
-        self._file.close_chunk()
-        self._file.wait()
-
-    def _next(self) -> None:
-        self._finish()
-        self._file.release()
-        for (name, kind), topic in self._topics.items():
-            topic.before = self._count(name, kind)
-        self._file = self._begin()
+    def _make_folder(self) -> None:
+        """Make the folder; with `overwrite` remove the bag that is in it, and nothing else."""
+        if self.path.exists() and not self._overwrite:
+            raise BagError(self.path, "exists already")
+        self.path.mkdir(parents=True, exist_ok=True)
+        for file in bag_files(self.path):
+            file.unlink()
 
     def _finish(self) -> None:
-        self._flush()
-        entry = self._metadata.files[-1]
-        entry.start, entry.end = (min(t, NO_START) for t in self._file.times)
-        entry.count = self._file.count
-        self._metadata.topics = [
-            TopicInformation(name, kind, t.offers, t.definition.type_hash, self._count(name, kind))
-            for (name, kind), t in self._topics.items()
-        ]
-        self._file.add_metadata("rosbag2", {"serialized_metadata": self._metadata.text()})
-        self._file.finish()
+        """Write the end of the file, whose messages are all written."""
+        entry, written = self._files[-1], self._file.written
+        entry.start = min(written.message_start_time, entry.start)
+        entry.end, entry.count = written.message_end_time, written.message_count
+        self._file.finish({"serialized_metadata": dump_yaml(self._metadata())})
         self._save()
 
+    def _metadata(self) -> dict[str, object]:
+        return metadata(self._files, [(topic, self._count(*key)) for key, topic in self._topics.items()])
+
     def _save(self) -> None:
-        if self._folder is not None:
-            self._metadata.save(self._folder)
-
-
-@contextmanager
-def replaced(path: str | os.PathLike[str], *, overwrite: bool) -> Iterator[Path]:
-    """Where to write a bag, so that one that it replaces stays until the new one is whole.
-
-    Parameters
-    ----------
-    path : str or path-like
-        Place of the bag, as for `BagWriter`.
-    overwrite : bool
-        Whether a bag that is there shall be replaced.
-
-    Yields
-    ------
-    Path
-        `path`, or a place beside the bag that it replaces. After an exception, Ctrl-C included, that bag is
-        as it was.
-
-    Raises
-    ------
-    BagError
-        Where the old bag is being written, or cannot be replaced; what the body raises of the new one, with
-        its own name.
-    """
-    place = Path(path)
-    if not (overwrite and (place.is_dir() or (place.suffix == ".mcap" and place.is_file()))):
-        yield place
-        return
-    try:
-        old = place.resolve()
-        _check_free([old] if old.is_file() else _own_files(old))
-        with TemporaryDirectory(prefix=f".{old.name}.", dir=old.parent) as folder:
-            # The name decides between file and folder, and a folder's names its files.
-            draft = Path(folder) / (place.name if old.is_file() else old.name)
-            with _named(place, draft):
-                yield draft
-            _put_in_place(draft, old)
-    except OSError as exc:
-        raise BagError(place, exc) from exc
-
-
-@contextmanager
-def _named(place: Path, draft: Path) -> Iterator[None]:
-    """What goes wrong with a draft, told of the place that it is for."""
-    try:
-        yield
-    except BagError as exc:
-        if draft not in (exc.path, *exc.path.parents):
-            raise
-        raise BagError(place, f"{exc.cause}; what was there before is kept") from exc
-
-
-def _check_free(files: Iterable[Path]) -> None:
-    for path in files:
-        with path.open("rb") as file:
-            if is_locked(file.fileno()):
-                raise BagError(path, "is being written by another process")
-
-
-def _put_in_place(draft: Path, old: Path) -> None:
-    """Move a new bag, where there is one, over the old one; a folder's metadata come last."""
-    if draft.is_file():
-        os.replace(draft, old)
-    elif draft.is_dir():
-        new = sorted(draft.iterdir(), key=lambda file: file.name == "metadata.yaml")
-        for file in new:
-            os.replace(file, old / file.name)
-        for file in _own_files(old):
-            if file.name not in {entry.name for entry in new}:
-                file.unlink()
-
-
-def _prepare(folder: Path, overwrite: bool) -> None:
-    """Make the folder; with `overwrite` remove the bag that is in it, and nothing else."""
-    if folder.exists() and not overwrite:
-        raise BagError(folder, "exists already")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for entry in _own_files(folder):
-            entry.unlink()
-    except OSError as exc:
-        raise BagError(folder, exc) from exc
-
-
-def _own_files(folder: Path) -> list[Path]:
-    """Files of the bag in a folder, and nothing else that lies there."""
-    own = re.compile(re.escape(folder.resolve().name) + r"_\d+\.(mcap|db3)|metadata\.yaml")
-    return [entry for entry in folder.iterdir() if own.fullmatch(entry.name)]
+        """Write ``metadata.yaml``; the old one stays whole until the new one is there."""
+        if self.path.suffix != ".mcap":
+            draft = self.path / "metadata.yaml.tmp"
+            draft.write_text(dump_yaml({"rosbag2_bagfile_information": self._metadata()}), encoding="utf-8")
+            draft.replace(self.path / "metadata.yaml")

@@ -8,15 +8,17 @@ values.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.arrays import Bytes, Floats
+from hd_diag.arrays import Bytes
 from hd_diag.streams.columns import JointStates
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
 
 # Number of layouts per decoder that are remembered; one topic rarely has more than one or two.
 _REMEMBERED = 64
@@ -84,8 +86,7 @@ def layout_of(data: bytes) -> Layout:
         fixed.append((begin, walk.position, data[begin : walk.position]))
         arrays.append(walk.doubles(length))
         begin = walk.position
-    if walk.left > 3:
-        raise ValueError(f"has {walk.left} bytes too many")
+    # What follows is padding, as rclpy adds where the last array is empty: readers ignore it.
     return Layout(len(data), walk.order, names, frame_id, (arrays[0], arrays[1], arrays[2]), tuple(fixed))
 
 
@@ -205,21 +206,14 @@ def decode_joint_states(
     rejected: list[Rejection] = []
     if isinstance(payload, np.ndarray):
         _decode_rows(payload, np.arange(len(payload)), columns, rejected)
-    else:
-        for index in _by_size(payload):
-            data = b"".join(payload[i] for i in index)
-            _decode_rows(
-                np.frombuffer(data, np.uint8).reshape(len(index), -1), np.array(index), columns, rejected
-            )
-        columns.sort(key=lambda c: int(c.row[0]))
-    return columns, sorted(rejected)
-
-
-def _by_size(payload: Sequence[bytes | memoryview]) -> Iterable[list[int]]:
-    groups: dict[int, list[int]] = {}
+        return columns, sorted(rejected)
+    sizes: dict[int, list[int]] = {}
     for index, data in enumerate(payload):
-        groups.setdefault(len(data), []).append(index)
-    return groups.values()
+        sizes.setdefault(len(data), []).append(index)
+    for same in sizes.values():
+        rows = np.frombuffer(b"".join(payload[i] for i in same), np.uint8).reshape(len(same), -1)
+        _decode_rows(rows, np.array(same), columns, rejected)
+    return sorted(columns, key=lambda c: int(c.row[0])), sorted(rejected)
 
 
 def _decode_rows(
@@ -297,48 +291,3 @@ def _column(rows: Bytes, place: int, size: int, kind: str) -> npt.NDArray[Any]:
 
 def _bad_nanoseconds(nano: int) -> str:
     return f"has a stamp with {nano} nanoseconds, 1e9 or more"
-
-
-def joint_states_from_messages(
-    messages: Iterable[tuple[int, Any]],
-) -> tuple[list[JointStates], list[Rejection]]:
-    """The same columns from message objects; for bags that define JointState otherwise than ROS 2 Jazzy.
-
-    Parameters
-    ----------
-    messages : iterable of (int, object)
-        Positions in the batch and messages with header, name, position, velocity and effort.
-    """
-    groups: dict[Any, list[tuple[int, int, list[Floats | None]]]] = {}
-    rejected: list[Rejection] = []
-    for index, message in messages:
-        try:
-            key, stamp, values = _fields(message)
-        except (ValueError, TypeError, AttributeError) as exc:
-            rejected.append(Rejection(index, str(exc)))
-        else:
-            groups.setdefault(key, []).append((index, stamp, values))
-    columns = [_columns(key, rows) for key, rows in groups.items()]
-    return columns, rejected
-
-
-def _fields(message: Any) -> tuple[Any, int, list[Floats | None]]:
-    names = tuple(str(name) for name in message.name)
-    stamp = message.header.stamp
-    if stamp.nanosec >= _NANOSECONDS:
-        raise ValueError(_bad_nanoseconds(stamp.nanosec))
-    values: list[Floats | None] = []
-    for what in ("position", "velocity", "effort"):
-        array = np.asarray(getattr(message, what), np.float64)
-        if array.ndim != 1 or len(array) not in (0, len(names)):
-            raise ValueError(f"has {len(array)} values of {what} for {len(names)} names")
-        values.append(array if len(array) else None)
-    key = (names, str(message.header.frame_id), tuple(v is None for v in values))
-    return key, stamp.sec * _NANOSECONDS + stamp.nanosec, values
-
-
-def _columns(key: Any, rows: list[tuple[int, int, list[Floats | None]]]) -> JointStates:
-    names, frame_id, missing = key
-    index, stamps = np.array([r[0] for r in rows]), np.array([r[1] for r in rows])
-    values = [None if absent else np.array([r[2][i] for r in rows]) for i, absent in enumerate(missing)]
-    return JointStates(index, stamps, names, frame_id, *values)

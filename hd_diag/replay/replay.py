@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hd_diag.arrays import Times
-from hd_diag.bag import BagError, BagWriter, check_output, encode_joint_states
+from hd_diag.bag import BagError, BagWriter, check_output
 from hd_diag.bag.reader import BagReader, Batch, Mixed
-from hd_diag.bag.writer import replaced
+from hd_diag.bag.replacing import replaced
 from hd_diag.config.configuration import Config, ConfigError, JointConfig, ModelText, resolve
 from hd_diag.config.parameters import shown
 from hd_diag.messages.publications import LAST_TIME, TEMPERATURE, Encoded, resolved
@@ -178,7 +178,7 @@ class _Run:
         return Replay(
             bool(self._sources.events),
             self.done,
-            self._writer.message_count,
+            sum(self._writer.counts.values()),
             self._reader.duration,
             {name: joint.rejected for name, joint in joints.items()},
             {name: joint.lost.count for name, joint in joints.items()},
@@ -261,14 +261,8 @@ class _Run:
         """Copy messages at positions from `begin` to before `end`."""
         first, last = np.searchsorted(entry.rows, (begin, end))
         part = _part(entry.batch, slice(first, last))
-        if not len(part):
-            return
-        if self._reader.is_standard(part.topic):
+        if len(part):
             self._copy(part)
-        else:
-            self._copy_columns(
-                part, entry.rows[first:last] - begin, [s.between(begin, end) for s in entry.shapes]
-            )
 
     def _copy(self, batch: Batch) -> None:
         payload = batch.payload
@@ -276,17 +270,6 @@ class _Run:
         self._writer.write_many(
             batch.topic.name, batch.topic.type_name, rows, batch.log_time, batch.publish_time
         )
-
-    def _copy_columns(self, batch: Batch, rows: Times, shapes: Sequence[JointStates]) -> None:
-        """Copy messages of a bag that defines JointState in its own way as those of ROS 2 Jazzy."""
-        found: dict[int, bytes] = {}
-        for states in shapes:
-            encoded = encode_joint_states(states.names, states.stamp, *states[4:], states.frame_id)
-            found.update(zip(states.row.tolist(), map(bytes, encoded), strict=True))
-        kept = [number for number, row in enumerate(rows.tolist()) if row in found]
-        data = [found[row] for row in rows[kept].tolist()]
-        name, kind = batch.topic.name, batch.topic.type_name
-        self._writer.write_many(name, kind, data, batch.log_time[kept], batch.publish_time[kept])
 
     def _event(self, now: int, event: Event | None) -> None:
         if isinstance(event, Configured):

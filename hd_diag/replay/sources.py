@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from hd_diag.bag import BagError
-from hd_diag.bag.reader import BagReader, Topic
+from hd_diag.bag import BagError, BagReader, Topic
 from hd_diag.config.configuration import Config, ConfigError
 from hd_diag.config.parameters import joint_names
 from hd_diag.messages.publications import (

@@ -23,7 +23,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, try_shutdown
 
-from hd_diag.bag import Qos
+from hd_diag.bag import RELIABLE
 from hd_diag.config.configuration import Config
 from hd_diag.config.model_file import reader
 from hd_diag.drive import mesh_state, transmission_error
@@ -40,7 +40,7 @@ from hd_diag.ros.stop_signals import ignore_signals, note_signals
 from hd_diag.ros.subscriptions import INPUT_DEPTH, JointStateInput, subscribe_temperature
 from hd_diag.streams.alignment import CLOCK_JUMP
 
-_QOS = Qos(depth=INPUT_DEPTH)
+_QOS = RELIABLE._replace(depth=INPUT_DEPTH)
 _LOOP_PERIOD = 0.05  # longest sleep between looks at the clock, the log and finished maps [s]
 # Longest wait for the interpreter while a map is built beside [s]: a tenth of a sample at 1 kHz; Python's own
 # 5 ms would let samples pile up.

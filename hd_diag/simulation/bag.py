@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from hd_diag.arrays import Bytes, Floats
-from hd_diag.bag import BagError, BagWriter, encode_joint_states
-from hd_diag.bag.writer import replaced
+from hd_diag.bag import BagError, BagWriter
+from hd_diag.bag.replacing import replaced
 from hd_diag.config.configuration import Config
 from hd_diag.drive import Drive
+from hd_diag.messages.encoding import encode_joint_states
 from hd_diag.messages.publications import JOINT_STATE, TEMPERATURE
 from hd_diag.messages.schemas import jazzy, serialize
 from hd_diag.model.torsion_map import TorsionMap
