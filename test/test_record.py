@@ -25,14 +25,14 @@ def without(given: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, np.ndar
 
 def test_clean_columns_stay(given: dict[str, np.ndarray]) -> None:
     record = prepared(given)
-    assert (record.dropped, record.runs, record.has_torque) == (0, 1, True)
+    assert (record.dropped, record.extent.runs, record.has_torque) == (0, 1, True)
     # 2 arcsec of noise has no sample at 8 deviations of its own neighbourhood.
     assert (record.outliers, record.size) == (0, given["time"].size)
     assert_array_equal(record.input_angle, given["input"])
     assert_array_equal(record.output_angle, given["output"])
     assert_array_equal(record.reported_torque, given["torque"])
-    assert record.duration == pytest.approx(given["time"][-1])
-    assert record.input_turns == pytest.approx(8 * 60.0 / TURN, rel=1e-3)
+    assert record.extent.duration == pytest.approx(given["time"][-1])
+    assert record.extent.input_turns == pytest.approx(8 * 60.0 / TURN, rel=1e-3)
 
 
 def test_speed_is_the_derivative(given: dict[str, np.ndarray]) -> None:
@@ -58,7 +58,7 @@ def test_nan_stretches_are_taken_out(given: dict[str, np.ndarray], name: str) ->
     given[name][500:520] = np.nan
     record = prepared(given)
     assert record.dropped == (20 if name != "time" else 21)  # the next stamp has nothing to follow
-    assert record.runs == 2
+    assert record.extent.runs == 2
     assert np.isfinite(
         [record.time, record.input_angle, record.output_angle, record.torque, record.speed]
     ).all()
@@ -76,7 +76,7 @@ def test_dropouts_of_more_than_five_samples_make_runs(given: dict[str, np.ndarra
     lost = np.zeros(given["time"].size, dtype=bool)
     lost[1000:1003] = lost[2000:2020] = lost[3000:3005] = True
     record = prepared(without(given, lost))
-    assert record.runs == 3
+    assert record.extent.runs == 3
     edges = record.time[np.flatnonzero(np.diff(record.run))]
     assert_allclose(edges, given["time"][[1999, 2999]])
 
@@ -87,7 +87,7 @@ def test_outliers_are_taken_out_and_nothing_else(given: dict[str, np.ndarray]) -
     record = prepared(given)
     assert record.outliers == wild.size
     assert not set(given["time"][wild]) & set(record.time)
-    assert record.runs == 1
+    assert record.extent.runs == 1
 
 
 def test_outliers_beside_each_other_are_taken_out(given: dict[str, np.ndarray]) -> None:
@@ -119,7 +119,7 @@ def test_jitter_is_no_gap(given: dict[str, np.ndarray]) -> None:
     step = np.median(np.diff(given["time"]))
     given["time"] = given["time"] + np.random.default_rng(2).uniform(-0.4, 0.4, given["time"].size) * step
     record = prepared(given)
-    assert (record.runs, record.dropped) == (1, 0)
+    assert (record.extent.runs, record.dropped) == (1, 0)
 
 
 @pytest.mark.parametrize("low", [0.0, -np.pi])
@@ -148,7 +148,7 @@ def test_turns_of_a_wrapped_input_are_counted_by_the_output_over_bags(given: dic
     expected = error(prepared(given, bag))
     given["input"] = np.mod(given["input"], TURN)
     record = prepared(given, bag)
-    assert record.runs == 3
+    assert record.extent.runs == 3
     shift = error(record) - expected
     assert_allclose(shift - shift[0], 0.0, atol=1e-12)
 
@@ -172,7 +172,7 @@ def test_duplicate_stamps_are_dropped(given: dict[str, np.ndarray]) -> None:
 def test_a_clock_that_goes_back_begins_a_run(given: dict[str, np.ndarray]) -> None:
     given["time"][2000:] -= given["time"][2000]
     record = prepared(given)
-    assert record.runs == 2
+    assert record.extent.runs == 2
     assert all(np.all(np.diff(record.time[record.run == run]) > 0.0) for run in range(2))
 
 
@@ -183,7 +183,7 @@ def test_pauses_make_runs() -> None:
     given["input"] = np.interp(moving, given["time"], given["input"])
     given["output"] = np.interp(moving, given["time"], given["output"])
     record = prepared(given)
-    assert record.runs == 2
+    assert record.extent.runs == 2
     assert 10.0 < record.time[np.flatnonzero(np.diff(record.run))[0]] < 11.0
 
 

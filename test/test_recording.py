@@ -85,10 +85,10 @@ def test_several_bags_are_runs(given: dict[str, np.ndarray], tmp_path: Path) -> 
     later = {**given, "time": given["time"] + 3600.0}
     paths = [write(tmp_path / f"{i}.mcap", whole(part)) for i, part in enumerate((given, later))]
     record = read(*paths)
-    assert (record.runs, record.size) == (2, 2 * given["time"].size)
+    assert (record.extent.runs, record.size) == (2, 2 * given["time"].size)
     assert_array_equal(record.run, record.bag)
     assert record.time[record.run == 1][0] == pytest.approx(3600.0, abs=1e-6)
-    assert record.duration == pytest.approx(2 * given["time"][-1], abs=1e-6)
+    assert record.extent.duration == pytest.approx(2 * given["time"][-1], abs=1e-6)
 
 
 def test_input_and_output_in_messages_of_their_own(given: dict[str, np.ndarray], tmp_path: Path) -> None:
@@ -133,7 +133,7 @@ def test_the_input_is_not_interpolated_over_a_gap(given: dict[str, np.ndarray], 
         states(given["time"], NAMES[1:], (given["output"],), topic="/link"),
     )
     record = read(path)
-    assert record.runs == 2
+    assert record.extent.runs == 2
     assert not np.any((record.time > 2.001) & (record.time < 2.299))
 
 
@@ -254,7 +254,7 @@ def test_a_table_without_torque_and_with_temperature_and_records(
     path = write_table(tmp_path / "a.csv", given, heat=np.full(count, 31.0), part=np.arange(count) // 600)
     chosen = {name: COLUMNS[name] for name in ("time", "input", "output")}
     record = read_table(path, {**chosen, "temperature": "heat", "record": "part"}, joint(torque=3.0), False)
-    assert (record.has_torque, record.runs) == (False, 2)
+    assert (record.has_torque, record.extent.runs) == (False, 2)
     assert_allclose(record.temperature, 31.0, rtol=1e-9)
 
 

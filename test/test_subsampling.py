@@ -20,7 +20,7 @@ from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.linearised_fit import linearise
 from hd_diag.diagnosis.noise import ORDER, bounds
-from hd_diag.diagnosis.record import Record, prepare
+from hd_diag.diagnosis.record import Record, extent, prepare
 from hd_diag.diagnosis.screening import screened
 from hd_diag.diagnosis.subsampling import LIMIT, subsample
 from hd_diag.diagnosis.verdict import as_json, sentence
@@ -42,8 +42,9 @@ def moved(runs: int = 6, seed: int = 0, bags: int = 1, rows: int = ROWS) -> Reco
     speed = np.where(run % 2, -1.0, 1.0) * (5.0 + 20.0 * (run // 2 % 3))
     angle = np.cumsum(speed) / RATE
     bag = np.arange(rows) * bags // rows
+    stretch, whole = bag, extent(time, angle, run)
     return Record(
-        time, angle, angle / 100.0, torque, speed, None, run, True, 3, 5, bag.astype(np.int64), torque
+        *(time, angle, angle / 100.0, torque, speed, None, run, True, 3, 5, bag, torque, None, stretch, whole)
     )
 
 
@@ -101,8 +102,7 @@ def test_what_is_rare_is_seen_too() -> None:
 def test_it_tells_what_the_whole_covers() -> None:
     whole = moved()
     record = subsample(whole, SOME)
-    assert record.whole == whole.extent
-    assert (record.runs, record.duration, record.input_turns) == whole.extent[1:]
+    assert record.extent == whole.extent
     assert (record.outliers, record.dropped) == (whole.outliers, whole.dropped)
     told = as_json(Diagnosis(record, joint().drive, (), None, None, None, None), "joint_1")
     assert told["record"]["samples"] == ROWS
@@ -113,9 +113,9 @@ def test_it_tells_what_the_whole_covers() -> None:
 def test_memory_goes_on_but_not_into_another_recording() -> None:
     whole = moved(bags=2)
     record = subsample(whole, SOME)
-    assert np.array_equal(record.stretches, record.bag)
+    assert np.array_equal(record.stretch, record.bag)
     gaps = np.flatnonzero(np.diff(record.time) > 1.0)
-    assert np.all(np.diff(record.stretches)[gaps] == np.diff(record.bag)[gaps])
+    assert np.all(np.diff(record.stretch)[gaps] == np.diff(record.bag)[gaps])
 
 
 def test_single_rows_are_apart() -> None:
@@ -174,7 +174,11 @@ def test_a_record_is_the_same_in_blocks(
     expected = prepared(rough)
     monkeypatch.setattr(blocks, "BLOCK", 700)
     record = prepared(rough)
-    assert (record.outliers, record.dropped, record.runs) == (21, 0, expected.runs)  # one more was in the gap
+    assert (record.outliers, record.dropped, record.extent.runs) == (
+        21,
+        0,
+        expected.extent.runs,
+    )  # one more was in the gap
     assert expected.outliers == 21
     for name in ("time", "input_angle", "output_angle", "torque", "speed", "temperature", "run"):
         np.testing.assert_allclose(getattr(record, name), getattr(expected, name), rtol=1e-12, atol=1e-11)

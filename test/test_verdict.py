@@ -152,7 +152,7 @@ def test_numbers_are_si_and_those_of_the_diagnosis() -> None:
     assert told["record"] == {
         "samples": 800,
         "duration": pytest.approx(3.995),
-        "input_turns": pytest.approx(made.record.input_turns),
+        "input_turns": pytest.approx(made.record.extent.input_turns),
         "runs": 1,
         "has_torque": True,
         "outliers": 0,

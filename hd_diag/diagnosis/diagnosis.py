@@ -154,10 +154,10 @@ def diagnose(
 
 def held_out(record: Record) -> tuple[Rows, str]:
     """Rows that no fit sees, shape (n,), and in words which: whole runs if there are enough, or stretches."""
-    if record.runs >= _HELD_OUT:
+    if record.extent.runs >= _HELD_OUT:
         rows = record.run % _HELD_OUT == _HELD_OUT - 1
         if 0.1 < rows.mean() < 0.5:
-            return rows, f"{np.unique(record.run[rows]).size} of {record.runs} runs"
+            return rows, f"{np.unique(record.run[rows]).size} of {record.extent.runs} runs"
     stretch = np.arange(record.size) * _STRETCHES // record.size
     which = f"{_STRETCHES // _HELD_OUT} of {_STRETCHES} stretches of the record"
     return stretch % _HELD_OUT == _HELD_OUT - 1, which

@@ -68,10 +68,10 @@ class Record:
         Torque before smoothing, as a running model gets it [N m].
     reported_speed : ndarray, shape (n,), or None
         Input speed as the joint itself reports it [rad/s]; nan where it does not.
-    stretch : ndarray of int64, shape (n,), or None
-        Where rows were left out: number of the stretch without a long gap; None otherwise, see `stretches`.
-    whole : Extent or None
-        Where rows were left out: extent of the record that they were taken from.
+    stretch : ndarray of int64, shape (n,)
+        Number of the stretch without a long gap: causes with memory go on through pauses between runs.
+    extent : Extent
+        What the record covers; of the whole, where rows were left out.
     """
 
     time: Floats
@@ -86,48 +86,14 @@ class Record:
     dropped: int
     bag: Integers
     reported_torque: Floats
-    reported_speed: Floats | None = None
-    stretch: Integers | None = None
-    whole: Extent | None = None
+    reported_speed: Floats | None
+    stretch: Integers
+    extent: Extent
 
     @property
     def size(self) -> int:
         """Number of samples."""
         return int(self.time.size)
-
-    @property
-    def extent(self) -> Extent:
-        """What the record covers; of the whole, where rows were left out."""
-        if self.whole is not None:
-            return self.whole
-        edges = np.flatnonzero(np.diff(self.run)) + 1
-        starts, ends = np.append(0, edges), np.append(edges, self.size) - 1
-        duration = float(np.sum(self.time[ends] - self.time[starts]))
-        way = np.abs(np.diff(self.input_angle))
-        way[edges - 1] = 0.0
-        return Extent(self.size, int(self.run[-1]) + 1, duration, float(np.sum(way)) / (2.0 * np.pi))
-
-    @property
-    def runs(self) -> int:
-        """Number of runs."""
-        return int(self.run[-1]) + 1 if self.whole is None else self.whole.runs
-
-    @property
-    def duration(self) -> float:
-        """Time covered by the runs [s]."""
-        return self.extent.duration
-
-    @property
-    def input_turns(self) -> float:
-        """Turns of the input, both directions counted [-]."""
-        return self.extent.input_turns
-
-    @property
-    def stretches(self) -> Integers:
-        """Numbers of stretches without a long gap: causes with memory go on through pauses between runs."""
-        if self.stretch is not None:
-            return self.stretch
-        return _segments(self.time, self.bag, _LONG_GAP_STEPS)
 
     def select(self, rows: Rows | Integers) -> Record:
         """The record of some rows; their run numbers stay."""
@@ -147,30 +113,16 @@ def prepare(
     assumed_torque: float = 0.0,
     reported_speed: Floats | None = None,
 ) -> Record:
-    """A record from raw columns.
+    """A record from raw columns of shape (n,).
 
     Parameters
     ----------
-    time : ndarray, shape (n,)
-        [s]
-    input_angle, output_angle : ndarray, shape (n,)
-        As reported [rad]; wrapped angles are unwrapped.
-    torque : ndarray, shape (n,), or None
-        On the link [N m].
-    temperature : ndarray, shape (n,), or None
-        [degree Celsius]
-    bag : ndarray of int64, shape (n,)
-        Which recording each sample comes from.
+    time, input_angle, output_angle, torque, temperature, bag, reported_speed : ndarray, shape (n,), or None
+        As in `Record`, with noise and outliers; angles may be wrapped.
     ratio : float
         Reported input angle over reported output angle [-].
     assumed_torque : float
         Used where no torque was measured [N m].
-    reported_speed : ndarray, shape (n,), or None
-        Of the input, as the joint reports it [rad/s]; nan where it does not.
-
-    Returns
-    -------
-    Record
 
     Raises
     ------
@@ -209,6 +161,7 @@ def prepare(
     time, load, heat, segment = (columns.pop(n) for n in ("time", "torque", "temperature", "segment"))
     step = float(np.median(np.diff(time)))
     speed = rate(columns["input_angle"], segment, step, _SPEED_WINDOW)
+    run = _runs(time, speed, segment)
     raw = np.full(time.shape, assumed_torque) if load is None else load
     return Record(
         **columns,
@@ -216,12 +169,21 @@ def prepare(
         torque=raw if load is None else _without_noise(raw, segment, step),
         speed=speed,
         temperature=None if heat is None else smooth(heat, segment, step, _HEAT_WINDOW),
-        run=_runs(time, speed, segment),
+        run=run,
         has_torque=load is not None,
         outliers=keep.size - int(np.count_nonzero(keep)),
         dropped=dropped,
         reported_torque=raw,
+        stretch=_segments(time, columns["bag"], _LONG_GAP_STEPS),
+        extent=extent(time, columns["input_angle"], run),
     )
+
+
+def extent(time: Floats, input_angle: Floats, run: Integers) -> Extent:
+    """What runs cover."""
+    duration = sum(float(time[end - 1] - time[begin]) for begin, end in bounds(run))
+    way = np.abs(np.diff(input_angle))[np.diff(run) == 0]
+    return Extent(time.size, int(run[-1]) + 1, duration, float(np.sum(way)) / (2.0 * np.pi))
 
 
 def _without_noise(torque: Floats, segment: Integers, step: float) -> Floats:

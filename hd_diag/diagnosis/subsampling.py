@@ -7,8 +7,6 @@ rows would lose.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from hd_diag.arrays import Floats, Integers
@@ -47,8 +45,8 @@ def subsample(record: Record, limit: int = LIMIT) -> Record:
         The same where it is short enough. Otherwise stretches, one in each of up to 48 cells that divide the
         runs evenly, or the whole record where it has many runs. The place of a stretch in its cell is chosen
         so that all torques, speeds, directions and places of the output's turn are covered. Between stretches
-        there are single rows at which torque or input reverse: friction remembers those. `stretch` joins
-        the rows, `whole` is the extent of the record given.
+        there are single rows at which torque or input reverse: friction remembers those. The
+        extent stays that of the whole record.
     """
     if record.size <= limit:
         return record
@@ -62,7 +60,7 @@ def subsample(record: Record, limit: int = LIMIT) -> Record:
         rows += [_between(record, last, begin), np.arange(begin, end)]
         last = end
     chosen = np.concatenate(rows)
-    return replace(record, stretch=record.stretches, whole=record.extent).select(chosen)
+    return record.select(chosen)
 
 
 def _cells(record: Record, most: int) -> list[tuple[int, int]]:

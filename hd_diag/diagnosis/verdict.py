@@ -124,8 +124,8 @@ def sentence(diagnosis: Diagnosis) -> str:
             f"parameters alone ({rms.extended / ARCSEC:.2f} against {arcsec(rms.refit)}): take it for a "
             "hint, and record more"
         )
-    if record.whole is not None:
-        samples = f"{record.size} of {record.whole.samples} samples"
+    if record.size < record.extent.samples:
+        samples = f"{record.size} of {record.extent.samples} samples"
         parts.append(f"fitted to {samples}, in stretches all over the record")
     return "; ".join(parts) + "."
 

@@ -134,7 +134,7 @@ def of_diagnosis(diagnosis: Diagnosis, joint: JointConfig, flat: Mapping[str, Va
     record, drive = diagnosis.record, found.drive
     torque = record.torque if record.has_torque else None
     quality = facts(record.time, record.input_angle, torque, drive.kinematics.ratio, record.bag)
-    runs = Fact("Runs", f"{record.runs}, {number(record.duration)} s in all")
+    runs = Fact("Runs", f"{record.extent.runs}, {number(record.extent.duration)} s in all")
     excluded = Fact("Taken out", f"{record.outliers} outliers, {record.dropped} not finite or out of order")
     return JointReport(
         joint.name,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
@@ -62,7 +62,7 @@ class FittedRows:
     @cached_property
     def record(self) -> Record:
         """The fitted rows."""
-        return replace(self.source, stretch=self.source.stretches).select(self.mask)
+        return self.source.select(self.mask)
 
     @cached_property
     def run(self) -> Integers:
@@ -176,7 +176,7 @@ class FittedRows:
             speed=record.speed,
             torque=record.torque,
             temperature=record.temperature,
-            run=record.stretches,
+            run=record.stretch,
             predicted=error,
             predicted_torque_slope=slope,
             predicted_rate=self.rate(error),
