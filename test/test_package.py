@@ -72,31 +72,18 @@ def test_licence_agrees(metadata: Message, package_xml: Package) -> None:
     )
 
 
-@pytest.mark.parametrize("folder", ["config", "launch", "examples"])
-def test_every_data_file_is_installed(wheel: zipfile.ZipFile, source_copy: Path, folder: str) -> None:
-    files = {
-        path.relative_to(source_copy).as_posix()
-        for path in (source_copy / folder).rglob("*")
-        if path.is_file()
-    }
-    installed = {name.partition("/data/share/hd_diag/")[2] for name in wheel.namelist()}
-    assert files
-    assert files <= installed
-
-
-def test_package_is_in_the_ament_index(wheel: zipfile.ZipFile) -> None:
-    data = {name.partition("/data/")[2] for name in wheel.namelist()}
-    assert {"share/ament_index/resource_index/packages/hd_diag", "share/hd_diag/package.xml"} <= data
-
-
-def test_every_module_is_installed(wheel: zipfile.ZipFile, source_copy: Path) -> None:
-    modules = {path.relative_to(source_copy).as_posix() for path in (source_copy / "hd_diag").rglob("*.py")}
-    assert modules == {name for name in wheel.namelist() if name.endswith(".py") and "/data/" not in name}
-
-
-def test_the_page_s_templates_are_installed(wheel: zipfile.ZipFile) -> None:
-    names = {"hd_diag/report/templates/report.css", "hd_diag/report/templates/report.html.jinja"}
-    assert names <= set(wheel.namelist())
+def test_everything_is_installed(wheel: zipfile.ZipFile, source_copy: Path) -> None:
+    """Modules, the page's templates, data files and the entry of the ament index."""
+    files = {path.relative_to(source_copy).as_posix() for path in source_copy.rglob("*") if path.is_file()}
+    package = {name for name in files if re.match(r"hd_diag/(.*\.py$|report/templates/)", name)}
+    data = {name for name in files if re.match(r"(config|launch|examples)/", name)}
+    assert len(package) > 100
+    assert {name.partition("/")[0] for name in data} == {"config", "launch", "examples"}
+    installed = {name for name in wheel.namelist() if ".data/" not in name and ".dist-info/" not in name}
+    assert installed == package
+    shared = {name.partition("/data/share/")[2] for name in wheel.namelist()}
+    index = "ament_index/resource_index/packages/hd_diag"
+    assert {index, "hd_diag/package.xml", *(f"hd_diag/{name}" for name in data)} <= shared
 
 
 def test_ranges_have_both_bounds(requirements: list[Requirement]) -> None:
