@@ -1,3 +1,35 @@
-"""Harmonic drives in robot joints: mesh model, live diagnostics and criticism of the model by data."""
+"""Harmonic drives in robot joints: mesh model, live diagnostics and criticism of the model by data.
+
+Two flows use the same columns, the same alignment and the same model::
+
+    live     joint_states -> messages -> streams -> monitor -> messages -> ros: topics, diagnostics, log
+    offline  bag -> messages -> streams -> diagnosis: record -> findings -> fit -> residual -> search for
+             causes -> refit -> held-out gain -> verdict -> report
+
+A replay is the live flow fed from a bag. Time is a message's stamp; silence alone goes by a monotonic clock.
+
+Rooms, each of which imports those above it alone:
+
+=================== ===================================================================================
+arrays              names of array types; beside it `formatting` and `process_pool`
+model               the mechanics: frames and signs, geometry, contact, load sharing, torsion and its map
+drive               one drive: a mesh in its frame, with ratio and rated torque
+effects             causes that the model leaves out
+extended_model      a drive with causes
+streams             columns of samples; input, output and torque aligned; clock rules
+monitor             what runs: predictions, health, orders of the residual; rows in, rows out
+diagnosis           what the model gets wrong in a record, and why
+config              parameters and files of them, as checked joints
+messages            ROS messages as bytes, without ROS
+bag                 reading, writing and recovering recordings
+replay              events of a log, and the monitor over a bag
+simulation          simulated joints, and bags of them
+ros                 the node
+tolerance, fleet    studies over many drives; over many bags
+report              a bag or a verdict on one page
+watch               a running node in the terminal
+cli                 one module a verb
+=================== ===================================================================================
+"""
 
 __version__ = "0.1.0"
