@@ -11,7 +11,7 @@ from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.drive import transmission_error
 
 CONFIGURED = joint().drive
-MIRROR = np.array([-1.0, -1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
+MIRROR = fit_parameters.MIRRORED
 POINT = fit_parameters.vector(CONFIGURED, CONFIGURED) + np.array([8.0, -5.0, 2.0, 1.0, 6.0, 0.7, 2.0])
 DRIVE = fit_parameters.drive_of(POINT, CONFIGURED)
 ANGLE, TORQUE = np.random.default_rng(0).uniform([[0.0], [-60.0]], [[60.0], [60.0]], (2, 400))

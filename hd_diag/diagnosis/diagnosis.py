@@ -13,7 +13,8 @@ from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.extension import extended_model, left, map_of
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.fit import fit_parameters
-from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit, linearise, settle
+from hd_diag.diagnosis.fit.joint_refinement import settle
+from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit, linearise
 from hd_diag.diagnosis.fit.refit import Refit, refit, usable
 from hd_diag.diagnosis.noise import ORDER, bounds
 from hd_diag.diagnosis.record import Record
@@ -122,7 +123,7 @@ def diagnose(
     # Single rows of a long record weigh nothing in a fit, which must know of what came between.
     test &= (np.bincount(record.run) > ORDER)[record.run]
     progress("fitting the model's own parameters")
-    first = refit(_renumbered(record.select(~test)), configured)
+    first = refit(_renumbered(record.select(~test)), configured, rng)
     progress("looking for causes")
     begun = linearise(record, configured, first.parameters, rows=~test, catalogue=catalogue)
     plain = settle(begun, ())

@@ -9,7 +9,8 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.fit.design import solve
-from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit, settle
+from hd_diag.diagnosis.fit.joint_refinement import settle
+from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.formatting import words
 from hd_diag.report.stages import NOMINAL, REFIT
 

@@ -37,6 +37,10 @@ SCALES = (
 """The fitted parameters, in units near the precision that matters."""
 
 COUNT = len(SCALES)
+_UNITS = np.array([scale.si for scale in SCALES])
+
+MIRRORED = np.array([-1.0, -1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
+"""What the parameters of the same drive with its lobes swapped are multiplied with."""
 
 _STEPS_PER_TOOTH = 8  # nodes along a record
 _NODES_PAY = 2.0  # samples per node from which they do
@@ -51,17 +55,10 @@ def warm_up() -> None:
 def vector(drive: Drive, configured: Drive) -> Floats:
     """A drive's parameters in the units of `SCALES`, shape (7,)."""
     mesh = drive.mesh
-    return np.array(
-        [
-            mesh.eccentricity.real / SCALES[0].si,
-            mesh.eccentricity.imag / SCALES[1].si,
-            mesh.runout.real / SCALES[2].si,
-            mesh.runout.imag / SCALES[3].si,
-            mesh.geometry.circular_spline_datum / SCALES[4].si,
-            (mesh.tooth_compliance / configured.mesh.tooth_compliance) / SCALES[5].si,
-            drive.cup_compliance / SCALES[6].si,
-        ]
-    )
+    compliance = mesh.tooth_compliance / configured.mesh.tooth_compliance
+    displaced = [mesh.eccentricity.real, mesh.eccentricity.imag, mesh.runout.real, mesh.runout.imag]
+    values = [*displaced, mesh.geometry.circular_spline_datum, compliance, drive.cup_compliance]
+    return np.asarray(np.array(values) / _UNITS)
 
 
 def drive_of(parameters: Floats, configured: Drive) -> Drive:
@@ -78,16 +75,15 @@ def drive_of(parameters: Floats, configured: Drive) -> Drive:
     -------
     Drive
     """
-    p = admissible(parameters, configured)
-    geometry = replace(configured.mesh.geometry, circular_spline_datum=float(p[4]) * SCALES[4].si)
+    x, y, runout_x, runout_y, datum, compliance, cup = (admissible(parameters, configured) * _UNITS).tolist()
     mesh = replace(
         configured.mesh,
-        geometry=geometry,
-        eccentricity=complex(p[0] * SCALES[0].si, p[1] * SCALES[1].si),
-        runout=complex(p[2] * SCALES[2].si, p[3] * SCALES[3].si),
-        tooth_compliance=float(p[5]) * SCALES[5].si * configured.mesh.tooth_compliance,
+        geometry=replace(configured.mesh.geometry, circular_spline_datum=datum),
+        eccentricity=complex(x, y),
+        runout=complex(runout_x, runout_y),
+        tooth_compliance=compliance * configured.mesh.tooth_compliance,
     )
-    return replace(configured, mesh=mesh, cup_compliance=float(p[6]) * SCALES[6].si)
+    return replace(configured, mesh=mesh, cup_compliance=cup)
 
 
 def admissible(parameters: Floats, configured: Drive) -> Floats:
@@ -108,6 +104,37 @@ def bounds(configured: Drive) -> tuple[Floats, Floats]:
     low, high = np.full(COUNT, -np.inf), np.full(COUNT, np.inf)
     low[4:], high[4:] = (datum - 40.0, 4.0, 0.0), (datum + 45.0, 25.0, 20.0)
     return low, high
+
+
+def bounded(beta: Floats, covariance: Floats, parameters: Floats, configured: Drive) -> Floats:
+    """The best coefficients of a fit whose parameters a drive can have: those beyond a bound lie on it.
+
+    Parameters
+    ----------
+    beta : ndarray, shape (k,)
+        Steps from the parameters, then other coefficients.
+    covariance : ndarray, shape (k, k)
+    parameters : ndarray, shape (7,)
+    configured : Drive
+
+    Returns
+    -------
+    ndarray, shape (k,)
+    """
+    low, high = bounds(configured)
+    held = np.zeros(COUNT, dtype=np.bool_)
+    found = beta
+    for _ in range(COUNT):
+        at = parameters + found[:COUNT]
+        beyond = ((at < low - 1e-9) | (at > high + 1e-9)) & ~held
+        if not beyond.any():
+            break
+        held |= beyond
+        rows = np.flatnonzero(held)
+        wanted = (np.clip(parameters + beta[:COUNT], low, high) - parameters)[rows]
+        spread = covariance[np.ix_(rows, rows)]
+        found = beta - covariance[:, rows] @ np.linalg.solve(spread, beta[rows] - wanted)
+    return found
 
 
 def prior(configured: Drive) -> tuple[Floats, Floats]:
@@ -194,44 +221,27 @@ def physical(parameters: Floats, covariance: Floats, configured: Drive) -> dict[
         By name: value, std, unit, configured. Eccentricity and runout together may be turned by pi: they are
         given with the eccentricity's direction in [0, pi).
     """
-    p = parameters.copy()
-    if p[1] < 0.0 or (p[1] == 0.0 and p[0] < 0.0):
-        p[:4] = -p[:4]
-    start = vector(configured, configured)
+    p = parameters if (parameters[1], parameters[0]) >= (0.0, 0.0) else parameters * MIRRORED
     found: dict[str, dict[str, Any]] = {}
-    for name, first in (("eccentricity", 0), ("runout", 2)):
-        found |= _polar(name, p, covariance, first, start)
-    for index in (4, 5, 6):
-        scale = SCALES[index]
-        si = scale.si * (configured.mesh.tooth_compliance if index == 5 else 1.0)
-        found[scale.name] = {
-            "value": float(p[index] * si),
-            "std": float(np.sqrt(covariance[index, index]) * si),
-            "unit": scale.unit,
-            "configured": float(start[index] * si),
-        }
+    sizes = configured.mesh.eccentricity, configured.mesh.runout
+    for name, first, before in zip(("eccentricity", "runout"), (0, 2), sizes, strict=True):
+        pair, unit = slice(first, first + 2), SCALES[first].si
+        (x, y), block = p[pair], covariance[pair, pair]
+        size = max(float(np.hypot(x, y)), 1e-9)
+        along, across = np.array([x, y]) / size, np.array([-y, x]) / size
+        length, turn = (float(np.sqrt(way @ block @ way)) for way in (along, across))
+        most = float(np.pi / np.sqrt(12.0))  # of a direction that is not known at all
+        found[f"{name}.magnitude"] = _entry(size * unit, length * unit, "m", abs(before))
+        found[f"{name}.direction"] = _entry(
+            float(np.arctan2(y, x)), min(turn / size, most), "rad", cmath.phase(before)
+        )
+    start = vector(configured, configured)
+    for index, scale in enumerate(SCALES[4:], 4):
+        si = scale.si * (configured.mesh.tooth_compliance if scale.name == "tooth_compliance" else 1.0)
+        spread = float(np.sqrt(covariance[index, index]))
+        found[scale.name] = _entry(float(p[index]) * si, spread * si, scale.unit, float(start[index]) * si)
     return found
 
 
-def _polar(name: str, p: Floats, covariance: Floats, first: int, start: Floats) -> dict[str, dict[str, Any]]:
-    pair = slice(first, first + 2)
-    x, y = p[pair]
-    size = max(float(np.hypot(x, y)), 1e-9)
-    along, across = np.array([x, y]) / size, np.array([-y, x]) / size
-    block = covariance[pair, pair]
-    configured = complex(start[first], start[first + 1])
-    spread = float(np.sqrt(across @ block @ across)) / size
-    return {
-        f"{name}.magnitude": {
-            "value": size * SCALES[first].si,
-            "std": float(np.sqrt(along @ block @ along)) * SCALES[first].si,
-            "unit": "m",
-            "configured": abs(configured) * SCALES[first].si,
-        },
-        f"{name}.direction": {
-            "value": float(np.arctan2(y, x)),
-            "std": min(spread, float(np.pi / np.sqrt(12.0))),
-            "unit": "rad",
-            "configured": cmath.phase(configured),
-        },
-    }
+def _entry(value: float, std: float, unit: str, configured: float) -> dict[str, Any]:
+    return {"value": value, "std": std, "unit": unit, "configured": configured}

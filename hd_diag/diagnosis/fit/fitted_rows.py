@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -53,6 +53,9 @@ class FittedRows:
     configured: Drive
     mask: npt.NDArray[np.bool_]
     catalogue: Catalogue
+    _linearised: dict[bytes, Linearised] = field(default_factory=dict, init=False)
+    _testable: dict[str, tuple[bool, str]] = field(default_factory=dict, init=False)
+    _grids: dict[str, list[Values]] = field(default_factory=dict, init=False)
 
     @cached_property
     def at(self) -> Integers:
@@ -74,7 +77,7 @@ class FittedRows:
     @cached_property
     def block(self) -> Integers:
         """Numbers of some 24 contiguous stretches of equal length, of which each can be held out."""
-        return blocks(self.at.size)
+        return (np.arange(self.at.size) * _BLOCKS // max(self.at.size, 1)).astype(np.int64)
 
     @property
     def searched(self) -> Catalogue:
@@ -143,18 +146,6 @@ class FittedRows:
         speed = s.speed / max(float(np.max(np.abs(s.speed))), 1e-9)
         return np.stack([*columns, load**3, load * np.abs(load), np.abs(load), load * speed]).T
 
-    @cached_property
-    def _linearised(self) -> dict[bytes, Linearised]:
-        return {}
-
-    @cached_property
-    def _testable(self) -> dict[str, tuple[bool, str]]:
-        return {}
-
-    @cached_property
-    def _grids(self) -> dict[str, list[Values]]:
-        return {}
-
     @property
     def _any_signals(self) -> Signals:
         """Of the fitted rows at whatever parameters, for what is asked of the motion alone."""
@@ -198,8 +189,3 @@ def fitted_rows(
     """
     found = usable(record, shift)
     return FittedRows(record, configured, found if mask is None else found & mask, catalogue)
-
-
-def blocks(count: int) -> Integers:
-    """About `_BLOCKS` contiguous stretches of equal length; shape (count,)."""
-    return (np.arange(count) * _BLOCKS // max(count, 1)).astype(np.int64)

@@ -1,4 +1,4 @@
-"""The last steps of a fit: all parameters, coefficients and nonlinear values of the causes together."""
+"""Steps of a fit: the model's parameters, with the coefficients and nonlinear values of the causes."""
 
 from __future__ import annotations
 
@@ -6,13 +6,44 @@ import numpy as np
 import numpy.typing as npt
 
 from hd_diag.arrays import Floats
+from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import Design
-from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit, settle
+from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.effects.effect import Effect, Stage
 
 _ROUNDS = 8
 _SHORTER = 3  # halvings of a step that makes the fit worse
+_LINEAR = 1.0  # standard deviations; the model is linear over such steps
 _SETTLED = 0.05  # deviance; what a further round could gain
+
+
+def settle(fit: LinearisedFit, chosen: Chosen, rounds: int = 3, learn: bool = True) -> LinearisedFit:
+    """Move the model to the best parameters beside the chosen effects: Gauss-Newton on all rows.
+
+    Parameters
+    ----------
+    fit : LinearisedFit
+    chosen : sequence of (Effect, nonlinear values)
+    rounds : int
+    learn : bool
+        Whether to learn the noise anew first; it hardly changes with small steps.
+
+    Returns
+    -------
+    LinearisedFit
+        At the parameters found, beside the chosen effects.
+    """
+    if learn:
+        fit = fit.with_noise(chosen)
+    for _ in range(rounds):
+        beta, covariance, _ = fit.fit(chosen)
+        step = beta[: fit_parameters.COUNT]
+        # The fit itself still adds a step this small, linearly.
+        if np.max(np.abs(step) / np.sqrt(np.diag(covariance)[: fit_parameters.COUNT] + 1e-12)) < _LINEAR:
+            break
+        moved = fit_parameters.admissible(fit.parameters + step, fit.data.configured)
+        fit = fit.moved(moved).beside(fit.sized(chosen, beta)).corrected(chosen)
+    return fit.corrected(chosen)
 
 
 def polished(bench: LinearisedFit, chosen: Chosen, rounds: int = _ROUNDS) -> tuple[LinearisedFit, Chosen]:

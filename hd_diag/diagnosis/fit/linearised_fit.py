@@ -23,7 +23,6 @@ from hd_diag.effects.signals import Signals
 from hd_diag.effects.stages import seen_at
 
 _SHIFT = 2e-4  # of the rated torque: steps of its zero between which the derivatives are not told apart
-_SETTLED = 1.0  # standard deviations; the model is linear over such steps
 _WHITE = Whitening(np.zeros(ORDER), 1.0)
 
 Item = tuple[Effect, Values]
@@ -229,7 +228,8 @@ class LinearisedFit:
         pull[: fit_parameters.COUNT] = center - self.parameters
         covariance = inverse(built.gram.sum(axis=0) + np.diag(precision))
         beta = covariance @ (built.moment.sum(axis=0) + precision * pull)
-        return self._bounded(beta, covariance), covariance, built
+        beta = fit_parameters.bounded(beta, covariance, self.parameters, self.data.configured)
+        return beta, covariance, built
 
     def design(self, chosen: Chosen, more: Floats | None = None) -> Design:
         """Normal equations of [model, offset, effects, more] against the residual."""
@@ -238,24 +238,6 @@ class LinearisedFit:
             parts.append(self.whiten(more, self.data.run))
         white = self.residual_white
         return design(np.concatenate(parts, axis=1), white, self.data.block, white != 0.0)
-
-    def _bounded(self, beta: Floats, covariance: Floats) -> Floats:
-        """The best coefficients whose parameters a drive can have: those beyond a bound lie on it."""
-        low, high = fit_parameters.bounds(self.data.configured)
-        own = slice(fit_parameters.COUNT)
-        held = np.zeros(fit_parameters.COUNT, dtype=np.bool_)
-        found = beta
-        for _ in range(fit_parameters.COUNT):
-            at = self.parameters + found[own]
-            beyond = ((at < low - 1e-9) | (at > high + 1e-9)) & ~held
-            if not beyond.any():
-                break
-            held |= beyond
-            rows = np.flatnonzero(held)
-            wanted = (np.clip(self.parameters + beta[own], low, high) - self.parameters)[rows]
-            spread = covariance[np.ix_(rows, rows)]
-            found = beta - covariance[:, rows] @ np.linalg.solve(spread, beta[rows] - wanted)
-        return found
 
     @cached_property
     def _before(self) -> Sized:
@@ -366,35 +348,6 @@ def linearise(
     LinearisedFit
     """
     return LinearisedFit(fitted_rows(record, configured, catalogue, rows), parameters)
-
-
-def settle(fit: LinearisedFit, chosen: Chosen, rounds: int = 3, learn: bool = True) -> LinearisedFit:
-    """Move the model to the best parameters beside the chosen effects: Gauss-Newton on all rows.
-
-    Parameters
-    ----------
-    fit : LinearisedFit
-    chosen : sequence of (Effect, nonlinear values)
-    rounds : int
-    learn : bool
-        Whether to learn the noise anew first; it hardly changes with small steps.
-
-    Returns
-    -------
-    LinearisedFit
-        At the parameters found, beside the chosen effects.
-    """
-    if learn:
-        fit = fit.with_noise(chosen)
-    for _ in range(rounds):
-        beta, covariance, _ = fit.fit(chosen)
-        step = beta[: fit_parameters.COUNT]
-        # The fit itself still adds a step this small, linearly.
-        if np.max(np.abs(step) / np.sqrt(np.diag(covariance)[: fit_parameters.COUNT] + 1e-12)) < _SETTLED:
-            break
-        moved = fit_parameters.admissible(fit.parameters + step, fit.data.configured)
-        fit = fit.moved(moved).beside(fit.sized(chosen, beta)).corrected(chosen)
-    return fit.corrected(chosen)
 
 
 def _at_size(effect: Effect, signals: Signals, size: Floats | None, nonlinear: Values) -> Floats:

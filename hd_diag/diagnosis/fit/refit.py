@@ -1,4 +1,4 @@
-"""Global refit of the model's own parameters: many starts, nuisance projected out, a word on trust."""
+"""Global refit of the model's own parameters from many starts, nuisance terms projected out."""
 
 from __future__ import annotations
 
@@ -9,18 +9,21 @@ import numpy.typing as npt
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit.fit_parameters import COUNT, MIRRORED
 from hd_diag.diagnosis.record import Record
 from hd_diag.drive import Drive
 
-# Rounds of the search: samples, steps of a fit, starts that go on to the next. Each round can only mistake
-# starts that are as good as equal, and what it leaves goes on with all rows.
+# Rounds of the search: samples, steps of a fit, starts that go on to the next round. Each round can only
+# mistake starts that are as good as equal, and a fit of all rows follows.
 _ROUNDS = ((250, 5, 5), (700, 5, 2), (1500, 8, 2))
-_MIRROR = np.array([-1.0, -1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
 _HOPELESS = 2.0  # times the best deviance, beyond which a start is not followed any further
-_FIRST_NOISE, _LEAST_NOISE = 2e-5, 1e-6  # of the residual [rad]; each round takes what the one before left
+_FIRST_NOISE, _LEAST_NOISE = 2e-5, 1e-6  # of the residual [rad]; each round takes that of the one before
 _OFFSET = 0.03  # prior width of the torque's zero, of the rated torque
 _MOST_OFFSET = 3.0  # prior widths
+_DAMPINGS = 6  # tried before a fit gives up
 _SETTLED = 0.1  # deviance; smaller steps are left to the fit of all rows
+_NEAR = np.array([1.0, 1.0, 1.0, 1.0, 3.0, 0.5, 0.7])  # by which parameters of the same drive may differ
+
 Starts = tuple[tuple[float, float], ...]
 _TURNS = (0.0, 0.25, 0.5, 0.75)  # [pi rad]
 FEW_STARTS: Starts = ((0.0, 0.0), *((10.0, turn) for turn in _TURNS))
@@ -80,10 +83,10 @@ def nuisance(record: Record, ratio: float) -> Floats:
 def refit(
     record: Record,
     configured: Drive,
+    rng: np.random.Generator,
     extra: Floats | None = None,
     start: Floats | None = None,
     starts: Starts = STARTS,
-    rng: np.random.Generator | None = None,
 ) -> Refit:
     """Fit the model's parameters from many starts, a wrong zero of the torque beside them.
 
@@ -91,36 +94,34 @@ def refit(
     ----------
     record : Record
     configured : Drive
+    rng : numpy.random.Generator
+        Chooses the samples.
     extra : ndarray, shape (n, k), optional
         Further columns that may take part freely: effects already found.
     start : ndarray, shape (7,), optional
         One more start.
     starts : sequence of (float, float)
         Eccentricities to begin with: magnitude [um], direction [pi rad].
-    rng : numpy.random.Generator, optional
-        Chooses the samples.
 
     Returns
     -------
     Refit
     """
-    rng = rng or np.random.default_rng(0)
     free = nuisance(record, configured.kinematics.ratio)
     if extra is not None:
         free = np.concatenate((free, extra), axis=1)
     points, noise = _starts(configured, start, starts), _FIRST_NOISE
+    rows = np.flatnonzero(usable(record))
     for samples, steps, kept in _ROUNDS:
-        problem = _Problem(record, configured, free, _chosen(record, samples, rng), noise)
+        some = np.sort(rng.choice(rows, min(samples, rows.size), replace=False))
+        problem = _Problem(record, configured, free, some, noise)
         trials = sorted((_levenberg(problem, point, steps) for point in points), key=lambda trial: trial[1])
         hopeful = [point for point, value in trials if value < _HOPELESS * trials[0][1]]
         points = distinct(hopeful)[:kept]
-        noise = max(problem.left(points[0]), _LEAST_NOISE)
-    point, deviance = trials[0]
-    covariance = problem.covariance(point)
-    trials = [(other[: fit_parameters.COUNT], value) for other, value in trials]
-    point = point[: fit_parameters.COUNT]
-    rivals = [other for other, value in trials[1:] if value - deviance < _DISTINCT]
-    rivals = distinct([point, *rivals])[1:]
+        noise = max(problem.residual_rms(points[0]), _LEAST_NOISE)
+    covariance = problem.covariance(trials[0][0])
+    (point, deviance), *others = [(found[:COUNT], value) for found, value in trials]
+    rivals = distinct([point, *(other for other, value in others if value - deviance < _DISTINCT)])[1:]
     ambiguous = any(_apart(point, rival, covariance) > _DISTINCT for rival in rivals)
     return Refit(fit_parameters.drive_of(point, configured), point, covariance, not ambiguous)
 
@@ -145,23 +146,14 @@ def usable(record: Record, shift: float = 0.0) -> npt.NDArray[np.bool_]:
     return found
 
 
-def _chosen(record: Record, count: int, rng: np.random.Generator) -> npt.NDArray[np.int64]:
-    rows = np.flatnonzero(usable(record))
-    count = min(count, rows.size)
-    return np.sort(rng.choice(rows, count, replace=False))
-
-
 def _starts(configured: Drive, start: Floats | None, starts: Starts) -> list[Floats]:
     first = fit_parameters.vector(configured, configured)
     points = []
     for size, turn in starts:
         point = first.copy()
-        point[0], point[1] = size * np.cos(np.pi * turn), size * np.sin(np.pi * turn)
+        point[:2] = size * np.cos(np.pi * turn), size * np.sin(np.pi * turn)
         points.append(point)
-    points.append(first)
-    if start is not None:
-        points.append(start)
-    return points
+    return [*points, first, *([] if start is None else [start])]
 
 
 class _Problem:
@@ -182,13 +174,11 @@ class _Problem:
 
     def admissible(self, point: Floats) -> Floats:
         """Parameters that a drive can have, and the torque's offset in widths of its prior; shape (8,)."""
-        drive, offset = fit_parameters.admissible(point[: fit_parameters.COUNT], self.configured), 0.0
-        if point.size > fit_parameters.COUNT:
-            offset = float(np.clip(point[-1], -_MOST_OFFSET, _MOST_OFFSET))
-        return np.append(drive, offset)
+        offset = float(np.clip(point[-1], -_MOST_OFFSET, _MOST_OFFSET)) if point.size > COUNT else 0.0
+        return np.append(fit_parameters.admissible(point[:COUNT], self.configured), offset)
 
     def residual_and_jacobian(self, point: Floats) -> tuple[Floats, Floats]:
-        drive = fit_parameters.drive_of(point[: fit_parameters.COUNT], self.configured)
+        drive = fit_parameters.drive_of(point[:COUNT], self.configured)
         torque = self.torque + float(point[-1]) * self.offset
         error, jacobian, slope = fit_parameters.error_and_jacobian(
             drive, self.configured, self.input_angle, torque
@@ -201,12 +191,11 @@ class _Problem:
         return columns - self.free @ (self.free.T @ columns)
 
     def deviance(self, residual: Floats, point: Floats) -> float:
-        return float(residual @ residual) / self.noise**2 + float(
-            np.sum(((point - self.center) / self.width) ** 2)
-        )
+        away = (point - self.center) / self.width
+        return float(residual @ residual) / self.noise**2 + float(np.sum(away**2))
 
-    def left(self, point: Floats) -> float:
-        """What the fit leaves at a point [rad rms]."""
+    def residual_rms(self, point: Floats) -> float:
+        """At a point [rad]."""
         residual, _ = self.residual_and_jacobian(point)
         return float(np.sqrt(np.mean(residual**2)))
 
@@ -214,39 +203,37 @@ class _Problem:
         residual, jacobian = self.residual_and_jacobian(point)
         variance = float(residual @ residual) / max(residual.size - point.size - self.free.shape[1], 1)
         spread = np.linalg.inv(jacobian.T @ jacobian / variance + np.diag(self.width**-2.0))
-        return np.asarray(spread[: fit_parameters.COUNT, : fit_parameters.COUNT])
+        return np.asarray(spread[:COUNT, :COUNT])
 
 
 def _levenberg(problem: _Problem, point: Floats, iterations: int) -> tuple[Floats, float]:
-    """Levenberg-Marquardt."""
-    point = problem.admissible(point)
-    damping = 1e-3
+    """Levenberg-Marquardt: the point reached and its deviance."""
+    point, damping = problem.admissible(point), 1e-3
     residual, jacobian = problem.residual_and_jacobian(point)
+    deviance = problem.deviance(residual, point)
     for _ in range(iterations):
-        weight = 1.0 / problem.noise**2
-        normal = weight * jacobian.T @ jacobian + np.diag(problem.width**-2.0)
-        slope = weight * jacobian.T @ residual - (point - problem.center) / problem.width**2
-        moved = False
-        for _ in range(6):
+        normal = jacobian.T @ jacobian / problem.noise**2 + np.diag(problem.width**-2.0)
+        slope = jacobian.T @ residual / problem.noise**2 - (point - problem.center) / problem.width**2
+        for _ in range(_DAMPINGS):
             step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), slope)
             trial = problem.admissible(point + step)
             new_residual, new_jacobian = problem.residual_and_jacobian(trial)
-            if problem.deviance(new_residual, trial) < problem.deviance(residual, point):
-                moved = True
+            new = problem.deviance(new_residual, trial)
+            if new < deviance:
                 break
             damping *= 8.0
-        if not moved:
+        else:
             break
-        gain = problem.deviance(residual, point) - problem.deviance(new_residual, trial)
+        gain, deviance = deviance - new, new
         point, residual, jacobian, damping = trial, new_residual, new_jacobian, max(damping / 6.0, 1e-9)
         if gain < _SETTLED:
             break
-    return point, problem.deviance(residual, point)
+    return point, deviance
 
 
 def _apart(point: Floats, other: Floats, covariance: Floats) -> float:
     """Deviance by which another drive should be worse, were there one minimum only; lobes swapped or not."""
-    away = (other - point, other * _MIRROR - point)
+    away = (other - point, other * MIRRORED - point)
     return min(float(step @ np.linalg.solve(covariance, step)) for step in away)
 
 
@@ -265,13 +252,8 @@ def distinct(points: list[Floats]) -> list[Floats]:
     """
     found: list[Floats] = []
     for point in points:
-        own = point[: fit_parameters.COUNT]
-        mirrored = own * _MIRROR
-        tolerance = np.array([1.0, 1.0, 1.0, 1.0, 3.0, 0.5, 0.7])
-        if not any(
-            np.all(np.abs(known[: fit_parameters.COUNT] - other) < tolerance)
-            for known in found
-            for other in (own, mirrored)
-        ):
+        known = [each[:COUNT] for each in found]
+        alike = (point[:COUNT], point[:COUNT] * MIRRORED)
+        if not any(np.all(np.abs(one - other) < _NEAR) for one in known for other in alike):
             found.append(point)
     return found

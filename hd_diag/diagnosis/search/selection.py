@@ -9,8 +9,8 @@ import numpy as np
 from scipy.optimize import minimize
 
 from hd_diag.arrays import Floats
-from hd_diag.diagnosis.fit.joint_refinement import free, polished
-from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit, settle
+from hd_diag.diagnosis.fit.joint_refinement import free, polished, settle
+from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.refit import FEW_STARTS, distinct, refit
 from hd_diag.diagnosis.search.acceptance import needed, passing
 from hd_diag.diagnosis.search.causes import CLASS_DEVIANCE, Search, causes
@@ -50,7 +50,7 @@ def search(
     for _ in range(_MOST_CAUSES + _MOST_TERMS):
         progress(f"looking for cause {len(chosen) + 1}")
         if not chosen and speed_dependent(fit):
-            fit = _begun_slowly(fit)
+            fit = _begun_slowly(fit, rng)
         best = candidates(fit, chosen) if _named(chosen) < _MOST_CAUSES else []
         rivals |= {candidate.effect.name for candidate in best[:_RIVALS]}
         found = _next(fit, chosen, family, best)
@@ -65,7 +65,7 @@ def search(
             continue
         fit, chosen = _swapped(fit, chosen, rivals)
         if len(chosen) <= _RESTARTS:
-            fit = _restarted(fit, chosen)
+            fit = _restarted(fit, chosen, rng)
     chosen = needed(fit, chosen)
     fit, chosen = _finished(settle(fit, chosen), chosen)
     if (fewer := needed(fit, chosen)) != chosen:
@@ -109,14 +109,14 @@ def _named(chosen: Chosen) -> int:
     return sum(not isinstance(effect, UnmodelledTerm) for effect, _ in chosen)
 
 
-def _begun_slowly(fit: LinearisedFit) -> LinearisedFit:
+def _begun_slowly(fit: LinearisedFit, rng: np.random.Generator) -> LinearisedFit:
     """The parameters fitted at low speed, if a cause beside them then explains more.
 
     Where something changes the ripple with speed, parameters fitted at all speeds are wrong, and no cause
     stands out beside them.
     """
     speed = np.abs(fit.data.record.speed)
-    slow = refit(fit.data.record.select(speed <= np.quantile(speed, _SLOW)), fit.data.configured)
+    slow = refit(fit.data.record.select(speed <= np.quantile(speed, _SLOW)), fit.data.configured, rng)
     other = fit.moved(slow.parameters)
     trials = [(each, next(iter(candidates(each, ())), None)) for each in (fit, other)]
     here, there = (
@@ -198,11 +198,12 @@ def _swapped(fit: LinearisedFit, chosen: Chosen, rivals: set[str]) -> tuple[Line
     return fit, chosen
 
 
-def _restarted(fit: LinearisedFit, chosen: Chosen) -> LinearisedFit:
+def _restarted(fit: LinearisedFit, chosen: Chosen, rng: np.random.Generator) -> LinearisedFit:
     """Search the model's parameters globally again, now that the causes found take part freely."""
     again = refit(
         fit.data.record,
         fit.data.configured,
+        rng,
         extra=fit.joined(chosen),
         start=fit.parameters,
         starts=FEW_STARTS,
