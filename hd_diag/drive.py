@@ -97,14 +97,15 @@ def transmission_error(
     """
     angle = drive.frame.wave_generator_angle(input_angle)
     cup_torque = drive.frame.cup_torque(torque)
-    if table is None:
-        beta = torsion(drive.mesh, angle, cup_torque)
-    else:
-        beta = table(angle, cup_torque)
-        beyond = np.isnan(beta)
-        if beyond.any():
-            beta[beyond] = torsion(drive.mesh, angle[beyond], cup_torque[beyond])
+    beta = np.full(angle.shape, np.nan) if table is None else table(angle, cup_torque)
+    _solve(drive.mesh, np.flatnonzero(np.isnan(beta)), angle, cup_torque, beta)
     return drive.frame.transmission_error(beta, torque)
+
+
+def _solve(mesh: Mesh, rows: Integers, turn: Floats, cup_torque: Floats, beta: Floats) -> None:
+    """Set the torsions that no map gave."""
+    if rows.size:
+        beta[rows] = torsion(mesh, turn[rows], cup_torque[rows])
 
 
 class Drives:
@@ -161,14 +162,8 @@ class Drives:
             if table is not None and first < last:
                 table.read(turn, cup_torque, found, first, last)
         if math.isnan(found.sum()):
-            self._solve(by_drive, turn, cup_torque, found)
+            for drive, mesh in enumerate(self._meshes):
+                missing = np.flatnonzero(np.isnan(found) & (by_drive == drive))
+                _solve(mesh, missing, turn, cup_torque, found)
         beta[order] = found
         return frame.transmission_error(beta, torque)
-
-    def _solve(self, number: Integers, turn: Floats, cup_torque: Floats, beta: Floats) -> None:
-        """Set the torsions that no map gave."""
-        missing = np.isnan(beta)
-        for drive, mesh in enumerate(self._meshes):
-            rows = np.flatnonzero(missing & (number == drive))
-            if rows.size:
-                beta[rows] = torsion(mesh, turn[rows], cup_torque[rows])

@@ -170,7 +170,8 @@ def test_drives_side_by_side_give_each_its_own_error_to_the_last_bit(table: Tors
     given, tables = [ASTRAY, ALIGNED, backwards, ASTRAY], [table, None, table, None]
     number, angle = np.array([2, 0, 3, 0, 1]), np.array([4.4, 0.3, 0.3, 7.1, -2.0])
     torque = np.array([-20.0, 12.0, 0.0, 55.0, 5.0])
-    found = Drives(given).transmission_error(number, angle, torque, tables)
+    drives_ = Drives(given)
+    found = drives_.transmission_error(drives_.frame(number), number, angle, torque, tables)
     alone = [
         transmission_error(given[n], angle[k : k + 1], torque[k : k + 1], tables[n])[0]
         for k, n in enumerate(number)

@@ -17,18 +17,18 @@ def linear(numbers: np.ndarray) -> np.ndarray:
 def test_a_linear_function() -> None:
     """Shares of the variance are those of the squared slopes; first and total order agree and sum to 1."""
     found = indices(linear, 4, 2048, np.random.default_rng(0))
-    assert found.first.shape == found.total.shape == (1, 4)
-    assert_allclose(found.first[0], SHARES, atol=0.01)
-    assert_allclose(found.total[0], SHARES, atol=0.01)
-    assert_allclose(found.first.sum(), 1.0, atol=0.01)
-    assert found.first[0, 3] == found.total[0, 3] == 0.0
+    assert found.first.value.shape == found.total.value.shape == (1, 4)
+    assert_allclose(found.first.value[0], SHARES, atol=0.01)
+    assert_allclose(found.total.value[0], SHARES, atol=0.01)
+    assert_allclose(found.first.value.sum(), 1.0, atol=0.01)
+    assert found.first.value[0, 3] == found.total.value[0, 3] == 0.0
 
 
 def test_bounds_hold_the_truth() -> None:
     found = indices(linear, 4, 256, np.random.default_rng(3))
-    for low, high in ((found.first_low, found.first_high), (found.total_low, found.total_high)):
+    for low, high in ((e.low, e.high) for e in (found.first, found.total)):
         assert np.all((low[0] <= SHARES) & (high[0] >= SHARES))
-    assert np.all(found.total_high[0, :3] > found.total_low[0, :3])
+    assert np.all(found.total.high[0, :3] > found.total.low[0, :3])
 
 
 def test_ishigami() -> None:
@@ -39,8 +39,8 @@ def test_ishigami() -> None:
         return (np.sin(x[:, 0]) * (1 + 0.1 * x[:, 2] ** 4) + 7 * np.sin(x[:, 1]) ** 2)[:, None]
 
     found = indices(ishigami, 3, 4096, np.random.default_rng(1))
-    assert_allclose(found.first[0], [0.3139, 0.4424, 0.0], atol=0.02)
-    assert_allclose(found.total[0], [0.5576, 0.4424, 0.2437], atol=0.02)
+    assert_allclose(found.first.value[0], [0.3139, 0.4424, 0.0], atol=0.02)
+    assert_allclose(found.total.value[0], [0.5576, 0.4424, 0.2437], atol=0.02)
 
 
 def test_an_output_that_never_changes_and_one_that_is_infinite() -> None:
@@ -50,15 +50,15 @@ def test_an_output_that_never_changes_and_one_that_is_infinite() -> None:
         return columns
 
     found = indices(model, 4, 64, np.random.default_rng(0))
-    assert np.isfinite(found.total[0]).all()
-    assert np.all(found.total[1] == 0.0)
-    for field in (found.first, found.total, found.total_low, found.first_high):
+    assert np.isfinite(found.total.value[0]).all()
+    assert np.all(found.total.value[1] == 0.0)
+    for field in (found.first.value, found.total.value, found.total.low, found.first.high):
         assert np.isnan(field[2]).all()
 
 
 def test_the_seed_decides() -> None:
     def told(found: Indices) -> np.ndarray:
-        return np.stack((found.first, found.total_low, found.total_high))
+        return np.stack((found.first.value, found.total.low, found.total.high))
 
     same, again, other = (told(indices(linear, 4, 64, np.random.default_rng(seed))) for seed in (1, 1, 2))
     np.testing.assert_array_equal(same, again)

@@ -282,11 +282,11 @@ def _show_assemblies(console: Console, found: Study) -> None:
 
 
 def _sensitivity_table(found: Study) -> Table:
-    s = found.sensitivity
-    assert s is not None
+    assert found.sensitivity is not None
+    first, total = found.sensitivity.first.value, found.sensitivity.total.value
     title = "What matters at the configured tolerances: total (first) Sobol index [%]"
     table = _table(title, "spread of", *(criterion.brief for criterion in CRITERIA))
-    for i in np.argsort(-np.where(np.isfinite(s.total), s.total, 0.0).mean(axis=0), kind="stable"):
-        pairs = zip(s.total[:, i], s.first[:, i], strict=True)
+    for i in np.argsort(-np.nan_to_num(total).mean(axis=0), kind="stable"):
+        pairs = zip(total[:, i], first[:, i], strict=True)
         table.add_row(FACTORS[i].replace("_", " "), *(f"{100 * t:.0f} ({100 * f:.0f})" for t, f in pairs))
     return table

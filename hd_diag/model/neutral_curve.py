@@ -83,29 +83,6 @@ def neutral_curve(semi_major: float, semi_minor: float) -> NeutralCurve:
     return NeutralCurve(semi_major, semi_minor, radius, harmonics)
 
 
-def parameter(curve: NeutralCurve, u: Floats) -> Floats:
-    """Ellipse parameter t at a place along the curve.
-
-    Parameters
-    ----------
-    curve : NeutralCurve
-    u : ndarray
-        Arc length from the long axis over R_b [rad].
-
-    Returns
-    -------
-    ndarray
-        t [rad], same shape: the point is (semi_major cos t, semi_minor sin t).
-    """
-    double = 2.0 * u
-    cosine = 2.0 * np.cos(double)
-    later = np.zeros_like(u)
-    last = np.zeros_like(u)
-    for coefficient in curve.harmonics[::-1]:  # Clenshaw's recurrence
-        later, last = last, coefficient + cosine * last - later
-    return u + last * np.sin(double)
-
-
 def tooth_axes(curve: NeutralCurve, u: Floats) -> tuple[Floats, Floats, Floats]:
     """Direction of the tooth axes (the curve's normals) and the curve's centre seen from the teeth.
 
@@ -123,10 +100,18 @@ def tooth_axes(curve: NeutralCurve, u: Floats) -> tuple[Floats, Floats, Floats]:
         Components of the foot point along the axis and counter-clockwise across it [m].
     """
     a, b = curve.semi_major, curve.semi_minor
-    t = parameter(curve, u)
+    t = _parameter(curve, u)
     cos_t, sin_t = np.cos(t), np.sin(t)
     normal_x, normal_y = b * cos_t, a * sin_t
     length = np.sqrt(normal_x * normal_x + normal_y * normal_y)
     # t and the normal's angle differ by less than a quarter turn: this difference keeps t's own turn.
     angle = t + np.arctan2((a - b) * sin_t * cos_t, b * cos_t * cos_t + a * sin_t * sin_t)
     return angle, a * b / length, -(a * a - b * b) * sin_t * cos_t / length
+
+
+def _parameter(curve: NeutralCurve, u: Floats) -> Floats:
+    """Ellipse parameter t at places u along the curve: the point is (semi_major cos t, semi_minor sin t)."""
+    cosine, later, last = 2.0 * np.cos(2.0 * u), np.zeros_like(u), np.zeros_like(u)
+    for coefficient in curve.harmonics[::-1]:  # Clenshaw's recurrence
+        later, last = last, coefficient + cosine * last - later
+    return u + last * np.sin(2.0 * u)

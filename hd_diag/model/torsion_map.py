@@ -8,9 +8,9 @@ jump at zero torque, the table holds both ends and gives the middle.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
@@ -142,60 +142,37 @@ def build(
     BuildCancelled
         If `wanted` returned False.
     """
-    steps = _steps(mesh.geometry.circular_spline_teeth, steps_per_tooth)
+    teeth = mesh.geometry.circular_spline_teeth
+    steps = teeth * round(steps_per_tooth * max(1.0, (_FINE_TEETH / teeth) ** 2))
     angle = 2.0 * np.pi / steps * np.arange(steps, dtype=np.float64)
-    torques, torsions = [], []
-    for torque, beta in _curves(mesh, angle, torque_limit, wanted, threads):
-        torques.append(torque)
-        torsions.append(beta)
-    torque, beta = _joined(torques), _joined(torsions)
+    torque, beta = _curves(mesh, angle, torque_limit, wanted, threads)
     if not np.isfinite(torque).all():
         raise ValueError(f"the teeth cannot bear {torque_limit:g} N m at every wave generator angle")
     used = np.flatnonzero((torque > -torque_limit).any(axis=0) & (torque < torque_limit).any(axis=0))
     columns = slice(used[0] - 1, used[-1] + 2)
-    table = TorsionMap(mesh, _closed(torque[:, columns]), _closed(beta[:, columns]), torque_limit, np.inf)
+    rows = np.append(np.arange(steps), 0)
+    table = TorsionMap(mesh, torque[rows, columns], beta[rows, columns], torque_limit, np.inf)
     return _checked(table, 2.0 * TOLERANCE * (STEPS_PER_TOOTH / steps_per_tooth) ** 2)
 
 
 def _curves(
     mesh: Mesh, angle: Floats, torque_limit: float, wanted: Callable[[float], bool], threads: int
-) -> Iterator[tuple[Floats, Floats]]:
-    """Curves of all angles, some after the other."""
-    starts = range(0, angle.size, _CHUNK)
-    pool = ThreadPoolExecutor(threads, thread_name_prefix="torsion map")
-    try:
-        each = pool.map if threads > 1 else map
-        solved = iter(
-            each(lambda start: limited_curves(mesh, angle[start : start + _CHUNK], torque_limit), starts)
+) -> tuple[Floats, Floats]:
+    """Breakpoints of all angles; rows with fewer end with more of the limit."""
+    starts, found = range(0, angle.size, _CHUNK), []
+    with ThreadPoolExecutor(threads, thread_name_prefix="torsion map") as pool:
+        solved = pool.map(
+            lambda start: limited_curves(mesh, angle[start : start + _CHUNK], torque_limit), starts
         )
         for start in starts:
             if not wanted(start / angle.size):
+                pool.shutdown(cancel_futures=True)
                 raise BuildCancelled
-            yield next(solved)
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _steps(teeth: int, per_tooth: int) -> int:
-    """Wave generator angles over a turn for a circular spline with so many teeth: a multiple of them."""
-    return teeth * round(per_tooth * max(1.0, (_FINE_TEETH / teeth) ** 2))
-
-
-def _joined(parts: list[Floats]) -> Floats:
-    """Rows below each other; those with fewer breakpoints end with more of the limit."""
-    width = max(part.shape[1] for part in parts)
-    joined = np.empty((sum(len(part) for part in parts), width))
-    begin = 0
-    for part in parts:
-        rows = joined[begin : begin + len(part)]
-        rows[:, : part.shape[1]], rows[:, part.shape[1] :] = part, part[:, -1:]
-        begin += len(part)
-    return joined
-
-
-def _closed(rows: Floats) -> Floats:
-    """The rows, with the first once more at the end."""
-    return np.concatenate((rows, rows[:1]))
+            found.append(np.stack(next(solved)))
+    width = max(part.shape[2] for part in found)
+    parts = [np.pad(part, ((0, 0), (0, 0), (0, width - part.shape[2])), "edge") for part in found]
+    torque, torsion = np.concatenate(parts, axis=1)
+    return torque, torsion
 
 
 def _checked(built: TorsionMap, jump: float) -> TorsionMap:
@@ -207,16 +184,11 @@ def _checked(built: TorsionMap, jump: float) -> TorsionMap:
     angle = 2.0 * np.pi / steps * (cell + 0.1 + 0.8 * ((count * 0.7548776662466927) % 1.0))
     torque = built.torque_limit * (np.arange(1, _CHECKED_TORQUES + 1) / _CHECKED_TORQUES) ** 2
     both = np.concatenate((-torque[::-1], [0.0], torque))
-    error = np.abs(_tabulated(built, angle, both) - torsion_table(built.mesh, angle, both)).max(axis=0)
+    tabulated = built(np.repeat(angle, both.size), np.tile(both, angle.size)).reshape(angle.size, -1)
+    error = np.abs(tabulated - torsion_table(built.mesh, angle, both)).max(axis=0)
     idle = error[_CHECKED_TORQUES]
     error = np.maximum(error[_CHECKED_TORQUES + 1 :], error[:_CHECKED_TORQUES][::-1])
     jumps = np.flatnonzero(~(error <= jump))
     kept = int(jumps[0]) if jumps.size else torque.size
     limit = float(torque[kept - 1]) if kept else 0.0
-    bound = _MISSED * float(error[:kept].max(initial=idle))
-    return TorsionMap(built.mesh, built.torque, built.torsion, limit, bound)
-
-
-def _tabulated(built: TorsionMap, angle: Floats, torque: Floats) -> Floats:
-    every_angle, every_torque = np.repeat(angle, torque.size), np.tile(torque, angle.size)
-    return built(every_angle, every_torque).reshape(angle.size, torque.size)
+    return replace(built, torque_limit=limit, error_bound=_MISSED * float(error[:kept].max(initial=idle)))

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from typing import Any
 
 from hd_diag.formatting import json_ready
 from hd_diag.tolerance.assembly import ANGLES, FACTORS
-from hd_diag.tolerance.criteria import CRITERIA
+from hd_diag.tolerance.criteria import CRITERIA, NAMES
 from hd_diag.tolerance.limit import (
     FINE_STEPS,
     RESOLUTION,
@@ -16,7 +17,8 @@ from hd_diag.tolerance.limit import (
     EccentricityLimit,
     input_angle,
 )
-from hd_diag.tolerance.study import Study
+from hd_diag.tolerance.sensitivity import Indices
+from hd_diag.tolerance.study import Question, Study, Yield
 
 
 def document(joint: str, found: Study) -> dict[str, Any]:
@@ -32,12 +34,11 @@ def document(joint: str, found: Study) -> dict[str, Any]:
     dict
         Schema ``hd_diag/tolerance/1``; SI units; null where a limit is not reached.
     """
-    question = found.question
-    allowed = found.allowed
+    question, first, allowed = found.question, found.interference, found.allowed
     content = {
         "schema": "hd_diag/tolerance/1",
         "joint": joint,
-        "torques": question.torque.tolist(),
+        "torques": question.torque,
         "largest_eccentricity": question.largest,
         "resolution": {
             "eccentricity_step": question.largest / STEPS,
@@ -46,14 +47,18 @@ def document(joint: str, found: Study) -> dict[str, Any]:
             "angle_from_long_axis": RESOLUTION[0],
             "wave_generator_angle": RESOLUTION[1] * question.drive.mesh.geometry.slot_pitch,
         },
-        "interference": _interference(found),
+        "interference": {
+            "across_long_axis": {"eccentricity": first.across, "clearance": first.clearance},
+            "any_direction": _limit(found, first.any_direction),
+            "all_teeth": _limit(found, first.all_teeth),
+        },
         "limits": [
             {"torque": torque, "criteria": {limit.criterion: _limit(found, limit) for limit in row}}
-            for torque, row in zip(question.torque.tolist(), found.limits, strict=True)
+            for torque, row in zip(question.torque, found.limits, strict=True)
         ],
         "allowed": allowed and {"eccentricity": allowed.eccentricity, "criterion": allowed.criterion},
-        "assemblies": _assemblies(found),
-        "sensitivity": _sensitivity(found),
+        "assemblies": found.assemblies and _assemblies(question, found.assemblies),
+        "sensitivity": found.sensitivity and _sensitivity(question, found.sensitivity),
         "units": {
             "eccentricity": "m",
             "direction": "rad, in the housing",
@@ -65,72 +70,46 @@ def document(joint: str, found: Study) -> dict[str, Any]:
     return dict(json_ready(content))
 
 
-def _interference(found: Study) -> dict[str, Any]:
-    first = found.interference
-    return {
-        "across_long_axis": {"eccentricity": first.across, "clearance": first.clearance},
-        "any_direction": _limit(found, first.any_direction),
-        "all_teeth": _limit(found, first.all_teeth),
-    }
-
-
 def _limit(found: Study, limit: EccentricityLimit) -> dict[str, Any]:
-    worst, scanned = limit.worst, limit.scanned
     return {
         "limit": limit.limit,
         "reached": limit.reached,
         "eccentricity": limit.eccentricity,
         "value_without": limit.without,
         "worst": {
-            "value": worst.value,
-            "direction": worst.direction,
-            "direction_deg": math.degrees(worst.direction),
-            "wave_generator_angle": worst.wave_generator_angle,
-            "input_angle": input_angle(found.question.drive, worst.wave_generator_angle),
+            **asdict(limit.worst),
+            "direction_deg": math.degrees(limit.worst.direction),
+            "input_angle": input_angle(found.question.drive, limit.worst.wave_generator_angle),
         },
-        "curve": {"eccentricity": scanned[0].tolist(), "value": scanned[1].tolist()},
+        "curve": {"eccentricity": limit.scanned[0], "value": limit.scanned[1]},
     }
 
 
-def _assemblies(found: Study) -> dict[str, Any] | None:
-    if found.assemblies is None:
-        return None
-    drawn = found.assemblies
-    shares = {"all": drawn.together} | dict(zip((c.name for c in CRITERIA), drawn.each, strict=True))
+def _assemblies(question: Question, drawn: Yield) -> dict[str, Any]:
     return {
-        "samples": found.question.samples,
-        "seed": found.question.seed,
+        "samples": question.samples,
+        "seed": question.seed,
         "angles_per_turn": ANGLES,
-        "tolerances": drawn.tolerances.tolist(),
+        "tolerances": drawn.tolerances,
         "configured_tolerance": drawn.configured,
-        "target": found.question.target,
+        "target": question.target,
         "tolerance_at_target": drawn.at_target,
-        "yield": {
-            name: {"share": s.share.tolist(), "low": s.low.tolist(), "high": s.high.tolist()}
-            for name, s in shares.items()
-        },
-        "spreads": {
-            name: {"distribution": spread.distribution, "size": spread.size}
-            for name, spread in found.question.spreads.items()
-        },
+        "yield": dict(zip(("all", *NAMES), map(asdict, (drawn.together, *drawn.each)), strict=True)),
+        "spreads": {name: asdict(spread) for name, spread in question.spreads.items()},
     }
 
 
-def _sensitivity(found: Study) -> dict[str, Any] | None:
-    s = found.sensitivity
-    if s is None:
-        return None
-    orders = {"first": (s.first, s.first_low, s.first_high), "total": (s.total, s.total_low, s.total_high)}
+def _sensitivity(question: Question, found: Indices) -> dict[str, Any]:
     return {
-        "samples": found.question.sensitivity_samples,
+        "samples": question.sensitivity_samples,
         "criteria": {
-            criterion.name: {
+            criterion: {
                 factor: {
-                    order: dict(zip(("value", "low", "high"), (a[k, i] for a in arrays), strict=True))
-                    for order, arrays in orders.items()
+                    order: {name: values[k, i] for name, values in vars(estimate).items()}
+                    for order, estimate in vars(found).items()
                 }
                 for i, factor in enumerate(FACTORS)
             }
-            for k, criterion in enumerate(CRITERIA)
+            for k, criterion in enumerate(NAMES)
         },
     }

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 from scipy.optimize import brentq
 
 from hd_diag.arrays import Complexes, Floats
@@ -111,7 +113,7 @@ def check_largest(drive: Drive, largest: float) -> None:
     """
     if not 0.0 < largest < math.inf:
         raise ValueError(f"the largest eccentricity must be positive, not {largest * 1e6:g} um")
-    _with(drive.mesh, largest)
+    replace(drive.mesh, eccentricity=largest)
 
 
 def first_excess(
@@ -150,23 +152,9 @@ def first_excess(
         value = search.worst(e).value
         return min(value, 1e9) - limit  # a finite step where no flank can bear the torque
 
-    above = np.flatnonzero(scanned[1] > limit)
-    first = int(above[0]) if above.size else STEPS
-    without = search.worst(0.0).value
-    # A scan meets the worst moment only nearly: the excess may come one step earlier, or later.
-    while first > 0 and excess(eccentricity[first - 1]) > 0.0:
-        first -= 1
-    while first < STEPS and excess(eccentricity[first]) <= 0.0:
-        first += 1
-    if excess(eccentricity[first]) <= 0.0:
-        return EccentricityLimit(criterion, limit, math.nan, search.worst(largest), without, scanned)
-    if not first:
-        return EccentricityLimit(criterion, limit, 0.0, search.worst(0.0), without, scanned)
-    low, high = eccentricity[first - 1], eccentricity[first]
-    if search.jumps:
-        low, high = _first_step(excess, low, high)
-    found = _root(excess, low, high)
-    return EccentricityLimit(criterion, limit, found, search.worst(found), without, scanned)
+    found = _crossing(excess, eccentricity, scanned[1] > limit, FINE_STEPS if search.jumps else 1)
+    worst = search.worst(found if math.isfinite(found) else largest)
+    return EccentricityLimit(criterion, limit, found, worst, search.worst(0.0).value, scanned)
 
 
 def across_long_axis(drive: Drive, largest: float) -> tuple[float, float]:
@@ -190,27 +178,29 @@ def across_long_axis(drive: Drive, largest: float) -> tuple[float, float]:
         return float(evaluate(drive.mesh, np.zeros(1), np.array([1j * e]), np.ones(1)).interference[0])
 
     eccentricity = np.linspace(0.0, largest, STEPS + 1)
-    above = np.flatnonzero(np.array([overlap(e) for e in eccentricity]) > 0.0)
-    if not above.size:
-        return math.nan, -overlap(0.0)
-    first = int(above[0])
-    found = _root(overlap, eccentricity[first - 1], eccentricity[first]) if first else 0.0
-    return found, -overlap(0.0)
+    above = np.array([overlap(e) for e in eccentricity]) > 0.0
+    return _crossing(overlap, eccentricity, above), -overlap(0.0)
 
 
-def _first_step(excess: Callable[[float], float], low: float, high: float) -> tuple[float, float]:
-    """The first of the fine steps that brings an excess, which the last one does."""
-    fine = np.linspace(low, high, FINE_STEPS + 1)
-    first = next(k for k in range(1, FINE_STEPS + 1) if k == FINE_STEPS or excess(fine[k]) > 0.0)
-    return float(fine[first - 1]), float(fine[first])
+def _crossing(
+    excess: Callable[[float], float], steps: Floats, above: npt.NDArray[np.bool_], parts: int = 1
+) -> float:
+    """Where an excess first comes, looked for in parts of a step; nan if it does not.
 
-
-def _root(function: Callable[[float], float], low: float, high: float) -> float:
-    return float(brentq(function, low, high, xtol=ROOT_TOLERANCE, rtol=1e-12))
-
-
-def _with(mesh: Mesh, eccentricity: complex) -> Mesh:
-    return Mesh(mesh.geometry, mesh.tooth_compliance, eccentricity, mesh.runout, mesh.arc_offset)
+    The steps that a scan found ``above`` are nearly those of the excess: it may come one earlier, or later.
+    """
+    first = int(np.argmax(above)) if above.any() else steps.size - 1
+    while first > 0 and excess(steps[first - 1]) > 0.0:
+        first -= 1
+    while first < steps.size - 1 and excess(steps[first]) <= 0.0:
+        first += 1
+    if excess(steps[first]) <= 0.0:
+        return math.nan
+    if first == 0:
+        return 0.0
+    fine = np.linspace(steps[first - 1], steps[first], parts + 1)
+    part = next(k for k in range(1, parts + 1) if k == parts or excess(fine[k]) > 0.0)
+    return float(brentq(excess, fine[part - 1], fine[part], xtol=ROOT_TOLERANCE, rtol=1e-12))
 
 
 class _Search:
@@ -227,61 +217,51 @@ class _Search:
     def scan(self, eccentricity: float) -> float:
         """Worst over a coarse grid; of a turn, nearly the worst."""
         if not self.of_turn:
-            return float(self.values(eccentricity, _grid(*_SCAN)).max())
+            return float(self._values(eccentricity, _grid(*_SCAN)).max())
         around = 2.0 * math.pi * (np.arange(_SCAN[0]) + 0.37) / _SCAN[0]  # meets several tooth phases
-        return float(np.ptp(self.torsion(eccentricity, around[:, None])))
+        beta = self._torsion(replace(self.drive.mesh, eccentricity=eccentricity), around[:, None])
+        return float(np.ptp(np.where(np.isnan(beta), np.inf, beta)))
 
     def worst(self, eccentricity: float) -> Worst:
         """Worst over all directions and angles."""
         return self._of_turn(eccentricity) if self.of_turn else self._of_moment(eccentricity)
 
-    def values(self, eccentricity: float, points: Floats) -> Floats:
+    def _values(self, eccentricity: float, points: Floats) -> Floats:
         """Criterion (n,) at points (n, 2): angle from the long axis [rad], phase in a slot pitch [-]."""
-        turn = self.pitch * points[:, 1]
-        moments = evaluate(
-            self.drive.mesh, turn, self._center(eccentricity, points[:, 0] + turn, turn), self.torque
-        )
-        return of_moments(moments, self.drive.cup_compliance, self.reference)[self.index, :, 0]
-
-    def _center(self, eccentricity: float, direction: Floats, turn: Floats) -> Complexes:
-        towards: Complexes = np.exp(1j * direction)
+        turn, mesh = self.pitch * points[:, 1], self.drive.mesh
+        towards: Complexes = np.exp(1j * (points[:, 0] + turn))
         turning: Complexes = np.exp(1j * turn)
-        return eccentricity * towards + self.drive.mesh.runout * turning
+        found = evaluate(mesh, turn, eccentricity * towards + mesh.runout * turning, self.torque)
+        return of_moments(found, self.drive.cup_compliance, self.reference)[self.index, :, 0]
 
     def _of_moment(self, eccentricity: float) -> Worst:
         points = _grid(*self.grid)
-        values = self.values(eccentricity, points)
-        tops = points[hills(values.reshape(self.grid))]
+        tops = points[hills(self._values(eccentricity, points).reshape(self.grid))]
         step = np.array([2.0 * math.pi / self.grid[0], 1.0 / self.grid[1]])
-        best, value = climbed(lambda p: self.values(eccentricity, p), tops, step)
+        best, value = climbed(lambda p: self._values(eccentricity, p), tops, step)
         turn = self.pitch * float(best[1])
         return Worst(value, (float(best[0]) + turn) % (2.0 * math.pi), turn)
 
     def _of_turn(self, eccentricity: float) -> Worst:
         directions = self.pitch * np.arange(_TURN_DIRECTIONS) / _TURN_DIRECTIONS
-        return max((self._width(eccentricity, d) for d in directions), key=lambda worst: worst.value)
+        return max((self._width(eccentricity, float(d)) for d in directions), key=lambda worst: worst.value)
 
     def _width(self, eccentricity: float, direction: float) -> Worst:
         """Peak to peak of a turn at one direction of the eccentricity, and where the greatest torsion is."""
-        mesh = _with(self.drive.mesh, eccentricity * complex(math.cos(direction), math.sin(direction)))
+        mesh = replace(self.drive.mesh, eccentricity=cmath.rect(eccentricity, direction))
         count = _TURN_PHASES * mesh.geometry.circular_spline_teeth
         step = 2.0 * math.pi / count
         points = step * np.arange(count, dtype=np.float64)[:, None]
         beta = self._torsion(mesh, points)
         if not np.isfinite(beta).all():
-            return Worst(math.inf, float(direction), float(points[np.argmin(np.isfinite(beta)), 0]))
+            return Worst(math.inf, direction, float(points[np.argmin(np.isfinite(beta)), 0]))
         spacing = np.array([step])
         place, high = climbed(lambda p: self._torsion(mesh, p), points[hills(beta)], spacing)
         _, low = climbed(lambda p: -self._torsion(mesh, p), points[hills(-beta)], spacing)
-        return Worst(high + low, float(direction), float(place[0]) % (2.0 * math.pi))
+        return Worst(high + low, direction, float(place[0]) % (2.0 * math.pi))
 
     def _torsion(self, mesh: Mesh, points: Floats) -> Floats:
-        return torsion(mesh, points[:, 0].copy(), np.full(points.shape[0], self.torque[0]))
-
-    def torsion(self, eccentricity: float, points: Floats) -> Floats:
-        """Torsion (n,) at wave generator angles (n, 1) with the eccentricity along the x axis [rad]."""
-        beta = self._torsion(_with(self.drive.mesh, eccentricity), points)
-        return np.where(np.isnan(beta), np.inf, beta)
+        return torsion(mesh, points[:, 0], self.torque[0])
 
 
 def _grid(around: int, phases: int) -> Floats:

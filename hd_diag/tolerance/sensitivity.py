@@ -19,19 +19,24 @@ _GENERATOR = "rng" if "rng" in inspect.signature(qmc.Sobol).parameters else "see
 
 
 @dataclass(frozen=True)
-class Indices:
-    """Shares of the variance, each (outputs, factors), with bounds of bootstrap intervals (95 %).
+class Estimate:
+    """Shares of the variance, and the bounds of their bootstrap intervals (95 %), each (outputs, factors).
 
-    First order: of the factor alone. Total order: with its interactions. Zero where an output never changes;
-    nan where it is not finite in some sample. Estimates of small ones may be below zero.
+    Zero where an output never changes; nan where it is not finite in some sample. Estimates of small shares
+    may be below zero.
     """
 
-    first: Floats
-    first_low: Floats
-    first_high: Floats
-    total: Floats
-    total_low: Floats
-    total_high: Floats
+    value: Floats
+    low: Floats
+    high: Floats
+
+
+@dataclass(frozen=True)
+class Indices:
+    """Sobol indices: first order, of the factor alone; total order, with its interactions."""
+
+    first: Estimate
+    total: Estimate
 
 
 def evaluations(samples: int, factors: int) -> int:
@@ -82,9 +87,8 @@ def indices(
     again = _again(blocks, rng)
     ends = 100.0 * np.array([0.5 * (1.0 - _CONFIDENCE), 0.5 * (1.0 + _CONFIDENCE)])
     low, high = np.percentile(again, ends, axis=0)
-    columns = (np.where(finite[:, None], part, math.nan) for part in (estimate, low, high))
-    (first_, total), (first_low, total_low), (first_high, total_high) = columns
-    return Indices(first_, first_low, first_high, total, total_low, total_high)
+    first_order, total_order = np.where(finite[:, None], np.stack((estimate, low, high), axis=1), math.nan)
+    return Indices(Estimate(*first_order), Estimate(*total_order))
 
 
 def _estimate(blocks: Floats) -> Floats:

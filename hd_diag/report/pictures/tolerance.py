@@ -93,9 +93,9 @@ def _sensitivity(axes: Axes, indices: Indices) -> None:
     """Total index of the factors, one mark per criterion, with its interval."""
     place = np.arange(len(FACTORS))[::-1]
     for k, criterion in enumerate(CRITERIA):
-        total = 100 * indices.total[k]
+        total, low, high = (100 * values[k] for values in vars(indices.total).values())
         beside = place + 0.11 * (len(CRITERIA) / 2 - k)
-        ends = np.stack((total - 100 * indices.total_low[k], 100 * indices.total_high[k] - total))
+        ends = np.stack((total - low, high - total))
         axes.errorbar(
             total,
             beside,
