@@ -1,6 +1,7 @@
 """The demo as a user runs it: real processes over DDS, a log, an end that leaves nothing behind."""
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -14,9 +15,9 @@ import pytest
 from mcap_ros2.reader import read_ros2_messages
 from rosbags.highlevel import AnyReader
 
-from hd_diag.demo.display import Step
 from hd_diag.demo.log import read_log
 from hd_diag.demo.process import Child, DemoError
+from hd_diag.demo.steps import Step
 from hd_diag.watch import JointView, Status
 
 TYPES = {
@@ -178,7 +179,7 @@ def test_signal_ends_it_with_a_readable_log(number: signal.Signals, tmp_path: Pa
     assert processes_of(tmp_path) == []
     log = read_log(tmp_path / "out/log")
     assert log.problems == []
-    assert log.count("/joint_states") > 100
+    assert log.counts["/joint_states"] > 100
 
 
 def test_processes_that_do_not_see_each_other(tmp_path: Path) -> None:
@@ -192,7 +193,7 @@ def test_processes_that_do_not_see_each_other(tmp_path: Path) -> None:
 
 def test_node_that_cannot_start_is_named(tmp_path: Path) -> None:
     with Child("hd_diag.demo.simulated_joint", ["--config", "none.yaml"], tmp_path / "out.txt") as child:
-        assert child.wait(60.0, []) == 2
+        assert child.finish(60.0, []) == 2
         with pytest.raises(DemoError) as caught:
             child.check_running()
     assert str(caught.value).startswith(
@@ -210,7 +211,7 @@ def test_child_that_ignores_sigint_is_killed(tmp_path: Path, monkeypatch: pytest
         while not child.lines:
             time.sleep(0.02)
         with pytest.raises(KeyboardInterrupt):
-            child.wait(60.0, [signal.SIGTERM])
+            child.finish(60.0, [signal.SIGTERM])
     assert child.end() == -signal.SIGKILL
 
 
@@ -226,7 +227,7 @@ def test_step_keeps_its_own_reports_only() -> None:
 
     step = Step(5.0)
     assert not step.take(report(eccentricity_um="0"))
-    assert step.summary()["minimum_backlash_um"] is None
+    assert math.isnan(step.summary()["minimum_backlash_um"])
     for residual, backlash in (("9", "1"), ("3", "-2"), ("2", "0"), ("nan", "1")):
         assert step.take(
             report(eccentricity_um="5", residual_rms_arcsec=residual, minimum_backlash_um=backlash)

@@ -64,7 +64,7 @@ def rng(seed: int = 0) -> np.random.Generator:
 
 
 @given(motions)
-def test_the_input_moves_at_the_velocity_it_has(motion: Motion) -> None:
+def test_the_input_moves_at_the_velocity_it_has_which_rises_smoothly(motion: Motion) -> None:
     time = np.linspace(0.0, motion.duration, 20_001)
     moments = motion.at(time)
     middle = motion.at(0.5 * (time[1:] + time[:-1])).input_velocity
@@ -72,6 +72,10 @@ def test_the_input_moves_at_the_velocity_it_has(motion: Motion) -> None:
     travelled = np.diff(time) * (ends[1:] + 4.0 * middle + ends[:-1]) / 6.0
     fastest = max(motion.speeds) * motion.duration
     np.testing.assert_allclose(np.diff(moments.input_angle), travelled, atol=1e-6 * fastest)
+    # Minimum jerk: the greatest slope of a step of 1 over a time of 1 is 15/8.
+    steepest = 15.0 / 8.0 * max(motion.speeds) / (motion.ramp_share * motion.duration / len(motion.runs))
+    change = np.abs(np.diff(ends)) / np.diff(time)
+    assert change.max() <= steepest * (1.0 + 1e-9) + 1e-9
 
 
 @given(motions)
@@ -87,16 +91,6 @@ def test_every_run_starts_and_ends_at_rest_and_reaches_its_level(motion: Motion)
         np.testing.assert_allclose(borders.torque, 0.0, atol=1e-9 * largest)
         np.testing.assert_allclose(level.input_velocity, velocity)
         np.testing.assert_allclose(level.torque, torque)
-
-
-@given(motions)
-def test_velocity_rises_smoothly_within_its_ramp(motion: Motion) -> None:
-    time = np.linspace(0.0, motion.duration, 5001)
-    ramp = motion.ramp_share * motion.duration / len(motion.runs)
-    # Minimum jerk: the greatest slope of a step of 1 over a time of 1 is 15/8.
-    steepest = 15.0 / 8.0 * max(motion.speeds) / ramp
-    change = np.abs(np.diff(motion.at(time).input_velocity)) / np.diff(time)
-    assert change.max() <= steepest * (1.0 + 1e-9) + 1e-9
 
 
 def test_both_directions_return_to_the_start() -> None:
@@ -356,8 +350,6 @@ def test_unknown_truths_are_refused(tmp_path: Path) -> None:
     config = resolve({})
     with pytest.raises(ValueError, match="no joint 'joint_2' is configured; there are joint_1"):
         write_bag(tmp_path / "out", config, SHORT, rng(), {"joint_2": SimulatedJoint(config.joints[0].drive)})
-    with pytest.raises(ValueError, match="no joint is to be simulated"):
-        write_bag(tmp_path / "out", config, SHORT, rng(), {})
     assert not (tmp_path / "out").exists()
 
 
@@ -367,36 +359,13 @@ def invoke(*arguments: object) -> Result:
 
 def test_the_command_writes_the_joint_that_its_options_describe(tmp_path: Path) -> None:
     out, summary = tmp_path / "out.mcap", tmp_path / "truth.json"
-    result = invoke(
-        *(
-            "--out",
-            out,
-            "--json",
-            summary,
-            "--duration",
-            2,
-            "--rate",
-            250,
-            "--speed",
-            2,
-            "--torque-level",
-            20,
-        ),
-        *("--torque-level", -5, "--eccentricity-um", 12, "--direction-deg", 90, "--runout-um", 3),
-        *("--runout-direction-deg", -45, "--datum-mm", 29.87, "--set", "joint_1.tooth_compliance=11e-7"),
-        *("--set", "joint_1.flexspline_tooth.addendum_center=[0.7626e-3, -0.0548e-3]"),
-        *(
-            "--offset-arcsec",
-            100,
-            "--torque-noise",
-            0.1,
-            "--seed",
-            3,
-            "--start-time",
-            1000.5,
-            "--temperature",
-        ),
+    options = (
+        "--duration 2 --rate 250 --speed 2 --torque-level 20 --torque-level -5 --eccentricity-um 12 "
+        "--direction-deg 90 --runout-um 3 --runout-direction-deg -45 --datum-mm 29.87 --offset-arcsec 100 "
+        "--torque-noise 0.1 --seed 3 --start-time 1000.5 --temperature --set joint_1.tooth_compliance=11e-7 "
+        "--set joint_1.flexspline_tooth.addendum_center=[0.7626e-3,-0.0548e-3]"
     )
+    result = invoke("--out", out, "--json", summary, *options.split())
     assert (result.exit_code, result.output) == (0, f"{out}: 500 samples, 2 s, joints joint_1\n")
     truth = json.loads(summary.read_text())
     assert truth["schema"] == "hd_diag/simulation/1"
@@ -448,7 +417,7 @@ def test_the_command_takes_a_configuration_and_some_of_its_joints(tmp_path: Path
         (["--set", "joint_1.ratio=99"], "its magnitude must be 100"),
         (
             ["--joint", "joint_9", "--config", "CONFIG"],
-            "--joint joint_9: not configured; there are shoulder, elbow",
+            "no joint 'joint_9' in the configuration; it has shoulder, elbow",
         ),
         (["--config", "missing.yaml"], "missing.yaml: cannot be read"),
         (["--duration", "0"], "duration must be positive"),
@@ -472,6 +441,7 @@ def test_bad_input_is_one_line_and_code_2(
     assert result.stderr.count("\n") == 1
     assert result.stderr.startswith("hd-diag: ")
     assert text in result.stderr
+    assert not Path("out.mcap").exists()
 
 
 def test_the_command_replaces_a_bag_only_when_told(tmp_path: Path) -> None:
@@ -479,17 +449,10 @@ def test_the_command_replaces_a_bag_only_when_told(tmp_path: Path) -> None:
     assert [invoke(*short, *more).exit_code for more in ((), (), ("--overwrite",))] == [0, 2, 0]
 
 
-def test_json_on_stdout_is_alone_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    result = invoke("--out", "out.mcap", "--duration", 0.1, "--json", "-")
+def test_json_on_stdout_is_alone_there(tmp_path: Path) -> None:
+    result = invoke("--out", tmp_path / "out.mcap", "--duration", 0.1, "--json", "-")
     assert json.loads(result.stdout)["samples"] == 50
     assert [path.name for path in tmp_path.iterdir()] == ["out.mcap"]
-
-
-def test_a_json_file_that_cannot_be_written_is_told_before_the_work(tmp_path: Path) -> None:
-    result = invoke("--out", tmp_path / "out.mcap", "--duration", 0.1, "--json", tmp_path / "none" / "a.json")
-    assert result.exit_code == 2
-    assert list(tmp_path.iterdir()) == []
 
 
 def interrupting(monkeypatch: pytest.MonkeyPatch, turn: int) -> None:

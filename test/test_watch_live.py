@@ -11,7 +11,6 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 import rclpy
@@ -54,12 +53,6 @@ def watch(*arguments: str, environment: dict[str, str] | None = None) -> subproc
     )
 
 
-def once(*arguments: str) -> dict[str, Any]:
-    run = watch("--once", "--timeout", "30", *arguments, "--json")
-    assert run.returncode == 0, run.stderr
-    return json.loads(run.stdout)
-
-
 @contextlib.contextmanager
 def following(*arguments: str) -> Iterator[subprocess.Popen[str]]:
     process = subprocess.Popen(
@@ -82,24 +75,28 @@ def line_with(process: subprocess.Popen[str], words: str) -> str:
     raise AssertionError(f"it ended without {words!r}")
 
 
-def test_once_tells_every_joint_what_the_diagnostics_say(arm: Rig) -> None:
+def test_once_shows_every_joint_as_the_diagnostics_say(arm: Rig, tmp_path: Path) -> None:
+    """JSON in a file, and a plain line a joint on a pipe."""
     arm.set(elbow__eccentricity__magnitude=18e-6, elbow__eccentricity__direction=1.5707963267948966)
     reported = {joint: arm.values(joint) for joint in JOINTS}
     reported["elbow"] = arm.values("elbow", lambda values: values["eccentricity_um"] == "18")
-    told = once("--namespace", arm.process.namespace)
-    assert told["nodes"] == [
-        {
-            "node": f"{arm.process.namespace}/hd_diag",
-            "topic": f"{arm.process.namespace}/diagnostics",
-            "joints": sorted(JOINTS),
-        }
-    ]
-    joints = {joint["joint"]: joint for joint in told["joints"]}
+    file = tmp_path / "seen.json"
+    names = ("--joint", "elbow", "--joint", "shoulder", "--namespace", arm.process.namespace)
+    run = watch("--once", *names, "--json", str(file), environment={"FORCE_COLOR": "1"})
+    assert (run.returncode, run.stderr) == (0, "")
+    node = f"{arm.process.namespace}/hd_diag"
+    first, second = run.stdout.splitlines()
+    assert first.startswith(f"{node} elbow: ")
+    assert second.startswith(f"{node} shoulder: ")
+    assert all(line.isprintable() for line in (first, second))
+    seen = json.loads(file.read_text())
+    topic = f"{arm.process.namespace}/diagnostics"
+    assert seen["nodes"] == [{"node": node, "topic": topic, "joints": sorted(JOINTS)}]
+    assert not seen["missing"]
+    joints = {joint["joint"]: joint for joint in seen["joints"]}
     assert set(joints) == set(JOINTS)
-    assert not told["missing"]
     for name, joint in joints.items():
-        assert joint["nodes"] == [f"{arm.process.namespace}/hd_diag"]
-        assert joint["hardware_id"] == f"{arm.process.namespace}/hd_diag/{name}"
+        assert (joint["nodes"], joint["hardware_id"]) == ([node], f"{node}/{name}")
         assert set(joint["values"]) == set(reported[name])
         assert joint["values"]["samples"] == 20
         for key in ("eccentricity_um", "minimum_backlash_um", "peak_tooth_load_N", "lost_motion_arcmin"):
@@ -107,27 +104,19 @@ def test_once_tells_every_joint_what_the_diagnostics_say(arm: Rig) -> None:
     assert joints["elbow"]["values"]["eccentricity_direction_deg"] == pytest.approx(90.0)
 
 
-def test_a_pipe_gets_one_plain_line_a_joint(arm: Rig) -> None:
-    run = watch("--once", "--namespace", arm.process.namespace, environment={"FORCE_COLOR": "1"})
-    assert (run.returncode, run.stderr) == (0, "")
-    first, second = run.stdout.splitlines()
-    assert first.startswith(f"{arm.process.namespace}/hd_diag elbow: ")
-    assert second.startswith(f"{arm.process.namespace}/hd_diag shoulder: ")
-    assert all(line.isprintable() for line in (first, second))
-
-
 def test_a_fault_appears_and_can_be_failed_on(arm: Rig) -> None:
-    arguments = ("--namespace", arm.process.namespace, "--joint", "shoulder")
+    arguments = ("--namespace", arm.process.namespace, "--joint", "shoulder", "--fail-on-fault")
     arm.set(shoulder__eccentricity__magnitude=0.0)
     arm.values("shoulder", lambda values: values["fault_code"] == "OK")
-    assert watch("--once", *arguments, "--fail-on-fault").returncode == 0
-    with following(*arguments, "--fail-on-fault") as process:
+    assert watch("--once", *arguments).returncode == 0
+    with following(*arguments) as process:
         assert " shoulder: OK; " in line_with(process, "shoulder: ")
         arm.set(shoulder__eccentricity__magnitude=60e-6)
         assert " shoulder: INTERFERENCE the lobes overlap by " in line_with(process, "INTERFERENCE")
         assert process.wait(LIMIT) == 1
-    assert watch("--once", *arguments, "--fail-on-fault").returncode == 1
-    (joint,) = once(*arguments)["joints"]
+    run = watch("--once", *arguments, "--json")
+    assert run.returncode == 1
+    (joint,) = json.loads(run.stdout)["joints"]
     assert (joint["fault_code"], joint["level"]) == ("INTERFERENCE", "error")
 
 
@@ -141,48 +130,37 @@ def test_the_tour_s_way_to_set_parameters(arm: Rig) -> None:
     values = ("shoulder.eccentricity.magnitude=7e-6", "shoulder.torque=1.0")
     assert set_them(node, *values) == (0, "in force\n")
     arm.values("shoulder", lambda told: told["eccentricity_um"] == "7")
-    code, told = set_them(node, "shoulder.eccentricity.magnitude=0.0", "shoulder.ratio=3.0")
-    assert (code, told[:9]) == (1, "refused: ")
+    code, said = set_them(node, "shoulder.eccentricity.magnitude=0.0", "shoulder.ratio=3.0")
+    assert (code, said[:9]) == (1, "refused: ")
     assert set_them("/nobody/hd_diag", *values) == (1, "no node /nobody/hd_diag\n")
     assert arm.values("shoulder")["eccentricity_um"] == "7"
-    assert set_them(node, "shoulder.eccentricity.magnitude=0.0", "shoulder.torque=0.0")[0] == 0
 
 
 def test_several_nodes_are_told_apart(arm: Rig, tmp_path: Path) -> None:
     with Process(tmp_path, parameters("elbow", "wrist", diagnostics_rate=REPORTS)) as process:
         rig = Rig(process)
-        told = once()
+        run = watch("--once", "--timeout", "30", "--json")
         rig.close()
-        found = {(joint["nodes"][0], joint["joint"]) for joint in told["joints"]}
+        found = {(joint["nodes"][0], joint["joint"]) for joint in json.loads(run.stdout)["joints"]}
         here, there = f"{arm.process.namespace}/hd_diag", f"{process.namespace}/hd_diag"
         assert found == {(here, "elbow"), (here, "shoulder"), (there, "elbow"), (there, "wrist")}
-        assert process.end() == 0
 
 
 def test_nothing_within_the_time_is_said_in_one_line_with_what_is_there(arm: Rig) -> None:
-    run = watch("--once", "--namespace", "/nowhere", "--timeout", "5")
+    run = watch("--once", "--namespace", "/nowhere", "--timeout", "4")
     assert (run.returncode, run.stdout) == (2, "")
     (line,) = run.stderr.splitlines()
-    assert line.startswith("hd-diag: no report of an hd_diag node within 5 s: ")
+    assert line.startswith("hd-diag: no report of an hd_diag node within 4 s: ")
     assert f"no hd_diag node in /nowhere; there is {arm.process.namespace}/hd_diag" in line
 
 
 def test_a_joint_that_nobody_has_is_an_error_but_the_others_are_shown(arm: Rig) -> None:
     names = ("--joint", "elbow", "--joint", "elbow_9")
-    run = watch("--once", "--namespace", arm.process.namespace, *names, "--timeout", "5")
+    run = watch("--once", "--namespace", arm.process.namespace, *names, "--timeout", "4")
     assert run.returncode == 2
     assert run.stdout.count("\n") == 1
-    assert "no report of elbow_9 within 5 s" in run.stderr
+    assert "no report of elbow_9 within 4 s" in run.stderr
     assert "joints reported: elbow, shoulder" in run.stderr
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_it_cleanly(arm: Rig, number: signal.Signals) -> None:
-    with following("--namespace", arm.process.namespace) as process:
-        line_with(process, "elbow: ")
-        process.send_signal(number)
-        _, errors = process.communicate(timeout=LIMIT)
-        assert (process.returncode, errors) == (128 + number, "")
 
 
 def test_a_reader_that_has_enough(arm: Rig) -> None:
@@ -196,12 +174,15 @@ def test_a_reader_that_has_enough(arm: Rig) -> None:
         process.stdout = None
 
 
-def test_json_lines(arm: Rig, tmp_path: Path) -> None:
+def test_json_lines_until_a_signal(arm: Rig, tmp_path: Path) -> None:
     with following("--namespace", arm.process.namespace, "--json") as process:
         assert process.stdout is not None
-        told = [json.loads(next(process.stdout)) for _ in range(2)]
-    assert {entry["schema"] for entry in told} == {"hd_diag/watch/1"}
-    assert {joint["joint"] for joint in told[1]["joints"]} == set(JOINTS)
+        seen = [json.loads(next(process.stdout)) for _ in range(2)]
+        process.send_signal(signal.SIGTERM)
+        _, errors = process.communicate(timeout=LIMIT)
+        assert (process.returncode, errors) == (128 + signal.SIGTERM, "")
+    assert {entry["schema"] for entry in seen} == {"hd_diag/watch/1"}
+    assert {joint["joint"] for joint in seen[1]["joints"]} == set(JOINTS)
     run = watch("--json", str(tmp_path / "no" / "folder.json"))
     assert run.returncode == 2
     assert "cannot be written" in run.stderr
@@ -285,22 +266,15 @@ class Terminal:
         return True
 
 
-def test_a_terminal_is_left_as_it_was(arm: Rig) -> None:
+def test_a_terminal_is_left_as_it_was_and_drawn_less_often_than_reports_come(arm: Rig) -> None:
+    """Ten reports a second, but four pictures: these are what it costs."""
     with Terminal("--namespace", arm.process.namespace) as terminal:
         terminal.until("elbow")
         terminal.until("shoulder")
-        assert terminal.interrupt() == 130
-        assert terminal.shown.count("\x1b[?25l") == terminal.shown.count("\x1b[?25h") == 1
-        assert "Traceback" not in terminal.shown
-
-
-def test_it_draws_less_often_than_reports_come(arm: Rig) -> None:
-    """Ten reports a second, but four pictures: these are what it costs."""
-    with Terminal("--namespace", arm.process.namespace, "--joint", "elbow") as terminal:
-        terminal.until("elbow")
-        terminal.follow(1.0)
         begin, pictures = time.monotonic(), terminal.shown.count("hd-diag watch")
-        terminal.follow(6.0)
+        terminal.follow(4.0)
         drawn = terminal.shown.count("hd-diag watch") - pictures
         assert 4 < drawn <= (time.monotonic() - begin) / REFRESH_PERIOD + 2
         assert terminal.interrupt() == 130
+        assert terminal.shown.count("\x1b[?25l") == terminal.shown.count("\x1b[?25h") == 1
+        assert "Traceback" not in terminal.shown

@@ -10,7 +10,7 @@ from typing import Any
 import click
 import numpy as np
 
-from hd_diag.cli.options import JOINTS, Problem, json_option, tell, verb, write_json
+from hd_diag.cli.options import CONFIG, JOINTS, Problem, chosen_joints, json_option, tell, verb, write_json
 from hd_diag.cli.progress import interrupted, working
 from hd_diag.config.configuration import Config, ConfigError, load, resolve
 from hd_diag.config.parameter_file import parse_value
@@ -34,12 +34,7 @@ _SHORT = {
 
 @verb("simulate --out joint.mcap --eccentricity-um 18")
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="*.mcap or a rosbag2 folder.")
-@click.option(
-    "--config",
-    "file",
-    type=click.Path(path_type=Path),
-    help="ROS parameter file. [default: the example drive]",
-)
+@CONFIG
 @JOINTS
 @click.option("--duration", default=_MOTION.duration, show_default=True, help="Length of the record [s].")
 @click.option("--rate", default=_MOTION.sample_rate, show_default=True, help="Samples per second [Hz].")
@@ -96,7 +91,7 @@ _SHORT = {
 @click.option("--overwrite", is_flag=True, help="Replace a bag that exists.")
 @json_option("the true values")
 def simulate(
-    out: Path, file: Path | None, names: tuple[str, ...], json_file: str | None, **options: Any
+    out: Path, config_file: str | None, names: tuple[str, ...], json_file: str | None, **options: Any
 ) -> None:
     """Write a bag of a simulated joint.
 
@@ -106,9 +101,16 @@ def simulate(
     """
     kept = out.exists()
     try:
-        config = _true_configuration(file, names, options)
-        motion = _motion(options)
+        config = _true_configuration(config_file, names, options)
+        motion = Motion(
+            options["duration"],
+            options["rate"],
+            tuple(_TURN * speed for speed in options["speeds"]),
+            options["torques"],
+            not options["one_way"],
+        )
         joints = _joints(config, names, options)
+        start = _start(options["start_time"])
         with working() as part:
             mapping = part("map", "%")
             samples = write_bag(
@@ -117,7 +119,7 @@ def simulate(
                 motion,
                 np.random.default_rng(options["seed"]),
                 joints,
-                start=_start(options["start_time"]),
+                start=start,
                 with_temperature=options["temperature"],
                 overwrite=options["overwrite"],
                 mapped=lambda fraction: mapping(100.0 * fraction, 100.0),
@@ -128,19 +130,29 @@ def simulate(
     except ValueError as error:
         raise Problem(str(error)) from error
     if json_file:
-        write_json(json_file, _summary(out, config, joints, options, samples))
+        truth = {
+            "schema": "hd_diag/simulation/1",
+            "bag": str(out),
+            "samples": samples,
+            "duration": motion.duration,
+            "sample_rate": motion.sample_rate,
+            "start": start,
+            "seed": options["seed"],
+            "joints": {name: _truth_of(config, name, joint) for name, joint in joints.items()},
+        }
+        write_json(json_file, truth)
     if json_file != "-":
         tell(f"{out}: {samples} samples, {motion.duration:g} s, joints {', '.join(joints)}")
 
 
-def _true_configuration(file: Path | None, names: tuple[str, ...], options: dict[str, Any]) -> Config:
+def _true_configuration(file: str | None, names: tuple[str, ...], options: dict[str, Any]) -> Config:
     """Configuration of the simulated joints: a file's, changed by the options."""
-    flat: dict[str, Any] = dict(load(file).flat) if file else {"joints": list(names) or ["joint_1"]}
-    configured: list[str] = flat["joints"]
-    for joint in names:
-        if joint not in configured:
-            raise ConfigError(f"--joint {joint}: not configured; there are {', '.join(configured)}")
-    for joint in names or configured:
+    flat: dict[str, Any] = {"joints": list(names) or ["joint_1"]}
+    if file:
+        config = load(file)
+        chosen_joints(config, names)
+        flat = dict(config.flat)
+    for joint in names or flat["joints"]:
         for option, (parameter, unit) in _SHORT.items():
             if options[option] is not None:
                 flat[f"{joint}.{parameter}"] = options[option] * unit
@@ -157,25 +169,14 @@ def _assignment(text: str) -> tuple[str, Any]:
         raise ConfigError(f"--set {name}: {error}") from error
 
 
-def _motion(options: dict[str, Any]) -> Motion:
-    return Motion(
-        options["duration"],
-        options["rate"],
-        tuple(_TURN * speed for speed in options["speeds"]),
-        options["torques"],
-        not options["one_way"],
-    )
-
-
 def _joints(config: Config, names: tuple[str, ...], options: dict[str, Any]) -> dict[str, SimulatedJoint]:
     noise = Noise(
         white=options["angle_noise_arcsec"] * ARCSEC,
         drift=options["angle_drift_arcsec"] * ARCSEC,
         torque=options["torque_noise"],
     )
-    drives = {joint.name: joint.drive for joint in config.joints}
     offset = options["offset_arcsec"] * ARCSEC
-    return {name: SimulatedJoint(drives[name], noise, offset) for name in names or drives}
+    return {joint.name: SimulatedJoint(joint.drive, noise, offset) for joint in chosen_joints(config, names)}
 
 
 def _start(seconds: float) -> int:
@@ -184,22 +185,7 @@ def _start(seconds: float) -> int:
     return round(seconds * _SECOND)
 
 
-def _summary(
-    out: Path, config: Config, joints: dict[str, SimulatedJoint], options: dict[str, Any], samples: int
-) -> dict[str, Any]:
-    """What a reader needs to know the truth, in SI units."""
-    return {
-        "schema": "hd_diag/simulation/1",
-        "bag": str(out),
-        "samples": samples,
-        "duration": options["duration"],
-        "sample_rate": options["rate"],
-        "start": _start(options["start_time"]),
-        "seed": options["seed"],
-        "joints": {name: _truth_of(config, name, joint) for name, joint in joints.items()},
-    }
-
-
 def _truth_of(config: Config, name: str, joint: SimulatedJoint) -> dict[str, Any]:
+    """What a reader needs to know the truth, in SI units."""
     parameters = {entry.name: config.flat[f"{name}.{entry.name}"] for entry in JOINT_PARAMETERS}
     return {"parameters": parameters, "offset": joint.offset, "noise": dataclasses.asdict(joint.noise)}

@@ -1,11 +1,15 @@
-"""Every parameter of a configuration (name, type, unit, meaning, range) and the check of a single value."""
+"""Every parameter of a configuration, from ``parameters.csv``, and the check of a single value."""
 
 from __future__ import annotations
 
+import csv
 import difflib
+import json
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 Value = bool | int | float | str | list[float] | list[str]
@@ -31,139 +35,39 @@ class Parameter:
 _MOST_JOINTS = 256
 _LONGEST_TEXT = 80  # of a name or value that an error names
 
-MAGNITUDES = ("fixed", "uniform", "normal", "rayleigh")
-"""Distributions of a quantity that cannot be negative."""
 
-DEVIATIONS = ("fixed", "uniform", "normal", "triangular")
-"""Distributions of a quantity that deviates to both sides."""
-
-
-def _length(name: str, default: float, meaning: str, high: float) -> Parameter:
-    return Parameter(name, default, "m", meaning, 1e-12, high)
-
-
-def _point(name: str, default: list[float], meaning: str) -> Parameter:
-    return Parameter(name, default, "m", meaning, -1.0, 1.0)
-
-
-def _limit(
-    name: str, warn: float, error: float, unit: str, meaning: str, low: float, high: float
-) -> tuple[Parameter, Parameter]:
-    """Thresholds of a quantity of the diagnostics."""
-    return (
-        Parameter(f"limits.{name}.warn", warn, unit, meaning, low, high),
-        Parameter(f"limits.{name}.error", error, unit, "the same, error", low, high),
-    )
+def _table(owner: str) -> tuple[Parameter, ...]:
+    """Parameters of the node or of each joint, from the table beside this module."""
+    with Path(__file__).with_name("parameters.csv").open(encoding="utf-8", newline="") as file:
+        return tuple(
+            Parameter(
+                row["name"],
+                _default(row["default"]),
+                row["unit"],
+                row["meaning"],
+                float(row["low"] or -math.inf),
+                float(row["high"] or math.inf),
+                tuple(row["choices"].split()),
+            )
+            for row in csv.DictReader(file)
+            if row["owner"] == owner
+        )
 
 
-def _scatter(
-    name: str, distribution: str, size: float, unit: str, meaning: str, choices: tuple[str, ...], high: float
-) -> tuple[Parameter, Parameter]:
-    """Distribution of a quantity over many assemblies."""
-    relative = "scale of it, relative" if unit == "-" else "scale of it"
-    return (
-        Parameter(f"tolerance.{name}.distribution", distribution, "", meaning, choices=choices),
-        Parameter(f"tolerance.{name}.size", size, unit, relative, 0.0, high),
-    )
+def _default(text: str) -> Value:
+    """A default, with its type: JSON, or else a text."""
+    try:
+        value: Value = json.loads(text)
+    except ValueError:
+        return text
+    return value
 
 
-_LIMITS = (
-    *_limit("overlap", 0.0, 20e-6, "m", "lobes press against each other at zero torque", -1.0, 1.0),
-    *_limit("peak_tooth_load", 100.0, 200.0, "N", "largest force on a flank", 0.0, 1e9),
-    *_limit("load_concentration", 3.0, 5.0, "-", "largest over mean force of the loaded flanks", 1.0, 1e6),
-    *_limit("residual_rms", 1.5e-4, 5e-4, "rad", "measured less predicted error, mean removed", 0.0, 10.0),
-    *_limit(
-        *("residual_order", 5.0e-5, 2.0e-4, "rad"),
-        *("amplitude of an order of the residual to an extended model", 0.0, 10.0),
-    ),
-    *_limit("torque", 2.0, 3.5, "-", "torque over rated torque", 0.0, 1e6),
-    *_limit("silence", 0.5, 2.0, "s", "time without a valid sample", 0.0, 1e6),
-    *_limit("rejected", 0.0, 0.5, "-", "share of samples rejected since the last report", 0.0, 1.0),
-)
+NODE_PARAMETERS = _table("node")
+JOINT_PARAMETERS = _table("joint")
 
-LIMITS = tuple(limit.name.split(".")[1] for limit in _LIMITS[::2])
+LIMITS = tuple(p.name.split(".")[1] for p in JOINT_PARAMETERS if re.fullmatch(r"limits\.\w+\.warn", p.name))
 """Quantities with thresholds ``limits.<quantity>.warn`` and ``.error``."""
-
-JOINT_PARAMETERS: tuple[Parameter, ...] = (
-    Parameter(
-        "input_joint", "", "", "name in JointState with the input (wave generator) angle; '' = <joint>_motor"
-    ),
-    Parameter("output_joint", "", "", "name in JointState with the output angle and effort; '' = <joint>"),
-    Parameter("ratio", 100.0, "-", "reported input angle over reported output angle, signed", -1e3, 1e3),
-    Parameter(
-        "output", "flexspline", "", "member that drives the link", choices=("flexspline", "circular_spline")
-    ),
-    Parameter("rated_torque", 56.0, "N m", "rated torque", 1e-3, 1e5),
-    Parameter("torque", 0.0, "N m", "torque assumed where no effort is reported", -1e6, 1e6),
-    Parameter("flexspline_teeth", 200, "-", "teeth of the flexspline", 20, 2000),
-    Parameter("circular_spline_teeth", 202, "-", "teeth of the circular spline", 22, 2010),
-    _length("neutral_curve.semi_major", 30.2584e-3, "long semi-axis of the neutral layer", 10.0),
-    _length("neutral_curve.semi_minor", 29.7404e-3, "short semi-axis of the neutral layer", 10.0),
-    _length("flexspline_tooth.addendum_radius", 0.2031e-3, "convex arc of the tooth", 1.0),
-    _length("flexspline_tooth.dedendum_radius", 0.5046e-3, "hollow arc of the tooth", 1.0),
-    _point("flexspline_tooth.addendum_center", [0.7625e-3, -0.0548e-3], "centre of the convex arc"),
-    _point("flexspline_tooth.dedendum_center", [0.6929e-3, 0.6557e-3], "centre of the hollow arc"),
-    Parameter("flexspline_tooth.root", 0.4e-3, "m", "start of the flank above the neutral layer", 0.0, 1.0),
-    Parameter("flexspline_tooth.tip", 0.8519e-3, "m", "end of the flank above the neutral layer", 0.0, 1.0),
-    _length("circular_spline_slot.addendum_radius", 0.2313e-3, "hollow arc of the slot", 1.0),
-    _length("circular_spline_slot.dedendum_radius", 0.4357e-3, "convex arc of the slot", 1.0),
-    _point("circular_spline_slot.addendum_center", [1.2201e-3, -0.0782e-3], "centre of the hollow arc"),
-    _point("circular_spline_slot.dedendum_center", [1.2791e-3, 0.5886e-3], "centre of the convex arc"),
-    _length("circular_spline_datum", 29.868e-3, "radius from which the slot's x is measured", 10.0),
-    _length("circular_spline_tip_radius", 30.7755e-3, "tip radius of the circular spline", 10.0),
-    Parameter("tooth_compliance", 1.0e-6, "m/N", "K1 + K2 of a tooth pair", 1e-12, 1.0),
-    Parameter("cup_compliance", 0.0, "rad/(N m)", "torsion of the cup beyond the teeth's", 0.0, 1.0),
-    Parameter("arc_offset", 0.0, "m", "shift of the teeth along the neutral curve", -1e-2, 1e-2),
-    Parameter(
-        "eccentricity.magnitude", 0.0, "m", "wave generator's centre from the housing's axis", 0.0, 1e-3
-    ),
-    Parameter("eccentricity.direction", 0.0, "rad", "its direction in the housing"),
-    Parameter(
-        "runout.magnitude", 0.0, "m", "part of the displacement that turns with the wave generator", 0.0, 1e-3
-    ),
-    Parameter("runout.direction", 0.0, "rad", "its direction when the long axis is at angle zero"),
-    Parameter("wave_generator_phase", 0.0, "rad", "angle of the long axis at input angle zero"),
-    Parameter("model_file", "", "", "extended model written by 'hd-diag diagnose'; '' = none"),
-    *_LIMITS,
-    Parameter(
-        "tolerance.limits.interference", 2.0e-6, "m", "overlap of teeth and slots at one lobe", 0.0, 1e-3
-    ),
-    Parameter(
-        "tolerance.limits.overlap", 20e-6, "m", "lobes press against each other at zero torque", -1e-3, 1e-3
-    ),
-    Parameter("tolerance.limits.peak_tooth_load", 60.0, "N", "largest force on a flank", 0.0, 1e9),
-    Parameter("tolerance.limits.load_concentration", 2.0, "-", "largest over mean force", 1.0, 1e6),
-    Parameter("tolerance.limits.stiffness_loss", 0.1, "-", "torsional stiffness lost", 0.0, 1.0),
-    Parameter(
-        "tolerance.limits.transmission_error",
-        1.45e-4,
-        "rad",
-        "peak to peak over a turn of the wave generator",
-        0.0,
-        1.0,
-    ),
-    *_scatter("eccentricity", "rayleigh", 3.5e-6, "m", "of its magnitude", MAGNITUDES, 1e-3),
-    *_scatter("runout", "rayleigh", 0.75e-6, "m", "of its magnitude", MAGNITUDES, 1e-3),
-    *_scatter("circular_spline_datum", "normal", 1.0e-6, "m", "of the deviation", DEVIATIONS, 1e-3),
-    *_scatter("pitch", "normal", 0.6e-6, "m", "of each tooth pair's place", DEVIATIONS, 1e-3),
-    *_scatter("tooth_compliance", "normal", 0.05, "-", "of the deviation", DEVIATIONS, 0.2),
-    *_scatter("cup_compliance", "normal", 5.0e-7, "rad/(N m)", "of what is added", MAGNITUDES, 1.0),
-)
-
-NODE_PARAMETERS: tuple[Parameter, ...] = (
-    Parameter("joints", ["joint_1"], "", "joints to watch"),
-    Parameter("array_rate", 20.0, "Hz", "per-tooth arrays; 0 = off", 0.0, 1000.0),
-    Parameter("mesh_rate", 0.0, "Hz", "drawings of the gear; 0 = off", 0.0, 60.0),
-    Parameter("diagnostics_rate", 1.0, "Hz", "diagnostics", 0.01, 100.0),
-    Parameter("log.path", "", "", "MCAP file (*.mcap) or rosbag2 folder; '' = no log"),
-    Parameter(
-        "log.compression", "zstd", "", "compression of the log's chunks", choices=("none", "lz4", "zstd")
-    ),
-    Parameter("log.flush_period", 0.25, "s", "what a killed process can lose of the log", 0.01, 0.9),
-    Parameter("log.split_size", 0, "byte", "start a new file at this size; 0 = never", 0, 2**53),
-    Parameter("log.split_duration", 0.0, "s", "start a new file after this time; 0 = never", 0.0, 1e9),
-    Parameter("log.overwrite", False, "", "replace a log that exists"),
-)
 
 ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides")
 """Parameters that every ROS node has: a parameter file may hold them, they are no part of a configuration."""

@@ -21,34 +21,21 @@ _STEP = 0.1  # longest sleep between looks at signals [s]
 
 
 class Observer(Listener):
-    """Listens to one joint of a node and sets the node's parameters.
-
-    Parameters
-    ----------
-    node, joint : str
-    stopped : sequence of int
-        Signals that came: the first one raises KeyboardInterrupt in whatever waits here.
-    """
+    """Listens to one joint of a node and sets the node's parameters, until a signal shows in `stopped`."""
 
     def __init__(self, node: str, joint: str, stopped: Sequence[int]) -> None:
-        self.state = Watch(joints=(joint,))
-        super().__init__(self.state)
+        self._state = Watch(joints=(joint,))
+        super().__init__(self._state)
         self._stopped = stopped
         self._client = AsyncParameterClient(self, f"/{node}")
 
     def is_connected(self) -> bool:
         """Whether the node's services and diagnostics are discovered and samples have reached it."""
-        views = self.state.view(0.0)
+        views = self._state.view(0.0)
         return bool(self._client.services_are_ready() and views and views[0].number("samples") > 0.0)
 
     def wait(self, seconds: float) -> None:
-        """Sleep until something comes, at most for so long [s].
-
-        Raises
-        ------
-        KeyboardInterrupt
-            If a signal has come.
-        """
+        """Sleep until something comes, at most for so long [s]; KeyboardInterrupt where a signal has come."""
         if self._stopped:
             raise KeyboardInterrupt
         super().wait(min(seconds, _STEP))
@@ -57,29 +44,18 @@ class Observer(Listener):
         """What the joint's diagnostics say during the next seconds."""
         end = time.monotonic() + seconds
         while (remaining := end - time.monotonic()) > 0.0:
-            before = self.state.messages
+            before = self._state.messages
             self.wait(remaining)
-            if self.state.messages > before:
-                yield from self.state.view(time.monotonic())
+            if self._state.messages > before:
+                yield from self._state.view(time.monotonic())
 
     def set_parameter(self, name: str, value: float | int) -> str:
-        """Set a parameter of the node over DDS.
-
-        Returns
-        -------
-        str
-            Why the node refuses it; empty where it is in force.
-
-        Raises
-        ------
-        DemoError
-            If no answer comes.
-        """
+        """Why the node refuses a value of a parameter; empty where it is in force."""
         future = self._client.set_parameters_atomically([Parameter(name, value=value)])
         end = time.monotonic() + ANSWER_LIMIT
-        while not future.done() and time.monotonic() < end:
+        while not future.done():
+            if time.monotonic() > end:
+                raise DemoError(f"the node has not answered within {ANSWER_LIMIT:g} s that {name} is set")
             self.wait(_STEP)
-        if not future.done():
-            raise DemoError(f"the node has not answered within {ANSWER_LIMIT:g} s that {name} is set")
         result = future.result().result
         return "" if result.successful else str(result.reason)

@@ -11,9 +11,7 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 
-_END_LIMIT = 10.0  # for a process to end after SIGINT [s]
 _STEP = 0.05  # between looks at a process and at signals [s]
 
 
@@ -21,32 +19,21 @@ class DemoError(RuntimeError):
     """Why the demo cannot go on, in one line."""
 
 
-class Child:
-    """A module run by this Python as a process, in a group of its own: Ctrl-C reaches it by its owner only.
+class Child(subprocess.Popen[bytes]):
+    """``python -m module`` as a process in a group of its own: Ctrl-C reaches it by its owner only.
 
-    Parameters
-    ----------
-    module : str
-        Run as ``python -m module``.
-    arguments : sequence of str
-    output : Path
-        File that takes what it prints.
-    end_limit : float
-        How long it may take to end after SIGINT before it is killed [s].
+    What it prints goes to the file `output`; after SIGINT it has `end_limit` [s] before it is killed.
     """
 
-    def __init__(
-        self, module: str, arguments: Sequence[str], output: Path, end_limit: float = _END_LIMIT
-    ) -> None:
-        self.name = module
-        self._output = output
-        self._end_limit = end_limit
+    def __init__(self, module: str, arguments: Sequence[str], output: Path, end_limit: float = 10.0) -> None:
+        self._module, self._output, self._end_limit = module, output, end_limit
         # With setpriv the system ends the child with this process, even if that is killed.
         setpriv = shutil.which("setpriv")
         parent = [setpriv, "--pdeathsig", "TERM"] if setpriv else []
+        command = [*parent, sys.executable, "-m", module, *arguments]
         with output.open("wb") as file:
-            self._process = subprocess.Popen(
-                [*parent, sys.executable, "-m", module, *arguments],
+            super().__init__(
+                command,
                 stdin=subprocess.DEVNULL,
                 stdout=file,
                 stderr=subprocess.STDOUT,
@@ -54,40 +41,26 @@ class Child:
             )
 
     @property
-    def is_running(self) -> bool:
-        """Whether it has not ended yet."""
-        return self._process.poll() is None
-
-    @property
     def lines(self) -> list[str]:
         """What it has printed."""
         return self._output.read_text(encoding="utf-8", errors="replace").splitlines()
 
     def check_running(self) -> None:
-        """Refuse a process that has ended.
-
-        Raises
-        ------
-        DemoError
-            With its exit code and last words.
-        """
-        code = self._process.poll()
+        """Raise a DemoError with exit code and last words of a process that has ended."""
+        code = self.poll()
         if code is not None:
             words = self.lines[-1] if self.lines else "nothing printed"
-            raise DemoError(f"{self.name} ended early with code {code}: {words} (all of it: {self._output})")
+            raise DemoError(
+                f"{self._module} ended early with code {code}: {words} (all of it: {self._output})"
+            )
 
-    def wait(self, limit: float, stopped: Sequence[int]) -> int:
-        """Exit code once it ends by itself.
+    def finish(self, limit: float, stopped: Sequence[int]) -> int:
+        """Exit code once it ends by itself, or by force after a time [s].
 
-        Parameters
-        ----------
-        limit : float
-            [s]; it is ended then.
-        stopped : sequence of int
-            Signals that came: the first one raises KeyboardInterrupt.
+        Where a signal has come, as `stopped` shows, KeyboardInterrupt is raised.
         """
         end = time.monotonic() + limit
-        while self.is_running and time.monotonic() < end:
+        while self.poll() is None and time.monotonic() < end:
             if stopped:
                 raise KeyboardInterrupt
             time.sleep(_STEP)
@@ -95,26 +68,15 @@ class Child:
 
     def end(self) -> int:
         """End it by SIGINT, by force if that does nothing; its exit code, negative after a signal."""
-        if self.is_running:
-            self._process.send_signal(signal.SIGINT)
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(self._end_limit)
-        self._kill()
-        return int(self._process.wait())
-
-    def __enter__(self) -> Child:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, exc: BaseException | None, trace: TracebackType | None
-    ) -> None:
         try:
-            self.end()
+            if self.poll() is None:
+                self.send_signal(signal.SIGINT)
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    self.wait(self._end_limit)
         finally:  # whatever interrupts the wait
-            self._kill()
+            if self.poll() is None:
+                os.killpg(self.pid, signal.SIGKILL)
+        return self.wait()
 
-    def _kill(self) -> None:
-        if self.is_running:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(self._process.pid, signal.SIGKILL)
-            self._process.wait()
+    def __exit__(self, *_: object) -> None:
+        self.end()

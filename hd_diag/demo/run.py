@@ -8,21 +8,24 @@ import contextlib
 import itertools
 import json
 import os
+import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import click
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
 from hd_diag.config.configuration import dump, resolve
-from hd_diag.demo.display import DemoDisplay, Step
 from hd_diag.demo.log import Log, read_log
 from hd_diag.demo.observer import ANSWER_LIMIT, Observer
 from hd_diag.demo.process import Child, DemoError
+from hd_diag.demo.steps import Step, table
+from hd_diag.messages.publications import published_topics, resolved
 from hd_diag.model.torsion import warm_up
 from hd_diag.ros.stop_signals import noted_signals
 
@@ -42,19 +45,11 @@ _RATE = 250.0  # of the joint [Hz]: leaves a slow machine time for the rest
 _REPORTS = 4.0  # diagnostics per second [Hz]
 _START_LIMIT = 60.0  # for the processes to start, which a busy machine can make long [s]
 _DISCOVERY_LIMIT = 10.0  # for them to be discovered over DDS and the first samples to arrive [s]
+_LINE_PERIOD = 1.0  # between lines that show a report [s]
 _VERB_LIMIT = 300.0  # for a verb of the command line to end, on a busy machine [s]
 _DEAF = (
     f"node and joint run but were not discovered over DDS within {_DISCOVERY_LIMIT:g} s: does a firewall or "
     "container stop UDP or shared memory on this machine? FASTDDS_BUILTIN_TRANSPORTS=UDPv4 may help"
-)
-_EXPECTED_TOPICS = (
-    "/diagnostics",
-    "/parameter_events",
-    f"/{_NODE}/transmission_error",
-    f"/{_NODE}/measured_transmission_error",
-    f"/{_NODE}/residual",
-    f"/{_NODE}/{_JOINT}/backlash",
-    f"/{_NODE}/{_JOINT}/load",
 )
 
 
@@ -80,29 +75,25 @@ def run(folder: Path | None, seconds: float) -> dict[str, Any]:
         If the folder cannot be used or a process does not start or is not discovered.
     """
     folder = _prepared(folder)
-    display = DemoDisplay()
-    display.say("Preparing the model; the first time it is compiled, which can take a minute")
+    _say("Preparing the model; the first time it is compiled, which can take a minute")
     warm_up()  # before both processes need it at the same time
-    display.say(
-        f"Starting the node and a simulated joint, each a process of its own; what they leave: {folder}"
-    )
+    _say(f"Starting the node and a simulated joint, each a process of its own; what they leave: {folder}")
     steps: list[Step] = []
-    refusal, replayed, verdict = "", 0, ""
+    refusals: list[str] = []
+    replayed, verdict = 0, ""
     with noted_signals() as stopped:
         with _processes(folder, seconds) as (node, joint):
-            with contextlib.suppress(KeyboardInterrupt), _observing(stopped) as observer, display:
+            with contextlib.suppress(KeyboardInterrupt), _observing(stopped) as observer:
                 _connect(observer, (node, joint))
-                refusal = _change_eccentricity(observer, display, (node, joint), steps, seconds)
+                _change_eccentricity(observer, (node, joint), steps, refusals, seconds)
                 joint.end()
                 _wait_for_samples(observer, _published(joint))
-            display.say("Both processes are ended by SIGINT, the log is read back")
+            _say("", *table(steps), "", "Both processes are ended by SIGINT, the log is read back")
             codes = {"joint": joint.end(), "node": node.end()}
         published, log = _published(joint), read_log(folder / "log")
-        missing = [] if stopped else _missing(steps, refusal, codes, published, log)
-        if not missing and not stopped:
-            display.say(
-                "The log is replayed, and asked what is wrong with the joint (hd-diag replay, diagnose)"
-            )
+        missing = _missing(steps, refusals, codes, published, log)
+        if not stopped and not missing:
+            _say("The log is replayed, and asked what is wrong with the joint (hd-diag replay, diagnose)")
             with contextlib.suppress(KeyboardInterrupt):
                 replayed, verdict = _replay_and_diagnose(folder, log, missing, stopped)
         missing = ["it was interrupted"] if stopped else missing
@@ -113,18 +104,18 @@ def run(folder: Path | None, seconds: float) -> dict[str, Any]:
         "signal": stopped[0] if stopped else None,
         "folder": str(folder),
         "log": str(folder / "log"),
-        "log_size": log.size,
+        "log_size": sum(path.stat().st_size for path in (folder / "log").glob("*.mcap")),
         "exit_codes": codes,
         "published": published,
         "steps": [step.summary() for step in steps],
-        "refused": {"parameter": _REFUSED[0], "value": _REFUSED[1], "reason": refusal},
-        "topics": log.topics,
+        "refused": {"parameter": _REFUSED[0], "value": _REFUSED[1], "reason": "".join(refusals)},
+        "topics": [{"topic": t, "type": log.types[t], "count": n} for t, n in sorted(log.counts.items())],
         "problems": log.problems,
         "replayed": replayed,
         "verdict": verdict,
         "report": str(folder / "report.html"),
     }
-    display.conclude(summary, TRUE_ECCENTRICITY)
+    _conclude(summary)
     return summary
 
 
@@ -195,29 +186,29 @@ def _connect(observer: Observer, children: Sequence[Child]) -> None:
 
 
 def _change_eccentricity(
-    observer: Observer, display: DemoDisplay, children: Sequence[Child], steps: list[Step], seconds: float
-) -> str:
-    """Set one eccentricity after the other, and a value that cannot be between; why that is refused."""
-    refusal = ""
-    begin = time.monotonic()
+    observer: Observer, children: Sequence[Child], steps: list[Step], refusals: list[str], seconds: float
+) -> None:
+    """Set one eccentricity after the other, and a value that must be refused; show a report a second."""
+    _say(*table([]))
+    begin = shown = time.monotonic()
     for number, eccentricity in enumerate(ECCENTRICITIES, start=1):
         if len(steps) == len(ECCENTRICITIES) // 2:
-            refusal = observer.set_parameter(*_REFUSED)
-            display.say(f"set {_REFUSED[0]} = {_REFUSED[1]}: {f'refused: {refusal}' if refusal else 'TAKEN'}")
+            refusals.append(observer.set_parameter(*_REFUSED))
+            _say(f"set {_REFUSED[0]} = {_REFUSED[1]}: refused: {refusals[0]}")
         if reason := observer.set_parameter(_MAGNITUDE, eccentricity * 1e-6):
             raise DemoError(f"the node refuses {_MAGNITUDE} = {eccentricity}e-6: {reason}")
-        display.say(f"set {_MAGNITUDE} = {eccentricity:g} um: in force")
+        _say(f"set {_MAGNITUDE} = {eccentricity:g} um: in force")
         steps.append(Step(eccentricity))
         end = begin + seconds * number / len(ECCENTRICITIES)
         last = time.monotonic() + ANSWER_LIMIT  # at least one report of each step is waited for
         for report in observer.reports(max(end, last) - time.monotonic()):
-            if steps[-1].take(report):
-                display.show(steps)
+            if steps[-1].take(report) and time.monotonic() >= shown:
+                shown = time.monotonic() + _LINE_PERIOD
+                _say(table([Step(eccentricity, [report])])[-1])
             if steps[-1].reports and time.monotonic() >= end:
                 break
         for child in children:
             child.check_running()
-    return refusal
 
 
 def _published(joint: Child) -> int:
@@ -236,7 +227,7 @@ def _wait_for_samples(observer: Observer, number: int) -> None:
 
 
 def _missing(
-    steps: Sequence[Step], refusal: str, codes: Mapping[str, int], published: int, log: Log
+    steps: Sequence[Step], refusals: Sequence[str], codes: Mapping[str, int], published: int, log: Log
 ) -> list[str]:
     """What did not hold, one line each."""
     found = [f"the {name} ended with code {code}" for name, code in codes.items() if code != 0]
@@ -246,14 +237,16 @@ def _missing(
     peaks = [step.number("predicted_te_pp_arcsec") for step in shown]
     if not all(before < after for before, after in itertools.pairwise(peaks)):
         found.append("the predicted transmission error did not grow with the eccentricity")
-    if not refusal:
+    if not any(refusals):
         found.append("the value that cannot be was not refused")
     states = {report.text("log_state") for step in steps for report in step.reports}
     found += [f"the log was {state}" for state in sorted(states) if not state.startswith("writing")]
-    logged = log.count("/joint_states")
+    logged = log.counts["/joint_states"]
     if logged != published or logged < 1:
         found.append(f"the joint published {published} samples, the log holds {logged}")
-    found += [f"the log holds no {topic}" for topic in _EXPECTED_TOPICS if not log.count(topic)]
+    expected = {resolved(topic) for topic in published_topics([_JOINT])} - {f"/{_NODE}/{_JOINT}/mesh"}
+    expected.add("/parameter_events")
+    found += [f"the log holds no {topic}" for topic in sorted(expected) if not log.counts[topic]]
     return found + log.problems
 
 
@@ -265,19 +258,60 @@ def _replay_and_diagnose(
     def ends_well(*arguments: object) -> bool:
         """Run a verb of the command line as a user would."""
         with Child("hd_diag", [*map(str, arguments)], folder / f"{arguments[0]}.txt") as verb:
-            code = verb.wait(_VERB_LIMIT, stopped)
+            code = verb.finish(_VERB_LIMIT, stopped)
         if code:
             words = verb.lines[-1] if verb.lines else "nothing said"
             missing.append(f"hd-diag {arguments[0]} ended with code {code}: {words}")
         return code == 0
 
-    replayed, verdict = Log(), ""
+    replayed: dict[str, list[bytes]] = {}
     if ends_well("replay", folder / "log", "--out", folder / "replayed"):
-        replayed = read_log(folder / "replayed")
-        for topic in sorted(log.published.keys() | replayed.published.keys()):
-            if log.published[topic] != replayed.published[topic]:
-                missing.append(f"the replay's {topic} differs from what was published")
-    file = folder / "verdict.json"
-    if ends_well("diagnose", folder / "log", "--json", file, "--report", folder / "report.html"):
-        verdict = json.loads(file.read_text(encoding="utf-8"))["verdict"]
-    return sum(map(len, replayed.published.values())), verdict
+        replayed = read_log(folder / "replayed").published
+        topics = sorted(log.published.keys() | replayed.keys())
+        different = [topic for topic in topics if log.published.get(topic) != replayed.get(topic)]
+        missing += [f"the replay's {topic} differs from what was published" for topic in different]
+    file, report = folder / "verdict.json", folder / "report.html"
+    if not ends_well("diagnose", folder / "log", "--json", file, "--report", report):
+        return 0, ""
+    return sum(map(len, replayed.values())), str(json.loads(file.read_text(encoding="utf-8"))["verdict"])
+
+
+def _conclude(summary: Mapping[str, Any]) -> None:
+    """Say what the log holds, what it shows and what to do next."""
+    steps = [step for step in summary["steps"] if step["fault_code"]]
+    residuals = [(step["residual_rms_arcsec"], step["eccentricity_um"]) for step in steps]
+    if residuals:
+        least, eccentricity = min(residuals)
+        _say(
+            f"Measured and predicted error differ least, by {least:.1f} arcsec rms, with {eccentricity:g} um "
+            f"in the model; the simulated joint has {TRUE_ECCENTRICITY:g} um."
+        )
+    _say("", "messages  topic in the log                       type")
+    _say(*(f"{e['count']:8}  {e['topic']:37}  {e['type']}" for e in summary["topics"]), "")
+    _say(f"Log: {summary['log']} ({summary['log_size'] / 1e6:.1f} MB; rosbag2 folder, MCAP)")
+    if summary["verdict"]:
+        equal = f"{summary['replayed']} messages, each equal to the byte to what the node published"
+        _say(f"Replay: {equal}.", f"Verdict: {summary['verdict']}", f"Report: {summary['report']}")
+    if not summary["complete"]:
+        _say("NOT COMPLETE: " + "; ".join(summary["missing"]))
+        return
+    command, file = _command(), f"{summary['folder']}/node.yaml"
+    _say(
+        "Complete: both processes ended with code 0; every message was logged, decoded, replayed, diagnosed.",
+        "Next:",
+        f"  {command} mesh --config {file} --torque 14   every tooth at one moment",
+        f"  {command} check {file}                       its values are yours to change",
+        f"  {command} node --config {file}               beside your own robot's /joint_states",
+    )
+
+
+def _command() -> str:
+    """How the command is called: by its path where it is below this folder, as in an environment of make."""
+    place, here = Path(sys.argv[0]).absolute(), Path.cwd()
+    is_below = place.name == "hd-diag" and place.is_relative_to(here)
+    return str(place.relative_to(here)) if is_below else "hd-diag"
+
+
+def _say(*lines: str) -> None:
+    for line in lines:
+        click.echo(line)

@@ -35,29 +35,10 @@ _CHUNK = 100  # messages encoded at a time
 _LONGEST_SLEEP = 0.05  # between looks at signals [s]
 
 
-def publish(
+def _publish(
     publisher: Publisher, joint: JointConfig, samples: Samples, rate: float, stopped: Sequence[int]
 ) -> int:
-    """Publish samples in real time, from now on.
-
-    Parameters
-    ----------
-    publisher : Publisher
-        Of JointState.
-    joint : JointConfig
-        Gives the names.
-    samples : Samples
-        Their stamps are replaced by the time of sending.
-    rate : float
-        [Hz]
-    stopped : sequence of int
-        Signals that came; the first one ends it.
-
-    Returns
-    -------
-    int
-        Messages published.
-    """
+    """Publish samples at a rate [Hz], stamped with the time of sending, until a signal comes; how many."""
     start, begin, sent = time.time_ns(), time.monotonic(), 0
     count = samples.stamp.size
     stamp = start + np.rint(np.arange(count) * (1e9 / rate)).astype(np.int64)
@@ -85,9 +66,7 @@ def _wait_for_subscriber(publisher: Publisher, stopped: Sequence[int]) -> bool:
 
 def _arguments(args: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m hd_diag.demo.simulated_joint", description=__doc__)
-    parser.add_argument(
-        "--config", required=True, help="parameter file with the true drive; its first joint is run"
-    )
+    parser.add_argument("--config", required=True, help="parameter file; its first joint is run")
     parser.add_argument("--seconds", type=float, default=60.0, help="how long to run [s]")
     parser.add_argument("--rate", type=float, default=500.0, help="messages per second [Hz]")
     parser.add_argument("--speed", type=float, default=2.1, help="of the input [rev/s]")
@@ -100,15 +79,7 @@ def _arguments(args: Sequence[str] | None) -> argparse.Namespace:
 def main(args: Sequence[str] | None = None) -> int:
     """Run a joint until its motion, SIGINT or SIGTERM ends it; print what was published as JSON.
 
-    Parameters
-    ----------
-    args : sequence of str, optional
-        Command line without the program; that of the process by default.
-
-    Returns
-    -------
-    int
-        Exit code: 0 done, 1 nobody listens, 2 values that cannot be.
+    Exit code: 0 done, 1 nobody listens, 2 values that cannot be.
     """
     stopped = note_signals()
     given = _arguments(args)
@@ -142,7 +113,7 @@ def _run(given: argparse.Namespace, stopped: Sequence[int]) -> int:
     if not _wait_for_subscriber(publisher, stopped):
         click.echo(f"simulated_joint: nobody subscribed to joint_states within {_WAIT:g} s", err=True)
         return 1
-    sent = publish(publisher, joint, samples, given.rate, stopped)
+    sent = _publish(publisher, joint, samples, given.rate, stopped)
     publisher.wait_for_all_acked(Duration(seconds=2))
     click.echo(json.dumps({"published": sent}))
     return 0

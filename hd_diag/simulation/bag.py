@@ -50,7 +50,8 @@ def write_bag(
     rng : numpy.random.Generator
         Source of the noise; one is spawned of it for each joint.
     truths : mapping, optional
-        Joints to simulate, by their names in `config`; all as configured and without noise where not given.
+        Joints to simulate, by their names in `config`; all as configured and without noise where there are
+        none.
     start : int
         Stamp of the first sample [ns].
     with_temperature : bool
@@ -78,13 +79,14 @@ def write_bag(
     """
     if Path(path).exists() and not overwrite:
         raise BagError(path, "exists already")
-    joints = _simulated(config, truths)
+    configured = {joint.name: joint for joint in config.joints}
+    truths = truths or {name: SimulatedJoint(joint.drive) for name, joint in configured.items()}
+    for name in truths.keys() - configured.keys():
+        raise ValueError(f"no joint '{name}' is configured; there are {', '.join(configured)}")
+    joints = {name: truths[name] for name in configured if name in truths}
     maps = _maps(joints, motion, mapped)
     names = [
-        name
-        for joint in config.joints
-        if joint.name in joints
-        for name in (joint.input_joint, joint.output_joint)
+        name for joint in joints for name in (configured[joint].input_joint, configured[joint].output_joint)
     ]
     streams = [
         parts(joint, motion, generator, start, maps[joint.drive], chunk)
@@ -128,19 +130,6 @@ def encode_samples(names: Sequence[str], ratios: Sequence[float], samples: Seque
         effort += [np.zeros(joint.torque.size), joint.torque]
     angles, speeds, torques = (np.stack(columns, axis=1) for columns in (position, velocity, effort))
     return encode_joint_states(list(names), samples[0].stamp, angles, speeds, torques)
-
-
-def _simulated(config: Config, truths: Mapping[str, SimulatedJoint] | None) -> dict[str, SimulatedJoint]:
-    """Joints to simulate, in the configuration's order."""
-    configured = {joint.name: joint.drive for joint in config.joints}
-    if truths is None:
-        return {name: SimulatedJoint(drive) for name, drive in configured.items()}
-    for name in truths:
-        if name not in configured:
-            raise ValueError(f"no joint '{name}' is configured; there are {', '.join(configured)}")
-    if not truths:
-        raise ValueError("no joint is to be simulated")
-    return {name: truths[name] for name in configured if name in truths}
 
 
 def _maps(

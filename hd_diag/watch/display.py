@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Sequence
 from typing import TextIO
 
 from rich.console import Console, ConsoleOptions, Group, OverflowMethod, RenderResult
 from rich.constrain import Constrain
+from rich.live import Live
 from rich.text import Text
 
 from hd_diag.watch.numbers import NUMBERS_WIDTH, heading, row, sentence, shown_number, shown_text, spark
 from hd_diag.watch.state import LEVELS, JointView, Watch
-from hd_diag.watch.terminal import Terminal
 
 REFRESH_PERIOD = 0.25
 """Shortest time between two pictures in a terminal [s]."""
@@ -29,7 +30,7 @@ _NAMES_SHOWN = 40  # characters of the nodes' names in the title
 _LINES_ABOUT = 6  # title, heading, remark and the terminal's own last line
 
 
-class Display(Terminal):
+class Display:
     """Shows a watch as it goes, inside a ``with`` statement: a live table in a terminal, lines elsewhere.
 
     Parameters
@@ -39,31 +40,50 @@ class Display(Terminal):
     """
 
     def __init__(self, stream: TextIO | None = None) -> None:
-        super().__init__(stream)
+        self._stream = stream or sys.stdout
+        self._console = Console(file=self._stream, highlight=False)
+        is_live = self._stream.isatty() and not self._console.is_dumb_terminal
+        self._live = Live(console=self._console, auto_refresh=False) if is_live else None
         self._next = -math.inf
         self._shown: dict[tuple[str, str, str], tuple[float, str, bool]] = {}
         self._waiting: list[str] = []
+
+    def __enter__(self) -> Display:
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._live is not None:
+            self._live.stop()
 
     def show(self, watch: Watch, now: float, is_last: bool = False) -> None:
         """Show the present state, if it is time to or never will be again."""
         if now < self._next and not is_last:
             return
         self._next = now + REFRESH_PERIOD
-        if self.is_live:
-            self.draw(JointTable(watch, now, self.height))
+        if self._live is not None:
+            self._live.update(JointTable(watch, now, self._console.height), refresh=True)
             return
         views = watch.view(now)
         if not views and (lines := waiting(watch)) != self._waiting:
             self._waiting = lines
-            self.say(*lines)
-        self.say(*(plain_line(view) for view in views if self._is_news(view, now - view.age)))
+            self._write(lines)
+        self._write([plain_line(view) for view in views if self._is_news(view, now - view.age)])
 
     def show_once(self, watch: Watch, now: float) -> None:
         """Show the present state and leave it there."""
-        if self.is_live:
-            self.draw(JointTable(watch, now))
+        if self._live is not None:
+            self._live.update(JointTable(watch, now), refresh=True)
         else:
-            self.say(*map(plain_line, watch.view(now)))
+            self._write([plain_line(view) for view in watch.view(now)])
+
+    def _write(self, lines: Sequence[str]) -> None:
+        """Write lines, not by rich, which ends the program where the reader of a pipe has gone."""
+        encoding = self._console.encoding
+        for line in lines:
+            self._stream.write(line.encode(encoding, "backslashreplace").decode(encoding) + "\n")
+        self._stream.flush()
 
     def _is_news(self, view: JointView, arrived: float) -> bool:
         """Whether a report has another fault than the last that was shown, or came long after it."""

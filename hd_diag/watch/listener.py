@@ -9,13 +9,11 @@ import os
 import time
 from collections.abc import Iterator
 from functools import partial
-from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
@@ -33,12 +31,12 @@ class Listener(Node):
         name = f"hd_diag_watch_{os.getpid()}"
         super().__init__(name, enable_rosout=False, start_parameter_services=False)
         self._watch = watch
-        self._heard: set[str] = set()
+        self._topics: set[str] = set()
         self._next_look = 0.0
-        self._waiting = SingleThreadedExecutor()
-        self._waiting.add_node(self)
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self)
         if not watch.namespaces:
-            self._hear(DEFAULT_TOPIC)
+            self._listen(DEFAULT_TOPIC)
 
     def wait(self, seconds: float) -> None:
         """Sleep until something comes, at most for so long [s]; look around from time to time."""
@@ -46,25 +44,20 @@ class Listener(Node):
         if now >= self._next_look:
             self._next_look = now + _LOOK_PERIOD
             self.look()
-        self._waiting.spin_once(timeout_sec=seconds)
-
-    def close(self) -> None:
-        """Leave the ROS graph."""
-        self._waiting.shutdown()
-        self.destroy_node()
+        self._executor.spin_once(timeout_sec=seconds)
 
     def look(self) -> None:
-        """See which nodes there are, and hear those that are wanted."""
+        """See which nodes there are, and listen to those that are wanted."""
         topics: dict[str, list[str]] = dict(self.get_topic_names_and_types())
-        seen = [
-            node
-            for topic, types in topics.items()
-            if DIAGNOSTICS in types
-            for node in self._senders(topic, topics)
-        ]
-        self._watch.nodes = sorted(seen, key=lambda node: (node.name, node.topic))
+        carrying = [topic for topic, types in topics.items() if DIAGNOSTICS in types]
+        self._watch.nodes = sorted(node for topic in carrying for node in self._senders(topic, topics))
         for node in self._watch.wanted_nodes():
-            self._hear(node.topic)
+            self._listen(node.topic)
+
+    def destroy_node(self) -> None:
+        """Leave the ROS graph."""
+        self._executor.shutdown()
+        super().destroy_node()
 
     def _senders(self, topic: str, topics: dict[str, list[str]]) -> Iterator[NodeSeen]:
         """Nodes of this package that publish diagnostics on a topic."""
@@ -75,17 +68,16 @@ class Listener(Node):
                 joints = (rest.removesuffix("/backlash") for rest in below if rest.endswith("/backlash"))
                 yield NodeSeen(name, topic, frozenset(joints))
 
-    def _hear(self, topic: str) -> None:
-        if topic not in self._heard:
-            self._heard.add(topic)
-            take = partial(self._take, topic)
-            self.create_subscription(DiagnosticArray, topic, take, QoSProfile(depth=_DEPTH))
+    def _listen(self, topic: str) -> None:
+        if topic not in self._topics:
+            self._topics.add(topic)
+            self.create_subscription(DiagnosticArray, topic, partial(self._take, topic), _DEPTH)
 
     def _take(self, topic: str, array: DiagnosticArray) -> None:
         self._watch.take(topic, map(_status, array.status), time.monotonic())
 
 
-def _status(status: Any) -> Status:
+def _status(status: DiagnosticStatus) -> Status:
     values = {pair.key: pair.value for pair in status.values}
     level = int.from_bytes(status.level, "little")
     return Status(status.name, level, status.message, values, status.hardware_id)
@@ -97,9 +89,7 @@ def listening(watch: Watch) -> Iterator[Listener]:
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:
         listener = Listener(watch)
-        try:
-            yield listener
-        finally:
-            listener.close()
+        yield listener
+        listener.destroy_node()
     finally:
         try_shutdown()

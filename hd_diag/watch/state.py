@@ -59,16 +59,9 @@ class Status(NamedTuple):
 
 
 class NodeSeen(NamedTuple):
-    """A node of this package in the ROS graph.
+    """A node of this package in the ROS graph: name with namespace, topic of its diagnostics, joints.
 
-    Attributes
-    ----------
-    name : str
-        With its namespace.
-    topic : str
-        Where it publishes diagnostics.
-    joints : frozenset of str
-        By its topics; empty where they are remapped.
+    The joints are those that its topics name; none where they are remapped.
     """
 
     name: str
@@ -79,19 +72,9 @@ class NodeSeen(NamedTuple):
 class JointView(NamedTuple):
     """A joint at one moment.
 
-    Attributes
-    ----------
-    name, topic : str
-    nodes : tuple of str
-        Who reports it; several where there is no hardware_id to tell them apart.
-    status : Status
-        The last one.
-    age : float
-        Since the last report [s].
-    is_silent : bool
-        No report came for far longer than usual.
-    residuals : tuple of float
-        Rms residuals of the last reports [arcsec].
+    The nodes that may report it are several where no hardware_id tells them apart. `age` is the time since
+    the last status [s]; the joint is silent where no report came for far longer than usual. `residuals` are
+    the rms residuals of the last reports [arcsec].
     """
 
     name: str
@@ -146,10 +129,8 @@ class Watch:
 
     Attributes
     ----------
-    joints : collection of str
-        Joints asked for; empty = all.
-    namespaces : collection of str
-        Namespaces of the nodes asked for, with what is below them; empty = all.
+    joints, namespaces : collection of str
+        Joints asked for, and namespaces of the nodes asked for with what is below them; empty = all.
     nodes : sequence of NodeSeen
         In the graph now, those not asked for too.
     others : list of str

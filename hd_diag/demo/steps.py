@@ -1,0 +1,66 @@
+"""The demo's steps: one eccentricity of the model each, and what the diagnostics said meanwhile."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from hd_diag.watch import JointView
+from hd_diag.watch.numbers import heading, row
+
+_NUMBERS = (
+    "eccentricity_um",
+    "minimum_backlash_um",
+    "lost_motion_arcmin",
+    "predicted_te_pp_arcsec",
+    "loaded_pairs",
+    "peak_tooth_load_N",
+    "residual_rms_arcsec",
+    "sample_rate_hz",
+)
+_EXTREMES = {"minimum_backlash_um": min, "peak_tooth_load_N": max}
+
+
+@dataclass
+class Step:
+    """The time during which the model has one eccentricity [um], and the reports of that time."""
+
+    eccentricity: float
+    reports: list[JointView] = field(default_factory=list)
+
+    def take(self, report: JointView) -> bool:
+        """Keep a report if it is of this step."""
+        own = abs(report.number("eccentricity_um") - self.eccentricity) < 1e-3
+        if own:
+            self.reports.append(report)
+        return own
+
+    def number(self, key: str) -> float:
+        """One number of all reports: least backlash, largest load, usual residual, else the last one.
+
+        The first of several residuals is left out: its window reaches back into the step before.
+        """
+        values = [report.number(key) for report in self.reports]
+        if not values:
+            return math.nan
+        if key == "residual_rms_arcsec":
+            return statistics.median(values[1:] or values)
+        return _EXTREMES.get(key, lambda every: every[-1])(values)
+
+    def text(self, key: str) -> str | None:
+        """The most frequent text of all reports."""
+        return statistics.mode(report.text(key) for report in self.reports) if self.reports else None
+
+    def summary(self) -> dict[str, Any]:
+        """Values by diagnostics key, nan or None where there is none."""
+        numbers = {key: self.number(key) for key in _NUMBERS} | {"eccentricity_um": self.eccentricity}
+        return numbers | {key: self.text(key) for key in ("log_state", "fault_code")}
+
+
+def table(steps: Sequence[Step]) -> list[str]:
+    """Heading of three lines, then a line for each step that has reports."""
+    lines = [f"{row(step.number)}  {step.text('fault_code')}" for step in steps if step.reports]
+    return [*(line + label for line, label in zip(heading(), ("", "", "  fault"), strict=True)), *lines]
