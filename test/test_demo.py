@@ -12,14 +12,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from demo.log import read_log
+from demo.process import Child, DemoError
+from demo.steps import Step
 from mcap_ros2.reader import read_ros2_messages
 from rosbags.highlevel import AnyReader
 
-from hd_diag.demo.log import read_log
-from hd_diag.demo.process import Child, DemoError
-from hd_diag.demo.steps import Step
 from hd_diag.watch import JointView, Status
 
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 TYPES = {
     "/joint_states": "sensor_msgs/msg/JointState",
     "/hd_diag/transmission_error": "sensor_msgs/msg/JointState",
@@ -192,12 +193,14 @@ def test_processes_that_do_not_see_each_other(tmp_path: Path) -> None:
 
 
 def test_node_that_cannot_start_is_named(tmp_path: Path) -> None:
-    with Child("hd_diag.demo.simulated_joint", ["--config", "none.yaml"], tmp_path / "out.txt") as child:
+    with Child(
+        [str(EXAMPLES / "demo/simulated_joint.py"), "--config", "none.yaml"], tmp_path / "out.txt"
+    ) as child:
         assert child.finish(60.0, []) == 2
         with pytest.raises(DemoError) as caught:
             child.check_running()
     assert str(caught.value).startswith(
-        "hd_diag.demo.simulated_joint ended early with code 2: simulated_joint: none.yaml: cannot be read"
+        "simulated_joint.py ended early with code 2: simulated_joint: none.yaml: cannot be read"
     )
 
 
@@ -207,7 +210,7 @@ def test_child_that_ignores_sigint_is_killed(tmp_path: Path, monkeypatch: pytest
         "signal.signal(signal.SIGINT, signal.SIG_IGN)\nprint('ready', flush=True)\ntime.sleep(60)\n"
     )
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}")
-    with Child("stubborn", [], tmp_path / "out.txt", end_limit=0.2) as child:
+    with Child(["-m", "stubborn"], tmp_path / "out.txt", end_limit=0.2) as child:
         while not child.lines:
             time.sleep(0.02)
         with pytest.raises(KeyboardInterrupt):

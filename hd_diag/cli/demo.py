@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from hd_diag.cli.examples import example_path
 from hd_diag.cli.options import JSON, Problem, verb, write_json
 from hd_diag.cli.verbs import SIGNALLED
 
@@ -33,11 +34,15 @@ def demo(folder: str | None, seconds: float, json_file: str | None) -> None:
     say, replays the log, diagnoses it and writes the report. Needs ROS 2 Jazzy. Exit codes: 0 all held, 1
     something did not, 130 after Ctrl-C.
     """
+    sys.path.insert(0, str(example_path("demo").parent))
     try:
-        from hd_diag.demo.run import run
+        from demo.run import DemoError, run
     except ImportError as error:
         raise Problem(f"the demo needs ROS 2 Jazzy (rclpy), which is not to be imported: {error}") from error
-    summary = run(Path(folder) if folder else None, seconds)
+    try:
+        summary = run(Path(folder) if folder else None, seconds)
+    except DemoError as error:
+        raise Problem(str(error)) from error
     if json_file:
         write_json(json_file, summary)
     if summary["signal"] is not None:

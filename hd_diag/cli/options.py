@@ -14,7 +14,6 @@ import click
 
 from hd_diag.bag import BagError, check_output
 from hd_diag.config.configuration import Config, ConfigError, JointConfig, load, resolve
-from hd_diag.demo.process import DemoError
 from hd_diag.effects import Catalogue
 from hd_diag.formatting import json_ready, visible
 
@@ -58,7 +57,7 @@ def verb(example: str, **settings: Any) -> Callable[[Callable[..., Any]], click.
         def run(*args: Any, **kwargs: Any) -> Any:
             try:
                 return function(*args, **kwargs)
-            except (ConfigError, BagError, DemoError) as error:
+            except (ConfigError, BagError) as error:
                 raise Problem(str(error)) from error
 
         return click.command(epilog=f"Example: hd-diag {example}", context_settings=settings)(run)

@@ -1,7 +1,5 @@
 """A simulated joint in real time: a process that publishes ``joint_states`` as a robot's driver does."""
 
-# mypy: disallow-untyped-calls=False
-
 from __future__ import annotations
 
 import argparse
@@ -65,7 +63,7 @@ def _wait_for_subscriber(publisher: Publisher, stopped: Sequence[int]) -> bool:
 
 
 def _arguments(args: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m hd_diag.demo.simulated_joint", description=__doc__)
+    parser = argparse.ArgumentParser(prog="simulated_joint.py", description=__doc__)
     parser.add_argument("--config", required=True, help="parameter file; its first joint is run")
     parser.add_argument("--seconds", type=float, default=60.0, help="how long to run [s]")
     parser.add_argument("--rate", type=float, default=500.0, help="messages per second [Hz]")

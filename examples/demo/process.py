@@ -20,17 +20,17 @@ class DemoError(RuntimeError):
 
 
 class Child(subprocess.Popen[bytes]):
-    """``python -m module`` as a process in a group of its own: Ctrl-C reaches it by its owner only.
+    """A process of Python in a group of its own: Ctrl-C reaches it by its owner only.
 
     What it prints goes to the file `output`; after SIGINT it has `end_limit` [s] before it is killed.
     """
 
-    def __init__(self, module: str, arguments: Sequence[str], output: Path, end_limit: float = 10.0) -> None:
-        self._module, self._output, self._end_limit = module, output, end_limit
+    def __init__(self, arguments: Sequence[str], output: Path, end_limit: float = 10.0) -> None:
+        self._name, self._output, self._end_limit = _name(arguments), output, end_limit
         # With setpriv the system ends the child with this process, even if that is killed.
         setpriv = shutil.which("setpriv")
         parent = [setpriv, "--pdeathsig", "TERM"] if setpriv else []
-        command = [*parent, sys.executable, "-m", module, *arguments]
+        command = [*parent, sys.executable, *arguments]
         with output.open("wb") as file:
             super().__init__(
                 command,
@@ -50,9 +50,7 @@ class Child(subprocess.Popen[bytes]):
         code = self.poll()
         if code is not None:
             words = self.lines[-1] if self.lines else "nothing printed"
-            raise DemoError(
-                f"{self._module} ended early with code {code}: {words} (all of it: {self._output})"
-            )
+            raise DemoError(f"{self._name} ended early with code {code}: {words} (all of it: {self._output})")
 
     def finish(self, limit: float, stopped: Sequence[int]) -> int:
         """Exit code once it ends by itself, or by force after a time [s].
@@ -80,3 +78,8 @@ class Child(subprocess.Popen[bytes]):
 
     def __exit__(self, *_: object) -> None:
         self.end()
+
+
+def _name(arguments: Sequence[str]) -> str:
+    """Name of a module after -m, or of a script."""
+    return arguments[1] if arguments[0] == "-m" else Path(arguments[0]).name

@@ -1,7 +1,5 @@
 """The main job end to end: the real node beside a simulated joint, over DDS, its log, replay and verdict."""
 
-# mypy: disallow-untyped-calls=False
-
 from __future__ import annotations
 
 import contextlib
@@ -20,11 +18,11 @@ import rclpy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
+from demo.log import Log, read_log
+from demo.observer import ANSWER_LIMIT, Observer
+from demo.process import Child, DemoError
+from demo.steps import Step, table
 from hd_diag.config.configuration import dump, resolve
-from hd_diag.demo.log import Log, read_log
-from hd_diag.demo.observer import ANSWER_LIMIT, Observer
-from hd_diag.demo.process import Child, DemoError
-from hd_diag.demo.steps import Step, table
 from hd_diag.messages.publications import published_topics, resolved
 from hd_diag.model.torsion import warm_up
 from hd_diag.ros.stop_signals import noted_signals
@@ -148,11 +146,12 @@ def _processes(folder: Path, seconds: float) -> Iterator[tuple[Child, Child]]:
     of_joint = {"joints": [_JOINT], _MAGNITUDE: TRUE_ECCENTRICITY * 1e-6}
     joint.write_text(dump(resolve(of_joint)), encoding="utf-8")
     length = str(seconds + len(ECCENTRICITIES) * ANSWER_LIMIT)
-    of_ros = ["--ros-args", "--params-file", str(node)]
-    of_motion = ["--config", str(joint), "--seconds", length, "--rate", str(_RATE)]
+    of_ros = ["-m", "hd_diag.ros.node", "--ros-args", "--params-file", str(node)]
+    script = str(Path(__file__).with_name("simulated_joint.py"))
+    of_motion = [script, "--config", str(joint), "--seconds", length, "--rate", str(_RATE)]
     with (
-        Child("hd_diag.ros.node", of_ros, folder / "node.txt") as first,
-        Child("hd_diag.demo.simulated_joint", of_motion, folder / "joint.txt") as second,
+        Child(of_ros, folder / "node.txt") as first,
+        Child(of_motion, folder / "joint.txt") as second,
     ):
         yield first, second
 
@@ -257,7 +256,7 @@ def _replay_and_diagnose(
 
     def ends_well(*arguments: object) -> bool:
         """Run a verb of the command line as a user would."""
-        with Child("hd_diag", [*map(str, arguments)], folder / f"{arguments[0]}.txt") as verb:
+        with Child(["-m", "hd_diag", *map(str, arguments)], folder / f"{arguments[0]}.txt") as verb:
             code = verb.finish(_VERB_LIMIT, stopped)
         if code:
             words = verb.lines[-1] if verb.lines else "nothing said"

@@ -1,7 +1,5 @@
 """The demo's own ROS node: listens to the diagnostics and sets parameters of the node under show."""
 
-# mypy: disallow-untyped-calls=False
-
 from __future__ import annotations
 
 import time
@@ -10,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 
-from hd_diag.demo.process import DemoError
+from demo.process import DemoError
 from hd_diag.watch import JointView, Watch
 from hd_diag.watch.listener import Listener
 
