@@ -166,7 +166,9 @@ def test_input_and_output_in_messages_of_their_own(arm: Rig, publisher: Any) -> 
     arm.node.destroy_publisher(other)
 
 
-def test_temperature_is_reported(arm: Rig, publisher: Any) -> None:
+def test_temperature_is_reported_and_one_that_is_unreadable_concerns_its_own_joint(
+    arm: Rig, publisher: Any
+) -> None:
     """The node listens with best effort: what is published before it knows the sensor is lost."""
     sensor = arm.publisher("elbow/temperature", Temperature)
 
@@ -178,6 +180,11 @@ def test_temperature_is_reported(arm: Rig, publisher: Any) -> None:
         )
 
     arm.until(reported, "report of the temperature")
+    before = {joint: arm.values(joint)["samples_rejected"] for joint in JOINTS}
+    sensor.publish(b"\0\1\0\0no temperature")
+    values = arm.values("elbow", lambda values: values["samples_rejected"] != before["elbow"])
+    assert "a Temperature message cannot be read" in values["last_rejection"]
+    assert arm.values("shoulder")["samples_rejected"] == before["shoulder"]
 
 
 def test_maps_come_into_force(arm: Rig) -> None:

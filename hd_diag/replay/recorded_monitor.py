@@ -108,7 +108,7 @@ class Session:
         try:
             value = read_temperature(data)
         except Exception as error:  # rosbags raises several kinds on a malformed message
-            self.monitor.reject(f"a Temperature message cannot be read: {error}")
+            self.monitor.joints[joint].reject(f"a Temperature message cannot be read: {error}")
         else:
             self.monitor.temperature(joint, value)
 
