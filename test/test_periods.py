@@ -2,22 +2,26 @@
 
 import numpy as np
 import pytest
-from hd_diag.monitor.periods import Periods
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
+from hd_diag.streams.alignment import NEVER, kernel
+
 SECOND = 1_000_000_000
 
 
-def taken(periods: Periods, stamps: np.ndarray, rate: float, sizes: int) -> list[int]:
+def taken(
+    stamps: np.ndarray, rate: float, shift: float, size: int, last: np.ndarray | None = None
+) -> list[int]:
     """Stamps at which a period begins, looked at some at a time; one at a time as a live stream is."""
-    found: list[int] = []
-    for begin in range(0, stamps.size, sizes):
-        part = stamps[begin : begin + sizes]
-        if sizes == 1 and periods.within(int(part[0])):
-            continue
-        found += part[periods.begun(part, rate)].tolist()
+    period = round(1e9 / rate)
+    offset, found = np.array([round(shift * period)]), []
+    last = np.array([NEVER]) if last is None else last
+    for begin in range(0, stamps.size, size):
+        part = stamps[begin : begin + size]
+        nothing = np.zeros(part.size, np.int64)
+        found += part[kernel().begun(part, nothing, nothing, period, offset, last)].tolist()
     return found
 
 
@@ -31,24 +35,18 @@ def test_one_by_one_gives_what_many_at_once_give(
     steps: list[int], rate: float, shift: float, size: int
 ) -> None:
     stamps = np.cumsum(np.array(steps, np.int64))
-    assert taken(Periods(shift), stamps, rate, 1) == taken(Periods(shift), stamps, rate, size)
-
-
-def test_the_first_stamp_and_then_one_of_every_period_is_due() -> None:
-    stamps = np.arange(5 * SECOND, 7 * SECOND, SECOND // 1000)
-    assert_array_equal(taken(Periods(0.0), stamps, 20.0, 1), np.arange(5 * SECOND, 7 * SECOND, SECOND // 20))
-    shifted = taken(Periods(0.5), stamps, 20.0, 1)
-    assert_array_equal(shifted[1:], np.arange(5 * SECOND + SECOND // 40, 7 * SECOND, SECOND // 20))
-
-
-def test_another_rate_is_seen_once_told() -> None:
-    periods, stamps = Periods(0.0), np.arange(0, SECOND, SECOND // 100)
-    assert len(taken(periods, stamps, 1.0, 1)) == 1
-    assert not taken(periods, stamps[-3:], 50.0, 1)
-    periods.change()
-    assert len(taken(periods, SECOND + stamps, 50.0, 1)) == 50
+    assert taken(stamps, rate, shift, 1) == taken(stamps, rate, shift, size)
 
 
 @pytest.mark.parametrize("size", [1, 10])
-def test_at_rate_zero_nothing_is_due(size: int) -> None:
-    assert not taken(Periods(0.0), np.arange(0, 10 * SECOND, SECOND // 10), 0.0, size)
+def test_the_first_stamp_and_then_one_of_every_period_is_due(size: int) -> None:
+    stamps = np.arange(5 * SECOND, 7 * SECOND, SECOND // 1000)
+    assert_array_equal(taken(stamps, 20.0, 0.0, size), np.arange(5 * SECOND, 7 * SECOND, SECOND // 20))
+    shifted = taken(stamps, 20.0, 0.5, size)
+    assert_array_equal(shifted[1:], np.arange(5 * SECOND + SECOND // 40, 7 * SECOND, SECOND // 20))
+
+
+def test_another_rate_is_seen_at_once() -> None:
+    last, stamps = np.array([NEVER]), np.arange(0, SECOND, SECOND // 100)
+    assert len(taken(stamps, 1.0, 0.0, 1, last)) == 1
+    assert len(taken(SECOND + stamps, 50.0, 0.0, 1, last)) == 50

@@ -1,5 +1,6 @@
 """A session: messages in, bytes out, and a record of it that gives the same bytes again."""
 
+import base64
 import itertools
 import json
 from pathlib import Path
@@ -9,10 +10,20 @@ import numpy as np
 import pytest
 from live import MS, RATIO, START, Recording, config, message, parameters, sample
 from logs import Log, content
+from models import STATEFUL, write_model
 from rosbags.typesys import Stores, get_typestore
 
 from hd_diag.config.configuration import resolve
-from hd_diag.messages.publications import PARAMETER_EVENT, STRING, TEMPERATURE, Encoded, read_string, resolved
+from hd_diag.messages.publications import (
+    JOINT_STATE,
+    PARAMETER_EVENT,
+    STRING,
+    TEMPERATURE,
+    Encoded,
+    read_string,
+    resolved,
+)
+from hd_diag.monitor.carried import carried, carry_on
 from hd_diag.replay.map_builder import map_of
 from hd_diag.replay.recorded_monitor import EVENTS, PARAMETER_EVENTS, Session
 from hd_diag.replay.replay import replay
@@ -172,7 +183,8 @@ def test_maps_in_force_are_recorded_and_outdated_ones_are_not(session: Session, 
 
 def test_a_report_is_recorded_with_its_facts(session: Session, recording: Recording) -> None:
     session.tick(START, 77, FACTS)
-    assert events(recording) == [{"event": "report", "stamp": 77, "facts": FACTS}]
+    silence = {"joint_1": 0.0}
+    assert events(recording) == [{"event": "report", "stamp": 77, "facts": FACTS, "silence": silence}]
 
 
 # What cannot be used ---
@@ -206,6 +218,12 @@ def test_temperature_is_noted_and_a_broken_one_counted(session: Session) -> None
     assert session.monitor.joints["joint_1"].temperature == 41.5
     session.temperature("joint_1", temperature(41.5)[:9])
     assert "Temperature message cannot be read" in session.monitor.joints["joint_1"].last_rejection
+
+
+def test_an_unreadable_temperature_counts_at_its_own_joint() -> None:
+    session = Session(config("a", "b"), Recording())
+    session.temperature("a", temperature(41.5)[:9])
+    assert [joint.rejected for joint in session.monitor.joints.values()] == [1, 0]
 
 
 # Replay ---
@@ -264,26 +282,93 @@ def test_a_replay_of_what_came_in_gives_what_went_out(tmp_path: Path) -> None:
     assert {kind: kinds.count(kind) for kind in kinds} == {"configuration": 3, "map": 6, "report": 2}
 
 
-def test_a_log_that_begins_later_replays_from_its_own_start(tmp_path: Path) -> None:
-    first, second = Log(tmp_path / "first.mcap"), Log(tmp_path / "second.mcap")
-    sink: list[Log] = [first]
-    session = Session(config("a", "b"), lambda encoded: sink[0](encoded))
-    session.start(next(first.clock))
-    eventful(session, first)
-    sink[0] = second
-    second.clock = first.clock
-    session.start_again(next(second.clock))
-    assert session.monitor.joints["a"].samples == 0
-    assert session.monitor.joints["a"].table is not None
-    for i in range(50):
-        second.receive(session, message(START + i * MS, {"a_motor": 0.02 * i, "a": 0.0}, {"a": 1.0}))
-    session.tick(next(second.clock), 6, FACTS)
-    first.writer.close()
-    second.writer.close()
-    replay(tmp_path / "second.mcap", tmp_path / "again.mcap")
-    live = content(tmp_path / "second.mcap")
-    assert content(tmp_path / "again.mcap") == live
-    assert len(live["/hd_diag/transmission_error"]) == 50
+def moving(session: Session, log: Log, first: int, last: int) -> None:
+    """Joint a in one message, joint b with its output apart; a temperature and lost samples."""
+    for i in range(first, last):
+        if i % 40 == 7:
+            continue
+        stamp, angle = START + i * MS, 0.03 * i
+        log.receive(session, message(stamp, {"a_motor": angle, "a": 0.0, "b_motor": -angle}, {"a": 0.1 * i}))
+        log.receive(session, message(stamp + MS // 2, {"b": -angle / RATIO}))
+        if i % 50 == 20:
+            log.receive(session, message(stamp, {"a_motor": np.nan}))
+            log.warm(session, "a", temperature(20.0 + i))
+        if i % 90 == 45:
+            session.tick(next(log.clock), stamp, FACTS)
+
+
+def test_another_log_goes_on_and_replays_from_its_own_start(tmp_path: Path) -> None:
+    """All that is known is kept: counters, pairs that wait, effects with memory; also in a third log."""
+    given = config("a", "b", a__model_file=str(write_model(tmp_path / "m.json", *STATEFUL)))
+    whole, logs = Log(tmp_path / "whole.mcap"), [Log(tmp_path / f"{i}.mcap") for i in range(3)]
+    parts = ((0, 60), (60, 150), (150, 300))
+    reference = Session(given, whole)
+    reference.start(next(whole.clock))
+    sink: list[Log] = logs[:1]
+    session = Session(given, lambda encoded: sink[0](encoded))
+    session.start(next(logs[0].clock))
+    for number, (log, (first, last)) in enumerate(zip(logs, parts, strict=True)):
+        sink[0] = log
+        if number:
+            log.clock = logs[number - 1].clock
+            session.start_again(next(log.clock))
+            next(whole.clock)
+        moving(session, log, first, last)
+        moving(reference, whole, first, last)
+    for log in (whole, *logs):
+        log.writer.close()
+    found = [content(tmp_path / f"{i}.mcap") for i in range(3)]
+    expected = content(tmp_path / "whole.mcap")
+    for topic in ("transmission_error", "residual", "b/load"):
+        name = f"/hd_diag/{topic}"
+        assert [data for part in found for _, data in part[name]] == [data for _, data in expected[name]]
+    for name, joint in session.monitor.joints.items():
+        other = reference.monitor.joints[name]
+        assert (joint.samples, joint.rejected) == (other.samples, other.rejected)
+        assert joint.lost.count == other.lost.count > 0
+    for number in (1, 2):
+        replay(tmp_path / f"{number}.mcap", tmp_path / "again.mcap", overwrite=True)
+        assert content(tmp_path / "again.mcap") == found[number]
+
+
+@pytest.mark.parametrize("spoil", ["streams", "last_rejections", "foreign", "periods", "joints"])
+def test_a_hostile_state_is_refused(spoil: str) -> None:
+    session = Session(config("a"), Recording())
+    session.start_again(START)
+    state = carried(session.monitor)
+    for value in (
+        None,
+        [],
+        "x",
+        [[1e300]],
+        {"a": {}},
+        ["AAAA"] * 3,
+        {"a": state["joints"]["a"] | {"runs": [1]}},
+    ):
+        with pytest.raises(ValueError, match="its state is none of these joints"):
+            carry_on(session.monitor, state | {spoil: value})
+    joints, inputs, waiting = (array.copy() for array in session.monitor.streams.state)
+    joints["waiting"] = 10**9
+    rows = [base64.b64encode(array.tobytes()).decode() for array in (joints, inputs, waiting)]
+    with pytest.raises(ValueError, match="a place that no ring has"):
+        carry_on(session.monitor, state | {"streams": rows})
+
+
+def test_silence_goes_by_a_clock_of_its_own(tmp_path: Path) -> None:
+    """The system's clock is set back by an hour: times of reception hardly rise any more."""
+    log = Log(tmp_path / "log.mcap")
+    session, hour = Session(config(), log), 3600 * 10**9
+    session.start(next(log.clock))
+    data = sample(START, 0.1, 0.001, 0.0)
+    log.writer.write("/joint_states", JOINT_STATE, data, next(log.clock))
+    session.joint_state(START + 1, data, heard=hour)
+    session.tick(next(log.clock), START, FACTS, session.monitor.silence(hour + 10**7))
+    session.tick(next(log.clock), START, FACTS, session.monitor.silence(hour + 3 * 10**9))
+    log.writer.close()
+    reports = messages(log, "/diagnostics")
+    assert [report.status[0].message for report in reports] == ["OK", "no valid sample for 3.0 s"]
+    replay(tmp_path / "log.mcap", tmp_path / "again.mcap")
+    assert content(tmp_path / "again.mcap") == content(tmp_path / "log.mcap")
 
 
 def test_flat_parameters_survive_their_record() -> None:

@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from hd_diag.bag import BagError
 from hd_diag.bag.joint_record import joints_in, read_bags, read_table
 from hd_diag.config.configuration import resolve
+from hd_diag.diagnosis.diagnosis import diagnose
 from hd_diag.diagnosis.record import Record, RecordError
 from hd_diag.messages.encoding import encode_joint_states
 from hd_diag.messages.schemas import jazzy, serialize
@@ -101,7 +102,7 @@ def test_input_and_output_in_messages_of_their_own(given: dict[str, np.ndarray],
         states(given["time"], NAMES[1:], (given["output"],), (given["torque"],)),
     )
     record = read(path)
-    assert_allclose(record.time, given["time"][1:], rtol=0, atol=1e-9)
+    assert_allclose(record.time, given["time"][1:] - given["time"][1], rtol=0, atol=1e-9)
     # Linear interpolation: an eighth of the step squared times the acceleration.
     bound = 1.01 * 0.001**2 / 8 * 60.0 * (2.0 * np.pi / 10.0) ** 2
     assert_allclose(record.input_angle, given["input"][1:], rtol=0, atol=bound)
@@ -135,6 +136,47 @@ def test_the_input_is_not_interpolated_over_a_gap(given: dict[str, np.ndarray], 
     record = read(path)
     assert record.extent.runs == 2
     assert not np.any((record.time > 2.001) & (record.time < 2.299))
+
+
+def set_back(path: Path) -> Path:
+    """A clean record whose stamps go back by 5 s in its middle."""
+    clean = columns(seconds=20.0)
+    stamp = START + np.rint(1e9 * clean["time"]).astype(np.int64)
+    stamp[stamp.size // 2 :] -= 5 * 10**9
+    values = np.stack((clean["input"], clean["output"]), axis=1)
+    efforts = np.stack((np.zeros(stamp.size), clean["torque"]), axis=1)
+    rows = encode_joint_states(list(NAMES), stamp, values, None, efforts)
+    messages = [("/joint_states", JOINT_STATE, r.tobytes(), START + i * 10**6) for i, r in enumerate(rows)]
+    return write(path, messages)
+
+
+def test_a_clock_set_back_begins_a_run(tmp_path: Path) -> None:
+    """It is not sorted into one run."""
+    record = read(set_back(tmp_path / "back.mcap"))
+    assert record.size > 3990
+    assert record.runs == 2
+    assert_array_equal(np.flatnonzero(np.diff(record.run)), np.flatnonzero(np.diff(record.time) < 0.0))
+
+
+@pytest.mark.slow
+def test_a_clock_set_back_is_no_cause(tmp_path: Path) -> None:
+    own = joint(eccentricity__magnitude=12e-6, eccentricity__direction=0.6)
+    found = diagnose(read_bags([set_back(tmp_path / "back.mcap")], own), own.drive)
+    assert (found.record.runs, found.causes) == (2, ())
+
+
+def test_a_torque_is_not_interpolated_over_a_long_gap(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    """It stands for 0.2 s at most, and what is without one is left out."""
+    known = (given["time"] < 2.0) | (given["time"] > 3.0)
+    torque = given["torque"][known]
+    path = write(
+        tmp_path / "gap.mcap",
+        states(given["time"], NAMES, (given["input"], given["output"])),
+        states(given["time"][known], NAMES[1:], (np.full(torque.size, np.nan),), (torque,)),
+    )
+    record = read(path)
+    assert not np.any((record.time > 2.21) & (record.time < 2.79))
+    assert np.any((record.time > 2.0) & (record.time < 2.19))
 
 
 def test_wrapped_angles_in_messages_of_their_own(given: dict[str, np.ndarray], tmp_path: Path) -> None:

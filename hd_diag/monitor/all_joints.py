@@ -168,6 +168,12 @@ class Monitor:
         for joint in self.joints.values():
             joint.judge()
 
+    def begin_window(self) -> None:
+        """Let the next report tell of what comes from now on."""
+        self._judge()
+        for joint in self.joints.values():
+            joint.begin_window()
+
     def _set_drives(self) -> None:
         joints = self.config.joints
         self._drives = Drives([joint.drive for joint in joints])
@@ -244,3 +250,13 @@ class Monitor:
 
 def _state(joint: JointConfig, samples: Aligned) -> MeshState:
     return mesh_state(joint.drive, samples.input_angle, joint.drive.frame.cup_torque(samples.torque))
+
+
+def warm_up(config: MonitorConfig) -> None:
+    """Compile, or read from the disk, what the first message would have to wait for."""
+    monitor, time = Monitor(config), np.zeros(1, np.int64)
+    names = [(joint.input_joint, joint.output_joint) for joint in config.joints]
+    nothing = np.zeros((1, 2 * len(names)))
+    states = JointStates(time, time, tuple(name for pair in names for name in pair), "", *[nothing] * 3)
+    monitor.joint_states(time, states)
+    monitor.tick(0, 0, {})

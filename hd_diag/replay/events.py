@@ -1,4 +1,4 @@
-"""Events of a session as its log holds them: read back and checked, for a log may be damaged or hostile."""
+"""Events of a session, written to its log and read back: a log may be damaged or hostile."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from hd_diag.messages.publications import LAST_TIME, read_string
+from hd_diag.messages.publications import LAST_TIME, read_string, string
 
 _LONGEST = 4 << 20  # of an event that a session of a hundred joints writes: some hundred kilobytes
 
@@ -22,11 +22,11 @@ class Configured:
     that the session began with, None where absent, and nothing where the log does not tell.
     """
 
-    parameters: Mapping[str, Any]
     new: bool
+    parameters: Mapping[str, Any]
     topics: Mapping[str, str] = field(default_factory=dict)
-    models: Mapping[str, str] = field(default_factory=dict)
     versions: Mapping[str, str | None] = field(default_factory=dict)
+    models: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -39,10 +39,14 @@ class MapUsed:
 
 @dataclass(frozen=True)
 class Reported:
-    """A report with its header stamp [ns] and what the surroundings knew."""
+    """A report: header stamp [ns], what the surroundings knew, how long each joint had been silent [s].
+
+    Silence goes by a clock that no other message holds; logs of before do not tell it.
+    """
 
     stamp: int
     facts: Mapping[str, str]
+    silence: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -52,7 +56,29 @@ class ClockSetBack:
     stamp: int
 
 
-Event = Configured | MapUsed | Reported | ClockSetBack
+@dataclass(frozen=True)
+class CarriedOn:
+    """A log that goes on where another ended: what the monitor knew by then (see `monitor.carried`)."""
+
+    monitor: Mapping[str, Any]
+
+
+Event = Configured | MapUsed | Reported | ClockSetBack | CarriedOn
+
+_KINDS: dict[str, type[Event]] = {
+    "configuration": Configured,
+    "map": MapUsed,
+    "report": Reported,
+    "clock": ClockSetBack,
+    "state": CarriedOn,
+}
+_NAMES = {kind: name for name, kind in _KINDS.items()}
+
+
+def write_event(event: Event) -> bytes:
+    """CDR of a std_msgs/String with an event as a JSON object; what is empty is left out."""
+    known = {name: value for name, value in vars(event).items() if value or name not in _OPTIONAL}
+    return string(json.dumps({"event": _NAMES[type(event)], **known}))
 
 
 def read_event(data: bytes) -> Event | None:
@@ -64,7 +90,7 @@ def read_event(data: bytes) -> Event | None:
 
     Returns
     -------
-    Configured, MapUsed, Reported, ClockSetBack or None
+    Configured, MapUsed, Reported, ClockSetBack, CarriedOn or None
         None for a kind that later versions may add.
 
     Raises
@@ -82,57 +108,57 @@ def read_event(data: bytes) -> Event | None:
         raise ValueError(str(error)) from error
     if not isinstance(content, dict) or not isinstance(content.get("event"), str):
         raise ValueError("it does not say its kind")
-    reader = _READERS.get(content["event"])
-    return reader(content) if reader else None
+    kind = _KINDS.get(content["event"])
+    if kind is None:
+        return None
+    given = {"new": False, **content} if kind is Configured else content
+    return kind(**{name: _checked(name, given) for name in kind.__dataclass_fields__ if _has(name, given)})
 
 
-def _configured(content: Mapping[str, Any]) -> Configured:
-    parameters, new = content.get("parameters"), content.get("new", False)
-    if not isinstance(parameters, dict) or not isinstance(new, bool):
-        raise ValueError("a configuration lacks its parameters")
-    topics, models = (_texts(content.get(key, {}), key) for key in ("topics", "models"))
-    return Configured(parameters, new, topics, models, _versions(content.get("versions", {})))
+def _has(name: str, content: Mapping[str, Any]) -> bool:
+    return name in content or name not in _OPTIONAL
 
 
-def _map_used(content: Mapping[str, Any]) -> MapUsed:
-    joint, limit = content.get("joint"), content.get("torque_limit")
-    if not isinstance(joint, str):
-        raise ValueError("a map lacks its joint")
-    if not isinstance(limit, float) or not 0.0 < limit < math.inf:
-        raise ValueError("a map's torque_limit is no positive number")
-    return MapUsed(joint, limit)
-
-
-def _reported(content: Mapping[str, Any]) -> Reported:
-    return Reported(_stamp(content, "a report"), _texts(content.get("facts"), "facts"))
-
-
-def _clock_set_back(content: Mapping[str, Any]) -> ClockSetBack:
-    return ClockSetBack(_stamp(content, "a clock"))
-
-
-def _stamp(content: Mapping[str, Any], what: str) -> int:
-    stamp = content.get("stamp")
-    if not isinstance(stamp, int) or isinstance(stamp, bool) or not -LAST_TIME <= stamp <= LAST_TIME:
-        raise ValueError(f"{what}'s stamp is no ROS time")
-    return stamp
-
-
-def _texts(value: Any, what: str) -> Mapping[str, str]:
-    if not isinstance(value, dict) or not all(isinstance(text, str) for text in value.values()):
-        raise ValueError(f"its {what} are no texts")
+def _checked(name: str, content: Mapping[str, Any]) -> Any:
+    value = content.get(name)
+    is_right, what = _FIELDS[name]
+    if not is_right(value):
+        raise ValueError(f"its {name} {what}")
     return value
 
 
-def _versions(value: Any) -> Mapping[str, str | None]:
-    if not isinstance(value, dict) or not all(isinstance(text, str | None) for text in value.values()):
-        raise ValueError("its versions are no texts")
-    return value
+def _texts(value: Any) -> bool:
+    return isinstance(value, dict) and all(isinstance(text, str) for text in value.values())
 
 
-_READERS: dict[str, Callable[[Mapping[str, Any]], Event]] = {
-    "configuration": _configured,
-    "map": _map_used,
-    "report": _reported,
-    "clock": _clock_set_back,
+def _number(value: Any) -> bool:
+    return isinstance(value, float) and 0.0 <= value < math.inf
+
+
+_FIELDS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "new": (lambda value: isinstance(value, bool), "is neither true nor false"),
+    "parameters": (lambda value: isinstance(value, dict), "are missing"),
+    "topics": (_texts, "are no texts"),
+    "models": (_texts, "are no texts"),
+    "versions": (
+        lambda value: (
+            isinstance(value, dict) and all(isinstance(text, str | None) for text in value.values())
+        ),
+        "are no texts",
+    ),
+    "joint": (lambda value: isinstance(value, str), "is missing"),
+    "torque_limit": (lambda value: _number(value) and value > 0.0, "is no positive number"),
+    "stamp": (
+        lambda value: (
+            isinstance(value, int) and not isinstance(value, bool) and -LAST_TIME <= value <= LAST_TIME
+        ),
+        "is no ROS time",
+    ),
+    "facts": (_texts, "are no texts"),
+    "silence": (
+        lambda value: isinstance(value, dict) and all(map(_number, value.values())),
+        "is no number of seconds",
+    ),
+    "monitor": (lambda value: isinstance(value, dict), "is missing"),
 }
+_OPTIONAL = {"topics", "models", "versions", "silence"}

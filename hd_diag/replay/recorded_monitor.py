@@ -6,8 +6,8 @@ messages. Recorded in their order, they make a replay give the same bytes.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,13 +22,22 @@ from hd_diag.messages.publications import (
     encode,
     parameter_event,
     read_temperature,
-    string,
 )
 from hd_diag.model.mesh import Mesh
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.monitor import Monitor
+from hd_diag.monitor.carried import carried, carry_on
 from hd_diag.monitor.publications import Publication
 from hd_diag.replay import versions
+from hd_diag.replay.events import (
+    CarriedOn,
+    ClockSetBack,
+    Configured,
+    Event,
+    MapUsed,
+    Reported,
+    write_event,
+)
 from hd_diag.streams.columns import JointStates
 
 EVENTS = "~/events"
@@ -74,33 +83,50 @@ class Session:
         self._configuration(now, dict(self.config.flat), _models(self.config), new=True)
 
     def start_again(self, now: int) -> None:
-        """Forget every sample and record configuration and maps: a replay can begin here."""
-        tables = {name: joint.table for name, joint in self.monitor.joints.items()}
-        self.monitor = Monitor(self.config)
+        """Record configuration, maps and all that is known: a replay can begin here, and all goes on."""
+        self.monitor.begin_window()
         self.start(now)
-        for name, table in tables.items():
-            if table is not None:
-                self.use_map(now, name, table)
+        for name, joint in self.monitor.joints.items():
+            if joint.table is not None:
+                self._event(now, MapUsed(name, joint.table.requested_limit))
+        self._event(now, CarriedOn(carried(self.monitor)))
 
-    def joint_state(self, received: int, data: bytes) -> None:
-        """Take one JointState message in CDR, received at a time [ns]; one that cannot be read is counted."""
+    def carry_on(self, now: int, state: Mapping[str, Any]) -> None:
+        """Go on from what another session of this configuration knew.
+
+        Raises
+        ------
+        ValueError
+            Where it is no such state.
+        """
+        carry_on(self.monitor, state)
+        self._event(now, CarriedOn(state))
+
+    def joint_state(self, received: int, data: bytes, heard: int | None = None) -> None:
+        """Take one JointState message in CDR; one that cannot be read is counted.
+
+        Parameters
+        ----------
+        received : int
+            When it arrived [ns].
+        data : bytes
+        heard : int, optional
+            The same by the clock that is asked for silence [ns].
+        """
         try:
             states = self._decoder.decode(data)
         except ValueError as error:
             self.unreadable(str(error))
-            return
-        self.joint_states(np.array([received]), states)
+        else:
+            heard_at = None if heard is None else np.array([heard])
+            self._publish(self.monitor.mixed_states(np.array([received]), (states,), heard_at))
 
     def unreadable(self, reason: str) -> None:
         """Count a JointState message that cannot be decoded."""
         self.monitor.reject(f"a JointState message {reason}")
 
-    def joint_states(self, received: Times, states: JointStates) -> None:
-        """Take messages of one shape, received at times [ns] (n,)."""
-        self._publish(self.monitor.joint_states(received, states))
-
     def mixed_states(self, received: Times, shapes: Sequence[JointStates]) -> None:
-        """Take messages of several shapes; their `row` are positions in the times [ns] (n,)."""
+        """Take messages of several layouts; their `row` are positions in the times [ns] (n,)."""
         self._publish(self.monitor.mixed_states(received, shapes))
 
     def temperature(self, joint: str, data: bytes) -> None:
@@ -141,31 +167,46 @@ class Session:
         """Predict a joint by its map from the next message on; False if its mesh has changed since."""
         if not self.monitor.use_map(joint, table):
             return False
-        self._event(now, {"event": "map", "joint": joint, "torque_limit": table.requested_limit})
+        self._event(now, MapUsed(joint, table.requested_limit))
         return True
 
     def clock_set_back(self, now: int, stamp: int) -> None:
         """Note at a time [ns] that the clock of stamps was set back: those after one [ns] are of before."""
         self.monitor.clock_set_back(stamp)
-        self._event(now, {"event": "clock", "stamp": stamp})
+        self._event(now, ClockSetBack(stamp))
 
-    def tick(self, now: int, stamp: int, facts: Mapping[str, str]) -> None:
-        """Report on all joints at a time, with a header stamp [ns] and what the surroundings know."""
-        self._event(now, {"event": "report", "stamp": stamp, "facts": dict(facts)})
-        self._publish([self.monitor.tick(now, stamp, facts)])
+    def tick(
+        self, now: int, stamp: int, facts: Mapping[str, str], silence: Mapping[str, float] | None = None
+    ) -> None:
+        """Report on all joints.
+
+        Parameters
+        ----------
+        now : int
+            Time of the report [ns].
+        stamp : int
+            For its header [ns].
+        facts : mapping
+            What the surroundings know.
+        silence : mapping of str to float, optional
+            How long each joint has been silent [s], as `Monitor.silence` tells by the clock of `heard`; by
+            default the times of reception tell.
+        """
+        silent = dict(silence or self.monitor.silence(now))
+        self._event(now, Reported(stamp, dict(facts), silent))
+        self._publish([self.monitor.tick(now, stamp, facts, silent)])
 
     def _configuration(
         self, now: int, values: Mapping[str, Any], models: Mapping[str, str], new: bool
     ) -> None:
         data = parameter_event(self._node, now, values, new)
         self._emit(PARAMETER_EVENTS, PARAMETER_EVENT, now, data)
-        more: dict[str, Any] = {"topics": self._topics, "versions": versions.running()} if new else {}
-        if models:  # the files may be others when the log is replayed
-            more["models"] = dict(models)
-        self._event(now, {"event": "configuration", "new": new, "parameters": dict(values), **more})
+        begun = (self._topics, versions.running()) if new else ()
+        # The models' files may be others when the log is replayed.
+        self._event(now, replace(Configured(new, dict(values), *begun), models=dict(models)))
 
-    def _event(self, now: int, content: Mapping[str, Any]) -> None:
-        self._emit(EVENTS, STRING, now, string(json.dumps(content)))
+    def _event(self, now: int, event: Event) -> None:
+        self._emit(EVENTS, STRING, now, write_event(event))
 
     def _emit(self, topic: str, type_name: str, now: int, data: bytes) -> None:
         self._sink(Encoded(topic, type_name, np.array([now]), [data]))

@@ -19,7 +19,7 @@ from hd_diag.messages.publications import LAST_TIME, TEMPERATURE, Encoded, resol
 from hd_diag.model.mesh import Mesh
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.replay import versions
-from hd_diag.replay.events import ClockSetBack, Configured, Event, MapUsed, Reported
+from hd_diag.replay.events import CarriedOn, ClockSetBack, Configured, Event, MapUsed, Reported
 from hd_diag.replay.map_builder import map_of
 from hd_diag.replay.recorded_monitor import Session
 from hd_diag.replay.sources import Sources, event_of, sources_of
@@ -272,15 +272,21 @@ class _Run:
         )
 
     def _event(self, now: int, event: Event | None) -> None:
-        if isinstance(event, Configured):
-            self._configure(now, event)
-        elif isinstance(event, MapUsed):
-            joint = self._joint(event.joint)
-            self._running.use_map(now, event.joint, self._map(joint, event.torque_limit))
-        elif isinstance(event, Reported):
-            self._running.tick(now, event.stamp, event.facts)
-        elif isinstance(event, ClockSetBack):
-            self._running.clock_set_back(now, event.stamp)
+        match event:
+            case Configured():
+                self._configure(now, event)
+            case MapUsed():
+                joint = self._joint(event.joint)
+                self._running.use_map(now, event.joint, self._map(joint, event.torque_limit))
+            case Reported():
+                self._running.tick(now, event.stamp, event.facts, event.silence)
+            case ClockSetBack():
+                self._running.clock_set_back(now, event.stamp)
+            case CarriedOn():
+                try:
+                    self._running.carry_on(now, event.monitor)
+                except ValueError as error:
+                    raise BagError(self._reader.path, f"cannot be carried on: {error}") from error
 
     def _configure(self, now: int, event: Configured) -> None:
         before = {} if event.new else self._running.config.flat

@@ -8,12 +8,12 @@ from functools import cached_property
 from pathlib import Path
 
 from hd_diag.bag import BagError, BagReader, Topic
+from hd_diag.bag.joint_record import joint_state_topics
 from hd_diag.config.configuration import Config, ConfigError
 from hd_diag.config.parameters import joint_names
 from hd_diag.messages.publications import (
     INPUT,
     JOINT_STATE,
-    OWN_OUTPUTS,
     STRING,
     TEMPERATURE,
     temperature_topic,
@@ -95,7 +95,7 @@ def sources_of(reader: BagReader, config: Config | None, topics: tuple[str, ...]
     return Sources(
         NODE,
         "",
-        topics or _joint_states(reader),
+        topics or tuple(joint_state_topics(reader)),
         {
             t.name: joint.name
             for t in reader.topics
@@ -147,14 +147,6 @@ def _log(reader: BagReader) -> tuple[str, Configured]:
             return name, event
         reason = f"is a log without its beginning: {name} does not begin with a configuration"
     raise BagError(reader.path, reason)
-
-
-def _joint_states(reader: BagReader) -> tuple[str, ...]:
-    found = tuple(t.name for t in reader.topics if t.type_name == JOINT_STATE)
-    found = tuple(name for name in found if not name.endswith(OWN_OUTPUTS))
-    if not found:
-        raise BagError(reader.path, f"has no topic with {JOINT_STATE}")
-    return found
 
 
 def _check(reader: BagReader, topics: tuple[str, ...]) -> None:

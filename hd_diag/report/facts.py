@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.bag.joint_record import Motion
+from hd_diag.bag.joint_record import InputRecord
 from hd_diag.config.configuration import JointConfig
 from hd_diag.config.parameters import JOINT_PARAMETERS, Value
 from hd_diag.diagnosis.diagnosis import Diagnosis, Gain, Rms
@@ -149,7 +149,7 @@ def of_diagnosis(diagnosis: Diagnosis, joint: JointConfig, flat: Mapping[str, Va
     )
 
 
-def of_motion(motion: Motion, joint: JointConfig, flat: Mapping[str, Value], reason: str) -> JointReport:
+def of_motion(motion: InputRecord, joint: JointConfig, flat: Mapping[str, Value], reason: str) -> JointReport:
     """The model's side alone, over the motion in a bag.
 
     Parameters

@@ -30,6 +30,7 @@ from hd_diag.drive import mesh_state, transmission_error
 from hd_diag.messages.publications import INPUT, JOINT_STATE, TEMPERATURE, temperature_topic
 from hd_diag.model.torsion import limited_curves, torsion_table
 from hd_diag.model.torsion_map import ARCSEC, TorsionMap
+from hd_diag.monitor import warm_up
 from hd_diag.replay.map_builder import MapBuilder
 from hd_diag.replay.recorded_monitor import Session
 from hd_diag.ros.arguments import check_arguments, parameter_files, reason
@@ -163,7 +164,7 @@ class DiagnosticNode(Node):
     def _joint_state(self, data: bytes) -> None:
         now = self._now()
         self._log.write(self._names[INPUT], JOINT_STATE, data, now, _QOS)
-        self._session.joint_state(now, data)
+        self._session.joint_state(now, data, time.monotonic_ns())
 
     def _on_temperature(self, joint: str, data: bytes) -> None:
         self._survive("a temperature was dropped", self._temperature, joint, data)
@@ -176,7 +177,8 @@ class DiagnosticNode(Node):
         latency = np.percentile(self._latencies, 99) * 1e-3 if self._latencies else float("nan")
         self._latencies.clear()
         facts = {"latency_p99_us": f"{latency:.1f}", "log_state": self._log.state}
-        self._session.tick(self._now(), self.get_clock().now().nanoseconds, facts)
+        silence = self._session.monitor.silence(time.monotonic_ns())
+        self._session.tick(self._now(), self.get_clock().now().nanoseconds, facts, silence)
 
     def _take_maps(self) -> None:
         while not self._builder.finished.empty():
@@ -222,6 +224,7 @@ class DiagnosticNode(Node):
 
 def _warm_up(config: Config) -> None:
     """Compute once what samples would have to wait for: constants, imports, machine code, also of maps."""
+    warm_up(config)
     nothing = np.zeros(1)
     for joint in config.joints:
         mesh = joint.drive.mesh

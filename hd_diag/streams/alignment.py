@@ -8,8 +8,9 @@
 * **Torque.** Of a sample it is the last one reported up to there, and only if that one's stamp is at most
   `LONGEST_HOLD` away; else it is not known. Live the configured torque then stands for it. Offline, where the
   next one is known too, `torque_between` interpolates between reported torques at most as far apart.
-* **What is not measured** is often reported as nan: then it counts as not reported, until a number comes.
-  Other values that are none, and those beyond `LARGEST_ANGLE` and `LARGEST_TORQUE`, refuse the sample.
+* **What is not measured** is often reported as nan: then it counts as not reported, until a number comes; an
+  output angle also beside a torque that comes apart from the input. Other values that are none, and those
+  beyond `LARGEST_ANGLE` and `LARGEST_TORQUE`, refuse the sample.
 
 What comes out depends on the sequence of rows alone, to the last bit, however many come at once.
 """
@@ -157,6 +158,8 @@ class Alignment:
     ----------
     joints : ndarray of JOINT, shape (k,)
         What is known of each.
+    texts : list of str
+        Reasons of refusals that are told by `reject`.
     foreign : int
         Messages that name none of the joints.
     """
@@ -165,13 +168,18 @@ class Alignment:
         self._names = list(names)
         self.joints = np.zeros(len(names), JOINT)
         self.joints["heard"] = -1
-        self._texts = [""] * len(names)
+        self.texts = [""] * len(names)
         self._inputs = np.zeros((len(names), remembered), INPUT)
         self._waiting = np.zeros((len(names), remembered), OUTPUT)
         self._columns: dict[Any, _Columns] = {}
         self.foreign = 0
         self.joints["assumed_torque"] = [each.torque for each in names]
         kernel().begin_after(self.joints, NEVER - 1)
+
+    @property
+    def state(self) -> tuple[Any, Any, Any]:
+        """All that is remembered of the streams: joints, rings of inputs (k, remembered) and of outputs."""
+        return self.joints, self._inputs, self._waiting
 
     def configure(self, number: int, names: Names) -> None:
         """Let a joint have other names, with which its stream begins anew, or another assumed torque."""
@@ -196,8 +204,7 @@ class Alignment:
         Aligned
         """
         stamp, values, given = self._rows(heard.size, shapes)
-        rings = self.joints, self._inputs, self._waiting
-        whole, found = kernel().align(stamp, heard, values, given, *rings)
+        whole, found = kernel().align(stamp, heard, values, given, *self.state)
         return Aligned(*whole, *found)
 
     def clock_set_back(self, stamp: int) -> None:
@@ -210,7 +217,7 @@ class Alignment:
         """Count a sample of a joint that cannot be used."""
         self.joints["rejected"][number] += 1
         self.joints["reason"][number] = Reason.OTHER
-        self._texts[number] = reason
+        self.texts[number] = reason
 
     def last_rejection(self, number: int) -> str:
         """Why the last sample of a joint that was refused could not be used; empty if there was none."""
@@ -229,7 +236,7 @@ class Alignment:
                 return _late(names.input_joint, late)
             case Reason.LATE_OUTPUT:
                 return _late(names.output_joint, late)
-        return self._texts[number]
+        return self.texts[number]
 
     def _rows(self, count: int, shapes: Sequence[JointStates]) -> tuple[Times, Floats, Bytes]:
         """Stamps (n,), values (n, k, 4) and what is given (n, k)."""
@@ -299,17 +306,17 @@ def torque_between(aligned: Aligned) -> Floats:
     """
     torque = aligned.torque.copy()
     for stretch in np.unique(aligned.stretch[aligned.torque_stamp != aligned.stamp]):
-        rows = np.flatnonzero((aligned.stretch == stretch) & np.isfinite(aligned.torque))
-        if not rows.size:
+        rows = np.flatnonzero(aligned.stretch == stretch)
+        held = rows[np.isfinite(aligned.torque[rows])]
+        if not held.size:
             continue
-        known, first = np.unique(aligned.torque_stamp[rows], return_index=True)
-        value, stamp = aligned.torque[rows[first]], aligned.stamp[rows]
-        after = np.minimum(np.searchsorted(known, stamp), known.size - 1)
+        known, first = np.unique(aligned.torque_stamp[held], return_index=True)
+        value, stamp = aligned.torque[held[first]], aligned.stamp[rows]
+        after = np.minimum(known.searchsorted(stamp), known.size - 1)
         before = np.maximum(after - 1, 0)
-        near = (known[before] < stamp) & (stamp < known[after])
-        near &= known[after] - known[before] <= LONGEST_HOLD
-        origin = known[0]
-        between = np.interp((stamp - origin) * 1e-9, (known - origin) * 1e-9, value)
+        gap = known[after] - np.minimum(known[before], stamp)
+        near = (stamp < known[after]) & (gap <= LONGEST_HOLD)
+        between = np.interp((stamp - known[0]) * 1e-9, (known - known[0]) * 1e-9, value)
         torque[rows[near]] = between[near]
     return torque
 

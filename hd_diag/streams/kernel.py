@@ -88,6 +88,8 @@ def _checked(joint: Any, stamp: int, given: int, value: Floats) -> int:
     if stamp < max(joint.input_stamp, joint.output_stamp) - CLOCK_JUMP:
         joint.clock_jumps += 1
         _begin(joint)
+    if given & _TORQUE and not given & _INPUT and math.isnan(value[1]) and not math.isnan(value[2]):
+        given &= ~_OUTPUT
     if given & _INPUT:
         if not abs(value[0]) <= LARGEST_ANGLE:
             return _refuse(joint, _BAD_INPUT, value[0], 0)

@@ -1,0 +1,98 @@
+"""State of a monitor as JSON has it: a log that goes on where another ended begins with it."""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.monitor.all_joints import Monitor
+from hd_diag.monitor.joint import Joint
+from hd_diag.streams.alignment import Reason
+
+_COUNTERS = ("inputs", "first", "waiting", "samples", "rejected", "unpaired", "clock_jumps")
+
+
+def carried(monitor: Monitor) -> dict[str, Any]:
+    """What a monitor knows right after `Monitor.begin_window`, beside its configuration and maps."""
+    streams = monitor.streams
+    return {
+        "streams": [_text(array) for array in streams.state],
+        "last_rejections": streams.texts,
+        "foreign": streams.foreign,
+        "periods": monitor.periods.tolist(),
+        "joints": {name: _of_joint(joint) for name, joint in monitor.joints.items()},
+    }
+
+
+def carry_on(monitor: Monitor, state: Mapping[str, Any]) -> None:
+    """Let a monitor of the same configuration go on from what another knew.
+
+    Raises
+    ------
+    ValueError
+        Where it cannot.
+    """
+    try:
+        _put(monitor, state)
+    except Exception as error:  # whatever hostile numbers make of a model
+        raise ValueError(f"its state is none of these joints: {error}") from error
+
+
+def _put(monitor: Monitor, state: Mapping[str, Any]) -> None:
+    streams = monitor.streams
+    arrays = [_array(text, own) for text, own in zip(state["streams"], streams.state, strict=True)]
+    joints, *_, waiting = arrays
+    within = all((joints[name] >= 0).all() for name in _COUNTERS)
+    if not within or not (joints["waiting"] <= waiting.shape[1]).all():
+        raise ValueError("a place that no ring has")
+    for reason in joints["reason"].tolist():
+        Reason(reason)
+    for own, array in zip(streams.state, arrays, strict=True):
+        own[...] = array
+    texts = state["last_rejections"]
+    streams.foreign = int(state["foreign"])
+    monitor.periods[...] = np.array(state["periods"], np.int64)
+    if not isinstance(texts, list) or [type(text) for text in texts] != [str] * len(monitor.joints):
+        raise ValueError("no text for each joint")
+    streams.texts = texts
+    for name, joint in monitor.joints.items():
+        _put_joint(joint, state["joints"][name])
+
+
+def _of_joint(joint: Joint) -> dict[str, Any]:
+    lost, orders = joint.lost, joint.orders
+    return {
+        "temperature": joint.temperature if math.isfinite(joint.temperature) else None,
+        "lost": [lost.count, lost.lately, lost.usual_step, lost.unjudged.tolist()],
+        "orders": [orders.last, *map(_text, orders.sums), orders.moving.tolist()],
+        "runs": [run.carried for run in joint.runs],
+    }
+
+
+def _put_joint(joint: Joint, state: Mapping[str, Any]) -> None:
+    heat, lost, orders = state["temperature"], joint.lost, joint.orders
+    joint.temperature = math.nan if heat is None else float(heat)
+    count, lately, step, unjudged = state["lost"]
+    lost.count, lost.lately, lost.usual_step = int(count), int(lately), float(step)
+    lost.unjudged = np.array(unjudged, np.int64).reshape(-1)
+    last, gram, moment, moving = state["orders"]
+    orders.last = None if last is None else (int(last[0]), float(last[1]))
+    orders.sums = _array(gram, orders.sums[0]), _array(moment, orders.sums[1])
+    orders.moving = np.array(moving, np.float64).reshape(-1, 4)
+    for run, own in zip(joint.runs, state["runs"], strict=True):
+        run.carry_on(own)
+    joint.begin_window()
+
+
+def _text(array: npt.NDArray[Any]) -> str:
+    return base64.b64encode(array.tobytes()).decode()
+
+
+def _array(text: str, like: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Array of the shape and type of another."""
+    return np.frombuffer(base64.b64decode(text), like.dtype).reshape(like.shape).copy()
