@@ -113,10 +113,6 @@ def json_ready(value: Any) -> Any:
     ----------
     value : any
         Mappings, lists and tuples of any depth; numpy arrays and scalars; anything else stays.
-
-    Returns
-    -------
-    any
     """
     if isinstance(value, Mapping):
         return {key: json_ready(item) for key, item in value.items()}

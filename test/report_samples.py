@@ -5,6 +5,7 @@ import functools
 from pathlib import Path
 
 import numpy as np
+import pytest
 from challenge import families, motion, records
 from challenge.records import Recording, simulate
 from challenge.truth import drawn
@@ -12,40 +13,77 @@ from live import config
 
 from hd_diag.config.configuration import Config
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
-from hd_diag.diagnosis.record import prepare
+from hd_diag.diagnosis.record import Record, prepare
+from hd_diag.drive import Drive
+from hd_diag.effects import Catalogue
 from hd_diag.report.facts import JointReport, of_diagnosis
+from hd_diag.report.page import page
+from hd_diag.report.quality import Fact
 
 CAUSES = {"output_runout": 0, "input_encoder_eccentricity": 12}  # effect and development seed
 HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(2)>$\\frac{1}{2}$]]>\"'&\u202egnp\x07"
+RATE = 200.0  # [Hz]
+RUN = 5.0  # [s]; twelve of them, half as long as the benchmark's
+
+
+def generated(family: str, seed: int, *names: str, run: float = RUN) -> records.Record:
+    """Record of a family's seed with causes of these names."""
+    rng = families.generator(family, seed)
+    standard = motion.standard(rng)
+    moved = motion.Motion(tuple(dataclasses.replace(each, duration=run) for each in standard.runs))
+    causes = [families.draw(rng, name, moved) for name in names]
+    return simulate(drawn(rng), causes, moved, rng, Recording(rate=RATE))
+
+
+def diagnosed(made: records.Record) -> Diagnosis:
+    data = (made.time, made.input_angle, made.output_angle, made.torque, made.temperature)
+    one_run = np.zeros(made.time.size, dtype=np.int64)
+    drive, rng = config().joints[0].drive, np.random.default_rng(0)
+    return diagnose(prepare(*data, one_run, 100.0), drive, rng)
 
 
 @functools.cache
-def made(name: str, duration: float = 5.0) -> records.Record:
+def made(name: str) -> records.Record:
     """Record with one cause."""
-    rng = families.generator("one_effect", CAUSES[name])
-    standard = motion.standard(rng)
-    moved = motion.Motion(tuple(dataclasses.replace(each, duration=duration) for each in standard.runs))
-    causes = [families.draw(rng, name, moved)]
-    return simulate(drawn(rng), causes, moved, rng, Recording(rate=200.0))
+    return generated("one_effect", CAUSES[name], name)
 
 
 @functools.cache
 def diagnosis(name: str) -> Diagnosis:
-    record = made(name)
-    data = (record.time, record.input_angle, record.output_angle, record.torque, record.temperature)
-    prepared = prepare(*data, np.zeros(record.time.size, dtype=np.int64), 100.0)
-    return diagnose(prepared, config().joints[0].drive, np.random.default_rng(0))
+    return diagnosed(made(name))
 
 
 @functools.cache
 def joint_report(name: str, **names: str) -> JointReport:
     """Report of that diagnosis, as of a joint with these names in JointState."""
     whole = configured(**names)
-    return of_diagnosis(diagnosis(name), whole.joints[0], whole.flat)
+    return of_diagnosis(diagnosis(name), whole.joints[0], whole.flat, np.random.default_rng(0))
 
 
 def configured(**names: str) -> Config:
     return config(**{f"joint_1__{key}": value for key, value in names.items()})
+
+
+@functools.cache
+def hostile_page() -> str:
+    """Page of two joints with names that want to be markup."""
+    names = {"input_joint": HOSTILE, "output_joint": HOSTILE + "2"}
+    return page([joint_report(name, **names) for name in CAUSES], [Fact(HOSTILE, HOSTILE)])
+
+
+def known_to_the_command_line(monkeypatch: pytest.MonkeyPatch, name: str) -> list[tuple[Record, Catalogue]]:
+    """From now on `hd-diag` has this diagnosis without computing it; gives what it had asked for."""
+    asked: list[tuple[Record, Catalogue]] = []
+
+    def known(
+        record: Record, drive: Drive, rng: np.random.Generator, progress: object, catalogue: Catalogue
+    ) -> Diagnosis:
+        asked.append((record, catalogue))
+        return diagnosis(name)
+
+    monkeypatch.setattr("hd_diag.cli.record.screened", lambda record, _: record)
+    monkeypatch.setattr("hd_diag.cli.record.diagnose", known)
+    return asked
 
 
 def without_output(path: Path, joint: str) -> None:

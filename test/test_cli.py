@@ -238,6 +238,14 @@ def test_mesh_refuses_angles_that_a_number_cannot_tell() -> None:
     assert_one_line_error(hd_diag("mesh", "--input-angle", "1e300"), "--input-angle must be", "1e+10")
 
 
+def test_a_missing_dependency_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(*_: Any) -> None:
+        raise ModuleNotFoundError("No module named 'numba'", name="numba")
+
+    monkeypatch.setattr("hd_diag.cli.mesh.moment", missing)
+    assert_one_line_error(hd_diag("mesh"), "hd-diag: No module named 'numba': python3 -m pip install numba")
+
+
 # Ctrl-C ---
 
 

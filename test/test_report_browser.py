@@ -11,12 +11,10 @@ import pytest
 from browser import chromium, requested, sized
 from challenge import records
 from cli_runner import runner
-from report_samples import HOSTILE, joint_report, made
+from report_samples import hostile_page, joint_report, known_to_the_command_line, made
 
 from hd_diag.cli import cli
 from hd_diag.formatting import arcsec
-from hd_diag.report.page import page, write_page
-from hd_diag.report.quality import Fact
 
 
 @pytest.fixture(scope="module")
@@ -28,12 +26,8 @@ def browser() -> Iterator[Any]:
 @pytest.fixture(scope="module")
 def hostile(tmp_path_factory: pytest.TempPathFactory) -> str:
     """Address of a page of two joints with names that want to be markup."""
-    reports = [
-        joint_report("output_runout", input_joint=HOSTILE, output_joint=HOSTILE + "2"),
-        joint_report("input_encoder_eccentricity", input_joint=HOSTILE, output_joint=HOSTILE + "2"),
-    ]
     path = tmp_path_factory.mktemp("page") / "report.html"
-    write_page(path, reports, [Fact(HOSTILE, HOSTILE)])
+    path.write_text(hostile_page(), encoding="utf-8")
     return path.as_uri()
 
 
@@ -107,10 +101,9 @@ def test_names_out_of_a_bag_do_nothing(browser: Any, hostile: str) -> None:
 
 def test_the_policy_stops_a_script_that_got_in_all_the_same(browser: Any, tmp_path: Path) -> None:
     """The second line of defence, tried with the first one taken away."""
-    text = page([joint_report("output_runout")], [Fact("a.mcap", "")])
     bad = "<script>document.title = 'taken'</script><img src=x onerror=\"document.title = 'taken'\">"
     path = tmp_path / "page.html"
-    path.write_text(text.replace("<main>", f"<main>{bad}"), encoding="utf-8")
+    path.write_text(hostile_page().replace("<main>", f"<main>{bad}"), encoding="utf-8")
     opened(browser, path.as_uri())
     assert browser.title.startswith("Harmonic drive report")
     assert any("Content Security Policy" in entry["message"] for entry in browser.get_log("browser"))
@@ -159,8 +152,11 @@ def test_it_prints(browser: Any, hostile: str) -> None:
     assert 6 <= pages <= 30
 
 
-def test_what_the_command_draws_is_what_it_says(browser: Any, tmp_path: Path) -> None:
+def test_what_the_command_draws_is_what_it_says(
+    browser: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     """Numbers seen in the page are those of the JSON of the same run."""
+    known_to_the_command_line(monkeypatch, "input_encoder_eccentricity")
     bag, out, told_file = (tmp_path / name for name in ("joint.mcap", "page.html", "told.json"))
     records.write_bag(made("input_encoder_eccentricity"), bag)
     arguments = ["diagnose", str(bag), "--report", str(out), "--json", str(told_file)]

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 
 from hd_diag import __version__
 from hd_diag.cli.options import JSON, Problem, verb
@@ -70,7 +71,7 @@ def diagnose(
             write(written, model_document(found, joint.name, records), records.catalogue)
             lines.append(f"model written: {written}")
         if report_file is not None:
-            page = of_diagnosis(found, joint, records.config.flat)
+            page = of_diagnosis(found, joint, records.config.flat, np.random.default_rng(0))
         return Judged(as_json(found, joint.name, written), lines, page)
 
     results, complete = judge_each(records, judge, report_file, json_file)

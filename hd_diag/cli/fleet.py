@@ -6,6 +6,7 @@ import contextlib
 import importlib.util
 import os
 import re
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -27,7 +28,7 @@ from hd_diag.cli.options import (
     verb,
     write_json,
 )
-from hd_diag.cli.progress import bar, interrupts
+from hd_diag.cli.progress import bar
 from hd_diag.cli.verbs import INTERRUPTED
 from hd_diag.config.catalogue import load
 from hd_diag.config.configuration import JointConfig
@@ -42,6 +43,7 @@ from hd_diag.fleet.survey import find_bags
 from hd_diag.fleet.trend import CHANGED, Trend, trends
 from hd_diag.model.threads import cores
 from hd_diag.process_pool import ProcessPool
+from hd_diag.ros.stop_signals import noted_signals
 
 _NEEDED = ("pyarrow", "ruptures")
 _MEMORY_SHARE = 0.9  # of the machine's, for all workers together
@@ -200,7 +202,7 @@ def _run(
 @contextlib.contextmanager
 def _watched() -> Iterator[tuple[Progress, Callable[[], None]]]:
     """What shows the progress of a run, and what ends it after Ctrl-C."""
-    with bar() as progress, interrupts() as came:
+    with bar() as progress, noted_signals([signal.SIGINT]) as came:
         task, stage, begin = progress.add_task("fleet", total=None, rate=""), "", time.monotonic()
 
         def tick() -> None:

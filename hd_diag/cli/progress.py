@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from types import FrameType
 from typing import NoReturn
 
 from rich.console import Console
@@ -18,12 +16,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from hd_diag.bag import BagReader
 from hd_diag.cli.options import tell
 from hd_diag.cli.verbs import INTERRUPTED
+from hd_diag.ros.stop_signals import noted_signals
 
 Advance = Callable[[float, float], None]
 """Takes what is done, and what there is in all."""
 
 
-@contextlib.contextmanager
+@contextmanager
 def bar() -> Iterator[Progress]:
     """Progress with rate and time left, on stderr, gone when done; silent where stderr is no terminal."""
     columns = (
@@ -36,27 +35,8 @@ def bar() -> Iterator[Progress]:
     console = Console(stderr=True)
     progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
     # Older releases of rich print an empty line at the end of a bar that never showed.
-    with progress if console.is_terminal else contextlib.nullcontext(progress):
+    with progress if console.is_terminal else nullcontext(progress):
         yield progress
-
-
-@contextmanager
-def interrupts() -> Iterator[list[int]]:
-    """Signals of Ctrl-C since; a second one ends the program at once.
-
-    A KeyboardInterrupt wherever the program happens to be could hit a file that is half written.
-    """
-    came: list[int] = []
-
-    def note(number: int, frame: FrameType | None) -> None:
-        came.append(number)
-        signal.signal(number, signal.default_int_handler)
-
-    before = signal.signal(signal.SIGINT, note)
-    try:
-        yield came
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager
@@ -69,7 +49,7 @@ def working() -> Iterator[Callable[[str, str], Advance]]:
         Takes what is done and its unit; gives what is to be called while it is done. A bar shows from the
         first call on. The call raises KeyboardInterrupt where Ctrl-C has come since the last one.
     """
-    with bar() as bars, interrupts() as came:
+    with bar() as bars, noted_signals([signal.SIGINT]) as came:
 
         def part(what: str, unit: str) -> Advance:
             begin = time.monotonic()

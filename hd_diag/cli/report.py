@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import click
+import numpy as np
 
 from hd_diag.bag.joint_record import read_motion
 from hd_diag.cli.options import JSON, Problem, verb
@@ -48,7 +49,7 @@ def report(records: Records, out: Path | None, json_file: str | None) -> None:
                 page = of_motion(motion, joint, flat, str(error))
                 return Judged(not_judged(joint.name, error), [page.verdict], page)
             progress("gathering the report's numbers")
-            page = of_diagnosis(found, joint, flat)
+            page = of_diagnosis(found, joint, flat, np.random.default_rng(0))
             return Judged(as_json(found, joint.name), [page.verdict], page)
 
     _, complete = judge_each(records, judge, target, json_file)

@@ -60,6 +60,11 @@ class _Verbs(click.Group):
         except click.ClickException as error:
             click.echo(f"hd-diag: {' '.join(error.format_message().split())}", err=True)
             sys.exit(error.exit_code)
+        except ModuleNotFoundError as error:  # numba, which rosdep cannot install
+            if error.name is None or error.name.startswith(__package__.partition(".")[0]):
+                raise
+            click.echo(f"hd-diag: {error}: python3 -m pip install {error.name}", err=True)
+            sys.exit(2)
         except click.Abort:
             _interrupted()
         except SystemError as error:

@@ -72,10 +72,6 @@ class Card:
 def cards(diagnosis: Diagnosis) -> list[Card]:
     """Cards, the one that explains most first.
 
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-
     Returns
     -------
     list of Card

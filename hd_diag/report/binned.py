@@ -48,10 +48,6 @@ def band(place: Floats, value: Floats, edges: Floats) -> Band:
     place, value : ndarray, shape (n,)
     edges : ndarray, shape (bins + 1,)
         Rising.
-
-    Returns
-    -------
-    Band
     """
     order = np.argsort(place, kind="stable")
     ends = np.searchsorted(place[order], edges)
@@ -79,10 +75,6 @@ def envelope(place: Floats, value: Floats, stretches: int) -> Envelope:
         Rising.
     value : ndarray, shape (n,)
     stretches : int
-
-    Returns
-    -------
-    Envelope
     """
     edges = np.linspace(place[0], np.nextafter(place[-1], np.inf), stretches + 1)
     index = np.clip(np.searchsorted(edges, place, side="right") - 1, 0, stretches - 1)

@@ -115,7 +115,9 @@ class JointReport:
     judgement: Judgement | None
 
 
-def of_diagnosis(diagnosis: Diagnosis, joint: JointConfig, flat: Mapping[str, Value]) -> JointReport:
+def of_diagnosis(
+    diagnosis: Diagnosis, joint: JointConfig, flat: Mapping[str, Value], rng: np.random.Generator
+) -> JointReport:
     """A joint's report from its diagnosis.
 
     Parameters
@@ -124,10 +126,8 @@ def of_diagnosis(diagnosis: Diagnosis, joint: JointConfig, flat: Mapping[str, Va
     joint : JointConfig
     flat : mapping
         The configuration's parameters by their full names.
-
-    Returns
-    -------
-    JointReport
+    rng : numpy.random.Generator
+        For intervals.
     """
     fitted = benches(diagnosis)
     found = stages.stages(diagnosis, fitted[0] if fitted else None)
@@ -140,12 +140,12 @@ def of_diagnosis(diagnosis: Diagnosis, joint: JointConfig, flat: Mapping[str, Va
         joint.name,
         sentence(diagnosis),
         "refitted" if diagnosis.refitted else "configured",
-        torsion.measured(found, diagnosis.configured),
+        torsion.measured(found, diagnosis.configured, rng),
         teeth_over_turn(drive, record.input_angle, strongest_torque(record.torque)),
         extremes(drive, record.input_angle, record.torque),
         (quality[0], excluded, runs, *quality[1:]),
         settings(joint, flat),
-        _judgement(diagnosis, found, fitted),
+        _judgement(diagnosis, found, fitted, rng),
     )
 
 
@@ -159,10 +159,6 @@ def of_motion(motion: InputRecord, joint: JointConfig, flat: Mapping[str, Value]
     flat : mapping
     reason : str
         Why nothing could be judged.
-
-    Returns
-    -------
-    JointReport
     """
     drive, assumed = joint.drive, np.full(motion.time.size, joint.torque)
     torque = assumed if motion.torque is None else motion.torque
@@ -197,7 +193,9 @@ def versions() -> tuple[Fact, ...]:
     return (*found, *(Fact(name, metadata.version(name)) for name in ("matplotlib", "Jinja2")))
 
 
-def _judgement(diagnosis: Diagnosis, found: Stages, fitted: Sequence[LinearisedFit]) -> Judgement:
+def _judgement(
+    diagnosis: Diagnosis, found: Stages, fitted: Sequence[LinearisedFit], rng: np.random.Generator
+) -> Judgement:
     marks = _marks(diagnosis)
     top = 1.2 * max((mark.order for mark in marks), default=0.0)
     highest = min(max(top, _ORDERS[0]), _ORDERS[1])
@@ -209,7 +207,7 @@ def _judgement(diagnosis: Diagnosis, found: Stages, fitted: Sequence[LinearisedF
         stages.orders(found, highest),
         highest,
         tuple(mark for mark in marks if mark.order <= highest),
-        tuple(ladder(diagnosis, found.residual[stages.NOMINAL], list(fitted))),
+        tuple(ladder(diagnosis, found.residual[stages.NOMINAL], list(fitted), rng)),
         int(fitted[-1].data.block[-1]) + 1 if fitted else 0,
         diagnosis.rms,
         diagnosis.gain,

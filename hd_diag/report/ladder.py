@@ -49,7 +49,9 @@ def benches(diagnosis: Diagnosis) -> list[LinearisedFit]:
     return [*fewer, whole]
 
 
-def ladder(diagnosis: Diagnosis, nominal: Floats, fitted: list[LinearisedFit]) -> list[Rung]:
+def ladder(
+    diagnosis: Diagnosis, nominal: Floats, fitted: list[LinearisedFit], rng: np.random.Generator
+) -> list[Rung]:
     """Rungs from the configured model to the extended one.
 
     Parameters
@@ -59,6 +61,8 @@ def ladder(diagnosis: Diagnosis, nominal: Floats, fitted: list[LinearisedFit]) -
         Residual of the configured model at the usable samples [rad].
     fitted : list of LinearisedFit
         From :func:`benches`.
+    rng : numpy.random.Generator
+        Draws stretches for the intervals.
 
     Returns
     -------
@@ -71,7 +75,7 @@ def ladder(diagnosis: Diagnosis, nominal: Floats, fitted: list[LinearisedFit]) -
     residuals = [nominal, *(_unseen(bench, chosen[:count]) for count, bench in enumerate(fitted))]
     block = fitted[-1].data.block
     squares, counts = np.stack([np.bincount(block, rest**2) for rest in residuals]), np.bincount(block)
-    draws = np.random.default_rng(0).integers(0, counts.size, (_DRAWS, counts.size))
+    draws = rng.integers(0, counts.size, (_DRAWS, counts.size))
     drawn, total = squares[:, draws].sum(axis=2), squares.sum(axis=1)
     spread = np.quantile(np.sqrt(drawn / counts[draws].sum(axis=1)), _INTERVAL, axis=1)
     gains = [1.0 - total[1:] / total[:-1], *np.quantile(1.0 - drawn[1:] / drawn[:-1], _INTERVAL, axis=1)]

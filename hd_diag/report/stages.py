@@ -84,10 +84,6 @@ def stages(diagnosis: Diagnosis, plain: LinearisedFit | None) -> Stages:
     diagnosis : Diagnosis
     plain : LinearisedFit, optional
         Settled on the whole record without causes; None where nothing was fitted.
-
-    Returns
-    -------
-    Stages
     """
     rows = usable(diagnosis.record)
     record, configured = diagnosis.record.select(rows), diagnosis.configured

@@ -88,10 +88,6 @@ def teeth_over_turn(drive: Drive, input_angle: Floats, torque: float) -> TeethOv
         Where the record was [rad].
     torque : float
         On the link [N m].
-
-    Returns
-    -------
-    TeethOverTurn
     """
     frame, geometry = drive.frame, drive.mesh.geometry
     angle = _TURN * (np.arange(_ANGLES) + 0.5) / _ANGLES
@@ -142,10 +138,6 @@ def extremes(drive: Drive, input_angle: Floats, torque: Floats) -> Extremes:
     drive : Drive
     input_angle, torque : ndarray, shape (n,)
         As reported [rad], on the link [N m]; of many, moments at equal distances are looked at.
-
-    Returns
-    -------
-    Extremes
     """
     rows = np.unique(np.linspace(0, input_angle.size - 1, _MOMENTS).astype(np.int64))
     state = mesh_state(drive, input_angle[rows], drive.frame.cup_torque(torque[rows]))

@@ -94,8 +94,8 @@ def _secants(drive: Drive, ends: Floats) -> Floats:
     return np.asarray(np.diff(ends) / np.diff(torsion))
 
 
-def measured(found: Stages, configured: Drive) -> Torsion:
-    """The measured curve beside the simulated ones."""
+def measured(found: Stages, configured: Drive, rng: np.random.Generator) -> Torsion:
+    """The measured curve beside the simulated ones; blocks are drawn for the intervals of the stiffness."""
     record, torque = found.record, found.record.torque
     alone = simulated(configured, found.drive, max(float(np.max(np.abs(torque))), 1.0))
     if not record.has_torque:
@@ -106,7 +106,7 @@ def measured(found: Stages, configured: Drive) -> Torsion:
     model = [] if extended is None else [found.measured - extended] * 2
     return replace(
         alone,
-        stiffness=tuple(_with_slope(entry, found) for entry in alone.stiffness),
+        stiffness=tuple(_with_slope(entry, found, rng) for entry in alone.stiffness),
         measured=tuple(band(torque[way], found.measured[way], edges) for way in ways),
         extended=tuple(
             band(torque[way], error[way], edges).mean for way, error in zip(ways, model, strict=False)
@@ -114,7 +114,7 @@ def measured(found: Stages, configured: Drive) -> Torsion:
     )
 
 
-def _with_slope(entry: Stiffness, found: Stages) -> Stiffness:
+def _with_slope(entry: Stiffness, found: Stages, rng: np.random.Generator) -> Stiffness:
     """The stiffness with what was measured, both directions together, each with its own zero."""
     load = np.abs(found.record.torque)
     inside = (load >= entry.low) & (load <= entry.high)
@@ -123,7 +123,7 @@ def _with_slope(entry: Stiffness, found: Stages) -> Stiffness:
     sign = np.sign(found.record.torque[inside])
     block = np.flatnonzero(inside) * _BLOCKS // load.size
     sums = _sums(load[inside], -sign * found.measured[inside], sign, block)
-    draws = np.random.default_rng(0).integers(0, _BLOCKS, (_DRAWS, _BLOCKS))
+    draws = rng.integers(0, _BLOCKS, (_DRAWS, _BLOCKS))
     low, high = np.nanquantile([_slope(sums[draw].sum(axis=0)) for draw in draws], (0.025, 0.975))
     slope = _slope(sums.sum(axis=0))
     return replace(

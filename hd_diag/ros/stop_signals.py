@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import signal
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from types import FrameType
 
 _STOPPING = (signal.SIGINT, signal.SIGTERM)
@@ -31,11 +31,16 @@ def ignore_signals() -> None:
 
 
 @contextlib.contextmanager
-def noted_signals() -> Iterator[list[int]]:
+def noted_signals(numbers: Sequence[signal.Signals] = _STOPPING) -> Iterator[list[int]]:
     """Note signals inside a ``with`` statement; a second one ends the program at once.
 
     A KeyboardInterrupt at any place could leave a terminal without a cursor, a process running or a file
     half written; so would SIGTERM.
+
+    Parameters
+    ----------
+    numbers : sequence of signal
+        Those to note.
 
     Yields
     ------
@@ -48,9 +53,9 @@ def noted_signals() -> Iterator[list[int]]:
         came.append(number)
         signal.signal(number, signal.SIG_DFL)
 
-    before = [signal.signal(number, note) for number in _STOPPING]
+    before = [signal.signal(number, note) for number in numbers]
     try:
         yield came
     finally:
-        for number, handler in zip(_STOPPING, before, strict=True):
+        for number, handler in zip(numbers, before, strict=True):
             signal.signal(number, handler)

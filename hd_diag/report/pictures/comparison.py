@@ -88,10 +88,6 @@ def orders(spectra: Mapping[str, tuple[Floats, Floats]], marks: Sequence[float],
         Orders to mark, rising; they get the numbers 1, 2, ...
     highest : float
         End of the axis.
-
-    Returns
-    -------
-    Figure
     """
     figure, (axes,) = sheet(3.1)
     for (colour, _), width, (name, (order, amplitude)) in zip(STAGES, _WIDTHS, spectra.items(), strict=False):

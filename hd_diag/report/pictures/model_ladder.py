@@ -29,10 +29,6 @@ def model_ladder(rungs: Sequence[Rung], held_out: Rms) -> Figure:
     rungs : sequence of Rung
     held_out : Rms
         Of the data that were never fitted, and the noise floor.
-
-    Returns
-    -------
-    Figure
     """
     figure, (axes,) = sheet(1.1 + 0.46 * len(rungs))
     axes.set_xscale("log")

@@ -18,16 +18,7 @@ _BAR = 0.26  # [inch]
 
 @drawn
 def tolerance_picture(found: Study) -> Figure:
-    """Up to three panels, one above the other.
-
-    Parameters
-    ----------
-    found : Study
-
-    Returns
-    -------
-    Figure
-    """
+    """Up to three panels, one above the other."""
     bars = _BAR * len(FACTORS) + 1.4
     heights = (
         [_PANEL + 0.3] + [_PANEL] * (found.assemblies is not None) + [bars] * (found.sensitivity is not None)

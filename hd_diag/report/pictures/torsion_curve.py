@@ -22,10 +22,6 @@ def torsion_curve(found: Torsion, judged: bool) -> Figure:
     found : Torsion
     judged : bool
         Whether the drive was fitted; otherwise it is the only one.
-
-    Returns
-    -------
-    Figure
     """
     figure, (axes,) = sheet(3.6)
     torque, most = found.torque, float(found.torque[-1])
