@@ -15,7 +15,7 @@ from jinja2 import DictLoader, Environment, StrictUndefined
 from hd_diag.formatting import arcsec, visible, words
 from hd_diag.report import captions
 from hd_diag.report.facts import JointReport, versions
-from hd_diag.report.page_pictures import pictures
+from hd_diag.report.pictures.page_pictures import pictures
 from hd_diag.report.quality import Fact
 
 _TEMPLATE = "report.html.jinja"
