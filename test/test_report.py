@@ -332,11 +332,11 @@ def parameter_file(path: Path, **names: str) -> Path:
 
 
 def test_a_bag_without_output_gets_the_model_s_side(tmp_path: Path) -> None:
-    """And a name in it that wants to be markup is told as it is."""
-    bag, out = tmp_path / "<b>bag.mcap", tmp_path / "page.html"
+    """The JSON says why; and a name in it that wants to be markup is told as it is."""
+    bag, out, told = tmp_path / "<b>bag.mcap", tmp_path / "page.html", tmp_path / "a.json"
     without_output(bag, HOSTILE)
     config = parameter_file(tmp_path / "c.yaml", input_joint=f"{HOSTILE}_motor", output_joint=HOSTILE)
-    result = hd_diag("report", bag, "--config", config, "--out", out)
+    result = hd_diag("report", bag, "--config", config, "--out", out, "--json", told)
     assert (result.exit_code, result.stderr) == (0, "")
     assert "Nothing could be judged" in result.stdout
     read = Reader(out.read_text(encoding="utf-8"))
@@ -346,6 +346,10 @@ def test_a_bag_without_output_gets_the_model_s_side(tmp_path: Path) -> None:
     assert len([1 for tag, _ in read.tags if tag == "svg"]) == 3
     assert "Measured against simulated" not in read.text
     assert not list(tmp_path.glob(".*"))
+    found = json.loads(told.read_text())
+    assert (found["schema"], found["joint"]) == ("hd_diag/not_judged/1", "joint_1")
+    assert "no input angle ('<script>" in found["error"]
+    assert "with output angle" in found["error"]
 
 
 def test_both_verbs_draw_what_they_say(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -368,16 +372,6 @@ def test_both_verbs_draw_what_they_say(monkeypatch: pytest.MonkeyPatch, tmp_path
     assert from_bag.size == made("output_runout").time.size
     assert_allclose(from_bag.input_angle, from_table.input_angle)
     assert_allclose(from_bag.torque, from_table.torque)
-
-
-def test_why_a_joint_was_not_judged_is_in_the_json(tmp_path: Path) -> None:
-    bag, told = tmp_path / "a.mcap", tmp_path / "a.json"
-    without_output(bag, "joint_1")
-    result = hd_diag("report", bag, "--out", tmp_path / "a.html", "--json", told)
-    assert (result.exit_code, result.stderr) == (0, "")
-    found = json.loads(told.read_text())
-    assert (found["schema"], found["joint"]) == ("hd_diag/not_judged/1", "joint_1")
-    assert "no input angle ('joint_1_motor') with output angle" in found["error"]
 
 
 @pytest.mark.parametrize("verb", ["diagnose", "report"])
