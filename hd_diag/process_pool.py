@@ -29,16 +29,10 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA
 
 @dataclass(frozen=True)
 class Failure:
-    """A task that gave no result, and why."""
+    """A task that gave no result, why, and whether its worker died."""
 
     text: str
-
-
-@dataclass(frozen=True)
-class Lost:
-    """A task whose worker died, and how."""
-
-    text: str
+    died: bool = False
 
 
 class Pool(Protocol):
@@ -55,7 +49,7 @@ class Pool(Protocol):
         """Give a worker a task, known by its number."""
 
     def done(self, patience: float) -> list[tuple[int, Any]]:
-        """Numbers and outcomes (result, `Failure` or `Lost`) of tasks that have ended; waits at most [s]."""
+        """Numbers and outcomes (result or `Failure`) of tasks that have ended; waits at most [s]."""
 
 
 def run(
@@ -96,7 +90,7 @@ def run(
                 started[number] = time.monotonic()
                 pool.send(worker, number, timed, items[number])
         for number, outcome in pool.done(_PATIENCE):
-            if isinstance(outcome, Lost):
+            if isinstance(outcome, Failure) and outcome.died:
                 deaths[number] += 1
                 if 0.0 < timeout <= time.monotonic() - started[number]:
                     outcome = Failure(f"took longer than {timeout:g} s")
@@ -208,7 +202,7 @@ class ProcessPool:
             if isinstance(error, BrokenProcessPool):
                 self._lanes[lane].shutdown(wait=False)
                 self._lanes[lane] = self._lane()
-                outcomes.append((number, Lost("killed, out of memory, or crashed")))
+                outcomes.append((number, Failure("killed, out of memory, or crashed", died=True)))
             else:
                 outcomes.append((number, future.result() if error is None else Failure(str(error))))
         return outcomes

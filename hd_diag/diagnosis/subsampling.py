@@ -7,6 +7,9 @@ rows would lose.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from itertools import pairwise
+
 import numpy as np
 
 from hd_diag.arrays import Floats, Integers
@@ -68,12 +71,10 @@ def _cells(record: Record, most: int) -> list[tuple[int, int]]:
     runs = bounds(record.run)
     if len(runs) > most:
         runs = [(0, record.size)]
-    cells = []
+    cells: list[tuple[int, int]] = []
     for begin, end in runs:
-        edges = np.linspace(begin, end, max(round((end - begin) * most / record.size), 1) + 1).astype(
-            np.int64
-        )
-        cells += list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
+        count = max(round((end - begin) * most / record.size), 1)
+        cells += pairwise(np.linspace(begin, end, count + 1).astype(np.int64).tolist())
     return cells
 
 
@@ -83,13 +84,11 @@ def _places(record: Record, cells: list[tuple[int, int]], length: int) -> list[i
         np.linspace(begin, max(end - length, begin), _PLACES).astype(np.int64).tolist()
         for begin, end in cells
     ]
-    coverage = _Coverage(record)
-    wanted = _wanted(
-        np.sum([coverage.of(rows) for rows, _, _ in blocks(0, record.size)], axis=0) / record.size
-    )
+    of = _coverage(record)
+    wanted = _wanted(np.sum([of(rows) for rows, _, _ in blocks(0, record.size)], axis=0) / record.size)
     shown = np.array(
         [
-            [coverage.of(slice(begin, min(begin + length, end))) for begin in row]
+            [of(slice(begin, min(begin + length, end))) for begin in row]
             for row, (_, end) in zip(starts, cells, strict=True)
         ]
     )
@@ -113,31 +112,19 @@ def _wanted(share: Floats) -> Floats:
     )
 
 
-class _Coverage:
-    """Histograms of torque, speed, place in the output's turn, and of torque and speed together."""
+def _coverage(record: Record) -> Callable[[slice], Floats]:
+    """Histograms of some rows: torque, speed, place in the output's turn, and torque and speed together."""
+    low, span = float(record.torque.min()), max(float(np.ptp(record.torque)), 1e-9)
+    fast = max(float(record.speed.max()), -float(record.speed.min()), 1e-9)
 
-    def __init__(self, record: Record) -> None:
-        self._record = record
-        self._low, self._span = float(record.torque.min()), max(float(np.ptp(record.torque)), 1e-9)
-        self._fast = max(float(record.speed.max()), -float(record.speed.min()), 1e-9)
-
-    def of(self, rows: slice) -> Floats:
-        """Counts of some rows, group by group."""
-        record = self._record
-        load = (record.torque[rows] - self._low) / self._span
-        fast = 0.5 + 0.5 * record.speed[rows] / self._fast
+    def of(rows: slice) -> Floats:
+        load, speed = (record.torque[rows] - low) / span, 0.5 + 0.5 * record.speed[rows] / fast
         place = np.mod(record.output_angle[rows] / (2.0 * np.pi), 1.0)
-        both = _level(load, _PAIRED) * _PAIRED + _level(fast, _PAIRED)
-        levels = (_level(load, _LEVELS), _level(fast, _LEVELS), _level(place, _LEVELS), both)
-        counts = [
-            np.bincount(level, minlength=group.stop - group.start)
-            for level, group in zip(levels, _GROUPS, strict=True)
-        ]
-        return np.concatenate(counts).astype(np.float64)
+        single = [np.histogram(share, _LEVELS, (0.0, 1.0))[0] for share in (load, speed, place)]
+        both = np.histogram2d(load, speed, _PAIRED, ((0.0, 1.0), (0.0, 1.0)))[0]
+        return np.concatenate((*single, both.ravel())).astype(np.float64)
 
-
-def _level(share: Floats, levels: int) -> Integers:
-    return np.clip((share * levels).astype(np.int64), 0, levels - 1)
+    return of
 
 
 def _between(record: Record, begin: int, end: int) -> Integers:

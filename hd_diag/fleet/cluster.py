@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from hd_diag.fleet import FleetError
-from hd_diag.process_pool import Failure, Lost, guarded
+from hd_diag.process_pool import Failure, guarded
 
 # How long to wait [s]
 _CONNECT = 10.0  # for the scheduler
@@ -93,23 +93,21 @@ class ClusterPool:
                 raise self._gone() from error
 
     def _outcome(self, future: Any, worker: str, alive: bool) -> Any:
-        """Result, `Failure` or `Lost`; None while the task is being done."""
+        """Result or `Failure`; None while the task is being done."""
         from distributed import KilledWorker
 
+        gone = Failure(f"{worker} is gone", died=True)
         if future.status == "finished":
             try:
                 return future.result(timeout=_GATHER)
             except Exception as error:  # whatever Dask makes of a worker that died with the result
-                return Lost(f"{worker}: {error}")
+                return Failure(f"{worker}: {error}", died=True)
         if future.status == "error":
             raised = future.exception(timeout=_GATHER)
             if isinstance(raised, ImportError):
                 raise FleetError(f"worker {worker} cannot import what it needs: {raised}")
-            lost = isinstance(raised, KilledWorker)
-            return Lost(f"{worker} is gone") if lost else Failure(f"{type(raised).__name__}: {raised}")
-        if future.status in ("cancelled", "lost") or not alive:
-            return Lost(f"{worker} is gone")
-        return None
+            return gone if isinstance(raised, KilledWorker) else Failure(f"{type(raised).__name__}: {raised}")
+        return gone if future.status in ("cancelled", "lost") or not alive else None
 
     def _workers(self) -> list[str]:
         try:

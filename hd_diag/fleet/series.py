@@ -48,21 +48,12 @@ class Series:
 
 
 def series_of(rows: Sequence[Row], limits: Mapping[tuple[str, str], float]) -> list[Series]:
-    """Series of every joint of every robot that has been judged.
+    """Series of every joint of every robot that has been diagnosed; limits by joint and quantity.
 
-    Parameters
-    ----------
-    rows : sequence of dict
-    limits : mapping
-        By joint and quantity, in the quantity's unit.
-
-    Returns
-    -------
-    list of Series
-        Eccentricity where the refit is trustworthy [m]; held-out residuals, nominal and refitted [rad]; the
-        amplitude of each cause that was found at least once [rad rms]. Where a cause was not found but could
-        have been, its amplitude is 0 with half the least size found as standard deviation; names that a
-        record could not tell apart make one cause.
+    Eccentricity where the refit is trustworthy [m]; held-out residuals, nominal and refitted [rad]; the
+    amplitude of each cause found at least once [rad rms]. Where a cause was not found but could have been,
+    its amplitude is 0 with half the least size found as standard deviation; names that a record could not
+    tell apart make one cause.
     """
     joints: dict[tuple[str, str], list[Row]] = defaultdict(list)
     for row in sorted(rows, key=lambda row: (row.get("start") or 0, row["bag"])):

@@ -25,15 +25,7 @@ _MONTH = 30.0 * 86400.0  # [s]
 
 
 def as_json(out: str, rows: Sequence[Row], trends: Sequence[Trend]) -> dict[str, Any]:
-    """What `hd-diag fleet --json` writes: schema ``hd_diag/fleet/1``; SI, times in ISO 8601 UTC.
-
-    Parameters
-    ----------
-    out : str
-        Where the table is.
-    rows : sequence of dict
-    trends : sequence of Trend
-    """
+    """What `hd-diag fleet --json` writes, with the table's path: SI, times in ISO 8601 UTC."""
     errors = [row for row in rows if row.get("error")]
     content = {
         "schema": SCHEMA,
