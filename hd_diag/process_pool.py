@@ -38,10 +38,6 @@ class Failure:
 class Pool(Protocol):
     """Workers, each of which does one task at a time."""
 
-    @property
-    def busy(self) -> int:
-        """Number of tasks that are being done."""
-
     def idle(self) -> Iterable[Any]:
         """Workers that can take a task."""
 
@@ -79,17 +75,19 @@ def run(
         Index of an item, and its result. Each index comes exactly once: an item whose worker died is tried
         `ATTEMPTS` times, then it is a `Failure`.
     """
-    waiting = deque(range(len(items)))
+    waiting, at_work = deque(range(len(items))), 0
     deaths, started = [0] * len(items), [0.0] * len(items)
     timed = functools.partial(_timed, function, timeout)
-    while waiting or pool.busy:
+    while waiting or at_work:
         tick()
         for worker in pool.idle() if waiting else ():
             if waiting:
                 number = waiting.popleft()
                 started[number] = time.monotonic()
                 pool.send(worker, number, timed, items[number])
+                at_work += 1
         for number, outcome in pool.done(_PATIENCE):
+            at_work -= 1
             if isinstance(outcome, Failure) and outcome.died:
                 deaths[number] += 1
                 if 0.0 < timeout <= time.monotonic() - started[number]:
@@ -164,19 +162,14 @@ class ProcessPool:
         RuntimeError
             Where an item gave no result in another process.
         """
-        if len(self._lanes) == 1:
-            return [_then(done, function(item)) for item in items]
+        here = ((number, function(item)) for number, item in enumerate(items))
         found: dict[int, Result] = {}
-        for number, outcome in run(self, function, items):
+        for number, outcome in here if len(self._lanes) == 1 else run(self, function, items):
             if isinstance(outcome, Failure):
                 raise RuntimeError(outcome.text)
-            found[number] = _then(done, outcome)
+            found[number] = outcome
+            done()
         return [found[number] for number in range(len(items))]
-
-    @property
-    def busy(self) -> int:
-        """Number of tasks that are being done."""
-        return len(self._at_work)
 
     def idle(self) -> list[int]:
         """Lanes without a task."""
@@ -216,11 +209,6 @@ class ProcessPool:
         if kind is not None:
             for process in set(multiprocessing.active_children()) - self._before:
                 process.terminate()
-
-
-def _then(done: Callable[[], None], result: Result) -> Result:
-    done()
-    return result
 
 
 @contextlib.contextmanager

@@ -86,10 +86,6 @@ class PoolHere:
     def __init__(self) -> None:
         self._done: list[tuple[int, object]] = []
 
-    @property
-    def busy(self) -> int:
-        return len(self._done)
-
     def idle(self) -> list[int]:
         return [0] * (not self._done)
 

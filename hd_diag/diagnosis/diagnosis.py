@@ -16,7 +16,7 @@ from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit, linearise
 from hd_diag.diagnosis.fit.refit import Refit, refit, usable
-from hd_diag.diagnosis.noise import ORDER, bounds
+from hd_diag.diagnosis.noise import ORDER, slices
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.screening import Screened, screened
 from hd_diag.diagnosis.search.causes import Cause, Search, parameters_of, refitted
@@ -191,13 +191,13 @@ def _gain(
         left(model, record, torque, table)[test][kept] for torque in (record.torque, record.reported_torque)
     )
     noise, own = found.fit.noise_residual, found.fit.data
-    noise_slices = _slices(own.record.time, own.run)
-    squares, counts = _sums(noise**2, noise_slices), _sums(np.ones(noise.size), noise_slices)
+    noise_number = slices(own.record.time, own.run, _SLICE)
+    squares, counts = _sums(noise**2, noise_number), _sums(np.ones(noise.size), noise_number)
     noise_low, noise_high = np.sqrt(_ratio_interval(squares, counts, rng)).tolist()
     freedom = noise.size / max(noise.size - found.fit.always().shape[1] - 30, 1)
     unseen = _renumbered(record.select(test))
-    slices = _slices(unseen.time[kept], unseen.run[kept])
-    before, after = _sums(nominal**2, slices), _sums(extended**2, slices)
+    number = slices(unseen.time[kept], unseen.run[kept], _SLICE)
+    before, after = _sums(nominal**2, number), _sums(extended**2, number)
     high, low = (1.0 - _ratio_interval(after, before, rng)).tolist()
     rms = Rms(
         nominal=_rms(nominal),
@@ -241,14 +241,6 @@ def _residual_of(fit: LinearisedFit, trained: LinearisedFit, chosen: Chosen) -> 
 
 def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def _slices(time: Floats, run: Integers) -> Integers:
-    """Numbers, from zero without a gap, of stretches of about `_SLICE` seconds within runs."""
-    begun = np.repeat([time[a] for a, _ in bounds(run)], [b - a for a, b in bounds(run)])
-    inner = np.floor((time - begun) / _SLICE)
-    change = (np.diff(inner) != 0) | (np.diff(run) != 0)
-    return np.concatenate(([0], np.cumsum(change))).astype(np.int64)
 
 
 def _sums(values: Floats, number: Integers) -> Floats:

@@ -67,6 +67,14 @@ def spans(rows: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 
 
+def slices(time: Floats, run: Integers, seconds: float) -> Integers:
+    """Numbers, from zero without a gap, of stretches of about so many seconds within runs; shape (n,)."""
+    edges = bounds(run)
+    begun = np.repeat([time[begin] for begin, _ in edges], [end - begin for begin, end in edges])
+    change = (np.diff((time - begun) // seconds) != 0) | (np.diff(run) != 0)
+    return np.concatenate(([0], np.cumsum(change))).astype(np.int64)
+
+
 def whitening(residual: Floats, run: Integers) -> Whitening:
     """Fit the noise model to a residual.
 

@@ -48,11 +48,6 @@ class ClusterPool:
         self._at_work: dict[Any, tuple[str, int]] = {}
         self._seen = time.monotonic()
 
-    @property
-    def busy(self) -> int:
-        """Number of tasks that are being done."""
-        return len(self._at_work)
-
     def idle(self) -> list[str]:
         """Workers without a task of this run."""
         taken = {worker for worker, _ in self._at_work.values()}
