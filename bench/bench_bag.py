@@ -19,11 +19,7 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from hd_diag.bag import BagReader, BagWriter, recover
-from hd_diag.messages.encoding import (
-    encode_float64_multiarray_message,
-    encode_joint_state,
-    encode_joint_states,
-)
+from hd_diag.messages.encoding import encode_float64_multiarray, encode_joint_states
 from hd_diag.messages.joint_states import JointStateDecoder
 from hd_diag.messages.schemas import definition
 
@@ -115,13 +111,14 @@ def write_like_the_node(path, block, stamps, other):
 
 
 def single_messages(names, position):
-    data = encode_joint_state(names, 5, position, position, position)
+    values = [position[None]] * 3
+    data = encode_joint_states(names, [5], *values)[0].tobytes()
     decoder, turns = JointStateDecoder(), 20_000
-    array, dims = np.zeros((2, 200)), (("flank", 2), ("tooth", 200))
+    array, dims = np.zeros((1, 2, 200)), (("flank", 2), ("tooth", 200))
     ways = {
         "decode one JointState": lambda: decoder.decode(data),
-        "encode one JointState": lambda: encode_joint_state(names, 5, position, position, position),
-        "encode one 2 x 200 Float64MultiArray": lambda: encode_float64_multiarray_message(dims, array),
+        "encode one JointState": lambda: encode_joint_states(names, [5], *values),
+        "encode one 2 x 200 Float64MultiArray": lambda: encode_float64_multiarray(dims, array),
     }
     for name, way in ways.items():
         print(f"{name:40s} {1e6 / rate(lambda way=way: [way() for _ in range(turns)], turns):6.2f} us")

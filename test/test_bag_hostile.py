@@ -16,11 +16,12 @@ import pytest
 import zstandard
 from bag_samples import JOINT_STATE, STRING, accepts, consume, corpus, damaged, rows, string_cdr
 from mcap.data_stream import RecordBuilder
-from mcap.records import Channel, Header, Metadata, Schema
+from mcap.records import Channel, Chunk, Header, Metadata, Schema
+from rosbags.rosbag2 import StoragePlugin, Writer
 
 from hd_diag.bag import BagError, BagReader, BagWriter, recover
 from hd_diag.bag.mcap_scan import MAGIC, MAX_CHUNK, MESSAGE, check_claim
-from hd_diag.messages.schemas import definition
+from hd_diag.messages.schemas import definition, jazzy
 
 
 def record(opcode, content):
@@ -36,21 +37,10 @@ def packed(*records):
 
 def chunk(content, compression="", size=None, stored=None, checksum=None):
     stored = content if stored is None else stored
-    head = struct.pack(
-        "<QQQI",
-        0,
-        9,
-        len(content) if size is None else size,
-        zlib.crc32(content) if checksum is None else checksum,
-    )
-    return record(
-        6,
-        head
-        + struct.pack("<I", len(compression))
-        + compression.encode()
-        + struct.pack("<Q", len(stored))
-        + stored,
-    )
+    size = len(content) if size is None else size
+    checksum = zlib.crc32(content) if checksum is None else checksum
+    record_of = {"uncompressed_size": size, "uncompressed_crc": checksum}
+    return packed(Chunk(compression, stored, 9, 0, **record_of))
 
 
 def message(channel=1, data=None, log_time=1):
@@ -78,21 +68,26 @@ def test_the_parts_make_a_bag(tmp_path):
     assert consume(path) == 1
 
 
+def bomb(size):
+    return zstandard.ZstdCompressor(level=19).compress(bytes(size))
+
+
+def odd(text="", kind="x_msgs/msg/X", data=None, **options):
+    """A bag with one message of an odd type."""
+    return bag(chunk(topic(kind=kind, text=text, **options) + message(data=data)))
+
+
+EMPTY_ARRAY = f"x_msgs/E[] x\n{'=' * 80}\nMSG: x_msgs/E\nfloat64[0] y\n"
+NOT_CDR = packed(Schema(1, b"", "", STRING), Channel(1, "/n", "json", {}, 1))
 HOSTILE = {
     "huge chunk record": lambda: bag(topic(), b"\x06" + struct.pack("<Q", 2**60) + bytes(100)),
-    "huge uncompressed size": lambda: bag(
-        topic(), chunk(b"", "zstd", size=2**60, stored=zstandard.compress(b""))
-    ),
+    "huge size": lambda: bag(topic(), chunk(b"", "zstd", size=2**60, stored=zstandard.compress(b""))),
     "size beyond the limit": lambda: bag(
         chunk(topic(), "zstd", size=(1 << 30) + 1, stored=zstandard.compress(topic()))
     ),
     "size larger than content": lambda: bag(chunk(topic() + message(), size=1 << 29)),
-    "zstd bomb": lambda: bag(
-        chunk(topic(), "zstd", stored=zstandard.ZstdCompressor(level=19).compress(bytes(1 << 28)))
-    ),
-    "zstd bomb as declared too large": lambda: bag(
-        chunk(b"", "zstd", size=1 << 40, stored=zstandard.ZstdCompressor(level=19).compress(bytes(1 << 26)))
-    ),
+    "zstd bomb": lambda: bag(chunk(topic(), "zstd", stored=bomb(1 << 28))),
+    "zstd bomb as declared too large": lambda: bag(chunk(b"", "zstd", size=1 << 40, stored=bomb(1 << 26))),
     "lz4 bomb": lambda: bag(chunk(topic(), "lz4", stored=lz4.frame.compress(bytes(1 << 27)))),
     "rubbish as zstd": lambda: bag(chunk(topic(), "zstd", stored=b"rubbish")),
     "rubbish as lz4": lambda: bag(chunk(topic(), "lz4", stored=b"rubbish")),
@@ -108,32 +103,15 @@ HOSTILE = {
     "message before 1970": lambda: bag(chunk(topic() + message(log_time=2**64 - 1))),
     "undeclared channel": lambda: bag(chunk(topic() + message(channel=7))),
     "channel without schema": lambda: bag(chunk(packed(Channel(1, "/n", "cdr", {}, 9)) + message())),
-    "channel that is not CDR": lambda: bag(
-        chunk(packed(Schema(1, b"", "", STRING), Channel(1, "/n", "json", {}, 1)) + message())
-    ),
-    "unknown type": lambda: bag(chunk(topic(kind="x_msgs/msg/X", text="") + message())),
-    "schema that is no schema": lambda: bag(chunk(topic(kind="x_msgs/msg/X", text="§ $ %") + message())),
-    "schema that is no IDL": lambda: bag(
-        chunk(topic(kind="x_msgs/msg/X", text="module {", schema_encoding="ros2idl") + message())
-    ),
-    "schema that contains itself": lambda: bag(
-        chunk(topic(kind="x_msgs/msg/X", text="x_msgs/X x\n") + message())
-    ),
-    "schema with an empty array": lambda: bag(
-        chunk(
-            topic(kind="x_msgs/msg/X", text=f"x_msgs/E[] x\n{'=' * 80}\nMSG: x_msgs/E\nfloat64[0] y\n")
-            + message(data=b"\0\1\0\0\xff\xff\xff\x7f")
-        )
-    ),
-    "schema with a huge array": lambda: bag(
-        chunk(topic(kind="x_msgs/msg/X", text="string[1000000000] x\n") + message())
-    ),
-    "schema with a type that is missing": lambda: bag(
-        chunk(topic(kind="x_msgs/msg/X", text="y_msgs/Y y\n") + message())
-    ),
-    "type name with code": lambda: bag(
-        chunk(topic(kind="x:\n import os\nclass Y", text="float64 x\n") + message())
-    ),
+    "channel that is not CDR": lambda: bag(chunk(NOT_CDR + message())),
+    "unknown type": odd,
+    "schema that is no schema": lambda: odd("§ $ %"),
+    "schema that is no IDL": lambda: odd("module {", schema_encoding="ros2idl"),
+    "schema that contains itself": lambda: odd("x_msgs/X x\n"),
+    "schema with an empty array": lambda: odd(EMPTY_ARRAY, data=b"\0\1\0\0\xff\xff\xff\x7f"),
+    "schema with a huge array": lambda: odd("string[1000000000] x\n"),
+    "schema with a type that is missing": lambda: odd("y_msgs/Y y\n"),
+    "type name with code": lambda: odd("float64 x\n", kind="x:\n import os\nclass Y"),
     "ROS 1": lambda: MAGIC + packed(Header("ros1", "")) + chunk(topic() + message()),
 }
 
@@ -147,7 +125,7 @@ def test_hostile_files_are_refused_or_read_in_part(tmp_path, name):
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     if name == "huge chunk record":
-        assert found is None or found == 0
+        assert found == 0
     else:
         assert found is None
     assert peak < 100 << 20
@@ -194,16 +172,16 @@ def test_damaged_bags(tmp_path):
     chance = random.Random(20)
     bags = corpus(tmp_path)
     path, refused = tmp_path / "a.mcap", 0
-    for turn in range(1200):
+    for turn in range(240):
         path.write_bytes(damaged(bags[turn % len(bags)], chance))
         refused += accepts(path) is None
-    assert 100 < refused < 1200
+    assert 20 < refused < 240
 
 
 def test_random_bytes(tmp_path):
     chance = random.Random(21)
     path = tmp_path / "a.mcap"
-    for turn in range(300):
+    for turn in range(100):
         content = chance.randbytes(chance.randrange(400))
         path.write_bytes([content, MAGIC + content, bag(content), bag(chunk(content))][turn % 4])
         accepts(path)
@@ -213,7 +191,7 @@ def test_recovering_damaged_bags(tmp_path):
     chance = random.Random(22)
     bags = corpus(tmp_path)
     path = tmp_path / "a.mcap"
-    for turn in range(60):
+    for turn in range(24):
         path.write_bytes(damaged(bags[turn % len(bags)], chance))
         try:
             report = recover(path, tmp_path / "b.mcap", overwrite=True)
@@ -227,20 +205,16 @@ def test_recovering_damaged_bags(tmp_path):
 
 
 def test_damaged_databases(tmp_path):
-    from rosbags.rosbag2 import StoragePlugin, Writer
-
-    from hd_diag.messages.schemas import jazzy
-
     with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
         connection = writer.add_connection("/n", STRING, typestore=jazzy())
         for i in range(40):
             writer.write(connection, i, string_cdr(f"{i}"))
     data = (tmp_path / "bag" / "bag.db3").read_bytes()
     chance, path, refused = random.Random(23), tmp_path / "a.db3", 0
-    for _ in range(150):
+    for _ in range(50):
         path.write_bytes(data[:16] + damaged(data[16:], chance))
         refused += accepts(path) is None
-    assert refused > 10
+    assert refused > 3
 
 
 @pytest.mark.parametrize("suffix", [".db3", ".mcap"])
@@ -250,13 +224,13 @@ def test_bombs_as_compressed_files(tmp_path, monkeypatch, suffix):
     monkeypatch.setattr("hd_diag.bag.folder._UNPACKED_LEAST", 1 << 20)
     (tmp_path / "scratch").mkdir()
     path = tmp_path / f"a{suffix}.zstd"
-    bomb = zstandard.ZstdCompressor(level=19).compress(bytes(1 << 26))
-    for content in (bomb, b"rubbish", b"", bomb[:1000]):
+    packed_zeros = bomb(1 << 26)
+    for content in (packed_zeros, b"rubbish", b"", packed_zeros[:1000]):
         path.write_bytes(content)
         assert accepts(path) is None
         assert recover(path, tmp_path / "b.mcap").out == []
         assert list((tmp_path / "scratch").iterdir()) == []
-    path.write_bytes(bomb)
+    path.write_bytes(packed_zeros)
     with pytest.raises(BagError, match="decompresses to more than 100 times its size"):
         BagReader(path)
 
@@ -266,7 +240,7 @@ def test_damaged_metadata(tmp_path):
         writer.write("/n", STRING, string_cdr("x"), 1)
     info = tmp_path / "bag" / "metadata.yaml"
     data, chance = info.read_bytes(), random.Random(24)
-    for _ in range(60):
+    for _ in range(30):
         info.write_bytes(damaged(data, chance))
         accepts(tmp_path / "bag")
     bomb = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(

@@ -163,16 +163,6 @@ def test_folder_with_damaged_metadata_and_a_file_that_is_no_bag(tmp_path):
     assert report.files[1].unread == 7
 
 
-def test_sqlite_bag_is_converted(tmp_path):
-    with RosbagsWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        connection = writer.add_connection("/n", STRING, typestore=jazzy())
-        for i in range(50):
-            writer.write(connection, i, string_cdr(f"{i}"))
-    report = recover(tmp_path / "bag", tmp_path / "saved.mcap")
-    assert report.complete
-    assert read(tmp_path / "saved.mcap") == [("/n", i, string_cdr(f"{i}")) for i in range(50)]
-
-
 def database(folder, count=2000):
     """File with `count` messages as rosbag2 writes them, with its index of times."""
     with RosbagsWriter(folder, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
@@ -276,15 +266,6 @@ def test_offers_times_and_unknown_types_are_kept(tmp_path):
     new = {"history": "keep_last", "reliability": "best_effort", "durability": "transient_local"}
     new["liveliness"] = "automatic"
     assert yaml.safe_load(topic.offers) == [old | new]
-
-
-def test_progress_reaches_the_end(tmp_path):
-    path = write_with_mcap(tmp_path / "a.mcap", messages(), chunk_size=6000)
-    seen = []
-    recover(path, tmp_path / "b.mcap", progress=lambda done, total: seen.append((done, total)))
-    assert [d for d, _ in seen] == sorted(d for d, _ in seen)
-    assert {t for _, t in seen} == {path.stat().st_size}
-    assert len(seen) > 5
 
 
 def test_a_damaged_database_is_named_with_what_helps(tmp_path):
@@ -457,16 +438,6 @@ def test_decompression_in_blocks_is_bounded(tmp_path):
     data = start[: 8 + 9 + int.from_bytes(start[9:17], "little")]
     (tmp_path / "b.mcap").write_bytes(data + b"\x06" + (len(body) + 9).to_bytes(8, "little") + body)
     assert recover(tmp_path / "b.mcap", tmp_path / "c.mcap").counts == {}
-
-
-def test_times_over_several_files(tmp_path):
-    block, stamps = rows(100)
-    with BagWriter(tmp_path / "bag", max_duration=0.04) as writer:
-        writer.write_many("/j", JOINT_STATE, block, stamps)
-    report = recover(tmp_path / "bag", tmp_path / "b.mcap")
-    assert (report.start, report.end) == (0, 99 * MS)
-    with BagReader(tmp_path / "b.mcap") as reader:
-        assert np.array_equal(np.concatenate([b.log_time for b in reader.batches()]), stamps)
 
 
 def test_a_file_that_is_missing_is_said(tmp_path):

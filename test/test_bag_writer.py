@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from bag_samples import JOINT_STATE, MS, NAMES, STRING, joint_state_cdr, rows, string_cdr
+from bag_samples import JOINT_STATE, MS, STRING, rows, string_cdr
 from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, Header, Metadata, Schema
 from mcap.stream_reader import StreamReader
@@ -119,13 +119,6 @@ def test_rows_and_single_messages_give_the_same_messages(tmp_path, compression):
         writer.write_many("/j", JOINT_STATE, [memoryview(row.tobytes()) for row in block], stamps)
     data = [path.read_bytes() for path in paths]
     assert data[0] == data[1] == data[2]
-
-
-def test_many_messages_of_different_sizes(tmp_path):
-    texts = ["a" * (i % 17) for i in range(200)]
-    with BagWriter(tmp_path / "a.mcap", chunk_size=1000) as writer:
-        writer.write_many("/n", STRING, [string_cdr(t) for t in texts], np.arange(200), np.arange(200) + 5)
-    assert [d for _, _, d in read_raw(tmp_path / "a.mcap")] == [string_cdr(t) for t in texts]
 
 
 @pytest.mark.parametrize("many", [False, True])
@@ -377,28 +370,11 @@ def assert_saved(path, done, tmp_path):
     assert np.array_equal(times, np.arange(len(times)) * MS)
 
 
-@pytest.mark.parametrize("beside", [False, True])
-@pytest.mark.parametrize("compression", COMPRESSIONS)
+@pytest.mark.parametrize(("compression", "beside"), [("zstd", False), ("none", True)])
 def test_file_size_limit(tmp_path, compression, beside):
     done, error = fill(tmp_path / "full.mcap", 200_000, compression, beside)
     assert error == f"{tmp_path / 'full.mcap'}: {os.strerror(errno.EFBIG)}"
     assert_saved(tmp_path / "full.mcap", done, tmp_path)
-
-
-def test_disk_full(tmp_path):
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=400k", "tmpfs", str(disk)], capture_output=True, text=True
-    )
-    if mounted.returncode:
-        pytest.skip(f"a tmpfs cannot be mounted here: {mounted.stderr.strip()}")
-    try:
-        done, error = fill(disk / "full.mcap")
-        assert error == f"{disk / 'full.mcap'}: {os.strerror(errno.ENOSPC)}"
-        assert_saved(disk / "full.mcap", done, tmp_path)
-    finally:
-        subprocess.run(["umount", str(disk)], check=True)
 
 
 # Writes in real time with a timer as the node does; tells each message once it was handed to the writer.
@@ -424,7 +400,7 @@ for i in range(4000):
 """
 
 
-@pytest.mark.parametrize("turn", range(10))
+@pytest.mark.parametrize("turn", [0, 3, *(pytest.param(n, marks=pytest.mark.slow) for n in range(4, 10))])
 def test_kill_loses_less_than_a_second(tmp_path, turn):
     chance = random.Random(turn)
     path = tmp_path / ("bag" if turn % 2 else "a.mcap")
@@ -462,11 +438,6 @@ def test_rest_is_saved_when_no_more_messages_come(tmp_path):
     process.send_signal(signal.SIGKILL)
     process.communicate()
     assert recover(tmp_path / "a.mcap", tmp_path / "b.mcap").counts == {"/j": 50}
-
-
-def test_joint_state_of_the_samples_is_what_rosbags_serializes():
-    block, _ = rows(1)
-    assert block[0].tobytes() == joint_state_cdr(NAMES, 0, (0.0, 0.1), (-0.0, -0.1))
 
 
 def test_a_disk_that_was_full_for_a_moment(tmp_path, monkeypatch):
@@ -516,7 +487,7 @@ def write_singly(writer, block, stamps):
         writer.write("/j", JOINT_STATE, row.tobytes(), stamp)
 
 
-@pytest.mark.parametrize("whole", [0, 1, 7])
+@pytest.mark.parametrize("whole", [0, 7])
 def test_a_disk_that_is_full_for_a_moment_beside(tmp_path, monkeypatch, whole):
     """The file ends with the last chunk before the error, though there is room for later ones again."""
     writer = BagWriter(tmp_path / "a.mcap", chunk_size=2000, beside=True)

@@ -457,6 +457,7 @@ def killed_replay(folder: Path, out: Path, chance: random.Random) -> tuple[list[
     return [(int(done), float(when)) for done, when in pairs], killed
 
 
+@pytest.mark.slow  # it takes its four seconds twice
 def test_a_killed_replay_leaves_what_it_acknowledged(folder: Path, tmp_path: Path) -> None:
     replay_bag(folder / "long.mcap", tmp_path / "whole.mcap", load(folder / "c.yaml"))
     whole = content(tmp_path / "whole.mcap")
@@ -475,7 +476,7 @@ def test_a_killed_replay_leaves_what_it_acknowledged(folder: Path, tmp_path: Pat
 def test_whatever_a_bag_holds_the_answer_is_proper(tmp_path: Path) -> None:
     """A short campaign; a longer one is in bench/fuzz_replay.py."""
     fuzz = Fuzz(tmp_path, seed=20)
-    for _ in range(120):
+    for _ in range(40):
         fuzz.turn()
-    assert fuzz.counts["accepted"] > 20
-    assert fuzz.counts["refused"] > 20
+    assert fuzz.counts["accepted"] > 5
+    assert fuzz.counts["refused"] > 5

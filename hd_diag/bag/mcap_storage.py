@@ -154,7 +154,7 @@ def _ordered(stretches: Sequence[_Stretch], load_one: Callable[[_Stretch], Block
     messages from before the time that it declares.
     """
     turns = sorted(range(len(stretches)), key=lambda number: (stretches[number].start, number))
-    limits = [*(stretches[number].start for number in turns[1:]), 2**63 - 1]
+    limits = [stretches[number].start for number in (*turns[1:], *turns[-1:])]  # the last has none
     blocks = _ahead([stretches[number] for number in turns], load_one)
     held: list[tuple[int, Block]] = []
     released = -(2**63)
