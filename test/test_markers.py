@@ -53,7 +53,7 @@ def chords(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> I
     A chord over a height h misses an arc of radius rho at the slope gamma by h^2 / (8 rho cos^3 gamma) across
     the tooth: at most 9 um for h = 66 um, where the slot's convex arc (rho 0.436 mm) ends at 58 degrees.
     """
-    cached = (markers._tooth_outline, markers._slots, markers._face_order)
+    cached = (markers._tooth_outline, markers._slots)
     monkeypatch.setattr(markers, "_FLANK_POINTS", 8 * request.param + 1)
     for function in cached:
         function.cache_clear()

@@ -57,22 +57,10 @@ _TYPES: dict[Kind, str] = {
 
 @dataclass(frozen=True)
 class Shape:
-    """One marker.
+    """One marker: its namespace, kind, points (n, 3) [m] (of a text its place) and colour.
 
-    Attributes
-    ----------
-    name : str
-        Namespace of the marker.
-    kind : {"line_strip", "line_list", "triangle_list", "text"}
-    points : ndarray, shape (n, 3)
-        [m]; of a text its place alone.
-    colour : (float, float, float, float)
-        Red, green, blue, opacity [-], where the points have none of their own.
-    size : float
-        Width of lines or height of letters [m]; without meaning for triangles.
-    colours : ndarray, shape (n, 4), or None
-        Of the points.
-    text : str
+    Colours are red, green, blue and opacity [-]; `colours` (n, 4) those of the points, where they have some.
+    `size` is the width of lines or height of letters [m].
     """
 
     name: str
@@ -141,7 +129,8 @@ def drawing(
     factor = exaggeration.deformation
     teeth = _teeth(drive, float(angle[0]), factor)
     teeth = np.exp(1j * torsion) * (turn * teeth + displacement)
-    curve = turn * _neutral_curve(geometry, factor) + displacement
+    neutral = _deformed(geometry, np.linspace(0.0, 2.0 * np.pi, _CURVE_POINTS), factor)[0]
+    curve = turn * neutral + displacement
     arrow = _arrow(displacement * exaggeration.eccentricity)
     outer = geometry.circular_spline_datum + geometry.slot_end
     legend = (
@@ -150,7 +139,8 @@ def drawing(
         "blue: wave generator, amber: flexspline, grey: circular spline"
     )
     width = 0.1 * geometry.tooth_pitch * outer
-    faces = _faces(teeth) - (0.0, 0.0, width)  # below the lines: in one plane they would flicker
+    # Below the lines: in one plane they would flicker.
+    faces = _flat(teeth[:, _face_order()]) - (0.0, 0.0, width)
     return (
         Shape("circular_spline", "line_strip", _slots(geometry), _STEEL, width),
         Shape("flexspline", "line_strip", _flat(np.append(teeth, teeth[0, 0])), _AMBER, 0.5 * width),
@@ -165,15 +155,7 @@ def drawing(
 def viridis(share: Floats) -> Floats:
     """Colours of shares of the full scale.
 
-    Parameters
-    ----------
-    share : ndarray, shape (...)
-        Clipped to 0 ... 1.
-
-    Returns
-    -------
-    ndarray, shape (..., 4)
-        Red, green, blue and opacity 1, 0 ... 1.
+    Clipped to 0 ... 1, shape (...), they give red, green, blue and opacity 1, shape (..., 4).
     """
     rgb = np.polynomial.polynomial.polyval(np.clip(share, 0.0, 1.0), _VIRIDIS)
     return np.concatenate((np.clip(np.moveaxis(rgb, 0, -1), 0.0, 1.0), np.ones((*share.shape, 1))), axis=-1)
@@ -200,10 +182,6 @@ def _deformed(geometry: Geometry, u: Floats, exaggeration: float) -> tuple[Compl
     place = axis + np.arctan2(offset, height)
     radius = geometry.semi_major - exaggeration * (geometry.semi_major - np.abs(foot))
     return np.asarray(radius * np.exp(1j * place)), place + exaggeration * (axis - place)
-
-
-def _neutral_curve(geometry: Geometry, exaggeration: float) -> Complexes:
-    return _deformed(geometry, np.linspace(0.0, 2.0 * np.pi, _CURVE_POINTS), exaggeration)[0]
 
 
 @functools.lru_cache(maxsize=16)
@@ -233,11 +211,6 @@ def _flank(profile: DoubleArc, start: float, end: float) -> Complexes:
     return np.asarray(heights + 1j * width)
 
 
-def _faces(teeth: Complexes) -> Floats:
-    """Triangles that fill the teeth, three points each; normals towards +z."""
-    return _flat(teeth[:, _face_order()])
-
-
 def _face_colours(load: Floats, full_scale: float) -> Floats:
     clockwise, counter_clockwise = viridis(load[::-1] / full_scale)
     flanks = np.stack((clockwise, counter_clockwise), axis=1)
@@ -245,7 +218,6 @@ def _face_colours(load: Floats, full_scale: float) -> Floats:
     return np.ascontiguousarray(flanks[:, side].reshape(-1, 4))
 
 
-@functools.cache
 def _face_order() -> npt.NDArray[np.int64]:
     """Which points of a tooth's outline its triangles take: two between one height and the next."""
     height = np.linspace(0, _FLANK_POINTS - 1, _FACE_POINTS).astype(np.int64)
@@ -267,29 +239,15 @@ def _flat(points: Complexes) -> Floats:
 
 
 def marker_array(shapes: Sequence[Shape], stamp: int, frame_id: str) -> bytes:
-    """CDR of a visualization_msgs/MarkerArray.
-
-    Parameters
-    ----------
-    shapes : sequence of Shape
-    stamp : int
-        Time of the headers [ns].
-    frame_id : str
-        Frame in which the shapes are drawn.
-
-    Returns
-    -------
-    bytes
-    """
+    """CDR of a visualization_msgs/MarkerArray of shapes drawn in a frame, at a time [ns]."""
     template, places = _template(tuple(map(_constant, shapes)), frame_id)
     message = bytearray(template)
-    time = np.array(divmod(stamp, _NANOSECONDS), "<i4").tobytes()
-    for shape, place in zip(shapes, places, strict=True):
-        _put(message, place.stamp, time)
-        if place.points:
-            _put(message, place.points, np.ascontiguousarray(shape.points, "<f8").tobytes())
-        if place.colours:
-            _put(message, place.colours, np.ascontiguousarray(shape.colours, "<f4").tobytes())
+    time = np.array(divmod(stamp, _NANOSECONDS), "<i4")
+    for shape, own in zip(shapes, places, strict=True):
+        colours = None if shape.colours is None else shape.colours.astype("<f4")
+        for place, values in zip(own, (time, shape.points.astype("<f8"), colours), strict=True):
+            if place and values is not None:
+                message[place : place + values.nbytes] = values.tobytes()
     return bytes(message)
 
 
@@ -306,30 +264,13 @@ class _Constant(NamedTuple):
     position: tuple[float, ...]
 
 
-class _Places(NamedTuple):
-    """Where in a message a marker's own values begin [byte]; 0 where it has none."""
-
-    stamp: int
-    points: int
-    colours: int
-
-
 def _constant(shape: Shape) -> _Constant:
     is_text = shape.kind == "text"
+    position = tuple(shape.points[0].tolist()) if is_text else (0.0, 0.0, 0.0)
+    count, is_coloured = 0 if is_text else len(shape.points), shape.colours is not None
     return _Constant(
-        shape.name,
-        shape.kind,
-        0 if is_text else len(shape.points),
-        shape.colours is not None,
-        shape.colour,
-        shape.size,
-        shape.text,
-        tuple(shape.points[0].tolist()) if is_text else (0.0, 0.0, 0.0),
+        shape.name, shape.kind, count, is_coloured, shape.colour, shape.size, shape.text, position
     )
-
-
-def _put(message: bytearray, place: int, data: bytes) -> None:
-    message[place : place + len(data)] = data
 
 
 # Stands for the time in a template, where it is looked for.
@@ -337,8 +278,10 @@ _MARK = (1_264_661_325, 1_380_009_291)
 
 
 @functools.lru_cache(maxsize=16)
-def _template(constants: tuple[_Constant, ...], frame_id: str) -> tuple[bytes, tuple[_Places, ...]]:
-    """Message with marks in place of times, points and colours, and where they are.
+def _template(
+    constants: tuple[_Constant, ...], frame_id: str
+) -> tuple[bytes, tuple[tuple[int, int, int], ...]]:
+    """Message with marks in place of times, points and colours, and where these begin; 0 for none.
 
     Serializing every point as an object takes far longer than drawing it: this is done once for a gear.
     """
@@ -352,7 +295,7 @@ def _template(constants: tuple[_Constant, ...], frame_id: str) -> tuple[bytes, t
             points = reached = message.index(_ramp(constant.points, 3).astype("<f8").tobytes(), reached)
         if constant.coloured:
             colours = reached = message.index(_ramp(constant.points, 4).astype("<f4").tobytes(), reached)
-        places.append(_Places(stamp, points, colours))
+        places.append((stamp, points, colours))
     return message, tuple(places)
 
 
@@ -364,37 +307,32 @@ def _ramp(count: int, width: int) -> Floats:
 def _marker(constant: _Constant, number: int, frame_id: str) -> Any:
     types = jazzy().types
     marker: Any = types["visualization_msgs/msg/Marker"]
-    mesh_file = types["visualization_msgs/msg/MeshFile"]
     header, time = types["std_msgs/msg/Header"], types["builtin_interfaces/msg/Time"]
     point, colour = types["geometry_msgs/msg/Point"], types["std_msgs/msg/ColorRGBA"]
-    pose, vector = types["geometry_msgs/msg/Pose"], types["geometry_msgs/msg/Vector3"]
-    unturned = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
-    image, no_bytes = types["sensor_msgs/msg/CompressedImage"], np.array([], np.uint8)
+    unturned, no_bytes = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0), np.array([], np.uint8)
+    # What RViz asks of each kind: width in x, height of letters in z, triangles in all three.
+    width = constant.size
+    scale = {"triangle_list": (1.0, 1.0, 1.0), "text": (0.0, 0.0, width)}.get(
+        constant.kind, (width, 0.0, 0.0)
+    )
     return marker(
         header=header(time(*_MARK), frame_id),
         ns=constant.name,
         id=number,
         type=getattr(marker, _TYPES[constant.kind]),
         action=marker.ADD,
-        pose=pose(point(*constant.position), unturned),
-        scale=vector(*_scale(constant)),
+        pose=types["geometry_msgs/msg/Pose"](point(*constant.position), unturned),
+        scale=types["geometry_msgs/msg/Vector3"](*scale),
         color=colour(*constant.colour),
         lifetime=types["builtin_interfaces/msg/Duration"](0, 0),
         frame_locked=False,
         points=[point(*row) for row in _ramp(constant.points, 3).tolist()],
         colors=[colour(*row) for row in _ramp(constant.points if constant.coloured else 0, 4).tolist()],
         texture_resource="",
-        texture=image(header(time(0, 0), ""), "", no_bytes),
+        texture=types["sensor_msgs/msg/CompressedImage"](header(time(0, 0), ""), "", no_bytes),
         uv_coordinates=[],
         text=constant.text,
         mesh_resource="",
-        mesh_file=mesh_file("", no_bytes),
+        mesh_file=types["visualization_msgs/msg/MeshFile"]("", no_bytes),
         mesh_use_embedded_materials=False,
     )
-
-
-def _scale(constant: _Constant) -> tuple[float, float, float]:
-    """What RViz asks of each kind: width in x, height of letters in z, triangles in all three."""
-    if constant.kind == "triangle_list":
-        return 1.0, 1.0, 1.0
-    return (0.0, 0.0, constant.size) if constant.kind == "text" else (constant.size, 0.0, 0.0)
