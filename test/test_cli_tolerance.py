@@ -15,6 +15,7 @@ from hd_diag.config.configuration import dump, resolve
 from hd_diag.drive import mesh_state
 from hd_diag.tolerance.assembly import FACTORS
 from hd_diag.tolerance.criteria import NAMES
+from hd_diag.tolerance.study import Question
 
 QUICK = ("--samples", "12", "--sensitivity-samples", "2", "--jobs", "1")
 
@@ -121,47 +122,45 @@ def test_picture_is_one(whole: tuple[dict[str, Any], str, bytes]) -> None:
 
 
 def test_svg_and_several_torques_without_assemblies(tmp_path: Path) -> None:
-    svg = tmp_path / "a.svg"
+    svg, told = tmp_path / "a.svg", tmp_path / "a.json"
     result = run(
         *("--samples", "0", "--sensitivity-samples", "0", "--jobs", "1", "--torque", "14", "--torque", "-56"),
-        *("--peak-load", "16", "--largest-um", "4", "--json", "-", "--figure", str(svg)),
+        *("--largest-um", "1", "--json", str(told), "--figure", str(svg)),
     )
-    told = json.loads(result.stdout)
-    assert told["torques"] == [14.0, -56.0]
-    assert (told["assemblies"], told["sensitivity"]) == (None, None)
-    peak = [row["criteria"]["peak_tooth_load"]["eccentricity"] for row in told["limits"]]
-    assert peak[0] > peak[1]
+    found = json.loads(told.read_text())
+    assert found["torques"] == [14.0, -56.0]
+    assert (found["assemblies"], found["sensitivity"], found["allowed"]) == (None, None, None)
+    assert {limit["eccentricity"] for row in found["limits"] for limit in row["criteria"].values()} == {None}
+    assert "not reached" in result.stdout
+    assert "No limit is reached." in result.stdout
     assert "eccentricity" in svg.read_text()
 
 
-def test_the_seed_decides_on_any_number_of_jobs() -> None:
-    few = ("--samples", "8", "--sensitivity-samples", "2", "--json", "-", "--largest-um", "1")
-    one, two = (json.loads(run(*few, "--seed", "3", "--jobs", jobs).stdout) for jobs in ("1", "2"))
-    assert one == two
-    other = json.loads(run(*few, "--seed", "4", "--jobs", "1").stdout)
-    assert other["limits"] == one["limits"]
-    assert other["sensitivity"] != one["sensitivity"]
+def test_the_seed_decides_what_is_drawn(whole: tuple[dict[str, Any], str, bytes]) -> None:
+    other = json.loads(run(*QUICK[:4], "--jobs", "2", "--seed", "1", "--json", "-").stdout)
+    assert other["limits"] == whole[0]["limits"]
+    assert other["sensitivity"] != whole[0]["sensitivity"]
+    assert other["assemblies"]["yield"] != whole[0]["assemblies"]["yield"]
 
 
-def test_options_take_the_place_of_configured_limits(tmp_path: Path) -> None:
+def test_options_take_the_place_of_configured_limits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is asked; the study itself is not done."""
+    asked: list[Question] = []
+
+    def study(question: Question, *_: object) -> None:
+        asked.append(question)
+        raise ValueError("enough")
+
+    monkeypatch.setattr("hd_diag.cli.tolerance.study", study)
     config = config_file(tmp_path, tolerance__limits__peak_tooth_load=45.0)
-    few = ("--samples", "0", "--sensitivity-samples", "0", "--jobs", "1", "--json", "-", "--largest-um", "20")
     limits = ("--overlap-um", "5", "--te-arcsec", "7", "--stiffness-loss", "0.02", "--interference-um", "0")
-    told = json.loads(run("--config", config, *few, *limits, "--load-concentration", "9").stdout)
-    criteria = told["limits"][0]["criteria"]
-    given = [criteria[name]["limit"] for name in NAMES]
+    assert "enough" in refused(
+        "--config", config, "--largest-um", "20", *limits, "--load-concentration", "9", *QUICK
+    )
+    (question,) = asked
+    given = [question.limits[name] for name in NAMES]
     assert given == pytest.approx([0.0, 5e-6, 45.0, 9.0, 0.02, 7 * np.pi / 648000])
-    assert told["largest_eccentricity"] == pytest.approx(20e-6)
-    assert not criteria["load_concentration"]["reached"]
-    assert criteria["load_concentration"]["eccentricity"] is None
-
-
-def test_not_reached_is_said() -> None:
-    few = ("--samples", "0", "--sensitivity-samples", "0", "--jobs", "1", "--largest-um", "3")
-    result = run(*few)
-    assert result.exit_code == 0
-    assert "not reached" in result.stdout
-    assert "No limit is reached." in result.stdout
+    assert (question.largest, question.samples, question.target) == (pytest.approx(20e-6), 12, 0.95)
 
 
 @pytest.mark.parametrize(

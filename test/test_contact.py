@@ -57,7 +57,7 @@ def backlash(mesh: Mesh, angle: float) -> Array:
 
 @pytest.mark.parametrize("drive", drives.DRIVES.values(), ids=drives.DRIVES)
 @given(moment=moments)
-@settings(max_examples=8)
+@settings(max_examples=4)
 def test_reference(drive: polyline.Drive, moment: Moment) -> None:
     expected = polyline.mesh(*moment, drive=drive)
     rotation, radius, pressure = spread(drives.mesh(drive, *moment[1:]), moment.angle)

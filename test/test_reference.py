@@ -65,6 +65,7 @@ def test_first_interference_with_the_rounded_datum() -> None:
     assert_allclose(found, published.ECCENTRICITY_AT_ROUNDED_DATUM, atol=0.01e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turn", published.TURNS)
 def test_one_tooth_at_the_passage_of_the_lobe(turn: published.Turn) -> None:
     angles = np.arange(*published.PASSAGE, 0.02)
@@ -75,6 +76,7 @@ def test_one_tooth_at_the_passage_of_the_lobe(turn: published.Turn) -> None:
     assert_allclose(least, turn.least_backlash, atol=0.05e-6)
 
 
+@pytest.mark.slow
 def test_transmission_error_has_even_orders() -> None:
     angles = np.arange(24) * np.pi / 24
     meshes = [polyline.mesh(angle, (0.0, published.ECCENTRICITY)) for angle in angles]
@@ -117,6 +119,7 @@ def test_neutral_curve_is_inextensible() -> None:
     assert_allclose(np.hypot(*normal), 1, rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_refinement_changes_nothing() -> None:
     coarse, fine = (polyline.mesh(0.9, (0.0, published.ECCENTRICITY), points=n) for n in (1600, 6400))
     assert_allclose(coarse.backlash, fine.backlash, atol=1e-9)

@@ -5,6 +5,7 @@ import math
 import re
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -45,13 +46,13 @@ LARGEST = 40e-6
 NOMINAL = resolve({})
 LIMITS, SPREADS = limits_and_spreads(NOMINAL.flat, "joint_1")
 NONE = {name: Spread(spread.distribution, 0.0) for name, spread in SPREADS.items()}
-QUIET = {"overlap": 5e-6, "peak_tooth_load": 50.0, "transmission_error": 5 * ARCSEC}
 
 
 def drive(mesh: Mesh | None = None, **changes: Any) -> Drive:
     return dataclasses.replace(Drive(mesh or drives.mesh(), Kinematics(100.0), RATED), **changes)
 
 
+@cache
 def excess(criterion: str, limit: float, of: Drive | None = None, torque: float = CUP) -> EccentricityLimit:
     return first_excess(of or drive(), torque, criterion, limit, LARGEST)
 
@@ -259,11 +260,10 @@ def test_overlap_limit_by_brute_force() -> None:
     assert_allclose(found.eccentricity, 0.89e-6, atol=0.06e-6)
 
 
-@pytest.mark.parametrize("criterion", ["overlap", "peak_tooth_load", "transmission_error"])
-def test_mirrored_torque_and_turned_gear_have_the_same_limit(criterion: str) -> None:
-    there = excess(criterion, QUIET[criterion])
-    mirrored = excess(criterion, QUIET[criterion], torque=-CUP)
-    assert_allclose(mirrored.eccentricity, there.eccentricity, rtol=1e-5)
+@pytest.mark.parametrize("criterion", ["overlap", "peak_tooth_load"])
+def test_mirrored_torque_has_the_same_limit(criterion: str) -> None:
+    mirrored = excess(criterion, LIMITS[criterion], torque=-CUP)
+    assert_allclose(mirrored.eccentricity, excess(criterion, LIMITS[criterion]).eccentricity, rtol=1e-5)
 
 
 def test_opposite_directions_are_equally_bad() -> None:
@@ -292,15 +292,15 @@ def test_a_limit_that_is_not_reached() -> None:
 
 
 def test_more_torque_leaves_less_eccentricity() -> None:
-    found = [excess("peak_tooth_load", 60.0, torque=-torque).eccentricity for torque in (40.0, 56.0, 70.0)]
-    assert found[0] > found[1] > found[2] > 0.0
+    more = excess("peak_tooth_load", LIMITS["peak_tooth_load"], torque=1.25 * CUP)
+    assert 0.0 < more.eccentricity < excess("peak_tooth_load", LIMITS["peak_tooth_load"]).eccentricity
 
 
 def test_a_runout_takes_its_part() -> None:
     """The overlap is that of what lies across the long axis: it adds up."""
     own = drive(drives.mesh(runout=(0.0, 3e-6)))
-    without = excess("overlap", 20e-6).eccentricity
-    assert_allclose(excess("overlap", 20e-6, own).eccentricity, without - 3e-6, atol=0.05e-6)
+    without = excess("overlap", LIMITS["overlap"]).eccentricity
+    assert_allclose(excess("overlap", LIMITS["overlap"], own).eccentricity, without - 3e-6, atol=0.05e-6)
 
 
 def test_input_angle_of_the_other_output() -> None:
@@ -347,25 +347,21 @@ def test_without_tolerances_every_assembly_is_the_perfect_one() -> None:
     assert np.ptp(found, axis=0).max() == 0.0
     angles = np.arange(24) * 2 * np.pi / 24
     state = mesh_state(drive(), -angles, np.full(24, CUP))
-    assert_allclose(found[0, NAMES.index("peak_tooth_load"), 0], state.peak_load.max(), rtol=1e-12)
-    assert_allclose(found[0, NAMES.index("transmission_error"), 0], np.ptp(state.torsion), rtol=1e-9)
-
-
-@pytest.mark.parametrize(("factor", "expected"), [(1.001, 1.0), (0.999, 0.0)])
-def test_without_tolerances_the_yield_is_one_or_zero(factor: float, expected: float) -> None:
-    found = values(population(), [0.0], samples=5)
     peak = NAMES.index("peak_tooth_load")
-    limits = np.full(len(NAMES), 1e9)
-    limits[peak] = found[0, peak, 0] * factor
-    together, each = yields(found, limits)
-    assert together.share[0] == each[peak].share[0] == expected
-    assert together.low[0] <= expected <= together.high[0]
+    assert_allclose(found[0, peak, 0], state.peak_load.max(), rtol=1e-12)
+    assert_allclose(found[0, NAMES.index("transmission_error"), 0], np.ptp(state.torsion), rtol=1e-9)
+    for factor, expected in ((1.001, 1.0), (0.999, 0.0)):
+        limits = np.full(len(NAMES), 1e9)
+        limits[peak] = found[0, peak, 0] * factor
+        together, each = yields(found, limits)
+        assert together.share[0] == each[peak].share[0] == expected
+        assert together.low[0] <= expected <= together.high[0]
 
 
 def test_yield_falls_as_the_tolerance_grows() -> None:
     """Strictly ordered criteria: an assembly that fails fails at every greater tolerance."""
     of = population(eccentricity=("rayleigh", 4e-6), tooth_compliance=("normal", 0.05))
-    found = values(of, np.linspace(0.0, 40e-6, 9), samples=60)
+    found = values(of, np.linspace(0.0, 40e-6, 9), samples=40)
     limits = np.array([1.0, 20e-6, 55.0, 1e9, 1.0, 10 * ARCSEC])
     together, each = yields(found, limits)
     for share in (together, *each):
@@ -378,11 +374,11 @@ def test_yield_falls_as_the_tolerance_grows() -> None:
 def test_tolerance_is_what_assemblies_keep_within() -> None:
     of = population(eccentricity=("rayleigh", 3.5e-6))
     assert_allclose(of.tolerance, 3.5e-6 * math.sqrt(-2 * math.log(1 - 0.9973)), rtol=1e-12)
-    numbers = np.random.default_rng(0).random((4000, len(FACTORS)))
+    numbers = np.random.default_rng(0).random((1000, len(FACTORS)))
     magnitude = np.abs([draw(of, row).eccentricity for row in numbers])
-    assert_allclose(np.mean(magnitude > 1.0), 0.0027, atol=0.002)
+    assert_allclose(np.mean(magnitude > 1.0), 0.0027, atol=0.005)
     # Mean of a Rayleigh distribution of that scale
-    assert_allclose(magnitude.mean() * of.tolerance, 3.5e-6 * math.sqrt(math.pi / 2), rtol=0.03)
+    assert_allclose(magnitude.mean() * of.tolerance, 3.5e-6 * math.sqrt(math.pi / 2), rtol=0.05)
 
 
 @pytest.mark.parametrize(
@@ -396,11 +392,11 @@ def test_tolerance_is_what_assemblies_keep_within() -> None:
 )
 def test_deviations_have_the_moments_of_their_distribution(name: str, moments: tuple[float, float]) -> None:
     of = population(circular_spline_datum=(name, 1e-6))
-    numbers = np.full((2000, len(FACTORS)), 0.5)
-    numbers[:, FACTORS.index("circular_spline_datum")] = (np.arange(2000) + 0.5) / 2000
+    numbers = np.full((300, len(FACTORS)), 0.5)
+    numbers[:, FACTORS.index("circular_spline_datum")] = (np.arange(300) + 0.5) / 300
     datum = np.array([draw(of, row).drive.mesh.geometry.circular_spline_datum for row in numbers])
     drawn = (datum - drives.PAPER.circular_spline_datum) / 1e-6
-    assert_allclose((drawn.mean(), drawn.std()), moments, atol=5e-3)
+    assert_allclose((drawn.mean(), drawn.std()), moments, atol=1e-2)
 
 
 def test_every_factor_changes_what_it_is_named_after() -> None:

@@ -90,7 +90,7 @@ def test_displacement_is_what_stands_and_what_turns() -> None:
 
 @pytest.mark.parametrize("drive", drives.DRIVES.values(), ids=drives.DRIVES)
 @given(angle=angles, torque=torques)
-@settings(max_examples=6)
+@settings(max_examples=2)
 def test_reference(drive: polyline.Drive, angle: float, torque: float) -> None:
     moment = {"eccentricity": (-9e-6, 4e-6), "runout": (1e-6, 6e-6), "arc_offset": -7e-6}
     expected = polyline.torsion(polyline.mesh(angle, **moment, drive=drive), torque, drive)
