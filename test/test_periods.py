@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from hd_diag.streams.alignment import NEVER, kernel
+from hd_diag.streams.alignment import kernel
+from hd_diag.streams.rules import NEVER
 
 SECOND = 1_000_000_000
 

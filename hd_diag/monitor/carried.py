@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from hd_diag.monitor.all_joints import Monitor
 from hd_diag.monitor.joint import Joint
-from hd_diag.streams.alignment import Reason
+from hd_diag.streams.rules import Reason
 
 _COUNTERS = ("inputs", "first", "waiting", "samples", "rejected", "unpaired", "clock_jumps")
 

@@ -39,7 +39,7 @@ from hd_diag.ros.parameter_server import ParameterServer
 from hd_diag.ros.publishing import Publishing
 from hd_diag.ros.stop_signals import ignore_signals, note_signals
 from hd_diag.ros.subscriptions import INPUT_DEPTH, JointStateInput, subscribe_temperature
-from hd_diag.streams.alignment import CLOCK_JUMP
+from hd_diag.streams.rules import CLOCK_JUMP
 
 _QOS = RELIABLE._replace(depth=INPUT_DEPTH)
 _LOOP_PERIOD = 0.05  # longest sleep between looks at the clock, the log and finished maps [s]

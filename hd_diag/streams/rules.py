@@ -1,0 +1,64 @@
+"""Limits of `alignment`'s rules, and what stands for each joint between calls."""
+
+from __future__ import annotations
+
+from enum import IntEnum, IntFlag
+
+import numpy as np
+
+CLOCK_JUMP = 1_000_000_000
+"""A stamp this far behind the last one is a clock set back, not a late sample [ns]."""
+
+PAIRING_GAP = 50_000_000
+"""An input angle is interpolated over at most this time [ns]."""
+
+LONGEST_HOLD = 200_000_000
+"""A reported torque stands for at most this time [ns]."""
+
+REMEMBERED = 256
+"""Input samples kept for output angles that arrive later, and output angles that may wait for an input."""
+
+NEVER = -(2**62)
+"""Before every stamp [ns]."""
+
+
+class Given(IntFlag):
+    """What a row of a joint gives; `NAMED` where the message names the joint at all."""
+
+    INPUT = 1
+    OUTPUT = 2
+    TORQUE = 4
+    SPEED = 8
+    NAMED = 16
+
+
+class Reason(IntEnum):
+    """Why a row is refused; `OTHER` has a text of its own."""
+
+    OTHER = 0
+    NAMELESS = 1
+    INPUT = 2
+    OUTPUT = 3
+    TORQUE = 4
+    LATE_INPUT = 5
+    LATE_OUTPUT = 6
+
+
+JOINT = np.dtype(
+    [
+        *((name, np.int64) for name in ("input_stamp", "output_stamp", "torque_stamp", "heard", "stretch")),
+        *((name, np.int64) for name in ("inputs", "first", "waiting", "output_seen")),
+        *((name, np.int64) for name in ("samples", "rejected", "unpaired", "clock_jumps")),
+        *((name, np.int64) for name in ("reason", "reason_late")),
+        *((name, np.float64) for name in ("reason_value", "torque", "assumed_torque", "farthest")),
+        *((name, np.float64) for name in ("angle", "load")),
+    ]
+)
+"""State of one joint: stamps [ns], when an input was last heard [ns], number of its stream, places in rings,
+counters, the last refusal, torque reported and assumed [N m], farthest input angle [rad]; input angle and
+torque of the last sample."""
+
+INPUT = np.dtype([("stamp", np.int64), ("angle", np.float64)])
+OUTPUT = np.dtype(
+    [("stamp", np.int64), ("torque_stamp", np.int64), ("angle", np.float64), ("torque", np.float64)]
+)
