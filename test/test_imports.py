@@ -18,7 +18,7 @@ CORE = (
     "hd_diag.tolerance",
 )
 # These are numba's, which reads yaml itself; the rest of the core must start without them.
-KERNELS = ("hd_diag.model.kernel", "hd_diag.tolerance.kernel")
+KERNELS = ("hd_diag.model.kernel", "hd_diag.tolerance.kernel", "hd_diag.streams.kernel")
 EDGES = {"rclpy", "rosbags", "mcap", "yaml", "matplotlib", "click", "rich", "sensor_msgs", "diagnostic_msgs"}
 LATER = {"numba"}  # imported when something is first computed
 

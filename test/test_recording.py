@@ -154,7 +154,7 @@ def test_a_clock_set_back_begins_a_run(tmp_path: Path) -> None:
     """It is not sorted into one run."""
     record = read(set_back(tmp_path / "back.mcap"))
     assert record.size > 3990
-    assert record.runs == 2
+    assert record.extent.runs == 2
     assert_array_equal(np.flatnonzero(np.diff(record.run)), np.flatnonzero(np.diff(record.time) < 0.0))
 
 
@@ -162,7 +162,7 @@ def test_a_clock_set_back_begins_a_run(tmp_path: Path) -> None:
 def test_a_clock_set_back_is_no_cause(tmp_path: Path) -> None:
     own = joint(eccentricity__magnitude=12e-6, eccentricity__direction=0.6)
     found = diagnose(read_bags([set_back(tmp_path / "back.mcap")], own), own.drive)
-    assert (found.record.runs, found.causes) == (2, ())
+    assert (found.record.extent.runs, found.causes) == (2, ())
 
 
 def test_a_torque_is_not_interpolated_over_a_long_gap(given: dict[str, np.ndarray], tmp_path: Path) -> None:

@@ -52,13 +52,15 @@ def joint_state_topics(reader: BagReader) -> list[str]:
     return found
 
 
-def layouts(reader: BagReader, mixed: Mixed) -> list[JointStates]:
-    """Joint states of consecutive messages, rows counted among all of them; unreadable ones left out."""
-    return [
-        states._replace(row=rows[states.row])
-        for rows, batch in mixed.batches
-        for states in reader.joint_states(batch)[0]
-    ]
+def layouts(reader: BagReader, mixed: Mixed) -> tuple[list[JointStates], list[tuple[int, str]]]:
+    """Joint states of consecutive messages; positions of those that cannot be read, and why, in order."""
+    shapes: list[JointStates] = []
+    refused: list[tuple[int, str]] = []
+    for rows, batch in mixed.batches:
+        columns, rejected = reader.joint_states(batch)
+        shapes += [states._replace(row=rows[states.row]) for states in columns]
+        refused += [(int(rows[each.row]), each.reason) for each in rejected]
+    return shapes, refused
 
 
 def joints_in(paths: Sequence[str | Path]) -> set[str]:
@@ -182,7 +184,7 @@ def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]
                 values = np.array([read_temperature(bytes(data)) for data in batch.messages()])
                 heat.append((mixed.log_time, values))
             else:
-                found = streams.take(mixed.log_time, layouts(reader, mixed))
+                found = streams.take(mixed.log_time, *layouts(reader, mixed))
                 parts.append(found.part(wanted(found)))
     aligned = Aligned(*(np.concatenate(column) for column in zip(*parts, strict=True)))
     time, value = (np.concatenate(column) for column in zip(*heat, strict=True))

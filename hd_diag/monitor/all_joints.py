@@ -87,7 +87,11 @@ class Monitor:
         return self.mixed_states(received, (states,))
 
     def mixed_states(
-        self, received: Times, shapes: Sequence[JointStates], heard: Times | None = None
+        self,
+        received: Times,
+        shapes: Sequence[JointStates],
+        refused: Sequence[tuple[int, str]] = (),
+        heard: Times | None = None,
     ) -> list[Publication]:
         """What messages of several layouts give.
 
@@ -97,6 +101,8 @@ class Monitor:
             When each arrived [ns].
         shapes : sequence of JointStates
             The messages of each layout; their `row` are positions in `received`.
+        refused : sequence of (int, str), optional
+            Messages that cannot be read: position, and what they are.
         heard : ndarray of int64, shape (n,), optional
             When each arrived by the clock that is asked for silence [ns]; the same by default.
 
@@ -104,7 +110,7 @@ class Monitor:
         -------
         list of Publication
         """
-        samples = self.streams.take(received if heard is None else heard, shapes)
+        samples = self.streams.take(received if heard is None else heard, shapes, refused)
         if not samples.row.size:
             return []
         errors = self._compare(samples)

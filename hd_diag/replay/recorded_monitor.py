@@ -113,21 +113,18 @@ class Session:
         heard : int, optional
             The same by the clock that is asked for silence [ns].
         """
+        received_at, heard_at = np.array([received]), np.array([received if heard is None else heard])
         try:
-            states = self._decoder.decode(data)
+            shapes, refused = [self._decoder.decode(data)], []
         except ValueError as error:
-            self.unreadable(str(error))
-        else:
-            heard_at = None if heard is None else np.array([heard])
-            self._publish(self.monitor.mixed_states(np.array([received]), (states,), heard_at))
+            shapes, refused = [], [(0, str(error))]
+        self._publish(self.monitor.mixed_states(received_at, shapes, refused, heard_at))
 
-    def unreadable(self, reason: str) -> None:
-        """Count a JointState message that cannot be decoded."""
-        self.monitor.reject(f"a JointState message {reason}")
-
-    def mixed_states(self, received: Times, shapes: Sequence[JointStates]) -> None:
-        """Take messages of several layouts; their `row` are positions in the times [ns] (n,)."""
-        self._publish(self.monitor.mixed_states(received, shapes))
+    def mixed_states(
+        self, received: Times, shapes: Sequence[JointStates], refused: Sequence[tuple[int, str]]
+    ) -> None:
+        """Take messages, as `Monitor.mixed_states`."""
+        self._publish(self.monitor.mixed_states(received, shapes, refused))
 
     def temperature(self, joint: str, data: bytes) -> None:
         """Take a Temperature message in CDR."""

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from hd_diag.arrays import Times
 from hd_diag.bag import BagError, BagWriter, check_output
+from hd_diag.bag.joint_record import layouts
 from hd_diag.bag.reader import BagReader, Batch, Mixed
 from hd_diag.bag.replacing import replaced
 from hd_diag.config.configuration import Config, ConfigError, JointConfig, ModelText, resolve
@@ -32,6 +33,7 @@ _MAP_THREADS = 2  # nothing else is to be done before it is there
 _FACTS = {"latency_p99_us": "nan", "log_state": "off"}
 
 Progress = Callable[[int, int], None]
+_Refused = list[tuple[int, str]]
 
 
 @dataclass
@@ -163,8 +165,14 @@ class _Run:
             for now, data in zip(batch.log_time.tolist(), batch.messages(), strict=True):
                 self._event(now, event_of(self._reader.path, bytes(data)))
         elif self._sources.inputs.get(name) == kind:
-            for part in self._temperatures(batch) if kind == TEMPERATURE else self._joint_states(mixed):
-                self.done += part
+            take = partial(self._temperatures, mixed)
+            if kind != TEMPERATURE:
+                shapes, refused = layouts(self._reader, mixed)
+                take = partial(self._joint_states, mixed, shapes=shapes, refused=refused)
+            for rows in self._until_reports(mixed.log_time):
+                self._copy(mixed, rows)
+                take(rows)
+                self.done += rows.stop - rows.start
                 yield
             return
         self.done += len(batch)
@@ -228,48 +236,26 @@ class _Run:
     def _report(self, now: int) -> None:
         self._running.tick(now, now, _FACTS)
 
-    def _temperatures(self, batch: Batch) -> Iterator[int]:
-        joint = self._sources.temperatures[batch.topic.name]
-        for rows in self._until_reports(batch.log_time):
-            part = _part(batch, rows)
-            self._copy(part)
-            for data in part.messages():
-                self._running.temperature(joint, bytes(data))
-            yield len(part)
+    def _temperatures(self, mixed: Mixed, rows: slice) -> None:
+        _, batch = mixed.batches[0]
+        for data in _part(batch, rows).messages():
+            self._running.temperature(self._sources.temperatures[batch.topic.name], bytes(data))
 
-    def _joint_states(self, mixed: Mixed) -> Iterator[int]:
-        inputs = [self._input(rows, batch) for rows, batch in mixed.batches]
-        for low, high, refused in _segments(inputs, mixed.log_time.size):
-            for rows in self._until_reports(mixed.log_time[low:high]):
-                begin, end = low + rows.start, low + rows.stop
-                for entry in inputs:
-                    self._copy_input(entry, begin, end)
-                if refused:
-                    self._running.unreadable(refused)
-                else:
-                    shapes = [states.between(begin, end) for entry in inputs for states in entry.shapes]
-                    shapes = [states for states in shapes if states.row.size]
-                    self._running.mixed_states(mixed.log_time[begin:end], shapes)
-                yield end - begin
+    def _joint_states(self, mixed: Mixed, rows: slice, shapes: list[JointStates], refused: _Refused) -> None:
+        here = [states.between(rows.start, rows.stop) for states in shapes]
+        bad = [(row - rows.start, reason) for row, reason in refused if rows.start <= row < rows.stop]
+        times = mixed.log_time[rows]
+        self._running.mixed_states(times, [states for states in here if states.row.size], bad)
 
-    def _input(self, rows: Times, batch: Batch) -> _Input:
-        columns, rejected = self._reader.joint_states(batch)
-        shapes = [states._replace(row=rows[states.row]) for states in columns]
-        return _Input(rows, batch, shapes, [(int(rows[r.row]), r.reason) for r in rejected])
-
-    def _copy_input(self, entry: _Input, begin: int, end: int) -> None:
-        """Copy messages at positions from `begin` to before `end`."""
-        first, last = np.searchsorted(entry.rows, (begin, end))
-        part = _part(entry.batch, slice(first, last))
-        if len(part):
-            self._copy(part)
-
-    def _copy(self, batch: Batch) -> None:
-        payload = batch.payload
-        rows = payload if isinstance(payload, np.ndarray) else [bytes(data) for data in payload]
-        self._writer.write_many(
-            batch.topic.name, batch.topic.type_name, rows, batch.log_time, batch.publish_time
-        )
+    def _copy(self, mixed: Mixed, rows: slice) -> None:
+        """Copy messages to the output."""
+        for places, batch in mixed.batches:
+            part = _part(batch, slice(*np.searchsorted(places, (rows.start, rows.stop)).tolist()))
+            if len(part):
+                data = part.payload if isinstance(part.payload, np.ndarray) else [*map(bytes, part.payload)]
+                self._writer.write_many(
+                    batch.topic.name, batch.topic.type_name, data, part.log_time, part.publish_time
+                )
 
     def _event(self, now: int, event: Event | None) -> None:
         match event:
@@ -358,24 +344,3 @@ class _Run:
 
 def _part(batch: Batch, rows: slice) -> Batch:
     return Batch(batch.topic, batch.log_time[rows], batch.publish_time[rows], batch.payload[rows])
-
-
-class _Input(NamedTuple):
-    """A topic's messages: positions among those taken together, columns, and what was refused of them."""
-
-    rows: Times
-    batch: Batch
-    shapes: list[JointStates]
-    refused: list[tuple[int, str]]
-
-
-def _segments(inputs: Sequence[_Input], count: int) -> Iterator[tuple[int, int, str]]:
-    """Stretches of messages: first, end, and for one that was refused alone the reason."""
-    begin = 0
-    for row, reason in sorted(refused for entry in inputs for refused in entry.refused):
-        if row > begin:
-            yield begin, row, ""
-        yield row, row + 1, reason
-        begin = row + 1
-    if count > begin:
-        yield begin, count, ""

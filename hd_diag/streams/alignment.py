@@ -132,7 +132,9 @@ class Alignment:
             self._columns.clear()
             kernel().begin_after(self.joints[number : number + 1], NEVER - 1)
 
-    def take(self, heard: Times, shapes: Sequence[JointStates]) -> Aligned:
+    def take(
+        self, heard: Times, shapes: Sequence[JointStates], refused: Sequence[tuple[int, str]] = ()
+    ) -> Aligned:
         """Aligned samples that messages complete.
 
         Parameters
@@ -141,13 +143,21 @@ class Alignment:
             When each arrived [ns].
         shapes : sequence of JointStates
             The messages of each layout; their `row` are positions in `heard`.
+        refused : sequence of (int, str), optional
+            Messages that cannot be read, which may have been of every joint: position, and what they are.
 
         Returns
         -------
         Aligned
         """
         stamp, values, given = self._rows(heard.size, shapes)
+        if refused:
+            given[[row for row, _ in refused]] = Given.REFUSED
         whole, found = kernel().align(stamp, heard, values, given, *self.state)
+        for number in np.flatnonzero(self.joints["reason"] == Reason.UNREADABLE) if refused else ():
+            text = dict(refused)[int(self.joints["reason_late"][number])]
+            self.joints["reason"][number] = Reason.OTHER
+            self.texts[number] = f"a JointState message {text}"
         return Aligned(*whole, *found)
 
     def clock_set_back(self, stamp: int) -> None:

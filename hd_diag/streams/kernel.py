@@ -17,6 +17,7 @@ from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TORQUE
 from hd_diag.streams.rules import CLOCK_JUMP, LONGEST_HOLD, NEVER, PAIRING_GAP, Given, Reason
 
 _INPUT, _OUTPUT, _TORQUE, _SPEED = int(Given.INPUT), int(Given.OUTPUT), int(Given.TORQUE), int(Given.SPEED)
+_REFUSED, _UNREADABLE = int(Given.REFUSED), int(Reason.UNREADABLE)
 _NAMELESS, _BAD_INPUT, _BAD_OUTPUT = int(Reason.NAMELESS), int(Reason.INPUT), int(Reason.OUTPUT)
 _BAD_TORQUE, _LATE_INPUT, _LATE_OUTPUT = int(Reason.TORQUE), int(Reason.LATE_INPUT), int(Reason.LATE_OUTPUT)
 _TURN = 2.0 * math.pi
@@ -40,7 +41,7 @@ def align(
     for row in range(values.shape[0]):
         for j in range(joints.size):
             if given[row, j]:
-                left = _checked(joints[j], stamp[row], int(given[row, j]), values[row, j])
+                left = _checked(joints[j], row, stamp[row], int(given[row, j]), values[row, j])
                 if left & _TORQUE:
                     joints[j].torque, joints[j].torque_stamp = values[row, j, 2], stamp[row]
                 if left & _INPUT:
@@ -81,8 +82,10 @@ def _refuse(joint: Any, reason: int, value: float, late: int) -> int:
 
 
 @part
-def _checked(joint: Any, stamp: int, given: int, value: Floats) -> int:
+def _checked(joint: Any, row: int, stamp: int, given: int, value: Floats) -> int:
     """What is given less what cannot be used; 0 where the row is refused."""
+    if given & _REFUSED:
+        return _refuse(joint, _UNREADABLE, 0.0, row)
     if not given & (_INPUT | _OUTPUT | _TORQUE):
         return _refuse(joint, _NAMELESS, 0.0, 0)
     if stamp < max(joint.input_stamp, joint.output_stamp) - CLOCK_JUMP:

@@ -23,13 +23,14 @@ NEVER = -(2**62)
 
 
 class Given(IntFlag):
-    """What a row of a joint gives; `NAMED` where the message names the joint at all."""
+    """What a row of a joint gives; `NAMED` if the message names the joint, `REFUSED` if it is unreadable."""
 
     INPUT = 1
     OUTPUT = 2
     TORQUE = 4
     SPEED = 8
     NAMED = 16
+    REFUSED = 32
 
 
 class Reason(IntEnum):
@@ -42,6 +43,7 @@ class Reason(IntEnum):
     TORQUE = 4
     LATE_INPUT = 5
     LATE_OUTPUT = 6
+    UNREADABLE = 7
 
 
 JOINT = np.dtype(
