@@ -30,7 +30,7 @@ def stuck_survey(path: str) -> Survey:
 
 def stuck_first(task: Task) -> Row:
     if _day(task) == 0:
-        note("stuck")
+        note("ended")
         time.sleep(3600.0)
     return quick(task)
 
@@ -86,8 +86,9 @@ def caused(task: Task) -> Row:
 
 def deadly_first(task: Task) -> Row:
     if _day(task) == 0:
+        note("ended")
         os.kill(os.getpid(), signal.SIGKILL)
-    return row(1e-6)
+    return quick(task)
 
 
 def _day(task: Task) -> int:

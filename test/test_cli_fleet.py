@@ -10,6 +10,7 @@ import sys
 from collections import Counter
 from datetime import datetime, timezone
 from pathlib import Path
+from typing import Any
 
 import fleet_tasks
 import numpy as np
@@ -27,6 +28,7 @@ from hd_diag.simulation import Motion, Noise, SimulatedJoint, write_bag
 
 ARCSEC = np.pi / 648000.0
 LATE = "took longer than 2 s"
+KILLED = "its worker died in each of 3 attempts: killed, out of memory, or crashed"
 SAME = 1e-4  # of an optimum whose search stops at steps of that size
 
 
@@ -261,35 +263,27 @@ def test_causes_fail_on_request(
     assert fleet(bags, "--out", out, "--fail-on-cause").exit_code == 1
 
 
-@pytest.mark.slow
-def test_a_bag_that_kills_its_worker_is_tried_again_by_the_next_run(
-    quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("judge", "error", "times"),
+    [
+        (fleet_tasks.stuck_first, LATE, 1),
+        pytest.param(fleet_tasks.deadly_first, KILLED, 3, marks=pytest.mark.slow),
+    ],
+)
+def test_a_bag_that_ends_its_worker_is_reported_and_tried_again_by_the_next_run(
+    quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, judge: Any, error: str, times: int
 ) -> None:
-    monkeypatch.setattr(run, "judge", fleet_tasks.deadly_first)
+    monkeypatch.setattr(run, "judge", judge)
     bags, out = bags_of(tmp_path / "bags", 3), tmp_path / "f.parquet"
-    assert fleet(bags, "--out", out).exit_code == 0
-    errors = {Path(row["bag"]).name: row["error"] for row in table(out)}
-    assert errors["00.mcap"].startswith("its worker died in each of 3 attempts")
-    assert (errors["01.mcap"], errors["02.mcap"]) == (None, None)
-    monkeypatch.setattr(run, "judge", fleet_tasks.quick)
-    assert fleet(bags, "--out", out).exit_code == 0
-    assert [row["error"] for row in table(out)] == [None] * 3
-
-
-def test_a_bag_that_hangs_is_told_and_tried_again_by_the_next_run(
-    quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(run, "judge", fleet_tasks.stuck_first)
-    bags, out = bags_of(tmp_path / "bags", 3), tmp_path / "f.parquet"
-    result = fleet(bags, "--out", out, "--bag-timeout", "2")
-    assert (result.exit_code, result.stderr) == (0, f"not judged: {bags}/00.mcap: joint_1: {LATE}\n")
-    assert [row["error"] for row in table(out)] == [LATE, None, None]
-    assert Counter(name for name, _ in pool_tasks.calls(quick))["stuck"] == 1
+    result = fleet(bags, "--out", out, "--bag-timeout", 2 if error == LATE else 60)
+    assert (result.exit_code, result.stderr) == (0, f"not judged: {bags}/00.mcap: joint_1: {error}\n")
+    assert [row["error"] for row in table(out)] == [error, None, None]
+    assert Counter(name for name, _ in pool_tasks.calls(quick))["ended"] == times
     monkeypatch.setattr(run, "judge", fleet_tasks.quick)
     assert fleet(bags, "--out", out).exit_code == 0
     assert [row["error"] for row in table(out)] == [None] * 3
     begun = Counter(name for name, _ in pool_tasks.calls(quick))
-    assert begun == {"stuck": 1, "00.mcap": 1, "01.mcap": 1, "02.mcap": 1}
+    assert begun == {"ended": times, "00.mcap": 1, "01.mcap": 1, "02.mcap": 1}
 
 
 @pytest.mark.slow

@@ -1,5 +1,7 @@
 """A record's cleaning: what is taken out, what is put back, where runs begin."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from joint_records import ARCSEC, RATIO, columns, prepared
@@ -20,7 +22,7 @@ def error(record) -> np.ndarray:
 
 
 def without(given: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, np.ndarray]:
-    return {name: column[~rows] for name, column in given.items()}
+    return {name: np.delete(column, rows) for name, column in given.items()}
 
 
 def test_clean_columns_stay(given: dict[str, np.ndarray]) -> None:
@@ -73,9 +75,7 @@ def test_a_torque_that_is_nan_throughout_is_none(given: dict[str, np.ndarray]) -
 
 
 def test_dropouts_of_more_than_five_samples_make_runs(given: dict[str, np.ndarray]) -> None:
-    lost = np.zeros(given["time"].size, dtype=bool)
-    lost[1000:1003] = lost[2000:2020] = lost[3000:3005] = True
-    record = prepared(without(given, lost))
+    record = prepared(without(given, np.r_[1000:1003, 2000:2020, 3000:3005]))
     assert record.extent.runs == 3
     edges = record.time[np.flatnonzero(np.diff(record.run))]
     assert_allclose(edges, given["time"][[1999, 2999]])
@@ -90,21 +90,24 @@ def test_outliers_are_taken_out_and_nothing_else(given: dict[str, np.ndarray]) -
     assert record.extent.runs == 1
 
 
-def test_outliers_beside_each_other_are_taken_out(given: dict[str, np.ndarray]) -> None:
-    for rows, size in ((slice(700, 701), 900.0), (slice(701, 702), 300.0), (slice(1500, 1501), -60.0)):
-        given["output"][rows] += size * ARCSEC
-    assert prepared(given).outliers == 3
-
-
-def test_outliers_between_gaps_are_taken_out(given: dict[str, np.ndarray]) -> None:
-    """A few samples between two dropouts tell little by themselves."""
-    row = 2000
-    lost = np.r_[row - 44 : row - 4, row + 2 : row + 42]
-    given = {name: values.copy() for name, values in given.items()}
-    given["output"][row] += 1e-2
+@pytest.mark.parametrize(
+    ("lost", "outliers"),
+    [
+        ((), {700: 900.0, 701: 300.0, 1500: -60.0}),  # beside each other
+        (
+            (*range(1956, 1996), *range(2002, 2042)),
+            {2000: 2000.0},
+        ),  # few between gaps
+    ],
+)
+def test_outliers_in_bad_company_are_taken_out(
+    given: dict[str, np.ndarray], lost: tuple[int, ...], outliers: dict[int, float]
+) -> None:
+    for row, size in outliers.items():
+        given["output"][row] += size * ARCSEC
     record = prepared({name: np.delete(values, lost) for name, values in given.items()})
-    assert record.outliers == 1
-    assert given["time"][row] not in record.time
+    assert record.outliers == len(outliers)
+    assert not set(given["time"][list(outliers)]) & set(record.time)
 
 
 def test_ripple_and_changes_of_flank_are_no_outliers(given: dict[str, np.ndarray]) -> None:
@@ -122,43 +125,27 @@ def test_jitter_is_no_gap(given: dict[str, np.ndarray]) -> None:
     assert (record.extent.runs, record.dropped) == (1, 0)
 
 
+@pytest.mark.parametrize("names", [("input", "output"), ("input",)])
 @pytest.mark.parametrize("low", [0.0, -np.pi])
-def test_wrapped_angles_are_unwrapped(given: dict[str, np.ndarray], low: float) -> None:
-    expected = error(prepared(given))
-    for name in ("input", "output"):
-        given[name] = np.mod(given[name] - low, TURN) + low
-    record = prepared(given)
-    shift = error(record) - expected
-    assert_allclose(shift - shift[0], 0.0, atol=1e-12)
-
-
-def test_turns_of_a_wrapped_input_are_counted_by_the_output_over_gaps(given: dict[str, np.ndarray]) -> None:
-    """At 37 rad/s a gap of 0.4 s hides more than two turns."""
-    lost = np.zeros(given["time"].size, dtype=bool)
-    lost[980:1060] = True
-    kept = without(given, lost)
-    expected = error(prepared(kept))
-    kept["input"] = np.mod(kept["input"], TURN)
-    shift = error(prepared(kept)) - expected
-    assert_allclose(shift - shift[0], 0.0, atol=1e-12)
-
-
-def test_turns_of_a_wrapped_input_are_counted_by_the_output_over_bags(given: dict[str, np.ndarray]) -> None:
-    bag = (given["time"] > 7.0).astype(np.int64) + (given["time"] > 13.0)
-    expected = error(prepared(given, bag))
-    given["input"] = np.mod(given["input"], TURN)
-    record = prepared(given, bag)
-    assert record.extent.runs == 3
-    shift = error(record) - expected
+@pytest.mark.parametrize("lost", [slice(0, 0), slice(980, 1060)])
+@pytest.mark.parametrize("bags", [1, 3])
+def test_wrapped_angles_are_unwrapped_over_gaps_and_bags(
+    given: dict[str, np.ndarray], names: tuple[str, ...], low: float, lost: slice, bags: int
+) -> None:
+    """At 37 rad/s a gap of 0.4 s hides more than two turns of the input: the output tells them."""
+    kept = {name: np.delete(column, lost) for name, column in given.items()}
+    bag = np.arange(kept["time"].size) * bags // kept["time"].size
+    expected = error(prepared(kept, bag))
+    for name in names:
+        kept[name] = np.mod(kept[name] - low, TURN) + low
+    shift = error(prepared(kept, bag)) - expected
     assert_allclose(shift - shift[0], 0.0, atol=1e-12)
 
 
 def test_a_gap_in_a_continuous_angle_is_no_wrap(given: dict[str, np.ndarray]) -> None:
     """At full speed 34 lost samples are one turn: the angle is not wrapped for that."""
     speed = 60.0 * TURN / 10.0
-    lost = np.zeros(given["time"].size, dtype=bool)
-    lost[2000 : 2000 + round(TURN / speed * 200.0)] = True
-    kept = without(given, lost)
+    kept = without(given, np.r_[2000 : 2000 + round(TURN / speed * 200.0)])
     assert_array_equal(prepared(kept).input_angle, kept["input"])
 
 
@@ -202,25 +189,23 @@ def test_rows_keep_their_runs(given: dict[str, np.ndarray]) -> None:
     assert part.temperature is None
 
 
-# Records that cannot be judged ---
-
-
-def test_too_short(given: dict[str, np.ndarray]) -> None:
-    few = {name: column[: MINIMUM_SAMPLES - 1] for name, column in given.items()}
-    with pytest.raises(RecordError, match=r"^too short: 499 usable samples, at least 500 are needed$"):
-        prepared(few)
-
-
-def test_no_motion(given: dict[str, np.ndarray]) -> None:
-    given["input"] *= 0.02
-    with pytest.raises(RecordError, match=r"^no motion: the input turns by 2\.4 rad, at least half a turn"):
-        prepared(given)
-
-
-def test_mostly_unusable(given: dict[str, np.ndarray]) -> None:
-    given["output"][: given["time"].size // 2 + 10] = np.nan
-    with pytest.raises(RecordError, match="2010 of 4000 samples are not finite or their stamps contradict"):
-        prepared(given)
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda g: {n: c[: MINIMUM_SAMPLES - 1] for n, c in g.items()}, r"^too short: 499 usable samples, "),
+        (
+            lambda g: {**g, "input": 0.02 * g["input"]},
+            r"^no motion: the input turns by 2\.4 rad, at ",
+        ),
+        (
+            lambda g: {**g, "output": np.where(np.arange(g["time"].size) < 2010, np.nan, g["output"])},
+            "2010 of 4000 samples are not finite or their stamps contradict",
+        ),
+    ],
+)
+def test_records_that_cannot_be_judged(given: dict[str, np.ndarray], change: Any, said: str) -> None:
+    with pytest.raises(RecordError, match=said):
+        prepared(change(given))
 
 
 def test_a_constant_torque_is_a_record(given: dict[str, np.ndarray]) -> None:

@@ -204,27 +204,20 @@ def rested(*lengths: int) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def test_a_constant_for_every_run_between_rests_but_the_first() -> None:
-    signals = made(rested(200, 150, 100, 300))
-    found = columns("rests", signals)
-    number = np.repeat([0, 1, 2, 3], [212, 175, 125, 313])
-    assert_array_equal(found, number[:, None] == np.arange(1, 4))
-
-
-def test_a_flicker_goes_with_the_run_before() -> None:
-    """A stop and start of some samples is no rest, and what comes of it no run."""
-    flicker = np.repeat([0.0, 30.0], [2, 3])
-    signals = made(np.concatenate((rested(200, 150), flicker, rested(0, 300))))
-    found = columns("rests", signals)
-    number = np.repeat([0, 1, 2], [212, 175 + 5, 313])
-    assert_array_equal(found, number[:, None] == np.arange(1, 3))
-
-
-def test_a_flicker_at_the_very_beginning_goes_with_the_first_run() -> None:
-    signals = made(rested(3, 200, 150, 300))
-    found = columns("rests", signals)
-    number = np.repeat([0, 1, 2], [28 + 212, 175, 313])
-    assert_array_equal(found, number[:, None] == np.arange(1, 3))
+@pytest.mark.parametrize(
+    ("speed", "lengths"),
+    [
+        (rested(200, 150, 100, 300), (212, 175, 125, 313)),
+        # A stop and start of some samples is no rest, and what comes of it no run.
+        (np.concatenate((rested(200, 150), np.repeat([0.0, 30.0], [2, 3]), rested(0, 300))), (212, 180, 313)),
+        (rested(3, 200, 150, 300), (28 + 212, 175, 313)),  # nor at the very beginning
+    ],
+)
+def test_a_constant_for_every_run_between_rests_but_the_first(
+    speed: np.ndarray, lengths: tuple[int, ...]
+) -> None:
+    number = np.repeat(np.arange(len(lengths)), lengths)
+    assert_array_equal(columns("rests", made(speed)), number[:, None] == np.arange(1, len(lengths)))
 
 
 def test_a_slow_run_is_no_longer_rest_than_a_fast_one() -> None:
