@@ -58,19 +58,9 @@ class Drive:
 
 
 def mesh_state(drive: Drive, input_angle: Floats, cup_torque: Floats) -> MeshState:
-    """Backlash and load of every tooth.
+    """Backlash and load of every tooth at reported input angles [rad] and torques on the cup [N m].
 
-    Parameters
-    ----------
-    drive : Drive
-    input_angle : ndarray, shape (moments,)
-        As reported [rad].
-    cup_torque : ndarray, shape (moments,)
-        Torque that turns the cup [N m]; :meth:`Frame.cup_torque` gives it from the link's.
-
-    Returns
-    -------
-    MeshState
+    :meth:`Frame.cup_torque` gives these from torques on the link.
     """
     return load_sharing.mesh_state(drive.mesh, drive.frame.wave_generator_angle(input_angle), cup_torque)
 
@@ -109,13 +99,7 @@ def _solve(mesh: Mesh, rows: Integers, turn: Floats, cup_torque: Floats, beta: F
 
 
 class Drives:
-    """Several drives: what :func:`transmission_error` gives for each, to the last bit.
-
-    Parameters
-    ----------
-    drives : sequence of Drive
-        The k drives.
-    """
+    """Several drives: what :func:`transmission_error` gives for each, to the last bit."""
 
     def __init__(self, drives: Sequence[Drive]) -> None:
         self._meshes = [drive.mesh for drive in drives]
@@ -134,23 +118,10 @@ class Drives:
         torque: Floats,
         tables: Sequence[TorsionMap | None],
     ) -> Floats:
-        """Predicted transmission error of samples of any of the drives.
+        """Predicted transmission error (n,) [rad] of samples of any of the drives.
 
-        Parameters
-        ----------
-        frame : Frame
-            As :meth:`frame` gives it for the numbers.
-        number : ndarray of int64, shape (n,)
-            Of the sample's drive.
-        input_angle, torque : ndarray, shape (n,)
-            As reported [rad]; what the drives exert on their links [N m].
-        tables : sequence of k TorsionMap or None
-            Maps of the drives' meshes.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            [rad]
+        The frame of the numbers (n,); input angles [rad] and torques on the links [N m] as reported (n,); a
+        map, or none, of each drive's mesh.
         """
         order = number.argsort(kind="stable")
         by_drive = number.take(order)

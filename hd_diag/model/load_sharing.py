@@ -103,58 +103,29 @@ def mesh_state(mesh: Mesh, wave_generator_angle: Floats, torque: Floats) -> Mesh
 
 
 def flank_stiffness(contact: Contact, tooth_compliance: float) -> Floats:
-    """Torsional stiffness that each closed flank adds.
+    """Torsional stiffness ``k = (r cos alpha)^2 / (K1 + K2)`` of each flank (moments, 2, teeth) [N m/rad].
 
-    Parameters
-    ----------
-    contact : Contact
-    tooth_compliance : float
-        K1 + K2 [m/N].
-
-    Returns
-    -------
-    ndarray, shape (moments, 2, teeth)
-        ``k = (r cos alpha)^2 / (K1 + K2)`` [N m/rad]; zero where the flanks cannot touch.
+    Zero where the flanks cannot touch.
     """
     arm = contact.radius * np.cos(contact.pressure_angle)
     return np.where(np.isfinite(contact.rotation), arm * arm / tooth_compliance, 0.0)
 
 
 def torsion_of_flanks(rotation: Floats, stiffness: Floats, torque: Floats) -> Floats:
-    """Torsion of flanks that begin to bear at given rotations.
+    """Torsion (moments, torques) [rad] of flanks that begin to bear at given rotations.
 
-    Parameters
-    ----------
-    rotation : ndarray, shape (moments, 2, teeth)
-        b of each flank [rad]; not finite: cannot touch.
-    stiffness : ndarray, shape (moments, 2, teeth)
-        k of each flank [N m/rad].
-    torque : ndarray, shape (torques,)
-        M, rising [N m].
-
-    Returns
-    -------
-    ndarray, shape (moments, torques)
-        beta [rad]; the middle of a true gap at zero torque; nan if no flank can bear the torque.
+    Rotations b [rad], not finite where a flank cannot touch, and stiffness k [N m/rad] are (moments, 2,
+    teeth); torques M (torques,) rise [N m]. In a true gap it is the middle; nan if no flank can bear the
+    torque.
     """
     found: Floats = kernel.entry.torsion_of_flanks(*map(contiguous, (rotation, stiffness, torque)))
     return found
 
 
 def shares(rotation: Floats, stiffness: Floats, torsion: Floats) -> Floats:
-    """Sensitivity of the torsion to each flank's rotation.
+    """Derivatives of the torsion (moments,) by each flank's rotation (moments, 2, teeth) [-].
 
-    Parameters
-    ----------
-    rotation, stiffness
-        As for :func:`torsion_of_flanks`.
-    torsion : ndarray, shape (moments,)
-        beta [rad].
-
-    Returns
-    -------
-    ndarray, shape (moments, 2, teeth)
-        ``d beta / d b = +-k / sum k`` of loaded flanks [-], negative for - flanks; zero of others.
+    ``d beta / d b = +-k / sum k`` of loaded flanks, negative for - flanks; zero of others.
     """
     bearing = np.where(FLANKS * torsion[:, None, None] > rotation, stiffness, 0.0)
     total = bearing.sum(axis=(1, 2), keepdims=True)

@@ -44,21 +44,9 @@ class NeutralCurve:
 
 @functools.lru_cache(maxsize=64)
 def neutral_curve(semi_major: float, semi_minor: float) -> NeutralCurve:
-    """Neutral curve of an elliptical wave generator.
+    """Neutral curve on an ellipse of semi-axes semi_major >= semi_minor > 0 [m].
 
-    Parameters
-    ----------
-    semi_major, semi_minor : float
-        Semi-axes of the neutral layer's ellipse [m], semi_major >= semi_minor > 0.
-
-    Returns
-    -------
-    NeutralCurve
-
-    Raises
-    ------
-    ValueError
-        If the axes are not in this order, or more than 20 % apart.
+    Raises ValueError if the axes are not in this order, or more than 20 % apart.
     """
     if not semi_major >= semi_minor > 0.8 * semi_major:
         raise ValueError(

@@ -76,18 +76,7 @@ class DoubleArc:
         )
 
     def half_width(self, x: float) -> float:
-        """Half the tooth's (or slot's) width at height ``x`` [m].
-
-        Parameters
-        ----------
-        x : float
-            Height in the flank's frame [m].
-
-        Returns
-        -------
-        float
-            y of the flank [m]; nan where the arc does not reach.
-        """
+        """Half the tooth's or slot's width at height ``x`` in the flank's frame [m]; nan beyond its arcs."""
         if x <= self.dedendum_joint[0]:
             reach = self.dedendum_radius**2 - (x - self.dedendum_center[0]) ** 2
             return self.dedendum_center[1] - math.sqrt(reach) if reach >= 0 else math.nan

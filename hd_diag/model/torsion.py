@@ -15,13 +15,7 @@ _BEYOND = 1.0  # both sides of zero are solved, also without torque [N m]
 
 
 def warm_up(gradient: bool = False) -> None:
-    """Compile now, or read from the disk, what predictions and maps need.
-
-    Parameters
-    ----------
-    gradient : bool
-        Also what fits need.
-    """
+    """Compile now, or read from the disk, what predictions and maps need; with `gradient` also fits."""
     kernel.entry.warm_up(gradient)
 
 
@@ -49,20 +43,9 @@ def torsion(mesh: Mesh, wave_generator_angle: Floats, torque: float | Floats) ->
 
 
 def torsion_table(mesh: Mesh, wave_generator_angle: Floats, torque: Floats) -> Floats:
-    """Exact torsion at every pair of moment and torque: contacts are solved and sorted once per moment.
+    """Exact torsion (moments, torques) [rad] at every pair of wave generator angle and torque on the cup.
 
-    Parameters
-    ----------
-    mesh : Mesh
-    wave_generator_angle : ndarray, shape (moments,)
-        theta_W [rad].
-    torque : ndarray, shape (torques,)
-        M on the cup [N m].
-
-    Returns
-    -------
-    ndarray, shape (moments, torques)
-        beta [rad], as :func:`torsion` gives it.
+    Contacts are solved and sorted once per moment; values are those of :func:`torsion`.
     """
     order = np.argsort(torque)
     turn, center, _ = moments(mesh, wave_generator_angle)
@@ -97,11 +80,8 @@ def torsion_and_gradient(mesh: Mesh, wave_generator_angle: Floats, torque: Float
 
     Parameters
     ----------
-    mesh : Mesh
-    wave_generator_angle : ndarray, shape (moments,)
-        theta_W [rad].
-    torque : ndarray, shape (moments,)
-        M on the cup [N m].
+    mesh, wave_generator_angle, torque
+        As for :func:`torsion`.
 
     Returns
     -------
@@ -111,8 +91,10 @@ def torsion_and_gradient(mesh: Mesh, wave_generator_angle: Floats, torque: Float
         Derivatives of beta by E_x, E_y in the housing [rad/m], r_0 [rad/m], K1 + K2 [rad N/m] and
         M [rad/(N m)] (infinite in a true gap).
 
-    Notes ----- ``d beta / d M = 1 / K``, K the stiffness of the loaded flanks; ``d beta / d (K1 + K2) = M /
-    (K1 + K2) / K``; the others: :mod:`hd_diag.model.kernel.sensitivity`.
+    Notes
+    -----
+    With K the stiffness of the loaded flanks, ``d beta / d M = 1 / K`` and ``d beta / d (K1 + K2) =
+    M / (K1 + K2) / K``; the others: :mod:`hd_diag.model.kernel.sensitivity`.
     """
     turn, center, load = moments(mesh, wave_generator_angle, torque)
     beta, gradient = kernel.entry.torsion_and_gradient(mesh.data, turn, center, load)
@@ -128,20 +110,15 @@ def torsion_along(
 
     Parameters
     ----------
-    mesh : Mesh
-    wave_generator_angle : ndarray, shape (n,)
-        theta_W [rad].
-    torque : ndarray, shape (n,)
-        M on the cup [N m].
+    mesh, wave_generator_angle, torque
+        As for :func:`torsion`.
     nodes : int
         Steps of a turn.
 
     Returns
     -------
-    torsion : ndarray, shape (n,)
-        beta [rad]; the middle of a true gap at zero torque; nan where no flank can bear the greatest torque.
-    gradient : ndarray, shape (n, 5)
-        As of :func:`torsion_and_gradient`.
+    torsion, gradient
+        As of :func:`torsion_and_gradient`; nan where no flank can bear the greatest torque.
     """
     turn, center, _ = moments(mesh, np.linspace(0.0, 2.0 * np.pi, nodes + 1))
     place = np.mod(wave_generator_angle, 2.0 * np.pi) * (nodes / (2.0 * np.pi))

@@ -76,20 +76,10 @@ class TorsionMap:
         return partial(kernel.entry.interpolate, torque, torsion, index, float(self.torque_limit))
 
     def __call__(self, wave_generator_angle: Floats, torque: Floats) -> Floats:
-        """Torsion by linear interpolation over the angle.
+        """Torsion (n,) [rad] at wave generator angles (n,) [rad] and torques on the cup (n,) [N m].
 
-        Parameters
-        ----------
-        wave_generator_angle : ndarray, shape (n,)
-            theta_W [rad].
-        torque : ndarray, shape (n,)
-            M on the cup [N m].
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            beta [rad]; nan beyond `torque_limit`. Every element depends on its own inputs alone, to the last
-            bit, however many are asked for at once.
+        Linear over the angle; nan beyond `torque_limit`. Every element depends on its own inputs alone, to
+        the last bit, however many are asked for at once.
         """
         turn, load = contiguous(wave_generator_angle), contiguous(torque)
         if turn.shape != load.shape:
@@ -99,14 +89,9 @@ class TorsionMap:
         return beta
 
     def read(self, wave_generator_angle: Floats, torque: Floats, beta: Floats, first: int, last: int) -> None:
-        """Set some of the torsions, the same as a call gives for them: for maps one after the other.
+        """Set rows of the torsions, from the first to before the last, as a call gives them.
 
-        Parameters
-        ----------
-        wave_generator_angle, torque, beta : ndarray, shape (n,)
-            theta_W [rad], M on the cup [N m], torsions [rad]; contiguous.
-        first, last : int
-            Rows from the first to before the last.
+        For maps one after the other; all arrays (n,) are contiguous.
         """
         self._interpolate(wave_generator_angle, torque, beta, first, last)
 

@@ -30,20 +30,11 @@ _RATIO_TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class Frame(Generic[Value]):
-    """How reported numbers map to the mesh and back: of one drive, or of k side by side.
+    """How reported numbers map to the mesh and back: of one drive, or of k side by side with arrays (k,).
 
-    Attributes
-    ----------
-    turning : float or ndarray, shape (k,)
-        dtheta_W / dtheta_in [-].
-    phase : float or ndarray, shape (k,)
-        theta_W at input angle zero [rad].
-    torque_sign : float or ndarray, shape (k,)
-        Torque on the cup over torque on the link [-].
-    ratio : float or ndarray, shape (k,)
-        Reported input angle over reported output angle, signed [-].
-    cup_compliance : float or ndarray, shape (k,)
-        c_cup [rad/(N m)].
+    `turning` dtheta_W / dtheta_in [-]; `phase` theta_W at input angle zero [rad]; `torque_sign` torque on the
+    cup over torque on the link [-]; `ratio` reported input angle over reported output angle, signed [-];
+    `cup_compliance` c_cup [rad/(N m)].
     """
 
     turning: Value
@@ -53,18 +44,7 @@ class Frame(Generic[Value]):
     cup_compliance: Value
 
     def wave_generator_angle(self, input_angle: Floats) -> Floats:
-        """Angle theta_W of the wave generator's long axis, seen from the circular spline [rad].
-
-        Parameters
-        ----------
-        input_angle : ndarray
-            As reported [rad]; for several drives its last axis is theirs.
-
-        Returns
-        -------
-        ndarray
-            Same shape.
-        """
+        """Angle theta_W of the long axis, seen from the circular spline, at an input angle [rad]."""
         return self.phase + self.turning * input_angle
 
     def cup_torque(self, torque: Floats) -> Floats:

@@ -67,16 +67,10 @@ class Spread:
 
 @dataclass(frozen=True)
 class Assembly:
-    """One drive as assembled.
+    """One drive as assembled: with its runout, datum and compliances, without eccentricity.
 
-    Attributes
-    ----------
-    drive : Drive
-        With its runout, datum and compliances; without eccentricity.
-    eccentricity : complex
-        Over its tolerance, x + iy [-].
-    slot_angle : ndarray, shape (Z_G,)
-        By how much each slot stands counter-clockwise of its place [rad].
+    `eccentricity` is x + iy over its tolerance [-]; `slot_angle` (Z_G,) is by how much each slot stands
+    counter-clockwise of its place [rad].
     """
 
     drive: Drive
@@ -88,16 +82,8 @@ class Assembly:
 class Population:
     """What assemblies are drawn from and judged by.
 
-    Attributes
-    ----------
-    drive : Drive
-        As designed; its own eccentricity and runout do not count.
-    spreads : mapping
-        By the names of the quantities.
-    cup_torque : ndarray, shape (q,)
-        [N m]
-    angles : int
-        Of a turn.
+    The drive as designed (its own eccentricity and runout do not count), spreads by the names of the
+    quantities, torques on the cup (q,) [N m], wave generator angles of a turn.
     """
 
     drive: Drive
@@ -127,22 +113,9 @@ class Share:
 
 
 def draw(population: Population, numbers: Floats) -> Assembly:
-    """An assembly from its numbers.
+    """The assembly that numbers (8,) between 0 and 1 stand for, one per factor of :data:`FACTORS`.
 
-    Parameters
-    ----------
-    population : Population
-    numbers : ndarray, shape (8,)
-        Between 0 and 1, one per factor in the order of :data:`FACTORS`.
-
-    Returns
-    -------
-    Assembly
-
-    Raises
-    ------
-    ValueError
-        If what is drawn cannot be assembled.
+    Raises ValueError if it cannot be assembled.
     """
     u = dict(zip(FACTORS, np.clip(numbers, _EDGE, 1.0 - _EDGE), strict=True))
 
@@ -169,38 +142,16 @@ def draw(population: Population, numbers: Floats) -> Assembly:
 
 
 def check(population: Population, largest: float) -> None:
-    """Refuse tolerances that draw what cannot be assembled.
-
-    Parameters
-    ----------
-    population : Population
-    largest : float
-        Greatest tolerance of the eccentricity [m].
-
-    Raises
-    ------
-    ValueError
-        Naming what cannot be.
-    """
+    """Raise ValueError if tolerances draw what cannot be assembled, up to a greatest eccentricity [m]."""
     for end in (0.0, 1.0):
         assembly = draw(population, np.full(len(FACTORS), end))
         dataclasses.replace(assembly.drive.mesh, eccentricity=largest * assembly.eccentricity)
 
 
 def worst(population: Population, assembly: Assembly, tolerances: Floats) -> Floats:
-    """Worst of every criterion over a turn and all torques.
+    """Worst of every criterion over a turn and all torques (6, t).
 
-    Parameters
-    ----------
-    population : Population
-    assembly : Assembly
-    tolerances : ndarray, shape (t,)
-        Of the eccentricity, by which the assembly's is scaled [m].
-
-    Returns
-    -------
-    ndarray, shape (6, t)
-        In the order of ``criteria.CRITERIA``.
+    The assembly's eccentricity is scaled by each tolerance (t,) [m].
     """
     mesh, n, turns = assembly.drive.mesh, population.angles, tolerances.size
     turn = np.tile(2.0 * np.pi * np.arange(n, dtype=np.float64) / n, turns)
@@ -217,22 +168,9 @@ def judged(
     tolerances: Floats,
     done: Callable[[], None] = lambda: None,
 ) -> Floats:
-    """Worst of every criterion of many assemblies.
+    """Worst of every criterion of many assemblies (samples, 6, t); `done` is called after every chunk.
 
-    Parameters
-    ----------
-    pool : ProcessPool
-    population : Population
-    numbers : ndarray, shape (samples, 8)
-        Between 0 and 1; see :func:`draw`.
-    tolerances : ndarray, shape (t,)
-        [m]
-    done : callable
-        Called after every chunk of which :func:`chunks` tells the number.
-
-    Returns
-    -------
-    ndarray, shape (samples, 6, t)
+    Numbers (samples, 8) as for :func:`draw`; tolerances (t,) [m].
     """
     tasks = [(population, numbers[i : i + _CHUNK], tolerances) for i in range(0, len(numbers), _CHUNK)]
     return np.concatenate(pool.map(_judged, tasks, done))
@@ -244,17 +182,9 @@ def chunks(samples: int) -> int:
 
 
 def yields(values: Floats, limits: Floats) -> tuple[Share, list[Share]]:
-    """Share of assemblies within all limits, and within each.
+    """Share of assemblies within all limits, and within each of them (criteria,).
 
-    Parameters
-    ----------
-    values : ndarray, shape (samples, criteria, t)
-    limits : ndarray, shape (criteria,)
-
-    Returns
-    -------
-    together : Share
-    each : list of Share
+    Values (samples, criteria, t) as of :func:`judged`.
     """
     within = values <= limits[:, None]
     each = [_share(within[:, k, :]) for k in range(limits.size)]
@@ -262,19 +192,9 @@ def yields(values: Floats, limits: Floats) -> tuple[Share, list[Share]]:
 
 
 def tolerance_at(share: Share, tolerances: Floats, target: float) -> float:
-    """Largest tolerance up to which a share stays at its target, linear between the tolerances [m].
+    """Largest tolerance up to which a share stays at its target, linear between rising tolerances (t,) [m].
 
-    Parameters
-    ----------
-    share : Share
-    tolerances : ndarray, shape (t,)
-        Rising [m].
-    target : float
-
-    Returns
-    -------
-    float
-        nan if even the least tolerance has less; the greatest if all have as much.
+    nan if even the least tolerance has less; the greatest if all have as much.
     """
     below = np.flatnonzero(share.share < target)
     if not below.size:

@@ -43,12 +43,9 @@ NAMES = tuple(criterion.name for criterion in CRITERIA)
 
 
 def cup_torques(drive: Drive, torque: Floats) -> Floats:
-    """Torques on the cup [N m] for torques that the drive exerts on the link, checked.
+    """Torques on the cup for torques that the drive exerts on the link [N m].
 
-    Raises
-    ------
-    ValueError
-        If one is zero or not finite: stiffness and load distribution are those under load.
+    Raises ValueError if one is zero or not finite: stiffness and load distribution are those under load.
     """
     for value in torque:
         if value == 0.0 or not math.isfinite(value):
@@ -57,21 +54,9 @@ def cup_torques(drive: Drive, torque: Floats) -> Floats:
 
 
 def of_moments(found: Evaluation, cup_compliance: float, reference: Floats) -> Floats:
-    """Values of the criteria of a moment.
+    """Criteria of n moments at q torques (5, n, q); infinite where no flank can bear the torque.
 
-    Parameters
-    ----------
-    found : Evaluation
-        Of n moments at q torques.
-    cup_compliance : float
-        [rad/(N m)]
-    reference : ndarray, shape (q,)
-        Stiffness against which a loss counts [N m/rad].
-
-    Returns
-    -------
-    ndarray, shape (5, n, q)
-        In the order of :data:`CRITERIA`; infinite where no flank can bear the torque.
+    A loss of stiffness counts against a reference (q,) [N m/rad].
     """
     shape = found.torsion.shape
     values = np.stack(
@@ -87,20 +72,9 @@ def of_moments(found: Evaluation, cup_compliance: float, reference: Floats) -> F
 
 
 def over_turns(found: Evaluation, turns: int, cup_compliance: float, reference: Floats) -> Floats:
-    """Worst of every criterion over each of several turns of the wave generator, one after the other.
+    """Worst of every criterion over each of several turns of the wave generator (6, turns, q).
 
-    Parameters
-    ----------
-    found : Evaluation
-        Of n moments, as many of each turn, at q torques.
-    turns : int
-    cup_compliance, reference
-        As for :func:`of_moments`.
-
-    Returns
-    -------
-    ndarray, shape (6, turns, q)
-        In the order of :data:`CRITERIA`.
+    The moments evaluated are those of one turn after the other, as many of each.
     """
     values = of_moments(found, cup_compliance, reference)
     worst = values.reshape(len(values), turns, -1, reference.size).max(axis=2)

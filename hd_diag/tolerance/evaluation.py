@@ -94,23 +94,9 @@ def evaluate(
 
 
 def reference_stiffness(drive: Drive, cup_torque: Floats) -> Floats:
-    """Mean torsional stiffness of a drive without eccentricity and runout.
+    """Mean torsional stiffness of a drive without eccentricity and runout (q,) [N m/rad].
 
-    Parameters
-    ----------
-    drive : Drive
-    cup_torque : ndarray, shape (q,)
-        [N m]
-
-    Returns
-    -------
-    ndarray, shape (q,)
-        [N m/rad]
-
-    Raises
-    ------
-    ValueError
-        If the teeth cannot bear a torque.
+    Raises ValueError if the teeth cannot bear one of the torques on the cup (q,) [N m].
     """
     turn = drive.mesh.geometry.slot_pitch * np.arange(_PHASES) / _PHASES
     found = evaluate(drive.mesh, turn, np.zeros(_PHASES, dtype=np.complex128), cup_torque)

@@ -17,18 +17,7 @@ NARROWING = _CLOSER**_ROUNDS
 
 
 def hills(values: Floats) -> Integers:
-    """Flat indices of the greatest local maxima.
-
-    Parameters
-    ----------
-    values : ndarray
-        On a grid over a circle or a torus.
-
-    Returns
-    -------
-    ndarray of int
-        At most eight, the greatest first.
-    """
+    """Flat indices of the greatest local maxima on a grid over a circle or a torus: at most eight."""
     beside = ndimage.generate_binary_structure(values.ndim, 1)
     index = np.flatnonzero(values >= ndimage.maximum_filter(values, footprint=beside, mode="wrap"))
     order = np.argsort(-values.ravel()[index], kind="stable")
@@ -36,21 +25,10 @@ def hills(values: Floats) -> Integers:
 
 
 def climbed(function: Callable[[Floats], Floats], centers: Floats, step: Floats) -> tuple[Floats, float]:
-    """The greatest value near some places.
+    """Place (d,) of the greatest value near some places (m, d), and the value.
 
-    Parameters
-    ----------
-    function : callable
-        Of points (n, d); gives values (n,).
-    centers : ndarray, shape (m, d)
-    step : ndarray, shape (d,)
-        How far around the centres to look.
-
-    Returns
-    -------
-    place : ndarray, shape (d,)
-    value : float
-        There: the greatest to a step :data:`NARROWING` times as fine.
+    The function takes points (n, d) and gives values (n,). Grids of so many steps (d,) around the centres
+    narrow to steps :data:`NARROWING` times as fine.
     """
     dimensions = centers.shape[1]
     side = np.linspace(-1.0, 1.0, 2 * _BESIDE + 1)

@@ -44,15 +44,8 @@ RESOLUTION = tuple(
 class Worst:
     """Greatest value of a criterion at an eccentricity, and where.
 
-    Attributes
-    ----------
-    value : float
-        In the criterion's unit.
-    direction : float
-        Of the eccentricity in the housing [rad]; adding a slot pitch to it and to the wave generator's angle
-        gives as bad a moment.
-    wave_generator_angle : float
-        theta_W at which it is so bad [rad].
+    Direction of the eccentricity in the housing and wave generator angle theta_W [rad]; adding a slot pitch
+    to both gives as bad a moment.
     """
 
     value: float
@@ -64,19 +57,10 @@ class Worst:
 class EccentricityLimit:
     """Where a criterion is first exceeded.
 
-    Attributes
-    ----------
-    criterion : str
-    limit : float
-        In the criterion's unit.
-    eccentricity : float
-        The largest that keeps within the limit in all directions [m]; nan if the limit is not reached.
-    worst : Worst
-        There; where the limit is not reached, at the largest eccentricity looked at.
-    without : float
-        The criterion's value without eccentricity.
-    scanned : ndarray, shape (2, STEPS + 1)
-        Eccentricities [m] and, to the scan's coarse steps of direction and angle, the values there.
+    The largest eccentricity that keeps within the limit in all directions [m], nan if the limit is not
+    reached; the worst there, else at the largest eccentricity looked at; the criterion's value `without`
+    eccentricity; `scanned` (2, STEPS + 1): eccentricities [m] and, to coarse steps of direction and angle,
+    the values.
     """
 
     criterion: str
@@ -104,13 +88,7 @@ def largest_eccentricity(drive: Drive) -> float:
 
 
 def check_largest(drive: Drive, largest: float) -> None:
-    """Refuse an eccentricity that the geometry cannot have [m].
-
-    Raises
-    ------
-    ValueError
-        With the largest that it can.
-    """
+    """Raise ValueError for an eccentricity [m] that the geometry cannot have."""
     if not 0.0 < largest < math.inf:
         raise ValueError(f"the largest eccentricity must be positive, not {largest * 1e6:g} um")
     replace(drive.mesh, eccentricity=largest)
@@ -119,27 +97,10 @@ def check_largest(drive: Drive, largest: float) -> None:
 def first_excess(
     drive: Drive, cup_torque: float, criterion: str, limit: float, largest: float
 ) -> EccentricityLimit:
-    """The eccentricity at which a criterion is first exceeded.
+    """The eccentricity at which a criterion is first exceeded, looked for up to a `largest` one [m].
 
-    Parameters
-    ----------
-    drive : Drive
-        Its own eccentricity does not count; its runout stays.
-    cup_torque : float
-        M on the cup [N m].
-    criterion : str
-        One of ``criteria.NAMES``.
-    limit : float
-        In its unit.
-    largest : float
-        Greatest eccentricity to look at [m].
+    The drive's own eccentricity does not count; its runout stays. The torque is that on the cup [N m].
 
-    Returns
-    -------
-    EccentricityLimit
-
-    Notes
-    -----
     The value need not rise with the eccentricity: it is looked at in :data:`STEPS` steps first, and solved
     within the first step that brings an excess (Brent); one that comes and goes within a step is missed. A
     criterion that jumps is looked at in :data:`FINE_STEPS` parts of that step before.
@@ -158,20 +119,10 @@ def first_excess(
 
 
 def across_long_axis(drive: Drive, largest: float) -> tuple[float, float]:
-    """The paper's arrangement: eccentricity across the long axis, which stands on tooth 0, held on the axis.
+    """The paper's arrangement: eccentricity across the long axis, on which tooth 0 is held.
 
-    Parameters
-    ----------
-    drive : Drive
-        Its own eccentricity and runout do not count.
-    largest : float
-        Greatest eccentricity to look at [m].
-
-    Returns
-    -------
-    eccentricity, clearance : float
-        At which the first tooth of that lobe interferes [m], nan if none does; least backlash without
-        eccentricity [m].
+    Gives the eccentricity up to `largest` at which the first tooth of that lobe interferes, nan if none does,
+    and the least backlash without eccentricity [m]. The drive's own eccentricity and runout do not count.
     """
 
     def overlap(e: float) -> float:

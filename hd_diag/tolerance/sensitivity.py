@@ -49,26 +49,9 @@ def indices(
 ) -> Indices:
     """Sobol indices of a model of independent numbers between 0 and 1.
 
-    Parameters
-    ----------
-    model : callable
-        Of numbers (n, factors); gives outputs (n, outputs).
-    factors : int
-    samples : int
-        A power of two.
-    rng : numpy.random.Generator
+    The model takes numbers (n, factors) and gives outputs (n, outputs); samples are a power of two, else
+    ValueError.
 
-    Returns
-    -------
-    Indices
-
-    Raises
-    ------
-    ValueError
-        If `samples` is not a power of two.
-
-    Notes
-    -----
     Saltelli et al., "Variance based sensitivity analysis of model output", Computer Physics Communications
     181, 2010, in scipy.stats.sobol_indices; intervals are percentiles over samples drawn again.
     """

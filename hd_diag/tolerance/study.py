@@ -28,21 +28,7 @@ _ALL_TEETH = 0.0  # [m]; overlap from which no rotation frees all teeth
 
 
 def limits_and_spreads(flat: Mapping[str, Value], joint: str) -> tuple[dict[str, float], dict[str, Spread]]:
-    """Limits and tolerances of a joint, out of its configuration.
-
-    Parameters
-    ----------
-    flat : mapping
-        Every parameter of a configuration by its full name, checked.
-    joint : str
-
-    Returns
-    -------
-    limits : dict
-        By the names of the criteria [m, N, -, rad].
-    spreads : dict
-        By the names of the quantities.
-    """
+    """Limits by the names of the criteria, spreads by those of the quantities, of a configured joint."""
     start, limit = f"{joint}.tolerance.", f"{joint}.tolerance.limits."
     own = {name: value for name, value in flat.items() if name.startswith(start)}
     limits = {name.removeprefix(limit): _number(own[name]) for name in own if name.startswith(limit)}
@@ -63,27 +49,12 @@ def _number(value: Value) -> float:
 class Question:
     """What is asked of a drive.
 
-    Attributes
-    ----------
-    drive : Drive
-    torque : ndarray, shape (q,)
-        What the drive exerts on the link [N m].
-    limits : mapping
-        By the names of the criteria, in their units.
-    spreads : mapping
-        By the names of the quantities.
-    largest : float
-        Greatest eccentricity to look at [m].
-    samples, sensitivity_samples : int
-        Assemblies to draw; samples of the sensitivity, a power of two. 0: none.
-    seed : int
-    target : float
-        Share of assemblies that shall be within all limits.
+    Torques on the link (q,) [N m]; limits by the names of the criteria, in their units; spreads by the names
+    of the quantities; the greatest eccentricity to look at [m]; numbers of assemblies and, a power of two, of
+    samples of the sensitivity (0: none) with the seed of both; the share of assemblies that shall be within
+    all limits.
 
-    Raises
-    ------
-    ValueError
-        Naming what cannot be.
+    Raises ValueError naming what cannot be.
     """
 
     drive: Drive
@@ -110,16 +81,9 @@ class Question:
 class Interference:
     """Eccentricity at which teeth first interfere [m], nan where they do not; three readings.
 
-    Attributes
-    ----------
-    across : float
-        The paper's own arrangement; see ``limit.across_long_axis``.
-    clearance : float
-        Least backlash there without eccentricity [m].
-    any_direction : EccentricityLimit
-        The same lobe, over all directions and angles.
-    all_teeth : EccentricityLimit
-        No rotation of the cup frees all teeth: the interference flag of a mesh.
+    `across`: the paper's own arrangement (:func:`across_long_axis`), whose least backlash without
+    eccentricity is `clearance` [m]. `any_direction`: the same lobe, over all directions and angles.
+    `all_teeth`: no rotation of the cup frees all teeth, the interference flag of a mesh.
     """
 
     across: float
@@ -132,18 +96,9 @@ class Interference:
 class Yield:
     """What assemblies come out like.
 
-    Attributes
-    ----------
-    tolerances : ndarray, shape (t,)
-        Of the eccentricity: what 99.73 % of the assemblies keep within [m].
-    configured : float
-        That of the configured distribution [m].
-    together : Share
-        Within all limits.
-    each : list of Share
-        Within each, in the order of ``criteria.CRITERIA``.
-    at_target : float
-        Largest tolerance with the share asked for within all limits [m]; nan if there is none.
+    Eccentricity `tolerances` (t,) that 99.73 % of the assemblies keep within, and the `configured` one [m];
+    shares within all limits `together` and within `each`, in the order of ``criteria.CRITERIA``; the largest
+    tolerance `at_target` [m], nan if there is none.
     """
 
     tolerances: Floats
@@ -171,22 +126,9 @@ class Study:
 
 
 def study(question: Question, pool: ProcessPool, progress: Progress) -> Study:
-    """Answer a question.
+    """Answer a question; `progress` is told each part of the work and its number of steps.
 
-    Parameters
-    ----------
-    question : Question
-    pool : ProcessPool
-    progress : callable
-
-    Returns
-    -------
-    Study
-
-    Raises
-    ------
-    ValueError
-        If the teeth cannot bear a torque, or a drawn assembly cannot be assembled.
+    Raises ValueError if the teeth cannot bear a torque, or a drawn assembly cannot be assembled.
     """
     warm_up()  # here first: other processes then read the kernels from the disk
     population = Population(question.drive, question.spreads, question.cup_torque)
