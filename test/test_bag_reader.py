@@ -110,12 +110,10 @@ def test_topics_and_times(tmp_path):
         assert reader.topics[0].definition.text == definition(JOINT_STATE).text
 
 
-def test_choice_of_topics_and_times(tmp_path):
+def test_choice_of_topics(tmp_path):
     messages = sample(300)
     path = write_with_mcap(tmp_path / "a.mcap", messages, chunk_size=2000)
-    expected = [m for m in in_order(messages) if m[0] == "/note" and 50 * MS <= m[1] < 120 * MS]
-    assert read(path, ["/note"], start=50 * MS, end=120 * MS) == expected
-    assert len(expected) == 70
+    assert read(path, ["/note"]) == [m for m in in_order(messages) if m[0] == "/note"]
 
 
 @pytest.mark.usefixtures("stretch")

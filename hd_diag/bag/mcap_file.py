@@ -63,10 +63,6 @@ class McapFile:
 
     Attributes
     ----------
-    channels : dict
-        Numbers of the topics, by name and type.
-    counts : dict
-        Messages added, by channel number.
     written : Statistics
         Of what has reached the operating system.
     size : int
@@ -79,8 +75,8 @@ class McapFile:
         self, path: Path, compression: str, chunk_size: int, overwrite: bool, in_thread: bool
     ) -> None:
         self.size = 0
-        self.channels: dict[tuple[str, str], int] = {}
-        self.counts: dict[int, int] = {}
+        self._channels: dict[int, int] = {}  # number of a topic by its identity
+        self._counts: dict[int, int] = {}  # messages added, by number
         self.start: int | None = None
         self.written = Statistics(0, 0, {}, 0, 0, 0, 2**64 - 1, 1, 0)
         self._compression, self._chunk_size = compression, chunk_size
@@ -103,8 +99,15 @@ class McapFile:
         """When the open chunk got its first message (``time.monotonic``) [s]; None if it has none."""
         return self._chunk.opened
 
-    def add_channel(self, topic: Offered) -> int:
-        """Register a topic, and its schema where this is the first topic of the type; gives its number."""
+    def count_of(self, topic: Offered) -> int:
+        """Messages of a topic added."""
+        return self._counts.get(self._channels.get(id(topic), 0), 0)
+
+    def _channel(self, topic: Offered) -> int:
+        """Number of a topic, which is declared with its schema where it is new."""
+        number = self._channels.get(id(topic))
+        if number is not None:
+            return number
         known, number = topic.definition, len(self._declared) + 1
         name = known.type_name
         if name not in self._schemas:
@@ -113,13 +116,14 @@ class McapFile:
         extra = {"offered_qos_profiles": dump_offers(topic.offers), "topic_type_hash": known.type_hash}
         self._declared.append(Channel(number, topic.name, "cdr", extra, self._schemas[name].id))
         self._chunk.add(_packed(self._declared[-1]))
-        self.channels[topic.name, name] = number
-        self.counts[number] = self.written.channel_message_counts[number] = 0
+        self._channels[id(topic)] = number
+        self._counts[number] = self.written.channel_message_counts[number] = 0
         return number
 
-    def add(self, channel: int, log_time: int, publish_time: int, data: bytes) -> None:
+    def add(self, topic: Offered, log_time: int, publish_time: int, data: bytes) -> None:
         """Append a message; the chunk is closed when it is full."""
-        entry, count = _ENTRY.pack(log_time, self._chunk.size), self.counts[channel] & 0xFFFFFFFF
+        channel = self._channel(topic)
+        entry, count = _ENTRY.pack(log_time, self._chunk.size), self._counts[channel] & 0xFFFFFFFF
         head = MESSAGE.pack(Opcode.MESSAGE, _HEAD + len(data), channel, count, log_time, publish_time)
         self._chunk.add(head + data)
         self._added(channel, 1, log_time, log_time, entry)
@@ -128,9 +132,10 @@ class McapFile:
         """How many messages of a size [byte] fill the open chunk, at least 1."""
         return max(1, -(-(self._chunk_size - self._chunk.size) // (size + MESSAGE.size)))
 
-    def add_rows(self, channel: int, times: Times, publish_times: Times, rows: Bytes) -> None:
+    def add_rows(self, topic: Offered, times: Times, publish_times: Times, rows: Bytes) -> None:
         """Append messages of one channel and one size, shape (n, size); the chunk is closed when full."""
-        before, (count, size) = self.counts[channel], rows.shape
+        channel, (count, size) = self._channel(topic), rows.shape
+        before = self._counts[channel]
         records = np.empty(count, np.dtype([*HEAD.descr, ("data", "u1", (size,))]))
         records["opcode"], records["length"], records["channel"] = Opcode.MESSAGE, _HEAD + size, channel
         records["sequence"] = np.arange(before, before + count) & 0xFFFFFFFF
@@ -144,7 +149,7 @@ class McapFile:
 
     def _added(self, channel: int, count: int, first: int, last: int, entries: bytes) -> None:
         """Account for messages that were added: least and greatest time [ns], entries of the index."""
-        self.counts[channel] += count
+        self._counts[channel] += count
         if self.start is None:
             self.start = first
         self._chunk.note(channel, first, last, entries)
@@ -181,7 +186,7 @@ class McapFile:
             future.exception()
         self._waiting.clear()
         self._chunk, self._failed = _Chunk(), False
-        self.counts = dict(self.written.channel_message_counts)
+        self._counts = dict(self.written.channel_message_counts)
 
     def finish(self, metadata: Mapping[str, str]) -> None:
         """Write rosbag2's metadata and the summary; every chunk must be closed and written."""

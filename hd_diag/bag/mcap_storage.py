@@ -66,27 +66,21 @@ class McapStorage:
             self._file.close()
             raise
 
-    def blocks(self, numbers: Sequence[int] | None, start: int | None, end: int | None) -> Iterator[Block]:
-        """Messages of some channels, or all, from one log time until before another [ns], in order.
+    def blocks(self, numbers: Sequence[int]) -> Iterator[Block]:
+        """Messages of some channels in the order of log time.
 
         Raises
         ------
         BagError
             Where a chunk is damaged or cannot be sorted.
         """
-        wanted = None if numbers is not None and len(numbers) == len(self.topics) else numbers
 
         def chosen(stretch: _Stretch) -> Block:
             block = load(self.path, self._file, stretch.sections, self._scan)
-            keep = np.ones(len(block), bool) if wanted is None else np.isin(block.channel, wanted)
-            keep &= True if start is None else block.log_time >= start
-            keep &= True if end is None else block.log_time < end
-            return block if keep.all() else block[keep]
+            return block if len(numbers) == len(self.topics) else block[np.isin(block.channel, numbers)]
 
-        sections = [s for s in self._scan.sections if start is None or s.end >= start]
-        sections = [s for s in sections if end is None or s.start < end]
         try:
-            for block in _ordered(_stretches_of(sections), chosen):
+            for block in _ordered(_stretches_of(self._scan.sections), chosen):
                 unknown = set(np.unique(block.channel).tolist()) - self.topics.keys()
                 if unknown:
                     raise ValueError(f"messages of channel {min(unknown)}, which is not declared")

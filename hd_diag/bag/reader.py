@@ -131,22 +131,13 @@ class BagReader:
         """Time between the first and the last message [s]."""
         return (self.end - self.start) * 1e-9
 
-    def batches(
-        self,
-        topics: Iterable[str] | None = None,
-        *,
-        start: int | None = None,
-        end: int | None = None,
-        grouped: bool = False,
-    ) -> Iterator[Batch]:
+    def batches(self, topics: Iterable[str] | None = None, *, grouped: bool = False) -> Iterator[Batch]:
         """Messages in the order of log time; those of equal time in the order of the file; files in sequence.
 
         Parameters
         ----------
         topics : iterable of str, optional
             Names of topics; all by default.
-        start, end : int, optional
-            From this log time until before that [ns].
         grouped : bool, optional
             Give long batches: order is kept within each topic, but topics that alternate are taken apart over
             stretches of a few megabytes. By default a batch ends where the topic changes.
@@ -156,25 +147,18 @@ class BagReader:
         BagError
             Where a chunk is damaged or cannot be sorted.
         """
-        for mixed in self.mixed(topics, lambda topic: grouped, start=start, end=end):
+        for mixed in self.mixed(topics, lambda topic: grouped):
             for _, batch in mixed.batches:
                 yield batch
 
-    def mixed(
-        self,
-        topics: Iterable[str] | None,
-        together: Callable[[Topic], bool],
-        *,
-        start: int | None = None,
-        end: int | None = None,
-    ) -> Iterator[Mixed]:
+    def mixed(self, topics: Iterable[str] | None, together: Callable[[Topic], bool]) -> Iterator[Mixed]:
         """As `batches`, in long runs: topics for which `together` is true may alternate within one."""
         names = None if topics is None else set(topics)
         for source in self._sources:
             numbers = [n for n, t in source.topics.items() if names is None or t.name in names]
             alternating = [n for n in numbers if together(source.topics[n])]
             try:
-                for block in source.storage.blocks(numbers, start, end) if numbers else ():
+                for block in source.storage.blocks(numbers) if numbers else ():
                     for part in _runs(block, alternating):
                         yield self._mixed(source, part)
             except BagError as exc:

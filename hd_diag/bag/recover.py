@@ -240,7 +240,7 @@ def _salvage_sqlite(path: Path, report: FileRecovery) -> Iterator[_Piece]:
     """All messages, also those that belong to no topic; a damaged database is an error."""
     with closing(SqliteFile(path)) as found:
         place = 0
-        for block in found.blocks(None, None, None):
+        for block in found.blocks(None):
             place += len(block.data)
             yield found.topics, block, min(place, report.size)
 

@@ -76,24 +76,20 @@ class SqliteFile:
             if number in self.topics:
                 self.topics[number].count = count
 
-    def blocks(self, numbers: Sequence[int] | None, start: int | None, end: int | None) -> Iterator[Block]:
-        """Messages of some topics, or all, from one time until before another [ns], in order.
+    def blocks(self, numbers: Sequence[int] | None) -> Iterator[Block]:
+        """Messages of some topics, or all, in the order of time.
 
         Raises
         ------
         BagError
             Where the database is damaged.
         """
-        which = "" if numbers is None else f"AND topic_id IN ({','.join(map(str, numbers))})"
-        query = (
-            "SELECT topic_id, timestamp, CAST(data AS BLOB) FROM messages"
-            f" WHERE timestamp >= ? AND timestamp < ? {which} ORDER BY timestamp, id"
-        )
-        low, high = start if start is not None else 0, end if end is not None else 2**63 - 1
+        which = "" if numbers is None else f"WHERE topic_id IN ({','.join(map(str, numbers))})"
+        query = f"SELECT topic_id, timestamp, CAST(data AS BLOB) FROM messages {which} ORDER BY timestamp, id"
         read = 0
         try:
             with closing(self._open()) as db:
-                cursor = db.execute(query, (low, high))
+                cursor = db.execute(query)
                 while rows := cursor.fetchmany(_ROWS):
                     block = _block_of(rows)
                     read += len(block.data) + len(block)

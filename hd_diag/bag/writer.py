@@ -45,8 +45,7 @@ class BagWriter:
     overwrite : bool, optional
         Replace the file, or the bag in the folder, where there is one.
     beside : bool, optional
-        Compress and write in a thread beside the caller's, a few chunks behind it: errors come a few calls
-        late, and what `flush` and `close` did not wait for is not on the disk yet.
+        Compress and write in a thread, a few chunks behind the caller: errors come a few calls late.
 
     Attributes
     ----------
@@ -65,9 +64,8 @@ class BagWriter:
     Not safe for use by several threads at once. After an error the file is cut back to whole records, and
     every further write raises the same error; `close` finishes the file if it still can, and does not raise.
     A ``with`` statement finishes it too, unless an error ends it, Ctrl-C excepted: then it is left without
-    its end, so that no reader takes it for whole.
-
-    Without splits the summary of a log grows by about 50 MB a day, in memory too, at four chunks a second.
+    its end, so that no reader takes it for whole. Without splits the summary of a log grows by about 50 MB a
+    day, in memory too, at four chunks a second.
     """
 
     def __init__(
@@ -125,14 +123,8 @@ class BagWriter:
     ) -> None:
         """Declare a topic before its first message; needed only for types that ROS 2 Jazzy does not have.
 
-        Parameters
-        ----------
-        topic, type_name : str
-            As ``/joint_states`` and ``sensor_msgs/msg/JointState``.
-        qos : Qos or str, optional
-            Offered profile, or the YAML text of another bag's ``offered_qos_profiles``.
-        known : Definition, optional
-            Definition of the type to carry; by default that of ROS 2 Jazzy.
+        `qos` is the offered profile, or the YAML text of another bag's ``offered_qos_profiles``; `known` the
+        definition of the type to carry, by default that of ROS 2 Jazzy.
 
         Raises
         ------
@@ -177,7 +169,7 @@ class BagWriter:
             raise BagError(self.path, what)
         try:  # a context manager would take as long as the rest
             self._split_if_due(log_time)
-            self._file.add(self._channel(topic, type_name), log_time, publish, bytes(data))
+            self._file.add(self._topics[topic, type_name], log_time, publish, bytes(data))
             self._close_old_chunk(time.monotonic())
         except (BagError, OSError) as exc:
             raise self._failure(exc) from exc
@@ -204,25 +196,22 @@ class BagWriter:
         with self._guarded():
             while done < len(times):
                 self._split_if_due(int(times[done]))
-                channel = self._channel(topic, type_name)
                 stop = done + self._file.room(rows.shape[1])
                 if self._max_duration:
                     start = int(times[done]) if self._file.start is None else self._file.start
                     late = np.flatnonzero(times[done:stop] - start >= self._max_duration)
                     stop = done + int(late[0]) if len(late) else stop
-                self._file.add_rows(channel, times[done:stop], published[done:stop], rows[done:stop])
+                self._file.add_rows(
+                    self._topics[topic, type_name], times[done:stop], published[done:stop], rows[done:stop]
+                )
                 done = stop
             self._close_old_chunk(time.monotonic())
 
     def flush_if_due(self, now: float | None = None) -> bool:
         """Hand messages older than the flush period to the operating system; call it from a timer.
 
-        `now` is ``time.monotonic()`` [s]; gives whether something was written.
-
-        Raises
-        ------
-        BagError
-            Where it cannot be written; not again for an error that was raised before.
+        `now` is ``time.monotonic()`` [s]; gives whether something was written. Raises BagError where that
+        fails, but not again for an error that was raised before.
         """
         if self.error is not None or self._closed:
             return False
@@ -239,12 +228,8 @@ class BagWriter:
     def close(self, *, whole: bool = True) -> None:
         """Finish the bag; if not `whole`, leave it without its end, so that every reader sees that.
 
-        A second call, or one after an error, does nothing that can raise.
-
-        Raises
-        ------
-        BagError
-            Where the end of the bag cannot be written; what was written before stays recoverable.
+        Raises BagError where the end cannot be written; what was written before stays recoverable. A second
+        call, or one after an error, does nothing that can raise.
         """
         if self._closed:
             return
@@ -304,13 +289,8 @@ class BagWriter:
             self._file.close_chunk()
         return is_due
 
-    def _channel(self, topic: str, type_name: str) -> int:
-        channel = self._file.channels.get((topic, type_name))
-        return self._file.add_channel(self._topics[topic, type_name]) if channel is None else channel
-
     def _count(self, topic: str, type_name: str) -> int:
-        number = self._file.channels.get((topic, type_name), 0)
-        return self._counts[topic, type_name] + self._file.counts.get(number, 0)
+        return self._counts[topic, type_name] + self._file.count_of(self._topics[topic, type_name])
 
     def _split_if_due(self, log_time: int) -> None:
         """Begin the next file where it is time."""
@@ -330,9 +310,13 @@ class BagWriter:
     def _begin(self) -> None:
         """Open the next file and name it in the metadata, so that a crash leaves it findable."""
         number, path = len(self.paths), self.path
+        if not self._overwrite and not number and path.exists():
+            raise BagError(path, "exists already")
         if self.path.suffix != ".mcap":
             if not number:
-                self._make_folder()
+                self.path.mkdir(parents=True, exist_ok=self._overwrite)
+                for file in bag_files(self.path):
+                    file.unlink()
             path = self.path / f"{self.path.resolve().name}_{number}.mcap"
         elif number:
             path = self.path.with_name(f"{self.path.stem}_{number}.mcap")
@@ -350,14 +334,6 @@ class BagWriter:
         except BaseException:
             self._file.release()
             raise
-
-    def _make_folder(self) -> None:
-        """Make the folder; with `overwrite` remove the bag that is in it, and nothing else."""
-        if self.path.exists() and not self._overwrite:
-            raise BagError(self.path, "exists already")
-        self.path.mkdir(parents=True, exist_ok=True)
-        for file in bag_files(self.path):
-            file.unlink()
 
     def _finish(self) -> None:
         """Write the end of the file, whose messages are all written."""
