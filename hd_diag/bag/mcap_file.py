@@ -128,8 +128,9 @@ class McapFile:
         self._chunk.add(head + data)
         self._added(channel, 1, log_time, log_time, entry)
 
-    def room(self, size: int) -> int:
-        """How many messages of a size [byte] fill the open chunk, at least 1."""
+    def room(self, topic: Offered, size: int) -> int:
+        """How many messages of a topic and size [byte] fill the open chunk, at least 1."""
+        self._channel(topic)
         return max(1, -(-(self._chunk_size - self._chunk.size) // (size + MESSAGE.size)))
 
     def add_rows(self, topic: Offered, times: Times, publish_times: Times, rows: Bytes) -> None:

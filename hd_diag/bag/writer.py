@@ -22,7 +22,6 @@ from hd_diag.bag.rosbag2 import RELIABLE, FileInformation, Offered, dump_yaml, m
 from hd_diag.messages.schemas import Definition, definition
 
 _LAST_TIME = 2**63 - 1
-_MAX_TOPICS = 65535  # channel numbers have 16 bits, and begin at 1
 
 
 class BagWriter:
@@ -134,8 +133,8 @@ class BagWriter:
         self._check_open()
         if (topic, type_name) in self._topics:
             return
-        if len(self._topics) >= _MAX_TOPICS:
-            raise BagError(self.path, f"{topic}: a bag holds no more than {_MAX_TOPICS} topics")
+        if len(self._topics) == 2**16 - 1:  # channel numbers have 16 bits, and begin at 1
+            raise BagError(self.path, f"{topic}: a bag holds no more than {2**16 - 1} topics")
         try:
             offers = parse_offers(qos) if isinstance(qos, str) else [qos or RELIABLE]
             self._topics[topic, type_name] = Offered(topic, known or definition(type_name), offers)
@@ -192,18 +191,16 @@ class BagWriter:
             for data, log_time, publish in zip(rows, times.tolist(), published.tolist(), strict=True):
                 self.write(topic, type_name, data, log_time, publish)
             return
-        done = 0
+        known, done = self._topics[topic, type_name], 0
         with self._guarded():
             while done < len(times):
                 self._split_if_due(int(times[done]))
-                stop = done + self._file.room(rows.shape[1])
+                stop = done + self._file.room(known, rows.shape[1])
                 if self._max_duration:
                     start = int(times[done]) if self._file.start is None else self._file.start
                     late = np.flatnonzero(times[done:stop] - start >= self._max_duration)
                     stop = done + int(late[0]) if len(late) else stop
-                self._file.add_rows(
-                    self._topics[topic, type_name], times[done:stop], published[done:stop], rows[done:stop]
-                )
+                self._file.add_rows(known, times[done:stop], published[done:stop], rows[done:stop])
                 done = stop
             self._close_old_chunk(time.monotonic())
 
@@ -310,12 +307,12 @@ class BagWriter:
     def _begin(self) -> None:
         """Open the next file and name it in the metadata, so that a crash leaves it findable."""
         number, path = len(self.paths), self.path
-        if not self._overwrite and not number and path.exists():
-            raise BagError(path, "exists already")
         if self.path.suffix != ".mcap":
             if not number:
-                self.path.mkdir(parents=True, exist_ok=self._overwrite)
-                for file in bag_files(self.path):
+                if path.exists() and not self._overwrite:
+                    raise BagError(path, "exists already")
+                path.mkdir(parents=True, exist_ok=True)
+                for file in bag_files(path):
                     file.unlink()
             path = self.path / f"{self.path.resolve().name}_{number}.mcap"
         elif number:
