@@ -27,7 +27,7 @@ _SCALES = {
 
 
 def number(value: float, spread: float = math.nan, digits: int = _DIGITS) -> str:
-    """A number with the digits that its spread leaves sense to: one of its own, two if it begins with 1.
+    """A number, rounded to the first digit of its spread; to the second where the first is a 1.
 
     Parameters
     ----------
@@ -44,10 +44,9 @@ def number(value: float, spread: float = math.nan, digits: int = _DIGITS) -> str
     """
     if not math.isfinite(value):
         return "–"
-    told = spread
     if not (math.isfinite(spread) and spread > 0.0):
-        told = abs(value) and 2.0 * 10.0 ** (math.floor(math.log10(abs(value))) + 1 - digits)
-    decimals = _decimals(told) if told > 0.0 else 0
+        spread = abs(value) and 2.0 * 10.0 ** (math.floor(math.log10(abs(value))) + 1 - digits)
+    decimals = _decimals(spread) if spread > 0.0 else 0
     return _signed(f"{value:.{min(max(decimals, 0), _MOST_DECIMALS)}f}")
 
 
@@ -70,9 +69,9 @@ def spread_number(value: float, spread: float, unit: str) -> str:
 
 
 def si(value: float, spread: float, unit: str) -> str:
-    """A value in SI, told in the unit that people use for it."""
-    scale, told = _SCALES.get(unit, (1.0, unit))
-    return spread_number(value / scale, spread / scale, told)
+    """A value in SI, in the unit that people use for it."""
+    scale, shown = _SCALES.get(unit, (1.0, unit))
+    return spread_number(value / scale, spread / scale, shown)
 
 
 def direction(value: float, spread: float, period: float) -> str:

@@ -55,7 +55,7 @@ def test_ids_are_the_picture_s_own_and_every_reference_has_one() -> None:
     for svg, own in zip(pictures, ids, strict=True):
         used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', svg))
         assert used
-        assert used | {f"{next(iter(own)).partition('-')[0]}-{end}" for end in ("title", "told")} == own
+        assert used | {f"{next(iter(own)).partition('-')[0]}-{end}" for end in ("title", "text")} == own
 
 
 def test_it_needs_no_style_and_takes_the_page_s_ink() -> None:

@@ -42,7 +42,7 @@ def tell(line: str, *, err: bool = False) -> None:
 
 
 def verb(example: str, **settings: Any) -> Callable[[Callable[..., Any]], click.Command]:
-    """A function as a verb: its help with an example of a call, and bad input told in one line.
+    """A function as a verb: its help with an example of a call, and bad input reported in one line.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def check_target(path: str | Path, *inputs: Path) -> None:
         raise Problem(f"{path}: cannot be written: no such folder")
     if not os.access(target if target.exists() else target.parent, os.W_OK):
         raise Problem(f"{path}: cannot be written: no permission, or a disk that is read-only")
-    # What does not exist, like links in a circle, is told when it is read.
+    # What does not exist, like links in a circle, is reported when it is read.
     check_output(path, *filter(os.path.exists, inputs))
 
 

@@ -1,4 +1,4 @@
-"""Long records made short enough to draw, honestly: means with their spread, least and greatest values."""
+"""Long records made short enough to draw: means with their spread, least and greatest values."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hd_diag.arrays import Floats
 LOW, HIGH = 0.1, 0.9
 """Quantiles between which a band's spread lies [-]."""
 
-_LEAST = 5  # samples below which a bin tells nothing
+_LEAST = 5  # samples in a bin below which it gets no mean
 
 
 class Band(NamedTuple):
@@ -33,7 +33,7 @@ class Band(NamedTuple):
 
 
 class Envelope(NamedTuple):
-    """Least and greatest value of consecutive stretches, shape (stretches,) each; nan where nothing is."""
+    """Least and greatest value of consecutive stretches, shape (stretches,) each; nan where there is none."""
 
     place: Floats
     low: Floats

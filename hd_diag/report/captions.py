@@ -76,14 +76,6 @@ def orders(found: Judgement) -> str:
     return f"Order spectrum of the residual, every peak kept. Highest: {_each(peaks)}."
 
 
-def named_orders(found: Judgement) -> str:
-    """The marks of the order spectrum, for those who see no table."""
-    return "; ".join(
-        f"mark {at}: order {mark.order:.2f}, {mark.name}, {arcsec(mark.amplitude)}"
-        for at, mark in enumerate(found.marks, start=1)
-    )
-
-
 def over_time(found: OverTime) -> str:
     """Caption of the record over time."""
     ends = {
@@ -104,11 +96,6 @@ def ladder(found: Judgement) -> str:
         f"Diamonds: the data that were never fitted ({found.gain.held_out}), the last model as the node runs "
         f"it. Noise floor {floor} ({low} to {high})."
     )
-
-
-def rungs(found: Judgement) -> str:
-    """The ladder's numbers, for those who see no table."""
-    return "; ".join(f"{rung.name} {arcsec(rung.rms)}, explained {gain(rung)}" for rung in found.ladder)
 
 
 def residual(rung: Rung) -> str:

@@ -10,12 +10,12 @@ import numpy.typing as npt
 from hd_diag.arrays import Floats
 from hd_diag.formatting import number
 
-_GAP_STEPS = 5.5  # a step this many times the usual one is a gap, as the criticism takes it
+_GAP_STEPS = 5.5  # a step this many times the usual one is a gap, as the diagnosis takes it
 _TURN = 2.0 * np.pi
 
 
 class Fact(NamedTuple):
-    """A number about something, told with its unit."""
+    """A name and a value with its unit, in words."""
 
     name: str
     value: str
@@ -64,7 +64,7 @@ def facts(
 
 
 def _ways(moved: Floats) -> str:
-    """How much of the way goes forwards."""
+    """Shares of the way that go forwards and back."""
     share = float(moved[moved > 0.0].sum() / max(float(np.abs(moved).sum()), 1e-300))
     return f"{100.0 * share:.0f} % forwards, {100.0 - 100.0 * share:.0f} % back"
 

@@ -34,7 +34,7 @@ STAGES: tuple[tuple[str, Any], ...] = ((NOMINAL, (0, (2, 1.2))), (REFIT, (0, (6,
 
 ACCENT = "#a8508b"
 SERIES = ("#0072b2", "#00875f", "#b07800", "#d55e00", "#a8508b", "#5a6b7b")
-"""For curves of one family, which are told apart by their dashes too."""
+"""For curves of one family, which differ in their dashes too."""
 
 DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (2, 1.2)), (0, (6, 1.5, 1.5, 1.5)), (0, (1, 1)), "--")
 

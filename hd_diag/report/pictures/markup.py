@@ -61,7 +61,7 @@ def inline_svg(figure: Figure, name: str, title: str, description: str) -> str:
     for element in root.iter():
         _plain(element)
     _own_ids(root, name)
-    _told(root, name, title, description)
+    _described(root, name, title, description)
     return Xml.tostring(root, encoding="unicode")
 
 
@@ -114,18 +114,18 @@ def _own_ids(root: Xml.Element, name: str) -> None:
             element.set("id", f"{name}-{own}")
 
 
-def _told(root: Xml.Element, name: str, title: str, description: str) -> None:
+def _described(root: Xml.Element, name: str, title: str, description: str) -> None:
     root.attrib.pop("version", None)
     for side in ("width", "height"):  # the page gives the size
         root.attrib.pop(side, None)
     root.attrib |= {
         "role": "img",
         "aria-labelledby": f"{name}-title",
-        "aria-describedby": f"{name}-told",
+        "aria-describedby": f"{name}-text",
         "stroke-linejoin": "round",
         "stroke-linecap": "butt",
     }
-    for place, (tag, suffix, text) in enumerate((("title", "title", title), ("desc", "told", description))):
+    for place, (tag, suffix, text) in enumerate((("title", "title", title), ("desc", "text", description))):
         element = Xml.Element(f"{{{_SVG}}}{tag}", {"id": f"{name}-{suffix}"})
         element.text = text
         root.insert(place, element)
