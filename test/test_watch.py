@@ -173,63 +173,35 @@ def test_two_nodes_that_do_not_say_who_they_are_are_said_to_be_two() -> None:
     assert any("several nodes report a" in line for line in lines(watch))
 
 
-@pytest.fixture
-def two_nodes() -> Watch:
-    """Two nodes of one namespace, each with a joint of the same name, on the same topic."""
+def test_two_nodes_with_one_joint_on_one_topic_are_two_rows_each_with_its_node() -> None:
     watch = Watch()
     watch.nodes = [NodeSeen(name, TOPIC, frozenset({"a"})) for name in ("/arm/x", "/arm/y")]
     watch.take(TOPIC, [message("a", node="/arm/x", samples="1")], 0.0)
     watch.take(TOPIC, [message("a", node="/arm/y", samples="2", residual_rms_arcsec="7")], 0.5)
     watch.take(TOPIC, [message("a", node="/arm/x", samples="3")], 1.0)
-    return watch
-
-
-def test_two_nodes_with_one_joint_on_one_topic_are_two_rows(two_nodes: Watch) -> None:
-    seen = [(view.nodes, view.name, view.number("samples"), view.age) for view in two_nodes.view(1.0)]
-    assert seen == [(("/arm/x",), "a", 3.0, 0.0), (("/arm/y",), "a", 2.0, 0.5)]
-    assert [len(view.residuals) for view in two_nodes.view(1.0)] == [2, 1]
-    told = as_json(two_nodes, 1.0)["joints"]
-    assert [joint["hardware_id"] for joint in told] == ["/arm/x/a", "/arm/y/a"]
-
-
-def test_a_shared_name_is_shown_with_its_node(two_nodes: Watch) -> None:
-    shown = lines(two_nodes)
+    seen = [(view.nodes, view.number("samples"), view.age, len(view.residuals)) for view in watch.view(1.0)]
+    assert seen == [(("/arm/x",), 3.0, 0.0, 2), (("/arm/y",), 2.0, 0.5, 1)]
+    assert [joint["hardware_id"] for joint in as_json(watch, 1.0)["joints"]] == ["/arm/x/a", "/arm/y/a"]
+    shown = lines(watch)
     assert [line.split()[0] for line in shown if line.startswith("arm/a")] == ["arm/a", "arm/a"]
     assert [line for line in shown if "/arm/x, 3 samples" in line]
     assert [line for line in shown if "/arm/y, 2 samples" in line]
     assert "not to be told apart" not in "\n".join(shown)
-    alone = lines(watched(message("a", node="/arm/x")))
-    assert "/arm/x, " not in "\n".join(alone)
-
-
-def test_a_pipe_tells_of_both_nodes_with_one_joint(two_nodes: Watch) -> None:
-    assert [line.split(":")[0] for line in piped(two_nodes, 1.0)] == ["/arm/x a", "/arm/y a"]
-
-
-def test_a_node_whose_joint_only_another_has_reported_is_missing(two_nodes: Watch) -> None:
-    assert two_nodes.missing() == []
-    two_nodes.nodes = [*two_nodes.nodes, NodeSeen("/arm/z", TOPIC, frozenset({"a", "b"}))]
-    assert two_nodes.missing() == ["/arm/z a", "b"]
-
-
-def test_a_namespace_chooses_by_who_sent_it(two_nodes: Watch) -> None:
-    two_nodes.take(TOPIC, [message("a", node="/leg/x")], 1.0)
-    two_nodes.namespaces = ("leg",)
-    assert [view.nodes for view in two_nodes.view(1.0)] == [("/leg/x",)]
+    assert "/arm/x, " not in "\n".join(lines(watched(message("a", node="/arm/x"))))
+    assert [line.split(":")[0] for line in piped(watch, 1.0)] == ["/arm/x a", "/arm/y a"]
+    assert watch.missing() == []
+    watch.nodes = [*watch.nodes, NodeSeen("/arm/z", TOPIC, frozenset({"a", "b"}))]
+    assert watch.missing() == ["/arm/z a", "b"]
+    watch.take(TOPIC, [message("a", node="/leg/x")], 1.0)
+    watch.namespaces = ("leg",)
+    assert [view.nodes for view in watch.view(1.0)] == [("/leg/x",)]
 
 
 @pytest.mark.parametrize("hardware_id", ["", "robot 7", "/arm/other_joint"])
 def test_an_identifier_that_names_no_node_leaves_that_to_the_graph(hardware_id: str) -> None:
-    statuses = [
-        message("a")._replace(hardware_id=hardware_id),
-        message("b")._replace(hardware_id=hardware_id),
-    ]
-    watch = watched(*statuses)
+    watch = watched(*(message(joint)._replace(hardware_id=hardware_id) for joint in "ab"))
     watch.nodes = [NodeSeen("/hd_diag", TOPIC, frozenset({"a", "b"}))]
-    assert [(view.nodes, view.name) for view in watch.view(0.0)] == [
-        (("/hd_diag",), "a"),
-        (("/hd_diag",), "b"),
-    ]
+    assert [(view.nodes, view.name) for view in watch.view(0.0)] == [(("/hd_diag",), n) for n in "ab"]
 
 
 def test_explanations() -> None:
@@ -249,12 +221,8 @@ def test_explanations() -> None:
 def test_json_holds_every_value_with_its_kind() -> None:
     told = as_json(watched(message(temperature_C="nan", samples="12")), 2.0)
     (joint,) = told["joints"]
-    assert (told["schema"], joint["joint"], joint["level"], joint["age"]) == (
-        "hd_diag/watch/1",
-        "joint_1",
-        "ok",
-        2.0,
-    )
+    assert told["schema"] == "hd_diag/watch/1"
+    assert (joint["joint"], joint["level"], joint["age"]) == ("joint_1", "ok", 2.0)
     values = joint["values"]
     assert set(values) == set(REAL)
     assert values["eccentricity_um"] == 18
@@ -262,12 +230,15 @@ def test_json_holds_every_value_with_its_kind() -> None:
     assert (values["temperature_C"], values["samples"], values["log_state"]) == (None, 12, "writing log.mcap")
 
 
-@given(st.lists(st.text(), min_size=4, max_size=4))
-def test_any_text_gives_valid_json(texts: list[str]) -> None:
-    joint, text, log, number = texts
+@given(st.text(), st.text(), st.text(), st.text())
+def test_any_text_gives_valid_json_and_is_shown_without_control_characters(
+    joint: str, text: str, log: str, number: str
+) -> None:
     watch = watched(message(joint, 7, text, log_state=log, residual_rms_arcsec=number))
     told = json.loads(json.dumps(as_json(watch, 0.0), allow_nan=False))
     assert told["joints"][0]["joint"] == joint[:2000]
+    shown = [*lines(watch), plain_line(watch.view(0.0)[0])]
+    assert all(line.isprintable() for line in shown)
 
 
 # In a terminal ---
@@ -319,13 +290,6 @@ def test_at_80_columns_nothing_of_a_usual_report_is_cut_and_markup_is_text() -> 
     watch = watched(message(), message("a_joint_1234567", level=1, text="peak tooth load 61.0 N"))
     assert "…" not in "\n".join(lines(watch, 80))
     assert any("[red]joint[/red]" in line for line in lines(watched(message("[red]joint[/red]")), 100))
-
-
-@given(st.text(), st.text(), st.text())
-def test_any_text_is_shown_without_control_characters(joint: str, text: str, log: str) -> None:
-    watch = watched(message(joint, 1, text, log_state=log))
-    shown = [*lines(watch), plain_line(watch.view(0.0)[0])]
-    assert all(line.isprintable() for line in shown)
 
 
 def test_where_not_all_fit_the_worst_are_shown() -> None:
@@ -420,7 +384,7 @@ def test_a_pipe_gets_a_line_a_second_without_codes(monkeypatch: pytest.MonkeyPat
     assert "\x1b" not in stream.getvalue()
 
 
-def test_another_fault_is_told_at_once() -> None:
+def test_another_fault_is_shown_at_once_with_everything_else() -> None:
     stream = io.StringIO()
     watch = Watch()
     with Display(stream) as display:
@@ -429,15 +393,11 @@ def test_another_fault_is_told_at_once() -> None:
             display.show(watch, 0.26 * i)
         watch.take(TOPIC, [message(fault_code="STALE")], 1.05)
         display.show(watch, 1.05, is_last=True)
-    codes = [line.split(": ")[1].split()[0].strip(";") for line in stream.getvalue().splitlines()]
-    assert codes == ["OK", "RESIDUAL", "OK", "STALE"]
-
-
-def test_a_plain_line_has_everything() -> None:
-    line = plain_line(watched(message()).view(0.0)[0])
+    shown = stream.getvalue().splitlines()
+    assert [line.split(": ")[1].split()[0].strip(";") for line in shown] == ["OK", "RESIDUAL", "OK", "STALE"]
     for words in ("18.0 um at 0 deg", "lost motion", "loaded pairs", "arcsec p-p", "arcsec rms", "812 us"):
-        assert words in line
-    assert line.endswith("log writing log.mcap")
+        assert words in shown[0]
+    assert shown[0].endswith("log writing log.mcap")
 
 
 def test_a_terminal_gets_one_picture_that_stays(monkeypatch: pytest.MonkeyPatch) -> None:
