@@ -132,11 +132,11 @@ def empty_case(kind, joints, options):
     return row(label, joints, used, wall, sent - received, count)
 
 
-class Watch:
+class Reports:
     """Listens to the node's diagnostics."""
 
     def __init__(self):
-        self.node = rclpy.create_node("watch")
+        self.node = rclpy.create_node("reports")
         self.values = []
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._take, 10)
 
@@ -151,7 +151,7 @@ class Watch:
                 sys.exit(f"the node did not get so far within {LIMIT} s")
 
     def settled(self):
-        """Spin until no report tells of more samples."""
+        """Spin until no report shows more samples."""
         last, since = None, time.monotonic()
         while time.monotonic() - since < 2.0 * PAUSE:
             rclpy.spin_once(self.node, timeout_sec=0.1)
@@ -166,16 +166,16 @@ def node_case(folder, joints, log, options):
         given["log.path"] = str(folder / f"log_{joints}.mcap")
     file = folder / "parameters.yaml"
     file.write_text(yaml.safe_dump({"hd_diag": {"ros__parameters": given}}))
-    watch = Watch()
+    reports = Reports()
     command = ["-m", "hd_diag.ros.node", "--ros-args", "--params-file", str(file), "--log-level", "warn"]
     with running(*command) as process:
-        watch.until(lambda v: len(v) == joints and all(s["prediction"] == "map" for s in v))
-        used, wall, sent, count = measured(process, options, joints, watch.settled)
-        lost = max(sent - int(values["samples"]) for values in watch.values)
+        reports.until(lambda v: len(v) == joints and all(s["prediction"] == "map" for s in v))
+        used, wall, sent, count = measured(process, options, joints, reports.settled)
+        lost = max(sent - int(values["samples"]) for values in reports.values)
         process.send_signal(signal.SIGTERM)
         if process.wait(LIMIT):
             sys.exit(f"the node ended with {process.returncode}")
-    watch.node.destroy_node()
+    reports.node.destroy_node()
     return row(f"hd_diag, log {'on' if log else 'off'}", joints, used, wall, lost, count)
 
 

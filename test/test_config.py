@@ -147,24 +147,19 @@ def test_whole_and_real_numbers_serve_for_each_other() -> None:
     assert resolve({"joint_1.flexspline_teeth": 200.0}).flat["joint_1.flexspline_teeth"] == 200
 
 
+def test_any_text_can_be_a_path() -> None:
+    assert resolve({"log.path": "x\n" * 1000}).log.path == "x\n" * 1000
+
+
 NOT_A_NUMBER = [math.nan, math.inf, -math.inf, "56", "", True, None, [56.0], 10**400, 10**9000, 1 + 2j]
-
-
-@pytest.mark.parametrize("value", NOT_A_NUMBER, ids=range(len(NOT_A_NUMBER)))
-def test_value_that_is_no_number(value: Any) -> None:
-    text = refusal({"joint_1.rated_torque": value})
-    assert text.startswith("joint_1.rated_torque: expected a number [N m], not ")
-
-
-@pytest.mark.parametrize("value", [200.5, math.nan, "200", True, [200]])
-def test_value_that_is_no_whole_number(value: Any) -> None:
-    text = refusal({"joint_1.flexspline_teeth": value})
-    assert text.startswith("joint_1.flexspline_teeth: expected a whole number [-], not ")
+NOT_WHOLE = [200.5, math.nan, "200", True, [200]]
 
 
 @pytest.mark.parametrize(
     ("name", "value", "expected"),
     [
+        *(("joint_1.rated_torque", value, "expected a number [N m], not ") for value in NOT_A_NUMBER),
+        *(("joint_1.flexspline_teeth", value, "expected a whole number [-], not ") for value in NOT_WHOLE),
         ("joint_1.rated_torque", -1.0, "expected a number [N m] from 0.001 to 100000, not -1.0"),
         ("joint_1.eccentricity.magnitude", 5e-3, "expected a number [m] from 0 to 0.001, not 0.005"),
         ("joint_1.flexspline_teeth", 10, "expected a whole number [-] from 20 to 2000, not 10"),
@@ -175,14 +170,11 @@ def test_value_that_is_no_whole_number(value: Any) -> None:
         ("joint_1.flexspline_tooth.addendum_center", 0.1, "expected two numbers [x, y] [m], not 0.1"),
         ("joint_1.flexspline_tooth.addendum_center", [0.1], "expected two numbers [x, y] [m], not 1"),
         ("joint_1.flexspline_tooth.addendum_center", [0.1, "0"], "expected a number [m], not '0'"),
-        ("log.path", "x\n" * 1000, None),
     ],
+    ids=lambda value: value[:40] if isinstance(value, str) else "",
 )
-def test_value_out_of_range_or_type(name: str, value: Any, expected: str | None) -> None:
-    if expected is None:  # any text can be a path
-        assert resolve({name: value}).log.path == value
-    else:
-        assert refusal({name: value}) == f"{name}: {expected}"
+def test_value_of_the_wrong_type_or_out_of_range(name: str, value: Any, expected: str) -> None:
+    assert refusal({name: value}).startswith(f"{name}: {expected}")
 
 
 # The whole ---

@@ -382,15 +382,17 @@ def test_rates_act_at_once(arm: Rig) -> None:
 
 
 def test_log_holds_everything_and_replays(arm: Rig, publisher: Any, tmp_path: Path) -> None:
-    """The log moves on to another file while the node runs; the first one is finished then."""
+    """The log moves on to another file while the node runs, and no count begins anew."""
     feed(publisher, stamps, 100, joint="elbow")
     arm.set(elbow__runout__magnitude=1e-6)
     feed(publisher, stamps, 100, joint="elbow")
     arm.set(elbow__runout__magnitude=0.0)
     log: Path = arm.folder / "log"  # type: ignore[attr-defined]
+    counts = {key: int(arm.values("elbow")[key]) for key in ("samples", "samples_rejected")}
     assert arm.set(log__path=str(tmp_path / "next"))[0].successful
     feed(publisher, stamps, 100, joint="elbow")
-    arm.values("elbow", lambda values: values["samples"] == "100")
+    values = arm.values("elbow", lambda values: int(values["samples"]) == counts["samples"] + 100)
+    assert int(values["samples_rejected"]) == counts["samples_rejected"] > 0
     assert arm.set(log__path="")[0].successful
     arm.values("elbow", lambda values: values["log_state"] == "off")
     node = f"{arm.process.namespace}/hd_diag"

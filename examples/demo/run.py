@@ -24,7 +24,7 @@ from demo.process import Child, DemoError
 from demo.steps import Step, table
 from hd_diag.config.configuration import dump, resolve
 from hd_diag.messages.publications import published_topics, resolved
-from hd_diag.model.torsion import warm_up
+from hd_diag.monitor import warm_up
 from hd_diag.ros.stop_signals import noted_signals
 
 __all__ = ["DemoError", "run"]
@@ -74,7 +74,7 @@ def run(folder: Path | None, seconds: float) -> dict[str, Any]:
     """
     folder = _prepared(folder)
     _say("Preparing the model; the first time it is compiled, which can take a minute")
-    warm_up()  # before both processes need it at the same time
+    warm_up(resolve({}))  # before both processes need it at the same time
     _say(f"Starting the node and a simulated joint, each a process of its own; what they leave: {folder}")
     steps: list[Step] = []
     refusals: list[str] = []
