@@ -385,8 +385,9 @@ def test_rates_act_at_once(arm: Rig) -> None:
 def test_log_holds_everything_and_replays(arm: Rig, publisher: Any, tmp_path: Path) -> None:
     """The log moves on to another file while the node runs, and no count begins anew."""
     log: Path = arm.folder / "log"  # type: ignore[attr-defined]
+    rejected = arm.values("elbow")["samples_rejected"]
     publisher.publish(message(next(stamps), {"elbow_motor": np.nan}))
-    before = arm.values("elbow", lambda values: values["samples_rejected"] != "0")
+    before = arm.values("elbow", lambda values: values["samples_rejected"] != rejected)
     total = int(before["samples"])
     for changed in ({"elbow__runout__magnitude": 1e-6}, {"log__path": str(tmp_path / "next")}, {}):
         feed(publisher, stamps, 100, joint="elbow")
