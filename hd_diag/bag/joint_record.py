@@ -16,6 +16,7 @@ from hd_diag.bag import BagError
 from hd_diag.bag.reader import BagReader, Mixed
 from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.blocks import unwrapped
+from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record, RecordError, prepare
 from hd_diag.messages.publications import JOINT_STATE, OWN_OUTPUTS, TEMPERATURE, read_temperature
 from hd_diag.streams.alignment import Aligned, Alignment, Names, torque_between
@@ -25,16 +26,51 @@ COLUMNS = ("time", "input", "output", "torque", "temperature")
 """Columns of a table that `read_table` knows."""
 
 _REMEMBERED = 1 << 14  # samples over which topics of one bag may lag behind each other
+_KEPT = ("stamp", "torque_stamp", "stretch", "input_angle", "output_angle", "torque", "speed")
+_WHOLE = _KEPT[:3]
 _TURN = 2.0 * np.pi + 1e-6  # of an encoder that wraps [rad]
 
 
 class _Samples(NamedTuple):
-    """Aligned samples of a bag; times and temperatures [ns], [degree Celsius]; rows that were refused."""
+    """Samples of a joint: stamps [ns], numbers of the stretches, angles [rad], torques [N m], speeds [rad/s].
 
-    aligned: Aligned
-    heat_time: Times
-    heat: Floats
-    refused: int
+    Temperatures [degree Celsius] are none where a bag does not tell them. `refused` counts rows.
+    """
+
+    stamp: Times
+    stretch: Integers
+    input_angle: Floats
+    output_angle: Floats
+    torque: Floats
+    speed: Floats
+    temperature: Floats
+    refused: int = 0
+
+
+class _Table:
+    """Columns that arrive part by part: parts kept one by one would leave holes in the memory.
+
+    Parameters
+    ----------
+    rows : int
+        As many as are expected.
+    """
+
+    def __init__(self, rows: int) -> None:
+        self._columns = [np.empty(max(rows, 1), np.int64 if name in _WHOLE else np.float64) for name in _KEPT]
+        self._size = 0
+
+    def add(self, samples: Aligned, rows: Any) -> None:
+        parts = [getattr(samples, name)[rows] for name in _KEPT]
+        begin, self._size = self._size, self._size + parts[0].size
+        for number, part in enumerate(parts):
+            if self._size > self._columns[number].size:
+                self._columns[number] = np.resize(self._columns[number], 2 * self._size)
+            self._columns[number][begin : self._size] = part
+
+    @property
+    def columns(self) -> list[Any]:
+        return [column[: self._size] for column in self._columns]
 
 
 def joint_state_topics(reader: BagReader) -> list[str]:
@@ -94,28 +130,24 @@ def read_bags(paths: Sequence[str | Path], joint: JointConfig) -> Record:
     RecordError
         Where the joint has no input or output angle in them, or too little of them.
     """
-    bags = [_read(path, joint, lambda found: np.isfinite(found.output_angle)) for path in paths]
-    bags = [bag for bag in bags if bag.aligned.stamp.size > 1]
-    if not bags:
+    found = _read_all(paths, joint, lambda samples: np.isfinite(samples.output_angle))
+    if found is None:
         raise RecordError(
             f"no input angle ({joint.input_joint!r}) with output angle ({joint.output_joint!r}) "
             f"in {', '.join(map(str, paths))}"
         )
-    every = _one_after_the_other(bags)
-    torque = np.concatenate([torque_between(bag.aligned) for bag in bags])
-    speed = every.speed if np.isfinite(every.speed).any() else None
     record = prepare(
-        _seconds(every.stamp, int(bags[0].aligned.stamp[0])),
-        every.input_angle,
-        every.output_angle,
-        torque,
-        _temperature(bags),
-        every.stretch,
+        _seconds(found.stamp, found.stamp[0]),
+        found.input_angle,
+        found.output_angle,
+        found.torque,
+        found.temperature if found.temperature.size == found.stamp.size else None,
+        found.stretch,
         joint.drive.kinematics.ratio,
         joint.torque,
-        speed,
+        found.speed if np.isfinite(found.speed).any() else None,
     )
-    return replace(record, dropped=record.dropped + sum(bag.refused for bag in bags))
+    return replace(record, dropped=record.dropped + found.refused)
 
 
 @dataclass(frozen=True)
@@ -155,43 +187,56 @@ def read_motion(paths: Sequence[str | Path], joint: JointConfig) -> InputRecord 
     BagError
         Where a bag cannot be read.
     """
-    bags = [_read(path, joint, lambda found: found.paired == 0) for path in paths]
-    bags = [bag for bag in bags if bag.aligned.stamp.size > 1]
-    if not bags:
+    found = _read_all(paths, joint, lambda samples: samples.paired == 0)
+    if found is None:
         return None
-    every = _one_after_the_other(bags)
-    angles = [bag.aligned.input_angle for bag in bags]
-    turned = [unwrapped(a) if np.abs(a).max() <= _TURN else a for a in angles]
-    torque = np.concatenate([torque_between(bag.aligned) for bag in bags])
-    return InputRecord(
-        _seconds(every.stamp, int(every.stamp[0])),
-        np.concatenate(turned),
-        torque if np.isfinite(torque).all() else None,
-        every.stretch,
-    )
+    angle = found.input_angle
+    for begin, end in bounds(found.stretch):
+        if np.abs(angle[begin:end]).max() <= _TURN:
+            angle[begin:end] = unwrapped(angle[begin:end])
+    torque = found.torque if np.isfinite(found.torque).all() else None
+    return InputRecord(_seconds(found.stamp, found.stamp[0]), angle, torque, found.stretch)
+
+
+def _read_all(
+    paths: Sequence[str | Path], joint: JointConfig, wanted: Callable[[Aligned], Any]
+) -> _Samples | None:
+    """Samples of all bags that are wanted; `stretch` numbers what bags and clocks set back begin."""
+    bags = [bag for path in paths if (bag := _read(path, joint, wanted)).stamp.size > 1]
+    if len(bags) < 2:
+        return bags[0] if bags else None
+    numbers = np.cumsum([0, *(int(bag.stretch[-1]) + 1 for bag in bags[:-1])])
+    bags = [bag._replace(stretch=bag.stretch + n) for bag, n in zip(bags, numbers.tolist(), strict=True)]
+    columns = [np.concatenate(column) for column in zip(*(bag[:-1] for bag in bags), strict=True)]
+    return _Samples._make([*columns, sum(bag.refused for bag in bags)])
 
 
 def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]) -> _Samples:
-    """Samples of a bag that are wanted, by stamps in each stretch."""
+    """Samples of one bag, by stamps in each stretch."""
     streams = Alignment([Names(joint.input_joint, joint.output_joint)], _REMEMBERED)
-    nothing = np.zeros(0, np.int64)
-    parts, heat = [streams.take(nothing, ())], [(nothing, np.zeros(0))]
+    times, heat = [np.zeros(0, np.int64)], [np.zeros(0)]
     with BagReader(path) as reader:
-        topics = [*joint_state_topics(reader), *_temperature_topics(reader, joint)]
+        topics = joint_state_topics(reader)
+        table = _Table(sum(topic.count for topic in reader.topics if topic.name in topics))
+        topics += _temperature_topics(reader, joint)
         for mixed in reader.mixed(topics, lambda topic: topic.type_name == JOINT_STATE):
             _, batch = mixed.batches[0]
             if batch.topic.type_name == TEMPERATURE:
-                values = np.array([read_temperature(bytes(data)) for data in batch.messages()])
-                heat.append((mixed.log_time, values))
+                times.append(mixed.log_time)
+                heat.append(np.array([read_temperature(bytes(data)) for data in batch.messages()]))
             else:
                 found = streams.take(mixed.log_time, *layouts(reader, mixed))
-                parts.append(found.part(wanted(found)))
-    aligned = Aligned(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-    time, value = (np.concatenate(column) for column in zip(*heat, strict=True))
-    time, first = np.unique(time[np.isfinite(value)], return_index=True)
-    order = np.lexsort((aligned.stamp, aligned.stretch))
+                table.add(found, wanted(found))
+    columns = table.columns
+    if not (columns[0][1:] >= columns[0][:-1]).all():
+        order = np.lexsort((columns[0], columns[2]))
+        columns = [column[order] for column in columns]
+    stamp, torque_stamp, stretch, given, own, torque, speed = columns
+    torque = torque_between(stamp, stretch, torque, torque_stamp)
+    stretch = stretch - stretch[:1]
+    warm = _temperature(np.concatenate(times), np.concatenate(heat), stamp)
     refused = int(streams.joints["rejected"][0])
-    return _Samples(aligned.part(order), time, value[np.isfinite(value)][first], refused)
+    return _Samples(stamp, stretch, given, own, torque, speed, warm, refused)
 
 
 def _temperature_topics(reader: BagReader, joint: JointConfig) -> list[str]:
@@ -199,23 +244,12 @@ def _temperature_topics(reader: BagReader, joint: JointConfig) -> list[str]:
     return [t.name for t in reader.topics if t.type_name == TEMPERATURE and t.name.endswith(end)]
 
 
-def _one_after_the_other(bags: Sequence[_Samples]) -> Aligned:
-    """Samples of all bags; `stretch` numbers the recordings that bags and clocks set back begin."""
-    every = Aligned(*(np.concatenate(column) for column in zip(*(b.aligned for b in bags), strict=True)))
-    bag = np.repeat(np.arange(len(bags)), [b.aligned.stamp.size for b in bags])
-    begins = (np.diff(bag, prepend=bag[0]) != 0) | (np.diff(every.stretch, prepend=every.stretch[0]) != 0)
-    return every._replace(stretch=np.cumsum(begins))
-
-
-def _temperature(bags: Sequence[_Samples]) -> Floats | None:
-    """Temperature at the samples; None where a bag does not tell it."""
-    if any(bag.heat.size < 2 for bag in bags):
-        return None
-    found = []
-    for bag in bags:
-        at, known = (_seconds(time, int(bag.heat_time[0])) for time in (bag.aligned.stamp, bag.heat_time))
-        found.append(np.interp(at, known, bag.heat))
-    return np.concatenate(found)
+def _temperature(time: Times, value: Floats, at: Times) -> Floats:
+    """Temperature at some times [ns]; none where fewer than two are known."""
+    time, first = np.unique(time[np.isfinite(value)], return_index=True)
+    if time.size < 2:
+        return np.empty(0)
+    return np.interp(_seconds(at, time[0]), _seconds(time, time[0]), value[np.isfinite(value)][first])
 
 
 def _seconds(stamp: Times, origin: int) -> Floats:

@@ -244,34 +244,35 @@ class Alignment:
         return _Columns(place.reshape(-1), given, not given.any())
 
 
-def torque_between(aligned: Aligned) -> Floats:
+def torque_between(stamp: Times, stretch: Integers, torque: Floats, torque_stamp: Times) -> Floats:
     """Torque of one joint's samples where the next reported one is known as well: interpolated.
 
     Parameters
     ----------
-    aligned : Aligned
-        Of one joint, stamps rising in each stretch.
+    stamp, stretch, torque, torque_stamp : ndarray, shape (m,)
+        As in `Aligned`, by stamps in each stretch.
 
     Returns
     -------
     ndarray, shape (m,)
         [N m]; nan where none is reported nearby. See the rules of this module.
     """
-    torque = aligned.torque.copy()
-    for stretch in np.unique(aligned.stretch[aligned.torque_stamp != aligned.stamp]):
-        rows = np.flatnonzero(aligned.stretch == stretch)
-        held = rows[np.isfinite(aligned.torque[rows])]
+    found = torque
+    for number in np.unique(stretch[torque_stamp != stamp]):
+        rows = np.flatnonzero(stretch == number)
+        held = rows[np.isfinite(torque[rows])]
         if not held.size:
             continue
-        known, first = np.unique(aligned.torque_stamp[held], return_index=True)
-        value, stamp = aligned.torque[held[first]], aligned.stamp[rows]
-        after = np.minimum(known.searchsorted(stamp), known.size - 1)
+        known, first = np.unique(torque_stamp[held], return_index=True)
+        at = stamp[rows]
+        after = np.minimum(known.searchsorted(at), known.size - 1)
         before = np.maximum(after - 1, 0)
-        gap = known[after] - np.minimum(known[before], stamp)
-        near = (stamp < known[after]) & (gap <= LONGEST_HOLD)
-        between = np.interp((stamp - known[0]) * 1e-9, (known - known[0]) * 1e-9, value)
-        torque[rows[near]] = between[near]
-    return torque
+        gap = known[after] - np.minimum(known[before], at)
+        near = (at < known[after]) & (gap <= LONGEST_HOLD)
+        between = np.interp((at - known[0]) * 1e-9, (known - known[0]) * 1e-9, torque[held[first]])
+        found = found.copy() if found is torque else found
+        found[rows[near]] = between[near]
+    return found
 
 
 @functools.cache
