@@ -15,7 +15,7 @@ from hd_diag.effects.contact_weights import ContactWeights, greatest_torque
 from hd_diag.effects.effect import Effect, Stage, Values
 from hd_diag.effects.signals import Signals
 from hd_diag.effects.stages import seen_at
-from hd_diag.model.torsion_map import TorsionMap
+from hd_diag.model.torsion_map import TorsionMap, build
 
 TORQUE_RANGE = 2.0
 """Torque that the map of a running joint reaches, over the rated torque [-]; beyond, it is exact."""
@@ -184,6 +184,14 @@ class ExtendedModel:
         Many joints would push each other's out of a shared store.
         """
         return ContactTable(self.drive, greatest_torque(self.drive, np.array(self.ranges.torque)))
+
+    @cached_property
+    def torsion_map(self) -> TorsionMap | None:
+        """The map by which a node predicts; None where the mesh has none: there the prediction is exact."""
+        try:
+            return build(self.drive.mesh, TORQUE_RANGE * self.drive.rated_torque)
+        except ValueError:
+            return None
 
     def _signals(
         self,

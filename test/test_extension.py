@@ -14,7 +14,7 @@ from hd_diag.bag import BagReader, BagWriter
 from hd_diag.bag.joint_record import read_bags
 from hd_diag.cli import cli
 from hd_diag.config.configuration import load
-from hd_diag.diagnosis.extension import left, map_of
+from hd_diag.diagnosis.extension import running_residual
 from hd_diag.extended_model import ExtendedModel
 
 DELAY = 2e-4  # [s]; 25 arcsec at 60 rad/s of the input
@@ -45,7 +45,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     angle, torque = runs(16)
     made, random = true_model(), np.random.default_rng(11)
     time = np.arange(angle.size) * STEP * 1e-3
-    error, _ = made.step(made.start(), time, angle, None, torque, None, map_of(made))
+    error, _ = made.step(made.start(), time, angle, None, torque, None, made.torsion_map)
     output = angle / RATIO + error + random.normal(0.0, NOISE, angle.size)
     with BagWriter(path / "bag.mcap") as writer:
         for i in range(angle.size):
@@ -87,7 +87,7 @@ def test_the_model_as_it_runs_is_as_good_as_told(folder: Path) -> None:
     joint = load(folder / "with_model.yaml").joints[0]
     assert joint.model is not None
     record = read_bags([folder / "bag.mcap"], joint)
-    rest = left(joint.model, record, record.reported_torque, map_of(joint.model))
+    rest = running_residual(joint.model, record, record.reported_torque, joint.model.torsion_map)
     assert np.std(rest) == pytest.approx(NOISE, rel=0.05)
     assert verdict["extended"]["rms_live"] == pytest.approx(NOISE, rel=0.1)
     assert verdict["extended"]["rms"] < 0.2 * verdict["refit"]["rms"]
@@ -100,7 +100,7 @@ def test_a_replay_with_the_model_has_the_residual_of_the_fit(folder: Path) -> No
     joint = load(folder / "with_model.yaml").joints[0]
     assert joint.model is not None
     record = read_bags([folder / "bag.mcap"], joint)
-    fit = left(joint.model, record, record.reported_torque, map_of(joint.model))
+    fit = running_residual(joint.model, record, record.reported_torque, joint.model.torsion_map)
     with BagReader(out) as reader:
         states = [s for b in reader.batches(["/hd_diag/residual"]) for s in reader.joint_states(b)[0]]
     stamp = np.concatenate([s.stamp for s in states])

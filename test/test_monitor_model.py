@@ -17,8 +17,7 @@ from numpy.testing import assert_allclose
 from hd_diag.bag import BagReader
 from hd_diag.bag.joint_record import read_bags
 from hd_diag.config.configuration import Config, ConfigError
-from hd_diag.diagnosis.extension import left
-from hd_diag.diagnosis.extension import map_of as fitted_map
+from hd_diag.diagnosis.extension import running_residual
 from hd_diag.drive import transmission_error
 from hd_diag.extended_model import ExtendedModel
 from hd_diag.messages.publications import read_string
@@ -232,7 +231,8 @@ def test_live_replay_and_fit_agree(modelled: Config, model_path: Path, tmp_path:
     joint = modelled.joints[0]
     record = read_bags([tmp_path / "live.mcap"], joint)
     assert record.size == COUNT
-    fit = left(model_of(modelled), record, record.reported_torque, fitted_map(model_of(modelled)))
+    model = model_of(modelled)
+    fit = running_residual(model, record, record.reported_torque, model.torsion_map)
     assert_allclose(residuals(tmp_path / "live.mcap"), fit, rtol=0.0, atol=AGREEMENT)
 
 
@@ -243,7 +243,7 @@ def test_fit_and_monitor_agree_without_a_map(modelled: Config, tmp_path: Path) -
     play(log, session, COUNT)
     log.writer.close()
     record = read_bags([tmp_path / "live.mcap"], modelled.joints[0])
-    fit = left(model_of(modelled), record, record.reported_torque, None)
+    fit = running_residual(model_of(modelled), record, record.reported_torque, None)
     assert_allclose(residuals(tmp_path / "live.mcap"), fit, rtol=0.0, atol=AGREEMENT)
 
 

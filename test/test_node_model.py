@@ -13,7 +13,6 @@ from running import running
 from sensor_msgs.msg import JointState
 
 from hd_diag.bag import BagReader
-from hd_diag.diagnosis.extension import map_of
 from hd_diag.extended_model import ExtendedModel
 from hd_diag.replay.replay import replay
 
@@ -27,7 +26,7 @@ COUNT = 300
 def expected(model: ExtendedModel) -> np.ndarray:
     _, angle, torque, _ = motion(COUNT)
     time = 1e-3 * np.arange(COUNT)
-    error, _ = model.step(model.start(), time, angle, None, torque, None, map_of(model))
+    error, _ = model.step(model.start(), time, angle, None, torque, None, model.torsion_map)
     return error
 
 

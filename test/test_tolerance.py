@@ -83,7 +83,7 @@ def test_an_environment_compiles_the_kernels_of_model_and_tolerances() -> None:
         "from hd_diag.model.kernel import entry; from hd_diag.tolerance import kernel as tolerance;"
         "from hd_diag.effects import recursions as r;"
         "from hd_diag.effects.contact_table import contact_table;"
-        "slow = [r._compiled(f) for f in (r._slip, r._relax, r._follow)]"
+        "slow = [r._compiled(f) for f in (r._slip, r._relax)]"
     )
     use = (
         "import drives, numpy as np; from hd_diag.tolerance.evaluation import evaluate;"

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hd_diag.arrays import Floats, Integers
-from hd_diag.diagnosis.extension import extended_model, left, map_of
+from hd_diag.diagnosis.extension import extended_model, running_residual
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.joint_refinement import settle
@@ -186,9 +186,9 @@ def _gain(
     kept, rows = fitted[test], test[fitted]
     nominal = _nominal_residual(record, configured, test, fitted)
     model = extended_model(found, configured, record.select(~test))
-    table = map_of(model)
     extended, live = (
-        left(model, record, torque, table)[test][kept] for torque in (record.torque, record.reported_torque)
+        running_residual(model, record, torque, model.torsion_map)[test][kept]
+        for torque in (record.torque, record.reported_torque)
     )
     noise, own = found.fit.noise_residual, found.fit.data
     noise_number = slices(own.record.time, own.run, _SLICE)

@@ -12,8 +12,8 @@ from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.search.causes import Search
 from hd_diag.drive import Drive
 from hd_diag.effects.effect import Effect
-from hd_diag.extended_model import TORQUE_RANGE, ExtendedModel, Range, Ranges, Term
-from hd_diag.model.torsion_map import TorsionMap, build
+from hd_diag.extended_model import ExtendedModel, Range, Ranges, Term
+from hd_diag.model.torsion_map import TorsionMap
 
 
 def extended_model(found: Search, configured: Drive, record: Record) -> ExtendedModel:
@@ -36,15 +36,9 @@ def extended_model(found: Search, configured: Drive, record: Record) -> Extended
     return ExtendedModel(drive, terms, float(beta[fit_parameters.COUNT]), _ranges(record))
 
 
-def map_of(model: ExtendedModel) -> TorsionMap | None:
-    """The map by which a node predicts with a model; None where it has none and stays exact."""
-    try:
-        return build(model.drive.mesh, TORQUE_RANGE * model.drive.rated_torque)
-    except ValueError:
-        return None
-
-
-def left(model: ExtendedModel, record: Record, torque: Floats, table: TorsionMap | None) -> Floats:
+def running_residual(
+    model: ExtendedModel, record: Record, torque: Floats, table: TorsionMap | None
+) -> Floats:
     """Measured less predicted error of a model that runs along a record, as the node runs it.
 
     Parameters
@@ -54,7 +48,7 @@ def left(model: ExtendedModel, record: Record, torque: Floats, table: TorsionMap
     torque : ndarray, shape (n,)
         On the link [N m]: the record's, or as it was reported.
     table : TorsionMap or None
-        Of the model's drive.
+        Of the model; without it the prediction is exact.
 
     Returns
     -------
@@ -65,10 +59,8 @@ def left(model: ExtendedModel, record: Record, torque: Floats, table: TorsionMap
     predicted = np.empty(record.size)
     for rows in itertools.starmap(slice, itertools.pairwise(edges)):
         speed, heat = (None if c is None else c[rows] for c in (record.reported_speed, record.temperature))
-        angle = record.input_angle[rows]
-        predicted[rows], _ = model.step(
-            model.start(), record.time[rows], angle, speed, torque[rows], heat, table
-        )
+        signals = record.time[rows], record.input_angle[rows], speed, torque[rows], heat
+        predicted[rows], _ = model.step(model.start(), *signals, table)
     return np.asarray(record.output_angle - record.input_angle / model.drive.kinematics.ratio - predicted)
 
 

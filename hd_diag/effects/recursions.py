@@ -15,8 +15,7 @@ def warm_up() -> None:
     """Compile all of them now, or read them from the disk."""
     nothing = np.zeros(1, dtype=np.complex128)
     slip(0.0, np.zeros(1))
-    relax(0j, nothing, nothing)
-    follow(nothing, (nothing, nothing, nothing), np.zeros((2, 1)))
+    relax(nothing, nothing, nothing[:, None])
 
 
 def slip(state: float, change: Floats) -> Floats:
@@ -37,48 +36,23 @@ def slip(state: float, change: Floats) -> Floats:
     return found
 
 
-def relax(state: complex, decay: Complexes, added: Complexes) -> Complexes:
-    """First-order recursion ``q <- decay q + added``.
-
-    Parameters
-    ----------
-    state : complex
-        q before the first step.
-    decay, added : ndarray of complex, shape (n,)
-
-    Returns
-    -------
-    ndarray of complex, shape (n,)
-        q after every step.
-    """
-    steps = np.ascontiguousarray(decay), np.ascontiguousarray(added)
-    found: Complexes = _compiled(_relax)(complex(state), *steps)
-    return found
-
-
-def follow(state: Complexes, steps: tuple[Complexes, Complexes, Complexes], values: Floats) -> Floats:
-    """Real part of ``q <- decay q + constant v + rising dv`` for many columns that start from `state`.
+def relax(state: Complexes, decay: Complexes, added: Complexes) -> Complexes:
+    """First-order recursion ``q <- decay q + added`` of several columns.
 
     Parameters
     ----------
     state : ndarray of complex, shape (k,)
-        q at the first row.
-    steps : tuple of ndarray of complex, shape (n - 1,) or (1,)
-        decay, constant and rising of the step from every row to the next.
-    values : ndarray, shape (n, k)
-        v; dv is the change from a row to the next.
+        q before the first step.
+    decay : ndarray of complex, shape (n,) or (1,)
+    added : ndarray of complex, shape (n, k)
 
     Returns
     -------
-    ndarray, shape (n, k)
-        Real part of q at every row.
+    ndarray of complex, shape (n, k)
+        q after every step.
     """
-    if not values.size:
-        return np.empty(values.shape)
-    every = [np.broadcast_to(one, values.shape[0] - 1) for one in steps]
-    # The state is written to: a copy.
-    parts = [np.array(part) for one in (*every, state) for part in (one.real, one.imag)]
-    found: Floats = _compiled(_follow)(*parts, np.ascontiguousarray(values))
+    every = np.array(np.broadcast_to(decay, added.shape[0]))
+    found: Complexes = _compiled(_relax)(np.array(state), every, np.ascontiguousarray(added))
     return found
 
 
@@ -90,36 +64,12 @@ def _slip(state: float, change: Floats) -> Floats:
     return result
 
 
-def _relax(state: complex, decay: Complexes, added: Complexes) -> Complexes:
-    result = np.empty(decay.size, dtype=np.complex128)
-    for index in range(decay.size):
-        state = decay[index] * state + added[index]
-        result[index] = state
-    return result
-
-
-def _follow(
-    decay: Floats,
-    turn: Floats,
-    constant: Floats,
-    constant_turn: Floats,
-    rising: Floats,
-    rising_turn: Floats,
-    real: Floats,
-    imaginary: Floats,
-    values: Floats,
-) -> Floats:
-    """Real and imaginary parts apart, so that the compiler works on several columns at once."""
-    result = np.empty(values.shape)
-    for j in range(values.shape[1]):
-        result[0, j] = real[j]
-    for i in range(values.shape[0] - 1):
-        for j in range(values.shape[1]):
-            value, change = values[i, j], values[i + 1, j] - values[i, j]
-            q, p = real[j], imaginary[j]
-            real[j] = (decay[i] * q - turn[i] * p) + (constant[i] * value + rising[i] * change)
-            imaginary[j] = (turn[i] * q + decay[i] * p) + (constant_turn[i] * value + rising_turn[i] * change)
-            result[i + 1, j] = real[j]
+def _relax(state: Complexes, decay: Complexes, added: Complexes) -> Complexes:
+    result = np.empty(added.shape, dtype=np.complex128)
+    for i in range(added.shape[0]):
+        for j in range(added.shape[1]):
+            state[j] = decay[i] * state[j] + added[i, j]
+            result[i, j] = state[j]
     return result
 
 

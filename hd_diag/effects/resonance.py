@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from hd_diag.effects.excitation import (
     torque_known,
 )
 from hd_diag.effects.quantity import Quantity, amplitude, direction
-from hd_diag.effects.recursions import follow, relax
+from hd_diag.effects.recursions import relax
 from hd_diag.effects.signals import Signals
 from hd_diag.formatting import ARCSEC
 
@@ -52,7 +53,7 @@ class Resonance(Effect):
         kept = signals.kept.setdefault(("resonance", nonlinear[0]), [])
         if not kept and signals.size:
             _ = signals.ripple, signals.contact.ripple
-            kept += [_Path.along(signals.part(run), nonlinear[0], None) for run in signals.runs()]
+            kept += [_path(signals.part(run), nonlinear[0], None) for run in signals.runs()]
         parts = [_stepped(nonlinear, path, None)[0] for path in kept]
         return np.concatenate(parts) if parts else np.empty((0, 3))
 
@@ -60,18 +61,21 @@ class Resonance(Effect):
         """Exact between samples while the speed is constant there; see :meth:`Effect.step`."""
         if not signals.size:
             return np.empty(0), state
-        columns, state = _stepped(nonlinear, _Path.along(signals, nonlinear[0], state), state)
+        columns, state = _stepped(nonlinear, _path(signals, nonlinear[0], state), state)
         return np.asarray(columns @ coefficients), state
 
     def carry(self, signals: Signals, added: Floats, coefficients: Floats, nonlinear: Values) -> Floats:
         """``c (H - 1)`` of every part; see :meth:`Effect.carry`."""
         pole, residue = _oscillator(nonlinear)
         passed = added * _passing(signals)[:, None]
-        result = np.empty_like(passed)
+        result = -passed
         for run in signals.runs():
-            steps = _Steps.of(pole, _intervals(signals.time[run]))
-            result[run] = follow(-residue / pole * passed[run][0], steps.scaled(residue), passed[run])
-        return np.asarray(coefficients[2] * (result - passed))
+            moved = passed[run]
+            decay, constant, rising = _steps(pole, _intervals(signals.time[run]))
+            added_by = constant[:, None] * moved[:-1] + rising[:, None] * np.diff(moved, axis=0)
+            first = -moved[0] / pole + 0j
+            result[run] += (residue * np.vstack((first, relax(first, decay, added_by)))).real
+        return np.asarray(coefficients[2] * result)
 
     def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
         """Natural frequencies [rad/s] that the orders pass, or those that fit a residual best.
@@ -100,97 +104,31 @@ def _passing(signals: Signals) -> Floats:
     return np.asarray(load**4 / (1.0 + load**4))
 
 
-@dataclass(frozen=True)
-class _Path:
-    """What drives the oscillator through samples that follow each other, whatever its pole.
+class _Path(NamedTuple):
+    """What drives the oscillator through n samples that follow each other, whatever its pole.
 
-    Attributes
-    ----------
-    speed : float
-        Of the order's phase at the first [rad/s].
-    time, phase, ripple : ndarray, shape (n,)
-        The sample before them, where there is one, comes first; [s], [rad], [rad].
-    step : ndarray, shape (n - 1,), or (1,) if all are alike
-        [s]
-    drive : ndarray of complex, shape (n,)
-        exp(i phase).
-    rate : ndarray, shape (n - 1,)
-        Of the phase [rad/s].
+    The sample before them, where there is one, comes first.
     """
 
-    speed: float
     time: Floats
     phase: Floats
     ripple: Floats
-    step: Floats
-    drive: Complexes
-    rate: Floats
-
-    @staticmethod
-    def along(signals: Signals, order: float, state: State) -> _Path:
-        time, phase = signals.time, order * signals.wave_generator_angle
-        ripple = signals.ripple * _passing(signals)
-        if state is not None:
-            time, phase, ripple = (
-                np.concatenate(([last], now))
-                for last, now in zip(state[0], (time, phase, ripple), strict=True)
-            )
-        step, turned = _intervals(time), np.diff(phase)
-        rate = np.where(step == 0.0, 0.0, turned / np.where(step == 0.0, 1.0, step))
-        drive = np.cos(phase) + 1j * np.sin(phase)
-        speed = order * float(signals.wave_generator_speed[0])
-        return _Path(speed, time, phase, ripple, step, drive, rate)
-
-    @property
-    def end(self) -> tuple[float, float, float]:
-        """Time, phase and ripple of the last sample."""
-        return float(self.time[-1]), float(self.phase[-1]), float(self.ripple[-1])
+    step: Floats  # of the time [s], shape (n - 1,), or (1,) if all are alike
+    drive: Complexes  # exp(i phase)
+    rate: Floats  # of the phase from sample to sample [rad/s]
+    first_rate: float  # of the phase at the first [rad/s]
 
 
-@dataclass(frozen=True)
-class _Steps:
-    """Steps of ``q' = pole q + v``: what is left of q, what v adds, what its change adds; (n,) or (1,)."""
-
-    decay: Complexes
-    constant: Complexes
-    rising: Complexes
-
-    @staticmethod
-    def of(pole: complex, step: Floats) -> _Steps:
-        z = pole * step
-        still = step == 0.0
-        safe = np.where(still, 1.0, z)
-        grown = np.expm1(safe)
-        rising = np.where(still, 0.0, (grown - safe) / (pole * safe))
-        return _Steps(np.exp(z), np.where(still, 0.0, grown / pole), rising)
-
-    def scaled(self, factor: complex) -> tuple[Complexes, Complexes, Complexes]:
-        """For a q that is a factor larger."""
-        return self.decay, factor * self.constant, factor * self.rising
-
-
-def _stepped(nonlinear: Values, path: _Path, state: State) -> tuple[Floats, State]:
-    """Columns along a path, and the state at its end."""
-    pole, residue = _oscillator(nonlinear)
-    first = state[1] if state is not None else _steady(pole, path)
-    steps = _Steps.of(pole, path.step)
-    forward, backward = _turning(pole, steps.decay, path)
-    straight = path.ripple[:-1] * steps.constant + np.diff(path.ripple) * steps.rising
-    inputs = 0.5 * (forward + backward), -0.5j * (forward - backward), straight
-    decay = np.array(np.broadcast_to(steps.decay, straight.shape))
-    modes = [relax(q, decay, each) for q, each in zip(first, inputs, strict=True)]
-    if state is None:  # the first sample is where it begins
-        modes = [np.concatenate(([q], mode)) for q, mode in zip(first, modes, strict=True)]
-    response = np.stack([residue.real * mode.real - residue.imag * mode.imag for mode in modes], axis=1)
-    response[:, 2] -= path.ripple[path.ripple.size - response.shape[0] :]
-    return response, (path.end, tuple(complex(mode[-1]) for mode in modes))
-
-
-def _steady(pole: complex, path: _Path) -> tuple[complex, ...]:
-    """As if the first speed had always been, and the first ripple."""
-    first, rate = complex(path.drive[0]), path.speed
-    forward, backward = first / (1j * rate - pole), first.conjugate() / (-1j * rate - pole)
-    return 0.5 * (forward + backward), -0.5j * (forward - backward), -float(path.ripple[0]) / pole
+def _path(signals: Signals, order: float, state: State) -> _Path:
+    time, phase = signals.time, order * signals.wave_generator_angle
+    ripple = signals.ripple * _passing(signals)
+    if state is not None:
+        now = zip(state[0], (time, phase, ripple), strict=True)
+        time, phase, ripple = (np.concatenate(([last], values)) for last, values in now)
+    step, turned = _intervals(time), np.diff(phase)
+    rate = np.where(step == 0.0, 0.0, turned / np.where(step == 0.0, 1.0, step))
+    first_rate = order * float(signals.wave_generator_speed[0])
+    return _Path(time, phase, ripple, step, np.cos(phase) + 1j * np.sin(phase), rate, first_rate)
 
 
 def _intervals(time: Floats) -> Floats:
@@ -202,14 +140,41 @@ def _intervals(time: Floats) -> Floats:
     return step[:1] if step.size and (step == step[0]).all() else step
 
 
-def _turning(pole: complex, decay: Complexes, path: _Path) -> tuple[Complexes, Complexes]:
-    """What u = exp(+-i phase), turning evenly from sample to sample, adds to ``q' = pole q + u``."""
-    before, after = path.drive[:-1], path.drive[1:]
-    turning = 1j * path.rate
+def _steps(pole: complex, step: Floats) -> tuple[Complexes, Complexes, Complexes]:
+    """Of ``q' = pole q + v``: factor of q, of v, and of the change of v over a step; (n,) or (1,) each."""
+    z, still = pole * step, step == 0.0
+    safe = np.where(still, 1.0, z)
+    grown = np.expm1(safe)
+    rising = np.where(still, 0.0, (grown - safe) / (pole * safe))
+    return np.exp(z), np.where(still, 0.0, grown / pole), rising
+
+
+def _stepped(nonlinear: Values, path: _Path, state: State) -> tuple[Floats, State]:
+    """Columns along a path, and the state at its end."""
+    pole, residue = _oscillator(nonlinear)
+    first = np.array(_steady(pole, path) if state is None else state[1])
+    decay, constant, rising = _steps(pole, path.step)
+    # What exp(i phase) and its conjugate, turning evenly from sample to sample, add.
+    before, after, turning = path.drive[:-1], path.drive[1:], 1j * path.rate
     forward = (after - decay * before) / (turning - pole)
     backward = (after.conj() - decay * before.conj()) / (-turning - pole)
-    still = path.step == 0.0
-    return np.where(still, 0.0, forward), np.where(still, 0.0, backward)
+    straight = path.ripple[:-1] * constant + np.diff(path.ripple) * rising
+    waves = np.stack((0.5 * (forward + backward), -0.5j * (forward - backward)), axis=1)
+    waves[np.broadcast_to(path.step == 0.0, waves.shape[:1])] = 0.0
+    modes = relax(first, decay, np.column_stack((waves, straight)))
+    if state is None:  # the first sample is where it begins
+        modes = np.vstack((first, modes))
+    response = (residue * modes).real
+    response[:, 2] -= path.ripple[path.ripple.size - response.shape[0] :]
+    end = float(path.time[-1]), float(path.phase[-1]), float(path.ripple[-1])
+    return response, (end, tuple(modes[-1].tolist()))
+
+
+def _steady(pole: complex, path: _Path) -> tuple[complex, ...]:
+    """As if the first speed had always been, and the first ripple."""
+    first, rate = complex(path.drive[0]), path.first_rate
+    forward, backward = first / (1j * rate - pole), first.conjugate() / (-1j * rate - pole)
+    return 0.5 * (forward + backward), -0.5j * (forward - backward), -float(path.ripple[0]) / pole
 
 
 def _passed(signals: Signals, order: float) -> tuple[float, float]:

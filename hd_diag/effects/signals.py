@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -108,20 +108,9 @@ class Signals:
 
     def part(self, rows: Rows) -> Signals:
         """Some of the samples, in their order."""
-        return Signals(
-            time=self.time[rows],
-            wave_generator_angle=self.wave_generator_angle[rows],
-            output_angle=self.output_angle[rows],
-            speed=self.speed[rows],
-            torque=self.torque[rows],
-            temperature=None if self.temperature is None else self.temperature[rows],
-            run=self.run[rows],
-            predicted=self.predicted[rows],
-            predicted_torque_slope=self.predicted_torque_slope[rows],
-            predicted_rate=self.predicted_rate[rows],
-            contact=self.contact.part(rows),
-            tooth_ripple=None if self.tooth_ripple is None else self.tooth_ripple[rows],
-        )
+        columns = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "contact"}
+        some: Any = {name: None if values is None else values[rows] for name, values in columns.items()}
+        return Signals(**some, contact=self.contact.part(rows))
 
     def runs(self) -> list[slice]:
         """Where each run begins and ends."""

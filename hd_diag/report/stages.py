@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.diagnosis import Diagnosis
-from hd_diag.diagnosis.extension import left, map_of
+from hd_diag.diagnosis.extension import running_residual
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.fit.refit import usable
@@ -94,7 +94,9 @@ def stages(diagnosis: Diagnosis, plain: LinearisedFit | None) -> Stages:
     if plain is not None:
         residual[REFIT] = plain.remainder(())
     if diagnosis.model is not None and diagnosis.causes:
-        whole = left(diagnosis.model, diagnosis.record, diagnosis.record.torque, map_of(diagnosis.model))
+        whole = running_residual(
+            diagnosis.model, diagnosis.record, diagnosis.record.torque, diagnosis.model.torsion_map
+        )
         residual[EXTENDED] = whole[rows]
     drive = diagnosis.refitted.drive if diagnosis.refitted else configured
     angle = drive.frame.wave_generator_angle(record.input_angle)

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 from scipy import special, stats
 
 from hd_diag.arrays import Floats, Integers
 
 _ONE_PER_CENT = 2.326  # standard deviations
 _ALONE = 1e-10  # share of a column outside a block that is nothing but rounding
-_DISAGREEING = 0.1  # share of what was foretold that may lie in blocks which it made worse
+_DISAGREEING = 0.1  # share of what was predicted that may lie in blocks which it made worse
 
 
 @dataclass(frozen=True)
@@ -28,14 +28,11 @@ class Design:
         ``X_b^T y_b``.
     square : ndarray, shape (blocks,)
         ``y_b^T y_b``.
-    rows : int
-        Number of rows that count.
     """
 
     gram: Floats
     moment: Floats
     square: Floats
-    rows: int
 
     def deviance(self) -> float:
         """Residual sum of squares of the fit to all blocks."""
@@ -44,13 +41,10 @@ class Design:
 
     def held_out(self) -> Floats:
         """Sum of squares of each block, predicted by a fit to all others; shape (blocks,)."""
-        gram, moment = self.gram.sum(axis=0), self.moment.sum(axis=0)
         result = np.empty(self.square.size)
-        for block in range(self.square.size):
-            beta = solve(*_without(gram, moment, self.gram[block], self.moment[block]))
-            result[block] = (
-                self.square[block] - 2.0 * beta @ self.moment[block] + beta @ self.gram[block] @ beta
-            )
+        for block, (g, m, others, towards) in enumerate(self._held_out()):
+            beta = solve(others, towards)
+            result[block] = self.square[block] - 2.0 * beta @ m + beta @ g @ beta
         return result
 
     def held_out_gain(self, dropped: slice) -> tuple[Floats, Floats]:
@@ -65,29 +59,31 @@ class Design:
         -------
         gain : ndarray, shape (blocks,)
             Fall of the block's sum of squares.
-        foretold : ndarray, shape (blocks,)
+        predicted : ndarray, shape (blocks,)
             The fall if the prediction were right: gains scatter about it by twice its root.
         """
-        gram, moment = self.gram.sum(axis=0), self.moment.sum(axis=0)
-        rest = np.delete(np.arange(moment.size), np.r_[dropped])
-        inner = np.ix_(rest, rest)
-        gain, foretold = np.empty(self.square.size), np.empty(self.square.size)
-        for block, (g, m) in enumerate(zip(self.gram, self.moment, strict=True)):
-            others, towards = _without(gram, moment, g, m)
-            beta, fewer = solve(others, towards), np.zeros(moment.size)
-            fewer[rest] = solve(others[inner], towards[rest])
+        count = self.moment.shape[1]
+        rest = np.delete(np.arange(count), np.r_[dropped])
+        gain, predicted = np.empty((2, self.square.size))
+        for block, (g, m, others, towards) in enumerate(self._held_out()):
+            beta, fewer = solve(others, towards), np.zeros(count)
+            fewer[rest] = solve(others[np.ix_(rest, rest)], towards[rest])
             change = beta - fewer
             gain[block] = 2.0 * change @ m - beta @ g @ beta + fewer @ g @ fewer
-            foretold[block] = change @ g @ change
-        return gain, foretold
+            predicted[block] = change @ g @ change
+        return gain, predicted
 
+    def _held_out(self) -> Iterator[tuple[Floats, Floats, Floats, Floats]]:
+        """Normal equations of every block and of all others.
 
-def _without(gram: Floats, moment: Floats, own: Floats, own_moment: Floats) -> tuple[Floats, Floats]:
-    """Normal equations of all blocks but one; a column that lives there alone leaves only rounding behind."""
-    others, towards = gram - own, moment - own_moment
-    alone = np.diag(others) < _ALONE * np.diag(gram)
-    others[alone], others[:, alone], towards[alone] = 0.0, 0.0, 0.0
-    return others, towards
+        A column that lives in the block alone leaves only rounding behind: it is set to zero.
+        """
+        gram, moment = self.gram.sum(axis=0), self.moment.sum(axis=0)
+        for own, own_moment in zip(self.gram, self.moment, strict=True):
+            others, towards = gram - own, moment - own_moment
+            alone = np.diag(others) < _ALONE * np.diag(gram)
+            others[alone], others[:, alone], towards[alone] = 0.0, 0.0, 0.0
+            yield own, own_moment, others, towards
 
 
 def solve(gram: Floats, moment: Floats) -> Floats:
@@ -105,7 +101,7 @@ def inverse(gram: Floats) -> Floats:
     return np.asarray((vectors[:, kept] / values[kept]) @ vectors[:, kept].T / np.outer(scale, scale))
 
 
-def design(columns: Floats, target: Floats, block: Integers, counted: npt.NDArray[np.bool_]) -> Design:
+def design(columns: Floats, target: Floats, block: Integers) -> Design:
     """Normal equations of whitened columns.
 
     Parameters
@@ -114,24 +110,26 @@ def design(columns: Floats, target: Floats, block: Integers, counted: npt.NDArra
     target : ndarray, shape (n,)
     block : ndarray of int64, shape (n,)
         Contiguous stretches numbered from zero.
-    counted : ndarray of bool, shape (n,)
-        Rows that whitening did not blank.
 
     Returns
     -------
     Design
     """
     edges = np.flatnonzero(np.diff(block)) + 1
-    parts = [slice(first, last) for first, last in pairwise([0, *edges.tolist(), block.size])]
-    gram = np.stack([columns[p].T @ columns[p] for p in parts])
-    moment = np.stack([columns[p].T @ target[p] for p in parts])
-    square = np.array([float(target[p] @ target[p]) for p in parts])
-    return Design(gram, moment, square, int(np.count_nonzero(counted)))
+    parts = [(columns[first:last], target[first:last]) for first, last in pairwise([0, *edges, block.size])]
+    gram, moment = np.stack([x.T @ x for x, _ in parts]), np.stack([x.T @ y for x, y in parts])
+    return Design(gram, moment, np.array([float(y @ y) for _, y in parts]))
 
 
 def orthonormal(columns: Floats) -> Floats:
     """Basis of columns of any scale, shape (n, k)."""
     return np.linalg.qr(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))[0]
+
+
+def projection(columns: Floats, target: Floats) -> Floats:
+    """Part of a target that columns of any scale explain, shape (n,)."""
+    scaled = columns / np.sqrt(np.maximum(np.mean(columns**2, axis=0), 1e-300))
+    return np.asarray(scaled @ solve(scaled.T @ scaled, scaled.T @ target))
 
 
 def f_test(before: float, after: float, added: int, rows: int, fitted: int) -> float:
@@ -185,12 +183,12 @@ def lower_bound(gains: Floats, level: float = 0.99) -> float:
     return float(np.mean(gains) - stats.t.ppf(level, gains.size - 1) * spread)
 
 
-def holds(gain: Floats, foretold: Floats) -> bool:
+def holds(gain: Floats, predicted: Floats) -> bool:
     """Whether a gain in blocks that were not fitted is beyond chance.
 
     Parameters
     ----------
-    gain, foretold : ndarray, shape (blocks,)
+    gain, predicted : ndarray, shape (blocks,)
         See :meth:`Design.held_out_gain`.
 
     Returns
@@ -199,8 +197,8 @@ def holds(gain: Floats, foretold: Floats) -> bool:
         If the mean over the blocks is beyond their scatter, or the sum is beyond what noise explains and
         comes from blocks that agree: a cause may show at few speeds or torques only.
     """
-    beyond_noise = float(gain.sum()) > 2.0 * _ONE_PER_CENT * float(np.sqrt(foretold.sum()))
-    agreeing = float(foretold[gain < 0.0].sum()) <= _DISAGREEING * float(foretold.sum())
+    beyond_noise = float(gain.sum()) > 2.0 * _ONE_PER_CENT * float(np.sqrt(predicted.sum()))
+    agreeing = float(predicted[gain < 0.0].sum()) <= _DISAGREEING * float(predicted.sum())
     return lower_bound(gain) > 0.0 or (beyond_noise and agreeing)
 
 

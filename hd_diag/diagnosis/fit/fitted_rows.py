@@ -120,8 +120,10 @@ class FittedRows:
             [s if np.isfinite(s) else 0.1 * max(abs(p), 1e-3) for s, p in zip(steps, point, strict=True)]
         )
 
-    def derivatives_under(self, parameters: Floats, shift: float) -> Floats:
-        """Derivatives of the model by its parameters at all rows, under another torque [N m]."""
+    def derivatives(self, parameters: Floats, shift: float = 0.0) -> Floats:
+        """Of the model by its parameters at all rows, under a torque more by a shift [N m]; shape (n, 7)."""
+        if not shift:
+            return self.linearised(parameters).derivatives
         drive = fit_parameters.drive_of(parameters, self.configured)
         torque = self.source.torque + shift
         return fit_parameters.along(drive, self.configured, self.source.input_angle, torque)[1]

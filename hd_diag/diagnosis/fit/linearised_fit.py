@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit import fit_parameters
-from hd_diag.diagnosis.fit.design import Design, design, inverse, solve
-from hd_diag.diagnosis.fit.fitted_rows import FittedRows, Linearised, fitted_rows
+from hd_diag.diagnosis.fit.design import Design, design, inverse, projection
+from hd_diag.diagnosis.fit.fitted_rows import FittedRows, fitted_rows
 from hd_diag.diagnosis.noise import ORDER, Whitening, whitening
 from hd_diag.diagnosis.record import Record
 from hd_diag.drive import Drive
@@ -79,7 +79,7 @@ class LinearisedFit:
                 points = self.data.grid(effect)
                 broadband.append(self.columns(effect, points[len(points) // 2]))
         parts = (self.always(), self.joined(chosen), self.data.smooth, *broadband)
-        rest = self.residual - _projection(np.concatenate(parts, axis=1), self.residual)
+        rest = self.residual - projection(np.concatenate(parts, axis=1), self.residual)
         return replace(self, whiten=whitening(rest, self.data.run), noise_residual=rest)
 
     def corrected(self, chosen: Chosen) -> LinearisedFit:
@@ -100,18 +100,14 @@ class LinearisedFit:
         return self.signals.contact.drive
 
     @cached_property
-    def _model(self) -> Linearised:
-        return self.data.linearised(self.parameters)
-
-    @property
     def whole(self) -> Signals:
         """Of all rows."""
-        return self._model.whole
+        return self.data.linearised(self.parameters).whole
 
-    @property
+    @cached_property
     def signals(self) -> Signals:
         """Of the fitted rows."""
-        return self._model.signals
+        return self.data.linearised(self.parameters).signals
 
     @cached_property
     def uncorrected(self) -> Floats:
@@ -139,9 +135,7 @@ class LinearisedFit:
         shift = step * round(sum(item[0].torque_shift(one) for item, one in self.present) / step)
 
         def carried() -> Floats:
-            derivatives = self._model.derivatives
-            if shift:
-                derivatives = self.data.derivatives_under(self.parameters, shift)
+            derivatives = self.data.derivatives(self.parameters, shift)
             return self._carried(derivatives, Stage.GEAR, of_teeth=True).take(self.data.at, axis=0)
 
         return self._kept("jacobian", shift, _key(self._later), compute=carried)
@@ -236,8 +230,7 @@ class LinearisedFit:
         parts = [self.always_white, *(self.white(*item) for item in chosen)]
         if more is not None and more.shape[1]:
             parts.append(self.whiten(more, self.data.run))
-        white = self.residual_white
-        return design(np.concatenate(parts, axis=1), white, self.data.block, white != 0.0)
+        return design(np.concatenate(parts, axis=1), self.residual_white, self.data.block)
 
     @cached_property
     def _before(self) -> Sized:
@@ -275,16 +268,20 @@ class LinearisedFit:
 
     def _columns(self, effect: Effect, nonlinear: Values) -> Floats:
         size = self._size_of(effect, nonlinear)
-        if not self._sees_all(effect):
-            return np.nan_to_num(_at_size(effect, self.signals, size, nonlinear))
+
+        def of(seen: Signals) -> Floats:
+            own = effect.columns(seen, nonlinear) if size is None else effect.slopes(seen, size, nonlinear)
+            return np.nan_to_num(own)
 
         def whole() -> Floats:
             seen = self._seen(effect.stage)
-            columns = np.nan_to_num(_at_size(effect, seen, size, nonlinear))
+            columns = of(seen)
             if effect.wanders_by:
                 columns = np.concatenate((columns, effect.wandering(seen, nonlinear)), axis=1)
             return columns
 
+        if not self._sees_all(effect):
+            return of(self.signals)
         if effect.of_teeth and size is None:  # they see no other effect, but what carries them varies
             columns = self._kept("whole", effect.name, nonlinear, compute=whole)
         else:
@@ -350,17 +347,5 @@ def linearise(
     return LinearisedFit(fitted_rows(record, configured, catalogue, rows), parameters)
 
 
-def _at_size(effect: Effect, signals: Signals, size: Floats | None, nonlinear: Values) -> Floats:
-    if size is None:
-        return effect.columns(signals, nonlinear)
-    return effect.slopes(signals, size, nonlinear)
-
-
 def _key(sized: Sized) -> Hashable:
     return tuple((effect.name, nonlinear, one.tobytes()) for (effect, nonlinear), one in sized)
-
-
-def _projection(columns: Floats, target: Floats) -> Floats:
-    """Part of the target that columns of any scale explain."""
-    scaled = columns / np.sqrt(np.maximum(np.mean(columns**2, axis=0), 1e-300))
-    return np.asarray(scaled @ solve(scaled.T @ scaled, scaled.T @ target))
