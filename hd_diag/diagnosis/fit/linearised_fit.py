@@ -326,15 +326,14 @@ def linearise(
     rows: npt.NDArray[np.bool_] | None = None,
     catalogue: Catalogue = CATALOGUE,
 ) -> LinearisedFit:
-    """A record linearised about a drive, its noise not known yet.
+    """A record linearised about a drive, its noise not known yet; see :class:`FittedRows`.
 
     Parameters
     ----------
     record : Record
-        All that is known: causes with memory go through every row of it.
     configured : Drive
     parameters : ndarray, shape (7,)
-        Where the model is linearised, in units of `fit_parameters.SCALES`.
+        In units of `fit_parameters.SCALES`.
     rows : ndarray of bool, shape (n,), optional
         Which rows to fit, where the error is well defined; all without.
     catalogue : tuple of Effect
