@@ -39,6 +39,7 @@ html_show_sourcelink = False
 FIGURES = HERE / "_build" / "figures"
 subprocess.run(
     [sys.executable, "-m", "hd_diag", "figures", "--out", str(FIGURES)],
+    cwd=HERE,
     check=True,
     stdout=subprocess.DEVNULL,
 )

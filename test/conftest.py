@@ -62,9 +62,16 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def ros_log_dir(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Keep the log files of all nodes out of the home folder."""
+def elsewhere(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Run in a folder from which a process started by a test imports the installed package, not the tree.
+
+    The log files of all nodes stay out of the home folder.
+    """
     os.environ["ROS_LOG_DIR"] = str(tmp_path_factory.mktemp("ros_log"))
+    here = os.getcwd()
+    os.chdir(tmp_path_factory.mktemp("elsewhere"))
+    yield
+    os.chdir(here)
 
 
 @pytest.fixture(scope="module")

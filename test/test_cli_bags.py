@@ -36,7 +36,6 @@ from hd_diag.messages.encoding import encode_joint_states
 from hd_diag.replay.replay import replay as replay_bag
 
 COUNT = 60_000
-ROOT = Path(__file__).resolve().parent.parent
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +62,7 @@ def process(*arguments: str | Path, **options: Any) -> subprocess.Popen[str]:
     """``hd-diag`` in a process of its own."""
     command = [sys.executable, "-m", "hd_diag", *map(str, arguments)]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    return subprocess.Popen(command, cwd=ROOT, **pipes, **options)  # type: ignore[call-overload,no-any-return]
+    return subprocess.Popen(command, **pipes, **options)  # type: ignore[call-overload,no-any-return]
 
 
 def refused(result: Result) -> str:
@@ -446,7 +445,7 @@ def killed_replay(folder: Path, out: Path, chance: random.Random) -> tuple[list[
     """What a replay acknowledged, and when, before it was killed; and when that was."""
     arguments = [str(folder / "long.mcap"), str(out), str(folder / "c.yaml")]
     command = [sys.executable, "-c", ACKNOWLEDGING, *arguments]
-    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as running:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as running:
         assert running.stdout is not None
         lines = [running.stdout.readline()]
         time.sleep(chance.uniform(1.2, 1.8))

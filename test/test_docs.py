@@ -187,19 +187,9 @@ class Page(HTMLParser):
 def site(source_copy: Path) -> Path:
     """The pages, built as `make docs` does from a copy of the tree."""
     pytest.importorskip("sphinx")
-    command = [
-        sys.executable,
-        "-m",
-        "sphinx",
-        "-q",
-        "-W",
-        "--keep-going",
-        "-b",
-        "html",
-        "docs",
-        "docs/_build/html",
-    ]
-    built = subprocess.run(command, cwd=source_copy, capture_output=True, text=True, timeout=170)
+    folders = [source_copy / "docs", source_copy / "docs/_build/html"]
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", *folders]
+    built = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert built.returncode == 0, built.stdout + built.stderr
     return source_copy / "docs/_build/html"
 
