@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 from challenge import records
-from cli_runner import runner
+from cli_runner import assert_one_line_error, hd_diag
 from click.testing import Result
 from joint_records import columns
 from numpy.testing import assert_allclose
 from report_samples import CAUSES, RUN, diagnosed, diagnosis, generated, known_to_the_command_line, made
 
-from hd_diag.cli import cli
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.effects import CATALOGUE
 
@@ -26,8 +25,8 @@ ROOT = Path(__file__).resolve().parent.parent
 CHANCE = 0.2  # of an rms of so short a sample of coloured noise, four standard deviations
 
 
-def hd_diag(*arguments: object) -> Result:
-    return runner().invoke(cli, ["diagnose", *map(str, arguments)])
+def diagnosed_by(*arguments: object) -> Result:
+    return hd_diag("diagnose", *arguments)
 
 
 # Causes ---
@@ -106,7 +105,7 @@ def test_wrong_parameters_in_a_bag(tmp_path: Path) -> None:
     """No cause; the held-out residual is the noise that was put in."""
     made, told_file = generated("wrong_parameters", 3), tmp_path / "told.json"
     records.write_bag(made, tmp_path / "joint.mcap")
-    result = hd_diag(tmp_path / "joint.mcap", "--json", told_file, "--fail-on-cause")
+    result = diagnosed_by(tmp_path / "joint.mcap", "--json", told_file, "--fail-on-cause")
     assert (result.exit_code, result.stderr) == (0, "")
     told = json.loads(told_file.read_text())
     assert (told["causes"], told["unexplained"], told["findings"]) == ([], [], [])
@@ -128,7 +127,7 @@ def test_a_cause_in_a_table(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
     divided = dataclasses.replace(whole, input_angle=whole.input_angle / 100.0)
     records.write_csv(divided, tmp_path / "bench.csv")
     names = "time=time,input=input,output=output,torque=torque,temperature=temperature"
-    result = hd_diag(
+    result = diagnosed_by(
         tmp_path / "bench.csv", "--columns", names, "--input-divided", "--fail-on-cause", "--json", "-"
     )
     assert (result.exit_code, result.stderr) == (1, "")
@@ -144,11 +143,11 @@ def test_an_effect_of_one_s_own_is_searched_too(monkeypatch: pytest.MonkeyPatch,
     """Beside the catalogue's; a file that defines none is told before the record is read."""
     asked = known_to_the_command_line(monkeypatch, "output_runout")
     given = (table(tmp_path / "a.csv"), "--columns", COLUMNS, "--effects")
-    assert hd_diag(*given, ROOT / "docs/examples/encoder_pinion.py").exit_code == 0
+    assert diagnosed_by(*given, ROOT / "docs/examples/encoder_pinion.py").exit_code == 0
     ((_, catalogue),) = asked
     assert [effect.name for effect in catalogue] == [*(e.name for e in CATALOGUE), "encoder_pinion"]
     (tmp_path / "none.py").write_text("EFFECT = 3")
-    assert_one_line(hd_diag(*given, tmp_path / "none.py"), "none.py: expected an effect")
+    assert_one_line_error(diagnosed_by(*given, tmp_path / "none.py"), "none.py: expected an effect")
 
 
 def table(path: Path, **changes: Any) -> Path:
@@ -164,14 +163,14 @@ COLUMNS = "time=time,input=input,output=output,torque=torque"
 def test_a_wrong_ratio_fails_on_request_at_once(tmp_path: Path) -> None:
     given = columns(seconds=6.0)
     path = table(tmp_path / "a.csv", input=-given["input"])
-    result = hd_diag(path, "--columns", COLUMNS, "--fail-on-cause")
+    result = diagnosed_by(path, "--columns", COLUMNS, "--fail-on-cause")
     assert result.exit_code == 1
     told = re.fullmatch(
         r"joint_1: First of all: the output follows .* ratio of (\S+), not .*\n", result.stdout
     )
     assert told is not None
     assert float(told[1]) == pytest.approx(-100.0, rel=1e-3)
-    assert hd_diag(path, "--columns", COLUMNS).exit_code == 0
+    assert diagnosed_by(path, "--columns", COLUMNS).exit_code == 0
 
 
 @pytest.mark.parametrize(
@@ -192,13 +191,15 @@ def test_bad_input_is_told_in_one_line(
 ) -> None:
     given = columns(seconds=6.0)
     whole = {name: np.full_like(given[name], value) for name, value in changes.items()}
-    assert_one_line(hd_diag(table(tmp_path / "a.csv", **whole), *arguments), said)
+    assert_one_line_error(diagnosed_by(table(tmp_path / "a.csv", **whole), *arguments), said)
 
 
 def test_files_that_are_not_there_and_too_many_tables(tmp_path: Path) -> None:
-    assert_one_line(hd_diag(tmp_path / "none.mcap"), "none.mcap")
-    assert_one_line(hd_diag(tmp_path / "none.csv", "--columns", COLUMNS), "none.csv: cannot be read")
-    assert_one_line(hd_diag("a.csv", "b.csv", "--columns", COLUMNS), "only one CSV file at a time")
+    assert_one_line_error(diagnosed_by(tmp_path / "none.mcap"), "none.mcap")
+    assert_one_line_error(
+        diagnosed_by(tmp_path / "none.csv", "--columns", COLUMNS), "none.csv: cannot be read"
+    )
+    assert_one_line_error(diagnosed_by("a.csv", "b.csv", "--columns", COLUMNS), "only one CSV file at a time")
 
 
 def test_a_short_bag(tmp_path: Path) -> None:
@@ -206,12 +207,6 @@ def test_a_short_bag(tmp_path: Path) -> None:
     few = slice(None, 400)
     cut = {name: getattr(made, name)[few] for name in ("time", "input_angle", "output_angle", "torque")}
     records.write_bag(dataclasses.replace(made, temperature=None, **cut), tmp_path / "short.mcap")
-    assert_one_line(hd_diag(tmp_path / "short.mcap"), "too short: 400 usable samples, at least 500")
-
-
-def assert_one_line(result: Result, said: str) -> None:
-    assert isinstance(result.exception, SystemExit)
-    assert (result.exit_code, result.stdout) == (2, "")
-    assert len(result.stderr.splitlines()) == 1
-    assert result.stderr.startswith("hd-diag: ")
-    assert said in result.stderr
+    assert_one_line_error(
+        diagnosed_by(tmp_path / "short.mcap"), "too short: 400 usable samples, at least 500"
+    )

@@ -9,11 +9,10 @@ from xml.etree import ElementTree as Xml
 import drives
 import numpy as np
 import pytest
-from cli_runner import runner
+from cli_runner import assert_one_line_error, hd_diag
 from numpy.testing import assert_allclose
 from reference import published
 
-from hd_diag.cli import cli
 from hd_diag.cli.examples import load_example
 from hd_diag.drive import Drive
 from hd_diag.model.transmission_error import Kinematics
@@ -84,7 +83,7 @@ def test_a_drive_of_another_clearance_does_not_agree() -> None:
 
 
 def test_the_command_writes_figures_and_captions(tmp_path: Path) -> None:
-    result = runner().invoke(cli, ["figures", "--out", str(tmp_path / "new"), "--format", "png"])
+    result = hd_diag("figures", "--out", tmp_path / "new", "--format", "png")
     assert (result.exit_code, result.stderr) == (0, "")
     assert "does not agree" not in result.stdout
     names = {f"figure_{number}.png" for number in (5, 6, 7)}
@@ -113,15 +112,11 @@ def test_the_same_figure_is_the_same_whole_file(kind: str, teeth: Any, tmp_path:
 
 def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    result = runner().invoke(cli, ["figures", "--out", str(tmp_path / "file" / "in")])
-    assert result.exit_code == 2
-    assert len(result.stderr.splitlines()) == 1
-    assert "cannot be written" in result.stderr
+    assert_one_line_error(hd_diag("figures", "--out", tmp_path / "file" / "in"), "cannot be written")
 
 
 def test_an_example_that_was_not_installed_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hd_diag.__file__", "/nowhere/hd_diag/__init__.py")
     monkeypatch.setenv("AMENT_PREFIX_PATH", "")
-    result = runner().invoke(cli, ["figures", "--out", "never"])
-    assert (result.exit_code, result.stdout) == (2, "")
-    assert result.stderr.startswith("hd-diag: examples/paper_figures.py is not installed")
+    said = "hd-diag: examples/paper_figures.py is not installed"
+    assert_one_line_error(hd_diag("figures", "--out", "never"), said)

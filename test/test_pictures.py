@@ -6,6 +6,7 @@ from xml.etree import ElementTree as Xml
 import matplotlib as mpl
 import numpy as np
 import pytest
+from browser import luminance
 from matplotlib.figure import Figure
 from report_samples import HOSTILE
 
@@ -81,18 +82,12 @@ def test_a_name_that_begins_no_id_is_refused(name: str) -> None:
         inline_svg(labelled("a"), name, "", "")
 
 
-def luminance(colour: str) -> float:
-    parts = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
-    linear = [c / 12.92 if c <= 0.03928 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
-    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
-
-
 @pytest.mark.parametrize("page", ["#ffffff", "#15181d"])
 def test_every_colour_stands_out_of_a_light_and_a_dark_page(page: str) -> None:
     """WCAG 2.1, success criterion 1.4.11: 3 to 1 for graphics."""
     used = (canvas.NOMINAL, canvas.REFIT, canvas.EXTENDED, canvas.ACCENT, canvas.GRID, *canvas.SERIES)
     for colour in used:
-        brighter, darker = sorted((luminance(colour), luminance(page)), reverse=True)
+        brighter, darker = sorted((luminance(mpl.colors.to_rgb(c)) for c in (colour, page)), reverse=True)
         assert (brighter + 0.05) / (darker + 0.05) > 3.0, colour
 
 

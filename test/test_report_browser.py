@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import chromium, requested, sized
+from browser import chromium, luminance, requested, sized
 from challenge import records
-from cli_runner import runner
+from cli_runner import hd_diag
 from report_samples import hostile_page, joint_report, known_to_the_command_line, made
 
-from hd_diag.cli import cli
 from hd_diag.formatting import arcsec
 
 
@@ -133,14 +132,9 @@ def test_its_colours_have_contrast_by_day_and_by_night(browser: Any, hostile: st
 
 
 def contrast(one: str, other: str) -> float:
-    values = sorted((luminance(one), luminance(other)), reverse=True)
+    parts = ([int(part) / 255 for part in re.findall(r"\d+", colour)[:3]] for colour in (one, other))
+    values = sorted(map(luminance, parts), reverse=True)
     return (values[0] + 0.05) / (values[1] + 0.05)
-
-
-def luminance(colour: str) -> float:
-    parts = [int(part) / 255 for part in re.findall(r"\d+", colour)[:3]]
-    linear = [c / 12.92 if c <= 0.03928 else ((c + 0.055) / 1.055) ** 2.4 for c in parts]
-    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 
 def test_it_prints(browser: Any, hostile: str) -> None:
@@ -159,8 +153,7 @@ def test_what_the_command_draws_is_what_it_says(
     known_to_the_command_line(monkeypatch, "input_encoder_eccentricity")
     bag, out, told_file = (tmp_path / name for name in ("joint.mcap", "page.html", "told.json"))
     records.write_bag(made("input_encoder_eccentricity"), bag)
-    arguments = ["diagnose", str(bag), "--report", str(out), "--json", str(told_file)]
-    assert runner().invoke(cli, arguments).exit_code == 0
+    assert hd_diag("diagnose", bag, "--report", out, "--json", told_file).exit_code == 0
     told = json.loads(told_file.read_text())
     opened(browser, out.as_uri())
     shown = {
