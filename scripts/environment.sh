@@ -44,14 +44,8 @@ install_tree() {
     compile_kernels
 }
 
-# Once here rather than in every process that is first to compute. numba's cache goes by the time of a file: here it
-# follows from the content, so that unchanged kernels keep their machine code.
+# Once here rather than in every process that is first to compute; unchanged kernels keep their machine code.
 compile_kernels() {
-    $env/bin/python -I -c 'import compileall, os, pathlib, zlib, hd_diag
-folder = pathlib.Path(hd_diag.__file__).parent
-for path in folder.rglob("*.py"):
-    os.utime(path, (zlib.crc32(path.read_bytes()),) * 2)
-compileall.compile_dir(folder, quiet=1)' >>"$log" 2>&1 || fail "the modules of hd_diag could not be compiled"
     echo "== Compiling its kernels, of model, diagnosis and tolerances, where they have changed (half a minute)"
     $env/bin/python -I -c 'from hd_diag.diagnosis.fit import fit_parameters; from hd_diag.tolerance import evaluation; fit_parameters.warm_up(); evaluation.warm_up()' >>"$log" 2>&1 ||
         fail "the kernels could not be compiled"
