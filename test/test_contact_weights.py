@@ -273,10 +273,6 @@ def test_response_stays_beyond_the_limit() -> None:
     assert_allclose(beyond, at, rtol=1e-12)
 
 
-def test_table_is_built_once() -> None:
-    assert contact_table(DRIVE, LIMIT) is weights(DRIVE, ANGLES, np.zeros(5)).part(slice(0, 2)).table
-
-
 @pytest.mark.parametrize("limit", [0.0, -1.0, math.nan, math.inf])
 def test_refuses_a_limit(limit: float) -> None:
     with pytest.raises(ValueError, match=r"torque_limit must be positive, not .* N m"):

@@ -250,7 +250,7 @@ def test_a_wrong_value_is_named(path: str, value: Any, reason: str) -> None:
 
 def spoiled(document: Any, source: random.Random) -> Any:
     """The document with one thing in it replaced, taken out or doubled."""
-    junk = [
+    many = (
         None,
         True,
         "",
@@ -265,7 +265,7 @@ def spoiled(document: Any, source: random.Random) -> Any:
         [[]],
         {"value": {}},
         "hysteresis",
-    ]
+    )
     place, key = None, None
     here = document
     while isinstance(here, (dict, list)) and here and (place is None or source.random() < 0.8):
@@ -278,7 +278,7 @@ def spoiled(document: Any, source: random.Random) -> Any:
         case 0:
             del place[key]
         case 1:
-            place[key] = source.choice(junk)
+            place[key] = source.choice(many)
         case _ if isinstance(place, dict):
             place[f"{key}{source.choice(['', ' ', '2', chr(0), '🙂'])}x"] = copy.deepcopy(here)
         case _:
@@ -293,9 +293,9 @@ def taken_or_told(text: str) -> tuple[ExtendedModel | None, str]:
         return None, str(error)
 
 
-def test_hundreds_of_spoiled_files_give_one_line_or_a_model() -> None:
+def test_many_spoiled_files_give_one_line_or_a_model() -> None:
     source, taken = random.Random(7), 0
-    for number in range(500):
+    for number in range(120):
         document = json.loads(WHOLE)
         for _ in range(source.randint(1, 3)):
             document = spoiled(document, source)
@@ -308,7 +308,7 @@ def test_hundreds_of_spoiled_files_give_one_line_or_a_model() -> None:
         if found is not None:
             taken += 1
             assert {term.effect.name for term in found.effects} <= set(EFFECTS)
-    assert 0 < taken < 400
+    assert 0 < taken < 100
 
 
 def test_numbers_that_cannot_be_computed_together_are_told(monkeypatch: pytest.MonkeyPatch) -> None:

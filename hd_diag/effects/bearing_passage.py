@@ -13,7 +13,7 @@ from hd_diag.effects.effect import Starts, Values
 from hd_diag.effects.excitation import enough_input_turns, input_turns
 from hd_diag.effects.harmonic import Harmonic
 from hd_diag.effects.order_spectrum import line_width, spectrum
-from hd_diag.effects.quantity import Quantity, amplitude, direction
+from hd_diag.effects.quantity import Quantity, amplitude, direction, switch
 from hd_diag.effects.signals import Signals
 from hd_diag.formatting import ARCSEC
 
@@ -97,16 +97,7 @@ EFFECT = BearingPassage(
             "kappa, periods per wave generator turn",
             linear=False,
         ),
-        Quantity(
-            "slips",
-            "-",
-            0.0,
-            1.0,
-            1.0,
-            "1: the phase slips over the record, and its mean is all that a model can predict",
-            linear=False,
-            discrete=True,
-        ),
+        switch("slips", "1: the phase slips over the record, and its mean is all that a model can predict"),
     ),
     confused_with=("encoder_interpolation", "circular_spline_form"),
     source=(

@@ -11,7 +11,7 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Effect, Starts, Stepped, Values
 from hd_diag.effects.excitation import enough_input_turns, torque_varies
-from hd_diag.effects.quantity import Quantity, harmonic_sum, harmonics, lobes
+from hd_diag.effects.quantity import harmonic_sum, harmonics, lobes, switch
 from hd_diag.effects.signals import Signals
 
 ORDERS = (2, 4, 6)
@@ -58,16 +58,8 @@ EFFECT = CircularSplineForm(
     proportional=False,
     quantities=(
         *lobes("radial", ORDERS, "radial form error with {} lobes", "angle in the circular spline of a lobe"),
-        Quantity(
-            "bending",
-            "-",
-            0.0,
-            1.0,
-            1.0,
-            "0: cut out of round, 1: bent, so that the circumference keeps its length",
-            linear=False,
-            discrete=True,
-            choices=(0.0, 1.0),
+        switch(
+            "bending", "0: cut out of round, 1: bent, so that the circumference keeps its length", (0.0, 1.0)
         ),
     ),
     confused_with=(

@@ -10,7 +10,7 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Effect, Starts, Values
 from hd_diag.effects.excitation import both_directions, enough_input_turns, torque_varies
-from hd_diag.effects.quantity import Quantity, direction
+from hd_diag.effects.quantity import Quantity, direction, switch
 from hd_diag.effects.signals import Signals
 
 _STILL = 0.1  # speed of the input at which play changes its side [rad/s]
@@ -56,7 +56,7 @@ EFFECT = CouplingMisalignment(
         Quantity(
             "play", "rad", 0.0, _MOST_PLAY, 2e-4, "by which the coupling lets the shafts turn", strict=True
         ),
-        Quantity("plays", "-", 0.0, 1.0, 1.0, "1: with play", linear=False, discrete=True),
+        switch("plays", "1: with play"),
     ),
     confused_with=("circular_spline_pitch", "circular_spline_form", "flexspline_pitch"),
     source=(

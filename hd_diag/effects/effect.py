@@ -295,23 +295,19 @@ class Effect:
         dict
             Name to standard deviation; zero for quantities that the covariance leaves out.
         """
-        center = np.concatenate((np.asarray(coefficients, dtype=np.float64), nonlinear))
-        spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-        gradient = np.zeros((len(self.quantities), spread.size))
-        for index in np.flatnonzero(spread):
-            step = np.zeros(center.size)
-            step[index] = 1e-3 * spread[index]
-            gradient[:, index] = self._difference(center - step, center + step) / (2.0 * step[index])
+        known = covariance.shape[0]
+        gradient = np.eye(len(self.quantities), known)
+        for index, turned in enumerate(self.linear):
+            if turned.periodic is None:
+                continue
+            pair, size = slice(index - 1, index + 1), self.linear[index - 1]
+            cosine, sine = map(float, coefficients[pair])
+            whole = max(math.hypot(cosine, sine), 1e-300)
+            along, across = np.array([cosine, sine]) / whole, np.array([-sine, cosine]) / whole
+            gradient[index - 1, pair] = along * whole ** (1.0 / size.power - 1.0) / size.power
+            gradient[index, pair] = across / whole * (turned.periodic / (2.0 * math.pi))
         variance = np.einsum("ij,jk,ik->i", gradient, covariance, gradient)
         return {q.name: math.sqrt(max(v, 0.0)) for q, v in zip(self.quantities, variance, strict=True)}
-
-    def _difference(self, low: Floats, high: Floats) -> Floats:
-        ends = [self.to_physical(one[: self.size], tuple(one[self.size :])) for one in (low, high)]
-        change = np.array([ends[1][q.name][0] - ends[0][q.name][0] for q in self.quantities])
-        for index, quantity in enumerate(self.quantities):
-            if quantity.periodic is not None:
-                change[index] -= quantity.periodic * round(change[index] / quantity.periodic)
-        return change
 
     def _pairs(self) -> list[tuple[Quantity, Quantity]]:
         """Every amplitude with its direction."""

@@ -70,6 +70,11 @@ def direction(name: str, meaning: str, order: int = 1) -> Quantity:
     return Quantity(name, "rad", 0.0, period, period, meaning, periodic=period)
 
 
+def switch(name: str, meaning: str, choices: tuple[float, ...] = ()) -> Quantity:
+    """Which of two forms an effect has, 0 or 1."""
+    return Quantity(name, "-", 0.0, 1.0, 1.0, meaning, linear=False, discrete=True, choices=choices)
+
+
 def lobes(
     name: str, orders: Sequence[int], size_meaning: str, direction_meaning: str
 ) -> tuple[Quantity, ...]:

@@ -11,7 +11,7 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Effect, Starts, Stepped, Values
 from hd_diag.effects.excitation import enough_input_turns, enough_output_turns, loaded
-from hd_diag.effects.quantity import Quantity
+from hd_diag.effects.quantity import Quantity, switch
 from hd_diag.effects.signals import Signals
 from hd_diag.model.geometry import Geometry
 
@@ -123,16 +123,7 @@ EFFECT = ToothDamage(
     quantities=(
         Quantity("counter_clockwise_flank", "m", -2e-4, 2e-4, 2e-5, "clearance added to the tooth's + flank"),
         Quantity("clockwise_flank", "m", -2e-4, 2e-4, 2e-5, "clearance added to its - flank"),
-        Quantity(
-            "member",
-            "-",
-            0.0,
-            1.0,
-            1.0,
-            "0: slot of the circular spline, 1: tooth of the flexspline",
-            linear=False,
-            discrete=True,
-        ),
+        switch("member", "0: slot of the circular spline, 1: tooth of the flexspline"),
         Quantity(
             "position", "rad", 0.0, 2.0 * np.pi, 6.3, "its angle in the member", False, 2.0 * np.pi, True
         ),

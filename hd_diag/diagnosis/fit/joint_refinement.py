@@ -46,36 +46,36 @@ def settle(fit: LinearisedFit, chosen: Chosen, rounds: int = 3, learn: bool = Tr
     return fit.corrected(chosen)
 
 
-def polished(bench: LinearisedFit, chosen: Chosen, rounds: int = _ROUNDS) -> tuple[LinearisedFit, Chosen]:
+def polished(fit: LinearisedFit, chosen: Chosen, rounds: int = _ROUNDS) -> tuple[LinearisedFit, Chosen]:
     """Gauss-Newton over the nonlinear values of all effects, the model's parameters settled in between.
 
     Parameters
     ----------
-    bench : LinearisedFit
+    fit : LinearisedFit
     chosen : sequence of (Effect, nonlinear values)
     rounds : int
         At most.
 
     Returns
     -------
-    bench, chosen
+    fit, chosen
         At the best values near those given.
     """
     for _ in range(rounds):
-        before = bench.design(chosen).deviance()
-        bench, chosen = _stepped(bench, chosen, before)
-        bench = settle(bench, chosen, rounds=1, learn=False)
-        if bench.design(chosen).deviance() > before - _SETTLED:
+        before = fit.design(chosen).deviance()
+        fit, chosen = _stepped(fit, chosen, before)
+        fit = settle(fit, chosen, rounds=1, learn=False)
+        if fit.design(chosen).deviance() > before - _SETTLED:
             break
-    return bench, chosen
+    return fit, chosen
 
 
-def slopes(bench: LinearisedFit, chosen: Chosen) -> Floats:
+def slopes(fit: LinearisedFit, chosen: Chosen) -> Floats:
     """What the effects change by their free nonlinear values.
 
     Parameters
     ----------
-    bench : LinearisedFit
+    fit : LinearisedFit
     chosen : sequence of (Effect, nonlinear values)
 
     Returns
@@ -83,19 +83,19 @@ def slopes(bench: LinearisedFit, chosen: Chosen) -> Floats:
     ndarray, shape (n, k)
         [rad] per unit, effect by effect; k = 0 where all effects are linear.
     """
-    beta, _, _ = bench.fit(chosen)
+    beta, _, _ = fit.fit(chosen)
     found = []
-    for (effect, nonlinear), place in zip(chosen, bench.places(chosen), strict=True):
+    for (effect, nonlinear), place in zip(chosen, fit.places(chosen), strict=True):
         coefficients = beta[place]
-        step = 0.01 * bench.data.grid_step(effect, nonlinear) if free(effect) else np.empty(0)
+        step = 0.01 * fit.data.grid_step(effect, nonlinear) if free(effect) else np.empty(0)
         for index in free(effect):
             ends = [_moved(effect, nonlinear, index, sign * step[index]) for sign in (-1.0, 1.0)]
-            low, high = (bench.full_size(effect, end, coefficients) for end in ends)
+            low, high = (fit.full_size(effect, end, coefficients) for end in ends)
             found.append((high - low) / max(ends[1][index] - ends[0][index], 1e-300))
-    return np.stack(found, axis=1) if found else np.empty((bench.residual.size, 0))
+    return np.stack(found, axis=1) if found else np.empty((fit.residual.size, 0))
 
 
-def covariance(bench: LinearisedFit, chosen: Chosen) -> tuple[Floats, list[npt.NDArray[np.int64]]]:
+def covariance(fit: LinearisedFit, chosen: Chosen) -> tuple[Floats, list[npt.NDArray[np.int64]]]:
     """Covariance of all that is fitted, the free nonlinear values included.
 
     Where blocks of the record scatter more than the noise model has it, by their scatter.
@@ -107,7 +107,7 @@ def covariance(bench: LinearisedFit, chosen: Chosen) -> tuple[Floats, list[npt.N
     places : list of ndarray
         For every effect the rows of its own coefficients and then of its nonlinear values; -1: not free.
     """
-    linear = bench.places(chosen)
+    linear = fit.places(chosen)
     last, places = linear[-1].stop if linear else 0, []
     for (effect, nonlinear), place in zip(chosen, linear, strict=True):
         inner = np.full(len(nonlinear), -1)
@@ -115,7 +115,7 @@ def covariance(bench: LinearisedFit, chosen: Chosen) -> tuple[Floats, list[npt.N
             inner[index], last = last, last + 1
         own = place.stop if effect.stage == Stage.NOWHERE else place.start + effect.size
         places.append(np.concatenate((np.arange(place.start, own), inner)))
-    beta, spread, built = bench.fit(chosen, slopes(bench, chosen))
+    beta, spread, built = fit.fit(chosen, slopes(fit, chosen))
     return spread * np.multiply.outer(*[_wider(beta, spread, built)] * 2), places
 
 
@@ -133,25 +133,25 @@ def free(effect: Effect) -> list[int]:
     return [index for index, quantity in enumerate(effect.nonlinear) if not quantity.discrete]
 
 
-def _stepped(bench: LinearisedFit, chosen: Chosen, before: float) -> tuple[LinearisedFit, Chosen]:
+def _stepped(fit: LinearisedFit, chosen: Chosen, before: float) -> tuple[LinearisedFit, Chosen]:
     """Nonlinear values after one step; as they were if none helps."""
-    columns = slopes(bench, chosen)
+    columns = slopes(fit, chosen)
     if not columns.shape[1]:
-        return bench, chosen
-    step = bench.fit(chosen, columns)[0][-columns.shape[1] :]
+        return fit, chosen
+    step = fit.fit(chosen, columns)[0][-columns.shape[1] :]
     for _ in range(_SHORTER):
-        trial = _moved_all(bench, chosen, step)
-        tried = bench.corrected(trial)
+        trial = _moved_all(fit, chosen, step)
+        tried = fit.corrected(trial)
         if tried.design(trial).deviance() < before:
             return tried, trial
         step = 0.5 * step
-    return bench, chosen
+    return fit, chosen
 
 
-def _moved_all(bench: LinearisedFit, chosen: Chosen, step: Floats) -> Chosen:
+def _moved_all(fit: LinearisedFit, chosen: Chosen, step: Floats) -> Chosen:
     moved, at = [], 0
     for effect, nonlinear in chosen:
-        most = bench.data.grid_step(effect, nonlinear) if free(effect) else np.empty(0)
+        most = fit.data.grid_step(effect, nonlinear) if free(effect) else np.empty(0)
         for index in free(effect):
             nonlinear = _moved(effect, nonlinear, index, float(np.clip(step[at], -most[index], most[index])))
             at += 1

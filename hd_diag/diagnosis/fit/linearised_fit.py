@@ -120,11 +120,11 @@ class LinearisedFit:
         """The same less what the present effects are at full size beyond their columns [rad], shape (n,)."""
 
         def corrected() -> Floats:
-            left = self.uncorrected
+            residual = self.uncorrected
             for item, coefficients in self.present:
                 beyond = self.full_size(*item, coefficients) - self.columns(*item) @ coefficients
-                left = left - beyond
-            return left
+                residual = residual - beyond
+            return residual
 
         return self._kept("residual", _key(self.present), compute=corrected)
 
