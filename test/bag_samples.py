@@ -5,6 +5,9 @@ from pathlib import Path
 
 import numpy as np
 from mcap.writer import CompressionType, IndexType, Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as RosbagsWriter
+from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 
 from hd_diag.bag import RELIABLE, BagError, BagReader
 from hd_diag.bag.rosbag2 import dump_offers
@@ -72,6 +75,19 @@ def write_with_mcap(
     return Path(path)
 
 
+def rosbag2_folder(folder, messages, *, plugin=StoragePlugin.SQLITE3, version=9, compression="none"):
+    """Write (topic, type, data, log time) as rosbag2 does, by rosbags."""
+    writer = RosbagsWriter(folder, version=version, storage_plugin=plugin)
+    writer.set_compression(CompressionMode[compression.upper()], CompressionFormat.ZSTD)
+    with writer:
+        topics = {}
+        for topic, kind, data, time in messages:
+            if topic not in topics:
+                topics[topic] = writer.add_connection(topic, kind, typestore=jazzy())
+            writer.write(topics[topic], time, data)
+    return Path(folder)
+
+
 def cut_end(path, out, *, keep=None):
     """Copy of an MCAP file without its end: only up to the data end record, or the first `keep` bytes."""
     data = Path(path).read_bytes()
@@ -108,12 +124,11 @@ def corpus(folder):
     block, stamps = rows(12)
     given = [("/j", JOINT_STATE, block[i].tobytes(), int(stamps[i])) for i in range(12)]
     given += [("/n", STRING, string_cdr(f"n{i}"), i) for i in range(5)]
-    bags = []
-    for i, options in enumerate(
-        ({"compression": "zstd"}, {"compression": "lz4"}, {"compression": "none"}, {"chunked": False})
-    ):
-        bags.append(write_with_mcap(folder / f"{i}.mcap", given, chunk_size=400, **options).read_bytes())
-    return bags
+    kinds = [{"compression": name} for name in ("zstd", "lz4", "none")] + [{"chunked": False}]
+    return [
+        write_with_mcap(folder / f"{i}.mcap", given, chunk_size=400, **options).read_bytes()
+        for i, options in enumerate(kinds)
+    ]
 
 
 def damaged(data, chance):

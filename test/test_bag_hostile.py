@@ -14,14 +14,23 @@ from pathlib import Path
 import lz4.frame
 import pytest
 import zstandard
-from bag_samples import JOINT_STATE, STRING, accepts, consume, corpus, damaged, rows, string_cdr
+from bag_samples import (
+    JOINT_STATE,
+    STRING,
+    accepts,
+    consume,
+    corpus,
+    damaged,
+    rosbag2_folder,
+    rows,
+    string_cdr,
+)
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Chunk, Header, Metadata, Schema
-from rosbags.rosbag2 import StoragePlugin, Writer
 
 from hd_diag.bag import BagError, BagReader, BagWriter, recover
 from hd_diag.bag.mcap_scan import MAGIC, MAX_CHUNK, MESSAGE, check_claim
-from hd_diag.messages.schemas import definition, jazzy
+from hd_diag.messages.schemas import definition
 
 
 def record(opcode, content):
@@ -205,10 +214,7 @@ def test_recovering_damaged_bags(tmp_path):
 
 
 def test_damaged_databases(tmp_path):
-    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        connection = writer.add_connection("/n", STRING, typestore=jazzy())
-        for i in range(40):
-            writer.write(connection, i, string_cdr(f"{i}"))
+    rosbag2_folder(tmp_path / "bag", [("/n", STRING, string_cdr(f"{i}"), i) for i in range(40)])
     data = (tmp_path / "bag" / "bag.db3").read_bytes()
     chance, path, refused = random.Random(23), tmp_path / "a.db3", 0
     for _ in range(50):

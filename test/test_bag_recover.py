@@ -10,17 +10,14 @@ import numpy as np
 import pytest
 import yaml
 import zstandard
-from bag_samples import JOINT_STATE, MS, STRING, cut_end, rows, string_cdr, write_with_mcap
+from bag_samples import JOINT_STATE, MS, STRING, cut_end, rosbag2_folder, rows, string_cdr, write_with_mcap
 from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as RosbagsWriter
-from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
 
 from hd_diag.bag import BagError, BagReader, BagWriter, recover
 from hd_diag.bag.mcap_chunk import find_chunk
 from hd_diag.bag.mcap_scan import scan
-from hd_diag.messages.schemas import Definition, jazzy
+from hd_diag.messages.schemas import Definition
 
 
 def messages(count=600):
@@ -165,10 +162,7 @@ def test_folder_with_damaged_metadata_and_a_file_that_is_no_bag(tmp_path):
 
 def database(folder, count=2000):
     """File with `count` messages as rosbag2 writes them, with its index of times."""
-    with RosbagsWriter(folder, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        connection = writer.add_connection("/n", STRING, typestore=jazzy())
-        for i in range(count):
-            writer.write(connection, i, string_cdr(f"{i:030}"))
+    rosbag2_folder(folder, [("/n", STRING, string_cdr(f"{i:030}"), i) for i in range(count)])
     return folder / f"{folder.name}.db3"
 
 
@@ -208,10 +202,7 @@ def test_compressed_files_are_recovered(tmp_path, monkeypatch):
     """A whole one, and what comes before a cut in an MCAP file."""
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "scratch"))
     (tmp_path / "scratch").mkdir()
-    writer = RosbagsWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3)
-    writer.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)
-    with writer:
-        writer.write(writer.add_connection("/n", STRING, typestore=jazzy()), 1, string_cdr("x"))
+    rosbag2_folder(tmp_path / "bag", [("/n", STRING, string_cdr("x"), 1)], compression="file")
     assert recover(tmp_path / "bag", tmp_path / "saved.mcap").counts == {"/n": 1}
     chance = np.random.default_rng(4)
     given = [("/n", STRING, string_cdr(chance.bytes(1000).hex()), i) for i in range(600)]
@@ -229,12 +220,8 @@ def test_compressed_files_are_recovered(tmp_path, monkeypatch):
 
 
 def test_a_compressed_message_that_is_damaged_costs_only_itself(tmp_path):
-    writer = RosbagsWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3)
-    writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
-    with writer:
-        connection = writer.add_connection("/n", STRING, typestore=jazzy())
-        for i in range(20):
-            writer.write(connection, i, string_cdr(f"{i:030}"))
+    given = [("/n", STRING, string_cdr(f"{i:030}"), i) for i in range(20)]
+    rosbag2_folder(tmp_path / "bag", given, compression="message")
     with closing(sqlite3.connect(tmp_path / "bag" / "bag.db3")) as db:
         db.execute("UPDATE messages SET data = x'00112233' WHERE id IN (3, 7)")
         db.commit()

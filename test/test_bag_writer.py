@@ -384,7 +384,8 @@ sys.path.insert(0, {test!r})
 from bag_samples import JOINT_STATE, rows
 from hd_diag.bag import BagWriter
 block, _ = rows(4000)
-writer = BagWriter({path!r}, compression={compression!r}, flush_period=0.25, max_duration={split})
+options = {{"flush_period": 0.25, "max_duration": {split}, "beside": {beside}}}
+writer = BagWriter({path!r}, compression={compression!r}, **options)
 print("ready", flush=True)
 for i in range(4000):
     now = time.time_ns()
@@ -408,6 +409,7 @@ def test_kill_loses_less_than_a_second(tmp_path, turn):
         "compression": COMPRESSIONS[turn % 3],
         "split": 0.3 if turn % 4 == 3 else 0,
         "pause": 0.4 if turn % 5 == 4 else 0,
+        "beside": turn % 2 == 1,
     }
     script = RECORD.format(path=str(path), test=str(Path(__file__).parent), **options)
     process = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
@@ -429,7 +431,7 @@ def test_kill_loses_less_than_a_second(tmp_path, turn):
 
 def test_rest_is_saved_when_no_more_messages_come(tmp_path):
     """The timer alone brings the last messages to the disk."""
-    options = {"compression": "zstd", "split": 0, "pause": 60}
+    options = {"compression": "zstd", "split": 0, "pause": 60, "beside": False}
     script = RECORD.format(path=str(tmp_path / "a.mcap"), test=str(Path(__file__).parent), **options)
     process = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
     for _ in range(51):

@@ -30,10 +30,8 @@ from rich.console import Console
 from hd_diag.bag import BagReader, BagWriter
 from hd_diag.cli import progress as cli_progress
 from hd_diag.cli.bags import recover, replay
-from hd_diag.config.configuration import load
 from hd_diag.config.parameters import nested
 from hd_diag.messages.encoding import encode_joint_states
-from hd_diag.replay.replay import replay as replay_bag
 
 COUNT = 60_000
 
@@ -278,17 +276,6 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", "--lazy", str(place)], check=True)
 
 
-def test_a_disk_that_runs_full(folder: Path, small_disk: Path) -> None:
-    for out in ("out.mcap", "folder"):
-        given = ("--config", folder / "c.yaml", "--out", small_disk / out)
-        for command, more in ((replay, given), (recover, given[2:])):
-            assert "No space left on device" in refused(run(command, folder / "long.mcap", *more))
-            with BagReader(small_disk / out) as reader:
-                assert reader.problems
-            for path in small_disk.iterdir():
-                shutil.rmtree(path) if path.is_dir() else path.unlink()
-
-
 def test_a_disk_that_is_read_only(folder: Path, small_disk: Path) -> None:
     subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
     for command in (replay, recover):
@@ -427,49 +414,6 @@ def test_progress_has_a_rate_and_the_time_left(
     given = () if command is recover else ("--config", folder / "c.yaml")
     assert run(command, folder / "long.mcap", "--out", tmp_path / "out.mcap", *given).exit_code == 0
     assert re.search(rf"{command.name} .* (\d+)/\1 [\d,.]+ {unit}/s \d:\d\d:\d\d", shown.getvalue())
-
-
-ACKNOWLEDGING = """
-import sys, time
-from hd_diag.config.configuration import load
-from hd_diag.replay.replay import replay
-begin = time.monotonic()
-def tell(done, total):
-    print(done, time.monotonic(), flush=True)
-    time.sleep(max(0.0, begin + 4.0 * done / total - time.monotonic()))  # no machine is done too early
-replay(*sys.argv[1:3], load(sys.argv[3]), progress=tell)
-"""
-
-
-def killed_replay(folder: Path, out: Path, chance: random.Random) -> tuple[list[tuple[int, float]], float]:
-    """What a replay acknowledged, and when, before it was killed; and when that was."""
-    arguments = [str(folder / "long.mcap"), str(out), str(folder / "c.yaml")]
-    command = [sys.executable, "-c", ACKNOWLEDGING, *arguments]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as running:
-        assert running.stdout is not None
-        lines = [running.stdout.readline()]
-        time.sleep(chance.uniform(1.2, 1.8))
-        running.kill()
-        killed = time.monotonic()
-        lines += running.stdout.readlines()
-    pairs = [line.split() for line in lines if line.endswith("\n")]
-    return [(int(done), float(when)) for done, when in pairs], killed
-
-
-@pytest.mark.slow  # it takes its four seconds twice
-def test_a_killed_replay_leaves_what_it_acknowledged(folder: Path, tmp_path: Path) -> None:
-    replay_bag(folder / "long.mcap", tmp_path / "whole.mcap", load(folder / "c.yaml"))
-    whole = content(tmp_path / "whole.mcap")
-    chance = random.Random(7)
-    for turn in range(2):
-        out = tmp_path / f"killed_{turn}"
-        acknowledged, killed = killed_replay(folder, out, chance)
-        assert run(recover, out, "--out", tmp_path / f"saved_{turn}").exit_code == 0
-        saved = content(tmp_path / f"saved_{turn}")
-        for topic, messages in saved.items():
-            assert messages == whole[topic][: len(messages)], topic
-        safe = max(done for done, when in acknowledged if when <= killed - 1.0)
-        assert safe <= len(saved["/hd_diag/transmission_error"]) <= len(saved["/joint_states"]) < COUNT
 
 
 def test_whatever_a_bag_holds_the_answer_is_proper(tmp_path: Path) -> None:

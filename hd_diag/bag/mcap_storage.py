@@ -154,7 +154,9 @@ def _ordered(stretches: Sequence[_Stretch], load_one: Callable[[_Stretch], Block
     released = -(2**63)
     for turn, (number, limit, block) in enumerate(zip(turns, limits, blocks, strict=True), start=1):
         if len(block) and int(block.log_time.min()) < released:
-            raise ValueError("a chunk holds messages from before its declared start: times cannot be sorted")
+            raise ValueError(
+                "a chunk holds messages from before its declared start; hd-diag recover mends it"
+            )
         held = sorted([*held, (number, block)], key=lambda entry: entry[0])
         masks = [b.log_time < limit if turn < len(turns) else np.ones(len(b), bool) for _, b in held]
         early = [b[mask] for (_, b), mask in zip(held, masks, strict=True) if mask.any()]
