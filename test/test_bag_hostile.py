@@ -361,10 +361,11 @@ def test_a_compressed_message_that_unpacks_to_far_more_is_refused(tmp_path):
     assert peak < 20 << 20
 
 
-def test_a_chunk_of_records_that_are_none_takes_no_memory(tmp_path):
+def test_a_chunk_of_records_that_are_none_takes_no_memory(tmp_path, monkeypatch):
     """Zeros are records of opcode 0 and no content; unknown records are passed over, but not for ever."""
     path = tmp_path / "a.mcap"
-    for unknown, count in ((bytes(9), 10), (b"\x80" + bytes(8), 1_000_001)):
+    monkeypatch.setattr("hd_diag.bag.mcap_chunk._MAX_OTHERS", 50_000)
+    for unknown, count in ((bytes(9), 10), (b"\x80" + bytes(8), 50_001)):
         content = topic() + message() + unknown * count
         path.write_bytes(bag(chunk(content, "zstd", stored=zstandard.compress(content))))
         found, peak = peak_of(lambda: accepts(path))
@@ -388,9 +389,9 @@ def test_a_huge_message_outside_of_chunks_is_not_read(tmp_path):
 
 def test_many_small_messages_take_little_memory_to_recover(tmp_path):
     """Of equal times, which reading in their order would hold all at once."""
-    content = topic() + b"".join(message(data=bytes(4 + i % 2)) for i in range(100_000))
+    content = topic() + b"".join(message(data=bytes(4 + i % 2)) for i in range(60_000))
     path = tmp_path / "a.mcap"
     path.write_bytes(bag(chunk(content, "zstd", stored=zstandard.compress(content))))
     report, peak = peak_of(lambda: recover(path, tmp_path / "b.mcap"))
-    assert report.counts == {"/n": 100_000}
-    assert peak < 4.3 * len(content)
+    assert report.counts == {"/n": 60_000}
+    assert peak < 5.5 * len(content)

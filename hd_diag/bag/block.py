@@ -16,19 +16,7 @@ Payload = Bytes | list[memoryview]
 
 @dataclass
 class Topic:
-    """A topic of a bag.
-
-    Attributes
-    ----------
-    name, type_name : str
-        As ``/joint_states`` and ``sensor_msgs/msg/JointState``.
-    count : int
-        Messages.
-    definition : Definition or None
-        The type as the bag defines it.
-    offers : str
-        Offered QoS profiles, YAML.
-    """
+    """A topic of a bag: its messages, the type as the bag defines it, offered QoS profiles (YAML)."""
 
     name: str
     type_name: str

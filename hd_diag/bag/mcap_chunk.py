@@ -51,12 +51,7 @@ class DamagedChunk(BagError):
 def load(path: Path, file: BufferedReader, sections: Sequence[Section], result: Scan) -> Block:
     """Messages of some sections; schemas and channels found on the way are added to `result`.
 
-    It is safe beside other readers of the same file.
-
-    Raises
-    ------
-    BagError
-        Where a section is damaged, or the file was closed.
+    Safe beside other readers of the same file; BagError where a section is damaged, or the file was closed.
     """
     try:
         contents = []
@@ -101,10 +96,7 @@ def decompressed(compression: str, stored: bytes, limit: int, *, lenient: bool =
 def parse(content: bytes, result: Scan) -> Block:
     """Messages among the records in `content`; schemas and channels are added to `result`.
 
-    Raises
-    ------
-    ValueError
-        Where the records do not fit together.
+    Raises ValueError where the records do not fit together.
     """
     first, more, position, ignored = np.empty(0, np.int64), array("q"), 0, 0
     end, head_at, message = len(content), RECORD.unpack_from, int(Opcode.MESSAGE)

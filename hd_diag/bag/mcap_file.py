@@ -61,14 +61,8 @@ class McapFile:
     Chunks are closed at an uncompressed `chunk_size` [byte]. With `in_thread` they are compressed and written
     in a thread; what goes wrong there is raised by one of the next calls.
 
-    Attributes
-    ----------
-    written : Statistics
-        Of what has reached the operating system.
-    size : int
-        Size of the file [byte].
-    start : int or None
-        Log time of the first message [ns].
+    `written` are the statistics of what has reached the operating system, `size` is that of the file [byte],
+    `start` the log time of the first message [ns].
     """
 
     def __init__(

@@ -26,21 +26,10 @@ _MAX_HELD = 1 << 30
 
 
 class McapStorage:
-    """An MCAP file with everything that reading needs.
+    """An MCAP file: topics by channel number, least and greatest log time [ns], 0 and 0 for an empty file.
 
-    Attributes
-    ----------
-    topics : dict
-        `Topic` by channel number.
-    start, end : int
-        Least and greatest log time [ns]; 0 for an empty file.
-    problem : str
-        Why the file is not finished; empty where it is.
-
-    Raises
-    ------
-    BagError
-        Where it is not an MCAP file of ROS 2, or holds what cannot be read.
+    `problem` says why the file is not finished. Raises BagError where it is not an MCAP file of ROS 2, or
+    holds what cannot be read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -67,13 +56,7 @@ class McapStorage:
             raise
 
     def blocks(self, numbers: Sequence[int]) -> Iterator[Block]:
-        """Messages of some channels in the order of log time.
-
-        Raises
-        ------
-        BagError
-            Where a chunk is damaged or cannot be sorted.
-        """
+        """Messages of some channels in the order of log time; BagError where a chunk is damaged."""
 
         def chosen(stretch: _Stretch) -> Block:
             block = load(self.path, self._file, stretch.sections, self._scan)

@@ -26,15 +26,9 @@ from hd_diag.streams.columns import JointStates
 
 @dataclass(frozen=True)
 class Batch:
-    """Messages of one topic.
+    """Messages of one topic: times [ns] (n,), log times in order, and CDR with its 4-byte header.
 
-    Attributes
-    ----------
-    topic : Topic
-    log_time, publish_time : ndarray of int64, shape (n,)
-        Times [ns]; log times do not decrease.
-    payload : ndarray of uint8, shape (n, size), or list of memoryview
-        CDR with its 4-byte header; an array where all messages have one size.
+    The payload is an array of uint8, shape (n, size), where all messages have one size, else a list.
     """
 
     topic: Topic

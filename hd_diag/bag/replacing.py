@@ -17,18 +17,8 @@ from hd_diag.bag.mcap_storage import is_locked
 def replaced(path: str | os.PathLike[str], *, overwrite: bool) -> Iterator[Path]:
     """Where to write a bag, so that one that it replaces stays until the new one is whole.
 
-    Parameters
-    ----------
-    path : str or path-like
-        Place of the bag, as for `BagWriter`.
-    overwrite : bool
-        Whether a bag that is there shall be replaced.
-
-    Yields
-    ------
-    Path
-        `path`, or a place beside the bag that it replaces. After an exception, Ctrl-C included, that bag is
-        as it was.
+    Without `overwrite`, or where there is no bag, that is `path`, as for `BagWriter`; else a place beside it.
+    After an exception, Ctrl-C included, the old bag is as it was.
 
     Raises
     ------

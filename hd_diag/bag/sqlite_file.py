@@ -40,11 +40,7 @@ class SqliteFile:
 
     What a crash left unfinished stands in a file beside it, ``-wal`` or ``-journal``. SQLite would clear up
     there, and without the right to write would not open it: such a database is read in a temporary copy.
-
-    Raises
-    ------
-    BagError
-        Where it is no database of rosbag2, or damaged.
+    Raises BagError where it is no database of rosbag2, or damaged.
     """
 
     problem = ""  # a database is whole or cannot be read
@@ -77,13 +73,7 @@ class SqliteFile:
                 self.topics[number].count = count
 
     def blocks(self, numbers: Sequence[int] | None) -> Iterator[Block]:
-        """Messages of some topics, or all, in the order of time.
-
-        Raises
-        ------
-        BagError
-            Where the database is damaged.
-        """
+        """Messages of some topics, or all, in the order of time; BagError where the database is damaged."""
         which = "" if numbers is None else f"WHERE topic_id IN ({','.join(map(str, numbers))})"
         query = f"SELECT topic_id, timestamp, CAST(data AS BLOB) FROM messages {which} ORDER BY timestamp, id"
         read = 0

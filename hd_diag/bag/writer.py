@@ -306,26 +306,21 @@ class BagWriter:
 
     def _begin(self) -> None:
         """Open the next file and name it in the metadata, so that a crash leaves it findable."""
-        number, path = len(self.paths), self.path
-        if self.path.suffix != ".mcap":
+        number, path, is_folder = len(self.paths), self.path, self.path.suffix != ".mcap"
+        if number and not is_folder:
+            path = path.with_name(f"{path.stem}_{number}.mcap")
+        if not self._overwrite and path.exists() and not (number and is_folder):
+            raise BagError(path, "exists already")
+        if is_folder:
             if not number:
-                if path.exists() and not self._overwrite:
-                    raise BagError(path, "exists already")
                 path.mkdir(parents=True, exist_ok=True)
                 for file in bag_files(path):
                     file.unlink()
-            path = self.path / f"{self.path.resolve().name}_{number}.mcap"
-        elif number:
-            path = self.path.with_name(f"{self.path.stem}_{number}.mcap")
-        size = min(self._chunk_size, self._max_size or self._chunk_size)
-        try:
-            self._file = McapFile(path, self._compression, size, self._overwrite, self._beside)
-        except FileExistsError as exc:
-            raise BagError(path, "exists already") from exc
-        except OSError as exc:
-            raise BagError(path, exc) from exc
+            path /= f"{path.resolve().name}_{number}.mcap"
         self.paths.append(path)
         self._files.append(FileInformation(path.name))
+        size = min(self._chunk_size, self._max_size or self._chunk_size)
+        self._file = McapFile(path, self._compression, size, self._overwrite, self._beside)
         try:
             self._save()
         except BaseException:
