@@ -8,7 +8,7 @@ import numpy as np
 
 from hd_diag.arrays import Complexes, Floats
 from hd_diag.model.kernel.compiler import entry_point, part
-from hd_diag.model.kernel.contact import find
+from hd_diag.model.kernel.contact import arms, find
 from hd_diag.model.kernel.load_sharing import Flanks, Scratch, Side, balance, bearing, both, flanks, scratch
 from hd_diag.model.kernel.mesh_data import MeshData
 from hd_diag.model.kernel.poses import Teeth, place, reach
@@ -79,7 +79,7 @@ def _lobe(
         side = 1.0 - 2.0 * flank
         for j in range(count):
             if math.isfinite(seen.sine[flank, j]):
-                radius = math.sqrt(seen.x[flank, j] ** 2 + seen.y[flank, j] ** 2)
+                radius, _, _ = arms(seen, flank, j)
                 shift = slot_angle[int(teeth.slot[j]) % slot_angle.size]
                 least = min(least, radius * (math.asin(seen.sine[flank, j]) + side * (shift - teeth.lead[j])))
                 total, touching = total + radius, touching + 1

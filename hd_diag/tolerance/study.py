@@ -18,8 +18,8 @@ from hd_diag.tolerance.evaluation import warm_up
 from hd_diag.tolerance.limit import EccentricityLimit, across_long_axis, check_largest, first_excess
 from hd_diag.tolerance.sensitivity import Indices
 
+# Is given a part of the work and its number of steps; gives what is called after each step.
 Progress = Callable[[str, int], Callable[[], None]]
-"""Told what comes and of how many steps; gives what is called after each step."""
 
 TOLERANCES = 13
 """Eccentricity tolerances of a yield curve, from zero to twice the configured one, the middle one."""

@@ -2,11 +2,11 @@
 
 In the order in which a moment is solved: ``mesh_data`` numbers of a mesh · ``poses`` of the teeth near both
 lobes · ``contact`` of a flank with the slot's wall, in closed form · ``load_sharing`` one torsion for all
-teeth · ``mesh_state`` backlash and load of every tooth · ``sensitivity`` derivatives of the torsion ·
-``interpolation`` in a torsion map · ``entry`` what Python calls, for many moments at once.
+teeth · ``sensitivity`` derivatives of the torsion · ``interpolation`` in a torsion map · ``entry`` what
+Python calls, for many moments at once.
 
-numba is imported with ``entry``, when something is first computed: that takes 0.3 s. Compiling takes some 30
-s once, for the machine code is kept on disk.
+numba is imported with ``entry``, when something is first computed: 0.3 s. The machine code is kept on disk,
+for compiling it takes half a minute.
 """
 
 from __future__ import annotations

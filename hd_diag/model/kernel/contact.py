@@ -263,32 +263,24 @@ def contacts_room(c: Constants) -> Contacts:
 
 @part
 def find(c: Constants, teeth: Teeth, count: int, found: Contacts) -> None:
-    """Set the contacts of the first teeth, so many of them."""
+    """Set the contacts of the first teeth, so many of them; the compiler does several at once."""
+    height, offset = teeth.height, teeth.offset
     for flank in range(2):
-        _find_side(
-            c, teeth.height, teeth.offset, count, 1.0 - 2.0 * flank,
-            found.sine[flank], found.x[flank], found.y[flank], found.normal_x[flank], found.normal_y[flank],
-        )  # fmt: skip
+        sine, x, y = found.sine[flank], found.x[flank], found.y[flank]
+        normal_x, normal_y = found.normal_x[flank], found.normal_y[flank]
+        side = 1.0 - 2.0 * flank
+        for j in range(count):
+            touch = close(c, height[j], side * offset[j])
+            sine[j], x[j], y[j] = touch.sine, touch.x, touch.y
+            normal_x[j], normal_y[j] = touch.normal_x, touch.normal_y
 
 
-@part
-def _find_side(
-    c: Constants,
-    height: Floats,
-    offset: Floats,
-    count: int,
-    side: float,
-    sine: Floats,
-    x: Floats,
-    y: Floats,
-    normal_x: Floats,
-    normal_y: Floats,
-) -> None:
-    for j in range(count):
-        touch = close(c, height[j], side * offset[j])
-        sine[j] = touch.sine
-        x[j], y[j] = touch.x, touch.y
-        normal_x[j], normal_y[j] = touch.normal_x, touch.normal_y
+@inline
+def arms(found: Contacts, flank: int, j: int) -> tuple[float, float, float]:
+    """Distance of a contact from the axis, and its components along the normal and across it (lever) [m]."""
+    x, y = found.x[flank, j], found.y[flank, j]
+    normal_x, normal_y = found.normal_x[flank, j], found.normal_y[flank, j]
+    return math.sqrt(x * x + y * y), x * normal_x + y * normal_y, x * normal_y - y * normal_x
 
 
 @inline

@@ -13,7 +13,7 @@ import numpy as np
 
 from hd_diag.arrays import Complexes, Floats, Integers
 from hd_diag.model.kernel.compiler import entry_point
-from hd_diag.model.kernel.contact import closing_angle, contacts_room, find
+from hd_diag.model.kernel.contact import arms, closing_angle, contacts_room, find
 from hd_diag.model.kernel.interpolation import BLOCK, Columns, cells, columns, locate, read
 from hd_diag.model.kernel.load_sharing import (
     balance,
@@ -26,7 +26,6 @@ from hd_diag.model.kernel.load_sharing import (
     side_room,
 )
 from hd_diag.model.kernel.mesh_data import MeshData, blank
-from hd_diag.model.kernel.mesh_state import spread
 from hd_diag.model.kernel.poses import place, reach, room, width
 from hd_diag.model.kernel.sensitivity import PARAMETERS, add, fill, fill_pieces, pieces_room
 
@@ -172,9 +171,23 @@ def mesh_state(
     """Backlash, load, pressure angle (3, n, 2, Z_R); torsion, gap, mean radius of the contacts (3, n)."""
     work = scratch(mesh.constants)
     for i in range(first, last):
-        found = flanks(mesh, turn[i], eccentricity[i], work)
-        beta, gap, radius = spread(mesh, work, found, torque[i], teeth[0, i], teeth[1, i], teeth[2, i])
-        whole[0, i], whole[1, i], whole[2, i] = beta, gap, radius
+        found, seen, total = flanks(mesh, turn[i], eccentricity[i], work), work.contacts, 0.0
+        beta, backlash, load, pressure = balance(found, torque[i]), teeth[0, i], teeth[1, i], teeth[2, i]
+        backlash[:], load[:], pressure[:] = math.nan, 0.0, math.nan
+        for flank in range(2):
+            side, bears = 1.0 - 2.0 * flank, found.minus if flank else found.plus
+            for k in range(bears.start.size):
+                j, rotation = bears.column[k], side * bears.start[k]
+                radius, push, lever = arms(seen, flank, j)
+                tooth = int(work.teeth.number[j]) % mesh.constants.flexspline_teeth
+                overlap = side * beta - rotation
+                backlash[flank, tooth] = radius * rotation
+                load[flank, tooth] = overlap * lever / mesh.compliance if overlap > 0.0 else 0.0
+                pressure[flank, tooth] = math.atan2(push, lever)
+                total += radius
+        touching = found.plus.start.size + found.minus.start.size
+        whole[0, i], whole[1, i] = beta, found.high - found.low
+        whole[2, i] = total / touching if touching else math.nan
 
 
 @entry_point
@@ -194,13 +207,12 @@ def contacts(
             indices[0, i, j] = int(teeth.number[j]) % c.flexspline_teeth
             indices[1, i, j] = int(teeth.slot[j]) % c.circular_spline_teeth
             for flank in range(2):
-                side, x, y = 1.0 - 2.0 * flank, seen.x[flank, j], seen.y[flank, j]
-                normal_x, normal_y = seen.normal_x[flank, j], seen.normal_y[flank, j]
-                along, lever = x * normal_x + y * normal_y, x * normal_y - y * normal_x
+                side = 1.0 - 2.0 * flank
+                radius, push, lever = arms(seen, flank, j)
                 values[0, i, flank, j] = closing_angle(seen.sine[flank, j]) - side * teeth.lead[j]
-                values[1, i, flank, j] = math.sqrt(x * x + y * y)
-                values[2, i, flank, j] = math.atan2(along, lever)
-                values[3, i, flank, j] = teeth.slot[j] * c.slot_pitch + side * math.atan2(y, x)
+                values[1, i, flank, j], values[2, i, flank, j] = radius, math.atan2(push, lever)
+                position = side * math.atan2(seen.y[flank, j], seen.x[flank, j])
+                values[3, i, flank, j] = teeth.slot[j] * c.slot_pitch + position
     return indices, values
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.model.kernel.compiler import part
-from hd_diag.model.kernel.contact import Contacts, closing_angle, contacts_room, find
+from hd_diag.model.kernel.contact import Contacts, arms, closing_angle, contacts_room, find
 from hd_diag.model.kernel.mesh_data import Constants, MeshData
 from hd_diag.model.kernel.poses import Teeth, place, reach, room
 
@@ -79,7 +79,7 @@ def flanks(mesh: MeshData, turn: float, eccentricity: complex, work: Scratch) ->
 def _side(mesh: MeshData, work: Scratch, count: int, flank: int, room: Side) -> Side:
     seen, side, found = work.contacts, 1.0 - 2.0 * flank, 0
     for j in range(count):
-        lever = seen.x[flank, j] * seen.normal_y[flank, j] - seen.y[flank, j] * seen.normal_x[flank, j]
+        _, _, lever = arms(seen, flank, j)
         if not math.isnan(lever):
             room.start[found] = side * closing_angle(seen.sine[flank, j]) - work.teeth.lead[j]
             room.gain[found] = lever * lever / mesh.compliance
