@@ -48,13 +48,6 @@ def test_held_out_is_a_refit_without_the_block() -> None:
     assert_allclose(built(x, y, block).held_out(), expected, rtol=1e-10)
 
 
-def test_columns_of_any_scale_and_alike() -> None:
-    x, y, block = problem()
-    expected = built(x, y, block).held_out()
-    scaled = np.concatenate((x * 10.0 ** np.array([-9, 3, 0, -4, 6]), x[:, :1]), axis=1)
-    assert_allclose(built(scaled, y, block).held_out(), expected, rtol=1e-6)
-
-
 def test_a_column_of_zeros_solves_to_nothing() -> None:
     gram = np.diag([4.0, 0.0])
     assert_allclose(solve(gram, np.array([8.0, 0.0])), [2.0, 0.0])
@@ -115,13 +108,6 @@ def test_bootstrap_interval_covers() -> None:
     bounds = np.array([interval(row, rng) for row in draws])
     covered = np.mean((bounds[:, 0] < 2.0) & (bounds[:, 1] > 2.0))
     assert 0.88 < covered < 0.97
-
-
-def test_bootstrap_interval_is_about_the_mean() -> None:
-    gains = np.random.default_rng(5).normal(3.0, 1.0, 24)
-    low, high = interval(gains, np.random.default_rng(6))
-    half = 1.96 * gains.std() / np.sqrt(24)
-    assert_allclose([low, high], gains.mean() + half * np.array([-1.0, 1.0]), atol=0.15 * half)
 
 
 # Held-out gain ---

@@ -109,24 +109,15 @@ def test_without_effects_it_is_the_drive(table: TorsionMap) -> None:
     for used in (None, table):
         error, _ = bare.step(bare.start(), TIME, ANGLE, None, TORQUE, HEAT, used)
         assert_array_equal(error, transmission_error(drive, ANGLE, TORQUE, used))
-
-
-def test_the_offset_is_added() -> None:
-    drive = MODEL.drive
     assert_array_equal(whole(model()), transmission_error(drive, ANGLE, TORQUE) + OFFSET)
 
 
-def test_speed_is_the_difference_of_the_last_two_angles() -> None:
-    lag = VALUES["viscous_windup"]["lag"]
-    speed = np.concatenate(([0.0], np.diff(ANGLE) / np.diff(TIME)))
-    assert_allclose(added("viscous_windup"), -lag * speed, rtol=0.0, atol=1e-17)
-
-
-def test_a_reported_speed_is_taken_where_there_is_one() -> None:
-    lag = VALUES["viscous_windup"]["lag"]
+@pytest.mark.parametrize("reported", [None, SPEED], ids=["angles", "reported"])
+def test_speed_is_as_reported_or_else_of_the_last_two_angles(reported: np.ndarray | None) -> None:
     difference = np.concatenate(([0.0], np.diff(ANGLE) / np.diff(TIME)))
-    speed = np.where(np.isfinite(SPEED), SPEED, difference)
-    assert_allclose(added("viscous_windup", speed=SPEED), -lag * speed, rtol=0.0, atol=1e-17)
+    speed = difference if reported is None else np.where(np.isfinite(reported), reported, difference)
+    lag = VALUES["viscous_windup"]["lag"]
+    assert_allclose(added("viscous_windup", speed=reported), -lag * speed, rtol=0.0, atol=1e-17)
 
 
 def test_delay_looks_back() -> None:
@@ -151,13 +142,6 @@ def test_hysteresis_follows_the_torque_of_this_run() -> None:
     ramp = np.concatenate((np.linspace(0.0, 40.0, 130), np.linspace(40.0, 0.0, 130)))
     loop = added("hysteresis", torque=ramp)
     assert_allclose(loop[[129, -1]], [total, -total], rtol=1e-9)
-
-
-def test_torque_offset_is_about_that_of_another_torque() -> None:
-    offset, drive = VALUES["torque_offset"]["offset"], MODEL.drive
-    loaded = np.where(np.abs(TORQUE) < 10.0, 20.0, TORQUE)
-    exact = transmission_error(drive, ANGLE, loaded + offset) - transmission_error(drive, ANGLE, loaded)
-    assert_allclose(added("torque_offset", torque=loaded), exact, rtol=0.1)
 
 
 @pytest.mark.parametrize("heat", [None, np.full(COUNT, np.nan)], ids=["none", "nan"])

@@ -6,12 +6,11 @@ import drives
 import numpy as np
 import pytest
 from joint_records import ARCSEC
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 from hd_diag.drive import Drive
 from hd_diag.effects.contact_table import contact_table
 from hd_diag.effects.contact_weights import ContactWeights
-from hd_diag.effects.output_runout import EFFECT as RUNOUT
 from hd_diag.effects.signals import Signals
 from hd_diag.effects.tooth_damage import EFFECT, SLOT, TOOTH
 from hd_diag.model.transmission_error import Kinematics
@@ -55,20 +54,6 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-@MEMBERS
-def test_secant_of_nothing_is_the_columns(signals: Signals, member: float) -> None:
-    assert_array_equal(
-        EFFECT.slopes(signals, np.zeros(2), place(member)), EFFECT.columns(signals, place(member))
-    )
-
-
-@MEMBERS
-def test_small_damage_is_proportional(signals: Signals, member: float) -> None:
-    small = np.array([1e-9, 2e-9])
-    expected = EFFECT.columns(signals, place(member)) @ small
-    assert rms(response(signals, member, *small) - expected) < 0.02 * rms(expected)
-
-
 @pytest.mark.parametrize("clearance", [2e-6, 1e-5, 4e-5, 1.6e-4])
 @pytest.mark.parametrize("flank", [0, 1])
 def test_a_worn_slot_is_the_contact_solved_with_it(signals: Signals, clearance: float, flank: int) -> None:
@@ -107,13 +92,6 @@ def test_flanks_bear_one_torque_each(signals: Signals, member: float) -> None:
 
 
 @MEMBERS
-def test_a_part_of_a_record_is_that_part(signals: Signals, member: float) -> None:
-    rows = slice(1000, 1200)
-    whole = response(signals, member, 5e-5, 3e-5)[rows]
-    assert_allclose(response(signals.part(rows), member, 5e-5, 3e-5), whole, rtol=1e-12)
-
-
-@MEMBERS
 @pytest.mark.parametrize("number", [0, 1, 77, 199])
 def test_neighbours_on_both_sides_and_at_the_other_lobe(signals: Signals, member: float, number: int) -> None:
     count = 202 if member == SLOT else 200
@@ -123,14 +101,6 @@ def test_neighbours_on_both_sides_and_at_the_other_lobe(signals: Signals, member
     expected = [(number + one) % count * PITCH[member] for one in away]
     assert_allclose([position for _, position in found], expected, atol=1e-12)
     assert all(0.0 <= position < 2 * math.pi for _, position in found)
-
-
-def test_other_effects_are_their_columns_with_no_neighbours(signals: Signals) -> None:
-    size = np.array([1e-3, 2e-3])
-    assert (RUNOUT.own_slopes, EFFECT.own_slopes) == (False, True)
-    assert_array_equal(RUNOUT.slopes(signals, size, ()), RUNOUT.columns(signals, ()))
-    assert_array_equal(RUNOUT.response(signals, size, ()), RUNOUT.columns(signals, ()) @ size)
-    assert RUNOUT.neighbours(signals, ()) == []
 
 
 def test_the_slots_most_alike_are_beside(signals: Signals) -> None:
