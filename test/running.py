@@ -23,7 +23,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 LIMIT = 60.0  # for discovery and answers, on a machine that does much else [s]
-START_LIMIT = 120.0  # for the first node on a machine, which compiles the model [s]
+START_LIMIT = 300.0  # for the first node on a machine, which compiles the model [s]
 _numbers = itertools.count()
 
 
