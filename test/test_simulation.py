@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cli_runner import runner
+from cli_runner import assert_one_line_error, hd_diag
 from click.testing import Result
 from hypothesis import given
 from hypothesis import strategies as st
@@ -23,7 +23,6 @@ from rosbags.highlevel import AnyReader
 
 from hd_diag.bag import BagError, BagReader, BagWriter
 from hd_diag.cli import progress as cli_progress
-from hd_diag.cli.simulate import simulate as command
 from hd_diag.config.configuration import dump, resolve
 from hd_diag.drive import Drive, transmission_error
 from hd_diag.model import torsion_map
@@ -346,7 +345,7 @@ def test_unknown_truths_are_refused(tmp_path: Path) -> None:
 
 
 def invoke(*arguments: object) -> Result:
-    return runner().invoke(command, [str(argument) for argument in arguments])
+    return hd_diag("simulate", *arguments)
 
 
 def test_the_command_writes_the_joint_that_its_options_describe(tmp_path: Path) -> None:
@@ -402,37 +401,30 @@ def test_the_command_takes_a_configuration_and_some_of_its_joints(tmp_path: Path
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (["--set", "joint_1.tooth_complianc=1e-6"], "nearest known is 'joint_1.tooth_compliance'"),
-        (["--set", "joint_1.tooth_compliance=soft"], "not 'soft'"),
-        (["--set", "joint_1.ratio"], "expected PARAMETER=VALUE"),
-        (["--set", "joint_1.ratio=[1"], "--set joint_1.ratio: not a value"),
-        (["--set", "joint_1.ratio=99"], "its magnitude must be 100"),
+        ("--set joint_1.tooth_complianc=1e-6", "nearest known is 'joint_1.tooth_compliance'"),
+        ("--set joint_1.tooth_compliance=soft", "not 'soft'"),
+        ("--set joint_1.ratio", "expected PARAMETER=VALUE"),
+        ("--set joint_1.ratio=[1", "--set joint_1.ratio: not a value"),
+        ("--set joint_1.ratio=99", "its magnitude must be 100"),
         (
-            ["--joint", "joint_9", "--config", "CONFIG"],
+            "--joint joint_9 --config CONFIG",
             "no joint 'joint_9' in the configuration; it has shoulder, elbow",
         ),
-        (["--config", "missing.yaml"], "missing.yaml: cannot be read"),
-        (["--duration", "0"], "duration must be positive"),
-        (["--rate", "nan"], "sample_rate must be positive"),
-        (["--speed", "-1"], "speeds must be positive"),
-        (["--torque-level", "inf"], "torques must be finite"),
-        (["--eccentricity-um", "-1"], "joint_1.eccentricity.magnitude: "),
-        (["--angle-noise-arcsec", "-1"], "noise: white must not be negative"),
-        (["--start-time", "1e12"], "--start-time must be a Unix time within 32 bits"),
-        (["--out", "CONFIG"], "exists already"),
-        (["--json", "missing/truth.json"], "missing/truth.json: cannot be written: no such folder"),
+        ("--config missing.yaml", "missing.yaml: cannot be read"),
+        ("--rate nan", "sample_rate must be positive"),
+        ("--eccentricity-um -1", "joint_1.eccentricity.magnitude: "),
+        ("--angle-noise-arcsec -1", "noise: white must not be negative"),
+        ("--start-time 1e12", "--start-time must be a Unix time within 32 bits"),
+        ("--out CONFIG", "exists already"),
+        ("--json missing/truth.json", "missing/truth.json: cannot be written: no such folder"),
     ],
 )
 def test_bad_input_is_one_line_and_code_2(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], text: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: str, text: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("CONFIG").write_text(dump(resolve(two_joints())))
-    result = invoke("--out", "out.mcap", "--duration", 0.1, *arguments)
-    assert result.exit_code == 2
-    assert result.stderr.count("\n") == 1
-    assert result.stderr.startswith("hd-diag: ")
-    assert text in result.stderr
+    assert_one_line_error(invoke("--out", "out.mcap", "--duration", 0.1, *arguments.split()), text)
     assert not Path("out.mcap").exists()
 
 
