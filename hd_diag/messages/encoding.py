@@ -44,16 +44,17 @@ def encode_joint_states(
         Where shapes do not agree or a stamp does not fit into a ROS time.
     """
     time = np.atleast_1d(np.asarray(stamps, np.int64))
-    columns = dict(zip(_ARRAYS, (position, velocity, effort), strict=True))
-    values = {what: np.asarray(value) for what, value in columns.items() if value is not None}
-    for what, value in values.items():
-        if value.shape != (len(time), len(names)):
-            raise ValueError(f"{what}: shape {(len(time), len(names))} is needed, got {value.shape}")
+    values = {}
+    for what, given in zip(_ARRAYS, (position, velocity, effort), strict=True):
+        if given is not None:
+            values[what] = value = np.asarray(given)
+            if value.shape != (len(time), len(names)):
+                raise ValueError(f"{what}: shape {(len(time), len(names))} is needed, got {value.shape}")
     template, layout = _joint_state(tuple(names), frame_id, tuple(values))
     second = time // _NANOSECONDS
     rows = np.frombuffer(bytearray(template * len(time)), layout)
     rows["second"], rows["nano"] = second, time - second * _NANOSECONDS
-    if (rows["second"] != second).any():
+    if rows["second"].astype(np.int64).tobytes() != second.tobytes():
         raise ValueError(f"stamps: seconds beyond 32 bits, {int(second.min())} to {int(second.max())}")
     if names:
         for what, value in values.items():
