@@ -1,4 +1,4 @@
-"""The log's states: what goes wrong with the file is told and stops nothing."""
+"""The log's states: what goes wrong with the file is shown and stops nothing."""
 
 import subprocess
 import sys
@@ -173,7 +173,7 @@ def test_a_full_disk_turns_the_log_off_and_leaves_what_fits(tmp_path: Path, name
 
 
 @pytest.mark.parametrize("missing", [10, 1000, 10_000], ids=["end", "summary", "chunk"])
-def test_a_disk_that_is_full_only_when_the_log_ends_is_told_too(tmp_path: Path, missing: int) -> None:
+def test_a_disk_that_is_full_only_when_the_log_ends_is_reported_too(tmp_path: Path, missing: int) -> None:
     assert filled(tmp_path / "whole.mcap", 10**9, 1) == (0, "off")
     limit = (tmp_path / "whole.mcap").stat().st_size - missing
     _, state = filled(tmp_path / "log.mcap", limit, 1)

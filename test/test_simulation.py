@@ -374,9 +374,9 @@ def test_the_command_writes_the_joint_that_its_options_describe(tmp_path: Path) 
     assert {name: parameters[name] for name in expected} == {
         name: pytest.approx(v) for name, v in expected.items()
     }
-    told = resolve({f"joint_1.{name}": value for name, value in parameters.items()}).joints[0].drive
+    true = resolve({f"joint_1.{name}": value for name, value in parameters.items()}).joints[0].drive
     motion = Motion(2.0, 250.0, (2.0 * TURN,), (20.0, -5.0))
-    joint = SimulatedJoint(told, Noise(torque=0.1), 100.0 * ARCSEC)
+    joint = SimulatedJoint(true, Noise(torque=0.1), 100.0 * ARCSEC)
     record = simulate(joint, motion, rng(3).spawn(1)[0], 1_000_500_000_000)
     names, stamps, (position, _, effort) = joint_states(out)
     assert names == ["joint_1_motor", "joint_1"]

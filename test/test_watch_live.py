@@ -129,7 +129,7 @@ def test_the_tour_s_way_to_set_parameters(arm: Rig) -> None:
     node = f"{arm.process.namespace}/hd_diag"
     values = ("shoulder.eccentricity.magnitude=7e-6", "shoulder.torque=1.0")
     assert set_them(node, *values) == (0, "in force\n")
-    arm.values("shoulder", lambda told: told["eccentricity_um"] == "7")
+    arm.values("shoulder", lambda values: values["eccentricity_um"] == "7")
     code, said = set_them(node, "shoulder.eccentricity.magnitude=0.0", "shoulder.ratio=3.0")
     assert (code, said[:9]) == (1, "refused: ")
     assert set_them("/nobody/hd_diag", *values) == (1, "no node /nobody/hd_diag\n")

@@ -179,7 +179,7 @@ class JointTable:
         if missing := self._watch.missing():
             found.append(f"not reported: {', '.join(missing)}")
         if shared := sorted({view.name for view in self._views if len(view.nodes) > 1}):
-            found.append(f"several nodes report {', '.join(shared)} on one topic: not to be told apart")
+            found.append(f"several nodes report {', '.join(shared)} on one topic and cannot be distinguished")
         return [Text(shown_text(remark), "yellow") for remark in found]
 
 
