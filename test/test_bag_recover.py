@@ -2,6 +2,7 @@ import errno
 import json
 import os
 import sqlite3
+import struct
 import tempfile
 import zlib
 from contextlib import closing
@@ -79,6 +80,16 @@ def test_part_of_the_open_chunk(tmp_path, compression):
     assert 1000 < len(saved) < 20_000
     assert saved == expected(given)[: len(saved)]
     assert any("cut off at byte" in p and str(len(saved)) in p for p in report.files[0].problems)
+
+
+def test_messages_that_the_file_counts_and_does_not_hold_are_lost(tmp_path):
+    path = write_with_mcap(tmp_path / "a.mcap", messages())
+    data = path.read_bytes()
+    (summary,) = struct.unpack("<Q", data[-28:-20])
+    path.write_bytes(data[:summary] + data[summary:].replace(struct.pack("<Q", 600), struct.pack("<Q", 607)))
+    report = recover(path, tmp_path / "b.mcap")
+    assert (report.counts, report.complete) == ({"/j": 600}, False)
+    assert report.statement()[-1] == "a.mcap: at least 7 messages are lost"
 
 
 def test_statement_of_what_was_lost(tmp_path):

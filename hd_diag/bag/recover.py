@@ -69,7 +69,7 @@ class RecoveryReport:
     @property
     def complete(self) -> bool:
         """Whether nothing was lost that is known of."""
-        return not self.problems and not any(f.problems for f in self.files)
+        return not self.problems and not any(f.problems or f.lost for f in self.files)
 
     def statement(self) -> list[str]:
         """What was saved and lost, in lines for people."""

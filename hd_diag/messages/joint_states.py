@@ -36,23 +36,12 @@ class Rejection(NamedTuple):
 
 @dataclass(frozen=True)
 class Layout:
-    """Where things are in messages of one shape.
+    """Where things are in messages of one shape: byte order ('<' or '>'), names, frame, and places [byte].
 
-    Attributes
-    ----------
-    size : int
-        Size of the message with its 4-byte header [byte].
-    order : {'<', '>'}
-        Byte order.
-    names : tuple of str
-    frame_id : str
-    arrays : tuple of int
-        Places of position, velocity and effort [byte]; 0 for an empty one.
-    fixed : tuple of (int, int, bytes)
-        Ranges of bytes that are the same in all messages, with their content.
+    `arrays` are the places of position, velocity and effort, 0 for an empty one; `fixed` the ranges that are
+    the same in all messages, with their content.
     """
 
-    size: int
     order: str
     names: tuple[str, ...]
     frame_id: str
@@ -87,7 +76,7 @@ def layout_of(data: bytes) -> Layout:
         arrays.append(walk.doubles(length))
         begin = walk.position
     # What follows is padding, as rclpy adds where the last array is empty: readers ignore it.
-    return Layout(len(data), walk.order, names, frame_id, (arrays[0], arrays[1], arrays[2]), tuple(fixed))
+    return Layout(walk.order, names, frame_id, (arrays[0], arrays[1], arrays[2]), tuple(fixed))
 
 
 class _Walk:
@@ -140,13 +129,7 @@ class JointStateDecoder:
         self._layouts: dict[int, list[Layout]] = {}
 
     def decode(self, data: bytes | memoryview) -> JointStates:
-        """Columns, n = 1, of one message.
-
-        Raises
-        ------
-        ValueError
-            Where it is malformed; the message says how.
-        """
+        """Columns, n = 1, of one message; ValueError says how it is malformed."""
         if not isinstance(data, bytes):
             data = bytes(data)
         layout = self._layout(data)
@@ -154,20 +137,17 @@ class JointStateDecoder:
         if nano >= _NANOSECONDS:
             raise ValueError(_bad_nanoseconds(nano))
         count, value = len(layout.names), _DOUBLES[layout.order]
-        position, velocity, effort = (
-            np.frombuffer(data, value, count, place).reshape(1, count) if place else None
+        values = [
+            np.frombuffer(data, value, count, place).reshape(1, count).astype(np.float64, copy=False)
+            if place
+            else None
             for place in layout.arrays
-        )
-        if layout.order == ">":
-            position, velocity, effort = (
-                None if a is None else a.astype(np.float64) for a in (position, velocity, effort)
-            )
+        ]
         stamp = np.array([second * _NANOSECONDS + nano])
-        return JointStates(_FIRST, stamp, layout.names, layout.frame_id, position, velocity, effort)
+        return JointStates(_FIRST, stamp, layout.names, layout.frame_id, *values)
 
     def _layout(self, data: bytes) -> Layout:
-        known = self._layouts.get(len(data), ())
-        for layout in known:
+        for layout in self._layouts.get(len(data), ()):
             for start, stop, content in layout.fixed:
                 if data[start:stop] != content:
                     break

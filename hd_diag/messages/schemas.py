@@ -12,18 +12,9 @@ from rosbags.typesys.store import Typestore
 
 @dataclass(frozen=True)
 class Definition:
-    """Definition of a message type, as a bag carries it.
+    """Definition of a message type and of those that it uses, as a bag carries it.
 
-    Attributes
-    ----------
-    type_name : str
-        As ``sensor_msgs/msg/JointState``.
-    text : str
-        Definition with those of the types it uses.
-    encoding : str
-        ``ros2msg`` or ``ros2idl``.
-    type_hash : str
-        RIHS01 hash; empty where it is not known.
+    The encoding is ``ros2msg`` or ``ros2idl``; the RIHS01 hash is empty where it is not known.
     """
 
     type_name: str
