@@ -123,7 +123,7 @@ Figure = Callable[[list[Score]], Iterable[float | bool | None]]
 class Target:
     """What is to be reached: by a share [%] or, of other figures, by the median."""
 
-    told: str
+    name: str
     families: tuple[str, ...]
     figure: Figure
     low: float
@@ -189,7 +189,7 @@ def targets(scores: list[Score]) -> str:
             continue
         wanted = f"at most {target.high:g}" if target.low == 0.0 else f"{target.low:g} to {target.high:g}"
         reached = "yes" if target.low <= found <= target.high else "no"
-        lines.append(f"| {target.told} | {wanted} | {found:.4g} | {reached} |")
+        lines.append(f"| {target.name} | {wanted} | {found:.4g} | {reached} |")
     return "\n".join(lines)
 
 
@@ -208,12 +208,12 @@ def markdown(scores: list[Score], columns: Sequence[Column], methods: Sequence[s
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def report(scores: list[Score], told: str) -> str:
+def report(scores: list[Score], summary: str) -> str:
     """The tables, ready for a page."""
     methods = list(dict.fromkeys(s.method for s in scores))
     return "\n\n".join(
         (
-            f"{told} In brackets: 95 % intervals (Wilson).",
+            f"{summary} In brackets: 95 % intervals (Wilson).",
             targets(scores),
             markdown(scores, NAMES, methods),
             markdown(scores, FITS, [OWN]),
@@ -303,8 +303,8 @@ def main() -> int:
     scores, failures = run(work, given.jobs, with_baselines, given.time, console)
     done = len({(s.family, s.seed) for s in scores})
     kind = "final" if given.final else "development"
-    told = f"{done} of {len(work)} records, {kind} seeds from {seeds[0]} on."
-    text = report(scores, told)
+    summary = f"{done} of {len(work)} records, {kind} seeds from {seeds[0]} on."
+    text = report(scores, summary)
     print(text)
     for line in missed(scores):
         console.print(f"missed: {line}", highlight=False, soft_wrap=True)
@@ -315,7 +315,7 @@ def main() -> int:
     if given.json:
         found = {
             "schema": "hd_diag/challenge/1",
-            "told": told,
+            "told": summary,
             "records": [scoring.plain(each) for each in scores],
         }
         given.json.write_text(json.dumps(found, indent=1) + "\n")

@@ -107,9 +107,9 @@ def markdown(rows: list[Row], skipped: dict[str, str]) -> str:
     """The table, ready for a page."""
     head = ["section", "what", "measured", "ratio", "against", "aim", ""]
     lines = [head, ["---", "---", "---:", "---:", "---", "---:", "---"], *map(cells, rows)]
-    told = f"{cpu_name()}, Python {platform.python_version()}, numpy {np.__version__}."
+    summary = f"{cpu_name()}, Python {platform.python_version()}, numpy {np.__version__}."
     missing = [f"{name} was not measured: {reason.splitlines()[-1]}" for name, reason in skipped.items()]
-    return "\n\n".join((told, "\n".join(f"| {' | '.join(line)} |" for line in lines), *missing))
+    return "\n\n".join((summary, "\n".join(f"| {' | '.join(line)} |" for line in lines), *missing))
 
 
 def cells(row: Row) -> list[str]:

@@ -63,13 +63,13 @@ def bags(options):
 
 def diagnosis(folder):
     """As a process of its own on one core, from the start of Python to its end."""
-    bag, told = folder / "diagnosed.mcap", folder / "diagnosis.json"
+    bag, written = folder / "diagnosed.mcap", folder / "diagnosis.json"
     size = ("--duration", str(DIAGNOSED), "--rate", str(DIAGNOSED_RATE))
     truth = ("--eccentricity-um", "12", "--angle-noise-arcsec", "1")
     command("simulate", "--out", str(bag), *size, *truth)
     command("diagnose", str(bag))  # compiles what is not on the disk yet
-    cpu, wall = command("diagnose", str(bag), "--json", str(told))
-    if "verdict" not in json.loads(told.read_text()):
+    cpu, wall = command("diagnose", str(bag), "--json", str(written))
+    if "verdict" not in json.loads(written.read_text()):
         raise AssertionError("no verdict")
     what = f"diagnosis of {DIAGNOSED:g} s at {DIAGNOSED_RATE:g} Hz, one core"
     yield {"what": f"{what}, CPU", "value": cpu, "unit": "s", "aim": 5, "aim_unit": "s"}
@@ -99,12 +99,12 @@ def node(options):
     if importlib.util.find_spec("rclpy") is None:
         raise Skipped("rclpy is not installed")
     with tempfile.TemporaryDirectory() as folder:
-        told = Path(folder) / "node.json"
+        written = Path(folder) / "node.json"
         run = [sys.executable, str(ROOT / "bench/bench_node.py"), "--joints", "1", "7", "--seconds", "4"]
-        done = subprocess.run([*run, "--json", str(told)], capture_output=True, text=True, check=False)
+        done = subprocess.run([*run, "--json", str(written)], capture_output=True, text=True, check=False)
         if done.returncode:
             raise RuntimeError(f"bench_node.py ended with {done.returncode}: {done.stderr[-500:]}")
-        rows = json.loads(told.read_text())
+        rows = json.loads(written.read_text())
     for row in rows:
         yield {
             "what": f"{row['node']}, {row['joints']} joint{'s' * (row['joints'] > 1)}, 1 kHz",

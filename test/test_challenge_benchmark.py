@@ -28,9 +28,9 @@ def test_one_record(tmp_path: Path) -> None:
     rows = [line.split(" | ") for line in done.stdout.splitlines() if line.startswith("| short")]
     assert {"hd_diag", "FFT peaks"} <= {row[1] for row in rows}
     assert len({len(row) for row in rows if row[1] == "hd_diag"}) == 2
-    told = json.loads((tmp_path / "f.json").read_text())
-    assert told["schema"] == "hd_diag/challenge/1"
-    own = next(each for each in told["records"] if each["method"] == "hd_diag")
+    written = json.loads((tmp_path / "f.json").read_text())
+    assert written["schema"] == "hd_diag/challenge/1"
+    own = next(each for each in written["records"] if each["method"] == "hd_diag")
     assert (own["family"], own["seed"], own["hidden"]) == ("short", 1, ["output_runout"])
     assert own["seconds"] > 0.0
     again = [sys.executable, ROOT / "bench/challenge.py", "--again", str(tmp_path / "f.json")]

@@ -107,16 +107,16 @@ def test_a_row_is_what_diagnose_says(judged: tuple[Result, Path]) -> None:
     _, folder = judged
     rows = [row for row in table(folder / "f.parquet") if row["error"] is None]
     alone = runner().invoke(cli, ["diagnose", str(folder / "bags" / "good.mcap"), "--json", "-"])
-    told = json.loads(alone.stdout)
+    written = json.loads(alone.stdout)
     for row in rows:
-        assert row["verdict"] == told["verdict"]
-        assert row["samples"] == told["record"]["samples"] == 4000
-        assert row["rms_extended_rad"] == pytest.approx(told["gain"]["rms_extended"], rel=SAME)
-        size = told["refit"]["parameters"]["eccentricity.magnitude"]
+        assert row["verdict"] == written["verdict"]
+        assert row["samples"] == written["record"]["samples"] == 4000
+        assert row["rms_extended_rad"] == pytest.approx(written["gain"]["rms_extended"], rel=SAME)
+        size = written["refit"]["parameters"]["eccentricity.magnitude"]
         assert row["eccentricity_m"] == pytest.approx(size["value"], rel=SAME)
         assert row["eccentricity_std_m"] == pytest.approx(size["std"], rel=SAME)
         assert abs(row["eccentricity_m"] - 12e-6) < 4.0 * row["eccentricity_std_m"]
-        assert row["causes"] == [cause["name"] for cause in told["causes"]]
+        assert row["causes"] == [cause["name"] for cause in written["causes"]]
         assert row["start"] == datetime(2026, 1, 1, tzinfo=timezone.utc)
     assert len({row["bag_sha256"] for row in rows}) == 1
 
@@ -129,10 +129,10 @@ def test_what_a_run_says_in_the_terminal_and_in_json(judged: tuple[Result, Path]
     assert "\x07" not in said
     assert "cannot tell yet" in " ".join(result.stdout.split())
     assert Counter(line.partition(": ")[0] for line in result.stderr.splitlines()) == {"not judged": 3}
-    told = json.loads((folder / "f.json").read_text())
-    assert (told["schema"], told["bags"], told["rows"]) == ("hd_diag/fleet/1", 6, 6)
-    assert len(told["errors"]) == 3
-    trend = next(trend for trend in told["trends"] if trend["quantity"] == "eccentricity")
+    written = json.loads((folder / "f.json").read_text())
+    assert (written["schema"], written["bags"], written["rows"]) == ("hd_diag/fleet/1", 6, 6)
+    assert len(written["errors"]) == 3
+    trend = next(trend for trend in written["trends"] if trend["quantity"] == "eccentricity")
     assert (trend["joint"], trend["bags"], trend["form"]) == ("joint_1", 3, "unknown")
     assert trend["needed"] > 3
     assert trend["last"]["time"] == "2026-01-01T00:00:00+00:00"
@@ -210,20 +210,20 @@ def test_an_interrupted_run_goes_on(quick: Path, tmp_path: Path, request: pytest
     assert whole.read_bytes() == out.read_bytes()
 
 
-def test_robots_are_told_apart(here: None, quick: Path, tmp_path: Path) -> None:
+def test_robots_are_reported_apart(here: None, quick: Path, tmp_path: Path) -> None:
     for robot in ("arm_a", "arm_b"):
         bags_of(tmp_path / robot, 2)
     out = tmp_path / "f.parquet"
     result = fleet(
         tmp_path / "arm_a", tmp_path / "arm_b", "--robot", r"(arm_.)/", "--out", out, "--json", "-"
     )
-    told = json.loads(result.stdout)
-    assert {(trend["robot"], trend["bags"]) for trend in told["trends"]} == {("arm_a", 2), ("arm_b", 2)}
+    written = json.loads(result.stdout)
+    assert {(trend["robot"], trend["bags"]) for trend in written["trends"]} == {("arm_a", 2), ("arm_b", 2)}
     assert Counter(row["robot"] for row in table(out)) == {"arm_a": 2, "arm_b": 2}
     assert_one_line(fleet(tmp_path / "arm_a", "--robot", "leg", "--out", out), "--robot leg matches nothing")
 
 
-def test_a_step_in_the_bags_is_told_and_fails_on_request(
+def test_a_step_in_the_bags_is_reported_and_fails_on_request(
     here: None, quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(run, "judge", fleet_tasks.stepped)
@@ -239,7 +239,7 @@ def test_a_step_in_the_bags_is_told_and_fails_on_request(
     assert fleet(bags, "--out", out, "--fail-on-cause").exit_code == 0
 
 
-def test_a_drift_is_told_with_the_day_of_its_limit(
+def test_a_drift_is_reported_with_the_day_of_its_limit(
     here: None, quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(run, "judge", fleet_tasks.drifting)
@@ -296,7 +296,7 @@ def test_a_bag_that_hangs_while_it_is_looked_at(
     assert [row["error"] for row in table(out)] == [LATE, None]
 
 
-def test_what_is_no_file_is_told_and_not_opened(
+def test_what_is_no_file_is_reported_and_not_opened(
     here: None, quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Opened, the FIFOs would hang and the device never end; no circle is followed."""
@@ -355,7 +355,7 @@ def test_no_bag_that_can_be_judged(here: None, tmp_path: Path) -> None:
         (("a.mcap", "--out", "f.csv"), "name it *.parquet"),
     ],
 )
-def test_bad_usage_is_told_before_anything_is_done(
+def test_bad_usage_is_reported_before_anything_is_done(
     arguments: tuple[str, ...], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -365,7 +365,7 @@ def test_bad_usage_is_told_before_anything_is_done(
     assert not list(tmp_path.glob("*.parquet*"))
 
 
-def test_what_is_not_installed_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_not_installed_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bag, out = fleet_tasks.small_bag(tmp_path / "a.mcap"), tmp_path / "f.parquet"
     monkeypatch.setattr(cli_fleet, "_NEEDED", ("pyarrow", "no_such_module"))
     assert_one_line(fleet(bag, "--out", out), "fleet needs no_such_module: pip install no_such_module")

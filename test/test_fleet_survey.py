@@ -35,7 +35,7 @@ def test_bags_in_folders_at_any_depth_each_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may list every folder")
-def test_a_folder_that_cannot_be_listed_is_told(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_listed_is_reported(tmp_path: Path) -> None:
     closed = tmp_path / "closed"
     closed.mkdir(mode=0)
     assert find_bags([tmp_path]) == [closed]
@@ -73,7 +73,7 @@ def test_a_bag_without_joint_states(tmp_path: Path) -> None:
 
 
 def test_tasks_are_the_joints_that_a_bag_holds(tmp_path: Path) -> None:
-    """One of two angles is enough to be asked for, and told why it is not judged."""
+    """One of two angles is enough to be asked for, and reported with why it is not judged."""
     config = resolve({"joints": ["joint_1", "joint_2", "joint_3"]})
     path = fleet_tasks.small_bag(tmp_path / "a.mcap", names=("joint_2", "joint_3", "joint_3_motor"))
     assert [task.joint.name for task in tasks(survey(str(path)), config, config.joints)] == [

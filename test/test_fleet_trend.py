@@ -29,7 +29,7 @@ def trends(many: list[Series]) -> list[Trend]:
     return trends_of(many, np.random.default_rng(0))
 
 
-def told(value: np.ndarray, std: np.ndarray | float = SIGMA, limit: float = math.nan) -> Trend:
+def trend_of(value: np.ndarray, std: np.ndarray | float = SIGMA, limit: float = math.nan) -> Trend:
     return trends([series(value, std, limit)])[0]
 
 
@@ -53,7 +53,7 @@ def test_false_alarms_are_as_rare_as_stated(kind: str) -> None:
         rng = np.random.default_rng(seed)
         std = SIGMA * rng.uniform(0.3, 3.0, size) if kind == "uneven" else np.full(size, SIGMA)
         value = rng.standard_t(3, size) if kind == "heavy tails" else rng.standard_normal(size)
-        alarms += told(5.0 + std * value, std / 10.0 if kind == "understated" else std).form != "constant"
+        alarms += trend_of(5.0 + std * value, std / 10.0 if kind == "understated" else std).form != "constant"
     assert alarms <= most_of(count)
 
 
@@ -68,7 +68,7 @@ def test_false_alarms_of_a_whole_run_are_as_rare() -> None:
 
 
 def test_a_series_without_noise_is_constant() -> None:
-    assert told(np.full(20, 3.0), 0.0).form == "constant"
+    assert trend_of(np.full(20, 3.0), 0.0).form == "constant"
 
 
 # Steps ---
@@ -77,7 +77,7 @@ def test_a_series_without_noise_is_constant() -> None:
 @pytest.mark.parametrize("seed", range(8))
 def test_a_step_is_found_where_it_is(seed: int) -> None:
     value = noise(seed, 30) + np.where(np.arange(30) < 18, 0.0, 4.0 * SIGMA)
-    found = told(value)
+    found = trend_of(value)
     assert (found.form, len(found.changes)) == ("steps", 1)
     change = found.changes[0]
     assert change.low <= START + 17.5 * DAY <= change.high
@@ -91,7 +91,7 @@ def test_a_step_is_found_where_it_is(seed: int) -> None:
 def test_intervals_of_a_step_hold_as_often_as_they_say() -> None:
     count = 50
     found = [
-        told(noise(seed, 24) + np.where(np.arange(24) < 12, 0.0, 3.0 * SIGMA)).changes
+        trend_of(noise(seed, 24) + np.where(np.arange(24) < 12, 0.0, 3.0 * SIGMA)).changes
         for seed in range(count)
     ]
     single = [change for (change,) in (c for c in found if len(c) == 1)]
@@ -103,7 +103,7 @@ def test_intervals_of_a_step_hold_as_often_as_they_say() -> None:
 
 def test_two_steps() -> None:
     place = np.arange(45)
-    found = told(noise(3, 45) + np.select([place < 15, place < 30], [0.0, 8.0 * SIGMA], 3.0 * SIGMA))
+    found = trend_of(noise(3, 45) + np.select([place < 15, place < 30], [0.0, 8.0 * SIGMA], 3.0 * SIGMA))
     assert [round((c.after - START) / DAY) for c in found.changes] == [15, 30]
     assert [np.sign(c.size) for c in found.changes] == [1.0, -1.0]
 
@@ -111,7 +111,7 @@ def test_two_steps() -> None:
 def test_a_single_wild_value_is_no_step() -> None:
     value = noise(1, 20)
     value[10] += 30.0 * SIGMA
-    assert told(value).form == "constant"
+    assert trend_of(value).form == "constant"
 
 
 def test_a_step_is_not_hidden_by_poor_values() -> None:
@@ -119,8 +119,8 @@ def test_a_step_is_not_hidden_by_poor_values() -> None:
     good = np.arange(40) % 2 == 0
     std = np.where(good, SIGMA, 40.0 * SIGMA)
     value = noise(0, 40, std) + np.where(np.arange(40) < 20, 0.0, 4.0 * SIGMA)
-    assert told(value, std).form == "steps"
-    assert told(value, math.nan).form == "constant"
+    assert trend_of(value, std).form == "steps"
+    assert trend_of(value, math.nan).form == "constant"
 
 
 def test_weights_count_what_scatters_between_bags() -> None:
@@ -173,13 +173,13 @@ def test_segments_have_the_least_penalised_cost() -> None:
 
 def test_too_few_values_tell_nothing_and_say_how_many_are_needed() -> None:
     clear = np.where(np.arange(9) < 4, 0.0, 100.0)
-    assert (told(clear[:8]).form, told(clear[:8]).needed) == ("unknown", 9)
-    assert math.isnan(told(clear[:8]).step_p)
-    assert told(clear + noise(0, 9)).form == "steps"
+    assert (trend_of(clear[:8]).form, trend_of(clear[:8]).needed) == ("unknown", 9)
+    assert math.isnan(trend_of(clear[:8]).step_p)
+    assert trend_of(clear + noise(0, 9)).form == "steps"
 
 
 def test_the_clearest_step_of_so_few_is_just_rare_enough() -> None:
-    """By all orders of its values: with one value less nothing could be told."""
+    """By all orders of its values: with one value less nothing could be reported."""
 
     def least_p(number: int) -> float:
         value = np.where(np.arange(number) < number // 2, 0.0, 1.0)
@@ -194,17 +194,17 @@ def test_the_clearest_step_of_so_few_is_just_rare_enough() -> None:
 
 def test_no_series_and_empty_series() -> None:
     assert trends([]) == []
-    assert told(np.empty(0)).form == "unknown"
+    assert trend_of(np.empty(0)).form == "unknown"
 
 
 # Drifts ---
 
 
-def test_a_drift_is_told_with_its_slope_and_the_day_of_the_limit() -> None:
+def test_a_drift_is_reported_with_its_slope_and_the_day_of_the_limit() -> None:
     slope = 0.5 * SIGMA  # a day
     count, slopes, days = 20, 0, 0
     for seed in range(count):
-        found = told(slope * np.arange(30) + noise(seed, 30), limit=slope * 50)
+        found = trend_of(slope * np.arange(30) + noise(seed, 30), limit=slope * 50)
         assert (found.form, found.changes) == ("drift", ())
         assert found.slope is not None
         assert found.crossing is not None
@@ -217,22 +217,22 @@ def test_a_drift_is_told_with_its_slope_and_the_day_of_the_limit() -> None:
 
 def test_a_limit_that_nothing_moves_to_has_no_day() -> None:
     slope = 0.5 * SIGMA * np.arange(30)
-    assert told(-slope + noise(0, 30), limit=1.0).crossing is None
-    assert told(slope + noise(0, 30)).crossing is None
-    assert told(noise(0, 30), limit=1.0).crossing is None
-    far = told(slope + noise(0, 30), limit=1e3)
+    assert trend_of(-slope + noise(0, 30), limit=1.0).crossing is None
+    assert trend_of(slope + noise(0, 30)).crossing is None
+    assert trend_of(noise(0, 30), limit=1.0).crossing is None
+    far = trend_of(slope + noise(0, 30), limit=1e3)
     assert (far.form, far.crossing) == ("drift", None)
 
 
 def test_a_limit_passed_already_has_its_day() -> None:
-    found = told(0.5 * SIGMA * np.arange(30) + noise(0, 30), limit=0.5 * SIGMA * 10)
+    found = trend_of(0.5 * SIGMA * np.arange(30) + noise(0, 30), limit=0.5 * SIGMA * 10)
     assert found.crossing is not None
     assert found.crossing[0] == pytest.approx(START + 10 * DAY, abs=3 * DAY)
 
 
 def test_the_same_series_gives_the_same_result() -> None:
     value = noise(0, 30) + np.where(np.arange(30) < 18, 0.0, 3.0 * SIGMA)
-    first, second = told(value), told(value)
+    first, second = trend_of(value), trend_of(value)
     assert (first.step_p, first.changes, first.slope) == (second.step_p, second.changes, second.slope)
 
 

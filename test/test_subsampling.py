@@ -104,9 +104,9 @@ def test_it_tells_what_the_whole_covers() -> None:
     record = subsample(whole, SOME)
     assert record.extent == whole.extent
     assert (record.outliers, record.dropped) == (whole.outliers, whole.dropped)
-    told = as_json(Diagnosis(record, joint().drive, (), None, None, None, None), "joint_1")
-    assert told["record"]["samples"] == ROWS
-    assert f"fitted to {record.size} of {ROWS} samples" in told["verdict"]
+    written = as_json(Diagnosis(record, joint().drive, (), None, None, None, None), "joint_1")
+    assert written["record"]["samples"] == ROWS
+    assert f"fitted to {record.size} of {ROWS} samples" in written["verdict"]
     assert "fitted to" not in sentence(Diagnosis(whole, joint().drive, (), None, None, None, None))
 
 

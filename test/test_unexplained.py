@@ -74,8 +74,8 @@ def test_a_torque_of_one_sign_is_looked_at_evenly() -> None:
 
 
 def test_two_waves_the_stronger_first() -> None:
-    told = found(wave(ORDER, SIZE), wave(5.9, 2.0 * SIZE))
-    assert [line.order for line in told] == pytest.approx([5.9, ORDER], abs=0.02)
+    waves = found(wave(ORDER, SIZE), wave(5.9, 2.0 * SIZE))
+    assert [line.order for line in waves] == pytest.approx([5.9, ORDER], abs=0.02)
 
 
 def test_a_wave_smaller_than_is_of_use_is_not_reported() -> None:
