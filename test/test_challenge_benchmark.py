@@ -20,7 +20,7 @@ def test_one_record(tmp_path: Path) -> None:
         env={**os.environ, "PYTHONPATH": str(Path(hd_diag.__file__).parent.parent)},
         capture_output=True,
         text=True,
-        timeout=150,
+        timeout=500,
     )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "f.md").read_text() == done.stdout
@@ -35,6 +35,6 @@ def test_one_record(tmp_path: Path) -> None:
     assert own["seconds"] > 0.0
     again = [sys.executable, ROOT / "bench/challenge.py", "--again", str(tmp_path / "f.json")]
     environment = {**os.environ, "PYTHONPATH": str(Path(hd_diag.__file__).parent.parent)}
-    tables = subprocess.run(again, env=environment, capture_output=True, text=True, timeout=150)
+    tables = subprocess.run(again, env=environment, capture_output=True, text=True, timeout=500)
     assert (tables.returncode, tables.stdout) == (0, done.stdout)
     assert "| poor motions: records with a false name [%] | at most 0 | 0 | yes |" in done.stdout
