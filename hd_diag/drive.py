@@ -108,7 +108,8 @@ class Drives:
 
     def frame(self, number: Integers) -> Frame[Floats]:
         """Frames of the drives with these numbers, 0 to k - 1, side by side; shape (n,)."""
-        return Frame(*self._columns.take(number, axis=1))
+        columns = self._columns if len(self._meshes) == 1 else self._columns.take(number, axis=1)
+        return Frame(*columns)
 
     def transmission_error(
         self,
@@ -123,10 +124,9 @@ class Drives:
         The frame of the numbers (n,); input angles [rad] and torques on the links [N m] as reported (n,); a
         map, or none, of each drive's mesh.
         """
-        order = number.argsort(kind="stable")
-        by_drive = number.take(order)
-        turn = frame.wave_generator_angle(input_angle).take(order)
-        cup_torque = frame.cup_torque(torque).take(order)
+        order = number.argsort(kind="stable") if len(self._meshes) > 1 else slice(None)
+        by_drive = number[order]
+        turn, cup_torque = frame.wave_generator_angle(input_angle)[order], frame.cup_torque(torque)[order]
         found, beta = np.full(number.size, np.nan), np.empty(number.size)
         ends = by_drive.searchsorted(self._numbers).tolist()
         for table, first, last in zip(tables, ends[:-1], ends[1:], strict=True):

@@ -272,8 +272,9 @@ def test_a_model_that_changes_while_it_runs_is_replayed(
     replay(tmp_path / "live.mcap", tmp_path / "again.mcap")
     assert content(tmp_path / "again.mcap") == content(tmp_path / "live.mcap")
     events = [json.loads(read_string(data)) for _, data in content(tmp_path / "live.mcap")["/hd_diag/events"]]
-    assert ["models" in event for event in events] == [False, True, False, True, False, False]
+    assert ["models" in event for event in events] == [False, True, False, True, False, False, False]
     assert events[3]["parameters"] == {}
+    assert events[-1]["event"] == "state"
 
 
 def test_a_log_without_its_model_is_refused(modelled: Config, model_path: Path, tmp_path: Path) -> None:

@@ -69,7 +69,7 @@ def _of_joint(joint: Joint) -> dict[str, Any]:
     return {
         "temperature": joint.temperature if math.isfinite(joint.temperature) else None,
         "lost": [lost.count, lost.lately, lost.usual_step, lost.unjudged.tolist()],
-        "orders": [orders.last, *map(_text, orders.sums), orders.moving.tolist()],
+        "orders": [_text(array) for array in orders.state],
         "runs": [run.carried for run in joint.runs],
     }
 
@@ -80,10 +80,8 @@ def _put_joint(joint: Joint, state: Mapping[str, Any]) -> None:
     count, lately, step, unjudged = state["lost"]
     lost.count, lost.lately, lost.usual_step = int(count), int(lately), float(step)
     lost.unjudged = np.array(unjudged, np.int64).reshape(-1)
-    last, gram, moment, moving = state["orders"]
-    orders.last = None if last is None else (int(last[0]), float(last[1]))
-    orders.sums = _array(gram, orders.sums[0]), _array(moment, orders.sums[1])
-    orders.moving = np.array(moving, np.float64).reshape(-1, 4)
+    for own, text in zip(orders.state, state["orders"], strict=True):
+        own[...] = _array(text, own)
     for run, own in zip(joint.runs, state["runs"], strict=True):
         run.carry_on(own)
     joint.begin_window()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -134,9 +133,14 @@ def angles(received: Times, errors: Errors, names: Sequence[str]) -> Iterator[An
         Of each topic in the order in which the messages one by one would give them.
     """
     samples = errors.samples
-    own = _messages(received, samples, names, compared=False)
+    columns = samples.row, samples.stamp, samples.paired, samples.joint, samples.output_angle
+    chosen, bounds, compared, compared_bounds = kernel().messages(*columns)
+    own = _Messages.of(received, samples, names, chosen, bounds)
     yield from own.angles(PREDICTED, errors.predicted, samples.torque)
-    both = _messages(received, samples, names, compared=True)
+    if chosen.size == compared.size == samples.row.size:
+        both = own
+    else:
+        both = _Messages.of(received, samples, names, compared, compared_bounds)
     yield from both.angles(MEASURED, errors.measured)
     yield from both.angles(RESIDUAL, errors.residual)
 
@@ -150,6 +154,22 @@ class _Messages(NamedTuple):
     chosen: Integers | None
     runs: list[tuple[int, int, Times, Times, tuple[str, ...]]]
 
+    @staticmethod
+    def of(
+        received: Times, samples: Aligned, names: Sequence[str], chosen: Integers, bounds: Integers
+    ) -> _Messages:
+        """Messages of the chosen samples; `bounds` as the kernel gives them."""
+        row, stamp, joint, found = samples.row, samples.stamp, samples.joint, []
+        is_whole = chosen.size == row.size
+        if not is_whole:
+            row, stamp, joint = row[chosen], stamp[chosen], joint[chosen]
+        begins, widths = bounds.tolist()
+        for begin, end, width in zip(begins, [*begins[1:], chosen.size], widths, strict=False):
+            joints = tuple([names[j] for j in joint[begin : begin + width].tolist()])
+            first = slice(begin, end, width)
+            found.append((begin, end, received[row[first]], stamp[first], joints))
+        return _Messages(None if is_whole else chosen, found)
+
     def angles(self, topic: str, position: Floats, effort: Floats | None = None) -> Iterator[Angles]:
         """Messages with a value of each sample (m,)."""
         if self.chosen is not None:
@@ -159,15 +179,3 @@ class _Messages(NamedTuple):
             shape = stamp.size, len(joints)
             torque = None if effort is None else effort[begin:end].reshape(shape)
             yield Angles(topic, received, stamp, joints, position[begin:end].reshape(shape), torque)
-
-
-def _messages(received: Times, samples: Aligned, names: Sequence[str], *, compared: bool) -> _Messages:
-    """Messages of the inputs' own samples, or of all that have an output angle."""
-    columns = samples.row, samples.stamp, samples.paired, samples.joint, samples.output_angle
-    chosen, (begins, widths) = kernel().runs(*columns, compared)
-    bounds, found = pairwise([*begins.tolist(), chosen.size]), []
-    for (begin, end), width in zip(bounds, widths.tolist(), strict=True):
-        first = chosen[begin:end:width]
-        joints = tuple([names[j] for j in samples.joint[chosen[begin : begin + width]].tolist()])
-        found.append((begin, end, received[samples.row[first]], samples.stamp[first], joints))
-    return _Messages(None if chosen.size == samples.row.size else chosen, found)

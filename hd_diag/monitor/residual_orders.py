@@ -9,36 +9,26 @@ from hd_diag.arrays import Floats, Times
 ORDERS = (("input", 1), ("input", 2), ("input", 4), ("output", 1))
 """Followed orders: periods per turn of the input or of the output."""
 
-_MEMORY = 30.0  # time of motion after which a sample counts for 1/e [s]
-_LONGEST_STEP = 0.1  # of motion between two samples [s]; longer ones are gaps
-_SLOWEST = 0.05  # of the input [rad/s]; slower is rest
 _LEAST_INFORMATION = 0.1  # of a cosine over many turns 0.5 is left beside the other orders
 _LEAST_SAMPLES = 200.0
-_BLOCK = 256  # samples
 _RIDGE = 1e-6  # keeps orders that do not move from spoiling the others
 
 
 class ResidualOrders:
     """Amplitudes of orders in the residual, by recursive least squares over the last half minute of motion.
 
-    What comes of samples depends on their sequence alone, to the last bit, however many come at once: those
-    in motion are taken in blocks of one size.
+    What comes of samples depends on their sequence alone, to the last bit, however many come at once.
 
     Attributes
     ----------
-    sums : (ndarray, ndarray)
-        Normal equations of all whole blocks.
-    last : (int, float) or None
-        Stamp [ns] and input angle [rad] of the last sample.
-    moving : ndarray, shape (n, 4)
-        Samples in motion that make no whole block yet.
+    state : tuple of ndarray
+        Last input angle [rad], sums of the normal equations (9, 9) and (9,), last stamp [ns].
     """
 
     def __init__(self) -> None:
         count = 1 + 2 * len(ORDERS)
-        self.sums = np.zeros((count, count)), np.zeros(count)
-        self.last: tuple[int, float] | None = None
-        self.moving = np.empty((0, 4))
+        sums = np.zeros((count, count)), np.zeros(count)
+        self.state = np.full(1, np.nan), *sums, np.zeros(1, np.int64)
 
     def add(self, stamp: Times, input_angle: Floats, output_angle: Floats, residual: Floats) -> None:
         """Take samples; those at rest and those without a residual are left out.
@@ -52,23 +42,13 @@ class ResidualOrders:
         residual : ndarray, shape (n,)
             [rad]
         """
-        if not stamp.size:
-            return
-        before, angle = self.last or (int(stamp[0]), float(input_angle[0]))
-        self.last = int(stamp[-1]), float(input_angle[-1])
-        step = np.minimum(np.diff(stamp, prepend=before) * 1e-9, _LONGEST_STEP)
-        turned = np.abs(np.diff(input_angle, prepend=angle))
-        used = (step > 0.0) & (turned > _SLOWEST * step) & np.isfinite(residual)
-        rows = np.stack((step, input_angle, output_angle, residual), axis=1)[used]
-        rows = np.concatenate((self.moving, rows))
-        end = len(rows) - len(rows) % _BLOCK
-        for begin in range(0, end, _BLOCK):
-            self.sums = _with(*self.sums, rows[begin : begin + _BLOCK])
-        self.moving = rows[end:]
+        from hd_diag.monitor.kernel import follow  # late: it imports numba
+
+        follow(stamp, input_angle, output_angle, residual, *self.state)
 
     def amplitudes(self) -> dict[tuple[str, int], float]:
         """Amplitude of every order that the motion shows apart from the others [rad]."""
-        gram, moment = _with(*self.sums, self.moving)
+        _, gram, moment, _ = self.state
         weight = float(gram[0, 0])
         if weight < _LEAST_SAMPLES:
             return {}
@@ -83,37 +63,3 @@ class ResidualOrders:
             ORDERS, information > _LEAST_INFORMATION, np.hypot(found[cosine], found[sine]), strict=True
         )
         return {order: float(amplitude) for order, apart, amplitude in known if apart}
-
-
-def _with(gram: Floats, moment: Floats, rows: Floats) -> tuple[Floats, Floats]:
-    """Sums after more samples, rows of (step [s], input angle, output angle, residual [rad])."""
-    step, angle, output, value = np.ascontiguousarray(rows.T)
-    terms = _terms(angle, output)
-    elapsed = np.cumsum(step)
-    end = elapsed[-1] if len(rows) else 0.0
-    weight = np.exp((elapsed - end) / _MEMORY)
-    usable = np.isfinite(terms[1:]).all(axis=0)
-    if not usable.all():
-        terms, weight = np.where(usable, terms, 0.0), np.where(usable, weight, 0.0)
-    kept, weighted = np.exp(-end / _MEMORY), weight * terms
-    # Not by BLAS: its results may depend on its number of threads.
-    return (
-        gram * kept + np.einsum("ik,jk->ij", weighted, terms),
-        moment * kept + np.einsum("ik,k->i", weighted, value),
-    )
-
-
-def _terms(angle: Floats, output: Floats) -> Floats:
-    """1, cosines and sines of all orders, shape (1 + 2 orders, n); nan where an angle has none."""
-    terms = np.ones((1 + 2 * len(ORDERS), angle.size))
-    cosine, sine = terms[1 : 1 + len(ORDERS)], terms[1 + len(ORDERS) :]
-    for number, (frame, order) in enumerate(ORDERS):
-        half = ORDERS.index((frame, order // 2)) if (frame, order // 2) in ORDERS else None
-        if half is None:
-            phase = order * (angle if frame == "input" else output)
-            np.cos(phase, out=cosine[number])
-            np.sin(phase, out=sine[number])
-        else:  # twice the angle, for less than a cosine and a sine
-            cosine[number] = 1.0 - 2.0 * sine[half] * sine[half]
-            sine[number] = 2.0 * sine[half] * cosine[half]
-    return terms

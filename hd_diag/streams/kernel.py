@@ -210,26 +210,25 @@ def _interpolated(joint: Any, ring: Any, stamp: int) -> float:
 
 
 @entry_point
-def runs(
-    row: Times, stamp: Times, paired: Integers, joint: Integers, output_angle: Floats, compared: bool
-) -> tuple[Integers, Integers]:
-    """Samples that are published together: which, and where and how wide runs of like messages are.
+def messages(
+    row: Times, stamp: Times, paired: Integers, joint: Integers, output_angle: Floats
+) -> tuple[Integers, Integers, Integers, Integers]:
+    """Samples that are published together: those at the inputs' own stamps, and those with an output angle.
 
-    Used are the samples at the inputs' own stamps, or all that have an output angle (`compared`). A message
-    holds those of one row and stamp, paired or not; a run is of messages with the same joints one after the
-    other. Returned are the samples' numbers (m,) and for each run its first place among them and the joints
-    of its messages (2, runs).
+    A message holds those of one row and stamp, paired or not; a run is of messages with the same joints one
+    after the other. Returned are, for both, the samples' numbers (m,) and for each run its first place among
+    them and the joints of its messages (2, runs).
     """
-    chosen, bounds = np.empty(row.size, np.int64), np.empty((2, row.size), np.int64)
-    count = messages = 0
-    for i in range(row.size):
-        if not math.isnan(output_angle[i]) if compared else not paired[i]:
-            chosen[count] = i
-            count += 1
-    begin = 0
-    while begin < count:
+    own, compared = np.flatnonzero(paired == 0), np.flatnonzero(~np.isnan(output_angle))
+    return own, _runs(row, stamp, paired, joint, own), compared, _runs(row, stamp, paired, joint, compared)
+
+
+@part
+def _runs(row: Times, stamp: Times, paired: Integers, joint: Integers, chosen: Integers) -> Integers:
+    bounds, messages, begin = np.empty((2, chosen.size), np.int64), 0, 0
+    while begin < chosen.size:
         first, end = chosen[begin], begin
-        while end < count and _together(row, stamp, paired, chosen[end], first):
+        while end < chosen.size and _together(row, stamp, paired, chosen[end], first):
             end += 1
         width = end - begin
         like = messages > 0 and bounds[1, messages - 1] == width
@@ -239,7 +238,7 @@ def runs(
             bounds[0, messages], bounds[1, messages] = begin, width
             messages += 1
         begin = end
-    return chosen[:count], bounds[:, :messages]
+    return bounds[:, :messages]
 
 
 @part
