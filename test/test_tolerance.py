@@ -77,13 +77,15 @@ def fresh(code: str) -> str:
 def test_an_environment_compiles_the_kernels_of_model_and_tolerances() -> None:
     """What the script runs leaves nothing that the first study or diagnosis would compile."""
     (code,) = re.findall(r"-c '(.*warm_up.*)'", (ROOT / "scripts" / "environment.sh").read_text())
-    kernels = "tolerance.evaluate, entry.torsion, entry.torsion_and_gradient, entry.torsion_of_flanks, *slow"
+    kernels = (
+        "tolerance.evaluate, entry.torsion, entry.torsion_and_gradient, entry.torsion_of_flanks, *slow, align"
+    )
     compiled = f"print([len(k.signatures) for k in ({kernels})])"
     imports = (
         "from hd_diag.model.kernel import entry; from hd_diag.tolerance import kernel as tolerance;"
         "from hd_diag.effects import recursions as r;"
         "from hd_diag.effects.contact_table import contact_table;"
-        "slow = [r._compiled(f) for f in (r._slip, r._relax)]"
+        "from hd_diag.streams.kernel import align; slow = [r._compiled(f) for f in (r._slip, r._relax)]"
     )
     use = (
         "import drives, numpy as np; from hd_diag.tolerance.evaluation import evaluate;"
@@ -94,7 +96,7 @@ def test_an_environment_compiles_the_kernels_of_model_and_tolerances() -> None:
     )
     here = f"sys.path.insert(0, {str(ROOT / 'test')!r})"
     ran = fresh(f"import sys; {here}; {code}; {imports}; {compiled}; {use}; {compiled}")
-    assert ran.splitlines() == ["[1, 1, 1, 1, 1, 1]"] * 2
+    assert ran.splitlines() == ["[1, 1, 1, 1, 1, 1, 1]"] * 2
 
 
 def test_moments_are_those_of_the_mesh() -> None:
