@@ -27,7 +27,6 @@ COLUMNS = ("time", "input", "output", "torque", "temperature")
 
 _REMEMBERED = 1 << 14  # samples over which topics of one bag may lag behind each other
 _KEPT = ("stamp", "torque_stamp", "stretch", "input_angle", "output_angle", "torque", "speed")
-_WHOLE = _KEPT[:3]
 _TURN = 2.0 * np.pi + 1e-6  # of an encoder that wraps [rad]
 
 
@@ -45,32 +44,6 @@ class _Samples(NamedTuple):
     speed: Floats
     temperature: Floats
     refused: int = 0
-
-
-class _Table:
-    """Columns that arrive part by part: parts kept one by one would leave holes in the memory.
-
-    Parameters
-    ----------
-    rows : int
-        As many as are expected.
-    """
-
-    def __init__(self, rows: int) -> None:
-        self._columns = [np.empty(max(rows, 1), np.int64 if name in _WHOLE else np.float64) for name in _KEPT]
-        self._size = 0
-
-    def add(self, samples: Aligned, rows: Any) -> None:
-        parts = [getattr(samples, name)[rows] for name in _KEPT]
-        begin, self._size = self._size, self._size + parts[0].size
-        for number, part in enumerate(parts):
-            if self._size > self._columns[number].size:
-                self._columns[number] = np.resize(self._columns[number], 2 * self._size)
-            self._columns[number][begin : self._size] = part
-
-    @property
-    def columns(self) -> list[Any]:
-        return [column[: self._size] for column in self._columns]
 
 
 def joint_state_topics(reader: BagReader) -> list[str]:
@@ -214,10 +187,11 @@ def _read_all(
 def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]) -> _Samples:
     """Samples of one bag, by stamps in each stretch."""
     streams = Alignment([Names(joint.input_joint, joint.output_joint)], _REMEMBERED)
-    times, heat = [np.zeros(0, np.int64)], [np.zeros(0)]
+    nothing = np.zeros(0, np.int64)
+    parts: list[list[Any]] = [[nothing] * len(_KEPT)]
+    times, heat = [nothing], [np.zeros(0)]
     with BagReader(path) as reader:
         topics = joint_state_topics(reader)
-        table = _Table(sum(topic.count for topic in reader.topics if topic.name in topics))
         topics += _temperature_topics(reader, joint)
         for mixed in reader.mixed(topics, lambda topic: topic.type_name == JOINT_STATE):
             _, batch = mixed.batches[0]
@@ -226,8 +200,9 @@ def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]
                 heat.append(np.array([read_temperature(bytes(data)) for data in batch.messages()]))
             else:
                 found = streams.take(mixed.log_time, *layouts(reader, mixed))
-                table.add(found, wanted(found))
-    columns = table.columns
+                rows = wanted(found)
+                parts.append([getattr(found, name)[rows] for name in _KEPT])
+    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
     if not (columns[0][1:] >= columns[0][:-1]).all():
         order = np.lexsort((columns[0], columns[2]))
         columns = [column[order] for column in columns]

@@ -140,7 +140,7 @@ class _Run:
         self._next_report: int | None = None
         self._maps: dict[tuple[Mesh, float | None], TorsionMap] = {}
         self._problems = list(reader.problems)
-        self._versions_told = False
+        self._versions_compared = False
         for topic in reader.topics:
             if sources.inputs.get(topic.name) == topic.type_name:
                 writer.add_topic(topic.name, topic.type_name, topic.offers)
@@ -262,8 +262,11 @@ class _Run:
             case Configured():
                 self._configure(now, event)
             case MapUsed():
-                joint = self._joint(event.joint)
-                self._running.use_map(now, event.joint, self._map(joint, event.torque_limit))
+                joints = {joint.name: joint for joint in self._running.config.joints}
+                if event.joint not in joints:
+                    what = f"holds a map of {shown(event.joint)}, which is not configured"
+                    raise BagError(self._reader.path, what)
+                self._running.use_map(now, event.joint, self._map(joints[event.joint], event.torque_limit))
             case Reported():
                 self._running.tick(now, event.stamp, event.facts, event.silence)
             case ClockSetBack():
@@ -289,10 +292,10 @@ class _Run:
             self._running.configure(now, config)
 
     def _compare(self, recorded: versions.Versions) -> None:
-        """Tell once of software by which the last bits may differ."""
+        """Note once which software may change the last bits."""
         other = versions.differences(recorded)
-        if other and not self._versions_told:
-            self._versions_told = True
+        if other and not self._versions_compared:
+            self._versions_compared = True
             text = f"was recorded with {other}: outputs may differ by rounding"
             self._problems.append(str(BagError(self._reader.path, text)))
 
@@ -307,12 +310,6 @@ class _Run:
             return known[joint]
 
         return recorded
-
-    def _joint(self, name: str) -> JointConfig:
-        for joint in self._running.config.joints:
-            if joint.name == name:
-                return joint
-        raise BagError(self._reader.path, f"holds a map of {shown(name)}, which is not configured")
 
     def _map(self, joint: JointConfig, torque_limit: float | None) -> TorsionMap:
         """Map of a joint as it is configured now; some are kept for a parameter that is set back."""

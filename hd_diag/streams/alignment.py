@@ -102,7 +102,7 @@ class Alignment:
     joints : ndarray of JOINT, shape (k,)
         What is known of each.
     texts : list of str
-        Reasons of refusals that are told by `reject`.
+        Reasons that were given to `reject`.
     foreign : int
         Messages that name none of the joints.
     """
