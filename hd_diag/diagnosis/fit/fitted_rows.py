@@ -22,7 +22,7 @@ from hd_diag.effects.kept import Kept
 from hd_diag.effects.signals import Signals
 
 _BLOCKS = 24
-_MOST_KEPT = 192 << 20  # bytes
+_MOST_KEPT = 128 << 20  # bytes
 _KNOWN = 2  # parameters, for a search that goes back to them
 
 
