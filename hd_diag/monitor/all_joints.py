@@ -23,6 +23,7 @@ from hd_diag.streams.alignment import Aligned, Alignment, kernel
 from hd_diag.streams.columns import JointStates
 
 _NEVER = -(2**62)  # number of a period
+_KEPT = 256  # messages whose errors wait one by one; more are joined, for a report may be far
 
 
 class Monitor:
@@ -115,6 +116,8 @@ class Monitor:
             return []
         errors = self._compare(samples)
         self._new.append(errors)
+        if len(self._new) >= _KEPT:
+            self._note()
         return [*angles(received, errors, self._names), *self._teeth(received, samples)]
 
     def clock_set_back(self, stamp: int) -> None:
