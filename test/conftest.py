@@ -61,6 +61,12 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """First the tests of the same diagnosed records (report_samples): one process then diagnoses them."""
+    first = ("test_diagnose.py", "test_report.py", "test_report_browser.py")
+    items.sort(key=lambda item: item.path.name not in first)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def elsewhere(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Run in a folder from which a process started by a test imports the installed package, not the tree.

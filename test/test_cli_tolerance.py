@@ -136,6 +136,7 @@ def test_svg_and_several_torques_without_assemblies(tmp_path: Path) -> None:
     assert "eccentricity" in svg.read_text()
 
 
+@pytest.mark.slow
 def test_the_seed_decides_what_is_drawn(whole: tuple[dict[str, Any], str, bytes]) -> None:
     other = json.loads(run(*QUICK[:4], "--jobs", "2", "--seed", "1", "--json", "-").stdout)
     assert other["limits"] == whole[0]["limits"]

@@ -180,6 +180,7 @@ def test_signal_ends_it_with_a_readable_log(number: signal.Signals, tmp_path: Pa
     assert log.counts["/joint_states"] > 100
 
 
+@pytest.mark.slow
 def test_processes_that_do_not_see_each_other(tmp_path: Path) -> None:
     process = demo(tmp_path / "out", ROS_AUTOMATIC_DISCOVERY_RANGE="OFF")
     _, err = process.communicate(timeout=120)

@@ -140,7 +140,7 @@ def wait_for_maps(rig: Rig) -> None:
         rig.values(joint, lambda values: values["prediction"] == "map")
 
 
-@pytest.mark.parametrize("rate", [1.0, 4.0])
+@pytest.mark.parametrize("rate", [pytest.param(1.0, marks=pytest.mark.slow), 4.0])
 def test_a_bag_played_live_gives_what_the_replay_gives_and_tells_what_was_dropped(
     tmp_path: Path, rate: float
 ) -> None:
@@ -181,6 +181,7 @@ def last_values(rig: Rig, joint: str) -> dict[str, str]:
     return values_of(status)
 
 
+@pytest.mark.slow
 def test_samples_that_dds_drops_are_told(tmp_path: Path) -> None:
     """The node is stopped for longer than the queues last: its own, and that of the publisher."""
     bag, log = tmp_path / "bag.mcap", tmp_path / "log.mcap"
@@ -210,7 +211,7 @@ def test_samples_that_dds_drops_are_told(tmp_path: Path) -> None:
 # kill -9 ---
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_a_killed_node_loses_less_than_a_second(tmp_path: Path, seed: int) -> None:
     """What others have received of it a second before its end is in the log, and all that came before."""
     log = tmp_path / "log"

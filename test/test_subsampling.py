@@ -254,6 +254,7 @@ def needed(path: Path, seconds: float) -> tuple[int, int]:
     return most, left
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_record(tmp_path: Path) -> None:
     """An hour at 1 kHz in half a gibibyte before the fit, which then always gets `LIMIT` rows."""
     short, long = (needed(tmp_path / f"{s}.mcap", s) for s in (140.0, 280.0))
