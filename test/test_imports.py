@@ -163,3 +163,8 @@ def test_a_core_room_loads_no_edge(name: str, loaded: dict[str, set[str]]) -> No
 
 def test_an_edge_would_be_seen(loaded: dict[str, set[str]]) -> None:
     assert "click" in loaded["an edge"]
+
+
+def test_no_module_is_longer_than_its_limit() -> None:
+    lengths = {name: len(path.read_text(encoding="utf-8").splitlines()) for name, path in PACKAGE.items()}
+    assert {name: length for name, length in lengths.items() if length > 350} == {}

@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from hd_diag.bag import BagError, BagReader
-from hd_diag.bag.joint_record import joints_in
-from hd_diag.messages.publications import JOINT_STATE, OWN_OUTPUTS
+from hd_diag.bag.joint_record import joint_state_topics, joints_in
 from hd_diag.replay.versions import Versions, running
 
 SUFFIXES = (".mcap", ".db3")
@@ -79,8 +78,8 @@ def survey(path: str) -> Survey:
     """Look at a bag: every byte is read twice, nothing is kept."""
     try:
         with BagReader(path) as reader:
-            topics = [t for t in reader.topics if t.type_name == JOINT_STATE]
-            measured = [t.count for t in topics if not t.name.endswith(OWN_OUTPUTS)]
+            measured = joint_state_topics(reader)
+            messages = sum(topic.count for topic in reader.topics if topic.name in measured)
             start = reader.start if reader.message_count else None
             digest = _digest(reader.paths)
             problems = tuple(reader.problems)
@@ -89,7 +88,7 @@ def survey(path: str) -> Survey:
         return Survey(path, error=str(error))
     except OSError as error:
         return Survey(path, error=str(BagError(path, error)))
-    return Survey(path, digest, start, sum(measured), names, problems)
+    return Survey(path, digest, start, messages, names, problems)
 
 
 def _digest(files: Iterable[Path]) -> str:
