@@ -137,6 +137,12 @@ def test_diagnostics(arm: Rig, publisher: Any) -> None:
 
 def test_names_in_any_order_and_strangers_among_them(arm: Rig, publisher: Any) -> None:
     errors = heard(arm, "transmission_error")
+
+    def begun() -> list[Any]:
+        publisher.publish(message(next(stamps), {"elbow_motor": 0.4}))
+        return errors
+
+    arm.until(begun, "first prediction")  # the node may find who listens later than it is found itself
     orders = list(
         itertools.permutations({"elbow_motor": 0.4, "elbow": 0.0, "wheel": 9.0, "x": np.nan}.items())
     )
