@@ -66,7 +66,7 @@ types: install
 	fi
 
 pytest: install
-	@echo "== Tests, newest numpy (4 minutes)"
+	@echo "== Tests, newest numpy (6 minutes)"
 	@$(call IN,test) pytest -n $(JOBS) --dist worksteal --durations=10 $(SELECTED) $(PYTEST_ARGS)
 
 # Arithmetic of model, drive, effects, streams, monitor and diagnosis; what else there is does not depend on numpy.
