@@ -23,7 +23,7 @@ IN = AMENT_PREFIX_PATH='$(CURDIR)/.venv/$(1)' PATH="$(CURDIR)/.venv/$(1)/bin:$$P
 
 help:
 	@echo "make demo     run the main job on a simulated joint (about a minute; the first time also installs)"
-	@echo "make test     linters, types, documentation and tests, on the newest numpy and on Ubuntu 24.04's (6 minutes)"
+	@echo "make test     linters, types, documentation and tests, on the newest numpy and on Ubuntu 24.04's (7 minutes)"
 	@echo "make test-all the same with all that takes long: whole challenges, fuzzing, fleets, colcon (half an hour)"
 	@echo "make docs     the documentation alone: docs/_build/html/index.html"
 	@echo "make challenge  hidden causes to be found, beside plain methods (about 25 s a record; see ARGS=--help)"
