@@ -234,3 +234,10 @@ def test_step_keeps_its_own_reports_only() -> None:
             report(eccentricity_um="5", residual_rms_arcsec=residual, minimum_backlash_um=backlash)
         )
     assert (step.summary()["eccentricity_um"], step.summary()["minimum_backlash_um"]) == (5.0, -2.0)
+
+
+def test_a_process_runs_beside_what_it_prints(tmp_path: Path) -> None:
+    """In a source tree, whose package would be imported in place of the installed one, it would compile anew."""
+    with Child(["-c", "import os; print(os.getcwd())"], tmp_path / "out.txt") as child:
+        assert child.finish(60.0, []) == 0
+    assert child.lines == [str(tmp_path)]

@@ -147,7 +147,7 @@ def _processes(folder: Path, seconds: float) -> Iterator[tuple[Child, Child]]:
     joint.write_text(dump(resolve(of_joint)), encoding="utf-8")
     length = str(seconds + len(ECCENTRICITIES) * ANSWER_LIMIT)
     of_ros = ["-m", "hd_diag.ros.node", "--ros-args", "--params-file", str(node)]
-    script = str(Path(__file__).with_name("simulated_joint.py"))
+    script = str(Path(__file__).resolve().with_name("simulated_joint.py"))
     of_motion = [script, "--config", str(joint), "--seconds", length, "--rate", str(_RATE)]
     with (
         Child(of_ros, folder / "node.txt") as first,
