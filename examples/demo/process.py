@@ -22,8 +22,8 @@ class DemoError(RuntimeError):
 class Child(subprocess.Popen[bytes]):
     """A process of Python in a group of its own: Ctrl-C reaches it by its owner only.
 
-    What it prints goes to the file `output`; after SIGINT it has `end_limit` [s] before it is killed. It runs in
-    that file's folder: in a source tree `python -m` would import the tree in place of the installed package.
+    What it prints goes to the file `output`; after SIGINT it has `end_limit` [s] before it is killed. It runs
+    in that file's folder: in a source tree `python -m` would import the tree, not the installed package.
     """
 
     def __init__(self, arguments: Sequence[str], output: Path, end_limit: float = 10.0) -> None:
