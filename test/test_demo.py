@@ -237,7 +237,7 @@ def test_step_keeps_its_own_reports_only() -> None:
 
 
 def test_a_process_runs_beside_what_it_prints(tmp_path: Path) -> None:
-    """In a source tree, whose package would be imported instead of the installed one, it would compile anew."""
+    """In a source tree its package would be imported, not the installed one, and compiled anew."""
     with Child(["-c", "import os; print(os.getcwd())"], tmp_path / "out.txt") as child:
         assert child.finish(60.0, []) == 0
     assert child.lines == [str(tmp_path)]
