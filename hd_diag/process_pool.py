@@ -55,25 +55,11 @@ def run(
     tick: Callable[[], None] = lambda: None,
     timeout: float = 0.0,
 ) -> Iterator[tuple[int, Result | Failure]]:
-    """Call a function with many items, and give the outcomes as they come.
+    """Call a function with many items, started in their order, and yield index and outcome as each comes.
 
-    Parameters
-    ----------
-    pool : Pool
-    function : callable
-        Of a module that workers can import; what it raises becomes a `Failure`.
-    items : sequence
-        Started in this order.
-    tick : callable
-        Called several times a second; what it raises ends the run.
-    timeout : float
-        Time that an item may take [s]; 0 = any. A worker that takes longer is killed: a `Failure`.
-
-    Yields
-    ------
-    tuple
-        Index of an item, and its result. Each index comes exactly once: an item whose worker died is tried
-        `ATTEMPTS` times, then it is a `Failure`.
+    The function is of a module that workers can import; what it raises becomes a `Failure`. So does an item
+    that takes longer than the timeout [s] (0 = any), for which its worker is killed, and one whose worker
+    died in `ATTEMPTS` attempts. `tick` is called several times a second; what it raises ends the run.
     """
     waiting, at_work = deque(range(len(items))), 0
     deaths, started = [0] * len(items), [0.0] * len(items)
@@ -122,12 +108,7 @@ def guarded(function: Callable[[Any], Any], item: Any) -> Any:
 class ProcessPool:
     """Processes of this machine; the death of one costs only its own task. They start with their first task.
 
-    Parameters
-    ----------
-    jobs : int
-        Number of processes.
-    memory : int
-        Memory that each may have [byte]; 0 = any.
+    Each may have so much memory [byte]; 0 is any.
     """
 
     def __init__(self, jobs: int, memory: int = 0) -> None:
@@ -149,18 +130,7 @@ class ProcessPool:
     ) -> list[Result]:
         """Results in the order of the items; with one job the function is called in this process.
 
-        Parameters
-        ----------
-        function : callable
-            Of a module that workers can import.
-        items : sequence
-        done : callable
-            Called after each item.
-
-        Raises
-        ------
-        RuntimeError
-            Where an item gave no result in another process.
+        `done` is called after each item. Raises RuntimeError where another process gave no result.
         """
         here = ((number, function(item)) for number, item in enumerate(items))
         found: dict[int, Result] = {}
@@ -214,16 +184,14 @@ class ProcessPool:
 @contextlib.contextmanager
 def _one_thread() -> Iterator[None]:
     """Processes that start in here compute on one thread each: the pool has a process for every core."""
-    before = {name: os.environ.get(name) for name in _THREADS}
+    before = {name: os.environ[name] for name in _THREADS if name in os.environ}
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        for name in _THREADS:
+            del os.environ[name]
+        os.environ.update(before)
 
 
 def _begin(memory: int) -> None:

@@ -21,19 +21,8 @@ GROUP = "hd_diag.effects"
 def load(files: Sequence[str | Path] = ()) -> Catalogue:
     """Effects of the package, then those of entry points, then those of files.
 
-    Parameters
-    ----------
-    files : sequence of path
-        Python files that define EFFECT, or several effects as EFFECTS.
-
-    Returns
-    -------
-    tuple of Effect
-
-    Raises
-    ------
-    ConfigError
-        Naming the file or package whose effects cannot be used, and why.
+    Files are of Python and define EFFECT, or several effects as EFFECTS. Raises ConfigError naming the file
+    or package whose effects cannot be used, and why.
     """
     found = _installed()
     for path in files:

@@ -67,10 +67,6 @@ def resolve(
     catalogue : tuple of Effect, optional
         Effects that model files may hold; by default the package's and installed ones.
 
-    Returns
-    -------
-    Config
-
     Raises
     ------
     ConfigError
@@ -98,22 +94,8 @@ def resolve(
 def load(path: str | Path, catalogue: Catalogue | None = None) -> Config:
     """Configuration from a ROS parameter file.
 
-    Parameters
-    ----------
-    path : path
-        YAML: ``hd_diag: ros__parameters: ...``; a node name with namespace, and ``/**``, are taken too. Model
-        files are looked for beside it, then in the present folder.
-    catalogue : tuple of Effect, optional
-        As for :func:`resolve`.
-
-    Returns
-    -------
-    Config
-
-    Raises
-    ------
-    ConfigError
-        Naming the file and what is wrong with it.
+    Model files are looked for beside it, then in the present folder. Raises ConfigError naming the file and
+    what is wrong with it. See :func:`resolve` and :func:`hd_diag.config.parameter_file.read`.
     """
     try:
         return resolve(parameter_file.read(path), reader(Path(path).parent), catalogue)

@@ -21,13 +21,7 @@ def number(parameters: Mapping[str, Value], name: str) -> float:
 
 
 def drive_from(own: Mapping[str, Value]) -> Drive:
-    """Drive from a joint's parameters by their names within it.
-
-    Raises
-    ------
-    ValueError
-        Naming what cannot be.
-    """
+    """Drive from a joint's parameters by their names within it; raises ValueError naming what cannot be."""
     geometry = Geometry(
         int(number(own, "flexspline_teeth")),
         int(number(own, "circular_spline_teeth")),

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import difflib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from hd_diag.config.parameters import ConfigError, shown
+from hd_diag.config.parameters import ConfigError, check_known, shown
 
 _LARGEST = 1_000_000  # [byte]
-_LONGEST = 80  # characters of a name that a similar one is looked for
 
 # `object`: anything; `str`; `dict`: any object; a `Number`; ``[shape]``: a list; ``{str: shape}``: an object
 # of any keys; ``{"a": shape, "b?": shape}``: an object of these keys, those with ? optional;
@@ -35,10 +33,7 @@ _WHOLE = "the file"
 def read_text(path: Path, kind: str = "model file") -> str:
     """Text of a file of some kind.
 
-    Raises
-    ------
-    ConfigError
-        Where it cannot be read, is too long or no UTF-8; without the file's name.
+    Raises ConfigError where it cannot be read, is too long or no UTF-8; without the file's name.
     """
     try:
         with path.open("rb") as file:
@@ -55,13 +50,7 @@ def read_text(path: Path, kind: str = "model file") -> str:
 
 
 def parse(text: str, shape: Shape) -> Any:
-    """Content of a JSON text that has the declared structure.
-
-    Raises
-    ------
-    ConfigError
-        Saying in one line where it has not, what was expected and what stands there.
-    """
+    """Content of a JSON text; raises ConfigError saying in one line where it lacks the declared structure."""
     try:
         content = json.loads(text, parse_constant=_refuse, object_pairs_hook=_once)
     except ConfigError:
@@ -71,11 +60,6 @@ def parse(text: str, shape: Shape) -> Any:
         raise ConfigError(f"not JSON: {reason}") from error
     _check(content, shape, "")
     return content
-
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """Which of the known names is most like one, in words."""
-    return f"the nearest known is '{difflib.get_close_matches(name[:_LONGEST], known, n=1, cutoff=0.0)[0]}'"
 
 
 def _refuse(constant: str) -> Any:
@@ -114,9 +98,7 @@ def _check_object(value: dict[str, Any], shape: Mapping[Any, Shape], where: str)
     if str in shape:
         shape = dict.fromkeys(value, shape[str])
     known = {key.removesuffix("?"): inner for key, inner in shape.items()}
-    for name in value:
-        if name not in known:
-            raise ConfigError(f"{where or _WHOLE} has an unknown key {shown(name)}; {nearest(name, known)}")
+    check_known(value, known, f"{where or _WHOLE} has an unknown key")
     for name, inner in known.items():
         if name in value:
             _check(value[name], inner, f"{where}.{name}" if where else name)

@@ -19,7 +19,6 @@ from hd_diag.config.configured_drive import drive_from
 from hd_diag.config.json_shape import Number
 from hd_diag.config.parameters import JOINT_PARAMETERS, ConfigError, Value, check_known, checked, shown
 from hd_diag.effects import Catalogue
-from hd_diag.effects.effect import Effect
 from hd_diag.extended_model import ExtendedModel, Range, Ranges, Term
 
 SCHEMA = "hd_diag/model/1"
@@ -62,13 +61,8 @@ _DRIVE = {
 class ModelFile:
     """What a file holds.
 
-    Attributes
-    ----------
-    model : ExtendedModel
-    parameters : mapping
-        Of the refitted drive, by their names within a joint.
-    base : mapping
-        The same of the drive that was configured when the model was fitted.
+    A model; parameters of its refitted drive by their names within a joint; and as base the same of the drive
+    that was configured when the model was fitted.
     """
 
     model: ExtendedModel
@@ -76,17 +70,9 @@ class ModelFile:
     base: Mapping[str, Value]
 
     def check_base(self, configured: Mapping[str, Value]) -> None:
-        """Refuse a joint that is configured otherwise than the one that the model was fitted to.
+        """Raise ConfigError naming the first parameter that differs from the joint the model was fitted to.
 
-        Parameters
-        ----------
-        configured : mapping
-            Parameters of the joint; those that the fit changed may be as before it or as after.
-
-        Raises
-        ------
-        ConfigError
-            Naming the first parameter that differs.
+        Those that the fit changed may be as before it or as after.
         """
         for name, value in self.base.items():
             now = configured[name]
@@ -103,21 +89,13 @@ def drive_parameters(own: Mapping[str, Value]) -> dict[str, Value]:
 
 def base_hash(base: Mapping[str, Value]) -> str:
     """SHA-256 of the parameters of a drive, in hexadecimal digits."""
-    return text_hash(json.dumps(base, sort_keys=True))
-
-
-def text_hash(text: str) -> str:
-    """SHA-256 of a file's text, in hexadecimal digits."""
-    return hashlib.sha256(text.encode()).hexdigest()
+    return hashlib.sha256(json.dumps(base, sort_keys=True).encode()).hexdigest()
 
 
 def reader(*folders: Path) -> Callable[[str, str], str]:
-    """Text of a joint's model file; relative paths are looked for in these folders, then in the present one.
+    """What gives the text of a joint's model file from the joint's name and the path, or raises ConfigError.
 
-    Returns
-    -------
-    callable
-        Of the joint's name and the path; raises ConfigError with the cause alone.
+    Relative paths are looked for in these folders, then in the present one.
     """
 
     def read(joint: str, path: str) -> str:
@@ -130,18 +108,8 @@ def reader(*folders: Path) -> Callable[[str, str], str]:
 def model_for(text: str, own: Mapping[str, Value], catalogue: Catalogue | None = None) -> ExtendedModel:
     """Model from the text of a file, for a joint with certain parameters, ready to run.
 
-    Parameters
-    ----------
-    text : str
-    own : mapping
-        Parameters of the joint by their names within it.
-    catalogue : tuple of Effect, optional
-        Effects that it may hold; by default the package's and installed ones.
-
-    Raises
-    ------
-    ConfigError
-        Saying in one line what is wrong; without the file's name.
+    It may hold effects of a catalogue, by default the package's and installed ones. Raises ConfigError saying
+    in one line what is wrong, without the file's name.
     """
     found = parse(text, catalogue)
     found.check_base(own)
@@ -227,13 +195,7 @@ def document(
 
 
 def write(path: str | Path, content: Mapping[str, Any], catalogue: Catalogue | None = None) -> None:
-    """Write a file, whole or not at all.
-
-    Raises
-    ------
-    ConfigError
-        Where the content is none that `parse` takes, or the file cannot be written.
-    """
+    """Write a file, whole or not at all; raises ConfigError, also for content that `parse` does not take."""
     try:
         text = json.dumps(content, indent=1, allow_nan=False) + "\n"
         parse(text, catalogue)
@@ -291,13 +253,17 @@ def _base(found: Mapping[str, Any], parameters: Mapping[str, Value]) -> dict[str
 
 
 def _term(found: Mapping[str, Any], where: str, catalogue: Catalogue) -> Term:
-    effect = _named(found["name"], where, catalogue)
+    known = {effect.name: effect for effect in catalogue}
+    check_known([found["name"]], known, f"{where}: unknown effect", "; your own must be given or installed")
+    effect = known[found["name"]]
+    if not effect.lasting:
+        raise ConfigError(
+            f"{where}: {effect.name} happened once in a record, a model that runs cannot hold it"
+        )
     where = f"{where} ({effect.name})"
     units = {quantity.name: quantity.unit for quantity in effect.quantities}
     for name, one in found["parameters"].items():
-        if name not in units:
-            near = json_shape.nearest(name, units)
-            raise ConfigError(f"{where} has an unknown quantity {shown(name)}; {near}")
+        check_known([name], units, f"{where} has an unknown quantity")
         if one.get("unit", units[name]) != units[name]:
             wrong = shown(one["unit"])
             raise ConfigError(f"{where}.{name}: expected the unit {shown(units[name])}, not {wrong}")
@@ -307,18 +273,6 @@ def _term(found: Mapping[str, Any], where: str, catalogue: Catalogue) -> Term:
     except ValueError as error:
         raise ConfigError(f"{where}: {error}") from error
     return Term(effect, tuple(coefficients.tolist()), nonlinear)
-
-
-def _named(name: str, where: str, catalogue: Catalogue) -> Effect:
-    known = {effect.name: effect for effect in catalogue}
-    if name not in known:
-        near = json_shape.nearest(name, known)
-        raise ConfigError(
-            f"{where}: unknown effect {shown(name)}; {near}; your own must be given or installed"
-        )
-    if not known[name].lasting:
-        raise ConfigError(f"{where}: {name} happened once in a record, a model that runs cannot hold it")
-    return known[name]
 
 
 def _range(name: str, found: Mapping[str, float] | None) -> Range | None:

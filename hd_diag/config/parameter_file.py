@@ -51,32 +51,14 @@ _Loader.add_implicit_resolver("tag:yaml.org,2002:float", _REAL, list("-+.0123456
 def read(path: str | Path) -> dict[str, Any]:
     """Flat parameters of a file, without those that every ROS node has.
 
-    Parameters
-    ----------
-    path : path
-        YAML: ``hd_diag: ros__parameters: ...``; a node name with namespace, and ``/**``, are taken too.
-
-    Returns
-    -------
-    dict
-        Full parameter names to values, not yet checked.
-
-    Raises
-    ------
-    ConfigError
-        Saying why it is not a parameter file of this node.
+    YAML: ``hd_diag: ros__parameters: ...``; a node name with namespace, and ``/**``, are taken too. The
+    values are not yet checked. Raises ConfigError saying why it is not a parameter file of this node.
     """
     return _of_this_node(_document(path))
 
 
 def sections(path: str | Path) -> list[Any]:
-    """Names of the nodes for which a file holds something; an empty file has none.
-
-    Raises
-    ------
-    ConfigError
-        Where it is no YAML of ROS, or no mapping.
-    """
+    """Names of the nodes for which a file holds something; raises ConfigError where it is no YAML of ROS."""
     document = _document(path)
     if document is None:
         return []
@@ -86,13 +68,7 @@ def sections(path: str | Path) -> list[Any]:
 
 
 def parse_value(text: str) -> Any:
-    """A single value as it stands in a parameter file.
-
-    Raises
-    ------
-    ConfigError
-        Where it is no YAML.
-    """
+    """A single value as it stands in a parameter file; raises ConfigError where it is no YAML."""
     try:
         return yaml.load(text, _Loader)
     except yaml.YAMLError as error:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import difflib
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,7 @@ class Parameter:
 
 _MOST_JOINTS = 256
 _LONGEST_TEXT = 80  # of a name or value that an error names
+_WORDS = {bool: "true or false", str: "a text"}
 
 
 def _table(owner: str) -> tuple[Parameter, ...]:
@@ -56,11 +58,10 @@ def _table(owner: str) -> tuple[Parameter, ...]:
 
 def _default(text: str) -> Value:
     """A default, with its type: JSON, or else a text."""
-    try:
+    with contextlib.suppress(ValueError):
         value: Value = json.loads(text)
-    except ValueError:
-        return text
-    return value
+        return value
+    return text
 
 
 NODE_PARAMETERS = _table("node")
@@ -74,18 +75,7 @@ ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrid
 
 
 def parameters(joints: Sequence[str]) -> dict[str, Parameter]:
-    """Every parameter by its full ROS name.
-
-    Parameters
-    ----------
-    joints : sequence of str
-        Names of the joints.
-
-    Returns
-    -------
-    dict
-        Node parameters, then those of each joint with its name before them.
-    """
+    """Every parameter by its full ROS name: the node's, then each joint's with its name before them."""
     known = {parameter.name: parameter for parameter in NODE_PARAMETERS}
     for joint in joints:
         known |= {f"{joint}.{parameter.name}": parameter for parameter in JOINT_PARAMETERS}
@@ -114,28 +104,18 @@ def nested(flat: Mapping[str, Value]) -> dict[str, Any]:
     return tree
 
 
-def check_known(names: Sequence[str], known: Mapping[str, Parameter]) -> None:
-    """Refuse names that are not known.
-
-    Raises
-    ------
-    ConfigError
-        Naming the first unknown one and the nearest known.
-    """
+def check_known(
+    names: Iterable[str], known: Iterable[str], what: str = "unknown parameter", hint: str = ""
+) -> None:
+    """Raise ConfigError naming the first unknown one of some names, and the nearest known."""
     for name in names:
         if name not in known:
             near = difflib.get_close_matches(name[:_LONGEST_TEXT], known, n=1, cutoff=0.0)
-            raise ConfigError(f"unknown parameter {shown(name)}; the nearest known is '{near[0]}'")
+            raise ConfigError(f"{what} {shown(name)}; the nearest known is '{near[0]}'{hint}")
 
 
 def joint_names(value: Any) -> list[str]:
-    """The names of the joints, checked.
-
-    Raises
-    ------
-    ConfigError
-        Saying what was expected.
-    """
+    """The names of the joints; raises ConfigError saying what was expected."""
     if not isinstance(value, (list, tuple)) or not value or not all(isinstance(name, str) for name in value):
         raise ConfigError(f"joints: expected a list of names, not {shown(value)}")
     names = list(value)
@@ -153,34 +133,19 @@ def joint_names(value: Any) -> list[str]:
 
 
 def checked(name: str, value: Any, parameter: Parameter) -> Value:
-    """The value in the parameter's own type.
+    """The value in the parameter's own type; a whole number for a real one is fine.
 
-    Parameters
-    ----------
-    name : str
-        Full name, for the error.
-    value
-        As given; a whole number for a real one is fine.
-    parameter : Parameter
-
-    Raises
-    ------
-    ConfigError
-        Saying what was expected, in which unit.
+    Raises ConfigError with the full name, saying what was expected, in which unit.
     """
-    default = parameter.default
-    if isinstance(default, bool):
-        if not isinstance(value, bool):
-            raise ConfigError(f"{name}: expected true or false, not {shown(value)}")
-        return value
-    if isinstance(default, str):
-        if not isinstance(value, str) or (parameter.choices and value not in parameter.choices):
-            wanted = "one of " + ", ".join(parameter.choices) if parameter.choices else "a text"
-            raise ConfigError(f"{name}: expected {wanted}, not {shown(value)}")
-        return value
+    default, choices = parameter.default, parameter.choices
     if isinstance(default, list):
         return joint_names(value) if name == "joints" else _pair(name, value, parameter)
-    return _number(name, value, parameter)
+    if not isinstance(default, (bool, str)):
+        return _number(name, value, parameter)
+    if type(value) is not type(default) or (choices and value not in choices):
+        wanted = "one of " + ", ".join(choices) if choices else _WORDS[type(default)]
+        raise ConfigError(f"{name}: expected {wanted}, not {shown(value)}")
+    return value
 
 
 def shown(value: Any) -> str:
@@ -197,10 +162,9 @@ def _unit(parameter: Parameter) -> str:
 
 
 def _pair(name: str, value: Any, parameter: Parameter) -> list[float]:
-    if not isinstance(value, (list, tuple)):
-        raise ConfigError(f"{name}: expected two numbers [x, y]{_unit(parameter)}, not {shown(value)}")
-    if len(value) != 2:
-        raise ConfigError(f"{name}: expected two numbers [x, y]{_unit(parameter)}, not {len(value)}")
+    if not isinstance(value, (list, tuple)) or len(value) != 2:
+        given = len(value) if isinstance(value, (list, tuple)) else shown(value)
+        raise ConfigError(f"{name}: expected two numbers [x, y]{_unit(parameter)}, not {given}")
     return [float(_number(name, number, parameter)) for number in value]
 
 

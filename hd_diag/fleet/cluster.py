@@ -20,17 +20,8 @@ _WORKERS = 60.0  # for a first worker
 class ClusterPool:
     """The worker processes of a Dask scheduler, whichever are there at a time; each does one task at a time.
 
-    A task is pinned to its worker: when a worker dies, it is known which task it was doing.
-
-    Parameters
-    ----------
-    address : str
-        Of the scheduler.
-
-    Raises
-    ------
-    FleetError
-        Where there is none, or Dask is not installed.
+    A task is pinned to its worker: when a worker dies, it is known which task it was doing. Raises FleetError
+    where there is no scheduler at the address, or Dask is not installed.
     """
 
     def __init__(self, address: str) -> None:

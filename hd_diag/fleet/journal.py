@@ -16,23 +16,9 @@ JOURNAL_SUFFIX = ".journal.jsonl"
 class Journal:
     """Results by their keys, one line of JSON each, appended and synchronised as they come.
 
-    A line that a crash cut off is left out when the journal is read. Only one run at a time can have it.
-
-    Parameters
-    ----------
-    path : Path
-    fresh : bool
-        Forget what it holds.
-
-    Attributes
-    ----------
-    results : dict
-        Rows by key.
-
-    Raises
-    ------
-    FleetError
-        Where it cannot be read or written, or another run has it.
+    A line that a crash cut off is left out when the journal is read; a fresh one forgets what it holds. Only
+    one run at a time can have it. Raises FleetError where it cannot be read or written, or another run has
+    it.
     """
 
     def __init__(self, path: Path, fresh: bool = False) -> None:
@@ -65,15 +51,11 @@ class Journal:
         self._cut = False
         self.results[key] = row
 
-    def close(self) -> None:
-        """Let another run have it."""
-        self._file.close()
-
     def __enter__(self) -> Journal:
         return self
 
     def __exit__(self, *reason: object) -> None:
-        self.close()
+        self._file.close()
 
 
 def _entry(line: bytes) -> tuple[str, Row] | None:

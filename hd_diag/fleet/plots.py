@@ -31,13 +31,7 @@ def check_format(path: Path) -> None:
 
 
 def draw(trends: Sequence[Trend], path: Path) -> None:
-    """Draw the series, the clearest changes first.
-
-    Raises
-    ------
-    FleetError
-        Where it cannot be written.
-    """
+    """Draw the series, the clearest changes first; raises FleetError where the file cannot be written."""
     figure = picture(trends)
     try:
         figure.savefig(path, dpi=120)

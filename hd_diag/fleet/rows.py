@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -80,14 +79,7 @@ def config_digest(config: Config, joint: JointConfig) -> str:
 
 
 def judge(task: Task) -> Row:
-    """Diagnose one joint of one bag.
-
-    Returns
-    -------
-    dict
-        The part of a row that contents of the bag, joint and version determine; with ``error`` where the
-        record cannot be judged.
-    """
+    """The part of a row that a bag's contents, joint and version determine: a diagnosis, or an ``error``."""
     versions = {f"{name}_version": version for name, version in running().items()}
     fixed = {"joint": task.joint.name, "config_sha256": task.config_digest, **versions}
     try:
@@ -105,39 +97,35 @@ def judged(found: Diagnosis, joint: str) -> Row:
     """Columns of a diagnosis: the content of `hd-diag diagnose --json`, flat, with amplitudes' deviations."""
     report = as_json(found, joint)
     record, gain, noise = report["record"], report["gain"], report["noise_floor"]
+    fitted = report["refit"]["parameters"]
+    stds = [amplitude_std(found.found.fit, cause) for cause in found.causes] if found.found else []
     tested = [test for test in report["testability"] if test["testable"]]
     lines = report["unexplained"]
     return {
         "duration_s": record["duration"],
         **{name: record[name] for name in ("samples", "runs", "input_turns")},
-        **_fitted(report["refit"]["parameters"]),
+        **{
+            column.format(end): fitted[name][key]
+            for name, column in _FITTED.items()
+            if name in fitted
+            for end, key in (("", "value"), ("_std", "std"))
+        },
         "trustworthy": report["refit"]["trustworthy"],
         **_causes(report["causes"]),
-        "cause_amplitude_stds_rad": json_ready([math.nan] * len(found.findings) + _amplitude_stds(found)),
+        "cause_amplitude_stds_rad": json_ready([math.nan] * len(found.findings) + stds),
         "tested": [test["name"] for test in tested],
         "tested_least_rad": [test["least_size"] for test in tested],
         **{f"{name}_rad": gain[name] for name in ("rms_nominal", "rms_refit", "rms_extended")},
         "noise_floor_rad": noise["rms"],
-        "noise_floor_low_rad": noise["low"],
-        "noise_floor_high_rad": noise["high"],
         "fraction_explained": gain["fraction_explained"],
-        "fraction_explained_low": gain["low"],
-        "fraction_explained_high": gain["high"],
+        **{f"noise_floor_{end}_rad": noise[end] for end in ("low", "high")},
+        **{f"fraction_explained_{end}": gain[end] for end in ("low", "high")},
         "unexplained_orders": [line["order"] for line in lines],
         "unexplained_frames": [line["frame"] for line in lines],
         "unexplained_amplitudes_rad": [line["amplitude"] for line in lines],
         "findings": [finding["text"] for finding in report["findings"]],
         "verdict": report["verdict"],
     }
-
-
-def _fitted(parameters: Mapping[str, Mapping[str, Any]]) -> Row:
-    row = {}
-    for name, column in _FITTED.items():
-        if name in parameters:
-            row[column.format("")] = parameters[name]["value"]
-            row[column.format("_std")] = parameters[name]["std"]
-    return row
 
 
 def _causes(causes: list[dict[str, Any]]) -> Row:
@@ -154,15 +142,9 @@ def _causes(causes: list[dict[str, Any]]) -> Row:
     return row
 
 
-def _amplitude_stds(found: Diagnosis) -> list[float]:
-    return [amplitude_std(found.found.fit, cause) for cause in found.causes] if found.found else []
-
-
 def amplitude_std(fit: LinearisedFit, cause: Cause) -> float:
     """Standard deviation of a cause's amplitude, from that of its coefficients [rad rms].
 
-    Notes
-    -----
     With columns X about their mean and coefficients c of covariance C, the amplitude is a = |X c| / sqrt(n),
     its gradient g = X' X c / (n a), its variance g' C g: the first order in C. Nonlinear values are held.
     """

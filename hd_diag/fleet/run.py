@@ -32,14 +32,8 @@ _NAMES_SHOWN = 8
 class Fleet:
     """Which bags, which joints, and how robots are told apart.
 
-    Parameters
-    ----------
-    bags : sequence of Path
-    config : Config
-    joints : tuple of JointConfig
-        Of that configuration.
-    robot : re.Pattern or None
-        Its first group (or the whole match) in a bag's path names the robot; None = one robot.
+    The joints are those of the configuration that are wanted; the pattern's first group (or the whole match)
+    in a bag's path names the robot, None = one robot.
     """
 
     bags: Sequence[Path]
@@ -65,28 +59,11 @@ def diagnose_fleet(
     tick: Callable[[], None] = lambda: None,
     timeout: float = 0.0,
 ) -> list[Row]:
-    """Rows of every joint of every bag, in the order of bags and joints.
+    """Rows of every joint of every bag, in the order of bags and joints, with ``error`` where none is judged.
 
-    Parameters
-    ----------
-    fleet : Fleet
-    pool : Pool
-    journal : Journal
-        What it holds is not done again; every result goes into it as it comes.
-    progress, tick : callable
-        See `Progress` and `hd_diag.process_pool.run`.
-    timeout : float
-        For looking at a bag, and for judging each of its joints [s]; 0 = none.
-
-    Returns
-    -------
-    list of dict
-        A bag or joint that cannot be judged has a row with ``error``.
-
-    Raises
-    ------
-    FleetError
-        Where workers are gone, have another version, or the journal cannot be written.
+    What the journal holds is not done again, and every result goes into it as it comes. The timeout [s] is
+    for looking at a bag, and for judging each of its joints; for `tick` see :func:`hd_diag.process_pool.run`.
+    Raises FleetError where workers are gone, have another version, or the journal cannot be written.
     """
     robots = [fleet.robot_of(bag) for bag in fleet.bags]
     outcomes = functools.partial(run, pool, tick=tick, timeout=timeout)

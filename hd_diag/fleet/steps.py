@@ -55,18 +55,9 @@ class Change:
 def weights(value: Floats, std: Floats) -> Floats:
     """Inverse variances, with what the values scatter beyond their deviations.
 
-    Parameters
-    ----------
-    value, std : ndarray, shape (n,)
-        Deviations that are nan or zero count as the median of the others.
+    Of values and deviations (n,): deviations that are nan or zero count as the median of the others; where
+    none is known, all weights are equal.
 
-    Returns
-    -------
-    ndarray, shape (n,)
-        All equal where no deviation is known.
-
-    Notes
-    -----
     DerSimonian and Laird (1986), Meta-analysis in clinical trials: the variance between bags from the
     weighted sum of squares. It does not depend on the order, as permutations ask.
     """
@@ -82,16 +73,9 @@ def weights(value: Floats, std: Floats) -> Floats:
 
 
 def gains(value: Floats, weight: Floats) -> Floats:
-    """By how much each single split lowers the weighted sum of squares.
+    """By how much each single split of values (..., n) lowers the weighted sum of squares.
 
-    Parameters
-    ----------
-    value, weight : ndarray, shape (..., n)
-
-    Returns
-    -------
-    ndarray, shape (..., n - 2 LEAST + 1)
-        Of splits before index `LEAST`, ..., n - `LEAST`.
+    Gives (..., n - 2 LEAST + 1) of splits before index `LEAST`, ..., n - `LEAST`.
     """
     centered = value - np.sum(weight * value, axis=-1, keepdims=True) / np.sum(weight, axis=-1, keepdims=True)
     count = np.cumsum(weight, axis=-1)
@@ -120,16 +104,10 @@ def permuted(value: Floats, weight: Floats, most: int, rng: np.random.Generator)
 def segments(value: Floats, weight: Floats, penalty: float) -> list[int]:
     """Indices of the first values after each change of the weighted mean; empty where it does not change.
 
-    Parameters
-    ----------
-    value, weight : ndarray, shape (n,)
-    penalty : float
-        By which the weighted sum of squares must fall for each change.
+    The penalty is by how much the weighted sum of squares must fall for each change.
 
-    Notes
-    -----
-    Killick, Fearnhead, Eckley (2012), Optimal detection of changepoints with a linear computational cost.
-    A weighted mean is a regression of √w·value on √w.
+    Killick, Fearnhead, Eckley (2012), Optimal detection of changepoints with a linear computational cost. A
+    weighted mean is a regression of √w·value on √w.
     """
     import ruptures  # here, for it takes a while to import
 

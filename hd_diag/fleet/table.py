@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -95,24 +94,19 @@ COLUMNS = pa.schema(
 def write_table(path: Path, rows: Sequence[Row]) -> None:
     """Write the rows as Parquet; a file that was there before stays until the new one is complete.
 
-    Raises
-    ------
-    FleetError
-        Where the file cannot be written.
+    Raises FleetError where it cannot be written.
     """
     table = pa.Table.from_pylist([_storable(row) for row in rows], schema=COLUMNS)
+    part = path.with_name(f".{path.name}.part")
     try:
-        handle, partial = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
         try:
-            with os.fdopen(handle, "wb") as file:
+            with part.open("wb") as file:
                 pq.write_table(table, file, compression="zstd")
                 file.flush()
                 os.fsync(file.fileno())
-            os.chmod(partial, 0o666 & ~_umask())
-            os.replace(partial, path)
-        except BaseException:
-            os.unlink(partial)
-            raise
+            os.replace(part, path)
+        finally:
+            part.unlink(missing_ok=True)
     except OSError as error:
         raise FleetError(f"{path}: cannot be written: {error.strerror or error}") from error
 
@@ -121,9 +115,3 @@ def _storable(row: Row) -> Row:
     start = row.get("start")
     stored = {name: readable(value) for name, value in row.items()}
     return {**stored, "start": None if start is None else start // 1000}
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

@@ -89,20 +89,9 @@ class Trend:
 def trends(
     series: Sequence[Series], rng: np.random.Generator, tick: Callable[[], None] = lambda: None
 ) -> list[Trend]:
-    """What every series shows, beside all others.
+    """What every series shows, beside all others, in the same order.
 
-    Parameters
-    ----------
-    series : sequence of Series
-    rng : numpy.random.Generator
-        For permutations and bootstrap.
-    tick : callable
-        Called before each; what it raises ends the work.
-
-    Returns
-    -------
-    list of Trend
-        In the same order.
+    `tick` is called before each: what it raises ends the work.
     """
     tests = 2 * len(series)
     needed = least_values(tests)
@@ -149,10 +138,8 @@ def _trend(
 def least_values(tests: int) -> int:
     """Values from which on the clearest step possible is reported among so many tests.
 
-    Notes
-    -----
-    Of the n! orders of n values split in the middle, 2 (n/2)!² are as clear as the clearest: p is at least
-    2 / (n over n/2).
+    Of the n! orders of n values split in the middle, 2 (n/2)!² are as clear as the clearest: p is at least 2
+    / (n over n/2).
     """
     number = 2 * LEAST
     while 2.0 / math.comb(number, number // 2) > FALSE_ALARM / max(tests, 1):
@@ -204,11 +191,7 @@ def _crossing(series: Series, slope: Slope, rng: np.random.Generator) -> tuple[f
     drawn = rng.choice(residual, (BOOTSTRAP, time.size))
     times = [_reached(time, fitted + one, series.limit) for one in drawn]
     low, high = np.quantile(times, (0.025, 0.975), method="closest_observation")
-    return (
-        float(when + series.time[0]),
-        float(low + series.time[0]),
-        float(high + series.time[0]),
-    )
+    return float(when + series.time[0]), float(low + series.time[0]), float(high + series.time[0])
 
 
 def _reached(time: Floats, value: Floats, limit: float) -> float:

@@ -17,22 +17,7 @@ class UsageError(Exception):
 
 
 def check_arguments(arguments: Sequence[str]) -> dict[str, list[Any]]:
-    """Refuse words and parameter files that cannot be used.
-
-    Parameters
-    ----------
-    arguments : sequence of str
-        Command line of the process.
-
-    Returns
-    -------
-    dict
-        Names of the sections of each parameter file.
-
-    Raises
-    ------
-    UsageError
-    """
+    """Sections of each parameter file; raises UsageError for words and files that cannot be used."""
     unknown = remove_ros_args(list(arguments))[1:]
     if unknown:
         raise UsageError(f"unknown arguments: {' '.join(unknown)} (those for ROS stand behind --ros-args)")

@@ -12,14 +12,7 @@ from hd_diag.config.configuration import LogConfig
 class LogWriter:
     """A log that never stops its owner: what goes wrong with the file turns it off and is shown by `state`.
 
-    Parameters
-    ----------
-    config : LogConfig
-
-    Attributes
-    ----------
-    state : str
-        ``off``, ``writing PATH`` or ``failed: REASON``.
+    The state is ``off``, ``writing PATH`` or ``failed: REASON``.
     """
 
     def __init__(self, config: LogConfig) -> None:
@@ -40,18 +33,10 @@ class LogWriter:
             self._attempt(self._writer.flush_if_due)
 
     def configure(self, config: LogConfig) -> bool:
-        """Go on as another configuration says.
+        """Go on as another configuration says, and give whether a log begins.
 
-        Parameters
-        ----------
-        config : LogConfig
-            With another path the file is finished, and a log begins there. Otherwise periods and sizes
-            act at once, the compression from the next file on.
-
-        Returns
-        -------
-        bool
-            Whether a log begins.
+        It does at another path, and the old one is finished. Otherwise periods and sizes act at once, the
+        compression from the next file on.
         """
         has_moved = config.path != self.config.path
         self.config = config

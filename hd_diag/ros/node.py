@@ -51,10 +51,7 @@ _SWITCH_INTERVAL = 1e-4
 class DiagnosticNode(Node):
     """Node that runs one `Session` on live messages.
 
-    Parameters
-    ----------
-    model_folders : sequence of Path
-        Where model files with relative paths are looked for before the present folder.
+    Model files with relative paths are looked for in some folders before the present one.
     """
 
     def __init__(self, model_folders: Sequence[Path] = ()) -> None:
@@ -80,21 +77,20 @@ class DiagnosticNode(Node):
         _warm_up(config)
         self._input = JointStateInput(self, self._on_joint_state)
         for name in joints:
-            subscribe_temperature(self, name, partial(self._on_temperature, name))
+            take = partial(self._survive, "a temperature was dropped", self._temperature, name)
+            subscribe_temperature(self, name, take)
         backward = JumpThreshold(
             min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False
         )
         self._jumps = self.get_clock().create_jump_callback(backward, post_callback=self._on_jump)
-        self._server.serve(self._apply)
+        refused = "parameters were accepted and are not in force"
+        self._server.serve(partial(self._survive, refused, self._put_in_force))
         self._show_log_state()
 
     def housekeeping(self) -> float:
         """Do what is due by the clock: reports, finished maps, the log's flush, the publishers' reliability.
 
-        Returns
-        -------
-        float
-            Time until something may be due again [s].
+        Gives the time until something may be due again [s].
         """
         now = time.monotonic()
         if now >= self._next_look:
@@ -120,13 +116,7 @@ class DiagnosticNode(Node):
             time.sleep(_LOOP_PERIOD)  # whatever goes wrong may do so again at once
 
     def warn_of_files(self, sections: Mapping[str, Sequence[Any]]) -> None:
-        """Warn of parameter files that hold nothing for this node, which ROS takes without a word.
-
-        Parameters
-        ----------
-        sections : mapping
-            Names of the sections of each file.
-        """
+        """Warn of parameter files with no section for this node, which ROS takes without a word."""
         names = {self.get_name(), self.get_fully_qualified_name(), "**", "*"}
         for file, given in sections.items():
             if not {str(name).rsplit("/", 1)[-1] for name in given} & names:
@@ -165,9 +155,6 @@ class DiagnosticNode(Node):
         now = self._now()
         self._log.write(self._names[INPUT], JOINT_STATE, data, now, _QOS)
         self._session.joint_state(now, data, time.monotonic_ns())
-
-    def _on_temperature(self, joint: str, data: bytes) -> None:
-        self._survive("a temperature was dropped", self._temperature, joint, data)
 
     def _temperature(self, joint: str, data: bytes) -> None:
         self._log.write(self._names[temperature_topic(joint)], TEMPERATURE, data, self._now())
@@ -209,9 +196,6 @@ class DiagnosticNode(Node):
         if back < CLOCK_JUMP:
             self._session.clock_set_back(self._now(), self.get_clock().now().nanoseconds + back // 2)
 
-    def _apply(self, config: Config) -> None:
-        self._survive("parameters were accepted and are not in force", self._put_in_force, config)
-
     def _put_in_force(self, config: Config) -> None:
         joints = {joint.name: joint for joint in config.joints}
         for name in self._session.configure(self._now(), config):
@@ -235,20 +219,10 @@ def _warm_up(config: Config) -> None:
 
 
 def main(args: Sequence[str] | None = None, stopped: Sequence[int] | None = None) -> int:
-    """Run the node until SIGINT or SIGTERM.
+    """Run the node until SIGINT or SIGTERM, with a command line as that of the process.
 
-    Parameters
-    ----------
-    args : sequence of str, optional
-        Command line with ``--ros-args``; that of the process by default.
-    stopped : sequence of int, optional
-        Signals that came so far, where they are noted already; rclpy's own handlers would break into the
-        writing of the log.
-
-    Returns
-    -------
-    int
-        Exit code: 0 after a signal, 2 where the arguments or the configuration cannot be used.
+    Signals may be noted already: rclpy's own handlers would break into the writing of the log. Gives the exit
+    code: 0 after a signal, 2 where the arguments or the configuration cannot be used.
     """
     arguments = list(sys.argv if args is None else args)
     stopped = note_signals() if stopped is None else stopped

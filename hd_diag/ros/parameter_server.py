@@ -18,21 +18,8 @@ from hd_diag.config.parameters import ROS_PARAMETERS, Parameter, check_known, pa
 class ParameterServer:
     """Parameters of a node that was made with those of its overrides.
 
-    Parameters
-    ----------
-    node : Node
-    model_text : callable
-        Gives the text of a joint's model file.
-
-    Attributes
-    ----------
-    config : Config
-        Last configuration that was accepted.
-
-    Raises
-    ------
-    ConfigError
-        Where the values given at the start cannot be.
+    Its config is the last one that was accepted. Raises ConfigError where the values given at the start
+    cannot be.
     """
 
     def __init__(self, node: Node, model_text: ModelText) -> None:
@@ -48,7 +35,7 @@ class ParameterServer:
             value, descriptor = self.config.flat[name], _descriptor(name, spec)
             node.declare_parameter(name, value, descriptor, ignore_override=True)
 
-    def serve(self, apply: Callable[[Config], None]) -> None:
+    def serve(self, apply: Callable[[Config], Any]) -> None:
         """Take changes from now on; `apply` puts a configuration in force that was accepted."""
         self._node.add_pre_set_parameters_callback(self._typed)
         self._node.add_on_set_parameters_callback(self._validate)

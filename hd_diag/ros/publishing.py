@@ -32,19 +32,7 @@ _DEPTH = 2000  # messages that may wait for a reader: two seconds of 1 kHz
 
 
 class Publishing:
-    """Publishers of a node, and the log beside them.
-
-    Parameters
-    ----------
-    node : Node
-    joints : sequence of str
-    log : LogWriter
-
-    Attributes
-    ----------
-    names : dict of str to str
-        Full names of the topics that come in and go out.
-    """
+    """Publishers of a node, the log beside them, and the full names of the topics that come in and go out."""
 
     def __init__(self, node: Node, joints: Sequence[str], log: LogWriter) -> None:
         self._node = node

@@ -11,13 +11,7 @@ _STOPPING = (signal.SIGINT, signal.SIGTERM)
 
 
 def note_signals() -> list[int]:
-    """Note signals from now on, for as long as the process lives.
-
-    Returns
-    -------
-    list of int
-        The signals that came: who sees that it is no longer empty ends its work.
-    """
+    """Signals that come from now on, for as long as the process lives: who sees one ends its work."""
     came: list[int] = []
     for number in _STOPPING:
         signal.signal(number, lambda received, frame: came.append(received))
@@ -36,16 +30,6 @@ def noted_signals(numbers: Sequence[signal.Signals] = _STOPPING) -> Iterator[lis
 
     A KeyboardInterrupt at any place could leave a terminal without a cursor, a process running or a file
     half written; so would SIGTERM.
-
-    Parameters
-    ----------
-    numbers : sequence of signal
-        Those to note.
-
-    Yields
-    ------
-    list of int
-        The signals that came.
     """
     came: list[int] = []
 

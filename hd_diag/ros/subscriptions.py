@@ -17,14 +17,7 @@ INPUT_DEPTH = 2000
 
 
 class JointStateInput:
-    """Reliable subscription to joint states; best effort once a publisher offers no more.
-
-    Parameters
-    ----------
-    node : Node
-    take : callable
-        Takes each message in CDR.
-    """
+    """Reliable subscription to joint states, in CDR; best effort once a publisher offers no more."""
 
     def __init__(self, node: Node, take: Callable[[bytes], None]) -> None:
         self._node = node
@@ -55,7 +48,7 @@ class JointStateInput:
         self._is_incompatible = True  # acted on later: the executor is still busy with the subscription
 
 
-def subscribe_temperature(node: Node, joint: str, take: Callable[[bytes], None]) -> None:
+def subscribe_temperature(node: Node, joint: str, take: Callable[[bytes], Any]) -> None:
     """Subscribe to a joint's temperature; `take` takes each message in CDR."""
     profile = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
     node.create_subscription(Temperature, temperature_topic(joint), take, profile, raw=True)

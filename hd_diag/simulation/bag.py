@@ -114,14 +114,8 @@ def temperature(time: Floats) -> Floats:
 def encode_samples(names: Sequence[str], ratios: Sequence[float], samples: Sequence[Samples]) -> Bytes:
     """JointState messages, one row of CDR for each sample.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Of each joint the input's name and the output's.
-    ratios : sequence of float
-        Of each joint.
-    samples : sequence of Samples
-        Of each joint, at the same stamps. The effort of an input, which no sensor measures, is 0.
+    Of each joint are given the input's name and the output's, the ratio, and samples, all at the same stamps.
+    The effort of an input, which no sensor measures, is 0.
     """
     position, velocity, effort = [], [], []
     for ratio, joint in zip(ratios, samples, strict=True):

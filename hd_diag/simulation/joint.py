@@ -102,17 +102,8 @@ def map_for(
 ) -> TorsionMap | None:
     """Map that a long motion is simulated with; None where solving every sample exactly takes less time.
 
-    Parameters
-    ----------
-    drive : Drive
-    motion : Motion
-    wanted : callable
-        As of :func:`hd_diag.model.torsion_map.build`.
-
-    Raises
-    ------
-    ValueError
-        If the teeth cannot bear the motion's torque.
+    For `wanted` see :func:`hd_diag.model.torsion_map.build`. Raises ValueError if the teeth cannot bear the
+    motion's torque.
     """
     if motion.samples <= _EXACT_SAMPLES:
         return None
@@ -128,29 +119,10 @@ def parts(
     table: TorsionMap | None = None,
     chunk: int = CHUNK,
 ) -> Iterator[Samples]:
-    """What the joint reports, in consecutive parts.
+    """What the joint reports from a stamp [ns] on, in consecutive parts of so many samples.
 
-    Parameters
-    ----------
-    joint : SimulatedJoint
-    motion : Motion
-    rng : numpy.random.Generator
-        Three are spawned of it: the same state gives the same samples.
-    start : int
-        Stamp of the first sample [ns].
-    table : TorsionMap, optional
-        Map of the drive's mesh; without one every sample is solved exactly.
-    chunk : int
-        Samples of a part.
-
-    Yields
-    ------
-    Samples
-
-    Raises
-    ------
-    ValueError
-        If the teeth cannot bear the motion's torque.
+    Without a map of its mesh every sample is solved exactly. Three generators are spawned of the one given:
+    the same state gives the same samples. Raises ValueError if the teeth cannot bear the motion's torque.
     """
     disturb = _Disturbance(joint.noise, rng)
     for first in range(0, motion.samples, chunk):

@@ -22,18 +22,7 @@ from hd_diag.tolerance.study import Question, Study, Yield
 
 
 def document(joint: str, found: Study) -> dict[str, Any]:
-    """What `hd-diag tolerance --json` writes.
-
-    Parameters
-    ----------
-    joint : str
-    found : Study
-
-    Returns
-    -------
-    dict
-        Schema ``hd_diag/tolerance/1``; SI units; null where a limit is not reached.
-    """
+    """What `hd-diag tolerance --json` writes; SI units, null where a limit is not reached."""
     question, first, allowed = found.question, found.interference, found.allowed
     content = {
         "schema": "hd_diag/tolerance/1",
