@@ -7,6 +7,7 @@ messages and their indexes, of which there are many, are laid out here, https://
 from __future__ import annotations
 
 import fcntl
+import functools
 import os
 import struct
 import time
@@ -14,7 +15,10 @@ import zlib
 from collections import deque
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import lz4.frame
 import numpy as np
@@ -38,54 +42,58 @@ from mcap.records import (
 
 from hd_diag.arrays import Bytes, Times
 from hd_diag.bag.errors import BagError
-from hd_diag.bag.mcap_chunk import HEAD
 from hd_diag.bag.mcap_scan import MAGIC, MESSAGE, RECORD
-from hd_diag.bag.rosbag2 import Offered, dump_offers
 
 # Level 1: floats hardly compress better at higher levels, and the node writes while it works.
 _COMPRESS = {
     "zstd": zstandard.ZstdCompressor(level=1).compress,
     "lz4": lz4.frame.compress,
-    "none": lambda data: data,
+    "none": bytes,
 }
 COMPRESSIONS = tuple(_COMPRESS)
 # Chunks that may wait to be written: they bound the memory, and what a crash costs.
 _MOST_WAITING = 4
-_HEAD = MESSAGE.size - RECORD.size  # of a message, in the length of its record [byte]
-_INDEX, _ENTRY = struct.Struct("<BQHI"), struct.Struct("<QQ")
+_FIXED = MESSAGE.size - RECORD.size  # of a message, in the length of its record [byte]
+_HEAD, _INDEX, _ENTRY = struct.Struct("<BQH"), struct.Struct("<BQHI"), struct.Struct("<QQ")
+_UNKNOWN = 2**64 - 1  # least time of no messages [ns]
+
+
+@dataclass
+class Stream:
+    """A topic that is written: its records, and the messages added so far."""
+
+    schema: Schema
+    channel: Channel
+    count: int = 0
 
 
 class McapFile:
     """An MCAP file with profile ``ros2``, locked for as long as it is written.
 
-    Chunks are closed at an uncompressed `chunk_size` [byte]. With `in_thread` they are compressed and written
-    in a thread; what goes wrong there is raised by one of the next calls.
+    Chunks are closed at an uncompressed `chunk_size` [byte], compressed and written in a thread; what goes
+    wrong there is raised by one of the next calls.
 
     `written` are the statistics of what has reached the operating system, `size` is that of the file [byte],
     `start` the log time of the first message [ns].
     """
 
-    def __init__(
-        self, path: Path, compression: str, chunk_size: int, overwrite: bool, in_thread: bool
-    ) -> None:
-        self.size = 0
-        self._channels: dict[int, int] = {}  # number of a topic by its identity
-        self._counts: dict[int, int] = {}  # messages added, by number
+    def __init__(self, path: Path, compression: str, chunk_size: int, overwrite: bool) -> None:
+        self.path, self.size = path, 0
         self.start: int | None = None
-        self.written = Statistics(0, 0, {}, 0, 0, 0, 2**64 - 1, 1, 0)
+        self.written = Statistics(0, 0, {}, 0, 0, 0, _UNKNOWN, 1, 0)
         self._compression, self._chunk_size = compression, chunk_size
         self._chunk = _Chunk()
         self._failed = False
-        self._pool = ThreadPoolExecutor(1, thread_name_prefix="bag writer") if in_thread else None
         self._waiting: deque[Future[None]] = deque()
         self._indexes = bytearray()  # packed at once: a log of days has a million of them
-        self._schemas: dict[str, Schema] = {}
-        self._declared: list[Channel] = []
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Channel] = {}
         self._fd = _create(path, overwrite)
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="bag writer")
         try:
-            self._put(MAGIC + _packed(Header("ros2", "hd_diag")))
+            self._pool.submit(self._put, MAGIC + _packed(Header("ros2", "hd_diag"))).result()
         except BaseException:
-            os.close(self._fd)
+            self.release()
             raise
 
     @property
@@ -93,107 +101,81 @@ class McapFile:
         """When the open chunk got its first message (``time.monotonic``) [s]; None if it has none."""
         return self._chunk.opened
 
-    def count_of(self, topic: Offered) -> int:
-        """Messages of a topic added."""
-        return self._counts.get(self._channels.get(id(topic), 0), 0)
+    def declare(self, stream: Stream) -> None:
+        """Write a topic's records, unless they are in the file."""
+        if stream.channel.id not in self._channels:
+            if stream.schema.id not in self._schemas:
+                self._schemas[stream.schema.id] = stream.schema
+                self._chunk.data += _packed(stream.schema)
+            self._channels[stream.channel.id] = stream.channel
+            self._chunk.data += _packed(stream.channel)
 
-    def _channel(self, topic: Offered) -> int:
-        """Number of a topic, which is declared with its schema where it is new."""
-        number = self._channels.get(id(topic))
-        if number is not None:
-            return number
-        known, number = topic.definition, len(self._declared) + 1
-        name = known.type_name
-        if name not in self._schemas:
-            self._schemas[name] = Schema(len(self._schemas) + 1, known.text.encode(), known.encoding, name)
-            self._chunk.add(_packed(self._schemas[name]))
-        extra = {"offered_qos_profiles": dump_offers(topic.offers), "topic_type_hash": known.type_hash}
-        self._declared.append(Channel(number, topic.name, "cdr", extra, self._schemas[name].id))
-        self._chunk.add(_packed(self._declared[-1]))
-        self._channels[id(topic)] = number
-        self._counts[number] = self.written.channel_message_counts[number] = 0
-        return number
-
-    def add(self, topic: Offered, log_time: int, publish_time: int, data: bytes) -> None:
+    def add(self, stream: Stream, log_time: int, publish_time: int, data: bytes) -> None:
         """Append a message; the chunk is closed when it is full."""
-        channel = self._channel(topic)
-        entry, count = _ENTRY.pack(log_time, self._chunk.size), self._counts[channel] & 0xFFFFFFFF
-        head = MESSAGE.pack(Opcode.MESSAGE, _HEAD + len(data), channel, count, log_time, publish_time)
-        self._chunk.add(head + data)
-        self._added(channel, 1, log_time, log_time, entry)
+        self.declare(stream)
+        chunk, number, count = self._chunk.data, stream.channel.id, stream.count & 0xFFFFFFFF
+        entry = _ENTRY.pack(log_time, len(chunk))
+        chunk += MESSAGE.pack(Opcode.MESSAGE, _FIXED + len(data), number, count, log_time, publish_time)
+        chunk += data
+        self._added(stream, 1, log_time, log_time, entry)
 
-    def room(self, topic: Offered, size: int) -> int:
-        """How many messages of a topic and size [byte] fill the open chunk, at least 1."""
-        self._channel(topic)
-        return max(1, -(-(self._chunk_size - self._chunk.size) // (size + MESSAGE.size)))
+    def add_rows(self, stream: Stream, times: Times, publish_times: Times, rows: Bytes) -> int:
+        """Append messages of one size, shape (n, size), as many as fill the open chunk, and say how many."""
+        self.declare(stream)
+        kind, size = _record_of(rows.shape[1]), len(self._chunk.data)
+        count = min(len(rows), max(1, -(-(self._chunk_size - size) // kind.itemsize)))
+        times = times[:count]
+        self._chunk.data += bytes(count * kind.itemsize)
+        records = np.frombuffer(self._chunk.data, kind, count, size)
+        records["head"] = np.void(_HEAD.pack(Opcode.MESSAGE, _FIXED + rows.shape[1], stream.channel.id))
+        records["sequence"] = np.arange(stream.count, stream.count + count)
+        records["log_time"], records["publish_time"] = times, publish_times[:count]
+        rows = rows if rows.strides[1] == 1 else np.ascontiguousarray(rows)
+        records["data"] = rows[:count].view(kind["data"])[:, 0]
+        entries = np.empty((count, 2), "<u8")
+        entries[:, 0], entries[:, 1] = times, size + kind.itemsize * np.arange(count)
+        del records  # the chunk cannot grow while it is looked at
+        self.start = int(times[0]) if self.start is None else self.start
+        self._added(stream, count, int(times.min()), int(times.max()), entries.tobytes())
+        return count
 
-    def add_rows(self, topic: Offered, times: Times, publish_times: Times, rows: Bytes) -> None:
-        """Append messages of one channel and one size, shape (n, size); the chunk is closed when full."""
-        channel, (count, size) = self._channel(topic), rows.shape
-        before = self._counts[channel]
-        records = np.empty(count, np.dtype([*HEAD.descr, ("data", "u1", (size,))]))
-        records["opcode"], records["length"], records["channel"] = Opcode.MESSAGE, _HEAD + size, channel
-        records["sequence"] = np.arange(before, before + count) & 0xFFFFFFFF
-        records["log_time"], records["publish_time"], records["data"] = times, publish_times, rows
-        places = self._chunk.size + records.itemsize * np.arange(count)
-        if self.start is None:
-            self.start = int(times[0])
-        self._chunk.add(memoryview(records.view(np.uint8)))
-        entries = np.stack((times, places), axis=1).tobytes()
-        self._added(channel, count, int(times.min()), int(times.max()), entries)
-
-    def _added(self, channel: int, count: int, first: int, last: int, entries: bytes) -> None:
+    def _added(self, stream: Stream, count: int, first: int, last: int, entries: bytes) -> None:
         """Account for messages that were added: least and greatest time [ns], entries of the index."""
-        self._counts[channel] += count
+        stream.count += count
         if self.start is None:
             self.start = first
-        self._chunk.note(channel, first, last, entries)
-        if self._chunk.size >= self._chunk_size:
+        self._chunk.note(stream.channel.id, first, last, entries)
+        if len(self._chunk.data) >= self._chunk_size:
             self.close_chunk()
 
     def close_chunk(self) -> None:
-        """Hand everything added so far to the operating system, or to the thread that does."""
-        chunk = self._chunk
-        if not chunk.size:
-            return
-        self._chunk = _Chunk()
-        if self._pool is None:
-            try:
-                self._store(chunk)
-            except KeyboardInterrupt:
-                self._chunk = chunk  # nothing is wrong with the file
-                raise
-            return
-        self._waiting.append(self._pool.submit(self._store, chunk))
-        while len(self._waiting) > _MOST_WAITING or (self._waiting and self._waiting[0].done()):
-            self._waiting.popleft().result()
+        """Hand everything added so far to the thread that writes."""
+        if self._chunk.data:
+            chunk, self._chunk = self._chunk, _Chunk()
+            self._waiting.append(self._pool.submit(self._store, chunk))
+        self.wait(_MOST_WAITING)
 
-    def wait(self) -> None:
-        """Until every closed chunk is with the operating system; raises what first went wrong."""
-        waiting, self._waiting = self._waiting, deque()
-        errors = [error for error in [future.exception() for future in waiting] if error is not None]
-        if errors:
-            raise errors[0]
+    def wait(self, most: int = 0) -> None:
+        """Until no more than so many chunks wait for the operating system; raises what first went wrong."""
+        while self._waiting and (len(self._waiting) > most or self._waiting[0].done()):
+            self._waiting[0].result()
+            self._waiting.popleft()
 
-    def drop(self) -> None:
-        """Forget the messages that could not be written."""
-        for future in self._waiting:
-            future.exception()
-        self._waiting.clear()
-        self._chunk, self._failed = _Chunk(), False
-        self._counts = dict(self.written.channel_message_counts)
+    def stop(self) -> None:
+        """Let the thread finish what it was given, and end it."""
+        self._pool.shutdown()
 
     def finish(self, metadata: Mapping[str, str]) -> None:
-        """Write rosbag2's metadata and the summary; every chunk must be closed and written."""
+        """Write rosbag2's metadata and the summary behind the chunks; the thread must have stopped."""
         written = self.written
         written.message_start_time = min(written.message_start_time, written.message_end_time)
-        written.schema_count, written.channel_count = len(self._schemas), len(self._declared)
+        written.schema_count, written.channel_count = len(self._schemas), len(self._channels)
         kept = _packed(Metadata("rosbag2", dict(metadata)))
         end = kept + _packed(DataEnd(0))
         start, summary, offsets = self.size + len(end), b"", b""
         for opcode, group in (
             (Opcode.SCHEMA, _packed(*self._schemas.values())),
-            (Opcode.CHANNEL, _packed(*self._declared)),
+            (Opcode.CHANNEL, _packed(*self._channels.values())),
             (Opcode.STATISTICS, _packed(written)),
             (Opcode.CHUNK_INDEX, bytes(self._indexes)),
             (Opcode.METADATA_INDEX, _packed(MetadataIndex(self.size, len(kept), "rosbag2"))),
@@ -204,20 +186,21 @@ class McapFile:
         places = start, start + len(summary)
         checksum = zlib.crc32(summary + offsets + struct.pack("<BQQQ", Opcode.FOOTER, 20, *places))
         self._put(end + summary + offsets + _packed(Footer(*places, checksum)) + MAGIC)
+        self._indexes.clear()
 
     def release(self) -> None:
         """Close the file as it is."""
-        if self._pool is not None:
-            self._pool.shutdown()
+        self.stop()
         if self._fd >= 0:
             fd, self._fd = self._fd, -1
-            os.close(fd)
+            with suppress(OSError):
+                os.close(fd)
 
     def _store(self, chunk: _Chunk) -> None:
         """Write a chunk; after one that could not be written none is."""
         if self._failed:
             return
-        data, start = b"".join(chunk.parts), self.size
+        data, start = chunk.data, self.size
         first, name = (0 if chunk.opened is None else chunk.first), self._compression.replace("none", "")
         stored = _COMPRESS[self._compression](data)
         record = _packed(Chunk(name, stored, chunk.last, first, zlib.crc32(data), len(data)))
@@ -237,8 +220,10 @@ class McapFile:
         written.message_start_time = min(written.message_start_time, chunk.first)
         written.message_end_time = max(written.message_end_time, chunk.last)
         for channel, entries in chunk.index.items():
-            written.channel_message_counts[channel] += len(entries) // _ENTRY.size
-            written.message_count += len(entries) // _ENTRY.size
+            count = len(entries) // _ENTRY.size
+            written.message_count += count
+            counts = written.channel_message_counts
+            counts[channel] = counts.get(channel, 0) + count
 
     def _put(self, data: bytes) -> None:
         """Write all of `data`, or nothing: a record that does not fit is cut off again."""
@@ -257,21 +242,23 @@ class _Chunk:
     """Records of the chunk that is being filled, their times, and where the messages of each channel are."""
 
     def __init__(self) -> None:
-        self.parts: list[bytes | memoryview] = []
-        self.size = 0
+        self.data = bytearray()
         self.opened: float | None = None
-        self.first, self.last = 2**64 - 1, 0
+        self.first, self.last = _UNKNOWN, 0
         self.index: dict[int, bytearray] = {}
-
-    def add(self, records: bytes | memoryview) -> None:
-        self.parts.append(records)
-        self.size += len(records)
 
     def note(self, channel: int, first: int, last: int, entries: bytes) -> None:
         if self.opened is None:
             self.opened = time.monotonic()
         self.first, self.last = min(self.first, first), max(self.last, last)
         self.index.setdefault(channel, bytearray()).extend(entries)
+
+
+@functools.lru_cache(maxsize=256)
+def _record_of(size: int) -> np.dtype[Any]:
+    """`MESSAGE` and a content of some size [byte]."""
+    names = ["head", "sequence", "log_time", "publish_time", "data"]
+    return np.dtype({"names": names, "formats": ["V11", "<u4", "<u8", "<u8", f"V{size}"]})
 
 
 def _create(path: Path, overwrite: bool) -> int:

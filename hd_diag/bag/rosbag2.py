@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import yaml
+from mcap.records import Statistics
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
-from hd_diag.messages.schemas import Definition
+from hd_diag.bag.mcap_file import Stream
 
 NO_START = 2**63 - 1
 """rosbag2 starts from the largest time and lowers it with each message [ns]."""
@@ -58,63 +58,42 @@ def _plain(offer: Qos) -> Qos:
     return offer._replace(depth=int(offer.depth), **plain)
 
 
-class Offered(NamedTuple):
-    """A topic of a bag that is written: name, definition of its type, offered profiles."""
-
-    name: str
-    definition: Definition
-    offers: Sequence[Qos]
-
-
-@dataclass
-class FileInformation:
-    """Counts and log times [ns] of one storage file."""
-
-    path: str
-    start: int = NO_START
-    end: int = 0
-    count: int = 0
-
-
-def metadata(files: Sequence[FileInformation], topics: Sequence[tuple[Offered, int]]) -> dict[str, Any]:
-    """The mapping that rosbag2 puts below ``rosbag2_bagfile_information``; topics with their counts."""
-    whole = FileInformation(
-        "", min(f.start for f in files), max(f.end for f in files), sum(f.count for f in files)
-    )
-    extent = _extent(whole)
+def metadata(files: Sequence[tuple[str, Statistics]], streams: Sequence[Stream]) -> dict[str, Any]:
+    """The mapping that rosbag2 puts below ``rosbag2_bagfile_information``, of files with what is in them."""
+    extents = [_extent([each]) for _, each in files]
     return {
         "version": 9,
         "storage_identifier": "mcap",
-        "duration": extent["duration"],
-        "starting_time": extent["starting_time"],
-        "message_count": whole.count,
+        **_extent([each for _, each in files]),
         "topics_with_message_count": [
             {
                 "topic_metadata": {
-                    "name": topic.name,
-                    "type": topic.definition.type_name,
+                    "name": stream.channel.topic,
+                    "type": stream.schema.name,
                     "serialization_format": "cdr",
-                    "offered_qos_profiles": dump_qos_v9(list(topic.offers)),
-                    "type_description_hash": topic.definition.type_hash,
+                    "offered_qos_profiles": load_yaml(stream.channel.metadata["offered_qos_profiles"]) or [],
+                    "type_description_hash": stream.channel.metadata["topic_type_hash"],
                 },
-                "message_count": count,
+                "message_count": sum(f.channel_message_counts.get(stream.channel.id, 0) for _, f in files),
             }
-            for topic, count in topics
+            for stream in streams
         ],
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": [f.path for f in files],
-        "files": [{"path": f.path, **_extent(f), "message_count": f.count} for f in files],
+        "relative_file_paths": [path for path, _ in files],
+        "files": [{"path": path, **extent} for (path, _), extent in zip(files, extents, strict=True)],
         "custom_data": None,
         "ros_distro": "jazzy",
     }
 
 
-def _extent(file: FileInformation) -> dict[str, Any]:
-    duration = max(0, file.end - file.start)
+def _extent(files: Sequence[Statistics]) -> dict[str, Any]:
+    start = min(NO_START, *(f.message_start_time for f in files if f.message_count), NO_START)
+    duration = max(0, max(f.message_end_time for f in files) - start)
     return {
-        "starting_time": {"nanoseconds_since_epoch": file.start},
         "duration": {"nanoseconds": duration},
+        "starting_time": {"nanoseconds_since_epoch": start},
+        "message_count": sum(f.message_count for f in files),
     }
 
 

@@ -6,19 +6,20 @@ import os
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 
 import numpy as np
 import numpy.typing as npt
+from mcap.records import Channel, Schema
 from rosbags.interfaces import Qos
 
-from hd_diag.arrays import Bytes
+from hd_diag.arrays import Bytes, Times
 from hd_diag.bag.errors import BagError
-from hd_diag.bag.mcap_file import COMPRESSIONS, McapFile
+from hd_diag.bag.mcap_file import COMPRESSIONS, McapFile, Stream
 from hd_diag.bag.replacing import bag_files
-from hd_diag.bag.rosbag2 import RELIABLE, FileInformation, Offered, dump_yaml, metadata, parse_offers
+from hd_diag.bag.rosbag2 import RELIABLE, dump_offers, dump_yaml, metadata, parse_offers
 from hd_diag.messages.schemas import Definition, definition
 
 _LAST_TIME = 2**63 - 1
@@ -43,13 +44,9 @@ class BagWriter:
         Log time after which the next file is begun [s]; 0 for one file.
     overwrite : bool, optional
         Replace the file, or the bag in the folder, where there is one.
-    beside : bool, optional
-        Compress and write in a thread, a few chunks behind the caller: errors come a few calls late.
 
     Attributes
     ----------
-    paths : list of Path
-        Files begun so far.
     error : BagError or None
         What ended the writing.
 
@@ -60,8 +57,10 @@ class BagWriter:
 
     Notes
     -----
-    Not safe for use by several threads at once. After an error the file is cut back to whole records, and
-    every further write raises the same error; `close` finishes the file if it still can, and does not raise.
+    Not safe for use by several threads at once. Chunks are compressed and written in a thread, a few behind
+    the caller: errors come some calls late, at the latest in `flush`, `flush_if_due` or `close`. After one
+    the file is cut back to whole records, and every further write raises the same error; `close` finishes
+    the file if it still can, and does not raise.
     A ``with`` statement finishes it too, unless an error ends it, Ctrl-C excepted: then it is left without
     its end, so that no reader takes it for whole. Without splits the summary of a log grows by about 50 MB a
     day, in memory too, at four chunks a second.
@@ -77,28 +76,33 @@ class BagWriter:
         max_size: int = 0,
         max_duration: float = 0.0,
         overwrite: bool = False,
-        beside: bool = False,
     ) -> None:
         self.path = Path(path)
-        self.paths: list[Path] = []
         self.error: BagError | None = None
         self.change(compression, flush_period, max_size, max_duration)
         if chunk_size < 1:
             raise BagError(self.path, "a chunk must have a size")
-        self._chunk_size, self._overwrite, self._beside = chunk_size, overwrite, beside
-        self._files: list[FileInformation] = []
-        self._topics: dict[tuple[str, str], Offered] = {}
-        self._counts: Counter[tuple[str, str]] = Counter()  # of the files that are finished
+        self._chunk_size, self._overwrite = chunk_size, overwrite
+        self._files: list[McapFile] = []
+        self._streams: dict[tuple[str, str], Stream] = {}
+        self._schemas: dict[str, Schema] = {}
         self._closed = False
         with self._guarded():
             self._begin()
 
     @property
+    def paths(self) -> list[Path]:
+        """Files begun so far."""
+        return [file.path for file in self._files]
+
+    @property
     def counts(self) -> dict[str, int]:
-        """Messages written of each topic."""
+        """Messages written of each topic; after an error those that have reached a file."""
         counts: Counter[str] = Counter()
-        for topic, kind in self._topics:
-            counts[topic] += self._count(topic, kind)
+        for stream in self._streams.values():
+            number, files = stream.channel.id, self._files
+            stored = sum(file.written.channel_message_counts.get(number, 0) for file in files)
+            counts[stream.channel.topic] += stored if self.error else stream.count
         return dict(counts)
 
     def change(self, compression: str, flush_period: float, max_size: int, max_duration: float) -> None:
@@ -131,15 +135,20 @@ class BagWriter:
             Where the type is not known, or the bag is closed or failed.
         """
         self._check_open()
-        if (topic, type_name) in self._topics:
+        if (topic, type_name) in self._streams:
             return
-        if len(self._topics) == 2**16 - 1:  # channel numbers have 16 bits, and begin at 1
-            raise BagError(self.path, f"{topic}: a bag holds no more than {2**16 - 1} topics")
+        number = len(self._streams) + 1
+        if number == 2**16:  # channel numbers have 16 bits
+            raise BagError(self.path, f"{topic}: a bag holds no more than {number - 1} topics")
         try:
-            offers = parse_offers(qos) if isinstance(qos, str) else [qos or RELIABLE]
-            self._topics[topic, type_name] = Offered(topic, known or definition(type_name), offers)
+            known = known or definition(type_name)
         except KeyError as exc:
             raise BagError(self.path, f"type {type_name} of topic {topic} has no known definition") from exc
+        own = Schema(len(self._schemas) + 1, known.text.encode(), known.encoding, type_name)
+        schema = self._schemas.setdefault(type_name, own)
+        offers = dump_offers(parse_offers(qos) if isinstance(qos, str) else [qos or RELIABLE])
+        extra = {"offered_qos_profiles": offers, "topic_type_hash": known.type_hash}
+        self._streams[topic, type_name] = Stream(schema, Channel(number, topic, "cdr", extra, schema.id))
 
     def write(
         self,
@@ -160,7 +169,7 @@ class BagWriter:
         BagError
             Where the message cannot be written (disk full, closed, unknown type, time out of range).
         """
-        if self.error is not None or self._closed or (topic, type_name) not in self._topics:
+        if self.error is not None or self._closed or (topic, type_name) not in self._streams:
             self.add_topic(topic, type_name, qos)
         publish = log_time if publish_time is None else publish_time
         if not (0 <= log_time <= _LAST_TIME and 0 <= publish <= _LAST_TIME):
@@ -168,7 +177,7 @@ class BagWriter:
             raise BagError(self.path, what)
         try:  # a context manager would take as long as the rest
             self._split_if_due(log_time)
-            self._file.add(self._topics[topic, type_name], log_time, publish, bytes(data))
+            self._file.add(self._streams[topic, type_name], log_time, publish, bytes(data))
             self._close_old_chunk(time.monotonic())
         except (BagError, OSError) as exc:
             raise self._failure(exc) from exc
@@ -187,21 +196,17 @@ class BagWriter:
         published = times if publish_times is None else np.asarray(publish_times, np.int64)
         if any(t.shape != (len(rows),) or (len(t) and t.min() < 0) for t in (times, published)):
             raise BagError(self.path, f"{topic}: times >= 0 are needed for each of {len(rows)} messages")
-        if not isinstance(rows, np.ndarray) or len(rows) == 1:
+        if not isinstance(rows, np.ndarray) or rows.size <= rows.shape[1]:  # one message, or without content
             for data, log_time, publish in zip(rows, times.tolist(), published.tolist(), strict=True):
                 self.write(topic, type_name, data, log_time, publish)
             return
-        known, done = self._topics[topic, type_name], 0
+        done = 0
         with self._guarded():
             while done < len(times):
                 self._split_if_due(int(times[done]))
-                stop = done + self._file.room(known, rows.shape[1])
-                if self._max_duration:
-                    start = int(times[done]) if self._file.start is None else self._file.start
-                    late = np.flatnonzero(times[done:stop] - start >= self._max_duration)
-                    stop = done + int(late[0]) if len(late) else stop
-                self._file.add_rows(known, times[done:stop], published[done:stop], rows[done:stop])
-                done = stop
+                part = slice(done, self._until_split(times, done))
+                stream = self._streams[topic, type_name]
+                done += self._file.add_rows(stream, times[part], published[part], rows[part])
             self._close_old_chunk(time.monotonic())
 
     def flush_if_due(self, now: float | None = None) -> bool:
@@ -213,7 +218,9 @@ class BagWriter:
         if self.error is not None or self._closed:
             return False
         with self._guarded():
-            return self._close_old_chunk(time.monotonic() if now is None else now)
+            is_due = self._close_old_chunk(time.monotonic() if now is None else now)
+            self._file.wait()
+        return is_due
 
     def flush(self) -> None:
         """Hand every message to the operating system now; raises BagError where that fails."""
@@ -232,9 +239,7 @@ class BagWriter:
             return
         failed = self.error is not None
         try:
-            if failed:
-                self._file.drop()
-            else:
+            if not failed:
                 self.flush()
             if whole:
                 with self._guarded():
@@ -244,8 +249,7 @@ class BagWriter:
                 raise
         finally:
             self._closed = True
-            with suppress(OSError):
-                self._file.release()
+            self._file.release()
 
     def __enter__(self) -> BagWriter:
         return self
@@ -258,6 +262,10 @@ class BagWriter:
         except BagError:
             if exc is None:
                 raise
+
+    @property
+    def _file(self) -> McapFile:
+        return self._files[-1]
 
     def _check_open(self) -> None:
         if self.error is not None:
@@ -272,12 +280,13 @@ class BagWriter:
         except (BagError, OSError) as exc:
             raise self._failure(exc) from exc
 
-    def _failure(self, exc: Exception) -> BagError:
+    def _failure(self, exc: BagError | OSError) -> BagError:
         """The error as BagError; it ends the writing."""
-        path = self.paths[-1] if self.paths else self.path
-        error = exc if isinstance(exc, BagError) else BagError(path, exc)
-        self.error = self.error or error
-        return error
+        if not isinstance(exc, BagError):
+            path = exc.filename or (self.paths or [self.path])[-1]
+            exc = BagError(path, "exists already" if isinstance(exc, FileExistsError) else exc)
+        self.error = self.error or exc
+        return exc
 
     def _close_old_chunk(self, now: float) -> bool:
         opened = self._file.opened
@@ -285,9 +294,6 @@ class BagWriter:
         if is_due:
             self._file.close_chunk()
         return is_due
-
-    def _count(self, topic: str, type_name: str) -> int:
-        return self._counts[topic, type_name] + self._file.count_of(self._topics[topic, type_name])
 
     def _split_if_due(self, log_time: int) -> None:
         """Begin the next file where it is time."""
@@ -301,26 +307,29 @@ class BagWriter:
             self.flush()
             self._finish()
             file.release()
-            self._counts = Counter({key: self._count(*key) for key in self._topics})
             self._begin()
+
+    def _until_split(self, times: Times, first: int) -> int:
+        """Where the messages from `first` on end that go into the open file."""
+        if not self._max_duration:
+            return len(times)
+        start = int(times[first]) if self._file.start is None else self._file.start
+        late = np.flatnonzero(times[first:] - start >= self._max_duration)
+        return first + int(late[0]) if len(late) else len(times)
 
     def _begin(self) -> None:
         """Open the next file and name it in the metadata, so that a crash leaves it findable."""
-        number, path, is_folder = len(self.paths), self.path, self.path.suffix != ".mcap"
-        if number and not is_folder:
-            path = path.with_name(f"{path.stem}_{number}.mcap")
-        if not self._overwrite and path.exists() and not (number and is_folder):
-            raise BagError(path, "exists already")
-        if is_folder:
+        number, path = len(self._files), self.path
+        if path.suffix == ".mcap":
+            path = path.with_name(f"{path.stem}_{number}.mcap") if number else path
+        else:
             if not number:
-                path.mkdir(parents=True, exist_ok=True)
+                path.mkdir(parents=True, exist_ok=self._overwrite)
                 for file in bag_files(path):
                     file.unlink()
             path /= f"{path.resolve().name}_{number}.mcap"
-        self.paths.append(path)
-        self._files.append(FileInformation(path.name))
         size = min(self._chunk_size, self._max_size or self._chunk_size)
-        self._file = McapFile(path, self._compression, size, self._overwrite, self._beside)
+        self._files.append(McapFile(path, self._compression, size, self._overwrite))
         try:
             self._save()
         except BaseException:
@@ -329,14 +338,13 @@ class BagWriter:
 
     def _finish(self) -> None:
         """Write the end of the file, whose messages are all written."""
-        entry, written = self._files[-1], self._file.written
-        entry.start = min(written.message_start_time, entry.start)
-        entry.end, entry.count = written.message_end_time, written.message_count
+        self._file.stop()
         self._file.finish({"serialized_metadata": dump_yaml(self._metadata())})
         self._save()
 
     def _metadata(self) -> dict[str, object]:
-        return metadata(self._files, [(topic, self._count(*key)) for key, topic in self._topics.items()])
+        files = [(file.path.name, file.written) for file in self._files]
+        return metadata(files, list(self._streams.values()))
 
     def _save(self) -> None:
         """Write ``metadata.yaml``; the old one stays whole until the new one is there."""

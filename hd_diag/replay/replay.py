@@ -116,7 +116,7 @@ def replay(
         total = sum(topic.count for topic in reader.topics if topic.name in sources.every)
         with (
             replaced(out, overwrite=overwrite) as place,
-            BagWriter(place, overwrite=overwrite, beside=True) as writer,
+            BagWriter(place, overwrite=overwrite) as writer,
         ):
             run = _Run(reader, writer, sources)
             if config is not None:
