@@ -20,40 +20,31 @@ PINION = Path(__file__).resolve().parent.parent / "docs" / "examples" / "encoder
 
 
 @pytest.fixture
-def afresh() -> Iterator[None]:
-    """Entry points are looked up once a process."""
+def packages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder of installed packages; entry points are looked up once a process."""
+    monkeypatch.syspath_prepend(tmp_path)
     catalogue._installed.cache_clear()
-    yield
+    yield tmp_path
     catalogue._installed.cache_clear()
+    sys.modules.pop("my_pinion", None)
 
 
-def installed(folder: Path, *values: str) -> None:
-    """A package beside the example that declares entry points."""
+def installed(folder: Path, value: str) -> None:
+    """A package beside the example that declares an entry point."""
     shutil.copy(PINION, folder / "my_pinion.py")
     information = folder / "my_effects-1.0.dist-info"
     information.mkdir()
     (information / "METADATA").write_text("Metadata-Version: 2.1\nName: my-effects\nVersion: 1.0\n")
-    entries = "".join(f"one{i} = {value}\n" for i, value in enumerate(values))
-    (information / "entry_points.txt").write_text(f"[{GROUP}]\n{entries}")
+    (information / "entry_points.txt").write_text(f"[{GROUP}]\none0 = {value}\n")
 
 
-def test_nothing_given_is_the_package_s() -> None:
-    assert load() == CATALOGUE
-
-
-def test_effects_of_a_file_come_last() -> None:
+def test_effects_of_a_file_come_after_the_package_s(tmp_path: Path) -> None:
     *known, pinion = load([PINION])
-    assert (tuple(known), pinion.name) == (CATALOGUE, "encoder_pinion")
-
-
-def test_several_effects_of_a_file(tmp_path: Path) -> None:
-    path = tmp_path / "two.py"
-    text = (
-        PINION.read_text()
-        + "\nfrom dataclasses import replace\nEFFECTS = [EFFECT, replace(EFFECT, name='two')]\n"
-    )
-    path.write_text(text)
-    assert [effect.name for effect in load([path])[-2:]] == ["encoder_pinion", "two"]
+    assert (tuple(known), pinion.name) == (load(), "encoder_pinion")
+    assert load() == CATALOGUE
+    more = "\nfrom dataclasses import replace\nEFFECTS = [EFFECT, replace(EFFECT, name='two')]\n"
+    (tmp_path / "two.py").write_text(PINION.read_text() + more)
+    assert [effect.name for effect in load([tmp_path / "two.py"])[-2:]] == ["encoder_pinion", "two"]
 
 
 @pytest.mark.parametrize(
@@ -64,10 +55,7 @@ def test_several_effects_of_a_file(tmp_path: Path) -> None:
         ("EFFECTS = ['a']", "expected an effect, not 'a'"),
         ("import nowhere_at_all", "cannot be loaded: ModuleNotFoundError: No module named 'nowhere_at_all'"),
         ("1 +", "cannot be loaded: SyntaxError: invalid syntax"),
-        (
-            "from hd_diag.effects.output_runout import EFFECT",
-            "the catalogue has an effect 'output_runout' already",
-        ),
+        ("from hd_diag.effects.output_runout import EFFECT", "the catalogue has an effect 'output_runout'"),
     ],
 )
 def test_a_file_that_cannot_be_used_is_named(tmp_path: Path, text: str, reason: str) -> None:
@@ -85,30 +73,21 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path, name: str) -> None:
         load([tmp_path / name])
 
 
-@pytest.mark.usefixtures("afresh")
-def test_installed_effects_are_in_the_catalogue(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    installed(tmp_path, "my_pinion:EFFECT")
-    monkeypatch.syspath_prepend(tmp_path)
+def test_installed_effects_are_in_the_catalogue(packages: Path) -> None:
+    installed(packages, "my_pinion:EFFECT")
     assert [effect.name for effect in load()[len(CATALOGUE) :]] == ["encoder_pinion"]
     assert load([]) == load()
     with pytest.raises(ConfigError, match="has an effect 'encoder_pinion' already"):
         load([PINION])
-    del sys.modules["my_pinion"]
 
 
-@pytest.mark.usefixtures("afresh")
-def test_an_entry_point_that_cannot_be_loaded_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    installed(tmp_path, "my_pinion:NOTHING")
-    monkeypatch.syspath_prepend(tmp_path)
+def test_an_entry_point_that_cannot_be_loaded_is_named(packages: Path) -> None:
+    installed(packages, "my_pinion:NOTHING")
     with pytest.raises(ConfigError, match=r"^my-effects: one0: cannot be loaded: AttributeError: "):
         load()
-    del sys.modules["my_pinion"]
 
 
 def test_a_model_with_an_effect_of_a_file(tmp_path: Path) -> None:
-    """Read again where the file is given; otherwise an error names the effect."""
     given = load([PINION])
     made = model()
     made = type(made)(made.drive, (Term(given[-1], (2e-5, 1e-5), ()),), made.offset, made.ranges)
@@ -117,11 +96,9 @@ def test_a_model_with_an_effect_of_a_file(tmp_path: Path) -> None:
     text = (tmp_path / "m.json").read_text()
     read = model_for(text, own(), given)
     rows = np.arange(5.0), np.linspace(0.0, 60.0, 5), None, np.full(5, 10.0)
-    np.testing.assert_allclose(
-        read.step(read.start(), *rows)[0], made.step(made.start(), *rows)[0], atol=1e-12
-    )
-    with pytest.raises(
-        ConfigError, match=r"effects\[0\]: unknown effect 'encoder_pinion'; .* given or installed"
-    ):
+    found, expected = (each.step(each.start(), *rows)[0] for each in (read, made))
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    unknown = r"effects\[0\]: unknown effect 'encoder_pinion'; .* given or installed"
+    with pytest.raises(ConfigError, match=unknown):
         model_for(text, own())
     assert model_for(json.dumps(content("hysteresis")), own(), given).effects[0].effect is CATALOGUE[10]

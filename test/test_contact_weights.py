@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Callable
+from typing import Any
 
 import drives
 import numpy as np
@@ -41,18 +42,11 @@ def product(angle: Array = ANGLES, torque: Array = TORQUES) -> tuple[Array, Arra
     return np.repeat(angle, torque.size), np.tile(torque, angle.size)
 
 
-# Brute force ---
-
-
 def moved_outward(angle: float, outward: Array) -> polyline.Mesh:
     """The reference's mesh with slots displaced radially [m], every wall point along its slot's axis."""
     wall = polyline._slot_polar(drives.PAPER, 1600)
     x, y = wall[0] * np.cos(wall[1]), wall[0] * np.sin(wall[1])
-    parts = []
-    for distance in np.unique(outward):
-        one = np.hypot(x + distance, y), np.arctan2(y, x + distance)
-        parts.append((distance, one))
-    walls = dict(parts)
+    walls = {d: (np.hypot(x + d, y), np.arctan2(y, x + d)) for d in np.unique(outward)}
     origin, normal = polyline.tooth_axes(angle, ECCENTRICITY)
     flank = polyline._flank(drives.PAPER.tooth, drives.PAPER.tooth_root, drives.PAPER.tooth_tip, 1600)
     middle = origin + 0.5 * (drives.PAPER.tooth_root + drives.PAPER.tooth_tip) * normal
@@ -82,62 +76,56 @@ def rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
+def worn(angle: float, clearance: float) -> polyline.Mesh:
+    mesh = polyline.mesh(angle, ECCENTRICITY)
+    return dataclasses.replace(mesh, rotation=mesh.rotation + clearance / mesh.radius)
+
+
 @pytest.mark.parametrize("order", [2, 4])
-def test_moved_slots(order: int) -> None:
+@pytest.mark.parametrize("member", ["slot", "radial"])
+def test_moved_slots_and_slots_out_of_round(member: str, order: int) -> None:
     size, place = 1e-6, 0.7
-    shift = size * np.cos(order * (SLOTS - place))
-    expected = turned(lambda angle: polyline.mesh(angle, ECCENTRICITY, slot_shift=shift))
-    response = weights(DRIVE, *product()).harmonic("slot", order)
+    moved = size * np.cos(order * (SLOTS - place))
+    response = weights(DRIVE, *product()).harmonic(member, order)
+    expected = turned(
+        lambda angle: (
+            polyline.mesh(angle, ECCENTRICITY, slot_shift=moved)
+            if member == "slot"
+            else moved_outward(angle, moved)
+        )
+    )
     found = (size * np.exp(-1j * order * place) * response).real
     assert rms(found - expected) < TOLERANCE * rms(expected)
 
 
-@pytest.mark.parametrize("order", [2, 4])
-def test_slots_out_of_round(order: int) -> None:
-    size, place = 1e-6, 0.7
-    outward = size * np.cos(order * (SLOTS - place))
-    expected = turned(lambda angle: moved_outward(angle, outward))
-    response = weights(DRIVE, *product()).harmonic("radial", order)
-    found = (size * np.exp(-1j * order * place) * response).real
-    assert rms(found - expected) < TOLERANCE * rms(expected)
-
-
-def test_one_moved_slot() -> None:
-    """A slot displaced by 2 um opens its + flank and closes its - flank."""
+def test_one_moved_slot_opens_its_positive_flank() -> None:
     slot = 11  # 0.34 rad: at a lobe in the first moment
-    shift = np.zeros(202)
-    shift[slot] = 2e-6
-    expected = turned(lambda angle: polyline.mesh(angle, ECCENTRICITY, slot_shift=shift))
+    expected = turned(lambda angle: polyline.mesh(angle, ECCENTRICITY, slot_shift=2e-6 * np.eye(202)[slot]))
     flanks = weights(DRIVE, *product()).one_slot(slot * PITCH)
     found = 2e-6 * (flanks[:, 0] - flanks[:, 1])
     assert np.abs(expected).max() > 1e-6
     assert rms(found - expected) < 2 * TOLERANCE * rms(expected)
 
 
-def worn(angle: float, clearance: float) -> polyline.Mesh:
-    mesh = polyline.mesh(angle, ECCENTRICITY)
-    return dataclasses.replace(mesh, rotation=mesh.rotation + clearance / mesh.radius)
+SHIFT = 4e-6 * np.cos(2 * (SLOTS - 0.7))  # so large that pairs come into and out of load
 
 
-def test_full_size() -> None:
-    """Errors so large that pairs come into and out of load: far closer than the first order."""
-    size, place = 4e-6, 0.7
-    shift = size * np.cos(2 * (SLOTS - place))
-    found = weights(DRIVE, *product())
-    cases = {
-        "pitch": (
-            lambda angle: polyline.mesh(angle, ECCENTRICITY, slot_shift=shift),
-            {"circumferential": shift},
+@pytest.mark.parametrize(
+    ("errors", "mesh"),
+    [
+        (
+            {"circumferential": SHIFT},
+            lambda angle: polyline.mesh(angle, ECCENTRICITY, slot_shift=SHIFT),
         ),
-        "form": (lambda angle: moved_outward(angle, shift), {"radial": shift}),
-        "wear": (lambda angle: worn(angle, size), {"clearance": size}),
-    }
-    for name, (mesh, errors) in cases.items():
-        expected = turned(mesh)
-        assert rms(found.displaced(**errors) - expected) < 0.02 * rms(expected), name
-
-
-# Against the exact shares ---
+        ({"radial": SHIFT}, lambda angle: moved_outward(angle, SHIFT)),
+        ({"clearance": 4e-6}, lambda angle: worn(angle, 4e-6)),
+    ],
+)
+def test_full_size_is_far_closer_than_the_first_order(
+    errors: dict[str, Any], mesh: Callable[[float], polyline.Mesh]
+) -> None:
+    expected = turned(mesh)
+    assert rms(weights(DRIVE, *product()).displaced(**errors) - expected) < 0.02 * rms(expected)
 
 
 def exact(angle: Array, torque: Array) -> tuple[Array, Array, Array, Array]:
@@ -166,60 +154,28 @@ def test_harmonics_are_sums_of_shares(many: tuple[Array, Array], order: int) -> 
     assert rms(np.abs(found.harmonic("tooth", order) - expected)) < 0.04 * np.abs(expected).max()
 
 
-def test_clearance_is_the_signed_sum(many: tuple[Array, Array]) -> None:
-    share, radius, _, _ = exact(*many)
-    expected = np.sum(share / radius, axis=(1, 2))
-    assert rms(weights(DRIVE, *many).clearance() - expected) < 0.04 * np.abs(expected).max()
-
-
-def test_single_teeth_are_their_shares(many: tuple[Array, Array]) -> None:
+@pytest.mark.parametrize("number", [0, 60, 199])
+@pytest.mark.parametrize(("member", "pitch"), [("slot", PITCH), ("tooth", 2 * math.pi / 200)])
+def test_single_teeth_are_their_shares(
+    many: tuple[Array, Array], member: str, pitch: float, number: int
+) -> None:
     share, radius, slots, teeth = exact(*many)
-    found = weights(DRIVE, *many)
-    for index, response, pitch in (
-        (slots, found.one_slot, PITCH),
-        (teeth, found.one_tooth, 2 * math.pi / 200),
-    ):
-        for number in (0, 60, 199):
-            own = (index == number)[:, None, :]
-            expected = np.sum(np.where(own, share / radius, 0.0), axis=2)
-            away = response(number * pitch) - expected
-            assert np.abs(expected).max() > 0.3
-            assert rms(away) < 0.05 * np.abs(expected).max()
+    own = ((slots if member == "slot" else teeth) == number)[:, None, :]
+    expected = np.sum(np.where(own, share / radius, 0.0), axis=2)
+    away = getattr(weights(DRIVE, *many), f"one_{member}")(number * pitch) - expected
+    assert np.abs(expected).max() > 0.3
+    assert rms(away) < 0.05 * np.abs(expected).max()
 
 
-# Laws ---
-
-
-def test_all_teeth_together(many: tuple[Array, Array]) -> None:
-    """All slots, or all teeth, moved by c turn the output by c over the contacts' radius."""
-    found = weights(DRIVE, *many)
-    radius = 30.9e-3
+def test_all_teeth_together_turn_the_output_and_single_ones_add_up(many: tuple[Array, Array]) -> None:
+    """By c over the contacts' radius where all slots, or all teeth, move by c."""
+    found, radius = weights(DRIVE, *many), 30.9e-3
     assert_allclose(found.harmonic("slot", 0), 1 / radius, rtol=5e-3)
     assert_allclose(found.harmonic("tooth", 0), -1 / radius, rtol=5e-3)
-
-
-def test_single_teeth_add_up() -> None:
-    few = product()
-    found = weights(DRIVE, *few)
-    slots = sum(found.one_slot(slot * PITCH) for slot in range(202))
-    teeth = sum(found.one_tooth(tooth * 2 * math.pi / 200) for tooth in range(200))
-    assert_allclose(np.sum(slots, axis=1), found.clearance(), atol=1e-9)
-    assert_allclose(np.sum(teeth, axis=1), found.clearance(), atol=1e-9)
-
-
-def test_uniform_radial_displacement_is_the_datum() -> None:
-    """Against the torsion of a drive whose slots all stand farther out."""
-    angle, torque = product(np.linspace(0.0, 6.0, 40))
-    step = 50e-9
-    beta = []
-    for sign in (-1, 1):
-        datum = DRIVE.mesh.geometry.circular_spline_datum + sign * step
-        geometry = dataclasses.replace(DRIVE.mesh.geometry, circular_spline_datum=datum)
-        beta.append(torsion(dataclasses.replace(DRIVE.mesh, geometry=geometry), angle, -torque))
-    expected = (beta[1] - beta[0]) / (2 * step)
-    found = weights(DRIVE, angle, torque).harmonic("radial", 0)
-    assert_allclose(found.imag, 0.0, atol=1e-9)
-    assert rms(found.real - expected) < 0.03 * rms(expected)
+    few = weights(DRIVE, *product())
+    for response, count in ((few.one_slot, 202), (few.one_tooth, 200)):
+        together = sum(response(number * 2 * math.pi / count) for number in range(count))
+        assert_allclose(np.sum(together, axis=1), few.clearance(), atol=1e-9)
 
 
 def test_reversed_torque_mirrors_pitch_and_reverses_form() -> None:
@@ -238,38 +194,29 @@ def test_reversed_torque_mirrors_pitch_and_reverses_form() -> None:
 
 
 def test_slots_come_back_every_turn_and_teeth_two_further(many: tuple[Array, Array]) -> None:
-    angle, torque = many
-    here, there = weights(DRIVE, angle, torque), weights(DRIVE, angle + 2 * math.pi, torque)
+    here, there = weights(DRIVE, *many), weights(DRIVE, many[0] + 2 * math.pi, many[1])
+    ahead = 2 * 2 * math.pi / 200
     for position in (0.0, 1.0, 5.0):
         assert_allclose(there.one_slot(position), here.one_slot(position), atol=1e-9)
-        ahead = position + 2 * 2 * math.pi / 200
-        assert_allclose(there.one_tooth(ahead), here.one_tooth(position), atol=1e-9)
-    assert_allclose(
-        there.harmonic("tooth", 2), here.harmonic("tooth", 2) * np.exp(4j * math.pi / 100), atol=1e-9
-    )
+        assert_allclose(there.one_tooth(position + ahead), here.one_tooth(position), atol=1e-9)
+    teeth = here.harmonic("tooth", 2) * np.exp(2j * ahead)
+    assert_allclose(there.harmonic("tooth", 2), teeth, atol=1e-9)
 
 
 def test_output_at_the_circular_spline_lags() -> None:
-    """Slots ahead in their ring let the ring lag; the torque acts the other way round as well."""
     other = Drive(DRIVE.mesh, Kinematics(101.0, "circular_spline"), 56.0)
     angle, torque = product()
     found = weights(other, angle, -torque).harmonic("slot", 2)
     assert_allclose(found, -weights(DRIVE, angle, torque).harmonic("slot", 2), atol=1e-12)
 
 
-def test_idle_is_the_middle_of_both_sides() -> None:
+def test_idle_is_the_middle_of_both_sides_and_beyond_the_limit_the_response_stays() -> None:
     angle = np.linspace(0.0, 6.0, 30)
-    above, below, idle = (
-        weights(DRIVE, angle, np.full(30, torque)).harmonic("slot", 2) for torque in (1e-12, -1e-12, 0.0)
+    above, below, idle, at, beyond = (
+        weights(DRIVE, angle, np.full(30, torque)).harmonic("slot", 2)
+        for torque in (1e-12, -1e-12, 0.0, LIMIT, 2 * LIMIT)
     )
     assert_allclose(idle, 0.5 * (above + below), rtol=1e-4)
-
-
-def test_response_stays_beyond_the_limit() -> None:
-    angle = np.linspace(0.0, 6.0, 30)
-    at, beyond = (
-        weights(DRIVE, angle, np.full(30, torque)).harmonic("slot", 2) for torque in (LIMIT, 2 * LIMIT)
-    )
     assert_allclose(beyond, at, rtol=1e-12)
 
 
@@ -277,9 +224,6 @@ def test_response_stays_beyond_the_limit() -> None:
 def test_refuses_a_limit(limit: float) -> None:
     with pytest.raises(ValueError, match=r"torque_limit must be positive, not .* N m"):
         ContactTable(DRIVE, limit)
-
-
-# The torsion itself ---
 
 
 def test_map_is_the_torsion_a_fifth_beyond_the_limit(many: tuple[Array, Array]) -> None:
@@ -302,7 +246,6 @@ def test_mean_torsion_is_that_over_a_turn(torque: float) -> None:
 
 
 def test_ripple_is_the_error_less_its_mean_over_a_turn() -> None:
-    """Also where the torque is beyond the map; without the cup's own twist, which has no ripple."""
     turn = 2 * math.pi / 1000 * np.arange(1000)
     for drive in (DRIVE, dataclasses.replace(DRIVE, cup_compliance=2e-5)):
         for torque in (-45.0, 8.0, 1.1 * LIMIT):
@@ -314,28 +257,20 @@ def test_ripple_is_the_error_less_its_mean_over_a_turn() -> None:
             assert rms(found - (error - error.mean())) < 0.03 * ARCSEC
 
 
-def test_ripple_beyond_the_map_is_finite() -> None:
-    """There by the exact torsion, less the mean at the map's end."""
-    load = np.full(5, 2.0 * LIMIT)
-    found = weights(DRIVE, ANGLES, load).ripple
-    expected = torsion(DRIVE.mesh, ANGLES, -load) - contact_table(DRIVE, LIMIT).mean_torsion[1][0]
-    assert_allclose(found, -DRIVE.frame.torque_sign * expected, rtol=1e-9)
+def test_ripple_beyond_the_map_is_by_the_exact_torsion() -> None:
+    found = weights(DRIVE, ANGLES, np.full(5, 2.0 * LIMIT)).ripple
+    expected = torsion(DRIVE.mesh, ANGLES, np.full(5, -2.0 * LIMIT))
+    mean = contact_table(DRIVE, LIMIT).mean_torsion[1][0]  # at the map's end
+    assert_allclose(found, -DRIVE.frame.torque_sign * (expected - mean), rtol=1e-9)
 
 
-def test_a_part_keeps_the_ripple_that_is_known(many: tuple[Array, Array]) -> None:
+def test_ripple_of_parts_and_of_a_known_torsion(many: tuple[Array, Array]) -> None:
     whole, rows = weights(DRIVE, *many), slice(100, 300)
-    assert "ripple" not in whole.part(rows).__dict__
-    assert_allclose(whole.part(rows).ripple, whole.ripple[rows], rtol=0, atol=1e-15)
-    assert "ripple" in whole.part(rows).__dict__
+    alone = whole.part(rows).ripple
+    assert_allclose(alone, whole.ripple[rows], rtol=0, atol=1e-15)
     assert_array_equal(whole.part(rows).ripple, whole.ripple[rows])
-
-
-def test_torsion_known_already_is_the_ripple_s() -> None:
-    """The ripple from the error's own torsion is that of the table."""
-    known = weights(DRIVE, ANGLES, np.linspace(-40.0, 40.0, ANGLES.size))
-    cup = DRIVE.frame.cup_torque(known.torque)
-    beta = known.table.torsion_map(ANGLES, cup)
-    given = ContactWeights(known.table, ANGLES, known.torque, beta)
-    assert_allclose(given.part(slice(1, 4)).ripple, known.ripple[1:4], rtol=1e-12)
-    moved = ContactWeights(known.table, ANGLES, known.torque, beta + 1e-5)
-    assert_allclose(np.abs(moved.ripple - known.ripple), 1e-5, rtol=1e-6)
+    beta = whole.table.torsion_map(many[0], DRIVE.frame.cup_torque(whole.torque))
+    given = ContactWeights(whole.table, *many, beta)
+    assert_allclose(given.part(rows).ripple, alone, rtol=1e-12, atol=1e-18)
+    moved = ContactWeights(whole.table, *many, beta + 1e-5)
+    assert_allclose(np.abs(moved.ripple - whole.ripple), 1e-5, rtol=1e-6)

@@ -7,7 +7,6 @@ from scipy import stats
 from scipy.signal import lfilter
 
 from hd_diag.diagnosis.fit.design import (
-    Design,
     design,
     f_test,
     holds,
@@ -29,32 +28,18 @@ def problem(seed: int = 0, columns: int = 5) -> tuple[np.ndarray, np.ndarray, np
     return x, y, np.arange(ROWS) * BLOCKS // ROWS
 
 
-def built(x: np.ndarray, y: np.ndarray, block: np.ndarray) -> Design:
-    return design(x, y, block)
-
-
 def left(x: np.ndarray, y: np.ndarray, rows: np.ndarray | slice = slice(None)) -> np.ndarray:
     return y - x @ np.linalg.lstsq(x[rows], y[rows], rcond=None)[0]
 
 
-def test_deviance_is_that_of_a_fit() -> None:
+def test_sums_are_those_of_fits_with_and_without_each_block() -> None:
     x, y, block = problem()
-    assert built(x, y, block).deviance() == pytest.approx(np.sum(left(x, y) ** 2), rel=1e-12)
-
-
-def test_held_out_is_a_refit_without_the_block() -> None:
-    x, y, block = problem()
+    assert design(x, y, block).deviance() == pytest.approx(np.sum(left(x, y) ** 2), rel=1e-12)
     expected = [np.sum(left(x, y, block != b)[block == b] ** 2) for b in range(BLOCKS)]
-    assert_allclose(built(x, y, block).held_out(), expected, rtol=1e-10)
-
-
-def test_a_column_of_zeros_solves_to_nothing() -> None:
-    gram = np.diag([4.0, 0.0])
-    assert_allclose(solve(gram, np.array([8.0, 0.0])), [2.0, 0.0])
+    assert_allclose(design(x, y, block).held_out(), expected, rtol=1e-10)
 
 
 def test_a_column_of_zeros_beside_others_solves_to_nothing() -> None:
-    """Whatever rounding mixes into the others' directions."""
     x, y, _ = problem(columns=12)
     x[:, 5] = 0.0
     expected = np.linalg.lstsq(x, y, rcond=None)[0]
@@ -95,10 +80,7 @@ def test_lower_bound_is_above_a_mean_of_zero_once_in_a_hundred() -> None:
     draws = np.random.default_rng(3).standard_normal((4000, 24))
     share = np.mean([lower_bound(row) > 0.0 for row in draws])
     assert share == pytest.approx(0.01, abs=4 * np.sqrt(0.01 * 0.99 / 4000))
-
-
-def test_lower_bound_of_one_block_says_nothing() -> None:
-    assert lower_bound(np.array([5.0])) == -np.inf
+    assert lower_bound(np.array([5.0])) == -np.inf  # one block says nothing
 
 
 def test_bootstrap_interval_covers() -> None:
@@ -110,15 +92,11 @@ def test_bootstrap_interval_covers() -> None:
     assert 0.88 < covered < 0.97
 
 
-# Held-out gain ---
-
-
 @pytest.mark.parametrize("dropped", [slice(0, 1), slice(2, 4), slice(3, 5)])
 def test_held_out_gain_is_that_of_refits(dropped: slice) -> None:
-    """Without the block, with and without the columns; what was predicted is the square of the change."""
     x, y, block = problem()
     rest = np.delete(x, np.r_[dropped], axis=1)
-    gain, predicted = built(x, y, block).held_out_gain(dropped)
+    gain, predicted = design(x, y, block).held_out_gain(dropped)
     for b in range(BLOCKS):
         here, others = block == b, block != b
         full, fewer = left(x, y, others)[here], left(rest, y, others)[here]
@@ -132,7 +110,7 @@ def test_gains_of_blocks_scatter_as_predicted() -> None:
     for seed in range(100):
         x, _, block = problem(seed)
         noise = np.random.default_rng(1000 + seed).standard_normal(ROWS)
-        gain, predicted = built(x, 2.0 * x[:, 0] + noise, block).held_out_gain(slice(0, 1))
+        gain, predicted = design(x, 2.0 * x[:, 0] + noise, block).held_out_gain(slice(0, 1))
         pulls.extend((gain - predicted) / (2.0 * np.sqrt(predicted)))
     assert np.mean(pulls) == pytest.approx(0.0, abs=4.0 / np.sqrt(800))
     assert np.std(pulls) == pytest.approx(1.0, rel=0.15)
@@ -142,8 +120,8 @@ def test_a_column_of_one_block_says_nothing_of_it() -> None:
     """Held out, the block is predicted without that column: a filter's tail elsewhere is rounding."""
     x, y, block = problem(columns=4)
     local = np.where(block == 3, 1.0 / 3.0 + x[:, 0], np.where(block == 4, 1e-10, 0.0))
-    wide = built(np.column_stack((x, 1e-3 * local)), y, block)
-    plain = built(x, y, block)
+    wide = design(np.column_stack((x, 1e-3 * local)), y, block)
+    plain = design(x, y, block)
     keep = np.arange(BLOCKS) == 3
     assert_allclose(wide.held_out()[keep], plain.held_out()[keep], rtol=1e-9)
     for found, expected in zip(
@@ -161,40 +139,32 @@ def noise_gain(seed: int, blocks: int = 24, size: float = 0.0, rows: slice = sli
     x, y = rng.standard_normal((720, 3)), rng.standard_normal(720)
     block = np.arange(720) * blocks // 720
     x[:, 2] *= np.isin(block, np.arange(blocks)[rows])
-    return holds(*built(x, y + size * x[:, 2], block).held_out_gain(slice(2, 3)))
+    return holds(*design(x, y + size * x[:, 2], block).held_out_gain(slice(2, 3)))
 
 
 def test_noise_alone_hardly_ever_holds() -> None:
-    """Two one-sided tests of one per cent."""
     assert np.mean([noise_gain(seed) for seed in range(300)]) < 0.02 + 3.0 * np.sqrt(0.02 / 300)
 
 
-def test_a_cause_in_all_blocks_holds() -> None:
-    assert all(noise_gain(seed, size=0.4) for seed in range(20))
+@pytest.mark.parametrize(("size", "rows"), [(0.4, slice(None)), (1.2, slice(3, 5))])
+def test_a_cause_in_all_or_in_two_blocks_holds(size: float, rows: slice) -> None:
+    assert all(noise_gain(seed, size=size, rows=rows) for seed in range(20))
 
 
-def test_a_cause_in_two_of_many_blocks_holds() -> None:
-    """Although the mean over all blocks does not stand out of their scatter."""
-    gain = np.array([60.0, 45.0] + 22 * [0.0])
-    assert lower_bound(gain) < 0.0
-    assert holds(gain, gain)
-    assert all(noise_gain(seed, size=1.2, rows=slice(3, 5)) for seed in range(20))
-
-
-def test_blocks_that_disagree_prove_nothing() -> None:
-    """What one block gains, another of the same weight loses in part."""
-    predicted = np.array([100.0, 100.0] + 22 * [0.0])
-    assert holds(np.array([180.0, 20.0] + 22 * [0.0]), predicted)
-    assert not holds(np.array([180.0, -20.0] + 22 * [0.0]), predicted)
-
-
-def test_a_gain_as_small_as_noise_does_not_hold() -> None:
-    """Three, where the noise of what was predicted is 2 sqrt(3)."""
-    gain = np.array([2.5, 0.5] + 22 * [0.0])
-    assert not holds(gain, gain)
-
-
-# Inverse ---
+@pytest.mark.parametrize(
+    ("gain", "predicted", "expected"),
+    [
+        ((60.0, 45.0), (60.0, 45.0), True),  # although the mean does not stand out of the blocks' scatter
+        ((180.0, 20.0), (100.0, 100.0), True),
+        ((180.0, -20.0), (100.0, 100.0), False),  # what one gains, another of the same weight loses in part
+        ((2.5, 0.5), (2.5, 0.5), False),  # three, where the noise of what was predicted is 2 sqrt(3)
+    ],
+)
+def test_two_of_many_blocks_hold(gain: tuple, predicted: tuple, expected: bool) -> None:
+    many = np.zeros((2, 24))
+    many[:, :2] = gain, predicted
+    assert lower_bound(many[0]) < 0.0
+    assert holds(*many) is expected
 
 
 def test_inverse_of_columns_of_any_scale() -> None:
@@ -205,15 +175,11 @@ def test_inverse_of_columns_of_any_scale() -> None:
 
 
 def test_inverse_shares_out_between_columns_that_are_alike() -> None:
-    """As the pseudo-inverse of the scaled columns: the fit is that of one of them."""
     x, y, _ = problem()
     twice = np.concatenate((x, 1e-6 * x[:, :1]), axis=1)
     fit = twice @ inverse(twice.T @ twice) @ twice.T @ y
     assert_allclose(fit, y - left(x, y), rtol=1e-8)
     assert np.isfinite(inverse(np.zeros((3, 3)))).all()
-
-
-# Surprise ---
 
 
 @pytest.mark.parametrize("gain", [0.0, 0.3, 8.0, 700.0, 1400.0, 1600.0, 1e5])
@@ -223,13 +189,9 @@ def test_surprise_of_four_columns_is_exact(gain: float) -> None:
 
 
 @pytest.mark.parametrize("added", [1, 2, 3, 8])
-def test_surprise_grows_through_the_asymptote(added: int) -> None:
+def test_surprise_grows_through_the_asymptote_and_counts_columns(added: int) -> None:
     found = np.array([surprise(gain, added) for gain in np.linspace(1300.0, 1700.0, 401)])
     assert np.all(np.isfinite(found))
     assert_allclose(np.diff(found), 0.5, rtol=0.03)
-
-
-def test_surprise_counts_columns() -> None:
-    """The same gain by more columns is less; no gain, or a loss, is none."""
-    assert surprise(50.0, 2) > surprise(50.0, 4) > surprise(50.0, 8)
-    assert surprise(0.0, 3) == surprise(-1.0, 3) == 0.0
+    assert surprise(50.0, added) > surprise(50.0, added + 1)
+    assert surprise(0.0, added) == surprise(-1.0, added) == 0.0

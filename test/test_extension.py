@@ -5,16 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_runner import runner
-from click.testing import Result
+from cli_runner import assert_one_line_error, hd_diag
 from live import MS, RATIO, START, message
 from models import model, term
 
 from hd_diag.bag import BagReader, BagWriter
 from hd_diag.bag.joint_record import read_bags
-from hd_diag.cli import cli
-from hd_diag.config.configuration import load
+from hd_diag.config.configuration import JointConfig, load
 from hd_diag.diagnosis.extension import running_residual
+from hd_diag.diagnosis.record import Record
 from hd_diag.extended_model import ExtendedModel
 
 DELAY = 2e-4  # [s]; 25 arcsec at 60 rad/s of the input
@@ -44,18 +43,16 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("extension")
     angle, torque = runs(16)
     made, random = true_model(), np.random.default_rng(11)
-    time = np.arange(angle.size) * STEP * 1e-3
+    time, stamps = np.arange(angle.size) * STEP * 1e-3, START + STEP * MS * np.arange(angle.size)
     error, _ = made.step(made.start(), time, angle, None, torque, None, made.torsion_map)
     output = angle / RATIO + error + random.normal(0.0, NOISE, angle.size)
     with BagWriter(path / "bag.mcap") as writer:
-        for i in range(angle.size):
-            stamp = START + STEP * MS * i
+        for i, stamp in enumerate(stamps.tolist()):
             position = {"joint_1_motor": angle[i], "joint_1": output[i]}
             data = message(stamp, position, {"joint_1": torque[i]})
             writer.write("/joint_states", "sensor_msgs/msg/JointState", data, stamp)
-    result = invoke(
-        "diagnose", path / "bag.mcap", "--model", path / "model.json", "--json", path / "verdict.json"
-    )
+    files = ("--model", path / "model.json", "--json", path / "verdict.json")
+    result = hd_diag("diagnose", path / "bag.mcap", *files)
     assert result.exit_code == 0, result.output
     (path / "with_model.yaml").write_text(
         "hd_diag: {ros__parameters: {joints: [joint_1], joint_1: {model_file: model.json}}}"
@@ -63,8 +60,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def invoke(*arguments: object) -> Result:
-    return runner().invoke(cli, [str(argument) for argument in arguments])
+@pytest.fixture(scope="module")
+def joint(folder: Path) -> JointConfig:
+    """With the model in force."""
+    return load(folder / "with_model.yaml").joints[0]
+
+
+def fit(joint: JointConfig, folder: Path) -> tuple[Record, np.ndarray]:
+    """The record and what the model as it runs leaves of it [rad]."""
+    record = read_bags([folder / "bag.mcap"], joint)
+    assert joint.model is not None
+    return record, running_residual(joint.model, record, record.reported_torque, joint.model.torsion_map)
 
 
 def test_the_verdict_names_the_file_and_its_evidence(folder: Path) -> None:
@@ -82,25 +88,18 @@ def test_the_verdict_names_the_file_and_its_evidence(folder: Path) -> None:
     assert written["valid_range"]["temperature"] is None
 
 
-def test_the_model_as_it_runs_is_as_good_as_told(folder: Path) -> None:
+def test_the_model_as_it_runs_is_as_good_as_told(folder: Path, joint: JointConfig) -> None:
     verdict = json.loads((folder / "verdict.json").read_text())
-    joint = load(folder / "with_model.yaml").joints[0]
-    assert joint.model is not None
-    record = read_bags([folder / "bag.mcap"], joint)
-    rest = running_residual(joint.model, record, record.reported_torque, joint.model.torsion_map)
-    assert np.std(rest) == pytest.approx(NOISE, rel=0.05)
+    assert np.std(fit(joint, folder)[1]) == pytest.approx(NOISE, rel=0.05)
     assert verdict["extended"]["rms_live"] == pytest.approx(NOISE, rel=0.1)
     assert verdict["extended"]["rms"] < 0.2 * verdict["refit"]["rms"]
 
 
-def test_a_replay_with_the_model_has_the_residual_of_the_fit(folder: Path) -> None:
+def test_a_replay_with_the_model_has_the_residual_of_the_fit(folder: Path, joint: JointConfig) -> None:
     out = folder / "replayed.mcap"
-    result = invoke("replay", folder / "bag.mcap", "--config", folder / "with_model.yaml", "--out", out)
+    result = hd_diag("replay", folder / "bag.mcap", "--config", folder / "with_model.yaml", "--out", out)
     assert result.exit_code == 0, result.output
-    joint = load(folder / "with_model.yaml").joints[0]
-    assert joint.model is not None
-    record = read_bags([folder / "bag.mcap"], joint)
-    fit = running_residual(joint.model, record, record.reported_torque, joint.model.torsion_map)
+    record, expected = fit(joint, folder)
     with BagReader(out) as reader:
         states = [s for b in reader.batches(["/hd_diag/residual"]) for s in reader.joint_states(b)[0]]
     stamp = np.concatenate([s.stamp for s in states])
@@ -108,18 +107,15 @@ def test_a_replay_with_the_model_has_the_residual_of_the_fit(folder: Path) -> No
     rows = np.searchsorted(stamp, START + np.round(record.time * 1e9).astype(np.int64))
     kept = np.flatnonzero(np.diff(rows, prepend=-1) == 1)  # after an outlier the record's last angle is older
     assert kept.size > 0.95 * residual.size
-    np.testing.assert_allclose(residual[rows[kept]], fit[kept], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(residual[rows[kept]], expected[kept], rtol=0.0, atol=1e-9)
 
 
-def test_a_diagnosis_with_the_model_in_force_is_of_the_configured_joint(folder: Path) -> None:
+def test_a_diagnosis_with_the_model_in_force_is_of_the_configured_joint(joint: JointConfig) -> None:
     """The parameters before the fit, not those that the model already has."""
-    joint = load(folder / "with_model.yaml").joints[0]
     assert abs(joint.configured.mesh.eccentricity) == 0.0
     assert abs(joint.drive.mesh.eccentricity) == pytest.approx(9e-6, rel=0.05)
 
 
 def test_a_model_that_cannot_be_written_is_one_line(folder: Path) -> None:
-    result = invoke("diagnose", folder / "bag.mcap", "--model", folder / "none" / "m.json")
-    assert result.exit_code == 2
-    assert "m.json: cannot be written: no such folder" in result.stderr
-    assert len(result.stderr.splitlines()) == 1
+    result = hd_diag("diagnose", folder / "bag.mcap", "--model", folder / "none" / "m.json")
+    assert_one_line_error(result, "m.json: cannot be written: no such folder")

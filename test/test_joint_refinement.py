@@ -5,33 +5,32 @@ import dataclasses
 import numpy as np
 import pytest
 from benches import EFFECTS, bench, of
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.joint_refinement import covariance, free, polished, slopes
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
+from hd_diag.effects.effect import Effect
 
-HARDENING = {
-    "first_compliance": -6e-6,
-    "second_compliance": 8e-6,
-    "first_knee": 11.0,
-    "second_knee": 30.0,
-}
-HYSTERESIS = {"first_amplitude": 1e-4, "second_amplitude": 6e-5, "first_reach": 2.0, "second_reach": 9.0}
-TRUTH = {"torsional_hardening": HARDENING, "hysteresis": HYSTERESIS}
+TRUTH = {"torsional_hardening": (-6e-6, 8e-6, 11.0, 30.0), "hysteresis": (1e-4, 6e-5, 2.0, 9.0)}
 MODEL = fit_parameters.COUNT + 1  # and the encoders' offset
 
 
+Case = tuple[Effect, tuple[float, ...], LinearisedFit]
+
+
 @pytest.fixture(scope="module", params=TRUTH)
-def case(request: pytest.FixtureRequest) -> tuple[str, LinearisedFit]:
-    return request.param, bench(of(EFFECTS[request.param], **TRUTH[request.param]))
+def case(request: pytest.FixtureRequest) -> Case:
+    """An effect, its true values and a fit of a record with it."""
+    effect, values = EFFECTS[request.param], TRUTH[request.param]
+    named = {quantity.name: value for quantity, value in zip(effect.quantities, values, strict=True)}
+    return effect, values, bench(of(effect, **named))
 
 
-def test_nonlinear_values_are_returned(case: tuple[str, LinearisedFit]) -> None:
+def test_nonlinear_values_are_returned(case: Case) -> None:
     """From a start as far off as a search may leave it; within four standard deviations, which are small."""
-    name, start = case
-    effect, expected = EFFECTS[name], np.array(list(TRUTH[name].values()))
-    found, chosen = polished(start, ((effect, tuple(expected[2:] * [1.1, 0.93])),))
+    effect, expected, start = case
+    found, chosen = polished(start, ((effect, (1.1 * expected[2], 0.93 * expected[3])),))
     spread, (place,) = covariance(found, chosen)
     deviation = np.sqrt(np.diag(spread))[place]
     values = np.concatenate((found.fit(chosen)[0][place[:2]], chosen[0][1]))
@@ -41,16 +40,13 @@ def test_nonlinear_values_are_returned(case: tuple[str, LinearisedFit]) -> None:
     assert np.all(np.abs(moved) < 4.0 * np.sqrt(np.diag(spread))[: fit_parameters.COUNT])
 
 
-def test_slopes_are_those_of_the_response(case: tuple[str, LinearisedFit]) -> None:
-    name, made = case
-    effect = EFFECTS[name]
-    _, nonlinear = effect.from_physical(TRUTH[name])
+def test_slopes_are_those_of_the_response(case: Case) -> None:
+    effect, (*_, first, second), made = case
+    nonlinear = first, second
     chosen = ((EFFECTS["viscous_windup"], ()), (effect, nonlinear))
     found = slopes(made, chosen)
     fitted = made.fit(chosen)[0][MODEL + 1 :]
-    for index, column in enumerate(found.T):
-        step = np.zeros(2)
-        step[index] = 1e-3
+    for column, step in zip(found.T, 1e-3 * np.eye(2), strict=True):
         ends = [effect.columns(made.signals, tuple(np.array(nonlinear) + s * step)) for s in (1.0, -1.0)]
         expected = (ends[0] - ends[1]) @ fitted / 2e-3
         assert column @ expected / (expected @ expected) == pytest.approx(1.0, rel=0.02)
@@ -58,32 +54,27 @@ def test_slopes_are_those_of_the_response(case: tuple[str, LinearisedFit]) -> No
     assert slopes(made, chosen[:1]).shape == (made.data.record.size, 0)
 
 
-def test_linear_effects_stay_as_they_are(case: tuple[str, LinearisedFit]) -> None:
-    _, made = case
+def test_linear_effects_stay_as_they_are(case: Case) -> None:
+    *_, made = case
     chosen = ((EFFECTS["viscous_windup"], ()), (EFFECTS["encoder_interpolation"], (64.0,)))
     assert polished(made, chosen)[1] == chosen
 
 
-def test_places_in_the_covariance(case: tuple[str, LinearisedFit]) -> None:
-    """Coefficients effect by effect, then what is free; a discrete value has no place."""
-    name, made = case
+def test_places_in_the_covariance(case: Case) -> None:
+    effect, values, made = case
     lines = EFFECTS["encoder_interpolation"]
-    chosen = (
-        (lines, (64.0,)),
-        (EFFECTS[name], EFFECTS[name].from_physical(TRUTH[name])[1]),
-        (EFFECTS["coulomb_windup"], (0.6,)),
-    )
+    chosen = (lines, (64.0,)), (effect, values[2:]), (EFFECTS["coulomb_windup"], (0.6,))
     spread, places = covariance(made, chosen)
     expected = [[0, 1, -1 - MODEL], [2, 3, 6, 7], [4, 5, 8]]
     assert [(place - MODEL).tolist() for place in places] == expected
     assert spread.shape == (MODEL + 9, MODEL + 9)
     assert_allclose(spread, spread.T, rtol=1e-9, atol=0.0)
-    assert (free(lines), free(EFFECTS[name])) == ([], [0, 1])
+    assert (free(lines), free(effect)) == ([], [0, 1])
 
 
-def test_free_values_widen_what_is_known_of_the_coefficients(case: tuple[str, LinearisedFit]) -> None:
-    name, made = case
-    chosen = ((EFFECTS[name], EFFECTS[name].from_physical(TRUTH[name])[1]),)
+def test_free_values_widen_what_is_known_of_the_coefficients(case: Case) -> None:
+    effect, values, made = case
+    chosen = ((effect, values[2:]),)
     alone = np.diag(made.fit(chosen)[1])
     together = np.diag(covariance(made, chosen)[0])[: alone.size]
     assert np.all(together[MODEL:] > 1.02 * alone[MODEL:])
@@ -91,18 +82,16 @@ def test_free_values_widen_what_is_known_of_the_coefficients(case: tuple[str, Li
 
 
 def test_a_value_stops_at_its_limit() -> None:
-    """A sudden change of friction asks for a slower reversal than the effect allows."""
     effect = EFFECTS["coulomb_windup"]
     low = effect.nonlinear[0].low
     made = bench(lambda signals: -1e-4 * np.sign(signals.forward_speed))
     _, chosen = polished(made, ((effect, (low,)),))
-    assert chosen[0][1][0] >= low
-    assert_array_equal(np.isfinite(chosen[0][1]), [True])
+    assert low <= chosen[0][1][0] < np.inf
 
 
-def test_deviations_follow_the_scatter_of_blocks(case: tuple[str, LinearisedFit]) -> None:
+def test_deviations_follow_the_scatter_of_blocks(case: Case) -> None:
     """A part that no column has, in one block in three, widens what it pulls at; nothing gets narrower."""
-    _, made = case
+    *_, made = case
     chosen = ((EFFECTS["viscous_windup"], ()),)
     plain = np.sqrt(np.diag(made.fit(chosen)[1]))
     assert np.all(np.sqrt(np.diag(covariance(made, chosen)[0])) >= 0.999 * plain)

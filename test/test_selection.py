@@ -31,19 +31,16 @@ def test_what_grows_or_falls_with_speed_asks_for_a_slow_start(growth: float, exp
 
 
 def test_speeds_that_are_alike_have_no_slow_part() -> None:
-    """However uneven the rest is."""
     rest = NOISE * (1.0 + (np.abs(SPEED) > 30.0))
     assert not speed_dependent(left(np.sign(SPEED) * (25.0 + 0.25 * np.abs(SPEED)), rest))
 
 
 def test_a_delay_is_seen_and_noise_is_not() -> None:
-    """Its error goes with the ripple's rate, so with the speed."""
     assert not speed_dependent(bench())
     assert speed_dependent(bench(of(EFFECTS["stream_delay"], delay=2e-3)))
 
 
 def test_search_returns_the_cause_and_no_other() -> None:
-    """With its values, from a grid of three speeds."""
     said: list[str] = []
     values = {"amplitude": 5e-5, "stribeck_amplitude": 4e-5, "reversal_speed": 1.3}
     found = search(bench(of(EFFECTS["coulomb_windup"], **values)), np.random.default_rng(0), said.append)

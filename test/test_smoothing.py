@@ -19,10 +19,6 @@ def noisy(frequency, size=0.15):
     return torque(frequency) + size * np.random.default_rng(4).standard_normal(TIME.size)
 
 
-def left(values, frequency, width):
-    return np.std(smooth(values, WHOLE, STEP, width) - torque(frequency))
-
-
 def test_a_quadratic_stays_as_it_is_to_its_ends():
     quadratic = 3.0 - 2.0 * TIME + 0.5 * TIME**2
     np.testing.assert_allclose(smooth(quadratic, WHOLE, STEP, 0.1), quadratic, atol=1e-9)
@@ -32,9 +28,9 @@ def test_a_quadratic_stays_as_it_is_to_its_ends():
 @pytest.mark.parametrize("frequency", [0.1, 0.3, 1.0])
 def test_the_chosen_window_is_nearly_the_best(frequency):
     values = noisy(frequency)
-    widths = 0.01 * 1.1 ** np.arange(36)
-    best = min(left(values, frequency, width) for width in widths)
-    assert left(values, frequency, best_width(values, WHOLE, STEP)) < 1.15 * best
+    widths = [best_width(values, WHOLE, STEP), *(0.01 * 1.1 ** np.arange(36))]
+    found, *others = (np.std(smooth(values, WHOLE, STEP, width) - torque(frequency)) for width in widths)
+    assert found < 1.15 * min(others)
 
 
 def test_the_window_follows_the_noise():
@@ -42,14 +38,11 @@ def test_the_window_follows_the_noise():
     assert best_width(torque(1.0), WHOLE, STEP) < 0.015
 
 
-def test_segments_do_not_mix():
+def test_segments_do_not_mix_and_those_of_a_few_samples_stay():
     segment = np.repeat([0, 1], TIME.size // 2)
     values = np.where(segment == 0, 1.0, 9.0)
     np.testing.assert_allclose(smooth(values, segment, STEP, 0.1), values, atol=1e-12)
     np.testing.assert_allclose(rate(values, segment, STEP, 0.03), 0.0, atol=1e-9)
-
-
-def test_segments_of_a_few_samples_stay():
     segment = np.repeat(np.arange(5), [1, 2, 3, 4, TIME.size - 10])
     values = noisy(0.3)
     np.testing.assert_array_equal(smooth(values, segment, STEP, 0.1)[:6], values[:6])
@@ -76,5 +69,6 @@ def test_noise_about_a_constant_is_the_constant(mean, expected):
 
 def test_a_small_swing_above_the_noise_stays():
     values = noisy(0.3, 0.15) / 200.0 + 0.15 * np.random.default_rng(2).standard_normal(TIME.size)
-    smoothed = smooth(values, WHOLE, STEP, best_width(values, WHOLE, STEP))
-    np.testing.assert_array_equal(settled(values, smoothed, STEP, best_width(values, WHOLE, STEP)), smoothed)
+    width = best_width(values, WHOLE, STEP)
+    smoothed = smooth(values, WHOLE, STEP, width)
+    np.testing.assert_array_equal(settled(values, smoothed, STEP, width), smoothed)

@@ -1,17 +1,15 @@
 """Long records in stretches: what is kept, what causes remember between, the verdict, and the memory."""
 
-import dataclasses
 import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import pytest
-from challenge import families, motion, records
-from challenge.records import Recording, simulate
-from challenge.truth import drawn
+from challenge import records
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from joint_records import ARCSEC, columns, joint, prepared
+from report_samples import generated
 
 from hd_diag.bag.joint_record import read_bags
 from hd_diag.config.configuration import resolve
@@ -60,37 +58,33 @@ def test_a_short_record_stays_itself() -> None:
     assert moved(rows=LIMIT).size == subsample(moved(rows=LIMIT)).size
 
 
-def test_rows_are_neighbours_at_their_true_times() -> None:
+def test_rows_are_neighbours_at_their_true_times_and_single_ones_far_apart() -> None:
     whole = moved()
     record = subsample(whole, SOME)
     assert 0.9 * SOME < record.size <= SOME
     rows = np.rint(record.time * RATE).astype(np.int64)
-    assert np.all(np.diff(rows) > 0)
+    step = np.diff(rows)
+    assert np.all(step > 0)
+    assert step[step > 1].min() > 20  # no filter takes those for neighbours
     for name in ("time", "input_angle", "output_angle", "torque", "speed", "run", "bag", "reported_torque"):
         assert np.array_equal(getattr(record, name), getattr(whole, name)[rows])
-    inside = sum(b - a for a, b in dense(record))
-    assert inside > 0.9 * record.size
+    assert sum(b - a for a, b in dense(record)) > 0.9 * record.size
     assert min(b - a for a, b in dense(record)) > 10 * ORDER
 
 
-def test_every_part_of_every_run_is_seen() -> None:
-    """The middles of neighbouring stretches are at most two cells apart."""
-    record = subsample(moved(runs=6), SOME)
+@pytest.mark.parametrize("runs", [6, 600])
+def test_every_part_of_every_run_is_seen(runs: int) -> None:
+    record = subsample(moved(runs=runs), SOME)
     found = dense(record)
-    assert {int(record.run[a]) for a, _ in found} == set(range(6))
-    middles = np.array([record.time[(a + b) // 2] for a, b in found])
-    assert np.max(np.diff([0.0, *middles, ROWS / RATE])) <= 2.0 * ROWS / RATE / len(found)
-
-
-def test_of_more_runs_than_stretches_there_can_be_some_are_seen() -> None:
-    record = subsample(moved(runs=600), SOME)
+    apart = np.diff([0.0, *(record.time[(a + b) // 2] for a, b in found), ROWS / RATE])
     assert record.size <= SOME
-    middles = np.array([record.time[(a + b) // 2] for a, b in dense(record)])
-    assert np.max(np.diff([0.0, *middles, ROWS / RATE])) < 0.25 * ROWS / RATE
+    if runs == 6:
+        assert {int(record.run[a]) for a, _ in found} == set(range(6))
+        assert np.max(apart) <= 2.0 * ROWS / RATE / len(found)
+    assert np.max(apart) < 0.25 * ROWS / RATE  # of more runs than there can be stretches some are seen
 
 
 def test_what_is_rare_is_seen_too() -> None:
-    """Torques, speeds of either direction and places of the turn that a hundredth of the record has."""
     whole = moved(runs=12)
     record = subsample(whole, SOME)
     for name, low, high in (("torque", -40.0, 40.0), ("speed", -45.0, 45.0), ("output_angle", -0.6, 0.6)):
@@ -111,19 +105,10 @@ def test_it_tells_what_the_whole_covers() -> None:
 
 
 def test_memory_goes_on_but_not_into_another_recording() -> None:
-    whole = moved(bags=2)
-    record = subsample(whole, SOME)
+    record = subsample(moved(bags=2), SOME)
     assert np.array_equal(record.stretch, record.bag)
     gaps = np.flatnonzero(np.diff(record.time) > 1.0)
     assert np.all(np.diff(record.stretch)[gaps] == np.diff(record.bag)[gaps])
-
-
-def test_single_rows_are_apart() -> None:
-    """So far from each other that no filter takes them for neighbours."""
-    record = subsample(moved(), SOME)
-    rows = np.rint(record.time * RATE).astype(np.int64)
-    step = np.diff(rows)
-    assert step[step > 1].min() > 20
 
 
 @settings(max_examples=25, deadline=None)
@@ -154,9 +139,6 @@ def test_memory_goes_on_through_a_pause_without_torque() -> None:
     assert len(set(bench.data.run.tolist())) > 1  # which filters do not go through
 
 
-# Block by block ---
-
-
 @pytest.fixture(scope="module")
 def rough() -> dict[str, np.ndarray]:
     """Wrapped angles, outliers, a gap."""
@@ -174,12 +156,8 @@ def test_a_record_is_the_same_in_blocks(
     expected = prepared(rough)
     monkeypatch.setattr(blocks, "BLOCK", 700)
     record = prepared(rough)
-    assert (record.outliers, record.dropped, record.extent.runs) == (
-        21,
-        0,
-        expected.extent.runs,
-    )  # one more was in the gap
-    assert expected.outliers == 21
+    assert record.outliers == expected.outliers == 21  # one more was in the gap
+    assert (record.dropped, record.extent.runs) == (0, expected.extent.runs)
     for name in ("time", "input_angle", "output_angle", "torque", "speed", "temperature", "run"):
         np.testing.assert_allclose(getattr(record, name), getattr(expected, name), rtol=1e-12, atol=1e-11)
 
@@ -196,38 +174,26 @@ def test_a_skipped_tooth_at_the_edge_of_a_block_is_found(monkeypatch: pytest.Mon
         assert np.ptp(found.record.output_angle - found.record.input_angle / 100.0) < 2e-3
 
 
-# The verdict ---
-
-
 @pytest.mark.slow
 def test_a_subsample_has_the_verdict_of_the_whole() -> None:
     """Half the rows; hysteresis, which only what came between tells from other causes."""
-    rng = families.generator("one_effect", 9)
-    standard = motion.standard(rng)
-    runs = motion.Motion(tuple(dataclasses.replace(each, duration=10.0) for each in standard.runs))
-    causes = [families.draw(rng, "hysteresis", runs)]
-    made = simulate(drawn(rng), causes, runs, rng, Recording(rate=200.0))
+    made = generated("one_effect", 9, "hysteresis", run=10.0)
     data = (made.time, made.input_angle, made.output_angle, made.torque, made.temperature)
     record = prepare(*data, np.zeros(made.time.size, dtype=np.int64), 100.0)
-    drive = joint().drive
-    whole = diagnose(record, drive, np.random.default_rng(0))
-    fewer = diagnose(screened(record, drive, limit=record.size // 2), drive, np.random.default_rng(0))
+    fewer = screened(record, joint().drive, limit=record.size // 2)
     assert fewer.record.size <= record.size // 2
-    for found in (whole, fewer):
+    amplitude = float(np.std(records.added_by(made, "hysteresis")))
+    whole, half = (diagnose(each, joint().drive, np.random.default_rng(0)) for each in (record, fewer))
+    for found in (whole, half):
         assert [cause.effect.name for cause in found.causes] == ["hysteresis"]
         assert found.unexplained == ()
-        amplitude = float(np.std(records.added_by(made, "hysteresis")))
         assert found.causes[0].amplitude == pytest.approx(amplitude, rel=0.1)
-    assert whole.gain is not None
-    assert fewer.gain is not None
-    assert fewer.gain.low < whole.gain.high
-    assert whole.gain.low < fewer.gain.high
-    assert whole.rms is not None
-    assert fewer.rms is not None
-    assert fewer.rms.extended == pytest.approx(whole.rms.extended, rel=0.15)
+        assert found.gain is not None
+        assert found.rms is not None
+    assert half.gain.low < whole.gain.high
+    assert whole.gain.low < half.gain.high
+    assert half.rms.extended == pytest.approx(whole.rms.extended, rel=0.15)
 
-
-# Memory ---
 
 _EACH = 100  # a sample of a record that is read and screened needs this much at most [byte]
 
@@ -236,13 +202,8 @@ def needed(path: Path, seconds: float) -> tuple[int, int]:
     """Most memory while a bag at 1 kHz is read and screened, and what is left of it [byte]."""
     config = resolve({"joints": ["joint_1"]})
     own = config.joints[0]
-    write_bag(
-        path,
-        config,
-        Motion(duration=seconds, sample_rate=RATE),
-        np.random.default_rng(0),
-        {"joint_1": SimulatedJoint(own.drive, Noise(white=2.0 * ARCSEC, torque=0.3))},
-    )
+    noise = {"joint_1": SimulatedJoint(own.drive, Noise(white=2.0 * ARCSEC, torque=0.3))}
+    write_bag(path, config, Motion(duration=seconds, sample_rate=RATE), np.random.default_rng(0), noise)
     tracemalloc.start()
     try:
         found = screened(read_bags([path], own), own.drive)

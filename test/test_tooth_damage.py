@@ -26,20 +26,9 @@ def signals() -> Signals:
     """Moments of any angle and torque; only the contact counts."""
     rng = np.random.default_rng(0)
     angle, torque = rng.uniform(-300.0, 300.0, 3000), rng.uniform(-60.0, 60.0, 3000)
-    none = np.zeros(3000)
-    return Signals(
-        time=np.arange(3000.0),
-        wave_generator_angle=angle,
-        output_angle=-angle / 101.0,
-        speed=none,
-        torque=torque,
-        temperature=None,
-        run=np.zeros(3000, dtype=np.int64),
-        predicted=none,
-        predicted_torque_slope=none,
-        predicted_rate=none,
-        contact=ContactWeights(contact_table(DRIVE, 60.0), angle, torque),
-    )
+    time, none, run = np.arange(3000.0), np.zeros(3000), np.zeros(3000, dtype=np.int64)
+    contact = ContactWeights(contact_table(DRIVE, 60.0), angle, torque)
+    return Signals(time, angle, -angle / 101.0, none, torque, None, run, none, none, none, contact)
 
 
 def place(member: float) -> tuple[float, float]:
@@ -83,7 +72,6 @@ def test_the_response_grows_until_the_pair_parts(signals: Signals, member: float
 
 @MEMBERS
 def test_flanks_bear_one_torque_each(signals: Signals, member: float) -> None:
-    """The response to both is the sum: a moment loads one of them only."""
     both = response(signals, member, 5e-5, 3e-5)
     parts = response(signals, member, 5e-5, 0.0), response(signals, member, 0.0, 3e-5)
     assert_allclose(both, parts[0] + parts[1], rtol=1e-12, atol=1e-18)
@@ -101,17 +89,3 @@ def test_neighbours_on_both_sides_and_at_the_other_lobe(signals: Signals, member
     expected = [(number + one) % count * PITCH[member] for one in away]
     assert_allclose([position for _, position in found], expected, atol=1e-12)
     assert all(0.0 <= position < 2 * math.pi for _, position in found)
-
-
-def test_the_slots_most_alike_are_beside(signals: Signals) -> None:
-    """The next ones of all 202, and the most alike at the other lobe."""
-    size = np.array([5e-5, 3e-5])
-    here = response(signals, SLOT, *size)
-    alike = np.zeros(202)
-    for number in set(range(202)) - {NUMBER}:
-        there = EFFECT.response(signals, size, (SLOT, number * PITCH[SLOT]))
-        alike[number] = here @ there / math.sqrt(float(here @ here) * float(there @ there))
-    looked_at = {round(position / PITCH[SLOT]) for _, position in EFFECT.neighbours(signals, place(SLOT))}
-    assert set(np.argsort(alike)[-2:].tolist()) == {NUMBER - 1, NUMBER + 1}
-    assert alike.max() < 0.999
-    assert NUMBER + 20 + int(np.argmax(alike[NUMBER + 20 :])) in looked_at

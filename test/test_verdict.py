@@ -2,7 +2,7 @@
 
 import dataclasses
 import json
-import math
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -39,13 +39,6 @@ KEYS = {
 MORE = {"": "findings", "record": "has_torque outliers dropped", "extended": "rms_offline rms_live"}
 
 
-class Found:
-    """What the verdict needs of a search."""
-
-    def __init__(self, *causes: Cause) -> None:
-        self.causes = causes
-
-
 def cause(name: str, amplitude: float = 4.0 * ARCSEC, alike: tuple[str, ...] = ()) -> Cause:
     effect = EFFECTS[name]
     values = {q.name: max(q.low, min(q.high, 1.0)) for q in effect.quantities}
@@ -76,7 +69,7 @@ def diagnosis(*causes: Cause, **changes: Any) -> Diagnosis:
         "configured": CONFIGURED,
         "findings": (),
         "refitted": refitted(),
-        "found": Found(*causes),
+        "found": SimpleNamespace(causes=causes),
         "rms": rms,
         "gain": Gain(0.97, 0.96, 0.98, "3 of 12 runs"),
         "testable": TESTS,
@@ -84,13 +77,15 @@ def diagnosis(*causes: Cause, **changes: Any) -> Diagnosis:
     return Diagnosis(**(made | changes))
 
 
+ABOVE = "under positive torque"
+SIDED, TIME_LINE = dataclasses.replace(LINE, where=ABOVE), dataclasses.replace(LINE, frame="time", order=7.3)
 WRONG_RATIO = Finding("ratio_error", "the output follows at 101", 101.0, "-", True)
 SWAPPED = Finding("ratio_error", "the output does not follow", float("nan"), "-", True)
 SKIP = Finding("tooth_skip", "a step of 6480 arcsec at 3.000 s: 1 tooth skipped", 0.0314, "rad", False)
 ENDED = {"refitted": None, "found": None, "rms": None, "gain": None, "testable": ()}
 DIAGNOSES = {
     "nothing": diagnosis(),
-    "every effect": diagnosis(*(cause(name) for name in EFFECTS), unexplained=(LINE,)),
+    "every effect": diagnosis(*(cause(name) for name in EFFECTS), unexplained=(SIDED,)),
     "wrong ratio": diagnosis(findings=(WRONG_RATIO,), **ENDED),
     "swapped": diagnosis(findings=(SWAPPED,), **ENDED),
     "tooth skipped": diagnosis(cause("hysteresis"), findings=(SKIP,)),
@@ -102,19 +97,8 @@ def keys(part: str) -> set[str]:
     return set(KEYS[part].split()) | set(MORE.get(part, "").split())
 
 
-def numbers(value: Any) -> list[float]:
-    if isinstance(value, dict):
-        return [n for item in value.values() for n in numbers(item)]
-    if isinstance(value, list):
-        return [n for item in value for n in numbers(item)]
-    return [value] if isinstance(value, float) else []
-
-
-# JSON ---
-
-
 @pytest.mark.parametrize("made", DIAGNOSES.values(), ids=DIAGNOSES)
-def test_json_is_the_contract_s_without_nan_or_numpy(made: Diagnosis) -> None:
+def test_json_is_the_contract_s_and_lines_are_without_nan(made: Diagnosis) -> None:
     told = as_json(made, "joint_1", "model.json")
     assert set(told) == keys("")
     for part in ("record", "nominal", "refit", "extended", "noise_floor", "gain"):
@@ -128,16 +112,17 @@ def test_json_is_the_contract_s_without_nan_or_numpy(made: Diagnosis) -> None:
         assert set(value) == {"value", "std", "unit", "configured"}
     assert (told["schema"], told["joint"], told["model"]) == ("hd_diag/diagnosis/1", "joint_1", "model.json")
     assert json.loads(json.dumps(told, allow_nan=False)) == told
-    assert all(math.isfinite(n) for n in numbers(told))
+    lines = summary(made)
+    assert lines[0] == sentence(made) == told["verdict"]
+    assert lines[0].endswith(".")
+    assert all("\n" not in line and "nan" not in line.split() for line in lines)
 
 
 def test_what_is_not_known_is_null() -> None:
     told = as_json(DIAGNOSES["swapped"], "joint_1")
-    assert told["nominal"]["rms"] is None
-    assert told["gain"]["fraction_explained"] is None
     assert told["refit"] == {"rms": None, "parameters": {}, "trustworthy": False}
-    assert told["causes"][0]["parameters"]["size"]["value"] is None
-    assert told["model"] is None
+    unknown = told["nominal"]["rms"], told["gain"]["fraction_explained"], told["model"]
+    assert (*unknown, told["causes"][0]["parameters"]["size"]["value"]) == (None,) * 4
     assert as_json(DIAGNOSES["nothing"], "j")["testability"][0]["least_size"] is None
 
 
@@ -151,16 +136,13 @@ def test_numbers_are_si_and_those_of_the_diagnosis() -> None:
     assert told["refit"]["rms"] == told["gain"]["rms_refit"] == pytest.approx(5.0 * ARCSEC)
     assert told["extended"]["rms"] == told["gain"]["rms_extended"] == pytest.approx(3.3 * ARCSEC)
     assert told["refit"]["parameters"]["eccentricity.magnitude"]["value"] == pytest.approx(18.2e-6)
-    assert told["unexplained"][0]["order"] == 3.37
+    (line,) = told["unexplained"]
+    assert (line["order"], line["direction_law"]) == (3.37, f"strongest {ABOVE}; the same in both directions")
 
 
-def test_findings_are_causes_first_of_all() -> None:
+def test_findings_are_causes_first_of_all_and_every_effect_says_what_to_inspect() -> None:
     told = as_json(DIAGNOSES["tooth skipped"], "joint_1")
     assert [c["name"] for c in told["causes"]] == ["tooth_skip", "hysteresis"]
-    assert {c["name"] for c in told["causes"]} <= set(EFFECTS)
-
-
-def test_every_effect_says_what_to_inspect() -> None:
     for item in as_json(DIAGNOSES["every effect"], "joint_1")["causes"]:
         assert item["explanation"] == EFFECTS[item["name"]].cause
         assert len(item["inspect"]) > 20
@@ -169,7 +151,6 @@ def test_every_effect_says_what_to_inspect() -> None:
 
 # Sentences ---
 
-TIME_LINE = dataclasses.replace(LINE, frame="time", order=7.3)
 ALIKE = cause("output_runout", 2.5 * ARCSEC, ("output_encoder_eccentricity",))
 
 
@@ -196,7 +177,7 @@ ALIKE = cause("output_runout", 2.5 * ARCSEC, ("output_encoder_eccentricity",))
             "unexplained: 3.37 per input turn, 2.00 arcsec, 7.30 Hz, 2.00 arcsec.",
         ),
         (
-            diagnosis(unexplained=(dataclasses.replace(LINE, where="under positive torque"),)),
+            diagnosis(unexplained=(SIDED,)),
             "unexplained: 3.37 per input turn under positive torque, 2.00 arcsec.",
         ),
         (DIAGNOSES["wrong ratio"], "First of all: the output follows at 101."),
@@ -212,28 +193,13 @@ def test_the_sentence(made: Diagnosis, said: str) -> None:
     assert said.startswith((";", "unexplained")) or sentence(made) == said
 
 
-def test_where_a_wave_shows_is_in_the_json() -> None:
-    made = diagnosis(unexplained=(dataclasses.replace(LINE, where="under positive torque"),))
-    (told,) = as_json(made, "joint_1")["unexplained"]
-    assert told["direction_law"] == "strongest under positive torque; the same in both directions"
-
-
 def test_causes_that_predict_nothing_are_doubted() -> None:
-    """Data that nothing was fitted to decide; without causes there is nothing to doubt."""
     worse = Rms(*(ARCSEC * v for v in (20.0, 5.0, 5.2, 5.2, 5.3, 3.2, 3.1, 3.3)))
     text = sentence(diagnosis(cause("hysteresis"), rms=worse))
     assert "predicted no better" in text
     assert "(5.20 against 5.00 arcsec)" in text
     for made in (diagnosis(rms=worse), diagnosis(cause("hysteresis"))):
         assert "predicted" not in sentence(made)
-
-
-@pytest.mark.parametrize("made", DIAGNOSES.values(), ids=DIAGNOSES)
-def test_lines_for_a_terminal(made: Diagnosis) -> None:
-    lines = summary(made)
-    assert lines[0] == sentence(made)
-    assert lines[0].endswith(".")
-    assert all("\n" not in line and "nan" not in line.split() for line in lines)
 
 
 def test_the_lines_name_gain_and_what_was_not_testable() -> None:
