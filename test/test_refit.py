@@ -123,7 +123,9 @@ def test_trust_is_lost_to_another_minimum_as_good(
 
 
 def test_starts_of_either_lobe_end_in_the_same_drive(short: Record) -> None:
-    first = {"starts": FEW_STARTS[:1], "rng": np.random.default_rng(0)}
-    found = [refit(short, CONFIGURED, start=p, **first) for p in (TRUE, TRUE * MIRROR)]
+    found = [
+        refit(short, CONFIGURED, np.random.default_rng(0), start=point, starts=FEW_STARTS[:1])
+        for point in (TRUE, TRUE * MIRROR)
+    ]
     assert len(distinct([one.parameters for one in found] + [TRUE])) == 1
     assert [one.trustworthy for one in found] == [True, True]
