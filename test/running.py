@@ -24,6 +24,8 @@ from sensor_msgs.msg import JointState
 
 LIMIT = 60.0  # for discovery and answers, on a machine that does much else [s]
 START_LIMIT = 300.0  # for the first node on a machine, which compiles the model [s]
+PUBLISHER_DEPTH = 5000
+Condition = Callable[[dict[str, str]], bool]
 _numbers = itertools.count()
 
 
@@ -73,9 +75,6 @@ class Process:
             self.popen.wait(LIMIT)
 
 
-PUBLISHER_DEPTH = 5000
-
-
 class Rig:
     """What stands around the node: publishers, subscriptions, a parameter client."""
 
@@ -110,9 +109,8 @@ class Rig:
     def publisher(self, topic: str = "joint_states", kind: Any = JointState, reliable: bool = True) -> Any:
         """Publisher that the node hears."""
         reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
-        made = self.node.create_publisher(
-            kind, topic, QoSProfile(depth=PUBLISHER_DEPTH, reliability=reliability)
-        )
+        profile = QoSProfile(depth=PUBLISHER_DEPTH, reliability=reliability)
+        made = self.node.create_publisher(kind, topic, profile)
         self.until(lambda: made.get_subscription_count() > 0, f"subscription to {topic}")
         return made
 
@@ -122,9 +120,7 @@ class Rig:
         self.until(lambda: heard.get_publisher_count() > 0, f"publisher of {topic}")
         return into
 
-    def status(
-        self, joint: str, condition: Callable[[dict[str, str]], bool] = lambda values: True
-    ) -> DiagnosticStatus:
+    def status(self, joint: str, condition: Condition = lambda values: True) -> DiagnosticStatus:
         """The first report from now on that fulfils a condition."""
         self.drain()
         seen = len(self.reports)
@@ -139,9 +135,7 @@ class Rig:
         found: DiagnosticStatus = self.until(fulfilled, f"such report of {joint}")
         return found
 
-    def values(
-        self, joint: str, condition: Callable[[dict[str, str]], bool] = lambda values: True
-    ) -> dict[str, str]:
+    def values(self, joint: str, condition: Condition = lambda values: True) -> dict[str, str]:
         return values_of(self.status(joint, condition))
 
     def set(self, atomically: bool = False, **given: Any) -> list[SetParametersResult]:

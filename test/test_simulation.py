@@ -18,10 +18,11 @@ from cli_runner import assert_one_line_error, hd_diag
 from click.testing import Result
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 from rich.console import Console
 from rosbags.highlevel import AnyReader
 
-from hd_diag.bag import BagError, BagReader, BagWriter
+from hd_diag.bag import BagReader, BagWriter
 from hd_diag.cli import progress as cli_progress
 from hd_diag.config.configuration import dump, resolve
 from hd_diag.drive import Drive, transmission_error
@@ -30,7 +31,8 @@ from hd_diag.model.mesh import Mesh
 from hd_diag.model.torsion_map import ARCSEC, TorsionMap
 from hd_diag.monitor import Monitor
 from hd_diag.monitor.publications import Angles
-from hd_diag.simulation import START, Motion, Noise, Samples, SimulatedJoint, bag, simulate, write_bag
+from hd_diag.simulation import START, Motion, Noise, Samples, SimulatedJoint, simulate, write_bag
+from hd_diag.simulation.bag import temperature
 from hd_diag.simulation.joint import map_for, parts
 
 TURN = 2.0 * math.pi
@@ -55,7 +57,7 @@ def drive(**given: object) -> Drive:
 
 
 def joined(records: Iterable[Samples]) -> Samples:
-    return Samples(*(np.concatenate(column) for column in zip(*records, strict=True)))
+    return Samples(*map(np.concatenate, zip(*records, strict=True)))
 
 
 def rng(seed: int = 0) -> np.random.Generator:
@@ -70,7 +72,7 @@ def test_the_input_moves_at_the_velocity_it_has_which_rises_smoothly(motion: Mot
     ends = moments.input_velocity
     travelled = np.diff(time) * (ends[1:] + 4.0 * middle + ends[:-1]) / 6.0
     fastest = max(motion.speeds) * motion.duration
-    np.testing.assert_allclose(np.diff(moments.input_angle), travelled, atol=1e-6 * fastest)
+    assert_allclose(np.diff(moments.input_angle), travelled, atol=1e-6 * fastest)
     # Minimum jerk: the greatest slope of a step of 1 over a time of 1 is 15/8.
     steepest = 15.0 / 8.0 * max(motion.speeds) / (motion.ramp_share * motion.duration / len(motion.runs))
     change = np.abs(np.diff(ends)) / np.diff(time)
@@ -82,19 +84,18 @@ def test_every_run_starts_and_ends_at_rest_and_reaches_its_level(motion: Motion)
     length = motion.duration / len(motion.runs)
     largest = max(map(abs, motion.torques))  # a border may fall into the neighbouring run by rounding
     for number, (velocity, torque) in enumerate(motion.runs):
-        borders = motion.at(
-            length * (number + np.array([0.5 * motion.rest_share, 1.0 - 0.5 * motion.rest_share]))
-        )
+        rest = 0.5 * motion.rest_share
+        borders = motion.at(length * (number + np.array([rest, 1.0 - rest])))
         level = motion.at(np.array([length * (number + 0.5)]))
-        np.testing.assert_allclose(borders.input_velocity, 0.0, atol=1e-9 * abs(velocity))
-        np.testing.assert_allclose(borders.torque, 0.0, atol=1e-9 * largest)
-        np.testing.assert_allclose(level.input_velocity, velocity)
-        np.testing.assert_allclose(level.torque, torque)
+        assert_allclose(borders.input_velocity, 0.0, atol=1e-9 * abs(velocity))
+        assert_allclose(borders.torque, 0.0, atol=1e-9 * largest)
+        assert_allclose(level.input_velocity, velocity)
+        assert_allclose(level.torque, torque)
 
 
 def test_both_directions_return_to_the_start() -> None:
     ends = SHORT.at(np.array([-1.0, 0.0, SHORT.duration, SHORT.duration + 5.0])).input_angle
-    np.testing.assert_allclose(ends, 0.0, atol=1e-12)
+    assert_allclose(ends, 0.0, atol=1e-12)
     one_way = Motion(duration=2.0, speeds=(10.0,), torques=(0.0,), both_directions=False)
     # Of 2 s, 5 % at rest at either end, and half of each 10 % ramp is lost.
     assert one_way.at(np.array([2.0])).input_angle[0] == pytest.approx(10.0 * 2.0 * (1.0 - 0.1 - 0.1))
@@ -141,7 +142,7 @@ def test_without_noise_the_error_is_the_drives(gear: Drive) -> None:
     record = simulate(SimulatedJoint(gear, offset=1e-3), SHORT, rng())
     measured = record.output_angle - record.input_angle / gear.kinematics.ratio
     expected = transmission_error(gear, record.input_angle, record.torque) + 1e-3
-    np.testing.assert_allclose(measured, expected, rtol=0.0, atol=1e-13)
+    assert_allclose(measured, expected, rtol=0.0, atol=1e-13)
     assert np.ptp(measured) > 100.0 * ARCSEC
     assert record.stamp.size == SHORT.samples == 300
 
@@ -160,7 +161,7 @@ def test_noise_has_the_size_and_the_correlation_asked_for(table: TorsionMap) -> 
     quiet = joined(parts(SimulatedJoint(drive()), motion, rng(), table=table))
     noisy = joined(parts(SimulatedJoint(drive(), noise), motion, rng(3), table=table))
     angle, torque = noisy.output_angle - quiet.output_angle, noisy.torque - quiet.torque
-    np.testing.assert_array_equal(noisy.input_angle, quiet.input_angle)
+    assert_array_equal(noisy.input_angle, quiet.input_angle)
     # 8000 samples; a variance of the drift counts 8000 (1 - 0.9^2) / (1 + 0.9^2) = 840 independent ones, so
     # that 4 standard deviations of it are 4 sqrt(2 / 840) = 20 %; the white part makes it less.
     assert angle.var() == pytest.approx(2e-5**2 + 3e-5**2, rel=0.2)
@@ -185,7 +186,7 @@ def test_parts_join_without_a_seam() -> None:
     pieces = list(parts(joint, SHORT, rng(), chunk=7))
     assert (len(whole), len(pieces)) == (1, 43)
     for name, column in joined(pieces)._asdict().items():
-        np.testing.assert_allclose(column, getattr(whole[0], name), rtol=0.0, atol=1e-13, err_msg=name)
+        assert_allclose(column, getattr(whole[0], name), rtol=0.0, atol=1e-13, err_msg=name)
 
 
 def test_an_alteration_sees_all_samples_in_order_before_the_noise() -> None:
@@ -201,9 +202,9 @@ def test_an_alteration_sees_all_samples_in_order_before_the_noise() -> None:
     quiet = simulate(SimulatedJoint(drive()), SHORT, rng())
     assert [samples.stamp.size for samples in seen] == [90, 90, 90, 30]
     for name, column in joined(seen)._asdict().items():
-        np.testing.assert_allclose(column, getattr(quiet, name), rtol=0.0, atol=1e-13)
+        assert_allclose(column, getattr(quiet, name), rtol=0.0, atol=1e-13)
     added = altered.output_angle - plain.output_angle
-    np.testing.assert_allclose(added, 1e-4 * np.cos(quiet.output_angle), atol=1e-13)
+    assert_allclose(added, 1e-4 * np.cos(quiet.output_angle), atol=1e-13)
 
 
 def test_a_long_motion_by_map_agrees_with_the_exact_solution() -> None:
@@ -218,54 +219,40 @@ def test_a_long_motion_by_map_agrees_with_the_exact_solution() -> None:
     assert map_for(gear, SHORT) is None
 
 
-def test_temperature_rises_from_the_surroundings_towards_its_end() -> None:
-    found = bag.temperature(np.array([0.0, 300.0, 1e6]))
-    np.testing.assert_allclose(found, [25.0, 25.0 + 8.0 * (1.0 - math.exp(-1.0)), 33.0])
-
-
-def two_joints() -> dict[str, object]:
-    return {
-        "joints": ["shoulder", "elbow"],
-        "shoulder.eccentricity.magnitude": 10e-6,
-        "elbow.input_joint": "m2",
-        "elbow.ratio": -100.0,
-    }
+TWO = {
+    "joints": ["shoulder", "elbow"],
+    "shoulder.eccentricity.magnitude": 10e-6,
+    "elbow.input_joint": "m2",
+    "elbow.ratio": -100.0,
+}
 
 
 def joint_states(path: Path) -> tuple[list[str], np.ndarray, list[np.ndarray]]:
     """Names, stamps and (position, velocity, effort) of a bag, as rosbags reads it."""
     with AnyReader([path]) as reader:
-        found = [
-            reader.deserialize(data, connection.msgtype)
-            for connection, _, data in reader.messages(
-                [c for c in reader.connections if c.topic == "/joint_states"]
-            )
-        ]
+        measured = [c for c in reader.connections if c.topic == "/joint_states"]
+        found = [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages(measured)]
     stamps = np.array([m.header.stamp.sec * SECOND + m.header.stamp.nanosec for m in found])
-    return (
-        found[0].name,
-        stamps,
-        [np.array([getattr(m, k) for m in found]) for k in ("position", "velocity", "effort")],
-    )
+    columns = [np.array([getattr(m, k) for m in found]) for k in ("position", "velocity", "effort")]
+    return found[0].name, stamps, columns
 
 
 def test_a_bag_holds_what_was_simulated(tmp_path: Path) -> None:
-    config = resolve(two_joints())
+    config = resolve(TWO)
     noise = Noise(white=1e-5, torque=0.1)
     truths = {joint.name: SimulatedJoint(joint.drive, noise) for joint in config.joints}
     assert write_bag(tmp_path / "out", config, SHORT, rng(4), truths, with_temperature=True) == 300
     names, stamps, (position, velocity, effort) = joint_states(tmp_path / "out")
     assert names == ["shoulder_motor", "shoulder", "m2", "elbow"]
-    np.testing.assert_array_equal(stamps, SHORT.stamps(START, 0, 300))
+    assert_array_equal(stamps, SHORT.stamps(START, 0, 300))
     for column, (joint, generator) in enumerate(zip(truths.values(), rng(4).spawn(2), strict=True)):
         record = simulate(joint, SHORT, generator)
-        np.testing.assert_array_equal(position[:, 2 * column], record.input_angle)
-        np.testing.assert_array_equal(position[:, 2 * column + 1], record.output_angle)
-        np.testing.assert_array_equal(effort[:, 2 * column + 1], record.torque)
-        np.testing.assert_array_equal(velocity[:, 2 * column], record.input_velocity)
-        np.testing.assert_allclose(
-            velocity[:, 2 * column + 1], record.input_velocity / joint.drive.kinematics.ratio
-        )
+        assert_array_equal(position[:, 2 * column], record.input_angle)
+        assert_array_equal(position[:, 2 * column + 1], record.output_angle)
+        assert_array_equal(effort[:, 2 * column + 1], record.torque)
+        assert_array_equal(velocity[:, 2 * column], record.input_velocity)
+        slow = record.input_velocity / joint.drive.kinematics.ratio
+        assert_allclose(velocity[:, 2 * column + 1], slow)
     assert (effort[:, ::2] == 0.0).all()
     assert (effort[:, 1] != effort[:, 3]).all()
 
@@ -274,7 +261,7 @@ def test_a_bag_holds_what_was_simulated(tmp_path: Path) -> None:
 def test_temperatures_come_once_a_second(tmp_path: Path, rate: float, count: int) -> None:
     motion = Motion(duration=6.0, sample_rate=rate, speeds=(1.0,), torques=(1.0,))
     options = {"with_temperature": True, "start": START + 250, "chunk": 7}
-    write_bag(tmp_path / "out.mcap", resolve(two_joints()), motion, rng(), **options)
+    write_bag(tmp_path / "out.mcap", resolve(TWO), motion, rng(), **options)
     with BagReader(tmp_path / "out.mcap") as reader:
         found = {}
         for batch in reader.batches(["/elbow/temperature", "/shoulder/temperature"], grouped=True):
@@ -286,7 +273,7 @@ def test_temperatures_come_once_a_second(tmp_path: Path, rate: float, count: int
         stamps = [m.header.stamp.sec * SECOND + m.header.stamp.nanosec for m in messages]
         assert stamps == [START + 250 + second * SECOND for second in range(count)]
         values = [m.temperature for m in messages]
-        np.testing.assert_array_equal(values, bag.temperature(np.arange(float(count))))
+        assert_array_equal(values, temperature(np.arange(float(count))))
 
 
 def test_a_monitor_of_the_truth_finds_no_residual(tmp_path: Path) -> None:
@@ -299,9 +286,8 @@ def test_a_monitor_of_the_truth_finds_no_residual(tmp_path: Path) -> None:
             assert not rejected
             for states in columns:
                 published = monitor.joint_states(states.stamp, states)
-                residuals += [
-                    p.position for p in published if isinstance(p, Angles) and p.topic == "~/residual"
-                ]
+                of_angles = [p for p in published if isinstance(p, Angles)]
+                residuals += [p.position for p in of_angles if p.topic == "~/residual"]
     residual = np.concatenate(residuals)
     assert residual.shape == (300, 1)
     assert np.abs(residual).max() < 1e-12
@@ -316,32 +302,6 @@ def test_the_same_seed_writes_the_same_bytes(tmp_path: Path) -> None:
     first, again, other = ((tmp_path / folder / "out.mcap").read_bytes() for folder in "abc")
     assert first == again
     assert first != other
-
-
-def test_a_bag_that_exists_is_kept(tmp_path: Path) -> None:
-    out = tmp_path / "out.mcap"
-    out.write_text("precious")
-    with pytest.raises(BagError, match="exists already"):
-        write_bag(out, resolve({}), SHORT, rng())
-    assert out.read_text() == "precious"
-    write_bag(out, resolve({}), SHORT, rng(), overwrite=True)
-    assert joint_states(out)[0] == ["joint_1_motor", "joint_1"]
-
-
-def test_progress_runs_to_its_end(tmp_path: Path) -> None:
-    found: list[tuple[int, int]] = []
-    maps: list[float] = []
-    steps = {"chunk": 75, "mapped": maps.append, "progress": lambda *done: found.append(done)}
-    write_bag(tmp_path / "out.mcap", resolve({}), SHORT, rng(), **steps)
-    assert found == [(75, 300), (150, 300), (225, 300), (300, 300)]
-    assert maps == []  # a short motion needs no map
-
-
-def test_unknown_truths_are_refused(tmp_path: Path) -> None:
-    config = resolve({})
-    with pytest.raises(ValueError, match="no joint 'joint_2' is configured; there are joint_1"):
-        write_bag(tmp_path / "out", config, SHORT, rng(), {"joint_2": SimulatedJoint(config.joints[0].drive)})
-    assert not (tmp_path / "out").exists()
 
 
 def invoke(*arguments: object) -> Result:
@@ -371,26 +331,24 @@ def test_the_command_writes_the_joint_that_its_options_describe(tmp_path: Path) 
         "tooth_compliance": 1.1e-6,
         "flexspline_tooth.addendum_center": [0.7626e-3, -0.0548e-3],
     }
-    assert {name: parameters[name] for name in expected} == {
-        name: pytest.approx(v) for name, v in expected.items()
-    }
+    for name, value in expected.items():
+        assert parameters[name] == pytest.approx(value), name
     true = resolve({f"joint_1.{name}": value for name, value in parameters.items()}).joints[0].drive
     motion = Motion(2.0, 250.0, (2.0 * TURN,), (20.0, -5.0))
     joint = SimulatedJoint(true, Noise(torque=0.1), 100.0 * ARCSEC)
     record = simulate(joint, motion, rng(3).spawn(1)[0], 1_000_500_000_000)
     names, stamps, (position, _, effort) = joint_states(out)
     assert names == ["joint_1_motor", "joint_1"]
-    np.testing.assert_array_equal(stamps, record.stamp)
-    np.testing.assert_array_equal(position, np.stack((record.input_angle, record.output_angle), axis=1))
-    np.testing.assert_array_equal(effort[:, 1], record.torque)
+    assert_array_equal(stamps, record.stamp)
+    assert_array_equal(position, np.stack((record.input_angle, record.output_angle), axis=1))
+    assert_array_equal(effort[:, 1], record.torque)
 
 
 def test_the_command_takes_a_configuration_and_some_of_its_joints(tmp_path: Path) -> None:
     file = tmp_path / "drive.yaml"
-    file.write_text(dump(resolve(two_joints())))
-    result = invoke(
-        "--out", tmp_path / "out", "--config", file, "--joint", "elbow", "--duration", 0.5, "--one-way"
-    )
+    file.write_text(dump(resolve(TWO)))
+    given = ("--config", file, "--joint", "elbow", "--duration", 0.5, "--one-way")
+    result = invoke("--out", tmp_path / "out", *given)
     assert result.exit_code == 0, result.output
     names, _, (position, _, _) = joint_states(tmp_path / "out")
     assert names == ["m2", "elbow"]
@@ -402,20 +360,13 @@ def test_the_command_takes_a_configuration_and_some_of_its_joints(tmp_path: Path
     ("arguments", "text"),
     [
         ("--set joint_1.tooth_complianc=1e-6", "nearest known is 'joint_1.tooth_compliance'"),
-        ("--set joint_1.tooth_compliance=soft", "not 'soft'"),
         ("--set joint_1.ratio", "expected PARAMETER=VALUE"),
         ("--set joint_1.ratio=[1", "--set joint_1.ratio: not a value"),
         ("--set joint_1.ratio=99", "its magnitude must be 100"),
-        (
-            "--joint joint_9 --config CONFIG",
-            "no joint 'joint_9' in the configuration; it has shoulder, elbow",
-        ),
-        ("--config missing.yaml", "missing.yaml: cannot be read"),
+        ("--joint joint_9 --config CONFIG", "no joint 'joint_9' in the configuration; it has shoulder"),
         ("--rate nan", "sample_rate must be positive"),
-        ("--eccentricity-um -1", "joint_1.eccentricity.magnitude: "),
         ("--angle-noise-arcsec -1", "noise: white must not be negative"),
         ("--start-time 1e12", "--start-time must be a Unix time within 32 bits"),
-        ("--out CONFIG", "exists already"),
         ("--json missing/truth.json", "missing/truth.json: cannot be written: no such folder"),
     ],
 )
@@ -423,14 +374,18 @@ def test_bad_input_is_one_line_and_code_2(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: str, text: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("CONFIG").write_text(dump(resolve(two_joints())))
+    Path("CONFIG").write_text(dump(resolve(TWO)))
     assert_one_line_error(invoke("--out", "out.mcap", "--duration", 0.1, *arguments.split()), text)
     assert not Path("out.mcap").exists()
 
 
 def test_the_command_replaces_a_bag_only_when_told(tmp_path: Path) -> None:
-    short = ("--out", tmp_path / "out", "--duration", 0.1)
-    assert [invoke(*short, *more).exit_code for more in ((), (), ("--overwrite",))] == [0, 2, 0]
+    out = tmp_path / "out.mcap"
+    out.write_text("precious")
+    assert_one_line_error(invoke("--out", out, "--duration", 0.1), "exists already")
+    assert out.read_text() == "precious"
+    assert invoke("--out", out, "--duration", 0.1, "--overwrite").exit_code == 0
+    assert joint_states(out)[0] == ["joint_1_motor", "joint_1"]
 
 
 def test_json_on_stdout_is_alone_there(tmp_path: Path) -> None:
