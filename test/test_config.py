@@ -14,12 +14,11 @@ from rclpy.node import Node
 
 from hd_diag.config.configuration import ConfigError, dump, load, resolve
 from hd_diag.config.parameter_file import read
-from hd_diag.config.parameters import flatten, nested, parameters
+from hd_diag.config.parameters import parameters
 
 ROOT = Path(__file__).resolve().parent.parent
-OTHERS = ("diagnostic_aggregator.yaml",)  # parameters of another node
-FILES = sorted(path for path in (ROOT / "config").glob("*.yaml") if path.name not in OTHERS)
-EXAMPLE = ROOT / "config/example_drive.yaml"
+FILES = [ROOT / "config" / f"{name}.yaml" for name in ("example_drive", "node", "seven_joints")]
+EXAMPLE = FILES[0]
 KNOWN = parameters(["joint_1"])
 
 
@@ -53,10 +52,6 @@ def section(text: str) -> str:
 # The files of the package ---
 
 
-def test_there_are_files() -> None:
-    assert {path.name for path in FILES} == {"example_drive.yaml", "node.yaml", "seven_joints.yaml"}
-
-
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
 def test_file_survives_dump_and_load(path: Path, tmp_path: Path) -> None:
     config = load(path)
@@ -72,18 +67,12 @@ def test_ros_reads_the_same_from_the_file(path: Path) -> None:
     context.init(["--ros-args", "--params-file", str(path)])
     try:
         node = Node("hd_diag", context=context, automatically_declare_parameters_from_overrides=True)
-        declared = node.get_parameters_by_prefix("")
-        given = {
-            name: p.value if isinstance(p.value, str) else plain(p.value) for name, p in declared.items()
-        }
+        given = {name: p.value for name, p in node.get_parameters_by_prefix("").items()}
         node.destroy_node()
     finally:
         context.shutdown()
-    assert read(path).items() <= given.items()
-
-
-def plain(value: Any) -> Any:
-    return list(value) if hasattr(value, "__iter__") else value
+    for name, value in read(path).items():
+        assert (list(given[name]) if isinstance(value, list) else given[name]) == value, name
 
 
 def test_example_holds_every_parameter_with_its_default() -> None:
@@ -96,12 +85,8 @@ def test_example_states_every_unit() -> None:
     tree = yaml.compose("\n".join(lines))
     places = dict(leaves(tree.value[0][1].value[0][1]))
     assert set(places) == set(KNOWN)
-    missing = [
-        name
-        for name, line in places.items()
-        if KNOWN[name].unit and f"[{KNOWN[name].unit}]" not in lines[line]
-    ]
-    assert missing == []
+    units = {name: KNOWN[name].unit for name in places}
+    assert [name for name, unit in units.items() if unit and f"[{unit}]" not in lines[places[name]]] == []
 
 
 def leaves(node: yaml.MappingNode, prefix: str = "") -> Any:
@@ -119,8 +104,7 @@ def test_seven_joints_differ_as_written() -> None:
     assert joints["joint_2"].drive.mesh.eccentricity == pytest.approx(12e-6j, abs=1e-11)
     assert joints["joint_3"].drive.kinematics.ratio == -100.0
     assert joints["joint_6"].drive.kinematics.output == "circular_spline"
-    assert joints["joint_7"].output_joint == "joint_7"
-    assert joints["joint_7"].input_joint == "joint_7_motor"
+    assert (joints["joint_7"].output_joint, joints["joint_7"].input_joint) == ("joint_7", "joint_7_motor")
 
 
 # Single values ---
@@ -130,10 +114,8 @@ def test_seven_joints_differ_as_written() -> None:
     ("name", "near"),
     [
         ("array_rat", "array_rate"),
-        ("joint_1.eccentricity.magnitde", "joint_1.eccentricity.magnitude"),
         ("joint_1.flexspline_tooth.addendum_centre", "joint_1.flexspline_tooth.addendum_center"),
         ("joint_2.ratio", "joint_1.ratio"),
-        ("log.pth", "log.path"),
     ],
 )
 def test_unknown_parameter_names_the_nearest(name: str, near: str) -> None:
@@ -203,31 +185,27 @@ def test_configuration_that_cannot_be(values: dict[str, Any], reason: str) -> No
     assert reason in text
 
 
-NO_JOINTS = [
-    [],
-    "joint_1",
-    None,
-    3,
-    [1],
-    ["a", "a"],
-    ["a.b"],
-    ["a b"],
-    ["ä"],
-    ["1a"],
-    [""],
-    ["log"],
-    {"a": 1},
-]
-
-
-@pytest.mark.parametrize("joints", [*NO_JOINTS, ["use_sim_time"]], ids=repr)
+@pytest.mark.parametrize(
+    "joints",
+    [
+        [],
+        "joint_1",
+        None,
+        [1],
+        ["a", "a"],
+        ["a.b"],
+        ["a b"],
+        ["ä"],
+        ["1a"],
+        [""],
+        ["log"],
+        {"a": 1},
+        ["use_sim_time"],
+    ],
+    ids=repr,
+)
 def test_joints_that_cannot_be(joints: Any) -> None:
     assert refusal({"joints": joints}).startswith("joints: ")
-
-
-def test_two_joints_cannot_share_a_name() -> None:
-    text = refusal({"joints": ["a", "b"], "b.input_joint": "a_motor"})
-    assert text == "b.input_joint: 'a_motor' is already a.input_joint"
 
 
 # Files ---
@@ -246,23 +224,18 @@ def test_two_joints_cannot_share_a_name() -> None:
         (section("array_rate: 1, array_rate: 2"), "not YAML: line 1: 'array_rate' stands twice below it"),
         (section("joint_1: 3"), "unknown parameter 'joint_1'"),
         (section("? [a, b] : 3"), "not YAML: "),
-        (section("1: 2"), "unknown parameter '1'"),
         (section(f"{'x' * 900}: 2"), "unknown parameter 'xxx"),
         (section(f"array_rate: {'9' * 5000}"), "not YAML: "),
         (section(f"array_rate: [{'1, ' * 5000}]"), "array_rate: expected a number [Hz], not [1, 1"),
         ("hd_diag: [", "not YAML: "),
         ("hd_diag: !!python/object:os.system {}", "not YAML: "),
-        ("!!bool x", "not YAML: "),
         ("a: &a {x: 1}\nb: *a", "not YAML: line 2: an alias (*name), which ROS does not take"),
         ("a: &a [*a]", "not YAML: line 1: an alias"),
         ("[" * 100_000, "not YAML: "),
-        ("{a: " * 100_000, "not YAML: "),
         ("a: 1\n---\nb: 2", "not YAML: "),
-        ("\t", "not YAML: "),
         ("#" * 2_000_000, "longer than 1000000 bytes"),
         (b"\xff\xfe\x00", "not a text in UTF-8: "),
         (b"hd_diag\x00: 1", "not YAML: "),
-        (bytes(range(256)) * 4, "not a text in UTF-8: "),
     ],
 )
 def test_file_that_cannot_be(content: str | bytes, reason: str, tmp_path: Path) -> None:
@@ -291,21 +264,14 @@ def test_node_name_of_the_section(name: str, tmp_path: Path) -> None:
 
 
 def test_sections_are_merged_parameter_by_parameter(tmp_path: Path) -> None:
-    text = "/**: {ros__parameters: {joint_1: {torque: 3.0, rated_torque: 50.0}}}\n" + section(
-        "joint_1: {torque: 4.0}"
-    )
-    joint = load(written(tmp_path / "f.yaml", text)).joints[0]
+    text = "/**: {ros__parameters: {joint_1: {torque: 3.0, rated_torque: 50.0}}}\n"
+    joint = load(written(tmp_path / "f.yaml", text + section("joint_1: {torque: 4.0}"))).joints[0]
     assert (joint.torque, joint.drive.rated_torque) == (4.0, 50.0)
 
 
 def test_parameters_of_every_ros_node_are_no_error(tmp_path: Path) -> None:
     text = section("use_sim_time: true, qos_overrides: {/parameter_events: {publisher: {depth: 1}}}")
     assert load(written(tmp_path / "f.yaml", text)) == resolve({})
-
-
-def test_nested_and_flat_are_inverse() -> None:
-    flat = resolve({}).flat
-    assert dict(flatten(nested(flat))) == flat
 
 
 # Hostile input ---
