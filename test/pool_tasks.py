@@ -60,6 +60,7 @@ def greedy(size: int) -> int:
 def stuck(name: str) -> str:
     """Hangs for ever: in a system call for ``fifo``, with the interpreter's lock for ``pattern``."""
     note(name)
+    time.sleep(0.4)
     if name == "fifo":
         folder = Path(os.environ[CALLS]).parent
         os.mkfifo(folder / "fifo")

@@ -4,22 +4,16 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 
 def run(command: list[str], folder: Path, environment: dict[str, str]) -> str:
-    done = subprocess.run(
-        command,
-        cwd=folder,
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        timeout=600,
-    )
+    streams: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    done = subprocess.run(command, cwd=folder, env=environment, timeout=600, **streams)
     assert done.returncode == 0, done.stdout
-    return done.stdout
+    return str(done.stdout)
 
 
 @pytest.fixture(scope="module")
@@ -58,9 +52,8 @@ def test_command_runs_from_the_installed_tree(workspace: Path, environment: dict
         ". ../install/setup.sh && python -c 'import hd_diag; print(hd_diag.__file__)'"
         " && ../install/hd_diag/lib/hd_diag/hd-diag --help"
     )
-    output = run(
-        ["sh", "-c", script], elsewhere, {**environment, "COLCON_CURRENT_PREFIX": str(workspace / "install")}
-    )
+    sourced = {**environment, "COLCON_CURRENT_PREFIX": str(workspace / "install")}
+    output = run(["sh", "-c", script], elsewhere, sourced)
     assert output.startswith(str(workspace / "install/hd_diag"))
     assert "Usage:" in output
 

@@ -49,10 +49,7 @@ class Cluster:
         environment[pool_tasks.CALLS] = str(self.calls)
         command = [sys.executable, "-m", f"distributed.cli.dask_{role}", "--no-dashboard", *arguments]
         process = subprocess.Popen(
-            [*command, str(self._file)],
-            env=environment,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
+            [*command, str(self._file)], env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
         self._stack.enter_context(process)
         self._stack.callback(process.kill)

@@ -24,6 +24,12 @@ def test_results_are_there_at_once_and_later(tmp_path: Path) -> None:
         assert path.read_bytes().count(b"\n") == 1
         journal.add("b", {"joint": None})
     assert kept(path) == {"a": {"joint": "é\n", "size": 0.1}, "b": {"joint": None}}
+    with Journal(path, fresh=True) as journal:
+        assert journal.results == {}
+        journal.add("b", {})
+        with pytest.raises(FleetError, match="another run is writing it"):
+            Journal(path, fresh=True)
+    assert kept(path) == {"b": {}}
 
 
 def test_every_cut_of_a_journal_is_read_and_written_on(tmp_path: Path) -> None:
@@ -36,8 +42,9 @@ def test_every_cut_of_a_journal_is_read_and_written_on(tmp_path: Path) -> None:
     first = whole.index(b"\n")
     for size in range(len(whole) + 1):
         path.write_bytes(whole[:size])
+        ends = {"a": first, "b": len(whole) - 1}
         with Journal(path) as journal:
-            assert set(journal.results) == {k for k, n in (("a", first), ("b", len(whole) - 1)) if size >= n}
+            assert set(journal.results) == {key for key, end in ends.items() if size >= end}
             journal.add("c", {"n": 3})
         assert kept(path)["c"] == {"n": 3}
 
@@ -48,21 +55,6 @@ def test_every_cut_of_a_journal_is_read_and_written_on(tmp_path: Path) -> None:
 def test_lines_of_others_are_left_out(line: bytes, tmp_path: Path) -> None:
     (tmp_path / "j").write_bytes(line + b'\n{"key": "b", "row": {}}\n')
     assert kept(tmp_path / "j") == {"b": {}}
-
-
-def test_fresh_forgets(tmp_path: Path) -> None:
-    with Journal(tmp_path / "j") as journal:
-        journal.add("a", {})
-    with Journal(tmp_path / "j", fresh=True) as journal:
-        assert journal.results == {}
-        journal.add("b", {})
-    assert kept(tmp_path / "j") == {"b": {}}
-
-
-def test_one_run_at_a_time(tmp_path: Path) -> None:
-    with Journal(tmp_path / "j"), pytest.raises(FleetError, match="another run is writing it"):
-        Journal(tmp_path / "j", fresh=True)
-    assert kept(tmp_path / "j") == {}
 
 
 def test_a_journal_that_cannot_be_written(tmp_path: Path) -> None:
@@ -87,6 +79,9 @@ def test_the_table_has_every_column_with_unit_and_values_as_they_were(tmp_path: 
     stored = pq.read_table(path)
     assert stored.schema.names == COLUMNS.names
     assert [f.metadata[b"unit"] for f in stored.schema] == [f.metadata[b"unit"] for f in COLUMNS]
+    endings = {"m": "_m", "rad": "_rad", "s": "_s", "m/N": "_m_per_N", "rad/(N m)": "_rad_per_Nm"}
+    for column in COLUMNS:
+        assert column.name.endswith(endings.get(column.metadata[b"unit"].decode(), "")), column
     assert stored.schema.metadata[b"schema"] == b"hd_diag/fleet/1"
     first, second = stored.to_pylist()
     assert first["bag"] == "a\n\\udcff.mcap"
@@ -94,13 +89,6 @@ def test_the_table_has_every_column_with_unit_and_values_as_they_were(tmp_path: 
     assert first["start"].isoformat() == "2026-01-01T00:00:00.001002+00:00"
     assert first["tested"] == ["hysteresis"]
     assert {name for name, value in second.items() if value is not None} == {"bag", "error"}
-
-
-def test_units_are_in_the_names() -> None:
-    endings = {"m": "_m", "rad": "_rad", "s": "_s", "m/N": "_m_per_N", "rad/(N m)": "_rad_per_Nm"}
-    for column in COLUMNS:
-        unit = column.metadata[b"unit"].decode()
-        assert column.name.endswith(endings.get(unit, "")), column
 
 
 def test_a_table_that_cannot_be_finished_leaves_the_old_one(

@@ -246,7 +246,7 @@ def test_spoiled_files_give_one_line_or_a_model(spoiling: list[tuple[int, Any, b
             number, at = divmod(number, len(here))
             place, key = here, list(here)[at] if isinstance(here, dict) else at
             here = place[key]
-        made = json.loads(value) if isinstance(value, str) and value[:1] in ("[", "{") and value else value
+        made = json.loads(value) if isinstance(value, str) and value[:1] in ("[", "{") else value
         place[f"{key}x" if beside and isinstance(place, dict) else key] = made
     try:
         found, reason = model_for(json.dumps(document), own()), ""
