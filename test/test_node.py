@@ -361,21 +361,10 @@ def test_log_holds_everything_and_replays(arm: Rig, publisher: Any, tmp_path: Pa
     arm.set(elbow__runout__magnitude=0.0)
     assert arm.set(log__path="")[0].successful
     arm.values("elbow", lambda values: values["log_state"] == "off")
-    node = f"{arm.process.namespace}/hd_diag"
     for folder in (log, tmp_path / "next"):
-        with AnyReader([folder]) as reader:
-            counts = {c.topic: c.msgcount for c in reader.connections}
-            assert counts[f"{arm.process.namespace}/joint_states"] >= 100
-            assert counts[f"{node}/transmission_error"] >= 100
-            events = [c for c in reader.connections if c.topic == "/parameter_events"]
-            changes = [
-                (parameter.name, parameter.value.double_value)
-                for connection, _, data in reader.messages(events)
-                for parameter in reader.deserialize(data, connection.msgtype).changed_parameters
-            ]
-            assert (("elbow.runout.magnitude", 1e-6) in changes) == (folder == log)
         replay(folder, tmp_path / f"{folder.name}.mcap")
         live, again = content(folder), content(tmp_path / f"{folder.name}.mcap")
+        assert len(live[f"{arm.process.namespace}/hd_diag/transmission_error"]) >= 100
         for topic in live:
             assert again[topic] == live[topic], topic
 
@@ -413,7 +402,7 @@ def test_simulated_time_that_jumps_back(tmp_path: Path) -> None:
         clock, source = rig.publisher("clock", Clock), rig.publisher()
         errors = heard(rig, "transmission_error")
         count = itertools.count(1)
-        for length, step, loops in ((100, 100 * MS, 3), (50, 10 * MS, 4)):
+        for length, step, loops in ((30, 100 * MS, 3), (25, 20 * MS, 4)):
             for _ in range(loops):
                 for i in range(length):
                     now = Clock()
@@ -425,10 +414,10 @@ def test_simulated_time_that_jumps_back(tmp_path: Path) -> None:
                 rig.until(lambda n=total: len(errors) >= n, "predictions")  # type: ignore[misc]
             latest = 1000 + (length * step - 1) // 10**9
             rig.until(lambda t=latest: rig.reports[-1].header.stamp.sec == t, "report in simulated time")  # type: ignore[misc]
-        values = rig.values("joint_1", lambda v: v["samples"] == "500")
+        values = rig.values("joint_1", lambda v: v["samples"] == "190")
         assert (values["clock_jumps"], values["samples_rejected"]) == ("6", "0")
         assert rig.process.end(signal.SIGINT) == 0
-    assert_log_is_whole(log, rig.process.namespace, 500)
+    assert_log_is_whole(log, rig.process.namespace, 190)
     replay(log, again)
     assert content(log) == content(again)
 
@@ -472,34 +461,6 @@ def test_signals_while_messages_wait(tmp_path: Path) -> None:
         assert rig.process.popen.returncode == 0
         assert_log_is_whole(tmp_path / "log.mcap", rig.process.namespace, 1)
         assert "Traceback" not in rig.process.output()
-
-
-class Arrivals(list[Any]):
-    """Messages with the time at which they were heard [s]."""
-
-    def append(self, message: Any) -> None:
-        super().append((time.monotonic(), stamp_of(message)))
-
-
-def test_a_killed_node_loses_less_than_a_second_of_a_log_in_parts(tmp_path: Path) -> None:
-    """Whatever it had published a second before must be in the log."""
-    given = parameters(log__path=str(tmp_path / "log"), log__split_size=100_000, log__compression="none")
-    with running(tmp_path, given) as rig:
-        source = rig.publisher()
-        heard_at: Arrivals = rig.hear("hd_diag/transmission_error", JointState, Arrivals())  # type: ignore[assignment]
-        times = itertools.count(START, MS)
-        for part in range(25):
-            feed(source, times, 100)
-            rig.until(lambda n=part: len(heard_at) > 100 * n, "predictions")  # type: ignore[misc]
-        killed = time.monotonic()
-        assert rig.process.end(signal.SIGKILL) == -signal.SIGKILL
-    parts = sorted((tmp_path / "log").glob("*.mcap"))
-    assert len(parts) > 3
-    assert all(part.stat().st_size < 400_000 for part in parts)
-    logged = len(content(tmp_path / "log")[f"{rig.process.namespace}/joint_states"])
-    safe = [stamp for at, stamp in heard_at if at < killed - 1.0]
-    assert safe
-    assert START + logged * MS > safe[-1]
 
 
 def test_a_full_disk_turns_the_log_off_and_the_node_lives_on(tmp_path: Path) -> None:

@@ -7,13 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from live import MS, RATIO, START, config, parameters, sample
+from logs import content
 from models import OFFSET, motion, write_model
 from numpy.testing import assert_allclose
 from running import running
 from sensor_msgs.msg import JointState
 
-from hd_diag.bag import BagReader
-from hd_diag.extended_model import ExtendedModel
 from hd_diag.replay.replay import replay
 
 pytestmark = pytest.mark.usefixtures("ros")
@@ -21,13 +20,6 @@ pytestmark = pytest.mark.usefixtures("ros")
 AGREEMENT = 1e-9  # [rad]
 EFFECTS = ("hysteresis", "stream_delay", "resonance")
 COUNT = 300
-
-
-def expected(model: ExtendedModel) -> np.ndarray:
-    _, angle, torque, _ = motion(COUNT)
-    time = 1e-3 * np.arange(COUNT)
-    error, _ = model.step(model.start(), time, angle, None, torque, None, model.torsion_map)
-    return error
 
 
 def test_the_node_predicts_by_the_model_and_its_log_replays(tmp_path: Path) -> None:
@@ -51,28 +43,22 @@ def test_the_node_predicts_by_the_model_and_its_log_replays(tmp_path: Path) -> N
             publisher.publish(sample(next(stamps), angle[i], angle[i] / RATIO + OFFSET, torque[i]))
             time.sleep(1e-3)
         rig.until(lambda: len(errors) == COUNT, "prediction of every message")
-        found = np.array([m.position[0] for m in errors])
-        assert_allclose(found, expected(joint.model), rtol=0.0, atol=AGREEMENT)
+        model = joint.model
+        moments = 1e-3 * np.arange(COUNT)
+        expected, _ = model.step(model.start(), moments, angle, None, torque, None, model.torsion_map)
+        assert_allclose([m.position[0] for m in errors], expected, rtol=0.0, atol=AGREEMENT)
 
         # Without the file everything else can still be set; the model itself not.
         path.unlink()
-        assert [r.successful for r in rig.set(joint_1__torque=1.0)] == [True]
-        (answer,) = rig.set(joint_1__model_file="model.json")
-        assert not answer.successful
-        assert "cannot be read" in answer.reason
-        (answer,) = rig.set(joint_1__ratio=-100.0)
-        assert not answer.successful
-        assert "was fitted to a joint with ratio 100.0" in answer.reason
-        assert [r.successful for r in rig.set(joint_1__model_file="")] == [True]
+        assert rig.set(joint_1__torque=1.0)[0].successful
+        assert "cannot be read" in rig.set(joint_1__model_file="model.json")[0].reason
+        assert "was fitted to a joint with ratio 100.0" in rig.set(joint_1__ratio=-100.0)[0].reason
+        assert rig.set(joint_1__model_file="")[0].successful
         rig.values("joint_1", lambda values: values["model"] == "" and values["eccentricity_um"] == "0")
         assert rig.process.end() == 0
     result = replay(tmp_path / "log", tmp_path / "again.mcap")
     assert result.reproduced
     topic = f"{rig.process.namespace}/hd_diag/transmission_error"
-    assert messages(tmp_path / "again.mcap", topic) == messages(tmp_path / "log", topic)
-    assert len(messages(tmp_path / "log", topic)) == COUNT
-
-
-def messages(path: Path, topic: str) -> list[bytes]:
-    with BagReader(path) as reader:
-        return [bytes(data) for batch in reader.batches([topic]) for data in batch.messages()]
+    live = content(tmp_path / "log")[topic]
+    assert content(tmp_path / "again.mcap")[topic] == live
+    assert len(live) == COUNT

@@ -108,18 +108,6 @@ def test_input_and_output_in_messages_of_their_own(given: dict[str, np.ndarray],
     assert_allclose(record.input_angle, given["input"][1:], rtol=0, atol=bound)
 
 
-def test_the_input_is_not_interpolated_over_a_gap(given: dict[str, np.ndarray], tmp_path: Path) -> None:
-    lost = (given["time"] > 2.0) & (given["time"] < 2.3)
-    path = write(
-        tmp_path / "gap.mcap",
-        states(given["time"][~lost], NAMES[:1], (given["input"][~lost],)),
-        states(given["time"], NAMES[1:], (given["output"],), topic="/link"),
-    )
-    record = read(path)
-    assert record.extent.runs == 2
-    assert not np.any((record.time > 2.001) & (record.time < 2.299))
-
-
 def set_back(path: Path) -> Path:
     """A clean record whose stamps go back by 5 s in its middle."""
     clean = columns(seconds=20.0)
@@ -141,31 +129,6 @@ def test_a_clock_set_back_is_no_cause(tmp_path: Path) -> None:
     record = read_bags([set_back(tmp_path / "back.mcap")], own)
     found = diagnose(record, own.drive, np.random.default_rng(0))
     assert (found.record.extent.runs, found.causes) == (2, ())
-
-
-def test_a_torque_is_not_interpolated_over_a_long_gap(given: dict[str, np.ndarray], tmp_path: Path) -> None:
-    """It stands for 0.2 s at most, and what is without one is left out."""
-    known = (given["time"] < 2.0) | (given["time"] > 3.0)
-    torque = given["torque"][known]
-    path = write(
-        tmp_path / "gap.mcap",
-        states(given["time"], NAMES, (given["input"], given["output"])),
-        states(given["time"][known], NAMES[1:], (np.full(torque.size, np.nan),), (torque,)),
-    )
-    record = read(path)
-    assert not np.any((record.time > 2.21) & (record.time < 2.79))
-    assert np.any((record.time > 2.0) & (record.time < 2.19))
-
-
-def test_wrapped_angles_in_messages_of_their_own(given: dict[str, np.ndarray], tmp_path: Path) -> None:
-    path = write(
-        tmp_path / "wrapped.mcap",
-        states(given["time"] + 0.001, NAMES[:1], (np.mod(given["input"], 2.0 * np.pi),)),
-        states(given["time"], NAMES[1:], (given["output"],), topic="/link"),
-    )
-    record = read(path)
-    error = record.output_angle - record.input_angle / RATIO
-    assert np.ptp(error) < 2e-3
 
 
 def test_temperature(given: dict[str, np.ndarray], tmp_path: Path) -> None:
