@@ -48,23 +48,18 @@ def added(name: str, **changed: np.ndarray | None) -> np.ndarray:
     return whole(model(name), **changed) - whole(model(), **changed)
 
 
-# One at a time and all at once ---
-
-
 @hypothesis.settings(max_examples=25, deadline=None)
-@hypothesis.given(st.lists(st.integers(0, COUNT), max_size=6).map(sorted), st.booleans(), st.booleans())
-def test_chunks_are_the_whole(table: TorsionMap, cuts: list[int], reported: bool, mapped: bool) -> None:
+@hypothesis.given(
+    st.lists(st.integers(0, COUNT), max_size=6).map(sorted) | st.just(list(range(1, COUNT))),
+    st.booleans(),
+    st.booleans(),
+)
+def test_chunks_and_single_samples_are_the_whole(
+    table: TorsionMap, cuts: list[int], reported: bool, mapped: bool
+) -> None:
     used, speed = table if mapped else None, SPEED if reported else None
-    assert_allclose(
-        run(MODEL, cuts, speed, used), run(MODEL, [], speed, used), rtol=0.0, atol=CHUNK_TOLERANCE
-    )
-
-
-@pytest.mark.parametrize("reported", [False, True])
-def test_single_samples_are_the_whole(table: TorsionMap, reported: bool) -> None:
-    speed = SPEED if reported else None
-    singles = run(MODEL, list(range(1, COUNT)), speed, table)
-    assert_allclose(singles, run(MODEL, [], speed, table), rtol=0.0, atol=CHUNK_TOLERANCE)
+    found, expected = run(MODEL, cuts, speed, used), run(MODEL, [], speed, used)
+    assert_allclose(found, expected, rtol=0.0, atol=CHUNK_TOLERANCE)
 
 
 @pytest.mark.parametrize("name", [name for name in EFFECTS if name != "tooth_skip"])
@@ -93,19 +88,16 @@ def test_the_future_changes_nothing() -> None:
     assert np.abs(other[middle:] - same[middle:]).min() > 0.0
 
 
-def test_no_rows_are_no_step() -> None:
+def test_no_rows_are_no_step_and_it_needs_what_its_effects_need() -> None:
     nothing = np.empty(0)
     error, state = MODEL.step(MODEL.start(), nothing, nothing, None, nothing)
-    assert error.size == 0
-    assert state.is_fresh
-
-
-# Against what it is made of ---
+    assert (error.size, state.is_fresh) == (0, True)
+    assert model("thermal_drift").needs == {"temperature"}
+    assert {"speed", "torque"} <= model(*STATEFUL).needs
 
 
 def test_without_effects_it_is_the_drive(table: TorsionMap) -> None:
-    drive = MODEL.drive
-    bare = ExtendedModel(drive, (), 0.0, RANGES)
+    drive, bare = MODEL.drive, ExtendedModel(MODEL.drive, (), 0.0, RANGES)
     for used in (None, table):
         error, _ = bare.step(bare.start(), TIME, ANGLE, None, TORQUE, HEAT, used)
         assert_array_equal(error, transmission_error(drive, ANGLE, TORQUE, used))
@@ -122,23 +114,19 @@ def test_speed_is_as_reported_or_else_of_the_last_two_angles(reported: np.ndarra
 
 def test_delay_looks_back() -> None:
     """The output is what it was then, from samples that are known when the sample comes."""
-    delay, drive = VALUES["stream_delay"]["delay"], MODEL.drive
+    delay, ratio = VALUES["stream_delay"]["delay"], MODEL.drive.kinematics.ratio
     time, torque = 1e-3 * np.arange(COUNT), np.full(COUNT, 10.0)
-
-    def output(moment: np.ndarray) -> np.ndarray:
-        angle = 40.0 * moment + 3.0
-        return angle / drive.kinematics.ratio + transmission_error(drive, angle, torque)
-
-    late = added("stream_delay", time=time, input_angle=40.0 * time + 3.0, torque=torque)
-    expected = output(time - delay) - output(time)
+    now, then = (40.0 * moment + 3.0 for moment in (time, time - delay))
+    late = added("stream_delay", time=time, input_angle=now, torque=torque)
+    before, after = (angle / ratio + transmission_error(MODEL.drive, angle, torque) for angle in (now, then))
+    expected = after - before
     # Teeth pass by faster than these samples: 0.1 arcsec of them is not between samples.
     assert_allclose(late[5:], expected[5:], rtol=0.0, atol=1e-6)
 
 
 def test_hysteresis_follows_the_torque_of_this_run() -> None:
     """Both elements slip after a torque far beyond their reach: the sum of the amplitudes, with its sign."""
-    values = VALUES["hysteresis"]
-    total = values["first_amplitude"] + values["second_amplitude"]
+    total = VALUES["hysteresis"]["first_amplitude"] + VALUES["hysteresis"]["second_amplitude"]
     ramp = np.concatenate((np.linspace(0.0, 40.0, 130), np.linspace(40.0, 0.0, 130)))
     loop = added("hysteresis", torque=ramp)
     assert_allclose(loop[[129, -1]], [total, -total], rtol=1e-9)
@@ -163,11 +151,6 @@ def test_a_resonance_of_a_joint_that_is_met_in_motion_starts_steady() -> None:
     response = (1.0 + damped) / (1.0 - r * r + damped)
     assert_allclose(np.hypot(*fit), values["amplitude"] * abs(response), rtol=2e-3)
     assert rest < 1e-6 * np.sum(wave**2)
-
-
-def test_what_it_needs_is_what_its_effects_need() -> None:
-    assert model("thermal_drift").needs == {"temperature"}
-    assert {"speed", "torque"} <= model(*STATEFUL).needs
 
 
 def test_a_sample_without_prediction_spoils_no_later_one() -> None:

@@ -9,15 +9,9 @@ from hypothesis.extra.numpy import arrays
 from numpy.testing import assert_allclose, assert_array_equal
 from reference import polyline
 
+from hd_diag.model import load_sharing
 from hd_diag.model.contact import contacts
-from hd_diag.model.load_sharing import (
-    FLANKS,
-    MeshState,
-    flank_stiffness,
-    mesh_state,
-    shares,
-    torsion_of_flanks,
-)
+from hd_diag.model.load_sharing import FLANKS, MeshState, flank_stiffness, shares, torsion_of_flanks
 from hd_diag.model.mesh import Mesh
 from hd_diag.model.torsion import torsion_and_gradient
 
@@ -34,16 +28,13 @@ each_mesh = pytest.mark.parametrize("mesh", MESHES.values(), ids=MESHES)
 
 
 def state(mesh: Mesh, torque: float, angle: Array = ANGLES) -> MeshState:
-    return mesh_state(mesh, angle, np.full(angle.size, torque))
+    return load_sharing.mesh_state(mesh, angle, np.full(angle.size, torque))
 
 
 def flanks_of(mesh: Mesh, angle: Array = ANGLES) -> tuple[Array, Array]:
     """Closing rotation and stiffness of the flanks."""
     contact = contacts(mesh, angle)
     return contact.rotation, flank_stiffness(contact, mesh.tooth_compliance)
-
-
-# Mesh ---
 
 
 @pytest.mark.parametrize("drive", drives.DRIVES.values(), ids=drives.DRIVES)
@@ -92,9 +83,6 @@ def test_stiffness_of_a_flank(paper_mesh: Mesh) -> None:
     assert_allclose(flank_stiffness(contact, 4 * COMPLIANCE), found / 4, rtol=1e-15)
 
 
-# Shares ---
-
-
 @each_mesh
 def test_shares_of_a_common_shift(mesh: Mesh) -> None:
     """Slots turned by d, all b+ grow and all b- shrink by it: the cup turns by d."""
@@ -112,18 +100,14 @@ def test_shares_are_the_derivatives_by_each_rotation(torque: float) -> None:
     beta = torsion_of_flanks(rotation, stiffness, np.array([torque]))[:, 0]
     found = shares(rotation, stiffness, beta)[0]
     step = 1e-10  # [rad], 3 nm; a flank within that of contact is in doubt
-    sure = np.argwhere(np.abs(FLANKS * beta[0] - rotation[0]) > 10 * step)
-    both = []
+    side, column = np.nonzero(np.abs(FLANKS * beta[0] - rotation[0]) > 10 * step)
+    every, both = np.arange(side.size), []
     for shift in (step, -step):
-        moved = np.repeat(rotation, len(sure), axis=0)
-        moved[np.arange(len(sure)), sure[:, 0], sure[:, 1]] += shift
-        every = np.repeat(stiffness, len(sure), axis=0)
-        both.append(torsion_of_flanks(moved, every, np.array([torque]))[:, 0])
-    expected = (both[0] - both[1]) / (2 * step)
-    assert_allclose(found[sure[:, 0], sure[:, 1]], expected, rtol=1e-4, atol=1e-7)
-
-
-# Lost motion ---
+        moved = np.repeat(rotation, side.size, axis=0)
+        moved[every, side, column] += shift
+        same = np.repeat(stiffness, side.size, axis=0)
+        both.append(torsion_of_flanks(moved, same, np.array([torque]))[:, 0])
+    assert_allclose(found[side, column], (both[0] - both[1]) / (2 * step), rtol=1e-4, atol=1e-7)
 
 
 def test_the_middle_of_a_true_gap_at_zero_torque(paper_mesh: Mesh) -> None:
@@ -136,44 +120,29 @@ def test_the_middle_of_a_true_gap_at_zero_torque(paper_mesh: Mesh) -> None:
     for sign in (1, -1):
         beside = state(paper_mesh, sign * 1e-9)
         assert_allclose(beside.torsion - found.torsion, sign * found.lost_motion / 2, rtol=1e-6)
+    preload = state(MESHES["23 um"], 0.0)
+    assert np.all(preload.lost_motion == 0)
+    assert np.all(preload.load.max(axis=2) > 0)
 
-
-def test_lobes_in_preload_have_no_lost_motion() -> None:
-    found = state(MESHES["23 um"], 0.0)
-    assert np.all(found.lost_motion == 0)
-    assert np.all(found.load.max(axis=2) > 0)
-
-
-# Any flanks at all ---
 
 flanks = arrays(np.float64, (2, 6), elements=st.floats(-1e-3, 1e-3) | st.just(np.nan) | st.just(np.inf))
 stiffnesses = arrays(np.float64, (2, 6), elements=st.floats(10.0, 1e4))
 
 
-def held(rotation: Array, stiffness: Array, beta: float) -> float:
-    """Torque that a torsion asks for."""
-    overlap = np.where(np.isfinite(rotation), FLANKS * beta - rotation, -1.0)
-    return float((FLANKS * stiffness * np.maximum(overlap, 0)).sum())
-
-
 @given(flanks, stiffnesses, st.floats(-100.0, 100.0))
 @settings(max_examples=200)
-def test_torsion_holds_the_torque(rotation: Array, stiffness: Array, torque: float) -> None:
+def test_torsion_holds_the_torque_and_rises_with_it(rotation: Array, stiffness: Array, torque: float) -> None:
     beta = torsion_of_flanks(rotation[None], stiffness[None], np.array([torque]))[0, 0]
     if np.isnan(beta):
         sides = {1: (0,), 0: (0, 1), -1: (1,)}[int(np.sign(torque))]
         assert any(not np.isfinite(rotation[side]).any() for side in sides)
         return
-    scale = stiffness.sum() * 1e-3 + abs(torque)
-    assert_allclose(held(rotation, stiffness, beta), torque, rtol=0, atol=1e-12 * scale)
-
-
-@given(flanks, stiffnesses)
-@settings(max_examples=100)
-def test_torsion_rises_with_torque(rotation: Array, stiffness: Array) -> None:
-    torque = np.array([-50.0, -3.0, -1e-3, -1e-9, 0.0, 1e-9, 1e-3, 3.0, 50.0])
-    beta = torsion_of_flanks(rotation[None], stiffness[None], torque)[0]
-    assert np.all(np.diff(beta[~np.isnan(beta)]) >= -1e-15)
+    overlap = np.where(np.isfinite(rotation), FLANKS * beta - rotation, -1.0)
+    held = float((FLANKS * stiffness * np.maximum(overlap, 0)).sum())
+    assert_allclose(held, torque, rtol=0, atol=1e-12 * (stiffness.sum() * 1e-3 + abs(torque)))
+    several = np.array([-50.0, -3.0, -1e-3, -1e-9, 0.0, 1e-9, 1e-3, 3.0, 50.0])
+    rising = torsion_of_flanks(rotation[None], stiffness[None], several)[0]
+    assert np.all(np.diff(rising[~np.isnan(rising)]) >= -1e-15)
 
 
 @pytest.mark.parametrize("lost", [0, 1])

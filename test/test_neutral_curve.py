@@ -23,11 +23,8 @@ def feet(curve: NeutralCurve, u: Array) -> tuple[Array, Array]:
     return height * normal + offset * across, normal
 
 
-def test_paper_s_ellipse_is_as_long_as_a_circle_of_30_mm() -> None:
+def test_paper_s_curve_is_as_long_as_a_circle_of_30_mm_kept_and_cannot_be_changed() -> None:
     assert_allclose(PAPER.radius, 29.99996e-3, atol=5e-9)
-
-
-def test_curves_are_kept_and_cannot_be_changed() -> None:
     assert neutral_curve(drives.PAPER.semi_major, drives.PAPER.semi_minor) is PAPER
     with pytest.raises(ValueError, match="read-only"):
         PAPER.harmonics[0] = 0.0
@@ -62,18 +59,13 @@ def test_circle() -> None:
     assert_allclose(offset, 0, atol=1e-17)
 
 
-def test_axes_turn_on_with_every_turn() -> None:
-    u = np.linspace(0, 2, 21)
-    for turns in (-3, 1, 5):
-        angle, height, offset = tooth_axes(PAPER, u + 2 * np.pi * turns)
-        first = tooth_axes(PAPER, u)
-        assert_allclose(angle, first[0] + 2 * np.pi * turns, rtol=1e-14)
-        assert_allclose([height, offset], first[1:], atol=1e-16)
-
-
-def test_symmetry_about_both_axes() -> None:
+def test_axes_turn_on_with_every_turn_and_are_symmetrical_about_both_axes() -> None:
     u = np.linspace(0.01, 1.5, 31)
     angle, height, offset = tooth_axes(PAPER, u)
+    for turns in (-3, 1, 5):
+        later = tooth_axes(PAPER, u + 2 * np.pi * turns)
+        assert_allclose(later[0], angle + 2 * np.pi * turns, rtol=1e-14)
+        assert_allclose(later[1:], [height, offset], atol=1e-16)
     for mirrored, start in ((-u, 0.0), (np.pi - u, np.pi)):
         other = tooth_axes(PAPER, mirrored)
         assert_allclose(other[0], start - angle, atol=1e-14)

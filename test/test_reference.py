@@ -1,7 +1,9 @@
-"""The brute-force reference itself gives the published values."""
+"""The brute-force reference and the model give the published values."""
 
 import dataclasses
+from collections.abc import Callable
 
+import drives
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -9,6 +11,9 @@ from reference import polyline, published
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
+from hd_diag.model.load_sharing import mesh_state
+
+Array = polyline.Array
 LAST_FIGURE = 1e-9  # [m], of the printed backlash
 
 
@@ -20,48 +25,52 @@ def least_backlash(eccentricity: float, datum: float) -> tuple[float, int]:
     return float(np.nanmin(least)), published.ENGAGEMENT_TEETH[int(np.nanargmin(least))]
 
 
-@pytest.mark.parametrize("eccentricity", published.BACKLASH)
-def test_backlash(eccentricity: float) -> None:
-    found = polyline.mesh(0.0, (0.0, eccentricity)).backlash[0, published.BACKLASH_TEETH]
-    tooth_180 = np.array(published.BACKLASH_TEETH) == 180
-    assert np.all(np.abs(found - published.BACKLASH[eccentricity]) < np.where(tooth_180, 50e-9, LAST_FIGURE))
+def model_at_rest(eccentricity: float, torque: float) -> tuple[float, Array, Array]:
+    """Torsion, backlash and loads (2, Z_R) of the model at angle 0, the eccentricity across the long axis."""
+    found = mesh_state(drives.mesh(eccentricity=(0.0, eccentricity)), np.zeros(1), np.array([torque]))
+    return float(found.torsion[0]), found.backlash[0], found.load[0]
 
 
-@pytest.mark.parametrize("case", published.LOAD_CASES)
-def test_torsion_and_loads(case: published.LoadCase) -> None:
-    mesh = polyline.mesh(0.0, (0.0, case.eccentricity))
-    beta = polyline.torsion(mesh, case.torque)
+def reference_at_rest(eccentricity: float, torque: float) -> tuple[float, Array, Array]:
+    mesh = polyline.mesh(0.0, (0.0, eccentricity))
+    beta = polyline.torsion(mesh, torque)
     force = polyline.loads(mesh, beta)
+    arm = np.nan_to_num(mesh.radius * np.cos(mesh.pressure_angle))
+    assert_allclose((arm * force).sum(axis=1) @ [1, -1], torque, rtol=1e-9)
+    return beta, mesh.backlash, force
+
+
+@pytest.mark.parametrize("at_rest", [model_at_rest, reference_at_rest])
+@pytest.mark.parametrize("case", published.LOAD_CASES)
+def test_backlash_torsion_and_loads(
+    case: published.LoadCase, at_rest: Callable[[float, float], tuple[float, Array, Array]]
+) -> None:
+    beta, backlash, force = at_rest(case.eccentricity, case.torque)
     assert_allclose(beta, case.torsion, rtol=2e-3 if case.torsion < 1e-4 else 5e-4)
     assert tuple((force > 0).sum(axis=1)) == case.loaded
     if case.largest_force is not None:
         assert_allclose(force.max(), case.largest_force, atol=0.05)
-    arm = np.nan_to_num(mesh.radius * np.cos(mesh.pressure_angle))
-    assert_allclose((arm * force).sum(axis=1) @ [1, -1], case.torque, rtol=1e-9)
+    away = np.abs(backlash[0, published.BACKLASH_TEETH] - published.BACKLASH[case.eccentricity])
+    assert np.all(away < np.where(np.array(published.BACKLASH_TEETH) == 180, 50e-9, LAST_FIGURE))
 
 
-def test_stiffness_is_the_catalogue_s() -> None:
-    mesh = polyline.mesh(0.0)
+@pytest.mark.parametrize("at_rest", [model_at_rest, reference_at_rest])
+def test_stiffness_is_the_catalogue_s(at_rest: Callable[[float, float], tuple[float, Array, Array]]) -> None:
     catalogue = (published.K1, published.K2, published.K3)
     for (spans, secant), k in zip(published.SECANT_STIFFNESS.items(), catalogue, strict=True):
-        low, high = (polyline.torsion(mesh, torque) for torque in spans)
+        low, high = (at_rest(0.0, torque)[0] for torque in spans)
         found = (spans[1] - spans[0]) / (high - low)
         assert_allclose(found, secant, atol=0.05e4)
         assert_allclose(found, k, rtol=0.08)
 
 
 def test_first_interference() -> None:
-    found = brentq(
-        lambda datum: least_backlash(published.ECCENTRICITY, datum)[0], 29.867e-3, 29.869e-3, xtol=1e-10
-    )
+    e, rounded = published.ECCENTRICITY, polyline.DEFAULT.circular_spline_datum
+    found = brentq(lambda datum: least_backlash(e, datum)[0], 29.867e-3, 29.869e-3, xtol=1e-10)
     assert_allclose(found, published.DATUM_OF_INTERFERENCE, atol=6e-9)
-    assert round(found * 1e3, 3) == polyline.DEFAULT.circular_spline_datum * 1e3
-    assert least_backlash(published.ECCENTRICITY, found)[1] == published.FIRST_TO_INTERFERE
-
-
-def test_first_interference_with_the_rounded_datum() -> None:
-    datum = polyline.DEFAULT.circular_spline_datum
-    found = brentq(lambda e: least_backlash(e, datum)[0], 0, 40e-6, xtol=1e-10)
+    assert round(found * 1e3, 3) == rounded * 1e3
+    assert least_backlash(e, found)[1] == published.FIRST_TO_INTERFERE
+    found = brentq(lambda e: least_backlash(e, rounded)[0], 0, 40e-6, xtol=1e-10)
     assert_allclose(found, published.ECCENTRICITY_AT_ROUNDED_DATUM, atol=0.01e-6)
 
 
@@ -87,13 +96,9 @@ def test_transmission_error_has_even_orders() -> None:
         assert_allclose(np.ptp(te), published.PEAK_TO_PEAK_ARCSEC[torque], rtol=0.02)
 
 
-def test_half_turn_moves_the_flexspline_by_one_tooth() -> None:
-    first = polyline.mesh(0.3, (5e-6, -8e-6))
-    later = polyline.mesh(0.3 + np.pi, (5e-6, -8e-6))
+def test_half_turn_moves_the_flexspline_by_one_tooth_and_mirror_exchanges_the_flanks() -> None:
+    first, later = (polyline.mesh(angle, (5e-6, -8e-6)) for angle in (0.3, 0.3 + np.pi))
     assert_allclose(np.roll(later.backlash, -1, axis=1), first.backlash, atol=1e-12)
-
-
-def test_mirror_exchanges_the_flanks() -> None:
     mesh = polyline.mesh(0.7, (9e-6, 4e-6), runout=(1e-6, 2e-6), arc_offset=3e-6)
     mirror = polyline.mesh(-0.7, (9e-6, -4e-6), runout=(1e-6, -2e-6), arc_offset=-3e-6)
     assert_allclose(np.roll(mirror.backlash[::-1, ::-1], 1, axis=1), mesh.backlash, atol=1e-12)

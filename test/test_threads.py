@@ -36,10 +36,11 @@ def test_every_row_once(monkeypatch, cores, size):
     assert all(last - first <= 10 for first, last, _ in parts) or whole
 
 
-def test_small_batches_are_done_here_and_do_not_ask_for_cores(monkeypatch):
+def test_small_batches_are_done_here_and_each_thread_gets_two_shares_or_more(monkeypatch):
+    monkeypatch.setattr(threads, "cores", lambda: 64)
+    assert len({name for *_, name in counted(59, 10)[1]}) <= 2
     monkeypatch.setattr(threads, "cores", lambda: pytest.fail("asked"))
-    _, parts = counted(39, 10)
-    assert parts == [(0, 39, threading.current_thread().name)]
+    assert counted(39, 10)[1] == [(0, 39, threading.current_thread().name)]
 
 
 def test_as_many_threads_as_cores_work_at_once_and_end(monkeypatch):
@@ -53,12 +54,6 @@ def test_as_many_threads_as_cores_work_at_once_and_end(monkeypatch):
     threads.spread(work, 60, 10)
     assert len(names) == 3
     assert threading.active_count() == before
-
-
-def test_each_thread_gets_two_shares_or_more(monkeypatch):
-    monkeypatch.setattr(threads, "cores", lambda: 64)
-    _, parts = counted(59, 10)
-    assert len({name for *_, name in parts}) <= 2
 
 
 @pytest.mark.parametrize("broken", [0, 30])
@@ -79,12 +74,8 @@ def test_cores_are_those_that_the_process_may_use():
         "import os; from hd_diag.model import threads;"
         "os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); print(threads.cores())"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], check=True, capture_output=True, text=True, timeout=60
-    )
-    assert done.stdout.strip() == "1"
-
-
-def test_one_core_in_a_process_of_a_pool():
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.stdout.strip() == "1", done.stderr
+    # One in a process of a pool.
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
         assert pool.submit(threads.cores).result(timeout=60) == 1

@@ -60,14 +60,10 @@ def test_flank_is_smooth_where_arc_and_tangent_join(flank: DoubleArc) -> None:
         assert_allclose(before - at, at - after, atol=1e-5 * step)
 
 
-def test_flank_ends_where_its_arcs_end() -> None:
+def test_flank_ends_where_its_arcs_end_and_overlapping_arcs_have_no_tangent() -> None:
     past_tip = TOOTH.addendum_center[0] + TOOTH.addendum_radius + 1e-9
     below_root = TOOTH.dedendum_center[0] - TOOTH.dedendum_radius - 1e-9
-    assert math.isnan(TOOTH.half_width(past_tip))
-    assert math.isnan(TOOTH.half_width(below_root))
-
-
-def test_overlapping_arcs_have_no_tangent() -> None:
+    assert np.isnan([TOOTH.half_width(past_tip), TOOTH.half_width(below_root)]).all()
     overlapping = dataclasses.replace(TOOTH, addendum_radius=0.6e-3)
     with pytest.raises(ValueError, match=r"arcs overlap.*radii add up to 0\.0011046 m"):
         _ = overlapping.normal_angle

@@ -14,10 +14,9 @@ from reference import polyline, published
 from hd_diag.model import kernel, threads
 from hd_diag.model.contact import contacts
 from hd_diag.model.kernel.compiler import entry_point
-from hd_diag.model.load_sharing import MeshState, flank_stiffness, mesh_state, torsion_of_flanks
+from hd_diag.model.load_sharing import flank_stiffness, mesh_state, torsion_of_flanks
 from hd_diag.model.mesh import Mesh
 from hd_diag.model.torsion import (
-    limited_curves,
     torsion,
     torsion_along,
     torsion_and_gradient,
@@ -26,7 +25,7 @@ from hd_diag.model.torsion import (
 )
 from hd_diag.model.torsion_map import ARCSEC, build
 
-Array = polyline.Array
+Array, PAPER = polyline.Array, drives.PAPER
 ASTRAY = drives.mesh(eccentricity=(5e-6, -16e-6), runout=(3e-6, 2e-6), arc_offset=4e-6)
 
 angles = st.floats(-20, 20)
@@ -36,8 +35,6 @@ torques = st.floats(-120, 120)
 def at(mesh: Mesh, angle: float, torque: float) -> float:
     return float(torsion(mesh, np.array([angle]), np.array([torque]))[0])
 
-
-# What a mesh refuses ---
 
 LIMITS = {  # what strikes first, and the clearance that it has
     "root at the long axis": (drives.PAPER, 117.1e-6),
@@ -54,38 +51,37 @@ def test_refuses_a_displacement_at_which_teeth_strike(place: str) -> None:
     drive, largest = LIMITS[place]
     drives.mesh(drive, (0.6 * largest, 0.0), (0.0, 0.399 * largest))
     for eccentricity, runout in ((1.001, 0.0), (0.0, 1.001), (0.5, 0.501)):
-        with pytest.raises(
-            ValueError, match=rf"eccentricity .* and runout .* {largest * 1e6:.6g} um.*{place}"
-        ):
+        said = rf"eccentricity .* and runout .* {largest * 1e6:.6g} um.*{place}"
+        with pytest.raises(ValueError, match=said):
             drives.mesh(drive, (0.0, -eccentricity * largest), (runout * largest, 0.0))
 
 
-@pytest.mark.parametrize("name", ["eccentricity", "runout"])
-@pytest.mark.parametrize("value", [complex(math.nan, 0), complex(0, math.inf)])
-def test_refuses_a_displacement_that_is_no_number(name: str, value: complex) -> None:
-    with pytest.raises(ValueError, match=r"eccentricity .* and runout .* must add up to less than 117\.1 um"):
+DISPLACEMENT = "eccentricity .* and runout .* must add up to less than 117.1 um"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("eccentricity", complex(math.nan, 0), DISPLACEMENT),
+        ("eccentricity", complex(0, math.inf), DISPLACEMENT),
+        ("runout", complex(math.nan, 0), DISPLACEMENT),
+        ("runout", complex(0, math.inf), DISPLACEMENT),
+        ("tooth_compliance", 0.0, "tooth_compliance must be positive and finite, not 0 m/N"),
+        ("tooth_compliance", -1e-6, "tooth_compliance must be positive and finite, not -1e-06 m/N"),
+        ("tooth_compliance", math.nan, "tooth_compliance must be positive and finite, not nan m/N"),
+        ("tooth_compliance", math.inf, "tooth_compliance must be positive and finite, not inf m/N"),
+        ("arc_offset", math.nan, "arc_offset must be finite, not nan m"),
+        ("arc_offset", -math.inf, "arc_offset must be finite, not -inf m"),
+    ],
+)
+def test_refuses_what_is_no_number_or_not_positive(name: str, value: complex, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         Mesh(drives.geometry(), **{name: value})
 
 
-@pytest.mark.parametrize("value", [0.0, -1e-6, math.nan, math.inf])
-def test_refuses_a_compliance_that_is_not_positive(value: float) -> None:
-    with pytest.raises(ValueError, match=rf"tooth_compliance must be positive and finite, not {value:g} m/N"):
-        Mesh(drives.geometry(), value)
-
-
-@pytest.mark.parametrize("value", [math.nan, -math.inf])
-def test_refuses_an_arc_offset_that_is_not_finite(value: float) -> None:
-    with pytest.raises(ValueError, match=rf"arc_offset must be finite, not {value:g} m"):
-        Mesh(drives.geometry(), arc_offset=value)
-
-
 def test_displacement_is_what_stands_and_what_turns() -> None:
-    angle = np.array([0.0, np.pi / 2, np.pi])
-    found = ASTRAY.displacement(angle)
+    found = ASTRAY.displacement(np.array([0.0, np.pi / 2, np.pi]))
     assert_allclose(found, [8e-6 - 14e-6j, 3e-6 - 13e-6j, 2e-6 - 18e-6j], rtol=1e-12)
-
-
-# Laws ---
 
 
 @pytest.mark.parametrize("drive", drives.DRIVES.values(), ids=drives.DRIVES)
@@ -97,40 +93,26 @@ def test_reference(drive: polyline.Drive, angle: float, torque: float) -> None:
     assert_allclose(at(drives.mesh(drive, **moment), angle, torque), expected, rtol=1e-4, atol=1e-8)
 
 
-@given(angles, torques)
+STATIC = drives.mesh(eccentricity=(5e-6, -16e-6))
+RUNOUT = drives.mesh(runout=(12e-6, 9e-6))
+# Mesh; angle by which another of the same torsion turns on; that mesh; sign of angle, torque and torsion.
+LAWS = {
+    "mirror": (ASTRAY, 0.0, drives.mesh(PAPER, (5e-6, 16e-6), (3e-6, -2e-6), -4e-6), -1.0),
+    "every turn": (ASTRAY, 2 * np.pi, ASTRAY, 1.0),
+    "opposite displacement": (ASTRAY, 0.0, drives.mesh(PAPER, (-5e-6, 16e-6), (-3e-6, -2e-6), 4e-6), 1.0),
+    "static eccentricity, every half turn": (STATIC, np.pi, STATIC, 1.0),
+    # It meets every slot alike: what is seen in the housing must come of what stands in the housing.
+    "runout alone, every tooth": (RUNOUT, 7 * 2 * np.pi / 202, RUNOUT, 1.0),
+}
+
+
+@pytest.mark.parametrize("law", LAWS)
+@given(angle=angles, torque=torques)
 @settings(max_examples=30)
-def test_mirror_turns_the_torsion_round(angle: float, torque: float) -> None:
-    mirror = drives.mesh(eccentricity=(5e-6, 16e-6), runout=(3e-6, -2e-6), arc_offset=-4e-6)
-    assert_allclose(at(mirror, -angle, -torque), -at(ASTRAY, angle, torque), rtol=1e-9, atol=1e-13)
-
-
-@given(angles, torques)
-@settings(max_examples=30)
-def test_repeats_with_every_turn(angle: float, torque: float) -> None:
-    assert_allclose(at(ASTRAY, angle + 2 * np.pi, torque), at(ASTRAY, angle, torque), rtol=1e-9, atol=1e-13)
-
-
-@given(angles, torques)
-@settings(max_examples=30)
-def test_opposite_displacement_gives_the_same(angle: float, torque: float) -> None:
-    opposite = drives.mesh(eccentricity=(-5e-6, 16e-6), runout=(-3e-6, -2e-6), arc_offset=4e-6)
-    assert_allclose(at(opposite, angle, torque), at(ASTRAY, angle, torque), rtol=1e-9, atol=1e-13)
-
-
-@given(angles, torques)
-@settings(max_examples=30)
-def test_static_eccentricity_repeats_every_half_turn(angle: float, torque: float) -> None:
-    static = drives.mesh(eccentricity=(5e-6, -16e-6))
-    assert_allclose(at(static, angle + np.pi, torque), at(static, angle, torque), rtol=1e-9, atol=1e-13)
-
-
-@given(angles, torques)
-@settings(max_examples=30)
-def test_runout_alone_repeats_with_every_tooth(angle: float, torque: float) -> None:
-    """It meets every slot alike: what is seen in the housing must come of what stands in the housing."""
-    runout = drives.mesh(runout=(12e-6, 9e-6))
-    later = angle + 7 * 2 * np.pi / 202
-    assert_allclose(at(runout, later, torque), at(runout, angle, torque), rtol=1e-9, atol=1e-13)
+def test_symmetries(law: str, angle: float, torque: float) -> None:
+    mesh, later, other, sign = LAWS[law]
+    found = sign * at(other, sign * angle + later, sign * torque)
+    assert_allclose(found, at(mesh, angle, torque), rtol=1e-9, atol=1e-13)
 
 
 @given(angles)
@@ -147,9 +129,6 @@ def test_nan_where_no_tooth_reaches_the_slots() -> None:
     for torque, free in ((-1.0, minus_free), (0.0, plus_free | minus_free), (1.0, plus_free)):
         assert 0 < free.sum() < free.size
         assert_array_equal(np.isnan(torsion(mesh, angle, np.full(10, torque))), free)
-
-
-# Over a turn ---
 
 
 def orders(mesh: Mesh, torque: float) -> tuple[Array, float]:
@@ -176,53 +155,23 @@ def test_only_tooth_passing_without_eccentricity(paper_mesh: Mesh, torque: float
     assert np.max(others) < 1e-6 * amplitude[202]
 
 
-# Tables ---
-
-
-def test_one_moment_equals_many_to_the_last_bit() -> None:
-    angle = np.linspace(-9, 40, 300)
-    torque = np.linspace(-70, 80, 300)
-    many = torsion(ASTRAY, angle, torque)
+def test_one_moment_equals_many_to_the_last_bit_and_a_table_holds_every_pair() -> None:
+    angle, torque = np.linspace(-9, 40, 300), np.linspace(-70, 80, 300)
     one = [at(ASTRAY, *pair) for pair in zip(angle, torque, strict=True)]
-    assert_array_equal(one, many)
-
-
-def test_table_holds_every_pair() -> None:
+    assert_array_equal(one, torsion(ASTRAY, angle, torque))
     angle, torque = np.array([0.2, 1.9, 5.0]), np.array([-30.0, 0.0, 1.0, 56.0])
     table = torsion_table(ASTRAY, angle, torque)
     for row, turned in enumerate(angle):
         assert_allclose(table[row], [at(ASTRAY, turned, m) for m in torque], rtol=1e-13, atol=1e-17)
 
 
-@pytest.mark.parametrize("mesh", [drives.mesh(), ASTRAY], ids=["gap", "preload"])
-def test_limited_curves_interpolate_to_the_exact_torsion(mesh: Mesh) -> None:
-    angle = np.array([0.3, 2.2])
-    torque, beta = limited_curves(mesh, angle, 40.0)
-    assert np.all(np.diff(torque, axis=1) >= 0)
-    assert np.all(np.diff(beta, axis=1) >= 0)
-    assert np.all(torque[:, 0] == -40)
-    assert np.all(torque[:, -1] == 40)
-    wanted = np.array([-40.0, -39.0, -3.3, -1e-3, 1e-3, 0.2, 17.0, 40.0])
-    exact = torsion_table(mesh, angle, wanted)
-    for row in range(angle.size):
-        assert_allclose(np.interp(wanted, torque[row], beta[row]), exact[row], rtol=1e-11)
-
-
-def test_a_true_gap_has_two_breakpoints_at_zero_torque(paper_mesh: Mesh) -> None:
-    torque, beta = limited_curves(paper_mesh, np.array([0.3]), 40.0)
-    idle = beta[torque == 0]
-    lost = np.nanmin(contacts(paper_mesh, np.array([0.3])).rotation, axis=2).sum()
-    assert_allclose(np.ptp(idle), lost, rtol=1e-12)
-
-
-# Derivatives ---
-
 BY = ("eccentricity.x", "eccentricity.y", "circular_spline_datum", "tooth_compliance", "torque")
 
 
-def random_moments(seed: int, number: int) -> tuple[Array, Array]:
+def random_moments(seed: int, number: int) -> Array:
+    """Wave generator angles and torques, (2, n)."""
     random = np.random.default_rng(seed)
-    return random.uniform(-2 * np.pi, 2 * np.pi, number), random.uniform(-100, 100, number)
+    return np.array([random.uniform(-2 * np.pi, 2 * np.pi, number), random.uniform(-100, 100, number)])
 
 
 def shifted(mesh: Mesh, name: str, step: float) -> Mesh:
@@ -240,8 +189,7 @@ def shifted(mesh: Mesh, name: str, step: float) -> Mesh:
 @pytest.mark.parametrize("name", BY)
 def test_gradient_is_that_of_finite_differences(name: str, loaded: bool) -> None:
     """Also at zero torque, preloaded or in a gap; eccentric, so that no two flanks bound the gap together."""
-    turn, torque = random_moments(7, 300)
-    torque = torque if loaded else np.zeros_like(torque)
+    turn, torque = random_moments(7, 300) * np.array([[1.0], [loaded]])
     step = {"torque": 1e-5, "tooth_compliance": 1e-10}.get(name, 1e-9)
     push = step if name == "torque" else 0.0
     errors, sizes = [], []
@@ -291,9 +239,6 @@ def test_along_samples_it_is_exact_at_nodes_and_straight_between(outward: float)
         assert np.all(np.abs(found[:, 1:4] - gradient[:, :3]) < rounding[1:4])
 
 
-# Moments that have no answer ---
-
-
 def test_along_samples_it_is_nan_where_no_flank_bears_the_torque() -> None:
     turn = 2 * np.pi / 256 * np.arange(256)
     beta, gradient = torsion_along(drives.mesh(drives.shallow()), turn, np.full(256, 1e-3), 256)
@@ -314,9 +259,6 @@ def test_numbers_that_are_not_spoil_their_own_moment_only() -> None:
     assert not state.load[[2, 6]].any()
 
 
-# Kernels ---
-
-
 @pytest.mark.parametrize("name", ["torsion", "mesh_state"])
 def test_several_threads_give_the_same_to_the_last_bit(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     turn, torque = random_moments(14, 1003)
@@ -328,24 +270,18 @@ def test_several_threads_give_the_same_to_the_last_bit(name: str, monkeypatch: p
         calls.clear()
         found.append(solve(ASTRAY, turn, torque))
         assert (len(calls) == 1) == (cores == 1)
-    for one, three in zip(*map(arrays_of, found), strict=True):
+    for one, three in zip(*([f] if name == "torsion" else vars(f).values() for f in found), strict=True):
         assert_array_equal(three, one)
-
-
-def arrays_of(found: Array | MeshState) -> list[Array]:
-    return [found] if isinstance(found, np.ndarray) else list(vars(found).values())
 
 
 def test_kernels_are_compiled_once() -> None:
     """Warmed up for what comes: also for columns of other arrays and arrays that cannot be written to."""
     warm_up(gradient=True)
-    turn, torque = (np.repeat(values, 2)[::2] for values in random_moments(11, 5))
-    for values in (turn, torque):
-        values.flags.writeable = False
+    turn, torque = np.repeat(random_moments(11, 5), 2, axis=1)[:, ::2]
+    turn.flags.writeable = torque.flags.writeable = False
     for solve in (torsion, torsion_table, torsion_and_gradient, mesh_state):
         solve(ASTRAY, turn, torque)
     torsion_along(ASTRAY, turn, torque, 16)
-    limited_curves(ASTRAY, turn, 40)
     contact = contacts(ASTRAY, turn)
     torsion_of_flanks(contact.rotation[::2], flank_stiffness(contact, 1e-6)[::2], np.sort(torque))
     build(drives.mesh(drives.COARSE), 6.0)(turn, np.broadcast_to(0.5, 5))
@@ -367,8 +303,3 @@ def test_a_cache_that_cannot_be_written_is_done_without(monkeypatch: pytest.Monk
 
     monkeypatch.setattr(numba, "njit", refuse)
     assert entry_point(lambda x: x + 1)(2) == 3
-
-
-def test_kernels_have_no_other_attribute() -> None:
-    with pytest.raises(AttributeError, match="no attribute 'entries'"):
-        _ = kernel.entries
