@@ -113,41 +113,39 @@ def _check_flank(name: str, flank: DoubleArc, start: float, end: float) -> None:
 
 
 def _check_mating(geometry: Geometry) -> None:
-    tooth, slot = geometry.flexspline_tooth, geometry.circular_spline_slot
-    if not slot.addendum_radius > tooth.addendum_radius:
-        raise ValueError(
-            f"circular_spline_slot.addendum_radius ({slot.addendum_radius:.6g} m) must exceed "
-            f"flexspline_tooth.addendum_radius ({tooth.addendum_radius:.6g} m), which runs in it"
-        )
-    if not tooth.dedendum_radius > slot.dedendum_radius:
-        raise ValueError(
-            f"flexspline_tooth.dedendum_radius ({tooth.dedendum_radius:.6g} m) must exceed "
-            f"circular_spline_slot.dedendum_radius ({slot.dedendum_radius:.6g} m), which runs in it"
-        )
+    slot = geometry.circular_spline_slot
+    for outer, inner, name in (
+        ("circular_spline_slot", "flexspline_tooth", "addendum_radius"),
+        ("flexspline_tooth", "circular_spline_slot", "dedendum_radius"),
+    ):
+        wide, narrow = (getattr(getattr(geometry, part), name) for part in (outer, inner))
+        if not wide > narrow:
+            raise ValueError(
+                f"{outer}.{name} ({wide:.6g} m) must exceed {inner}.{name} ({narrow:.6g} m), which runs in it"
+            )
     if slot.addendum_radius <= abs(slot.addendum_center[1]):
         raise ValueError("circular_spline_slot: the outer arc must reach the slot's axis")
 
 
 def _check_engagement(geometry: Geometry) -> None:
-    curve = geometry.curve
+    curve, slot = geometry.curve, geometry.circular_spline_slot
     tip_radius, datum = geometry.circular_spline_tip_radius, geometry.circular_spline_datum
+    root, tip = geometry.semi_major + geometry.flexspline_root, geometry.semi_major + geometry.flexspline_tip
     if not (math.isfinite(datum) and datum > 0 and math.isfinite(tip_radius)):
         raise ValueError(
             "circular_spline_datum and circular_spline_tip_radius must be positive and finite [m]"
         )
-    _check_flank(
-        "circular_spline_slot", geometry.circular_spline_slot, tip_radius - datum, 0.999 * geometry.slot_end
-    )
-    if geometry.semi_major + geometry.flexspline_root >= tip_radius:
+    _check_flank("circular_spline_slot", slot, tip_radius - datum, 0.999 * geometry.slot_end)
+    if root >= tip_radius:
         raise ValueError(
-            f"the flexspline's root ({geometry.semi_major + geometry.flexspline_root:.6g} m at the long "
-            f"axis) reaches the circular spline's tip radius ({tip_radius:.6g} m)"
+            f"the flexspline's root ({root:.6g} m at the long axis) reaches the circular spline's tip radius "
+            f"({tip_radius:.6g} m)"
         )
-    if geometry.semi_major + geometry.flexspline_tip >= datum + geometry.slot_end:
+    if tip >= datum + geometry.slot_end:
         raise ValueError(
             "the flexspline's tip reaches the end of the circular spline's slot at the long axis"
         )
-    if geometry.semi_major + geometry.flexspline_tip <= tip_radius:
+    if tip <= tip_radius:
         raise ValueError(
             "the flexspline's teeth do not reach into the circular spline's slots at the long axis"
         )
@@ -159,5 +157,5 @@ def _check_engagement(geometry: Geometry) -> None:
             f"flexspline_tooth: wider than its pitch ({2 * widest:.6g} m) at the root; "
             "the neutral curve is too short for this number of teeth"
         )
-    if geometry.circular_spline_slot.half_width(tip_radius - datum) >= geometry.slot_pitch * tip_radius / 2.0:
+    if slot.half_width(tip_radius - datum) >= geometry.slot_pitch * tip_radius / 2.0:
         raise ValueError("circular_spline_slot: wider than its pitch at the tip radius")

@@ -53,28 +53,6 @@ def torsion_table(mesh: Mesh, wave_generator_angle: Floats, torque: Floats) -> F
     return table[:, np.argsort(order)]
 
 
-def limited_curves(mesh: Mesh, wave_generator_angle: Floats, torque_limit: float) -> tuple[Floats, Floats]:
-    """Exact piecewise-linear torsion over torque at every moment, within a torque limit.
-
-    Parameters
-    ----------
-    mesh : Mesh
-    wave_generator_angle : ndarray, shape (moments,)
-        theta_W [rad].
-    torque_limit : float
-        [N m]
-
-    Returns
-    -------
-    torque, torsion : ndarray, shape (moments, breakpoints)
-        Breakpoints M [N m] and beta [rad], rising, from -torque_limit to torque_limit; a true gap has two at
-        zero torque. Rows with fewer breakpoints end with more of the limit; nan where no flank can bear it.
-    """
-    turn, center, _ = moments(mesh, wave_generator_angle)
-    torque, beta = kernel.entry.curves(mesh.data, turn, center, float(torque_limit))
-    return torque, beta
-
-
 def torsion_and_gradient(mesh: Mesh, wave_generator_angle: Floats, torque: Floats) -> tuple[Floats, Floats]:
     """Exact torsion and its derivatives, in one pass.
 

@@ -18,9 +18,9 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.formatting import ARCSEC as ARCSEC  # effects of others import it from here
 from hd_diag.model import kernel
-from hd_diag.model.mesh import Mesh, contiguous
+from hd_diag.model.mesh import Mesh, contiguous, moments
 from hd_diag.model.threads import spread
-from hd_diag.model.torsion import limited_curves, torsion_table
+from hd_diag.model.torsion import torsion_table
 
 TOLERANCE = 0.01 * ARCSEC
 """Error that a map aims at [rad]."""
@@ -143,20 +143,24 @@ def build(
 def _curves(
     mesh: Mesh, angle: Floats, torque_limit: float, wanted: Callable[[float], bool], threads: int
 ) -> tuple[Floats, Floats]:
-    """Breakpoints of all angles; rows with fewer end with more of the limit."""
-    starts, found = range(0, angle.size, _CHUNK), []
+    """Exact piecewise-linear curves (angles, breakpoints), rising; a true gap has two at zero torque.
+
+    Rows with fewer breakpoints end with more of the limit; nan where no flank can bear it.
+    """
+    turn, center, _ = moments(mesh, angle)
+    parts, found = [slice(first, first + _CHUNK) for first in range(0, angle.size, _CHUNK)], []
     with ThreadPoolExecutor(threads, thread_name_prefix="torsion map") as pool:
         solved = pool.map(
-            lambda start: limited_curves(mesh, angle[start : start + _CHUNK], torque_limit), starts
+            lambda part: kernel.entry.curves(mesh.data, turn[part], center[part], float(torque_limit)), parts
         )
-        for start in starts:
-            if not wanted(start / angle.size):
+        for part in parts:
+            if not wanted(part.start / angle.size):
                 pool.shutdown(cancel_futures=True)
                 raise BuildCancelled
             found.append(np.stack(next(solved)))
     width = max(part.shape[2] for part in found)
-    parts = [np.pad(part, ((0, 0), (0, 0), (0, width - part.shape[2])), "edge") for part in found]
-    torque, torsion = np.concatenate(parts, axis=1)
+    padded = [np.pad(part, ((0, 0), (0, 0), (0, width - part.shape[2])), "edge") for part in found]
+    torque, torsion = np.concatenate(padded, axis=1)
     return torque, torsion
 
 

@@ -26,10 +26,9 @@ from rclpy.utilities import ok, try_shutdown
 from hd_diag.bag import RELIABLE
 from hd_diag.config.configuration import Config
 from hd_diag.config.model_file import reader
-from hd_diag.drive import transmission_error
 from hd_diag.messages.publications import INPUT, JOINT_STATE, TEMPERATURE, temperature_topic
-from hd_diag.model.torsion import limited_curves, torsion_table
-from hd_diag.model.torsion_map import ARCSEC, TorsionMap
+from hd_diag.model import torsion
+from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor import warm_up
 from hd_diag.replay.map_builder import MapBuilder
 from hd_diag.replay.recorded_monitor import Session
@@ -209,13 +208,7 @@ class DiagnosticNode(Node):
 def _warm_up(config: Config) -> None:
     """Compute once what samples would have to wait for: constants, imports, machine code of maps too."""
     warm_up(config)
-    nothing = np.zeros(1)
-    for joint in config.joints:
-        mesh = joint.drive.mesh
-        curve = limited_curves(mesh, np.zeros(2), joint.drive.rated_torque)
-        table = TorsionMap(mesh, *curve, joint.drive.rated_torque, 0.0)
-        transmission_error(joint.drive, nothing, nothing, table)
-        torsion_table(mesh, nothing, nothing)
+    torsion.warm_up()
 
 
 def main(args: Sequence[str] | None = None, stopped: Sequence[int] | None = None) -> int:

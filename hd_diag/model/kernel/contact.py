@@ -155,8 +155,8 @@ def _tooth_tip(c: Constants, tip: Point) -> Touch:
     q = c.wall_dedendum.distance if inner else c.wall_addendum.distance
     radius = c.wall_dedendum.radius if inner else c.wall_addendum.radius
     side = -1.0 if inner else 1.0
-    on_arc = _arcs(tip, x, y, q, radius, side, side * radius)
-    return _either(inner | outer, on_arc, _arc_on_line(tip, c.wall_line, 0.0))
+    on_arc, on_line = _arcs(tip, x, y, q, radius, side, side * radius), _arc_on_line(tip, c.wall_line, 0.0)
+    return on_arc if inner | outer else on_line
 
 
 @inline
@@ -200,26 +200,11 @@ def _slot_tip(
 
 
 @inline
-def _either(which: bool, one: Touch, other: Touch) -> Touch:
-    return Touch(
-        one.sine if which else other.sine,
-        one.x if which else other.x,
-        one.y if which else other.y,
-        one.normal_x if which else other.normal_x,
-        one.normal_y if which else other.normal_y,
-        one.lever_height if which else other.lever_height,
-        one.lever_offset if which else other.lever_offset,
-        one.lever_datum if which else other.lever_datum,
-        one.datum if which else other.datum,
-    )
-
-
-@inline
 def _nearer(best: Touch, new: Touch, low: float, high: float) -> Touch:
     """The new contact if it closes first and lies between these radii [m], its normal the right way."""
     square = new.x * new.x + new.y * new.y
     valid = (square >= low * low) & (square <= high * high) & (new.x * new.normal_y > new.y * new.normal_x)
-    return _either(valid & (new.sine < best.sine), new, best)
+    return new if valid & (new.sine < best.sine) else best
 
 
 @inline
@@ -249,9 +234,9 @@ def close(c: Constants, height: float, offset: float) -> Touch:
     touch = _line_on_arc(line, distance, wall_d)
     best = _nearer(best, touch, max(low, inner - slack), min(high, min(outer, wall_inner) + slack))
     touch = _tooth_tip(c, tip)
-    best = _either(touch.sine < best.sine, touch, best)
+    best = touch if touch.sine < best.sine else best
     touch = _slot_tip(c, addendum, dedendum, distance, low <= inner, low >= outer)
-    return _either(touch.sine < best.sine, touch, best)
+    return touch if touch.sine < best.sine else best
 
 
 @part
