@@ -38,13 +38,21 @@ install_tree() {
     rm -rf "$copy"
     mkdir "$copy"
     cp -R $sources "$copy"
-    $pip install --no-index --no-deps --no-build-isolation --force-reinstall "$copy" >>"$log" 2>&1 ||
+    package=$(echo "$env"/lib/python3*/site-packages)/hd_diag
+    before=.venv/$name.before
+    rm -rf "$before"
+    [ ! -d "$package" ] || cp -Rp "$package" "$before"
+    $pip install --no-index --no-deps --no-build-isolation --no-compile --force-reinstall "$copy" >>"$log" 2>&1 ||
         fail "hd_diag could not be installed"
-    rm -rf "$copy"
+    # Machine code is kept for a file with the time of its compilation: what has not changed keeps its time.
+    [ ! -d "$before" ] || (cd "$before" && find . -name '*.py') | while read -r file; do
+        ! cmp -s "$before/$file" "$package/$file" || touch -r "$before/$file" "$package/$file"
+    done
+    rm -rf "$copy" "$before"
     compile_kernels
 }
 
-# Once here rather than in every process that is first to compute; unchanged kernels keep their machine code.
+# Once here rather than in every process that is first to compute.
 compile_kernels() {
     echo "== Compiling its kernels where they have changed (half a minute)"
     $env/bin/python -I -c 'from hd_diag.config.configuration import resolve; from hd_diag.diagnosis.fit import fit_parameters; from hd_diag.monitor import all_joints; from hd_diag.tolerance import evaluation; fit_parameters.warm_up(); evaluation.warm_up(); all_joints.warm_up(resolve({}))' >>"$log" 2>&1 ||

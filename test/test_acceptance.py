@@ -4,19 +4,20 @@ import dataclasses
 
 import numpy as np
 import pytest
-from benches import EFFECTS, bench, of, swinging
-from joint_records import ARCSEC
+from benches import CONFIGURED, EFFECTS, POINT, TRUE, bench, of, swinging
+from joint_records import ARCSEC, NOISE, prepared
 
-from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
+from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.search.acceptance import FAMILY_ERROR, LEAST_SIZE, held_out_gain, needed, passing, size
 from hd_diag.diagnosis.search.ranking import ranked
 from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS
 from hd_diag.effects.signals import Signals
+from hd_diag.simulation import Motion, Noise, SimulatedJoint, simulate
 
 RUBBED, DRY = EFFECTS["hysteresis"], EFFECTS["coulomb_windup"]
 RUBBING = (RUBBED, (2.0, 9.0))
-DRIFT = next(term for term in UNMODELLED_TERMS if term.name == "drift")
+DRIFT, RESTS = (t for t in UNMODELLED_TERMS if t.name in ("drift", "rests"))
 
 
 FRICTION = of(RUBBED, first_amplitude=1e-4, second_amplitude=6e-5, first_reach=2.0, second_reach=9.0)
@@ -108,3 +109,16 @@ def test_a_drift_must_last(long: Record, drift: float, period: float | None, exp
 
     made = bench(part, record=long)
     assert (passing(made, (), ranked(made, (), [DRIFT]), 100) is not None) is expected
+
+
+@pytest.mark.parametrize(("size", "expected"), [(1.5, True), (0.3, False)])
+def test_a_loose_hub_is_seen_in_runs_of_six_seconds(size: float, expected: bool) -> None:
+    """It settles anew at each of twelve rests, by so many arcsec: two means over seconds a run prove it."""
+    motion = Motion(72.0, 200.0, (6.0, 12.0), (-40.0, -14.0, 14.0))
+    made = simulate(SimulatedJoint(TRUE, Noise(white=NOISE)), motion, np.random.default_rng(0))
+    time = (made.stamp - made.stamp[0]) * 1e-9
+    settled = size * ARCSEC * np.random.default_rng(1).standard_normal(12)[(time / 6.0).astype(int)]
+    output = made.output_angle + settled
+    given = {"time": time, "input": made.input_angle, "output": output, "torque": made.torque}
+    fit = linearise(prepared(given), CONFIGURED, POINT).with_noise(())
+    assert (passing(fit, (), ranked(fit, (), [RESTS]), 100) is not None) is expected
