@@ -4,6 +4,7 @@ import shutil
 import sqlite3
 import tempfile
 from contextlib import closing, suppress
+from types import SimpleNamespace
 from unittest import mock
 
 import numpy as np
@@ -28,7 +29,9 @@ from mcap.writer import Writer
 from rosbags.rosbag2 import StoragePlugin
 
 from hd_diag.bag import BagError, BagReader, BagWriter
+from hd_diag.bag.block import Block
 from hd_diag.bag.mcap_scan import MAGIC
+from hd_diag.bag.mcap_storage import _ordered
 from hd_diag.messages.schemas import definition
 
 
@@ -502,16 +505,16 @@ def test_endless_queries_are_stopped(tmp_path, monkeypatch):
 
 def test_chunks_that_declare_wrong_times_are_noticed():
     """Old writers gave a chunk the time of its first message, not the least."""
-    from hd_diag.bag.block import Block
-    from hd_diag.bag.mcap_storage import _ordered as ordered
-    from hd_diag.bag.mcap_storage import _Stretch
+
+    def section(*times):
+        return [SimpleNamespace(start=times[0], size=1, content_size=1, times=times)]
 
     def load(stretch):
-        times = np.array(stretch.sections)
+        times = np.array(stretch[0].times)
         zero = np.zeros_like(times)
         return Block(np.zeros(1, np.uint8), zero, zero, zero, times, times)
 
-    stretches = [_Stretch([5, 9], 5, 1), _Stretch([7, 6], 6, 1)]
-    assert [b.log_time.tolist() for b in ordered(stretches, load)] == [[5], [6, 7, 9]]
+    blocks = _ordered([section(5, 9), section(6, 7)], load)
+    assert [b.log_time.tolist() for b in blocks] == [[5], [6, 7, 9]]
     with pytest.raises(ValueError, match="before its declared start"):
-        list(ordered([_Stretch([5, 6], 5, 1), _Stretch([7, 4], 7, 1)], load))
+        list(_ordered([section(5, 6), section(7, 4)], load))

@@ -16,8 +16,7 @@ from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 
 from hd_diag.bag import BagError, BagReader, BagWriter, recover
-from hd_diag.bag.mcap_chunk import find_chunk
-from hd_diag.bag.mcap_scan import scan
+from hd_diag.bag.mcap_scan import Scan
 from hd_diag.messages.schemas import Definition
 
 
@@ -56,7 +55,7 @@ def test_every_closed_chunk_is_saved_wherever_the_file_ends(tmp_path, compressio
     options = {"compression": compression, "indexes": indexes, "chunk_size": 6000}
     path = write_with_mcap(tmp_path / "a.mcap", messages(300), **options)
     with path.open("rb") as file:
-        closed = [(s.offset + s.size, s) for s in scan(path, file).sections]
+        closed = [(s.offset + s.size, s) for s in Scan(path, file).sections]
     block = expected(messages(300))
     for keep in range(1000, path.stat().st_size - 1000, 1777):
         report = recover(cut_end(path, tmp_path / "b.mcap", keep=keep), tmp_path / "c.mcap", overwrite=True)
@@ -73,7 +72,7 @@ def test_part_of_the_open_chunk(tmp_path, compression):
     given = messages(20_000)
     path = write_with_mcap(tmp_path / "a.mcap", given, compression=compression, chunk_size=8 << 20)
     with path.open("rb") as file:
-        (section,) = scan(path, file).sections
+        (section,) = Scan(path, file).sections
     keep = section.offset + section.size * 6 // 10
     report = recover(cut_end(path, tmp_path / "b.mcap", keep=keep), tmp_path / "c.mcap")
     saved = read(tmp_path / "c.mcap")
@@ -105,7 +104,7 @@ def test_statement_of_what_was_lost(tmp_path):
 def test_damaged_chunk_costs_only_itself(tmp_path):
     path = write_with_mcap(tmp_path / "a.mcap", messages(), chunk_size=6000)
     with path.open("rb") as file:
-        section = scan(path, file).sections[3]
+        section = Scan(path, file).sections[3]
     data = bytearray(path.read_bytes())
     data[section.offset + section.size // 2] ^= 0x10
     path.write_bytes(data)
@@ -124,12 +123,12 @@ def test_damaged_chunk_costs_only_itself(tmp_path):
 def test_chunks_behind_a_damaged_length_are_found(tmp_path, compression):
     path = write_with_mcap(tmp_path / "a.mcap", messages(), chunk_size=6000, compression=compression)
     with path.open("rb") as file:
-        sections = scan(path, file).sections
+        sections = Scan(path, file).sections
     data = bytearray(path.read_bytes())
     head = sections[3].offset - len(sections[3].compression) - 49
     assert data[head] == 6
     with path.open("rb") as file:
-        assert find_chunk(file, sections[2].offset, len(data)) == head
+        assert Scan(path, file).find_chunk(sections[2].offset) == head
     data[head + 1 : head + 9] = (2**60).to_bytes(8, "little")
     path.write_bytes(data)
     with BagReader(path) as reader:
@@ -325,7 +324,7 @@ def test_messages_without_a_declared_topic_are_counted(tmp_path):
     """The chunk with the schemas is damaged, and there is no summary that repeats them."""
     path = write_with_mcap(tmp_path / "a.mcap", messages(), chunk_size=6000)
     with path.open("rb") as file:
-        section = scan(path, file).sections[0]
+        section = Scan(path, file).sections[0]
     data = bytearray(path.read_bytes())
     data[section.offset + 20] ^= 1
     path.write_bytes(data)

@@ -348,7 +348,7 @@ def test_ctrl_c_before_anything_is_written(
 ) -> None:
     out = tmp_path / "out.mcap"
     for place, command in (
-        ("hd_diag.bag.recover.scan", recover),
+        ("hd_diag.bag.recover.Scan", recover),
         ("hd_diag.replay.replay.sources_of", replay),
     ):
         with monkeypatch.context() as patch:

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import re
 import struct
 import zlib
 from array import array
 from collections.abc import Sequence
-from contextlib import suppress
-from io import BufferedReader
 from pathlib import Path
 
 import lz4.frame
@@ -22,6 +18,7 @@ from hd_diag.arrays import Integers
 from hd_diag.bag.block import Block, gather
 from hd_diag.bag.errors import BagError
 from hd_diag.bag.mcap_scan import (
+    COMPRESSIONS,
     MAX_CHUNK,
     MESSAGE,
     RECORD,
@@ -29,17 +26,13 @@ from hd_diag.bag.mcap_scan import (
     Section,
     believable,
     check_claim,
-    chunk_at,
 )
 
-HEAD = np.dtype("u1, <u8, <u2, <u4, <u8, <u8")
-HEAD.names = ("opcode", "length", "channel", "sequence", "log_time", "publish_time")
-"""`MESSAGE` as a type of numpy."""
-# Opcode of a chunk, and a length below 2**48, as all lengths are.
-_MAYBE_CHUNK = re.compile(rb"(?=\x06[\s\S]{6}\0\0)")
-_WINDOW = 16 << 20
+_HEAD = np.dtype("u1, <u8, <u2, <u4, <u8, <u8")
+_HEAD.names = ("opcode", "length", "channel", "sequence", "log_time", "publish_time")
 # More records in a chunk that are no messages are refused: an honest one has a few for each topic.
 _MAX_OTHERS = 1_000_000
+_AT_ONCE = 1 << 17  # size that is decompressed at a time [byte]
 # What the libraries raise on damaged content.
 _DAMAGE = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, McapError, EOFError, MemoryError)
 
@@ -48,8 +41,8 @@ class DamagedChunk(BagError):
     """A chunk cannot be used; what is before and behind it can be recovered."""
 
 
-def load(path: Path, file: BufferedReader, sections: Sequence[Section], result: Scan) -> Block:
-    """Messages of some sections; schemas and channels found on the way are added to `result`.
+def load(path: Path, found: Scan, sections: Sequence[Section]) -> Block:
+    """Messages of some sections; schemas and channels among them are added to `found`.
 
     Safe beside other readers of the same file; BagError where a section is damaged, or the file was closed.
     """
@@ -58,43 +51,65 @@ def load(path: Path, file: BufferedReader, sections: Sequence[Section], result: 
         for section in sections:
             where = f"chunk at byte {section.offset}"
             check_claim(section.content_size, section.size)
-            stored = os.pread(file.fileno(), section.size, section.offset)
-            content = decompressed(section.compression, stored, section.content_size + 1)
+            stored = found.read(section.offset, section.size)
+            content = _decompressed(section.compression, stored, section.content_size + 1)
             if len(content) != section.content_size:
                 raise ValueError(f"it holds {len(content)} bytes instead of {section.content_size}")
             if section.checksum and zlib.crc32(content) != section.checksum:
                 raise ValueError("its checksum is wrong")
             contents.append(content)
         where = f"chunk at or after byte {sections[0].offset}"
-        return parse(contents[0] if len(contents) == 1 else b"".join(contents), result)
+        return _parse(contents[0] if len(contents) == 1 else b"".join(contents), found)
     except _DAMAGE as exc:
-        if file.closed:
-            raise BagError(path, "the bag was closed") from exc
         raise DamagedChunk(path, f"{where} is damaged: {exc}") from exc
 
 
-def decompressed(compression: str, stored: bytes, limit: int, *, lenient: bool = False) -> bytes:
+def load_part(found: Scan, offset: int, end: int) -> Block | None:
+    """Messages at the beginning of a chunk of which the file has the bytes from `offset` to `end`.
+
+    Compression works in blocks, so that the blocks before a cut can be read. None where nothing can.
+    """
+    try:
+        if found.read(offset, 1)[0] != Opcode.CHUNK:
+            return None
+        section = found.chunk_at(offset, (1 << 64) - 1)
+        stored = found.read(section.offset, min(section.size, max(0, end - section.offset), MAX_CHUNK))
+        limit = min(section.content_size, believable(len(stored)))
+        content = _decompressed(section.compression, stored, limit, lenient=True)
+        stop = following = 0
+        while following <= len(content):
+            stop = following
+            if stop + RECORD.size > len(content) or not content[stop]:
+                break
+            following += RECORD.size + RECORD.unpack_from(content, stop)[1]
+        block = _parse(content[:stop], found)
+        return block if len(block) else None
+    except (*_DAMAGE, IndexError):
+        return None
+
+
+def _decompressed(compression: str, stored: bytes, limit: int, *, lenient: bool = False) -> bytes:
     """No more than `limit` bytes of what is stored, decompressed; with `lenient` those before a damage."""
+    if compression not in COMPRESSIONS:
+        raise ValueError(f"compression {compression!r} is not known")
     if not compression:
         return stored
     if compression == "lz4":
         return bytes(lz4.frame.LZ4FrameDecompressor().decompress(stored, max_length=limit))
-    if compression != "zstd":
-        raise ValueError(f"compression {compression!r} is not known")
     parts = []
     reader = zstandard.ZstdDecompressor().stream_reader(stored)
     try:
-        while part := reader.read(min(limit, 1 << 17 if lenient else 1 << 20)):
+        while part := reader.read(min(limit, _AT_ONCE)):
             parts.append(part)
             limit -= len(part)
     except zstandard.ZstdError:
         if not lenient:
             raise
-    return parts[0] if len(parts) == 1 else b"".join(parts)
+    return b"".join(parts)
 
 
-def parse(content: bytes, result: Scan) -> Block:
-    """Messages among the records in `content`; schemas and channels are added to `result`.
+def _parse(content: bytes, found: Scan) -> Block:
+    """Messages among the records in `content`; schemas and channels are added to `found`.
 
     Raises ValueError where the records do not fit together.
     """
@@ -108,7 +123,7 @@ def parse(content: bytes, result: Scan) -> Block:
             if opcode == 0 or ignored > _MAX_OTHERS:
                 raise ValueError("it holds records that are none")
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                result.keep(opcode, content[position + 9 : stop])
+                found.keep(content[position:stop])
         elif more or len(first) or stop > end:
             more.append(position)
         else:
@@ -133,49 +148,9 @@ def _messages_at(content: bytes, offset: Integers) -> Block:
     data = np.frombuffer(content, np.uint8)
     if len(offset) and offset[-1] + MESSAGE.size > len(data):
         raise ValueError("a message has no room for its times")
-    heads = np.ascontiguousarray(gather(data, offset, MESSAGE.size)).view(HEAD)[:, 0]
+    heads = np.ascontiguousarray(gather(data, offset, MESSAGE.size)).view(_HEAD)[:, 0]
     size = heads["length"].astype(np.int64) + RECORD.size - MESSAGE.size
     if len(size) and int(size.min()) < 0:
         raise ValueError("a message is too short for its times")
     columns = (heads[name].astype(np.int64) for name in ("channel", "log_time", "publish_time"))
     return Block(data, offset + MESSAGE.size, size, *columns)
-
-
-def load_part(file: BufferedReader, offset: int, end: int, result: Scan) -> Block | None:
-    """Messages at the beginning of a chunk of which the file has the bytes from `offset` to `end`.
-
-    Compression works in blocks, so that the blocks before a cut can be read. None where nothing can.
-    """
-    try:
-        if os.pread(file.fileno(), 1, offset)[0] != Opcode.CHUNK:
-            return None
-        section = chunk_at(file, offset, (1 << 64) - 1)
-        size = min(section.size, max(0, end - section.offset), MAX_CHUNK)
-        stored = os.pread(file.fileno(), size, section.offset)
-        limit = min(section.content_size, believable(len(stored)))
-        content = decompressed(section.compression, stored, limit, lenient=True)
-        stop = following = 0
-        while following <= len(content):
-            stop = following
-            if stop + RECORD.size > len(content) or not content[stop]:
-                break
-            following += RECORD.size + RECORD.unpack_from(content, stop)[1]
-        return parse(content[:stop], result)
-    except (*_DAMAGE, IndexError):
-        return None
-
-
-def find_chunk(file: BufferedReader, start: int, size: int) -> int | None:
-    """Place of the next chunk record from `start` on whose sizes agree; None where there is none."""
-    for window in range(start, size, _WINDOW):
-        content = os.pread(file.fileno(), _WINDOW + 16, window)
-        for match in _MAYBE_CHUNK.finditer(content, 0, _WINDOW + 9):
-            place = window + match.start()
-            length = RECORD.unpack_from(content, match.start())[1]
-            with suppress(ValueError):
-                found = chunk_at(file, place, length)
-                stop = place + RECORD.size + length
-                known = found.compression in ("", "lz4", "zstd") and found.content_size <= MAX_CHUNK
-                if found.offset + found.size == stop <= size and known and found.start <= found.end:
-                    return place
-    return None

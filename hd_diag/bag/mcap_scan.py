@@ -7,15 +7,17 @@ Only the heads of chunks are read, which takes microseconds for each.
 from __future__ import annotations
 
 import os
+import re
 import struct
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass
 from io import BufferedReader, BytesIO
 from pathlib import Path
 
-from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Schema, Statistics
+from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
 
 from hd_diag.bag.block import Topic
@@ -27,10 +29,14 @@ MESSAGE = struct.Struct("<BQHIQQ")
 """Head of a message: opcode, length, channel, sequence, log time and publish time [ns]."""
 RECORD = struct.Struct("<BQ")
 """Head of any record: opcode and length."""
-_CHUNK = struct.Struct("<QQQII")
 MAX_CHUNK = 256 << 20
 """A chunk, or a message outside of one, above this is refused: recorders close a chunk after some megabytes,
 and what is made of a chunk takes up to five times its memory [byte]."""
+COMPRESSIONS = ("", "lz4", "zstd")
+_CHUNK = struct.Struct("<QQQII")
+# Opcode of a chunk, and a length below 2**48, as all lengths are.
+_MAYBE_CHUNK = re.compile(rb"(?=\x06[\s\S]{6}\0\0)")
+_WINDOW = 16 << 20
 # A chunk that claims both more than this [byte] and more than so many times what is stored of it is refused
 # unread: recordings seldom reach 100, and a file of some kilobytes could keep the reader busy for minutes.
 _MAX_UNASKED, _MAX_RATIO = 64 << 20, 1000
@@ -69,36 +75,68 @@ class Section:
     is_chunk: bool = True
 
 
-@dataclass
 class Scan:
-    """What a walk over an MCAP file found.
+    """What a walk over an open MCAP file finds: sections, schemas, channels, statistics.
 
     `end` is where the last whole record ends [byte], `problem` why that is not the end of the file; schemas
-    and channels that stand in chunks are known only where the summary repeats them.
+    and channels that stand in chunks are known only where the summary repeats them. Raises BagError, which
+    names `path`, where it is not an MCAP file of ROS 2.
     """
 
-    size: int
-    end: int = len(MAGIC)
-    sections: list[Section] = field(default_factory=list)
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
-    statistics: Statistics | None = None
-    profile: str = ""
-    problem: str = ""
+    def __init__(self, path: Path, file: BufferedReader) -> None:
+        self.size, self.end = os.fstat(file.fileno()).st_size, len(MAGIC)
+        self.sections: list[Section] = []
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.statistics: Statistics | None = None
+        self.profile = self.problem = ""
+        self._file = file
+        if self.read(0, len(MAGIC)) != MAGIC:
+            raise BagError(path, "is not an MCAP file" if self.size else "is empty")
+        self.walk()
+        if self.profile not in ("", "ros2"):
+            raise BagError(path, f"has profile {self.profile!r}, not ros2")
 
-    def keep(self, opcode: int, content: bytes) -> None:
+    def read(self, offset: int, size: int) -> bytes:
+        """What stands at a place, also beside other readers; ValueError where the file was closed."""
+        return os.pread(self._file.fileno(), size, offset)
+
+    def walk(self) -> None:
+        """Walk on from `end`."""
+        self.problem, opcode = "", 0
+        try:
+            while opcode != Opcode.FOOTER:
+                head = self.read(self.end, RECORD.size)
+                if len(head) < RECORD.size:
+                    self.problem = "has no end: it was cut off, or is still being written"
+                    return
+                opcode, length = RECORD.unpack(head)
+                stop = self.end + RECORD.size + length
+                if opcode == 0 or stop > self.size:
+                    self.problem = f"is cut off or damaged at byte {self.end} of {self.size}"
+                    return
+                self._take(opcode, length)
+                self.end = stop
+            if self.read(self.end, len(MAGIC)) == MAGIC:
+                self.end += len(MAGIC)
+            else:
+                self.problem = "has no end: the closing magic is missing"
+        except (struct.error, ValueError, McapError) as exc:
+            self.problem = f"damaged record at byte {self.end}: {exc}"
+
+    def keep(self, record: bytes) -> None:
         """Remember what a record says; raises several kinds of errors where it is damaged."""
-        stream = ReadDataStream(BytesIO(content))
-        if opcode == Opcode.SCHEMA:
-            schema = Schema.read(stream)
-            self.schemas[schema.id] = schema
-        elif opcode == Opcode.CHANNEL:
-            channel = Channel.read(stream)
-            self.channels[channel.id] = channel
-        elif opcode == Opcode.STATISTICS:
-            self.statistics = Statistics.read(stream)
-        elif opcode == Opcode.HEADER:
-            self.profile = Header.read(stream).profile
+        for found in StreamReader(BytesIO(record), skip_magic=True).records:
+            match found:
+                case Schema():
+                    self.schemas[found.id] = found
+                case Channel():
+                    self.channels[found.id] = found
+                case Statistics():
+                    self.statistics = found
+                case Header():
+                    self.profile = found.profile
+            return
 
     def topics(self) -> dict[int, Topic]:
         """Topics, by number, of the channels that have a schema and are in CDR."""
@@ -112,86 +150,53 @@ class Scan:
                 topics[number] = Topic(channel.topic, schema.name, 0, known, offers)
         return topics
 
+    def chunk_at(self, offset: int, length: int) -> Section:
+        """The chunk record at `offset` of `length` bytes behind its head; ValueError where it is damaged."""
+        head = self.read(offset + RECORD.size, _CHUNK.size + 24)
+        try:
+            start, end, content_size, checksum, name_length = _CHUNK.unpack_from(head)
+            (size,) = struct.unpack_from("<Q", head, _CHUNK.size + name_length)
+            name = head[_CHUNK.size : _CHUNK.size + name_length].decode()
+        except struct.error as exc:
+            raise ValueError("the chunk's compression is not known") from exc
+        before = _CHUNK.size + name_length + 8
+        if before + size > length:
+            raise ValueError("the chunk is larger than its record")
+        return Section(offset + RECORD.size + before, size, start, end, name, content_size, checksum)
 
-def scan(path: Path, file: BufferedReader) -> Scan:
-    """Walk over the records of an open MCAP file, which `path` names in messages.
+    def find_chunk(self, start: int) -> int | None:
+        """Place of the next chunk record from `start` on whose sizes agree; None where there is none."""
+        for window in range(start, self.size, _WINDOW):
+            content = self.read(window, _WINDOW + 16)
+            for match in _MAYBE_CHUNK.finditer(content, 0, _WINDOW + 9):
+                place = window + match.start()
+                length = RECORD.unpack_from(content, match.start())[1]
+                with suppress(ValueError):
+                    found = self.chunk_at(place, length)
+                    is_whole = found.offset + found.size == place + RECORD.size + length <= self.size
+                    is_known = found.compression in COMPRESSIONS and found.content_size <= MAX_CHUNK
+                    if is_whole and is_known and found.start <= found.end:
+                        return place
+        return None
 
-    Raises
-    ------
-    BagError
-        Where it is not an MCAP file of ROS 2.
-    """
-    result = Scan(os.fstat(file.fileno()).st_size)
-    file.seek(0)
-    if file.read(len(MAGIC)) != MAGIC:
-        raise BagError(path, "is not an MCAP file" if result.size else "is empty")
-    walk(file, result)
-    if result.profile not in ("", "ros2"):
-        raise BagError(path, f"has profile {result.profile!r}, not ros2")
-    return result
+    def _take(self, opcode: int, length: int) -> None:
+        """Take the record at `end`."""
+        if opcode == Opcode.CHUNK:
+            self.sections.append(self.chunk_at(self.end, length))
+        elif opcode == Opcode.MESSAGE:
+            check_claim(length, length)
+            self._add_message(length)
+        elif opcode in (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
+            if length > _MAX_RECORD:
+                raise ValueError(f"{length} bytes are too many for such a record")
+            self.keep(self.read(self.end, RECORD.size + length))
 
-
-def walk(file: BufferedReader, result: Scan) -> None:
-    """Walk on from ``result.end``; what is found is added to `result`."""
-    result.problem, opcode = "", 0
-    try:
-        while opcode != Opcode.FOOTER:
-            file.seek(result.end)
-            head = file.read(RECORD.size)
-            if len(head) < RECORD.size:
-                result.problem = "has no end: it was cut off, or is still being written"
-                return
-            opcode, length = RECORD.unpack(head)
-            stop = result.end + RECORD.size + length
-            if opcode == 0 or stop > result.size:
-                result.problem = f"is cut off or damaged at byte {result.end} of {result.size}"
-                return
-            _take(file, result, opcode, length)
-            result.end = stop
-        file.seek(result.end)
-        if file.read(len(MAGIC)) == MAGIC:
-            result.end += len(MAGIC)
-        else:
-            result.problem = "has no end: the closing magic is missing"
-    except (struct.error, ValueError, McapError) as exc:
-        result.problem = f"damaged record at byte {result.end}: {exc}"
-
-
-def _take(file: BufferedReader, result: Scan, opcode: int, length: int) -> None:
-    if opcode == Opcode.CHUNK:
-        result.sections.append(chunk_at(file, result.end, length))
-    elif opcode == Opcode.MESSAGE:
-        check_claim(length, length)
-        _add_message(file, result, length)
-    elif opcode in (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
-        if length > _MAX_RECORD:
-            raise ValueError(f"{length} bytes are too many for such a record")
-        result.keep(opcode, file.read(length))
-
-
-def chunk_at(file: BufferedReader, offset: int, length: int) -> Section:
-    """The chunk record at `offset` of `length` bytes behind its head; ValueError where it is damaged."""
-    file.seek(offset + RECORD.size)
-    head = file.read(_CHUNK.size + 24)
-    try:
-        start, end, content_size, checksum, name_length = _CHUNK.unpack_from(head)
-        (size,) = struct.unpack_from("<Q", head, _CHUNK.size + name_length)
-        name = head[_CHUNK.size : _CHUNK.size + name_length].decode()
-    except struct.error as exc:
-        raise ValueError("the chunk's compression is not known") from exc
-    before = _CHUNK.size + name_length + 8
-    if before + size > length:
-        raise ValueError("the chunk is larger than its record")
-    return Section(offset + RECORD.size + before, size, start, end, name, content_size, checksum)
-
-
-def _add_message(file: BufferedReader, result: Scan, length: int) -> None:
-    """Add the message outside of chunks that stands at ``result.end`` to those right before it."""
-    file.seek(result.end)
-    log_time = MESSAGE.unpack(file.read(MESSAGE.size))[4]
-    last = result.sections[-1] if result.sections else None
-    if last is None or last.is_chunk or last.offset + last.size != result.end or last.size > _RUN:
-        last = Section(result.end, 0, log_time, log_time, is_chunk=False)
-        result.sections.append(last)
-    last.size = last.content_size = last.size + RECORD.size + length
-    last.start, last.end = min(last.start, log_time), max(last.end, log_time)
+    def _add_message(self, length: int) -> None:
+        """Add the message outside of chunks that stands at `end` to those right before it."""
+        log_time = MESSAGE.unpack(self.read(self.end, MESSAGE.size))[4]
+        last = self.sections[-1] if self.sections else None
+        if last is None or last.is_chunk or last.offset + last.size != self.end or last.size > _RUN:
+            last = Section(self.end, 0, log_time, log_time, is_chunk=False)
+            self.sections.append(last)
+        last.size = last.content_size = last.size + RECORD.size + length
+        last.start, last.end = min(last.start, log_time), max(last.end, log_time)

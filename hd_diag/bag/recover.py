@@ -11,11 +11,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from hd_diag.bag.block import Block, Topic
 from hd_diag.bag.errors import BagError, check_output
 from hd_diag.bag.folder import Unpacked, find_files, unpacked
-from hd_diag.bag.mcap_chunk import find_chunk, load, load_part
-from hd_diag.bag.mcap_scan import MAGIC, scan, walk
+from hd_diag.bag.mcap_chunk import load, load_part
+from hd_diag.bag.mcap_scan import MAGIC, Scan
 from hd_diag.bag.replacing import replaced
 from hd_diag.bag.sqlite_file import SqliteFile, is_sqlite
 from hd_diag.bag.writer import BagWriter
@@ -61,7 +63,7 @@ class RecoveryReport:
 
     out: list[Path]
     files: list[FileRecovery]
-    counts: dict[str, int]
+    counts: dict[str, int] = field(default_factory=dict)
     start: int | None = None
     end: int | None = None
     problems: list[str] = field(default_factory=list)
@@ -134,7 +136,7 @@ def recover(
     found = find_files(Path(bag), lenient=True)
     files = [FileRecovery(path, path.stat().st_size) for path in found.paths]
     total, before = sum(file.size for file in files), 0
-    report, tally = RecoveryReport([], files, {}, problems=found.problems), _Tally()
+    report, tally = RecoveryReport([], files, problems=found.problems), _Tally()
     with replaced(out, overwrite=overwrite) as place:
         with ExitStack() as stack:
             copy = _Copy(lambda: stack.enter_context(BagWriter(place, overwrite=overwrite)), tally)
@@ -149,9 +151,8 @@ def recover(
         if copy.writer is not None:
             _verify(copy.writer, tally, lambda: progress(total, total))
             report.out = [Path(out) / path.relative_to(place) for path in copy.writer.paths]
-    report.counts = dict(tally.counts)
     if tally.counts:
-        report.start, report.end = tally.start, tally.end
+        report.counts, report.start, report.end = dict(tally.counts), tally.start, tally.end
     return report
 
 
@@ -183,9 +184,8 @@ class _Copy:
     def add(self, topics: dict[int, Topic], block: Block, report: FileRecovery, *, packed: bool) -> None:
         """Write the messages whose topics are known and whose times can be."""
         lost: Counter[str] = Counter()
-        known = {
-            n: topic for n, topic in topics.items() if (block.channel == n).any() and self._declare(topic)
-        }
+        here = set(np.unique(block.channel).tolist())
+        known = {number: topic for number, topic in topics.items() if number in here and self._declare(topic)}
         for channel, data, log_time, publish_time in _lines(block):
             topic = known.get(channel)
             if log_time < 0 or publish_time < 0:
@@ -248,22 +248,19 @@ def _salvage_sqlite(path: Path, report: FileRecovery) -> Iterator[_Piece]:
 def _salvage_mcap(path: Path, report: FileRecovery) -> Iterator[_Piece]:
     """Messages of every section, and what can be read where the walk over the records was stuck."""
     with path.open("rb") as file:
-        found = scan(path, file)
-        gaps = []
+        found = Scan(path, file)
+        gaps, read = [], 0
         while found.problem:
             report.problems.append(found.problem)
-            begin, following = found.end, find_chunk(file, found.end + 1, found.size)
-            end = found.size if following is None else following
-            gaps.append((begin, end))
-            report.unread += end - begin
+            following = found.find_chunk(found.end + 1)
+            gaps.append((found.end, found.size if following is None else following))
             if following is None:
                 break
             found.end = following
-            walk(file, found)
-        read = 0
+            found.walk()
         for section in found.sections:
             try:
-                block = load(path, file, [section], found)
+                block = load(path, found, [section])
             except BagError as exc:
                 report.problems.append(exc.cause)
                 report.unread += section.size
@@ -271,12 +268,12 @@ def _salvage_mcap(path: Path, report: FileRecovery) -> Iterator[_Piece]:
                 read += len(block)
                 yield found.topics(), block, section.offset + section.size
         for begin, end in gaps:
-            part = load_part(file, begin, end, found)
-            if part is not None and len(part):
+            report.unread += end - begin
+            part = load_part(found, begin, end)
+            if part is not None:
                 read += len(part)
-                report.problems.append(
-                    f"{len(part)} messages were read from a chunk that is cut off at byte {end}"
-                )
+                what = f"{len(part)} messages were read from a chunk that is cut off at byte {end}"
+                report.problems.append(what)
                 yield found.topics(), part, end
         if found.statistics is not None:
             report.lost += max(0, found.statistics.message_count - read)
