@@ -26,24 +26,26 @@ COLUMNS = ("time", "input", "output", "torque", "temperature")
 """Columns of a table that `read_table` knows."""
 
 _REMEMBERED = 1 << 14  # samples over which topics of one bag may lag behind each other
-_KEPT = ("stamp", "torque_stamp", "stretch", "input_angle", "output_angle", "torque", "speed")
+_STAMPS, _VALUES = ("stamp", "torque_stamp", "stretch"), ("input_angle", "output_angle", "torque", "speed")
+_ROOM = 1 << 22  # rows for which there is room at first: an hour at 1 kHz
 _TURN = 2.0 * np.pi + 1e-6  # of an encoder that wraps [rad]
 
 
 class _Samples(NamedTuple):
-    """Samples of a joint: stamps [ns], numbers of the stretches, angles [rad], torques [N m], speeds [rad/s].
+    """Samples of a joint, columns (n,), None where no bag tells it; how many rows were refused.
 
-    Temperatures [degree Celsius] are none where a bag does not tell them. `refused` counts rows.
+    Times since the first [s], numbers of the stretches, angles [rad], torque [N m], speed of the input
+    [rad/s], temperature [degree Celsius].
     """
 
-    stamp: Times
+    time: Floats
     stretch: Integers
     input_angle: Floats
     output_angle: Floats
     torque: Floats
-    speed: Floats
-    temperature: Floats
-    refused: int = 0
+    speed: Floats | None
+    temperature: Floats | None
+    refused: int
 
 
 def joint_state_topics(reader: BagReader) -> list[str]:
@@ -109,18 +111,10 @@ def read_bags(paths: Sequence[str | Path], joint: JointConfig) -> Record:
             f"no input angle ({joint.input_joint!r}) with output angle ({joint.output_joint!r}) "
             f"in {', '.join(map(str, paths))}"
         )
-    record = prepare(
-        _seconds(found.stamp, found.stamp[0]),
-        found.input_angle,
-        found.output_angle,
-        found.torque,
-        found.temperature if found.temperature.size == found.stamp.size else None,
-        found.stretch,
-        joint.drive.kinematics.ratio,
-        joint.torque,
-        found.speed if np.isfinite(found.speed).any() else None,
-    )
-    return replace(record, dropped=record.dropped + found.refused)
+    time, stretch, given, own, torque, speed, warm, refused = found
+    ratio = joint.drive.kinematics.ratio
+    record = prepare(time, given, own, torque, warm, stretch, ratio, joint.torque, speed)
+    return replace(record, dropped=record.dropped + refused)
 
 
 @dataclass(frozen=True)
@@ -168,31 +162,46 @@ def read_motion(paths: Sequence[str | Path], joint: JointConfig) -> InputRecord 
         if np.abs(angle[begin:end]).max() <= _TURN:
             angle[begin:end] = unwrapped(angle[begin:end])
     torque = found.torque if np.isfinite(found.torque).all() else None
-    return InputRecord(_seconds(found.stamp, found.stamp[0]), angle, torque, found.stretch)
+    return InputRecord(found.time, angle, torque, found.stretch)
 
 
 def _read_all(
     paths: Sequence[str | Path], joint: JointConfig, wanted: Callable[[Aligned], Any]
 ) -> _Samples | None:
     """Samples of all bags that are wanted; `stretch` numbers what bags and clocks set back begin."""
-    bags = [bag for path in paths if (bag := _read(path, joint, wanted)).stamp.size > 1]
-    if len(bags) < 2:
-        return bags[0] if bags else None
-    numbers = np.cumsum([0, *(int(bag.stretch[-1]) + 1 for bag in bags[:-1])])
-    bags = [bag._replace(stretch=bag.stretch + n) for bag, n in zip(bags, numbers.tolist(), strict=True)]
-    columns = [np.concatenate(column) for column in zip(*(bag[:-1] for bag in bags), strict=True)]
-    return _Samples._make([*columns, sum(bag.refused for bag in bags)])
+    bags, refused, begun = [], 0, 0
+    for path in paths:
+        columns, rejected = _read(path, joint, wanted)
+        if columns[0].size > 1:
+            columns[1] += begun - columns[1][0]
+            begun, refused = int(columns[1][-1]) + 1, refused + rejected
+            bags.append(columns)
+    if not bags:
+        return None
+    columns = bags[0] if len(bags) == 1 else [np.concatenate(parts) for parts in zip(*bags, strict=True)]
+    stamp, stretch, given, own, torque, speed, warm = columns
+    return _Samples(
+        _seconds(stamp, stamp[0]),
+        stretch,
+        given,
+        own,
+        torque,
+        speed if np.isfinite(speed).any() else None,
+        warm if warm.size == stamp.size else None,
+        refused,
+    )
 
 
-def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]) -> _Samples:
-    """Samples of one bag, by stamps in each stretch."""
+def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]) -> tuple[list[Any], int]:
+    """Columns of one bag as `_Samples` has them, with stamps [ns], by these in each stretch; rows refused."""
     streams = Alignment([Names(joint.input_joint, joint.output_joint)], _REMEMBERED)
     nothing = np.zeros(0, np.int64)
-    parts: list[list[Any]] = [[nothing] * len(_KEPT)]
-    times, heat = [nothing], [np.zeros(0)]
+    times, heat, size = [nothing], [np.zeros(0)], 0
     with BagReader(path) as reader:
-        topics = joint_state_topics(reader)
-        topics += _temperature_topics(reader, joint)
+        room = max(1, min(reader.message_count, _ROOM))
+        columns: list[Any] = [np.empty(room, np.int64) for _ in _STAMPS]
+        columns += [np.empty(room) for _ in _VALUES]
+        topics = joint_state_topics(reader) + _temperature_topics(reader, joint)
         for mixed in reader.mixed(topics, lambda topic: topic.type_name == JOINT_STATE):
             _, batch = mixed.batches[0]
             if batch.topic.type_name == TEMPERATURE:
@@ -200,18 +209,20 @@ def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]
                 heat.append(np.array([read_temperature(bytes(data)) for data in batch.messages()]))
             else:
                 found = streams.take(mixed.log_time, *layouts(reader, mixed))
-                rows = wanted(found)
-                parts.append([getattr(found, name)[rows] for name in _KEPT])
-    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+                rows = np.flatnonzero(wanted(found))
+                while size + rows.size > columns[0].size:
+                    columns = [np.concatenate((column, np.empty_like(column))) for column in columns]
+                for name, column in zip(_STAMPS + _VALUES, columns, strict=True):
+                    column[size : size + rows.size] = getattr(found, name)[rows]
+                size += rows.size
+    columns = [column[:size] for column in columns]
     if not (columns[0][1:] >= columns[0][:-1]).all():
         order = np.lexsort((columns[0], columns[2]))
         columns = [column[order] for column in columns]
     stamp, torque_stamp, stretch, given, own, torque, speed = columns
     torque = torque_between(stamp, stretch, torque, torque_stamp)
-    stretch = stretch - stretch[:1]
     warm = _temperature(np.concatenate(times), np.concatenate(heat), stamp)
-    refused = int(streams.joints["rejected"][0])
-    return _Samples(stamp, stretch, given, own, torque, speed, warm, refused)
+    return [stamp, stretch, given, own, torque, speed, warm], int(streams.joints["rejected"][0])
 
 
 def _temperature_topics(reader: BagReader, joint: JointConfig) -> list[str]:
