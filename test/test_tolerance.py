@@ -57,13 +57,6 @@ def excess(criterion: str, limit: float, of: Drive | None = None, torque: float 
     return first_excess(of or drive(), torque, criterion, limit, LARGEST)
 
 
-def random_moments(count: int, seed: int = 0) -> tuple[Any, ...]:
-    random = np.random.default_rng(seed)
-    turn = random.uniform(-9.0, 9.0, count)
-    center = random.uniform(0, 30e-6, count) * np.exp(1j * random.uniform(0, 7, count))
-    return turn, center
-
-
 # Moments ---
 
 
@@ -107,7 +100,9 @@ def test_moments_are_those_of_the_mesh() -> None:
 
 
 def test_slots_turned_together_turn_the_cup() -> None:
-    turn, center = random_moments(20)
+    random = np.random.default_rng(0)
+    turn = random.uniform(-9.0, 9.0, 20)
+    center = random.uniform(0, 30e-6, 20) * np.exp(1j * random.uniform(0, 7, 20))
     plain, turned = (
         evaluate(drives.mesh(), turn, center, np.array([CUP]), np.full(202, angle)) for angle in (0.0, 1e-5)
     )
@@ -195,7 +190,9 @@ def value(criterion: str, found: EccentricityLimit, eccentricity: float) -> floa
     return float(getattr(state, name)[0])
 
 
-@pytest.mark.parametrize("criterion", [c.name for c in CRITERIA if c.jumps])
+@pytest.mark.parametrize(
+    "criterion", ["stiffness_loss", pytest.param("load_concentration", marks=pytest.mark.slow)]
+)
 def test_a_criterion_that_jumps_is_exceeded_soon_after(criterion: str) -> None:
     """Where a pair comes into load the worst moments are rare: 20,000 at random meet them within 0.3 um."""
     found = excess(criterion, LIMITS[criterion])
@@ -238,13 +235,11 @@ def test_peak_load_limit_by_brute_force() -> None:
     worst = found.worst
     relative = worst.direction - worst.wave_generator_angle
     peaks = []
-    for turn in (0.0, worst.wave_generator_angle, 0.0259):
-        for beside in (-0.15, 0.0, 0.15):
-            towards = found.eccentricity * np.exp(1j * (relative + beside + turn))
-            mesh = polyline.mesh(turn, (towards.real, towards.imag))
-            peaks.append(polyline.loads(mesh, polyline.torsion(mesh, CUP)).max())
-    assert_allclose(max(peaks), 50.0, atol=0.02)
-    assert_allclose(peaks[4], 50.0, atol=0.02)
+    for turn, beside in ((worst.wave_generator_angle, 0.0), (0.0, 0.0), (0.0, -0.15), (0.0259, 0.15)):
+        towards = found.eccentricity * np.exp(1j * (relative + beside + turn))
+        mesh = polyline.mesh(turn, (towards.real, towards.imag))
+        peaks.append(polyline.loads(mesh, polyline.torsion(mesh, CUP)).max())
+    assert_allclose((max(peaks), peaks[0]), 50.0, atol=0.02)
 
 
 def test_overlap_limit_by_brute_force() -> None:
@@ -256,10 +251,10 @@ def test_overlap_limit_by_brute_force() -> None:
     assert_allclose(found.eccentricity, 0.89e-6, atol=0.06e-6)
 
 
-@pytest.mark.parametrize("criterion", ["overlap", "peak_tooth_load"])
-def test_mirrored_torque_has_the_same_limit(criterion: str) -> None:
-    mirrored = excess(criterion, LIMITS[criterion], torque=-CUP)
-    assert_allclose(mirrored.eccentricity, excess(criterion, LIMITS[criterion]).eccentricity, rtol=1e-5)
+def test_mirrored_torque_has_the_same_limit() -> None:
+    limit = LIMITS["peak_tooth_load"]
+    mirrored, plain = (excess("peak_tooth_load", limit, torque=torque) for torque in (-CUP, CUP))
+    assert_allclose(mirrored.eccentricity, plain.eccentricity, rtol=1e-5)
 
 
 def test_a_runout_takes_its_part() -> None:
