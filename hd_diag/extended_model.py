@@ -142,35 +142,42 @@ class ExtendedModel:
             parts = []
             for rows in (slice(0, 1), slice(1, None)):
                 known, heat = (None if c is None else c[rows] for c in (speed, temperature))
-                part, state = self.step(
-                    state, time[rows], input_angle[rows], known, torque[rows], heat, table
-                )
+                moved = time[rows], input_angle[rows], known, torque[rows], heat
+                part, state = self.step(state, *moved, table)
                 parts.append(part)
             return np.concatenate(parts), state
-        own = transmission_error(self.drive, input_angle, torque, table)
-        signals = self._signals(state, time, input_angle, speed, torque, temperature, own)
-        step, after = _change(time, state.time), list(state.effects)
-        added: list[tuple[Effect, Floats]] = []
+        own, step = transmission_error(self.drive, input_angle, torque, table), _change(time, state.time)
+
+        def rate(error: Floats) -> Floats:
+            return _rate(_change(error, state.predicted), step)
+
+        moved = _rate(_change(input_angle, state.angle), step)
+        turned = self.drive.frame.wave_generator_angle(input_angle)
+        signals = Signals(
+            time=time,
+            wave_generator_angle=turned,
+            output_angle=input_angle / self.drive.frame.ratio,
+            speed=moved if speed is None else np.where(np.isfinite(speed), speed, moved),
+            torque=torque,
+            temperature=temperature,
+            run=np.zeros(time.size, dtype=np.int64),
+            predicted=own,
+            predicted_torque_slope=np.full(torque.shape, np.nan),  # for fits only
+            predicted_rate=rate(own),
+            contact=ContactWeights(self.contact_table, turned, torque),
+        )
+        after, added = list(state.effects), list[tuple[Effect, Floats]]()
         for index, term in sorted(enumerate(self.effects), key=lambda one: one[1].effect.stage):
-            seen = seen_at(
-                term.effect.stage, signals, added, lambda error: _rate(_change(error, state.predicted), step)
-            )
-            part, after[index] = term.effect.step(
-                state.effects[index], seen, np.array(term.coefficients), term.nonlinear
-            )
+            seen = seen_at(term.effect.stage, signals, added, rate)
+            size = np.array(term.coefficients)
+            part, after[index] = term.effect.step(state.effects[index], seen, size, term.nonlinear)
             added.append((term.effect, np.where(np.isfinite(part), part, 0.0)))
         before = [part for effect, part in added if effect.stage < Stage.STREAM]
         streamed = float(own[-1] + sum(part[-1] for part in before))
         total: Floats = own + self.offset + sum(part for _, part in added)
         begun = not state.is_fresh or (speed is not None and bool(np.isfinite(speed[0])))
-        last = State(
-            float(time[-1]),
-            float(input_angle[-1]),
-            streamed,
-            float(signals.speed[-1]),
-            tuple(after) if begun else state.effects,
-        )
-        return total, last
+        now = float(time[-1]), float(input_angle[-1]), streamed, float(signals.speed[-1])
+        return total, State(*now, tuple(after) if begun else state.effects)
 
     @property
     def needs(self) -> frozenset[str]:
@@ -192,34 +199,6 @@ class ExtendedModel:
             return build(self.drive.mesh, TORQUE_RANGE * self.drive.rated_torque)
         except ValueError:
             return None
-
-    def _signals(
-        self,
-        state: State,
-        time: Floats,
-        angle: Floats,
-        speed: Floats | None,
-        torque: Floats,
-        temperature: Floats | None,
-        own: Floats,
-    ) -> Signals:
-        step = _change(time, state.time)
-        moved = _rate(_change(angle, state.angle), step)
-        frame = self.drive.frame
-        turned = frame.wave_generator_angle(angle)
-        return Signals(
-            time=time,
-            wave_generator_angle=turned,
-            output_angle=angle / frame.ratio,
-            speed=moved if speed is None else np.where(np.isfinite(speed), speed, moved),
-            torque=torque,
-            temperature=temperature,
-            run=np.zeros(time.size, dtype=np.int64),
-            predicted=own,
-            predicted_torque_slope=np.full(torque.shape, np.nan),  # for fits only
-            predicted_rate=_rate(_change(own, state.predicted), step),
-            contact=ContactWeights(self.contact_table, turned, torque),
-        )
 
 
 def _change(values: Floats, before: float) -> Floats:

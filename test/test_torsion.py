@@ -287,7 +287,7 @@ def test_kernels_are_compiled_once() -> None:
     build(drives.mesh(drives.COARSE), 6.0)(turn, np.broadcast_to(0.5, 5))
     entry_points = {name: found for name, found in vars(kernel.entry).items() if hasattr(found, "signatures")}
     own = {name: found for name, found in entry_points.items() if found.py_func.__module__.endswith(".entry")}
-    assert len(own) == 10
+    assert len(own) == 9
     assert {name: len(found.signatures) for name, found in own.items()} == dict.fromkeys(own, 1)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from hd_diag.arrays import Complexes, Floats
 from hd_diag.model.geometry import Geometry
-from hd_diag.model.kernel.mesh_data import MeshData, mesh_data
+from hd_diag.model.kernel.mesh_data import MeshData, numbers
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Mesh:
     @cached_property
     def data(self) -> MeshData:
         """Its numbers as the kernels take them."""
-        return mesh_data(self.geometry, self.tooth_compliance, self.arc_offset)
+        return MeshData(*numbers(self.geometry), float(self.tooth_compliance), float(self.arc_offset))
 
 
 def contiguous(values: float | Floats) -> Floats:

@@ -72,7 +72,7 @@ class TorsionMap:
     def _interpolate(self) -> partial[None]:
         """The kernel, given the table and an index of it."""
         torque, torsion = contiguous(self.torque), contiguous(self.torsion)
-        index = kernel.entry.index(torque)
+        index = kernel.entry.columns(torque)
         return partial(kernel.entry.interpolate, torque, torsion, index, float(self.torque_limit))
 
     def __call__(self, wave_generator_angle: Floats, torque: Floats) -> Floats:

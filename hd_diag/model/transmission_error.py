@@ -98,16 +98,11 @@ class Kinematics:
                 f"{self.output.replace('_', ' ')}: its magnitude must be {expected:g}"
             )
 
-    @property
-    def torque_sign(self) -> float:
-        """Torque on the cup over torque on the link; TE is torsion times the opposite sign [-]."""
-        return -1.0 if self.output == "flexspline" else 1.0
-
     def frame(self, geometry: Geometry, cup_compliance: float = 0.0) -> Frame[float]:
         """The same as numbers, for the teeth of a geometry and a torsion of the cup [rad/(N m)]."""
-        forward = math.copysign(1.0, self.ratio)
+        turning, torque_sign = math.copysign(1.0, self.ratio), 1.0
         if self.output == "flexspline":
-            turning = -forward
+            turning, torque_sign = -turning, -1.0
         else:
-            turning = forward * (geometry.flexspline_teeth / geometry.circular_spline_teeth)
-        return Frame(turning, self.phase, self.torque_sign, self.ratio, cup_compliance)
+            turning *= geometry.flexspline_teeth / geometry.circular_spline_teeth
+        return Frame(turning, self.phase, torque_sign, self.ratio, cup_compliance)

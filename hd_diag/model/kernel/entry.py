@@ -32,13 +32,7 @@ from hd_diag.model.kernel.sensitivity import PARAMETERS, add, fill, fill_pieces,
 
 @entry_point
 def torsion(
-    mesh: MeshData,
-    turn: Floats,
-    eccentricity: Complexes,
-    torque: Floats,
-    beta: Floats,
-    first: int,
-    last: int,
+    mesh: MeshData, turn: Floats, eccentricity: Complexes, torque: Floats, beta: Floats, first: int, last: int
 ) -> None:
     """Torsion (n,) at one torque per moment."""
     work = scratch(mesh.constants)
@@ -61,11 +55,8 @@ def torsion_of_flanks(rotation: Floats, stiffness: Floats, torque: Floats) -> Fl
     plus, minus = side_room(rotation.shape[2]), side_room(rotation.shape[2])
     beta = np.empty((rotation.shape[0], torque.size))
     for i in range(beta.shape[0]):
-        found = both(
-            given_side(rotation[i, 0], stiffness[i, 0], 1.0, plus),
-            given_side(rotation[i, 1], stiffness[i, 1], -1.0, minus),
-        )
-        balance_all(found, torque, beta[i])
+        ahead = given_side(rotation[i, 0], stiffness[i, 0], 1.0, plus)
+        balance_all(both(ahead, given_side(rotation[i, 1], stiffness[i, 1], -1.0, minus)), torque, beta[i])
     return beta
 
 
@@ -77,12 +68,6 @@ def curves(mesh: MeshData, turn: Floats, eccentricity: Complexes, limit: float) 
     for i in range(turn.size):
         used = max(used, curve(flanks(mesh, turn[i], eccentricity[i], work), limit, torque[i], beta[i]))
     return torque[:, :used].copy(), beta[:, :used].copy()
-
-
-@entry_point
-def index(breakpoints: Floats) -> Columns:
-    """What :func:`interpolate` needs of a table beside its rows."""
-    return columns(breakpoints)
 
 
 @entry_point
@@ -225,7 +210,7 @@ def warm_up(gradient: bool) -> None:
     curves(mesh, row, center, 0.0)
     contacts(mesh, row, center, 0.0)
     mesh_state(mesh, row, center, row, np.empty((3, 0, 2, 0)), np.empty((3, 0)), 0, 0)
-    interpolate(rows, rows, index(rows), 0.0, row, row, row, 0, 0)
+    interpolate(rows, rows, columns(rows), 0.0, row, row, row, 0, 0)
     if gradient:
         torsion_of_flanks(flat, flat, row)
         torsion_and_gradient(mesh, row, center, row)

@@ -17,7 +17,7 @@ from numba.core import cgutils, types
 from numba.extending import intrinsic
 
 from hd_diag.arrays import Floats, Integers
-from hd_diag.model.kernel.compiler import inline, part
+from hd_diag.model.kernel.compiler import entry_point, inline, part
 
 Columns = npt.NDArray[np.int16]
 
@@ -65,9 +65,9 @@ def cells() -> Cells:
     return Cells(np.empty(BLOCK), np.empty(BLOCK, dtype=np.int64), np.empty(BLOCK, dtype=np.int64))
 
 
-@part
+@entry_point
 def columns(breakpoints: Floats) -> Columns:
-    """The index: about which column holds each bin of torque, for every so many rows."""
+    """The index that a table needs: about which column holds each bin of torque, for every so many rows."""
     rows, last = breakpoints.shape[0], breakpoints.shape[1] - 2
     found = np.empty((1 + (rows - 1) // _ROWS, _BINS), dtype=np.int16)
     lowest, step = breakpoints[0, 0], (breakpoints[0, -1] - breakpoints[0, 0]) / _BINS

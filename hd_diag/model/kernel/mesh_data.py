@@ -105,13 +105,9 @@ def blank() -> MeshData:
     return MeshData(constants, Tables(*[np.ones(1)] * 5), 1.0, 0.0)
 
 
-def mesh_data(geometry: Geometry, tooth_compliance: float, arc_offset: float) -> MeshData:
-    """What the entry points take."""
-    return MeshData(*_of(geometry), float(tooth_compliance), float(arc_offset))
-
-
 @lru_cache(maxsize=64)
-def _of(geometry: Geometry) -> tuple[Constants, Tables]:
+def numbers(geometry: Geometry) -> tuple[Constants, Tables]:
+    """What a mesh of this geometry has in common with all others."""
     return _constants(geometry), _tables(geometry)
 
 
