@@ -142,8 +142,8 @@ class ExtendedModel:
             parts = []
             for rows in (slice(0, 1), slice(1, None)):
                 known, heat = (None if c is None else c[rows] for c in (speed, temperature))
-                moved = time[rows], input_angle[rows], known, torque[rows], heat
-                part, state = self.step(state, *moved, table)
+                here = time[rows], input_angle[rows], known, torque[rows], heat
+                part, state = self.step(state, *here, table)
                 parts.append(part)
             return np.concatenate(parts), state
         own, step = transmission_error(self.drive, input_angle, torque, table), _change(time, state.time)

@@ -74,15 +74,6 @@ def test_stiffness_is_that_of_the_loaded_flanks(mesh: Mesh, torque: float) -> No
     assert_allclose(1 / gradient[:, 4], np.where(loaded, stiffness, 0.0).sum(axis=(1, 2)), rtol=1e-12)
 
 
-def test_stiffness_of_a_flank(paper_mesh: Mesh) -> None:
-    contact = contacts(paper_mesh, ANGLES)
-    found = flank_stiffness(contact, COMPLIANCE)
-    arm = np.nan_to_num(contact.radius * np.cos(contact.pressure_angle))
-    assert_array_equal(found == 0, np.isnan(contact.rotation))
-    assert_allclose(found, arm**2 / COMPLIANCE, rtol=1e-14)
-    assert_allclose(flank_stiffness(contact, 4 * COMPLIANCE), found / 4, rtol=1e-15)
-
-
 @each_mesh
 def test_shares_of_a_common_shift(mesh: Mesh) -> None:
     """Slots turned by d, all b+ grow and all b- shrink by it: the cup turns by d."""
@@ -143,21 +134,3 @@ def test_torsion_holds_the_torque_and_rises_with_it(rotation: Array, stiffness: 
     several = np.array([-50.0, -3.0, -1e-3, -1e-9, 0.0, 1e-9, 1e-3, 3.0, 50.0])
     rising = torsion_of_flanks(rotation[None], stiffness[None], several)[0]
     assert np.all(np.diff(rising[~np.isnan(rising)]) >= -1e-15)
-
-
-@pytest.mark.parametrize("lost", [0, 1])
-def test_nan_where_no_flank_can_bear_the_torque(lost: int) -> None:
-    rotation = np.full((1, 2, 3), 1e-5)
-    rotation[:, lost] = np.nan
-    found = torsion_of_flanks(rotation, np.full((1, 2, 3), 100.0), np.array([-5.0, 0.0, 5.0]))[0]
-    assert_array_equal(np.isnan(found), [lost == 1, True, lost == 0])
-    assert_allclose(np.nanmax(np.abs(found)), 1e-5 + 5 / 300, rtol=1e-13)
-
-
-def test_many_torques_equal_one() -> None:
-    rotation, stiffness = flanks_of(MESHES["23 um"])
-    torque = np.linspace(-60, 60, 41)
-    together = torsion_of_flanks(rotation, stiffness, torque)
-    for column, value in enumerate(torque):
-        alone = torsion_of_flanks(rotation, stiffness, np.array([value]))[:, 0]
-        assert_allclose(alone, together[:, column], rtol=1e-12, atol=1e-17)

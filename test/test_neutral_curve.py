@@ -51,14 +51,6 @@ def test_feet_and_normals_are_the_reference_s(drive: polyline.Drive) -> None:
     assert_allclose(normal, expected[1], atol=1e-13)
 
 
-def test_circle() -> None:
-    u = np.linspace(-4, 4, 9)
-    angle, height, offset = tooth_axes(neutral_curve(0.03, 0.03), u)
-    assert_allclose(angle, u, atol=1e-15)
-    assert_allclose(height, 0.03, rtol=1e-15)
-    assert_allclose(offset, 0, atol=1e-17)
-
-
 def test_axes_turn_on_with_every_turn_and_are_symmetrical_about_both_axes() -> None:
     u = np.linspace(0.01, 1.5, 31)
     angle, height, offset = tooth_axes(PAPER, u)

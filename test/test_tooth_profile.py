@@ -52,14 +52,6 @@ def test_tangent_touches_both_arcs(flank: DoubleArc) -> None:
     assert_allclose(normal @ (outer - inner), 0, atol=1e-13)
 
 
-@pytest.mark.parametrize("flank", [TOOTH, SLOT])
-def test_flank_is_smooth_where_arc_and_tangent_join(flank: DoubleArc) -> None:
-    step = 1e-9  # [m]; over it an arc's slope turns by a few 1e-6
-    for x, _ in (flank.addendum_joint, flank.dedendum_joint):
-        before, at, after = (flank.half_width(x + shift) for shift in (-step, 0, step))
-        assert_allclose(before - at, at - after, atol=1e-5 * step)
-
-
 def test_flank_ends_where_its_arcs_end_and_overlapping_arcs_have_no_tangent() -> None:
     past_tip = TOOTH.addendum_center[0] + TOOTH.addendum_radius + 1e-9
     below_root = TOOTH.dedendum_center[0] - TOOTH.dedendum_radius - 1e-9

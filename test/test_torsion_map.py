@@ -6,8 +6,6 @@ from dataclasses import replace
 import drives
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from reference import polyline
 
@@ -81,21 +79,6 @@ def test_exact_at_its_own_angles(table: TorsionMap) -> None:
     for torque in (-0.9 * table.torque_limit, -0.01, 0.3, table.torque_limit):
         load = np.full(angle.size, torque)
         assert_allclose(table(angle, load), torsion(table.mesh, angle, load), rtol=1e-9, atol=1e-15)
-
-
-@given(st.floats(-50, 50), st.floats(-1, 1), st.integers(-4, 4))
-@settings(max_examples=50)
-def test_repeats_with_every_turn(astray: TorsionMap, angle: float, share: float, turns: int) -> None:
-    torque = np.full(2, share * astray.torque_limit)
-    both = astray(np.array([angle, angle + 2 * np.pi * turns]), torque)
-    assert_allclose(both[0], both[1], rtol=1e-9, atol=1e-13)
-
-
-@given(st.floats(-50, 50))
-@settings(max_examples=30)
-def test_rises_with_torque(astray: TorsionMap, angle: float) -> None:
-    torque = np.linspace(-astray.torque_limit, astray.torque_limit, 301)
-    assert np.all(np.diff(astray(np.full(301, angle), torque)) > 0)
 
 
 def test_one_at_a_time_equals_a_thousand_to_the_last_bit(table: TorsionMap) -> None:
