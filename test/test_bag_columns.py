@@ -148,18 +148,6 @@ def test_what_rclpy_writes_is_read():
         assert (columns.velocity is None, columns.effort is None) == (not velocity, not effort)
 
 
-@given(st.binary(max_size=200))
-def test_random_bytes_are_decoded_or_refused(data):
-    columns, rejected = decode_joint_states([data])
-    assert len(columns) + len(rejected) == 1
-    try:
-        JointStateDecoder().decode(data)
-    except ValueError:
-        assert rejected
-    else:
-        assert columns
-
-
 @given(st.data())
 def test_damaged_messages_are_decoded_alike_or_refused(data):
     """What is not refused is what rosbags makes of it; padding may hold anything."""

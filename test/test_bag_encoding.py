@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hd_diag.messages.encoding import encode_float64_multiarray, encode_joint_states
-from hd_diag.messages.joint_states import decode_joint_states
 from hd_diag.messages.publications import DIAGNOSTICS, encode
 from hd_diag.messages.schemas import jazzy, serialize
 from hd_diag.monitor.publications import Report, Status
@@ -33,17 +32,6 @@ def test_joint_states_are_what_rosbags_serializes(data):
     for i in range(count):
         row = [() if a is None else a[i] for a in arrays]
         assert encoded[i].tobytes() == joint_state_cdr(names, stamps[i], *row, frame)
-
-
-def test_encoding_and_decoding_are_inverse():
-    generator = np.random.default_rng(1)
-    values = generator.normal(size=(3, 50, 4))
-    stamps = generator.integers(0, 2**31 * 10**9, 50)
-    names = ("a", "bb", "ccc", "dddd")
-    (columns,), rejected = decode_joint_states(encode_joint_states(names, stamps, *values, "f"))
-    assert (columns.names, columns.frame_id, rejected) == (names, "f", [])
-    assert np.array_equal(columns.stamp, stamps)
-    assert np.array_equal([columns.position, columns.velocity, columns.effort], values)
 
 
 @given(

@@ -11,7 +11,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -91,11 +90,6 @@ def test_a_replay_tells_what_it_did(folder: Path, tmp_path: Path) -> None:
     assert content(tmp_path / "out") == content(folder / "log.mcap")
 
 
-def test_json_on_stdout_is_alone_there(folder: Path, tmp_path: Path) -> None:
-    result = run(replay, folder / "log.mcap", "--out", tmp_path / "out.mcap", "--json", "-")
-    assert json.loads(result.stdout)["out"] == str(tmp_path / "out.mcap")
-
-
 def test_rejections_and_absent_joints_are_told(folder: Path, tmp_path: Path) -> None:
     bag = tmp_path / "b.mcap"
     with BagWriter(bag) as writer:
@@ -142,7 +136,8 @@ def test_recover_tells_what_it_saved(folder: Path, tmp_path: Path) -> None:
     assert found["schema"] == "hd_diag/recovery/1"
     assert result.stdout.startswith("saved ")
     assert content(tmp_path / "out.mcap") == content(folder / "log.mcap")
-    assert "saved" not in run(recover, cut, "--out", tmp_path / "again.mcap", "--json", "-").stderr
+    result = run(recover, cut, "--out", tmp_path / "again.mcap", "--json", "-")
+    assert (json.loads(result.stdout)["out"], result.stderr) == ([str(tmp_path / "again.mcap")], "")
 
 
 # What it refuses ---
@@ -206,15 +201,6 @@ def test_a_json_file_that_cannot_be_written_is_told(folder: Path, tmp_path: Path
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_json_file_on_a_disk_that_is_read_only_is_told_before_the_work(
-    folder: Path, tmp_path: Path, small_disk: Path
-) -> None:
-    subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
-    given = ("--out", tmp_path / "out.mcap", "--json", small_disk / "r.json")
-    assert "read-only" in refused(run(recover, folder / "log.mcap", *given))
-    assert not (tmp_path / "out.mcap").exists()
-
-
 HOSTILE = "/a\nb\x1b[2J\x07\u202e"
 
 
@@ -260,28 +246,6 @@ def test_a_full_disk_leaves_nothing_that_passes_for_whole(folder: Path, tmp_path
         assert reader.problems
     assert run(recover, out, "--out", tmp_path / "saved.mcap").exit_code == 0
     assert content(tmp_path / "saved.mcap")["/hd_diag/residual"]
-
-
-@pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system of its own of 400 kB, where the tests may mount one."""
-    place = tmp_path / "disk"
-    place.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=400k", "none", str(place)]
-    try:
-        subprocess.run(mount, check=True, capture_output=True)
-    except (OSError, subprocess.CalledProcessError):
-        pytest.skip("no file system can be mounted here")
-    yield place
-    subprocess.run(["umount", "--lazy", str(place)], check=True)
-
-
-def test_a_disk_that_is_read_only(folder: Path, small_disk: Path) -> None:
-    subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)
-    for command in (replay, recover):
-        for out in ("out.mcap", "folder", "folder/out.mcap"):
-            line = refused(run(command, folder / "log.mcap", "--out", small_disk / out))
-            assert "Read-only file system" in line or "No such file" in line
 
 
 def test_ctrl_c_leaves_a_whole_bag(folder: Path, tmp_path: Path) -> None:
@@ -377,22 +341,6 @@ def test_ctrl_c_keeps_what_was_to_be_replaced(
     assert (result.exit_code, result.stderr) == (130, line)
     assert (tmp_path / "out.mcap").read_bytes() == (folder / "log.mcap").read_bytes()
     assert [path.name for path in tmp_path.iterdir()] == ["out.mcap"]
-
-
-@pytest.mark.parametrize("command", [recover, replay], ids=["recover", "replay"])
-@pytest.mark.parametrize("name", ["old.mcap", "old"])
-def test_a_full_disk_keeps_what_was_to_be_replaced(
-    folder: Path, small_disk: Path, command: click.Command, name: str
-) -> None:
-    old = small_disk / name
-    assert run(recover, folder / "log.mcap", "--out", old).exit_code == 0
-    before = content(old)
-    given = () if command is recover else ("--config", folder / "c.yaml")
-    (small_disk / "more").write_bytes(bytes(200_000))
-    line = refused(run(command, folder / "long.mcap", "--out", old, "--overwrite", *given))
-    assert line == f"hd-diag: {old}: No space left on device; what was there before is kept\n"
-    assert content(old) == before
-    assert {path.name for path in small_disk.iterdir()} == {name, "more"}
 
 
 def terminal(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:

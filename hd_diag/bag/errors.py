@@ -11,15 +11,7 @@ _LONGEST = 300  # characters of a path or a cause: names in a bag may be hostile
 
 
 class BagError(ValueError):
-    """A bag cannot be read or written; the message is one line that names the file and the cause.
-
-    Parameters
-    ----------
-    path : str or path-like
-        The file or folder concerned.
-    cause : str or Exception
-        What is wrong with it.
-    """
+    """A bag cannot be read or written; the message is one line that names the file and the cause."""
 
     def __init__(self, path: str | os.PathLike[str], cause: str | Exception) -> None:
         self.path = Path(path)
@@ -29,13 +21,7 @@ class BagError(ValueError):
 
 
 def check_output(out: str | os.PathLike[str], *inputs: str | os.PathLike[str]) -> None:
-    """Refuse an output that is, holds, or lies inside one of the inputs.
-
-    Raises
-    ------
-    BagError
-        Where writing `out` would touch an input.
-    """
+    """Raise BagError for an output that is, holds, or lies inside one of the inputs."""
     target = _resolved(out)
     for name in inputs:
         source = _resolved(name)

@@ -34,12 +34,7 @@ class BagFiles:
 def find_files(path: Path, *, lenient: bool = False) -> BagFiles:
     """Files of a bag: a storage file, or a rosbag2 folder with or without metadata.
 
-    With `lenient` metadata that cannot be understood are a problem, and else an error.
-
-    Raises
-    ------
-    BagError
-        Where there are none.
+    With `lenient` metadata that cannot be understood are a problem, else an error, as is a place without any.
     """
     if path.is_file():
         return BagFiles([path])
@@ -113,10 +108,7 @@ class Unpacked:
     def file(self, path: Path) -> tuple[Path, str]:
         """Where the content of a file can be read, and what is wrong with its compression.
 
-        Raises
-        ------
-        BagError
-            Where it does not fit on the disk, or unpacks to more than can be believed.
+        Raises BagError where it does not fit on the disk, or unpacks to more than can be believed.
         """
         if path.suffix != _PACKED:
             return path, ""
@@ -147,13 +139,7 @@ class Unpacked:
 
 
 def unpacked(path: Path, messages: Iterable[Any]) -> list[memoryview]:
-    """Messages that rosbag2 compressed one by one.
-
-    Raises
-    ------
-    BagError
-        Where one is damaged, or unpacks to more than can be believed.
-    """
+    """Messages that rosbag2 compressed one by one; BagError where one is damaged or unpacks to too much."""
     found, zstd = [], zstandard.ZstdDecompressor()
     try:
         for message in map(bytes, messages):

@@ -88,15 +88,7 @@ def joints_in(paths: Sequence[str | Path]) -> set[str]:
 def read_bags(paths: Sequence[str | Path], joint: JointConfig) -> Record:
     """A joint's record from one bag or several, each of which begins a new run, as a clock set back does.
 
-    Parameters
-    ----------
-    paths : sequence of path
-    joint : JointConfig
-
-    Returns
-    -------
-    Record
-        At the output angle's stamps, by the rules of `hd_diag.streams.alignment`.
+    It is at the output angle's stamps, by the rules of `hd_diag.streams.alignment`.
 
     Raises
     ------
@@ -140,15 +132,6 @@ class InputRecord:
 def read_motion(paths: Sequence[str | Path], joint: JointConfig) -> InputRecord | None:
     """A joint's motion from one bag or several, at the input angle's stamps; None where there is none.
 
-    Parameters
-    ----------
-    paths : sequence of path
-    joint : JointConfig
-
-    Returns
-    -------
-    InputRecord or None
-
     Raises
     ------
     BagError
@@ -180,16 +163,9 @@ def _read_all(
         return None
     columns = bags[0] if len(bags) == 1 else [np.concatenate(parts) for parts in zip(*bags, strict=True)]
     stamp, stretch, given, own, torque, speed, warm = columns
-    return _Samples(
-        _seconds(stamp, stamp[0]),
-        stretch,
-        given,
-        own,
-        torque,
-        speed if np.isfinite(speed).any() else None,
-        warm if warm.size == stamp.size else None,
-        refused,
-    )
+    told = speed if np.isfinite(speed).any() else None
+    warmth = warm if warm.size == stamp.size else None
+    return _Samples(_seconds(stamp, stamp[0]), stretch, given, own, torque, told, warmth, refused)
 
 
 def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]) -> tuple[list[Any], int]:
@@ -246,18 +222,8 @@ def _seconds(stamp: Times, origin: int) -> Floats:
 def read_table(path: str | Path, columns: dict[str, str], joint: JointConfig, divided: bool) -> Record:
     """A record from a CSV file with named columns.
 
-    Parameters
-    ----------
-    path : path
-    columns : dict
-        Which column is what: keys of `COLUMNS`, values the names in the file's first row.
-    joint : JointConfig
-    divided : bool
-        Whether the input angle is already divided by the ratio.
-
-    Returns
-    -------
-    Record
+    `columns` says which is what: keys of `COLUMNS`, values the names in the file's first row;
+    `divided` whether the input angle is already divided by the ratio.
 
     Raises
     ------
@@ -273,39 +239,30 @@ def read_table(path: str | Path, columns: dict[str, str], joint: JointConfig, di
     ratio = joint.drive.kinematics.ratio
     angle = table["input"] * (ratio if divided else 1.0)
     bag = table.get("record", np.zeros(angle.size))
-    return prepare(
-        table["time"],
-        angle,
-        table["output"],
-        table.get("torque"),
-        table.get("temperature"),
-        np.unique(bag, return_inverse=True)[1].astype(np.int64),
-        ratio,
-        joint.torque,
-    )
+    run = np.unique(bag, return_inverse=True)[1].astype(np.int64)
+    torque, warm = table.get("torque"), table.get("temperature")
+    return prepare(table["time"], angle, table["output"], torque, warm, run, ratio, joint.torque)
 
 
 def _read_csv(path: Path, columns: dict[str, str]) -> dict[str, Floats]:
     try:
         with path.open(newline="", encoding="utf-8") as file:
-            rows = csv.reader(file)
-            header = next(rows, [])
+            rows = csv.DictReader(file)
+            header = rows.fieldnames or []
             absent = [name for name in columns.values() if name not in header]
             if absent:
                 raise RecordError(f"{path}: has no column {absent[0]!r}; it has {', '.join(header)}")
-            places = {key: header.index(name) for key, name in columns.items()}
             values = {key: array("d") for key in columns}
-            for number, row in enumerate(rows, start=2):
-                for key, place in places.items():
-                    values[key].append(_number(path, number, row, place))
+            for row in rows:
+                for key, name in columns.items():
+                    values[key].append(_number(path, rows.line_num, row[name] or ""))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise RecordError(f"{path}: cannot be read: {error}") from error
     return {key: np.frombuffer(column) for key, column in values.items()}
 
 
-def _number(path: Path, line: int, row: list[str], place: int) -> float:
-    text = row[place].strip() if place < len(row) else ""
+def _number(path: Path, line: int, text: str) -> float:
     try:
-        return float(text) if text else float("nan")
+        return float(text.strip() or "nan")
     except ValueError:
-        raise RecordError(f"{path}, line {line}: {text!r} is no number") from None
+        raise RecordError(f"{path}, line {line}: {text.strip()!r} is no number") from None

@@ -67,11 +67,6 @@ class BagReader:
     temporary folder, which `close` deletes. JointState messages of a bag that defines them otherwise than
     ROS 2 Jazzy are given as Jazzy's.
 
-    Parameters
-    ----------
-    path : str or path-like
-        The bag.
-
     Attributes
     ----------
     start, end : int
@@ -128,13 +123,8 @@ class BagReader:
     def batches(self, topics: Iterable[str] | None = None, *, grouped: bool = False) -> Iterator[Batch]:
         """Messages in the order of log time; those of equal time in the order of the file; files in sequence.
 
-        Parameters
-        ----------
-        topics : iterable of str, optional
-            Names of topics; all by default.
-        grouped : bool, optional
-            Give long batches: order is kept within each topic, but topics that alternate are taken apart over
-            stretches of a few megabytes. By default a batch ends where the topic changes.
+        All topics by default. A batch ends where the topic changes; if `grouped`, order is kept within each
+        topic alone, and those that alternate are taken apart over stretches of a few megabytes.
 
         Raises
         ------
@@ -159,13 +149,7 @@ class BagReader:
                 raise type(exc)(source.path, exc.cause) from exc
 
     def deserialize(self, batch: Batch) -> tuple[list[tuple[int, Any]], list[Rejection]]:
-        """Message objects of a batch of any type, with their positions, and what could not be decoded.
-
-        Raises
-        ------
-        BagError
-            Where the type is not known.
-        """
+        """Message objects with their positions, and what could not be decoded; BagError for unknown types."""
         store = jazzy() if batch.topic.type_name == JOINT_STATE else self._store(batch.topic)
         messages, rejected = [], []
         for index, data in enumerate(batch.messages()):
@@ -176,13 +160,7 @@ class BagReader:
         return messages, rejected
 
     def joint_states(self, batch: Batch) -> tuple[list[JointStates], list[Rejection]]:
-        """Columns of a batch of JointState, as `decode_joint_states`.
-
-        Raises
-        ------
-        BagError
-            Where it is of another type.
-        """
+        """Columns of a batch, as `decode_joint_states`; BagError for another type than JointState."""
         if batch.topic.type_name != JOINT_STATE:
             what = f"{batch.topic.name} has type {batch.topic.type_name}, not {JOINT_STATE}"
             raise BagError(self.path, what)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import zlib
 from collections import Counter
@@ -115,17 +116,8 @@ def recover(
     a new output is left without its end, so that no reader takes it for whole; a bag that `overwrite` would
     replace stays as it was, also after Ctrl-C.
 
-    Parameters
-    ----------
-    bag : str or path-like
-        MCAP file, ``.db3`` file or rosbag2 folder.
-    out : str or path-like
-        Bag to write, as for `BagWriter`.
-    overwrite : bool, optional
-        Replace `out` where it exists.
-    progress : callable, optional
-        Called with the bytes done and the bytes in all. If it raises KeyboardInterrupt, a new output is
-        finished with what it has.
+    `progress` is called with the bytes done and the bytes in all; if it raises KeyboardInterrupt, a new
+    output is finished with what it has.
 
     Raises
     ------
@@ -136,23 +128,24 @@ def recover(
     found = find_files(Path(bag), lenient=True)
     files = [FileRecovery(path, path.stat().st_size) for path in found.paths]
     total, before = sum(file.size for file in files), 0
-    report, tally = RecoveryReport([], files, problems=found.problems), _Tally()
+    report, saved = RecoveryReport([], files, problems=found.problems), _Tally()
     with replaced(out, overwrite=overwrite) as place:
         with ExitStack() as stack:
-            copy = _Copy(lambda: stack.enter_context(BagWriter(place, overwrite=overwrite)), tally)
+            begin = functools.cache(lambda: stack.enter_context(BagWriter(place, overwrite=overwrite)))
             for file in files:
                 size = file.size
                 for topics, block, reached in _salvage(file):
-                    copy.add(topics, block, file, packed=found.message_compression)
+                    _copy(begin, topics, block, file, saved, packed=found.message_compression)
                     progress(min(before + reached, total), total)
                 before += size
             if report.complete:
-                copy.begin()  # a whole bag that is empty stays one
-        if copy.writer is not None:
-            _verify(copy.writer, tally, lambda: progress(total, total))
-            report.out = [Path(out) / path.relative_to(place) for path in copy.writer.paths]
-    if tally.counts:
-        report.counts, report.start, report.end = dict(tally.counts), tally.start, tally.end
+                begin()  # a whole bag that is empty stays one
+            paths = begin().paths if begin.cache_info().currsize else []
+        if paths:
+            _verify(paths, saved, lambda: progress(total, total))
+            report.out = [Path(out) / path.relative_to(place) for path in paths]
+    if saved.counts:
+        report.counts, report.start, report.end = dict(saved.counts), saved.start, saved.end
     return report
 
 
@@ -170,47 +163,44 @@ class _Tally:
         self.digest += zlib.crc32(data, zlib.crc32(topic.encode(), log_time & 0xFFFFFFFF))
 
 
-class _Copy:
-    """A bag that is begun with the first message that can be saved."""
+def _copy(
+    begin: Callable[[], BagWriter],
+    topics: dict[int, Topic],
+    block: Block,
+    report: FileRecovery,
+    saved: _Tally,
+    *,
+    packed: bool,
+) -> None:
+    """Write the messages whose topics are known and whose times can be; the first begins the bag."""
+    lost: Counter[str] = Counter()
+    here = set(np.unique(block.channel).tolist())
+    known = {number: topic for number, topic in topics.items() if number in here and _is_defined(topic)}
+    for topic in known.values():
+        text = topic.definition if topic.definition is not None and topic.definition.text else None
+        begin().add_topic(topic.name, topic.type_name, topic.offers, text)
+    for channel, data, log_time, publish_time in _lines(block):
+        if log_time < 0 or publish_time < 0:
+            lost["messages have a time beyond the year 2262"] += 1
+        elif channel not in known:
+            lost["messages belong to no topic with a known definition"] += 1
+        else:
+            try:
+                message = unpacked(report.path, [data])[0] if packed else data
+            except BagError:
+                lost["compressed messages are damaged"] += 1
+                continue
+            topic = known[channel]
+            begin().write(topic.name, topic.type_name, message, log_time, publish_time)
+            saved.add(topic.name, message, log_time)
+    report.problems += [f"{count} {what}" for what, count in lost.items()]
+    report.lost += sum(lost.values())
+    report.messages += len(block) - sum(lost.values())
 
-    def __init__(self, open_writer: Callable[[], BagWriter], tally: _Tally) -> None:
-        self.writer: BagWriter | None = None
-        self._open, self._tally = open_writer, tally
 
-    def begin(self) -> BagWriter:
-        self.writer = self.writer or self._open()
-        return self.writer
-
-    def add(self, topics: dict[int, Topic], block: Block, report: FileRecovery, *, packed: bool) -> None:
-        """Write the messages whose topics are known and whose times can be."""
-        lost: Counter[str] = Counter()
-        here = set(np.unique(block.channel).tolist())
-        known = {number: topic for number, topic in topics.items() if number in here and self._declare(topic)}
-        for channel, data, log_time, publish_time in _lines(block):
-            topic = known.get(channel)
-            if log_time < 0 or publish_time < 0:
-                lost["messages have a time beyond the year 2262"] += 1
-            elif topic is None:
-                lost["messages belong to no topic with a known definition"] += 1
-            else:
-                try:
-                    message = unpacked(report.path, [data])[0] if packed else data
-                except BagError:
-                    lost["compressed messages are damaged"] += 1
-                    continue
-                self.begin().write(topic.name, topic.type_name, message, log_time, publish_time)
-                self._tally.add(topic.name, message, log_time)
-        report.problems += [f"{count} {what}" for what, count in lost.items()]
-        report.lost += sum(lost.values())
-        report.messages += len(block) - sum(lost.values())
-
-    def _declare(self, topic: Topic) -> bool:
-        """Whether the topic could be declared: it cannot where its type has no definition anywhere."""
-        known = topic.definition if topic.definition is not None and topic.definition.text else None
-        if known is None and topic.type_name not in jazzy().fielddefs:
-            return False
-        self.begin().add_topic(topic.name, topic.type_name, topic.offers, known)
-        return True
+def _is_defined(topic: Topic) -> bool:
+    """Whether the type of a topic has a definition, in the bag or in ROS 2 Jazzy."""
+    return bool(topic.definition and topic.definition.text) or topic.type_name in jazzy().fielddefs
 
 
 def _lines(block: Block) -> Iterator[tuple[int, memoryview, int, int]]:
@@ -279,14 +269,14 @@ def _salvage_mcap(path: Path, report: FileRecovery) -> Iterator[_Piece]:
             report.lost += max(0, found.statistics.message_count - read)
 
 
-def _verify(writer: BagWriter, tally: _Tally, progress: Callable[[], None]) -> None:
+def _verify(paths: list[Path], saved: _Tally, progress: Callable[[], None]) -> None:
     """Read the result and compare it with what was saved; a result that is wrong loses its end."""
     try:
-        again = _read_back(writer.paths, progress)
-        if (again.counts, again.digest) != (tally.counts, tally.digest):
-            raise BagError(writer.path, "does not read back as it was written")
+        again = _read_back(paths, progress)
+        if (again.counts, again.digest) != (saved.counts, saved.digest):
+            raise BagError(paths[0], "does not read back as it was written")
     except BagError:
-        for path in writer.paths:
+        for path in paths:
             os.truncate(path, max(0, path.stat().st_size - len(MAGIC)))
         raise
 

@@ -18,13 +18,8 @@ def replaced(path: str | os.PathLike[str], *, overwrite: bool) -> Iterator[Path]
     """Where to write a bag, so that one that it replaces stays until the new one is whole.
 
     Without `overwrite`, or where there is no bag, that is `path`, as for `BagWriter`; else a place beside it.
-    After an exception, Ctrl-C included, the old bag is as it was.
-
-    Raises
-    ------
-    BagError
-        Where the old bag is being written, or cannot be replaced; what the body raises of the new one, with
-        its own name.
+    After an exception, Ctrl-C included, the old bag is as it was. Raises BagError where the old bag is being
+    written, or cannot be replaced, and what the body raises of the new one, with its own name.
     """
     place = Path(path)
     if not (overwrite and (place.is_dir() or (place.suffix == ".mcap" and place.is_file()))):

@@ -113,13 +113,7 @@ def dump_yaml(node: Mapping[str, Any] | Sequence[Any]) -> str:
 
 
 def load_yaml(source: str | Path) -> Any:
-    """Plain values of YAML of bounded size and depth: libyaml's loader crashes on deep nesting.
-
-    Raises
-    ------
-    ValueError or yaml.YAMLError
-        Where it is not YAML, too large or too deep.
-    """
+    """Plain values of YAML, else ValueError, also where it is so deep that libyaml's loader would crash."""
     size = source.stat().st_size if isinstance(source, Path) else len(source)
     if size > _MAX_TEXT:
         raise ValueError(f"{size} bytes of YAML are too many")

@@ -22,10 +22,7 @@ _MAX_TEXT = 128 << 10
 def store_of(type_name: str, known: Definition | None) -> Typestore:
     """Type store that has `type_name`: that of ROS 2 Jazzy, unless the bag means something else by it.
 
-    Raises
-    ------
-    ValueError
-        Where the definition is missing or cannot be understood.
+    Raises ValueError where the definition is missing or cannot be understood.
     """
     store, is_jazzy = jazzy(), type_name in jazzy().fielddefs
     if known is None or not known.text:
