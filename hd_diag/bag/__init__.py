@@ -3,10 +3,9 @@
 from rosbags.interfaces import Qos
 
 from hd_diag.bag.block import Topic
-from hd_diag.bag.errors import BagError, check_output
+from hd_diag.bag.errors import BagError, check_output, replaced
 from hd_diag.bag.reader import BagReader, Batch, Mixed
 from hd_diag.bag.recover import RecoveryReport, recover
-from hd_diag.bag.replacing import replaced
 from hd_diag.bag.rosbag2 import RELIABLE
 from hd_diag.bag.writer import BagWriter
 

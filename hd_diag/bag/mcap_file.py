@@ -23,22 +23,9 @@ from typing import Any
 import lz4.frame
 import numpy as np
 import zstandard
+from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import (
-    Channel,
-    Chunk,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
 
 from hd_diag.arrays import Bytes, Times
 from hd_diag.bag.errors import BagError
@@ -62,8 +49,8 @@ _UNKNOWN = 2**64 - 1  # least time of no messages [ns]
 class Stream:
     """A topic that is written: its records, and the messages added so far."""
 
-    schema: Schema
-    channel: Channel
+    schema: records.Schema
+    channel: records.Channel
     count: int = 0
 
 
@@ -80,18 +67,18 @@ class McapFile:
     def __init__(self, path: Path, compression: str, chunk_size: int, overwrite: bool) -> None:
         self.path, self.size = path, 0
         self.start: int | None = None
-        self.written = Statistics(0, 0, {}, 0, 0, 0, _UNKNOWN, 1, 0)
+        self.written = records.Statistics(0, 0, {}, 0, 0, 0, _UNKNOWN, 1, 0)
         self._compression, self._chunk_size = compression, chunk_size
         self._chunk = _Chunk()
         self._failed = False
         self._waiting: deque[Future[None]] = deque()
         self._indexes = bytearray()  # packed at once: a log of days has a million of them
-        self._schemas: dict[int, Schema] = {}
-        self._channels: dict[int, Channel] = {}
+        self._schemas: dict[int, records.Schema] = {}
+        self._channels: dict[int, records.Channel] = {}
         self._fd = _create(path, overwrite)
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="bag writer")
         try:
-            self._pool.submit(self._put, MAGIC + _packed(Header("ros2", "hd_diag"))).result()
+            self._pool.submit(self._put, MAGIC + _packed(records.Header("ros2", "hd_diag"))).result()
         except BaseException:
             self.release()
             raise
@@ -126,15 +113,15 @@ class McapFile:
         count = min(len(rows), max(1, -(-(self._chunk_size - size) // kind.itemsize)))
         times = times[:count]
         self._chunk.data += bytes(count * kind.itemsize)
-        records = np.frombuffer(self._chunk.data, kind, count, size)
-        records["head"] = np.void(_HEAD.pack(Opcode.MESSAGE, _FIXED + rows.shape[1], stream.channel.id))
-        records["sequence"] = np.arange(stream.count, stream.count + count)
-        records["log_time"], records["publish_time"] = times, publish_times[:count]
+        table = np.frombuffer(self._chunk.data, kind, count, size)
+        table["head"] = np.void(_HEAD.pack(Opcode.MESSAGE, _FIXED + rows.shape[1], stream.channel.id))
+        table["sequence"] = np.arange(stream.count, stream.count + count)
+        table["log_time"], table["publish_time"] = times, publish_times[:count]
         rows = rows if rows.strides[1] == 1 else np.ascontiguousarray(rows)
-        records["data"] = rows[:count].view(kind["data"])[:, 0]
+        table["data"] = rows[:count].view(kind["data"])[:, 0]
         entries = np.empty((count, 2), "<u8")
         entries[:, 0], entries[:, 1] = times, size + kind.itemsize * np.arange(count)
-        del records  # the chunk cannot grow while it is looked at
+        del table  # the chunk cannot grow while it is looked at
         self.start = int(times[0]) if self.start is None else self.start
         self._added(stream, count, int(times.min()), int(times.max()), entries.tobytes())
         return count
@@ -170,22 +157,22 @@ class McapFile:
         written = self.written
         written.message_start_time = min(written.message_start_time, written.message_end_time)
         written.schema_count, written.channel_count = len(self._schemas), len(self._channels)
-        kept = _packed(Metadata("rosbag2", dict(metadata)))
-        end = kept + _packed(DataEnd(0))
+        kept = _packed(records.Metadata("rosbag2", dict(metadata)))
+        end = kept + _packed(records.DataEnd(0))
         start, summary, offsets = self.size + len(end), b"", b""
         for opcode, group in (
             (Opcode.SCHEMA, _packed(*self._schemas.values())),
             (Opcode.CHANNEL, _packed(*self._channels.values())),
             (Opcode.STATISTICS, _packed(written)),
             (Opcode.CHUNK_INDEX, bytes(self._indexes)),
-            (Opcode.METADATA_INDEX, _packed(MetadataIndex(self.size, len(kept), "rosbag2"))),
+            (Opcode.METADATA_INDEX, _packed(records.MetadataIndex(self.size, len(kept), "rosbag2"))),
         ):
             if group:
-                offsets += _packed(SummaryOffset(opcode, start + len(summary), len(group)))
+                offsets += _packed(records.SummaryOffset(opcode, start + len(summary), len(group)))
             summary += group
         places = start, start + len(summary)
         checksum = zlib.crc32(summary + offsets + struct.pack("<BQQQ", Opcode.FOOTER, 20, *places))
-        self._put(end + summary + offsets + _packed(Footer(*places, checksum)) + MAGIC)
+        self._put(end + summary + offsets + _packed(records.Footer(*places, checksum)) + MAGIC)
         self._indexes.clear()
 
     def release(self) -> None:
@@ -203,7 +190,7 @@ class McapFile:
         data, start = chunk.data, self.size
         first, name = (0 if chunk.opened is None else chunk.first), self._compression.replace("none", "")
         stored = _COMPRESS[self._compression](data)
-        record = _packed(Chunk(name, stored, chunk.last, first, zlib.crc32(data), len(data)))
+        record = _packed(records.Chunk(name, stored, chunk.last, first, zlib.crc32(data), len(data)))
         places, index = {}, b""
         for channel, entries in chunk.index.items():
             places[channel] = start + len(record) + len(index)
@@ -214,7 +201,7 @@ class McapFile:
             self._failed = True
             raise
         sizes = len(stored), chunk.last, len(index), places, first, len(data)
-        self._indexes += _packed(ChunkIndex(len(record), start, name, *sizes))
+        self._indexes += _packed(records.ChunkIndex(len(record), start, name, *sizes))
         written = self.written
         written.chunk_count += 1
         written.message_start_time = min(written.message_start_time, chunk.first)
@@ -276,8 +263,8 @@ def _create(path: Path, overwrite: bool) -> int:
     return fd
 
 
-def _packed(*records: McapRecord) -> bytes:
+def _packed(*parts: records.McapRecord) -> bytes:
     builder = RecordBuilder()
-    for record in records:
-        record.write(builder)
+    for part in parts:
+        part.write(builder)
     return bytes(builder.end())  # type: ignore[no-untyped-call]

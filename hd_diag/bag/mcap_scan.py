@@ -1,7 +1,7 @@
-"""Where things are in an MCAP file: chunks and messages outside of them, topics, counts; nothing is trusted.
+"""What is in an MCAP file: chunks and messages outside of them, topics, counts; nothing is trusted.
 
 The file is walked record by record, so that the summary and the indexes may be missing, wrong or cut off.
-Only the heads of chunks are read, which takes microseconds for each.
+Of chunks only the heads are read then; their content is decompressed within bounds and checked when needed.
 """
 
 from __future__ import annotations
@@ -9,18 +9,25 @@ from __future__ import annotations
 import os
 import re
 import struct
+import zlib
+from array import array
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from io import BufferedReader, BytesIO
 from pathlib import Path
 
+import lz4.frame
+import numpy as np
+import zstandard
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Schema, Statistics
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
 
-from hd_diag.bag.block import Topic
+from hd_diag.arrays import Integers
+from hd_diag.bag.block import Block, Topic, gather
 from hd_diag.bag.errors import BagError
 from hd_diag.messages.schemas import Definition
 
@@ -58,6 +65,19 @@ def check_claim(claimed: int, stored: int) -> None:
         raise ValueError(f"it claims {claimed} bytes, more than {most}")
 
 
+_HEAD = np.dtype("u1, <u8, <u2, <u4, <u8, <u8")
+_HEAD.names = ("opcode", "length", "channel", "sequence", "log_time", "publish_time")
+# More records in a chunk that are no messages are refused: an honest one has a few for each topic.
+_MAX_OTHERS = 1_000_000
+_AT_ONCE = 1 << 17  # size that is decompressed at a time [byte]
+# What the libraries raise on damaged content.
+_DAMAGE = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, McapError, EOFError, MemoryError)
+
+
+class DamagedChunk(BagError):
+    """A chunk cannot be used; what is before and behind it can be recovered."""
+
+
 @dataclass
 class Section:
     """A chunk, or messages outside of chunks that follow one another: place [byte] and log times [ns].
@@ -90,7 +110,7 @@ class Scan:
         self.channels: dict[int, Channel] = {}
         self.statistics: Statistics | None = None
         self.profile = self.problem = ""
-        self._file = file
+        self._path, self._file = path, file
         if self.read(0, len(MAGIC)) != MAGIC:
             raise BagError(path, "is not an MCAP file" if self.size else "is empty")
         self.walk()
@@ -179,6 +199,51 @@ class Scan:
                         return place
         return None
 
+    def load(self, sections: Sequence[Section]) -> Block:
+        """Messages of some sections; schemas and channels among them are kept.
+
+        Safe beside other readers of the same file; DamagedChunk where a section cannot be used.
+        """
+        try:
+            contents = []
+            for section in sections:
+                where = f"chunk at byte {section.offset}"
+                check_claim(section.content_size, section.size)
+                stored = self.read(section.offset, section.size)
+                content = _decompressed(section.compression, stored, section.content_size + 1)
+                if len(content) != section.content_size:
+                    raise ValueError(f"it holds {len(content)} bytes instead of {section.content_size}")
+                if section.checksum and zlib.crc32(content) != section.checksum:
+                    raise ValueError("its checksum is wrong")
+                contents.append(content)
+            where = f"chunk at or after byte {sections[0].offset}"
+            return _parse(contents[0] if len(contents) == 1 else b"".join(contents), self.keep)
+        except _DAMAGE as exc:
+            raise DamagedChunk(self._path, f"{where} is damaged: {exc}") from exc
+
+    def load_part(self, offset: int, end: int) -> Block | None:
+        """Messages at the beginning of a chunk of which the file has the bytes from `offset` to `end`.
+
+        Compression works in blocks, so that the blocks before a cut can be read. None where nothing can.
+        """
+        try:
+            if self.read(offset, 1)[0] != Opcode.CHUNK:
+                return None
+            section = self.chunk_at(offset, (1 << 64) - 1)
+            stored = self.read(section.offset, min(section.size, max(0, end - section.offset), MAX_CHUNK))
+            limit = min(section.content_size, believable(len(stored)))
+            content = _decompressed(section.compression, stored, limit, lenient=True)
+            stop = following = 0
+            while following <= len(content):
+                stop = following
+                if stop + RECORD.size > len(content) or not content[stop]:
+                    break
+                following += RECORD.size + RECORD.unpack_from(content, stop)[1]
+            block = _parse(content[:stop], self.keep)
+            return block if len(block) else None
+        except (*_DAMAGE, IndexError):
+            return None
+
     def _take(self, opcode: int, length: int) -> None:
         """Take the record at `end`."""
         if opcode == Opcode.CHUNK:
@@ -200,3 +265,71 @@ class Scan:
             self.sections.append(last)
         last.size = last.content_size = last.size + RECORD.size + length
         last.start, last.end = min(last.start, log_time), max(last.end, log_time)
+
+
+def _decompressed(compression: str, stored: bytes, limit: int, *, lenient: bool = False) -> bytes:
+    """No more than `limit` bytes of what is stored, decompressed; with `lenient` those before a damage."""
+    if compression not in COMPRESSIONS:
+        raise ValueError(f"compression {compression!r} is not known")
+    if not compression:
+        return stored
+    if compression == "lz4":
+        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(stored, max_length=limit))
+    parts = []
+    reader = zstandard.ZstdDecompressor().stream_reader(stored)
+    try:
+        while part := reader.read(min(limit, _AT_ONCE)):
+            parts.append(part)
+            limit -= len(part)
+    except zstandard.ZstdError:
+        if not lenient:
+            raise
+    return b"".join(parts)
+
+
+def _parse(content: bytes, keep: Callable[[bytes], None]) -> Block:
+    """Messages among the records in `content`; schemas and channels are handed to `keep`.
+
+    Raises ValueError where the records do not fit together.
+    """
+    first, more, position, ignored = np.empty(0, np.int64), array("q"), 0, 0
+    end, head_at, message = len(content), RECORD.unpack_from, int(Opcode.MESSAGE)
+    while position < end:
+        opcode, length = head_at(content, position)
+        stop = position + 9 + length
+        if opcode != message:
+            ignored += 1
+            if opcode == 0 or ignored > _MAX_OTHERS:
+                raise ValueError("it holds records that are none")
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                keep(content[position:stop])
+        elif more or len(first) or stop > end:
+            more.append(position)
+        else:
+            first = _equal_records(content, position, stop - position)
+            stop += int(first[-1]) - position
+        position = stop
+    if position != end:
+        raise ValueError("a record is longer than the chunk")
+    return _messages_at(content, np.concatenate([first, np.array(more, np.int64)]))
+
+
+def _equal_records(content: bytes, start: int, step: int) -> Integers:
+    """Places of the messages of one size that follow one another from `start`; at least one."""
+    count = (len(content) - start) // step
+    heads = np.frombuffer(content, np.uint8, count * step, start).reshape(count, step)[:, :9]
+    same = (heads == heads[0]).all(axis=1)
+    count = count if same.all() else int(same.argmin())
+    return start + step * np.arange(count, dtype=np.int64)
+
+
+def _messages_at(content: bytes, offset: Integers) -> Block:
+    data = np.frombuffer(content, np.uint8)
+    if len(offset) and offset[-1] + MESSAGE.size > len(data):
+        raise ValueError("a message has no room for its times")
+    heads = np.ascontiguousarray(gather(data, offset, MESSAGE.size)).view(_HEAD)[:, 0]
+    size = heads["length"].astype(np.int64) + RECORD.size - MESSAGE.size
+    if len(size) and int(size.min()) < 0:
+        raise ValueError("a message is too short for its times")
+    columns = (heads[name].astype(np.int64) for name in ("channel", "log_time", "publish_time"))
+    return Block(data, offset + MESSAGE.size, size, *columns)

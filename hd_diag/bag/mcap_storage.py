@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import fcntl
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
 from hd_diag.bag.block import Block, joined
-from hd_diag.bag.errors import BagError
-from hd_diag.bag.mcap_chunk import DamagedChunk, load
-from hd_diag.bag.mcap_scan import Scan, Section
+from hd_diag.bag.errors import BagError, is_locked
+from hd_diag.bag.mcap_scan import DamagedChunk, Scan, Section
 
 # Size of content that is loaded at once: a log flushed often has many small chunks [byte].
 _AT_ONCE = 4 << 20
@@ -56,7 +53,7 @@ class McapStorage:
         """Messages of some channels in the order of log time; BagError where a chunk is damaged."""
 
         def chosen(sections: list[Section]) -> Block:
-            block = load(self.path, self._scan, sections)
+            block = self._scan.load(sections)
             return block if len(numbers) == len(self.topics) else block[np.isin(block.channel, numbers)]
 
         try:
@@ -91,7 +88,7 @@ class McapStorage:
         error: DamagedChunk | None = None
         for section in found.sections:
             try:
-                block = load(self.path, found, [section])
+                block = found.load([section])
             except DamagedChunk as exc:
                 error = error or exc
                 continue
@@ -167,14 +164,3 @@ def _ahead(stretches: Sequence[list[Section]], load_one: Callable[[list[Section]
             yield waiting.popleft()[1].result()
     finally:
         pool.shutdown(cancel_futures=True)
-
-
-def is_locked(fd: int) -> bool:
-    """Whether a writer of this package holds the file."""
-    try:
-        fcntl.flock(fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    with suppress(OSError):
-        fcntl.flock(fd, fcntl.LOCK_UN)
-    return False

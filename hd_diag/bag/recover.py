@@ -15,11 +15,9 @@ from typing import Any
 import numpy as np
 
 from hd_diag.bag.block import Block, Topic
-from hd_diag.bag.errors import BagError, check_output
+from hd_diag.bag.errors import BagError, check_output, replaced
 from hd_diag.bag.folder import Unpacked, find_files, unpacked
-from hd_diag.bag.mcap_chunk import load, load_part
 from hd_diag.bag.mcap_scan import MAGIC, Scan
-from hd_diag.bag.replacing import replaced
 from hd_diag.bag.sqlite_file import SqliteFile, is_sqlite
 from hd_diag.bag.writer import BagWriter
 from hd_diag.messages.schemas import jazzy
@@ -250,7 +248,7 @@ def _salvage_mcap(path: Path, report: FileRecovery) -> Iterator[_Piece]:
             found.walk()
         for section in found.sections:
             try:
-                block = load(path, found, [section])
+                block = found.load([section])
             except BagError as exc:
                 report.problems.append(exc.cause)
                 report.unread += section.size
@@ -259,7 +257,7 @@ def _salvage_mcap(path: Path, report: FileRecovery) -> Iterator[_Piece]:
                 yield found.topics(), block, section.offset + section.size
         for begin, end in gaps:
             report.unread += end - begin
-            part = load_part(found, begin, end)
+            part = found.load_part(begin, end)
             if part is not None:
                 read += len(part)
                 what = f"{len(part)} messages were read from a chunk that is cut off at byte {end}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +11,9 @@ from mcap.records import Statistics
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
-from hd_diag.bag.mcap_file import Stream
+from hd_diag.bag.mcap_file import McapFile, Stream
 
-NO_START = 2**63 - 1
-"""rosbag2 starts from the largest time and lowers it with each message [ns]."""
+_NO_START = 2**63 - 1  # rosbag2 starts from the largest time and lowers it with each message [ns]
 # rmw's infinite duration; rosbag2 writes it where a deadline, lifespan or lease is not set.
 _INFINITE = QosTime(9223372036, 854775807)
 RELIABLE = Qos(
@@ -58,37 +57,42 @@ def _plain(offer: Qos) -> Qos:
     return offer._replace(depth=int(offer.depth), **plain)
 
 
-def metadata(files: Sequence[tuple[str, Statistics]], streams: Sequence[Stream]) -> dict[str, Any]:
+def written(files: Iterable[McapFile], stream: Stream) -> int:
+    """Messages of a topic that have reached the files."""
+    return sum(file.written.channel_message_counts.get(stream.channel.id, 0) for file in files)
+
+
+def metadata(files: Sequence[McapFile], streams: Iterable[Stream]) -> dict[str, Any]:
     """The mapping that rosbag2 puts below ``rosbag2_bagfile_information``, of files with what is in them."""
-    extents = [_extent([each]) for _, each in files]
+    topics = [
+        {
+            "topic_metadata": {
+                "name": stream.channel.topic,
+                "type": stream.schema.name,
+                "serialization_format": "cdr",
+                "offered_qos_profiles": load_yaml(stream.channel.metadata["offered_qos_profiles"]) or [],
+                "type_description_hash": stream.channel.metadata["topic_type_hash"],
+            },
+            "message_count": written(files, stream),
+        }
+        for stream in streams
+    ]
     return {
         "version": 9,
         "storage_identifier": "mcap",
-        **_extent([each for _, each in files]),
-        "topics_with_message_count": [
-            {
-                "topic_metadata": {
-                    "name": stream.channel.topic,
-                    "type": stream.schema.name,
-                    "serialization_format": "cdr",
-                    "offered_qos_profiles": load_yaml(stream.channel.metadata["offered_qos_profiles"]) or [],
-                    "type_description_hash": stream.channel.metadata["topic_type_hash"],
-                },
-                "message_count": sum(f.channel_message_counts.get(stream.channel.id, 0) for _, f in files),
-            }
-            for stream in streams
-        ],
+        **_extent([file.written for file in files]),
+        "topics_with_message_count": topics,
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": [path for path, _ in files],
-        "files": [{"path": path, **extent} for (path, _), extent in zip(files, extents, strict=True)],
+        "relative_file_paths": [file.path.name for file in files],
+        "files": [{"path": file.path.name, **_extent([file.written])} for file in files],
         "custom_data": None,
         "ros_distro": "jazzy",
     }
 
 
 def _extent(files: Sequence[Statistics]) -> dict[str, Any]:
-    start = min(NO_START, *(f.message_start_time for f in files if f.message_count), NO_START)
+    start = min([_NO_START, *(f.message_start_time for f in files if f.message_count)])
     duration = max(0, max(f.message_end_time for f in files) - start)
     return {
         "duration": {"nanoseconds": duration},

@@ -16,10 +16,9 @@ from mcap.records import Channel, Schema
 from rosbags.interfaces import Qos
 
 from hd_diag.arrays import Bytes, Times
-from hd_diag.bag.errors import BagError
+from hd_diag.bag.errors import BagError, bag_files
 from hd_diag.bag.mcap_file import COMPRESSIONS, McapFile, Stream
-from hd_diag.bag.replacing import bag_files
-from hd_diag.bag.rosbag2 import RELIABLE, dump_offers, dump_yaml, metadata, parse_offers
+from hd_diag.bag.rosbag2 import RELIABLE, dump_offers, dump_yaml, metadata, parse_offers, written
 from hd_diag.messages.schemas import Definition, definition
 
 _LAST_TIME = 2**63 - 1
@@ -100,9 +99,7 @@ class BagWriter:
         """Messages written of each topic; after an error those that have reached a file."""
         counts: Counter[str] = Counter()
         for stream in self._streams.values():
-            number, files = stream.channel.id, self._files
-            stored = sum(file.written.channel_message_counts.get(number, 0) for file in files)
-            counts[stream.channel.topic] += stored if self.error else stream.count
+            counts[stream.channel.topic] += written(self._files, stream) if self.error else stream.count
         return dict(counts)
 
     def change(self, compression: str, flush_period: float, max_size: int, max_duration: float) -> None:
@@ -339,16 +336,13 @@ class BagWriter:
     def _finish(self) -> None:
         """Write the end of the file, whose messages are all written."""
         self._file.stop()
-        self._file.finish({"serialized_metadata": dump_yaml(self._metadata())})
+        self._file.finish({"serialized_metadata": dump_yaml(metadata(self._files, self._streams.values()))})
         self._save()
-
-    def _metadata(self) -> dict[str, object]:
-        files = [(file.path.name, file.written) for file in self._files]
-        return metadata(files, list(self._streams.values()))
 
     def _save(self) -> None:
         """Write ``metadata.yaml``; the old one stays whole until the new one is there."""
         if self.path.suffix != ".mcap":
+            known = {"rosbag2_bagfile_information": metadata(self._files, self._streams.values())}
             draft = self.path / "metadata.yaml.tmp"
-            draft.write_text(dump_yaml({"rosbag2_bagfile_information": self._metadata()}), encoding="utf-8")
+            draft.write_text(dump_yaml(known), encoding="utf-8")
             draft.replace(self.path / "metadata.yaml")

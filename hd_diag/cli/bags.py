@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from hd_diag.bag import BagError
-from hd_diag.bag.mcap_chunk import DamagedChunk
+from hd_diag.bag.mcap_scan import DamagedChunk
 from hd_diag.bag.recover import recover as recover_bag
 from hd_diag.cli.options import JSON, Problem, check_target, tell, verb, write_json
 from hd_diag.cli.progress import interrupted, working

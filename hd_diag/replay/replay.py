@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from hd_diag.arrays import Times
-from hd_diag.bag import BagError, BagWriter, check_output
+from hd_diag.bag import BagError, BagWriter, check_output, replaced
 from hd_diag.bag.joint_record import layouts
 from hd_diag.bag.reader import BagReader, Batch, Mixed
-from hd_diag.bag.replacing import replaced
 from hd_diag.config.configuration import Config, ConfigError, JointConfig, ModelText, resolve
 from hd_diag.config.parameters import shown
 from hd_diag.messages.publications import LAST_TIME, TEMPERATURE, Encoded, resolved

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from hd_diag.arrays import Bytes, Floats
-from hd_diag.bag import BagError, BagWriter
-from hd_diag.bag.replacing import replaced
+from hd_diag.bag import BagError, BagWriter, replaced
 from hd_diag.config.configuration import Config
 from hd_diag.drive import Drive
 from hd_diag.messages.encoding import encode_joint_states
