@@ -58,6 +58,7 @@ def test_command_runs_from_the_installed_tree(workspace: Path, environment: dict
     assert "Usage:" in output
 
 
+@pytest.mark.slow
 def test_colcon_test_runs_the_tests(workspace: Path, environment: dict[str, str]) -> None:
     # A quick selection; without one this test would start itself.
     command = ["colcon", "test", "--event-handlers", "console_direct+", "--return-code-on-test-failure"]
