@@ -72,17 +72,13 @@ def chosen(messages: dict[str, Any], path: str) -> list[Any]:
     return found
 
 
-def panels_of(node: Any) -> Iterator[str]:
+def panels_of(node: Any) -> list[str]:
     """Panels of a layout, those of tabs too."""
     if isinstance(node, str):
-        yield node
-        for tab in PANELS[node].get("tabs", ()):
-            yield from panels_of(tab["layout"])
-    else:
-        assert node["direction"] in ("row", "column")
-        assert 0.0 < node.get("splitPercentage", 50) < 100.0
-        yield from panels_of(node["first"])
-        yield from panels_of(node["second"])
+        return [node, *(one for tab in PANELS[node].get("tabs", ()) for one in panels_of(tab["layout"]))]
+    assert node["direction"] in ("row", "column")
+    assert 0.0 < node.get("splitPercentage", 50) < 100.0
+    return panels_of(node["first"]) + panels_of(node["second"])
 
 
 def test_foxglove_layout_has_the_parts_of_an_exported_one_and_every_panel_once() -> None:
@@ -203,8 +199,9 @@ STRANGERS = ("hd_diagnostics: battery", "hd_diag", "hd_diag_watch: x", "my hd_di
 
 def matches(name: str) -> bool:
     """As a GenericAnalyzer decides."""
+    begins = any(name.startswith(begin) for begin in ANALYZER.get("startswith", ()))
     return (
-        any(name.startswith(begin) for begin in ANALYZER.get("startswith", ()))
+        begins
         or any(part in name for part in ANALYZER.get("contains", ()))
         or name in ANALYZER.get("name", ())
     )

@@ -9,7 +9,6 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from reference import polyline
 
-from hd_diag.model import threads
 from hd_diag.model.load_sharing import mesh_state
 from hd_diag.model.mesh import Mesh
 from hd_diag.model.torsion import torsion, torsion_table
@@ -155,16 +154,6 @@ def test_some_rows_and_angles_and_torques_of_different_number(table: TorsionMap)
     assert_array_equal(beta, [0.0, 0.0, 0.0, table(turn, torque)[3], 0.0])
     with pytest.raises(ValueError, match="3 wave generator angles, but 2 torques"):
         table(np.zeros(3), np.zeros(2))
-
-
-def test_several_threads_give_the_same_to_the_last_bit(
-    table: TorsionMap, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    turn, torque = points(table, 50_000, 5)
-    monkeypatch.setattr(threads, "cores", lambda: 1)
-    alone = table(turn, torque)
-    monkeypatch.setattr(threads, "cores", lambda: 3)
-    assert_array_equal(table(turn, torque), alone)
 
 
 @pytest.mark.parametrize("several", [1, 2])

@@ -36,11 +36,6 @@ class Contact:
     pressure_angle: Floats
     position: Floats
 
-    @property
-    def backlash(self) -> Floats:
-        """Circumferential backlash D = r b [m]."""
-        return self.radius * self.rotation
-
 
 def contacts(mesh: Mesh, wave_generator_angle: Floats) -> Contact:
     """Contacts of the tooth pairs near both lobes, at any number of moments.

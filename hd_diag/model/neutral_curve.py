@@ -88,18 +88,13 @@ def tooth_axes(curve: NeutralCurve, u: Floats) -> tuple[Floats, Floats, Floats]:
         Components of the foot point along the axis and counter-clockwise across it [m].
     """
     a, b = curve.semi_major, curve.semi_minor
-    t = _parameter(curve, u)
+    cosine, later, last = 2.0 * np.cos(2.0 * u), np.zeros_like(u), np.zeros_like(u)
+    for coefficient in curve.harmonics[::-1]:  # Clenshaw's recurrence
+        later, last = last, coefficient + cosine * last - later
+    t = u + last * np.sin(2.0 * u)  # the ellipse's parameter
     cos_t, sin_t = np.cos(t), np.sin(t)
     normal_x, normal_y = b * cos_t, a * sin_t
     length = np.sqrt(normal_x * normal_x + normal_y * normal_y)
     # t and the normal's angle differ by less than a quarter turn: this difference keeps t's own turn.
     angle = t + np.arctan2((a - b) * sin_t * cos_t, b * cos_t * cos_t + a * sin_t * sin_t)
     return angle, a * b / length, -(a * a - b * b) * sin_t * cos_t / length
-
-
-def _parameter(curve: NeutralCurve, u: Floats) -> Floats:
-    """Ellipse parameter t at places u along the curve: the point is (semi_major cos t, semi_minor sin t)."""
-    cosine, later, last = 2.0 * np.cos(2.0 * u), np.zeros_like(u), np.zeros_like(u)
-    for coefficient in curve.harmonics[::-1]:  # Clenshaw's recurrence
-        later, last = last, coefficient + cosine * last - later
-    return u + last * np.sin(2.0 * u)

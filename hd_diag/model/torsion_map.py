@@ -69,8 +69,11 @@ class TorsionMap:
         return float(self.torque[0, -1])
 
     @cached_property
-    def _interpolate(self) -> partial[None]:
-        """The kernel, given the table and an index of it."""
+    def read(self) -> partial[None]:
+        """Sets rows of the torsions as a call gives them: ``read(angle, torque, torsion, first, last)``.
+
+        From the first row to before the last; for maps one after the other. All arrays (n,) are contiguous.
+        """
         torque, torsion = contiguous(self.torque), contiguous(self.torsion)
         index = kernel.entry.columns(torque)
         return partial(kernel.entry.interpolate, torque, torsion, index, float(self.torque_limit))
@@ -85,15 +88,8 @@ class TorsionMap:
         if turn.shape != load.shape:
             raise ValueError(f"{turn.size} wave generator angles, but {load.size} torques")
         beta = np.empty(turn.size)
-        spread(partial(self._interpolate, turn, load, beta), beta.size, _SAMPLES)
+        spread(partial(self.read, turn, load, beta), beta.size, _SAMPLES)
         return beta
-
-    def read(self, wave_generator_angle: Floats, torque: Floats, beta: Floats, first: int, last: int) -> None:
-        """Set rows of the torsions, from the first to before the last, as a call gives them.
-
-        For maps one after the other; all arrays (n,) are contiguous.
-        """
-        self._interpolate(wave_generator_angle, torque, beta, first, last)
 
 
 def build(

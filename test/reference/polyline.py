@@ -63,9 +63,6 @@ class Mesh:
     pressure_angle: Array
 
 
-# Flanks ---
-
-
 def _joint_angle(p: Profile) -> float:
     """Normal direction (sin u, cos u) of the common tangent [rad], found where the support lines coincide.
 
@@ -119,8 +116,6 @@ def _slot_polar(drive: Drive, points: int) -> tuple[Array, Array]:
     return np.hypot(datum + x, y), np.arctan2(y, datum + x)
 
 
-# Neutral curve ---
-
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 _PANELS = 400
 
@@ -159,9 +154,6 @@ def neutral_point(arc: Array, drive: Drive = DEFAULT) -> tuple[Array, Array]:
         t = t - error / _speed(t, major, minor)
     normal = np.array([minor * np.cos(t), major * np.sin(t)])
     return np.array([major * np.cos(t), minor * np.sin(t)]), normal / np.hypot(*normal)
-
-
-# Mesh ---
 
 
 def _turned(angle: float, vectors: Array) -> Array:
@@ -231,14 +223,9 @@ def mesh(
 ) -> Mesh:
     """Clearance of all tooth pairs at one wave-generator angle [rad].
 
-    Parameters
-    ----------
-    wave_generator_angle : [rad]
-    eccentricity : displacement of the wave generator, fixed in the housing [m]
-    runout : displacement that turns with the wave generator, given at angle 0 [m]
-    arc_offset : s_0, displacement of the flexspline along the neutral curve [m]
-    points : points of a flank's polyline
-    slot_shift : (Z_G,) circumferential displacement of every slot, counter-clockwise [m]
+    Displacements of the wave generator: `eccentricity` fixed in the housing, `runout` turning with it, as given
+    at angle 0 [m]; `arc_offset` of the flexspline along the neutral curve, `slot_shift` (Z_G,) of every slot
+    counter-clockwise [m]. A flank's polyline has so many `points`.
     """
     origin, normal = tooth_axes(wave_generator_angle, eccentricity, runout, arc_offset, drive)
     x, y = _flank(drive.tooth, drive.tooth_root, drive.tooth_tip, points)
@@ -258,9 +245,6 @@ def mesh(
             moved = wall[1] + sign * shift[slot[i]] / wall[0]
             out[:, side, i] = _contact((radius[i], sign * angle), (wall[0], moved))
     return Mesh(out[0], out[0] * out[1], out[1], out[2])
-
-
-# Load ---
 
 
 def loads(m: Mesh, torsion: float, drive: Drive = DEFAULT) -> Array:
