@@ -223,9 +223,9 @@ def mesh(
 ) -> Mesh:
     """Clearance of all tooth pairs at one wave-generator angle [rad].
 
-    Displacements of the wave generator: `eccentricity` fixed in the housing, `runout` turning with it, as given
-    at angle 0 [m]; `arc_offset` of the flexspline along the neutral curve, `slot_shift` (Z_G,) of every slot
-    counter-clockwise [m]. A flank's polyline has so many `points`.
+    Displacements of the wave generator [m]: `eccentricity` is fixed in the housing, `runout` turns with it
+    and is given at angle 0. `arc_offset` moves the flexspline along the neutral curve, `slot_shift` (Z_G,)
+    every slot counter-clockwise [m]. A flank's polyline has so many `points`.
     """
     origin, normal = tooth_axes(wave_generator_angle, eccentricity, runout, arc_offset, drive)
     x, y = _flank(drive.tooth, drive.tooth_root, drive.tooth_tip, points)
