@@ -111,30 +111,11 @@ class ExtendedModel:
         temperature: Floats | None = None,
         table: TorsionMap | None = None,
     ) -> tuple[Floats, State]:
-        """Transmission error at the next samples, however many they are.
+        """Transmission error (n,) [rad] at the next samples, however many they are, and the state after them.
 
-        Parameters
-        ----------
-        state : State
-            After the samples before.
-        time : ndarray, shape (n,)
-            [s], rising.
-        input_angle : ndarray, shape (n,)
-            As reported, continuous over the turns [rad].
-        speed : ndarray, shape (n,), or None
-            Of the input, as reported [rad/s]; None, or nan for a sample: taken from the angles.
-        torque : ndarray, shape (n,)
-            On the link [N m].
-        temperature : ndarray, shape (n,), or None
-            [degree Celsius]
-        table : TorsionMap, optional
-            Map of the drive's mesh.
-
-        Returns
-        -------
-        transmission_error : ndarray, shape (n,)
-            [rad]; nan where the drive has none.
-        state : State
+        Columns (n,): time, rising [s]; input angle as reported, continuous over the turns [rad]; speed of the
+        input as reported [rad/s], or from the angles where it is None or nan; torque on the link [N m];
+        temperature [degree Celsius]. The table is a map of the drive's mesh. nan where a drive has no error.
         """
         if not time.size:
             return np.empty(0), state

@@ -21,18 +21,9 @@ def cores() -> int:
 def spread(work: Callable[[int, int], object], size: int, share: int) -> None:
     """Have all rows worked on, by several threads where each gets two shares or more.
 
-    Parameters
-    ----------
-    work : callable
-        Called with the first row and the one after the last; fills these rows of its results.
-    size : int
-        Number of rows.
-    share : int
-        Rows that a thread takes at a time.
-
-    Notes
-    -----
-    The threads end with the call, so that a process that is forked later finds none of them.
+    `work` is called with the first row and the one after the last, and fills these rows of its results; a
+    thread takes `share` rows at a time. The threads end with the call, so that a process that is forked later
+    finds none of them.
     """
     threads = min(cores(), size // (2 * share)) if size >= 4 * share else 1
     if threads < 2:
