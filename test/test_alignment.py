@@ -1,6 +1,7 @@
 """Input and output angles in messages of their own: many at once give what one at a time gives."""
 
 import random
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,10 @@ from logs import content
 from models import write_model
 
 from hd_diag.bag import BagWriter
-from hd_diag.config.configuration import Config
 from hd_diag.messages.encoding import encode_joint_states
 from hd_diag.messages.publications import JOINT_STATE, Encoded, encode, resolved
 from hd_diag.monitor import Monitor
-from hd_diag.monitor.publications import Publication
+from hd_diag.monitor.publications import Due, Publication
 from hd_diag.replay.map_builder import map_of
 from hd_diag.replay.recorded_monitor import Session
 from hd_diag.replay.replay import replay
@@ -26,6 +26,9 @@ from hd_diag.streams.columns import JointStates
 from hd_diag.streams.rules import REMEMBERED
 
 CONFIG = config("a", "b", array_rate=100.0, mesh_rate=30.0)
+OTHER = config(
+    "a", "b", array_rate=40.0, a__eccentricity__magnitude=7e-6, a__torque=-2.0, b__cup_compliance=1e-5
+)
 MAPS = {joint.name: map_of(joint) for joint in CONFIG.joints}
 
 # Names; which of position, velocity and effort there are.
@@ -107,30 +110,51 @@ def together(messages: list[Message]) -> list[JointStates]:
     return shapes
 
 
-def play(monitor: Monitor, messages: list[Message], sizes: list[int]) -> tuple[Any, ...]:
-    """Everything published, by topic, and the diagnostics, of messages taken so many at a time."""
+def play(
+    monitor: Monitor,
+    messages: list[Message],
+    sizes: list[int],
+    events: dict[int, str] | None = None,
+    reports: frozenset[int] = frozenset(),
+) -> tuple[Any, ...]:
+    """Everything published, by topic, and the diagnostics, of messages taken so many at a time.
+
+    Events and reports come before the messages of their numbers; with messages one by one these are ticks.
+    """
     topics: dict[str, list[tuple[int, bytes]]] = {}
-    begin, turn = 0, 0
+    begin, turn, events = 0, 0, events or {}
     while begin < len(messages):
-        part = messages[begin : begin + sizes[turn % len(sizes)]]
-        received = START + np.arange(begin, begin + len(part)) // 2  # some arrive at the same time
-        published: list[Publication] = monitor.mixed_states(received, together(part))
+        if begin in events:
+            EVENTS[events[begin]](monitor)
+        end = min([begin + sizes[turn % len(sizes)], len(messages), *(at for at in events if at > begin)])
+        received = START + np.arange(begin, end) // 2  # some arrive at the same time
+        due = [Due(at - begin, START + at, 7 * at, {}) for at in sorted(reports) if begin <= at < end]
+        published: list[Publication] = []
+        if end == begin + 1:
+            published, due = [monitor.tick(*each[1:]) for each in due], []
+        published += monitor.mixed_states(received, together(messages[begin:end]), due=due)
         for encoded in map(encode, published):
             rows = zip(encoded.received.tolist(), map(bytes, encoded.rows), strict=True)
             topics.setdefault(encoded.topic, []).extend(rows)
-        begin, turn = begin + len(part), turn + 1
+        begin, turn = end, turn + 1
     return topics, monitor.tick(START + len(messages), START, {})
 
 
-def monitor_of(given: Config, with_map: bool) -> Monitor:
-    monitor = Monitor(given)
+def use_maps(monitor: Monitor) -> None:
     for name, table in MAPS.items():
-        if with_map:
-            monitor.use_map(name, table)
-    return monitor
+        monitor.use_map(name, table)
 
 
-@hypothesis.settings(max_examples=60, suppress_health_check=[hypothesis.HealthCheck.too_slow])
+EVENTS: dict[str, Callable[[Monitor], object]] = {
+    "configure": lambda monitor: monitor.configure(OTHER),
+    "back": lambda monitor: monitor.configure(CONFIG),
+    "maps": use_maps,
+    "temperature": lambda monitor: monitor.temperature("a", 31.5),
+    "window": Monitor.begin_window,
+}
+
+
+@hypothesis.settings(max_examples=100, suppress_health_check=[hypothesis.HealthCheck.too_slow])
 @hypothesis.given(
     kind=st.sampled_from(sorted(SHAPES)),
     seed=st.integers(0, 2**32),
@@ -138,24 +162,29 @@ def monitor_of(given: Config, with_map: bool) -> Monitor:
     disorder=st.sampled_from([0.0, 0.0, 0.03, 0.3]),
     spoiled=st.sampled_from([0.0, 0.0, 0.02, 0.3]),
     sizes=st.lists(st.integers(1, 60), min_size=1, max_size=4),
-    with_map=st.booleans(),
+    events=st.dictionaries(st.integers(0, 60), st.sampled_from(sorted(EVENTS)), max_size=4),
+    reports=st.frozensets(st.integers(0, 89), max_size=5),
 )
 def test_many_at_once_is_one_at_a_time(
-    kind: str, seed: int, count: int, disorder: float, spoiled: float, sizes: list[int], with_map: bool
+    kind: str,
+    seed: int,
+    count: int,
+    disorder: float,
+    spoiled: float,
+    sizes: list[int],
+    events: dict[int, str],
+    reports: frozenset[int],
 ) -> None:
     messages = drawn(kind, random.Random(seed), count, disorder, spoiled, LAGS)
-    once = play(monitor_of(CONFIG, with_map), messages, sizes)
-    assert once == play(monitor_of(CONFIG, with_map), messages, [1])
+    once = play(Monitor(CONFIG), messages, sizes, events, reports)
+    assert once == play(Monitor(CONFIG), messages, [1], events, reports)
 
 
-def test_an_extended_model_runs_along_both_streams(tmp_path: Any) -> None:
+def test_an_extended_model_runs_along_both_streams(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write_model(tmp_path / "model.json", "viscous_windup", "hysteresis")
     given = config(joint_1__model_file=str(path))
-    shapes = {"x": [(("joint_1_motor",), "pv"), (("joint_1",), "pe")]}
-    messages = []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(SHAPES, "x", shapes["x"])
-        messages = drawn("x", random.Random(8), 400)
+    monkeypatch.setitem(SHAPES, "x", [(("joint_1_motor",), "pv"), (("joint_1",), "pe")])
+    messages = drawn("x", random.Random(8), 400)
     once = play(Monitor(given), messages, [133])
     assert len(once[0]["~/residual"]) > 150
     assert once == play(Monitor(given), messages, [1])
@@ -164,12 +193,12 @@ def test_an_extended_model_runs_along_both_streams(tmp_path: Any) -> None:
 def test_efforts_that_a_robot_does_not_measure_do_not_matter() -> None:
     """nan in every message, as broadcasters fill them: taken at once, and as if there were none."""
     found = []
-    for efforts in ("pe", "p"):
+    for efforts in ([np.nan, np.nan], None):
         messages = drawn("motors and links", random.Random(1), 100)
         for message in messages:
             if message.names == OUTPUTS[0]:
-                message.columns[2] = [np.nan, np.nan] if efforts == "pe" else None
-        found.append(play(monitor_of(CONFIG, True), messages, [100]))
+                message.columns[2] = efforts
+        found.append(play(Monitor(CONFIG), messages, [100], {0: "maps"}))
     assert found[0] == found[1]
 
 

@@ -1,7 +1,5 @@
 """Messages as bytes: exactly what rosbags serializes."""
 
-import json
-
 import numpy as np
 import pytest
 from bag_samples import joint_state_cdr
@@ -9,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hd_diag.messages.encoding import encode_float64_multiarray, encode_joint_states
-from hd_diag.messages.publications import DIAGNOSTICS, encode
+from hd_diag.messages.publications import DIAGNOSTICS, STRING, encode, read_string, string
 from hd_diag.messages.schemas import jazzy, serialize
 from hd_diag.monitor.publications import Report, Status
 
@@ -52,16 +50,27 @@ def test_multiarrays_are_what_rosbags_serializes(dims, count, chance):
     assert [row.tobytes() for row in encoded] == expected
 
 
-def test_a_report_is_a_diagnostic_array():
-    status = Status("a", 2, "Überlast", {"fault_code": "OK", "x": "1.0"})
-    encoded = encode(Report("/diagnostics", 7, 3 * 10**9 + 5, (status,)), "/robot/hd_diag")
+values_ = st.dictionaries(text, text, min_size=1, max_size=4)
+
+
+@given(st.lists(st.tuples(text, st.integers(0, 2), text, values_), min_size=1, max_size=3))
+def test_reports_are_what_rosbags_serializes(drawn):
+    encoded = encode(Report("/diagnostics", 7, 3 * 10**9 + 5, [Status(*each) for each in drawn]), "/robot")
     assert (encoded.topic, encoded.type_name, encoded.received.tolist()) == ("/diagnostics", DIAGNOSTICS, [7])
-    message = jazzy().deserialize_cdr(encoded.rows[0], DIAGNOSTICS)
-    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (3, 5)
-    (found,) = message.status
-    assert (found.level, found.name, found.message) == (2, "hd_diag: a", "Überlast")
-    assert found.hardware_id == "/robot/hd_diag/a"
-    assert json.dumps({pair.key: pair.value for pair in found.values}) == json.dumps(status.values)
+    types = jazzy().types
+    header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](3, 5), "")
+    status, pair = types["diagnostic_msgs/msg/DiagnosticStatus"], types["diagnostic_msgs/msg/KeyValue"]
+    statuses = [
+        status(level, f"hd_diag: {joint}", told, f"/robot/{joint}", list(map(pair, values, values.values())))
+        for joint, level, told, values in drawn
+    ]
+    assert encoded.rows == [serialize(types[DIAGNOSTICS](header, statuses), DIAGNOSTICS)]
+
+
+@given(text)
+def test_strings_are_what_rosbags_serializes(value):
+    assert string(value) == serialize(jazzy().types[STRING](value), STRING)
+    assert read_string(string(value)) == value
 
 
 def test_wrong_shapes_are_refused():

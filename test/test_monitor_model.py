@@ -1,4 +1,4 @@
-"""Joints that run by an extended model: live, replayed and fitted alike, and what their diagnostics say."""
+"""Joints that run by an extended model: live, replayed and fitted alike; their diagnostics."""
 
 import dataclasses
 import itertools
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from live import MS, RATIO, START, config, message, states
 from logs import Log, content
-from models import OFFSET, RANGES, STATEFUL, VALUES, motion, write_model
+from models import OFFSET, RANGES, VALUES, motion, write_model
 from numpy.testing import assert_allclose
 
 from hd_diag.bag import BagReader
@@ -122,21 +122,17 @@ def test_predictions_are_the_models(modelled: Config, velocity: bool) -> None:
 
 
 @pytest.mark.parametrize("velocity", [False, True], ids=["angles", "velocity"])
-@pytest.mark.parametrize("mapped", [False, True], ids=["exact", "map"])
-def test_many_at_once_is_one_at_a_time(modelled: Config, mapped: bool, velocity: bool) -> None:
+def test_many_at_once_is_one_at_a_time(modelled: Config, velocity: bool) -> None:
     """To the last bit, the diagnostics too."""
     messages, found, told = columns(300, velocity), [], []
+    table = map_of(modelled.joints[0])
     for cuts in ([], [7, 8, 150], list(range(1, 300))):
         monitor = Monitor(modelled)
-        if mapped:
-            assert monitor.use_map("joint_1", TABLES.setdefault("table", map_of(modelled.joints[0])))
+        assert monitor.use_map("joint_1", table)
         found.append(errors(monitor, messages, cuts, "~/residual").tobytes())
         told.append(monitor.tick(START + 10**9, START, FACTS))
     assert found[0] == found[1] == found[2]
     assert told[0] == told[1] == told[2]
-
-
-TABLES: dict[str, Any] = {}
 
 
 def test_the_map_is_of_the_refitted_mesh(modelled: Config) -> None:
@@ -212,12 +208,14 @@ def residuals(path: Path) -> np.ndarray:
     return np.concatenate([c.position[:, 0] for part in every for c in part])
 
 
-def test_live_replay_and_fit_agree(modelled: Config, model_path: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("mapped", [False, True], ids=["exact", "map"])
+def test_live_replay_and_fit_agree(modelled: Config, model_path: Path, tmp_path: Path, mapped: bool) -> None:
     """Bit for bit from the log, though the model's file is gone; to 1e-9 rad with the fit's evaluation."""
     log = Log(tmp_path / "live.mcap")
     session = Session(modelled, log)
     session.start(next(log.clock))
-    session.use_map(next(log.clock), "joint_1", map_of(modelled.joints[0]))
+    if mapped:
+        session.use_map(next(log.clock), "joint_1", map_of(modelled.joints[0]))
     play(log, session, COUNT)
     session.tick(next(log.clock), START, FACTS)
     log.writer.close()
@@ -232,18 +230,7 @@ def test_live_replay_and_fit_agree(modelled: Config, model_path: Path, tmp_path:
     record = read_bags([tmp_path / "live.mcap"], joint)
     assert record.size == COUNT
     model = model_of(modelled)
-    fit = running_residual(model, record, record.reported_torque, model.torsion_map)
-    assert_allclose(residuals(tmp_path / "live.mcap"), fit, rtol=0.0, atol=AGREEMENT)
-
-
-def test_fit_and_monitor_agree_without_a_map(modelled: Config, tmp_path: Path) -> None:
-    log = Log(tmp_path / "live.mcap")
-    session = Session(modelled, log)
-    session.start(next(log.clock))
-    play(log, session, COUNT)
-    log.writer.close()
-    record = read_bags([tmp_path / "live.mcap"], modelled.joints[0])
-    fit = running_residual(model_of(modelled), record, record.reported_torque, None)
+    fit = running_residual(model, record, record.reported_torque, model.torsion_map if mapped else None)
     assert_allclose(residuals(tmp_path / "live.mcap"), fit, rtol=0.0, atol=AGREEMENT)
 
 
@@ -391,17 +378,18 @@ def test_without_a_model_orders_are_told_but_raise_nothing() -> None:
 # Orders of the residual ---
 
 
-def fed(time: np.ndarray, angle: np.ndarray, residual: np.ndarray) -> ResidualOrders:
-    orders = ResidualOrders()
-    orders.add(START + np.round(time * 1e9).astype(np.int64), angle, angle / RATIO, residual)
-    return orders
+def fed(time: np.ndarray, angle: np.ndarray, residual: np.ndarray) -> dict[tuple[str, int], float]:
+    """Amplitudes of the orders that the motion shows."""
+    stamp = START + np.round(time * 1e9).astype(np.int64)
+    (found,) = ResidualOrders().add(stamp, angle, angle / RATIO, residual, np.array([stamp.size]))
+    return {order: value for order, value in zip(ORDERS, found, strict=True) if np.isfinite(value)}
 
 
 def test_orders_are_told_apart_and_forgotten() -> None:
     time = 2e-3 * np.arange(60_000)
     angle = 50.0 * time
     wave = np.where(time < 60.0, 3.0 * np.cos(2.0 * angle), 1.0 * np.sin(angle)) + 7.0
-    early, late = (fed(time[:n], angle[:n], wave[:n]).amplitudes() for n in (30_000, 60_000))
+    early, late = (fed(time[:n], angle[:n], wave[:n]) for n in (30_000, 60_000))
     assert early["input", 2] == pytest.approx(3.0, rel=1e-3)
     assert early["input", 1] < 0.01
     recent = (1.0 - np.exp(-2.0)) / (1.0 - np.exp(-4.0))  # weight of the second of two minutes' halves
@@ -414,31 +402,13 @@ def test_rest_is_not_motion() -> None:
     angle = np.where(time < 10.0, 50.0 * time, 500.0)
     wave = np.cos(2.0 * angle)
     moving = time <= 10.0
-    assert fed(time, angle, wave).amplitudes() == fed(time[moving], angle[moving], wave[moving]).amplitudes()
+    assert fed(time, angle, wave) == fed(time[moving], angle[moving], wave[moving])
 
 
 def test_orders_that_the_motion_does_not_show_are_left_out() -> None:
     time = 2e-3 * np.arange(2000)
-    amplitudes = fed(time, 20.0 * time, np.cos(40.0 * time)).amplitudes()
+    amplitudes = fed(time, 20.0 * time, np.cos(40.0 * time))
     assert ("output", 1) not in amplitudes
     assert amplitudes["input", 2] == pytest.approx(1.0, rel=1e-3)
-    assert fed(time, 0.1 * np.sin(time), np.ones(2000)).amplitudes() == {}
-    assert fed(time[:50], 20.0 * time[:50], np.ones(50)).amplitudes() == {}
-
-
-def test_chunks_of_samples_are_the_same_to_the_last_bit() -> None:
-    random = np.random.default_rng(0)
-    time, angle, *_ = motion(900)
-    residual = random.normal(size=900)
-    residual[::40] = np.nan
-    stamp = START + np.round(time * 1e9).astype(np.int64)
-    single, whole = ResidualOrders(), fed(time, angle, residual)
-    for i in range(900):
-        at = slice(i, i + 1)
-        single.add(stamp[at], angle[at], angle[at] / RATIO, residual[at])
-    assert single.amplitudes() == whole.amplitudes()
-    assert whole.amplitudes()
-
-
-def test_stateful_effects_are_in_the_test() -> None:
-    assert set(STATEFUL) < set(EFFECTS)
+    assert fed(time, 0.1 * np.sin(time), np.ones(2000)) == {}
+    assert fed(time[:50], 20.0 * time[:50], np.ones(50)) == {}

@@ -6,16 +6,19 @@ import functools
 import math
 import struct
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.arrays import Bytes
+from hd_diag.arrays import Bytes, Integers
+from hd_diag.messages.joint_states import kernel
 
-_NANOSECONDS = 1_000_000_000
-_HEADER = b"\0\1\0\0"
+HEADER = b"\0\1\0\0"
+"""Of a CDR message, little endian."""
+
 _ARRAYS = ("position", "velocity", "effort")
+_NOTHING = np.empty((0, 0))
+_UINT32 = struct.Struct("<I")
 
 
 def encode_joint_states(
@@ -43,23 +46,19 @@ def encode_joint_states(
     ValueError
         Where shapes do not agree or a stamp does not fit into a ROS time.
     """
-    time = np.atleast_1d(np.asarray(stamps, np.int64))
-    values = {}
-    for what, given in zip(_ARRAYS, (position, velocity, effort), strict=True):
+    time = np.asarray(stamps, np.int64).reshape(-1)
+    shape, values, present = (time.size, len(names)), [_NOTHING] * 3, []
+    for number, given in enumerate((position, velocity, effort)):
         if given is not None:
-            values[what] = value = np.asarray(given)
-            if value.shape != (len(time), len(names)):
-                raise ValueError(f"{what}: shape {(len(time), len(names))} is needed, got {value.shape}")
-    template, layout = _joint_state(tuple(names), frame_id, tuple(values))
-    second = time // _NANOSECONDS
-    rows = np.frombuffer(bytearray(template * len(time)), layout)
-    rows["second"], rows["nano"] = second, time - second * _NANOSECONDS
-    if rows["second"].astype(np.int64).tobytes() != second.tobytes():
-        raise ValueError(f"stamps: seconds beyond 32 bits, {int(second.min())} to {int(second.max())}")
-    if names:
-        for what, value in values.items():
-            rows[what] = value
-    return rows.view(np.uint8).reshape(len(time), len(template))
+            values[number] = value = np.ascontiguousarray(given, np.float64)
+            present.append(number)
+            if value.shape != shape:
+                raise ValueError(f"{_ARRAYS[number]}: shape {shape} is needed, got {value.shape}")
+    template, places = _joint_state(tuple(names), frame_id, tuple(present))
+    rows = np.empty((time.size, template.size), np.int32)
+    if not kernel().write(rows, template, time, *values, places):
+        raise ValueError(f"stamps: seconds beyond 32 bits, from {time.min()} to {time.max()} ns")
+    return rows.view(np.uint8)
 
 
 def encode_float64_multiarray(dims: Sequence[tuple[str, int]], data: npt.ArrayLike) -> Bytes:
@@ -90,43 +89,33 @@ def encode_float64_multiarray(dims: Sequence[tuple[str, int]], data: npt.ArrayLi
 
 @functools.lru_cache(maxsize=256)
 def _joint_state(
-    names: tuple[str, ...], frame_id: str, present: tuple[str, ...]
-) -> tuple[bytes, np.dtype[Any]]:
-    """Message with zeros for stamp and values, and its layout (second, nano, the arrays)."""
-    body = bytearray(8) + _string(frame_id)
-    body += _padding(body, 4) + struct.pack("<I", len(names))
-    for name in names:
-        body += _padding(body, 4) + _string(name)
-    fields: dict[str, tuple[Any, int]] = {"second": ("<i4", 4), "nano": ("<u4", 8)}
-    for what in _ARRAYS:
-        count = len(names) if what in present else 0
-        body += _padding(body, 4) + struct.pack("<I", count)
+    names: tuple[str, ...], frame_id: str, present: tuple[int, ...]
+) -> tuple[npt.NDArray[np.int32], Integers]:
+    """Words of a message with zeros for stamp and values; places of the three arrays, 0 for an empty one."""
+    body, places = bytearray(8) + text(frame_id) + _UINT32.pack(len(names)), [0, 0, 0]
+    body += b"".join(map(text, names))
+    for number in range(3):
+        count = len(names) if number in present else 0
+        body += _UINT32.pack(count)
         if count:
-            body += _padding(body, 8)
-            fields[what] = (("<f8", (count,)), len(_HEADER) + len(body))
+            body += bytes(-len(body) % 8)
+            places[number] = (len(HEADER) + len(body)) // 4
             body += bytes(8 * count)
-    template = _HEADER + bytes(body)
-    formats, offsets = zip(*fields.values(), strict=True)
-    spec = {"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": len(template)}
-    return template, np.dtype(spec)  # type: ignore[call-overload]
+    return np.frombuffer(HEADER + body, np.int32), np.array(places)
 
 
 @functools.lru_cache(maxsize=256)
 def _multiarray(dims: tuple[tuple[str, int], ...]) -> bytes:
     """Message up to its values."""
     lengths = [size for _, size in dims]
-    body = bytearray(struct.pack("<I", len(dims)))
+    body = _UINT32.pack(len(dims))
     for i, (label, size) in enumerate(dims):
-        body += _padding(body, 4) + _string(label)
-        body += _padding(body, 4) + struct.pack("<II", size, math.prod(lengths[i:]))
-    body += _padding(body, 4) + struct.pack("<II", 0, math.prod(lengths))
-    return _HEADER + bytes(body + (_padding(body, 8) if math.prod(lengths) else b""))
+        body += text(label) + struct.pack("<II", size, math.prod(lengths[i:]))
+    body += struct.pack("<II", 0, math.prod(lengths))
+    return HEADER + body + bytes(-len(body) % 8 if math.prod(lengths) else 0)
 
 
-def _string(text: str) -> bytes:
-    data = text.encode() + b"\0"
-    return struct.pack("<I", len(data)) + data
-
-
-def _padding(body: bytearray, alignment: int) -> bytes:
-    return bytes(-len(body) % alignment)
+def text(value: str, alignment: int = 4) -> bytes:
+    """A string in a message, filled up to where a value of this alignment may follow."""
+    data = value.encode() + b"\0"
+    return _UINT32.pack(len(data)) + data + bytes(-len(data) % alignment)

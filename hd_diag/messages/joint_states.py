@@ -7,15 +7,16 @@ values.
 
 from __future__ import annotations
 
+import functools
+import itertools
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from hd_diag.arrays import Bytes
+from hd_diag.arrays import Bytes, Integers, Times
 from hd_diag.streams.columns import JointStates
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -24,7 +25,7 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 _REMEMBERED = 64
 # A batch with more layouts than this is decoded message by message.
 _MAX_LAYOUTS = 16
-_NANOSECONDS = 1_000_000_000
+_FIRST = np.zeros(1, np.int64)
 
 
 class Rejection(NamedTuple):
@@ -34,19 +35,20 @@ class Rejection(NamedTuple):
     reason: str
 
 
-@dataclass(frozen=True)
-class Layout:
+class Layout(NamedTuple):
     """Where things are in messages of one shape: byte order ('<' or '>'), names, frame, and places [byte].
 
-    `arrays` are the places of position, velocity and effort, 0 for an empty one; `fixed` the ranges that are
-    the same in all messages, with their content.
+    `present` tells which of position, velocity and effort there are, `places` where; `fixed` (m, 2) are the
+    ranges that are the same in all messages as in the `template`.
     """
 
     order: str
     names: tuple[str, ...]
     frame_id: str
-    arrays: tuple[int, int, int]
-    fixed: tuple[tuple[int, int, bytes], ...]
+    present: tuple[bool, ...]
+    places: Integers
+    template: Bytes
+    fixed: Integers
 
 
 def layout_of(data: bytes) -> Layout:
@@ -65,18 +67,27 @@ def layout_of(data: bytes) -> Layout:
     if count > walk.left // 4:
         raise ValueError(f"claims {count} names")
     names = tuple(walk.string() for _ in range(count))
-    fixed, arrays, begin = [(0, 4, data[0:4])], [], 12
+    fixed, places, begin = [(0, 4)], [], 12
     for what in ("position", "velocity", "effort"):
         length = walk.uint32()
         if length > walk.left // 8:
             raise ValueError(f"is cut off: claims {length} values of {what}")
         if length not in (0, count):
             raise ValueError(f"has {length} values of {what} for {count} names")
-        fixed.append((begin, walk.position, data[begin : walk.position]))
-        arrays.append(walk.doubles(length))
+        fixed.append((begin, walk.position))
+        places.append(walk.doubles(length))
         begin = walk.position
     # What follows is padding, as rclpy adds where the last array is empty: readers ignore it.
-    return Layout(walk.order, names, frame_id, (arrays[0], arrays[1], arrays[2]), tuple(fixed))
+    present, template = tuple(map(bool, places)), np.frombuffer(data, np.uint8)
+    return Layout(
+        walk.order,
+        names,
+        frame_id,
+        present,
+        np.array([*filter(None, places)], np.int64),
+        template,
+        np.array(fixed),
+    )
 
 
 class _Walk:
@@ -130,39 +141,55 @@ class JointStateDecoder:
 
     def decode(self, data: bytes | memoryview) -> JointStates:
         """Columns, n = 1, of one message; ValueError says how it is malformed."""
-        if not isinstance(data, bytes):
-            data = bytes(data)
-        layout = self._layout(data)
-        second, nano = _STAMPS[layout.order](data, 4)
-        if nano >= _NANOSECONDS:
-            raise ValueError(_bad_nanoseconds(nano))
-        count, value = len(layout.names), _DOUBLES[layout.order]
-        values = [
-            np.frombuffer(data, value, count, place).reshape(1, count).astype(np.float64, copy=False)
-            if place
-            else None
-            for place in layout.arrays
-        ]
-        stamp = np.array([second * _NANOSECONDS + nano])
-        return JointStates(_FIRST, stamp, layout.names, layout.frame_id, *values)
+        columns: list[JointStates] = []
+        rejected: list[Rejection] = []
+        self._rows(np.frombuffer(data, np.uint8).reshape(1, -1), _FIRST, columns, rejected)
+        if rejected:
+            raise ValueError(rejected[0].reason)
+        return columns[0]
 
-    def _layout(self, data: bytes) -> Layout:
-        for layout in self._layouts.get(len(data), ()):
-            for start, stop, content in layout.fixed:
-                if data[start:stop] != content:
-                    break
+    def columns(
+        self, payload: Bytes | Sequence[bytes | memoryview]
+    ) -> tuple[list[JointStates], list[Rejection]]:
+        """Columns of messages, as `decode_joint_states`."""
+        columns: list[JointStates] = []
+        rejected: list[Rejection] = []
+        if isinstance(payload, np.ndarray):
+            self._rows(payload, np.arange(len(payload)), columns, rejected)
+            return columns, sorted(rejected)
+        sizes: dict[int, list[int]] = {}
+        for index, data in enumerate(payload):
+            sizes.setdefault(len(data), []).append(index)
+        for same in sizes.values():
+            joined = bytes(payload[same[0]]) if len(same) == 1 else b"".join(payload[i] for i in same)
+            rows = np.frombuffer(joined, np.uint8).reshape(len(same), -1)
+            self._rows(rows, np.array(same), columns, rejected)
+        return sorted(columns, key=_first_row) if len(columns) > 1 else columns, sorted(rejected)
+
+    def _rows(self, rows: Bytes, index: Times, columns: list[JointStates], rejected: list[Rejection]) -> None:
+        """Decode messages of one size: those of known layouts, and of others as they come."""
+        known = self._layouts.setdefault(rows.shape[1], []) if len(rows) else []
+        for layout in [*known]:
+            rows, index = _take(layout, rows, index, columns, rejected)
+            if not len(rows):
+                return
+        found = 0
+        while len(rows):
+            try:
+                layout = layout_of(rows[0].tobytes())
+            except ValueError as exc:
+                rejected.append(Rejection(int(index[0]), str(exc)))
+                rows, index = rows[1:], index[1:]
+                continue
+            found += 1
+            if found <= _MAX_LAYOUTS:
+                if sum(map(len, self._layouts.values())) >= _REMEMBERED:
+                    self._layouts.clear()
+                self._layouts.setdefault(rows.shape[1], []).append(layout)
+                rows, index = _take(layout, rows, index, columns, rejected)
             else:
-                return layout
-        layout = layout_of(data)
-        if sum(map(len, self._layouts.values())) >= _REMEMBERED:
-            self._layouts.clear()
-        self._layouts.setdefault(len(data), []).append(layout)
-        return layout
-
-
-_FIRST = np.zeros(1, np.int64)
-_STAMPS = {order: struct.Struct(order + "iI").unpack_from for order in "<>"}
-_DOUBLES = {"<": np.dtype("<f8"), ">": np.dtype(">f8")}
+                _take(layout, rows[:1], index[:1], columns, rejected)
+                rows, index = rows[1:], index[1:]
 
 
 def decode_joint_states(
@@ -182,92 +209,38 @@ def decode_joint_states(
     rejected : list of Rejection
         Malformed messages, in order.
     """
-    columns: list[JointStates] = []
-    rejected: list[Rejection] = []
-    if isinstance(payload, np.ndarray):
-        _decode_rows(payload, np.arange(len(payload)), columns, rejected)
-        return columns, sorted(rejected)
-    sizes: dict[int, list[int]] = {}
-    for index, data in enumerate(payload):
-        sizes.setdefault(len(data), []).append(index)
-    for same in sizes.values():
-        rows = np.frombuffer(b"".join(payload[i] for i in same), np.uint8).reshape(len(same), -1)
-        _decode_rows(rows, np.array(same), columns, rejected)
-    return sorted(columns, key=lambda c: int(c.row[0])), sorted(rejected)
-
-
-def _decode_rows(
-    rows: Bytes, index: npt.NDArray[np.int64], columns: list[JointStates], rejected: list[Rejection]
-) -> None:
-    """Decode messages of one size; all that share the layout of the first are done at once, and so on."""
-    for _ in range(_MAX_LAYOUTS):
-        if not len(rows):
-            return
-        try:
-            layout = layout_of(rows[0].tobytes())
-        except ValueError as exc:
-            rejected.append(Rejection(int(index[0]), str(exc)))
-            rows, index = rows[1:], index[1:]
-            continue
-        same = _matches(layout, rows)
-        if same.all():
-            _take(layout, rows, index, columns, rejected)
-            return
-        _take(layout, rows[same], index[same], columns, rejected)
-        rows, index = rows[~same], index[~same]
-    _decode_singly(rows, index, columns, rejected)
-
-
-def _decode_singly(
-    rows: Bytes, index: npt.NDArray[np.int64], columns: list[JointStates], rejected: list[Rejection]
-) -> None:
-    for row, number in zip(rows, index, strict=True):
-        try:
-            layout = layout_of(row.tobytes())
-        except ValueError as exc:
-            rejected.append(Rejection(int(number), str(exc)))
-        else:
-            _take(layout, row[None], np.array([number]), columns, rejected)
-
-
-def _matches(layout: Layout, rows: Bytes) -> npt.NDArray[np.bool_]:
-    """Which rows have this layout, shape (n,)."""
-    same = np.ones(len(rows), bool)
-    for start, stop, content in layout.fixed:
-        if stop > start:  # as texts of one length, which numpy compares at once
-            same &= _column(rows, start, stop - start, f"S{stop - start}")[:, 0] == content
-    return same
+    return JointStateDecoder().columns(payload)
 
 
 def _take(
-    layout: Layout,
-    rows: Bytes,
-    index: npt.NDArray[np.int64],
-    columns: list[JointStates],
-    rejected: list[Rejection],
-) -> None:
-    time = _column(rows, 4, 8, layout.order + "u4").astype(np.int64)
-    nano = time[:, 1]
-    if int(nano.max()) >= _NANOSECONDS:
-        bad = nano >= _NANOSECONDS
-        rejected += [
-            Rejection(int(i), _bad_nanoseconds(int(n))) for i, n in zip(index[bad], nano[bad], strict=True)
-        ]
-        rows, index, time, nano = rows[~bad], index[~bad], time[~bad], nano[~bad]
-        if not len(rows):
-            return
-    second = time[:, 0].astype(np.uint32).view(np.int32).astype(np.int64)
-    size = 8 * len(layout.names)
-    values = [
-        _column(rows, place, size, layout.order + "f8").astype(np.float64, copy=False) if place else None
-        for place in layout.arrays
-    ]
-    columns.append(JointStates(index, second * _NANOSECONDS + nano, layout.names, layout.frame_id, *values))
+    layout: Layout, rows: Bytes, index: Times, columns: list[JointStates], rejected: list[Rejection]
+) -> tuple[Bytes, Times]:
+    """Decode the messages that have a layout; gives the others with their positions."""
+    count, width = len(rows), len(layout.names)
+    stamp, values = np.empty(count, np.int64), np.empty((count, layout.places.size * width))
+    fate, rest = np.zeros(count, np.uint8), (rows[:0], index[:0])
+    known = layout.template, layout.fixed, layout.places, layout.order == ">"
+    if kernel().read(np.ascontiguousarray(rows), *known, stamp, values, fate):
+        for row in np.flatnonzero(fate == kernel().BAD_STAMP).tolist():
+            text = f"has a stamp with {stamp[row]} nanoseconds, 1e9 or more"
+            rejected.append(Rejection(int(index[row]), text))
+        is_read, is_other = fate == kernel().READ, fate == kernel().OTHER
+        rest = rows[is_other], index[is_other]
+        stamp, values, index = stamp[is_read], values[is_read], index[is_read]
+    if index.size:
+        begins = itertools.count(0, width)
+        arrays = [values[:, (at := next(begins)) : at + width] if there else None for there in layout.present]
+        columns.append(JointStates(index, stamp, layout.names, layout.frame_id, *arrays))
+    return rest
 
 
-def _column(rows: Bytes, place: int, size: int, kind: str) -> npt.NDArray[Any]:
-    return np.ascontiguousarray(rows[:, place : place + size]).view(kind)
+def _first_row(states: JointStates) -> int:
+    return int(states.row[0])
 
 
-def _bad_nanoseconds(nano: int) -> str:
-    return f"has a stamp with {nano} nanoseconds, 1e9 or more"
+@functools.cache
+def kernel() -> ModuleType:
+    """What is compiled, imported when first needed."""
+    from hd_diag.messages import kernel as compiled
+
+    return compiled

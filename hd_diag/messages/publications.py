@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import functools
+import struct
+from collections.abc import Mapping, Sequence, Sized
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from hd_diag.arrays import Bytes, Times
-from hd_diag.messages.encoding import encode_float64_multiarray, encode_joint_states
+from hd_diag.messages.encoding import HEADER, encode_float64_multiarray, encode_joint_states, text
 from hd_diag.messages.joint_states import JOINT_STATE as JOINT_STATE
 from hd_diag.messages.markers import MARKERS, drawing, marker_array
 from hd_diag.messages.schemas import jazzy, serialize
@@ -78,9 +80,9 @@ def resolved(topic: str, node: str = "/hd_diag") -> str:
     return node + topic[1:] if topic.startswith("~") else topic
 
 
-def string(text: str) -> bytes:
+def string(value: str) -> bytes:
     """CDR of a std_msgs/String."""
-    return serialize(jazzy().types[STRING](text), STRING)
+    return HEADER + text(value, 1)
 
 
 def read_string(data: bytes) -> str:
@@ -132,14 +134,24 @@ def _markers(drawings: Drawings) -> list[bytes]:
 
 def _diagnostics(report: Report, node: str) -> bytes:
     """The hardware is the node's joint, named as its topics begin: other nodes may have one of that name."""
-    types = jazzy().types
-    status, pair = types["diagnostic_msgs/msg/DiagnosticStatus"], types["diagnostic_msgs/msg/KeyValue"]
-    statuses = [
-        status(s.level, s.name, s.message, f"{node}/{s.joint}", [pair(k, v) for k, v in s.values.items()])
-        for s in report.statuses
-    ]
-    header = types["std_msgs/msg/Header"](_time(report.stamp), "")
-    return serialize(types[DIAGNOSTICS](header, statuses), DIAGNOSTICS)
+    body = bytearray(struct.pack("<iI", *divmod(report.stamp, _NANOSECONDS)) + text(""))
+    body += _count(report.statuses)
+    for status in report.statuses:
+        body.append(status.level)
+        parts = [bytes(-len(body) % 4), text(status.name), text(status.message)]
+        parts += [text(f"{node}/{status.joint}"), _count(status.values)]
+        for key, value in status.values.items():
+            parts += [_key(key), text(value)]
+        parts[-1] = text(value, 1)
+        body += b"".join(parts)
+    return HEADER + bytes(body)
+
+
+def _count(values: Sized) -> bytes:
+    return struct.pack("<I", len(values))
+
+
+_key = functools.cache(text)  # of diagnostics, which are the same in every report
 
 
 def _parameter(name: str, value: Any) -> Any:

@@ -8,21 +8,32 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from hd_diag.arrays import Floats, Times
+from hd_diag.arrays import Floats, Integers, Times
 from hd_diag.drive import Drives, MeshState, mesh_state
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.model.transmission_error import Frame
-from hd_diag.monitor.health import report
-from hd_diag.monitor.joint import Joint, names_of
-from hd_diag.monitor.publications import Drawings, Errors, Publication, Report, ToothArrays, angles
+from hd_diag.monitor.health import Around, reports
+from hd_diag.monitor.joint import Joint, Window, names_of
+from hd_diag.monitor.publications import (
+    NO_ERRORS,
+    Drawings,
+    Due,
+    Errors,
+    Publication,
+    Report,
+    ToothArrays,
+    angles,
+)
 from hd_diag.monitor.settings import JointConfig, MonitorConfig
-from hd_diag.streams.alignment import Aligned, Alignment, kernel
+from hd_diag.streams.alignment import Aligned, Alignment, Seen, kernel
 from hd_diag.streams.columns import JointStates
 
 _NEVER = -(2**62)  # number of a period
+_NO_TIMES = np.empty(0, np.int64)
 _KEPT = 256  # messages whose errors wait one by one; more are joined, for a report may be far
 
 
@@ -47,12 +58,14 @@ class Monitor:
         }
         self.periods = np.full((2, len(self.joints)), _NEVER)
         self._names = tuple(self.joints)
-        self._new: list[Errors] = []
+        self._reported = self.streams.joints[None].copy()
+        self._parts = [NO_ERRORS]  # since the last report, and in the orders of the residual
+        self._new: list[Errors] = []  # since then
         self._set_drives()
 
     def configure(self, config: MonitorConfig) -> None:
         """Use another configuration of the same joints from the next message on."""
-        self._note()
+        self._follow()
         for joint in config.joints:
             self.joints[joint.name].configure(joint)
         self.config = config
@@ -93,6 +106,7 @@ class Monitor:
         shapes: Sequence[JointStates],
         refused: Sequence[tuple[int, str]] = (),
         heard: Times | None = None,
+        due: Sequence[Due] = (),
     ) -> list[Publication]:
         """What messages of several layouts give.
 
@@ -106,19 +120,29 @@ class Monitor:
             Messages that cannot be read: position, and what they are.
         heard : ndarray of int64, shape (n,), optional
             When each arrived by the clock that is asked for silence [ns]; the same by default.
+        due : sequence of Due, optional
+            Reports between the messages, by row.
 
         Returns
         -------
         list of Publication
+            The reports are its end.
         """
-        samples = self.streams.take(received if heard is None else heard, shapes, refused)
-        if not samples.row.size:
-            return []
-        errors = self._compare(samples)
-        self._new.append(errors)
-        if len(self._new) >= _KEPT:
-            self._note()
-        return [*angles(received, errors, self._names), *self._teeth(received, samples)]
+        heard, published = received if heard is None else heard, []
+        if due:
+            moments = [each.row for each in due], [each.now for each in due]
+            samples, seen = self.streams.take_and_look(heard, shapes, refused, *moments)
+        else:
+            samples = self.streams.take(heard, shapes, refused)
+        if samples.row.size:
+            errors = self._compare(samples)
+            self._new.append(errors)
+            published = [*angles(received, errors, self._names), *self._teeth(received, samples)]
+        if due:
+            published += self._reports(due, seen, samples.row.size)
+        elif len(self._new) >= _KEPT:
+            self._follow()
+        return published
 
     def clock_set_back(self, stamp: int) -> None:
         """Let joints whose last stamp is later than one [ns] begin anew: the clock was set back."""
@@ -138,50 +162,72 @@ class Monitor:
         """
         heard = self.streams.joints["heard"]
         heard[heard < 0] = now
-        silent = np.maximum(0.0, (now - heard) * 1e-9)
-        return dict(zip(self._names, silent.tolist(), strict=True))
+        return dict(zip(self._names, _seconds(now, heard), strict=True))
 
     def tick(
         self, now: int, stamp: int, facts: Mapping[str, str], silence: Mapping[str, float] | None = None
     ) -> Report:
-        """Diagnostics of all joints since the last ones.
-
-        Parameters
-        ----------
-        now : int
-            On the clock by which messages were received [ns].
-        stamp : int
-            For the message's header [ns].
-        facts : mapping
-            What the surroundings know: ``log_state``, ``latency_p99_us``.
-        silence : mapping of str to float, optional
-            As `silence` gave it [s]; by default it is asked at `now`.
-
-        Returns
-        -------
-        Report
-        """
-        silent = self.silence(now) if silence is None else silence
-        self._judge()
-        statuses = tuple(
-            report(joint, silent.get(name, math.nan), facts, self.streams.foreign)
-            for name, joint in self.joints.items()
-        )
-        for joint in self.joints.values():
-            joint.begin_window()
-        return Report("/diagnostics", now, stamp, statuses)
-
-    def _judge(self) -> None:
-        """Bring what a report tells up to date."""
-        self._note()
-        for joint in self.joints.values():
-            joint.judge()
+        """Diagnostics of all joints since the last ones, as in `Due`."""
+        (report,) = self.mixed_states(_NO_TIMES, (), due=[Due(0, now, stamp, facts, silence)])
+        assert isinstance(report, Report)
+        return report
 
     def begin_window(self) -> None:
         """Let the next report tell of what comes from now on."""
-        self._judge()
-        for joint in self.joints.values():
-            joint.begin_window()
+        self._windows(self.streams.joints[None], np.zeros(1, np.int64))
+
+    def _reports(self, due: Sequence[Due], seen: Seen, count: int) -> Iterator[Report]:
+        """Reports between the last samples that were taken together, `count` of them."""
+        windows = self._windows(seen.joints, seen.samples - count)
+        now = np.array([each.now for each in due])[:, None]
+        silences = [
+            dict(zip(self._names, row, strict=True)) if each.silence is None else each.silence
+            for each, row in zip(due, _seconds(now, seen.joints["heard"]), strict=True)
+        ]
+        statuses = [
+            [
+                Around(silent.get(name, math.nan), each.facts, reasons[number], foreign)
+                for silent, each, reasons, foreign in zip(
+                    silences, due, seen.last_rejections, seen.foreign.tolist(), strict=True
+                )
+            ]
+            for number, name in enumerate(self._names)
+        ]
+        by_joint = map(reports, self.joints.values(), windows, statuses)
+        for each, silent, of_all in zip(due, silences, zip(*by_joint, strict=True), strict=True):
+            yield Report("/diagnostics", each.now, each.stamp, of_all, each.facts, silent)
+
+    def _windows(self, seen: Any, ends: Integers) -> list[list[Window]]:
+        """What happened to each joint between reports that found it so (l, k).
+
+        They end at numbers of samples that are counted from the last one on, <= 0.
+        """
+        amplitudes = self._follow(ends)
+        every = Errors.joined(self._parts)
+        ends = every.predicted.size + ends
+        self._parts = [every.part(slice(int(ends[-1]), None))]
+        known = np.concatenate((self._reported, seen))
+        self._reported = known[-1:].copy()
+        windows = []
+        for number, joint in enumerate(self.joints.values()):
+            rows = np.flatnonzero(every.samples.joint == number)
+            own = every.part(rows), rows.searchsorted(ends), known[:, number], amplitudes[number]
+            windows.append(joint.windows(*own))
+        return windows
+
+    def _follow(self, ends: Integers = _NO_TIMES) -> list[Floats]:
+        """Take what is new into the residuals' orders; amplitudes (l, orders) of each joint at `ends`."""
+        new, found = Errors.joined([NO_ERRORS, *self._new]), []
+        self._parts.append(new)
+        self._new = []
+        samples, ends = new.samples, new.predicted.size + ends
+        has_output = np.isfinite(samples.output_angle)
+        for number, joint in enumerate(self.joints.values()):
+            rows = np.flatnonzero(has_output & (samples.joint == number))
+            own = samples.part(rows)
+            columns = own.stamp, own.input_angle, own.output_angle, new.residual[rows]
+            found.append(joint.orders.add(*columns, rows.searchsorted(ends)))
+        return found
 
     def _set_drives(self) -> None:
         joints = self.config.joints
@@ -213,14 +259,6 @@ class Monitor:
             rows = np.flatnonzero(samples.joint == number)
             predicted[rows], speed[rows] = self.joints[self._names[number]].predict(samples.part(rows))
         return predicted, speed
-
-    def _note(self) -> None:
-        """Give the joints what is new of them."""
-        if not self._new:
-            return
-        every, self._new = Errors.joined(self._new), []
-        for number, joint in enumerate(self.joints.values()):
-            joint.note(every.part(np.flatnonzero(every.samples.joint == number)))
 
     def _teeth(self, received: Times, samples: Aligned) -> Iterator[Publication]:
         """Per-tooth arrays and drawings where a period of their rates has begun."""
@@ -255,6 +293,12 @@ class Monitor:
             state.torsion,
             max(joint.limits["peak_tooth_load"].error, 1e-9),
         )
+
+
+def _seconds(now: Any, heard: Times) -> list[Any]:
+    """Silence of joints at a time [ns] since they were heard [ns]."""
+    silent: list[Any] = np.maximum(0.0, (now - heard) * 1e-9).tolist()
+    return silent
 
 
 def _state(joint: JointConfig, samples: Aligned) -> MeshState:

@@ -62,6 +62,7 @@ def _put(monitor: Monitor, state: Mapping[str, Any]) -> None:
     streams.texts = texts
     for name, joint in monitor.joints.items():
         _put_joint(joint, state["joints"][name])
+    monitor.begin_window()
 
 
 def _of_joint(joint: Joint) -> dict[str, Any]:
@@ -84,7 +85,6 @@ def _put_joint(joint: Joint, state: Mapping[str, Any]) -> None:
         own[...] = _array(text, own)
     for run, own in zip(joint.runs, state["runs"], strict=True):
         run.carry_on(own)
-    joint.begin_window()
 
 
 def _text(array: npt.NDArray[Any]) -> str:

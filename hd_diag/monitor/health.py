@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.drive import MeshState, mesh_state, transmission_error
+from hd_diag.drive import mesh_state, transmission_error
 from hd_diag.extended_model import Range
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor.joint import Joint, Window
 from hd_diag.monitor.publications import Status
+from hd_diag.monitor.residual_orders import ORDERS
 
 FAULT_CODES = (
     "LOG_FAILED",
@@ -39,101 +41,120 @@ _KELVIN = 2.0  # the same, of a temperature [K]
 Fault = tuple[str, int, str]
 
 
-def report(joint: Joint, silence: float, facts: Mapping[str, str], foreign: int) -> Status:
-    """Status of a joint.
+class Around(NamedTuple):
+    """What is known of a joint's surroundings at a report.
+
+    Time since its last input [s]; ``log_state`` and ``latency_p99_us``; why the last sample that could not be
+    used was refused; messages that named none of the configured joints.
+    """
+
+    silence: float
+    facts: Mapping[str, str]
+    last_rejection: str
+    foreign: int
+
+
+class _Mesh(NamedTuple):
+    """The teeth at a joint's last sample, and the predicted error over a turn at its torque, in SI."""
+
+    minimum_backlash: float
+    interference: bool
+    overlap: float
+    loaded_pairs: int
+    peak_load: float
+    load_concentration: float
+    lost_motion: float
+    predicted_span: float
+
+
+def reports(joint: Joint, windows: Sequence[Window], around: Sequence[Around]) -> list[Status]:
+    """Status of a joint at each of some reports.
 
     Parameters
     ----------
     joint : Joint
-        With what happened since the last report in its `window`.
-    silence : float
-        Time since its last input [s].
-    facts : mapping
-        ``log_state`` and ``latency_p99_us`` as the surroundings know them.
-    foreign : int
-        Messages that named none of the configured joints.
+    windows : sequence of Window
+        What happened before each of them since the one before.
+    around : sequence of Around
 
     Returns
     -------
-    Status
+    list of Status
         With the fault code of the worst finding, and numbers in the units that their keys name.
     """
-    window = joint.window
+    fixed = _configuration_values(joint), _model_values(joint)
+    return [
+        _status(joint, *each, fixed) for each in zip(windows, around, _meshes(joint, windows), strict=True)
+    ]
+
+
+def _status(
+    joint: Joint, window: Window, around: Around, mesh: _Mesh | None, fixed: Sequence[dict[str, str]]
+) -> Status:
     residual = float(np.std(window.residual)) if window.residual.size > 1 else math.nan
     mean = float(np.mean(window.residual)) if window.residual.size else math.nan
-    state, turn = _mesh(joint)
-    order, amplitude = _largest_order(joint)
-    faults = _faults(joint, window, facts, silence, residual, state)
-    faults += _model_faults(joint, window, order, amplitude)
-    faults = [fault for fault in faults if fault[1]]
-    faults.append(("OK", 0, "OK"))
+    order, amplitude = _largest_order(window.amplitudes)
+    faults = _faults(joint, window, around, residual, mesh) + _model_faults(joint, window, order, amplitude)
+    faults = [*(fault for fault in faults if fault[1]), ("OK", 0, "OK")]
     code, level, message = max(faults, key=lambda fault: (fault[1], -FAULT_CODES.index(fault[0])))
+    angle, torque = window.last or (math.nan, math.nan)
     values = {
         "fault_code": code,
         "fault_codes": " ".join(dict.fromkeys(fault[0] for fault in faults[:-1])) or "OK",
-        **_configuration_values(joint),
-        **_model_values(joint),
-        **_mesh_values(state, turn),
+        **fixed[0],
+        "input_angle_rad": _number(angle),
+        "torque_Nm": _number(torque),
+        **fixed[1],
+        **_mesh_values(mesh),
         "residual_rms_arcsec": _number(residual / ARCSEC),
         "residual_mean_arcsec": _number(mean / ARCSEC),
         "residual_order": order,
         "residual_order_amplitude_arcsec": _number(amplitude / ARCSEC),
         "sample_rate_hz": _number(_rate(window)),
-        "samples": str(joint.samples),
-        "samples_rejected": str(joint.rejected),
-        "last_rejection": joint.last_rejection,
-        "samples_missed": str(joint.lost.count),
-        "outputs_unpaired": str(joint.unpaired),
-        "clock_jumps": str(joint.clock_jumps),
-        "messages_without_joint": str(foreign),
-        "silence_s": _number(silence),
-        "latency_p99_us": facts.get("latency_p99_us", "nan"),
-        "log_state": facts.get("log_state", "off"),
+        "samples": str(window.samples),
+        "samples_rejected": str(window.all_rejected),
+        "last_rejection": around.last_rejection,
+        "samples_missed": str(window.missed),
+        "outputs_unpaired": str(window.unpaired),
+        "clock_jumps": str(window.clock_jumps),
+        "messages_without_joint": str(around.foreign),
+        "silence_s": _number(around.silence),
+        "latency_p99_us": around.facts.get("latency_p99_us", "nan"),
+        "log_state": around.facts.get("log_state", "off"),
     }
     return Status(joint.config.name, level, message, values)
 
 
-def _faults(
-    joint: Joint,
-    window: Window,
-    facts: Mapping[str, str],
-    silence: float,
-    residual: float,
-    state: MeshState | None,
-) -> list[Fault]:
-    limits = joint.config.limits
+def _faults(joint: Joint, window: Window, around: Around, residual: float, mesh: _Mesh | None) -> list[Fault]:
+    limits, silence, log = joint.config.limits, around.silence, around.facts.get("log_state", "")
     seen = window.accepted + window.rejected
     share = window.rejected / seen if seen else 0.0
-    torque = abs(joint.last[1]) / joint.config.drive.rated_torque if joint.last else 0.0
-    found: list[Fault] = []
-    if facts.get("log_state", "").startswith("failed"):
-        found.append(("LOG_FAILED", 1, f"log {facts['log_state']}"))
-    found.append(("STALE", limits["silence"].level(silence), f"no valid sample for {silence:.1f} s"))
-    found.append(
-        (
-            "INPUT_INVALID",
-            limits["rejected"].level(share),
-            f"{window.rejected} rejected: {joint.last_rejection}",
-        )
-    )
-    found.append(
-        ("OUT_OF_RANGE", limits["torque"].level(torque), f"torque is {torque:.2f} times the rated torque")
-    )
-    if state is not None:
-        found += _mesh_faults(joint, state)
-    found.append(
-        ("RESIDUAL", limits["residual_rms"].level(residual), f"residual {residual / ARCSEC:.1f} arcsec rms")
-    )
-    return found
+    torque = abs(window.last[1]) / joint.config.drive.rated_torque if window.last else 0.0
+    judged = [
+        ("STALE", "silence", silence, f"no valid sample for {silence:.1f} s"),
+        ("INPUT_INVALID", "rejected", share, f"{window.rejected} rejected: {around.last_rejection}"),
+        ("OUT_OF_RANGE", "torque", torque, f"torque is {torque:.2f} times the rated torque"),
+    ]
+    if mesh is not None:
+        overlap, peak, ratio = mesh.overlap, mesh.peak_load, mesh.load_concentration
+        concentrated = f"peak tooth load is {ratio:.1f} times the mean"
+        judged += [
+            ("INTERFERENCE", "overlap", overlap, f"the lobes overlap by {overlap * 1e6:.1f} um"),
+            ("LOAD_CONCENTRATION", "peak_tooth_load", peak, f"peak tooth load {peak:.1f} N"),
+            ("LOAD_CONCENTRATION", "load_concentration", ratio, concentrated),
+        ]
+    judged.append(("RESIDUAL", "residual_rms", residual, f"residual {residual / ARCSEC:.1f} arcsec rms"))
+    found = [(code, limits[name].level(value), text) for code, name, value, text in judged]
+    return [("LOG_FAILED", 1, f"log {log}"), *found] if log.startswith("failed") else found
 
 
-def _largest_order(joint: Joint) -> tuple[str, float]:
+def _largest_order(amplitudes: Floats) -> tuple[str, float]:
     """The residual's largest followed order, such as ``input 2``, and its amplitude [rad]."""
-    found = joint.orders.amplitudes()
-    if not found:
-        return "", float("nan")
-    frame, order = max(found, key=lambda name: found[name])
-    return f"{frame} {order}", found[frame, order]
+    if np.isnan(amplitudes).all():
+        return "", math.nan
+    largest = int(np.nanargmax(amplitudes))
+    frame, order = ORDERS[largest]
+    return f"{frame} {order}", float(amplitudes[largest])
 
 
 def _model_faults(joint: Joint, window: Window, order: str, amplitude: float) -> list[Fault]:
@@ -189,63 +210,47 @@ def _model_values(joint: Joint) -> dict[str, str]:
     }
 
 
-def _mesh_faults(joint: Joint, state: MeshState) -> list[Fault]:
-    limits = joint.config.limits
-    overlap, peak = float(state.overlap[0]), float(state.peak_load[0])
-    concentration = float(state.load_concentration[0])
-    return [
-        ("INTERFERENCE", limits["overlap"].level(overlap), f"the lobes overlap by {overlap * 1e6:.1f} um"),
-        ("LOAD_CONCENTRATION", limits["peak_tooth_load"].level(peak), f"peak tooth load {peak:.1f} N"),
-        (
-            "LOAD_CONCENTRATION",
-            limits["load_concentration"].level(concentration),
-            f"peak tooth load is {concentration:.1f} times the mean",
-        ),
-    ]
-
-
-def _mesh(joint: Joint) -> tuple[MeshState | None, Floats]:
-    """Teeth at the last sample, and the predicted error over one wave generator turn at its torque [rad]."""
-    if joint.last is None:
-        return None, np.array([np.nan])
-    drive = joint.config.drive
-    angle, torque = (np.array([value]) for value in joint.last)
+def _meshes(joint: Joint, windows: Sequence[Window]) -> list[_Mesh | None]:
+    """The teeth at the last sample before each report, all at once; None before the first sample."""
+    angle, torque = np.array([window.last for window in windows if window.last]).reshape(-1, 2).T.copy()
+    if not angle.size:
+        return [None] * len(windows)
+    drive, table = joint.config.drive, joint.table
     state = mesh_state(drive, angle, drive.frame.cup_torque(torque))
-    count = _ANGLES_OF_TURN if joint.table is not None else _ANGLES_WITHOUT_MAP
-    turn = angle + 2.0 * np.pi * np.arange(count) / count
-    return state, transmission_error(drive, turn, np.repeat(torque, count), joint.table)
+    count = _ANGLES_OF_TURN if table is not None else _ANGLES_WITHOUT_MAP
+    turns = angle[:, None] + 2.0 * np.pi * np.arange(count) / count
+    errors = transmission_error(drive, turns.reshape(-1), np.repeat(torque, count), table)
+    columns = [getattr(state, name).tolist() for name in _Mesh._fields[:-1]]
+    found = map(_Mesh, *columns, np.ptp(errors.reshape(turns.shape), axis=1).tolist())
+    return [next(found) if window.last else None for window in windows]
 
 
 def _configuration_values(joint: Joint) -> dict[str, str]:
-    drive = joint.config.drive
-    angle, torque = joint.last if joint.last else (np.nan, np.nan)
+    drive, table = joint.config.drive, joint.table
     return {
         "eccentricity_um": _number(abs(drive.mesh.eccentricity) * 1e6),
         "eccentricity_direction_deg": _number(np.degrees(np.angle(drive.mesh.eccentricity))),
         "runout_um": _number(abs(drive.mesh.runout) * 1e6),
-        "input_angle_rad": _number(angle),
-        "torque_Nm": _number(torque),
+        **dict.fromkeys(("input_angle_rad", "torque_Nm"), "nan"),  # their places
         "temperature_C": _number(joint.temperature),
-        "prediction": "exact" if joint.table is None else "map",
-        "prediction_error_bound_arcsec": _number(
-            0.0 if joint.table is None else joint.table.error_bound / ARCSEC
-        ),
+        "prediction": "exact" if table is None else "map",
+        "prediction_error_bound_arcsec": _number(0.0 if table is None else table.error_bound / ARCSEC),
     }
 
 
-def _mesh_values(state: MeshState | None, turn: Floats) -> dict[str, str]:
-    if state is None:
+def _mesh_values(mesh: _Mesh | None) -> dict[str, str]:
+    if mesh is None:
         keys = "minimum_backlash_um interference overlap_um loaded_pairs peak_tooth_load_N load_concentration"
         return dict.fromkeys([*keys.split(), "lost_motion_arcmin", "predicted_te_pp_arcsec"], "nan")
     return {
-        "minimum_backlash_um": _number(state.minimum_backlash[0] * 1e6),
-        "interference": "true" if state.interference[0] else "false",
-        "overlap_um": _number(state.overlap[0] * 1e6),
-        "loaded_pairs": str(int(state.loaded_pairs[0])),
-        "peak_tooth_load_N": _number(state.peak_load[0]),
-        "load_concentration": _number(state.load_concentration[0]),
-        "lost_motion_arcmin": _number(state.lost_motion[0] / _ARCMIN),
-        "predicted_te_pp_arcsec": _number(np.ptp(turn) / ARCSEC),
+        "minimum_backlash_um": _number(mesh.minimum_backlash * 1e6),
+        "interference": "true" if mesh.interference else "false",
+        "overlap_um": _number(mesh.overlap * 1e6),
+        "loaded_pairs": str(mesh.loaded_pairs),
+        "peak_tooth_load_N": _number(mesh.peak_load),
+        "load_concentration": _number(mesh.load_concentration),
+        "lost_motion_arcmin": _number(mesh.lost_motion / _ARCMIN),
+        "predicted_te_pp_arcsec": _number(mesh.predicted_span / ARCSEC),
     }
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from hd_diag.arrays import Floats, Times
+from hd_diag.arrays import Floats, Integers, Times
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.monitor.lost_samples import LostSamples
 from hd_diag.monitor.model_run import ModelRun
@@ -16,11 +16,11 @@ from hd_diag.monitor.residual_orders import ResidualOrders
 from hd_diag.monitor.settings import JointConfig
 from hd_diag.streams.alignment import Aligned, Alignment, Names
 
-_NO_TIMES, _NO_VALUES = np.empty(0, np.int64), np.empty(0)
+_TOTALS = ("angle", "load", "samples", "rejected", "unpaired", "clock_jumps")
 
 
 class Window(NamedTuple):
-    """What happened to a joint since the last report.
+    """What happened to a joint between two reports, and how the second found it.
 
     Attributes
     ----------
@@ -31,6 +31,12 @@ class Window(NamedTuple):
     torque, speed : ndarray
         Of all samples that a model predicted [N m], [rad/s].
     accepted, rejected : int
+    last : tuple of float, or None
+        Input angle [rad] and torque [N m] of the last sample; None before the first.
+    samples, all_rejected, unpaired, clock_jumps, missed : int
+        Since the beginning.
+    amplitudes : ndarray
+        Of the residual's orders [rad]; nan where the motion does not show one.
     """
 
     stamps: Times
@@ -39,6 +45,13 @@ class Window(NamedTuple):
     speed: Floats
     accepted: int
     rejected: int
+    last: tuple[float, float] | None
+    samples: int
+    all_rejected: int
+    unpaired: int
+    clock_jumps: int
+    missed: int
+    amplitudes: Floats
 
 
 class Joint:
@@ -73,7 +86,6 @@ class Joint:
         self.runs: tuple[ModelRun, ...] = ()
         self._streams, self._number = streams, number
         self.begin_model()
-        self.begin_window()
 
     @property
     def samples(self) -> int:
@@ -86,25 +98,9 @@ class Joint:
         return int(self._streams.joints["rejected"][self._number])
 
     @property
-    def unpaired(self) -> int:
-        """Output angles without an input at their stamp."""
-        return int(self._streams.joints["unpaired"][self._number])
-
-    @property
-    def clock_jumps(self) -> int:
-        """How often the clock of the stamps was set back."""
-        return int(self._streams.joints["clock_jumps"][self._number])
-
-    @property
     def last_rejection(self) -> str:
         """Why the last sample that could not be used was refused."""
         return self._streams.last_rejection(self._number)
-
-    @property
-    def last(self) -> tuple[float, float] | None:
-        """Input angle [rad] and torque [N m] of the last sample; None before the first."""
-        joint = self._streams.joints[self._number]
-        return (float(joint["angle"]), float(joint["load"])) if self.samples else None
 
     def reject(self, reason: str) -> None:
         """Count a sample that cannot be used."""
@@ -126,38 +122,37 @@ class Joint:
         model = self.config.model
         self.runs = () if model is None else (ModelRun(model), ModelRun(model))
 
-    def note(self, errors: Errors) -> None:
-        """Keep further samples of the joint for the next report."""
-        pairs = errors.part(np.isfinite(errors.samples.output_angle))
-        columns = pairs.samples.stamp, pairs.samples.input_angle, pairs.samples.output_angle
-        self.orders.add(*columns, pairs.residual)
-        self._parts.append(errors)
+    def windows(self, errors: Errors, ends: Integers, known: Any, amplitudes: Floats) -> list[Window]:
+        """What happened between reports.
 
-    def judge(self) -> None:
-        """Count what was lost of the samples since the last report; once before it."""
-        window = self.window
-        self.lost.judge(window.stamps, window.rejected)
-
-    def begin_window(self) -> None:
-        """From now on it is counted for the next report."""
-        self._parts: list[Errors] = []
-        self._samples_before, self._rejected_before = self.samples, self.rejected
-
-    @property
-    def window(self) -> Window:
-        """What happened since the last report."""
-        counts = self.samples - self._samples_before, self.rejected - self._rejected_before
-        if not self._parts:
-            return Window(_NO_TIMES, _NO_VALUES, _NO_VALUES, _NO_VALUES, *counts)
-        every = Errors.joined(self._parts)
-        modelled = np.isfinite(every.speed)
-        return Window(
-            every.samples.stamp[every.samples.paired == 0],
-            every.residual[np.isfinite(every.samples.output_angle)],
-            every.samples.torque[modelled],
-            every.speed[modelled],
-            *counts,
+        Parameters
+        ----------
+        errors : Errors
+            Of the joint's samples since the report before.
+        ends : ndarray of int64, shape (l,)
+            How many of them came before each report.
+        known : ndarray of JOINT, shape (l + 1,)
+            What was known of the joint at the report before, and at each.
+        amplitudes : ndarray, shape (l, orders)
+            Of the residual's orders then [rad].
+        """
+        samples, is_modelled = errors.samples, np.isfinite(errors.speed)
+        parts = zip(
+            _pieces(samples.stamp, samples.paired == 0, ends),
+            _pieces(errors.residual, np.isfinite(samples.output_angle), ends),
+            _pieces(samples.torque, is_modelled, ends),
+            _pieces(errors.speed, is_modelled, ends),
+            np.diff(known["samples"]).tolist(),
+            np.diff(known["rejected"]).tolist(),
+            strict=True,
         )
+        totals = zip(*(known[name][1:].tolist() for name in _TOTALS), strict=True)
+        found = []
+        for part, (angle, load, *total), own in zip(parts, totals, amplitudes, strict=True):
+            self.lost.judge(part[0], part[-1])
+            last = (angle, load) if total[0] else None
+            found.append(Window._make((*part, last, *total, self.lost.count, own)))
+        return found
 
     def predict(self, samples: Aligned) -> tuple[Floats, Floats]:
         """Transmission error [rad] and speed [rad/s] that the joint's model gives for its next samples."""
@@ -167,6 +162,14 @@ class Joint:
             if rows.size:
                 error[rows], speed[rows] = run(samples.part(rows), self.temperature, self.table)
         return error, speed
+
+
+def _pieces(values: Any, chosen: Any, ends: Integers) -> list[Any]:
+    """The chosen values between ends."""
+    rows = np.flatnonzero(chosen)
+    bounds = rows.searchsorted(ends).tolist()
+    kept = values[rows]
+    return [kept[first:last] for first, last in zip([0, *bounds], bounds, strict=False)]
 
 
 def names_of(config: JointConfig) -> Names:

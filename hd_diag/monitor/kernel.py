@@ -1,4 +1,4 @@
-"""Recursive least squares of the residual's orders, compiled: imported late, for it imports numba."""
+"""Orders of the residual and lost samples, compiled: imported late, for it imports numba."""
 
 from __future__ import annotations
 
@@ -6,12 +6,16 @@ import math
 
 import numpy as np
 
-from hd_diag.arrays import Floats, Times
-from hd_diag.model.kernel.compiler import entry_point
+from hd_diag.arrays import Floats, Integers, Times
+from hd_diag.model.kernel.compiler import entry_point, part
 
 MEMORY = 30.0  # time of motion after which a sample counts for 1/e [s]
 _LONGEST_STEP = 0.1  # of motion between two samples [s]; longer ones are gaps
 _SLOWEST = 0.05  # of the input [rad/s]; slower is rest
+_STEPS_TOGETHER = 32
+_KEPT = 0.02  # by which the steps of a sender that keeps its period differ [-]
+_OFF_MULTIPLE = 0.25  # by which a step may differ from whole periods [-]
+_SAME = 0.9  # share of steps that are alike: the period is another now
 
 
 @entry_point
@@ -24,13 +28,22 @@ def follow(
     gram: Floats,
     moment: Floats,
     step: Times,
+    ends: Integers,
+    grams: Floats,
+    moments: Floats,
 ) -> None:
     """Add samples to the sums of 1, cosines and sines of the orders in `residual_orders.ORDERS`.
 
     `last` is the input angle of the sample before, `step` its stamp, nan and 0 before the first; both change.
+    `grams` (l, 9, 9) and `moments` (l, 9) are set to the sums after numbers of samples `ends` (l,).
     """
-    terms = np.ones(9)
-    for i in range(stamp.size):
+    terms, looks = np.ones(9), 0
+    for i in range(stamp.size + 1):
+        while looks < ends.size and ends[looks] <= i:
+            grams[looks], moments[looks] = gram, moment
+            looks += 1
+        if i == stamp.size:
+            break
         elapsed = min((stamp[i] - step[0]) * 1e-9, _LONGEST_STEP)
         turned = abs(input_angle[i] - last[0])
         last[0], step[0] = input_angle[i], stamp[i]
@@ -45,3 +58,54 @@ def follow(
                 moment[j] = moment[j] * kept + terms[j] * residual[i]
                 for k in range(9):
                     gram[j, k] = gram[j, k] * kept + terms[j] * terms[k]
+
+
+@entry_point
+def lost(stamps: Times, known: float) -> tuple[float, float, float, int]:
+    """Period of a sender [ns] whose stamps [ns] (n,) are looked at, and what is missing among them.
+
+    `known` is the period so far. Missing are at most as many as the long steps say, and as the whole time
+    says, which short steps make up for: their number is the last.
+    """
+    steps = np.diff(stamps).astype(np.float64)
+    steps = steps[steps > 0.0]  # a clock that was set back
+    usual = _known_step(steps, known)
+    if usual == 0.0:
+        usual = _usual_step(steps)
+    if usual <= 0.0:
+        return usual, 0.0, 0.0, 0
+    missing = np.sum(np.rint(steps[steps > 1.5 * usual] / usual) - 1.0)
+    net = np.rint(np.sum(steps) / usual) - steps.size
+    return usual, missing, net, int(np.sum(steps < 0.5 * usual))
+
+
+@part
+def _known_step(steps: Floats, known: float) -> float:
+    """The period known so far [ns], where a reader that falls behind lets samples of it through; else 0.
+
+    Then most samples may be lost: nearly all steps are multiples of the period, and not all the same.
+    """
+    if known <= 0.0 or 2 * np.sum(steps > 1.5 * known) <= steps.size:
+        return 0.0
+    multiples = np.sort(np.rint(steps / known))
+    most = same = 1
+    for i in range(1, multiples.size):
+        same = same + 1 if multiples[i] == multiples[i - 1] else 1
+        most = max(most, same)
+    whole = np.sum(np.abs(steps / known - np.rint(steps / known)) < _OFF_MULTIPLE)
+    return known if most < _SAME * steps.size and whole > _SAME * steps.size else 0.0
+
+
+@part
+def _usual_step(steps: Floats) -> float:
+    """Period of a sender [ns]: over several steps, for one that makes up for its delays has short ones."""
+    if not steps.size:
+        return 0.0
+    span = max(1, min(_STEPS_TOGETHER, steps.size // 2))
+    time = np.zeros(steps.size + 1)
+    time[1:] = np.cumsum(steps)
+    usual = np.median(time[span:] - time[: time.size - span]) / span
+    # With many losses there is one in most spans; where the sender keeps its period a single step tells it.
+    single = np.median(steps)
+    is_kept = np.sum(np.abs(steps - single) < _KEPT * single) > 0.5 * steps.size
+    return float(single if is_kept and single > 0.5 * usual else usual)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -79,13 +79,29 @@ class Status(NamedTuple):
         return f"hd_diag: {self.joint}"
 
 
+class Due(NamedTuple):
+    """A report that is due before the message with number `row`: time of the report, header stamp [ns].
+
+    `facts` is what the surroundings know, ``log_state`` and ``latency_p99_us``; `silence` how long each joint
+    has been silent by a clock of its own [s], None to take the time of the report.
+    """
+
+    row: int
+    now: int
+    stamp: int
+    facts: Mapping[str, str]
+    silence: Mapping[str, float] | None = None
+
+
 class Report(NamedTuple):
-    """Diagnostics of all joints: topic, time of the cause [ns], header stamp [ns]."""
+    """Diagnostics of all joints: topic, time of the cause [ns], header stamp [ns], silence of each [s]."""
 
     topic: str
     received: int
     stamp: int
     statuses: tuple[Status, ...]
+    facts: Mapping[str, str] = {}
+    silence: Mapping[str, float] = {}
 
 
 Publication = Angles | ToothArrays | Drawings | Report
@@ -114,6 +130,11 @@ class Errors(NamedTuple):
     def part(self, rows: Any) -> Errors:
         """Some of the samples."""
         return Errors(self.samples.part(rows), *(column[rows] for column in self[1:]))
+
+
+_NONE: Any = np.empty(0, np.int64), np.empty(0)
+NO_ERRORS = Errors(Aligned(*_NONE[:1] * 6, *_NONE[1:] * 4), *_NONE[1:] * 4)
+"""Of no samples."""
 
 
 def angles(received: Times, errors: Errors, names: Sequence[str]) -> Iterator[Angles]:

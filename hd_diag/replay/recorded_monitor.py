@@ -27,7 +27,7 @@ from hd_diag.model.mesh import Mesh
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.monitor import Monitor
 from hd_diag.monitor.carried import carried, carry_on
-from hd_diag.monitor.publications import Publication
+from hd_diag.monitor.publications import Due, Publication, Report
 from hd_diag.replay import versions
 from hd_diag.replay.events import (
     CarriedOn,
@@ -121,10 +121,14 @@ class Session:
         self._publish(self.monitor.mixed_states(received_at, shapes, refused, heard_at))
 
     def mixed_states(
-        self, received: Times, shapes: Sequence[JointStates], refused: Sequence[tuple[int, str]]
+        self,
+        received: Times,
+        shapes: Sequence[JointStates],
+        refused: Sequence[tuple[int, str]],
+        due: Sequence[Due] = (),
     ) -> None:
         """Take messages, as `Monitor.mixed_states`."""
-        self._publish(self.monitor.mixed_states(received, shapes, refused))
+        self._publish(self.monitor.mixed_states(received, shapes, refused, due=due))
 
     def temperature(self, joint: str, data: bytes) -> None:
         """Take a Temperature message in CDR."""
@@ -189,9 +193,7 @@ class Session:
             How long each joint has been silent [s], as `Monitor.silence` tells by the clock of `heard`; by
             default the times of reception tell.
         """
-        silent = dict(silence or self.monitor.silence(now))
-        self._event(now, Reported(stamp, dict(facts), silent))
-        self._publish([self.monitor.tick(now, stamp, facts, silent)])
+        self._publish([self.monitor.tick(now, stamp, facts, silence or None)])
 
     def _configuration(
         self, now: int, values: Mapping[str, Any], models: Mapping[str, str], new: bool
@@ -209,8 +211,10 @@ class Session:
         self._sink(Encoded(topic, type_name, np.array([now]), [data]))
 
     def _publish(self, publications: Iterable[Publication]) -> None:
-        for publication in publications:
-            self._sink(encode(publication, self._node))
+        for each in publications:
+            if isinstance(each, Report):
+                self._event(each.received, Reported(each.stamp, dict(each.facts), dict(each.silence)))
+            self._sink(encode(each, self._node))
 
 
 def _models(config: Config) -> dict[str, str]:

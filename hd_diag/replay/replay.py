@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -12,24 +12,25 @@ import numpy as np
 from hd_diag.arrays import Times
 from hd_diag.bag import BagError, BagWriter, check_output, replaced
 from hd_diag.bag.joint_record import layouts
-from hd_diag.bag.reader import BagReader, Batch, Mixed
+from hd_diag.bag.reader import BagReader, Mixed
 from hd_diag.config.configuration import Config, ConfigError, JointConfig, ModelText, resolve
 from hd_diag.config.parameters import shown
+from hd_diag.extended_model import TORQUE_RANGE
 from hd_diag.messages.publications import LAST_TIME, TEMPERATURE, Encoded, resolved
-from hd_diag.model.mesh import Mesh
-from hd_diag.model.torsion_map import TorsionMap
+from hd_diag.model.torsion_map import TorsionMap, build
+from hd_diag.monitor.publications import Due
 from hd_diag.replay import versions
 from hd_diag.replay.events import CarriedOn, ClockSetBack, Configured, Event, MapUsed, Reported
-from hd_diag.replay.map_builder import map_of
 from hd_diag.replay.recorded_monitor import Session
 from hd_diag.replay.sources import Sources, event_of, sources_of
 from hd_diag.streams.columns import JointStates
 
 _NANOSECONDS = 1_000_000_000
 _LONGEST_SILENCE = 60 * _NANOSECONDS  # of a bag, over which reports go on [ns]
-_MAPS_KEPT = 4  # a parameter is often set back
-_MAP_THREADS = 2  # nothing else is to be done before it is there
+_MAPS_KEPT = 4
 _FACTS = {"latency_p99_us": "nan", "log_state": "off"}
+_MOST_BYTES = 32 << 20  # of arrays and drawings that wait to be written
+_ARRAYS_SIZE, _DRAWING_SIZE = 10_000, 1 << 20  # of one joint, about [byte]
 
 Progress = Callable[[int, int], None]
 _Refused = list[tuple[int, str]]
@@ -113,16 +114,13 @@ def replay(
     with BagReader(bag) as reader, np.errstate(all="ignore"):
         sources = sources_of(reader, config, topics)
         total = sum(topic.count for topic in reader.topics if topic.name in sources.every)
-        with (
-            replaced(out, overwrite=overwrite) as place,
-            BagWriter(place, overwrite=overwrite) as writer,
-        ):
+        with replaced(out, overwrite=overwrite) as place, BagWriter(place, overwrite=overwrite) as writer:
             run = _Run(reader, writer, sources)
             if config is not None:
                 run.begin(reader.start, config)
             for mixed in reader.mixed(sources.every, sources.is_joint_states):
-                for _ in run.take(mixed):
-                    progress(run.done, total)
+                run.take(mixed)
+                progress(run.done, total)
             return run.result()
 
 
@@ -137,9 +135,11 @@ class _Run:
         self._session: Session | None = None
         self._last = 0
         self._next_report: int | None = None
-        self._maps: dict[tuple[Mesh, float | None], TorsionMap] = {}
+        # Some maps are kept for a parameter that is set back; nothing else is to be done before one is there.
+        self._build = lru_cache(_MAPS_KEPT)(partial(build, threads=2))
         self._problems = list(reader.problems)
         self._versions_compared = False
+        self._outputs: list[Encoded] | None = None  # of messages that are being taken
         for topic in reader.topics:
             if sources.inputs.get(topic.name) == topic.type_name:
                 writer.add_topic(topic.name, topic.type_name, topic.offers)
@@ -154,8 +154,8 @@ class _Run:
             for joint in config.joints:
                 self._use_own_map(now, joint)
 
-    def take(self, mixed: Mixed) -> Iterator[None]:
-        """Take consecutive messages, part by part."""
+    def take(self, mixed: Mixed) -> None:
+        """Take consecutive messages."""
         self._last = int(mixed.log_time[-1])
         self._check_time(self._last)
         _, batch = mixed.batches[0]
@@ -163,24 +163,21 @@ class _Run:
         if name == self._sources.events:
             for now, data in zip(batch.log_time.tolist(), batch.messages(), strict=True):
                 self._event(now, event_of(self._reader.path, bytes(data)))
-        elif self._sources.inputs.get(name) == kind:
-            take = partial(self._temperatures, mixed)
-            if kind != TEMPERATURE:
-                shapes, refused = layouts(self._reader, mixed)
-                take = partial(self._joint_states, mixed, shapes=shapes, refused=refused)
-            for rows in self._until_reports(mixed.log_time):
-                self._copy(mixed, rows)
-                take(rows)
-                self.done += rows.stop - rows.start
-                yield
-            return
-        self.done += len(batch)
+        elif self._sources.inputs.get(name) != kind:
+            pass
+        elif kind == TEMPERATURE:
+            self._temperatures(mixed, self._sources.temperatures[name])
+        else:
+            shapes, refused = layouts(self._reader, mixed)
+            for rows in self._together(mixed.log_time):
+                self._joint_states(mixed, rows, shapes, refused)
+        self.done += mixed.log_time.size
 
     def result(self) -> Replay:
         """Account of the whole replay, with a last report."""
         session = self._running
         if self._next_report is not None:
-            self._report(self._last)
+            session.tick(self._last, self._last, _FACTS)
         joints = session.monitor.joints
         return Replay(
             bool(self._sources.events),
@@ -204,21 +201,28 @@ class _Run:
         if now > LAST_TIME:
             raise BagError(self._reader.path, "holds times beyond the year 2038, which ROS 2 does not have")
 
-    def _until_reports(self, times: Times) -> Iterator[slice]:
-        """Rows, cut where a report is due by the bag's time; a log holds its own reports."""
-        if self._sources.events:
-            yield slice(0, times.size)
-            return
-        begin = 0
+    def _together(self, times: Times) -> Iterator[slice]:
+        """Rows, cut where what the node publishes of them may be large."""
+        config, begin = self._running.config, 0
+        joint = config.array_rate * _ARRAYS_SIZE + config.mesh_rate * _DRAWING_SIZE
+        longest = int(_NANOSECONDS * _MOST_BYTES / max(1.0, joint * len(config.joints)))
+        while begin < times.size:
+            end = max(begin + 1, int(np.searchsorted(times, times[begin] + longest)))
+            yield slice(begin, end)
+            begin = end
+
+    def _reports_due(self, times: Times) -> list[Due]:
+        """Reports between messages at log times; a log holds its own."""
+        found: list[Due] = []
+        begin = times.size if self._sources.events else 0
         while begin < times.size:
             due = self._due(int(times[begin]))
             end = begin + int(np.searchsorted(times[begin:], due))
-            if end > begin:
-                yield slice(begin, end)
-            else:
-                self._report(due)
+            if end == begin:
+                found.append(Due(begin, due, due, _FACTS))
                 self._next_report = due + self._period
             begin = end
+        return found
 
     def _due(self, now: int) -> int:
         """Time of the next report [ns]; a long silence has but its last."""
@@ -232,29 +236,40 @@ class _Run:
     def _period(self) -> int:
         return round(_NANOSECONDS / self._running.config.diagnostics_rate)
 
-    def _report(self, now: int) -> None:
-        self._running.tick(now, now, _FACTS)
-
-    def _temperatures(self, mixed: Mixed, rows: slice) -> None:
+    def _temperatures(self, mixed: Mixed, joint: str) -> None:
         _, batch = mixed.batches[0]
-        for data in _part(batch, rows).messages():
-            self._running.temperature(self._sources.temperatures[batch.topic.name], bytes(data))
+        for row, data in enumerate(batch.messages()):
+            at = slice(row, row + 1)
+            for due in self._reports_due(mixed.log_time[at]):
+                self._running.tick(due.now, due.stamp, due.facts)
+            self._copy(mixed, at)
+            self._running.temperature(joint, bytes(data))
 
     def _joint_states(self, mixed: Mixed, rows: slice, shapes: list[JointStates], refused: _Refused) -> None:
+        """Take messages; in the output inputs and reports stand in turn, then what was published of both."""
         here = [states.between(rows.start, rows.stop) for states in shapes]
         bad = [(row - rows.start, reason) for row, reason in refused if rows.start <= row < rows.stop]
         times = mixed.log_time[rows]
-        self._running.mixed_states(times, [states for states in here if states.row.size], bad)
+        due, self._outputs = self._reports_due(times), []
+        self._running.mixed_states(times, [states for states in here if states.row.size], bad, due)
+        outputs, self._outputs, begin = self._outputs, None, rows.start
+        reports = outputs[len(outputs) - 2 * len(due) :]
+        for each, event, report in zip(due, reports[::2], reports[1::2], strict=True):
+            self._copy(mixed, slice(begin, rows.start + each.row))
+            self._write(event)
+            self._write(report)
+            begin = rows.start + each.row
+        self._copy(mixed, slice(begin, rows.stop))
+        for encoded in outputs[: len(outputs) - 2 * len(due)]:
+            self._write(encoded)
 
     def _copy(self, mixed: Mixed, rows: slice) -> None:
         """Copy messages to the output."""
         for places, batch in mixed.batches:
-            part = _part(batch, slice(*np.searchsorted(places, (rows.start, rows.stop)).tolist()))
-            if len(part):
-                data = part.payload if isinstance(part.payload, np.ndarray) else [*map(bytes, part.payload)]
-                self._writer.write_many(
-                    batch.topic.name, batch.topic.type_name, data, part.log_time, part.publish_time
-                )
+            at, topic = slice(*np.searchsorted(places, (rows.start, rows.stop)).tolist()), batch.topic
+            if at.start < at.stop:
+                times = batch.log_time[at], batch.publish_time[at]
+                self._writer.write_many(topic.name, topic.type_name, batch.payload[at], *times)
 
     def _event(self, now: int, event: Event | None) -> None:
         match event:
@@ -310,33 +325,25 @@ class _Run:
 
         return recorded
 
-    def _map(self, joint: JointConfig, torque_limit: float | None) -> TorsionMap:
-        """Map of a joint as it is configured now; some are kept for a parameter that is set back."""
-        key = (joint.drive.mesh, torque_limit)
-        table = self._maps.pop(key, None)
-        if table is None:
-            try:
-                table = map_of(joint, torque_limit, _MAP_THREADS)
-            except Exception as error:  # whatever is wrong with the mesh, as in MapBuilder
-                raise BagError(self._reader.path, f"{joint.name} has no map: {error}") from error
-        self._maps[key] = table
-        while len(self._maps) > _MAPS_KEPT:
-            self._maps.pop(next(iter(self._maps)))
-        return table
+    def _map(self, joint: JointConfig, torque_limit: float | None = None) -> TorsionMap:
+        """Map of a joint as it is configured now."""
+        try:
+            return self._build(joint.drive.mesh, torque_limit or TORQUE_RANGE * joint.drive.rated_torque)
+        except Exception as error:  # whatever is wrong with the mesh, as in MapBuilder
+            raise BagError(self._reader.path, f"{joint.name} has no map: {error}") from error
 
     def _use_own_map(self, now: int, joint: JointConfig) -> None:
         """Predict a joint by its map; without one the predictions stay exact, as in the node."""
         try:
-            table = self._map(joint, None)
+            table = self._map(joint)
         except BagError as error:
             self._problems.append(f"{error.cause}; predictions stay exact")
         else:
             self._running.use_map(now, joint.name, table)
 
     def _write(self, encoded: Encoded) -> None:
+        if self._outputs is not None:
+            self._outputs.append(encoded)
+            return
         topic = self._sources.names.get(encoded.topic) or resolved(encoded.topic, self._sources.node)
         self._writer.write_many(topic, encoded.type_name, encoded.rows, encoded.received)
-
-
-def _part(batch: Batch, rows: slice) -> Batch:
-    return Batch(batch.topic, batch.log_time[rows], batch.publish_time[rows], batch.payload[rows])

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -31,6 +31,7 @@ from hd_diag.streams.rules import INPUT, JOINT, LONGEST_HOLD, NEVER, OUTPUT, REM
 
 _LAYOUTS = 64  # of messages, whose columns are remembered
 _NOTHING = np.zeros((1, 1))
+_NO_MOMENTS = np.empty((3, 0), np.int64)
 
 
 class Names(NamedTuple):
@@ -80,6 +81,26 @@ class Aligned(NamedTuple):
         return Aligned(*(column[rows] for column in self))
 
 
+class Seen(NamedTuple):
+    """What is known of k joints at l moments between messages.
+
+    Attributes
+    ----------
+    joints : ndarray of JOINT, shape (l, k)
+    last_rejections : list of l lists of k str
+        Why the last sample of a joint that was refused could not be used; empty if there was none.
+    foreign : ndarray of int64, shape (l,)
+        Messages that name none of the joints.
+    samples : ndarray of int64, shape (l,)
+        Of the samples taken together, how many came before.
+    """
+
+    joints: Any
+    last_rejections: list[list[str]]
+    foreign: Integers
+    samples: Integers
+
+
 class _Columns(NamedTuple):
     """Where values of k joints are in messages of one layout, (4 k,), what is given (1, k), if anything."""
 
@@ -114,6 +135,7 @@ class Alignment:
         self.texts = [""] * len(names)
         self._inputs = np.zeros((len(names), remembered), INPUT)
         self._waiting = np.zeros((len(names), remembered), OUTPUT)
+        self._unseen = np.empty((0, len(names)), JOINT)
         self._columns: dict[Any, _Columns] = {}
         self.foreign = 0
         self.joints["assumed_torque"] = [each.torque for each in names]
@@ -150,15 +172,46 @@ class Alignment:
         -------
         Aligned
         """
+        return self._take(heard, shapes, refused, _NO_MOMENTS, self._unseen)[0]
+
+    def take_and_look(
+        self,
+        heard: Times,
+        shapes: Sequence[JointStates],
+        refused: Sequence[tuple[int, str]],
+        rows: Sequence[int],
+        times: Sequence[int],
+    ) -> tuple[Aligned, Seen]:
+        """As `take`, and what is known before messages with rising numbers, at rising `times` [ns]."""
+        before, texts, seen = self.foreign, [*self.texts], np.empty((len(rows), self.joints.size), JOINT)
+        moments = np.array([rows, times, rows], np.int64)
+        samples, given = self._take(heard, shapes, refused, moments, seen)
+        foreign = before + np.searchsorted(np.flatnonzero(~given.any(axis=1)), moments[0])
+        unreadable = dict(refused)
+        reasons = [
+            [self._reason(number, joint, texts, unreadable) for number, joint in enumerate(joints)]
+            for joints in seen
+        ]
+        return samples, Seen(seen, reasons, foreign, moments[2])
+
+    def _take(
+        self,
+        heard: Times,
+        shapes: Sequence[JointStates],
+        refused: Sequence[tuple[int, str]],
+        moments: Times,
+        seen: Any,
+    ) -> tuple[Aligned, Bytes]:
+        """Aligned samples, and what the messages gave."""
         stamp, values, given = self._rows(heard.size, shapes)
         if refused:
             given[[row for row, _ in refused]] = Given.REFUSED
-        whole, found = kernel().align(stamp, heard, values, given, *self.state)
-        for number in np.flatnonzero(self.joints["reason"] == Reason.UNREADABLE) if refused else ():
-            text = dict(refused)[int(self.joints["reason_late"][number])]
+        whole, found = kernel().align(stamp, heard, values, given, *self.state, moments, seen)
+        unreadable = self.joints["reason"] == Reason.UNREADABLE if refused else ()
+        for number in np.flatnonzero(unreadable).tolist():
+            self.texts[number] = self._reason(number, self.joints[number], self.texts, dict(refused))
             self.joints["reason"][number] = Reason.OTHER
-            self.texts[number] = f"a JointState message {text}"
-        return Aligned(*whole, *found)
+        return Aligned(*whole, *found), given
 
     def clock_set_back(self, stamp: int) -> None:
         """Let joints whose last stamp is later than one [ns] begin anew: the clock was set back."""
@@ -174,8 +227,10 @@ class Alignment:
 
     def last_rejection(self, number: int) -> str:
         """Why the last sample of a joint that was refused could not be used; empty if there was none."""
-        joint, names = self.joints[number], self._names[number]
-        value, late = joint["reason_value"], int(joint["reason_late"])
+        return self._reason(number, self.joints[number], self.texts, {})
+
+    def _reason(self, number: int, joint: Any, texts: Sequence[str], unreadable: Mapping[int, str]) -> str:
+        value, late, names = joint["reason_value"], int(joint["reason_late"]), self._names[number]
         match Reason(joint["reason"]):
             case Reason.NAMELESS:
                 return "the message names the joint and gives no position of it"
@@ -189,7 +244,9 @@ class Alignment:
                 return _late(names.input_joint, late)
             case Reason.LATE_OUTPUT:
                 return _late(names.output_joint, late)
-        return self.texts[number]
+            case Reason.UNREADABLE:
+                return f"a JointState message {unreadable[late]}"
+        return texts[number]
 
     def _rows(self, count: int, shapes: Sequence[JointStates]) -> tuple[Times, Floats, Bytes]:
         """Stamps (n,), values (n, k, 4) and what is given (n, k)."""

@@ -27,18 +27,28 @@ _FIRST, _LAST = -(2**63), 2**63 - 1  # before and after every stamp [ns]
 
 @entry_point
 def align(
-    stamp: Times, heard: Times, values: Floats, given: Bytes, joints: Any, inputs: Any, waiting: Any
+    stamp: Times,
+    heard: Times,
+    values: Floats,
+    given: Bytes,
+    joints: Any,
+    inputs: Any,
+    waiting: Any,
+    moments: Times,
+    seen: Any,
 ) -> tuple[Integers, Floats]:
     """Aligned samples, columns (6, m) and (4, m) as in `Aligned`.
 
     Stamps and times of reception [ns] (n,); input and output angle, torque, speed (n, k, 4) of k joints, and
-    which of them are given (n, k).
+    which of them are given (n, k). `moments` (3, l): rows before which the joints are looked at, and when
+    [ns]; set are what is `seen` (l, k), and as the third the numbers of samples by then.
     """
     room = values.shape[0] * joints.size
     for j in range(joints.size):
         room += joints[j].waiting
-    whole, found, count = np.empty((6, room), np.int64), np.empty((4, room)), 0
+    whole, found, count, looks = np.empty((6, room), np.int64), np.empty((4, room)), 0, 0
     for row in range(values.shape[0]):
+        looks = _look(row, count, joints, moments, seen, looks)
         for j in range(joints.size):
             if given[row, j]:
                 left = _checked(joints[j], row, stamp[row], int(given[row, j]), values[row, j])
@@ -54,7 +64,21 @@ def align(
                 elif left & _OUTPUT:
                     _keep_output(joints[j], stamp[row], values[row, j, 1], waiting[j])
         count = _pair(row, joints, inputs, waiting, whole, found, count)
+    _look(values.shape[0], count, joints, moments, seen, looks)
     return whole[:, :count], found[:, :count]
+
+
+@part
+def _look(row: int, count: int, joints: Any, moments: Times, seen: Any, looks: int) -> int:
+    """Note what is known at moments before a row; how many were noted."""
+    while looks < moments.shape[1] and moments[0, looks] <= row:
+        for j in range(joints.size):
+            if joints[j].heard < 0:  # of a joint that never spoke silence counts from the first question on
+                joints[j].heard = moments[1, looks]
+            seen[looks, j] = joints[j]
+        moments[2, looks] = count
+        looks += 1
+    return looks
 
 
 @entry_point
