@@ -81,7 +81,7 @@ pytest-ubuntu:
 	else \
 	    $(ENVIRONMENT) ubuntu "$$python" && \
 	    echo "== Numerical tests, numpy 1.26 and scipy 1.11 as in Ubuntu 24.04 (1 minute)" && \
-	    $(call IN,ubuntu) pytest -n $(JOBS) --dist worksteal $(SELECTED) $(PYTEST_ARGS) $(NUMERICAL:%=test/test_%.py); \
+	    $(call IN,ubuntu) pytest -n 2 --dist worksteal $(SELECTED) $(PYTEST_ARGS) $(NUMERICAL:%=test/test_%.py); \
 	fi
 
 challenge:

@@ -151,25 +151,10 @@ def document(
 ) -> dict[str, Any]:
     """Content of a file.
 
-    Parameters
-    ----------
-    joint : str
-    configured : mapping
-        Parameters of the joint when the model was fitted.
-    model : ExtendedModel
-    spreads : mapping
-        Standard deviations of the refitted parameters.
-    effects : sequence of (mapping, sequence of str)
-        Of every term of the model the standard deviations of its quantities (zero: not estimated), and its
-        class: the names that the record could not tell from it, itself first.
-    evidence : mapping
-        What speaks for the model: bags, held-out figures.
-    version : str
-        Of the program.
-
-    Returns
-    -------
-    dict
+    The joint's parameters are those configured when the model was fitted; spreads are standard deviations of
+    the refitted ones. Effects are, of every term of the model, the standard deviations of its quantities
+    (zero: not estimated), and its class: the names that the record could not tell from it, itself first.
+    Evidence is what speaks for the model: bags, held-out figures.
     """
     base = drive_parameters(configured)
     refitted = base | _refitted(model)

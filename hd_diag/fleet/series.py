@@ -26,15 +26,8 @@ Point = tuple[float, float, float]  # time [s], value, standard deviation
 class Series:
     """A quantity of one joint over time, in time order.
 
-    Attributes
-    ----------
-    robot, joint, quantity, unit : str
-    time : ndarray, shape (n,)
-        Since 1970 [s].
-    value, std : ndarray, shape (n,)
-        Values and their standard deviations, in `unit`; nan deviations are unknown.
-    limit : float
-        That the quantity should stay below; nan = none.
+    Times since 1970 [s], values and their standard deviations in `unit`, each (n,); nan deviations are
+    unknown. The limit is what the quantity should stay below; nan is none.
     """
 
     robot: str

@@ -30,16 +30,8 @@ _TOGETHER = 999  # permutations
 class Change:
     """A step of the mean.
 
-    Attributes
-    ----------
-    before, after : float
-        Times of the last value before it and the first after it [s].
-    low, high : float
-        95 % interval of its time [s].
-    size, size_low, size_high : float
-        Mean after less mean before, with its 95 % interval.
-    p_value : float
-        Of the step against none between its neighbours.
+    Times of the last value before it and the first after it, and the 95 % interval of its own [s]; its size,
+    mean after less mean before, with a 95 % interval; its p-value against none between its neighbours.
     """
 
     before: float

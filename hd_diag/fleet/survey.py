@@ -20,23 +20,9 @@ _PART = 1 << 20  # read at a time [byte]
 class Survey:
     """What was seen of one bag; where it has an `error`, nothing else is known.
 
-    Attributes
-    ----------
-    path : str
-    digest : str
-        SHA-256 of the contents, whatever the bag is called.
-    start : int or None
-        First log time [ns since 1970]; None for an empty bag.
-    messages : int
-        Number of joint states.
-    names : frozenset of str
-        Names in the joint states.
-    problems : tuple of str
-        What is unfinished about the bag's files.
-    error : str
-        Why it cannot be read; empty where it can.
-    versions : mapping
-        Versions of the worker that looked.
+    The digest is of the contents, whatever the bag is called; it starts at its first log time [ns since
+    1970], None for an empty bag; messages and names are those of its joint states; problems are what is
+    unfinished about its files; versions are those of the worker that looked.
     """
 
     path: str

@@ -55,19 +55,12 @@ class Trend:
 
     Attributes
     ----------
-    series : Series
     needed : int
-        Values from which on the clearest step possible would be reported.
-    weights : ndarray, shape (n,)
-        Of the values.
+        Values from which on the clearest step possible would be reported; of each the series has a weight.
     step_p, drift_p, step_q, drift_q : float
         p-values against a constant, alone and corrected for all series; nan with too few values.
     form : str
-        ``unknown`` (too few values), ``constant``, ``steps`` or ``drift``.
-    changes : tuple of Change
-        Where the form is ``steps``.
-    slope : Slope or None
-        Of all values.
+        ``unknown`` (too few values), ``constant``, ``steps`` (changes) or ``drift``.
     crossing : tuple of float or None
         When the limit is reached [s since 1970] and its 95 % interval, inf where that has no end; None where
         no drift leads there.

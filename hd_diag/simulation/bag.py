@@ -42,39 +42,23 @@ def write_bag(
     ----------
     path : path
         ``*.mcap`` is one file, anything else a rosbag2 folder.
-    config : Config
-        Gives the names in JointState, and the drives of joints without a truth.
-    motion : Motion
-        Of all joints.
-    rng : numpy.random.Generator
-        Source of the noise; one is spawned of it for each joint.
-    truths : mapping, optional
-        Joints to simulate, by their names in `config`; all as configured and without noise where there are
-        none.
+    config, truths
+        Names in JointState, and the joints to simulate by their names in `config`: all as configured and
+        without noise where there are none. A generator of noise is spawned for each.
     start : int
-        Stamp of the first sample [ns].
-    with_temperature : bool
+        Stamp of the first sample [ns]; `chunk` samples are computed and written at a time.
     overwrite : bool
         Replace a bag that exists, once the new one is whole: after an error or Ctrl-C it is as it was.
-    chunk : int
-        Samples that are computed and written at a time.
-    mapped : callable
-        Called with the fraction done of the maps that a long motion needs, before anything is written.
-    progress : callable
-        Called with the samples of each joint that are written and their number. If it raises
-        KeyboardInterrupt, a new bag is finished with what it has; after an error it is left without its end.
-
-    Returns
-    -------
-    int
-        Number of samples of each joint.
+    mapped, progress : callable
+        Called with the fraction done of the maps that a long motion needs; with the samples written and their
+        number. If it raises KeyboardInterrupt, a new bag is finished with what it has; after an error it is
+        left without its end.
 
     Raises
     ------
-    BagError
-        If the bag cannot be written.
-    ValueError
-        If `truths` names a joint that is not configured, or teeth cannot bear the motion's torque.
+    BagError, ValueError
+        If the bag cannot be written; if `truths` names a joint that is not configured, or teeth cannot bear
+        the motion's torque.
     """
     if Path(path).exists() and not overwrite:
         raise BagError(path, "exists already")

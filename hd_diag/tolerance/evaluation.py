@@ -56,25 +56,11 @@ def evaluate(
     torque: Floats,
     slot_angle: Floats | None = None,
 ) -> Evaluation:
-    """Quantities of a mesh at any number of moments.
+    """Quantities of a mesh at any number of moments; nan where no flank can bear the torque.
 
-    Parameters
-    ----------
-    mesh : Mesh
-        Gives geometry and compliance; its eccentricity and runout do not count.
-    wave_generator_angle : ndarray, shape (n,)
-        theta_W [rad].
-    displacement : ndarray of complex, shape (n,)
-        Of the wave generator's centre in the housing, x + iy [m].
-    torque : ndarray, shape (q,)
-        M on the cup [N m].
-    slot_angle : ndarray, shape (Z_G,), optional
-        By how much each slot stands counter-clockwise of its place [rad].
-
-    Returns
-    -------
-    Evaluation
-        nan where no flank can bear the torque.
+    The moments are wave generator angles theta_W [rad] and displacements of its centre in the housing, x + iy
+    [m], each (n,); the mesh's own eccentricity and runout do not count. Torques are M on the cup (q,) [N m];
+    `slot_angle` (Z_G,) is by how much each slot stands counter-clockwise of its place [rad].
 
     Notes
     -----
