@@ -73,6 +73,9 @@ def test_the_parts_make_a_bag(tmp_path):
     assert consume(path) == 3
     path.write_bytes(bag(chunk(content, "lz4", stored=lz4.frame.compress(content))))
     assert consume(path) == 1
+    stream = zstandard.ZstdCompressor().compressobj()  # leaves the size out of the frame
+    path.write_bytes(bag(chunk(content, "zstd", stored=stream.compress(content) + stream.flush())))
+    assert consume(path) == 1
 
 
 def bomb(size):
@@ -321,6 +324,13 @@ def test_chunks_that_unpack_to_far_more_than_is_stored_are_not_unpacked(tmp_path
     refused, peak = peak_of(lambda: accepts(path))
     assert refused is None
     assert peak < 20 << 20
+
+
+def test_a_cut_chunk_is_not_unpacked_beyond_what_it_declares(tmp_path):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(bag(topic(), chunk(b"", "zstd", size=1000, stored=bomb(64 << 20))[:-9]))
+    report, peak = peak_of(lambda: recover(path, tmp_path / "b.mcap"))
+    assert (report.counts, peak < 20 << 20) == ({}, True)
 
 
 def test_a_compressed_message_that_unpacks_to_far_more_is_refused(tmp_path):

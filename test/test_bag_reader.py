@@ -30,7 +30,6 @@ from rosbags.rosbag2 import StoragePlugin
 
 from hd_diag.bag import BagError, BagReader, BagWriter
 from hd_diag.bag.block import Block
-from hd_diag.bag.mcap_scan import MAGIC
 from hd_diag.bag.mcap_storage import _ordered
 from hd_diag.messages.schemas import definition
 
@@ -438,23 +437,6 @@ def test_views_in_a_database_are_not_queried(tmp_path):
     db.close()
     with pytest.raises(BagError, match="not a rosbag2 database"):
         BagReader(tmp_path / "a.db3")
-
-
-def test_compressed_chunk_of_unknown_content_size(tmp_path):
-    """Streaming compressors leave the size out of the frame."""
-    path = write_with_mcap(tmp_path / "a.mcap", sample(5), compression="none")
-    data = path.read_bytes()
-    start = data.index(b"\x06", 8 + 9)
-    while data[start] != 6 or int.from_bytes(data[start + 1 : start + 9], "little") > len(data):
-        start += 1
-    length = int.from_bytes(data[start + 1 : start + 9], "little")
-    head, content = data[start + 9 : start + 37], data[start + 9 + 40 : start + 9 + length]
-    stream = zstandard.ZstdCompressor().compressobj()
-    stored = stream.compress(content) + stream.flush()
-    body = head + b"\4\0\0\0zstd" + len(stored).to_bytes(8, "little") + stored
-    (tmp_path / "b.mcap").write_bytes(data[:start] + b"\x06" + len(body).to_bytes(8, "little") + body)
-    assert data[:8] == MAGIC
-    assert read(tmp_path / "b.mcap") == in_order(sample(5))
 
 
 def test_what_is_held_back_for_sorting_is_bounded(tmp_path, monkeypatch):

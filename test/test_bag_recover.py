@@ -4,7 +4,6 @@ import os
 import sqlite3
 import struct
 import tempfile
-import zlib
 from contextlib import closing
 
 import numpy as np
@@ -34,9 +33,8 @@ def expected(given):
     return [(t, time, d) for t, _, d, time in given]
 
 
-@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
-def test_whole_bag_is_copied(tmp_path, compression):
-    path = write_with_mcap(tmp_path / "a.mcap", messages(), compression=compression, chunk_size=4000)
+def test_whole_bag_is_copied(tmp_path):
+    path = write_with_mcap(tmp_path / "a.mcap", messages(), chunk_size=4000)
     report = recover(path, tmp_path / "b.mcap")
     assert read(tmp_path / "b.mcap") == expected(messages())
     assert report.complete
@@ -341,24 +339,6 @@ def test_a_full_disk_leaves_nothing_that_passes_for_whole(tmp_path, monkeypatch,
     assert {p.name for p in tmp_path.iterdir()} == {"a.mcap", name, "old.mcap"}
 
 
-def test_an_interrupted_recovery_is_whole_as_far_as_it_goes(tmp_path):
-    path = write_with_mcap(tmp_path / "a.mcap", messages(), chunk_size=6000)
-
-    def stop(done, total):
-        if done > total // 2:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        recover(path, tmp_path / "b.mcap", progress=stop)
-    saved = read(tmp_path / "b.mcap")
-    assert 100 < len(saved) < 600
-    assert saved == expected(messages())[: len(saved)]
-    before = (tmp_path / "b.mcap").read_bytes()
-    with pytest.raises(KeyboardInterrupt):
-        recover(path, tmp_path / "b.mcap", overwrite=True, progress=stop)
-    assert (tmp_path / "b.mcap").read_bytes() == before
-
-
 @pytest.mark.parametrize("chunked", [True, False])
 def test_a_message_with_an_impossible_time_costs_only_itself(tmp_path, chunked):
     given = messages(90)
@@ -373,14 +353,3 @@ def test_a_message_with_an_impossible_time_costs_only_itself(tmp_path, chunked):
         "a.mcap: 1 messages have a time beyond the year 2262",
         "a.mcap: at least 1 messages are lost",
     ]
-
-
-def test_decompression_in_blocks_is_bounded(tmp_path):
-    """A cut chunk that would unpack to far more than it declares."""
-    bomb = zstandard.ZstdCompressor(level=19).compress(bytes(64 << 20))
-    head = (0).to_bytes(16, "little") + (1000).to_bytes(8, "little") + zlib.crc32(b"").to_bytes(4, "little")
-    body = head + b"\4\0\0\0zstd" + (len(bomb) + 9).to_bytes(8, "little") + bomb
-    start = write_with_mcap(tmp_path / "a.mcap", messages(3)).read_bytes()[:50]
-    data = start[: 8 + 9 + int.from_bytes(start[9:17], "little")]
-    (tmp_path / "b.mcap").write_bytes(data + b"\x06" + (len(body) + 9).to_bytes(8, "little") + body)
-    assert recover(tmp_path / "b.mcap", tmp_path / "c.mcap").counts == {}

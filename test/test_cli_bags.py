@@ -165,6 +165,8 @@ def test_recover_of_what_is_no_bag_leaves_nothing(tmp_path: Path, name: str) -> 
         ("bag", "bag", "overwrite the input"),
         ("log.mcap", "link.mcap", "overwrite the input"),
         ("log.mcap", "hard.mcap", "same file as the input"),
+        ("log.mcap", "circle/out.mcap", "circle"),
+        ("circle", "out.mcap", "circle"),
     ],
 )
 def test_input_and_output_that_cannot_be(
@@ -175,8 +177,9 @@ def test_input_and_output_that_cannot_be(
     (tmp_path / "bag").mkdir()
     shutil.copy(folder / "log.mcap", tmp_path / "bag" / "bag_0.mcap")
     (tmp_path / "link.mcap").symlink_to(tmp_path / "log.mcap")
+    (tmp_path / "circle").symlink_to(tmp_path / "circle")
     os.link(tmp_path / "log.mcap", tmp_path / "hard.mcap")
-    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*.*") if path.is_file()}
     assert reason in refused(run(command, tmp_path / bag, "--out", tmp_path / out))
     assert {path: path.read_bytes() for path in before} == before
 

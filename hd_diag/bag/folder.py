@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import Any
@@ -94,48 +95,32 @@ def _natural(path: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]
 
 
-class Unpacked:
-    """Storage files as they stand, those that rosbag2 compressed as a whole in a temporary folder.
+def unpack(path: Path, stack: ExitStack, files: int = 1) -> tuple[Path, str]:
+    """Where the content of a file can be read, and what is wrong with its compression.
 
-    What the files may unpack to is bounded by their size.
+    What rosbag2 compressed as a whole is unpacked in a temporary folder that the stack deletes. BagError
+    where it does not fit on the disk, or unpacks to more than can be believed of one of so many files.
     """
-
-    def __init__(self, paths: Sequence[Path] = ()) -> None:
-        sizes = sum(p.stat().st_size for p in paths if p.suffix == _PACKED)
-        self._left = _UNPACKED_LEAST + _UNPACKED_RATIO * sizes
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
-
-    def file(self, path: Path) -> tuple[Path, str]:
-        """Where the content of a file can be read, and what is wrong with its compression.
-
-        Raises BagError where it does not fit on the disk, or unpacks to more than can be believed.
-        """
-        if path.suffix != _PACKED:
-            return path, ""
-        try:
-            self._folder = self._folder or tempfile.TemporaryDirectory(prefix="hd_diag-")
-            out = Path(self._folder.name, path.stem)
-            with path.open("rb") as stored, out.open("wb") as file:
-                reader = zstandard.ZstdDecompressor().stream_reader(stored, read_across_frames=True)
-                while part := reader.read(1 << 17):
-                    self._left -= len(part)
-                    if self._left < 0:
-                        raise BagError(
-                            path, f"decompresses to more than {_UNPACKED_RATIO} times its size and 1 GiB"
-                        )
-                    file.write(part)
-        except zstandard.ZstdError as exc:
-            return out, f"its compression is damaged: {exc}"
-        except OSError as exc:
-            where = f"{tempfile.gettempdir()} (TMPDIR)"
-            raise BagError(path, f"cannot be decompressed in {where}: {exc.strerror or exc}") from exc
-        return out, ""  # a cut is told by what was in the file, which misses its end
-
-    def close(self) -> None:
-        """Delete what was unpacked."""
-        if self._folder is not None:
-            self._folder.cleanup()
-            self._folder = None
+    if path.suffix != _PACKED:
+        return path, ""
+    left = _UNPACKED_LEAST // files + _UNPACKED_RATIO * path.stat().st_size
+    try:
+        out = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hd_diag-")), path.stem)
+        with path.open("rb") as stored, out.open("wb") as file:
+            reader = zstandard.ZstdDecompressor().stream_reader(stored, read_across_frames=True)
+            while part := reader.read(1 << 17):
+                left -= len(part)
+                if left < 0:
+                    raise BagError(
+                        path, f"decompresses to more than {_UNPACKED_RATIO} times its size and 1 GiB"
+                    )
+                file.write(part)
+    except zstandard.ZstdError as exc:
+        return out, f"its compression is damaged: {exc}"
+    except OSError as exc:
+        where = f"{tempfile.gettempdir()} (TMPDIR)"
+        raise BagError(path, f"cannot be decompressed in {where}: {exc.strerror or exc}") from exc
+    return out, ""  # a cut is told by what was in the file, which misses its end
 
 
 def unpacked(path: Path, messages: Iterable[Any]) -> list[memoryview]:

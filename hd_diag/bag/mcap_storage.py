@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -24,30 +25,26 @@ _MAX_HELD = 1 << 30
 class McapStorage:
     """An MCAP file: topics by channel number, least and greatest log time [ns], 0 and 0 for an empty file.
 
-    `problem` says why the file is not finished. Raises BagError where it is not an MCAP file of ROS 2, or
-    holds what cannot be read.
+    The stack closes the file; `problem` says why it is not finished. Raises BagError where it is not an MCAP
+    file of ROS 2, or holds what cannot be read.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, stack: ExitStack) -> None:
         self.path = path
-        self._file = path.open("rb")
-        try:
-            self._scan = Scan(path, self._file)
-            self.problem = self._scan.problem
-            if self.problem and is_locked(self._file.fileno()):
-                self.problem = "is being written by another process"
-            counts, error = self._count()
-            self.topics = self._scan.topics()
-            if error is not None and not any(counts.values()):
-                raise error
-            for number, channel in self._scan.channels.items():
-                if number not in self.topics:
-                    raise BagError(path, f"topic {channel.topic} has no schema, or is not CDR")
-                self.topics[number].count = counts.pop(number, 0)
-            self._check_declared([number for number, count in counts.items() if count])
-        except BaseException:
-            self._file.close()
-            raise
+        self._file = stack.enter_context(path.open("rb"))
+        self._scan = Scan(path, self._file)
+        self.problem = self._scan.problem
+        if self.problem and is_locked(self._file.fileno()):
+            self.problem = "is being written by another process"
+        counts, error = self._count()
+        self.topics = self._scan.topics()
+        if error is not None and not any(counts.values()):
+            raise error
+        for number, channel in self._scan.channels.items():
+            if number not in self.topics:
+                raise BagError(path, f"topic {channel.topic} has no schema, or is not CDR")
+            self.topics[number].count = counts.pop(number, 0)
+        self._check_declared([number for number, count in counts.items() if count])
 
     def blocks(self, numbers: Sequence[int]) -> Iterator[Block]:
         """Messages of some channels in the order of log time; BagError where a chunk is damaged."""
@@ -66,10 +63,6 @@ class McapStorage:
             if self._file.closed:
                 raise BagError(self.path, "the bag was closed") from exc
             raise exc if isinstance(exc, BagError) else BagError(self.path, exc) from exc
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
 
     def _check_declared(self, unknown: Sequence[int] | set[int]) -> None:
         if unknown:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ from rosbags.typesys.store import Typestore
 from hd_diag.arrays import Integers, Times
 from hd_diag.bag.block import Block, Payload, Topic
 from hd_diag.bag.errors import BagError
-from hd_diag.bag.folder import Unpacked, find_files, unpacked
+from hd_diag.bag.folder import find_files, unpack, unpacked
 from hd_diag.bag.mcap_storage import McapStorage
 from hd_diag.bag.sqlite_file import SqliteFile, is_sqlite
 from hd_diag.bag.typestore import standard_joint_state, store_of
@@ -52,15 +52,7 @@ class Mixed(NamedTuple):
     batches: list[tuple[Integers, Batch]]
 
 
-class _Source(NamedTuple):
-    """One storage file with the topics of its channel numbers."""
-
-    path: Path
-    storage: McapStorage | SqliteFile
-    topics: dict[int, Topic]
-
-
-class BagReader:
+class BagReader(AbstractContextManager["BagReader"]):
     """Reader of a bag: an MCAP file, a ``.db3`` file or a rosbag2 folder, or one that rosbag2 compressed.
 
     Use it in a ``with`` statement: databases with unfinished writes and compressed files are read in a
@@ -86,14 +78,12 @@ class BagReader:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
         self._topics: dict[tuple[str, str], Topic] = {}
-        self._stores: dict[int, Typestore] = {}
-        self._sources: list[_Source] = []
-        self._unpacked = Unpacked()
+        self._sources: list[tuple[Path, McapStorage | SqliteFile, dict[int, Topic]]] = []
+        self._stack = ExitStack()
         try:
             found = find_files(self.path)
             self.paths, self.problems = found.paths, found.problems
             self._message_compression = found.message_compression
-            self._unpacked = Unpacked(self.paths)
             for file in self.paths:
                 self._add(file)
         except BaseException as exc:
@@ -101,7 +91,7 @@ class BagReader:
             if isinstance(exc, OSError):
                 raise BagError(getattr(exc, "filename", None) or self.path, exc) from exc
             raise
-        full = [s.storage for s in self._sources if any(t.count for t in s.storage.topics.values())]
+        full = [storage for _, storage, _ in self._sources if any(t.count for t in storage.topics.values())]
         self.start = min((storage.start for storage in full), default=0)
         self.end = max((storage.end for storage in full), default=0)
 
@@ -138,15 +128,15 @@ class BagReader:
     def mixed(self, topics: Iterable[str] | None, together: Callable[[Topic], bool]) -> Iterator[Mixed]:
         """As `batches`, in long runs: topics for which `together` is true may alternate within one."""
         names = None if topics is None else set(topics)
-        for source in self._sources:
-            numbers = [n for n, t in source.topics.items() if names is None or t.name in names]
-            alternating = [n for n in numbers if together(source.topics[n])]
+        for path, storage, known in self._sources:
+            numbers = [n for n, topic in known.items() if names is None or topic.name in names]
+            alternating = [n for n in numbers if together(known[n])]
             try:
-                for block in source.storage.blocks(numbers) if numbers else ():
+                for block in storage.blocks(numbers) if numbers else ():
                     for part in _runs(block, alternating):
-                        yield self._mixed(source, part)
+                        yield self._mixed(path, known, part)
             except BagError as exc:
-                raise type(exc)(source.path, exc.cause) from exc
+                raise type(exc)(path, exc.cause) from exc
 
     def deserialize(self, batch: Batch) -> tuple[list[tuple[int, Any]], list[Rejection]]:
         """Message objects with their positions, and what could not be decoded; BagError for unknown types."""
@@ -168,54 +158,45 @@ class BagReader:
 
     def close(self) -> None:
         """Close the files."""
-        for source in self._sources:
-            source.storage.close()
         self._sources = []
-        self._unpacked.close()
+        self._stack.close()
 
-    def __enter__(self) -> BagReader:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, exc: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def _add(self, path: Path) -> None:
         """Open a storage file; a database cannot be read up to a damage, so that it costs one of several."""
         try:
-            file, broken = self._unpacked.file(path)
-            storage = SqliteFile(file) if is_sqlite(file) else McapStorage(file)
+            file, broken = unpack(path, self._stack, len(self.paths))
+            storage = (SqliteFile if is_sqlite(file) else McapStorage)(file, self._stack)
         except BagError as exc:
             if ".db3" not in path.suffixes or (path == self.paths[-1] and not self._sources):
                 raise BagError(path, exc.cause) from exc
             self.problems.append(str(BagError(path.name, f"is left out: {exc.cause}")))
             return
         self.problems += [str(BagError(path.name, p)) for p in (broken, storage.problem) if p]
-        self._sources.append(_Source(path, storage, {}))
+        self._sources.append((path, storage, {}))
         for number, topic in storage.topics.items():
             known = self._topics.setdefault((topic.name, topic.type_name), topic)
             known.count += topic.count if known is not topic else 0
-            self._sources[-1].topics[number] = known
+            self._sources[-1][2][number] = known
 
     def _store(self, topic: Topic) -> Typestore:
         """Types as the bag means them for a topic."""
-        if id(topic) not in self._stores:
-            try:
-                self._stores[id(topic)] = store_of(topic.type_name, topic.definition)
-            except ValueError as exc:
-                raise BagError(self.path, f"{topic.name}: {exc}") from exc
-        return self._stores[id(topic)]
+        try:
+            return store_of(topic.type_name, topic.definition)
+        except ValueError as exc:
+            raise BagError(self.path, f"{topic.name}: {exc}") from exc
 
-    def _mixed(self, source: _Source, part: Block) -> Mixed:
+    def _mixed(self, path: Path, topics: dict[int, Topic], part: Block) -> Mixed:
         channels, first = np.unique(part.channel, return_index=True)
         batches = []
         for channel in channels[np.argsort(first)]:
             rows = np.flatnonzero(part.channel == channel)
-            own, topic = part[rows] if len(channels) > 1 else part, source.topics[int(channel)]
+            own, topic = part[rows] if len(channels) > 1 else part, topics[int(channel)]
             payload = own.payload()
             if self._message_compression:
-                payload = unpacked(source.path, payload)
+                payload = unpacked(path, payload)
             if topic.type_name == JOINT_STATE and self._store(topic) is not jazzy():
                 payload = [standard_joint_state(data, self._store(topic)) for data in payload]
             batches.append((rows, Batch(topic, own.log_time, own.publish_time, payload)))

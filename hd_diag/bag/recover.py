@@ -7,7 +7,7 @@ import os
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ import numpy as np
 
 from hd_diag.bag.block import Block, Topic
 from hd_diag.bag.errors import BagError, check_output, replaced
-from hd_diag.bag.folder import Unpacked, find_files, unpacked
+from hd_diag.bag.folder import find_files, unpack, unpacked
 from hd_diag.bag.mcap_scan import MAGIC, Scan
 from hd_diag.bag.sqlite_file import SqliteFile, is_sqlite
 from hd_diag.bag.writer import BagWriter
@@ -47,17 +47,8 @@ class FileRecovery:
 class RecoveryReport:
     """What was saved and what was lost.
 
-    Attributes
-    ----------
-    out : list of Path
-        Files written and found equal to what was saved; none where nothing could be saved.
-    files : list of FileRecovery
-    counts : dict
-        Messages saved of each topic.
-    start, end : int or None
-        Least and greatest log time saved [ns]; None where nothing was.
-    problems : list of str
-        What is wrong with the folder: metadata that cannot be understood, missing files.
+    `out` are the files written and found equal to what was saved, `counts` the messages saved of each topic,
+    `start` and `end` their least and greatest log time [ns], `problems` what is wrong with the folder.
     """
 
     out: list[Path]
@@ -214,57 +205,55 @@ def _lines(block: Block) -> Iterator[tuple[int, memoryview, int, int]]:
 def _salvage(report: FileRecovery) -> Iterator[_Piece]:
     """Topics, messages and place in the file, piece by piece, for as much as can be read."""
     try:
-        with closing(Unpacked([report.path])) as unpacked_files:
-            plain, problem = unpacked_files.file(report.path)
+        with ExitStack() as stack:
+            plain, problem = unpack(report.path, stack)
             report.size = plain.stat().st_size
             report.problems += [problem] if problem else []
-            yield from (_salvage_sqlite if is_sqlite(plain) else _salvage_mcap)(plain, report)
+            yield from (_salvage_sqlite if is_sqlite(plain) else _salvage_mcap)(plain, report, stack)
     except (BagError, OSError) as exc:
         report.problems.append(exc.cause if isinstance(exc, BagError) else str(exc))
         report.unread = report.size
 
 
-def _salvage_sqlite(path: Path, report: FileRecovery) -> Iterator[_Piece]:
+def _salvage_sqlite(path: Path, report: FileRecovery, stack: ExitStack) -> Iterator[_Piece]:
     """All messages, also those that belong to no topic; a damaged database is an error."""
-    with closing(SqliteFile(path)) as found:
-        place = 0
-        for block in found.blocks(None):
-            place += len(block.data)
-            yield found.topics, block, min(place, report.size)
+    found, place = SqliteFile(path, stack), 0
+    for block in found.blocks(None):
+        place += len(block.data)
+        yield found.topics, block, min(place, report.size)
 
 
-def _salvage_mcap(path: Path, report: FileRecovery) -> Iterator[_Piece]:
+def _salvage_mcap(path: Path, report: FileRecovery, stack: ExitStack) -> Iterator[_Piece]:
     """Messages of every section, and what can be read where the walk over the records was stuck."""
-    with path.open("rb") as file:
-        found = Scan(path, file)
-        gaps, read = [], 0
-        while found.problem:
-            report.problems.append(found.problem)
-            following = found.find_chunk(found.end + 1)
-            gaps.append((found.end, found.size if following is None else following))
-            if following is None:
-                break
-            found.end = following
-            found.walk()
-        for section in found.sections:
-            try:
-                block = found.load([section])
-            except BagError as exc:
-                report.problems.append(exc.cause)
-                report.unread += section.size
-            else:
-                read += len(block)
-                yield found.topics(), block, section.offset + section.size
-        for begin, end in gaps:
-            report.unread += end - begin
-            part = found.load_part(begin, end)
-            if part is not None:
-                read += len(part)
-                what = f"{len(part)} messages were read from a chunk that is cut off at byte {end}"
-                report.problems.append(what)
-                yield found.topics(), part, end
-        if found.statistics is not None:
-            report.lost += max(0, found.statistics.message_count - read)
+    found = Scan(path, stack.enter_context(path.open("rb")))
+    gaps, read = [], 0
+    while found.problem:
+        report.problems.append(found.problem)
+        following = found.find_chunk(found.end + 1)
+        gaps.append((found.end, found.size if following is None else following))
+        if following is None:
+            break
+        found.end = following
+        found.walk()
+    for section in found.sections:
+        try:
+            block = found.load([section])
+        except BagError as exc:
+            report.problems.append(exc.cause)
+            report.unread += section.size
+        else:
+            read += len(block)
+            yield found.topics(), block, section.offset + section.size
+    for begin, end in gaps:
+        report.unread += end - begin
+        part = found.load_part(begin, end)
+        if part is not None:
+            read += len(part)
+            what = f"{len(part)} messages were read from a chunk that is cut off at byte {end}"
+            report.problems.append(what)
+            yield found.topics(), part, end
+    if found.statistics is not None:
+        report.lost += max(0, found.statistics.message_count - read)
 
 
 def _verify(paths: list[Path], saved: _Tally, progress: Callable[[], None]) -> None:

@@ -8,7 +8,7 @@ import shutil
 import sqlite3
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import numpy as np
@@ -39,15 +39,15 @@ class SqliteFile:
     """A ``.db3`` file with what `McapStorage` gives of the other format; read and never changed.
 
     What a crash left unfinished stands in a file beside it, ``-wal`` or ``-journal``. SQLite would clear up
-    there, and without the right to write would not open it: such a database is read in a temporary copy.
+    there, and without the right to write would not open it: such a database is read in a copy, which the
+    stack deletes.
     Raises BagError where it is no database of rosbag2, or damaged.
     """
 
     problem = ""  # a database is whole or cannot be read
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, stack: ExitStack) -> None:
         self._path = path
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
         beside = [Path(os.path.realpath(path) + end) for end in ("-wal", "-journal")]
         beside = [file for file in beside if file.is_file() and file.stat().st_size]
         self._size = sum(file.stat().st_size for file in (path, *beside))
@@ -57,15 +57,14 @@ class SqliteFile:
         self._uri = f"{path.absolute().as_uri()}?mode=ro" + ("&immutable=1" if in_wal_mode else "")
         try:
             if beside:
-                self._copy(beside)
+                self._copy(beside, Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hd_diag-"))))
             with closing(self._open()) as db:
                 self.topics = _topics(db)
                 found = db.execute(_COUNT).fetchall()
             if any(wrong for *_, wrong in found):
                 raise TypeError("a topic or time is no number")
-        except BaseException as exc:
-            self.close()
-            raise self._error(exc) if isinstance(exc, _DAMAGE) else exc from exc
+        except _DAMAGE as exc:
+            raise self._error(exc) from exc
         self.start = min((start for _, _, start, _, _ in found), default=0)
         self.end = max((end for _, _, _, end, _ in found), default=0)
         for number, count, *_ in found:
@@ -89,16 +88,9 @@ class SqliteFile:
         except _DAMAGE as exc:
             raise self._error(exc) from exc
 
-    def close(self) -> None:
-        """Delete the copy that was read."""
-        if self._folder is not None:
-            self._folder.cleanup()
-            self._folder = None
-
-    def _copy(self, beside: Sequence[Path]) -> None:
+    def _copy(self, beside: Sequence[Path], folder: Path) -> None:
         """Copy files that belong together: a writer may be at work."""
-        self._folder = tempfile.TemporaryDirectory(prefix="hd_diag-")
-        copy = Path(self._folder.name, "copy.db3")
+        copy = folder / "copy.db3"
         self._uri = f"{copy.as_uri()}?mode=rw"
         for _ in range(3):
             before = self._path.stat()

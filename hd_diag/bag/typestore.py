@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from typing import Any
 
@@ -19,6 +20,7 @@ _MAX_UNROLLED = 1000
 _MAX_TEXT = 128 << 10
 
 
+@functools.lru_cache(maxsize=64)
 def store_of(type_name: str, known: Definition | None) -> Typestore:
     """Type store that has `type_name`: that of ROS 2 Jazzy, unless the bag means something else by it.
 

@@ -6,9 +6,8 @@ import os
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +23,7 @@ from hd_diag.messages.schemas import Definition, definition
 _LAST_TIME = 2**63 - 1
 
 
-class BagWriter:
+class BagWriter(AbstractContextManager["BagWriter"]):
     """Writer of a bag: one MCAP file where `path` ends in ``.mcap``, else a rosbag2 folder.
 
     Parameters
@@ -248,16 +247,11 @@ class BagWriter:
             self._closed = True
             self._file.release()
 
-    def __enter__(self) -> BagWriter:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, exc: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
         try:
             self.close(whole=self.error is None and (kind is None or issubclass(kind, KeyboardInterrupt)))
         except BagError:
-            if exc is None:
+            if kind is None:
                 raise
 
     @property
