@@ -92,18 +92,6 @@ def test_file_cut_inside_a_record_gives_what_precedes(tmp_path):
     assert seen[-1] > seen[0]
 
 
-def test_topics_and_times(tmp_path):
-    path = write_with_mcap(tmp_path / "a.mcap", sample(100))
-    with BagReader(path) as reader:
-        assert [(t.name, t.type_name, t.count) for t in reader.topics] == [
-            ("/joint_states", JOINT_STATE, 100),
-            ("/note", STRING, 100),
-        ]
-        assert (reader.start, reader.end, reader.duration) == (0, 99 * MS, pytest.approx(0.099))
-        assert (reader.message_count, reader.problems) == (200, [])
-        assert reader.topics[0].definition.text == definition(JOINT_STATE).text
-
-
 @pytest.mark.usefixtures("stretch")
 def test_grouped_batches_keep_the_order_of_each_topic(tmp_path):
     messages = sample(300, disorder=20)
@@ -327,22 +315,21 @@ def split_databases(folder, damaged):
     return folder
 
 
-@pytest.mark.parametrize("damaged", [{0}, {1}, {2}, {0, 2}])
+@pytest.mark.parametrize("damaged", [{0}, {1}, {2}, {0, 2}, {0, 1, 2}])
 def test_a_torn_database_costs_only_itself(tmp_path, damaged):
-    with BagReader(split_databases(tmp_path / "bag", damaged)) as reader:
+    """Alone it is refused."""
+    bag = split_databases(tmp_path / "bag", damaged)
+    if len(damaged) == 3:
+        reason = r"bag_\d\.db3: SQLite: .*malformed; .sqlite3 bag_\d\.db3 \.recover"
+        for path in (bag, bag / "bag_0.db3"):
+            with pytest.raises(BagError, match=reason):
+                BagReader(path)
+        return
+    with BagReader(bag) as reader:
         assert reader.message_count == 300 * (3 - len(damaged))
         told = [re.match(r"bag_(\d)\.db3: is left out: SQLite: .* \.recover", p)[1] for p in reader.problems]
         assert told == [str(i) for i in sorted(damaged)]
         assert sum(len(b) for b in reader.batches()) == reader.message_count
-
-
-def test_torn_databases_alone_are_refused(tmp_path):
-    bag = split_databases(tmp_path / "bag", {0, 1, 2})
-    for path in (bag, bag / "bag_0.db3"):
-        with pytest.raises(
-            BagError, match=r"bag_\d\.db3: SQLite: .*malformed; .sqlite3 bag_\d\.db3 \.recover"
-        ):
-            BagReader(path)
 
 
 @pytest.mark.parametrize("value", ["'soon'", "NULL", "1.5", "-7"])

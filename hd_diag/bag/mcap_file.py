@@ -122,17 +122,17 @@ class McapFile:
         entries = np.empty((count, 2), "<u8")
         entries[:, 0], entries[:, 1] = times, size + kind.itemsize * np.arange(count)
         del table  # the chunk cannot grow while it is looked at
-        self.start = int(times[0]) if self.start is None else self.start
         self._added(stream, count, int(times.min()), int(times.max()), entries.tobytes())
         return count
 
     def _added(self, stream: Stream, count: int, first: int, last: int, entries: bytes) -> None:
         """Account for messages that were added: least and greatest time [ns], entries of the index."""
         stream.count += count
-        if self.start is None:
-            self.start = first
-        self._chunk.note(stream.channel.id, first, last, entries)
-        if len(self._chunk.data) >= self._chunk_size:
+        self.start, chunk = first if self.start is None else self.start, self._chunk
+        chunk.opened = time.monotonic() if chunk.opened is None else chunk.opened
+        chunk.first, chunk.last = min(chunk.first, first), max(chunk.last, last)
+        chunk.index.setdefault(stream.channel.id, bytearray()).extend(entries)
+        if len(chunk.data) >= self._chunk_size:
             self.close_chunk()
 
     def close_chunk(self) -> None:
@@ -233,12 +233,6 @@ class _Chunk:
         self.opened: float | None = None
         self.first, self.last = _UNKNOWN, 0
         self.index: dict[int, bytearray] = {}
-
-    def note(self, channel: int, first: int, last: int, entries: bytes) -> None:
-        if self.opened is None:
-            self.opened = time.monotonic()
-        self.first, self.last = min(self.first, first), max(self.last, last)
-        self.index.setdefault(channel, bytearray()).extend(entries)
 
 
 @functools.lru_cache(maxsize=256)

@@ -40,8 +40,7 @@ class SqliteFile:
 
     What a crash left unfinished stands in a file beside it, ``-wal`` or ``-journal``. SQLite would clear up
     there, and without the right to write would not open it: such a database is read in a copy, which the
-    stack deletes.
-    Raises BagError where it is no database of rosbag2, or damaged.
+    stack deletes. Raises BagError where it is no database of rosbag2, or damaged.
     """
 
     problem = ""  # a database is whole or cannot be read

@@ -11,8 +11,9 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import get_types_from_idl, get_types_from_msg
 from rosbags.typesys.store import Typestore
 
+from hd_diag.messages.encoding import encode_joint_states
 from hd_diag.messages.joint_states import JOINT_STATE
-from hd_diag.messages.schemas import Definition, jazzy, serialize
+from hd_diag.messages.schemas import Definition, jazzy
 
 _NAME = re.compile(r"[A-Za-z]\w{0,99}/(msg|srv|action)/[A-Za-z]\w{0,99}", re.ASCII)
 # The deserializer of rosbags is unrolled over fixed arrays: longer ones of anything but numbers are refused.
@@ -42,10 +43,8 @@ def _registered(known: Definition) -> Typestore:
     is_msg = known.encoding == "ros2msg"
     # The parser's time grows with the square of the number of empty and comment lines.
     comment = "#" if is_msg else "//"
-    lines = [
-        line for line in known.text.splitlines() if line.strip() and not line.lstrip().startswith(comment)
-    ]
-    text = "".join(line + "\n" for line in lines)
+    lines = (line for line in known.text.splitlines() if line.strip())
+    text = "".join(line + "\n" for line in lines if not line.lstrip().startswith(comment))
     if not _NAME.fullmatch(known.type_name) or len(text) > _MAX_TEXT:
         raise ValueError(f"definition of {known.type_name[:100]} is not usable")
     store = Typestore()
@@ -57,9 +56,7 @@ def _registered(known: Definition) -> Typestore:
         store.register(types)
         store.get_msgdef(known.type_name)
         store.hash_rihs01(known.type_name)
-    except (
-        Exception
-    ) as exc:  # rosbags raises many kinds on hostile text, RecursionError and AssertionError too
+    except Exception as exc:  # rosbags raises many kinds on hostile text
         raise ValueError(f"definition of {known.type_name} cannot be understood: {exc}") from exc
     return store
 
@@ -75,13 +72,13 @@ def _is_bounded(desc: Any) -> bool:
 
 def standard_joint_state(data: Any, store: Typestore) -> memoryview:
     """A JointState message as ROS 2 Jazzy has it, from one of another definition; empty where damaged."""
-    types = jazzy().types
     try:
         message: Any = store.deserialize_cdr(data, JOINT_STATE)
-        time = types["builtin_interfaces/msg/Time"](message.header.stamp.sec, message.header.stamp.nanosec)
-        header = types["std_msgs/msg/Header"](time, message.header.frame_id)
-        values = [np.asarray(v, np.float64) for v in (message.position, message.velocity, message.effort)]
-        made = types[JOINT_STATE](header, list(message.name), *values)
-        return memoryview(serialize(made, JOINT_STATE))
+        stamp, arrays = message.header.stamp, (message.position, message.velocity, message.effort)
+        time = [stamp.sec * 10**9 + stamp.nanosec]
+        values = (np.array([array], np.float64) if len(array) else None for array in arrays)
+        position, velocity, effort = values
+        frame = message.header.frame_id
+        return memoryview(encode_joint_states(message.name, time, position, velocity, effort, frame)[0])
     except Exception:  # rosbags raises several kinds on hostile data
         return memoryview(b"")
