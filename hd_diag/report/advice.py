@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,45 +22,27 @@ from hd_diag.formatting import arcsec, direction, si, spread_number, words
 from hd_diag.report.stages import simulated_error
 
 _SIGMAS = 3.0  # standard deviations off its configured value from which a parameter is worth a card
-# Fitted numbers that are judged together: their places in `fit_parameters.SCALES`, and what is compared.
-_GROUPS = {
-    "eccentricity": (slice(0, 2), ("eccentricity.magnitude",)),
-    "runout": (slice(2, 4), ("runout.magnitude",)),
-    "clearance": (slice(4, 5), ("circular_spline_datum",)),
-    "stiffness": (slice(5, 7), ("tooth_compliance", "cup_compliance")),
-}
 _OWN = {effect.name: effect for effect in CATALOGUE}
 
 _Entry = dict[str, Any]  # value, std, unit, configured
+_Measures = tuple[tuple[str, str], ...]
+_Text = tuple[str, str, _Measures, str]  # title, cause, what to measure, how to inspect
 
 
 @dataclass(frozen=True)
 class Card:
-    """One thing to inspect.
+    """One thing to inspect: its part in the error [rad rms], the cause in a sentence, what to measure.
 
-    Attributes
-    ----------
-    title : str
-    size : float
-        Its part in the error [rad rms].
-    cause : str
-        One sentence.
-    measures : tuple of (str, str)
-        What it should measure: name, value with unit.
-    inspect : str
-        What to look at, and which test would confirm it.
-    alternatives : tuple of (str, str)
-        Other causes that would look the same in this record, and how to inspect them.
-    setting : bool
-        Whether a number of the configuration may be wrong as well as the joint.
+    `inspect` says what to look at and which test would confirm it; the alternatives, each with the same, are
+    causes that look alike in this record. Of a setting the configured number may be wrong, not the joint.
     """
 
     title: str
     size: float
     cause: str
-    measures: tuple[tuple[str, str], ...]
+    measures: _Measures
     inspect: str
-    alternatives: tuple[tuple[str, str], ...] = ()
+    alternatives: _Measures = ()
     setting: bool = False
 
     @property
@@ -70,14 +52,7 @@ class Card:
 
 
 def cards(diagnosis: Diagnosis) -> list[Card]:
-    """Cards, the one that explains most first.
-
-    Returns
-    -------
-    list of Card
-        Findings that come before everything else, then causes and displacements by their size, then what may
-        as well be a number of the configuration.
-    """
+    """Findings, then causes and displacements by their size, then what may as well be the configuration's."""
     effects = _OWN | {effect.name: effect for effect in diagnosis.catalogue}
     first = [
         Card(words(f.name).capitalize(), math.nan, f.text, (), effects[f.name].inspect)
@@ -113,18 +88,15 @@ def quantity(entry: Quantity, value: float, spread: float) -> str:
 
 
 def _of_parameters(diagnosis: Diagnosis) -> list[Card]:
-    refitted, values = diagnosis.refitted, diagnosis.parameters
-    assert refitted is not None
-    makers = {"eccentricity": _eccentricity, "runout": _runout, "clearance": _datum, "stiffness": _compliance}
-    return [
-        makers[name](values, size, refitted.drive)
-        for name, size in parameter_sizes(diagnosis).items()
-        if size > LEAST_SIZE and any(_is_other(values[entry]) for entry in _GROUPS[name][1])
-    ]
-
-
-def _is_other(entry: _Entry) -> bool:
-    return bool(abs(entry["value"] - entry["configured"]) > _SIGMAS * entry["std"])
+    assert diagnosis.refitted is not None
+    drive, values, found = diagnosis.refitted.drive, diagnosis.parameters, []
+    for name, size in parameter_sizes(diagnosis).items():
+        _, entries, text, setting = _GROUPS[name]
+        off = (values[entry] for entry in entries)
+        if size > LEAST_SIZE and any(abs(e["value"] - e["configured"]) > _SIGMAS * e["std"] for e in off):
+            title, cause, measures, inspect = text(values, drive)
+            found.append(Card(title, size, cause, measures, inspect, setting=setting))
+    return found
 
 
 def parameter_sizes(diagnosis: Diagnosis) -> dict[str, float]:
@@ -135,7 +107,7 @@ def parameter_sizes(diagnosis: Diagnosis) -> dict[str, float]:
     as_configured = fit_parameters.vector(configured, configured)
     whole = simulated_error(refitted.drive, record)
     sizes = {}
-    for name, (at, _) in _GROUPS.items():
+    for name, (at, *_) in _GROUPS.items():
         without = refitted.parameters.copy()
         without[at] = as_configured[at]
         drive = fit_parameters.drive_of(without, configured)
@@ -143,19 +115,17 @@ def parameter_sizes(diagnosis: Diagnosis) -> dict[str, float]:
     return sizes
 
 
-def _eccentricity(values: dict[str, _Entry], size: float, drive: Drive) -> Card:
+def _eccentricity(values: dict[str, _Entry], drive: Drive) -> _Text:
     magnitude, turned = values["eccentricity.magnitude"], values["eccentricity.direction"]
     # Where the input stands when the long axis points along the eccentricity.
     rate = drive.frame.turning
     angle, period = (turned["value"] - drive.frame.phase) / rate, math.pi / abs(rate)
-    return Card(
+    return (
         "Eccentricity of the wave generator in the housing",
-        size,
         "The wave generator's axis stands beside the circular spline's: flange, seat or bearing is off "
         "centre.",
         (
-            ("eccentricity", _beside(magnitude)),
-            ("dial gauge, total travel", _travel(magnitude)),
+            *_displacement("eccentricity", magnitude),
             ("direction, from slot 0", direction(turned["value"], turned["std"], math.pi)),
             ("input angle with the long axis there", direction(angle, turned["std"] / abs(rate), period)),
         ),
@@ -168,15 +138,13 @@ def _eccentricity(values: dict[str, _Entry], size: float, drive: Drive) -> Card:
     )
 
 
-def _runout(values: dict[str, _Entry], size: float, drive: Drive) -> Card:
+def _runout(values: dict[str, _Entry], _: Drive) -> _Text:
     magnitude, turned = values["runout.magnitude"], values["runout.direction"]
-    return Card(
+    return (
         "Runout of the wave generator on its shaft",
-        size,
         "The wave generator's plug turns off centre: its bore, the key or the shaft.",
         (
-            ("runout", _beside(magnitude)),
-            ("dial gauge, total travel", _travel(magnitude)),
+            *_displacement("runout", magnitude),
             ("direction, from the long axis", direction(turned["value"], turned["std"], 2.0 * math.pi)),
         ),
         "Dial gauge on the shaft's seat for the plug, then on the plug's own bore: the total travel is twice "
@@ -185,28 +153,24 @@ def _runout(values: dict[str, _Entry], size: float, drive: Drive) -> Card:
     )
 
 
-def _datum(values: dict[str, _Entry], size: float, drive: Drive) -> Card:
+def _datum(values: dict[str, _Entry], _: Drive) -> _Text:
     entry = values["circular_spline_datum"]
     change = entry["value"] - entry["configured"]
     more, out = ("more", "farther out") if change > 0.0 else ("less", "farther in")
-    return Card(
+    return (
         f"The teeth have {more} clearance than configured",
-        size,
         f"The circular spline's slots stand {si(abs(change), math.nan, 'm')} {out} than configured.",
         (("datum radius", _beside(entry)),),
         _OWN["wear_backlash"].inspect,
-        setting=True,
     )
 
 
-def _compliance(values: dict[str, _Entry], size: float, drive: Drive) -> Card:
-    return Card(
+def _compliance(values: dict[str, _Entry], _: Drive) -> _Text:
+    return (
         "Torsional stiffness",
-        size,
         "The torsion under load is another than configured.",
-        tuple((words(name), _beside(values[name])) for name in _GROUPS["stiffness"][1]),
+        tuple((words(name), _beside(values[name])) for name in ("tooth_compliance", "cup_compliance")),
         _OWN["torsional_hardening"].inspect,
-        setting=True,
     )
 
 
@@ -216,6 +180,19 @@ def _beside(entry: _Entry) -> str:
     return f"{si(entry['value'], entry['std'], unit)} (configured: {si(entry['configured'], math.nan, unit)})"
 
 
-def _travel(entry: _Entry) -> str:
-    """What a dial gauge shows over a turn of a displacement."""
-    return si(2.0 * entry["value"], 2.0 * entry["std"], "m")
+def _displacement(name: str, entry: _Entry) -> _Measures:
+    """A displacement, and what a dial gauge shows of it over a turn."""
+    return (name, _beside(entry)), (
+        "dial gauge, total travel",
+        si(2.0 * entry["value"], 2.0 * entry["std"], "m"),
+    )
+
+
+# Fitted numbers that are judged together: their places in `fit_parameters.SCALES`, what is compared, the
+# card, and whether they are settings.
+_GROUPS: dict[str, tuple[slice, tuple[str, ...], Callable[[dict[str, _Entry], Drive], _Text], bool]] = {
+    "eccentricity": (slice(0, 2), ("eccentricity.magnitude",), _eccentricity, False),
+    "runout": (slice(2, 4), ("runout.magnitude",), _runout, False),
+    "clearance": (slice(4, 5), ("circular_spline_datum",), _datum, True),
+    "stiffness": (slice(5, 7), ("tooth_compliance", "cup_compliance"), _compliance, True),
+}

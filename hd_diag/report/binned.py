@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from scipy.stats import binned_statistic
 
-from hd_diag.arrays import Floats
+from hd_diag.arrays import Floats, Integers
 
 LOW, HIGH = 0.1, 0.9
 """Quantiles between which a band's spread lies [-]."""
@@ -17,19 +16,13 @@ _LEAST = 5  # samples in a bin below which it gets no mean
 
 
 class Band(NamedTuple):
-    """Bins of samples: mean and quantiles of each, nan where there are too few.
-
-    Attributes
-    ----------
-    center, mean, low, high : ndarray, shape (bins,)
-    samples : ndarray of int64, shape (bins,)
-    """
+    """Bins of samples, shape (bins,): center, mean and quantiles, nan where too few; number of samples."""
 
     center: Floats
     mean: Floats
     low: Floats
     high: Floats
-    samples: npt.NDArray[np.int64]
+    samples: Integers
 
 
 class Envelope(NamedTuple):
@@ -41,68 +34,26 @@ class Envelope(NamedTuple):
 
 
 def band(place: Floats, value: Floats, edges: Floats) -> Band:
-    """Means and spread of samples in bins.
-
-    Parameters
-    ----------
-    place, value : ndarray, shape (n,)
-    edges : ndarray, shape (bins + 1,)
-        Rising.
-    """
+    """Means and spread of samples, shape (n,), in bins with rising edges, shape (bins + 1,)."""
     order = np.argsort(place, kind="stable")
     ends = np.searchsorted(place[order], edges)
     ends[-1] = np.searchsorted(place[order], edges[-1], side="right")
-    parts = [value[order[a:b]] for a, b in pairwise(ends.tolist())]
-    table = np.array([_three(part) for part in parts]).reshape(-1, 3)
-    center = 0.5 * (edges[:-1] + edges[1:])
-    return Band(center, table[:, 0], table[:, 1], table[:, 2], np.diff(ends).astype(np.int64))
-
-
-def _three(values: Floats) -> tuple[float, float, float]:
-    """Mean and the two quantiles."""
-    if values.size < _LEAST:
-        return float("nan"), float("nan"), float("nan")
-    low, high = np.quantile(values, (LOW, HIGH))
-    return float(values.mean()), float(low), float(high)
+    table = np.full((3, edges.size - 1), np.nan)
+    for k, part in enumerate(np.split(value[order], ends)[1:-1]):
+        if part.size >= _LEAST:
+            table[:, k] = part.mean(), *np.quantile(part, (LOW, HIGH))
+    return Band(0.5 * (edges[:-1] + edges[1:]), table[0], table[1], table[2], np.diff(ends))
 
 
 def envelope(place: Floats, value: Floats, stretches: int) -> Envelope:
-    """Least and greatest value over stretches of equal length, so that no peak is lost.
-
-    Parameters
-    ----------
-    place : ndarray, shape (n,)
-        Rising.
-    value : ndarray, shape (n,)
-    stretches : int
-    """
-    edges = np.linspace(place[0], np.nextafter(place[-1], np.inf), stretches + 1)
-    index = np.clip(np.searchsorted(edges, place, side="right") - 1, 0, stretches - 1)
-    low, high = np.full(stretches, np.inf), np.full(stretches, -np.inf)
-    known = np.isfinite(value)
-    np.minimum.at(low, index[known], value[known])
-    np.maximum.at(high, index[known], value[known])
-    empty = low > high
-    low[empty] = high[empty] = np.nan
+    """Least and greatest value over stretches of equal length; the place, shape (n,), rises."""
+    edges, known = np.linspace(place[0], place[-1], stretches + 1), np.isfinite(value)
+    low, high = (binned_statistic(place[known], value[known], end, edges).statistic for end in ("min", "max"))
     return Envelope(0.5 * (edges[:-1] + edges[1:]), low, high)
 
 
 def strongest(place: Floats, value: Floats, highest: float, count: int) -> tuple[Floats, Floats]:
-    """The greatest value in each of equal intervals from 0 on: a spectrum with all its peaks.
-
-    Parameters
-    ----------
-    place, value : ndarray, shape (n,)
-    highest : float
-        End of the last interval.
-    count : int
-        Intervals; at most this many points are kept.
-
-    Returns
-    -------
-    place, value : ndarray, shape (k,)
-        Those of the greatest values.
-    """
+    """Places and values of the greatest in each of `count` equal intervals from 0 to `highest`."""
     index = np.minimum((place / highest * count).astype(np.int64), count - 1)
     order = np.lexsort((-value, index))
     first = order[np.unique(index[order], return_index=True)[1]]

@@ -9,7 +9,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.search.detectability import Testability
-from hd_diag.formatting import ARCSEC, arcsec, number, si
+from hd_diag.formatting import ARCSEC, arcsec, direction, number, si, words
 from hd_diag.report.binned import HIGH, LOW
 from hd_diag.report.facts import JointReport, Judgement
 from hd_diag.report.ladder import Rung
@@ -22,7 +22,7 @@ _SPREAD = f"bands from the {100 * LOW:.0f} % to the {100 * HIGH:.0f} % quantile"
 
 def held_out(found: Judgement) -> str:
     """The gain in two sentences; empty where nothing was held out."""
-    rms, gain = found.rms, found.gain
+    rms, gain = found.diagnosis.rms, found.diagnosis.gain
     if rms is None or gain is None:
         return ""
     extended = f", extended by the causes {arcsec(rms.extended)}" if EXTENDED in found.orders else ""
@@ -88,12 +88,13 @@ def over_time(found: OverTime) -> str:
 
 def ladder(found: Judgement) -> str:
     """Caption of the ladder of models."""
-    assert found.rms is not None
-    assert found.gain is not None
-    floor, low, high = map(arcsec, (found.rms.noise, found.rms.noise_low, found.rms.noise_high))
+    rms, gain = found.diagnosis.rms, found.diagnosis.gain
+    assert rms is not None
+    assert gain is not None
+    floor, low, high = map(arcsec, (rms.noise, rms.noise_low, rms.noise_high))
     return (
         f"Rms of {found.stretches} stretches, each predicted by a fit to the others, with 95 % intervals. "
-        f"Diamonds: the data that were never fitted ({found.gain.held_out}), the last model as the node runs "
+        f"Diamonds: the data that were never fitted ({gain.held_out}), the last model as the node runs "
         f"it. Noise floor {floor} ({low} to {high})."
     )
 
@@ -106,9 +107,8 @@ def residual(rung: Rung) -> str:
 
 def gain(rung: Rung) -> str:
     """How much a rung explains of the residual of the one before."""
-    if not math.isfinite(rung.gain):
-        return "–"
-    return f"{_percent(rung.gain)} ({_percent(rung.gain_low)} to {_percent(rung.gain_high)})"
+    value, low, high = map(_percent, (rung.gain, rung.gain_low, rung.gain_high))
+    return f"{value} ({low} to {high})" if math.isfinite(rung.gain) else "–"
 
 
 def _percent(share: float) -> str:
@@ -118,6 +118,15 @@ def _percent(share: float) -> str:
 def least_size(test: Testability) -> str:
     """The least size that would have been found."""
     return f"{arcsec(test.least_size)} rms" if math.isfinite(test.least_size) else "–"
+
+
+def parameter(name: str, value: float, std: float, unit: str, configured: float) -> tuple[str, str, str]:
+    """A fitted parameter: name, value, as configured."""
+    title = words(name).replace(".", ", ")
+    if name.endswith("direction"):
+        period = math.pi if name.startswith("eccentricity") else math.tau
+        return title, direction(value, std, period), direction(configured, math.nan, math.tau)
+    return title, si(value, std, unit), si(configured, math.nan, unit)
 
 
 def torsion(report: JointReport) -> str:
@@ -148,24 +157,23 @@ def maps(report: JointReport) -> str:
     where = f"The record was at {seen:.0f} % of the angles; the others are marked under the maps."
     return (
         f"Teeth of the {report.best} drive over a turn of the input, the load at {number(found.torque)} N "
-        f"m, which the record hardly exceeds: least backlash {_micrometres(np.nanmin(found.backlash))}, "
+        f"m, which the record hardly exceeds: least backlash {_length(np.nanmin(found.backlash))}, "
         f"greatest load {number(float(found.load.max()))} N. "
-        f"{'The record was at every angle.' if seen == 100.0 else where} {_extremes(report.extremes)}"
+        f"{'The record was at every angle.' if seen == 100.0 else where} {_extremes(found.extremes)}"
     )
 
 
 def _extremes(found: Extremes) -> str:
-    pressed = f"the lobes press against each other by up to {_micrometres(found.overlap)}"
-    free = f"the lobes never press against each other; {_micrometres(-found.overlap)} of clearance are left"
+    pressed = f"the lobes press against each other by up to {_length(found.overlap)}"
+    free = f"the lobes never press against each other; {_length(-found.overlap)} of clearance are left"
     return (
-        f"At {found.moments} of the record's own moments: least backlash "
-        f"{_micrometres(found.least_backlash)}, greatest force {number(found.greatest_load)} N, "
-        f"{found.fewest_pairs} to {found.most_pairs} loaded flanks; "
-        f"{pressed if found.overlap > 0.0 else free}."
+        f"At {found.moments} of the record's own moments: least backlash {_length(found.least_backlash)}, "
+        f"greatest force {number(found.greatest_load)} N, {found.fewest_pairs} to {found.most_pairs} loaded "
+        f"flanks; {pressed if found.overlap > 0.0 else free}."
     )
 
 
-def _micrometres(length: float) -> str:
+def _length(length: float) -> str:
     return si(float(length), math.nan, "m")
 
 
@@ -175,7 +183,7 @@ def around(found: TeethOverTurn) -> str:
     tooth = int(np.argmax(load))
     angle, where = np.degrees((found.input_angle[found.moment], found.tooth_direction[tooth]))
     displaced = (
-        f"The arrow is the wave generator's displacement, {_micrometres(found.displacement)} at "
+        f"The arrow is the wave generator's displacement, {_length(found.displacement)} at "
         f"{math.degrees(found.eccentricity % math.tau):.0f}°. "
         if found.displacement > 0.0
         else "The wave generator is not displaced. "

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from importlib import metadata
 from typing import NamedTuple
 
@@ -14,20 +13,18 @@ from hd_diag.arrays import Floats
 from hd_diag.bag.joint_record import InputRecord
 from hd_diag.config.configuration import JointConfig
 from hd_diag.config.parameters import JOINT_PARAMETERS, Value
-from hd_diag.diagnosis.diagnosis import Diagnosis, Gain, Rms
+from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
-from hd_diag.diagnosis.search.detectability import Testability
-from hd_diag.diagnosis.search.unexplained import Unexplained
 from hd_diag.diagnosis.verdict import sentence
 from hd_diag.effects.order_spectrum import line_width, spectrum
-from hd_diag.formatting import direction, number, si, words
+from hd_diag.formatting import number, words
 from hd_diag.replay.versions import running
 from hd_diag.report import stages, torsion
 from hd_diag.report.advice import Card, cards
 from hd_diag.report.ladder import Rung, benches, ladder
 from hd_diag.report.quality import Fact, facts
 from hd_diag.report.stages import Comparison, OverTime, Stages
-from hd_diag.report.teeth import Extremes, TeethOverTurn, extremes, strongest_torque, teeth_over_turn
+from hd_diag.report.teeth import TeethOverTurn, teeth_over_turn
 
 _LINE_SHARE = 0.2  # of a cause's mean square from which a peak of its spectrum is its order
 _LEAK = 0.1  # strength of a peak's side lobes that are no peaks of their own
@@ -44,41 +41,17 @@ class Mark(NamedTuple):
     amplitude: float
 
 
-class FittedParameter(NamedTuple):
-    """A fitted parameter in words."""
-
-    name: str
-    value: str
-    configured: str
-
-
 @dataclass(frozen=True)
 class Judgement:
     """What measured angles add to the model's own side.
 
-    Attributes
-    ----------
-    cards : tuple of Card
-    over_angle, over_torque : Comparison
-    over_time : OverTime
-    orders : dict of str to (order, amplitude)
-        Of the residual by stage; amplitude [rad].
-    highest_order : float
-    marks : tuple of Mark
-    ladder : tuple of Rung
-    stretches : int
-        How many the ladder's data were cut into.
-    rms : Rms or None
-        On data that no fit saw.
-    gain : Gain or None
-    parameters : tuple of FittedParameter
-    trustworthy : bool
-    testable : tuple of Testability
-    classes : tuple of tuple of str
-        Causes that the record cannot tell from each other.
-    unexplained : tuple of Unexplained
+    The diagnosis is kept without its fit, whose columns are large. `classes` are causes that the record
+    cannot tell from each other, `orders` order and amplitude [rad] of the residual by stage, `stretches` how
+    many the ladder's data were cut into.
     """
 
+    diagnosis: Diagnosis
+    classes: tuple[tuple[str, ...], ...]
     cards: tuple[Card, ...]
     over_angle: Comparison
     over_torque: Comparison
@@ -88,13 +61,6 @@ class Judgement:
     marks: tuple[Mark, ...]
     ladder: tuple[Rung, ...]
     stretches: int
-    rms: Rms | None
-    gain: Gain | None
-    parameters: tuple[FittedParameter, ...]
-    trustworthy: bool
-    testable: tuple[Testability, ...]
-    classes: tuple[tuple[str, ...], ...]
-    unexplained: tuple[Unexplained, ...]
 
 
 @dataclass(frozen=True)
@@ -109,7 +75,6 @@ class JointReport:
     best: str
     torsion: torsion.Torsion
     teeth: TeethOverTurn
-    extremes: Extremes
     quality: tuple[Fact, ...]
     settings: tuple[Fact, ...]
     judgement: Judgement | None
@@ -118,17 +83,7 @@ class JointReport:
 def of_diagnosis(
     diagnosis: Diagnosis, joint: JointConfig, flat: Mapping[str, Value], rng: np.random.Generator
 ) -> JointReport:
-    """A joint's report from its diagnosis.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-    joint : JointConfig
-    flat : mapping
-        The configuration's parameters by their full names.
-    rng : numpy.random.Generator
-        For intervals.
-    """
+    """A joint's report from its diagnosis; `flat` are the configuration's parameters by their full names."""
     fitted = benches(diagnosis)
     found = stages.stages(diagnosis, fitted[0] if fitted else None)
     record, drive = diagnosis.record, found.drive
@@ -141,8 +96,7 @@ def of_diagnosis(
         sentence(diagnosis),
         "refitted" if diagnosis.refitted else "configured",
         torsion.measured(found, diagnosis.configured, rng),
-        teeth_over_turn(drive, record.input_angle, strongest_torque(record.torque)),
-        extremes(drive, record.input_angle, record.torque),
+        teeth_over_turn(drive, record.input_angle, record.torque),
         (quality[0], excluded, runs, *quality[1:]),
         settings(joint, flat),
         _judgement(diagnosis, found, fitted, rng),
@@ -150,26 +104,15 @@ def of_diagnosis(
 
 
 def of_motion(motion: InputRecord, joint: JointConfig, flat: Mapping[str, Value], reason: str) -> JointReport:
-    """The model's side alone, over the motion in a bag.
-
-    Parameters
-    ----------
-    motion : Motion
-    joint : JointConfig
-    flat : mapping
-    reason : str
-        Why nothing could be judged.
-    """
+    """The model's side alone, over the motion in a bag; the reason is why nothing could be judged."""
     drive, assumed = joint.drive, np.full(motion.time.size, joint.torque)
-    torque = assumed if motion.torque is None else motion.torque
-    strong = strongest_torque(torque)
+    teeth = teeth_over_turn(drive, motion.input_angle, assumed if motion.torque is None else motion.torque)
     return JointReport(
         joint.name,
         f"Nothing could be judged: {reason}. What follows is what the model says of the motion.",
         "configured" if joint.model is None else "extended",
-        torsion.simulated(joint.configured, drive, max(abs(strong), drive.rated_torque)),
-        teeth_over_turn(drive, motion.input_angle, strong),
-        extremes(drive, motion.input_angle, torque),
+        torsion.simulated(joint.configured, drive, max(abs(teeth.torque), drive.rated_torque)),
+        teeth,
         tuple(facts(motion.time, motion.input_angle, motion.torque, drive.kinematics.ratio, motion.bag)),
         settings(joint, flat),
         None,
@@ -194,12 +137,14 @@ def versions() -> tuple[Fact, ...]:
 
 
 def _judgement(
-    diagnosis: Diagnosis, found: Stages, fitted: Sequence[LinearisedFit], rng: np.random.Generator
+    diagnosis: Diagnosis, found: Stages, fitted: list[LinearisedFit], rng: np.random.Generator
 ) -> Judgement:
     marks = _marks(diagnosis)
     top = 1.2 * max((mark.order for mark in marks), default=0.0)
     highest = min(max(top, _ORDERS[0]), _ORDERS[1])
     return Judgement(
+        replace(diagnosis, found=None),
+        tuple(cause.alike for cause in diagnosis.causes if len(cause.alike) > 1),
         tuple(cards(diagnosis)),
         stages.over_angle(found),
         stages.over_torque(found),
@@ -207,29 +152,9 @@ def _judgement(
         stages.orders(found, highest),
         highest,
         tuple(mark for mark in marks if mark.order <= highest),
-        tuple(ladder(diagnosis, found.residual[stages.NOMINAL], list(fitted), rng)),
+        tuple(ladder(diagnosis, found.residual[stages.NOMINAL], fitted, rng)),
         int(fitted[-1].data.block[-1]) + 1 if fitted else 0,
-        diagnosis.rms,
-        diagnosis.gain,
-        _parameters(diagnosis),
-        bool(diagnosis.refitted and diagnosis.refitted.trustworthy),
-        diagnosis.testable,
-        tuple(cause.alike for cause in diagnosis.causes if len(cause.alike) > 1),
-        diagnosis.unexplained,
     )
-
-
-def _parameters(diagnosis: Diagnosis) -> tuple[FittedParameter, ...]:
-    return tuple(_parameter(name, **entry) for name, entry in diagnosis.parameters.items())
-
-
-def _parameter(name: str, value: float, std: float, unit: str, configured: float) -> FittedParameter:
-    title = words(name).replace(".", ", ")
-    if name.endswith("direction"):
-        period = math.pi if name.startswith("eccentricity") else 2.0 * math.pi
-        given = direction(configured, math.nan, 2.0 * math.pi)
-        return FittedParameter(title, direction(value, std, period), given)
-    return FittedParameter(title, si(value, std, unit), si(configured, math.nan, unit))
 
 
 def _marks(diagnosis: Diagnosis) -> list[Mark]:

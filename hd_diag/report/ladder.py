@@ -19,15 +19,10 @@ _INTERVAL = (0.025, 0.975)
 
 
 class Rung(NamedTuple):
-    """One model of the ladder.
+    """One model of the ladder: rms residual of stretches predicted by a fit to all others [rad].
 
-    Attributes
-    ----------
-    name : str
-    rms, low, high : float
-        Of stretches predicted by a fit to all others, with a 95 % interval [rad].
-    gain, gain_low, gain_high : float
-        Share of the rung before's mean square that it explains, with its interval; nan on the first.
+    The gain is the share of the rung before's mean square that it explains; nan on the first. Intervals are
+    of 95 %.
     """
 
     name: str
@@ -52,21 +47,9 @@ def benches(diagnosis: Diagnosis) -> list[LinearisedFit]:
 def ladder(
     diagnosis: Diagnosis, nominal: Floats, fitted: list[LinearisedFit], rng: np.random.Generator
 ) -> list[Rung]:
-    """Rungs from the configured model to the extended one.
+    """Rungs from the configured model, whose residual [rad] is given, over the benches' to the extended one.
 
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-    nominal : ndarray, shape (n,)
-        Residual of the configured model at the usable samples [rad].
-    fitted : list of LinearisedFit
-        From :func:`benches`.
-    rng : numpy.random.Generator
-        Draws stretches for the intervals.
-
-    Returns
-    -------
-    list of Rung
+    Stretches are drawn for the intervals.
     """
     if diagnosis.found is None or not fitted:
         return []

@@ -10,7 +10,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from jinja2 import DictLoader, Environment, StrictUndefined
+from jinja2 import Environment, StrictUndefined, Template
 
 from hd_diag.formatting import arcsec, visible, words
 from hd_diag.report import captions
@@ -18,27 +18,12 @@ from hd_diag.report.facts import JointReport, versions
 from hd_diag.report.pictures.page_pictures import pictures
 from hd_diag.report.quality import Fact
 
-_TEMPLATE = "report.html.jinja"
-
 
 def page(reports: Sequence[JointReport], sources: Sequence[Fact]) -> str:
-    """HTML of a report.
-
-    Parameters
-    ----------
-    reports : sequence of JointReport
-    sources : sequence of Fact
-        Files and their digests.
-
-    Returns
-    -------
-    str
-        The same for the same numbers: no date, no random id.
-    """
+    """HTML of a report, with files and their digests: the same for the same numbers, without a date."""
     texts = files("hd_diag.report") / "templates"
     style = (texts / "report.css").read_text(encoding="utf-8")
-    template = _environment((texts / _TEMPLATE).read_text(encoding="utf-8")).get_template(_TEMPLATE)
-    return template.render(
+    return _template((texts / "report.html.jinja").read_text(encoding="utf-8")).render(
         title=f"Harmonic drive report: {', '.join(report.name for report in reports)}",
         policy=_policy(style),
         style=style,
@@ -78,17 +63,12 @@ def _policy(style: str) -> str:
     )
 
 
-def _environment(text: str) -> Environment:
+def _template(text: str) -> Template:
     environment = Environment(
-        loader=DictLoader({_TEMPLATE: text}),
-        autoescape=True,
-        undefined=StrictUndefined,
-        finalize=_shown,
-        trim_blocks=True,
-        lstrip_blocks=True,
+        autoescape=True, undefined=StrictUndefined, finalize=_shown, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters["words"] = words
-    return environment
+    return environment.from_string(text)
 
 
 def _shown(value: Any) -> Any:

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from hd_diag.arrays import Floats
+from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.extension import running_residual
 from hd_diag.diagnosis.fit import fit_parameters
@@ -32,20 +31,11 @@ _GRID_ANGLES, _GRID_TORQUES = 48, 41
 
 @dataclass(frozen=True)
 class Stages:
-    """A record with the residual of each stage of the model.
+    """A record where the model's error is well defined, with the residual of each stage of the model.
 
-    Attributes
-    ----------
-    record : Record
-        The samples where the model's error is well defined.
-    angle : ndarray, shape (n,)
-        Of the wave generator [rad].
-    measured : ndarray, shape (n,)
-        Transmission error less the encoders' offset [rad].
-    residual : dict of str to ndarray, shape (n,)
-        Measured less simulated error [rad] by stage; without causes the extended model is the refitted one.
-    drive : Drive
-        The refitted one, or the configured one where nothing was fitted.
+    The wave generator's angle, the error measured, less the encoders' offset, and the residuals, measured
+    less simulated, have shape (n,) [rad]. The drive is the refitted one, or the configured one where nothing
+    was fitted.
     """
 
     record: Record
@@ -56,16 +46,17 @@ class Stages:
 
 
 class Comparison(NamedTuple):
-    """Measured and simulated error in bins of an angle or a torque [rad].
-
-    `simulated` holds means over the very samples of each bin, which have torques between `torques` [N m].
-    """
+    """Measured error and residuals in bins of an angle or a torque [rad]; the samples' torques [N m]."""
 
     measured: Band
-    simulated: dict[str, Floats]
     residual: dict[str, Band]
     torques: tuple[float, float]
     samples: int
+
+    @property
+    def simulated(self) -> dict[str, Floats]:
+        """Means over the very samples of each bin [rad]."""
+        return {name: self.measured.mean - rest.mean for name, rest in self.residual.items()}
 
 
 class OverTime(NamedTuple):
@@ -77,14 +68,7 @@ class OverTime(NamedTuple):
 
 
 def stages(diagnosis: Diagnosis, plain: LinearisedFit | None) -> Stages:
-    """Residual of each stage of the model.
-
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-    plain : LinearisedFit, optional
-        Settled on the whole record without causes; None where nothing was fitted.
-    """
+    """Residual of each stage of the model; `plain` is the fit to the whole record without causes."""
     rows = usable(diagnosis.record)
     record, configured = diagnosis.record.select(rows), diagnosis.configured
     error = record.output_angle - record.input_angle / configured.kinematics.ratio
@@ -94,10 +78,8 @@ def stages(diagnosis: Diagnosis, plain: LinearisedFit | None) -> Stages:
     if plain is not None:
         residual[REFIT] = plain.remainder(())
     if diagnosis.model is not None and diagnosis.causes:
-        whole = running_residual(
-            diagnosis.model, diagnosis.record, diagnosis.record.torque, diagnosis.model.torsion_map
-        )
-        residual[EXTENDED] = whole[rows]
+        whole, model = diagnosis.record, diagnosis.model
+        residual[EXTENDED] = running_residual(model, whole, whole.torque, model.torsion_map)[rows]
     drive = diagnosis.refitted.drive if diagnosis.refitted else configured
     angle = drive.frame.wave_generator_angle(record.input_angle)
     return Stages(record, angle, error - offset, residual, drive)
@@ -137,18 +119,16 @@ def over_torque(found: Stages) -> Comparison:
     """Errors over the torque."""
     torque = found.record.torque
     edges = np.linspace(torque.min(), max(torque.max(), torque.min() + 1e-6), _TORQUE_BINS + 1)
-    return _compared(found, np.arange(torque.size), torque, edges, np.zeros(torque.size))
+    return _compared(found, np.arange(torque.size), torque, edges, 0.0)
 
 
 def _compared(
-    found: Stages, rows: npt.NDArray[np.int64], place: Floats, edges: Floats, level: Floats
+    found: Stages, rows: Integers, place: Floats, edges: Floats, level: Floats | float
 ) -> Comparison:
-    measured, torque = found.measured[rows] - level, found.record.torque[rows]
-    residual = {name: rest[rows] for name, rest in found.residual.items()}
+    torque = found.record.torque[rows]
     return Comparison(
-        band(place, measured, edges),
-        {name: band(place, measured - rest, edges).mean for name, rest in residual.items()},
-        {name: band(place, rest, edges) for name, rest in residual.items()},
+        band(place, found.measured[rows] - level, edges),
+        {name: band(place, rest[rows], edges) for name, rest in found.residual.items()},
         (float(torque.min()), float(torque.max())),
         rows.size,
     )

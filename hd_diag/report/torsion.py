@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from hd_diag.arrays import Floats
 from hd_diag.drive import Drive
@@ -26,17 +25,10 @@ _LEAST_SAMPLES = 200
 
 @dataclass(frozen=True)
 class Stiffness:
-    """Torsional stiffness within a range of torque [N m/rad]; nan where it is not known.
+    """Torsional stiffness [N m/rad] within a range of torque [N m]; nan where it is not known.
 
-    Attributes
-    ----------
-    name : str
-    low, high : float
-        The range of |torque| [N m].
-    configured, fitted : float
-        Secants of the simulated curves, averaged over the angle.
-    measured, measured_low, measured_high : float
-        Slope of the measured error on the torque, with its 95 % interval.
+    Configured and fitted are secants of the simulated curves, averaged over the angle; measured is the slope
+    of the measured error on the torque, with its 95 % interval.
     """
 
     name: str
@@ -51,21 +43,11 @@ class Stiffness:
 
 @dataclass(frozen=True)
 class Torsion:
-    """Transmission error over torque.
+    """Transmission error [rad] over torque [N m].
 
-    Attributes
-    ----------
-    torque : ndarray, shape (nodes,)
-        [N m]
-    configured, fitted : ndarray, shape (nodes,)
-        Mean over the angle [rad].
-    low, high : ndarray, shape (nodes,)
-        Least and greatest over the angle, of the fitted drive [rad].
-    stiffness : tuple of Stiffness
-    measured : tuple of Band
-        While the torque rises and falls [rad]; empty without a measured torque.
-    extended : tuple of ndarray
-        Means of the extended model over the same samples [rad]; empty without causes.
+    Configured and fitted are means over the angle, shape (nodes,), with the least and the greatest of the
+    fitted drive. Measured holds the errors while the torque rises and falls, empty where it was not measured;
+    extended the means of that model over the same samples, empty without causes.
     """
 
     torque: Floats
@@ -102,15 +84,13 @@ def measured(found: Stages, configured: Drive, rng: np.random.Generator) -> Tors
         return alone
     rate = np.gradient(torque, record.time)
     edges = np.linspace(torque.min(), max(torque.max(), torque.min() + 1e-6), _BINS + 1)
-    ways, extended = [rate > 0.0, rate <= 0.0], found.residual.get(EXTENDED)
-    model = [] if extended is None else [found.measured - extended] * 2
+    ways, extended = (rate > 0.0, rate <= 0.0), found.residual.get(EXTENDED)
+    model = None if extended is None else found.measured - extended
     return replace(
         alone,
         stiffness=tuple(_with_slope(entry, found, rng) for entry in alone.stiffness),
         measured=tuple(band(torque[way], found.measured[way], edges) for way in ways),
-        extended=tuple(
-            band(torque[way], error[way], edges).mean for way, error in zip(ways, model, strict=False)
-        ),
+        extended=() if model is None else tuple(band(torque[way], model[way], edges).mean for way in ways),
     )
 
 
@@ -120,25 +100,19 @@ def _with_slope(entry: Stiffness, found: Stages, rng: np.random.Generator) -> St
     inside = (load >= entry.low) & (load <= entry.high)
     if inside.sum() < _LEAST_SAMPLES or np.ptp(load[inside]) < _LEAST_REACH * (entry.high - entry.low):
         return entry
-    sign = np.sign(found.record.torque[inside])
-    block = np.flatnonzero(inside) * _BLOCKS // load.size
-    sums = _sums(load[inside], -sign * found.measured[inside], sign, block)
+    falls = found.record.torque[inside] < 0.0
+    x, y = load[inside], np.where(falls, 1.0, -1.0) * found.measured[inside]
+    # Sums in every block and direction, shape (blocks, 2, 5).
+    group = 2 * (np.flatnonzero(inside) * _BLOCKS // load.size) + falls
+    columns = (np.ones(x.size), x, y, x * y, x * x)
+    sums = np.stack([np.bincount(group, column, 2 * _BLOCKS) for column in columns], axis=-1)
+    sums = sums.reshape(_BLOCKS, 2, len(columns))
     draws = rng.integers(0, _BLOCKS, (_DRAWS, _BLOCKS))
     low, high = np.nanquantile([_slope(sums[draw].sum(axis=0)) for draw in draws], (0.025, 0.975))
     slope = _slope(sums.sum(axis=0))
     return replace(
         entry, measured=1.0 / slope, measured_low=float(1.0 / high), measured_high=float(1.0 / low)
     )
-
-
-def _sums(x: Floats, y: Floats, sign: Floats, block: npt.NDArray[np.int64]) -> Floats:
-    """Sums of 1, x, y, x y, x x in every block and direction, shape (blocks, 2, 5)."""
-    result = np.zeros((_BLOCKS, 2, 5))
-    for side, way in enumerate((1.0, -1.0)):
-        rows = sign == way
-        for column, values in enumerate((np.ones(x.size), x, y, x * y, x * x)):
-            result[:, side, column] = np.bincount(block[rows], values[rows], _BLOCKS)
-    return result
 
 
 def _slope(sums: Floats) -> float:

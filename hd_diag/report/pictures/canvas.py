@@ -106,36 +106,14 @@ def styled() -> Iterator[None]:
 
 
 def sheet(height: float, rows: int = 1, **options: Any) -> tuple[Figure, list[Axes]]:
-    """An empty figure with panels one above the other.
-
-    Parameters
-    ----------
-    height : float
-        [inch]
-    rows : int
-    **options
-        For `Figure.subplots`.
-
-    Returns
-    -------
-    figure : Figure
-    axes : list of Axes
-    """
+    """An empty figure of a height [inch] with panels one above the other; options of `Figure.subplots`."""
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
     axes = figure.subplots(rows, 1, squeeze=False, **options)
     return figure, list(axes[:, 0])
 
 
 def titled(axes: Axes, title: str, raised: float = 0.0) -> None:
-    """A title and, under it, a legend: above the panel, where they cover nothing.
-
-    Parameters
-    ----------
-    axes : Axes
-    title : str
-    raised : float
-        Height left free between panel and legend [points].
-    """
+    """A title and under it a legend, above the panel, where they cover nothing, raised by some points."""
     handles, labels = axes.get_legend_handles_labels()
     rows = -(-len(labels) // _COLUMNS)
     axes.set_title(title, pad=5.0 + raised + _ROW * rows)

@@ -78,16 +78,9 @@ def over_time(found: OverTime) -> Figure:
 
 @drawn
 def orders(spectra: Mapping[str, tuple[Floats, Floats]], marks: Sequence[float], highest: float) -> Figure:
-    """Amplitude of the residual over the order of the wave generator's turn.
+    """Amplitude [rad] of the residual over the order of the wave generator's turn, up to the highest.
 
-    Parameters
-    ----------
-    spectra : mapping of str to (order, amplitude)
-        Of up to three stages; amplitude [rad].
-    marks : sequence of float
-        Orders to mark, rising; they get the numbers 1, 2, ...
-    highest : float
-        End of the axis.
+    Marks are orders, rising; they get the numbers 1, 2, ...
     """
     figure, (axes,) = sheet(3.1)
     for (colour, _), width, (name, (order, amplitude)) in zip(STAGES, _WIDTHS, spectra.items(), strict=False):

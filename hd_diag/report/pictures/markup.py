@@ -16,12 +16,8 @@ _NUMBER = re.compile(r"-?\d+\.\d+")
 _REFERENCE = re.compile(r"url\(#([^)]+)\)")
 _COORDINATES = ("d", "points", "x", "y", "transform", "width", "height", "x1", "y1", "x2", "y2")
 # What a style may say that an attribute can say too; anything else goes.
-_ATTRIBUTES = frozenset(
-    (
-        *("clip-path", "clip-rule", "fill", "fill-opacity", "fill-rule", "image-rendering", "opacity"),
-        *("stroke", "stroke-dasharray", "stroke-dashoffset", "stroke-linecap", "stroke-linejoin"),
-        *("stroke-miterlimit", "stroke-opacity", "stroke-width", "text-anchor"),
-    )
+_ATTRIBUTES = re.compile(
+    r"clip-(path|rule)|fill(-opacity|-rule)?|image-rendering|opacity|stroke(-\w+)?|text-anchor"
 )
 
 Xml.register_namespace("", _SVG)
@@ -29,22 +25,10 @@ Xml.register_namespace("xlink", _XLINK)
 
 
 def inline_svg(figure: Figure, name: str, title: str, description: str) -> str:
-    """SVG element for a page.
+    """SVG element for a page, without styles, so that it may forbid them; ink is the page's text colour.
 
-    Parameters
-    ----------
-    figure : Figure
-    name : str
-        Letters, digits and hyphens; before every id, so that pictures of one page share none.
-    title : str
-        What the picture is.
-    description : str
-        What it shows, with its numbers, for those who cannot see it.
-
-    Returns
-    -------
-    str
-        Without styles, so that a page may forbid them; ink is the page's own text colour.
+    The name, of letters, digits and hyphens, stands before every id, so that pictures of one page share none.
+    The description says what the picture shows, with its numbers, to those who cannot see it.
 
     Raises
     ------
@@ -53,7 +37,10 @@ def inline_svg(figure: Figure, name: str, title: str, description: str) -> str:
     """
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9-]*", name):
         raise ValueError(f"name of a picture: letters, digits and hyphens, not {name!r}")
-    root = Xml.fromstring(_written(figure))
+    buffer = io.BytesIO()
+    with styled():
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    root = Xml.fromstring(buffer.getvalue())
     for parent in root.iter():
         for child in list(parent):
             if child.tag in (f"{{{_SVG}}}metadata", f"{{{_SVG}}}style"):
@@ -65,36 +52,22 @@ def inline_svg(figure: Figure, name: str, title: str, description: str) -> str:
     return Xml.tostring(root, encoding="unicode")
 
 
-def _written(figure: Figure) -> bytes:
-    buffer = io.BytesIO()
-    with styled():
-        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    return buffer.getvalue()
-
-
 def _plain(element: Xml.Element) -> None:
     """Attributes instead of a style; coordinates to 0.01 points; ink as the text around."""
     for declaration in element.attrib.pop("style", "").split(";"):
         key, _, value = (part.strip() for part in declaration.partition(":"))
-        if key == "font":
-            _font(element, value)
+        if key == "font" and (found := _FONT.fullmatch(value)):  # the family is the page's
+            names = zip(("font-style", "font-weight", "font-size"), found.groups(), strict=True)
+            element.attrib |= {name: part for name, part in names if part}
         elif key == "font-size":
             element.set(key, value.removesuffix("px"))
-        elif key in _ATTRIBUTES:
+        elif _ATTRIBUTES.fullmatch(key):
             element.set(key, value)
     for key, value in element.attrib.items():
         if value.lower() == INK:
             element.set(key, "currentColor")
         elif key in _COORDINATES:
             element.set(key, _NUMBER.sub(lambda number: f"{float(number[0]):.2f}", value))
-
-
-def _font(element: Xml.Element, value: str) -> None:
-    """The shorthand's size and weight; the family is the page's."""
-    if found := _FONT.fullmatch(value):
-        for key, part in zip(("font-style", "font-weight", "font-size"), found.groups(), strict=True):
-            if part:
-                element.set(key, part)
 
 
 def _own_ids(root: Xml.Element, name: str) -> None:
@@ -115,16 +88,10 @@ def _own_ids(root: Xml.Element, name: str) -> None:
 
 
 def _described(root: Xml.Element, name: str, title: str, description: str) -> None:
-    root.attrib.pop("version", None)
-    for side in ("width", "height"):  # the page gives the size
-        root.attrib.pop(side, None)
-    root.attrib |= {
-        "role": "img",
-        "aria-labelledby": f"{name}-title",
-        "aria-describedby": f"{name}-text",
-        "stroke-linejoin": "round",
-        "stroke-linecap": "butt",
-    }
+    for key in ("version", "width", "height"):  # the page gives the size
+        root.attrib.pop(key, None)
+    labels = {"aria-labelledby": f"{name}-title", "aria-describedby": f"{name}-text"}
+    root.attrib |= {"role": "img", **labels, "stroke-linejoin": "round", "stroke-linecap": "butt"}
     for place, (tag, suffix, text) in enumerate((("title", "title", title), ("desc", "text", description))):
         element = Xml.Element(f"{{{_SVG}}}{tag}", {"id": f"{name}-{suffix}"})
         element.text = text

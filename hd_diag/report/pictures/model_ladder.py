@@ -22,14 +22,7 @@ _ROOM = 1.9  # factor to the right of the largest for its number
 
 @drawn
 def model_ladder(rungs: Sequence[Rung], held_out: Rms) -> Figure:
-    """Rungs from top to bottom.
-
-    Parameters
-    ----------
-    rungs : sequence of Rung
-    held_out : Rms
-        Of the data that were never fitted, and the noise floor.
-    """
+    """Rungs from top to bottom beside the data that were never fitted, and the noise floor."""
     figure, (axes,) = sheet(1.1 + 0.46 * len(rungs))
     axes.set_xscale("log")
     place = np.arange(len(rungs))

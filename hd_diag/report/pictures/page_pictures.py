@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
 
 from matplotlib.figure import Figure
 
@@ -18,28 +17,10 @@ from hd_diag.report.pictures.torsion_curve import torsion_curve
 _Drawing = tuple[str, str, Figure, str]  # name, title, figure, caption
 
 
-class Picture(NamedTuple):
-    """A figure of the page: its markup, made here and from numbers alone, and its caption."""
-
-    svg: str
-    caption: str
-
-
-def pictures(report: JointReport, number: int) -> dict[str, Picture]:
-    """All pictures of a joint by name.
-
-    Parameters
-    ----------
-    report : JointReport
-    number : int
-        Of the joint on the page, for ids of its own.
-
-    Returns
-    -------
-    dict of str to Picture
-    """
+def pictures(report: JointReport, number: int) -> dict[str, dict[str, str]]:
+    """Markup, made here and from numbers alone, and caption of the pictures of a page's joint by name."""
     return {
-        name: Picture(inline_svg(figure, f"joint{number}-{name}", title, caption), caption)
+        name: {"svg": inline_svg(figure, f"joint{number}-{name}", title, caption), "caption": caption}
         for name, title, figure, caption in _drawings(report)
     }
 
@@ -54,15 +35,18 @@ def _drawings(report: JointReport) -> Iterator[_Drawing]:
 
 
 def _comparisons(found: Judgement) -> Iterator[_Drawing]:
-    title, caption = "Measured against simulated over", captions.over_angle(found.over_angle)
-    yield "angle", f"{title} the wave generator's angle", comparison.over_angle(found.over_angle), caption
-    caption = captions.over_torque(found.over_torque)
-    yield "torque", f"{title} torque", comparison.over_torque(found.over_torque), caption
-    marks = [mark.order for mark in found.marks]
-    spectra = comparison.orders(found.orders, marks, found.highest_order)
-    yield "orders", "Order spectrum", spectra, captions.orders(found)
-    if found.ladder and found.rms is not None:
-        rungs = model_ladder(found.ladder, found.rms)
-        yield "ladder", "Ladder of models", rungs, captions.ladder(found)
-    caption = captions.over_time(found.over_time)
-    yield "time", "The record over time", comparison.over_time(found.over_time), caption
+    title, angle, torque = "Measured against simulated over", found.over_angle, found.over_torque
+    drawn = comparison.over_angle(angle)
+    yield "angle", f"{title} the wave generator's angle", drawn, captions.over_angle(angle)
+    yield "torque", f"{title} torque", comparison.over_torque(torque), captions.over_torque(torque)
+    drawn = comparison.orders(found.orders, [mark.order for mark in found.marks], found.highest_order)
+    yield "orders", "Order spectrum", drawn, captions.orders(found)
+    if found.ladder and found.diagnosis.rms is not None:
+        drawn = model_ladder(found.ladder, found.diagnosis.rms)
+        yield "ladder", "Ladder of models", drawn, captions.ladder(found)
+    yield (
+        "time",
+        "The record over time",
+        comparison.over_time(found.over_time),
+        captions.over_time(found.over_time),
+    )

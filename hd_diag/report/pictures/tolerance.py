@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from hd_diag.formatting import words
 from hd_diag.report.pictures.canvas import ACCENT, DASHES, GRID, INK, SERIES, drawn, sheet
 from hd_diag.tolerance.assembly import FACTORS
 from hd_diag.tolerance.criteria import CRITERIA
@@ -14,90 +17,65 @@ from hd_diag.tolerance.study import Study, Yield
 
 _WIDTH, _PANEL = 5.6, 2.9  # of a panel with its legend [inch]
 _BAR = 0.26  # [inch]
+_LINES: list[dict[str, Any]] = [
+    {"color": colour, "ls": dashes, "label": words(criterion.name)}
+    for criterion, colour, dashes in zip(CRITERIA, SERIES, DASHES, strict=False)
+]
 
 
 @drawn
 def tolerance_picture(found: Study) -> Figure:
     """Up to three panels, one above the other."""
-    bars = _BAR * len(FACTORS) + 1.4
-    heights = (
-        [_PANEL + 0.3] + [_PANEL] * (found.assemblies is not None) + [bars] * (found.sensitivity is not None)
-    )
+    drawn_, indices = found.assemblies, found.sensitivity
+    heights = [_PANEL + 0.3] + [_PANEL] * (drawn_ is not None)
+    heights += [_BAR * len(FACTORS) + 1.4] * (indices is not None)
     figure, axes = sheet(sum(heights), len(heights), height_ratios=heights)
     figure.set_figwidth(_WIDTH)
-    panels = iter(axes)
-    _limits(next(panels), found)
-    if found.assemblies is not None:
-        _yield(next(panels), found.assemblies, found.question.target)
-    if found.sensitivity is not None:
-        _sensitivity(next(panels), found.sensitivity)
+    _limits(axes[0], found)
+    if drawn_ is not None:
+        _yield(axes[1], drawn_, found.question.target)
+    if indices is not None:
+        _sensitivity(axes[-1], indices)
+    for panel in axes:  # above it, where it covers nothing
+        panel.legend(loc="lower left", bbox_to_anchor=(0.0, 1.02), ncols=3)
     return figure
-
-
-def _legend(axes: Axes) -> None:
-    """Above the panel, where it covers nothing."""
-    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.02), ncols=3)
 
 
 def _limits(axes: Axes, found: Study) -> None:
     """Every criterion over its limit at the first torque, and where it crosses."""
-    for k, (criterion, limit) in enumerate(zip(CRITERIA, found.limits[0], strict=True)):
+    for line, criterion, limit in zip(_LINES, CRITERIA, found.limits[0], strict=True):
         scale = limit.limit if limit.limit > 0.0 else 1.0 / criterion.scale
         offset = 1.0 if limit.limit <= 0.0 else 0.0  # a limit of zero is crossed at 1 all the same
         values = (limit.scanned[1] - limit.limit * (offset > 0.0)) / scale + offset
-        label = criterion.name.replace("_", " ")
-        axes.plot(limit.scanned[0] * 1e6, values, color=SERIES[k], linestyle=DASHES[k], label=label)
+        axes.plot(limit.scanned[0] * 1e6, values, **line)
         if limit.reached:
-            axes.plot(limit.eccentricity * 1e6, 1.0, "o", color=SERIES[k], markersize=4)
-    axes.axhline(1.0, color=INK, linewidth=0.7)
-    axes.set_ylim(0.0, 2.0)
-    axes.set_xlim(0.0, found.question.largest * 1e6)
-    axes.set_xlabel("eccentricity [µm]")
+            axes.plot(limit.eccentricity * 1e6, 1.0, "o", color=line["color"], ms=4)
+    axes.axhline(1.0, color=INK, lw=0.7)
+    axes.set(xlim=(0.0, found.question.largest * 1e6), xlabel="eccentricity [µm]", ylim=(0.0, 2.0))
     axes.set_ylabel(f"worst over limit at {found.question.torque[0]:g} N m")
-    _legend(axes)
 
 
 def _yield(axes: Axes, drawn_: Yield, target: float) -> None:
-    tolerances = drawn_.tolerances * 1e6
-    together = drawn_.together
-    axes.fill_between(tolerances, 100 * together.low, 100 * together.high, color=GRID, alpha=0.4, linewidth=0)
+    tolerances, together = drawn_.tolerances * 1e6, drawn_.together
+    axes.fill_between(tolerances, 100 * together.low, 100 * together.high, color=GRID, alpha=0.4, lw=0)
     axes.plot(tolerances, 100 * together.share, color=INK, label="all limits (95 %)")
-    for k, (criterion, share) in enumerate(zip(CRITERIA, drawn_.each, strict=True)):
+    for line, share in zip(_LINES, drawn_.each, strict=True):
         if np.any(share.share < 1.0):
-            axes.plot(
-                tolerances,
-                100 * share.share,
-                color=SERIES[k],
-                linestyle=DASHES[k],
-                label=criterion.name.replace("_", " "),
-            )
-    axes.axhline(100 * target, color=ACCENT, linewidth=0.7)
-    axes.axvline(drawn_.configured * 1e6, color=GRID, linewidth=0.7)
-    axes.set_xlim(tolerances[0], tolerances[-1])
-    axes.set_ylim(0.0, 101.0)
-    axes.set_xlabel("tolerance of the eccentricity (99.73 %) [µm]")
-    axes.set_ylabel("assemblies within the limits [%]")
-    _legend(axes)
+            axes.plot(tolerances, 100 * share.share, **line)
+    axes.axhline(100 * target, color=ACCENT, lw=0.7)
+    axes.axvline(drawn_.configured * 1e6, color=GRID, lw=0.7)
+    axes.set(xlim=(tolerances[0], tolerances[-1]), xlabel="tolerance of the eccentricity (99.73 %) [µm]")
+    axes.set(ylim=(0.0, 101.0), ylabel="assemblies within the limits [%]")
 
 
 def _sensitivity(axes: Axes, indices: Indices) -> None:
     """Total index of the factors, one mark per criterion, with its interval."""
     place = np.arange(len(FACTORS))[::-1]
-    for k, criterion in enumerate(CRITERIA):
+    for k, line in enumerate(_LINES):
         total, low, high = (100 * values[k] for values in vars(indices.total).values())
-        beside = place + 0.11 * (len(CRITERIA) / 2 - k)
-        ends = np.stack((total - low, high - total))
-        axes.errorbar(
-            total,
-            beside,
-            xerr=np.maximum(ends, 0.0),
-            fmt="o",
-            markersize=2.5,
-            linewidth=0.8,
-            color=SERIES[k],
-            label=criterion.name.replace("_", " "),
-        )
-    axes.set_yticks(place, [factor.replace("_", " ") for factor in FACTORS])
+        ends, beside = np.stack((total - low, high - total)), place + 0.11 * (len(CRITERIA) / 2 - k)
+        marks = {"fmt": "o", "ms": 2.5, "lw": 0.8, "color": line["color"], "label": line["label"]}
+        axes.errorbar(total, beside, xerr=np.maximum(ends, 0.0), **marks)
+    axes.set_yticks(place, list(map(words, FACTORS)))
     axes.set_xlim(left=-2.0)
     axes.set_xlabel("total Sobol index [%]")
-    _legend(axes)

@@ -15,14 +15,7 @@ _LEAST_LABELLED = 0.1  # width of a range over the greatest torque, from which i
 
 @drawn
 def torsion_curve(found: Torsion, judged: bool) -> Figure:
-    """Error over torque.
-
-    Parameters
-    ----------
-    found : Torsion
-    judged : bool
-        Whether the drive was fitted; otherwise it is the only one.
-    """
+    """Error over torque, of the configured and, where it was judged, of the fitted drive."""
     figure, (axes,) = sheet(3.6)
     torque, most = found.torque, float(found.torque[-1])
     axes.fill_between(torque, found.low / _ARCMIN, found.high / _ARCMIN, color=REFIT, alpha=0.18, lw=0)
