@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from hd_diag.cli.examples import example_path
-from hd_diag.cli.options import JSON, Problem, verb, write_json
+from hd_diag.cli.options import JSON, Problem, needing_ros, shown, verb, write_json
 from hd_diag.cli.verbs import SIGNALLED
 
 
@@ -19,13 +19,7 @@ from hd_diag.cli.verbs import SIGNALLED
     type=click.Path(file_okay=False),
     help="Folder for log, replay and report. [default: a new one among the temporary files]",
 )
-@click.option(
-    "--seconds",
-    type=click.FloatRange(5.0, 600.0),
-    default=24.0,
-    show_default=True,
-    help="How long node and joint run [s].",
-)
+@shown("--seconds", 24.0, "How long node and joint run [s].", type=click.FloatRange(5.0, 600.0))
 @JSON
 def demo(folder: str | None, seconds: float, json_file: str | None) -> None:
     """The main job end to end: the real node beside a simulated joint, over DDS, its log, replay and verdict.
@@ -35,10 +29,8 @@ def demo(folder: str | None, seconds: float, json_file: str | None) -> None:
     something did not, 130 after Ctrl-C.
     """
     sys.path.insert(0, str(example_path("demo").parent))
-    try:
+    with needing_ros("the demo"):
         from demo.run import DemoError, run
-    except ImportError as error:
-        raise Problem(f"the demo needs ROS 2 Jazzy (rclpy), which is not to be imported: {error}") from error
     try:
         summary = run(Path(folder) if folder else None, seconds)
     except DemoError as error:

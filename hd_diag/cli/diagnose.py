@@ -10,7 +10,7 @@ import click
 import numpy as np
 
 from hd_diag import __version__
-from hd_diag.cli.options import JSON, Problem, verb
+from hd_diag.cli.options import FAIL_ON_CAUSE, FILE, JSON, Problem, check_targets, verb
 from hd_diag.cli.record import Judged, Records, digests, judge_each, on_records, status
 from hd_diag.config.configuration import JointConfig
 from hd_diag.config.model_file import document, write
@@ -23,22 +23,15 @@ from hd_diag.report.facts import of_diagnosis
 
 @verb("diagnose joint.mcap --config arm.yaml --report joint.html")
 @on_records
-@click.option(
-    "--fail-on-cause", is_flag=True, help="Exit with 1 where a cause or something unexplained is found."
-)
+@FAIL_ON_CAUSE
 @click.option(
     "--model",
     "model_file",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     help="Write the extended model here, for the parameter <joint>.model_file; of several joints each gets a "
     "file with _<joint> in its name.",
 )
-@click.option(
-    "--report",
-    "report_file",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="Draw it all on one HTML page here.",
-)
+@click.option("--report", "report_file", type=FILE, help="Draw it all on one HTML page here.")
 @JSON
 def diagnose(
     records: Records,
@@ -56,7 +49,7 @@ def diagnose(
     all of it are fitted. A joint that cannot be judged is reported on stderr, the others go on, and the exit
     code is 2.
     """
-    records.check_targets(model_file, report_file, json_file)
+    check_targets((model_file, report_file, json_file), *records.bags)
 
     def judge(joint: JointConfig) -> Judged:
         with status(joint.name) as progress:
@@ -80,20 +73,7 @@ def diagnose(
 
 
 def model_document(found: Diagnosis, joint: str, records: Records) -> dict[str, Any]:
-    """What `hd-diag diagnose --model` writes.
-
-    Parameters
-    ----------
-    found : Diagnosis
-        With a model.
-    joint : str
-    records : Records
-
-    Returns
-    -------
-    dict
-        Schema ``hd_diag/model/1``; SI.
-    """
+    """What `hd-diag diagnose --model` writes of a diagnosis with a model."""
     assert found.model is not None
     own = {p.name: records.config.flat[f"{joint}.{p.name}"] for p in JOINT_PARAMETERS}
     spreads = {name: value["std"] for name, value in found.parameters.items()}

@@ -13,13 +13,7 @@ from hd_diag.cli.options import Problem
 
 
 def example_path(name: str) -> Path:
-    """File or folder of an example.
-
-    Raises
-    ------
-    Problem
-        Where it was not installed with the package.
-    """
+    """File or folder of an example; a Problem where it was not installed with the package."""
     package = Path(hd_diag.__file__).parent
     prefixes = [*package.parents, *map(Path, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))]
     places = [package.parent / "examples", *(prefix / "share/hd_diag/examples" for prefix in prefixes)]

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from hd_diag.cli.examples import load_example
-from hd_diag.cli.options import CONFIG, Problem, configured, verb
+from hd_diag.cli.options import CONFIG, configured, shown, verb, writing
 from hd_diag.report.pictures.canvas import save
 
 _CAPTIONS = "figures.md"
@@ -20,15 +20,8 @@ _CAPTIONS = "figures.md"
     "--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Folder for the files."
 )
 @CONFIG
-@click.option(
-    "--format",
-    "kind",
-    type=click.Choice(["svg", "png", "pdf"]),
-    default="svg",
-    show_default=True,
-    help="Of the figures.",
-)
-def figures(out: Path, config_file: str | None, kind: str) -> None:
+@shown("--format", "svg", "Of the figures.", type=click.Choice(["svg", "png", "pdf"]))
+def figures(out: Path, config_file: str | None, format: str) -> None:
     """Draw the model's counterparts of the paper's Figs. 5, 6 and 7.
 
     For the first configured joint: the neutral layer's motion, backlash and load over the teeth, one tooth
@@ -38,16 +31,14 @@ def figures(out: Path, config_file: str | None, kind: str) -> None:
     joint = configured(config_file).joints[0]
     entries = load_example("paper_figures").figures(joint.drive)
     captions = [f"Drive of {joint.name}; claims are those of Dong et al. (2019), sections 4.2, 4.3 and 5."]
-    try:
+    with writing(out):
         out.mkdir(parents=True, exist_ok=True)
         for name, title, figure, claims in entries:
-            save(figure, out / f"{name}.{kind}")
-            captions.append(f"## {title}\n\n![{title}]({name}.{kind})\n\n{_listed(claims)}")
+            save(figure, out / f"{name}.{format}")
+            captions.append(f"## {title}\n\n![{title}]({name}.{format})\n\n{_listed(claims)}")
         (out / _CAPTIONS).write_text("\n\n".join(captions) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise Problem(f"{error.filename}: cannot be written: {error.strerror}") from error
     for name, title, _, claims in entries:
-        click.echo(f"{out / f'{name}.{kind}'}: {title}\n{_listed(claims)}")
+        click.echo(f"{out / f'{name}.{format}'}: {title}\n{_listed(claims)}")
     click.echo(f"{out / _CAPTIONS}: captions")
 
 

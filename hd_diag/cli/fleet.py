@@ -17,17 +17,7 @@ import click
 import numpy as np
 from rich.console import Console
 
-from hd_diag.cli.options import (
-    CONFIG,
-    JOINTS,
-    JSON,
-    Problem,
-    check_target,
-    chosen_joints,
-    configured,
-    verb,
-    write_json,
-)
+from hd_diag.cli import options
 from hd_diag.cli.progress import bar
 from hd_diag.cli.verbs import INTERRUPTED
 from hd_diag.config.catalogue import load
@@ -51,33 +41,28 @@ _BAG_TIMEOUT = 1800.0  # [s]
 _ERRORS_SHOWN = 20
 
 
-@verb("fleet bags/ --config arm.yaml --out arm.parquet")
+@options.verb("fleet bags/ --config arm.yaml --out arm.parquet")
 @click.argument(
     "bags", metavar="BAGS_OR_FOLDERS...", nargs=-1, required=True, type=click.Path(path_type=Path)
 )
-@CONFIG
-@JOINTS
-@click.option(
-    "--out", required=True, type=click.Path(dir_okay=False, path_type=Path), help="The table: *.parquet."
-)
-@click.option(
-    "--figure", type=click.Path(dir_okay=False, path_type=Path), help="Draw the series: *.png, *.pdf, ..."
-)
-@click.option("--jobs", type=click.IntRange(min=1), help="Processes on this machine. [default: one a core]")
+@options.CONFIG
+@options.JOINTS
+@click.option("--out", required=True, type=options.FILE, help="The table: *.parquet.")
+@click.option("--figure", type=options.FILE, help="Draw the series: *.png, *.pdf, ...")
+@options.JOBS
 @click.option(
     "--memory",
     type=click.FloatRange(min=0.0, min_open=True),
     help="What each process may have [GiB]; a bag that needs more gets an error. "
     "[default: 90 % of the machine's over the processes]",
 )
-@click.option(
+@options.shown(
     "--bag-timeout",
+    _BAG_TIMEOUT,
+    "What may be spent on looking at a bag, and on diagnosing each of its joints [s]; a bag that takes "
+    "longer gets an error and is tried again by the next run. 0: no limit.",
     type=click.FloatRange(min=0.0),
     metavar="SECONDS",
-    default=_BAG_TIMEOUT,
-    show_default=True,
-    help="What may be spent on looking at a bag, and on diagnosing each of its joints [s]; a bag that takes "
-    "longer gets an error and is tried again by the next run. 0: no limit.",
 )
 @click.option(
     "--scheduler",
@@ -99,12 +84,10 @@ _ERRORS_SHOWN = 20
     "reaches this; repeatable. residual_nominal has limits.residual_rms.error of the configuration.",
 )
 @click.option("--fresh", is_flag=True, help="Forget what earlier runs have kept.")
-@click.option(
-    "--fail-on-cause", is_flag=True, help="Exit with 1 where a cause or something unexplained is found."
-)
+@options.FAIL_ON_CAUSE
 @click.option("--fail-on-change", is_flag=True, help="Exit with 1 where something steps or drifts.")
-@JSON
-def fleet(bags: tuple[Path, ...], config_file: str | None, names: tuple[str, ...], **options: Any) -> None:
+@options.JSON
+def fleet(bags: tuple[Path, ...], config_file: str | None, names: tuple[str, ...], **given: Any) -> None:
     """Diagnose every joint of every bag, in parallel, and report what changes over time.
 
     Folders are searched for bags; a folder with a metadata.yaml is one. The table has one row for each bag
@@ -114,22 +97,21 @@ def fleet(bags: tuple[Path, ...], config_file: str | None, names: tuple[str, ...
     the amplitude of each cause; steps and drifts are reported with a chance of false alarm of 5 % for the
     whole run. Exit code 2 where no bag could be judged, 130 after Ctrl-C.
     """
-    config = configured(config_file)
-    joints = tuple(chosen_joints(config, names))
+    config = options.configured(config_file)
+    joints = tuple(options.chosen_joints(config, names))
     try:
-        limits = _limits(joints, options["limits"])
-        chosen = _fleet(bags, config, joints, options)
-        rows, found = _run(chosen, limits, options)
-        _write(rows, found, options)
+        limits = _limits(joints, given["limits"])
+        rows, found = _run(_fleet(bags, config, joints, given), limits, given)
+        _write(rows, found, given)
     except FleetError as error:
-        raise Problem(str(error)) from error
-    if options["json_file"] != "-":
-        _show(rows, found, options["out"])
-    sys.exit(_code(rows, found, options))
+        raise options.Problem(str(error)) from error
+    if given["json_file"] != "-":
+        _show(rows, found, given["out"])
+    sys.exit(_code(rows, found, given))
 
 
 def _fleet(
-    bags: tuple[Path, ...], config: Any, joints: tuple[JointConfig, ...], options: dict[str, Any]
+    bags: tuple[Path, ...], config: Any, joints: tuple[JointConfig, ...], given: dict[str, Any]
 ) -> Fleet:
     """What is to be done, checked as far as it can be before hours of work."""
     missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
@@ -137,39 +119,31 @@ def _fleet(
         raise FleetError(f"fleet needs {' and '.join(missing)}: pip install {' '.join(missing)}")
     from hd_diag.fleet.plots import check_format
 
-    if options["scheduler"] and (options["jobs"] or options["memory"]):
+    if given["scheduler"] and (given["jobs"] or given["memory"]):
         raise FleetError("--jobs and --memory are of this machine: with --scheduler its workers set them")
     for path in bags:
-        if not options["scheduler"] and not path.exists():
+        if not given["scheduler"] and not path.exists():
             raise FleetError(f"{path}: does not exist")
     found = find_bags(bags)
     if not found:
         raise FleetError(f"no bag in {', '.join(map(str, bags))}")
-    outputs = [path for path in (options["out"], options["figure"]) if path is not None]
-    outputs += [Path(options["json_file"])] if options["json_file"] not in (None, "-") else []
-    if len({os.path.realpath(path) for path in outputs}) < len(outputs):
-        raise FleetError("--out, --json and --figure must be different files")
-    for path in outputs:
-        check_target(path, *found)
-    if options["out"].suffix != ".parquet":
-        raise FleetError(f"{options['out']}: the table is Parquet: name it *.parquet")
-    if options["figure"]:
-        check_format(options["figure"])
-    return Fleet(found, config, joints, _pattern(options["robot"]))
-
-
-def _pattern(text: str | None) -> re.Pattern[str] | None:
+    options.check_targets((given["out"], given["figure"], given["json_file"]), *found)
+    if given["out"].suffix != ".parquet":
+        raise FleetError(f"{given['out']}: the table is Parquet: name it *.parquet")
+    if given["figure"]:
+        check_format(given["figure"])
     try:
-        return None if text is None else re.compile(text)
+        robot = None if given["robot"] is None else re.compile(given["robot"])
     except re.error as error:
-        raise FleetError(f"--robot {text}: {error}") from error
+        raise FleetError(f"--robot {given['robot']}: {error}") from error
+    return Fleet(found, config, joints, robot)
 
 
-def _limits(joints: Sequence[JointConfig], given: tuple[str, ...]) -> dict[tuple[str, str], float]:
+def _limits(joints: Sequence[JointConfig], wanted: tuple[str, ...]) -> dict[tuple[str, str], float]:
     """Limits by joint and quantity: the configuration's, and those of the command line."""
     known = (ECCENTRICITY, NOMINAL, REFIT, *(effect.name for effect in load()))
     limits = {(joint.name, NOMINAL): joint.limits["residual_rms"].error for joint in joints}
-    for text in given:
+    for text in wanted:
         name, _, number = text.partition("=")
         if name not in known:
             raise FleetError(f"--limit {text}: no quantity {name!r}; there are {', '.join(known)}")
@@ -184,14 +158,14 @@ def _limits(joints: Sequence[JointConfig], given: tuple[str, ...]) -> dict[tuple
 
 
 def _run(
-    chosen: Fleet, limits: dict[tuple[str, str], float], options: dict[str, Any]
+    chosen: Fleet, limits: dict[tuple[str, str], float], given: dict[str, Any]
 ) -> tuple[list[Row], list[Trend]]:
-    path = options["out"].with_name(options["out"].name + JOURNAL_SUFFIX)
-    with Journal(path, options["fresh"]) as journal:
+    path = given["out"].with_name(given["out"].name + JOURNAL_SUFFIX)
+    with Journal(path, given["fresh"]) as journal:
         try:
             with _watched() as (tell, tick):
-                with _pool(options) as pool:
-                    rows = diagnose_fleet(chosen, pool, journal, tell, tick, options["bag_timeout"])
+                with _pool(given) as pool:
+                    rows = diagnose_fleet(chosen, pool, journal, tell, tick, given["bag_timeout"])
                 return rows, trends(series_of(rows, limits), np.random.default_rng(0), tick)
         except KeyboardInterrupt:
             text = f"{len(journal.results)} results are in {path}; the same command goes on"
@@ -220,24 +194,24 @@ def _watched() -> Iterator[tuple[Progress, Callable[[], None]]]:
         yield tell, tick
 
 
-def _pool(options: dict[str, Any]) -> Any:
-    if options["scheduler"]:
-        return ClusterPool(options["scheduler"])
-    jobs = options["jobs"] or cores()
+def _pool(given: dict[str, Any]) -> Any:
+    if given["scheduler"]:
+        return ClusterPool(given["scheduler"])
+    jobs = given["jobs"] or cores()
     machine = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    each = options["memory"] * 2**30 if options["memory"] else _MEMORY_SHARE * machine / jobs
+    each = given["memory"] * 2**30 if given["memory"] else _MEMORY_SHARE * machine / jobs
     return ProcessPool(jobs, int(each))
 
 
-def _write(rows: list[Row], found: list[Trend], options: dict[str, Any]) -> None:
+def _write(rows: list[Row], found: list[Trend], given: dict[str, Any]) -> None:
     from hd_diag.fleet.plots import draw
     from hd_diag.fleet.table import write_table
 
-    write_table(options["out"], rows)
-    if options["json_file"]:
-        write_json(options["json_file"], as_json(str(options["out"]), rows, found))
-    if options["figure"]:
-        draw(found, options["figure"])
+    write_table(given["out"], rows)
+    if given["json_file"]:
+        options.write_json(given["json_file"], as_json(str(given["out"]), rows, found))
+    if given["figure"]:
+        draw(found, given["figure"])
 
 
 def _show(rows: list[Row], found: list[Trend], out: Path) -> None:
@@ -255,10 +229,10 @@ def _show(rows: list[Row], found: list[Trend], out: Path) -> None:
     )
 
 
-def _code(rows: list[Row], found: list[Trend], options: dict[str, Any]) -> int:
+def _code(rows: list[Row], found: list[Trend], given: dict[str, Any]) -> int:
     if all(row.get("error") for row in rows):
         click.echo("hd-diag: no bag could be judged", err=True)
         return 2
     caused = any(row.get("causes") or row.get("unexplained_orders") for row in rows)
     changed = any(trend.form in CHANGED for trend in found)
-    return int((options["fail_on_cause"] and caused) or (options["fail_on_change"] and changed))
+    return int((given["fail_on_cause"] and caused) or (given["fail_on_change"] and changed))

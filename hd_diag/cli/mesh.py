@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from hd_diag.arrays import Floats
-from hd_diag.cli.options import CONFIG, JOINT, JSON, chosen_joint, configured, verb, write_json
+from hd_diag.cli.options import CONFIG, JOINT, JSON, chosen_joint, configured, shown, verb, write_json
 from hd_diag.config.configuration import JointConfig
 from hd_diag.drive import mesh_state, transmission_error
 from hd_diag.formatting import ARCSEC, json_ready
@@ -20,8 +20,8 @@ from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TORQUE
 @verb("mesh --config arm.yaml --joint elbow --torque 14")
 @CONFIG
 @JOINT
-@click.option("--input-angle", type=float, default=0.0, show_default=True, help="Reported input angle [rad].")
-@click.option("--torque", type=float, default=0.0, show_default=True, help="Torque M [N m].")
+@shown("--input-angle", 0.0, "Reported input angle [rad].")
+@shown("--torque", 0.0, "Torque M [N m].")
 @JSON
 def mesh(
     config_file: str | None, joint: str | None, input_angle: float, torque: float, json_file: str | None
@@ -44,21 +44,7 @@ def mesh(
 
 
 def moment(joint: JointConfig, input_angle: float, torque: float) -> dict[str, Any]:
-    """What `hd-diag mesh --json` writes.
-
-    Parameters
-    ----------
-    joint : JointConfig
-    input_angle : float
-        As reported [rad].
-    torque : float
-        M [N m].
-
-    Returns
-    -------
-    dict
-        Schema ``hd_diag/mesh/1``.
-    """
+    """What `hd-diag mesh --json` writes of a moment: input angle as reported [rad], torque [N m]."""
     drive = joint.drive
     angle, load = np.array([input_angle]), np.array([torque])
     state = mesh_state(drive, angle, load)

@@ -6,7 +6,7 @@ import sys
 
 import click
 
-from hd_diag.cli.options import CONFIG, Problem, verb
+from hd_diag.cli.options import CONFIG, needing_ros, verb
 from hd_diag.config.configuration import load
 from hd_diag.ros.stop_signals import note_signals
 
@@ -22,9 +22,7 @@ def node(config_file: str | None, ros_arguments: tuple[str, ...]) -> None:
     if config_file:
         load(config_file)
     stopped = note_signals()
-    try:
+    with needing_ros("the node"):
         from hd_diag.ros.node import main as run
-    except ImportError as error:
-        raise Problem(f"the node needs ROS 2 Jazzy (rclpy), which is not to be imported: {error}") from error
     parameter_file = ["--ros-args", "--params-file", config_file, "--"] if config_file else []
     sys.exit(run(["hd_diag_node", *parameter_file, *ros_arguments], stopped))

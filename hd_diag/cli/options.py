@@ -6,7 +6,8 @@ import functools
 import json
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -42,15 +43,7 @@ def tell(line: str, *, err: bool = False) -> None:
 
 
 def verb(example: str, **settings: Any) -> Callable[[Callable[..., Any]], click.Command]:
-    """A function as a verb: its help with an example of a call, and bad input reported in one line.
-
-    Parameters
-    ----------
-    example : str
-        What follows ``hd-diag``.
-    **settings
-        Of click's context.
-    """
+    """A function as a verb: help with an example, bad input in one line; settings are of click's context."""
 
     def made(function: Callable[..., Any]) -> click.Command:
         @functools.wraps(function)
@@ -65,14 +58,9 @@ def verb(example: str, **settings: Any) -> Callable[[Callable[..., Any]], click.
     return made
 
 
-CONFIG = click.option(
-    "--config",
-    "config_file",
-    type=click.Path(dir_okay=False),
-    help="ROS parameter file. [default: the example drive]",
-)
-JOINT = click.option("--joint", help="Joint. [default: the first configured]")
-JOINTS = click.option("--joint", "names", multiple=True, help="Joint; repeatable. [default: all configured]")
+def shown(flag: str, default: Any, text: str, **more: Any) -> Callable[[_Command], _Command]:
+    """An option whose default the help shows."""
+    return click.option(flag, default=default, show_default=True, help=text, **more)
 
 
 def _check_writable(context: click.Context, parameter: click.Parameter, value: str | None) -> str | None:
@@ -90,6 +78,25 @@ def json_option(what: str) -> Callable[[_Command], _Command]:
     )
 
 
+FILE = click.Path(dir_okay=False, path_type=Path)
+CONFIG = click.option(
+    "--config",
+    "config_file",
+    type=click.Path(dir_okay=False),
+    help="ROS parameter file. [default: the example drive]",
+)
+JOINT = click.option("--joint", help="Joint. [default: the first configured]")
+JOINTS = click.option("--joint", "names", multiple=True, help="Joint; repeatable. [default: all configured]")
+BAG = click.option(
+    "--out", required=True, type=click.Path(path_type=Path), help="*.mcap or a rosbag2 folder."
+)
+OVERWRITE = click.option("--overwrite", is_flag=True, help="Replace the output where it exists.")
+JOBS = click.option(
+    "--jobs", type=click.IntRange(1), help="Processes on this machine. [default: one per core that is free]"
+)
+FAIL_ON_CAUSE = click.option(
+    "--fail-on-cause", is_flag=True, help="Exit with 1 where a cause or something unexplained is found."
+)
 JSON = json_option("the result")
 
 
@@ -112,14 +119,24 @@ def chosen_joints(config: Config, names: tuple[str, ...]) -> list[JointConfig]:
     return [known[name] for name in names] or list(config.joints)
 
 
-def check_target(path: str | Path, *inputs: Path) -> None:
-    """Refuse before the work a file that could not be written, or that would overwrite an input; - is stdout.
+def check_targets(targets: Iterable[str | Path | None], *inputs: Path) -> None:
+    """Refuse before the work files of which one could not be written, or would overwrite another or an input.
 
     Raises
     ------
     Problem, BagError
-        Where there is no such folder, or no writing; where it is an input, or a part of one.
+        Where there is no such folder, or no writing; where two are the same; where one is an input, or a part
+        of one.
     """
+    wanted = [target for target in targets if target not in (None, "-")]
+    if len(set(map(os.path.realpath, wanted))) < len(wanted):
+        raise Problem(f"{' and '.join(map(str, wanted))} must be different files")
+    for target in wanted:
+        check_target(target, *inputs)
+
+
+def check_target(path: str | Path, *inputs: Path) -> None:
+    """Refuse before the work a file that could not be written or would overwrite an input; - is stdout."""
     if path == "-":
         return
     target = Path(path).absolute()
@@ -131,13 +148,29 @@ def check_target(path: str | Path, *inputs: Path) -> None:
     check_output(path, *filter(os.path.exists, inputs))
 
 
+@contextmanager
+def writing(path: str | Path) -> Iterator[None]:
+    """What cannot be written inside is a problem of this file."""
+    try:
+        yield
+    except OSError as error:
+        raise Problem(f"{error.filename or path}: cannot be written: {error.strerror}") from error
+
+
+@contextmanager
+def needing_ros(what: str) -> Iterator[None]:
+    """Imports inside are of ROS."""
+    try:
+        yield
+    except ImportError as error:
+        raise Problem(f"{what} needs ROS 2 Jazzy (rclpy), which is not to be imported: {error}") from error
+
+
 def write_json(path: str, result: Any) -> None:
     """Write a result as JSON; numbers that are not finite become null."""
     text = json.dumps(json_ready(result), indent=1, allow_nan=False)
     if path == "-":
         click.echo(text)
         return
-    try:
+    with writing(path):
         Path(path).write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise Problem(f"{path}: cannot be written: {error.strerror}") from error

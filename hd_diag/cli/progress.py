@@ -41,13 +41,9 @@ def bar() -> Iterator[Progress]:
 
 @contextmanager
 def working() -> Iterator[Callable[[str, str], Advance]]:
-    """Progress with rate and time left on stderr, where that is a terminal, and Ctrl-C where work can end.
+    """A function that takes what is to be done and its unit, and gives what is to be called meanwhile.
 
-    Yields
-    ------
-    callable
-        Takes what is done and its unit; gives what is to be called while it is done. A bar shows from the
-        first call on. The call raises KeyboardInterrupt where Ctrl-C has come since the last one.
+    A bar shows from the first call on. A call raises KeyboardInterrupt where Ctrl-C has come since the last.
     """
     with bar() as bars, noted_signals([signal.SIGINT]) as came:
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ import numpy as np
 from rich.console import Console
 
 from hd_diag.bag.joint_record import read_bags, read_table
-from hd_diag.cli.options import CONFIG, JOINTS, Problem, check_target, chosen_joints, configured, write_json
+from hd_diag.cli.options import CONFIG, FILE, JOINTS, Problem, chosen_joints, configured, write_json, writing
 from hd_diag.config.catalogue import load
 from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
@@ -46,7 +45,7 @@ _OPTIONS = (
         "effect_files",
         metavar="FILE",
         multiple=True,
-        type=click.Path(dir_okay=False, path_type=Path),
+        type=FILE,
         help="Python file with further effects to search among, as EFFECT or EFFECTS; repeatable. It is run.",
     ),
 )
@@ -63,24 +62,8 @@ class Records:
     divided: bool
     catalogue: Catalogue
 
-    def check_targets(self, *targets: Path | str | None) -> None:
-        """Refuse before the work what could not be written, or would overwrite a bag or another result."""
-        wanted = [target for target in targets if target is not None]
-        for target in wanted:
-            check_target(target, *self.bags)
-        if len({os.path.realpath(target) for target in wanted}) < len(wanted):
-            raise Problem(f"{' and '.join(map(str, wanted))} must be different files")
-
     def diagnosed(self, joint: JointConfig, progress: Callable[[str], None]) -> Diagnosis:
-        """Diagnosis of a joint.
-
-        Raises
-        ------
-        Problem
-            Where the columns are not named as they must be.
-        BagError, RecordError
-            Where there is nothing that can be judged.
-        """
+        """Diagnosis of a joint; BagError and RecordError where there is nothing that can be judged."""
         # No name for the record: it goes as soon as it was looked through.
         looked = screened(self._record(joint), joint.configured)
         return diagnose(looked, joint.configured, np.random.default_rng(0), progress, self.catalogue)
@@ -131,21 +114,10 @@ class Judged(NamedTuple):
 def judge_each(
     records: Records, judge: Callable[[JointConfig], Judged], page_file: Path | None, json_file: str | None
 ) -> tuple[list[dict[str, Any]], bool]:
-    """Judge all joints; show the lines, write page and JSON.
+    """Judge all joints; show the lines, write page and JSON; the joints' JSON, and whether all were judged.
 
-    A joint that cannot be judged is reported on stderr and in the JSON, and the others go on.
-
-    Returns
-    -------
-    contents : list of dict
-        JSON of each joint.
-    complete : bool
-        Whether all could be judged.
-
-    Raises
-    ------
-    Problem
-        Where the only joint cannot be judged, or a file cannot be written.
+    A joint that cannot be judged is reported on stderr and in the JSON, and the others go on; the only one is
+    a Problem.
     """
     contents, pages, complete = [], [], True
     for joint in records.joints:
@@ -182,10 +154,8 @@ def _write_page(target: Path, reports: Sequence[JointReport], bags: Sequence[Pat
         for bag in bags
         for name, digest in digests(bag).items()
     ]
-    try:
+    with writing(target):
         write_page(target, reports, sources)
-    except OSError as error:
-        raise Problem(f"{target}: cannot be written: {error.strerror}") from error
 
 
 def digests(path: Path) -> dict[str, str]:

@@ -9,7 +9,7 @@ import click
 import numpy as np
 
 from hd_diag.bag.joint_record import read_motion
-from hd_diag.cli.options import JSON, Problem, verb
+from hd_diag.cli.options import FILE, JSON, Problem, check_targets, verb
 from hd_diag.cli.record import Judged, Records, judge_each, not_judged, on_records, status
 from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.record import RecordError
@@ -19,11 +19,7 @@ from hd_diag.report.facts import of_diagnosis, of_motion
 
 @verb("report joint.mcap --config arm.yaml --out joint.html")
 @on_records
-@click.option(
-    "--out",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="Write the page here. [default: the first bag's name with .html]",
-)
+@click.option("--out", type=FILE, help="Write the page here. [default: the first bag's name with .html]")
 @JSON
 def report(records: Records, out: Path | None, json_file: str | None) -> None:
     """Draw a bag: verdict, what to inspect, measured against simulated, teeth, data.
@@ -35,7 +31,7 @@ def report(records: Records, out: Path | None, json_file: str | None) -> None:
     exit code is 2.
     """
     target = out or Path(f"{records.bags[0].stem}.html")
-    records.check_targets(target, json_file)
+    check_targets((target, json_file), *records.bags)
 
     def judge(joint: JointConfig) -> Judged:
         flat = records.config.flat

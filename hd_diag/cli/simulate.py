@@ -10,7 +10,7 @@ from typing import Any
 import click
 import numpy as np
 
-from hd_diag.cli.options import CONFIG, JOINTS, Problem, chosen_joints, json_option, tell, verb, write_json
+from hd_diag.cli import options
 from hd_diag.cli.progress import interrupted, working
 from hd_diag.config.configuration import Config, ConfigError, load, resolve
 from hd_diag.config.parameter_file import parse_value
@@ -21,6 +21,7 @@ from hd_diag.simulation import START, Motion, Noise, SimulatedJoint, write_bag
 _TURN = 2.0 * math.pi
 _SECOND = 1_000_000_000  # [ns]
 _MOTION = Motion()
+_SPEEDS = tuple(speed / _TURN for speed in _MOTION.speeds)
 
 # Short options for the values most asked for: parameter, and its unit in the option's unit.
 _SHORT = {
@@ -32,29 +33,15 @@ _SHORT = {
 }
 
 
-@verb("simulate --out joint.mcap --eccentricity-um 18")
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="*.mcap or a rosbag2 folder.")
-@CONFIG
-@JOINTS
-@click.option("--duration", default=_MOTION.duration, show_default=True, help="Length of the record [s].")
-@click.option("--rate", default=_MOTION.sample_rate, show_default=True, help="Samples per second [Hz].")
-@click.option(
-    "--speed",
-    "speeds",
-    type=float,
-    multiple=True,
-    default=tuple(speed / _TURN for speed in _MOTION.speeds),
-    show_default=True,
-    help="Speed of the input [rev/s]; repeatable.",
-)
-@click.option(
-    "--torque-level",
-    "torques",
-    type=float,
-    multiple=True,
-    default=_MOTION.torques,
-    show_default=True,
-    help="Torque on the link [N m]; repeatable.",
+@options.verb("simulate --out joint.mcap --eccentricity-um 18")
+@options.BAG
+@options.CONFIG
+@options.JOINTS
+@options.shown("--duration", _MOTION.duration, "Length of the record [s].")
+@options.shown("--rate", _MOTION.sample_rate, "Samples per second [Hz].")
+@options.shown("--speed", _SPEEDS, "Speed of the input [rev/s]; repeatable.", type=float, multiple=True)
+@options.shown(
+    "--torque-level", _MOTION.torques, "Torque on the link [N m]; repeatable.", type=float, multiple=True
 )
 @click.option("--one-way", is_flag=True, help="Turn forwards only.")
 @click.option("--eccentricity-um", type=float, help="Eccentricity, fixed in the housing [µm].")
@@ -69,29 +56,17 @@ _SHORT = {
     metavar="PARAMETER=VALUE",
     help="Any parameter, such as joint_1.cup_compliance=2e-6; repeatable.",
 )
-@click.option(
-    "--offset-arcsec", default=0.0, show_default=True, help="Zero error of the output encoder [arcsec]."
-)
-@click.option(
-    "--angle-noise-arcsec",
-    default=0.0,
-    show_default=True,
-    help="White noise of the output angle [arcsec rms].",
-)
-@click.option(
-    "--angle-drift-arcsec",
-    default=0.0,
-    show_default=True,
-    help="Correlated noise of the output angle [arcsec rms].",
-)
-@click.option("--torque-noise", default=0.0, show_default=True, help="White noise of the torque [N m rms].")
-@click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Seed of the noise.")
-@click.option("--start-time", default=START / _SECOND, show_default=True, help="First stamp, Unix time [s].")
+@options.shown("--offset-arcsec", 0.0, "Zero error of the output encoder [arcsec].")
+@options.shown("--angle-noise-arcsec", 0.0, "White noise of the output angle [arcsec rms].")
+@options.shown("--angle-drift-arcsec", 0.0, "Correlated noise of the output angle [arcsec rms].")
+@options.shown("--torque-noise", 0.0, "White noise of the torque [N m rms].")
+@options.shown("--seed", 0, "Seed of the noise.", type=click.IntRange(min=0))
+@options.shown("--start-time", START / _SECOND, "First stamp, Unix time [s].")
 @click.option("--temperature", is_flag=True, help="Write /<joint>/temperature at 1 Hz too.")
-@click.option("--overwrite", is_flag=True, help="Replace a bag that exists.")
-@json_option("the true values")
+@options.OVERWRITE
+@options.json_option("the true values")
 def simulate(
-    out: Path, config_file: str | None, names: tuple[str, ...], json_file: str | None, **options: Any
+    out: Path, config_file: str | None, names: tuple[str, ...], json_file: str | None, **given: Any
 ) -> None:
     """Write a bag of a simulated joint.
 
@@ -101,34 +76,30 @@ def simulate(
     """
     kept = out.exists()
     try:
-        config = _true_configuration(config_file, names, options)
-        motion = Motion(
-            options["duration"],
-            options["rate"],
-            tuple(_TURN * speed for speed in options["speeds"]),
-            options["torques"],
-            not options["one_way"],
-        )
-        joints = _joints(config, names, options)
-        start = _start(options["start_time"])
+        config = _true_configuration(config_file, names, given)
+        speeds = tuple(_TURN * speed for speed in given["speed"])
+        both_ways = not given["one_way"]
+        motion = Motion(given["duration"], given["rate"], speeds, given["torque_level"], both_ways)
+        joints = _joints(config, names, given)
+        start = _start(given["start_time"])
         with working() as part:
             mapping = part("map", "%")
             samples = write_bag(
                 out,
                 config,
                 motion,
-                np.random.default_rng(options["seed"]),
+                np.random.default_rng(given["seed"]),
                 joints,
                 start=start,
-                with_temperature=options["temperature"],
-                overwrite=options["overwrite"],
+                with_temperature=given["temperature"],
+                overwrite=given["overwrite"],
                 mapped=lambda fraction: mapping(100.0 * fraction, 100.0),
                 progress=part("simulate", "samples"),
             )
     except KeyboardInterrupt:
         interrupted(out, kept)
     except ValueError as error:
-        raise Problem(str(error)) from error
+        raise options.Problem(str(error)) from error
     if json_file:
         truth = {
             "schema": "hd_diag/simulation/1",
@@ -137,26 +108,26 @@ def simulate(
             "duration": motion.duration,
             "sample_rate": motion.sample_rate,
             "start": start,
-            "seed": options["seed"],
+            "seed": given["seed"],
             "joints": {name: _truth_of(config, name, joint) for name, joint in joints.items()},
         }
-        write_json(json_file, truth)
+        options.write_json(json_file, truth)
     if json_file != "-":
-        tell(f"{out}: {samples} samples, {motion.duration:g} s, joints {', '.join(joints)}")
+        options.tell(f"{out}: {samples} samples, {motion.duration:g} s, joints {', '.join(joints)}")
 
 
-def _true_configuration(file: str | None, names: tuple[str, ...], options: dict[str, Any]) -> Config:
+def _true_configuration(file: str | None, names: tuple[str, ...], given: dict[str, Any]) -> Config:
     """Configuration of the simulated joints: a file's, changed by the options."""
     flat: dict[str, Any] = {"joints": list(names) or ["joint_1"]}
     if file:
         config = load(file)
-        chosen_joints(config, names)
+        options.chosen_joints(config, names)
         flat = dict(config.flat)
     for joint in names or flat["joints"]:
         for option, (parameter, unit) in _SHORT.items():
-            if options[option] is not None:
-                flat[f"{joint}.{parameter}"] = options[option] * unit
-    return resolve(flat | dict(map(_assignment, options["assignments"])))
+            if given[option] is not None:
+                flat[f"{joint}.{parameter}"] = given[option] * unit
+    return resolve(flat | dict(map(_assignment, given["assignments"])))
 
 
 def _assignment(text: str) -> tuple[str, Any]:
@@ -169,14 +140,14 @@ def _assignment(text: str) -> tuple[str, Any]:
         raise ConfigError(f"--set {name}: {error}") from error
 
 
-def _joints(config: Config, names: tuple[str, ...], options: dict[str, Any]) -> dict[str, SimulatedJoint]:
-    noise = Noise(
-        white=options["angle_noise_arcsec"] * ARCSEC,
-        drift=options["angle_drift_arcsec"] * ARCSEC,
-        torque=options["torque_noise"],
-    )
-    offset = options["offset_arcsec"] * ARCSEC
-    return {joint.name: SimulatedJoint(joint.drive, noise, offset) for joint in chosen_joints(config, names)}
+def _joints(config: Config, names: tuple[str, ...], given: dict[str, Any]) -> dict[str, SimulatedJoint]:
+    angles = ("angle_noise_arcsec", "angle_drift_arcsec", "offset_arcsec")
+    white, drift, offset = (given[name] * ARCSEC for name in angles)
+    noise = Noise(white=white, drift=drift, torque=given["torque_noise"])
+    return {
+        joint.name: SimulatedJoint(joint.drive, noise, offset)
+        for joint in options.chosen_joints(config, names)
+    }
 
 
 def _start(seconds: float) -> int:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, TextIO
 
 import click
 
-from hd_diag.cli.options import Problem, verb, write_json
+from hd_diag.cli.options import Problem, needing_ros, shown, verb, write_json, writing
 from hd_diag.cli.verbs import SIGNALLED
 from hd_diag.ros.stop_signals import noted_signals
 from hd_diag.watch import Watch, as_json
@@ -41,13 +41,7 @@ _SETTLE_JOINTS = 0.5  # where it is known what is waited for
     is_flag=True,
     help="Show one report of every joint and end; finding all nodes takes 3 s, less with --joint.",
 )
-@click.option(
-    "--timeout",
-    type=click.FloatRange(0.1, 3600.0),
-    default=10.0,
-    show_default=True,
-    help="With --once: longest wait for a report [s].",
-)
+@shown("--timeout", 10.0, "With --once: longest wait for a report [s].", type=click.FloatRange(0.1, 3600.0))
 @click.option("--fail-on-fault", is_flag=True, help="End with code 1 once a joint has a fault.")
 @click.option(
     "--json",
@@ -71,10 +65,8 @@ def watch(
     A table in a terminal, a line for each report on a pipe (one a second). Needs ROS 2 Jazzy. Exit codes: 0
     done, 1 a fault with --fail-on-fault, 2 nothing came within --timeout, 130 after Ctrl-C.
     """
-    try:
+    with needing_ros("watch"):
         from hd_diag.watch.listener import listening
-    except ImportError as error:
-        raise Problem(f"watch needs ROS 2 Jazzy (rclpy), which is not to be imported: {error}") from error
     state = Watch(joints, namespaces)
     with noted_signals() as came, contextlib.ExitStack() as stack:
         try:
@@ -131,7 +123,9 @@ def _follow(
     with contextlib.ExitStack() as stack:
         shows: list[Callable[[Watch, float, bool], None]] = []
         if json_file:
-            shows.append(_json_lines(_opened(json_file, stack)))
+            with writing(json_file):
+                to_file = sys.stdout if json_file == "-" else stack.enter_context(open(json_file, "w"))
+            shows.append(_json_lines(to_file))
         if json_file != "-":
             shows.append(stack.enter_context(Display()).show)
         while not came:
@@ -143,15 +137,6 @@ def _follow(
             if is_last:
                 return True
     return False
-
-
-def _opened(json_file: str, stack: contextlib.ExitStack) -> TextIO:
-    if json_file == "-":
-        return sys.stdout
-    try:
-        return stack.enter_context(open(json_file, "w", encoding="utf-8"))
-    except OSError as error:
-        raise Problem(f"{json_file}: cannot be written: {error.strerror}") from error
 
 
 def _json_lines(file: TextIO) -> Callable[[Watch, float, bool], None]:

@@ -31,13 +31,7 @@ _LINES_ABOUT = 6  # title, heading, remark and the terminal's own last line
 
 
 class Display:
-    """Shows a watch as it goes, inside a ``with`` statement: a live table in a terminal, lines elsewhere.
-
-    Parameters
-    ----------
-    stream : file, optional
-        stdout by default.
-    """
+    """Shows a watch inside a ``with`` statement, on stdout by default: a live table or, elsewhere, lines."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self._stream = stream or sys.stdout
@@ -98,13 +92,7 @@ class Display:
 class JointTable:
     """All joints as rich renders them: a line of numbers and one or two of words each, none of which wraps.
 
-    Parameters
-    ----------
-    watch : Watch
-    now : float
-        [s]
-    height : int, optional
-        Lines of the terminal; where not all joints fit, the worst are shown.
+    Where not all fit the terminal's height [lines], the worst are shown.
     """
 
     def __init__(self, watch: Watch, now: float, height: int | None = None) -> None:

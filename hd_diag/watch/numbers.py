@@ -35,6 +35,11 @@ _NUMBERS = (
     _Number("sample_rate_hz", ("rate", "", "Hz"), 0, 6),
 )
 
+_SENTENCE = (
+    "eccentricity {} um at {} deg; least backlash {} um; lost motion {} arcmin; {} loaded pairs; "
+    "peak load {} N; predicted TE {} arcsec p-p; residual {} arcsec rms; {} Hz"
+)
+
 NUMBERS_WIDTH = sum(number.width + 1 for number in _NUMBERS)
 """Characters that a row of numbers takes."""
 
@@ -46,22 +51,12 @@ def heading() -> list[str]:
 
 def row(value: Callable[[str], float]) -> str:
     """The numbers in their columns; `value` gives each by its key."""
-    return "".join(
-        f" {shown_number(value(number.key), number.digits, number.width):>{number.width}}"
-        for number in _NUMBERS
-    )
+    return "".join(f" {shown_number(value(n.key), n.digits, n.width):>{n.width}}" for n in _NUMBERS)
 
 
 def sentence(value: Callable[[str], float]) -> str:
     """The same numbers in words."""
-    form = (
-        "eccentricity {eccentricity_um} um at {eccentricity_direction_deg} deg; "
-        "least backlash {minimum_backlash_um} um; lost motion {lost_motion_arcmin} arcmin; "
-        "{loaded_pairs} loaded pairs; peak load {peak_tooth_load_N} N; "
-        "predicted TE {predicted_te_pp_arcsec} arcsec p-p; residual {residual_rms_arcsec} arcsec rms; "
-        "{sample_rate_hz} Hz"
-    )
-    return form.format(**{number.key: shown_number(value(number.key), number.digits) for number in _NUMBERS})
+    return _SENTENCE.format(*(shown_number(value(number.key), number.digits) for number in _NUMBERS))
 
 
 def shown_number(value: float, digits: int, width: int = _LARGEST_WIDTH) -> str:
@@ -76,28 +71,12 @@ def shown_number(value: float, digits: int, width: int = _LARGEST_WIDTH) -> str:
 
 
 def spark(values: Sequence[float], width: int, is_ascii: bool = False) -> str:
-    """The last values as a row of bars from zero to the largest of them.
-
-    Parameters
-    ----------
-    values : sequence of float
-        Those that are not finite leave a gap.
-    width : int
-        Bars at most.
-    is_ascii : bool
-        Whether the terminal has no other characters.
-
-    Returns
-    -------
-    str
-    """
+    """The last values as a row of bars from zero to the largest; those that are not finite leave a gap."""
     bars = _PLAIN_BARS if is_ascii else _BARS
-    shown = list(values)[-width:] if width > 0 else []
-    largest = max((abs(value) for value in shown if math.isfinite(value)), default=0.0) or 1.0
-    return "".join(
-        bars[min(int(len(bars) * (abs(value) / largest)), len(bars) - 1)] if math.isfinite(value) else " "
-        for value in shown
-    )
+    sizes = [abs(value) if math.isfinite(value) else None for value in values[-width:]]
+    largest = max((size for size in sizes if size is not None), default=0.0) or 1.0
+    last = len(bars) - 1
+    return "".join(" " if s is None else bars[min(int(len(bars) * (s / largest)), last)] for s in sizes)
 
 
 def shown_text(text: str) -> str:

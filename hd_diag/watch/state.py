@@ -125,18 +125,10 @@ class _Reports:
 
 @dataclass
 class Watch:
-    """State of a watcher.
+    """State of a watcher, of joints and of nodes in or below namespaces; where none is asked for, of all.
 
-    Attributes
-    ----------
-    joints, namespaces : collection of str
-        Joints asked for, and namespaces of the nodes asked for with what is below them; empty = all.
-    nodes : sequence of NodeSeen
-        In the graph now, those not asked for too.
-    others : list of str
-        Names of statuses that are not this package's.
-    messages : int
-        DiagnosticArrays that came.
+    The nodes are all in the graph now, `others` are names of statuses that are not this package's, `messages`
+    counts the DiagnosticArrays that came.
     """
 
     joints: Collection[str] = ()
@@ -188,15 +180,11 @@ class Watch:
 
     def explanation(self) -> list[str]:
         """What was seen instead of what was asked for, one sentence each."""
-        found: list[str] = []
-        wanted = _listed(node.name for node in self.wanted_nodes())
-        if not self.nodes:
-            found.append("no hd_diag node is in the ROS graph")
-        elif not wanted:
-            there = _listed(node.name for node in self.nodes)
-            found.append(f"no hd_diag node in {_listed(self.namespaces)}; there is {there}")
-        else:
-            found.append(f"{wanted} is there")
+        found = ["no hd_diag node is in the ROS graph"]
+        if self.nodes:
+            there = f"no hd_diag node in {_listed(self.namespaces)}; there is {_listed(n.name for n in self.nodes)}"
+            wanted = _listed(node.name for node in self.wanted_nodes())
+            found = [f"{wanted} is there" if wanted else there]
         if self.joints and self._reports:
             found.append(f"joints reported: {_listed({joint for _, _, joint in self._reports})}")
         if self.others:
@@ -247,48 +235,41 @@ def _cut(text: str) -> str:
 
 
 def _listed(names: Iterable[str]) -> str:
-    every = sorted(names) if not isinstance(names, (list, tuple)) else list(names)
+    every = list(names) if isinstance(names, (list, tuple)) else sorted(names)
     more = f" and {len(every) - _NAMES_SHOWN} more" if len(every) > _NAMES_SHOWN else ""
     return ", ".join(every[:_NAMES_SHOWN]) + more
 
 
 def as_json(watch: Watch, now: float) -> dict[str, Any]:
-    """Everything that is known at a time [s], for ``--json``.
-
-    Returns
-    -------
-    dict
-        Schema ``hd_diag/watch/1``: ``nodes``, ``joints`` with the diagnostics' ``values``, ``missing``, and
-        ``others``, names of statuses of other packages. Values that are finite numbers are numbers, those
-        that are not finite are null.
-    """
+    """Everything that is known at a time [s], schema ``hd_diag/watch/1``; values that are numbers are numbers."""
+    nodes = [
+        {"node": node.name, "topic": node.topic, "joints": sorted(node.joints)}
+        for node in watch.wanted_nodes()
+    ]
     content = {
         "schema": "hd_diag/watch/1",
-        "nodes": [
-            {"node": node.name, "topic": node.topic, "joints": sorted(node.joints)}
-            for node in watch.wanted_nodes()
-        ],
-        "joints": [
-            {
-                "joint": view.name,
-                "hardware_id": view.status.hardware_id,
-                "nodes": view.nodes,
-                "topic": view.topic,
-                "level": level_name(view.level),
-                "fault_code": view.code,
-                "message": view.status.message,
-                "stale": view.is_stale,
-                "age": round(view.age, 3),
-                "values": {key: _json_value(text) for key, text in view.status.values.items()},
-                "residual_rms_arcsec": view.residuals,
-            }
-            for view in watch.view(now)
-        ],
+        "nodes": nodes,
+        "joints": list(map(_joint_json, watch.view(now))),
         "missing": watch.missing(),
         "others": watch.others,
     }
-    ready: dict[str, Any] = json_ready(content)
-    return ready
+    return dict(json_ready(content))
+
+
+def _joint_json(view: JointView) -> dict[str, Any]:
+    return {
+        "joint": view.name,
+        "hardware_id": view.status.hardware_id,
+        "nodes": view.nodes,
+        "topic": view.topic,
+        "level": level_name(view.level),
+        "fault_code": view.code,
+        "message": view.status.message,
+        "stale": view.is_stale,
+        "age": round(view.age, 3),
+        "values": {key: _json_value(text) for key, text in view.status.values.items()},
+        "residual_rms_arcsec": view.residuals,
+    }
 
 
 def _json_value(text: str) -> Any:
