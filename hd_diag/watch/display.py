@@ -13,7 +13,7 @@ from rich.live import Live
 from rich.text import Text
 
 from hd_diag.watch.numbers import NUMBERS_WIDTH, heading, row, sentence, shown_number, shown_text, spark
-from hd_diag.watch.state import LEVELS, JointView, Watch
+from hd_diag.watch.state import JointView, Watch
 
 REFRESH_PERIOD = 0.25
 """Shortest time between two pictures in a terminal [s]."""
@@ -114,11 +114,8 @@ class JointTable:
         names = [view.name for view in self._views]
         blocks = [self._joint(view, names.count(view.name) > 1) for view in self._views]
         kept = self._fitting(blocks)
-        labels = ("", "", "joint")
-        above = [
-            Text(label.ljust(self._name_width) + line, _GREY)
-            for label, line in zip(labels, heading(), strict=True)
-        ]
+        labels = (label.ljust(self._name_width) for label in ("", "", "joint"))
+        above = [Text(label + line, _GREY) for label, line in zip(labels, heading(), strict=True)]
         shown = [line for index in kept for line in blocks[index]]
         return [self._title(), *above, *shown, *self._remarks(len(blocks) - len(kept))]
 
@@ -200,9 +197,7 @@ def _bookkeeping(view: JointView) -> list[str]:
 
 
 def _style(view: JointView) -> str:
-    if view.is_silent:
-        return _GREY
-    return _STYLES[view.level] if 0 <= view.level < len(LEVELS) else _STYLES[-1]
+    return _GREY if view.is_silent else _STYLES[min(view.level, len(_STYLES) - 1)]
 
 
 def _shown_name(view: JointView) -> str:

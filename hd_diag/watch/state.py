@@ -180,11 +180,10 @@ class Watch:
 
     def explanation(self) -> list[str]:
         """What was seen instead of what was asked for, one sentence each."""
-        found = ["no hd_diag node is in the ROS graph"]
-        if self.nodes:
-            there = f"no hd_diag node in {_listed(self.namespaces)}; there is {_listed(n.name for n in self.nodes)}"
-            wanted = _listed(node.name for node in self.wanted_nodes())
-            found = [f"{wanted} is there" if wanted else there]
+        there, wanted = (_listed(node.name for node in nodes) for nodes in (self.nodes, self.wanted_nodes()))
+        found = [f"{wanted} is there" if wanted else "no hd_diag node is in the ROS graph"]
+        if there and not wanted:
+            found = [f"no hd_diag node in {_listed(self.namespaces)}; there is {there}"]
         if self.joints and self._reports:
             found.append(f"joints reported: {_listed({joint for _, _, joint in self._reports})}")
         if self.others:
@@ -207,7 +206,7 @@ class Watch:
 
     def _is_wanted(self, name: str) -> bool:
         below = [f"/{namespace.strip('/')}/".replace("//", "/") for namespace in self.namespaces]
-        return not below or any(name.startswith(namespace) for namespace in below)
+        return not below or name.startswith(tuple(below))
 
     def _senders(self, topic: str, status: Status) -> list[str]:
         """Names of the nodes that may have sent a status: the one it names, or all that the graph leaves."""
@@ -227,7 +226,7 @@ def as_number(text: str) -> float:
 
 def level_name(level: int) -> str:
     """Name of a DiagnosticStatus's level."""
-    return LEVELS[level] if 0 <= level < len(LEVELS) else f"level {level}"
+    return LEVELS[level] if level < len(LEVELS) else f"level {level}"
 
 
 def _cut(text: str) -> str:
@@ -241,14 +240,11 @@ def _listed(names: Iterable[str]) -> str:
 
 
 def as_json(watch: Watch, now: float) -> dict[str, Any]:
-    """Everything that is known at a time [s], schema ``hd_diag/watch/1``; values that are numbers are numbers."""
-    nodes = [
-        {"node": node.name, "topic": node.topic, "joints": sorted(node.joints)}
-        for node in watch.wanted_nodes()
-    ]
+    """Everything that is known at a time [s], schema ``hd_diag/watch/1``; what looks like a number is one."""
+    wanted = watch.wanted_nodes()
     content = {
         "schema": "hd_diag/watch/1",
-        "nodes": nodes,
+        "nodes": [{"node": n.name, "topic": n.topic, "joints": sorted(n.joints)} for n in wanted],
         "joints": list(map(_joint_json, watch.view(now))),
         "missing": watch.missing(),
         "others": watch.others,
