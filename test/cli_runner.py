@@ -1,10 +1,13 @@
 """The command line run in this process, with stderr kept apart by every click that is supported."""
 
 import inspect
+from pathlib import Path
+from typing import Any
 
 from click.testing import CliRunner, Result
 
 from hd_diag.cli import cli
+from hd_diag.config.configuration import dump, resolve
 
 
 def runner() -> CliRunner:
@@ -13,9 +16,9 @@ def runner() -> CliRunner:
     return CliRunner(mix_stderr=False) if "mix_stderr" in known else CliRunner()
 
 
-def hd_diag(*arguments: object) -> Result:
+def hd_diag(*arguments: object, **more: Any) -> Result:
     """The whole command line with these arguments."""
-    return runner().invoke(cli, [*map(str, arguments)])
+    return runner().invoke(cli, [*map(str, arguments)], **more)
 
 
 def assert_one_line_error(result: Result, *parts: str) -> None:
@@ -26,3 +29,10 @@ def assert_one_line_error(result: Result, *parts: str) -> None:
     assert result.stderr.startswith("hd-diag: ")
     for part in parts:
         assert part in result.stderr
+
+
+def config_file(folder: Path, **values: Any) -> Path:
+    """A parameter file with some values of joint_1; double underscores for dots."""
+    path = folder / "drive.yaml"
+    path.write_text(dump(resolve({f"joint_1.{k.replace('__', '.')}": v for k, v in values.items()})))
+    return path

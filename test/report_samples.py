@@ -55,9 +55,13 @@ def diagnosis(name: str) -> Diagnosis:
 
 @functools.cache
 def joint_report(name: str, **names: str) -> JointReport:
-    """Report of that diagnosis, as of a joint with these names in JointState."""
+    return report_of(diagnosis(name), **names)
+
+
+def report_of(found: Diagnosis, **names: str) -> JointReport:
+    """Report of a diagnosis, as of a joint with these names in JointState."""
     whole = configured(**names)
-    return of_diagnosis(diagnosis(name), whole.joints[0], whole.flat, np.random.default_rng(0))
+    return of_diagnosis(found, whole.joints[0], whole.flat, np.random.default_rng(0))
 
 
 def configured(**names: str) -> Config:

@@ -108,7 +108,10 @@ def tolerance(
     if json_file:
         options.write_json(json_file, document(chosen.name, found))
     if figure:
-        _draw(found, figure)
+        from hd_diag.report.pictures.tolerance import save, tolerance_picture  # matplotlib takes its time
+
+        with options.writing(figure):
+            save(tolerance_picture(found), figure)
     if json_file != "-":
         _show(chosen.name, found)
 
@@ -134,13 +137,6 @@ def _question(config: Config, joint: JointConfig, given: dict[str, Any]) -> Ques
         given["seed"],
         given["target"],
     )
-
-
-def _draw(found: Study, path: Path) -> None:
-    from hd_diag.report.pictures.tolerance import tolerance_picture  # here, because matplotlib takes its time
-
-    with options.writing(path):
-        tolerance_picture(found).savefig(path, dpi=200, facecolor="white", bbox_inches="tight")
 
 
 def _show(joint: str, found: Study) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.search.detectability import Testability
+from hd_diag.diagnosis.search.unexplained import Unexplained
 from hd_diag.formatting import ARCSEC, arcsec, direction, number, si, words
 from hd_diag.report.binned import HIGH, LOW
 from hd_diag.report.facts import JointReport, Judgement
@@ -118,6 +119,13 @@ def _percent(share: float) -> str:
 def least_size(test: Testability) -> str:
     """The least size that would have been found."""
     return f"{arcsec(test.least_size)} rms" if math.isfinite(test.least_size) else "–"
+
+
+def unexplained(line: Unexplained) -> str:
+    """What a part of the residual is: its order, or what it does where it has no period."""
+    per = {"input": "per input turn", "output": "per output turn", "time": "Hz"}[line.frame]
+    order = f"a part that {line.description}" if line.description else f"{line.order:.2f} {per}"
+    return f"{order} {line.where}".strip()
 
 
 def parameter(name: str, value: float, std: float, unit: str, configured: float) -> tuple[str, str, str]:
