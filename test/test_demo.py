@@ -33,14 +33,8 @@ TOPICS = {
 
 def demo(folder: Path, *arguments: str, **environment: str) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "hd_diag", "demo", "--out", str(folder), *arguments]
-    return subprocess.Popen(
-        command,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ | environment,
-        start_new_session=True,
-    )
+    pipes: Any = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen(command, **pipes, env=os.environ | environment, start_new_session=True)
 
 
 def processes_of(folder: Path) -> list[str]:
@@ -101,7 +95,7 @@ def test_value_that_cannot_be_is_refused_with_the_reason(run: dict[str, Any]) ->
     assert f"refused: {refused['reason']}" in run["out"]
 
 
-def test_log_is_read_with_types_by_rosbags(run: dict[str, Any]) -> None:
+def test_log_is_read_with_types_by_rosbags_and_mcap_ros2(run: dict[str, Any]) -> None:
     counts: Counter[str] = Counter()
     eccentricities = set()
     with AnyReader([run["folder"] / "log"]) as reader:
@@ -110,16 +104,12 @@ def test_log_is_read_with_types_by_rosbags(run: dict[str, Any]) -> None:
             message = reader.deserialize(data, connection.msgtype)
             counts[connection.topic] += 1
             if connection.topic == "/diagnostics":
-                eccentricities |= {
-                    e.value for s in message.status for e in s.values if e.key == "eccentricity_um"
-                }
+                values = (value for status in message.status for value in status.values)
+                eccentricities |= {float(v.value) for v in values if v.key == "eccentricity_um"}
     assert counts["/joint_states"] == run["summary"]["published"] > 8 * 250 * 0.9
     assert counts["/hd_diag/transmission_error"] == counts["/joint_states"]
-    assert {float(value) for value in eccentricities} == {0.0, 5.0, 10.0, 18.0, 23.0}
+    assert eccentricities == {0.0, 5.0, 10.0, 18.0, 23.0}
     assert {e["topic"]: e["count"] for e in run["summary"]["topics"]} == counts
-
-
-def test_log_is_read_with_types_by_mcap_ros2(run: dict[str, Any]) -> None:
     (path,) = (run["folder"] / "log").glob("*.mcap")
     changes = [
         (parameter.name, parameter.value.double_value)
@@ -130,28 +120,20 @@ def test_log_is_read_with_types_by_mcap_ros2(run: dict[str, Any]) -> None:
     assert changes == [(magnitude, pytest.approx(value)) for value in (5e-6, 10e-6, 18e-6, 23e-6)]
 
 
-def test_output_without_a_terminal_is_plain(run: dict[str, Any]) -> None:
-    assert "\x1b" not in run["out"]
-    for words in (
-        "set joint_1.eccentricity.magnitude = 18 um: in force\n",
-        "    18.0     0 ",
-        f"Log: {run['folder'] / 'log'}",
-        "Complete: ",
-    ):
-        assert words in run["out"]
-
-
 def test_replay_of_the_log_is_equal_and_the_verdict_true(run: dict[str, Any]) -> None:
-    summary = run["summary"]
+    summary, out = run["summary"], run["out"]
     outputs = [e for e in summary["topics"] if e["topic"].startswith("/hd_diag/")]
     assert summary["replayed"] > sum(e["count"] for e in outputs if e["topic"] != "/hd_diag/events")
     verdict = json.loads((run["folder"] / "verdict.json").read_text())
     magnitude = verdict["refit"]["parameters"]["eccentricity.magnitude"]
     assert magnitude["value"] == pytest.approx(18e-6, abs=max(4.0 * magnitude["std"], 2e-7))
-    assert verdict["causes"] == []
-    assert summary["verdict"] == verdict["verdict"]
-    assert f"Verdict: {verdict['verdict']}" in run["out"].replace("\n", " ")
+    assert (verdict["causes"], verdict["verdict"]) == ([], summary["verdict"])
+    assert f"Verdict: {verdict['verdict']}" in out.replace("\n", " ")
     assert "<html" in (run["folder"] / "report.html").read_text()
+    assert "\x1b" not in out
+    in_force = "set joint_1.eccentricity.magnitude = 18 um: in force\n"
+    for words in (in_force, "    18.0     0 ", f"Log: {run['folder'] / 'log'}", "Complete: "):
+        assert words in out
 
 
 def test_log_of_an_earlier_run_is_not_touched(tmp_path: Path) -> None:
@@ -160,9 +142,8 @@ def test_log_of_an_earlier_run_is_not_touched(tmp_path: Path) -> None:
         demo_run(tmp_path, 5.0)
 
 
-@pytest.mark.parametrize(
-    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)], ids=["INT", "TERM"]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_ends_it_with_a_readable_log(number: signal.Signals, tmp_path: Path) -> None:
     process = demo(tmp_path / "out", "--seconds", "60")
     assert process.stdout is not None

@@ -7,7 +7,6 @@ import re
 import shlex
 import subprocess
 import sys
-from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 from types import ModuleType
@@ -16,7 +15,7 @@ from urllib.parse import unquote, urldefrag
 import click
 import numpy as np
 import pytest
-from cli_runner import runner
+from cli_runner import hd_diag
 from live import config
 from numpy.testing import assert_allclose
 
@@ -55,22 +54,12 @@ rerun = load(DOCS / "rerun.py")
 # What the pages name ---
 
 
-def blocks(text: str) -> Iterator[str]:
-    """Commands in the blocks of a page: those that were run and those that a reader runs."""
-    yield from rerun.commands(text)
-    for block in re.findall(r"(?ms)^```sh\n(.*?)^```$", text):
-        yield from block.splitlines()
-
-
 def calls(text: str) -> list[list[str]]:
-    """Words of every call of hd-diag."""
-    found = []
-    for line in blocks(text):
-        for part in re.split(r"\||&&|;", line):
-            words = shlex.split(part, comments=True)
-            if words and words[0] == "hd-diag":
-                found.append(words[1:])
-    return found
+    """Words of every call of hd-diag in the blocks of a page: those that were run and those a reader runs."""
+    read = [line for block in re.findall(r"(?ms)^```sh\n(.*?)^```$", text) for line in block.splitlines()]
+    parts = (part for line in [*rerun.commands(text), *read] for part in re.split(r"\||&&|;", line))
+    words = (shlex.split(part, comments=True) for part in parts)
+    return [call[1:] for call in words if call[:1] == ["hd-diag"]]
 
 
 def faults(words: list[str]) -> list[str]:
@@ -90,16 +79,12 @@ def test_commands_exist(page: str) -> None:
     assert [fault for words in calls(text) for fault in faults(words)] == []
 
 
-def test_commands_are_found_and_judged() -> None:
+def test_commands_are_found_and_judged_and_every_verb_is_shown_at_work() -> None:
     text = "```sh\nhd-diag mesh --torque 3 | head\nhd-diag mash\nhd-diag mesh --tork 3 -- --ros\n```\n"
     assert [faults(words) for words in calls(text)] == [[], ["no verb mash"], ["mesh: no option --tork"]]
     assert len(calls((DOCS / "tour.md").read_text(encoding="utf-8"))) >= 6
-
-
-@pytest.mark.parametrize("verb", VERBS)
-def test_every_verb_is_shown_at_work(verb: str) -> None:
-    text = "\n".join(path.read_text(encoding="utf-8") for path in PAGES)
-    assert re.search(rf"hd-diag {verb}\b", text)
+    whole = "\n".join(path.read_text(encoding="utf-8") for path in PAGES)
+    assert [verb for verb in VERBS if not re.search(rf"hd-diag {verb}\b", whole)] == []
 
 
 @pytest.mark.parametrize("page", ["tour.md", "runtime.md"])
@@ -114,7 +99,7 @@ def test_what_check_says_is_what_the_page_shows(
         if command.startswith("printf"):
             subprocess.run(["sh", "-c", command], check=True)
         elif command.startswith("hd-diag check"):
-            result = runner().invoke(cli, shlex.split(command)[1:])
+            result = hd_diag(*shlex.split(command)[1:])
             assert result.stdout + result.stderr == shown
             compared += 1
     assert compared
@@ -129,13 +114,10 @@ def table(page: str, heading: str) -> set[str]:
     }
 
 
-def test_diagnostics_are_all_explained() -> None:
+def test_diagnostics_and_topics_are_all_explained() -> None:
     status = Monitor(config()).tick(0, 0, {}).statuses[0]
     assert table("robot.md", "### Diagnostics") == set(status.values)
     assert table("robot.md", "### Fault codes") == set(FAULT_CODES)
-
-
-def test_topics_are_all_explained() -> None:
     assert table("robot.md", "## What it gives") >= set(published_topics(["<joint>"]))
 
 
@@ -147,15 +129,11 @@ def test_outputs_are_put_beneath_their_commands(tmp_path: Path) -> None:
     )
 
 
-def test_readme_has_its_picture() -> None:
-    names = re.findall(r'<img src="([^"]+)"', (ROOT / "README.md").read_text(encoding="utf-8"))
-    assert len(names) == 1
-    assert 0 < (ROOT / names[0]).stat().st_size < LARGEST_PICTURE
-
-
-@pytest.mark.parametrize("file", ["README.md", "CONTRIBUTING.md"])
-def test_files_that_are_linked_exist(file: str) -> None:
-    links = re.findall(r"\]\(([^)#:]+)\)", (ROOT / file).read_text(encoding="utf-8"))
+def test_readme_has_its_picture_and_linked_files_exist() -> None:
+    readme, more = ((ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "CONTRIBUTING.md"))
+    (name,) = re.findall(r'<img src="([^"]+)"', readme)
+    assert 0 < (ROOT / name).stat().st_size < LARGEST_PICTURE
+    links = re.findall(r"\]\(([^)#:]+)\)", readme + more)
     assert [link for link in links if not (ROOT / link).exists()] == []
 
 
@@ -215,34 +193,29 @@ def test_internal_links_resolve(pages: dict[str, Page]) -> None:
     assert missing == []
 
 
-def test_pages_need_no_network(pages: dict[str, Page], site: Path) -> None:
+def test_pages_need_no_network_and_name_no_place_of_a_machine(
+    pages: dict[str, Page], site: Path, source_copy: Path
+) -> None:
     text = "".join(page.path.read_text(encoding="utf-8") for page in pages.values())
     assert re.findall(r'(?:src|<link[^>]*href)="(?:https?:)?//[^"]*', text) == []
     styles = "".join(path.read_text(encoding="utf-8") for path in site.rglob("*.css"))
     assert re.findall(r"(?:url\(|@import)\s*['\"]?(?:https?:)?//[^)]*", styles) == []
+    told = " ".join(page.text for page in pages.values())
+    assert str(source_copy) not in told
+    assert re.findall(r"/(?:root|home|tmp|work|Users)/\w", told) == []
 
 
-def test_pages_name_no_place_of_a_machine(pages: dict[str, Page], source_copy: Path) -> None:
-    for page in pages.values():
-        assert str(source_copy) not in page.text
-        assert re.findall(r"/(?:root|home|tmp|work|Users)/\w", page.text) == []
-
-
-@pytest.mark.parametrize("verb", VERBS)
-def test_every_verb_has_its_options(verb: str, pages: dict[str, Page]) -> None:
-    page = pages["command_line.html"]
-    assert f"verb-{verb}" in page.places
-    command = cli.get_command(click.Context(cli), verb)
-    assert command is not None
-    options = [option for option in command.params if isinstance(option, click.Option)]
-    assert [name for option in options for name in option.opts if name not in page.text] == []
-
-
-def test_every_parameter_is_there(pages: dict[str, Page]) -> None:
-    text = pages["parameters.html"].text
+def test_every_verb_and_parameter_is_there(pages: dict[str, Page]) -> None:
+    page, text = pages["command_line.html"], pages["parameters.html"].text
+    for verb in VERBS:
+        assert f"verb-{verb}" in page.places
+        options = cli.get_command(click.Context(cli), verb).params  # type: ignore[union-attr]
+        names = [name for option in options if isinstance(option, click.Option) for name in option.opts]
+        assert [name for name in names if name not in page.text] == []
+    plain = text.replace("’", "'").replace("‘", "'")  # Sphinx turns them
     for parameter in (*NODE_PARAMETERS, *JOINT_PARAMETERS):
         assert parameter.name in text
-        assert parameter.meaning in text.replace("’", "'").replace("‘", "'")  # Sphinx turns them
+        assert parameter.meaning in plain
 
 
 @pytest.mark.parametrize("effect", CATALOGUE, ids=lambda effect: effect.name)
@@ -256,31 +229,17 @@ def test_every_effect_is_there(effect: Effect, pages: dict[str, Page]) -> None:
     assert " ".join(effect.cause.split()) in plain
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "slot 0 lies on its x axis",
-        "arc offset of tooth 0 along the neutral curve",
-        "negative: the flanks interfere",
-    ],
-)
-def test_nomenclature_is_that_of_the_model(text: str, pages: dict[str, Page]) -> None:
-    assert text in pages["physics.html"].text
-
-
-def test_the_paper_s_figures_and_claims_are_there(pages: dict[str, Page]) -> None:
-    page = pages["paper.html"]
-    pictures = {name for link in page.links for name in re.findall(r"figure_\d\.svg", link)}
+def test_nomenclature_figures_and_the_public_core_are_those_of_the_code(pages: dict[str, Page]) -> None:
+    physics, paper = pages["physics.html"].text, pages["paper.html"]
+    assert "slot 0 lies on its x axis" in physics
+    assert "arc offset of tooth 0 along the neutral curve" in physics
+    assert "negative: the flanks interfere" in physics
+    pictures = {name for link in paper.links for name in re.findall(r"figure_\d\.svg", link)}
     assert pictures == {"figure_5.svg", "figure_6.svg", "figure_7.svg"}
-    assert all(f"({letter})" in page.text for letter in "abcde")
-
-
-@pytest.mark.parametrize(
-    "module",
-    ["hd_diag.model.load_sharing", "hd_diag.drive", "hd_diag.effects.effect", "hd_diag.diagnosis.diagnosis"],
-)
-def test_the_public_core_is_there(module: str, pages: dict[str, Page]) -> None:
-    assert any(f"module-{module}" in page.places for page in pages.values())
+    assert all(f"({letter})" in paper.text for letter in "abcde")
+    places = {place for page in pages.values() for place in page.places}
+    core = ("model.load_sharing", "drive", "effects.effect", "diagnosis.diagnosis")
+    assert {f"module-hd_diag.{module}" for module in core} <= places
 
 
 # Examples ---
@@ -293,19 +252,18 @@ def test_one_moment_runs() -> None:
     assert np.all(found.error < 0.0)  # it lags
 
 
+@pytest.mark.slow
 def test_the_worked_example_is_named_by_a_diagnosis(tmp_path: Path) -> None:
     """With its size: 1 arcsec of noise over some 12,000 samples leaves 0.02 arcsec, of 6."""
     example, effect = load(DOCS / "examples/pinion_joint.py"), DOCS / "examples/encoder_pinion.py"
     motion = dataclasses.replace(example.MOTION, sample_rate=100.0)
     bag, model = tmp_path / "pinion.mcap", tmp_path / "model.json"
     write_bag(bag, resolve({}), motion, np.random.default_rng(1), {"joint_1": example.joint()})
-    arguments = ["diagnose", bag, "--effects", effect, "--model", model]
-    result = runner().invoke(cli, [str(argument) for argument in arguments])
+    result = hd_diag("diagnose", bag, "--effects", effect, "--model", model)
     assert result.exit_code == 0, result.output
     verdict, _, rest = result.stdout.partition("\n")
-    assert re.search(
-        r"the eccentricity is 1[12]\.\d+ ± .* beside that: encoder pinion, 4\.\d+ arcsec rms\.", verdict
-    )
+    said = r"the eccentricity is 1[12]\.\d+ ± .* beside that: encoder pinion, 4\.\d+ arcsec rms\."
+    assert re.search(said, verdict)
     assert " ".join(load(effect).EFFECT.inspect.split()) in rest
     (found,) = json.loads(model.read_text())["effects"]
     assert_allclose(found["parameters"]["amplitude"]["value"], example.SIZE, atol=0.1 * ARCSEC)

@@ -37,6 +37,8 @@ from hd_diag.report.page import page
 from hd_diag.report.quality import Fact, facts
 
 SOURCES = [Fact("a.mcap", "SHA-256 0")]
+OTHER = pytest.param("input_encoder_eccentricity", marks=pytest.mark.slow)
+EACH = pytest.mark.parametrize("name", ["output_runout", OTHER])
 
 
 class Reader(HTMLParser):
@@ -70,7 +72,7 @@ def judgement_of(report: JointReport) -> Judgement:
 # Numbers ---
 
 
-@pytest.mark.parametrize("name", ["output_runout", "input_encoder_eccentricity"])
+@EACH
 def test_the_ladder_s_rungs_lead_down_to_the_noise(name: str) -> None:
     """They hold out other data than the diagnosis does: its own figures are within a fifth."""
     found, rms = judged(name), diagnosis(name).rms
@@ -86,9 +88,9 @@ def test_the_ladder_s_rungs_lead_down_to_the_noise(name: str) -> None:
         assert rung.gain_low < rung.gain < rung.gain_high
 
 
-def test_the_order_of_a_cause_is_marked() -> None:
+@pytest.mark.parametrize("name", [OTHER])
+def test_the_order_of_a_cause_is_marked(name: str) -> None:
     """An off-centre input encoder is order 1 of a wave generator that turns with it."""
-    name = "input_encoder_eccentricity"
     found, (mark,) = judged(name), judged(name).marks
     assert (mark.name, mark.order) == (words(name), pytest.approx(1.0, abs=0.01))
     amplitude = float(np.std(records.added_by(made(name), name)))
@@ -108,13 +110,13 @@ def test_measured_errors_and_residuals_share_their_bins() -> None:
             assert_array_equal(residual.samples, compared.measured.samples)
 
 
-def test_stiffness_is_that_of_the_drive_that_made_the_record() -> None:
+@EACH
+def test_stiffness_is_that_of_the_drive_that_made_the_record(name: str) -> None:
     """Measured and fitted within each other's reach: 10 % where teeth come into contact, 5 % beyond."""
-    for name in ("output_runout", "input_encoder_eccentricity"):
-        for entry, reach in zip(joint_report(name).torsion.stiffness, (0.1, 0.05, 0.05), strict=True):
-            if np.isfinite(entry.measured):
-                assert entry.measured_low < entry.measured < entry.measured_high
-                assert entry.measured == pytest.approx(entry.fitted, rel=reach)
+    for entry, reach in zip(joint_report(name).torsion.stiffness, (0.1, 0.05, 0.05), strict=True):
+        if np.isfinite(entry.measured):
+            assert entry.measured_low < entry.measured < entry.measured_high
+            assert entry.measured == pytest.approx(entry.fitted, rel=reach)
     assert np.isfinite(joint_report("output_runout").torsion.stiffness[1].measured)
 
 

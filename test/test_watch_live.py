@@ -10,7 +10,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -44,14 +43,8 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
         yield rig
 
 
-def watch(*arguments: str, environment: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*COMMAND, *arguments],
-        capture_output=True,
-        text=True,
-        timeout=LIMIT,
-        env={**os.environ, **(environment or {})},
-    )
+def watch(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=LIMIT)
 
 
 @contextlib.contextmanager
@@ -76,20 +69,21 @@ def line_with(process: subprocess.Popen[str], words: str) -> str:
     raise AssertionError(f"it ended without {words!r}")
 
 
-def test_once_shows_every_joint_as_the_diagnostics_say(arm: Rig, tmp_path: Path) -> None:
+def test_once_shows_every_joint_as_the_diagnostics_say(
+    arm: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """JSON in a file, and a plain line a joint on a pipe."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
     arm.set(elbow__eccentricity__magnitude=18e-6, elbow__eccentricity__direction=1.5707963267948966)
     reported = {joint: arm.values(joint) for joint in JOINTS}
     reported["elbow"] = arm.values("elbow", lambda values: values["eccentricity_um"] == "18")
-    file = tmp_path / "seen.json"
+    file, node = tmp_path / "seen.json", f"{arm.process.namespace}/hd_diag"
     names = ("--joint", "elbow", "--joint", "shoulder", "--namespace", arm.process.namespace)
-    run = watch("--once", *names, "--json", str(file), environment={"FORCE_COLOR": "1"})
+    run = watch("--once", *names, "--json", str(file))
     assert (run.returncode, run.stderr) == (0, "")
-    node = f"{arm.process.namespace}/hd_diag"
-    first, second = run.stdout.splitlines()
-    assert first.startswith(f"{node} elbow: ")
-    assert second.startswith(f"{node} shoulder: ")
-    assert all(line.isprintable() for line in (first, second))
+    lines = run.stdout.splitlines()
+    assert [line.partition(": ")[0] for line in lines] == [f"{node} elbow", f"{node} shoulder"]
+    assert all(line.isprintable() for line in lines)
     seen = json.loads(file.read_text())
     topic = f"{arm.process.namespace}/diagnostics"
     assert seen["nodes"] == [{"node": node, "topic": topic, "joints": sorted(JOINTS)}]
@@ -149,19 +143,20 @@ def test_several_nodes_are_told_apart(arm: Rig, tmp_path: Path) -> None:
         assert found == {(here, "elbow"), (here, "shoulder"), (there, "elbow"), (there, "wrist")}
 
 
-def test_what_does_not_come_within_the_time_is_said_with_what_is_there(arm: Rig) -> None:
-    """No node in a namespace; a joint that nobody has beside one that is shown. Both wait at once."""
-    names = ("--namespace", arm.process.namespace, "--joint", "elbow", "--joint", "elbow_9")
-    with ThreadPoolExecutor() as waiting:
-        asked = (("--namespace", "/nowhere"), names)
-        nowhere, nobody = waiting.map(lambda given: watch("--once", *given, "--timeout", "10"), asked)
-    assert (nowhere.returncode, nowhere.stdout) == (2, "")
-    (line,) = nowhere.stderr.splitlines()
-    assert line.startswith("hd-diag: no report of an hd_diag node within 10 s: ")
-    assert f"no hd_diag node in /nowhere; there is {arm.process.namespace}/hd_diag" in line
-    assert (nobody.returncode, nobody.stdout.count("\n")) == (2, 1)
-    assert "no report of elbow_9 within 10 s" in nobody.stderr
-    assert "joints reported: elbow, shoulder" in nobody.stderr
+def test_what_does_not_come_within_the_time_is_said_in_one_line_with_what_is_there(arm: Rig) -> None:
+    """Of a joint that nobody has, but the others are shown; of a namespace without a node."""
+    once, here = ("--once", "--timeout", "10", "--namespace"), arm.process.namespace
+    with (
+        following(*once, here, "--joint", "elbow", "--joint", "elbow_9") as joint,
+        following(*once, "/nowhere") as nowhere,
+    ):
+        (shown, said), (nothing, why) = (each.communicate(timeout=LIMIT) for each in (joint, nowhere))
+    assert (joint.returncode, nowhere.returncode, shown.count("\n"), nothing) == (2, 2, 1, "")
+    assert "no report of elbow_9 within 10 s" in said
+    assert "joints reported: elbow, shoulder" in said
+    assert why.startswith("hd-diag: no report of an hd_diag node within 10 s: ")
+    assert f"no hd_diag node in /nowhere; there is {here}/hd_diag" in why
+    assert why.count("\n") == 1
 
 
 def test_a_reader_that_has_enough(arm: Rig) -> None:
@@ -220,13 +215,9 @@ class Terminal:
 
     def __init__(self, *arguments: str) -> None:
         self._file, other = os.openpty()
-        self.process = subprocess.Popen(
-            [*COMMAND, *arguments],
-            stdin=other,
-            stdout=other,
-            stderr=other,
-            env={**os.environ, "TERM": "xterm-256color", "COLUMNS": "80", "LINES": "24"},
-        )
+        size = {"TERM": "xterm-256color", "COLUMNS": "80", "LINES": "24"}
+        ends = {"stdin": other, "stdout": other, "stderr": other}
+        self.process = subprocess.Popen([*COMMAND, *arguments], **ends, env={**os.environ, **size})
         os.close(other)
         self.shown = ""
 
@@ -260,10 +251,9 @@ class Terminal:
     def _read(self, seconds: float) -> bool:
         if select.select([self._file], [], [], seconds)[0]:
             try:
-                data = os.read(self._file, 65536)
+                self.shown += os.read(self._file, 65536).decode(errors="replace")
             except OSError:  # Linux's way to say that the other end is closed
                 return False
-            self.shown += data.decode(errors="replace")
         return True
 
 
@@ -273,9 +263,9 @@ def test_a_terminal_is_left_as_it_was_and_drawn_less_often_than_reports_come(arm
         terminal.until("elbow")
         terminal.until("shoulder")
         begin, pictures = time.monotonic(), terminal.shown.count("hd-diag watch")
-        terminal.follow(4.0)
+        terminal.follow(3.0)
         drawn = terminal.shown.count("hd-diag watch") - pictures
-        assert 4 < drawn <= (time.monotonic() - begin) / REFRESH_PERIOD + 2
+        assert 3 < drawn <= (time.monotonic() - begin) / REFRESH_PERIOD + 2
         assert terminal.interrupt() == 130
         assert terminal.shown.count("\x1b[?25l") == terminal.shown.count("\x1b[?25h") == 1
         assert "Traceback" not in terminal.shown
