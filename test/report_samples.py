@@ -16,9 +16,8 @@ from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
 from hd_diag.diagnosis.record import Record, prepare
 from hd_diag.drive import Drive
 from hd_diag.effects import Catalogue
-from hd_diag.report.facts import JointReport, of_diagnosis
+from hd_diag.report.facts import Fact, JointReport, of_diagnosis
 from hd_diag.report.page import page
-from hd_diag.report.quality import Fact
 
 CAUSES = {"output_runout": 0, "input_encoder_eccentricity": 12}  # effect and development seed
 HOSTILE = "<script>alert(1)</script><img src=x onerror=alert(2)>$\\frac{1}{2}$]]>\"'&\u202egnp\x07"

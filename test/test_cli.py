@@ -2,6 +2,7 @@
 
 import importlib.abc
 import json
+import os
 import re
 import shlex
 import subprocess
@@ -164,6 +165,19 @@ def test_mesh_table_lists_the_teeth_that_can_touch(tmp_path: Path) -> None:
 )
 def test_bad_input_is_one_line(arguments: str, said: str) -> None:
     assert_one_line_error(hd_diag(*arguments.split()), said)
+
+
+def test_a_link_or_pipe_that_is_written_to_stays_one(tmp_path: Path) -> None:
+    """As root, a file in its place would take the system its /dev/null."""
+    link, pipe = tmp_path / "link.json", tmp_path / "pipe"
+    link.symlink_to(tmp_path / "real.json")
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    for path in (link, pipe):
+        assert hd_diag("check", config_file(tmp_path), "--json", path).exit_code == 0
+    assert (link.is_symlink(), pipe.is_fifo()) == (True, True)
+    assert os.read(reader, 1 << 16) == (tmp_path / "real.json").read_bytes()
+    os.close(reader)
 
 
 def test_a_missing_dependency_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

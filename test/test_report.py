@@ -32,9 +32,8 @@ from hd_diag.diagnosis.search.unexplained import Unexplained
 from hd_diag.drive import mesh_state, transmission_error
 from hd_diag.formatting import arcsec, words
 from hd_diag.report import captions
-from hd_diag.report.facts import JointReport, Judgement, settings
+from hd_diag.report.facts import Fact, JointReport, Judgement, quality_of, settings
 from hd_diag.report.page import page
-from hd_diag.report.quality import Fact, facts
 
 SOURCES = [Fact("a.mcap", "SHA-256 0")]
 OTHER = pytest.param("input_encoder_eccentricity", marks=pytest.mark.slow)
@@ -162,7 +161,7 @@ def test_quality_counts_gaps_and_jitter() -> None:
     rng = np.random.default_rng(0)
     time = np.arange(1000) * 0.002 + 1e-4 * rng.uniform(-1.0, 1.0, 1000)
     time[500:] += 0.5
-    found = dict(facts(time, 10.0 * time, None, 100.0, np.zeros(1000, dtype=np.int64)))
+    found = dict(quality_of(time, 10.0 * time, None, 100.0, np.zeros(1000, dtype=np.int64)))
     assert found["Gaps"] == "1, 0.502 s in all"
     assert float(found["Sample rate"].split()[0]) == pytest.approx(500.0, rel=0.01)
     mean, most = (float(part.split()[0]) for part in found["Jitter of the stamps"].split(","))

@@ -397,6 +397,6 @@ def test_an_encoding_without_bars_does_no_harm(terminal: bool, monkeypatch: pyte
     for i in range(20):
         watch.take(TOPIC, [message("gelenk_1", residual_rms_arcsec=str(i), log_state="x" * 200)], 0.1 * i)
     with Display(stream) as display:
-        display.show_once(watch, 2.0)
+        display.show(watch, 2.0, is_last=True)
     stream.flush()
     assert b"gelenk_1" in raw.getvalue()

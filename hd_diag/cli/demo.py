@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from hd_diag.cli.examples import example_path
+from hd_diag.cli.examples import load_example
 from hd_diag.cli.options import JSON, Problem, needing_ros, shown, verb, write_json
 from hd_diag.cli.verbs import SIGNALLED
 
@@ -28,12 +28,11 @@ def demo(folder: str | None, seconds: float, json_file: str | None) -> None:
     say, replays the log, diagnoses it and writes the report. Needs ROS 2 Jazzy. Exit codes: 0 all held, 1
     something did not, 130 after Ctrl-C.
     """
-    sys.path.insert(0, str(example_path("demo").parent))
     with needing_ros("the demo"):
-        from demo.run import DemoError, run
+        demo_run = load_example("demo.run")
     try:
-        summary = run(Path(folder) if folder else None, seconds)
-    except DemoError as error:
+        summary = demo_run.run(Path(folder) if folder else None, seconds)
+    except demo_run.DemoError as error:
         raise Problem(str(error)) from error
     if json_file:
         write_json(json_file, summary)

@@ -65,7 +65,7 @@ def diagnose(
             lines.append(f"model written: {written}")
         if report_file is not None:
             page = of_diagnosis(found, joint, records.config.flat, np.random.default_rng(0))
-        return Judged(as_json(found, joint.name, written), lines, page)
+        return as_json(found, joint.name, written), lines, page
 
     results, complete = judge_each(records, judge, report_file, json_file)
     named = any(result.get("causes") or result.get("unexplained") for result in results)

@@ -31,14 +31,15 @@ def figures(out: Path, config_file: str | None, format: str) -> None:
     joint = configured(config_file).joints[0]
     entries = load_example("paper_figures").figures(joint.drive)
     captions = [f"Drive of {joint.name}; claims are those of Dong et al. (2019), sections 4.2, 4.3 and 5."]
-    with writing(out):
-        out.mkdir(parents=True, exist_ok=True)
-        for name, title, figure, claims in entries:
-            save(figure, out / f"{name}.{format}")
-            captions.append(f"## {title}\n\n![{title}]({name}.{format})\n\n{_listed(claims)}")
-        (out / _CAPTIONS).write_text("\n\n".join(captions) + "\n", encoding="utf-8")
-    for name, title, _, claims in entries:
-        click.echo(f"{out / f'{name}.{format}'}: {title}\n{_listed(claims)}")
+    for name, title, figure, claims in entries:
+        file, listed = out / f"{name}.{format}", _listed(claims)
+        with writing(file) as place:
+            out.mkdir(parents=True, exist_ok=True)
+            save(figure, place)
+        captions.append(f"## {title}\n\n![{title}]({file.name})\n\n{listed}")
+        click.echo(f"{file}: {title}\n{listed}")
+    with writing(out / _CAPTIONS) as place:
+        place.write_text("\n\n".join(captions) + "\n", encoding="utf-8")
     click.echo(f"{out / _CAPTIONS}: captions")
 
 

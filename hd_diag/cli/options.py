@@ -63,7 +63,7 @@ def shown(flag: str, default: Any, text: str, **more: Any) -> Callable[[_Command
     return click.option(flag, default=default, show_default=True, help=text, **more)
 
 
-def _check_writable(context: click.Context, parameter: click.Parameter, value: str | None) -> str | None:
+def check_writable(context: click.Context, parameter: click.Parameter, value: str | None) -> str | None:
     """Refuse before the work a file that could not be written after it."""
     if value is not None:
         check_target(value)
@@ -74,7 +74,7 @@ def json_option(what: str) -> Callable[[_Command], _Command]:
     """Option ``--json`` for a verb that writes this there."""
     kind = click.Path(dir_okay=False, allow_dash=True)
     return click.option(
-        "--json", "json_file", type=kind, callback=_check_writable, help=f"Write {what} here; - is stdout."
+        "--json", "json_file", type=kind, callback=check_writable, help=f"Write {what} here; - is stdout."
     )
 
 
@@ -149,12 +149,20 @@ def check_target(path: str | Path, *inputs: Path) -> None:
 
 
 @contextmanager
-def writing(path: str | Path) -> Iterator[None]:
-    """What cannot be written inside is a problem of this file."""
+def writing(path: str | Path) -> Iterator[Path]:
+    """Where to write a file, put in place when it is whole; pipes, devices and links are written to."""
+    target = Path(path)
+    plain = not os.path.lexists(target) or (target.is_file() and not target.is_symlink())
+    beside = plain and os.access(target.parent, os.W_OK)
+    place = target.with_name(f".part.{target.name}") if beside else target
     try:
-        yield
+        yield place
+        os.replace(place, target)
     except OSError as error:
-        raise Problem(f"{error.filename or path}: cannot be written: {error.strerror}") from error
+        raise Problem(f"{path}: cannot be written: {error.strerror}") from error
+    finally:
+        if beside:
+            place.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -172,5 +180,5 @@ def write_json(path: str, result: Any) -> None:
     if path == "-":
         click.echo(text)
         return
-    with writing(path):
-        Path(path).write_text(text + "\n", encoding="utf-8")
+    with writing(path) as place:
+        place.write_text(text + "\n", encoding="utf-8")

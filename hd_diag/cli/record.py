@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import click
 import numpy as np
@@ -22,8 +22,7 @@ from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
 from hd_diag.diagnosis.record import Record, RecordError
 from hd_diag.diagnosis.screening import screened
 from hd_diag.effects import Catalogue
-from hd_diag.report.facts import JointReport
-from hd_diag.report.quality import Fact
+from hd_diag.report.facts import Fact, JointReport
 
 _OPTIONS = (
     click.argument("bags", nargs=-1, required=True, type=click.Path(path_type=Path)),
@@ -103,12 +102,8 @@ def on_records(function: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
-class Judged(NamedTuple):
-    """A joint's JSON, lines for the terminal, and part of the page if there is to be one."""
-
-    content: dict[str, Any]
-    lines: list[str]
-    page: JointReport | None
+Judged = tuple[dict[str, Any], list[str], JointReport | None]
+"""A joint's JSON, lines for the terminal, and part of the page if there is to be one."""
 
 
 def judge_each(
@@ -147,15 +142,15 @@ def not_judged(joint: str, error: Exception) -> dict[str, Any]:
 
 
 def _write_page(target: Path, reports: Sequence[JointReport], bags: Sequence[Path]) -> None:
-    from hd_diag.report.page import write_page  # here, because matplotlib takes its time
+    from hd_diag.report.page import page  # here, because matplotlib takes its time
 
     sources = [
         Fact(f"{bag.resolve().name}/{name}" if bag.is_dir() else name, f"SHA-256 {digest}")
         for bag in bags
         for name, digest in digests(bag).items()
     ]
-    with writing(target):
-        write_page(target, reports, sources)
+    with writing(target) as place:
+        place.write_text(page(reports, sources), encoding="utf-8")
 
 
 def digests(path: Path) -> dict[str, str]:

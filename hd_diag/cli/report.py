@@ -43,10 +43,10 @@ def report(records: Records, out: Path | None, json_file: str | None) -> None:
                 if motion is None:
                     raise
                 page = of_motion(motion, joint, flat, str(error))
-                return Judged(not_judged(joint.name, error), [page.verdict], page)
+                return not_judged(joint.name, error), [page.verdict], page
             progress("gathering the report's numbers")
             page = of_diagnosis(found, joint, flat, np.random.default_rng(0))
-            return Judged(as_json(found, joint.name), [page.verdict], page)
+            return as_json(found, joint.name), [page.verdict], page
 
     _, complete = judge_each(records, judge, target, json_file)
     sys.exit(0 if complete else Problem.exit_code)

@@ -109,7 +109,14 @@ def simulate(
             "sample_rate": motion.sample_rate,
             "start": start,
             "seed": given["seed"],
-            "joints": {name: _truth_of(config, name, joint) for name, joint in joints.items()},
+            "joints": {
+                name: {
+                    "parameters": {p.name: config.flat[f"{name}.{p.name}"] for p in JOINT_PARAMETERS},
+                    "offset": joint.offset,
+                    "noise": dataclasses.asdict(joint.noise),
+                }
+                for name, joint in joints.items()
+            },
         }
         options.write_json(json_file, truth)
     if json_file != "-":
@@ -154,9 +161,3 @@ def _start(seconds: float) -> int:
     if not 0.0 <= seconds < 2.0**31:
         raise ValueError(f"--start-time must be a Unix time within 32 bits, not {seconds} s")
     return round(seconds * _SECOND)
-
-
-def _truth_of(config: Config, name: str, joint: SimulatedJoint) -> dict[str, Any]:
-    """What a reader needs to know the truth, in SI units."""
-    parameters = {entry.name: config.flat[f"{name}.{entry.name}"] for entry in JOINT_PARAMETERS}
-    return {"parameters": parameters, "offset": joint.offset, "noise": dataclasses.asdict(joint.noise)}

@@ -110,8 +110,8 @@ def tolerance(
     if figure:
         from hd_diag.report.pictures.tolerance import save, tolerance_picture  # matplotlib takes its time
 
-        with options.writing(figure):
-            save(tolerance_picture(found), figure)
+        with options.writing(figure) as place:
+            save(tolerance_picture(found), place)
     if json_file != "-":
         _show(chosen.name, found)
 

@@ -9,11 +9,11 @@ import os
 import sys
 import time
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, TextIO
+from typing import IO, TYPE_CHECKING
 
 import click
 
-from hd_diag.cli.options import Problem, needing_ros, shown, verb, write_json, writing
+from hd_diag.cli.options import Problem, check_writable, needing_ros, shown, verb, write_json
 from hd_diag.cli.verbs import SIGNALLED
 from hd_diag.ros.stop_signals import noted_signals
 from hd_diag.watch import Watch, as_json
@@ -50,6 +50,7 @@ _SETTLE_JOINTS = 0.5  # where it is known what is waited for
     flag_value="-",
     metavar="[FILE]",
     type=click.Path(dir_okay=False, allow_dash=True),
+    callback=check_writable,
     help="Everything reported as JSON, to stdout or a file; without --once a line a second.",
 )
 def watch(
@@ -109,7 +110,7 @@ def _show_once(state: Watch, timeout: float, json_file: str | None) -> bool:
     views = state.view(now)
     if json_file != "-" and views:
         with Display() as display:
-            display.show_once(state, now)
+            display.show(state, now, is_last=True)
     if not views or (state.joints and state.missing()):
         of = ", ".join(state.missing() or state.joints) or "an hd_diag node"
         raise Problem(f"no report of {of} within {timeout:g} s: {'; '.join(state.explanation())}")
@@ -123,9 +124,7 @@ def _follow(
     with contextlib.ExitStack() as stack:
         shows: list[Callable[[Watch, float, bool], None]] = []
         if json_file:
-            with writing(json_file):
-                to_file = sys.stdout if json_file == "-" else stack.enter_context(open(json_file, "w"))
-            shows.append(_json_lines(to_file))
+            shows.append(_json_lines(stack.enter_context(click.open_file(json_file, "w"))))
         if json_file != "-":
             shows.append(stack.enter_context(Display()).show)
         while not came:
@@ -139,7 +138,7 @@ def _follow(
     return False
 
 
-def _json_lines(file: TextIO) -> Callable[[Watch, float, bool], None]:
+def _json_lines(file: IO[str]) -> Callable[[Watch, float, bool], None]:
     """Writes a state as a line of JSON where something came, once a second at most."""
     written, due = 0, 0.0
 

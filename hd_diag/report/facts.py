@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hd_diag.arrays import Floats
+from hd_diag.arrays import Floats, Integers
 from hd_diag.bag.joint_record import InputRecord
 from hd_diag.config.configuration import JointConfig
 from hd_diag.config.parameters import JOINT_PARAMETERS, Value
@@ -22,7 +22,6 @@ from hd_diag.replay.versions import running
 from hd_diag.report import stages, torsion
 from hd_diag.report.advice import Card, cards
 from hd_diag.report.ladder import Rung, benches, ladder
-from hd_diag.report.quality import Fact, facts
 from hd_diag.report.stages import Comparison, OverTime, Stages
 from hd_diag.report.teeth import TeethOverTurn, teeth_over_turn
 
@@ -31,6 +30,15 @@ _LEAK = 0.1  # strength of a peak's side lobes that are no peaks of their own
 _MOST_MARKS = 2  # orders marked for one cause
 _NOT_OF_THE_DRIVE = ("input_joint", "output_joint", "limits.", "tolerance.")
 _ORDERS = (8.0, 40.0)  # least and greatest end of the spectrum
+_GAP_STEPS = 5.5  # a step this many times the usual one is a gap, as the diagnosis takes it
+_TURN = 2.0 * np.pi
+
+
+class Fact(NamedTuple):
+    """A name and a value with its unit, in words."""
+
+    name: str
+    value: str
 
 
 class Mark(NamedTuple):
@@ -88,7 +96,7 @@ def of_diagnosis(
     found = stages.stages(diagnosis, fitted[0] if fitted else None)
     record, drive = diagnosis.record, found.drive
     torque = record.torque if record.has_torque else None
-    quality = facts(record.time, record.input_angle, torque, drive.kinematics.ratio, record.bag)
+    quality = quality_of(record.time, record.input_angle, torque, drive.kinematics.ratio, record.bag)
     runs = Fact("Runs", f"{record.extent.runs}, {number(record.extent.duration)} s in all")
     excluded = Fact("Taken out", f"{record.outliers} outliers, {record.dropped} not finite or out of order")
     return JointReport(
@@ -113,10 +121,43 @@ def of_motion(motion: InputRecord, joint: JointConfig, flat: Mapping[str, Value]
         "configured" if joint.model is None else "extended",
         torsion.simulated(joint.configured, drive, max(abs(teeth.torque), drive.rated_torque)),
         teeth,
-        tuple(facts(motion.time, motion.input_angle, motion.torque, drive.kinematics.ratio, motion.bag)),
+        tuple(quality_of(motion.time, motion.input_angle, motion.torque, drive.kinematics.ratio, motion.bag)),
         settings(joint, flat),
         None,
     )
+
+
+def quality_of(
+    time: Floats, input_angle: Floats, torque: Floats | None, ratio: float, bag: Integers
+) -> list[Fact]:
+    """What stamps [s], angles [rad] and torque [N m], if measured, of a record say, shape (n,) each.
+
+    `bag` says which recording each sample comes from; a step between two of them counts for nothing.
+    """
+    step = np.diff(time)[np.diff(bag) == 0]
+    usual = float(np.median(step))
+    near = step[step <= _GAP_STEPS * usual]
+    gaps = step[step > _GAP_STEPS * usual]
+    off = 1e6 * np.abs(near - usual)
+    moved = np.diff(input_angle)[np.diff(bag) == 0]
+    way, reach = float(np.abs(moved).sum()), float(np.ptp(input_angle)) / _TURN
+    forwards = 100.0 * float(moved[moved > 0.0].sum()) / max(way, 1e-300)
+    speed = np.abs(moved[step > 0.0] / step[step > 0.0]) / _TURN
+    return [
+        Fact("Samples used", f"{time.size:d}"),
+        Fact("Sample rate", f"{number(1.0 / usual)} Hz"),
+        Fact("Jitter of the stamps", f"{off.mean():.0f} µs mean, {np.percentile(off, 99):.0f} µs at 99 %"),
+        Fact("Gaps", f"{gaps.size}, {number(float(gaps.sum()))} s in all" if gaps.size else "none"),
+        Fact("Input turns", f"{number(way / _TURN)} in all, over a range of {number(reach)}"),
+        Fact("Output range", f"{number(reach / abs(ratio))} turns"),
+        Fact("Input speed", f"up to {number(float(np.percentile(speed, 99)))} turns per second"),
+        Fact("Ways turned", f"{forwards:.0f} % forwards, {100.0 - forwards:.0f} % back"),
+        Fact("Torque", "not measured" if torque is None else _range(torque)),
+    ]
+
+
+def _range(torque: Floats) -> str:
+    return f"{number(float(torque.min()))} to {number(float(torque.max()))} N m"
 
 
 def settings(joint: JointConfig, flat: Mapping[str, Value]) -> tuple[Fact, ...]:

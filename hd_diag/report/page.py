@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import os
 from collections.abc import Sequence
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, StrictUndefined, Template
 
 from hd_diag.formatting import arcsec, visible, words
 from hd_diag.report import captions
-from hd_diag.report.facts import JointReport, versions
+from hd_diag.report.facts import Fact, JointReport, versions
 from hd_diag.report.pictures.page_pictures import pictures
-from hd_diag.report.quality import Fact
 
 
 def page(reports: Sequence[JointReport], sources: Sequence[Fact]) -> str:
@@ -36,23 +33,6 @@ def page(reports: Sequence[JointReport], sources: Sequence[Fact]) -> str:
         captions=captions,
         arcsec=arcsec,
     )
-
-
-def write_page(path: Path, reports: Sequence[JointReport], sources: Sequence[Fact]) -> None:
-    """Write a report where it is wanted, whole or not at all.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
-    """
-    text = page(reports, sources)
-    part = path.with_name(f".{path.name}.part")
-    try:
-        part.write_text(text, encoding="utf-8")
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _policy(style: str) -> str:

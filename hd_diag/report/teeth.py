@@ -64,14 +64,7 @@ def strongest_torque(torque: Floats) -> float:
 
 
 def teeth_over_turn(drive: Drive, input_angle: Floats, torque: Floats) -> TeethOverTurn:
-    """Teeth under the strongest torque of a record.
-
-    Parameters
-    ----------
-    drive : Drive
-    input_angle, torque : ndarray, shape (n,)
-        As reported [rad], on the link [N m].
-    """
+    """Teeth under the strongest of a record's torques [N m]; angles as reported [rad], shape (n,) both."""
     frame, geometry, strong = drive.frame, drive.mesh.geometry, strongest_torque(torque)
     angle = _TURN * (np.arange(_ANGLES) + 0.5) / _ANGLES
     state = mesh_state(drive, angle, frame.cup_torque(np.full(_ANGLES, strong)))

@@ -52,25 +52,19 @@ class Display:
             self._live.stop()
 
     def show(self, watch: Watch, now: float, is_last: bool = False) -> None:
-        """Show the present state, if it is time to or never will be again."""
+        """Show the present state if it is time to; the last time all of it, to be left there."""
         if now < self._next and not is_last:
             return
         self._next = now + REFRESH_PERIOD
         if self._live is not None:
-            self._live.update(JointTable(watch, now, self._console.height), refresh=True)
+            table = JointTable(watch, now, math.inf if is_last else self._console.height)
+            self._live.update(table, refresh=True)
             return
         views = watch.view(now)
         if not views and (lines := waiting(watch)) != self._waiting:
             self._waiting = lines
             self._write(lines)
         self._write([plain_line(view) for view in views if self._is_news(view, now - view.age)])
-
-    def show_once(self, watch: Watch, now: float) -> None:
-        """Show the present state and leave it there."""
-        if self._live is not None:
-            self._live.update(JointTable(watch, now), refresh=True)
-        else:
-            self._write([plain_line(view) for view in watch.view(now)])
 
     def _write(self, lines: Sequence[str]) -> None:
         """Write lines, not by rich, which ends the program where the reader of a pipe has gone."""
@@ -81,12 +75,12 @@ class Display:
 
     def _is_news(self, view: JointView, arrived: float) -> bool:
         """Whether a report has another fault than the last that was shown, or came long after it."""
-        key = (view.topic, view.status.hardware_id, view.name)
-        before, code, was_silent = self._shown.get(key, (-math.inf, "", False))
-        if arrived < before + PLAIN_PERIOD and (view.code, view.is_silent) == (code, was_silent):
-            return False
-        self._shown[key] = arrived, view.code, view.is_silent
-        return True
+        key, state = (view.topic, view.status.hardware_id, view.name), (view.code, view.is_silent)
+        before, *last = self._shown.get(key, (-math.inf, "", False))
+        is_news = arrived >= before + PLAIN_PERIOD or state != tuple(last)
+        if is_news:
+            self._shown[key] = arrived, *state
+        return is_news
 
 
 class JointTable:
@@ -95,10 +89,8 @@ class JointTable:
     Where not all fit the terminal's height [lines], the worst are shown.
     """
 
-    def __init__(self, watch: Watch, now: float, height: int | None = None) -> None:
-        self._watch = watch
-        self._views = watch.view(now)
-        self._height = height
+    def __init__(self, watch: Watch, now: float, height: float = math.inf) -> None:
+        self._watch, self._views, self._height = watch, watch.view(now), height
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         self._width = min(options.max_width, _WIDEST)
@@ -121,8 +113,7 @@ class JointTable:
 
     def _fitting(self, blocks: Sequence[Sequence[Text]]) -> list[int]:
         """Which joints are shown: all, or the worst for which there is room, in their order."""
-        room = math.inf if self._height is None else self._height - _LINES_ABOUT
-        kept: list[int] = []
+        room, kept = self._height - _LINES_ABOUT, list[int]()
         for index in sorted(range(len(blocks)), key=lambda i: -self._views[i].level):
             room -= len(blocks[index])
             if room < 0 and kept:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, ParamSpec
+from typing import Any
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.transforms import ScaledTranslation
-
-P = ParamSpec("P")
 
 WIDTH = 3.75
 """Width of every picture [inch]: that of a phone, so that letters keep their size there."""
@@ -39,26 +36,19 @@ SERIES = ("#0072b2", "#00875f", "#b07800", "#d55e00", "#a8508b", "#5a6b7b")
 DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (2, 1.2)), (0, (6, 1.5, 1.5, 1.5)), (0, (1, 1)), "--")
 
 STYLE: Any = {
-    "font.size": 8.5,
+    **dict.fromkeys(("font.size", "axes.titlesize", "axes.labelsize"), 8.5),
+    **dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), 8.0),
+    **dict.fromkeys(("axes.edgecolor", "axes.labelcolor", "axes.titlecolor", "text.color"), INK),
+    **dict.fromkeys(("xtick.color", "ytick.color"), INK),
+    **dict.fromkeys(("figure.facecolor", "axes.facecolor", "savefig.facecolor"), "none"),
     "font.family": "DejaVu Sans",
-    "axes.titlesize": 8.5,
     "axes.titlelocation": "left",
-    "axes.labelsize": 8.5,
-    "xtick.labelsize": 8.0,
-    "ytick.labelsize": 8.0,
-    "legend.fontsize": 8.0,
     "legend.frameon": False,
     "legend.handlelength": 2.2,
     "legend.columnspacing": 1.2,
     "legend.borderaxespad": 0.0,
     "legend.borderpad": 0.0,
     "legend.labelspacing": 0.25,
-    "axes.edgecolor": INK,
-    "axes.labelcolor": INK,
-    "axes.titlecolor": INK,
-    "text.color": INK,
-    "xtick.color": INK,
-    "ytick.color": INK,
     "axes.linewidth": 0.7,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -67,33 +57,16 @@ STYLE: Any = {
     "grid.alpha": 0.35,
     "grid.linewidth": 0.5,
     "axes.axisbelow": True,
-    "axes.unicode_minus": True,
     "axes.formatter.useoffset": False,
-    "axes.formatter.use_mathtext": False,
     "lines.linewidth": 1.3,
-    "figure.facecolor": "none",
-    "axes.facecolor": "none",
-    "savefig.facecolor": "none",
     # A name such as $\frac$ is letters, not mathematics.
     "text.parse_math": False,
-    "text.usetex": False,
     # The same picture is the same file: ids come from a fixed salt, letters stay letters.
     "svg.hashsalt": "hd_diag",
     "svg.fonttype": "none",
     "pdf.fonttype": 42,
     "path.simplify_threshold": 0.1,
 }
-
-
-def drawn(picture: Callable[P, Figure]) -> Callable[P, Figure]:
-    """The picture, drawn in this house's style whatever matplotlib is set to."""
-
-    @functools.wraps(picture)
-    def draw(*args: P.args, **kwargs: P.kwargs) -> Figure:
-        with styled():
-            return picture(*args, **kwargs)
-
-    return draw
 
 
 @contextmanager
@@ -103,6 +76,10 @@ def styled() -> Iterator[None]:
         mpl.rcdefaults()
         mpl.rcParams.update(STYLE)
         yield
+
+
+drawn = styled()
+"""Decorates a picture: it is drawn in this style whatever matplotlib is set to."""
 
 
 def sheet(height: float, rows: int = 1, **options: Any) -> tuple[Figure, list[Axes]]:
@@ -131,13 +108,7 @@ def turn(axes: Axes, label: str) -> None:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as SVG, PDF or PNG, by the file's suffix: the same figure is the same file.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written.
-    """
+    """Write a figure as SVG, PDF or PNG, by the file's suffix: the same figure is the same file."""
     kind = path.suffix.removeprefix(".").lower()
     undated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}[kind]
     with styled():
