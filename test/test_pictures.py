@@ -13,8 +13,8 @@ from report_samples import HOSTILE
 from hd_diag.diagnosis.diagnosis import Rms
 from hd_diag.report.ladder import Rung
 from hd_diag.report.pictures import canvas
+from hd_diag.report.pictures.comparison import model_ladder
 from hd_diag.report.pictures.markup import inline_svg
-from hd_diag.report.pictures.model_ladder import model_ladder
 
 SVG = "{http://www.w3.org/2000/svg}"
 

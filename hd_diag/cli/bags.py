@@ -11,7 +11,7 @@ import click
 from hd_diag.bag import BagError
 from hd_diag.bag.mcap_scan import DamagedChunk
 from hd_diag.bag.recover import recover as recover_bag
-from hd_diag.cli.options import JSON, Problem, check_target, tell, verb, write_json
+from hd_diag.cli.options import BAG, JSON, OVERWRITE, Problem, check_targets, tell, verb, write_json
 from hd_diag.cli.progress import interrupted, working
 from hd_diag.config.configuration import load
 from hd_diag.replay.replay import Replay
@@ -20,7 +20,7 @@ from hd_diag.replay.replay import replay as replay_bag
 
 @verb("replay log --out again.mcap")
 @click.argument("bag", type=click.Path(path_type=Path))
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="*.mcap or a rosbag2 folder.")
+@BAG
 @click.option(
     "--config",
     "config_file",
@@ -33,7 +33,7 @@ from hd_diag.replay.replay import replay as replay_bag
     multiple=True,
     help="Topic with joint states; repeatable. [default: all but what a node published]",
 )
-@click.option("--overwrite", is_flag=True, help="Replace the output where it exists.")
+@OVERWRITE
 @JSON
 def replay(
     bag: Path,
@@ -51,8 +51,7 @@ def replay(
     valid file and ends with code 130; after an error the output is left without its end. A bag that
     --overwrite replaces stays until the new one is whole, also then.
     """
-    if json_file:
-        check_target(json_file, bag)
+    check_targets((json_file,), bag)
     config = load(config_file) if config_file else None
     begin, kept, done = time.monotonic(), out.exists(), 0
     try:
@@ -115,8 +114,8 @@ def _tell_replay(result: Replay, out: Path, took: float) -> None:
 
 @verb("recover torn.mcap --out whole.mcap")
 @click.argument("bag", type=click.Path(path_type=Path))
-@click.option("--out", required=True, type=click.Path(path_type=Path), help="*.mcap or a rosbag2 folder.")
-@click.option("--overwrite", is_flag=True, help="Replace the output where it exists.")
+@BAG
+@OVERWRITE
 @JSON
 def recover(bag: Path, out: Path, overwrite: bool, json_file: str | None) -> None:
     """Save what can be saved of a bag that a crash left unfinished.
@@ -127,8 +126,7 @@ def recover(bag: Path, out: Path, overwrite: bool, json_file: str | None) -> Non
     error the output is left without its end. A bag that --overwrite replaces stays until the new one is
     whole.
     """
-    if json_file:
-        check_target(json_file, bag)
+    check_targets((json_file,), bag)
     kept = out.exists()
     try:
         with working() as part:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -32,7 +30,8 @@ def figures(out: Path, config_file: str | None, format: str) -> None:
     entries = load_example("paper_figures").figures(joint.drive)
     captions = [f"Drive of {joint.name}; claims are those of Dong et al. (2019), sections 4.2, 4.3 and 5."]
     for name, title, figure, claims in entries:
-        file, listed = out / f"{name}.{format}", _listed(claims)
+        file, wrong = out / f"{name}.{format}", " **This does not agree.**"
+        listed = "\n".join(f"* ({c.letter}) {c.text}{'' if c.holds else wrong}" for c in claims)
         with writing(file) as place:
             out.mkdir(parents=True, exist_ok=True)
             save(figure, place)
@@ -41,9 +40,3 @@ def figures(out: Path, config_file: str | None, format: str) -> None:
     with writing(out / _CAPTIONS) as place:
         place.write_text("\n\n".join(captions) + "\n", encoding="utf-8")
     click.echo(f"{out / _CAPTIONS}: captions")
-
-
-def _listed(claims: Iterable[Any]) -> str:
-    return "\n".join(
-        f"* ({c.letter}) {c.text}{'' if c.holds else ' **This does not agree.**'}" for c in claims
-    )

@@ -63,10 +63,9 @@ def shown(flag: str, default: Any, text: str, **more: Any) -> Callable[[_Command
     return click.option(flag, default=default, show_default=True, help=text, **more)
 
 
-def check_writable(context: click.Context, parameter: click.Parameter, value: str | None) -> str | None:
+def check_writable(context: click.Context, parameter: click.Parameter, value: Any) -> Any:
     """Refuse before the work a file that could not be written after it."""
-    if value is not None:
-        check_target(value)
+    check_targets((value,))
     return value
 
 
@@ -120,32 +119,21 @@ def chosen_joints(config: Config, names: tuple[str, ...]) -> list[JointConfig]:
 
 
 def check_targets(targets: Iterable[str | Path | None], *inputs: Path) -> None:
-    """Refuse before the work files of which one could not be written, or would overwrite another or an input.
+    """Refuse before the work files that could not be written, or would overwrite each other or an input.
 
-    Raises
-    ------
-    Problem, BagError
-        Where there is no such folder, or no writing; where two are the same; where one is an input, or a part
-        of one.
+    None is no file, - is stdout.
     """
-    wanted = [target for target in targets if target not in (None, "-")]
+    wanted = [Path(target) for target in targets if target not in (None, "-")]
     if len(set(map(os.path.realpath, wanted))) < len(wanted):
         raise Problem(f"{' and '.join(map(str, wanted))} must be different files")
     for target in wanted:
-        check_target(target, *inputs)
-
-
-def check_target(path: str | Path, *inputs: Path) -> None:
-    """Refuse before the work a file that could not be written or would overwrite an input; - is stdout."""
-    if path == "-":
-        return
-    target = Path(path).absolute()
-    if not target.parent.is_dir():
-        raise Problem(f"{path}: cannot be written: no such folder")
-    if not os.access(target if target.exists() else target.parent, os.W_OK):
-        raise Problem(f"{path}: cannot be written: no permission, or a disk that is read-only")
-    # What does not exist, like links in a circle, is reported when it is read.
-    check_output(path, *filter(os.path.exists, inputs))
+        folder = target.absolute().parent
+        if not folder.is_dir():
+            raise Problem(f"{target}: cannot be written: no such folder")
+        if not os.access(target if target.exists() else folder, os.W_OK):
+            raise Problem(f"{target}: cannot be written: no permission, or a disk that is read-only")
+        # What does not exist, like links in a circle, is reported when it is read.
+        check_output(target, *filter(os.path.exists, inputs))
 
 
 @contextmanager

@@ -65,16 +65,11 @@ def working() -> Iterator[Callable[[str, str], Advance]]:
 
 def interrupted(out: Path, kept: bool, content: str = "") -> NoReturn:
     """End after Ctrl-C with a line on what `out` holds; `kept` where it was there before, and still is."""
-    if kept:
-        left = f"nothing was written, {out} is as it was"
-    elif out.exists():
-        left = f"{out} holds {content or _first_messages(out)}"
-    else:
-        left = "nothing was written"
+    left = f"nothing was written, {out} is as it was" if kept else "nothing was written"
+    if out.exists() and not kept:
+        if not content:
+            with BagReader(out) as reader:
+                content = f"the first {reader.message_count} messages"
+        left = f"{out} holds {content}"
     tell(f"hd-diag: interrupted: {left}", err=True)
     sys.exit(INTERRUPTED)
-
-
-def _first_messages(out: Path) -> str:
-    with BagReader(out) as reader:
-        return f"the first {reader.message_count} messages"

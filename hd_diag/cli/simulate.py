@@ -81,7 +81,9 @@ def simulate(
         both_ways = not given["one_way"]
         motion = Motion(given["duration"], given["rate"], speeds, given["torque_level"], both_ways)
         joints = _joints(config, names, given)
-        start = _start(given["start_time"])
+        if not 0.0 <= given["start_time"] < 2.0**31:
+            raise ValueError(f"--start-time must be a Unix time within 32 bits, not {given['start_time']} s")
+        start = round(given["start_time"] * _SECOND)
         with working() as part:
             mapping = part("map", "%")
             samples = write_bag(
@@ -155,9 +157,3 @@ def _joints(config: Config, names: tuple[str, ...], given: dict[str, Any]) -> di
         joint.name: SimulatedJoint(joint.drive, noise, offset)
         for joint in options.chosen_joints(config, names)
     }
-
-
-def _start(seconds: float) -> int:
-    if not 0.0 <= seconds < 2.0**31:
-        raise ValueError(f"--start-time must be a Unix time within 32 bits, not {seconds} s")
-    return round(seconds * _SECOND)

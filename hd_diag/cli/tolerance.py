@@ -48,10 +48,9 @@ def _limit_options(function: Callable[..., None]) -> Callable[..., None]:
 
 def _check_figure(context: click.Context, parameter: click.Parameter, path: Path | None) -> Path | None:
     """Refuse before the work what cannot be drawn after it."""
-    if path is not None:
-        if path.suffix.lower() not in _FIGURES:
-            raise options.Problem(f"{path}: a figure ends with {', '.join(_FIGURES)}")
-        options.check_target(path)
+    if path is not None and path.suffix.lower() not in _FIGURES:
+        raise options.Problem(f"{path}: a figure ends with {', '.join(_FIGURES)}")
+    options.check_targets((path,))
     return path
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import signal
 import sys
 from importlib import import_module
-from typing import Any, NoReturn
+from typing import Any
 
 import click
 
@@ -65,12 +65,11 @@ class _Verbs(click.Group):
                 raise
             click.echo(f"hd-diag: {error}: python3 -m pip install {error.name}", err=True)
             sys.exit(2)
-        except click.Abort:
-            _interrupted()
-        except SystemError as error:
+        except (click.Abort, SystemError) as error:
             if not _is_interruption(error):
                 raise
-            _interrupted()
+            click.echo("hd-diag: interrupted", err=True)
+            sys.exit(INTERRUPTED)
         sys.exit(code if isinstance(code, int) else 0)
 
 
@@ -79,11 +78,6 @@ def _is_interruption(error: BaseException | None) -> bool:
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None
-
-
-def _interrupted() -> NoReturn:
-    click.echo("hd-diag: interrupted", err=True)
-    sys.exit(INTERRUPTED)
 
 
 @click.group(

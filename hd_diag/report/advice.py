@@ -88,31 +88,21 @@ def quantity(entry: Quantity, value: float, spread: float) -> str:
 
 
 def _of_parameters(diagnosis: Diagnosis) -> list[Card]:
+    """Cards of groups without which the refitted drive's error changes, and that are not as configured."""
     assert diagnosis.refitted is not None
-    drive, values, found = diagnosis.refitted.drive, diagnosis.parameters, []
-    for name, size in parameter_sizes(diagnosis).items():
-        _, entries, text, setting = _GROUPS[name]
-        off = (values[entry] for entry in entries)
-        if size > LEAST_SIZE and any(abs(e["value"] - e["configured"]) > _SIGMAS * e["std"] for e in off):
-            title, cause, measures, inspect = text(values, drive)
-            found.append(Card(title, size, cause, measures, inspect, setting=setting))
-    return found
-
-
-def parameter_sizes(diagnosis: Diagnosis) -> dict[str, float]:
-    """How much the refitted drive's error changes where a group of parameters is as configured [rad rms]."""
-    assert diagnosis.refitted is not None
-    configured, refitted = diagnosis.configured, diagnosis.refitted
+    configured, refitted, values = diagnosis.configured, diagnosis.refitted, diagnosis.parameters
     record = diagnosis.record.select(usable(diagnosis.record))
     as_configured = fit_parameters.vector(configured, configured)
-    whole = simulated_error(refitted.drive, record)
-    sizes = {}
-    for name, (at, *_) in _GROUPS.items():
+    whole, found = simulated_error(refitted.drive, record), []
+    for at, entries, text, setting in _GROUPS:
         without = refitted.parameters.copy()
         without[at] = as_configured[at]
         drive = fit_parameters.drive_of(without, configured)
-        sizes[name] = float(np.nanstd(whole - simulated_error(drive, record)))
-    return sizes
+        size, off = float(np.nanstd(whole - simulated_error(drive, record))), (values[e] for e in entries)
+        if size > LEAST_SIZE and any(abs(e["value"] - e["configured"]) > _SIGMAS * e["std"] for e in off):
+            title, cause, measures, inspect = text(values, refitted.drive)
+            found.append(Card(title, size, cause, measures, inspect, setting=setting))
+    return found
 
 
 def _eccentricity(values: dict[str, _Entry], drive: Drive) -> _Text:
@@ -190,9 +180,9 @@ def _displacement(name: str, entry: _Entry) -> _Measures:
 
 # Fitted numbers that are judged together: their places in `fit_parameters.SCALES`, what is compared, the
 # card, and whether they are settings.
-_GROUPS: dict[str, tuple[slice, tuple[str, ...], Callable[[dict[str, _Entry], Drive], _Text], bool]] = {
-    "eccentricity": (slice(0, 2), ("eccentricity.magnitude",), _eccentricity, False),
-    "runout": (slice(2, 4), ("runout.magnitude",), _runout, False),
-    "clearance": (slice(4, 5), ("circular_spline_datum",), _datum, True),
-    "stiffness": (slice(5, 7), ("tooth_compliance", "cup_compliance"), _compliance, True),
-}
+_GROUPS: tuple[tuple[slice, tuple[str, ...], Callable[[dict[str, _Entry], Drive], _Text], bool], ...] = (
+    (slice(0, 2), ("eccentricity.magnitude",), _eccentricity, False),
+    (slice(2, 4), ("runout.magnitude",), _runout, False),
+    (slice(4, 5), ("circular_spline_datum",), _datum, True),
+    (slice(5, 7), ("tooth_compliance", "cup_compliance"), _compliance, True),
+)

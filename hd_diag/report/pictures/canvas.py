@@ -102,9 +102,7 @@ def titled(axes: Axes, title: str, raised: float = 0.0) -> None:
 
 def turn(axes: Axes, label: str) -> None:
     """An axis over one turn in degrees."""
-    axes.set_xlim(0.0, 360.0)
-    axes.set_xticks(range(0, 361, 60))
-    axes.set_xlabel(label)
+    axes.set(xlim=(0.0, 360.0), xticks=range(0, 361, 60), xlabel=label)
 
 
 def save(figure: Figure, path: Path) -> None:

@@ -1,25 +1,36 @@
-"""Measured against simulated: over angle, over torque, over time, and by orders of the residual."""
+"""Measured against simulated: over angle, torque and time, by orders of the residual, by models."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
 from hd_diag.arrays import Floats
+from hd_diag.diagnosis.diagnosis import Rms
 from hd_diag.formatting import ARCSEC
 from hd_diag.report.binned import Band
-from hd_diag.report.pictures.canvas import INK, STAGES, drawn, sheet, titled, turn
+from hd_diag.report.ladder import Rung
+from hd_diag.report.pictures import canvas
+from hd_diag.report.pictures.canvas import GRID, INK, REFIT, STAGES, drawn, sheet, titled, turn
 from hd_diag.report.stages import Comparison, OverTime
+from hd_diag.report.torsion import Torsion
 
 _TURN = 2.0 * np.pi
+_ARCMIN = 60.0 * ARCSEC
 _WIDTHS = (0.8, 0.9, 1.3)  # of the stages' spectra: the last one is drawn over the others
 _DECADES = 4.0
 _RAISED = 16.0  # room for the marks' numbers [points]
 _CLOSE = 0.045  # of the width; marks nearer to each other share the height
+_LEAST_LABELLED = 0.1  # width of a range over the greatest torque, from which its name has room
+_FLOOR = 0.4  # height of the noise floor at each rung
+_IN_TURN: Any = {"fmt": "o", "ms": 5, "capsize": 3, "color": canvas.EXTENDED, "label": "each stretch in turn"}
+_NEVER_FITTED: Any = {"ms": 6.5, "mfc": "none", "mew": 1.2, "color": REFIT, "label": "never fitted"}
+_ROOM = 1.9  # factor to the right of the largest for its number
 
 
 @drawn
@@ -86,8 +97,7 @@ def orders(spectra: Mapping[str, tuple[Floats, Floats]], marks: Sequence[float],
     for (colour, _), width, (name, (order, amplitude)) in zip(STAGES, _WIDTHS, spectra.items(), strict=False):
         axes.semilogy(order, np.maximum(amplitude, 1e-12) / ARCSEC, color=colour, lw=width, label=name)
     top = 2.0 * max(float(np.max(amplitude)) for _, amplitude in spectra.values()) / ARCSEC
-    axes.set_xlim(0.0, highest)
-    axes.set_ylim(top * 10.0**-_DECADES, top)
+    axes.set(xlim=(0.0, highest), ylim=(top * 10.0**-_DECADES, top))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.yaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel("Order: cycles per turn of the wave generator")
@@ -98,4 +108,63 @@ def orders(spectra: Mapping[str, tuple[Floats, Floats]], marks: Sequence[float],
         before = mark if level < 1.02 else -1.0
         axes.text(mark, level, f"{number}", transform=axes.get_xaxis_transform(), ha="center", va="bottom")
     titled(axes, "Amplitude of the residual [arcsec]", _RAISED if marks else 0.0)
+    return figure
+
+
+@drawn
+def torsion_curve(found: Torsion, judged: bool) -> Figure:
+    """Error over torque, of the configured and, where it was judged, of the fitted drive."""
+    figure, (axes,) = sheet(3.6)
+    torque, most = found.torque, float(found.torque[-1])
+    axes.fill_between(torque, found.low / _ARCMIN, found.high / _ARCMIN, color=REFIT, alpha=0.18, lw=0)
+    names = ("configured", "fitted") if judged else ("", "simulated")
+    for (colour, dashes), name, curve in zip(STAGES, names, (found.configured, found.fitted), strict=False):
+        if name:
+            axes.plot(torque, curve / _ARCMIN, color=colour, ls=dashes, label=name)
+    colour, dashes = STAGES[2]
+    for band, curve, name in zip(found.measured, found.extended, ("extended", "_"), strict=False):
+        axes.plot(band.center, curve / _ARCMIN, color=colour, ls=dashes, label=name)
+    for band, mark, name in zip(found.measured, "^v", ("torque rising", "torque falling"), strict=False):
+        axes.plot(band.center, band.mean / _ARCMIN, mark, ms=3.2, mfc="none", mew=0.8, color=INK, label=name)
+    for entry, colour in zip(found.stiffness, (GRID, canvas.ACCENT, GRID), strict=True):
+        end = min(entry.high, most)
+        if entry.low < most:
+            axes.axvspan(entry.low, end, color=colour, alpha=0.12, lw=0)
+        if end - entry.low >= _LEAST_LABELLED * most:
+            value = entry.measured if found.measured else entry.fitted
+            label = f"{entry.name}\n{value * 1e-4:.1f}" if np.isfinite(value) else entry.name
+            middle = 0.5 * (entry.low + end)
+            axes.text(middle, 0.985, label, transform=axes.get_xaxis_transform(), ha="center", va="top")
+    axes.axhline(0.0, color=INK, lw=0.7)
+    axes.axvline(0.0, color=INK, lw=0.7)
+    axes.set(xlim=(-most, most), xlabel="Torque on the link [N m]; K in 10⁴ N m/rad")
+    titled(axes, "Transmission error [arcmin]")
+    return figure
+
+
+@drawn
+def model_ladder(rungs: Sequence[Rung], held_out: Rms) -> Figure:
+    """Rungs from top to bottom beside the data that were never fitted, and the noise floor."""
+    figure, (axes,) = sheet(1.1 + 0.46 * len(rungs))
+    axes.set_xscale("log")
+    place = np.arange(len(rungs))
+    rms, low, high = np.array([(rung.rms, rung.low, rung.high) for rung in rungs]).T / ARCSEC
+    noise = np.array([held_out.noise, held_out.noise_low, held_out.noise_high]) / ARCSEC
+    axes.barh(place, noise[2] - noise[1], _FLOOR, left=noise[1], color=GRID, alpha=0.45, lw=0)
+    ends = place - _FLOOR / 2, place + _FLOOR / 2
+    axes.vlines(np.full(place.size, noise[0]), *ends, color=INK, lw=1.2, label="noise floor")
+    axes.errorbar(rms, place, xerr=(rms - low, high - rms), **_IN_TURN)
+    marks = {len(rungs) - 1: held_out.extended} | {0: held_out.nominal, 1: held_out.refit}
+    axes.plot(np.array(list(marks.values())) / ARCSEC, list(marks), "D", **_NEVER_FITTED)
+    for step, rung in enumerate(rungs):
+        axes.text(0.0, step - 0.36, rung.name, transform=axes.get_yaxis_transform(), ha="left", va="center")
+        axes.text(high[step] * 1.12, step, f"{rms[step]:.2f}", ha="left", va="center")
+    across = 0.8 * min(noise[1], low.min()), _ROOM * high.max()
+    axes.set(xlim=across, ylim=(len(rungs) - 0.65, -0.6), yticks=[])
+    axes.grid(False, axis="y")
+    axes.spines["left"].set_visible(False)
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_minor_locator(NullLocator())
+    titled(axes, "Residual on data held out, rms [arcsec]")
     return figure

@@ -10,9 +10,7 @@ from hd_diag.report import captions
 from hd_diag.report.facts import JointReport, Judgement
 from hd_diag.report.pictures import comparison
 from hd_diag.report.pictures.markup import inline_svg
-from hd_diag.report.pictures.model_ladder import model_ladder
 from hd_diag.report.pictures.teeth import around_the_gear, tooth_maps
-from hd_diag.report.pictures.torsion_curve import torsion_curve
 
 _Drawing = tuple[str, str, Figure, str]  # name, title, figure, caption
 
@@ -29,7 +27,12 @@ def _drawings(report: JointReport) -> Iterator[_Drawing]:
     judged, teeth = report.judgement is not None, report.teeth
     if report.judgement is not None:
         yield from _comparisons(report.judgement)
-    yield "torsion", "Torsion curve", torsion_curve(report.torsion, judged), captions.torsion(report)
+    yield (
+        "torsion",
+        "Torsion curve",
+        comparison.torsion_curve(report.torsion, judged),
+        captions.torsion(report),
+    )
     yield "maps", "Backlash and load of every tooth", tooth_maps(teeth), captions.maps(report)
     yield "around", "Around the gear", around_the_gear(teeth), captions.around(teeth)
 
@@ -42,7 +45,7 @@ def _comparisons(found: Judgement) -> Iterator[_Drawing]:
     drawn = comparison.orders(found.orders, [mark.order for mark in found.marks], found.highest_order)
     yield "orders", "Order spectrum", drawn, captions.orders(found)
     if found.ladder and found.diagnosis.rms is not None:
-        drawn = model_ladder(found.ladder, found.diagnosis.rms)
+        drawn = comparison.model_ladder(found.ladder, found.diagnosis.rms)
         yield "ladder", "Ladder of models", drawn, captions.ladder(found)
     yield (
         "time",
