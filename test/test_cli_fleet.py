@@ -17,11 +17,10 @@ import numpy as np
 import pool_tasks
 import pyarrow.parquet as pq
 import pytest
-from cli_runner import runner
+from cli_runner import assert_one_line_error, hd_diag
 from click.testing import Result
 from live import config
 
-from hd_diag.cli import cli
 from hd_diag.cli import fleet as cli_fleet
 from hd_diag.fleet import run
 from hd_diag.simulation import Motion, Noise, SimulatedJoint, write_bag
@@ -33,19 +32,11 @@ SAME = 1e-4  # of an optimum whose search stops at steps of that size
 
 
 def fleet(*arguments: object, jobs: bool = True) -> Result:
-    return runner().invoke(cli, ["fleet", *map(str, arguments), *(("--jobs", "1") if jobs else ())])
+    return hd_diag("fleet", *arguments, *(("--jobs", "1") if jobs else ()))
 
 
 def table(path: Path) -> list[dict]:
     return pq.read_table(path).to_pylist()
-
-
-def assert_one_line(result: Result, said: str) -> None:
-    assert isinstance(result.exception, SystemExit)
-    assert (result.exit_code, result.stdout) == (2, "")
-    assert len(result.stderr.splitlines()) == 1
-    assert result.stderr.startswith("hd-diag: ")
-    assert said in result.stderr
 
 
 @pytest.fixture
@@ -106,7 +97,7 @@ def test_a_row_is_what_diagnose_says(judged: tuple[Result, Path]) -> None:
     """To the bits that sums on one thread and on several differ by."""
     _, folder = judged
     rows = [row for row in table(folder / "f.parquet") if row["error"] is None]
-    alone = runner().invoke(cli, ["diagnose", str(folder / "bags" / "good.mcap"), "--json", "-"])
+    alone = hd_diag("diagnose", folder / "bags" / "good.mcap", "--json", "-")
     written = json.loads(alone.stdout)
     for row in rows:
         assert row["verdict"] == written["verdict"]
@@ -220,10 +211,12 @@ def test_robots_are_reported_apart(here: None, quick: Path, tmp_path: Path) -> N
     written = json.loads(result.stdout)
     assert {(trend["robot"], trend["bags"]) for trend in written["trends"]} == {("arm_a", 2), ("arm_b", 2)}
     assert Counter(row["robot"] for row in table(out)) == {"arm_a": 2, "arm_b": 2}
-    assert_one_line(fleet(tmp_path / "arm_a", "--robot", "leg", "--out", out), "--robot leg matches nothing")
+    assert_one_line_error(
+        fleet(tmp_path / "arm_a", "--robot", "leg", "--out", out), "--robot leg matches nothing"
+    )
 
 
-def test_a_step_in_the_bags_is_reported_and_fails_on_request(
+def test_steps_and_causes_are_reported_and_fail_on_request(
     here: None, quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(run, "judge", fleet_tasks.stepped)
@@ -231,12 +224,14 @@ def test_a_step_in_the_bags_is_reported_and_fails_on_request(
     result = fleet(bags, "--out", out, "--fail-on-change", "--figure", tmp_path / "f.svg")
     assert result.exit_code == 1
     steps = [line for line in result.stdout.splitlines() if "stepped by" in line]
-    assert {line.partition(" stepped")[0] for line in steps} == {
-        "joint_1: residual nominal",
-        "joint_1: residual refit",
-    }
+    named = {line.partition(" stepped")[0] for line in steps}
+    assert named == {"joint_1: residual nominal", "joint_1: residual refit"}
     assert all("between 2026-01-08 00:00 and 2026-01-09 00:00" in line for line in steps)
     assert fleet(bags, "--out", out, "--fail-on-cause").exit_code == 0
+    monkeypatch.setattr(run, "judge", fleet_tasks.caused)
+    given = (bags / "00.mcap", bags / "01.mcap", "--out", tmp_path / "c.parquet")
+    assert fleet(*given).exit_code == 0
+    assert fleet(*given, "--fail-on-cause").exit_code == 1
 
 
 def test_a_drift_is_reported_with_the_day_of_its_limit(
@@ -252,15 +247,6 @@ def test_a_drift_is_reported_with_the_day_of_its_limit(
     assert reached.days == pytest.approx(20, abs=1)  # 1e-5 rad and 1e-6 a day
     assert found["residual_refit"]["slope"]["value"] == pytest.approx(1e-6 / 86_400.0, rel=0.1)
     assert found["eccentricity"]["form"] == "constant"
-
-
-def test_causes_fail_on_request(
-    here: None, quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(run, "judge", fleet_tasks.caused)
-    bags, out = bags_of(tmp_path / "bags", 2), tmp_path / "f.parquet"
-    assert fleet(bags, "--out", out).exit_code == 0
-    assert fleet(bags, "--out", out, "--fail-on-cause").exit_code == 1
 
 
 @pytest.mark.parametrize(
@@ -340,39 +326,39 @@ def test_no_bag_that_can_be_judged(here: None, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("none.mcap",), "none.mcap: does not exist"),
-        (("empty",), "no bag in empty"),
-        (("a.mcap", "--out", "none/f.parquet"), "none/f.parquet: cannot be written: no such folder"),
-        (("a.mcap", "--out", "a.mcap"), "output would overwrite the input"),
-        (("a.mcap", "--json", "f.parquet"), "must be different files"),
-        (("a.mcap", "--figure", "f.xyz"), "f.xyz: no picture format"),
-        (("a.mcap", "--joint", "elbow"), "no joint 'elbow'"),
-        (("a.mcap", "--robot", "("), "--robot (: "),
-        (("a.mcap", "--limit", "weight=1"), "no quantity 'weight'"),
-        (("a.mcap", "--limit", "eccentricity=x"), "'x' is no number"),
-        (("a.mcap", "--limit", "eccentricity=nan"), "must be positive and finite"),
-        (("a.mcap", "--scheduler", "tcp://127.0.0.1:9"), "with --scheduler its workers set them"),
-        (("a.mcap", "--out", "f.csv"), "name it *.parquet"),
+        ("none.mcap", "none.mcap: does not exist"),
+        ("empty", "no bag in empty"),
+        ("a.mcap --out none/f.parquet", "none/f.parquet: cannot be written: no such folder"),
+        ("a.mcap --out a.mcap", "output would overwrite the input"),
+        ("a.mcap --json f.parquet", "must be different files"),
+        ("a.mcap --figure f.xyz", "f.xyz: no picture format"),
+        ("a.mcap --joint elbow", "no joint 'elbow'"),
+        ("a.mcap --robot (", "--robot (: "),
+        ("a.mcap --limit weight=1", "no quantity 'weight'"),
+        ("a.mcap --limit eccentricity=x", "'x' is no number"),
+        ("a.mcap --limit eccentricity=nan", "must be positive and finite"),
+        ("a.mcap --scheduler tcp://127.0.0.1:9", "with --scheduler its workers set them"),
+        ("a.mcap --out f.csv", "name it *.parquet"),
     ],
 )
 def test_bad_usage_is_reported_before_anything_is_done(
-    arguments: tuple[str, ...], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    arguments: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     fleet_tasks.small_bag(tmp_path / "a.mcap")
     (tmp_path / "empty").mkdir()
-    assert_one_line(fleet("--out", "f.parquet", *arguments), said)
+    assert_one_line_error(fleet("--out", "f.parquet", *arguments.split()), said)
     assert not list(tmp_path.glob("*.parquet*"))
 
 
 def test_what_is_not_installed_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bag, out = fleet_tasks.small_bag(tmp_path / "a.mcap"), tmp_path / "f.parquet"
     monkeypatch.setattr(cli_fleet, "_NEEDED", ("pyarrow", "no_such_module"))
-    assert_one_line(fleet(bag, "--out", out), "fleet needs no_such_module: pip install no_such_module")
+    assert_one_line_error(fleet(bag, "--out", out), "fleet needs no_such_module: pip install no_such_module")
     monkeypatch.undo()
     monkeypatch.setitem(sys.modules, "distributed", None)
     needs = fleet(bag, "--out", out, "--scheduler", "tcp://127.0.0.1:9", jobs=False)
-    assert_one_line(needs, "--scheduler needs Dask: pip install 'hd_diag[cluster]'")
+    assert_one_line_error(needs, "--scheduler needs Dask: pip install 'hd_diag[cluster]'")
 
 
 def test_workers_of_another_version_are_refused(
@@ -380,4 +366,6 @@ def test_workers_of_another_version_are_refused(
 ) -> None:
     bag = fleet_tasks.small_bag(tmp_path / "a.mcap")
     monkeypatch.setattr("hd_diag.__version__", "9.9")
-    assert_one_line(fleet(bag, "--out", tmp_path / "f.parquet"), "a worker has hd_diag 0.1.0, this is 9.9")
+    assert_one_line_error(
+        fleet(bag, "--out", tmp_path / "f.parquet"), "a worker has hd_diag 0.1.0, this is 9.9"
+    )

@@ -119,10 +119,7 @@ def chosen_joints(config: Config, names: tuple[str, ...]) -> list[JointConfig]:
 
 
 def check_targets(targets: Iterable[str | Path | None], *inputs: Path) -> None:
-    """Refuse before the work files that could not be written, or would overwrite each other or an input.
-
-    None is no file, - is stdout.
-    """
+    """Refuse before the work files that could not be written, would overwrite each other or an input."""
     wanted = [Path(target) for target in targets if target not in (None, "-")]
     if len(set(map(os.path.realpath, wanted))) < len(wanted):
         raise Problem(f"{' and '.join(map(str, wanted))} must be different files")

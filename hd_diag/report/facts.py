@@ -143,6 +143,7 @@ def quality_of(
     way, reach = float(np.abs(moved).sum()), float(np.ptp(input_angle)) / _TURN
     forwards = 100.0 * float(moved[moved > 0.0].sum()) / max(way, 1e-300)
     speed = np.abs(moved[step > 0.0] / step[step > 0.0]) / _TURN
+    ends = () if torque is None else (number(float(torque.min())), number(float(torque.max())))
     return [
         Fact("Samples used", f"{time.size:d}"),
         Fact("Sample rate", f"{number(1.0 / usual)} Hz"),
@@ -152,12 +153,8 @@ def quality_of(
         Fact("Output range", f"{number(reach / abs(ratio))} turns"),
         Fact("Input speed", f"up to {number(float(np.percentile(speed, 99)))} turns per second"),
         Fact("Ways turned", f"{forwards:.0f} % forwards, {100.0 - forwards:.0f} % back"),
-        Fact("Torque", "not measured" if torque is None else _range(torque)),
+        Fact("Torque", f"{' to '.join(ends)} N m" if ends else "not measured"),
     ]
-
-
-def _range(torque: Floats) -> str:
-    return f"{number(float(torque.min()))} to {number(float(torque.max()))} N m"
 
 
 def settings(joint: JointConfig, flat: Mapping[str, Value]) -> tuple[Fact, ...]:

@@ -138,7 +138,8 @@ class JointTable:
         line.append(row(view.number), _GREY if view.is_stale else "")
         if view.is_silent:
             line.stylize(_GREY)
-        verdict = Text("  ").append(shown_text(_verdict(view)), _style(view))
+        style = _GREY if view.is_silent else _STYLES[min(view.level, len(_STYLES) - 1)]
+        verdict = Text("  ").append(shown_text(_verdict(view)), style)
         more = [_node(view)] * is_shared + _bookkeeping(view)
         details = Text("  ").append(", ".join(map(shown_text, more)), _GREY)
         words = [verdict, details] if view.level or view.is_silent else [verdict.append(details)]
@@ -185,10 +186,6 @@ def _verdict(view: JointView) -> str:
 def _bookkeeping(view: JointView) -> list[str]:
     samples, latency = (shown_number(view.number(key), 0) for key in ("samples", "latency_p99_us"))
     return [f"{samples} samples", f"latency {latency} us", f"log {view.text('log_state', '-')}"]
-
-
-def _style(view: JointView) -> str:
-    return _GREY if view.is_silent else _STYLES[min(view.level, len(_STYLES) - 1)]
 
 
 def _shown_name(view: JointView) -> str:
