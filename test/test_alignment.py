@@ -15,11 +15,10 @@ from models import write_model
 
 from hd_diag.bag import BagWriter
 from hd_diag.messages.encoding import encode_joint_states
-from hd_diag.messages.publications import JOINT_STATE, Encoded, encode, resolved
+from hd_diag.messages.publications import JOINT_STATE, encode
 from hd_diag.monitor import Monitor
 from hd_diag.monitor.publications import Due, Publication
 from hd_diag.replay.map_builder import map_of
-from hd_diag.replay.recorded_monitor import Session
 from hd_diag.replay.replay import replay
 from hd_diag.streams.alignment import Alignment, Names
 from hd_diag.streams.columns import JointStates
@@ -322,48 +321,6 @@ def test_an_encoder_that_wraps_is_followed_the_short_way() -> None:
 
 
 # A log ---
-
-
-def live_log(path: Path) -> int:
-    """A node's log with motors and links in turn, a temperature, a change and reports; its joint states."""
-    chance, count = random.Random(9), 0
-    with BagWriter(path, chunk_size=20_000) as writer:
-
-        def sink(encoded: Encoded) -> None:
-            rows = [bytes(row) for row in encoded.rows]
-            writer.write_many(resolved(encoded.topic), encoded.type_name, rows, encoded.received)
-
-        session = Session(CONFIG, sink)
-        session.start(START)
-        for joint, table in MAPS.items():
-            session.use_map(START + 1, joint, table)
-        for number, entry in enumerate(drawn("links at times apart", chance, 3000, 0.002, 0.002, LAGS)):
-            now = START + 10 + number * MS // 2
-            position, velocity, effort = entry.columns
-            rows = encode_joint_states(
-                entry.names,
-                [entry.stamp],
-                *(None if c is None else [c] for c in (position, velocity, effort)),
-            )
-            data = rows[0].tobytes() if number % 500 != 250 else b"rubbish"
-            writer.write("/joint_states", JOINT_STATE, data, now)
-            session.joint_state(now, data)
-            count += 1
-            if number == 1700:
-                session.configure(now + 1, config("a", "b", array_rate=40.0, a__cup_compliance=1e-5))
-            if number % 300 == 0:
-                session.tick(now + 2, now, {"log_state": "off"})
-    return count
-
-
-def test_a_log_is_replayed_to_the_last_bit(tmp_path: Path) -> None:
-    count = live_log(tmp_path / "log.mcap")
-    result = replay(tmp_path / "log.mcap", tmp_path / "again.mcap")
-    assert result.rejected["a"] > 5
-    live = content(tmp_path / "log.mcap")
-    assert content(tmp_path / "again.mcap") == live
-    assert len(live["/joint_states"]) == count
-    assert len(live["/hd_diag/residual"]) > 500
 
 
 def test_topics_that_alternate_are_as_one(tmp_path: Path) -> None:

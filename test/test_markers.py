@@ -1,6 +1,5 @@
 """The drawing of the gear: in true scale it is the model's gear, and RViz can read it."""
 
-import time
 from collections.abc import Iterator
 
 import matplotlib
@@ -235,32 +234,3 @@ def test_rosbags_reads_what_was_drawn(angle: float) -> None:
     message = jazzy().deserialize_cdr(data, MARKERS)
     same(message.markers, drawn)
     assert serialize(message, MARKERS) == data
-
-
-def test_rclpy_reads_what_was_drawn() -> None:
-    serialization = pytest.importorskip("rclpy.serialization")
-    message_type = pytest.importorskip("visualization_msgs.msg").MarkerArray
-    drawn = shapes(drive(eccentricity__magnitude=20e-6))
-    data = marker_array(list(drawn.values()), STAMP, "gear")
-    message = serialization.deserialize_message(data, message_type)
-    same(message.markers, drawn)
-
-
-def test_other_numbers_of_shapes_do_not_disturb_each_other() -> None:
-    drawn = shapes(drive())
-    whole = marker_array(list(drawn.values()), STAMP, "gear")
-    some = jazzy().deserialize_cdr(marker_array([drawn["teeth"], drawn["legend"]], STAMP, "other"), MARKERS)
-    assert [marker.ns for marker in some.markers] == ["teeth", "legend"]
-    assert len(some.markers[0].points) == len(drawn["teeth"].points)
-    assert marker_array(list(drawn.values()), STAMP, "gear") == whole
-
-
-def test_a_drawing_takes_little_of_a_frame() -> None:
-    gear = drive()
-    state = mesh_state(gear, np.array([0.3]), np.array([-40.0]))
-    spent = []
-    for number in range(20):
-        start = time.perf_counter()
-        marker_array(drawing(gear, 0.1 * number, state.load[0]), STAMP, "gear")
-        spent.append(time.perf_counter() - start)
-    assert np.median(spent) < 5e-3

@@ -66,13 +66,6 @@ def test_other_versions_are_one_warning(tmp_path: Path, change: dict[str, Any], 
     assert result.stderr == f"warning: {log}: was recorded with {told}: outputs may differ by rounding\n"
 
 
-def test_a_log_that_does_not_tell_is_taken_as_it_is(tmp_path: Path) -> None:
-    text = json.dumps({"event": "configuration", "new": True, "parameters": {}})
-    event = read_event(string(text))
-    assert isinstance(event, Configured)
-    assert versions.differences(event.versions) == ""
-
-
 @pytest.mark.parametrize("given", [[], "1.0", {"numpy": 1}, {"numpy": ["2"]}, None])
 def test_versions_that_are_none_are_refused(given: Any) -> None:
     content = {"event": "configuration", "new": True, "parameters": {}, "versions": given}

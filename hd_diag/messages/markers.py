@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import functools
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from hd_diag.arrays import Complexes, Floats
 from hd_diag.drive import Drive
-from hd_diag.messages.schemas import jazzy, serialize
+from hd_diag.messages.encoding import HEADER, text
 from hd_diag.model.geometry import Geometry
 from hd_diag.model.neutral_curve import tooth_axes
 from hd_diag.model.tooth_profile import DoubleArc
@@ -47,12 +48,9 @@ _BLUE: Colour = (0.20, 0.45, 0.85, 1.0)
 _RED: Colour = (0.90, 0.15, 0.10, 1.0)
 
 Kind = Literal["line_strip", "line_list", "triangle_list", "text"]
-_TYPES: dict[Kind, str] = {
-    "line_strip": "LINE_STRIP",
-    "line_list": "LINE_LIST",
-    "triangle_list": "TRIANGLE_LIST",
-    "text": "TEXT_VIEW_FACING",
-}
+# Of visualization_msgs/Marker.
+_TYPES: dict[Kind, int] = {"line_strip": 4, "line_list": 5, "text": 9, "triangle_list": 11}
+_ADD = 0
 
 
 @dataclass(frozen=True)
@@ -240,99 +238,28 @@ def _flat(points: Complexes) -> Floats:
 
 def marker_array(shapes: Sequence[Shape], stamp: int, frame_id: str) -> bytes:
     """CDR of a visualization_msgs/MarkerArray of shapes drawn in a frame, at a time [ns]."""
-    template, places = _template(tuple(map(_constant, shapes)), frame_id)
-    message = bytearray(template)
-    time = np.array(divmod(stamp, _NANOSECONDS), "<i4")
-    for shape, own in zip(shapes, places, strict=True):
-        colours = None if shape.colours is None else shape.colours.astype("<f4")
-        for place, values in zip(own, (time, shape.points.astype("<f8"), colours), strict=True):
-            if place and values is not None:
-                message[place : place + values.nbytes] = values.tobytes()
-    return bytes(message)
+    body, time = bytearray(struct.pack("<I", len(shapes))), struct.pack("<iI", *divmod(stamp, _NANOSECONDS))
+    for number, shape in enumerate(shapes):
+        is_text = shape.kind == "text"
+        points = shape.points[:0] if is_text else shape.points
+        colours = np.empty((0, 4)) if shape.colours is None else shape.colours
+        place = shape.points[0].tolist() if is_text else (0.0, 0.0, 0.0)
+        body += bytes(-len(body) % 4) + time + text(frame_id) + text(shape.name)
+        body += struct.pack("<3i", number, _TYPES[shape.kind], _ADD)
+        # Pose, scale, colour, lifetime without end, not locked to the frame.
+        body += bytes(-len(body) % 8) + struct.pack("<7d", *place, 0.0, 0.0, 0.0, 1.0)
+        body += struct.pack("<3d4f2iI", *_scale(shape), *shape.colour, 0, 0, 0)
+        body += struct.pack("<I", len(points)) + bytes(-(len(body) + 4) % 8 if len(points) else 0)
+        body += points.astype("<f8").tobytes()
+        body += struct.pack("<I", len(colours)) + colours.astype("<f4").tobytes()
+        # No texture: resource, image (stamp, frame, format, data), coordinates. No mesh after the text.
+        body += text("") + bytes(8) + text("") + text("") + bytes(8)
+        body += text(shape.text) + text("") + text("") + bytes(4) + b"\0"
+    return HEADER + bytes(body)
 
 
-class _Constant(NamedTuple):
-    """What of a marker stays the same from drawing to drawing; of a text that is its place too."""
-
-    name: str
-    kind: Kind
-    points: int
-    coloured: bool
-    colour: Colour
-    size: float
-    text: str
-    position: tuple[float, ...]
-
-
-def _constant(shape: Shape) -> _Constant:
-    is_text = shape.kind == "text"
-    position = tuple(shape.points[0].tolist()) if is_text else (0.0, 0.0, 0.0)
-    count, is_coloured = 0 if is_text else len(shape.points), shape.colours is not None
-    return _Constant(
-        shape.name, shape.kind, count, is_coloured, shape.colour, shape.size, shape.text, position
-    )
-
-
-# Stands for the time in a template, where it is looked for.
-_MARK = (1_264_661_325, 1_380_009_291)
-
-
-@functools.lru_cache(maxsize=16)
-def _template(
-    constants: tuple[_Constant, ...], frame_id: str
-) -> tuple[bytes, tuple[tuple[int, int, int], ...]]:
-    """Message with marks in place of times, points and colours, and where these begin; 0 for none.
-
-    Serializing every point as an object takes far longer than drawing it: this is done once for a gear.
-    """
-    markers = [_marker(constant, number, frame_id) for number, constant in enumerate(constants)]
-    message = serialize(jazzy().types[MARKERS](markers), MARKERS)
-    places, reached = [], 0
-    for constant in constants:
-        stamp = reached = message.index(np.array(_MARK, "<i4").tobytes(), reached)
-        points = colours = 0
-        if constant.points:
-            points = reached = message.index(_ramp(constant.points, 3).astype("<f8").tobytes(), reached)
-        if constant.coloured:
-            colours = reached = message.index(_ramp(constant.points, 4).astype("<f4").tobytes(), reached)
-        places.append((stamp, points, colours))
-    return message, tuple(places)
-
-
-def _ramp(count: int, width: int) -> Floats:
-    """Numbers that occur nowhere else in a message, shape (count, width)."""
-    return 0.25 + np.arange(width * count, dtype=np.float64).reshape(count, width)
-
-
-def _marker(constant: _Constant, number: int, frame_id: str) -> Any:
-    types = jazzy().types
-    marker: Any = types["visualization_msgs/msg/Marker"]
-    header, time = types["std_msgs/msg/Header"], types["builtin_interfaces/msg/Time"]
-    point, colour = types["geometry_msgs/msg/Point"], types["std_msgs/msg/ColorRGBA"]
-    unturned, no_bytes = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0), np.array([], np.uint8)
-    # What RViz asks of each kind: width in x, height of letters in z, triangles in all three.
-    width = constant.size
-    scale = {"triangle_list": (1.0, 1.0, 1.0), "text": (0.0, 0.0, width)}.get(
-        constant.kind, (width, 0.0, 0.0)
-    )
-    return marker(
-        header=header(time(*_MARK), frame_id),
-        ns=constant.name,
-        id=number,
-        type=getattr(marker, _TYPES[constant.kind]),
-        action=marker.ADD,
-        pose=types["geometry_msgs/msg/Pose"](point(*constant.position), unturned),
-        scale=types["geometry_msgs/msg/Vector3"](*scale),
-        color=colour(*constant.colour),
-        lifetime=types["builtin_interfaces/msg/Duration"](0, 0),
-        frame_locked=False,
-        points=[point(*row) for row in _ramp(constant.points, 3).tolist()],
-        colors=[colour(*row) for row in _ramp(constant.points if constant.coloured else 0, 4).tolist()],
-        texture_resource="",
-        texture=types["sensor_msgs/msg/CompressedImage"](header(time(0, 0), ""), "", no_bytes),
-        uv_coordinates=[],
-        text=constant.text,
-        mesh_resource="",
-        mesh_file=types["visualization_msgs/msg/MeshFile"]("", no_bytes),
-        mesh_use_embedded_materials=False,
-    )
+def _scale(shape: Shape) -> tuple[float, float, float]:
+    """What RViz asks of each kind: width in x, height of letters in z, triangles in all three."""
+    if shape.kind == "triangle_list":
+        return (1.0, 1.0, 1.0)
+    return (0.0, 0.0, shape.size) if shape.kind == "text" else (shape.size, 0.0, 0.0)

@@ -98,18 +98,9 @@ def read_temperature(data: bytes) -> float:
 
 
 def parameter_event(node: str, stamp: int, values: Mapping[str, Any], new: bool) -> bytes:
-    """CDR of an rcl_interfaces/ParameterEvent.
+    """CDR of an rcl_interfaces/ParameterEvent of a node (full name) at a time [ns].
 
-    Parameters
-    ----------
-    node : str
-        Full name of the node.
-    stamp : int
-        [ns]
-    values : mapping
-        Full parameter names and values.
-    new : bool
-        Whether they are declared rather than changed.
+    Values by full parameter names; `new` where they are declared rather than changed.
     """
     parameters = [_parameter(name, value) for name, value in values.items()]
     declared, changed = (parameters, []) if new else ([], parameters)

@@ -81,22 +81,13 @@ class Monitor:
 
     def reject(self, reason: str) -> None:
         """Count a message that cannot be read: it may have been of every joint."""
-        for joint in self.joints.values():
-            joint.reject(reason)
+        for number in range(len(self.joints)):
+            self.streams.reject(number, reason)
 
     def joint_states(self, received: Times, states: JointStates) -> list[Publication]:
-        """What messages of one layout give, one or many.
+        """What messages of one layout give that arrived at times (n,) [ns].
 
-        Parameters
-        ----------
-        received : ndarray of int64, shape (n,)
-            When each arrived [ns].
-        states : JointStates
-            n >= 1 messages; one at a time or many at once gives the same, to the last bit.
-
-        Returns
-        -------
-        list of Publication
+        One at a time or many at once give the same, to the last bit.
         """
         return self.mixed_states(received, (states,))
 

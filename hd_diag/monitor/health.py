@@ -68,19 +68,9 @@ class _Mesh(NamedTuple):
 
 
 def reports(joint: Joint, windows: Sequence[Window], around: Sequence[Around]) -> list[Status]:
-    """Status of a joint at each of some reports.
+    """Status of a joint at each of some reports, of what happened since the one before.
 
-    Parameters
-    ----------
-    joint : Joint
-    windows : sequence of Window
-        What happened before each of them since the one before.
-    around : sequence of Around
-
-    Returns
-    -------
-    list of Status
-        With the fault code of the worst finding, and numbers in the units that their keys name.
+    It has the fault code of the worst finding, and numbers in the units that their keys name.
     """
     fixed = _configuration_values(joint), _model_values(joint)
     return [

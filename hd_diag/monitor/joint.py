@@ -123,18 +123,10 @@ class Joint:
         self.runs = () if model is None else (ModelRun(model), ModelRun(model))
 
     def windows(self, errors: Errors, ends: Integers, known: Any, amplitudes: Floats) -> list[Window]:
-        """What happened between reports.
+        """What happened between reports, of the errors of all samples since the one before them.
 
-        Parameters
-        ----------
-        errors : Errors
-            Of the joint's samples since the report before.
-        ends : ndarray of int64, shape (l,)
-            How many of them came before each report.
-        known : ndarray of JOINT, shape (l + 1,)
-            What was known of the joint at the report before, and at each.
-        amplitudes : ndarray, shape (l, orders)
-            Of the residual's orders then [rad].
+        `ends` (l,) are how many of these came before each report, `known` (l + 1,) what was known of the
+        joint at the report before and at each, `amplitudes` (l, orders) those of the orders then [rad].
         """
         samples, is_modelled = errors.samples, np.isfinite(errors.speed)
         parts = zip(

@@ -140,18 +140,8 @@ NO_ERRORS = Errors(Aligned(*_NONE[:1] * 6, *_NONE[1:] * 4), *_NONE[1:] * 4)
 def angles(received: Times, errors: Errors, names: Sequence[str]) -> Iterator[Angles]:
     """Messages of transmission errors: joints with a sample at one stamp of one message share one.
 
-    Parameters
-    ----------
-    received : ndarray of int64, shape (n,)
-        When the messages that gave the samples arrived [ns].
-    errors : Errors
-    names : sequence of str
-        Of all joints.
-
-    Yields
-    ------
-    Angles
-        Of each topic in the order in which the messages one by one would give them.
+    Of the times at which the messages arrived (n,) [ns] and the names of all joints. In each topic they have
+    the order in which the messages one by one would give them.
     """
     samples = errors.samples
     columns = samples.row, samples.stamp, samples.paired, samples.joint, samples.output_angle

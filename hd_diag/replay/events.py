@@ -82,16 +82,7 @@ def write_event(event: Event) -> bytes:
 
 
 def read_event(data: bytes) -> Event | None:
-    """Event from the CDR of a std_msgs/String.
-
-    Parameters
-    ----------
-    data : bytes
-
-    Returns
-    -------
-    Configured, MapUsed, Reported, ClockSetBack, CarriedOn or None
-        None for a kind that later versions may add.
+    """Event from the CDR of a std_msgs/String; None for a kind that later versions may add.
 
     Raises
     ------
@@ -112,23 +103,23 @@ def read_event(data: bytes) -> Event | None:
     if kind is None:
         return None
     given = {"new": False, **content} if kind is Configured else content
-    return kind(**{name: _checked(name, given) for name in kind.__dataclass_fields__ if _has(name, given)})
+    names = [name for name in kind.__dataclass_fields__ if name in given or name not in _OPTIONAL]
+    return kind(**{name: _checked(name, given.get(name)) for name in names})
 
 
-def _has(name: str, content: Mapping[str, Any]) -> bool:
-    return name in content or name not in _OPTIONAL
-
-
-def _checked(name: str, content: Mapping[str, Any]) -> Any:
-    value = content.get(name)
+def _checked(name: str, value: Any) -> Any:
     is_right, what = _FIELDS[name]
     if not is_right(value):
         raise ValueError(f"its {name} {what}")
     return value
 
 
+def _all(value: Any, kind: Any) -> bool:
+    return isinstance(value, dict) and all(isinstance(text, kind) for text in value.values())
+
+
 def _texts(value: Any) -> bool:
-    return isinstance(value, dict) and all(isinstance(text, str) for text in value.values())
+    return _all(value, str)
 
 
 def _number(value: Any) -> bool:
@@ -140,20 +131,10 @@ _FIELDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "parameters": (lambda value: isinstance(value, dict), "are missing"),
     "topics": (_texts, "are no texts"),
     "models": (_texts, "are no texts"),
-    "versions": (
-        lambda value: (
-            isinstance(value, dict) and all(isinstance(text, str | None) for text in value.values())
-        ),
-        "are no texts",
-    ),
+    "versions": (lambda value: _all(value, str | None), "are no texts"),
     "joint": (lambda value: isinstance(value, str), "is missing"),
     "torque_limit": (lambda value: _number(value) and value > 0.0, "is no positive number"),
-    "stamp": (
-        lambda value: (
-            isinstance(value, int) and not isinstance(value, bool) and -LAST_TIME <= value <= LAST_TIME
-        ),
-        "is no ROS time",
-    ),
+    "stamp": (lambda value: type(value) is int and abs(value) <= LAST_TIME, "is no ROS time"),
     "facts": (_texts, "are no texts"),
     "silence": (
         lambda value: isinstance(value, dict) and all(map(_number, value.values())),

@@ -12,21 +12,13 @@ from hd_diag.model.torsion_map import BuildCancelled, TorsionMap, build
 
 
 def map_of(joint: JointConfig, torque_limit: float | None = None, threads: int = 1) -> TorsionMap:
-    """Map of a joint, built now.
+    """Map of a joint up to a torque [N m], by default TORQUE_RANGE times the rated one, built now."""
+    return build(joint.drive.mesh, torque_limit or map_limit(joint), threads=threads)
 
-    Parameters
-    ----------
-    joint : JointConfig
-    torque_limit : float, optional
-        [N m]; TORQUE_RANGE times the rated torque where not given.
-    threads : int, optional
-        How many build it.
 
-    Returns
-    -------
-    TorsionMap
-    """
-    return build(joint.drive.mesh, torque_limit or TORQUE_RANGE * joint.drive.rated_torque, threads=threads)
+def map_limit(joint: JointConfig) -> float:
+    """Torque that a joint's map reaches [N m]."""
+    return TORQUE_RANGE * joint.drive.rated_torque
 
 
 class MapBuilder:
@@ -49,7 +41,7 @@ class MapBuilder:
     def request(self, joint: JointConfig) -> None:
         """Ask for a joint's map; an older request of the same joint is given up."""
         with self._changed:
-            self._wanted[joint.name] = (joint.drive.mesh, TORQUE_RANGE * joint.drive.rated_torque)
+            self._wanted[joint.name] = (joint.drive.mesh, map_limit(joint))
             self._changed.notify()
 
     def close(self) -> None:

@@ -92,26 +92,14 @@ class Session:
         self._event(now, CarriedOn(carried(self.monitor)))
 
     def carry_on(self, now: int, state: Mapping[str, Any]) -> None:
-        """Go on from what another session of this configuration knew.
-
-        Raises
-        ------
-        ValueError
-            Where it is no such state.
-        """
+        """Go on from what another session of this configuration knew; ValueError where it did not."""
         carry_on(self.monitor, state)
         self._event(now, CarriedOn(state))
 
     def joint_state(self, received: int, data: bytes, heard: int | None = None) -> None:
-        """Take one JointState message in CDR; one that cannot be read is counted.
+        """Take one JointState in CDR that arrived at a time [ns]; one that cannot be read is counted.
 
-        Parameters
-        ----------
-        received : int
-            When it arrived [ns].
-        data : bytes
-        heard : int, optional
-            The same by the clock that is asked for silence [ns].
+        `heard` is the same time by the clock that is asked for silence [ns].
         """
         received_at, heard_at = np.array([received]), np.array([received if heard is None else heard])
         try:
@@ -140,18 +128,9 @@ class Session:
             self.monitor.temperature(joint, value)
 
     def configure(self, now: int, config: Config) -> list[str]:
-        """Put another configuration in force from the next message on.
+        """Put another configuration in force from the next message on, at a time [ns].
 
-        Parameters
-        ----------
-        now : int
-            [ns]
-        config : Config
-
-        Returns
-        -------
-        list of str
-            Joints that need another map, for their mesh or the torque that it has to reach is another now.
+        Given are the joints that need another map, for their mesh or the torque that it reaches is another.
         """
         before = self.config
         changed = {name: value for name, value in config.flat.items() if before.flat.get(name) != value}
@@ -179,20 +158,7 @@ class Session:
     def tick(
         self, now: int, stamp: int, facts: Mapping[str, str], silence: Mapping[str, float] | None = None
     ) -> None:
-        """Report on all joints.
-
-        Parameters
-        ----------
-        now : int
-            Time of the report [ns].
-        stamp : int
-            For its header [ns].
-        facts : mapping
-            What the surroundings know.
-        silence : mapping of str to float, optional
-            How long each joint has been silent [s], as `Monitor.silence` tells by the clock of `heard`; by
-            default the times of reception tell.
-        """
+        """Report on all joints, as `Monitor.tick`."""
         self._publish([self.monitor.tick(now, stamp, facts, silence or None)])
 
     def _configuration(

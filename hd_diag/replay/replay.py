@@ -15,12 +15,12 @@ from hd_diag.bag.joint_record import layouts
 from hd_diag.bag.reader import BagReader, Mixed
 from hd_diag.config.configuration import Config, ConfigError, JointConfig, ModelText, resolve
 from hd_diag.config.parameters import shown
-from hd_diag.extended_model import TORQUE_RANGE
 from hd_diag.messages.publications import LAST_TIME, TEMPERATURE, Encoded, resolved
 from hd_diag.model.torsion_map import TorsionMap, build
 from hd_diag.monitor.publications import Due
 from hd_diag.replay import versions
 from hd_diag.replay.events import CarriedOn, ClockSetBack, Configured, Event, MapUsed, Reported
+from hd_diag.replay.map_builder import map_limit
 from hd_diag.replay.recorded_monitor import Session
 from hd_diag.replay.sources import Sources, event_of, sources_of
 from hd_diag.streams.columns import JointStates
@@ -328,7 +328,7 @@ class _Run:
     def _map(self, joint: JointConfig, torque_limit: float | None = None) -> TorsionMap:
         """Map of a joint as it is configured now."""
         try:
-            return self._build(joint.drive.mesh, torque_limit or TORQUE_RANGE * joint.drive.rated_torque)
+            return self._build(joint.drive.mesh, torque_limit or map_limit(joint))
         except Exception as error:  # whatever is wrong with the mesh, as in MapBuilder
             raise BagError(self._reader.path, f"{joint.name} has no map: {error}") from error
 

@@ -11,13 +11,7 @@ from hd_diag.bag import BagError, BagReader, Topic
 from hd_diag.bag.joint_record import joint_state_topics
 from hd_diag.config.configuration import Config, ConfigError
 from hd_diag.config.parameters import joint_names
-from hd_diag.messages.publications import (
-    INPUT,
-    JOINT_STATE,
-    STRING,
-    TEMPERATURE,
-    temperature_topic,
-)
+from hd_diag.messages.publications import INPUT, JOINT_STATE, STRING, TEMPERATURE, temperature_topic
 from hd_diag.replay.events import Configured, Event, read_event
 from hd_diag.replay.recorded_monitor import EVENTS
 
@@ -68,26 +62,10 @@ class Sources:
 
 
 def sources_of(reader: BagReader, config: Config | None, topics: tuple[str, ...]) -> Sources:
-    """Topics for a replay.
+    """Topics for a replay with a configuration, or with None as the log has it.
 
-    Parameters
-    ----------
-    reader : BagReader
-    config : Config or None
-        What is given; None for what the log holds.
-    topics : tuple of str
-        Topics with joint states; empty for all but a node's outputs.
-
-    Returns
-    -------
-    Sources
-
-    Raises
-    ------
-    BagError
-        Where there is no log and no configuration, or no joint state.
-    ConfigError
-        Where the log's joints cannot be.
+    Without topics with joint states all are taken but a node's outputs. BagError where there is no log and no
+    configuration, or no joint state; ConfigError where the log's joints cannot be.
     """
     _check(reader, topics)
     if config is None:
@@ -107,13 +85,7 @@ def sources_of(reader: BagReader, config: Config | None, topics: tuple[str, ...]
 
 
 def event_of(path: Path, data: bytes) -> Event | None:
-    """Event of a log, as `read_event`.
-
-    Raises
-    ------
-    BagError
-        Where it cannot be used.
-    """
+    """Event of a log, as `read_event`; BagError where it cannot be used."""
     try:
         return read_event(data)
     except ValueError as error:
