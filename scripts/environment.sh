@@ -55,7 +55,7 @@ install_tree() {
 # Once here rather than in every process that is first to compute.
 compile_kernels() {
     echo "== Compiling its kernels where they have changed (half a minute)"
-    $env/bin/python -I -c 'from hd_diag.config.configuration import resolve; from hd_diag.diagnosis.fit import fit_parameters; from hd_diag.monitor import all_joints; from hd_diag.tolerance import evaluation; fit_parameters.warm_up(); evaluation.warm_up(); all_joints.warm_up(resolve({}))' >>"$log" 2>&1 ||
+    $env/bin/python -I -c 'from hd_diag.config.configuration import resolve; from hd_diag.diagnosis.fit import fit_parameters; from hd_diag.messages import encoding; from hd_diag.monitor import all_joints; from hd_diag.tolerance import evaluation; fit_parameters.warm_up(); evaluation.warm_up(); encoding.warm_up(); all_joints.warm_up(resolve({}))' >>"$log" 2>&1 ||
         fail "the kernels could not be compiled"
 }
 

@@ -75,6 +75,17 @@ def test_values_are_physical_with_units_classes_and_deviations() -> None:
     assert document["valid_range"]["torque"] == {"low": -40.0, "high": 45.0, "unit": "N m"}
 
 
+def test_a_link_and_a_device_stay_what_they_are(tmp_path: Path) -> None:
+    link, null = tmp_path / "link.json", tmp_path / "null"
+    link.symlink_to(tmp_path / "m.json")
+    null.symlink_to("/dev/null")
+    for path in (link, null):
+        write(path, content())
+        assert path.is_symlink()
+    assert model_for((tmp_path / "m.json").read_text(), own()) == model_for(json.dumps(content()), own())
+    assert Path("/dev/null").is_char_device()
+
+
 def test_effects_outside_their_limits_are_not_written(tmp_path: Path) -> None:
     document = content("stream_delay")
     document["effects"][0]["parameters"]["delay"]["value"] = 1.0

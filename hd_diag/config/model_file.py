@@ -184,9 +184,11 @@ def write(path: str | Path, content: Mapping[str, Any], catalogue: Catalogue | N
     try:
         text = json.dumps(content, indent=1, allow_nan=False) + "\n"
         parse(text, catalogue)
-        partly = Path(f"{path}.part")
+        place = Path(os.path.realpath(path))  # a link stays one
+        partly = place if place.exists() and not place.is_file() else Path(f"{place}.part")
         partly.write_text(text, encoding="utf-8")
-        os.replace(partly, path)
+        if partly != place:  # which is neither a pipe nor a device
+            os.replace(partly, place)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from error
     except ValueError as error:

@@ -97,6 +97,7 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
     Raises FleetError where it cannot be written.
     """
     table = pa.Table.from_pylist([_storable(row) for row in rows], schema=COLUMNS)
+    path = Path(os.path.realpath(path))  # a link stays one
     part = path.with_name(f".{path.name}.part")
     try:
         try:

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hd_diag.arrays import Bytes, Integers
-from hd_diag.messages.joint_states import kernel
+from hd_diag.messages.joint_states import JointStateDecoder, decode_joint_states, kernel
 
 HEADER = b"\0\1\0\0"
 """Of a CDR message, little endian."""
@@ -59,6 +59,13 @@ def encode_joint_states(
     if not kernel().write(rows, template, time, *values, places):
         raise ValueError(f"stamps: seconds beyond 32 bits, from {time.min()} to {time.max()} ns")
     return rows.view(np.uint8)
+
+
+def warm_up() -> None:
+    """Compile now, or read from the disk, what writes and reads JointState messages."""
+    rows = encode_joint_states(["a"], [0], [[0.0]])
+    decode_joint_states(rows)
+    JointStateDecoder().decode(rows[0].tobytes())  # bytes that nobody may write: other machine code
 
 
 def encode_float64_multiarray(dims: Sequence[tuple[str, int]], data: npt.ArrayLike) -> Bytes:

@@ -26,6 +26,7 @@ from rclpy.utilities import ok, try_shutdown
 from hd_diag.bag import RELIABLE
 from hd_diag.config.configuration import Config
 from hd_diag.config.model_file import reader
+from hd_diag.messages import encoding
 from hd_diag.messages.publications import INPUT, JOINT_STATE, TEMPERATURE, temperature_topic
 from hd_diag.model import torsion
 from hd_diag.model.torsion_map import ARCSEC
@@ -209,6 +210,7 @@ def _warm_up(config: Config) -> None:
     """Compute once what samples would have to wait for: constants, imports, machine code of maps too."""
     warm_up(config)
     torsion.warm_up()
+    encoding.warm_up()
 
 
 def main(args: Sequence[str] | None = None, stopped: Sequence[int] | None = None) -> int:
