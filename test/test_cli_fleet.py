@@ -26,7 +26,7 @@ from hd_diag.fleet import run
 from hd_diag.simulation import Motion, Noise, SimulatedJoint, write_bag
 
 ARCSEC = np.pi / 648000.0
-LATE = "took longer than 2 s"
+LATE = "took longer than 4 s"  # numba is imported within a bag's time
 KILLED = "its worker died in each of 3 attempts: killed, out of memory, or crashed"
 SAME = 1e-4  # of an optimum whose search stops at steps of that size
 
@@ -261,7 +261,7 @@ def test_a_bag_that_ends_its_worker_is_reported_and_tried_again_by_the_next_run(
 ) -> None:
     monkeypatch.setattr(run, "judge", judge)
     bags, out = bags_of(tmp_path / "bags", 3), tmp_path / "f.parquet"
-    result = fleet(bags, "--out", out, "--bag-timeout", 2 if error == LATE else 60)
+    result = fleet(bags, "--out", out, "--bag-timeout", 4 if error == LATE else 60)
     assert (result.exit_code, result.stderr) == (0, f"not judged: {bags}/00.mcap: joint_1: {error}\n")
     assert [row["error"] for row in table(out)] == [error, None, None]
     assert Counter(name for name, _ in pool_tasks.calls(quick))["ended"] == times
@@ -278,7 +278,7 @@ def test_a_bag_that_hangs_while_it_is_looked_at(
 ) -> None:
     monkeypatch.setattr(run, "survey", fleet_tasks.stuck_survey)
     bags, out = bags_of(tmp_path / "bags", 2), tmp_path / "f.parquet"
-    assert fleet(bags, "--out", out, "--bag-timeout", "2").exit_code == 0
+    assert fleet(bags, "--out", out, "--bag-timeout", "4").exit_code == 0
     assert [row["error"] for row in table(out)] == [LATE, None]
 
 

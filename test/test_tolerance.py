@@ -64,8 +64,8 @@ def test_an_environment_compiles_the_kernels_of_model_and_tolerances() -> None:
     """What the script runs leaves nothing that the first study or diagnosis would compile."""
     (code,) = re.findall(r"-c '(.*warm_up.*)'", (ROOT / "scripts" / "environment.sh").read_text())
     kernels = (
-        "tolerance.evaluate, entry.torsion, entry.torsion_and_gradient, entry.torsion_of_flanks, *slow, align,"
-        "messages.write, messages.read"
+        "tolerance.evaluate, entry.torsion, entry.torsion_and_gradient, entry.torsion_of_flanks, *slow,"
+        "align, messages.write, messages.read"
     )
     compiled = f"print([len(k.signatures) for k in ({kernels})])"
     imports = (
