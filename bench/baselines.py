@@ -136,8 +136,9 @@ def available() -> list[str]:
 def scores(made: records.Record, family: str, seed: int) -> list[scoring.Score]:
     """Scores of all baselines that can run."""
     record = scoring.prepared(made)
-    found_parameters = refit(record, scoring.CONFIGURED, np.random.default_rng(0)).parameters
-    bench = linearise(record, scoring.CONFIGURED, found_parameters)
+    configured = scoring.configured(made)
+    found_parameters = refit(record, configured, np.random.default_rng(0)).parameters
+    bench = linearise(record, configured, found_parameters)
     found = []
     for name in available():
         begin = time.process_time()

@@ -23,7 +23,6 @@ import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
-from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -34,16 +33,14 @@ for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
 import baselines
 import numpy as np
 import scoring
-from challenge.families import DEVELOPMENT, FAMILIES, FINAL
-from challenge.families import POOR as POOR_MOTIONS
+from aims import OWN, PARAMETERS, targets
+from challenge.families import DEVELOPMENT, FAMILIES, FINAL, made
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from scoring import Score
 
 from hd_diag.model.torsion import warm_up
 
-OWN = "hd_diag"
-PARAMETERS = 7
 Column = tuple[str, Callable[[list[Score]], str]]
 
 
@@ -51,10 +48,10 @@ def judged(family: str, seed: int, with_baselines: bool) -> tuple[list[Score], s
     """Scores of a record, and what went wrong."""
     found: list[Score] = []
     try:
-        made = FAMILIES[family](seed)
-        found.append(scoring.score(made, family, seed))
+        record = made(family, seed)
+        found.append(scoring.score(record, family, seed))
         if with_baselines:
-            found += baselines.scores(made, family, seed)
+            found += baselines.scores(record, family, seed)
     except Exception:
         return found, f"{family} {seed}: {traceback.format_exc()}"
     return found, ""
@@ -109,88 +106,11 @@ FITS: tuple[Column, ...] = (
     ("residual / noise, fit", lambda s: median((x.over_floor for x in s), "{:.4f}")),
     ("residual / noise, as it runs", lambda s: median((x.running_over_floor for x in s), "{:.4f}")),
     ("parameters in their 95 % interval", coverage),
+    ("claims an eccentricity", lambda s: rate(x.claimed for x in s)),
+    ("misfit passed over", lambda s: rate(x.passed_over for x in s if x.over_floor is not None)),
     ("unknown flagged", lambda s: rate(x.flagged for x in s if x.unknown)),
     ("its order", lambda s: rate(x.order_right for x in s if x.order_right is not None)),
 )
-
-
-KNOWN = ("wrong_parameters", "one_effect", "pair", "triple")
-POOR = tuple(POOR_MOTIONS)
-Figure = Callable[[list[Score]], Iterable[float | bool | None]]
-
-
-@dataclass(frozen=True)
-class Target:
-    """What is to be reached: by a share [%] or, of other figures, by the median."""
-
-    name: str
-    families: tuple[str, ...]
-    figure: Figure
-    low: float
-    high: float
-    share: bool = True
-
-    def found(self, scores: list[Score]) -> float:
-        """The figure, nan where no record has it."""
-        own = self.figure([s for s in scores if s.method == OWN and s.family in self.families])
-        given = [float(v) for v in own if v is not None and np.isfinite(v)]
-        if not given:
-            return math.nan
-        return 100.0 * float(np.mean(given)) if self.share else float(np.median(given))
-
-
-def _right(scores: list[Score]) -> Iterable[bool]:
-    return (s.right for s in scores)
-
-
-def _false(scores: list[Score]) -> Iterable[bool]:
-    return (s.false_names > 0 for s in scores)
-
-
-TARGETS = (
-    Target("wrong parameters only: records with a false name [%]", KNOWN[:1], _false, 0.0, 0.4),
-    Target(
-        "wrong parameters only: within their 95 % interval [%]",
-        KNOWN[:1],
-        lambda s: (x.covered / PARAMETERS for x in s if x.covered is not None),
-        *(93.0, 97.0),
-    ),
-    Target("one effect: right up to class [%]", KNOWN[1:2], _right, 99.0, 100.0),
-    Target(
-        "one effect: amplitude error, median [%]",
-        KNOWN[1:2],
-        lambda s: (100.0 * e for x in s for e in x.amplitude_errors),
-        *(0.0, 2.0, False),
-    ),
-    Target("pairs: right up to class [%]", KNOWN[2:3], _right, 97.0, 100.0),
-    Target("triples: right up to class [%]", KNOWN[3:], _right, 93.0, 100.0),
-    Target("unknown effect: flagged [%]", ("unknown",), lambda s: (x.flagged for x in s), 99.0, 100.0),
-    Target("unknown effect: records with a false name [%]", ("unknown",), _false, 0.0, 2.0),
-    Target(
-        "unknown effect: its order within 0.02 [%]",
-        ("unknown",),
-        lambda s: (x.order_right for x in s if x.order_right is not None),
-        *(99.0, 100.0),
-    ),
-    Target(
-        "held-out residual over noise, median", KNOWN, lambda s: (x.over_floor for x in s), 0.0, 1.005, False
-    ),
-    Target("poor motions: records with a false name [%]", POOR, _false, 0.0, 0.0),
-    Target("dropouts, outliers, jitter: right up to class [%]", ("degraded",), _right, 97.0, 100.0),
-    Target("CPU time of a record, median [s]", KNOWN, lambda s: (x.seconds for x in s), 0.0, 5.0, False),
-)
-
-
-def targets(scores: list[Score]) -> str:
-    lines = ["| target | wanted | found | reached |", "| --- | --- | --- | --- |"]
-    for target in TARGETS:
-        found = target.found(scores)
-        if not np.isfinite(found):
-            continue
-        wanted = f"at most {target.high:g}" if target.low == 0.0 else f"{target.low:g} to {target.high:g}"
-        reached = "yes" if target.low <= found <= target.high else "no"
-        lines.append(f"| {target.name} | {wanted} | {found:.4g} | {reached} |")
-    return "\n".join(lines)
 
 
 def rows(scores: list[Score], columns: Sequence[Column], methods: Sequence[str]) -> Iterator[list[str]]:
@@ -226,9 +146,20 @@ def missed(scores: list[Score]) -> Iterator[str]:
         if s.method == OWN and not s.right:
             hidden = ", ".join(s.hidden) or s.unknown or "nothing"
             yield f"{s.family} {s.seed}: {hidden} -> {' + '.join('|'.join(f) for f in s.found) or 'nothing'}"
+        if s.method == OWN and s.passed_over:
+            yield f"{s.family} {s.seed}: {s.over_floor:.2f} times the noise is left: {s.verdict}"
+        if s.method == OWN and s.claimed and s.family == "faultless":
+            yield f"{s.family} {s.seed}: there is no eccentricity: {s.verdict}"
 
 
 # Run ---
+
+
+def tell(scores: list[Score], failure: str, console: Console) -> None:
+    """What went wrong with a record."""
+    lines = [f"missed: {line}" for line in missed(scores)] + [f"FAILED: {failure}"] * bool(failure)
+    for line in lines:
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 def run(
@@ -253,6 +184,7 @@ def run(
                 break
             for done in wait(pending, return_when=FIRST_COMPLETED).done:
                 results[pending.pop(done)] = done.result()
+                tell(*done.result(), console)
                 progress.advance(bar)
     ordered = [results[item] for item in work if item in results]
     return [s for scores, _ in ordered for s in scores], [text for _, text in ordered if text]
@@ -306,10 +238,6 @@ def main() -> int:
     summary = f"{done} of {len(work)} records, {kind} seeds from {seeds[0]} on."
     text = report(scores, summary)
     print(text)
-    for line in missed(scores):
-        console.print(f"missed: {line}", highlight=False, soft_wrap=True)
-    for failure in failures:
-        console.print(f"FAILED: {failure}", highlight=False, markup=False, soft_wrap=True)
     if given.markdown:
         given.markdown.write_text(text + "\n")
     if given.json:

@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "test"))
 import numpy as np
 from challenge import noise
 from challenge.clearances import Array
-from challenge.families import FAULTS, UNKNOWN
+from challenge.faults import FAULTS, UNKNOWN
 from challenge.motion import RATE, Motion, standard
 from challenge.records import contribution, transmission_error
 from challenge.truth import ARCSEC, Base, drawn

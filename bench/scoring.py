@@ -1,10 +1,11 @@
 """What a diagnosis of a generated record is worth: names, sizes, residual, intervals, time."""
 
-# ruff: noqa: D102, D103
+# ruff: noqa: D102
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 import time
 from collections.abc import Sequence
@@ -12,19 +13,25 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from challenge import records
-from challenge.families import POOR
-from challenge.unknown_causes import SHAPES
+from challenge.design import SIZE_25
+from challenge.families import FAMILIES
+from challenge.truth import Base, as_configured
+from challenge.unknown_causes import SHAPES, OutputLines
 
 from hd_diag.config.configuration import resolve
-from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose, held_out
+from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.refit import usable
+from hd_diag.diagnosis.gain import held_out
+from hd_diag.diagnosis.judgement import Answer
 from hd_diag.diagnosis.record import Record, prepare
+from hd_diag.diagnosis.verdict import sentence
+from hd_diag.drive import Drive
 
+PARAMETERS = fit_parameters.COUNT
 CONFIGURED = resolve({}).joints[0].drive
-RATIO = CONFIGURED.kinematics.ratio
-MIRROR = np.array([-1.0, -1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
 ORDER_TOLERANCE = 0.02
+MISFIT = 1.3  # held-out residual over true noise from which something must be said
 SIZED_OTHERWISE = ("ratio_error", "tooth_skip")  # findings before the fit: no rms at the output
 
 
@@ -34,16 +41,20 @@ class Score:
 
     Attributes
     ----------
-    hidden, found : names that are true, and classes that were named
+    hidden, found : names that are true and can be found, and classes that were named
+    optional : names that are true, but need not be found
     unknown : name of a cause that no catalogue has, or ""
     false_names : classes named that hold nothing true
     amplitude_errors : relative, of those named rightly
     listed : hidden names that the record's motion was said not to show
-    flagged, order_right : for an unknown cause; None where it has no order
+    claimed : an eccentricity or runout said to differ from what is configured
+    flagged : something said to be unexplained, or the model not to fit
+    order_right : of an unknown cause; None where it has no order
     over_floor, running_over_floor : held-out residual over the true noise of those samples, of the fit
         and of the model as it runs
     covered : parameters within their 95 % interval, of seven
-    seconds : CPU
+    seconds, verdict : CPU time [s]; the sentence
+    effects : true sizes [SI] by name
     """
 
     method: str
@@ -52,9 +63,11 @@ class Score:
     hidden: list[str]
     unknown: str
     found: list[list[str]]
+    optional: list[str] = field(default_factory=list)
     false_names: int = 0
     amplitude_errors: list[float] = field(default_factory=list)
     listed: list[str] = field(default_factory=list)
+    claimed: bool = False
     flagged: bool = False
     order_right: bool | None = None
     over_floor: float | None = None
@@ -62,6 +75,8 @@ class Score:
     covered: int | None = None
     trusted: bool | None = None
     seconds: float = 0.0
+    verdict: str = ""
+    effects: dict[str, dict[str, object]] = field(default_factory=dict)
 
     @property
     def exact(self) -> bool:
@@ -71,8 +86,13 @@ class Score:
     def right(self) -> bool:
         """All that is hidden named up to its class, no more; poor motions may say what they cannot show."""
         named = {self.hidden[h] for h, _ in matched(self.hidden, self.found)}
-        excused = set(self.listed) if self.family in POOR else set()
+        excused = set(self.listed) if FAMILIES[self.family].excused else set()
         return self.false_names == 0 and set(self.hidden) <= named | excused
+
+    @property
+    def passed_over(self) -> bool:
+        """Far from the noise, and nothing said."""
+        return self.over_floor is not None and self.over_floor > MISFIT and not self.flagged
 
 
 def matched(hidden: Sequence[str], found: Sequence[Sequence[str]]) -> list[tuple[int, int]]:
@@ -85,9 +105,48 @@ def matched(hidden: Sequence[str], found: Sequence[Sequence[str]]) -> list[tuple
     return best
 
 
+@functools.lru_cache(maxsize=8)
+def drive(base: Base) -> Drive:
+    """A drive of the generator as one of the package."""
+    shape, joint = base.design.shape, {}
+    for name, profile in (("flexspline_tooth", shape.tooth), ("circular_spline_slot", shape.slot)):
+        for arc in ("addendum", "dedendum"):
+            joint[f"{name}.{arc}_radius"] = getattr(profile, f"{arc}_radius")
+        joint[f"{name}.addendum_center"] = [profile.addendum_centre, -profile.addendum_offset]
+        joint[f"{name}.dedendum_center"] = [profile.dedendum_centre, profile.dedendum_offset]
+    joint |= {
+        "ratio": base.design.ratio,
+        "rated_torque": base.design.rated,
+        "flexspline_teeth": shape.flexspline_teeth,
+        "circular_spline_teeth": shape.circular_spline_teeth,
+        "neutral_curve.semi_major": shape.semi_major,
+        "neutral_curve.semi_minor": shape.semi_minor,
+        "flexspline_tooth.root": shape.tooth_root,
+        "flexspline_tooth.tip": shape.tooth_tip,
+        "circular_spline_tip_radius": shape.circular_spline_tip_radius,
+        "circular_spline_datum": base.datum,
+        "tooth_compliance": base.compliance,
+        "cup_compliance": base.cup,
+        "eccentricity.magnitude": base.e,
+        "eccentricity.direction": base.psi,
+        "runout.magnitude": base.runout,
+        "runout.direction": base.runout_psi,
+    }
+    return resolve({f"joint_1.{name}": value for name, value in joint.items()}).joints[0].drive
+
+
+def configured(made: records.Record) -> Drive:
+    """What the user believes a record's drive to be."""
+    return CONFIGURED if made.base.design == SIZE_25 else drive(as_configured(made.base.design))
+
+
 def prepared(made: records.Record) -> Record:
-    columns = (made.time, made.input_angle, made.output_angle, made.torque, made.temperature)
-    return prepare(*columns, np.zeros(made.time.size, dtype=np.int64), RATIO)
+    """The record as it is read; amperes by the constant that the user knows."""
+    constant = made.truth["recording"]["torque_constant"]
+    torque = made.torque * constant if constant else made.torque
+    columns = (made.time, made.input_angle, made.output_angle, torque, made.temperature)
+    part, ratio = made.part.astype(np.int64), made.base.design.ratio
+    return prepare(*columns, part, ratio, by_current=bool(constant))
 
 
 def size_of(made: records.Record, name: str, rows: np.ndarray | slice = slice(None)) -> float:
@@ -98,7 +157,7 @@ def size_of(made: records.Record, name: str, rows: np.ndarray | slice = slice(No
 def score(made: records.Record, family: str, seed: int) -> Score:
     """Score of the package's diagnosis."""
     begin = time.process_time()
-    found = diagnose(prepared(made), CONFIGURED, np.random.default_rng(0))
+    found = diagnose(prepared(made), configured(made), np.random.default_rng(0))
     seconds = time.process_time() - begin
     named = [[finding.name] for finding in found.findings] + [list(cause.alike) for cause in found.causes]
     sizes = [float("nan")] * len(found.findings) + [cause.amplitude for cause in found.causes]
@@ -106,7 +165,9 @@ def score(made: records.Record, family: str, seed: int) -> Score:
     result = scored("hd_diag", made, family, seed, named, sizes, judged)
     result.listed = [t.name for t in found.testable if not t.testable and t.name in result.hidden]
     result.seconds = seconds
-    _judge_unknown(result, made, found)
+    answer = Answer(found)
+    result.verdict = sentence(answer)
+    _judge_unknown(result, made, answer)
     _judge_fit(result, made, found)
     return result
 
@@ -122,22 +183,32 @@ def scored(
 ) -> Score:
     """Names and sizes of any method, judged."""
     hidden, unknown = made.truth["hidden"], "".join(made.truth["unknown"])
-    result = Score(method, family, seed, list(hidden), unknown, named)
+    result = Score(method, family, seed, list(hidden), unknown, named, list(made.truth["optional"]))
+    result.effects = made.truth["effects"]
     pairs = matched(hidden, named)
-    result.false_names = len(named) - len(pairs)
+    others = [alike for f, alike in enumerate(named) if f not in {found for _, found in pairs}]
+    result.false_names = sum(not set(alike) & set(result.optional) for alike in others)
     for h, f in pairs:
         if hidden[h] not in SIZED_OTHERWISE:
             result.amplitude_errors.append(abs(sizes[f] / size_of(made, hidden[h], rows) - 1.0))
     return result
 
 
-def _judge_unknown(result: Score, made: records.Record, found: Diagnosis) -> None:
-    result.flagged = bool(found.unexplained)
-    kind = SHAPES.get(result.unknown)
-    if kind is None or kind.order is None:
+def _judge_unknown(result: Score, made: records.Record, answer: Answer) -> None:
+    found = answer.diagnosis
+    result.flagged = bool(found.unexplained) or answer.judgement in ("misfit", "described", "not_judged")
+    result.claimed = bool({"eccentricity", "runout"} & {change.name for change in answer.changes})
+    ratio, lines = made.base.design.ratio, [*found.unexplained, *found.order_table]
+    seen = {line.order / ratio if line.frame == "output" else line.order for line in lines}
+    kind, tolerance = SHAPES.get(result.unknown), ORDER_TOLERANCE
+    if result.unknown == OutputLines.name:
+        wanted = [order / ratio for order in made.truth["effects"][result.unknown]["orders"]]
+        tolerance = 0.3 / ratio
+    elif kind is None or kind.order is None:
         return
-    true = kind.order / RATIO if kind.frame == "output" else kind.order
-    result.order_right = any(abs(line.order - true) < ORDER_TOLERANCE for line in found.unexplained)
+    else:
+        wanted = [kind.order / ratio if kind.frame == "output" else kind.order]
+    result.order_right = all(any(abs(w - order) < tolerance for order in seen) for w in wanted)
 
 
 def _judge_fit(result: Score, made: records.Record, found: Diagnosis) -> None:
@@ -149,28 +220,29 @@ def _judge_fit(result: Score, made: records.Record, found: Diagnosis) -> None:
     noise = (made.output_angle - made.clean_output)[at]
     floor = float(np.sqrt(np.mean(noise**2)))
     result.over_floor, result.running_over_floor = found.rms.offline / floor, found.rms.extended / floor
-    result.covered = covered(found, made)
+    if "wear_backlash" not in result.optional:  # which moves the datum as well
+        result.covered = covered(found, made)
     result.trusted = found.refitted.trustworthy
 
 
 def covered(found: Diagnosis, made: records.Record) -> int:
     """How many of the seven parameters are within their 95 % interval, lobes swapped or not."""
     assert found.refitted is not None
-    truth, spread = true_vector(made), np.sqrt(np.diag(found.refitted.covariance))
-    offs = (found.refitted.parameters - truth, found.refitted.parameters - MIRROR * truth)
+    parameters = found.refitted.parameters[:PARAMETERS]
+    spread = np.sqrt(np.diag(found.refitted.covariance))[:PARAMETERS]
+    truth = fit_parameters.vector(drive(as_seen(made)), found.configured)
+    offs = (parameters - truth, parameters - fit_parameters.MIRRORED * truth)
     off = min(offs, key=lambda x: float(np.hypot(*x[:2]) + np.hypot(*x[2:4])))
     return int(np.sum(np.abs(off) < 1.96 * spread))
 
 
-def true_vector(made: records.Record) -> np.ndarray:
-    """True parameters in the units of the fit, shape (7,)."""
-    b = made.base
-    shift, runout = b.e * np.exp(1j * b.psi), b.runout * np.exp(1j * b.runout_psi)
-    compliance = b.compliance / CONFIGURED.mesh.tooth_compliance
-    values = [shift.real, shift.imag, runout.real, runout.imag, b.datum, compliance, b.cup]
-    return np.array(values) / [scale.si for scale in fit_parameters.SCALES]
+def as_seen(made: records.Record) -> Base:
+    """The drive as its torque reading shows it: a gain changes all compliances."""
+    gain = made.truth["effects"].get("torque_gain", {}).get("gain", 1.0)
+    return dataclasses.replace(made.base, compliance=made.base.compliance / gain, cup=made.base.cup / gain)
 
 
 def plain(result: Score) -> dict[str, object]:
     """For JSON."""
-    return {**dataclasses.asdict(result), "exact": result.exact, "right": result.right}
+    derived = {"exact": result.exact, "right": result.right, "passed_over": result.passed_over}
+    return {**dataclasses.asdict(result), **derived}

@@ -6,9 +6,29 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+import pytest
+from challenge import truth
+from challenge.contact import Gear
+from challenge.design import OTHERS, SIZE_25, Design
+from numpy.testing import assert_allclose
+
 import hd_diag
+from hd_diag.drive import transmission_error
+from hd_diag.formatting import ARCSEC
 
 ROOT = Path(__file__).resolve().parent.parent
+sys.path.append(str(ROOT / "bench"))
+import scoring  # noqa: E402
+
+
+@pytest.mark.parametrize("design", [SIZE_25, *OTHERS], ids=lambda design: design.name)
+def test_both_sides_mean_the_same_drive(design: Design) -> None:
+    rng = np.random.default_rng(3)
+    base = truth.drawn(rng, design)
+    angle, torque = rng.uniform(-200, 200, 100), rng.uniform(-0.9, 0.9, 100) * design.rated
+    forced = Gear(base).torsion(-angle, -torque) - base.cup * torque
+    assert_allclose(transmission_error(scoring.drive(base), angle, torque), forced, atol=0.05 * ARCSEC)
 
 
 def test_one_record(tmp_path: Path) -> None:

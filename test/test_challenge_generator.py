@@ -6,10 +6,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 from challenge import drive_causes as drive
-from challenge import families, mechanics, motion, noise, records, truth
+from challenge import (
+    families,
+    faults,
+    findability,
+    mechanisms,
+    motion,
+    noise,
+    records,
+    truth,
+)
+from challenge import mechanism_causes as mechanism
 from challenge import mesh_causes as mesh
 from challenge import sensor_causes as sensor
 from challenge.contact import Flaws, Gear
+from challenge.design import OTHERS, SIZE_25, Design
 from challenge.truth import ARCSEC, Base
 from mcap.reader import make_reader
 from numpy.testing import assert_allclose
@@ -22,9 +33,8 @@ ONE_RUN = motion.Motion((motion.Run(9.7, swing=50, period=1.6, duration=2.0),))
 
 
 def reference_torsion(base: Base, angle: float, torque: float, **mesh: object) -> float:
-    drive = dataclasses.replace(
-        polyline.DEFAULT, circular_spline_datum=base.datum, tooth_compliance=base.compliance
-    )
+    shape = base.design.shape
+    drive = dataclasses.replace(shape, circular_spline_datum=base.datum, tooth_compliance=base.compliance)
     displaced = {
         "eccentricity": (base.e * np.cos(base.psi), base.e * np.sin(base.psi)),
         "runout": (base.runout * np.cos(base.runout_psi), base.runout * np.sin(base.runout_psi)),
@@ -40,9 +50,12 @@ def moments(seed: int, count: int = 4) -> tuple[np.ndarray, np.ndarray]:
 # Mesh ---
 
 
-@pytest.mark.parametrize("base", [truth.NOMINAL, ERRORS])
+@pytest.mark.parametrize(
+    "base", [truth.NOMINAL, ERRORS, *(truth.drawn(np.random.default_rng(5), design) for design in OTHERS)]
+)
 def test_torsion_is_that_of_the_reference(base: Base) -> None:
     angles, torques = moments(1)
+    torques = torques * base.design.strength
     expected = [reference_torsion(base, a, m) for a, m in zip(angles, torques, strict=True)]
     assert_allclose(Gear(base).torsion(angles, torques), expected, rtol=0, atol=CLOSE)
 
@@ -50,11 +63,12 @@ def test_torsion_is_that_of_the_reference(base: Base) -> None:
 def test_moved_slots_are_those_of_the_reference() -> None:
     cause = mesh.CircularSplinePitch(3e-6, 0.4)
     angles, torques = moments(2)
-    shift = cause.flaws().slot_along
+    flaws = cause.flaws(SIZE_25)
     expected = [
-        reference_torsion(ERRORS, a, m, slot_shift=shift) for a, m in zip(angles, torques, strict=True)
+        reference_torsion(ERRORS, a, m, slot_shift=flaws.slot_along)
+        for a, m in zip(angles, torques, strict=True)
     ]
-    found = Gear(ERRORS, cause.flaws()).torsion(angles, torques)
+    found = Gear(ERRORS, flaws).torsion(angles, torques)
     assert_allclose(found, expected, rtol=0, atol=2 * CLOSE)
     assert np.abs(found - Gear(ERRORS).torsion(angles, torques)).max() > 5 * ARCSEC
 
@@ -79,20 +93,20 @@ def test_a_gear_that_has_skipped_a_tooth_meshes_as_before() -> None:
 
 
 def test_one_tooth_and_one_slot_return_in_their_own_time() -> None:
-    tooth = Gear(ERRORS, mesh.ToothDamage(20e-6, 30, "flexspline").flaws())
-    slot = Gear(ERRORS, mesh.ToothDamage(20e-6, 30).flaws())
+    tooth = Gear(ERRORS, mesh.ToothDamage(20e-6, 30, "flexspline").flaws(SIZE_25))
+    slot = Gear(ERRORS, mesh.ToothDamage(20e-6, 30).flaws(SIZE_25))
     turn = np.linspace(0, 2 * np.pi, 300, endpoint=False)
     whole = Gear(ERRORS).torsion(turn, 40.0)
     assert_allclose(slot.torsion(turn + 2 * np.pi, 40.0), slot.torsion(turn, 40.0), atol=1e-11)
     assert_allclose(tooth.torsion(turn + 200 * np.pi, 40.0), tooth.torsion(turn, 40.0), atol=1e-11)
-    before = Gear(ERRORS, mesh.ToothDamage(20e-6, 20, "flexspline").flaws())  # two teeth a turn
+    before = Gear(ERRORS, mesh.ToothDamage(20e-6, 20, "flexspline").flaws(SIZE_25))  # two teeth a turn
     assert_allclose(tooth.torsion(turn + 10 * np.pi, 40.0), before.torsion(turn, 40.0), atol=1e-11)
     assert np.abs(tooth.torsion(turn, 40.0) - before.torsion(turn, 40.0)).max() > 1 * ARCSEC
     assert 1 * ARCSEC < np.max(slot.torsion(turn, 40.0) - whole) < 10 * ARCSEC
 
 
 def test_worn_flanks_let_the_torsion_grow_by_what_is_missing() -> None:
-    worn = Gear(truth.NOMINAL, mesh.WearBacklash(2e-6).flaws())
+    worn = Gear(truth.NOMINAL, mesh.WearBacklash(2e-6).flaws(SIZE_25))
     whole = Gear(truth.NOMINAL)
     angle = np.linspace(0, 1, 20)
     for torque in (-30.0, 30.0):
@@ -116,129 +130,28 @@ def test_a_drive_outside_the_table_is_refused() -> None:
         Gear(Base(datum=29.5e-3))
 
 
-# Mechanics and sensors ---
-
-
-def harmonic(x: np.ndarray, angle: np.ndarray, order: float) -> float:
-    return float(2 * np.abs(np.mean(x * np.exp(-1j * order * angle))))
-
-
-TURN = np.linspace(0, 2 * np.pi, 4096, endpoint=False)
-
-
-def test_universal_joint_errs_twice_a_turn() -> None:
-    error = mechanics.universal_joint(TURN, 0.06, 0.3) - TURN
-    assert harmonic(error, TURN, 2) == pytest.approx(np.tan(0.03) ** 2, rel=1e-6)
-
-
-def test_play_lags_by_half_its_width() -> None:
-    there = np.linspace(0, 1, 1000)
-    lag = mechanics.play(np.r_[there, there[::-1]], 0.1) - np.r_[there, there[::-1]]
-    assert_allclose(lag[[900, 1900]], [-0.05, 0.05])
-
-
-def test_one_slip_element_is_the_stop_operator() -> None:
-    torque = 40 * np.sin(np.linspace(0, 20, 3000)) * np.linspace(0.2, 1, 3000)
-    state, expected = 0.0, []
-    for step in np.diff(torque, prepend=0.0):
-        state = float(np.clip(state + step / 6.0, -1, 1))
-        expected.append(3e-5 * state)
-    scene = records.scene(ONE_RUN, np.arange(3000) / 1500)
-    found = drive.Hysteresis(3e-5, (6.0,)).added(dataclasses.replace(scene, torque=torque))
-    assert_allclose(found, expected, atol=1e-12)
-
-
-def test_slip_elements_use_up_energy() -> None:
-    torque = 30 * np.sin(np.linspace(0, 4 * np.pi, 4001))
-    twist = mechanics.slip_spring(torque, 3e4, ((2e4, 3.0), (5e4, 6.0)))
-    assert np.sum((torque[2001:] + torque[2000:-1]) / 2 * np.diff(twist[2000:])) > 0
-
-
-def test_friction_has_the_sign_of_the_speed() -> None:
-    time = np.arange(0, 3, 0.002)
-    state = mechanics.rubbing(5 * np.cos(2 * time), time, presliding=2e-3, relaxation=0.02)
-    speed = -10 * np.sin(2 * time)
-    assert_allclose(state[np.abs(speed) > 5], np.sign(speed[np.abs(speed) > 5]), atol=0.05)
-
-
-def test_spring_is_the_integral_of_its_compliance() -> None:
-    found = mechanics.spring(np.array([-60.0, 10.0, 20.0, 60.0]), (14.0, 48.0), (2e-6, -1e-6))
-    assert_allclose(found, [-(34 * 2e-6 + 12e-6), 0, 12e-6, 34 * 2e-6 + 12e-6], atol=1e-8)
-
-
-@pytest.mark.parametrize("frequency", [5.0, 19.0, 40.0])
-def test_inertia_swings_as_its_transfer_function_says(frequency: float) -> None:
-    time = np.arange(0, 20, 0.002)
-    angle = 2 * np.pi * frequency * time
-    found = mechanics.beyond_spring(np.cos(angle), 0.002, 20.0, 0.08)[5000:]
-    r = frequency / 20.0
-    expected = (1 + 0.16j * r) / (1 - r**2 + 0.16j * r)
-    swing = 2 * np.mean(found * np.exp(-1j * angle[5000:]))
-    assert swing == pytest.approx(expected, rel=0.03)  # straight between samples
-
-
-def test_disc_off_its_shaft() -> None:
-    error = sensor.off_centre(TURN, 0.02, 0.4) - TURN
-    assert harmonic(error, TURN, 1) == pytest.approx(0.02, rel=1e-3)
-    assert harmonic(error, TURN, 2) == pytest.approx(0.02**2 / 2, rel=1e-3)
-
-
-def test_uneven_quadrature() -> None:
-    assert harmonic(sensor.quadrature(TURN, 16, 0.03, 1.0) - TURN, TURN, 16) == pytest.approx(
-        0.03 / 16, rel=1e-3
-    )
-    assert harmonic(sensor.quadrature(TURN, 16, 0, 0, 0.04) - TURN, TURN, 32) == pytest.approx(
-        0.04 / 2 / 16, rel=0.03
-    )
-
-
-# Motion and noise ---
-
-
-@pytest.mark.parametrize("make", [motion.standard, motion.short, motion.one_direction, motion.unloaded])
-def test_runs_begin_and_end_at_rest(make: object) -> None:
-    m = make(np.random.default_rng(3))  # type: ignore[operator]
-    time = m.times()
-    angle, speed, torque = m.angle(time), m.speed(time), m.torque(time)
-    assert_allclose(np.gradient(angle, time), speed, atol=2e-3)
-    for start in m.starts:
-        resting = np.abs(time - start) < motion.REST
-        assert np.ptp(angle[resting]) < 1e-9
-        assert not torque[resting].any()
-
-
-def test_standard_motion_has_the_speeds_both_ways() -> None:
-    m = motion.standard(np.random.default_rng(0))
-    assert sorted(run.speed for run in m.runs) == sorted([*motion.SPEEDS, *(-v for v in motion.SPEEDS)])
-    torque = m.torque(m.times())
-    assert len(torque) == 60_000
-    assert torque.min() < -40
-    assert torque.max() > 40
-
-
-@pytest.mark.parametrize("family", noise.FAMILIES)
-def test_noise_has_its_rms(family: str) -> None:
-    x = noise.FAMILIES[family](np.random.default_rng(1), 60_000)
-    assert x.std() == pytest.approx(np.hypot(noise.DRIFTING, noise.WHITE), rel=0.08)
-    kurtosis = np.mean(np.diff(x) ** 4) / np.mean(np.diff(x) ** 2) ** 2
-    assert kurtosis > 5 if family == "heavy" else kurtosis == pytest.approx(3, abs=0.15)
-
-
-def test_pink_noise_falls_with_frequency() -> None:
-    x = noise.pink(np.random.default_rng(1), 1 << 16)
-    power = np.abs(np.fft.rfft(x)) ** 2
-    assert power[30:100].mean() / power[300:1000].mean() == pytest.approx(10, rel=0.35)
-
-
-def test_recording_loses_and_spoils_the_stated_shares() -> None:
-    rng = np.random.default_rng(2)
-    assert 1 - noise.kept(rng, 60_000, 0.05).mean() == pytest.approx(0.05, abs=0.008)
-    wild = noise.outliers(rng, 60_000, 0.01)
-    assert np.mean(wild != 0) == pytest.approx(0.01, abs=0.002)
-    assert np.abs(wild[wild != 0]).min() > 49 * ARCSEC
-    time = noise.jittered(rng, np.arange(5000) / 500)
-    assert np.diff(time).min() > 0
-    assert np.diff(time).std() == pytest.approx(0.3e-3 * np.sqrt(2), rel=0.1)
+@pytest.mark.parametrize(
+    ("design", "knees", "stiffness"),
+    tuple(
+        zip(
+            (SIZE_25, *OTHERS),
+            ((14, 48), (2, 6.9), (7, 25), (29, 108)),
+            ((31e3, 50e3, 57e3), (3.4e3, 4.7e3, 5.7e3), (16e3, 25e3, 29e3), (67e3, 110e3, 120e3)),
+            strict=True,
+        )
+    ),
+    ids=lambda value: getattr(value, "name", ""),
+)
+def test_a_design_is_as_stiff_as_its_page_says(
+    design: Design, knees: tuple[float, float], stiffness: tuple[float, ...]
+) -> None:
+    base = truth.as_configured(design)
+    gear, angle = Gear(base), np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    levels = np.array([knees[0] / 14, *knees, 2 * knees[1]])
+    twist = [gear.torsion(angle, level).mean() + base.cup * level for level in levels]
+    assert_allclose(np.diff(levels) / np.diff(twist), stiffness, rtol=0.06)
+    clear = [np.nanmin(polyline.mesh(x, drive=design.shape).backlash) for x in (0.0, 0.005, 0.01)]
+    assert min(clear) == pytest.approx(0.94e-6 * design.module, abs=0.15e-6)
 
 
 # Records ---
@@ -268,6 +181,35 @@ def test_torque_offset_is_in_the_reading_only() -> None:
     assert_allclose(off.clean_output, quiet.clean_output)
 
 
+def test_friction_is_torque_in_the_mesh_that_no_sensor_sees() -> None:
+    friction = mechanism.DryFriction(2.0, 0.3, 0.05, 5e-4)
+    record = records.simulate(ERRORS, (friction,), ONE_RUN, np.random.default_rng(0))
+    time = ONE_RUN.times()
+    seen = records.scene(ONE_RUN, time)
+    extra = friction.load(seen)
+    assert 2.0 <= np.abs(extra).max() <= 2.6
+    torsion = Gear(ERRORS).torsion(-seen.motor, -(seen.torque + extra))
+    assert_allclose(record.clean_output, seen.output + torsion, atol=1e-12)
+    assert_allclose(record.torque, seen.torque, atol=1.0)
+
+
+def test_each_recording_has_its_encoder_offset() -> None:
+    recording = records.Recording(parts=3, offset_spread=3e-4, output_bits=19)
+    record = records.simulate(ERRORS, (), ONE_RUN, np.random.default_rng(0), recording)
+    plain = records.simulate(ERRORS, (), ONE_RUN, np.random.default_rng(0))
+    off = record.clean_output - plain.clean_output
+    steps = [off[record.part == part] for part in range(3)]
+    assert [float(np.ptp(step)) for step in steps] == pytest.approx([0, 0, 0], abs=1e-12)
+    assert len({round(float(step[0]), 9) for step in steps}) == 3
+
+
+def test_a_record_shows_only_what_no_parameter_does() -> None:
+    columns = findability.columns(ERRORS, ONE_RUN, records.PLAIN)
+    causes = (sensor.TorqueGain(1.2), mesh.CircularSplinePitch(2e-6, 0.2))
+    gain, pitch = findability.shares(ERRORS, causes, ONE_RUN, records.PLAIN, columns)
+    assert gain < 0.3 < 1.0 < pitch
+
+
 def test_contributions_are_what_each_cause_adds() -> None:
     runout, offset = sensor.OutputRunout(2e-5, 0.0), sensor.TorqueOffset(2.0)
     wave = mesh.CircularSplinePitch(1e-6, 0.2)
@@ -290,22 +232,26 @@ def test_ripple_swells_where_it_meets_the_resonance() -> None:
     assert swing[19.4] == pytest.approx(4e-6 / np.sqrt(2) / 0.12, rel=0.05)
 
 
-@pytest.mark.parametrize("name", [*families.FAULTS, *families.UNKNOWN])
-def test_every_cause_enters_somewhere(name: str) -> None:
+TABLES = (faults.FAULTS, faults.UNKNOWN, mechanisms.MECHANISMS, mechanisms.OPTIONAL, mechanisms.UNNAMED)
+
+
+@pytest.mark.parametrize(("table", "name"), [(i, name) for i, table in enumerate(TABLES) for name in table])
+def test_every_cause_enters_somewhere(table: int, name: str) -> None:
     rng = np.random.default_rng(6)
-    cause = families.draw(rng, name, ONE_RUN)
-    assert (cause.name, cause.known) == (name, name in families.FAULTS)
+    cause, _ = faults.sized(rng, TABLES[table][name], ONE_RUN)
+    assert (cause.name, cause.known) == (name, table not in (1, 4))
     scene = records.scene(ONE_RUN, ONE_RUN.times())
     still = np.zeros(len(scene.time))
     enters = [
         np.ptp(cause.shaft(scene.motor) - scene.motor),
         np.ptp(cause.added(scene) + still),
+        np.ptp(cause.load(scene) + still),
         np.ptp(cause.carried(scene, still) + still),
         np.ptp(cause.input_reading(scene.motor) - scene.motor),
         np.ptp(cause.output_reading(scene.output) - scene.output),
-        np.abs(cause.torque_reading(scene.torque) - scene.torque).max(),
+        np.abs(cause.torque_reading(scene.torque, scene) - scene.torque).max(),
         cause.delay,
-        sum(np.abs(value).max() for value in vars(cause.flaws() or Flaws()).values()),
+        sum(np.abs(value).max() for value in vars(cause.flaws(SIZE_25) or Flaws()).values()),
     ]
     assert max(enters) > 1e-9 or name == "loose_hub"  # which needs a second run
 
@@ -316,34 +262,34 @@ def test_every_cause_enters_somewhere(name: str) -> None:
 def test_seeds_are_apart() -> None:
     assert max(families.DEVELOPMENT) < min(families.FINAL)
     with pytest.raises(ValueError, match="neither"):
-        families.one_effect(max(families.DEVELOPMENT) + 1)
+        families.made("one_effect", max(families.DEVELOPMENT) + 1)
 
 
 def test_a_seed_gives_one_record() -> None:
-    one, again, other = families.poor("short", 4), families.poor("short", 4), families.poor("short", 6)
+    one, again, other = (families.made("short", seed) for seed in (4, 4, 6))
     assert np.array_equal(one.output_angle, again.output_angle)
     assert one.truth == again.truth
     assert not np.array_equal(one.output_angle, other.output_angle)
 
 
-@pytest.mark.parametrize("fault", [*families.FAULTS.values(), *families.UNKNOWN.values()])
-def test_sizes_of_the_field_can_be_found(fault: families.Fault) -> None:
-    assert families.TIMES_LEAST * fault.least < fault.high
+@pytest.mark.parametrize("fault", [*faults.FAULTS.values(), *faults.UNKNOWN.values()])
+def test_sizes_of_the_field_can_be_found(fault: faults.Fault) -> None:
+    assert faults.TIMES_LEAST * fault.least < fault.high
 
 
 @pytest.mark.slow
 def test_families_hide_what_they_say() -> None:
-    several = families.FAMILIES["triple"](3)
+    several = families.made("triple", 3)
     assert len(set(several.truth["hidden"])) == 3
     assert not several.truth["unknown"]
-    assert families.unknown(2).truth["unknown"] == ["cogging"]
-    poor = families.degraded(1)
+    assert families.made("unknown", 2).truth["unknown"] == ["cogging"]
+    poor = families.made("degraded", 1)
     assert 0.93 < len(poor.time) / 60_000 < 0.97
     assert np.mean(np.abs(poor.output_angle - poor.clean_output) > 30 * ARCSEC) == pytest.approx(
         0.01, abs=0.003
     )
     assert len(poor.runs) == 12
-    assert families.poor("torque_unmeasured", 0).torque is None
+    assert families.made("torque_unmeasured", 0).torque is None
 
 
 # Files ---
@@ -351,7 +297,7 @@ def test_families_hide_what_they_say() -> None:
 
 @pytest.fixture(scope="module")
 def short_record() -> records.Record:
-    return families.poor("short", 2)
+    return families.made("short", 2)
 
 
 def test_bag_holds_the_record(short_record: records.Record, tmp_path: Path) -> None:

@@ -6,17 +6,15 @@ import dataclasses
 from dataclasses import dataclass
 from typing import ClassVar
 
-from challenge.clearances import Array
+import numpy as np
+
 from challenge.contact import Flaws
-from challenge.truth import RATIO
+from challenge.design import SIZE_25, Array, Design
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What really happens, arrays (n,): time [s], motor angle [rad], speed [rad/s], torque, temperature, run.
-
-    ``output`` is the ideal output angle; ``shaft`` the angle that reaches the wave generator's hub [rad].
-    """
+    """What really happens, arrays (n,): time [s], motor angle [rad], its speed, torque, temperature, run."""
 
     time: Array
     motor: Array
@@ -24,11 +22,17 @@ class Scene:
     torque: Array
     temperature: Array
     run: Array
+    design: Design = SIZE_25
+
+    @property
+    def acceleration(self) -> Array:
+        """Of the motor [rad/s²]."""
+        return np.gradient(self.speed, self.time)
 
     @property
     def output(self) -> Array:
         """Output angle of an ideal gear [rad]."""
-        return self.motor / RATIO
+        return self.motor / self.design.ratio
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,7 @@ class Cause:
     size: ClassVar[str] = ""
     known: ClassVar[bool] = True
 
-    def flaws(self) -> Flaws | None:
+    def flaws(self, design: Design) -> Flaws | None:
         """Departures of teeth and slots."""
         return None
 
@@ -55,6 +59,10 @@ class Cause:
         """Angle of the output [rad] that the gear's ripple excites beside itself."""
         return 0.0
 
+    def load(self, scene: Scene) -> Array | float:
+        """Torque [N m] that the mesh bears beside the link's."""
+        return 0.0
+
     def input_reading(self, angle: Array) -> Array:
         """Reported input angle [rad]."""
         return angle
@@ -63,8 +71,8 @@ class Cause:
         """Reported output angle [rad]."""
         return angle
 
-    def torque_reading(self, torque: Array) -> Array:
-        """Reported torque [N m]."""
+    def torque_reading(self, torque: Array, scene: Scene) -> Array:
+        """Reported torque [N m] from what the sensors before report."""
         return torque
 
     @property

@@ -1,4 +1,4 @@
-"""Clearance of one tooth pair by brute force, tabulated once over all places and displacements.
+"""Clearance of one tooth pair by brute force, tabulated once a design over all places and displacements.
 
 Where the ideal drive puts a tooth in its slot depends on one number, its place u on the neutral curve (angle
 from the long axis). All errors of assembly add a translation (dx, dy) of the tooth in the slot's frame, x
@@ -13,6 +13,7 @@ import functools
 import hashlib
 import os
 import tempfile
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,21 +21,19 @@ import numpy as np
 from numpy.typing import NDArray
 from reference import polyline
 
-Array = NDArray[np.float64]
+from challenge.design import Array, Design
 
-DRIVE = polyline.DEFAULT
-TEETH, SLOTS = DRIVE.flexspline_teeth, DRIVE.circular_spline_teeth
-TOOTH_PITCH, SLOT_PITCH = 2 * np.pi / TEETH, 2 * np.pi / SLOTS
 STEPS = 8  # nodes of u per tooth pitch
-REACH = 35  # teeth either side of the long axis that can touch
-NODES = np.arange(-STEPS * (REACH + 1) - 1, STEPS * (REACH + 1) + 2)  # u = NODES * TOOTH_PITCH / STEPS
-DX_STEP = 5e-6  # [m]
-DX = np.arange(-14, 15) * DX_STEP
-DY = np.linspace(-70e-6, 70e-6, 5)
-DATUM_STEP = 12e-6  # [m]
-DATUM = 29.868e-3 + np.arange(-3, 4) * DATUM_STEP
+REACH = 0.175  # of the teeth, either side of the long axis, that can touch
+FARTHEST = 70e-6  # [m], of a displacement; of a size 25 like all lengths here
+DX_STEP = 5e-6
+DX = np.arange(-14, 15)
+DY = np.linspace(-1, 1, 5)
+DATUM_STEP = 12e-6
+DATUM = np.arange(-3, 4)
 TOOTH_POINTS, WALL_POINTS = 400, 8000
 NEVER = 1.0  # [rad], clearance of a pair that cannot touch
+_KEPT = 30 * 86400.0  # [s], that a table stays on the disk unread
 
 
 @dataclass(frozen=True)
@@ -50,32 +49,44 @@ class Pose:
         return np.array([-self.axis[1], self.axis[0]])
 
 
-def ideal_pose(u: Array) -> Pose:
-    """Pose of a tooth of the drive without errors at places u (n,) [rad] from the long axis."""
-    point, normal = polyline.neutral_point(polyline.ring_radius(DRIVE) * u, DRIVE)
-    turn = -u * TEETH / SLOTS  # of the long axis in the slot's frame
+def reach(design: Design) -> int:
+    """Teeth either side of the long axis that can touch."""
+    return round(REACH * design.teeth)
+
+
+def nodes(design: Design) -> NDArray[np.intp]:
+    """Places u of the table in parts of a tooth pitch."""
+    last = STEPS * (reach(design) + 1) + 1
+    return np.arange(-last, last + 1)
+
+
+def ideal_pose(design: Design) -> Pose:
+    """Pose of a tooth of the drive without errors at all nodes."""
+    u = nodes(design) * design.tooth_pitch / STEPS
+    point, normal = polyline.neutral_point(design.ring_radius * u, design.shape)
+    turn = -u * design.teeth / design.slots  # of the long axis in the slot's frame
     c, s = np.cos(turn), np.sin(turn)
     rotate = np.array([[c, -s], [s, c]])
     return Pose(np.einsum("ijn,jn->in", rotate, point), np.einsum("ijn,jn->in", rotate, normal))
 
 
-def tip(pose: Pose, dx: Array, dy: Array) -> Array:
+def tip(design: Design, pose: Pose, dx: Array, dy: Array) -> Array:
     """Radius [m] of the tip corner of the + flank."""
-    x, y = _tooth()[:, -1]
+    x, y = _tooth(design.shape)[:, -1]
     body = pose.origin + pose.axis * x + pose.along * y
     return np.asarray(np.hypot(body[0] + dx, body[1] + dy), dtype=np.float64)
 
 
-def _tooth() -> Array:
-    return polyline._flank(DRIVE.tooth, DRIVE.tooth_root, DRIVE.tooth_tip, TOOTH_POINTS)
+def _tooth(shape: polyline.Drive) -> Array:
+    return polyline._flank(shape.tooth, shape.tooth_root, shape.tooth_tip, TOOTH_POINTS)
 
 
-def _wall(datum: float) -> tuple[Array, Array]:
+def _wall(design: Design, datum: float) -> tuple[Array, Array]:
     """Radius and angle of the + wall, continued straight inwards: a pair out of reach stays smooth there."""
-    drive = dataclasses.replace(DRIVE, circular_spline_datum=datum)
+    drive = dataclasses.replace(design.shape, circular_spline_datum=datum)
     radius, angle = polyline._slot_polar(drive, WALL_POINTS)
     slope = (angle[20] - angle[0]) / (radius[20] - radius[0])
-    inner = radius[0] - 0.3e-3
+    inner = radius[0] - 0.3e-3 * design.module
     return np.r_[inner, radius], np.r_[angle[0] + slope * (inner - radius[0]), angle]
 
 
@@ -92,41 +103,51 @@ def _closing(radius: Array, angle: Array, wall: tuple[Array, Array]) -> Array:
     return np.asarray(np.where(radius[:, -1] > first, np.minimum(gap, corner), gap), dtype=np.float64)
 
 
-def calculated() -> Array:
+def calculated(design: Design) -> Array:
     """Table (datum, u, dx, dy) of b [rad] by brute force."""
-    walls = [_wall(d) for d in DATUM]
-    x, y = _tooth()
-    pose = ideal_pose(NODES * TOOTH_PITCH / STEPS)
-    moves = np.stack(np.meshgrid(DX, DY, indexing="ij"), axis=-1).reshape(-1, 2)
-    table = np.empty((len(DATUM), len(NODES), len(moves)))
-    for n in range(len(NODES)):
+    walls = [_wall(design, d) for d in data(design)]
+    x, y = _tooth(design.shape)
+    pose = ideal_pose(design)
+    k = design.module
+    moves = np.stack(np.meshgrid(k * DX_STEP * DX, k * FARTHEST * DY, indexing="ij"), axis=-1).reshape(-1, 2)
+    count = pose.origin.shape[1]
+    found = np.empty((len(DATUM), count, len(moves)))
+    for n in range(count):
         body = pose.origin[:, n, None] + np.outer(pose.axis[:, n], x) + np.outer(pose.along[:, n], y)
         bx, by = body[0] + moves[:, :1], body[1] + moves[:, 1:]
         radius, angle = np.hypot(bx, by), np.arctan2(by, bx)
-        table[:, n] = [_closing(radius, angle, wall) for wall in walls]
-    return table.reshape(len(DATUM), len(NODES), len(DX), len(DY))
+        found[:, n] = [_closing(radius, angle, wall) for wall in walls]
+    return found.reshape(len(DATUM), count, len(DX), len(DY))
 
 
-def _key() -> str:
-    sources = (Path(__file__), Path(polyline.__file__))
-    return hashlib.sha256(b"".join(p.read_bytes() for p in sources) + repr(DRIVE).encode()).hexdigest()[:16]
+def data(design: Design) -> Array:
+    """Radii of the table from which slots are measured [m]."""
+    return design.shape.circular_spline_datum + design.module * DATUM_STEP * DATUM
+
+
+def _key(design: Design) -> str:
+    sources = Path(__file__).read_bytes() + Path(polyline.__file__).read_bytes()
+    shape = dataclasses.replace(design.shape, tooth_compliance=0.0)
+    return hashlib.sha256(sources + repr(shape).encode()).hexdigest()[:16]
 
 
 def cache_folder() -> Path:
-    """Folder of the user's cache in which the table is kept."""
+    """Folder of the user's cache in which tables are kept."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hd_diag-challenge"
 
 
-@functools.lru_cache(maxsize=1)
-def table() -> Array:
+@functools.lru_cache(maxsize=4)
+def table(design: Design) -> Array:
     """Table of :func:`calculated`, from the disk where a run has left it."""
-    path = cache_folder() / f"clearances-{_key()}.npy"
+    path = cache_folder() / f"{design.name.replace('/', '-')}-{_key(design)}.npy"
     if path.exists():
+        path.touch()
         return np.load(path)
-    found = calculated()
+    found = calculated(design)
     path.parent.mkdir(parents=True, exist_ok=True)
-    for old in path.parent.glob("clearances-*.npy"):
-        old.unlink(missing_ok=True)
+    for old in path.parent.glob("*.npy"):
+        if old.stat().st_mtime < time.time() - _KEPT:
+            old.unlink(missing_ok=True)
     with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
         np.save(file, found)
     os.replace(file.name, path)  # whole or not at all, also where two runs calculate it
@@ -151,13 +172,14 @@ def _cell(x: Array, first: float, step: float, count: int) -> tuple[Array, Array
     return cell, position - cell
 
 
-def at_datum(datum: float) -> Array:
-    """Polynomials (u, dx, 5) in dy / DY[-1], highest power first, for a datum [m]."""
-    if not DATUM[0] <= datum <= DATUM[-1]:
-        raise ValueError(f"datum {datum} m lies outside the table, {DATUM[0]} to {DATUM[-1]} m")
-    cell, t = _cell(np.array(datum), DATUM[0], DATUM_STEP, len(DATUM))
-    plane = np.tensordot(_cubic(t)[0], table()[int(cell) - 1 : int(cell) + 3], axes=1)
-    return plane @ np.linalg.inv(np.vander(DY / DY[-1], len(DY))).T
+def at_datum(design: Design, datum: float) -> Array:
+    """Polynomials (u, dx, 5) in dy over its farthest, highest power first, for a datum [m]."""
+    radii = data(design)
+    if not radii[0] <= datum <= radii[-1]:
+        raise ValueError(f"datum {datum} m lies outside the table, {radii[0]} to {radii[-1]} m")
+    cell, t = _cell(np.array(datum), radii[0], design.module * DATUM_STEP, len(DATUM))
+    plane = np.tensordot(_cubic(t)[0], table(design)[int(cell) - 1 : int(cell) + 3], axes=1)
+    return plane @ np.linalg.inv(np.vander(DY, len(DY))).T
 
 
 @dataclass(frozen=True)
@@ -169,21 +191,22 @@ class Clearance:
     by_dy: Array
 
 
-def interpolated(plane: Array, node: NDArray[np.intp], dx: Array, dy: Array) -> Clearance:
-    """Clearance at nodes of u (indices into NODES) and displacements [m], arrays of one shape."""
-    if max(np.abs(dx).max(), np.abs(dy).max()) > DY[-1]:
-        raise ValueError(
-            f"displacement of {max(np.abs(dx).max(), np.abs(dy).max())} m lies outside the table"
-        )
-    cell, t = _cell(dx, DX[0], DX_STEP, len(DX))
+def interpolated(
+    plane: Array, node: NDArray[np.intp], dx: Array, dy: Array, module: float = 1.0
+) -> Clearance:
+    """Clearance at nodes (their indices) and displacements [m], arrays of one shape."""
+    most, step, farthest = max(np.abs(dx).max(), np.abs(dy).max()), module * DX_STEP, module * FARTHEST
+    if most > farthest:
+        raise ValueError(f"displacement of {most} m lies outside the table")
+    cell, t = _cell(dx, step * DX[0], step, len(DX))
     weight, slope = _cubic(t)
-    y = dy / DY[-1]
+    y = dy / farthest
     out = np.zeros((3, *np.shape(dx)))
     for tap in range(4):
         c = plane[node, cell - 1 + tap]
         value = (((c[..., 0] * y + c[..., 1]) * y + c[..., 2]) * y + c[..., 3]) * y + c[..., 4]
         by_y = ((4 * c[..., 0] * y + 3 * c[..., 1]) * y + 2 * c[..., 2]) * y + c[..., 3]
         out[0] += weight[..., tap] * value
-        out[1] += slope[..., tap] * value / DX_STEP
-        out[2] += weight[..., tap] * by_y / DY[-1]
+        out[1] += slope[..., tap] * value / step
+        out[2] += weight[..., tap] * by_y / farthest
     return Clearance(*out)

@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from reference.polyline import DEFAULT, ring_radius
 
 from challenge.clearances import (
     NEVER,
-    NODES,
-    REACH,
-    SLOT_PITCH,
-    SLOTS,
     STEPS,
-    TEETH,
-    TOOTH_PITCH,
-    Array,
     Clearance,
     Pose,
     at_datum,
     ideal_pose,
     interpolated,
+    nodes,
+    reach,
     tip,
 )
+from challenge.design import Array, Design
 from challenge.truth import Base
 
 WIDEST = 5e-3  # [rad]; no pair with more clearance is ever loaded
@@ -32,13 +27,9 @@ _CHUNK = 1024  # samples balanced together: the arrays stay in the processor's c
 _FRACTIONS = np.arange(-1, STEPS + 2)  # nodes between two slots, with what a cubic needs beside them
 
 
-def _none(*shape: int) -> Array:
-    return np.zeros(shape)
-
-
 @dataclass(frozen=True)
 class Flaws:
-    """Departures of single teeth and slots from the ideal drive.
+    """Departures of single teeth and slots from the ideal drive; a number is one of all.
 
     Attributes
     ----------
@@ -48,13 +39,13 @@ class Flaws:
     tooth_along : displacement of every tooth (Z_R,) along the neutral curve, counter-clockwise [m]
     """
 
-    slot_out: Array = field(default_factory=lambda: _none(SLOTS))
-    slot_along: Array = field(default_factory=lambda: _none(SLOTS))
-    slot_wear: Array = field(default_factory=lambda: _none(2, SLOTS))
-    tooth_wear: Array = field(default_factory=lambda: _none(2, TEETH))
-    slot_softness: Array = field(default_factory=lambda: _none(SLOTS))
-    tooth_softness: Array = field(default_factory=lambda: _none(TEETH))
-    tooth_along: Array = field(default_factory=lambda: _none(TEETH))
+    slot_out: Array | float = 0.0
+    slot_along: Array | float = 0.0
+    slot_wear: Array | float = 0.0
+    tooth_wear: Array | float = 0.0
+    slot_softness: Array | float = 0.0
+    tooth_softness: Array | float = 0.0
+    tooth_along: Array | float = 0.0
 
     def __add__(self, other: Flaws) -> Flaws:
         return Flaws(**{name: value + getattr(other, name) for name, value in vars(self).items()})
@@ -62,16 +53,26 @@ class Flaws:
     @property
     def of_teeth(self) -> bool:
         """Whether a tooth of the flexspline differs from the others."""
-        return bool(self.tooth_wear.any() or self.tooth_softness.any() or self.tooth_along.any())
+        return any(np.any(each) for each in (self.tooth_wear, self.tooth_softness, self.tooth_along))
+
+    def of(self, design: Design) -> Flaws:
+        """The same for each tooth and slot of a design."""
+        shapes = {"slot": (design.slots,), "tooth": (design.teeth,)}
+        full = {
+            name: np.broadcast_to(value, (2,) * name.endswith("wear") + shapes[name.split("_")[0]])
+            for name, value in vars(self).items()
+        }
+        return Flaws(**full)
 
 
-def _closed_by_moving_along(pose: Pose, node: NDArray[np.intp], found: Clearance) -> Array:
+def _closed_by_moving_along(design: Design, pose: Pose, node: NDArray[np.intp], found: Clearance) -> Array:
     """Rotation [rad/m] by which a + flank closes when its tooth moves along the neutral curve.
 
     A tooth that moves along leans with the curve: it turns about the axis, and is carried back to the curve.
     """
     direction = np.unwrap(np.arctan2(pose.axis[1], pose.axis[0]))
-    lean = (np.gradient(direction, TOOTH_PITCH / STEPS) + TEETH / SLOTS) / ring_radius(DEFAULT)
+    turn = np.gradient(direction, design.tooth_pitch / STEPS) + design.teeth / design.slots
+    lean = turn / design.ring_radius
     x = pose.along[0] + lean * pose.origin[1]
     y = pose.along[1] - lean * pose.origin[0]
     return np.asarray(lean[node] - found.by_dx * x[node] - found.by_dy * y[node], dtype=np.float64)
@@ -85,53 +86,58 @@ class Gear:
     """
 
     def __init__(self, base: Base, flaws: Flaws | None = None) -> None:
-        self.base, self.flaws = base, flaws or Flaws()
-        place = np.arange(-REACH, REACH + 1)
+        self.base, self.design = base, base.design
+        self.flaws = (flaws or Flaws()).of(base.design)
+        place = np.arange(-reach(self.design), reach(self.design) + 1)
         lobe, place, flank = (g.ravel() for g in np.meshgrid([0, 1], place, [1, -1], indexing="ij"))
         self._tabulate(lobe, place, flank)
 
     def _tabulate(self, lobe: Array, place: Array, flank: Array) -> None:
-        slot = np.arange(SLOTS)[:, None, None] + place + lobe * (SLOTS // 2)
+        slot = np.arange(self.design.slots)[:, None, None] + place + lobe * (self.design.slots // 2)
         node = place * STEPS - _FRACTIONS[:, None]
-        dx, dy = self._displacement(slot % SLOTS, lobe, node)
+        dx, dy = self._displacement(slot % self.design.slots, lobe, node)
         node, dx, dy = np.broadcast_arrays(node, dx, dy)
-        mirrored = node * flank - NODES[0]
-        found = interpolated(at_datum(self.base.datum), mirrored, dx, dy * flank)
-        pose = ideal_pose(NODES * TOOTH_PITCH / STEPS)
+        mirrored = node * flank - nodes(self.design)[0]
+        plane = at_datum(self.design, self.base.datum)
+        found = interpolated(plane, mirrored, dx, dy * flank, self.design.module)
+        pose = ideal_pose(self.design)
         arm = 1 / np.hypot(found.by_dx, found.by_dy)
         side = (flank < 0).astype(int)
-        worn = self.flaws.slot_wear[side, slot % SLOTS] / arm
+        worn = self.flaws.slot_wear[side, slot % self.design.slots] / arm
         near = (found.rotation + worn).min(axis=(0, 1)) < WIDEST
         self.lobe, self.place, self.flank = lobe[near], place[near], flank[near]
         self._rotation = (found.rotation + worn)[..., near]
         self._arm = arm[..., near]
-        self._along = _closed_by_moving_along(pose, mirrored, found)[..., near]
+        self._along = _closed_by_moving_along(self.design, pose, mirrored, found)[..., near]
         placed = Pose(pose.origin[:, mirrored], pose.axis[:, mirrored])
         # How far a tooth's tip lies beyond the slot's [m]; without overlap a pair cannot touch.
-        self._reach = (tip(placed, dx, dy * flank) - DEFAULT.circular_spline_tip_radius)[..., near]
+        beyond = tip(self.design, placed, dx, dy * flank) - self.design.shape.circular_spline_tip_radius
+        self._reach = beyond[..., near]
 
     def _displacement(self, slot: NDArray[np.intp], lobe: Array, node: Array) -> tuple[Array, Array]:
         """Translation of the tooth in its slot's frame [m] that errors of assembly and the slot's give."""
-        b, axis = self.base, slot * SLOT_PITCH
-        ahead = -node / STEPS * SLOT_PITCH + np.pi * lobe + b.runout_psi  # runout seen from the slot
+        b, axis = self.base, slot * self.design.slot_pitch
+        ahead = (
+            -node / STEPS * self.design.slot_pitch + np.pi * lobe + b.runout_psi
+        )  # runout seen from the slot
         dx = b.e * np.cos(b.psi - axis) + b.runout * np.cos(ahead) - self.flaws.slot_out[slot]
         dy = b.e * np.sin(b.psi - axis) + b.runout * np.sin(ahead) - self.flaws.slot_along[slot]
         return dx, dy
 
     def clearance(self, wave_generator_angle: Array) -> tuple[Array, Array]:
         """Clearance [rad] and stiffness about the axis [N m/rad], both (n, pairs), at angles (n,) [rad]."""
-        turns = wave_generator_angle / SLOT_PITCH
+        turns = wave_generator_angle / self.design.slot_pitch
         whole = np.floor(turns).astype(int)
         position = (turns - whole) * STEPS
         cell = np.clip(np.floor(position).astype(int), 0, STEPS - 1)
         t = position - cell
-        row = whole % SLOTS
+        row = whole % self.design.slots
         b = sum(w[:, None] * self._rotation[row, cell + i] for i, w in enumerate(_weights(t)))
         arm = self._linear(self._arm, row, cell, t)
         b = np.where(self._linear(self._reach, row, cell, t) > 0, b, NEVER)
-        softness = self.flaws.slot_softness[(whole[:, None] + self._slot) % SLOTS]
+        softness = self.flaws.slot_softness[(whole[:, None] + self._slot) % self.design.slots]
         if self.flaws.of_teeth:
-            tooth = (whole[:, None] + self._slot - self.lobe) % TEETH
+            tooth = (whole[:, None] + self._slot - self.lobe) % self.design.teeth
             along = self._linear(self._along, row, cell, t)
             b -= self.flank * self.flaws.tooth_along[tooth] * along
             b += self.flaws.tooth_wear[(self.flank < 0).astype(int), tooth] / arm
@@ -140,7 +146,7 @@ class Gear:
 
     @property
     def _slot(self) -> Array:
-        return self.place + self.lobe * (SLOTS // 2)
+        return self.place + self.lobe * (self.design.slots // 2)
 
     @staticmethod
     def _linear(table: Array, row: Array, cell: Array, t: Array) -> Array:

@@ -9,7 +9,10 @@ import numpy as np
 
 from challenge import mechanics
 from challenge.cause import Cause, Scene
-from challenge.clearances import Array
+from challenge.design import Array
+from challenge.truth import ARCSEC
+
+COMPLIANCE = 4 * ARCSEC  # [rad/(N m)], mean of teeth and cup
 
 
 @dataclass(frozen=True)
@@ -106,7 +109,10 @@ class Hysteresis(Cause):
 
 @dataclass(frozen=True)
 class CoulombWindup(Cause):
-    """A seal's dry friction winds up the output [rad], more so when slow (Stribeck share, speed [rad/s])."""
+    """A seal's dry friction winds up the output [rad], more so when slow (Stribeck share, speed [rad/s]).
+
+    It acts as the torque that does so at the drive's mean compliance.
+    """
 
     amplitude: float
     stribeck: float = 0.0
@@ -114,10 +120,10 @@ class CoulombWindup(Cause):
     name = "coulomb_windup"
     size = "amplitude"
 
-    def added(self, scene: Scene) -> Array:
+    def load(self, scene: Scene) -> Array:
         bristle = mechanics.rubbing(scene.motor, scene.time, presliding=2e-3, relaxation=0.02)
         slow = 1 + self.stribeck * np.exp(-((scene.speed / self.stribeck_speed) ** 2))
-        return -self.amplitude * slow * bristle
+        return self.amplitude / COMPLIANCE * slow * bristle
 
 
 @dataclass(frozen=True)
@@ -128,8 +134,8 @@ class ViscousWindup(Cause):
     name = "viscous_windup"
     size = "slope"
 
-    def added(self, scene: Scene) -> Array:
-        return -self.slope * scene.speed
+    def load(self, scene: Scene) -> Array:
+        return self.slope / COMPLIANCE * scene.speed
 
 
 @dataclass(frozen=True)

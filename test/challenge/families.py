@@ -1,4 +1,4 @@
-"""Families of records, each a function of a seed.
+"""Families of records, each a row of a table: motion x causes x sensors x drive, drawn from a seed.
 
 Seeds of DEVELOPMENT may be looked at while the method is made; those of FINAL are for the last count only.
 A family draws amplitudes from the range of the field, and never below three times the least findable size.
@@ -6,199 +6,32 @@ A family draws amplitudes from the range of the field, and never below three tim
 
 from __future__ import annotations
 
+import dataclasses
 import functools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from challenge import drive_causes as drive
-from challenge import mesh_causes as mesh
+from challenge import findability
 from challenge import motion as motions
-from challenge import sensor_causes as sensor
 from challenge.cause import Cause
+from challenge.design import OTHERS, SIZE_25, Design
+from challenge.faults import COMBINED, FAULTS, NAMED, TIMES_LEAST, UNKNOWN, Draw, Fault, sized
+from challenge.faults import draw as draw
+from challenge.mechanisms import MECHANISMS, NEED_NO_NAME, OPTIONAL, UNNAMED, motor_current
 from challenge.motion import Motion
+from challenge.moves import point_to_point
 from challenge.noise import FAMILIES as NOISES
 from challenge.records import PLAIN, Record, Recording, simulate
-from challenge.truth import ARCSEC, RATIO, drawn
-from challenge.unknown_causes import Unknown
+from challenge.truth import Base, drawn, faultless
 
 DEVELOPMENT = range(0, 1_000_000)
 FINAL = range(1_000_000_000, 1_001_000_000)
 
-Build = Callable[[np.random.Generator, float, Motion], Cause]
-Draw = np.random.Generator
-
-UM = 1e-6  # [m]
-FULL_SPEED = 120.0  # [rad/s], of the input
-TIMES_LEAST = 3.0
-
-
-@dataclass(frozen=True)
-class Fault:
-    """How a cause is drawn: from an amplitude, its range in the field, and the least that can be found."""
-
-    build: Build
-    low: float
-    high: float
-    unit: str
-    least: float = 0.0  # by bench/findable.py, on a standard record
-
-
-def _phase(rng: Draw) -> float:
-    return float(rng.uniform(-np.pi, np.pi))
-
-
-def _bearing(rng: Draw, a: float, _: Motion) -> Cause:
-    part = str(rng.choice(["cage", "outer", "inner"]))
-    cage = rng.uniform(0.41, 0.47)
-    return drive.BearingPassage(a * ARCSEC, _phase(rng), cage, part, seed=int(rng.integers(1 << 31)))
-
-
-def _coupling(rng: Draw, a: float, _: Motion) -> Cause:
-    bend = np.sqrt(4 * RATIO * a * ARCSEC)
-    return drive.CouplingMisalignment(bend, _phase(rng), 2 * RATIO * rng.uniform(0, 0.3) * a * ARCSEC)
-
-
-def _damage(rng: Draw, a: float, _: Motion) -> Cause:
-    member, count = [("circular_spline", 202), ("flexspline", 200)][rng.integers(2)]
-    return mesh.ToothDamage(a * UM, int(rng.integers(count)), member)
-
-
-def _hardening(rng: Draw, a: float, _: Motion) -> Cause:
-    sign = rng.choice([-1, 1])
-    return drive.TorsionalHardening(sign * a * ARCSEC, sign * rng.uniform(0, 0.5) * a * ARCSEC)
-
-
-def _form(rng: Draw, a: float, _: Motion) -> Cause:
-    return mesh.CircularSplineForm(a * UM, _phase(rng), int(rng.choice([4, 6])), float(rng.integers(2)))
-
-
-def _hysteresis(rng: Draw, a: float, _: Motion) -> Cause:
-    torques = tuple(sorted(rng.uniform(2, 20, rng.integers(1, 4)).tolist()))
-    return drive.Hysteresis(a * ARCSEC, torques, float(rng.choice([-1, 1])))
-
-
-def _skip(rng: Draw, _a: float, motion: Motion) -> Cause:
-    time = motion.times()
-    torque = motion.torque(time)
-    worst = int(np.argmax(np.abs(torque)))
-    return mesh.ToothSkip(float(time[worst]), -float(np.sign(torque[worst])))
-
-
-def _resonance(rng: Draw, a: float, _: Motion) -> Cause:
-    order = int(rng.choice([1, 2]))
-    return drive.Resonance(
-        order * rng.uniform(5, 16), rng.uniform(0.04, 0.12), a * ARCSEC, order, _phase(rng)
-    )
-
-
-def _interpolation(rng: Draw, a: float, _: Motion) -> Cause:
-    lines = int(rng.choice([8, 12, 16, 20, 24, 32]))
-    return sensor.EncoderInterpolation(lines * RATIO * a * ARCSEC, _phase(rng), lines)
-
-
-def _order(rng: Draw) -> int:
-    return int(rng.choice([2, 2, 2, 4]))
-
-
-def _unknown(name: str) -> Build:
-    return lambda rng, a, motion: Unknown(name, a * ARCSEC, _phase(rng))
-
-
-def _sector(rng: Draw, a: float, motion: Motion) -> Cause:
-    time = motion.times()
-    place = motion.angle(rng.choice(time, 1))[0] / RATIO  # where the output has been
-    return Unknown("encoder_sector", a * ARCSEC, float(place))
-
-
-def _sign(rng: Draw) -> float:
-    return float(rng.choice([-1, 1]))
-
-
-# Resonance, which the gear's own ripple excites, ramps and steps have no least size: the range is enough.
-FAULTS: dict[str, Fault] = {
-    "output_runout": Fault(lambda r, a, m: sensor.OutputRunout(a * ARCSEC, _phase(r)), 2, 40, "arcsec", 0.98),
-    "output_encoder_eccentricity": Fault(
-        lambda r, a, m: sensor.OutputEncoderEccentricity(a * ARCSEC, _phase(r)), 2, 60, "arcsec", 0.95
-    ),
-    "circular_spline_form": Fault(_form, 1, 8, "um", 0.5),
-    "coupling_misalignment": Fault(_coupling, 0.5, 2, "arcsec", 0.36),
-    "bearing_passage": Fault(_bearing, 0.3, 4, "arcsec", 0.35),
-    "circular_spline_pitch": Fault(
-        lambda r, a, m: mesh.CircularSplinePitch(a * UM, _phase(r), _order(r)), 0.3, 4, "um", 0.11
-    ),
-    "flexspline_pitch": Fault(
-        lambda r, a, m: mesh.FlexsplinePitch(a * UM, _phase(r), _order(r)), 0.3, 4, "um", 0.11
-    ),
-    "tooth_damage": Fault(_damage, 5, 30, "um", 5),
-    "wear_backlash": Fault(lambda r, a, m: mesh.WearBacklash(a * UM), 0.5, 4, "um", 0.78),
-    "torsional_hardening": Fault(_hardening, 0.1, 0.8, "arcsec/(N m)", 0.19),
-    "hysteresis": Fault(_hysteresis, 5, 60, "arcsec", 0.9),
-    "coulomb_windup": Fault(
-        lambda r, a, m: drive.CoulombWindup(a * ARCSEC, r.choice([0, 0.4])), 1, 15, "arcsec", 0.65
-    ),
-    "viscous_windup": Fault(
-        lambda r, a, m: drive.ViscousWindup(a * ARCSEC / FULL_SPEED), 1, 15, "arcsec at 120 rad/s", 1.3
-    ),
-    "input_encoder_eccentricity": Fault(
-        lambda r, a, m: sensor.InputEncoderEccentricity(RATIO * a * ARCSEC, _phase(r)),
-        0.4,
-        30,
-        "arcsec",
-        0.38,
-    ),
-    "encoder_interpolation": Fault(_interpolation, 0.3, 5, "arcsec", 0.35),
-    "stream_delay": Fault(lambda r, a, m: sensor.StreamDelay(a * 1e-6), 5, 10_000, "us", 5.3),
-    "thermal_drift": Fault(
-        lambda r, a, m: drive.ThermalDrift(_sign(r) * a * ARCSEC), 0.1, 3, "arcsec/K", 0.33
-    ),
-    "ratio_error": Fault(lambda r, a, m: sensor.RatioError(_sign(r) * a), 1e-4, 0.05, "-"),
-    "tooth_skip": Fault(_skip, 1, 1, "teeth"),
-    "resonance": Fault(_resonance, 0.5, 4, "arcsec"),
-    "torque_offset": Fault(lambda r, a, m: sensor.TorqueOffset(_sign(r) * a), 0.3, 3, "N m", 0.19),
-}
-UNKNOWN: dict[str, Fault] = {
-    "strange_order": Fault(_unknown("strange_order"), 1, 4, "arcsec", 0.36),
-    "one_sided_ripple": Fault(_unknown("one_sided_ripple"), 1, 4, "arcsec", 0.37),
-    "cogging": Fault(_unknown("cogging"), 1, 4, "arcsec", 0.34),
-    "belt_creep": Fault(_unknown("belt_creep"), 8, 30, "arcsec per 1000 rad at 50 N m", 2.6),
-    "encoder_sector": Fault(_sector, 16, 50, "arcsec", 5.2),
-    "unbalance": Fault(_unknown("unbalance"), 1.5, 5, "arcsec at 60 rad/s", 0.2),
-    "floor_vibration": Fault(_unknown("floor_vibration"), 1, 4, "arcsec", 0.35),
-    "even_torque": Fault(_unknown("even_torque"), 3, 15, "arcsec at 50 N m", 1),
-    "output_order": Fault(_unknown("output_order"), 4, 15, "arcsec", 1.3),
-    "loose_hub": Fault(_unknown("loose_hub"), 3, 15, "arcsec", 0.82),
-}
-
-# Worth no line of its own: a parameter of the drive does the same.
-NAMED = tuple(name for name in FAULTS if name != "wear_backlash")
-# Found before anything is fitted: ramp and step.
-COMBINED = tuple(name for name in NAMED if name not in ("ratio_error", "tooth_skip"))
+Names = Callable[[Draw, int], list[str]]
 SAME_CLASS = ({"output_runout", "output_encoder_eccentricity"},)
-
-
-@dataclass(frozen=True)
-class Poor:
-    """A motion or recording that cannot show some causes."""
-
-    motion: Callable[[Draw], Motion]
-    hidden: tuple[str, ...]
-    recording: Recording = PLAIN
-
-
-POOR = {
-    "short": Poor(  # four seconds, a few turns of the input
-        motions.short, ("output_runout", "flexspline_pitch", "thermal_drift", "bearing_passage", "resonance")
-    ),
-    "one_direction": Poor(motions.one_direction, ("coulomb_windup",)),
-    "one_speed": Poor(motions.one_speed, ("viscous_windup", "stream_delay", "resonance")),
-    "unloaded": Poor(motions.unloaded, ("torsional_hardening", "hysteresis", "torque_offset")),
-    "constant_torque": Poor(motions.constant_torque, ("torsional_hardening", "hysteresis")),
-    "torque_unmeasured": Poor(  # it acts, but is not reported
-        motions.standard, ("torsional_hardening", "hysteresis", "torque_offset"), Recording(torque=False)
-    ),
-}
 
 
 def generator(family: str, seed: int) -> np.random.Generator:
@@ -208,70 +41,203 @@ def generator(family: str, seed: int) -> np.random.Generator:
     return np.random.default_rng([*family.encode(), seed])
 
 
-def draw(rng: Draw, name: str, motion: Motion) -> Cause:
-    """Cause of a name, at least three times as large as can be found on a standard record."""
-    fault = FAULTS.get(name) or UNKNOWN[name]
-    low = max(fault.low, TIMES_LEAST * fault.least)
-    # Evenly in the logarithm: sizes of the field are small more often than large.
-    amplitude = float(np.exp(rng.uniform(np.log(low), np.log(max(low * 1.0001, fault.high)))))
-    return fault.build(rng, amplitude, motion)
+# Causes ---
 
 
-def _record(
-    rng: Draw, names: Sequence[str], motion: Motion | None = None, recording: Recording = PLAIN
-) -> Record:
-    motion = motion or motions.standard(rng)
-    found = [draw(rng, name, motion) for name in names]
-    return simulate(drawn(rng), found, motion, rng, recording)
+def none(_rng: Draw, _seed: int) -> list[str]:
+    """Nothing."""
+    return []
 
 
-def wrong_parameters(seed: int) -> Record:
-    """Nothing but wrong parameters; noise families by turns."""
-    rng = generator("wrong_parameters", seed)
-    return _record(rng, (), recording=Recording(noise=list(NOISES)[seed % len(NOISES)]))
+def by_turns(names: Sequence[str]) -> Names:
+    """One cause, by turns."""
+    return lambda _rng, seed: [names[seed % len(names)]]
 
 
-def one_effect(seed: int) -> Record:
-    """One cause of the catalogue, by turns."""
-    return _record(generator("one_effect", seed), [NAMED[seed % len(NAMED)]])
+def several(count: int, names: Sequence[str]) -> Names:
+    """Causes that can be told apart."""
+
+    def chosen(rng: Draw, _seed: int) -> list[str]:
+        found: list[str] = []
+        while len(found) < count:
+            new = str(rng.choice(names))
+            clash = any(new in group and group & set(found) for group in SAME_CLASS)
+            if new not in found and not clash:
+                found.append(new)
+        return found
+
+    return chosen
 
 
-def several(count: int, family: str, seed: int) -> Record:
-    """Causes of the catalogue that can be told apart."""
-    rng = generator(family, seed)
-    names: list[str] = []
-    while len(names) < count:
-        new = str(rng.choice(COMBINED))
-        clash = any(new in group and group & set(names) for group in SAME_CLASS)
-        if new not in names and not clash:
-            names.append(new)
-    return _record(rng, names)
+def sometimes(names: Sequence[str]) -> Names:
+    """With an odd seed one cause of some."""
+    return lambda rng, seed: [str(rng.choice(list(names)))] if seed % 2 else []
 
 
-def unknown(seed: int) -> Record:
-    """One cause that no catalogue has, by turns."""
-    return _record(generator("unknown", seed), [list(UNKNOWN)[seed % len(UNKNOWN)]])
+# Sensors ---
 
 
-def poor(family: str, seed: int) -> Record:
-    """Poor motion; with an odd seed a cause that this motion cannot show."""
-    rng, kind = generator(family, seed), POOR[family]
-    names = [str(rng.choice(kind.hidden))] if seed % 2 else []
-    return _record(rng, names, kind.motion(rng), kind.recording)
+def plain(_rng: Draw, _seed: int) -> Recording:
+    """Encoders with the noise of a test bench."""
+    return PLAIN
 
 
-def degraded(seed: int) -> Record:
-    """One cause, with dropouts of 5 %, outliers of 1 % and uneven sampling."""
-    rough = Recording(dropouts=0.05, outliers=0.01, jitter=0.3e-3)
-    return _record(generator("degraded", seed), [NAMED[seed % len(NAMED)]], recording=rough)
+def noises_by_turns(_rng: Draw, seed: int) -> Recording:
+    """Noise families by turns."""
+    return Recording(noise=list(NOISES)[seed % len(NOISES)])
 
 
-FAMILIES: dict[str, Callable[[int], Record]] = {
-    "wrong_parameters": wrong_parameters,
-    "one_effect": one_effect,
-    "pair": functools.partial(several, 2, "pair"),
-    "triple": functools.partial(several, 3, "triple"),
-    "unknown": unknown,
-    **{family: functools.partial(poor, family) for family in POOR},
-    "degraded": degraded,
+def of_a_robot(rng: Draw, _seed: int) -> Recording:
+    """Encoders that count, quieter than a bench's; one recording, or several with offsets of their own."""
+    return Recording(
+        noise=str(rng.choice(list(NOISES))),
+        noise_scale=rng.uniform(0.2, 0.8),
+        torque_noise=rng.uniform(0.05, 0.4),
+        input_bits=int(rng.integers(12, 18)),
+        output_bits=int(rng.choice([17, 18, 19, 19, 19])),
+        jitter=float(rng.choice([0.0, 0.1e-3])),
+        parts=int(rng.choice([1, 1, 3])),
+        offset_spread=3e-4,
+    )
+
+
+def of_a_motor(rng: Draw, seed: int) -> Recording:
+    """The same with amperes for torque."""
+    return dataclasses.replace(of_a_robot(rng, seed), torque_constant=rng.uniform(4, 15))
+
+
+def of_any_quality(rng: Draw, seed: int) -> Recording:
+    """The same, with torque noise of up to 1 N m."""
+    return dataclasses.replace(of_a_robot(rng, seed), torque_noise=rng.uniform(0, 1), parts=1)
+
+
+# Motion ---
+
+Motions = Callable[[Draw, Design], Motion]
+
+
+def on_a_bench(make: Callable[[Draw], Motion]) -> Motions:
+    """Motion of a size 25 on a test bench."""
+    return lambda rng, _design: make(rng)
+
+
+_STANDARD = on_a_bench(motions.standard)
+
+
+def moves(rng: Draw, design: Design) -> Motion:
+    """Two minutes of a robot."""
+    return point_to_point(rng, design=design)
+
+
+def _of_any_length(rng: Draw, _design: Design) -> Motion:
+    duration = float(np.exp(rng.uniform(np.log(2), np.log(120))))
+    if rng.random() < 0.5:
+        return point_to_point(rng, duration)
+    whole = motions.standard(rng)
+    share = duration / 120
+    runs = tuple(dataclasses.replace(run, duration=max(10 * share, 2.0)) for run in whole.runs)
+    return Motion(runs[: max(round(duration / runs[0].duration), 1)])
+
+
+# Families ---
+
+
+@dataclass(frozen=True)
+class Family:
+    """A row: what a record is drawn from.
+
+    ``excused``: causes that the motion was said not to show need no name; ``findable``: causes are
+    enlarged to three times what can be found in the record itself, or replaced.
+    """
+
+    names: Names = none
+    motion: Motions = _STANDARD
+    recording: Callable[[Draw, int], Recording] = plain
+    faults: dict[str, Fault] = dataclasses.field(default_factory=lambda: FAULTS | UNKNOWN)
+    base: Callable[[Draw, Design], Base] = drawn
+    designs: tuple[Design, ...] = (SIZE_25,)
+    excused: bool = False
+    findable: bool = False
+
+
+def _poor(motion: Callable[[Draw], Motion], names: Sequence[str], recording: Recording = PLAIN) -> Family:
+    """A motion or recording that cannot show some causes."""
+    return Family(sometimes(names), on_a_bench(motion), lambda _rng, _seed: recording, excused=True)
+
+
+POOR = {
+    "short": _poor(  # four seconds, a few turns of the input
+        motions.short, ("output_runout", "flexspline_pitch", "thermal_drift", "bearing_passage", "resonance")
+    ),
+    "one_direction": _poor(motions.one_direction, ("coulomb_windup",)),
+    "one_speed": _poor(motions.one_speed, ("viscous_windup", "stream_delay", "resonance")),
+    "unloaded": _poor(motions.unloaded, ("torsional_hardening", "hysteresis", "torque_offset")),
+    "constant_torque": _poor(motions.constant_torque, ("torsional_hardening", "hysteresis")),
+    "torque_unmeasured": _poor(  # it acts, but is not reported
+        motions.standard, ("torsional_hardening", "hysteresis", "torque_offset"), Recording(torque=False)
+    ),
 }
+_ROUGH = Recording(dropouts=0.05, outliers=0.01, jitter=0.3e-3)
+_BENCH = functools.partial(Family, faults=MECHANISMS, findable=True)
+_ROBOT = functools.partial(_BENCH, motion=moves, recording=of_a_robot)
+
+FAMILIES: dict[str, Family] = {
+    "wrong_parameters": Family(recording=noises_by_turns),
+    "one_effect": Family(by_turns(NAMED)),
+    "pair": Family(several(2, COMBINED)),
+    "triple": Family(several(3, COMBINED)),
+    "unknown": Family(by_turns(list(UNKNOWN))),
+    **POOR,
+    "degraded": Family(by_turns(NAMED), recording=lambda _rng, _seed: _ROUGH),
+    "faultless": Family(motion=_of_any_length, recording=of_any_quality, base=faultless),
+    "robot_none": _ROBOT(sometimes(list(OPTIONAL)), faults=OPTIONAL, findable=False),
+    "robot_single": _ROBOT(by_turns(list(MECHANISMS))),
+    "robot_pair": _ROBOT(several(2, list(MECHANISMS))),
+    "robot_gears": _ROBOT(by_turns(list(MECHANISMS)), designs=OTHERS),
+    "robot_current": _ROBOT(by_turns(list(MECHANISMS)), recording=of_a_motor),
+    "robot_lines": _ROBOT(by_turns(list(UNNAMED)), faults=UNNAMED),
+    "bench_single": _BENCH(by_turns(list(MECHANISMS))),
+    "bench_pair": _BENCH(several(2, list(MECHANISMS))),
+}
+
+
+def made(family: str, seed: int) -> Record:
+    """The record of a family and seed."""
+    row, rng = FAMILIES[family], generator(family, seed)
+    design = row.designs[seed % len(row.designs)]
+    names = row.names(rng, seed)
+    motion = row.motion(rng, design)
+    found = [sized(rng, row.faults[name], motion) for name in names]
+    base = row.base(rng, design)
+    recording = row.recording(rng, seed)
+    if row.findable:
+        found = _enlarged(rng, row.faults, found, base, motion, recording)
+    causes = [cause for cause, _ in found]
+    if recording.torque_constant:
+        causes.append(motor_current(rng, recording.torque_constant, design))
+    return simulate(base, causes, motion, rng, recording, NEED_NO_NAME)
+
+
+def _enlarged(
+    rng: Draw,
+    faults: dict[str, Fault],
+    found: list[tuple[Cause, float]],
+    base: Base,
+    motion: Motion,
+    recording: Recording,
+) -> list[tuple[Cause, float]]:
+    """Causes three times as large as this record can show; what the field has not so large is replaced."""
+    untried = [name for name in rng.permutation(list(faults)) if name not in {c.name for c, _ in found}]
+    columns = findability.columns(base, motion, recording) if found else None
+    while untried:
+        causes = [cause for cause, _ in found]
+        shares = findability.shares(base, causes, motion, recording, columns)
+        if min(shares, default=math.inf) >= TIMES_LEAST:
+            break
+        for i, ((cause, room), share) in enumerate(zip(found, shares, strict=True)):
+            factor = 1.05 * TIMES_LEAST / share
+            if 1.0 < factor <= room:
+                found[i] = cause.scaled(factor), room / factor
+            elif factor > room:
+                found[i] = sized(rng, faults[untried.pop()], motion)
+    return found

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.signal import cont2discrete, lfilter
 
-from challenge.clearances import Array
+from challenge.design import Array
 
 
 def universal_joint(angle: Array, bend: float, direction: float) -> Array:
@@ -93,3 +95,60 @@ def beyond_spring(error: Array, step: float, frequency: float, damping: float) -
 def warming(time: Array, ambient: float, rise: float, constant: float) -> Array:
     """Temperature [°C] of a first-order body that starts at ambient and is heated evenly."""
     return np.asarray(ambient + rise * -np.expm1(-time / constant), dtype=np.float64)
+
+
+def elasto_plastic(angle: Array, presliding: float, stick: float) -> Array:
+    """State (n,) in −1..1 of a bristle that bends elastically before it slips, and stays bent at rest.
+
+    Dupont, Hayward, Armstrong, Altpeter, IEEE Trans. Automatic Control 47(5), 2002, eq. 5-9: up to ``stick``
+    of its last state it does not slip at all. Bent by a way of presliding [rad].
+    """
+    z, out = 0.0, np.empty_like(angle)
+    for n, way in enumerate((np.diff(angle, prepend=angle[0]) / presliding).tolist()):
+        if abs(way) > 8:
+            z = np.sign(way)
+        else:
+            steps = int(4 * abs(way)) + 1
+            for _ in range(steps):
+                z += way / steps * (1 - _slipping(z, way, stick) * abs(z))
+        out[n] = z
+    return out
+
+
+def _slipping(z: float, way: float, stick: float) -> float:
+    if z * way <= 0 or abs(z) <= stick:
+        return 0.0
+    return 0.5 + 0.5 * math.sin(math.pi * (min(abs(z), 1.0) - (1 + stick) / 2) / (1 - stick))
+
+
+def bouc_wen(torque: Array, reach: float, sharpness: float) -> Array:
+    """State (n,) in −1..1 of Bouc and Wen's smooth hysteresis: dz = dT/r (1 − |z|^n) as T goes on, dT/r back.
+
+    Wen, J. Eng. Mech. Div. ASCE 102(2), 1976, with beta = gamma = 1/2.
+    """
+    z, out = 0.0, np.empty_like(torque)
+    for n, way in enumerate((np.diff(torque, prepend=torque[0]) / reach).tolist()):
+        steps = int(4 * abs(way)) + 1
+        for _ in range(steps):
+            z += way / steps * (1 - (abs(z) ** sharpness if z * way > 0 else 0.0))
+            z = min(max(z, -1.0), 1.0)
+        out[n] = z
+    return out
+
+
+def slipping_elements(torque: Array, reaches: Array, weights: Array) -> Array:
+    """Sum (n,) of weights times states −1..1 of many elements that slip after reaches [N m].
+
+    Generalised Maxwell slip: Al-Bender, Lampaert, Swevers, IEEE Trans. Automatic Control 50(11), 2005.
+    """
+    z, out = np.zeros(len(reaches)), np.empty_like(torque)
+    for n, change in enumerate(np.diff(torque, prepend=torque[0]).tolist()):
+        z = np.minimum(np.maximum(z + change / reaches, -1.0), 1.0)
+        out[n] = weights @ z
+    return out
+
+
+def lagging(values: Array, time: Array, constant: float) -> Array:
+    """First-order lag (n,) of values by a time constant [s], settled at the start."""
+    keep = np.exp(-float(np.median(np.diff(time))) / constant)
+    return np.asarray(lfilter([1 - keep], [1, -keep], values - values[0]) + values[0], dtype=np.float64)

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from reference import polyline
 
 from challenge.cause import Cause, Scene
-from challenge.clearances import SLOT_PITCH, SLOTS, TEETH, TOOTH_PITCH, Array
 from challenge.contact import Flaws
+from challenge.design import Array, Design
 
-RING_RADIUS = polyline.ring_radius()  # [m], of the undeformed neutral circle
-PITCH_POINT = 0.6193e-3  # [m] above the neutral layer, t + hf of the paper's Table 1
+PITCH_POINT = 0.6193e-3  # [m] above the neutral layer, t + hf of the paper's Table 1; with the module
 
 
 @dataclass(frozen=True)
@@ -25,8 +23,8 @@ class CircularSplinePitch(Cause):
     name = "circular_spline_pitch"
     size = "amplitude"
 
-    def flaws(self) -> Flaws:
-        angle = np.arange(SLOTS) * SLOT_PITCH
+    def flaws(self, design: Design) -> Flaws:
+        angle = np.arange(design.slots) * design.slot_pitch
         return Flaws(slot_along=self.amplitude * np.cos(self.order * angle - self.phase))
 
 
@@ -40,9 +38,10 @@ class FlexsplinePitch(Cause):
     name = "flexspline_pitch"
     size = "amplitude"
 
-    def flaws(self) -> Flaws:
-        angle = np.arange(TEETH) * TOOTH_PITCH
-        neutral = RING_RADIUS / (RING_RADIUS + PITCH_POINT) * self.amplitude
+    def flaws(self, design: Design) -> Flaws:
+        angle = np.arange(design.teeth) * design.tooth_pitch
+        radius = design.ring_radius
+        neutral = radius / (radius + PITCH_POINT * design.module) * self.amplitude
         return Flaws(tooth_along=neutral * np.cos(self.order * angle - self.phase))
 
 
@@ -61,8 +60,8 @@ class CircularSplineForm(Cause):
     name = "circular_spline_form"
     size = "amplitude"
 
-    def flaws(self) -> Flaws:
-        wave = self.order * np.arange(SLOTS) * SLOT_PITCH - self.phase
+    def flaws(self, design: Design) -> Flaws:
+        wave = self.order * np.arange(design.slots) * design.slot_pitch - self.phase
         along = -self.bent * self.amplitude / self.order * np.sin(wave)
         return Flaws(slot_out=self.amplitude * np.cos(wave), slot_along=along)
 
@@ -78,9 +77,9 @@ class ToothDamage(Cause):
     name = "tooth_damage"
     size = "depth"
 
-    def flaws(self) -> Flaws:
-        kind, count = ("slot", SLOTS) if self.member == "circular_spline" else ("tooth", TEETH)
-        here = np.arange(count) == self.index
+    def flaws(self, design: Design) -> Flaws:
+        kind, count = ("tooth", design.teeth) if self.member == "flexspline" else ("slot", design.slots)
+        here = np.arange(count) == self.index % count
         return Flaws(
             **{f"{kind}_wear": np.tile(self.depth * here, (2, 1)), f"{kind}_softness": self.softness * here}
         )
@@ -94,8 +93,8 @@ class WearBacklash(Cause):
     name = "wear_backlash"
     size = "thickness"
 
-    def flaws(self) -> Flaws:
-        return Flaws(tooth_wear=np.full((2, TEETH), self.thickness))
+    def flaws(self, design: Design) -> Flaws:
+        return Flaws(tooth_wear=self.thickness)
 
 
 @dataclass(frozen=True)
@@ -108,4 +107,4 @@ class ToothSkip(Cause):
     size = "sign"
 
     def added(self, scene: Scene) -> Array:
-        return self.sign * TOOTH_PITCH * (scene.time >= self.time)
+        return self.sign * scene.design.tooth_pitch * (scene.time >= self.time)

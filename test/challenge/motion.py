@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from challenge.clearances import Array
+from challenge.design import SIZE_25, Array, Design
 
 REST = 0.15  # [s] at rest where a run begins and ends
 RAMP = 0.6  # [s] from rest to full speed
@@ -63,6 +64,7 @@ class Motion:
 
     runs: tuple[Run, ...]
     start_angle: float = 0.0
+    design: ClassVar[Design] = SIZE_25
 
     @property
     def starts(self) -> Array:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.signal import lfilter
 
-from challenge.clearances import Array
+from challenge.design import Array
 from challenge.truth import ARCSEC
 
 DRIFTING, POLE, WHITE = 2.5 * ARCSEC, 0.97, 2.0 * ARCSEC  # rms [rad], AR(1) coefficient, rms [rad]
@@ -66,3 +66,9 @@ def jittered(rng: np.random.Generator, time: Array, spread: float = 0.3e-3) -> A
     """Moments [s] at which samples are really taken: unevenly, in order."""
     step = np.median(np.diff(time))
     return np.asarray(time + np.clip(spread * rng.standard_normal(len(time)), -0.4 * step, 0.4 * step))
+
+
+def counted(angle: Array, bits: int) -> Array:
+    """Angles [rad] in steps of an encoder of 2**bits counts a turn; 0 bits: as they are."""
+    step = 2 * np.pi / 2**bits
+    return step * np.rint(angle / step) if bits else angle

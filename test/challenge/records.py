@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,11 @@ from rosbags.typesys import Stores, get_typestore
 
 from challenge import mechanics, noise
 from challenge.cause import Cause, Scene
-from challenge.clearances import Array
 from challenge.contact import Flaws, Gear
+from challenge.design import Array
 from challenge.motion import Motion
-from challenge.truth import NOMINAL, RATIO, Base
+from challenge.noise import TORQUE_NOISE
+from challenge.truth import Base
 
 JOINT = "joint_1"
 EPOCH = 1_760_000_000  # [s], of the first stamp in a bag
@@ -37,9 +38,10 @@ class Record:
     torque : as reported [N m], or None where nothing measures it
     temperature : as reported [°C], straight between readings of 1 Hz, or None
     runs : index of the first sample of every run
-    clean_output : output angle without noise and outliers [rad]
-    configured : parameters of the drive as the user believes it to be
-    truth : base, effects (sizes), hidden (catalogue names), unknown, noise_rms [rad], recording
+    part : index of the recording that each sample comes from
+    clean_output : output angle that goes with the reported input, without noise and outliers [rad]
+    truth : base, effects (sizes), hidden (catalogue names), optional (names that are true, but that need not
+        be found), unknown, noise_rms [rad], recording
     base, causes, motion : what it was made from
     """
 
@@ -49,19 +51,30 @@ class Record:
     torque: Array | None
     temperature: Array | None
     runs: NDArray[np.intp]
+    part: NDArray[np.intp]
     clean_output: Array
     truth: dict[str, Any]
     base: Base
     causes: tuple[Cause, ...]
     motion: Motion
-    configured: dict[str, float] = field(default_factory=NOMINAL.as_dict)
 
 
 @dataclass(frozen=True)
 class Recording:
-    """How a record is taken: noise family, shares lost and wild, uneven sampling, sensors present."""
+    """How a record is taken: noise family and its size, shares lost and wild, uneven sampling, sensors.
+
+    Encoders count in steps of a turn over 2 to the power of their bits; 0: they do not count. A record of
+    several ``parts`` has an encoder offset [rad] of each, by chance.
+    """
 
     noise: str = "autoregressive"
+    noise_scale: float = 1.0
+    torque_constant: float = 0.0  # [N m/A] as the user believes, where amperes stand for torque
+    torque_noise: float = TORQUE_NOISE  # [N m]
+    input_bits: int = 0
+    output_bits: int = 0
+    parts: int = 1
+    offset_spread: float = 0.0  # [rad]
     dropouts: float = 0.0
     outliers: float = 0.0
     jitter: float = 0.0  # [s]
@@ -79,13 +92,27 @@ PLAIN = Recording()
 def scene(motion: Motion, time: Array) -> Scene:
     """What the drive does at moments [s], in order."""
     warm = mechanics.warming(time, AMBIENT, RISE, HEATING)
-    return Scene(time, motion.angle(time), motion.speed(time), motion.torque(time), warm, motion.run_of(time))
+    return Scene(
+        time,
+        motion.angle(time),
+        motion.speed(time),
+        motion.torque(time),
+        warm,
+        motion.run_of(time),
+        motion.design,
+    )
+
+
+def borne(causes: Sequence[Cause], seen: Scene) -> Scene:
+    """The same with the torque that the mesh bears: the link's and friction before the torque sensor."""
+    torque = np.asarray(seen.torque + sum(cause.load(seen) for cause in causes), dtype=np.float64)
+    return dataclasses.replace(seen, torque=torque)
 
 
 def gear(base: Base, causes: Sequence[Cause]) -> Gear:
     """Clearances of a drive with the flaws of all causes."""
     flaws = Flaws()
-    for each in (cause.flaws() for cause in causes):
+    for each in (cause.flaws(base.design) for cause in causes):
         flaws = flaws if each is None else flaws + each
     return Gear(base, flaws)
 
@@ -112,6 +139,7 @@ def output(base: Base, causes: Sequence[Cause], seen: Scene) -> Array:
     for cause in causes:
         shaft = cause.shaft(shaft)
     flawed = tuple(cause for cause in causes if type(cause).flaws is not Cause.flaws)
+    seen = borne(causes, seen)
     mesh, torsion = _torsion(base, flawed, shaft.tobytes(), seen.torque.tobytes())
     error = torsion - base.cup * seen.torque + base.offset
     for cause in causes:
@@ -119,7 +147,7 @@ def output(base: Base, causes: Sequence[Cause], seen: Scene) -> Array:
     if any(type(cause).carried is not Cause.carried for cause in causes):
         ripple = torsion - mean_torsion(mesh, -seen.torque)
         error = error + sum(cause.carried(seen, ripple) for cause in causes)
-    angle = shaft / RATIO + error
+    angle = shaft / base.design.ratio + error
     for cause in causes:
         angle = cause.output_reading(angle)
     return np.asarray(angle, dtype=np.float64)
@@ -131,7 +159,7 @@ def transmission_error(base: Base, causes: Sequence[Cause], motion: Motion, time
     reported = motion.angle(time)
     for cause in causes:
         reported = cause.input_reading(reported)
-    return output(base, causes, scene(motion, time - late)) - reported / RATIO
+    return output(base, causes, scene(motion, time - late)) - reported / base.design.ratio
 
 
 def contribution(base: Base, causes: Sequence[Cause], cause: Cause, motion: Motion, time: Array) -> Array:
@@ -141,7 +169,7 @@ def contribution(base: Base, causes: Sequence[Cause], cause: Cause, motion: Moti
     if type(cause).torque_reading is Cause.torque_reading:
         without = transmission_error(base, others, motion, time)
     else:
-        believed = dataclasses.replace(seen, torque=cause.torque_reading(seen.torque))
+        believed = dataclasses.replace(seen, torque=cause.torque_reading(seen.torque, seen))
         without = transmission_error(base, others, motion, time) + (
             output(base, others, believed) - output(base, others, seen)
         )
@@ -160,38 +188,51 @@ def simulate(
     motion: Motion,
     rng: np.random.Generator,
     recording: Recording = PLAIN,
+    optional: Sequence[str] = (),
 ) -> Record:
-    """Record of a drive with faults, as its sensors report it."""
+    """Record of a drive with faults, as its sensors report it; optional names need not be found."""
     time = motion.times(recording.rate)
     if recording.jitter:
         time = noise.jittered(rng, time, recording.jitter)
     error = transmission_error(base, causes, motion, time)
     angle, torque = motion.angle(time), motion.torque(time)
+    happens = borne(causes, scene(motion, time))
     for cause in causes:
-        angle, torque = cause.input_reading(angle), cause.torque_reading(torque)
-    clean = angle / RATIO + error
-    disturbance = noise.FAMILIES[recording.noise](rng, len(time))
-    torque = torque + noise.TORQUE_NOISE * rng.standard_normal(len(time))
+        angle, torque = cause.input_reading(angle), cause.torque_reading(torque, happens)
+    part = np.arange(len(time)) * recording.parts // len(time)
+    if recording.parts > 1:
+        error = error + (recording.offset_spread * rng.standard_normal(recording.parts))[part]
+    clean = angle / base.design.ratio + error
+    disturbance = recording.noise_scale * noise.FAMILIES[recording.noise](rng, len(time))
+    torque = torque + recording.torque_noise / (recording.torque_constant or 1.0) * rng.standard_normal(
+        len(time)
+    )
     wild = noise.outliers(rng, len(time), recording.outliers)
     keep = noise.kept(rng, len(time), recording.dropouts)
     readings = np.arange(np.floor(time[-1]) + 1)
     degrees = mechanics.warming(readings, AMBIENT, RISE, HEATING) + 0.01 * rng.standard_normal(len(readings))
     run = motion.run_of(time[keep])
+    reported = noise.counted(clean + disturbance + wild, recording.output_bits)
+    counted = noise.counted(angle, recording.input_bits)
+    clean = clean + (counted - angle) / base.design.ratio  # the input's steps are noise like the output's
     truth = {
         "base": base.as_dict(),
         "effects": {cause.name: cause.as_dict() for cause in causes},
-        "hidden": [cause.name for cause in causes if cause.known],
+        "hidden": [cause.name for cause in causes if cause.known and cause.name not in optional],
+        "optional": [cause.name for cause in causes if cause.name in optional]
+        + ["torque_gain"] * bool(recording.torque_constant),
         "unknown": [cause.name for cause in causes if not cause.known],
-        "noise_rms": float(disturbance.std()),
+        "noise_rms": float((reported - clean - wild).std()),
         "recording": vars(recording),
     }
     return Record(
         time=time[keep],
-        input_angle=angle[keep],
-        output_angle=(clean + disturbance + wild)[keep],
+        input_angle=counted[keep],
+        output_angle=reported[keep],
         torque=torque[keep] if recording.torque else None,
         temperature=np.interp(time, readings, degrees)[keep] if recording.temperature else None,
         runs=np.flatnonzero(np.diff(run, prepend=-1)),
+        part=part[keep],
         clean_output=clean[keep],
         truth=truth,
         base=base,

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 
-from challenge.cause import Cause
-from challenge.clearances import Array
+from challenge.cause import Cause, Scene
+from challenge.design import Array
 
 
 def off_centre(angle: Array, eccentricity: float, direction: float) -> Array:
@@ -35,11 +36,19 @@ def swung_arm(angle: Array, offset: float, direction: float) -> Array:
 
 @dataclass(frozen=True)
 class Offset(Cause):
-    """Something off the shaft that it should be on, by an offset as a fraction of the reading's radius."""
+    """Something off the shaft that it should be on, by an offset as a fraction of the reading's radius.
+
+    ``second`` is a second harmonic (of a disc that is tilted or oval, too) as a share of the first.
+    """
 
     offset: float
     direction: float
+    second: float = 0.0
+    second_phase: float = 0.0
     size = "offset"
+
+    def _doubled(self, angle: Array) -> Array:
+        return self.offset * self.second * np.cos(2 * angle - self.second_phase)
 
 
 class OutputRunout(Offset):
@@ -57,7 +66,7 @@ class OutputEncoderEccentricity(Offset):
     name = "output_encoder_eccentricity"
 
     def output_reading(self, angle: Array) -> Array:
-        return off_centre(angle, self.offset, self.direction)
+        return off_centre(angle, self.offset, self.direction) + self._doubled(angle)
 
 
 class InputEncoderEccentricity(Offset):
@@ -66,7 +75,7 @@ class InputEncoderEccentricity(Offset):
     name = "input_encoder_eccentricity"
 
     def input_reading(self, angle: Array) -> Array:
-        return off_centre(angle, self.offset, self.direction)
+        return off_centre(angle, self.offset, self.direction) + self._doubled(angle)
 
 
 @dataclass(frozen=True)
@@ -81,6 +90,24 @@ class EncoderInterpolation(Cause):
 
     def input_reading(self, angle: Array) -> Array:
         return quadrature(angle, self.lines, self.offset, self.phase)
+
+
+@dataclass(frozen=True)
+class OutputEncoderInterpolation(Cause):
+    """Quadrature signals of the output encoder with an offset and unequal gains (fractions of a track)."""
+
+    offset: float
+    phase: float
+    lines: int
+    gain: float = 0.0
+    name = "output_encoder_interpolation"
+    size = "offset"
+
+    def output_reading(self, angle: Array) -> Array:
+        return quadrature(angle, self.lines, self.offset, self.phase, self.gain)
+
+    def scaled(self, factor: float) -> Cause:
+        return dataclasses.replace(self, offset=self.offset * factor, gain=self.gain * factor)
 
 
 @dataclass(frozen=True)
@@ -116,5 +143,67 @@ class TorqueOffset(Cause):
     name = "torque_offset"
     size = "torque"
 
-    def torque_reading(self, torque: Array) -> Array:
+    def torque_reading(self, torque: Array, scene: Scene) -> Array:
         return torque - self.torque
+
+
+@dataclass(frozen=True)
+class TorqueGain(Cause):
+    """The torque sensor reports the true torque times a factor."""
+
+    gain: float
+    name = "torque_gain"
+    size = "gain"
+
+    def torque_reading(self, torque: Array, scene: Scene) -> Array:
+        return torque * self.gain
+
+
+@dataclass(frozen=True)
+class MotorCurrent(Cause):
+    """Amperes for torque: the motor moves itself, the wave generator's friction and the load that reaches it.
+
+    ``constant`` [N m/A] at the output; friction [N m], and as a share of the load; viscous [N m] at 1 rad/s
+    of the output, to the power 0.8; inertia of the motor seen from the output [kg m²].
+    """
+
+    constant: float
+    friction: float
+    loaded: float
+    viscous: float
+    inertia: float
+    name = "motor_current"
+    size = "friction"
+
+    def torque_reading(self, torque: Array, scene: Scene) -> Array:
+        speed, ratio = scene.speed / scene.design.ratio, scene.design.ratio
+        rubbing = (self.friction + self.loaded * np.abs(scene.torque)) * np.tanh(speed / 5e-3)
+        drag = self.viscous * np.abs(speed) ** 0.8 * np.sign(speed)
+        needed = scene.torque + rubbing + drag + self.inertia * scene.acceleration / ratio
+        return np.asarray(needed / self.constant)
+
+
+@dataclass(frozen=True)
+class TorqueSensorRipple(Cause):
+    """Strain gauges on the flexspline read the wave generator: a share of the torque, and a part [N m].
+
+    Twice a turn, and less at 1 and 4 (shares of that at 2); Taghirad, Belanger, IEEE Trans. Robotics and
+    Automation 15(1), 1999, found 2 and its multiples.
+    """
+
+    share: float
+    constant: float
+    phases: tuple[float, float, float, float]
+    once: float = 0.0
+    fourfold: float = 0.0
+    name = "torque_sensor_ripple"
+    size = "share"
+
+    def torque_reading(self, torque: Array, scene: Scene) -> Array:
+        wave = np.cos(2 * scene.motor - self.phases[0])
+        wave = wave + self.once * np.cos(scene.motor - self.phases[1])
+        wave = wave + self.fourfold * np.cos(4 * scene.motor - self.phases[2])
+        return torque * (1 + self.share * wave) + self.constant * np.cos(2 * scene.motor - self.phases[3])
+
+    def scaled(self, factor: float) -> Cause:
+        return dataclasses.replace(self, share=self.share * factor, constant=self.constant * factor)

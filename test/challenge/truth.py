@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from challenge.design import CUP_SPREAD, SIZE_25, Design
+
 ARCSEC = np.pi / 180 / 3600  # [rad]
-RATIO = 100.0
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,7 @@ class Base:
     compliance : of one tooth pair [m/N]
     cup : torsion of the cup beyond the teeth's [rad/(N m)]
     offset : constant added to the output angle [rad]
+    design : the drive as its maker means it
     """
 
     e: float = 0.0
@@ -33,24 +35,43 @@ class Base:
     compliance: float = 1e-6
     cup: float = 0.0
     offset: float = 0.0
+    design: Design = SIZE_25
 
     def as_dict(self) -> dict[str, float]:
         """All parameters by name [SI]."""
-        return dataclasses.asdict(self)
+        return {name: value for name, value in vars(self).items() if name != "design"}
 
 
-NOMINAL = Base()
-
-
-def drawn(rng: np.random.Generator) -> Base:
-    """Draw a drive as it may come from assembly: every parameter off, in the ranges of size 25."""
+def as_configured(design: Design) -> Base:
+    """The drive of a design without faults."""
+    shape = design.shape
     return Base(
-        e=rng.uniform(0, 25e-6),
-        psi=rng.uniform(-np.pi, np.pi),
-        runout=rng.uniform(0, 6e-6),
-        runout_psi=rng.uniform(-np.pi, np.pi),
-        datum=rng.uniform(29.862e-3, 29.884e-3),
-        compliance=rng.uniform(0.8e-6, 1.2e-6),
-        cup=rng.uniform(0, 5e-6),
-        offset=rng.uniform(-5e-4, 5e-4),
+        datum=shape.circular_spline_datum, compliance=shape.tooth_compliance, cup=design.cup, design=design
     )
+
+
+NOMINAL = as_configured(SIZE_25)
+
+
+def drawn(rng: np.random.Generator, design: Design = SIZE_25) -> Base:
+    """Draw a drive as it may come from assembly: every parameter off, in ranges that go with the size."""
+    meant, k = as_configured(design), design.module
+    return Base(
+        e=rng.uniform(0, 25e-6) * k,
+        psi=rng.uniform(-np.pi, np.pi),
+        runout=rng.uniform(0, 6e-6) * k,
+        runout_psi=rng.uniform(-np.pi, np.pi),
+        datum=meant.datum + rng.uniform(-6e-6, 16e-6) * k,
+        compliance=meant.compliance * rng.uniform(0.8, 1.2),
+        cup=meant.cup + rng.uniform(0, CUP_SPREAD) / design.strength,
+        offset=rng.uniform(-5e-4, 5e-4),
+        design=design,
+    )
+
+
+def faultless(rng: np.random.Generator, design: Design = SIZE_25) -> Base:
+    """Draw a drive without eccentricity: as configured, or with other dimensions and stiffness."""
+    whole = drawn(rng, design)
+    if rng.random() < 0.5:
+        return dataclasses.replace(whole, e=0.0, runout=0.0)
+    return dataclasses.replace(as_configured(design), offset=whole.offset)

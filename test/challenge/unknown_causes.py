@@ -9,7 +9,7 @@ import numpy as np
 from scipy.stats import norm
 
 from challenge.cause import Cause, Scene
-from challenge.clearances import Array
+from challenge.design import Array
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,22 @@ SHAPES: dict[str, Shape] = {
     # A hub that settles anew, by chance, whenever the drive rests.
     "loose_hub": Shape(_settled, frame="run"),
 }
+
+
+@dataclass(frozen=True)
+class OutputLines(Cause):
+    """Lines at odd numbers per output turn [rad], as of the rollers of an output bearing."""
+
+    orders: tuple[int, ...]
+    amplitude: float
+    phase: float
+    name = "output_lines"
+    size = "amplitude"
+    known = False
+
+    def added(self, scene: Scene) -> Array:
+        waves = (np.cos(order * (scene.output - self.phase)) for order in self.orders)
+        return self.amplitude * np.asarray(sum(waves))
 
 
 @dataclass(frozen=True)

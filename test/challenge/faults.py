@@ -1,0 +1,184 @@
+"""Faults by name: how each is drawn, from an amplitude in the range of the field."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from challenge import drive_causes as drive
+from challenge import mesh_causes as mesh
+from challenge import sensor_causes as sensor
+from challenge.cause import Cause
+from challenge.motion import Motion
+from challenge.truth import ARCSEC
+from challenge.unknown_causes import Unknown
+
+Build = Callable[[np.random.Generator, float, Motion], Cause]
+Draw = np.random.Generator
+
+UM = 1e-6  # [m]
+FULL_SPEED = 120.0  # [rad/s], of the input
+TIMES_LEAST = 3.0
+
+
+@dataclass(frozen=True)
+class Fault:
+    """How a cause is drawn: from an amplitude, its range in the field, and the least that can be found."""
+
+    build: Build
+    low: float
+    high: float
+    unit: str
+    least: float = 0.0  # by bench/findable.py, on a standard record
+
+
+def _phase(rng: Draw) -> float:
+    return float(rng.uniform(-np.pi, np.pi))
+
+
+def _bearing(rng: Draw, a: float, _: Motion) -> Cause:
+    part = str(rng.choice(["cage", "outer", "inner"]))
+    cage = rng.uniform(0.41, 0.47)
+    return drive.BearingPassage(a * ARCSEC, _phase(rng), cage, part, seed=int(rng.integers(1 << 31)))
+
+
+def _coupling(rng: Draw, a: float, m: Motion) -> Cause:
+    bend = np.sqrt(4 * m.design.ratio * a * ARCSEC)
+    return drive.CouplingMisalignment(
+        bend, _phase(rng), 2 * m.design.ratio * rng.uniform(0, 0.3) * a * ARCSEC
+    )
+
+
+def _damage(rng: Draw, a: float, _: Motion) -> Cause:
+    member, count = [("circular_spline", 202), ("flexspline", 200)][rng.integers(2)]
+    return mesh.ToothDamage(a * UM, int(rng.integers(count)), member)
+
+
+def _hardening(rng: Draw, a: float, _: Motion) -> Cause:
+    sign = rng.choice([-1, 1])
+    return drive.TorsionalHardening(sign * a * ARCSEC, sign * rng.uniform(0, 0.5) * a * ARCSEC)
+
+
+def _form(rng: Draw, a: float, _: Motion) -> Cause:
+    return mesh.CircularSplineForm(a * UM, _phase(rng), int(rng.choice([4, 6])), float(rng.integers(2)))
+
+
+def _hysteresis(rng: Draw, a: float, _: Motion) -> Cause:
+    torques = tuple(sorted(rng.uniform(2, 20, rng.integers(1, 4)).tolist()))
+    return drive.Hysteresis(a * ARCSEC, torques, float(rng.choice([-1, 1])))
+
+
+def _skip(rng: Draw, _a: float, motion: Motion) -> Cause:
+    time = motion.times()
+    torque = motion.torque(time)
+    worst = int(np.argmax(np.abs(torque)))
+    return mesh.ToothSkip(float(time[worst]), -float(np.sign(torque[worst])))
+
+
+def _resonance(rng: Draw, a: float, _: Motion) -> Cause:
+    order = int(rng.choice([1, 2]))
+    return drive.Resonance(
+        order * rng.uniform(5, 16), rng.uniform(0.04, 0.12), a * ARCSEC, order, _phase(rng)
+    )
+
+
+def _interpolation(rng: Draw, a: float, m: Motion) -> Cause:
+    lines = int(rng.choice([8, 12, 16, 20, 24, 32]))
+    return sensor.EncoderInterpolation(lines * m.design.ratio * a * ARCSEC, _phase(rng), lines)
+
+
+def _order(rng: Draw) -> int:
+    return int(rng.choice([2, 2, 2, 4]))
+
+
+def _unknown(name: str) -> Build:
+    return lambda rng, a, motion: Unknown(name, a * ARCSEC, _phase(rng))
+
+
+def _sector(rng: Draw, a: float, motion: Motion) -> Cause:
+    time = motion.times()
+    place = motion.angle(rng.choice(time, 1))[0] / motion.design.ratio  # where the output has been
+    return Unknown("encoder_sector", a * ARCSEC, float(place))
+
+
+def _sign(rng: Draw) -> float:
+    return float(rng.choice([-1, 1]))
+
+
+# Resonance, which the gear's own ripple excites, ramps and steps have no least size: the range is enough.
+FAULTS: dict[str, Fault] = {
+    "output_runout": Fault(lambda r, a, m: sensor.OutputRunout(a * ARCSEC, _phase(r)), 2, 40, "arcsec", 0.98),
+    "output_encoder_eccentricity": Fault(
+        lambda r, a, m: sensor.OutputEncoderEccentricity(a * ARCSEC, _phase(r)), 2, 60, "arcsec", 0.95
+    ),
+    "circular_spline_form": Fault(_form, 1, 8, "um", 0.5),
+    "coupling_misalignment": Fault(_coupling, 0.5, 2, "arcsec", 0.36),
+    "bearing_passage": Fault(_bearing, 0.3, 4, "arcsec", 0.35),
+    "circular_spline_pitch": Fault(
+        lambda r, a, m: mesh.CircularSplinePitch(a * UM, _phase(r), _order(r)), 0.3, 4, "um", 0.11
+    ),
+    "flexspline_pitch": Fault(
+        lambda r, a, m: mesh.FlexsplinePitch(a * UM, _phase(r), _order(r)), 0.3, 4, "um", 0.11
+    ),
+    "tooth_damage": Fault(_damage, 5, 30, "um", 5),
+    "wear_backlash": Fault(lambda r, a, m: mesh.WearBacklash(a * UM), 0.5, 4, "um", 0.78),
+    "torsional_hardening": Fault(_hardening, 0.1, 0.8, "arcsec/(N m)", 0.19),
+    "hysteresis": Fault(_hysteresis, 5, 60, "arcsec", 0.9),
+    "coulomb_windup": Fault(
+        lambda r, a, m: drive.CoulombWindup(a * ARCSEC, r.choice([0, 0.4])), 1, 15, "arcsec", 0.65
+    ),
+    "viscous_windup": Fault(
+        lambda r, a, m: drive.ViscousWindup(a * ARCSEC / FULL_SPEED), 1, 15, "arcsec at 120 rad/s", 1.3
+    ),
+    "input_encoder_eccentricity": Fault(
+        lambda r, a, m: sensor.InputEncoderEccentricity(m.design.ratio * a * ARCSEC, _phase(r)),
+        0.4,
+        30,
+        "arcsec",
+        0.38,
+    ),
+    "encoder_interpolation": Fault(_interpolation, 0.3, 5, "arcsec", 0.35),
+    "stream_delay": Fault(lambda r, a, m: sensor.StreamDelay(a * 1e-6), 5, 10_000, "us", 5.3),
+    "thermal_drift": Fault(
+        lambda r, a, m: drive.ThermalDrift(_sign(r) * a * ARCSEC), 0.1, 3, "arcsec/K", 0.33
+    ),
+    "ratio_error": Fault(lambda r, a, m: sensor.RatioError(_sign(r) * a), 1e-4, 0.05, "-"),
+    "tooth_skip": Fault(_skip, 1, 1, "teeth"),
+    "resonance": Fault(_resonance, 0.5, 4, "arcsec"),
+    "torque_offset": Fault(lambda r, a, m: sensor.TorqueOffset(_sign(r) * a), 0.3, 3, "N m", 0.19),
+}
+UNKNOWN: dict[str, Fault] = {
+    "strange_order": Fault(_unknown("strange_order"), 1, 4, "arcsec", 0.36),
+    "one_sided_ripple": Fault(_unknown("one_sided_ripple"), 1, 4, "arcsec", 0.37),
+    "cogging": Fault(_unknown("cogging"), 1, 4, "arcsec", 0.34),
+    "belt_creep": Fault(_unknown("belt_creep"), 8, 30, "arcsec per 1000 rad at 50 N m", 2.6),
+    "encoder_sector": Fault(_sector, 16, 50, "arcsec", 5.2),
+    "unbalance": Fault(_unknown("unbalance"), 1.5, 5, "arcsec at 60 rad/s", 0.2),
+    "floor_vibration": Fault(_unknown("floor_vibration"), 1, 4, "arcsec", 0.35),
+    "even_torque": Fault(_unknown("even_torque"), 3, 15, "arcsec at 50 N m", 1),
+    "output_order": Fault(_unknown("output_order"), 4, 15, "arcsec", 1.3),
+    "loose_hub": Fault(_unknown("loose_hub"), 3, 15, "arcsec", 0.82),
+}
+
+# Worth no line of its own: a parameter of the drive does the same.
+NAMED = tuple(name for name in FAULTS if name != "wear_backlash")
+# Found before anything is fitted: ramp and step.
+COMBINED = tuple(name for name in NAMED if name not in ("ratio_error", "tooth_skip"))
+SAME_CLASS = ({"output_runout", "output_encoder_eccentricity"},)
+
+
+def draw(rng: Draw, name: str, motion: Motion) -> Cause:
+    """Cause of a name, at least three times as large as can be found on a standard record."""
+    return sized(rng, FAULTS.get(name) or UNKNOWN[name], motion)[0]
+
+
+def sized(rng: Draw, fault: Fault, motion: Motion) -> tuple[Cause, float]:
+    """The same of a kind, and by what factor the field may have it larger."""
+    scale = motion.design.scale(fault.unit)
+    low = scale * max(fault.low, TIMES_LEAST * fault.least)
+    high = max(low * 1.0001, scale * fault.high)
+    # Evenly in the logarithm: sizes of the field are small more often than large.
+    amplitude = float(np.exp(rng.uniform(np.log(low), np.log(high))))
+    return fault.build(rng, amplitude, motion), high / amplitude

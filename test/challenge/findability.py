@@ -1,0 +1,77 @@
+"""What of a cause a record can show: its part that no parameter of the drive, and no other cause, does."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from challenge import noise
+from challenge.cause import Cause
+from challenge.design import Array, Design
+from challenge.motion import Motion
+from challenge.records import Recording, contribution, gear
+from challenge.truth import ARCSEC, Base
+
+SNR = 7.6  # sqrt of 58: chi-square with 2 degrees of freedom at 1e-6 is 28; 99 % power doubles it
+WORTH_NAMING = 0.25 * ARCSEC  # [rad] rms
+TORQUE_AS_ANGLE = 5 * ARCSEC  # [rad/(N m)], of torque noise
+_ROWS = 3000
+_STEPS = {"e": 0.3e-6, "psi": 0.02, "runout": 0.3e-6, "runout_psi": 0.05, "datum": 0.3e-6}
+
+
+def jacobian(base: Base, motion: Motion, time: Array) -> Array:
+    """Columns (n, k): what each parameter of the drive, a little off, adds to the error [rad]."""
+    angle, torque = -motion.angle(time), -motion.torque(time)
+    mesh = gear(base, ())
+    here = mesh.torsion(angle, torque)
+    softer = copy.copy(mesh)  # the clearances are the same
+    softer.base = dataclasses.replace(base, compliance=1.01 * base.compliance)
+    moved = [dataclasses.replace(base, **{name: getattr(base, name) + step}) for name, step in _STEPS.items()]
+    drives = [softer, *(gear(each, ()) for each in moved)]
+    columns = [drive.torsion(angle, torque) - here for drive in drives]
+    return np.stack([*columns, torque, np.ones(len(time))], axis=1)
+
+
+def own(signal: Array, columns: Array) -> Array:
+    """What is left of a signal (n,) beside columns (n, k)."""
+    scale = np.linalg.norm(columns, axis=0)
+    return np.asarray(signal - columns / scale @ np.linalg.lstsq(columns / scale, signal, rcond=None)[0])
+
+
+def least(recording: Recording, count: int, design: Design) -> float:
+    """Rms [rad] that is found in so many samples whatever its frequency: noise as of the slowest."""
+    slow = noise.DRIFTING**2 * (1 + noise.POLE) / (1 - noise.POLE)
+    power = recording.noise_scale**2 * (slow + noise.WHITE**2)
+    power += (recording.torque_noise * TORQUE_AS_ANGLE / design.strength) ** 2
+    for bits, turns in ((recording.input_bits, design.ratio), (recording.output_bits, 1.0)):
+        power += (2 * np.pi / 2**bits / turns) ** 2 / 12 if bits else 0.0
+    return float(max(SNR * np.sqrt(power / count), WORTH_NAMING))
+
+
+def _rows(time: Array) -> slice:
+    return slice(None, None, max(len(time) // _ROWS, 1))
+
+
+def columns(base: Base, motion: Motion, recording: Recording) -> Array:
+    """Columns (n, k) of what the drive's parameters and the offset of each recording do."""
+    time = motion.times(recording.rate)
+    part = (np.arange(len(time)) * recording.parts // len(time))[_rows(time)]
+    offsets = part[:, None] == np.arange(1, recording.parts)
+    return np.concatenate([jacobian(base, motion, time[_rows(time)]), offsets], axis=1)
+
+
+def shares(
+    base: Base, causes: Sequence[Cause], motion: Motion, recording: Recording, columns: Array
+) -> list[float]:
+    """Rms of each cause's part that is no column's and no other cause's, over the least that can be found."""
+    time = motion.times(recording.rate)
+    signals = [contribution(base, causes, cause, motion, time)[_rows(time)] for cause in causes]
+    found = []
+    for i, signal in enumerate(signals):
+        others = [column[:, None] for j, column in enumerate(signals) if j != i]
+        rest = own(signal, np.concatenate([columns, *others], axis=1))
+        found.append(float(rest.std()) / least(recording, len(time), base.design))
+    return found
