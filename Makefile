@@ -6,8 +6,8 @@ PYTHON ?=
 ARGS ?=
 PYTEST_ARGS ?=
 SELECTED = -m 'not slow'
-# Test processes at once: more than two cores, for tests of live nodes wait much of their time.
-JOBS = 3
+# Test processes at once.
+JOBS = 2
 SHELL = /bin/sh
 
 # The environments bring their own ROS; nothing of a sourced one may mix in.

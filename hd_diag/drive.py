@@ -32,6 +32,8 @@ class Drive:
         [N m], positive.
     cup_compliance : float
         c_cup, torsion of cup and output per torque beyond the teeth's [rad/(N m)], not negative.
+    accuracy : float
+        Transmission error that the catalogue allows, peak to peak [rad], positive: what counts as normal.
 
     Raises
     ------
@@ -43,6 +45,7 @@ class Drive:
     kinematics: Kinematics
     rated_torque: float
     cup_compliance: float = 0.0
+    accuracy: float = 4.3633e-4  # 1.5 arcmin
 
     def __post_init__(self) -> None:
         self.kinematics.check(self.mesh.geometry)
@@ -50,6 +53,8 @@ class Drive:
             raise ValueError(f"rated_torque must be positive, not {self.rated_torque} N m")
         if not 0.0 <= self.cup_compliance < np.inf:
             raise ValueError(f"cup_compliance must not be negative, not {self.cup_compliance} rad/(N m)")
+        if not 0.0 < self.accuracy < np.inf:
+            raise ValueError(f"accuracy must be positive, not {self.accuracy} rad")
 
     @cached_property
     def frame(self) -> Frame[float]:

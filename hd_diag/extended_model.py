@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -13,6 +13,7 @@ from hd_diag.drive import Drive, transmission_error
 from hd_diag.effects.contact_table import ContactTable
 from hd_diag.effects.contact_weights import ContactWeights, greatest_torque
 from hd_diag.effects.effect import Effect, Stage, Values
+from hd_diag.effects.mesh_torque import MeshTorque
 from hd_diag.effects.signals import Signals
 from hd_diag.effects.stages import seen_at
 from hd_diag.model.torsion_map import TorsionMap, build
@@ -127,31 +128,27 @@ class ExtendedModel:
                 part, state = self.step(state, *here, table)
                 parts.append(part)
             return np.concatenate(parts), state
-        own, step = transmission_error(self.drive, input_angle, torque, table), _change(time, state.time)
-
-        def rate(error: Floats) -> Floats:
-            return _rate(_change(error, state.predicted), step)
-
-        moved = _rate(_change(input_angle, state.angle), step)
-        turned = self.drive.frame.wave_generator_angle(input_angle)
-        signals = Signals(
-            time=time,
-            wave_generator_angle=turned,
-            output_angle=input_angle / self.drive.frame.ratio,
-            speed=moved if speed is None else np.where(np.isfinite(speed), speed, moved),
-            torque=torque,
-            temperature=temperature,
-            run=np.zeros(time.size, dtype=np.int64),
-            predicted=own,
-            predicted_torque_slope=np.full(torque.shape, np.nan),  # for fits only
-            predicted_rate=rate(own),
-            contact=ContactWeights(self.contact_table, turned, torque),
-        )
-        after, added = list(state.effects), list[tuple[Effect, Floats]]()
-        for index, term in sorted(enumerate(self.effects), key=lambda one: one[1].effect.stage):
-            seen = seen_at(term.effect.stage, signals, added, rate)
-            size = np.array(term.coefficients)
-            part, after[index] = term.effect.step(state.effects[index], seen, size, term.nonlinear)
+        signals = self._signals(state, time, input_angle, speed, torque, temperature)
+        step, after = _change(time, state.time), list(state.effects)
+        terms = sorted(enumerate(self.effects), key=lambda one: one[1].effect.stage)
+        mesh_torque = torque
+        for index, (effect, coefficients, nonlinear) in terms:
+            if isinstance(effect, MeshTorque):
+                columns, after[index] = effect.torque_step(state.effects[index], signals, nonlinear)
+                mesh_torque = mesh_torque + np.nan_to_num(columns @ np.array(coefficients))
+        own = transmission_error(self.drive, input_angle, mesh_torque, table)
+        rate = _rate(_change(own, state.predicted), step)
+        signals = replace(signals, predicted=own, predicted_rate=rate)
+        added: list[tuple[Effect, Floats]] = []
+        for index, term in terms:
+            if isinstance(term.effect, MeshTorque):
+                continue
+            seen = seen_at(
+                term.effect.stage, signals, added, lambda error: _rate(_change(error, state.predicted), step)
+            )
+            part, after[index] = term.effect.step(
+                state.effects[index], seen, np.array(term.coefficients), term.nonlinear
+            )
             added.append((term.effect, np.where(np.isfinite(part), part, 0.0)))
         before = [part for effect, part in added if effect.stage < Stage.STREAM]
         streamed = float(own[-1] + sum(part[-1] for part in before))
@@ -180,6 +177,34 @@ class ExtendedModel:
             return build(self.drive.mesh, TORQUE_RANGE * self.drive.rated_torque)
         except ValueError:
             return None
+
+    def _signals(
+        self,
+        state: State,
+        time: Floats,
+        angle: Floats,
+        speed: Floats | None,
+        torque: Floats,
+        temperature: Floats | None,
+    ) -> Signals:
+        """What the effects are computed from; the prediction follows."""
+        step = _change(time, state.time)
+        moved = _rate(_change(angle, state.angle), step)
+        frame = self.drive.frame
+        turned = frame.wave_generator_angle(angle)
+        return Signals(
+            time=time,
+            wave_generator_angle=turned,
+            output_angle=angle / frame.ratio,
+            speed=moved if speed is None else np.where(np.isfinite(speed), speed, moved),
+            torque=torque,
+            temperature=temperature,
+            run=np.zeros(time.size, dtype=np.int64),
+            predicted=np.full(torque.shape, np.nan),
+            predicted_torque_slope=np.full(torque.shape, np.nan),  # for fits only
+            predicted_rate=np.full(torque.shape, np.nan),
+            contact=ContactWeights(self.contact_table, turned, torque),
+        )
 
 
 def _change(values: Floats, before: float) -> Floats:

@@ -25,10 +25,12 @@ REFIT = {
 }
 VALUES = {
     "hysteresis": {
-        "first_amplitude": 5e-5,
-        "second_amplitude": 3e-5,
-        "first_reach": 2.0,
-        "second_reach": 9.0,
+        "bending_amplitude": 5e-5,
+        "slipping_amplitude": 3e-5,
+        "bending_reach": 2.0,
+        "sharpness": 1.5,
+        "slipping_reach": 9.0,
+        "spread": 1.5,
     },
     "stream_delay": {"delay": 3e-4},
     "resonance": {
@@ -44,12 +46,23 @@ VALUES = {
         "pitch_direction_2": 0.4,
         "pitch_4": 2e-7,
         "pitch_direction_4": 0.1,
+        "pitch_6": 1e-7,
+        "pitch_direction_6": 0.1,
+        "pitch_8": 1e-7,
+        "pitch_direction_8": 0.1,
     },
-    "viscous_windup": {"lag": 3e-7},
-    "thermal_drift": {"drift": 5e-6},
+    "viscous_windup": {"friction": 1.2, "exponent": 0.9},
+    "thermal_drift": {"drift": 5e-6, "lag": 20.0},
+    "coulomb_windup": {
+        "friction": 1.0,
+        "stribeck": 0.5,
+        "way": 0.2,
+        "creep_speed": 0.0,
+        "stribeck_speed": 4.0,
+    },
     "torque_offset": {"offset": 1.5},
 }
-STATEFUL = ("hysteresis", "stream_delay", "resonance")
+STATEFUL = ("hysteresis", "stream_delay", "resonance", "coulomb_windup", "thermal_drift")
 RANGES = Ranges(Range(-40.0, 45.0), Range(-90.0, 90.0), Range(20.0, 40.0))
 OFFSET = 2e-4  # [rad]
 

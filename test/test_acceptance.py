@@ -9,18 +9,34 @@ from joint_records import ARCSEC, NOISE, prepared
 
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.record import Record
-from hd_diag.diagnosis.search.acceptance import FAMILY_ERROR, LEAST_SIZE, held_out_gain, needed, passing, size
+from hd_diag.diagnosis.search.acceptance import (
+    FAMILY_ERROR,
+    LEAST_SIZE,
+    held_out_gain,
+    needed,
+    of_shapes,
+    passing,
+    size,
+)
 from hd_diag.diagnosis.search.ranking import ranked
 from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS
 from hd_diag.effects.signals import Signals
 from hd_diag.simulation import Motion, Noise, SimulatedJoint, simulate
 
 RUBBED, DRY = EFFECTS["hysteresis"], EFFECTS["coulomb_windup"]
-RUBBING = (RUBBED, (2.0, 9.0))
+RUBBING = (RUBBED, (9.0, 1.6, 2.0, 1.5))
 DRIFT, RESTS = (t for t in UNMODELLED_TERMS if t.name in ("drift", "rests"))
 
 
-FRICTION = of(RUBBED, first_amplitude=1e-4, second_amplitude=6e-5, first_reach=2.0, second_reach=9.0)
+FRICTION = of(
+    RUBBED,
+    bending_amplitude=1e-4,
+    slipping_amplitude=6e-5,
+    bending_reach=9.0,
+    sharpness=1.6,
+    slipping_reach=2.0,
+    spread=1.5,
+)
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +89,7 @@ def test_size_is_that_of_what_nothing_else_imitates(made: LinearisedFit) -> None
 
 
 def test_held_out_gain_is_of_the_effect_s_own_columns(made: LinearisedFit) -> None:
-    chosen = ((DRY, (0.6,)), RUBBING)
+    chosen = ((DRY, (0.2, 0.0, 0.5, 5.0)), RUBBING)
     gain, predicted = held_out_gain(made, chosen, 1)
     without = made.design(chosen[:1]).held_out().sum() - made.design(chosen).held_out().sum()
     assert gain.sum() == pytest.approx(without, rel=1e-9)
@@ -82,14 +98,16 @@ def test_held_out_gain_is_of_the_effect_s_own_columns(made: LinearisedFit) -> No
 
 
 def test_idle_effects_are_dropped_and_needed_ones_kept(made: LinearisedFit, plain: LinearisedFit) -> None:
-    assert needed(made, ((DRY, (0.6,)), RUBBING, (EFFECTS["viscous_windup"], ()))) == (RUBBING,)
-    assert needed(plain, ((DRY, (0.6,)), RUBBING)) == ()
+    assert needed(made, ((DRY, (0.2, 0.0, 0.5, 5.0)), RUBBING, (EFFECTS["viscous_windup"], (1.0,)))) == (
+        RUBBING,
+    )
+    assert needed(plain, ((DRY, (0.2, 0.0, 0.5, 5.0)), RUBBING)) == ()
 
 
 def test_what_is_not_predictive_is_not_judged_by_blocks_held_out(plain: LinearisedFit) -> None:
     drifting = bench(lambda signals: 2e-5 * np.sin(0.9 * signals.time))
-    assert needed(drifting, ((DRIFT, ()), (DRY, (0.6,)))) == ((DRIFT, ()),)
-    assert needed(plain, ((DRIFT, ()), (DRY, (0.6,)))) == ()  # too small to be reported
+    assert needed(drifting, ((DRIFT, ()), (DRY, (0.2, 0.0, 0.5, 5.0)))) == ((DRIFT, ()),)
+    assert needed(plain, ((DRIFT, ()), (DRY, (0.2, 0.0, 0.5, 5.0)))) == ()  # too small to be reported
 
 
 @pytest.mark.parametrize(
@@ -122,3 +140,14 @@ def test_a_loose_hub_is_seen_in_runs_of_six_seconds(size: float, expected: bool)
     given = {"time": time, "input": made.input_angle, "output": output, "torque": made.torque}
     fit = linearise(prepared(given), CONFIGURED, POINT).with_noise(())
     assert (passing(fit, (), ranked(fit, (), [RESTS]), 100) is not None) is expected
+
+
+def test_a_second_smooth_law_has_to_be_more_than_the_first_one_s_shape(made: LinearisedFit) -> None:
+    """Lines are judged by themselves."""
+    (first, *_) = ranked(made, (), [EFFECTS["coulomb_windup"]])
+    chosen = ((first.effect, first.nonlinear),)
+    settled = made.corrected(chosen)
+    whole = settled.amplitude(*chosen[0], settled.fit(chosen)[0][settled.places(chosen)[0]])
+    assert of_shapes(settled, chosen, EFFECTS["hysteresis"]) == pytest.approx(0.08 * whole)
+    assert of_shapes(settled, (), EFFECTS["hysteresis"]) == 0.0
+    assert of_shapes(settled, chosen, EFFECTS["input_encoder_eccentricity"]) == 0.0

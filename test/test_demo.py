@@ -91,7 +91,7 @@ def test_residual_is_least_at_the_true_eccentricity(run: dict[str, Any]) -> None
 def test_value_that_cannot_be_is_refused_with_the_reason(run: dict[str, Any]) -> None:
     refused = run["summary"]["refused"]
     assert (refused["parameter"], refused["value"]) == ("joint_1.circular_spline_teeth", 203)
-    assert "must exceed flexspline_teeth (200, at least 20) by an even number" in refused["reason"]
+    assert "must exceed flexspline_teeth (200, at least 20) by 2 or 4" in refused["reason"]
     assert f"refused: {refused['reason']}" in run["out"]
 
 

@@ -145,7 +145,7 @@ def test_a_wrong_ratio_fails_on_request_at_once(tmp_path: Path) -> None:
     assert result.exit_code == 1
     (told,) = re.findall(r"^joint_1: First of all: the output follows .* ratio of (\S+), not ", result.stdout)
     assert float(told) == pytest.approx(-100.0, rel=1e-3)
-    assert diagnosed_by(path, "--columns", COLUMNS).exit_code == 0
+    assert diagnosed_by(path, "--columns", COLUMNS).exit_code == 2
 
 
 @pytest.mark.parametrize(
@@ -169,17 +169,16 @@ def test_bad_input_is_told_in_one_line(
     assert_one_line_error(diagnosed_by(table(tmp_path / "a.csv", **whole), *arguments), said)
 
 
-def test_files_that_are_not_there_and_too_many_tables() -> None:
+def test_files_that_are_not_there() -> None:
     named = ("--columns", COLUMNS)
     assert_one_line_error(diagnosed_by("none.mcap"), "none.mcap")
     assert_one_line_error(diagnosed_by("none.csv", *named), "none.csv: cannot be read")
-    assert_one_line_error(diagnosed_by("a.csv", "b.csv", *named), "only one CSV file at a time")
 
 
 def test_a_short_bag(tmp_path: Path) -> None:
     made = generated("wrong_parameters", 3, run=2.0)
-    cut = {name: getattr(made, name)[:400] for name in ("time", "input_angle", "output_angle", "torque")}
+    cut = {name: getattr(made, name)[:150] for name in ("time", "input_angle", "output_angle", "torque")}
     records.write_bag(dataclasses.replace(made, temperature=None, **cut), tmp_path / "short.mcap")
     assert_one_line_error(
-        diagnosed_by(tmp_path / "short.mcap"), "too short: 400 usable samples, at least 500"
+        diagnosed_by(tmp_path / "short.mcap"), "too short: 150 usable samples, at least 200"
     )

@@ -5,6 +5,7 @@ import importlib
 import itertools
 import math
 import pickle
+from collections.abc import Callable
 
 import drives
 import numpy as np
@@ -18,6 +19,7 @@ from hd_diag.drive import Drive, transmission_error
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.contact_weights import contact_weights
 from hd_diag.effects.effect import Effect
+from hd_diag.effects.mesh_torque import MeshTorque
 from hd_diag.effects.signals import Signals
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.model.transmission_error import Kinematics
@@ -34,22 +36,26 @@ VALUES: dict[str, tuple[float, ...]] = {
     "circular_spline_form": (4e-6, 1.0, 3e-6, 0.5, 3e-6, 0.2, 1.0),
     "coupling_misalignment": (0.08, 2.5, 3e-4, 1.0),
     "bearing_passage": (2e-5, 1.0, 0.4437, 0.0),
-    "circular_spline_pitch": (2e-6, 2.0, 2e-6, 1.2),
+    "circular_spline_pitch": (2e-6, 2.0, 2e-6, 1.2, 1e-6, 0.3, 1e-6, 0.2),
     "flexspline_pitch": (2e-6, 0.4, 2e-6, 0.9),
     "tooth_damage": (8e-5, 5e-5, 0.0, 2 * math.pi / 202 * 77),
     "wear_backlash": (5e-6,),
-    "torsional_hardening": (-6e-6, 8e-6, 11.0, 30.0),
-    "hysteresis": (1e-4, 6e-5, 2.0, 9.0),
-    "coulomb_windup": (5e-5, 4e-5, 0.8),
-    "viscous_windup": (8e-7,),
-    "input_encoder_eccentricity": (4e-3, 4.0),
-    "encoder_interpolation": (2e-3, 1.5, 16.0),
+    "torsional_hardening": (-6e-6, 8e-6, 9.0, 38.0, 0.1),
+    "hysteresis": (1e-4, 6e-5, 9.0, 1.6, 4.0, 2.0),
+    "coulomb_windup": (1.5, 0.3, 1.0, 0.7, 8.0),
+    "viscous_windup": (2.0, 0.85),
+    "input_encoder_eccentricity": (4e-3, 4.0, 1e-3, 1.0),
+    "encoder_interpolation": (2e-3, 1.5, 1e-3, 2.5, 16.0),
+    "output_encoder_interpolation": (2e-5, 1.5, 1e-5, 2.5, 128.0),
     "stream_delay": (3e-4,),
-    "thermal_drift": (8e-6,),
+    "thermal_drift": (8e-6, 20.0),
     "ratio_error": (2e-4,),
     "tooth_skip": (-1.0, 31.0),
     "resonance": (4e-5, 2.2, 0.8, 2.0, 130.0, 0.05),
     "torque_offset": (3.0,),
+    "torque_gain": (0.1,),
+    "torque_sensor_ripple": (0.03, 0.4, 0.5, 1.0, 0.01, 2.0, 0.3, 3.0, 0.01, 0.2, 0.3, 0.5, 0.0, 1.0),
+    "motor_current": (0.1, 3.0, 0.1, 5.0, 4.0, 2.0),
 }
 NAMES = tuple(VALUES)
 TRUTH = {
@@ -286,18 +292,18 @@ def solved(columns: np.ndarray, error: np.ndarray) -> np.ndarray:
 
 
 def test_hysteresis_closes_its_loop(signals: Signals) -> None:
-    """Masing: after the first swing the loop repeats; it is 2 a wide and takes work."""
+    """Masing: after the first swing the elements' loop repeats; it is 2 a wide and takes work."""
     count = 401
     swing = np.concatenate([np.linspace(*ends, count) for ends in ((0, 20), (20, -20), (-20, 20))])
     loop = dataclasses.replace(signals.part(slice(0, swing.size)), torque=swing)
-    z = by_name("hysteresis").columns(loop, (2.0, 9.0))
-    assert_allclose(z[count - 1 :: count], [[1.0] * 2, [-1.0] * 2, [1.0] * 2])
+    z = by_name("hysteresis").columns(loop, (3.0, 1.0, 4.0, 1.5))
+    assert_allclose(z[[count - 1, 2 * count - 1], 1], [1.0, -1.0], atol=1e-12)
+    assert_allclose(z[: count // 2, 0], -np.expm1(-swing[: count // 2] / 3.0), atol=1e-4)  # n = 1
     down, up = z[count : 2 * count], z[2 * count :]
-    assert_allclose(down, -up, atol=1e-12)
-    reach = np.array([2.0, 9.0])
+    assert_allclose(down[:, 1], -up[:, 1], atol=1e-12)
     area = (up[::-1] - down).sum(axis=0) * 40.0 / (count - 1)  # 80 of a rectangle 40 x 2, less two wedges
-    assert_allclose(area, 80.0 - 4.0 * reach, rtol=0.02)
-    assert np.all(area > 0.0)  # the work that the torque does on a link that lags, -TE, is lost
+    assert_allclose(area[1], 80.0 - 4.0 * 4.0 * np.mean(1.5 ** np.linspace(-1, 1, 4)), rtol=0.02)
+    assert area[0] > 0.7 * area[1] > 0.0  # the work that the torque does on a link that lags, -TE, is lost
 
 
 def test_resonance_follows_the_equation_of_motion(signals: Signals) -> None:
@@ -375,19 +381,76 @@ def test_stream_delay_reaches_back_over_many_samples(signals: Signals) -> None:
     assert_allclose(found[10:], (angle(time - delay) - angle(time))[10:], atol=1e-7)
 
 
-def test_torque_offset_is_the_model_under_more_torque(signals: Signals) -> None:
-    effect, offset = by_name("torque_offset"), 2.5
-    angle = signals.input_angle
-    expected = transmission_error(EXACT, angle, signals.torque + offset) - signals.predicted
-    found = effect.response(signals, np.array([offset]), ())
+@pytest.mark.parametrize("name", ["torque_offset", "torque_gain", "viscous_windup", "torque_sensor_ripple"])
+def test_a_torque_is_borne_by_the_mesh(signals: Signals, name: str) -> None:
+    """Closed forms of what the mesh bears more, and the model under it."""
+    ratio, angle, torque = signals.ratio, signals.wave_generator_angle, signals.torque
+    forward = signals.speed * np.sign(ratio) / 100.0
+    more = {
+        "torque_offset": np.full(signals.size, 3.0),
+        "torque_gain": 0.1 * torque,
+        "viscous_windup": 2.0 * np.sign(forward) * np.abs(forward) ** 0.85,
+        "torque_sensor_ripple": torque * (0.03 * np.cos(2.0 * (angle - 0.4)) + 0.01 * np.cos(angle - 2.0))
+        + 0.5 * np.cos(2.0 * (angle - 1.0))
+        + 0.3 * np.cos(angle - 3.0)
+        + torque * 0.01 * np.cos(4.0 * (angle - 0.2))
+        + 0.3 * np.cos(4.0 * (angle - 0.5)),
+    }[name]
+    expected = transmission_error(EXACT, signals.input_angle, torque + more) - signals.predicted
+    found = by_name(name).response(signals, *truth(by_name(name)))
     assert_allclose(found, expected, atol=0.1 * ARCSEC)
+
+
+def test_friction_builds_up_over_a_way_and_stays_at_rest(signals: Signals) -> None:
+    """Dahl: 1 - exp(-x / x_0) on the way, kept at rest, turned round on the way back; creep lets it go."""
+    effect = by_name("coulomb_windup")
+    assert isinstance(effect, MeshTorque)
+    way = np.concatenate((np.linspace(0.0, 0.5, 100), np.full(50, 0.5), np.linspace(0.5, 0.0, 100)))
+    moving = dataclasses.replace(
+        signals.part(np.zeros(way.size, dtype=np.int64)),
+        time=0.02 * np.arange(way.size),
+        output_angle=way / 100.0,
+    )
+    z = effect.torque(dataclasses.replace(moving, speed=np.full(way.size, 1e3)), (0.2, 0.0, 1.0, 5.0))
+    assert_allclose(z[:100, 0], -np.expm1(-way[:100] / 0.2), atol=1e-12)
+    assert_allclose(z[100:150, 0], z[99, 0], atol=1e-12)
+    assert_allclose(z[150:, 0], (1.0 + z[99, 0]) * np.exp((way[150:] - 0.5) / 0.2) - 1.0, atol=1e-12)
+    slow = effect.torque(dataclasses.replace(moving, speed=np.zeros(way.size)), (1e-3, 0.25, 1.0, 5.0))
+    assert_allclose(slow[50], 2.0 * 0.5, atol=0.02)  # 0.25 rad/s against as much creep, Stribeck double
+    assert abs(slow[149, 0]) < 1e-12
+
+
+@pytest.mark.parametrize("law", [lambda t: t**3 / 1600.0, lambda t: 10.0 * np.tanh(t / 10.0)])
+def test_hardening_bends_as_smoothly_as_any(
+    signals: Signals, law: Callable[[np.ndarray], np.ndarray]
+) -> None:
+    """A cubic and a spent spring, beside a constant compliance: to some hundredths of what that leaves."""
+    torque = np.linspace(-60.0, 60.0, signals.size)
+    ramp, effect = dataclasses.replace(signals, torque=torque), by_name("torsional_hardening")
+
+    def left(columns: list[np.ndarray]) -> float:
+        every = np.column_stack([torque, *columns])
+        return float(np.std(law(torque) - every @ solved(every, law(torque))))
+
+    best = min(left([effect.columns(ramp, point)]) for point in effect.starts(ramp).points)
+    assert best < 0.1 * left([])
+
+
+def test_drift_lags(signals: Signals) -> None:
+    """A step of the temperature shows as 1 - exp(-t / tau)."""
+    time = np.arange(400.0)
+    step = dataclasses.replace(
+        signals.part(np.zeros(400, dtype=np.int64)), time=time, temperature=np.where(time < 100.0, 20.0, 30.0)
+    )
+    found = by_name("thermal_drift").columns(step, (60.0,))[:, 0]
+    assert_allclose(found, np.where(time < 100.0, 0.0, -10.0 * np.expm1(-(time - 99.0) / 60.0)), atol=1e-9)
 
 
 def test_ratio_error_is_another_ratio_and_no_temperature_no_drift(signals: Signals) -> None:
     expected = signals.input_angle / (100.0 / 1.01) - signals.input_angle / 100.0
     assert_allclose(0.01 * by_name("ratio_error").columns(signals, ())[:, 0], expected, atol=1e-12)
     blind = dataclasses.replace(signals, temperature=None)
-    assert not by_name("thermal_drift").columns(blind, ()).any()
+    assert not by_name("thermal_drift").columns(blind, (1.0,)).any()
     assert "no temperature is measured" in by_name("thermal_drift").testable(blind)[1]
 
 
@@ -446,3 +509,15 @@ def test_a_coupling_has_no_more_play_than_couplings_have() -> None:
     assert effect.sensible(np.array([1e-3, 0.0, 0.0]), (0.0,))
     for play in (-1e-4, 2e-3):  # that is friction
         assert not effect.sensible(np.array([1e-3, 0.0, play]), (1.0,))
+
+
+def test_lines_of_an_output_encoder_are_a_multiple_of_four(signals: Signals) -> None:
+    """An odd order per output turn has no name, and neither have its side lobes."""
+    effect, turn = by_name("output_encoder_interpolation"), 2.0 * np.pi * np.linspace(0.0, 0.8, 8000)
+    moved = at(signals, np.arange(8000) * 0.01, output_angle=turn, speed=np.full(8000, 2.0))
+
+    def found(lines: float) -> set[float]:
+        return {lines for (lines,) in effect.starts(moved, np.cos(lines * turn)).points}
+
+    assert 128.0 in found(128.0)
+    assert not found(337.0) & {332.0, 336.0, 340.0}

@@ -1,5 +1,8 @@
 """The model's parameters as numbers to fit: derivatives, symmetry, bounds, what people read."""
 
+import dataclasses
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,7 +11,7 @@ from joint_records import ARCSEC, joint
 from numpy.testing import assert_allclose
 
 from hd_diag.diagnosis.fit import fit_parameters
-from hd_diag.drive import transmission_error
+from hd_diag.drive import Drive, transmission_error
 
 CONFIGURED = joint().drive
 MIRROR = fit_parameters.MIRRORED
@@ -113,4 +116,36 @@ def test_a_long_record_is_solved_at_nodes() -> None:
     middle = transmission_error(DRIVE, LONG_ANGLE, 0.0 * LONG_TORQUE)  # of the gap, without torque
     assert np.std(fit_parameters.along(DRIVE, CONFIGURED, LONG_ANGLE, 0.0 * LONG_TORQUE)[0] - middle) < (
         0.05 * ARCSEC
+    )
+
+
+@pytest.mark.parametrize("scale", [0.32, 0.56, 2.0])
+@pytest.mark.parametrize("end", [-1.0, 1.0])
+def test_bounds_go_with_the_module(scale: float, end: float) -> None:
+    """At every bound a small or a large gear is still one; in its own units it is like any other."""
+    own = scaled(CONFIGURED, scale)
+    assert fit_parameters.units(own)[:5] == pytest.approx(scale * fit_parameters.units(CONFIGURED)[:5])
+    assert fit_parameters.vector(own, own) == pytest.approx(fit_parameters.vector(CONFIGURED, CONFIGURED))
+    far = fit_parameters.vector(own, own) + end * 1e6
+    drive = fit_parameters.drive_of(far, own)
+    assert abs(drive.mesh.eccentricity) == pytest.approx(scale * 45e-6)
+    assert fit_parameters.at_bound(fit_parameters.vector(drive, own), own)[:5] == (0, 1, 2, 3, 4)
+    away = abs(drive.mesh.geometry.circular_spline_datum - own.mesh.geometry.circular_spline_datum)
+    assert 0.0 < away <= scale * 45.1e-6
+
+
+def scaled(drive: Drive, scale: float) -> Drive:
+    """The same gear in another size."""
+
+    def larger(part: Any) -> Any:
+        if isinstance(part, tuple):
+            return tuple(scale * value for value in part)
+        if not dataclasses.is_dataclass(part):
+            return scale * part if isinstance(part, float) else part
+        return dataclasses.replace(
+            part, **{one.name: larger(getattr(part, one.name)) for one in dataclasses.fields(part)}
+        )
+
+    return dataclasses.replace(
+        drive, mesh=dataclasses.replace(drive.mesh, geometry=larger(drive.mesh.geometry))
     )

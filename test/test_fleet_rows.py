@@ -14,7 +14,7 @@ ENCODER, HYSTERESIS, BEARING = (
 
 def test_the_deviation_of_an_amplitude_is_that_of_drawn_coefficients() -> None:
     """Of a cause without nonlinear values, of one with them, and of one with columns that wander."""
-    made = bench(of(ENCODER, amplitude=1e-3, direction=0.5))
+    made = bench(of(ENCODER, amplitude=1e-3, direction=0.5, second_amplitude=0.0, second_direction=0.0))
     chosen = tuple((effect, tuple(made.data.grid(effect)[-1])) for effect in (ENCODER, HYSTERESIS, BEARING))
     rng = np.random.default_rng(0)
     found = causes(made, chosen, {}, (), rng)

@@ -12,7 +12,10 @@ from hd_diag.diagnosis.fit.joint_refinement import covariance, free, polished, s
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.effects.effect import Effect
 
-TRUTH = {"torsional_hardening": (-6e-6, 8e-6, 11.0, 30.0), "hysteresis": (1e-4, 6e-5, 2.0, 9.0)}
+TRUTH = {
+    "torsional_hardening": (-6e-6, 8e-6, 11.0, 30.0, 0.1),
+    "hysteresis": (1e-4, 6e-5, 9.0, 1.6, 2.0, 1.5),
+}
 MODEL = fit_parameters.COUNT + 1  # and the encoders' offset
 
 
@@ -30,46 +33,48 @@ def case(request: pytest.FixtureRequest) -> Case:
 def test_nonlinear_values_are_returned(case: Case) -> None:
     """From a start as far off as a search may leave it; within four standard deviations, which are small."""
     effect, expected, start = case
-    found, chosen = polished(start, ((effect, (1.1 * expected[2], 0.93 * expected[3])),))
+    near = np.array(expected[2:]) * np.resize([1.1, 0.93], len(expected) - 2)
+    found, chosen = polished(start, ((effect, tuple(near)),))
     spread, (place,) = covariance(found, chosen)
     deviation = np.sqrt(np.diag(spread))[place]
     values = np.concatenate((found.fit(chosen)[0][place[:2]], chosen[0][1]))
     assert np.all(np.abs(values - expected) < 4.0 * deviation)
-    assert np.all(deviation < 0.05 * np.abs(expected))
+    assert np.all(deviation < 0.25 * np.abs(expected))
     moved = found.fit(chosen)[0][: fit_parameters.COUNT] + found.parameters - start.parameters
     assert np.all(np.abs(moved) < 4.0 * np.sqrt(np.diag(spread))[: fit_parameters.COUNT])
 
 
 def test_slopes_are_those_of_the_response(case: Case) -> None:
-    effect, (*_, first, second), made = case
-    nonlinear = first, second
-    chosen = ((EFFECTS["viscous_windup"], ()), (effect, nonlinear))
+    effect, values, made = case
+    nonlinear = values[2:]
+    chosen = ((EFFECTS["output_runout"], ()), (effect, nonlinear))
     found = slopes(made, chosen)
-    fitted = made.fit(chosen)[0][MODEL + 1 :]
-    for column, step in zip(found.T, 1e-3 * np.eye(2), strict=True):
+    fitted = made.fit(chosen)[0][MODEL + 2 :]
+    for column, step in zip(found.T, 1e-3 * np.eye(len(nonlinear)), strict=True):
         ends = [effect.columns(made.signals, tuple(np.array(nonlinear) + s * step)) for s in (1.0, -1.0)]
         expected = (ends[0] - ends[1]) @ fitted / 2e-3
         assert column @ expected / (expected @ expected) == pytest.approx(1.0, rel=0.02)
-    assert found.shape[1] == 2
+    assert found.shape[1] == len(nonlinear)
     assert slopes(made, chosen[:1]).shape == (made.data.record.size, 0)
 
 
 def test_linear_effects_stay_as_they_are(case: Case) -> None:
     *_, made = case
-    chosen = ((EFFECTS["viscous_windup"], ()), (EFFECTS["encoder_interpolation"], (64.0,)))
+    chosen = ((EFFECTS["torque_offset"], ()), (EFFECTS["encoder_interpolation"], (64.0,)))
     assert polished(made, chosen)[1] == chosen
 
 
 def test_places_in_the_covariance(case: Case) -> None:
     effect, values, made = case
     lines = EFFECTS["encoder_interpolation"]
-    chosen = (lines, (64.0,)), (effect, values[2:]), (EFFECTS["coulomb_windup"], (0.6,))
+    chosen = (lines, (64.0,)), (effect, values[2:]), (EFFECTS["viscous_windup"], (1.0,))
     spread, places = covariance(made, chosen)
-    expected = [[0, 1, -1 - MODEL], [2, 3, 6, 7], [4, 5, 8]]
+    last = 7 + len(values) - 2
+    expected = [[0, 1, 2, 3, -1 - MODEL], [4, 5, *range(7, last)], [6, last]]
     assert [(place - MODEL).tolist() for place in places] == expected
-    assert spread.shape == (MODEL + 9, MODEL + 9)
+    assert spread.shape == (MODEL + last + 1,) * 2
     assert_allclose(spread, spread.T, rtol=1e-9, atol=0.0)
-    assert (free(lines), free(effect)) == ([], [0, 1])
+    assert (free(lines), free(effect)) == ([], list(range(len(values) - 2)))
 
 
 def test_free_values_widen_what_is_known_of_the_coefficients(case: Case) -> None:
@@ -82,17 +87,16 @@ def test_free_values_widen_what_is_known_of_the_coefficients(case: Case) -> None
 
 
 def test_a_value_stops_at_its_limit() -> None:
-    effect = EFFECTS["coulomb_windup"]
+    effect = EFFECTS["viscous_windup"]
     low = effect.nonlinear[0].low
-    made = bench(lambda signals: -1e-4 * np.sign(signals.forward_speed))
-    _, chosen = polished(made, ((effect, (low,)),))
-    assert low <= chosen[0][1][0] < np.inf
+    made = bench(lambda signals: signals.contact.under_more_torque(2.0 * np.sign(signals.forward_speed)))
+    assert polished(made, ((effect, (0.8,)),))[1][0][1] == (low,)
 
 
 def test_deviations_follow_the_scatter_of_blocks(case: Case) -> None:
     """A part that no column has, in one block in three, widens what it pulls at; nothing gets narrower."""
     *_, made = case
-    chosen = ((EFFECTS["viscous_windup"], ()),)
+    chosen = ((EFFECTS["stream_delay"], ()),)
     plain = np.sqrt(np.diag(made.fit(chosen)[1]))
     assert np.all(np.sqrt(np.diag(covariance(made, chosen)[0])) >= 0.999 * plain)
     shape = made.signals.speed / np.max(np.abs(made.signals.speed)) * (made.data.block % 3 == 0)

@@ -12,12 +12,13 @@ from hd_diag.diagnosis.fit.joint_refinement import polished, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit, linearise
 from hd_diag.diagnosis.fit.refit import refit, usable
 from hd_diag.diagnosis.record import Record
+from hd_diag.drive import transmission_error
 from hd_diag.extended_model import ExtendedModel, Range, Ranges, Term
 
 PITCH, DELAY = EFFECTS["circular_spline_pitch"], EFFECTS["stream_delay"]
 RESONANCE, HYSTERESIS = EFFECTS["resonance"], EFFECTS["hysteresis"]
-PITCHES = {"pitch_2": 1.2e-6, "pitch_direction_2": 0.4, "pitch_4": 0.0, "pitch_direction_4": 0.0}
-PITCH_AT = PITCH.from_physical(PITCHES)[0]
+PITCHES = {quantity.name: 0.0 for quantity in PITCH.quantities}
+PITCH_AT = PITCH.from_physical(PITCHES | {"pitch_2": 1.2e-6, "pitch_direction_2": 0.4})[0]
 SPRING = (2.0, 60.0, 0.05)
 CARRYING = (((RESONANCE, SPRING), np.array([0.0, 0.0, 1.0])),)
 ALL = Ranges(Range(-60.0, 60.0), Range(-200.0, 200.0))
@@ -62,7 +63,7 @@ def test_a_spring_carries_tooth_errors_and_the_model_s_own_parameters() -> None:
     ends = []
     for sign in (-1.0, 1.0):
         other = made.moved(made.parameters + sign * step).beside(CARRYING)
-        ends.append(other.signals.predicted + other.full_size(RESONANCE, SPRING, CARRYING[0][1]))
+        ends.append(other.signals.predicted + other.effects.full_size(RESONANCE, SPRING, CARRYING[0][1]))
     expected = (ends[1] - ends[0]) / 0.4
     assert np.std(made.beside(CARRYING).jacobian[:, 0] - expected) < 0.3 * np.std(static - expected)
 
@@ -93,7 +94,7 @@ def test_memory_goes_through_rows_that_are_not_fitted() -> None:
     fitted = rows & usable(record)
     assert made.data.record.size == np.count_nonzero(fitted) < every.data.record.size
     inside = fitted[usable(record)]
-    for effect, nonlinear in ((HYSTERESIS, (3.0, 9.0)), (RESONANCE, SPRING)):
+    for effect, nonlinear in ((HYSTERESIS, (9.0, 1.6, 2.0, 1.5)), (RESONANCE, SPRING)):
         assert_array_equal(made.columns(effect, nonlinear), every.columns(effect, nonlinear)[inside])
     assert_allclose(made.residual, every.residual[inside], atol=1e-12)
     assert made.residual.std() * RATIO > 0.0
@@ -112,23 +113,44 @@ def test_a_wrong_zero_of_the_torque_is_found_at_full_size() -> None:
 
 
 def test_rows_near_the_real_zero_of_the_torque_are_left_out(plain: LinearisedFit) -> None:
-    made, clear = plain, plain.clear_of(2.5)
+    made, clear = plain, plain.clear_of(np.full(plain.data.source.size, 2.5))
     assert_array_equal(clear.data.mask, usable(made.data.source, 2.5))
     assert 0 < made.data.record.size - clear.data.record.size < 0.1 * made.data.record.size
     assert clear.whiten is made.whiten
     assert_array_equal(clear.residual, made.residual[clear.data.mask[made.data.mask]])
-    assert made.clear_of(0.0) is made
+    assert made.clear_of(np.zeros(made.data.source.size)) is made
 
 
 def test_amplitude_of_another_torque_is_that_along_the_whole_record() -> None:
     offset, size = EFFECTS["torque_offset"], np.array([2.0])
-    friction, both = EFFECTS["viscous_windup"], np.array([1e-7])
+    drift, both = EFFECTS["output_runout"], np.array([1e-5, 0.0])
     rows = np.arange(swinging().size) % 7 > 2
     few, every = (linearise(swinging(), CONFIGURED, POINT, rows=some) for some in (rows, None))
     expected = float(np.std(offset.response(every.whole, size, ())))
     assert few.amplitude(offset, (), size) == pytest.approx(expected, rel=1e-12)
-    assert few.amplitude(friction, (), both) == np.std(friction.response(few.signals, both, ()))
-    assert few.amplitude(friction, (), both) != every.amplitude(friction, (), both)
+    assert few.amplitude(drift, (), both) == np.std(drift.response(few.signals, both, ()))
+    assert few.amplitude(drift, (), both) != every.amplitude(drift, (), both)
+
+
+def test_torques_of_several_causes_are_found_together() -> None:
+    """They act on each other through the mesh; alone each would leave part of the other."""
+    causes = Term(EFFECTS["torque_offset"], (2.5,), ()), Term(EFFECTS["viscous_windup"], (3.0,), (0.8,))
+    both = recorded(*causes)
+    chosen: Chosen = tuple((term.effect, term.nonlinear) for term in causes)
+    made = settle(linearise(both, CONFIGURED, POINT), chosen)
+    for _ in range(4):
+        made = made.corrected(chosen)
+    beta = made.fit(chosen)[0]
+    sizes = [float(beta[place][0]) for place in made.places(chosen)]
+    assert sizes == pytest.approx([2.5, 3.0], abs=0.05)
+    together = made.effects.together(made.present)
+    apart = sum(
+        linearise(both, CONFIGURED, POINT).effects.full_size(*item, one) for item, one in made.present
+    )
+    assert np.std(together - apart) > 1e-3 * np.std(together)
+    under = transmission_error(made.drive, both.input_angle, both.torque + made.effects.torque(made.present))
+    expected = (under - transmission_error(made.drive, both.input_angle, both.torque))[made.data.mask]
+    assert np.std(together - expected) < 0.05 * ARCSEC
 
 
 def test_columns_of_teeth_are_the_same_when_carried_again() -> None:

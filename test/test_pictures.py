@@ -10,7 +10,7 @@ from browser import luminance
 from matplotlib.figure import Figure
 from report_samples import HOSTILE
 
-from hd_diag.diagnosis.diagnosis import Rms
+from hd_diag.diagnosis.gain import Rms
 from hd_diag.report.ladder import Rung
 from hd_diag.report.pictures import canvas
 from hd_diag.report.pictures.comparison import model_ladder
@@ -89,7 +89,7 @@ def test_a_ladder_shows_its_numbers() -> None:
     arcsec = np.pi / 648000.0
     rms = np.array([46.0, 12.5, 3.3]) * arcsec
     names = ["as configured", "refitted", "+ hysteresis"]
-    held_out = Rms(*rms, *rms[:2], 3.2 * arcsec, 3.1 * arcsec, 3.4 * arcsec)
+    held_out = Rms(*rms, rms[2], *rms[:2], 3.2 * arcsec, 3.1 * arcsec, 3.4 * arcsec)
     rungs = [Rung(name, value, 0.9 * value, 1.1 * value) for name, value in zip(names, rms, strict=True)]
     svg = inline_svg(model_ladder(rungs, held_out), "a", "", "")
     assert {*names, "46.00", "12.50", "3.30"} <= set(texts(svg))

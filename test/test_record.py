@@ -166,7 +166,7 @@ def test_bags_are_runs_and_rows_keep_theirs(given: dict[str, np.ndarray]) -> Non
 @pytest.mark.parametrize(
     ("name", "rows", "factor", "said"),
     [
-        ("input", slice(MINIMUM_SAMPLES - 1, None), np.nan, r"^too short: 499 usable samples, "),
+        ("input", slice(MINIMUM_SAMPLES - 1, None), np.nan, r"^too short: 199 usable samples, "),
         ("input", slice(None), 0.02, r"^no motion: the input turns by 2\.4 rad, at "),
         ("output", slice(2010), np.nan, "2010 of 4000 samples are not finite or their stamps contradict"),
     ],

@@ -11,7 +11,7 @@ from joint_records import RATIO, columns, joint, prepared
 from numpy.testing import assert_allclose, assert_array_equal
 
 from hd_diag.bag import BagError
-from hd_diag.bag.joint_record import joints_in, read_bags, read_table
+from hd_diag.bag.joint_record import joints_in, read_bags, read_tables
 from hd_diag.config.configuration import resolve
 from hd_diag.diagnosis.diagnosis import diagnose
 from hd_diag.diagnosis.record import Record, RecordError
@@ -209,14 +209,21 @@ def write_table(path: Path, given: dict[str, np.ndarray], **more: np.ndarray) ->
 
 def test_a_table_gives_the_same_record(given: dict[str, np.ndarray], tmp_path: Path) -> None:
     path = write_table(tmp_path / "a.csv", given, note=np.zeros(given["time"].size))
-    record, expected = read_table(path, COLUMNS, joint(), False), prepared(given)
+    record, expected = read_tables([path], COLUMNS, joint(), False), prepared(given)
     for name in ("time", "input_angle", "output_angle", "torque", "speed", "run"):
         assert_array_equal(getattr(record, name), getattr(expected, name))
 
 
+def test_each_table_is_a_recording(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    paths = [write_table(tmp_path / name, given) for name in ("a.csv", "b.csv")]
+    record = read_tables(paths, COLUMNS, joint(), False)
+    assert_array_equal(record.output_angle, np.tile(prepared(given).output_angle, 2))
+    assert np.unique(record.bag).tolist() == [0, 1]
+
+
 def test_an_input_that_is_divided_already(given: dict[str, np.ndarray], tmp_path: Path) -> None:
     path = write_table(tmp_path / "a.csv", {**given, "input": given["input"] / RATIO})
-    assert_allclose(read_table(path, COLUMNS, joint(), True).input_angle, given["input"], rtol=1e-12)
+    assert_allclose(read_tables([path], COLUMNS, joint(), True).input_angle, given["input"], rtol=1e-12)
 
 
 def test_a_table_without_torque_and_with_temperature_and_records(
@@ -225,7 +232,9 @@ def test_a_table_without_torque_and_with_temperature_and_records(
     count = given["time"].size
     path = write_table(tmp_path / "a.csv", given, heat=np.full(count, 31.0), part=np.arange(count) // 600)
     chosen = {name: COLUMNS[name] for name in ("time", "input", "output")}
-    record = read_table(path, {**chosen, "temperature": "heat", "record": "part"}, joint(torque=3.0), False)
+    record = read_tables(
+        [path], {**chosen, "temperature": "heat", "record": "part"}, joint(torque=3.0), False
+    )
     assert (record.has_torque, record.extent.runs) == (False, 2)
     assert_allclose(record.temperature, 31.0, rtol=1e-9)
 
@@ -236,7 +245,7 @@ def test_empty_cells_are_missing_values(given: dict[str, np.ndarray], tmp_path: 
     lines[100] = lines[100].rpartition(",")[0] + ","
     lines[200] = lines[200].split(",")[0]
     path.write_text("\n".join(lines))
-    assert read_table(path, COLUMNS, joint(), False).dropped == 2
+    assert read_tables([path], COLUMNS, joint(), False).dropped == 2
 
 
 @pytest.mark.parametrize(
@@ -260,6 +269,6 @@ def test_a_bad_table_is_told_in_one_line(
     if text is not None:
         path.write_text(text, encoding="latin-1")
     with pytest.raises(RecordError) as caught:
-        read_table(path, columns, joint(), False)
+        read_tables([path], columns, joint(), False)
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)

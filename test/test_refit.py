@@ -58,12 +58,24 @@ def test_gaps_of_the_reported_and_the_real_torque_are_left_out() -> None:
     record, _ = generated(3)
     kept, shifted = usable(record), usable(record, 4.0)
     assert 0.8 < kept.mean() < 1.0
-    assert np.abs(record.torque[~kept]).max() < 1.0
-    assert usable(dataclasses.replace(record, has_torque=False)).all()
+    moving = usable(dataclasses.replace(record, has_torque=False))
+    assert np.abs(record.torque[moving & ~kept]).max() < 1.0
     assert np.all(kept[shifted])
     left_out = record.torque[kept & ~shifted]
     assert left_out.size > 50
     assert np.all(np.abs(left_out + 4.0) < 1.0)
+
+
+def test_a_rest_is_left_out_unless_the_torque_goes_on() -> None:
+    """An encoder repeats one count there: hundreds of samples that are one."""
+    record, _ = generated(3)
+    time = np.arange(record.size) / 500.0
+    moves = np.floor(time) % 2 == 0
+    record = dataclasses.replace(record, time=time, speed=np.where(moves, 30.0, 0.0))
+    still = dataclasses.replace(record, torque=np.full(record.size, 20.0))
+    assert usable(still)[moves].all()
+    assert 0.7 < np.mean(~usable(still)[~moves]) < 0.95
+    assert usable(dataclasses.replace(record, torque=40.0 + 20.0 * np.sin(9.0 * time))).mean() > 0.9
 
 
 def test_terms_that_a_record_does_not_excite_are_left_out() -> None:

@@ -219,7 +219,7 @@ def test_a_record_without_torque_has_no_measured_stiffness() -> None:
         Unexplained(0.0, "input", 1e-5, "none", "none", "wanders", "forwards"),
         Unexplained(2.5, "output", 1e-5, "none", "none"),
     )
-    report = report_of(Diagnosis(record, CONFIGURED, (), None, None, None, None, lines))
+    report = report_of(Diagnosis(record, CONFIGURED, (), None, None, None, None, unexplained=lines))
     assert not [entry for entry in report.torsion.stiffness if np.isfinite(entry.measured)]
     assert report.torsion.measured == ()
     assert dict(report.quality)["Torque"] == "not measured"

@@ -17,6 +17,7 @@ from hd_diag.diagnosis import blocks, subsampling
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.linearised_fit import linearise
+from hd_diag.diagnosis.judgement import Answer
 from hd_diag.diagnosis.noise import ORDER, bounds
 from hd_diag.diagnosis.record import Record, extent, prepare
 from hd_diag.diagnosis.screening import screened
@@ -101,7 +102,7 @@ def test_it_tells_what_the_whole_covers() -> None:
     written = as_json(Diagnosis(record, joint().drive, (), None, None, None, None), "joint_1")
     assert written["record"]["samples"] == ROWS
     assert f"fitted to {record.size} of {ROWS} samples" in written["verdict"]
-    assert "fitted to" not in sentence(Diagnosis(whole, joint().drive, (), None, None, None, None))
+    assert "fitted to" not in sentence(Answer(Diagnosis(whole, joint().drive, (), None, None, None, None)))
 
 
 def test_memory_goes_on_but_not_into_another_recording() -> None:

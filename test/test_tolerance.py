@@ -184,7 +184,7 @@ def value(criterion: str, found: EccentricityLimit, eccentricity: float) -> floa
     if criterion == "interference":
         across = (towards * np.exp(-1j * turn[0])).imag
         contact = contacts(dataclasses.replace(own.mesh, arc_offset=-across), turn)
-        return -float(np.nanmin(contact.backlash[:, :, : contact.teeth.shape[1] // 2]))
+        return -float(np.nanmin((contact.radius * contact.rotation)[:, :, : contact.teeth.shape[1] // 2]))
     if criterion == "transmission_error":
         around = np.linspace(0, 2 * np.pi, 202 * 40)
         return float(np.ptp(torsion(own.mesh, around, np.full(around.size, CUP))))

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from joint_records import ARCSEC, columns, joint, prepared
 
-from hd_diag.diagnosis.diagnosis import Diagnosis, Gain, Rms
+from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.refit import Refit
+from hd_diag.diagnosis.gain import Gain, Rms
+from hd_diag.diagnosis.judgement import Answer
 from hd_diag.diagnosis.search import detectability
 from hd_diag.diagnosis.search.causes import Cause
 from hd_diag.diagnosis.search.unexplained import Unexplained
@@ -25,7 +27,7 @@ EFFECTS = {effect.name: effect for effect in CATALOGUE}
 # What other people's scripts read, and what stands there beside it.
 KEYS = {
     "": "schema joint record nominal refit causes unexplained extended noise_floor gain testability model "
-    "verdict",
+    "verdict judgement described normal",
     "record": "samples duration input_turns runs",
     "nominal": "rms",
     "refit": "rms parameters trustworthy",
@@ -36,7 +38,11 @@ KEYS = {
     "gain": "rms_nominal rms_refit rms_extended fraction_explained low high held_out",
     "testability": "name testable least_size reason",
 }
-MORE = {"": "findings", "record": "has_torque outliers dropped", "extended": "rms_offline rms_live"}
+MORE = {
+    "": "findings evidence",
+    "record": "has_torque outliers dropped",
+    "extended": "rms_named rms_offline rms_live",
+}
 
 
 def cause(name: str, amplitude: float = 4.0 * ARCSEC, alike: tuple[str, ...] = ()) -> Cause:
@@ -63,13 +69,13 @@ TESTS = (
 
 
 def diagnosis(*causes: Cause, **changes: Any) -> Diagnosis:
-    rms = Rms(*(ARCSEC * v for v in (20.0, 5.0, 3.3, 3.2, 3.4, 3.2, 3.1, 3.3)))
+    rms = Rms(*(ARCSEC * v for v in (20.0, 5.0, 3.3, 3.3, 3.2, 3.4, 3.2, 3.1, 3.3)))
     made: dict[str, Any] = {
         "record": prepared(columns(seconds=4.0)),
         "configured": CONFIGURED,
         "findings": (),
         "refitted": refitted(),
-        "found": SimpleNamespace(causes=causes),
+        "found": SimpleNamespace(causes=causes, table=()),
         "rms": rms,
         "gain": Gain(0.97, 0.96, 0.98, "3 of 12 runs"),
         "testable": TESTS,
@@ -113,7 +119,7 @@ def test_json_is_the_contract_s_and_lines_are_without_nan(made: Diagnosis) -> No
     assert (told["schema"], told["joint"], told["model"]) == ("hd_diag/diagnosis/1", "joint_1", "model.json")
     assert json.loads(json.dumps(told, allow_nan=False)) == told
     lines = summary(made)
-    assert lines[0] == sentence(made) == told["verdict"]
+    assert lines[0] == sentence(Answer(made)) == told["verdict"]
     assert lines[0].endswith(".")
     assert all("\n" not in line and "nan" not in line.split() for line in lines)
 
@@ -159,12 +165,12 @@ ALIKE = cause("output_runout", 2.5 * ARCSEC, ("output_encoder_eccentricity",))
     [
         (
             diagnosis(),
-            "the eccentricity is 18.2 ± 0.3 µm at 73.9 ± 0.9° (mod 180°), not 0.0 µm; no other cause is "
-            "needed.",
+            "; the eccentricity is 18.2 ± 0.3 µm at 73.9 ± 0.9° (mod 180°) from the long axis, not 0.0 µm; "
+            "no other cause is needed.",
         ),
         (
             diagnosis(refitted=refitted(eccentricity=0.4 + 0.0j)),
-            "the eccentricity is as configured (0.0 µm); no other cause is needed.",
+            "; the eccentricity is as configured (0.0 µm); no other cause is needed.",
         ),
         (
             diagnosis(cause("hysteresis"), ALIKE),
@@ -183,29 +189,34 @@ ALIKE = cause("output_runout", 2.5 * ARCSEC, ("output_encoder_eccentricity",))
         (DIAGNOSES["wrong ratio"], "First of all: the output follows at 101."),
         (
             DIAGNOSES["ambiguous"],
-            "the model's parameters are ambiguous: several sets fit about as well; no other cause is needed.",
+            "; the model's parameters are ambiguous: several sets fit about as well; no other cause is "
+            "needed.",
         ),
     ],
 )
 def test_the_sentence(made: Diagnosis, said: str) -> None:
     """Its end; the whole of it where nothing comes before."""
-    assert sentence(made).endswith(said)
-    assert said.startswith((";", "unexplained")) or sentence(made) == said
+    assert sentence(Answer(made)).endswith(said)
+    assert said.startswith((";", "unexplained")) or sentence(Answer(made)) == said
 
 
 def test_causes_that_predict_nothing_are_doubted() -> None:
-    worse = Rms(*(ARCSEC * v for v in (20.0, 5.0, 5.2, 5.2, 5.3, 3.2, 3.1, 3.3)))
-    text = sentence(diagnosis(cause("hysteresis"), rms=worse))
+    worse = Rms(*(ARCSEC * v for v in (20.0, 5.0, 5.2, 5.2, 5.2, 5.3, 4.2, 4.1, 4.3)))
+    text = sentence(Answer(diagnosis(cause("hysteresis"), rms=worse)))
     assert "predicted no better" in text
     assert "(5.20 against 5.00 arcsec)" in text
     for made in (diagnosis(rms=worse), diagnosis(cause("hysteresis"))):
-        assert "predicted" not in sentence(made)
+        assert "predicted" not in sentence(Answer(made))
 
 
 def test_the_lines_name_gain_and_what_was_not_testable() -> None:
-    assert summary(diagnosis(cause("hysteresis")))[1:] == [
+    held_out, where, *rest = summary(diagnosis(cause("hysteresis")))[1:]
+    assert held_out == (
         "held-out residual (3 of 12 runs): nominal 20.00, refit 5.00, extended 3.30, noise 3.20 arcsec rms; "
-        "explained 97.0 % (96.0 to 98.0 %)",
+        "explained 97.0 % (96.0 to 98.0 %)"
+    )
+    assert where.startswith("direction: counter-clockwise from where the wave generator's long axis stands")
+    assert rest == [
         f"inspect: {EFFECTS['hysteresis'].inspect}",
         "not testable here: resonance: one speed only",
     ]

@@ -23,7 +23,7 @@ from hd_diag.streams.alignment import Aligned, Alignment, Names, torque_between
 from hd_diag.streams.columns import JointStates
 
 COLUMNS = ("time", "input", "output", "torque", "temperature")
-"""Columns of a table that `read_table` knows."""
+"""Columns of a table that `read_tables` knows."""
 
 _REMEMBERED = 1 << 14  # samples over which topics of one bag may lag behind each other
 _STAMPS, _VALUES = ("stamp", "torque_stamp", "stretch"), ("input_angle", "output_angle", "torque", "speed")
@@ -219,27 +219,31 @@ def _seconds(stamp: Times, origin: int) -> Floats:
     return (stamp - origin).astype(np.float64) * 1e-9
 
 
-def read_table(path: str | Path, columns: dict[str, str], joint: JointConfig, divided: bool) -> Record:
-    """A record from a CSV file with named columns.
+def read_tables(
+    paths: Sequence[str | Path], columns: dict[str, str], joint: JointConfig, divided: bool
+) -> Record:
+    """A record from CSV files with named columns, each of which is a recording.
 
-    `columns` says which is what: keys of `COLUMNS`, values the names in the file's first row;
+    `columns` says which is what: keys of `COLUMNS`, values the names in the files' first rows;
     `divided` whether the input angle is already divided by the ratio.
 
     Raises
     ------
     RecordError
-        Where the file lacks a column, or a value is no number.
+        Where a file lacks a column, or a value is no number.
     """
     missing = [name for name in COLUMNS[:3] if name not in columns]
     unknown = [name for name in columns if name not in (*COLUMNS, "record")]
     if missing or unknown:
         what = f"needs {', '.join(missing)}" if missing else f"does not know {unknown[0]!r}"
         raise RecordError(f"--columns {what}; it takes {', '.join(COLUMNS)} and record")
-    table = _read_csv(Path(path), columns)
+    tables = [_read_csv(Path(path), columns) for path in paths]
+    file = np.repeat(np.arange(len(tables)), [table["time"].size for table in tables])
+    table = {name: np.concatenate([one[name] for one in tables]) for name in tables[0]}
     ratio = joint.drive.kinematics.ratio
     angle = table["input"] * (ratio if divided else 1.0)
-    bag = table.get("record", np.zeros(angle.size))
-    run = np.unique(bag, return_inverse=True)[1].astype(np.int64)
+    recording = np.stack((file, table.get("record", np.zeros(angle.size))), axis=1)
+    run = np.unique(recording, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
     torque, warm = table.get("torque"), table.get("temperature")
     return prepare(table["time"], angle, table["output"], torque, warm, run, ratio, joint.torque)
 

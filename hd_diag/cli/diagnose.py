@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from hd_diag.config.model_file import document, write
 from hd_diag.config.parameters import JOINT_PARAMETERS
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.verdict import as_json, summary
+from hd_diag.effects.order_line import ORDER_LINE
 from hd_diag.formatting import json_ready
 from hd_diag.report.facts import of_diagnosis
 
@@ -24,6 +26,12 @@ from hd_diag.report.facts import of_diagnosis
 @verb("diagnose joint.mcap --config arm.yaml --report joint.html")
 @on_records
 @FAIL_ON_CAUSE
+@click.option(
+    "--orders-only",
+    is_flag=True,
+    help="Describe the error by its orders alone, for a gear of which nobody has the geometry: of the "
+    "configuration only names, ratio, rated torque and accuracy are used.",
+)
 @click.option(
     "--model",
     "model_file",
@@ -36,6 +44,7 @@ from hd_diag.report.facts import of_diagnosis
 def diagnose(
     records: Records,
     fail_on_cause: bool,
+    orders_only: bool,
     model_file: Path | None,
     report_file: Path | None,
     json_file: str | None,
@@ -46,10 +55,13 @@ def diagnose(
     only where data that nothing was fitted to confirm them. Several bags are runs of the same joint. "None
     of the known causes" and "this record cannot tell these apart" are answers too. A record too long to be
     fitted is looked through sample by sample for a wrong ratio, steps and outliers; stretches spread over
-    all of it are fitted. A joint that cannot be judged is reported on stderr, the others go on, and the exit
-    code is 2.
+    all of it are fitted. A joint that cannot be judged, for its signals are wrong or too few, is reported on
+    stderr, the others go on, and the exit code is 2.
     """
     check_targets((model_file, report_file, json_file), *records.bags)
+    records = replace(records, orders_only=orders_only)
+    if orders_only and (model_file or report_file):
+        raise Problem("--orders-only has no tooth model: it takes neither --model nor --report")
 
     def judge(joint: JointConfig) -> Judged:
         with status(joint.name) as progress:
@@ -69,7 +81,9 @@ def diagnose(
 
     results, complete = judge_each(records, judge, report_file, json_file)
     named = any(result.get("causes") or result.get("unexplained") for result in results)
-    sys.exit(int(fail_on_cause and named) if complete else Problem.exit_code)
+    if fail_on_cause and named:
+        sys.exit(1)
+    sys.exit(0 if complete else Problem.exit_code)
 
 
 def model_document(found: Diagnosis, joint: str, records: Records) -> dict[str, Any]:
@@ -80,6 +94,11 @@ def model_document(found: Diagnosis, joint: str, records: Records) -> dict[str, 
     effects = [
         (cause.effect.standard_deviations(cause.coefficients, cause.nonlinear, cause.covariance), cause.alike)
         for cause in found.causes
+    ]
+    effects += [
+        (ORDER_LINE.standard_deviations(row.coefficients, row.nonlinear, row.covariance), (ORDER_LINE.name,))
+        for row in found.order_table
+        if row.repeats
     ]
     content = as_json(found, joint)
     evidence = {key: content[key] for key in ("record", "gain", "noise_floor", "extended", "unexplained")}

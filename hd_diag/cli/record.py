@@ -14,11 +14,12 @@ import click
 import numpy as np
 from rich.console import Console
 
-from hd_diag.bag.joint_record import read_bags, read_table
+from hd_diag.bag.joint_record import read_bags, read_tables
 from hd_diag.cli.options import CONFIG, FILE, JOINTS, Problem, chosen_joints, configured, write_json, writing
 from hd_diag.config.catalogue import load
 from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
+from hd_diag.diagnosis.orders_only import orders_only
 from hd_diag.diagnosis.record import Record, RecordError
 from hd_diag.diagnosis.screening import screened
 from hd_diag.effects import Catalogue
@@ -31,7 +32,7 @@ _OPTIONS = (
     click.option(
         "--columns",
         metavar="time=T,input=I,output=O[,torque=M,temperature=C,record=R]",
-        help="The BAG is a CSV file with these columns [s, rad, rad, N m, degree Celsius].",
+        help="The BAGS are CSV files with these columns [s, rad, rad, N m, degree Celsius].",
     ),
     click.option(
         "--input-divided",
@@ -60,11 +61,14 @@ class Records:
     columns: str | None
     divided: bool
     catalogue: Catalogue
+    orders_only: bool = False
 
     def diagnosed(self, joint: JointConfig, progress: Callable[[str], None]) -> Diagnosis:
         """Diagnosis of a joint; BagError and RecordError where there is nothing that can be judged."""
         # No name for the record: it goes as soon as it was looked through.
-        looked = screened(self._record(joint), joint.configured)
+        looked = screened(self._record(joint), joint.configured, teeth=not self.orders_only)
+        if self.orders_only:
+            return orders_only(looked, joint.configured, np.random.default_rng(0))
         return diagnose(looked, joint.configured, np.random.default_rng(0), progress, self.catalogue)
 
     def _record(self, joint: JointConfig) -> Record:
@@ -73,10 +77,8 @@ class Records:
         pairs = [item.split("=", 1) for item in self.columns.split(",")]
         if any(len(pair) != 2 for pair in pairs):
             raise Problem("--columns takes pairs like time=t,input=motor_position,output=joint_position")
-        if len(self.bags) > 1:
-            raise Problem("only one CSV file at a time")
         names = {key.strip(): name.strip() for key, name in pairs}
-        return read_table(self.bags[0], names, joint, self.divided)
+        return read_tables(self.bags, names, joint, self.divided)
 
 
 def on_records(function: Callable[..., None]) -> Callable[..., None]:
@@ -123,6 +125,7 @@ def judge_each(
                 raise Problem(f"{joint.name}: {error}") from error
             click.echo(f"hd-diag: {joint.name}: not judged: {' '.join(str(error).split())}", err=True)
             content, lines, page, complete = not_judged(joint.name, error), [], None, False
+        complete &= content.get("judgement") != "not_judged"  # its signals are wrong: the lines say how
         contents.append(content)
         pages += [page] if page is not None else []
         for line in lines if json_file != "-" else ():

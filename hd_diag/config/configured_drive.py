@@ -43,7 +43,8 @@ def drive_from(own: Mapping[str, Value]) -> Drive:
     )
     output = "flexspline" if own["output"] == "flexspline" else "circular_spline"
     kinematics = Kinematics(number(own, "ratio"), output, number(own, "wave_generator_phase"))  # type: ignore[arg-type]
-    return Drive(mesh, kinematics, number(own, "rated_torque"), number(own, "cup_compliance"))
+    names = ("rated_torque", "cup_compliance", "accuracy")
+    return Drive(mesh, kinematics, *(number(own, name) for name in names if name in own))
 
 
 def _arcs(own: Mapping[str, Value], name: str) -> DoubleArc:

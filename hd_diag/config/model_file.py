@@ -19,6 +19,7 @@ from hd_diag.config.configured_drive import drive_from
 from hd_diag.config.json_shape import Number
 from hd_diag.config.parameters import JOINT_PARAMETERS, ConfigError, Value, check_known, checked, shown
 from hd_diag.effects import Catalogue
+from hd_diag.effects.order_line import ORDER_LINE
 from hd_diag.extended_model import ExtendedModel, Range, Ranges, Term
 
 SCHEMA = "hd_diag/model/1"
@@ -49,7 +50,7 @@ _SHAPE = {
     "valid_range": {"torque": _RANGE, "speed": _RANGE, "temperature": (_RANGE, None)},
     "evidence": dict,
 }
-_NOT_OF_THE_DRIVE = ("input_joint", "output_joint", "torque", "model_file")
+_NOT_OF_THE_DRIVE = ("input_joint", "output_joint", "torque", "accuracy", "model_file")
 _DRIVE = {
     p.name: p
     for p in JOINT_PARAMETERS
@@ -134,7 +135,8 @@ def _parsed(text: str, catalogue: Catalogue) -> ModelFile:
     except ValueError as error:
         raise ConfigError(f"parameters: {error}") from error
     terms = [_term(item, f"effects[{i}]", catalogue) for i, item in enumerate(content["effects"])]
-    if len({term.effect.name for term in terms}) != len(terms):
+    once = [term.effect.name for term in terms if term.effect is not ORDER_LINE]
+    if len(set(once)) != len(once):
         raise ConfigError("effects: a name stands twice")
     ranges = Ranges(*(_range(name, content["valid_range"][name]) for name in _UNITS))  # type: ignore[arg-type]
     return ModelFile(ExtendedModel(drive, tuple(terms), float(content["offset"]), ranges), parameters, base)
@@ -240,7 +242,7 @@ def _base(found: Mapping[str, Any], parameters: Mapping[str, Value]) -> dict[str
 
 
 def _term(found: Mapping[str, Any], where: str, catalogue: Catalogue) -> Term:
-    known = {effect.name: effect for effect in catalogue}
+    known = {effect.name: effect for effect in (*catalogue, ORDER_LINE)}
     check_known([found["name"]], known, f"{where}: unknown effect", "; your own must be given or installed")
     effect = known[found["name"]]
     if not effect.lasting:

@@ -12,12 +12,13 @@ from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.search.causes import Search
 from hd_diag.drive import Drive
 from hd_diag.effects.effect import Effect
+from hd_diag.effects.order_line import ORDER_LINE
 from hd_diag.extended_model import ExtendedModel, Range, Ranges, Term
 from hd_diag.model.torsion_map import TorsionMap
 
 
 def extended_model(found: Search, configured: Drive, record: Record) -> ExtendedModel:
-    """The refitted drive with its causes and the encoders' offset.
+    """The refitted drive with its causes, the waves that repeat, and the encoders' offset.
 
     Parameters
     ----------
@@ -32,8 +33,14 @@ def extended_model(found: Search, configured: Drive, record: Record) -> Extended
     """
     beta, _, _ = found.fit.fit(found.chosen)
     drive = fit_parameters.drive_of(found.fit.parameters + beta[: fit_parameters.COUNT], configured)
-    terms = tuple(_term(cause.effect, cause.coefficients, cause.nonlinear) for cause in found.causes)
-    return ExtendedModel(drive, terms, float(beta[fit_parameters.COUNT]), _ranges(record))
+    known = [(cause.effect, cause.coefficients, cause.nonlinear) for cause in found.causes]
+    sized = found.fit.sized(found.chosen, beta)
+    known += [(effect, one, nonlinear) for (effect, nonlinear), one in sized if effect.given]
+    known += [(ORDER_LINE, row.coefficients, row.nonlinear) for row in found.table if row.repeats]
+    terms = tuple(_term(*one) for one in known)
+    zeros = found.fit.data.offsets  # each recording has its own, a joint that runs their mean
+    offset = float(zeros.mean(axis=0) @ beta[fit_parameters.COUNT :][: zeros.shape[1]])
+    return ExtendedModel(drive, terms, offset, _ranges(record))
 
 
 def running_residual(

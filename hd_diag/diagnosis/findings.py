@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,14 +13,17 @@ from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record
 
 _RATIO_MISS = 2e-3  # relative; more than any transmission error can make of a turn
-_RAMP_MISS = 3e-5  # relative
+_RAMP_MISS = 8e-5  # relative; torsion by gravity leans by half of it over a robot's reach
 _RAMP_ERROR = 1e-4  # [rad]; what is not fitted beside a ramp may lean by this over a run
 _LEAST_REACH = 2.5  # of a run at the output [rad]; over less, a wave of the output bends like a ramp
 _PARTS = 6
 _CLUSTERS = 60
 _MOST_ROWS = 20_000  # of the fit of ramps
 _INPUT_ORDERS = (1, 2, 4)  # of waves that any gear may have
+_SLOW = 0.02  # of the greatest speed, where friction turns
 _STEP = 0.25  # of a tooth pitch
+_DEGREES = math.degrees(1.0)
+_BITS = range(10, 25)  # of encoders
 
 
 @dataclass(frozen=True)
@@ -47,7 +51,7 @@ def check_ratio(record: Record, ratio: float) -> Finding | None:
         )
     # The error itself may lean with the angle by as much as its own size over the range.
     if abs(slope * ratio - 1.0) > max(_RATIO_MISS, 0.02 / max(float(np.ptp(output)), 1e-9)):
-        return _wrong_ratio(1.0 / slope, ratio)
+        return wrong_ratio(1.0 / slope, ratio)
     return None
 
 
@@ -66,19 +70,29 @@ def check_ramp(record: Record, ratio: float) -> Finding | None:
     mean = float(ramps.mean())
     spread = max(float(ramps.std(ddof=1)) / np.sqrt(ramps.size), deviation)
     if abs(mean) > max(_RAMP_MISS, _RAMP_ERROR / reach, 6.0 * spread):
-        return _wrong_ratio(ratio / (1.0 + mean), ratio)
+        return wrong_ratio(ratio / (1.0 + mean), ratio)
     return None
 
 
-def _wrong_ratio(found: float, configured: float) -> Finding:
-    return Finding(
-        "ratio_error",
-        f"the output follows the input at a ratio of {found:.6g}, not the configured {configured:g}: "
-        "check the ratio, its sign, a belt that was not declared, or swapped joints",
-        found,
-        "-",
-        True,
-    )
+def wrong_ratio(found: float, configured: float) -> Finding:
+    """The finding of another ratio than configured [-]."""
+    check = "check the ratio, its sign, a belt that was not declared, or swapped joints"
+    text = f"the output follows the input at a ratio of {found:.6g}, not the configured {configured:g}: "
+    return Finding("ratio_error", text + (_unit_of(found, configured) or check), found, "-", True)
+
+
+def _unit_of(found: float, configured: float) -> str:
+    """What a ratio that is off by a known factor tells of the units; empty for other ratios."""
+    factor = abs(found / configured)
+    for value, what in ((_DEGREES, "the input angle is in degrees"), (1.0 / _DEGREES, "the output angle is")):
+        if abs(factor / value - 1.0) < 0.02:
+            return what if value > 1.0 else f"{what} in degrees"
+    for bits in _BITS:
+        counts = 2.0**bits / (2.0 * math.pi)
+        for value, name in ((counts, "input"), (1.0 / counts, "output")):
+            if abs(factor / value - 1.0) < 0.01:
+                return f"the {name} angle is in counts of {bits} bits a turn"
+    return ""
 
 
 def _usual_slope(record: Record) -> float:
@@ -103,16 +117,17 @@ def _ramps(record: Record, ratio: float) -> tuple[Floats, float]:
     ideal = record.input_angle / ratio
     load = record.torque / max(float(np.max(np.abs(record.torque))), 1e-9)
     waves = [wave for order in _INPUT_ORDERS for wave in _waves(order * record.input_angle)]
+    way = np.tanh(record.speed / (_SLOW * max(float(np.percentile(np.abs(record.speed), 99)), 1e-9)))
     shared = (
-        *(load, load * np.abs(load), load**3, record.speed),
+        *(load, load * np.abs(load), load**3, record.speed, way, way * load, way * np.abs(load)),
         *_waves(ideal),
         *waves,
         *(load * wave for wave in waves),
     )
     rows = np.arange(record.size)
     part = rows * _PARTS // record.size
-    way = _centered(ideal, record.run)
-    columns = [way * (part == number) for number in range(_PARTS)]
+    along = _centered(ideal, record.run)
+    columns = [along * (part == number) for number in range(_PARTS)]
     columns += [_centered(column, record.run) for column in shared]
     scale = np.array([max(float(np.linalg.norm(c)), 1e-300) for c in columns])
     scaled = np.stack(columns, axis=1) / scale

@@ -7,13 +7,15 @@ from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import solve_toeplitz
+from scipy.linalg import solve_toeplitz, toeplitz
 from scipy.signal import lfilter
 
 from hd_diag.arrays import Floats, Integers
 
 ORDER = 20
 """Order of the autoregressive model [samples]."""
+
+_LEAST = 1e-9  # of the variance, that white noise has at least
 
 
 @dataclass(frozen=True)
@@ -101,10 +103,19 @@ def whitening(residual: Floats, run: Integers) -> Whitening:
         part = part - part.mean()
         covariance += [float(part[lag:] @ part[: part.size - lag]) for lag in range(ORDER + 1)]
         count += part.size
-    covariance /= max(count, 1)
+    return whitening_of(covariance / max(count, 1))
+
+
+def whitening_of(covariance: Floats) -> Whitening:
+    """The noise model with covariances at lags 0 to ORDER [rad^2], shape (ORDER + 1,).
+
+    Covariances that no noise has, as estimates may be, become those of the nearest with more white noise.
+    """
     if not covariance[0] > 0.0:
         return Whitening(np.zeros(ORDER), 1e-12)
-    covariance[0] *= 1.0 + 1e-9
+    least = float(np.linalg.eigvalsh(toeplitz(covariance))[0])
+    covariance = covariance.copy()
+    covariance[0] += max(_LEAST * covariance[0] - least, 0.0)
     coefficients = solve_toeplitz(covariance[:-1], covariance[1:])
     innovation = covariance[0] - float(coefficients @ covariance[1:])
     return Whitening(coefficients, float(np.sqrt(max(innovation, 1e-6 * covariance[0]))))

@@ -18,7 +18,7 @@ Rows = npt.NDArray[np.bool_]
 # Columns of one length by name; None for those that were not recorded.
 Columns = dict[str, Any]
 
-MINIMUM_SAMPLES = 500
+MINIMUM_SAMPLES = 200
 """Fewer samples than this are too short a record."""
 
 _PAUSE = 0.2  # rest that ends a run [s]
@@ -72,6 +72,10 @@ class Record:
         Number of the stretch without a long gap: causes with memory go on through pauses between runs.
     extent : Extent
         What the record covers; of the whole, where rows were left out.
+    torque_window : float
+        Of the smoothing of the torque [s]; 0: none.
+    by_current : bool
+        Whether the torque is a motor's current times a constant.
     """
 
     time: Floats
@@ -89,6 +93,8 @@ class Record:
     reported_speed: Floats | None
     stretch: Integers
     extent: Extent
+    torque_window: float = 0.0
+    by_current: bool = False
 
     @property
     def size(self) -> int:
@@ -112,6 +118,7 @@ def prepare(
     ratio: float,
     assumed_torque: float = 0.0,
     reported_speed: Floats | None = None,
+    by_current: bool = False,
 ) -> Record:
     """A record from raw columns of shape (n,).
 
@@ -123,6 +130,8 @@ def prepare(
         Reported input angle over reported output angle [-].
     assumed_torque : float
         Used where no torque was measured [N m].
+    by_current : bool
+        Whether the torque is a motor's current times a constant.
 
     Raises
     ------
@@ -163,10 +172,11 @@ def prepare(
     speed = rate(columns["input_angle"], segment, step, _SPEED_WINDOW)
     run = _runs(time, speed, segment)
     raw = np.full(time.shape, assumed_torque) if load is None else load
+    width = 0.0 if load is None else best_width(load, segment, step)
     return Record(
         **columns,
         time=time,
-        torque=raw if load is None else _without_noise(raw, segment, step),
+        torque=raw if load is None else settled(raw, smooth(raw, segment, step, width), step, width),
         speed=speed,
         temperature=None if heat is None else smooth(heat, segment, step, _HEAT_WINDOW),
         run=run,
@@ -176,6 +186,8 @@ def prepare(
         reported_torque=raw,
         stretch=_segments(time, columns["bag"], _LONG_GAP_STEPS),
         extent=extent(time, columns["input_angle"], run),
+        torque_window=width,
+        by_current=by_current and load is not None,
     )
 
 
@@ -184,11 +196,6 @@ def extent(time: Floats, input_angle: Floats, run: Integers) -> Extent:
     duration = sum(float(time[end - 1] - time[begin]) for begin, end in bounds(run))
     way = np.abs(np.diff(input_angle))[np.diff(run) == 0]
     return Extent(time.size, int(run[-1]) + 1, duration, float(np.sum(way)) / (2.0 * np.pi))
-
-
-def _without_noise(torque: Floats, segment: Integers, step: float) -> Floats:
-    width = best_width(torque, segment, step)
-    return settled(torque, smooth(torque, segment, step, width), step, width)
 
 
 def _usable(columns: Columns, bag: Integers) -> Rows:

@@ -7,6 +7,15 @@ from dataclasses import dataclass, replace
 
 from hd_diag.diagnosis.findings import Finding, check_ramp, check_ratio, find_steps
 from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.signal_findings import (
+    TORQUE_SIGN,
+    check_degrees,
+    check_one_sensor,
+    check_partner,
+    check_step,
+    check_torque,
+    repeated_rows,
+)
 from hd_diag.diagnosis.subsampling import LIMIT, subsample
 from hd_diag.drive import Drive
 
@@ -20,9 +29,14 @@ class Screened:
 
 
 def screened(
-    record: Record, configured: Drive, progress: Callable[[str], None] = lambda text: None, limit: int = LIMIT
+    record: Record,
+    configured: Drive,
+    progress: Callable[[str], None] = lambda text: None,
+    limit: int = LIMIT,
+    *,
+    teeth: bool = True,
 ) -> Screened:
-    """Check every row for a wrong ratio, swapped joints and steps, then subsample.
+    """Check the signals: sensors, units, signs, ratio and steps, in every row; then subsample.
 
     Parameters
     ----------
@@ -32,16 +46,23 @@ def screened(
         Called with what is being done.
     limit : int
         Rows to keep, at most: a caller who keeps only the result frees a long record.
+    teeth : bool
+        Whether the configured geometry is that of the gear: else its torsion is not compared.
     """
     ratio = configured.kinematics.ratio
-    progress("checking the ratio")
-    wrong = check_ratio(record, ratio)
+    progress("checking the signals")
+    wrong = check_one_sensor(record, ratio) or check_degrees(record) or check_step(record, ratio)
+    wrong = wrong or check_ratio(record, ratio) or check_partner(record, configured)
     if wrong is not None:
         return Screened(subsample(record, limit), (wrong,))
+    record, again = repeated_rows(record)
     correction, steps = find_steps(record, ratio, configured.mesh.geometry.tooth_pitch)
     if steps:
         record = replace(record, output_angle=record.output_angle - correction)
     del correction
     record = subsample(record, limit)
-    wrong = check_ramp(record, ratio)
-    return Screened(record, (*([wrong] if wrong else []), *steps))
+    torque = check_torque(record, configured) if teeth else None
+    found = [one for one in (check_ramp(record, ratio), torque, again, *steps) if one is not None]
+    if torque is not None and torque.name == TORQUE_SIGN:
+        record = replace(record, torque=-record.torque, reported_torque=-record.reported_torque)
+    return Screened(record, tuple(found))

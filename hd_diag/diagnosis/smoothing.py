@@ -25,7 +25,7 @@ def smooth(values: Floats, segment: Integers, step: float, width: float) -> Floa
 
     Parameters
     ----------
-    values : ndarray, shape (n,)
+    values : ndarray, shape (n,) or (n, k)
     segment : ndarray of int64, shape (n,)
         Number of the stretch without a gap that a sample belongs to, ascending.
     step : float
@@ -35,9 +35,12 @@ def smooth(values: Floats, segment: Integers, step: float, width: float) -> Floa
 
     Returns
     -------
-    ndarray, shape (n,)
+    ndarray
+        Same shape.
     """
-    return _by_segment(segment, lambda rows: _twice(values[rows], step, width), step, 2.0 * width)
+    result = np.empty_like(values)
+    _by_segment(result, segment, lambda rows: _twice(values[rows], step, width), step, 2.0 * width)
+    return result
 
 
 def best_width(values: Floats, segment: Integers, step: float) -> float:
@@ -83,14 +86,17 @@ def rate(values: Floats, segment: Integers, step: float, width: float) -> Floats
             return np.gradient(part, step) if part.size > 1 else np.zeros_like(part)
         return np.asarray(savgol_filter(part, window, min(_ORDER, window - 1), deriv=1, delta=step))
 
-    return _by_segment(segment, local, step, width)
+    result = np.empty_like(values)
+    _by_segment(result, segment, local, step, width)
+    return result
 
 
 def _twice(values: Floats, step: float, width: float) -> Floats:
-    window = _window(values.size, step, width)
+    window = _window(values.shape[0], step, width)
     if window <= _ORDER + 1:
         return values
-    return np.asarray(savgol_filter(savgol_filter(values, window, _ORDER), window, _ORDER))
+    once = savgol_filter(values, window, _ORDER, axis=0)
+    return np.asarray(savgol_filter(once, window, _ORDER, axis=0))
 
 
 def _prediction_error(values: Floats, step: float, width: float) -> float:
@@ -109,9 +115,9 @@ def _window(size: int, step: float, width: float) -> int:
     return min(max(wanted, _ORDER + 2 | 1), largest)
 
 
-def _by_segment(segment: Integers, function: Callable[[slice], Floats], step: float, width: float) -> Floats:
-    """Values of a filter of a width [s] along every segment."""
-    result = np.empty(segment.size)
+def _by_segment(
+    result: Floats, segment: Integers, function: Callable[[slice], Floats], step: float, width: float
+) -> None:
+    """Fill a result by a filter of a width [s] along every segment."""
     for begin, end in bounds(segment):
         filtered(result, begin, end, function, _window(segment.size, step, width))
-    return result

@@ -5,14 +5,20 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from hd_diag.diagnosis.diagnosis import Diagnosis, Gain, Rms
+from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.findings import Finding
+from hd_diag.diagnosis.gain import Gain, Rms
+from hd_diag.diagnosis.judgement import Answer, Change
 from hd_diag.diagnosis.search.causes import Cause
+from hd_diag.diagnosis.search.order_table import OrderRow
 from hd_diag.diagnosis.search.unexplained import Unexplained
-from hd_diag.formatting import ARCSEC, arcsec, direction, json_ready, si, words
+from hd_diag.formatting import ARCSEC, arcsec, direction, json_ready, si, spread_number, words
 
-_SIGMAS = 3.0  # a parameter this many standard deviations off its configured value is worth a word
-_NO_RMS, _NO_GAIN = Rms(*[math.nan] * 8), Gain(math.nan, math.nan, math.nan, "nothing")
+_NO_RMS, _NO_GAIN = Rms(*[math.nan] * 9), Gain(math.nan, math.nan, math.nan, "nothing")
+_HOW_TO_FIND = (
+    "counter-clockwise from where the wave generator's long axis stands at input angle zero "
+    "(wave_generator_phase); an axis points to either side, so 180° more is the same"
+)
 _PER = {"input": "per input turn", "output": "per output turn", "time": "Hz"}
 
 
@@ -34,6 +40,7 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
     rms, gain, record = diagnosis.rms or _NO_RMS, diagnosis.gain or _NO_GAIN, diagnosis.record
     counts = {"has_torque": record.has_torque, "outliers": record.outliers, "dropped": record.dropped}
     trustworthy = diagnosis.refitted is not None and diagnosis.refitted.trustworthy
+    answer = Answer(diagnosis)
     content = {
         "schema": "hd_diag/diagnosis/1",
         "joint": joint,
@@ -41,9 +48,14 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
         "findings": [finding.__dict__ for finding in diagnosis.findings],
         "nominal": {"rms": rms.nominal},
         "refit": {"rms": rms.refit, "parameters": diagnosis.parameters, "trustworthy": trustworthy},
-        "causes": [*map(_finding, diagnosis.findings), *map(_cause, diagnosis.causes)],
+        "causes": [*map(_finding, _named(diagnosis)), *map(_cause, diagnosis.causes)],
         "unexplained": [_unexplained(line) for line in diagnosis.unexplained],
-        "extended": {"rms": rms.extended, "rms_offline": rms.offline, "rms_live": rms.live},
+        "extended": {
+            "rms": rms.extended,
+            "rms_named": rms.named,
+            "rms_offline": rms.offline,
+            "rms_live": rms.live,
+        },
         "noise_floor": {"rms": rms.noise, "low": rms.noise_low, "high": rms.noise_high},
         "gain": {
             "rms_nominal": rms.nominal,
@@ -55,10 +67,32 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
             "held_out": gain.held_out,
         },
         "testability": [test.__dict__ for test in diagnosis.testable],
+        "judgement": answer.judgement,
+        "evidence": answer.evidence,
+        "described": [_row(row) for row in diagnosis.order_table],
+        "normal": answer.normal and {**answer.normal._asdict(), "within": answer.normal.within},
         "model": model,
-        "verdict": sentence(diagnosis),
+        "verdict": sentence(answer),
     }
     return dict(json_ready(content))
+
+
+def _named(diagnosis: Diagnosis) -> list[Finding]:
+    """Findings that are causes of the catalogue; others are about the signals."""
+    names = {effect.name for effect in diagnosis.catalogue}
+    return [finding for finding in diagnosis.findings if finding.name in names]
+
+
+def _row(row: OrderRow) -> dict[str, Any]:
+    return {
+        "order": row.order,
+        "frame": row.frame,
+        "amplitude": row.amplitude,
+        "phase": row.phase,
+        "repeats": row.repeats,
+        "grows_with_torque": bool(row.nonlinear[1]),
+        "might_be": row.might_be,
+    }
 
 
 def _cause(cause: Cause) -> dict[str, Any]:
@@ -103,20 +137,26 @@ def _unexplained(line: Unexplained) -> dict[str, Any]:
     return content
 
 
-def sentence(diagnosis: Diagnosis) -> str:
-    """The verdict in one sentence."""
+def sentence(answer: Answer) -> str:
+    """The verdict in one sentence; that the model does not describe the record comes first."""
+    diagnosis = answer.diagnosis
     fatal = [finding for finding in diagnosis.findings if finding.fatal]
     if fatal:
         return f"First of all: {fatal[0].text}."
-    parts = [*(finding.text for finding in diagnosis.findings), _eccentricity(diagnosis)]
-    if diagnosis.causes:
+    parts = [*_misfit(answer), *_severity(answer), *(finding.text for finding in diagnosis.findings)]
+    parts.append(_parameters(answer))
+    if diagnosis.refitted is None:
+        pass
+    elif diagnosis.causes:
         parts.append("beside that: " + "; ".join(map(_cause_in_words, diagnosis.causes)))
-    elif not diagnosis.unexplained:
+    elif not diagnosis.unexplained and answer.judgement != "misfit":
         parts.append("no other cause is needed")
     else:
         parts.append("none of the known causes explains the rest")
     if diagnosis.unexplained:
         parts.append("unexplained: " + ", ".join(map(_line_in_words, diagnosis.unexplained)))
+    if rows := [row for row in diagnosis.order_table if row.repeats]:
+        parts.append(f"described, not explained: {', '.join(map(_row_in_words, rows))}")
     rms, record = diagnosis.rms, diagnosis.record
     if rms is not None and diagnosis.causes and not rms.extended < rms.refit:
         parts.append(
@@ -130,18 +170,71 @@ def sentence(diagnosis: Diagnosis) -> str:
     return "; ".join(parts) + "."
 
 
-def _eccentricity(diagnosis: Diagnosis) -> str:
-    """What the fit of the model's own parameters says, in words."""
+def _misfit(answer: Answer) -> list[str]:
+    if answer.judgement != "misfit":
+        return []
+    left = answer.residual_over_noise
+    return [f"the model does not describe this record: {left:.1f} times the noise is left"]
+
+
+def _severity(answer: Answer) -> list[str]:
+    usual = answer.normal
+    if usual is None:
+        return []
+    size, allowed = usual.measured / ARCSEC, usual.accuracy / ARCSEC
+    where = "within" if usual.within else "beyond"
+    return [f"the joint is {where} its accuracy ({size:.0f} of {allowed:.0f} arcsec peak to peak)"]
+
+
+def _parameters(answer: Answer) -> str:
+    """What the fit of the model's own parameters says, in words: what changes the error most first."""
+    diagnosis, changed = answer.diagnosis, answer.changes
     if diagnosis.refitted is None:
-        return "the model's parameters could not be fitted"
+        return "described by its orders alone, without a tooth model: nothing is said about causes"
     if not diagnosis.refitted.trustworthy:
         return "the model's parameters are ambiguous: several sets fit about as well"
-    size, turn = (diagnosis.parameters[f"eccentricity.{part}"] for part in ("magnitude", "direction"))
-    configured = f"{size['configured'] * 1e6:.1f} µm"
-    if abs(size["value"] - size["configured"]) < _SIGMAS * size["std"]:
-        return f"the eccentricity is as configured ({configured})"
-    towards = direction(turn["value"], turn["std"], math.pi).replace("modulo", "mod")
-    return f"the eccentricity is {si(size['value'], size['std'], 'm')} at {towards}, not {configured}"
+    if not changed:
+        configured = diagnosis.parameters["eccentricity.magnitude"]["configured"]
+        told = f"the eccentricity is as configured ({configured * 1e6:.1f} µm)"
+        most = diagnosis.kept.get("eccentricity")
+        return (
+            told
+            if most is None
+            else f"{told}, as far as this record tells: no more than {most * 1e6:.1f} µm off"
+        )
+    told = ", ".join(_change_in_words(diagnosis, change) for change in changed)
+    if changed[0].name in ("eccentricity", "runout"):
+        return told
+    return f"the configured drive is not this gear: {told}"
+
+
+def _change_in_words(diagnosis: Diagnosis, change: Change) -> str:
+    if change.name in ("eccentricity", "runout"):
+        turned, period = diagnosis.parameters[f"{change.name}.direction"], math.pi
+        angle = turned["value"]
+        if change.name == "eccentricity":
+            what, angle = "the eccentricity", angle - diagnosis.configured.kinematics.phase
+        else:
+            what, period = "the wave generator's runout", 2.0 * math.pi
+        towards = direction(angle, turned["std"], period).replace("modulo", "mod")
+        size = si(change.value, change.std, change.unit)
+        return f"{what} is {size} at {towards} from the long axis, not {change.configured * 1e6:.1f} µm"
+    name = {"circular_spline_datum": "datum"}.get(change.name, words(change.name))
+    if change.name == "tooth_compliance":
+        scale = 100.0 / change.configured
+        return f"{name} {_more((change.value - change.configured) * scale, change.std * scale, '%')}"
+    size = si(abs(change.value - change.configured), change.std, change.unit)
+    return f"{name} {'+' if change.value > change.configured else '−'}{size}"
+
+
+def _more(value: float, spread: float, unit: str) -> str:
+    return f"{'+' if value > 0.0 else '−'}{spread_number(abs(value), spread, unit)}"
+
+
+def _row_in_words(row: OrderRow) -> str:
+    order = f"{row.order:.0f}" if row.order == round(row.order) else f"{row.order:.3f}"
+    law = " at the rated torque" if row.nonlinear[1] else ""
+    return f"{order} {_PER[row.frame]} ({arcsec(row.amplitude)}{law})"
 
 
 def _cause_in_words(cause: Cause) -> str:
@@ -160,7 +253,8 @@ def _line_in_words(line: Unexplained) -> str:
 
 def summary(diagnosis: Diagnosis) -> list[str]:
     """The diagnosis in lines for a terminal."""
-    lines = [sentence(diagnosis)]
+    answer = Answer(diagnosis)
+    lines = [sentence(answer)]
     rms, gain = diagnosis.rms, diagnosis.gain
     if rms and gain:
         lines.append(
@@ -169,6 +263,8 @@ def summary(diagnosis: Diagnosis) -> list[str]:
             f"noise {arcsec(rms.noise)} rms; explained {100 * gain.fraction:.1f} % "
             f"({100 * gain.low:.1f} to {100 * gain.high:.1f} %)"
         )
+    if any(change.name == "eccentricity" for change in answer.changes):
+        lines.append(f"direction: {_HOW_TO_FIND}")
     lines += [f"inspect: {cause.effect.inspect}" for cause in diagnosis.causes]
     untested = [test for test in diagnosis.testable if not test.testable]
     return lines + [f"not testable here: {words(test.name)}: {test.reason}" for test in untested]

@@ -125,12 +125,12 @@ class ContactWeights:
             result += share * self.table.one_tooth(torque_row, angle_row, tooth, opening)
         return self._sign * result.T
 
-    def under_more_torque(self, torque: float) -> Floats:
+    def under_more_torque(self, torque: Floats) -> Floats:
         """Change of TE if the drive exerted more torque on the link, the cup's compliance included.
 
         Parameters
         ----------
-        torque : float
+        torque : ndarray, shape (n,)
             [N m]
 
         Returns
@@ -139,7 +139,7 @@ class ContactWeights:
             [rad]
         """
         change = self._torsion(self.torque + torque) - self._own_torsion()
-        return self.drive.frame.transmission_error(change, np.full(change.shape, torque))
+        return self.drive.frame.transmission_error(change, torque)
 
     @cached_property
     def ripple(self) -> Floats:

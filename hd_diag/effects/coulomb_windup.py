@@ -1,4 +1,4 @@
-"""Dry friction winds the drive up against its motion, more at the slowest speeds."""
+"""Dry friction behind the gear: torque that the mesh bears against the motion, more at the slowest speeds."""
 
 from __future__ import annotations
 
@@ -7,58 +7,73 @@ from functools import partial
 
 import numpy as np
 
-from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Starts, Values
+from hd_diag.effects.effect import Stepped, Values
 from hd_diag.effects.excitation import both_directions, enough_input_turns
+from hd_diag.effects.mesh_torque import MeshTorque
 from hd_diag.effects.quantity import Quantity
+from hd_diag.effects.recursions import relax
 from hd_diag.effects.signals import Signals
-from hd_diag.formatting import ARCSEC
 
-_SPEEDS = (0.1, 0.6, 3.0)  # [rad/s] of the input
-_STRIBECK = 10.0  # Stribeck speed over the speed at which the friction turns round
+# Time [s] and input angle [rad] of the last sample, None before the first; z.
+State = tuple[tuple[float, float] | None, float]
 
 
 @dataclass(frozen=True, kw_only=True)
-class CoulombWindup(Effect):
-    """``-[a + b exp(-(omega / 10 omega_0)^2)] tanh(omega / omega_0)``."""
+class CoulombWindup(MeshTorque):
+    """``T' = T + a [1 + b exp(-(omega / omega_s)^2)] z``, a bristle z that motion bends: ``-1 ... 1``.
 
-    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """Dry friction and what it is more at low speed; see :meth:`Effect.columns`."""
-        relative = signals.forward_speed / nonlinear[0]
-        sign = np.tanh(relative)
-        return -np.stack((sign, sign * np.exp(-((relative / _STRIBECK) ** 2))), axis=1)
+    ``x_0 dz/dt = omega - (|omega| + omega_0) z``: with ``omega_0 = 0`` it keeps its bend at rest (Dahl), else
+    it lets go, and z goes with the speed alone where x_0 is small.
+    """
 
-    def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
-        """Speeds at which the friction turns round [rad/s]."""
-        return Starts.grid((speed,) for speed in _SPEEDS)
+    def start(self, nonlinear: Values) -> State:
+        """No sample yet; the bristle is straight."""
+        return None, 0.0
+
+    def torque_step(self, state: State, signals: Signals, nonlinear: Values) -> Stepped:
+        """Let the bristle follow, exactly while the speed is even; see :meth:`MeshTorque.torque_step`."""
+        way, creep, share, slow = nonlinear
+        if not signals.size:
+            return np.empty((0, 1)), state
+        time, angle = signals.time, signals.input_angle * np.sign(signals.ratio)
+        before, z = state
+        step, moved = (
+            np.diff(values, prepend=values[0] if before is None else before[index])
+            for index, values in enumerate((time, angle))
+        )
+        bent = np.abs(moved) + creep * np.maximum(step, 0.0)
+        left = np.exp(-bent / way)
+        aim = moved / np.where(bent > 0.0, bent, 1.0)
+        bend = relax(np.array([z + 0j]), left + 0j, ((1.0 - left) * aim + 0j)[:, None])[:, 0].real
+        more = 1.0 + share * np.exp(-((signals.speed / slow) ** 2))
+        return (more * bend)[:, None], ((float(time[-1]), float(angle[-1])), float(bend[-1]))
 
 
 EFFECT = CoulombWindup(
     name="coulomb_windup",
-    cause="Dry friction behind the torque's measurement (seal, output bearing, cable) holds the output back.",
+    cause="Dry friction between gear and torque sensor (seal, output bearing, cable): the mesh bears it too.",
     kind="friction",
     frame="torque",
-    needs=("speed",),
+    needs=("time", "wave_generator_angle", "torque", "speed", "run"),
     excitation=(both_directions, partial(enough_input_turns, turns=1.0)),
+    remembers=True,
     broadband=True,
+    grid=((0.003, 0.1, 0.0, 10.0), (0.003, 1.0, 0.5, 3.0), (0.3, 0.0, 0.0, 3.0), (0.05, 0.0, 0.5, 10.0)),
     quantities=(
-        Quantity("amplitude", "rad", -1e-3, 1e-3, 5.0 * ARCSEC, "a, lag while the joint moves"),
-        Quantity("stribeck_amplitude", "rad", -1e-3, 1e-3, 3.0 * ARCSEC, "b, more of it at low speed"),
-        Quantity(
-            "reversal_speed",
-            "rad/s",
-            1e-2,
-            _SPEEDS[-1],
-            1.0,
-            "omega_0, input speed of the sign's change",
-            linear=False,
-        ),
+        Quantity("friction", "N m", -1e3, 1e3, 1.0, "a, while the joint moves"),
+        Quantity("way", "rad", 1e-4, 30.0, 0.1, "x_0, of the input, over which it builds up", linear=False),
+        Quantity("creep_speed", "rad/s", 0.0, 3.0, 0.1, "omega_0, of the input; 0: kept at rest", False),
+        Quantity("stribeck", "-", 0.0, 2.0, 0.5, "b, share of it that is more at low speed", linear=False),
+        Quantity("stribeck_speed", "rad/s", 0.5, 20.0, 5.0, "omega_s, of the input", linear=False),
     ),
     confused_with=("viscous_windup", "stream_delay", "hysteresis", "torque_offset"),
-    source="Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994, pp. 1083-1138",
+    source=(
+        "Dahl: AIAA Journal 14(12), 1976; Stribeck: Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica "
+        "30(7), 1994, pp. 1083-1138"
+    ),
     inspect=(
         "Seal and output bearing: turn the link by hand with the motor off, then measure the torque to move "
-        "it. The lag times the stiffness is the friction's torque. Drive the same stretch slowly both ways: "
-        "half the distance of the two curves is the amplitude, at every angle alike."
+        "it: it must be a. Drive the same stretch slowly both ways, loaded and not: half the distance of the "
+        "two curves is a times the compliance there."
     ),
 )

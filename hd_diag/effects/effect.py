@@ -26,12 +26,13 @@ _KNOTS = 12  # along a record, between which the amplitude and phase of a wander
 
 
 class Stage(IntEnum):
-    """Where an effect enters, on the way from the gear to the samples."""
+    """Where an effect enters, on the way from the torque over the gear to the samples."""
 
     NOWHERE = -1
-    GEAR = 0
-    SPRING = 1
-    STREAM = 2
+    TORQUE = 0
+    GEAR = 1
+    SPRING = 2
+    STREAM = 3
 
 
 class Starts(NamedTuple):
@@ -79,6 +80,8 @@ class Effect:
         What it adds to the transmission error; if empty, the class says it.
     excitation : tuple of callable
         Checks of :mod:`hd_diag.effects.excitation` that a record's motion must pass to show it.
+    grid : tuple of tuple of float
+        Start values of the nonlinear quantities, where the record does not give better ones.
     stage : Stage
         Where it enters; effects of later stages see what those of earlier ones add.
     of_teeth : bool
@@ -89,14 +92,14 @@ class Effect:
         Whether `step` gives its columns times its coefficients.
     own_slopes : bool
         Whether its columns change with its size, see `slopes`.
-    shifts_torque : bool
-        Whether its first coefficient is real less reported torque [N m].
     wanders_by : str
         Discrete quantity that, at 1, lets amplitude and phase wander over the record; "" for none.
     broadband : bool
         Whether it has no line of its own: the noise is learnt beside its columns.
     searched : bool
         Whether it is searched for in the residual; others are found before the fit.
+    given : bool
+        Whether no cause but part of every fit, drawn to zero by the usual sizes, of a torque by current.
     lasting : bool
         Whether a model that runs can hold it; not what happened once in a record.
     """
@@ -113,15 +116,16 @@ class Effect:
     always_confused: tuple[str, ...] = ()
     formula: str = ""
     excitation: tuple[Check, ...] = ()
+    grid: tuple[Values, ...] = ((),)
     stage: Stage = Stage.GEAR
     of_teeth: bool = False
     remembers: bool = False
     proportional: bool = True
     own_slopes: bool = False
-    shifts_torque: bool = False
     wanders_by: str = ""
     broadband: bool = False
     searched: bool = True
+    given: bool = False
     lasting: bool = True
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
@@ -171,7 +175,7 @@ class Effect:
 
     def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
         """Start values of the nonlinear quantities: a grid, or those that fit a residual [rad], (n,)."""
-        return Starts.grid([()])
+        return Starts.grid(self.grid)
 
     def neighbours(self, signals: Signals, nonlinear: Values) -> list[Values]:
         """Other discrete values that a search should compare when everything else is fitted."""
@@ -214,10 +218,6 @@ class Effect:
         names = [quantity.name for quantity in self.nonlinear]
         return bool(self.wanders_by and nonlinear[names.index(self.wanders_by)])
 
-    def torque_shift(self, coefficients: Floats) -> float:
-        """Real less reported torque by it [N m]."""
-        return float(coefficients[0]) if self.shifts_torque else 0.0
-
     def sensible(self, coefficients: Floats, nonlinear: Values) -> bool:
         """Whether a candidate may have these values: beyond strict limits, another cause is meant."""
         strict = [quantity for quantity in self.quantities if quantity.strict]
@@ -238,6 +238,13 @@ class Effect:
     def size(self) -> int:
         """Number of coefficients."""
         return len(self.linear)
+
+    @property
+    def usual(self) -> Floats:
+        """Usual size of every coefficient, shape (size,)."""
+        linear = self.linear
+        sizes = [linear[i - 1] if q.periodic is not None else q for i, q in enumerate(linear)]
+        return np.array([q.prior_scale**q.power for q in sizes])
 
     def to_physical(
         self, coefficients: Sequence[float] | Floats, nonlinear: Values

@@ -1,4 +1,4 @@
-"""Division error of the input encoder: as many periods per turn as it has lines or pole pairs."""
+"""Division error of an encoder: as many periods per turn as it has lines or pole pairs, and twice as many."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Starts
@@ -16,70 +17,135 @@ from hd_diag.effects.quantity import Quantity, amplitude, direction
 from hd_diag.effects.signals import Signals
 from hd_diag.formatting import ARCSEC
 
-_LEAST, _MOST = 4, 4096
 _USUAL = (4, 5, 8, 12, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096)
 _CANDIDATES = 4
+_ROUND = 2**12 * 3**6 * 5**4  # divisible by every number up to 4096 without other prime factors
 _ABOVE_MESH = 8  # first order beyond those that two eccentric lobes give under load
 _SLOW = 0.25  # share of the moving samples that must be slow enough
 
 
 @dataclass(frozen=True, kw_only=True)
 class EncoderInterpolation(Harmonic):
-    """The input reads ``a cos(L theta_in - d)`` too far, so the output seems to lag by that over N."""
+    """The encoder reads ``a cos(L theta - d) + b cos(2 L theta - e)`` too far.
+
+    Parameters
+    ----------
+    least, most : int
+        Lines per turn.
+    multiple : int
+        What a number of lines is divisible by; if not 1, it has no other prime factors than 2, 3 and 5, as
+        circles are divided.
+    """
+
+    least: int
+    most: int
+    multiple: int = 1
+    orders: tuple[float, ...] = (1.0, 2.0)
 
     def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
-        """Strongest whole orders of a residual over the input angle; without one the usual line numbers."""
-        least, highest = _lowest(signals), _highest(signals)
+        """Strongest whole orders of a residual over the angle; without one the usual line numbers."""
+        least, highest = self._lowest(signals), self.highest(signals)
         trials = max(1, highest - least + 1)
         if residual is None:
             return Starts([(float(lines),) for lines in _USUAL if least <= lines <= highest], trials)
         if highest < least:
             return Starts([], trials)
-        strength = integer_orders(signals.input_angle, residual, highest)
+        strength = integer_orders(getattr(signals, self.angle), residual, highest)
         strength[:least] = 0.0
-        best = np.argsort(strength)[::-1][:_CANDIDATES]
-        return Starts([(float(order),) for order in best if order >= least], trials)
+        best = self._lines(signals, strength)[:_CANDIDATES]
+        return Starts([(float(order),) for order in best], trials)
+
+    def _lines(self, signals: Signals, strength: Floats) -> list[int]:
+        """Orders that can be lines, the strongest first, without the side lobes of stronger orders.
+
+        A whole order of the input's turn is the gear's own or the input encoder's.
+        """
+        order, gear = np.arange(strength.size), self._gear(signals)
+        can = (order % self.multiple == 0) & (strength > 0.0) & ((gear == 1.0) | (order % gear != 0.0))
+        if self.multiple > 1:
+            can &= _ROUND % np.maximum(order, 1) == 0
+        can &= strength >= maximum_filter1d(strength, 2 * self.multiple - 1)
+        found = order[can]
+        return [int(one) for one in found[np.argsort(strength[found])[::-1]]]
+
+    def slow_enough(self, signals: Signals) -> Verdict:
+        """Whether the least number of lines does not alias."""
+        limit = np.pi / (self.least * sample_interval(signals)) * self._gear(signals)
+        slow = self.highest(signals) >= self.least
+        text = f"the input is too fast for the sampling: repeat the motion below {limit:.3g} rad/s"
+        return slow, "" if slow else text
+
+    def testable(self, signals: Signals) -> Verdict:
+        """As other effects, and whether lines are not passed too fast."""
+        slow = self.slow_enough(signals)
+        return super().testable(signals) if slow[0] else slow
+
+    def highest(self, signals: Signals) -> int:
+        """Greatest order of the angle that does not alias in the slower part of the record."""
+        speed = np.abs(signals.speed) / self._gear(signals)
+        moving = speed[speed > 1e-3 / self._gear(signals)]
+        if not moving.size:
+            return 0
+        step = float(np.quantile(moving, _SLOW)) * sample_interval(signals)
+        return int(min(self.most, np.pi / step)) if step > 0.0 else self.most
+
+    def _lowest(self, signals: Signals) -> int:
+        """Under a load that is not known, the gear's own orders look like lines."""
+        of_mesh = _ABOVE_MESH * self._gear(signals)
+        return self.least if torque_known(signals)[0] or self.angle != "input_angle" else int(of_mesh)
+
+    def _gear(self, signals: Signals) -> float:
+        """Speed of the input over that of the angle [-]."""
+        return 1.0 if self.angle == "input_angle" else abs(signals.ratio)
 
 
-def _slow_enough(signals: Signals) -> Verdict:
-    """Whether the least number of lines does not alias."""
-    limit = np.pi / (_LEAST * sample_interval(signals))
-    slow = _highest(signals) >= _LEAST
-    text = f"the input is too fast for the sampling: repeat the motion below {limit:.3g} rad/s"
-    return slow, "" if slow else text
+def line_quantities(usual: float, least: int, most: int, at: str) -> tuple[Quantity, ...]:
+    """Amplitudes and directions of both orders, and the number of lines.
+
+    Parameters
+    ----------
+    usual : float
+        Amplitude [rad].
+    least, most : int
+        Lines per turn.
+    at : str
+        "input" or "output".
+    """
+    return (
+        amplitude("amplitude", "rad", 0.1, usual, f"a, reading error at the {at}"),
+        direction("phase", f"of the error at {at} angle zero"),
+        amplitude("second_amplitude", "rad", 0.1, 0.5 * usual, "b, twice per line"),
+        direction("second_phase", f"of that at {at} angle zero"),
+        Quantity(
+            "lines", "-", least, most, 64.0, "L, lines or pole pairs per turn", linear=False, discrete=True
+        ),
+    )
 
 
-def _lowest(signals: Signals) -> int:
-    """Least number of lines: under a load that is not known, the gear's own orders look like lines."""
-    return _LEAST if torque_known(signals)[0] else _ABOVE_MESH
-
-
-def _highest(signals: Signals) -> int:
-    """Greatest order of the input that does not alias in the slower part of the record."""
-    speed = np.abs(signals.speed)
-    moving = speed[speed > 1e-3]
-    if not moving.size:
-        return 0
-    step = float(np.quantile(moving, _SLOW)) * sample_interval(signals)
-    return int(min(_MOST, np.pi / step)) if step > 0.0 else _MOST
-
+_LEAST, _MOST = 4, 4096
 
 EFFECT = EncoderInterpolation(
     name="encoder_interpolation",
+    formula=(
+        "The input reads ``a cos(L theta_in - d) + b cos(2 L theta_in - e)`` too far, so the output seems to "
+        "lag by that over N."
+    ),
     cause="The input encoder divides its lines or pole pairs unevenly.",
     kind="sensor",
     frame="input",
     needs=("output_angle", "speed", "time"),
     angle="input_angle",
-    excitation=(_slow_enough, partial(enough_input_turns, turns=3.0)),
-    quantities=(
-        amplitude("amplitude", "rad", 0.1, 200.0 * ARCSEC, "a, reading error at the input"),
-        direction("phase", "of the error at input angle zero"),
-        Quantity(
-            "lines", "-", _LEAST, _MOST, 64.0, "L, lines or pole pairs per turn", linear=False, discrete=True
-        ),
+    least=_LEAST,
+    most=_MOST,
+    excitation=(partial(enough_input_turns, turns=3.0),),
+    quantities=line_quantities(200.0 * ARCSEC, _LEAST, _MOST, "input"),
+    confused_with=(
+        "circular_spline_form",
+        "circular_spline_pitch",
+        "bearing_passage",
+        "tooth_damage",
+        "output_encoder_interpolation",
     ),
-    confused_with=("circular_spline_form", "circular_spline_pitch", "bearing_passage", "tooth_damage"),
     source="Heidenhain, Rotary Encoders (brochure): position error within one signal period",
     inspect=(
         "Number of lines or pole pairs in the motor's data sheet: it must be the order found, or a quarter "

@@ -22,14 +22,15 @@ class Harmonic(Effect):
         Name of the signal. An error of the input angle is read: it shows at the output with the opposite sign
         and divided by the ratio.
     orders : tuple of float
-        k, one for every amplitude and direction; if empty, the first nonlinear quantity is the order.
+        k, one for every amplitude and direction; times the first nonlinear quantity, if there is one.
     """
 
     angle: str
-    orders: tuple[float, ...] = ()
+    orders: tuple[float, ...] = (1.0,)
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Cosine and sine of every order; see :meth:`Effect.columns`."""
         angle = getattr(signals, self.angle)
-        waves = np.concatenate([turning(k * angle) for k in self.orders or nonlinear[:1]], axis=1)
+        base = nonlinear[0] if nonlinear else 1.0
+        waves = np.concatenate([turning(k * base * angle) for k in self.orders], axis=1)
         return -waves / signals.ratio if self.angle == "input_angle" else waves

@@ -11,52 +11,63 @@ from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Effect, Starts, Stepped, Values, by_run
 from hd_diag.effects.excitation import torque_reverses
 from hd_diag.effects.quantity import Quantity
-from hd_diag.effects.recursions import slip
+from hd_diag.effects.recursions import bend, slip
 from hd_diag.effects.signals import Signals
 from hd_diag.formatting import ARCSEC
 
-_FRACTIONS = (0.02, 0.05, 0.12, 0.3)  # of the rated torque
+_BENDING, _SLIPPING = (0.06, 0.15, 0.4), (0.03, 0.09, 0.25)  # of the rated torque
+_ELEMENTS = np.linspace(-1.0, 1.0, 4)  # powers of the spread over the slip elements
 _SWING = 0.1  # of the rated torque, that must be reversed twice
 
-# Last torque [N m], None before the first sample; z of both elements.
-State = tuple[float | None, tuple[float, ...]]
+# Last torque [N m], None before the first sample; z of the bend and of the elements.
+State = tuple[float | None, float, tuple[float, ...]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Hysteresis(Effect):
-    """Two Maxwell slip elements: ``z <- clip(z + dT / r, -1, 1)``, ``a_1 z_1 + a_2 z_2``.
+    """``a_1 z_1 + a_2 z_2``: a bend that gives way smoothly, and elements that slip one after the other.
 
+    Bouc and Wen: ``dz_1 = dT / r_1 (1 - |z_1|^n)`` while the torque goes on, ``dT / r_1`` on the way back.
+    Maxwell slip: the mean of ``z <- clip(z + dT / r, -1, 1)`` with r from ``r_2 / s`` to ``r_2 s``.
     a > 0: the link lags less while the torque grows and more while it falls, as friction beside the spring
     has it. a < 0: it lags more while the torque grows, as friction behind the torque's measurement has it.
     """
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """Both elements; see :meth:`Effect.columns`."""
-        return by_run(signals, lambda run: _slipped(self.start(nonlinear), run, nonlinear)[0])
+        """Both; see :meth:`Effect.columns`."""
+        return by_run(signals, lambda run: _moved(self.start(nonlinear), run, nonlinear)[0])
 
     def start(self, nonlinear: Values) -> State:
-        """No torque yet; the elements are relaxed."""
-        return None, (0.0,) * len(nonlinear)
+        """No torque yet; all is relaxed."""
+        return None, 0.0, (0.0,) * _ELEMENTS.size
 
     def step(self, state: State, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
-        """Let the elements follow the torque; see :meth:`Effect.step`."""
-        elements, state = _slipped(state, signals, nonlinear)
-        return np.asarray(elements @ coefficients), state
+        """Let both follow the torque; see :meth:`Effect.step`."""
+        columns, state = _moved(state, signals, nonlinear)
+        return np.asarray(columns @ coefficients), state
 
     def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
-        """Pairs of torques over which the elements stick [N m]."""
-        reach = [fraction * signals.rated_torque for fraction in _FRACTIONS]
-        return Starts.grid((one, two) for index, one in enumerate(reach) for two in reach[index + 1 :])
+        """Torques over which they stick [N m]."""
+        rated = signals.rated_torque
+        return Starts.grid(
+            (one * rated, sharpness, two * rated, spread)
+            for one in _BENDING
+            for two, sharpness, spread in zip(_SLIPPING, (1.0, 2.0, 1.5), (1.2, 3.0, 2.0), strict=True)
+        )
 
 
-def _slipped(state: State, signals: Signals, nonlinear: Values) -> tuple[Floats, State]:
-    """The elements z after every sample, shape (n, elements), and the state at the end."""
+def _moved(state: State, signals: Signals, nonlinear: Values) -> tuple[Floats, State]:
+    """The bend and the elements' mean after every sample, shape (n, 2), and the state at the end."""
     torque = signals.torque
     if not torque.size:
-        return np.empty((0, len(nonlinear))), state
+        return np.empty((0, 2)), state
+    bending, sharpness, slipping, spread = nonlinear
     change = np.diff(torque, prepend=torque[0] if state[0] is None else state[0])
-    every = [slip(z, change / reach) for z, reach in zip(state[1], nonlinear, strict=True)]
-    return np.stack(every, axis=1), (float(torque[-1]), tuple(float(z[-1]) for z in every))
+    bent = bend(state[1], change / bending, sharpness)
+    reaches = slipping * spread**_ELEMENTS
+    every = [slip(z, change / reach) for z, reach in zip(state[2], reaches, strict=True)]
+    last = float(torque[-1]), float(bent[-1]), tuple(float(z[-1]) for z in every)
+    return np.stack((bent, sum(every) / len(every)), axis=1), last
 
 
 EFFECT = Hysteresis(
@@ -72,23 +83,21 @@ EFFECT = Hysteresis(
     broadband=True,
     quantities=(
         Quantity(
-            "first_amplitude",
-            "rad",
-            -5e-3,
-            5e-3,
-            15.0 * ARCSEC,
-            "a_1, half width of the first element's loop",
+            "bending_amplitude", "rad", -5e-3, 5e-3, 15.0 * ARCSEC, "a_1, half width of the bend's loop"
         ),
-        Quantity("second_amplitude", "rad", -5e-3, 5e-3, 15.0 * ARCSEC, "a_2, of the second element's"),
+        Quantity("slipping_amplitude", "rad", -5e-3, 5e-3, 15.0 * ARCSEC, "a_2, of the elements'"),
+        Quantity("bending_reach", "N m", 1e-2, 1e4, 5.0, "r_1, torque that bends it", linear=False),
+        Quantity("sharpness", "-", 0.5, 5.0, 1.5, "n, of its giving way", linear=False),
         Quantity(
-            "first_reach", "N m", 1e-2, 1e4, 2.0, "r_1, half the torque over which it sticks", linear=False
+            "slipping_reach", "N m", 1e-2, 1e4, 5.0, "r_2, half the torque over which they stick", False
         ),
-        Quantity("second_reach", "N m", 1e-2, 1e4, 10.0, "r_2, of the second element", linear=False),
+        Quantity("spread", "-", 1.0, 8.0, 2.0, "s, of the elements' torques about it", linear=False),
     ),
     confused_with=("torsional_hardening", "wear_backlash", "coulomb_windup"),
     source=(
-        "Maxwell slip: Al-Bender, Lampaert, Swevers, IEEE Trans. Automatic Control 50(11), 2005; in "
-        "harmonic drives: Dhaouadi, Ghorbel, Gandhi, IEEE Trans. Industrial Electronics 50(6), 2003"
+        "Wen, J. Eng. Mech. Div. ASCE 102(2), 1976; Maxwell slip: Al-Bender, Lampaert, Swevers, IEEE Trans. "
+        "Automatic Control 50(11), 2005; in harmonic drives: Dhaouadi, Ghorbel, Gandhi, IEEE Trans. "
+        "Industrial Electronics 50(6), 2003"
     ),
     inspect=(
         "Torsion test with the input held, up and down twice, the second time half as far: the loop's width "

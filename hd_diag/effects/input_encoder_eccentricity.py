@@ -1,4 +1,4 @@
-"""The input encoder reads off its centre: once per turn of the input."""
+"""The input encoder reads off its centre: once and twice per turn of the input."""
 
 from __future__ import annotations
 
@@ -11,21 +11,24 @@ from hd_diag.formatting import ARCSEC
 
 EFFECT = Harmonic(
     name="input_encoder_eccentricity",
-    cause=(
-        "The input encoder's disc or magnet is off centre, so the input angle is read wrongly once per turn."
+    cause=("The input encoder's disc or magnet is off centre or tilted, so the input angle is read wrongly."),
+    formula=(
+        "The input reads ``a cos(theta_in - d) + a_2 cos 2 (theta_in - d_2)`` too far, so the output "
+        "seems to lag by that over N."
     ),
-    formula=("The input reads ``a cos(theta_in - d)`` too far, so the output seems to lag by that over N."),
     kind="sensor",
     frame="input",
     needs=("output_angle", "torque"),
     angle="input_angle",
-    orders=(1,),
+    orders=(1, 2),
     excitation=(partial(enough_input_turns, turns=3.0), torque_varies),
     quantities=(
         amplitude("amplitude", "rad", 0.2, 300.0 * ARCSEC, "a, reading error at the input, e / R"),
         direction("direction", "input angle at which it reads most too far"),
+        amplitude("second_amplitude", "rad", 0.2, 60.0 * ARCSEC, "a_2, twice per turn, from tilt"),
+        direction("second_direction", "input angle at which that is greatest", 2),
     ),
-    confused_with=("coupling_misalignment", "encoder_interpolation"),
+    confused_with=("coupling_misalignment", "encoder_interpolation", "output_encoder_interpolation"),
     source="Heidenhain, Rotary Encoders (brochure): error by eccentricity, 412 e / D [arcsec, um, mm]",
     inspect=(
         "Centring of the motor's encoder: magnet or disc against the shaft; 0.1 mm of a magnet on 5 mm "

@@ -10,6 +10,7 @@ from hd_diag.arrays import Floats
 
 _OVERSAMPLING = 4  # orders per resolvable one: a line between two of them loses 5 % at most
 _MOST_BINS = 2**23
+_FASTEST = 0.98  # of the samples that are slower than what a weight counts
 _BINS_PER_PERIOD = 8  # of the highest order
 
 
@@ -32,18 +33,28 @@ def spectrum(angle: Floats, residual: Floats, highest: float) -> tuple[Floats, F
     per_turn = min(_BINS_PER_PERIOD * highest, _MOST_BINS / (_OVERSAMPLING * span / (2.0 * math.pi)))
     width = 2.0 * math.pi / per_turn
     bins = int(span / width) + 1
-    sums = np.bincount(((angle - first) / width).astype(np.int64), residual - residual.mean(), bins)
+    way = travelled(angle)
+    sums = np.bincount(((angle - first) / width).astype(np.int64), way * (residual - residual.mean()), bins)
     length = 2 ** math.ceil(math.log2(_OVERSAMPLING * bins))
     order = np.arange(length // 2 + 1) * (2.0 * math.pi / (length * width))
     kept = order <= highest
     return order[kept], np.abs(np.fft.rfft(sums, length))[kept] * (2.0 / angle.size)
 
 
+def travelled(angle: Floats) -> Floats:
+    """Weights of samples by the way they stand for, 1 in the mean: a rest is no more than its place; (n,)."""
+    if angle.size < 2:
+        return np.ones(angle.size)
+    way = np.abs(np.gradient(angle))
+    way = np.minimum(way, np.quantile(way, _FASTEST))  # where rows are left out it is no sample's own
+    return np.asarray(way / max(float(way.mean()), 1e-300))
+
+
 def integer_orders(angle: Floats, residual: Floats, highest: int) -> Floats:
     """Strength of the integer orders 0 to highest [rad], shape (highest + 1,)."""
     bins = 2 ** math.ceil(math.log2(_BINS_PER_PERIOD * highest))
     place = np.floor(np.mod(angle, 2.0 * math.pi) * (bins / (2.0 * math.pi))).astype(np.int64) % bins
-    sums = np.bincount(place, residual - residual.mean(), bins)
+    sums = np.bincount(place, travelled(angle) * (residual - residual.mean()), bins)
     return np.asarray(np.abs(np.fft.rfft(sums))[: highest + 1] * (2.0 / angle.size))
 
 
@@ -60,10 +71,10 @@ def line_width(angle: Floats, leak: float) -> float:
     Returns
     -------
     float
-        Order [-]; of a record that stands still in parts, more than one over the turns.
+        Order [-]; of a record that dwells in parts of its way, more than one over the turns.
     """
     turn = np.floor((angle - np.min(angle)) / (2.0 * math.pi)).astype(np.int64)
-    count = np.bincount(turn)
+    count = np.bincount(turn, travelled(angle))
     length = 2 ** math.ceil(math.log2(_OVERSAMPLING * max(count.size, 2)))
     window = np.abs(np.fft.rfft(count, length)) / angle.size
     last = int(np.flatnonzero(window > leak)[-1])

@@ -15,6 +15,7 @@ def warm_up() -> None:
     """Compile all of them now, or read them from the disk."""
     nothing = np.zeros(1, dtype=np.complex128)
     slip(0.0, np.zeros(1))
+    bend(0.0, np.zeros(1), 1.0)
     relax(nothing, nothing, nothing[:, None])
 
 
@@ -33,6 +34,27 @@ def slip(state: float, change: Floats) -> Floats:
         z after every change.
     """
     found: Floats = _compiled(_slip)(float(state), np.ascontiguousarray(change))
+    return found
+
+
+def bend(state: float, change: Floats, sharpness: float) -> Floats:
+    """Bouc and Wen's ``dz = dx (1 - |z|^n)`` while x goes on the way z is bent, ``dz = dx`` back.
+
+    Parameters
+    ----------
+    state : float
+        z before the first change.
+    change : ndarray, shape (n,)
+        Of x.
+    sharpness : float
+        n
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        z after every change.
+    """
+    found: Floats = _compiled(_bend)(float(state), np.ascontiguousarray(change), float(sharpness))
     return found
 
 
@@ -60,6 +82,23 @@ def _slip(state: float, change: Floats) -> Floats:
     result = np.empty(change.size)
     for index in range(change.size):
         state = min(1.0, max(-1.0, state + change[index]))
+        result[index] = state
+    return result
+
+
+def _bend(state: float, change: Floats, sharpness: float) -> Floats:
+    result = np.empty(change.size)
+    for index in range(change.size):
+        parts = int(8.0 * abs(change[index])) + 1  # of a step, by the midpoint rule
+        if parts > 200:
+            parts = 200
+        way = change[index] / parts
+        for _ in range(parts):
+            middle = state
+            for share in (0.5, 1.0):
+                slope = 1.0 - abs(middle) ** sharpness if middle * way > 0.0 else 1.0
+                middle = min(1.0, max(-1.0, state + share * way * slope))
+            state = middle
         result[index] = state
     return result
 

@@ -25,6 +25,9 @@ from hd_diag.formatting import ARCSEC
 ORDERS = (1.0, 2.0, 4.0)
 """Orders of the wave generator's turn that excite."""
 
+LOWEST = 10.0
+"""Natural frequency [rad/s]: no joint swings more slowly than once in half a second."""
+
 _COARSE = 6  # natural frequencies per order in the grid
 _FINE = 60  # in a scan
 _DAMPINGS = (0.03, 0.08)  # [-]
@@ -181,10 +184,10 @@ def _passed(signals: Signals, order: float) -> tuple[float, float]:
     """Lowest and highest natural frequency worth trying [rad/s]."""
     greatest = order * float(np.max(np.abs(signals.wave_generator_speed), initial=0.0))
     greatest = min(greatest, np.pi / sample_interval(signals)) if signals.size > 1 else greatest
-    greatest = max(greatest, 1.0)
+    greatest = max(greatest, 2.0 * LOWEST)
     moving = np.abs(signals.wave_generator_speed)
     slow = float(np.percentile(moving[moving > 0.0], 10)) if moving.any() else 0.0
-    return min(max(0.7 * order * slow, 0.02 * greatest), 0.15 * greatest), 1.3 * greatest
+    return max(min(max(0.7 * order * slow, 0.02 * greatest), 0.15 * greatest), LOWEST), 1.3 * greatest
 
 
 def _binned(signals: Signals, residual: Floats) -> tuple[Floats, Floats, Complexes, Complexes]:
@@ -262,7 +265,7 @@ EFFECT = Resonance(
             discrete=True,
             choices=ORDERS,
         ),
-        Quantity("natural_frequency", "rad/s", 1.0, 1e4, 100.0, "omega_n, undamped", linear=False),
+        Quantity("natural_frequency", "rad/s", LOWEST, 1e4, 100.0, "omega_n, undamped", linear=False),
         Quantity("damping", "-", 2e-3, 0.5, 0.03, "zeta, share of the critical one", linear=False),
     ),
     confused_with=("circular_spline_pitch", "circular_spline_form", "coupling_misalignment", "stream_delay"),

@@ -7,25 +7,48 @@ from dataclasses import dataclass
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Values
+from hd_diag.effects.effect import Effect, Stepped, Values, by_run
 from hd_diag.effects.excitation import temperature_varies
 from hd_diag.effects.quantity import Quantity
+from hd_diag.effects.recursions import relax
 from hd_diag.effects.signals import Signals
 from hd_diag.formatting import ARCSEC
 
 REFERENCE = 20.0
 """Temperature at which the drift is zero [degC]."""
 
+_AT_ONCE = 1e-9  # [s]; no lag
+
+# Time [s] of the last sample and y [degC]; None before the first temperature.
+State = tuple[float, float] | None
+
 
 @dataclass(frozen=True, kw_only=True)
 class ThermalDrift(Effect):
-    """``g (Theta - 20 degC)``; nothing where the temperature is not measured."""
+    """``g (y - 20 degC)``, ``tau dy/dt = Theta - y``, settled at first; nothing without a temperature."""
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """Temperature above the reference; see :meth:`Effect.columns`."""
-        if signals.temperature is None:
-            return np.zeros((signals.size, 1))
-        return (signals.temperature - REFERENCE)[:, None]
+        """Temperature of what turns above the reference; see :meth:`Effect.columns`."""
+        return by_run(signals, lambda run: _lagging(None, run, nonlinear)[0])
+
+    def step(self, state: State, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
+        """Let it follow; see :meth:`Effect.step`."""
+        columns, state = _lagging(state, signals, nonlinear)
+        return np.asarray(columns @ coefficients), state
+
+
+def _lagging(state: State, signals: Signals, nonlinear: Values) -> tuple[Floats, State]:
+    """Column, zero where no temperature is known, and the state at the end."""
+    heat, time = signals.temperature, signals.time
+    known = np.zeros(signals.size, dtype=np.bool_) if heat is None else np.isfinite(heat)
+    if heat is None or not known.any():
+        return np.zeros((signals.size, 1)), state
+    last, y = (float(time[0]), float(heat[known][0])) if state is None else state
+    left = np.exp(-np.diff(time, prepend=last) / max(nonlinear[0], _AT_ONCE))
+    kept = np.where(known, left, 1.0)
+    added = np.where(known, (1.0 - left) * np.where(known, heat, 0.0), 0.0)
+    follows = relax(np.array([y + 0j]), kept + 0j, (added + 0j)[:, None])[:, 0].real
+    return np.where(known, follows - REFERENCE, 0.0)[:, None], (float(time[-1]), float(follows[-1]))
 
 
 EFFECT = ThermalDrift(
@@ -33,11 +56,16 @@ EFFECT = ThermalDrift(
     cause="Housing, encoder carrier and gear grow differently with temperature and turn the readings apart.",
     kind="sensor",
     frame="time",
-    needs=("temperature",),
+    needs=("time", "temperature", "run"),
     excitation=(temperature_varies,),
-    quantities=(Quantity("drift", "rad/K", -1e-3, 1e-3, 1.0 * ARCSEC, "g, at the output per kelvin"),),
+    remembers=True,
+    grid=((1.0,), (60.0,), (300.0,)),
+    quantities=(
+        Quantity("drift", "rad/K", -1e-3, 1e-3, 1.0 * ARCSEC, "g, at the output per kelvin"),
+        Quantity("lag", "s", 0.0, 3600.0, 60.0, "tau, by which it follows the sensor", linear=False),
+    ),
     confused_with=("ratio_error", "output_runout", "viscous_windup"),
-    source="first order of the angle over temperature",
+    source="first-order lag of what turns behind the sensor that is measured",
     inspect=(
         "How the encoders are held: glue, carriers of plastic, screws on one side. Stand still and warm the "
         "joint by 10 K: the angle between the encoders must drift by ten times the figure. Repeat the "

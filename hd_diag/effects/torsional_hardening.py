@@ -13,23 +13,38 @@ from hd_diag.effects.excitation import torque_beyond
 from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.signals import Signals
 
-_FIRST, _SECOND = (0.08, 0.16, 0.35), (0.45, 0.65, 0.9)  # of the greatest torque
+_FIRST, _SECOND = (0.08, 0.18, 0.35), (0.5, 0.8)  # of the greatest torque
+_WIDTHS = (0.01, 0.5)  # of the knees
+_SHARP = 1e-6  # [N m]; no knee is sharper
 _LEAST = 0.25  # of the rated torque, that the record must reach
 
 
 @dataclass(frozen=True, kw_only=True)
 class TorsionalHardening(Effect):
-    """``-sgn T [a max(0, abs T - T1) + b max(0, abs T - T2)]``; negative a, b: harder."""
+    """``-sgn T [a ramp(abs T - T1) + b ramp(abs T - T2)]``; negative a, b: harder.
+
+    The ramps bend over a width of ``w T1`` and ``w T2`` around their knees: sharply where that is small, as a
+    cubic where it is large; where a and b have other signs, a compliance that is spent.
+    """
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Ramps from both knees; see :meth:`Effect.columns`."""
-        beyond = np.abs(signals.torque)[:, None] - np.asarray(nonlinear)
-        return np.asarray(-np.sign(signals.torque)[:, None] * np.maximum(beyond, 0.0))
+        *knees, width = nonlinear
+        return np.stack([-_ramp(signals.torque, knee, width * knee) for knee in knees], axis=1)
 
     def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
         """Knees within the torques that the record has [N m]."""
         greatest = float(np.max(np.abs(signals.torque), initial=0.0))
-        return Starts.grid((one * greatest, two * greatest) for one in _FIRST for two in _SECOND)
+        pairs = [(one * greatest, two * greatest) for one in _FIRST for two in _SECOND]
+        return Starts.grid((*pair, width) for pair in pairs for width in _WIDTHS)
+
+
+def _ramp(torque: Floats, knee: float, width: float) -> Floats:
+    """Integral of a smooth step at both knees, odd in the torque [N m]."""
+    width = max(width, _SHARP)
+    return np.asarray(
+        width * (np.logaddexp(0.0, (torque - knee) / width) - np.logaddexp(0.0, (-torque - knee) / width))
+    )
 
 
 EFFECT = TorsionalHardening(
@@ -44,13 +59,14 @@ EFFECT = TorsionalHardening(
     excitation=(partial(torque_beyond, fraction=_LEAST),),
     quantities=(
         Quantity(
-            "first_compliance", "rad/(N m)", -1e-3, 1e-3, 3e-6, "a, compliance added beyond the first knee"
+            "first_compliance", "rad/(N m)", -1.0, 1.0, 3e-6, "a, compliance added beyond the first knee"
         ),
         Quantity(
-            "second_compliance", "rad/(N m)", -1e-3, 1e-3, 3e-6, "b, compliance added beyond the second knee"
+            "second_compliance", "rad/(N m)", -1.0, 1.0, 3e-6, "b, compliance added beyond the second knee"
         ),
         Quantity("first_knee", "N m", 0.0, 1e5, 10.0, "T1, torque of the first knee", linear=False),
         Quantity("second_knee", "N m", 0.0, 1e5, 30.0, "T2, torque of the second knee", linear=False),
+        Quantity("width", "-", 1e-3, 1.0, 0.1, "w, of the bends, over their knees", linear=False),
     ),
     confused_with=("hysteresis", "wear_backlash"),
     source=(

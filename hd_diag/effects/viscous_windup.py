@@ -2,38 +2,42 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
+
 from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Values
+from hd_diag.effects.effect import Values
 from hd_diag.effects.excitation import several_speeds
+from hd_diag.effects.mesh_torque import MeshTorque
 from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.signals import Signals
 
-
-@dataclass(frozen=True, kw_only=True)
-class ViscousWindup(Effect):
-    """``-c omega``."""
-
-    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """Lag by speed; see :meth:`Effect.columns`."""
-        return -signals.forward_speed[:, None]
+REFERENCE = 100.0
+"""Speed of the input at which the torque is given [rad/s]."""
 
 
-EFFECT = ViscousWindup(
+def _friction(signals: Signals, nonlinear: Values) -> Floats:
+    relative = signals.forward_speed / REFERENCE
+    return np.asarray(np.sign(relative) * np.abs(relative) ** nonlinear[0])[:, None]
+
+
+EFFECT = MeshTorque(
     name="viscous_windup",
     cause=(
-        "Friction of grease and seals behind the torque's measurement grows with speed and holds the output "
-        "back."
+        "Friction of grease and seals between gear and torque sensor grows with speed: the mesh bears it too."
     ),
+    formula="``T' = T + c sgn(omega) |omega / 100 rad/s|^p``.",
     kind="friction",
     frame="torque",
-    needs=("speed",),
+    needs=("wave_generator_angle", "torque", "speed"),
     excitation=(partial(several_speeds, number=3),),
     broadband=True,
+    shape=_friction,
+    grid=((0.75,), (1.0,)),
     quantities=(
-        Quantity("lag", "s", -1e-4, 1e-4, 3e-7, "c, lag at the output per input speed [rad/(rad/s)]"),
+        Quantity("friction", "N m", -1e3, 1e3, 1.0, "c, at 100 rad/s of the input"),
+        Quantity("exponent", "-", 0.5, 1.3, 1.0, "p, of the speed", linear=False),
     ),
     confused_with=("stream_delay", "coulomb_windup"),
     source="Tuttle and Seering, IEEE Trans. Robotics and Automation 12(3), 1996, pp. 368-374",

@@ -83,10 +83,10 @@ class Geometry:
 
 def _check_teeth(geometry: Geometry) -> None:
     difference = geometry.circular_spline_teeth - geometry.flexspline_teeth
-    if geometry.flexspline_teeth < 20 or difference < 2 or difference % 2 or geometry.flexspline_teeth % 2:
+    if geometry.flexspline_teeth < 20 or difference not in (2, 4) or geometry.flexspline_teeth % 2:
         raise ValueError(
             f"circular_spline_teeth ({geometry.circular_spline_teeth}) must exceed flexspline_teeth "
-            f"({geometry.flexspline_teeth}, at least 20) by an even number, and both must be even: "
+            f"({geometry.flexspline_teeth}, at least 20) by 2 or 4, and both must be even: "
             "an ellipse has two lobes, and each must find teeth opposite slots"
         )
 

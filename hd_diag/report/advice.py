@@ -7,21 +7,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from hd_diag.diagnosis.diagnosis import Diagnosis
-from hd_diag.diagnosis.fit import fit_parameters
-from hd_diag.diagnosis.fit.refit import usable
-from hd_diag.diagnosis.search.acceptance import LEAST_SIZE
+from hd_diag.diagnosis.judgement import Answer
 from hd_diag.diagnosis.search.causes import Cause
 from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.effect import Effect
 from hd_diag.effects.quantity import Quantity
 from hd_diag.formatting import arcsec, direction, si, spread_number, words
-from hd_diag.report.stages import simulated_error
 
-_SIGMAS = 3.0  # standard deviations off its configured value from which a parameter is worth a card
 _OWN = {effect.name: effect for effect in CATALOGUE}
 
 _Entry = dict[str, Any]  # value, std, unit, configured
@@ -54,12 +48,13 @@ class Card:
 def cards(diagnosis: Diagnosis) -> list[Card]:
     """Findings, then causes and displacements by their size, then what may as well be the configuration's."""
     effects = _OWN | {effect.name: effect for effect in diagnosis.catalogue}
+    advice = {name: effect.inspect for name, effect in effects.items()}
     first = [
-        Card(words(f.name).capitalize(), math.nan, f.text, (), effects[f.name].inspect)
+        Card(words(f.name).capitalize(), math.nan, f.text, (), advice.get(f.name, ""))
         for f in diagnosis.findings
     ]
     found = [_of_cause(cause, effects) for cause in diagnosis.causes]
-    if diagnosis.refitted is not None and diagnosis.refitted.trustworthy:
+    if diagnosis.refitted is not None:
         found += _of_parameters(diagnosis)
     return first + sorted(found, key=lambda card: (card.setting, -card.size))
 
@@ -88,21 +83,14 @@ def quantity(entry: Quantity, value: float, spread: float) -> str:
 
 
 def _of_parameters(diagnosis: Diagnosis) -> list[Card]:
-    """Cards of groups without which the refitted drive's error changes, and that are not as configured."""
+    """Cards of the parameters that are not as configured; both compliances are one."""
     assert diagnosis.refitted is not None
-    configured, refitted, values = diagnosis.configured, diagnosis.refitted, diagnosis.parameters
-    record = diagnosis.record.select(usable(diagnosis.record))
-    as_configured = fit_parameters.vector(configured, configured)
-    whole, found = simulated_error(refitted.drive, record), []
-    for at, entries, text, setting in _GROUPS:
-        without = refitted.parameters.copy()
-        without[at] = as_configured[at]
-        drive = fit_parameters.drive_of(without, configured)
-        size, off = float(np.nanstd(whole - simulated_error(drive, record))), (values[e] for e in entries)
-        if size > LEAST_SIZE and any(abs(e["value"] - e["configured"]) > _SIGMAS * e["std"] for e in off):
-            title, cause, measures, inspect = text(values, refitted.drive)
-            found.append(Card(title, size, cause, measures, inspect, setting=setting))
-    return found
+    found: dict[str, Card] = {}
+    for change in Answer(diagnosis).changes:
+        text, setting = _TEXTS[change.name]
+        title, cause, measures, inspect = text(diagnosis.parameters, diagnosis.refitted.drive)
+        found.setdefault(title, Card(title, change.explains, cause, measures, inspect, setting=setting))
+    return list(found.values())
 
 
 def _eccentricity(values: dict[str, _Entry], drive: Drive) -> _Text:
@@ -178,11 +166,11 @@ def _displacement(name: str, entry: _Entry) -> _Measures:
     )
 
 
-# Fitted numbers that are judged together: their places in `fit_parameters.SCALES`, what is compared, the
-# card, and whether they are settings.
-_GROUPS: tuple[tuple[slice, tuple[str, ...], Callable[[dict[str, _Entry], Drive], _Text], bool], ...] = (
-    (slice(0, 2), ("eccentricity.magnitude",), _eccentricity, False),
-    (slice(2, 4), ("runout.magnitude",), _runout, False),
-    (slice(4, 5), ("circular_spline_datum",), _datum, True),
-    (slice(5, 7), ("tooth_compliance", "cup_compliance"), _compliance, True),
-)
+# What each change of a parameter says, and whether it is a setting.
+_TEXTS: dict[str, tuple[Callable[[dict[str, _Entry], Drive], _Text], bool]] = {
+    "eccentricity": (_eccentricity, False),
+    "runout": (_runout, False),
+    "circular_spline_datum": (_datum, True),
+    "tooth_compliance": (_compliance, True),
+    "cup_compliance": (_compliance, True),
+}

@@ -15,6 +15,7 @@ from hd_diag.config.configuration import JointConfig
 from hd_diag.config.parameters import JOINT_PARAMETERS, Value
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
+from hd_diag.diagnosis.judgement import Answer
 from hd_diag.diagnosis.verdict import sentence
 from hd_diag.effects.order_spectrum import line_width, spectrum
 from hd_diag.formatting import number, words
@@ -101,7 +102,7 @@ def of_diagnosis(
     excluded = Fact("Taken out", f"{record.outliers} outliers, {record.dropped} not finite or out of order")
     return JointReport(
         joint.name,
-        sentence(diagnosis),
+        sentence(Answer(diagnosis)),
         "refitted" if diagnosis.refitted else "configured",
         torsion.measured(found, diagnosis.configured, rng),
         teeth_over_turn(drive, record.input_angle, record.torque),

@@ -107,7 +107,7 @@ def _slot_polar(drive: Drive, points: int) -> tuple[Array, Array]:
     p, datum = drive.slot, drive.circular_spline_datum
 
     def beyond_tip(x: float) -> float:
-        y = p.dedendum_offset - np.sqrt(p.dedendum_radius**2 - (x - p.dedendum_centre) ** 2)
+        y = p.dedendum_offset - np.sqrt(max(p.dedendum_radius**2 - (x - p.dedendum_centre) ** 2, 0.0))
         return float(np.hypot(datum + x, y)) - drive.circular_spline_tip_radius
 
     x_tip = brentq(beyond_tip, p.dedendum_centre - p.dedendum_radius, p.dedendum_centre, xtol=1e-18)

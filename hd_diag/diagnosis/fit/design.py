@@ -122,8 +122,9 @@ def design(columns: Floats, target: Floats, block: Integers) -> Design:
 
 
 def orthonormal(columns: Floats) -> Floats:
-    """Basis of columns of any scale, shape (n, k)."""
-    return np.linalg.qr(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))[0]
+    """Basis of columns of any scale, shape (n, k); columns of zeros have none."""
+    norm = np.linalg.norm(columns, axis=0)
+    return np.linalg.qr(columns[:, norm > 0.0] / norm[norm > 0.0])[0]
 
 
 def projection(columns: Floats, target: Floats) -> Floats:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cmath
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from hd_diag.drive import Drive
 from hd_diag.effects import recursions
 from hd_diag.formatting import ARCSEC
 from hd_diag.model import torsion
+from hd_diag.model.geometry import Geometry
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,7 @@ class Scale:
     unit: str
 
 
+_LENGTHS = 5  # of them come first: they scale with the module
 SCALES = (
     Scale("eccentricity.x", 1e-6, 15.0, "m"),
     Scale("eccentricity.y", 1e-6, 15.0, "m"),
@@ -34,10 +37,14 @@ SCALES = (
     Scale("tooth_compliance", 0.1, 1.5, "m/N"),  # relative to the configured value
     Scale("cup_compliance", ARCSEC, 2.0, "rad/(N m)"),
 )
-"""The fitted parameters, in units near the precision that matters."""
+"""The fitted parameters, in units near the precision that matters to a gear of size 25, ratio 100."""
 
 COUNT = len(SCALES)
-_UNITS = np.array([scale.si for scale in SCALES])
+_MODULE = 0.0599988 / 200.0  # of that gear: sum of the neutral curve's semi-axes over teeth [m]
+_STIFFNESS = 56.0  # its rated torque, with which the stiffness goes [N m]
+_MOST_SHIFTED = (45.0, 20.0)  # eccentricity and runout
+_DATUM = (-40.0, 45.0)  # from the configured one
+_HALVINGS = 12  # towards the last datum that makes a gear
 
 MIRRORED = np.array([-1.0, -1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
 """What the parameters of the same drive with its lobes swapped are multiplied with."""
@@ -52,13 +59,22 @@ def warm_up() -> None:
     recursions.warm_up()
 
 
+def units(configured: Drive) -> Floats:
+    """What one of each parameter is in SI, shape (7,): lengths go with the module, the cup with torque."""
+    geometry = configured.mesh.geometry
+    found = np.array([scale.si for scale in SCALES])
+    found[:_LENGTHS] *= (geometry.semi_major + geometry.semi_minor) / geometry.flexspline_teeth / _MODULE
+    found[-1] *= _STIFFNESS / configured.rated_torque
+    return found
+
+
 def vector(drive: Drive, configured: Drive) -> Floats:
-    """A drive's parameters in the units of `SCALES`, shape (7,)."""
+    """A drive's parameters in its own units, see :func:`units`, shape (7,)."""
     mesh = drive.mesh
     compliance = mesh.tooth_compliance / configured.mesh.tooth_compliance
     displaced = [mesh.eccentricity.real, mesh.eccentricity.imag, mesh.runout.real, mesh.runout.imag]
     values = [*displaced, mesh.geometry.circular_spline_datum, compliance, drive.cup_compliance]
-    return np.asarray(np.array(values) / _UNITS)
+    return np.asarray(np.array(values) / units(configured))
 
 
 def drive_of(parameters: Floats, configured: Drive) -> Drive:
@@ -67,7 +83,7 @@ def drive_of(parameters: Floats, configured: Drive) -> Drive:
     Parameters
     ----------
     parameters : ndarray, shape (7,)
-        In the units of `SCALES`.
+        See :func:`units`.
     configured : Drive
         Gives everything that is not fitted.
 
@@ -75,7 +91,9 @@ def drive_of(parameters: Floats, configured: Drive) -> Drive:
     -------
     Drive
     """
-    x, y, runout_x, runout_y, datum, compliance, cup = (admissible(parameters, configured) * _UNITS).tolist()
+    x, y, runout_x, runout_y, datum, compliance, cup = (
+        admissible(parameters, configured) * units(configured)
+    ).tolist()
     mesh = replace(
         configured.mesh,
         geometry=replace(configured.mesh.geometry, circular_spline_datum=datum),
@@ -89,7 +107,7 @@ def drive_of(parameters: Floats, configured: Drive) -> Drive:
 def admissible(parameters: Floats, configured: Drive) -> Floats:
     """Parameters moved into bounds wide enough for any drive worth assembling."""
     p = parameters.copy()
-    for pair, most in ((slice(0, 2), 45.0), (slice(2, 4), 20.0)):
+    for pair, most in zip((slice(0, 2), slice(2, 4)), _MOST_SHIFTED, strict=True):
         size = float(np.hypot(*p[pair]))
         if size > most:
             p[pair] *= most / size
@@ -98,11 +116,47 @@ def admissible(parameters: Floats, configured: Drive) -> Floats:
     return p
 
 
+def at_bound(parameters: Floats, configured: Drive) -> tuple[int, ...]:
+    """Numbers of the parameters that are as far off as they can be: nothing is known of these.
+
+    A cup without compliance is one that may be.
+    """
+    low, high = bounds(configured)
+    wide, edge = 1e-3 * (high - low)[4:], np.zeros(COUNT, dtype=np.bool_)
+    edge[4:] = parameters[4:] > high[4:] - wide
+    edge[4:-1] |= parameters[4:-1] < (low[4:] + wide)[:-1]
+    for pair, most in zip((slice(0, 2), slice(2, 4)), _MOST_SHIFTED, strict=True):
+        edge[pair] = float(np.hypot(*parameters[pair])) > 0.999 * most
+    return tuple(np.flatnonzero(edge).tolist())
+
+
 def bounds(configured: Drive) -> tuple[Floats, Floats]:
     """Least and greatest value of every parameter, shape (7,) each; displacements have none of their own."""
-    datum = configured.mesh.geometry.circular_spline_datum / SCALES[4].si
     low, high = np.full(COUNT, -np.inf), np.full(COUNT, np.inf)
-    low[4:], high[4:] = (datum - 40.0, 4.0, 0.0), (datum + 45.0, 25.0, 20.0)
+    unit = float(units(configured)[4])
+    datum = [end / unit for end in _datums(configured.mesh.geometry, unit)]
+    low[4:], high[4:] = (datum[0], 4.0, 0.0), (datum[1], 25.0, 20.0)
+    return low, high
+
+
+@lru_cache(maxsize=16)
+def _datums(geometry: Geometry, unit: float) -> tuple[float, float]:
+    """Least and greatest datum that makes a gear [m], within `_DATUM` units of the configured one."""
+
+    def last(most: float) -> float:
+        good, bad = 0.0, 2.0 * most
+        for _ in range(_HALVINGS):
+            trial = 0.5 * (good + bad)
+            try:
+                replace(geometry, circular_spline_datum=geometry.circular_spline_datum + trial * unit)
+                good = trial
+            except ValueError:
+                bad = trial
+            if abs(good) >= abs(most):
+                return most
+        return good
+
+    low, high = (geometry.circular_spline_datum + last(end) * unit for end in _DATUM)
     return low, high
 
 
@@ -121,17 +175,16 @@ def bounded(beta: Floats, covariance: Floats, parameters: Floats, configured: Dr
     -------
     ndarray, shape (k,)
     """
-    low, high = bounds(configured)
     held = np.zeros(COUNT, dtype=np.bool_)
     found = beta
     for _ in range(COUNT):
         at = parameters + found[:COUNT]
-        beyond = ((at < low - 1e-9) | (at > high + 1e-9)) & ~held
+        beyond = (np.abs(admissible(at, configured) - at) > 1e-9) & ~held
         if not beyond.any():
             break
         held |= beyond
         rows = np.flatnonzero(held)
-        wanted = (np.clip(parameters + beta[:COUNT], low, high) - parameters)[rows]
+        wanted = (admissible(parameters + beta[:COUNT], configured) - parameters)[rows]
         spread = covariance[np.ix_(rows, rows)]
         found = beta - covariance[:, rows] @ np.linalg.solve(spread, beta[rows] - wanted)
     return found
@@ -154,7 +207,7 @@ def error_and_jacobian(
     error : ndarray, shape (n,)
         [rad]
     jacobian : ndarray, shape (n, 7)
-        [rad] per unit of `SCALES`.
+        [rad] per unit, see :func:`units`.
     slope : ndarray, shape (n,)
         dTE/dT [rad/(N m)].
     """
@@ -173,7 +226,7 @@ def along(
     error : ndarray, shape (n,)
         To 0.01 arcsec rms [rad].
     jacobian : ndarray, shape (n, 7)
-        [rad] per unit of `SCALES`.
+        [rad] per unit, see :func:`units`.
     slope : ndarray, shape (n,)
         dTE/dT [rad/(N m)].
     """
@@ -200,7 +253,7 @@ def _in_units(
         by_compliance * configured.mesh.tooth_compliance,
     )
     jacobian = np.empty((angle.size, COUNT))
-    scales = [scale.si for scale in SCALES]
+    scales = units(configured)
     jacobian[:, :6] = -drive.frame.torque_sign * np.stack(columns, axis=1) * scales[:6]
     jacobian[:, 6] = -torque * scales[6]
     return drive.frame.transmission_error(beta, torque), jacobian, -by_torque - drive.cup_compliance
@@ -219,25 +272,30 @@ def physical(parameters: Floats, covariance: Floats, configured: Drive) -> dict[
     -------
     dict
         By name: value, std, unit, configured. Eccentricity and runout together may be turned by pi: they are
-        given with the eccentricity's direction in [0, pi).
+        given with the eccentricity's direction in [0, pi). What lies at a bound has no deviation: nan.
     """
+    covariance = covariance.copy()
+    covariance[list(at_bound(parameters, configured))] = np.nan
     p = parameters if (parameters[1], parameters[0]) >= (0.0, 0.0) else parameters * MIRRORED
     found: dict[str, dict[str, Any]] = {}
-    sizes = configured.mesh.eccentricity, configured.mesh.runout
+    sizes, own = (configured.mesh.eccentricity, configured.mesh.runout), units(configured)
     for name, first, before in zip(("eccentricity", "runout"), (0, 2), sizes, strict=True):
-        pair, unit = slice(first, first + 2), SCALES[first].si
+        pair, unit = slice(first, first + 2), float(own[first])
         (x, y), block = p[pair], covariance[pair, pair]
         size = max(float(np.hypot(x, y)), 1e-9)
-        along, across = np.array([x, y]) / size, np.array([-y, x]) / size
+        turned = np.array([x, y]) / size if size > 1e-9 else np.array([1.0, 0.0])
+        along, across = turned, np.array([-turned[1], turned[0]])
         length, turn = (float(np.sqrt(way @ block @ way)) for way in (along, across))
         most = float(np.pi / np.sqrt(12.0))  # of a direction that is not known at all
         found[f"{name}.magnitude"] = _entry(size * unit, length * unit, "m", abs(before))
         found[f"{name}.direction"] = _entry(
-            float(np.arctan2(y, x)), min(turn / size, most), "rad", cmath.phase(before)
+            float(np.arctan2(y, x)), float(np.minimum(turn / size, most)), "rad", cmath.phase(before)
         )
     start = vector(configured, configured)
     for index, scale in enumerate(SCALES[4:], 4):
-        si = scale.si * (configured.mesh.tooth_compliance if scale.name == "tooth_compliance" else 1.0)
+        si = float(own[index]) * (
+            configured.mesh.tooth_compliance if scale.name == "tooth_compliance" else 1.0
+        )
         spread = float(np.sqrt(covariance[index, index]))
         found[scale.name] = _entry(float(p[index]) * si, spread * si, scale.unit, float(start[index]) * si)
     return found

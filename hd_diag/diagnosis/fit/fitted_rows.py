@@ -12,16 +12,27 @@ import numpy.typing as npt
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.refit import usable
-from hd_diag.diagnosis.noise import bounds
+from hd_diag.diagnosis.measured_noise import (
+    MeasuredNoise,
+    Revisits,
+    measured_covariance,
+    measured_noise,
+    of_counts,
+    revisits,
+)
+from hd_diag.diagnosis.noise import Whitening, bounds, whitening, whitening_of
 from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.smoothing import smooth
 from hd_diag.drive import Drive
 from hd_diag.effects import Catalogue
 from hd_diag.effects.contact_weights import contact_weights
 from hd_diag.effects.effect import Effect, Values
 from hd_diag.effects.kept import Kept
+from hd_diag.effects.mesh_torque import MeshTorque
 from hd_diag.effects.signals import Signals
 
 _BLOCKS = 24
+_MISFIT = 1.15  # times the measured noise, beyond which a residual does not say what the noise is like
 _MOST_KEPT = 128 << 20  # bytes
 _KNOWN = 2  # parameters, for a search that goes back to them
 
@@ -79,18 +90,47 @@ class FittedRows:
         """Numbers of some 24 contiguous stretches of equal length, of which each can be held out."""
         return (np.arange(self.at.size) * _BLOCKS // max(self.at.size, 1)).astype(np.int64)
 
+    @cached_property
+    def offsets(self) -> Floats:
+        """Columns of the encoders' zero at the fitted rows: one, and one for each further recording."""
+        bag = self.record.bag
+        return np.column_stack((np.ones(bag.size), *(bag == one for one in np.unique(self.source.bag)[1:])))
+
     @property
     def searched(self) -> Catalogue:
         """Effects of the catalogue that are searched for in the residual."""
         return tuple(effect for effect in self.catalogue if effect.searched)
+
+    @property
+    def given(self) -> tuple[tuple[Effect, Values], ...]:
+        """What is part of every fit of these rows, with nonlinear values to begin with."""
+        every = self.catalogue if self.source.by_current else ()
+        return tuple((effect, effect.grid[0]) for effect in every if effect.given)
 
     @cached_property
     def kept(self) -> Kept:
         """What was computed of these rows and may be needed again."""
         return Kept(_MOST_KEPT)
 
+    @cached_property
+    def revisits(self) -> Revisits:
+        """Fitted rows at which the drive is in the same state."""
+        return revisits(self._any.signals)
+
+    def noise_of(self, residual: Floats) -> MeasuredNoise:
+        """Noise of a residual of the fitted rows [rad], shape (n,), whatever misfit is in it."""
+        counted = of_counts(self.record, self.configured.kinematics.ratio)
+        return measured_noise(residual, self.record.time, self.run, self.revisits, counted)
+
+    def whitening_of(self, residual: Floats) -> Whitening:
+        """Noise model from a residual of the fitted rows, which may be more than noise."""
+        noise = self.noise_of(residual)
+        if not noise.repeated or float(np.std(residual)) < _MISFIT * noise.rms:
+            return whitening(residual, self.run)
+        return whitening_of(measured_covariance(residual, self.run, self.revisits, noise))
+
     def linearised(self, parameters: Floats) -> Linearised:
-        """The model at parameters in units of `fit_parameters.SCALES`; the latest are kept."""
+        """The model at parameters in units of `fit_parameters.units`; the latest are kept."""
         known, key = self._linearised, parameters.tobytes()
         if key not in known:
             known[key] = self._linearise(parameters)
@@ -102,13 +142,13 @@ class FittedRows:
     def testable(self, effect: Effect) -> tuple[bool, str]:
         """Whether the motion allows to find an effect; if not, which extra motion would."""
         if effect.name not in self._testable:
-            self._testable[effect.name] = effect.testable(self._any_signals)
+            self._testable[effect.name] = effect.testable(self._any.signals)
         return self._testable[effect.name]
 
     def grid(self, effect: Effect) -> list[Values]:
         """Start points of an effect's nonlinear values."""
         if effect.name not in self._grids:
-            self._grids[effect.name] = effect.starts(self._any_signals).points
+            self._grids[effect.name] = effect.starts(self._any.signals).points
         return self._grids[effect.name]
 
     def grid_step(self, effect: Effect, point: Values) -> Floats:
@@ -120,9 +160,22 @@ class FittedRows:
             [s if np.isfinite(s) else 0.1 * max(abs(p), 1e-3) for s, p in zip(steps, point, strict=True)]
         )
 
-    def derivatives(self, parameters: Floats, shift: float = 0.0) -> Floats:
-        """Of the model by its parameters at all rows, under a torque more by a shift [N m]; shape (n, 7)."""
-        if not shift:
+    def torque(self, effect: MeshTorque, nonlinear: Values) -> Floats:
+        """What an effect adds to the torque at all rows [N m per unit], shape (n, size)."""
+
+        def torque() -> Floats:
+            columns = np.nan_to_num(effect.torque(self._any.whole, nonlinear))
+            record, width = self.source, self.source.torque_window
+            if not (effect.reported and width):
+                return columns
+            step = float(np.median(np.diff(record.time)))
+            return smooth(columns, record.run, step, width)
+
+        return self.kept.get(("torque", effect.name, nonlinear), torque)
+
+    def derivatives(self, parameters: Floats, shift: Floats) -> Floats:
+        """Of the model by its parameters at all rows, under a torque more by a shift (n,) [N m]; (n, 7)."""
+        if not shift.any():
             return self.linearised(parameters).derivatives
         drive = fit_parameters.drive_of(parameters, self.configured)
         torque = self.source.torque + shift
@@ -139,21 +192,21 @@ class FittedRows:
     @cached_property
     def smooth(self) -> Floats:
         """What any cause may look like at the fitted rows: low orders, powers of torque, speed; (n, k)."""
-        s = self._any_signals
+        s = self._any.signals
         theta, turned = s.wave_generator_angle, s.wave_generator_angle + s.output_angle
         load = s.torque / max(float(np.max(np.abs(s.torque))), 1e-9)
         columns = [f(k * theta) for k in (1, 2, 3, 4, 6, 8) for f in (np.cos, np.sin)]
         columns += [f(k * theta) * load for k in (1, 2, 4) for f in (np.cos, np.sin)]
         columns += [f(k * turned) for k in (2, 4) for f in (np.cos, np.sin)]
+        columns += [f(k * s.output_angle) for k in (1, 2) for f in (np.cos, np.sin)]
         speed = s.speed / max(float(np.max(np.abs(s.speed))), 1e-9)
         return np.stack([*columns, load**3, load * np.abs(load), np.abs(load), load * speed]).T
 
     @property
-    def _any_signals(self) -> Signals:
-        """Of the fitted rows at whatever parameters, for what is asked of the motion alone."""
+    def _any(self) -> Linearised:
+        """At whatever parameters, for what is asked of the motion alone."""
         known = next(iter(self._linearised.values()), None)
-        start = fit_parameters.vector(self.configured, self.configured)
-        return (known or self.linearised(start)).signals
+        return known or self.linearised(fit_parameters.vector(self.configured, self.configured))
 
     def _linearise(self, parameters: Floats) -> Linearised:
         record, drive = self.source, fit_parameters.drive_of(parameters, self.configured)
@@ -183,7 +236,7 @@ def fitted_rows(
     configured: Drive,
     catalogue: Catalogue,
     mask: npt.NDArray[np.bool_] | None = None,
-    shift: float = 0.0,
+    shift: Floats | float = 0.0,
 ) -> FittedRows:
     """Rows of a record where the model's error is well defined; of these the ones in a mask, if given.
 

@@ -90,7 +90,7 @@ def slopes(fit: LinearisedFit, chosen: Chosen) -> Floats:
         step = 0.01 * fit.data.grid_step(effect, nonlinear) if free(effect) else np.empty(0)
         for index in free(effect):
             ends = [_moved(effect, nonlinear, index, sign * step[index]) for sign in (-1.0, 1.0)]
-            low, high = (fit.full_size(effect, end, coefficients) for end in ends)
+            low, high = (fit.effects.full_size(effect, end, coefficients) for end in ends)
             found.append((high - low) / max(ends[1][index] - ends[0][index], 1e-300))
     return np.stack(found, axis=1) if found else np.empty((fit.residual.size, 0))
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import binary_erosion
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit import fit_parameters
@@ -18,6 +19,8 @@ from hd_diag.drive import Drive
 _ROUNDS = ((250, 5, 5), (700, 5, 2), (1500, 8, 2))
 _HOPELESS = 2.0  # times the best deviance, beyond which a start is not followed any further
 _FIRST_NOISE, _LEAST_NOISE = 2e-5, 1e-6  # of the residual [rad]; each round takes that of the one before
+_STILL, _STEADY = 0.02, 0.02  # of the usual top speed, and of the torque's range: a rest
+_SETTLING = 0.05  # [s] of a rest that count
 _OFFSET = 0.03  # prior width of the torque's zero, of the rated torque
 _MOST_OFFSET = 3.0  # prior widths
 _DAMPINGS = 6  # tried before a fit gives up
@@ -42,7 +45,7 @@ class Refit:
     drive : Drive
         With the fitted parameters.
     parameters : ndarray, shape (7,)
-        In the units of `fit_parameters.SCALES`.
+        In the units of `fit_parameters.units`.
     covariance : ndarray, shape (7, 7)
         From the fit on independent samples; the final one is by `diagnosis`.
     trustworthy : bool
@@ -56,7 +59,7 @@ class Refit:
 
 
 def nuisance(record: Record, ratio: float) -> Floats:
-    """Terms that any fit carries along: offset, speed, its sign, temperature, one cycle per output turn.
+    """Terms that any fit carries along: offsets, speed, its sign, temperature, one cycle per output turn.
 
     Parameters
     ----------
@@ -70,7 +73,7 @@ def nuisance(record: Record, ratio: float) -> Floats:
     """
     output = record.input_angle / ratio
     top = max(float(np.percentile(np.abs(record.speed), 99)), 1e-9)
-    columns = [np.ones(record.size)]
+    columns = [np.ones(record.size), *(record.bag == one for one in np.unique(record.bag)[1:])]
     if np.std(record.speed) > 0.05 * top:
         columns += [record.speed / top, np.tanh(record.speed / (0.02 * top))]
     if record.temperature is not None and np.std(record.temperature) > 0.3:
@@ -126,24 +129,37 @@ def refit(
     return Refit(fit_parameters.drive_of(point, configured), point, covariance, not ambiguous)
 
 
-def usable(record: Record, shift: float = 0.0) -> npt.NDArray[np.bool_]:
-    """Samples where the model's error is well defined: in a true gap, noise decides the flank.
+def usable(record: Record, shift: Floats | float = 0.0) -> npt.NDArray[np.bool_]:
+    """Samples where the model's error is well defined and new: moving, or under a torque that changes.
+
+    In a true gap, noise decides the flank. At rest an encoder repeats one count: many samples are one.
 
     Parameters
     ----------
     record : Record
-    shift : float
+    shift : ndarray, shape (n,), or float
         Real less reported torque, where that is known [N m].
 
     Returns
     -------
     ndarray of bool, shape (n,)
     """
-    if not record.has_torque:
-        return np.ones(record.size, dtype=bool)
-    least = 0.01 * np.percentile(np.abs(record.torque), 99)
-    found: npt.NDArray[np.bool_] = np.minimum(np.abs(record.torque), np.abs(record.torque + shift)) >= least
+    found = ~_resting(record)
+    if record.has_torque:
+        least = 0.01 * np.percentile(np.abs(record.torque), 99)
+        found &= np.minimum(np.abs(record.torque), np.abs(record.torque + shift)) >= least
     return found
+
+
+def _resting(record: Record) -> npt.NDArray[np.bool_]:
+    """Samples well within a rest of both motion and torque."""
+    if record.size < 2:
+        return np.zeros(record.size, dtype=np.bool_)
+    lag = max(round(_SETTLING / max(float(np.median(np.diff(record.time))), 1e-6)), 1)
+    change = np.abs(record.torque - np.roll(record.torque, lag))
+    speed = np.abs(record.speed)
+    still = (speed <= _STILL * np.percentile(speed, 95)) & (change <= _STEADY * np.ptp(record.torque))
+    return np.asarray(binary_erosion(still, iterations=lag))
 
 
 def _starts(configured: Drive, start: Floats | None, starts: Starts) -> list[Floats]:
@@ -243,7 +259,7 @@ def distinct(points: list[Floats]) -> list[Floats]:
     Parameters
     ----------
     points : list of ndarray, shape (7,) or more
-        In the units of `fit_parameters.SCALES`; what follows is not compared.
+        In the units of `fit_parameters.units`; what follows is not compared.
 
     Returns
     -------

@@ -20,6 +20,7 @@ FAMILY_ERROR = 0.01
 LEAST_SIZE = 0.25 * ARCSEC
 """A cause smaller than this beside the refitted model is of no practical size [rad rms]."""
 
+_SHAPE = 0.08  # of a smooth law's size, to which its shape is known
 _CERTAIN_SIZE = 0.5 * ARCSEC  # of a shape that nothing held out can prove [rad rms]
 _SECONDS = 2.5  # of a mean in which quick noise is gone
 _CHANCE_SHARE = 3.0  # times what noise alone gives to so many columns
@@ -36,14 +37,40 @@ def passing(fit: LinearisedFit, chosen: Chosen, ranked: list[Candidate], family:
         if p > FAMILY_ERROR:
             return None
         effect, nonlinear = candidate.effect, candidate.nonlinear
-        if size(fit, chosen, effect, nonlinear) > LEAST_SIZE and _confirmed(fit, chosen, effect, nonlinear):
+        own = size(fit, chosen, effect, nonlinear)
+        if own < max(LEAST_SIZE, of_shapes(fit, chosen, effect)):
+            continue
+        if _confirmed(fit, chosen, effect, nonlinear):
             return replace(candidate, p_value=p)
     return None
+
+
+def of_shapes(fit: LinearisedFit, chosen: Chosen, effect: Effect) -> float:
+    """Size up to which an effect may only mend the shape of those chosen [rad rms].
+
+    A law of friction, torsion or drift is right to some share of it; what the next smooth law then explains
+    is no second cause. Lines of teeth, bearings and encoders mend no smooth law.
+    """
+    if not _smooth(effect):
+        return 0.0
+    sized = fit.sized(chosen, fit.fit(chosen)[0])
+    sizes = [fit.amplitude(*item, coefficients) for item, coefficients in sized if _smooth(item[0])]
+    return _SHAPE * max(sizes, default=0.0)
+
+
+def _smooth(effect: Effect) -> bool:
+    """Whether an effect has no line of its own: it goes with torque, speed, time or the output's turn."""
+    if isinstance(effect, UnmodelledTerm):
+        return False
+    slow = effect.frame == "output" and not effect.nonlinear
+    return effect.broadband or slow or effect.frame in ("torque", "time")
 
 
 def needed(fit: LinearisedFit, chosen: Chosen) -> Chosen:
     """The chosen effects that are still needed beside the others."""
     for index, (effect, nonlinear) in enumerate(chosen):
+        if effect.given:
+            continue
         rest = chosen[:index] + chosen[index + 1 :]
         blind = isinstance(effect, UnmodelledTerm) and not effect.predictive
         small = size(fit, rest, effect, nonlinear) < (_CERTAIN_SIZE if blind else LEAST_SIZE)
@@ -63,7 +90,7 @@ def held_out_gain(fit: LinearisedFit, chosen: Chosen, index: int) -> tuple[Float
     place = fit.places(chosen)[index]
     if wanders(fit, chosen[index : index + 1]):
         others = (*chosen[:index], *chosen[index + 1 :])
-        without, beside = (_block_deviances(fit, some) for some in (others, chosen))
+        without, beside = (block_deviances(fit, some) for some in (others, chosen))
         gain = without - beside - _CHANCE_SHARE * (place.stop - place.start) / without.size
         return gain, np.maximum(gain, 0.0)
     return fit.design(chosen).held_out_gain(place)
@@ -78,7 +105,7 @@ def wanders(fit: LinearisedFit, chosen: Chosen) -> bool:
     )
 
 
-def _block_deviances(fit: LinearisedFit, chosen: Chosen) -> Floats:
+def block_deviances(fit: LinearisedFit, chosen: Chosen) -> Floats:
     """Residual sum of squares of a fit to all blocks, in every block, less that of the data."""
     beta, _, built = fit.fit(chosen)
     return np.asarray(np.einsum("k,bkl,l->b", beta, built.gram, beta) - 2.0 * built.moment @ beta)

@@ -10,16 +10,20 @@ import numpy.typing as npt
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit import fit_parameters
-from hd_diag.diagnosis.fit.design import interval
+from hd_diag.diagnosis.fit.design import interval, lower_bound
 from hd_diag.diagnosis.fit.joint_refinement import covariance
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
-from hd_diag.diagnosis.search.acceptance import held_out_gain, wanders
+from hd_diag.diagnosis.search.acceptance import block_deviances, held_out_gain, wanders
+from hd_diag.diagnosis.search.order_table import OrderRow, table_at
 from hd_diag.diagnosis.search.ranking import by_name, ranked
+from hd_diag.diagnosis.search.remainder import Remainder
 from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
 from hd_diag.effects.effect import Effect
 
 CLASS_DEVIANCE = 10.0
 """Causes whose exchange changes the held-out deviance by less cannot be told apart."""
+
+_DISAGREEING = 0.2  # of what one cause gains on another, in blocks where it loses
 
 
 @dataclass(frozen=True)
@@ -58,11 +62,23 @@ class Cause:
 
 @dataclass(frozen=True)
 class Search:
-    """Result of a search: the fit at the final parameters, causes, most explaining first, and other terms."""
+    """Result of a search.
+
+    Attributes
+    ----------
+    fit : LinearisedFit
+        At the final parameters.
+    causes : tuple of Cause
+        Most explaining first.
+    unmodelled : tuple of (UnmodelledTerm, nonlinear values)
+    table : tuple of OrderRow
+        Waves in the rest, largest first.
+    """
 
     fit: LinearisedFit
     causes: tuple[Cause, ...]
     unmodelled: Chosen = ()
+    table: tuple[OrderRow, ...] = ()
 
     @property
     def chosen(self) -> Chosen:
@@ -71,9 +87,9 @@ class Search:
         return (*named, *self.unmodelled)
 
     @property
-    def torque_shift(self) -> float:
-        """Real less reported torque by the causes [N m]."""
-        return sum(cause.effect.torque_shift(cause.coefficients) for cause in self.causes)
+    def torque_shift(self) -> Floats:
+        """Real less reported torque by the causes at all rows of the record [N m]."""
+        return self.fit.effects.torque(self.fit.sized(self.chosen, self.fit.fit(self.chosen)[0]))
 
 
 def causes(
@@ -99,7 +115,7 @@ def causes(
     """
     found = []
     for index, ((effect, nonlinear), numbers) in enumerate(zip(chosen, _numbers(fit, chosen), strict=True)):
-        if isinstance(effect, UnmodelledTerm):
+        if effect.given or isinstance(effect, UnmodelledTerm):
             continue
         share = _share(fit, chosen, index)
         low, high = interval(share, rng)
@@ -118,7 +134,10 @@ def refitted(fit: LinearisedFit, found: Search) -> Search:
             found.causes, _numbers(fit, found.chosen), strict=False
         )
     )
-    return replace(found, fit=fit, causes=again)
+    whole = replace(found, fit=fit, causes=again)
+    rows = [(row.order, row.frame, row.nonlinear) for row in found.table]
+    rest = Remainder.of(fit, whole.chosen)
+    return replace(whole, table=table_at(rest, rows, fit.signals.rated_torque))
 
 
 def _numbers(fit: LinearisedFit, chosen: Chosen) -> list[tuple[Floats, Floats, float]]:
@@ -132,11 +151,15 @@ def _numbers(fit: LinearisedFit, chosen: Chosen) -> list[tuple[Floats, Floats, f
 
 
 def parameters_of(found: Search) -> tuple[Floats, Floats]:
-    """The model's parameters beside the causes, and their covariance, in units of `fit_parameters.SCALES`."""
+    """The model's parameters beside the causes, and their covariance, in units of `fit_parameters.units`.
+
+    What is held makes the others no more certain than they are beside it.
+    """
     own = slice(fit_parameters.COUNT)
     beta, _, _ = found.fit.fit(found.chosen)
-    spread, _ = covariance(found.fit, found.chosen)
-    return found.fit.parameters + beta[own], spread[own, own]
+    fit = found.fit
+    spread, _ = covariance(replace(fit, held=()), found.chosen)
+    return fit_parameters.admissible(fit.parameters + beta[own], fit.data.configured), spread[own, own]
 
 
 def _share(fit: LinearisedFit, chosen: Chosen, index: int) -> Floats:
@@ -154,29 +177,34 @@ def _part(spread: Floats, place: npt.NDArray[np.int64]) -> Floats:
     return part
 
 
-def _held_out_deviance(fit: LinearisedFit, chosen: Chosen) -> float:
-    return float(fit.design(chosen).held_out().sum())
-
-
-def _akaike(fit: LinearisedFit, chosen: Chosen) -> float:
-    """Deviance with Akaike's price of every column: what wanders predicts no block."""
-    return float(fit.design(chosen).deviance() + 2.0 * fit.joined(chosen).shape[1])
+def _deviances(fit: LinearisedFit, chosen: Chosen, blind: bool) -> Floats:
+    """Sum of squares of every block: held out, or, where something wanders, fitted with Akaike's price."""
+    if not blind:
+        return fit.design(chosen).held_out()
+    fitted = block_deviances(fit, chosen)
+    return np.asarray(fitted + 2.0 * fit.joined(chosen).shape[1] / fitted.size)
 
 
 def _alike(fit: LinearisedFit, chosen: Chosen, index: int, rivals: Collection[str]) -> list[str]:
-    """Effects that would do as well in place of one; those that the motion cannot test among them."""
+    """Effects that would do as well in place of one, whether or not the motion can prove them.
+
+    One that is worse in some blocks and better in others cannot be told from it either: where the model
+    leaves more than noise, sums alone say nothing.
+    """
     effect, others = chosen[index][0], chosen[:index] + chosen[index + 1 :]
     named = {e.name for e, _ in chosen}
-    criterion = _akaike if wanders(fit, chosen) else _held_out_deviance
-    here = criterion(fit, chosen)
     found = [name for name in effect.always_confused if name not in named]
-    confused = by_name(fit, effect.confused_with)
-    untested = {other.name for other in confused if not fit.data.testable(other)[0]}
     without = fit.corrected(others)
-    for candidate in ranked(without, others, by_name(fit, {*rivals, *untested}), untested):
+    for candidate in ranked(without, others, by_name(fit, {*rivals, *effect.confused_with})):
         if candidate.effect.name in named or candidate.effect.name in found:
             continue
         trial = (*others, (candidate.effect, candidate.nonlinear))
-        if criterion(without.corrected(trial), trial) - here < CLASS_DEVIANCE:
+        there, blind = without.corrected(trial), wanders(fit, chosen) or wanders(fit, trial)
+        if not _told_apart(_deviances(there, trial, blind) - _deviances(fit, chosen, blind)):
             found.append(candidate.effect.name)
     return found
+
+
+def _told_apart(worse: Floats) -> bool:
+    lost, won = -float(worse[worse < 0.0].sum()), float(worse[worse > 0.0].sum())
+    return won - lost > CLASS_DEVIANCE and (lower_bound(worse) > 0.0 or lost < _DISAGREEING * won)

@@ -12,11 +12,13 @@ from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.search.acceptance import FAMILY_ERROR, LEAST_SIZE
 from hd_diag.diagnosis.search.causes import Search
-from hd_diag.diagnosis.search.ranking import Projector, family_size
+from hd_diag.diagnosis.search.ranking import Projector, competes, family_size
 from hd_diag.effects.effect import Effect
 
 _POWER = 0.99
 _OWN = 1e-3  # least share of an effect that the model's own parameters cannot imitate
+_LARGE = 3.0  # times the usual size
+_TOO_SMALL = "what is usual would not stand out here: record more of it, or more slowly"
 _IMITATED = "the model's own parameters imitate it: this record cannot tell them apart"
 
 
@@ -44,17 +46,28 @@ def testability(found: Search) -> list[Testability]:
 
 
 def _tested(fit: LinearisedFit, effect: Effect, basis: Floats, family: int) -> Testability:
-    possible, reason = fit.data.testable(effect)
-    if not possible:
-        return Testability(effect.name, False, math.nan, reason)
+    """By what the record determines with everything else free; the motion says what it lacks, in words."""
+    lacking = fit.data.testable(effect)[1]
+    if not competes(fit, effect):
+        return Testability(effect.name, False, math.nan, lacking)
     nonlinear = fit.data.grid(effect)[len(fit.data.grid(effect)) // 2]
     columns, white = fit.columns(effect, nonlinear), fit.white(effect, nonlinear)
     own = float(np.sum((white - basis @ (basis.T @ white)) ** 2))
     information = own / max(float(np.sum(np.mean(columns**2, axis=0))), 1e-300)
     size = math.sqrt(_noncentrality(columns.shape[1], family) / max(information, 1e-300))
     if own < _OWN * max(float(np.sum(white**2)), 1e-300):
-        return Testability(effect.name, False, size, _IMITATED)
+        return Testability(effect.name, False, size, lacking or _IMITATED)
+    if size > _usual(effect, columns):
+        return Testability(effect.name, False, size, lacking or _TOO_SMALL)
     return Testability(effect.name, True, max(size, LEAST_SIZE), "tested")
+
+
+def _usual(effect: Effect, columns: Floats) -> float:
+    """Size that the effect has where it is large, by what is usual for its quantities [rad rms]."""
+    scales = np.array([quantity.prior_scale**quantity.power for quantity in effect.linear])
+    used = [not quantity.periodic for quantity in effect.linear]
+    rms = np.sqrt(np.mean(columns[:, : effect.size] ** 2, axis=0))
+    return _LARGE * float(np.max((rms * scales)[used], initial=0.0))
 
 
 def _noncentrality(width: int, family: int) -> float:

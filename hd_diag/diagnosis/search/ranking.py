@@ -10,7 +10,7 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.design import f_test, orthonormal, solve, surprise
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
-from hd_diag.effects.effect import Effect
+from hd_diag.effects.effect import Effect, Stage
 
 _LOOKED_AT = 5.0  # surprise from which a candidate is looked at, at its size
 _SECANTS = 3  # steps to the size of an effect that is not proportional to it
@@ -68,19 +68,17 @@ def candidates(fit: LinearisedFit, chosen: Chosen) -> list[Candidate]:
     return ranked(fit, chosen, fit.data.searched)
 
 
-def ranked(
-    fit: LinearisedFit, chosen: Chosen, effects: Sequence[Effect], untested: Collection[str] = ()
-) -> list[Candidate]:
+def ranked(fit: LinearisedFit, chosen: Chosen, effects: Sequence[Effect]) -> list[Candidate]:
     """Some effects beside those chosen already, each at its best grid point; the most surprising first.
 
-    Effects named in `untested` take part although the motion does not allow to find them.
+    What the record cannot prove competes all the same: else the nearest of what it can would be named for it.
     """
     named = {effect.name for effect, _ in chosen}
     projector = Projector(fit, chosen)
     rest = fit.remainder(chosen)
     found = []
     for effect in effects:
-        if effect.name in named or not (fit.data.testable(effect)[0] or effect.name in untested):
+        if effect.name in named or not competes(fit, effect):
             continue
         points = []
         for nonlinear in effect.starts(fit.signals, rest).points:
@@ -95,6 +93,14 @@ def ranked(
                 best = _candidate(fit, projector, effect, best.nonlinear, gain)
             found.append(best)
     return sorted(found, key=lambda candidate: -candidate.surprise)
+
+
+def competes(fit: LinearisedFit, effect: Effect) -> bool:
+    """Whether an effect can be judged: what acts under a torque that was not measured cannot."""
+    known = fit.data.source.has_torque
+    if fit.data.testable(effect)[0]:
+        return known or effect.stage != Stage.TORQUE
+    return known and effect.stage != Stage.NOWHERE
 
 
 def _candidate(
@@ -115,9 +121,9 @@ def _gain_at_size(fit: LinearisedFit, projector: Projector, candidate: Candidate
     coefficients, _ = projector.fit(fit.white(effect, nonlinear))
     best = 0.0
     for _ in range(_SECANTS):
-        columns = np.nan_to_num(effect.slopes(fit.signals, coefficients, nonlinear))
-        beyond = fit.full_size(effect, nonlinear, coefficients) - columns @ coefficients
-        white = fit.whiten(np.column_stack((columns, beyond)), fit.data.run)
+        at = fit.beside((*fit.present, ((effect, nonlinear), coefficients)))
+        beyond = fit.residual - at.residual
+        white = fit.whiten(np.column_stack((at.columns(effect, nonlinear), beyond)), fit.data.run)
         coefficients, gain = projector.fit_beyond(white[:, :-1], white[:, -1])
         best = max(best, gain)
     return best
@@ -125,8 +131,7 @@ def _gain_at_size(fit: LinearisedFit, projector: Projector, candidate: Candidate
 
 def family_size(fit: LinearisedFit) -> int:
     """Number of hypotheses: candidates times grid points."""
-    testable = [effect for effect in fit.data.searched if fit.data.testable(effect)[0]]
-    return sum(effect.starts(fit.signals).trials for effect in testable)
+    return sum(effect.starts(fit.signals).trials for effect in fit.data.searched if competes(fit, effect))
 
 
 def by_name(fit: LinearisedFit, names: Collection[str]) -> list[Effect]:

@@ -43,9 +43,11 @@ def search(
     progress : callable
         Called with what is being done.
     """
-    chosen: Chosen = ()
+    chosen: Chosen = fit.data.given
     p_values: dict[str, float] = {}
     fit = settle(fit, chosen)
+    if chosen:
+        fit, chosen = polished(_restarted(fit, chosen, rng), chosen)
     family, rivals = family_size(fit), set[str]()
     for _ in range(_MOST_CAUSES + _MOST_TERMS):
         progress(f"looking for cause {len(chosen) + 1}")
@@ -70,7 +72,7 @@ def search(
     fit, chosen = _finished(settle(fit, chosen), chosen)
     if (fewer := needed(fit, chosen)) != chosen:
         fit, chosen = _finished(settle(fit, fewer), fewer)
-    unmodelled = tuple(item for item in chosen if isinstance(item[0], UnmodelledTerm))
+    unmodelled = tuple(item for item in chosen if item[0].given or isinstance(item[0], UnmodelledTerm))
     return Search(fit, causes(fit, chosen, p_values, rivals, rng), unmodelled)
 
 
@@ -106,7 +108,7 @@ def _between(fit: LinearisedFit, chosen: Chosen, candidate: Candidate) -> Candid
 
 
 def _named(chosen: Chosen) -> int:
-    return sum(not isinstance(effect, UnmodelledTerm) for effect, _ in chosen)
+    return sum(not (effect.given or isinstance(effect, UnmodelledTerm)) for effect, _ in chosen)
 
 
 def _begun_slowly(fit: LinearisedFit, rng: np.random.Generator) -> LinearisedFit:
@@ -136,10 +138,8 @@ def _refined(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]
 
 
 def _clear(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
-    """On the rows that can be used if the newest effect shifts the torque."""
-    effect, _ = chosen[-1]
-    (*_, (_, coefficients)) = fit.sized(chosen, fit.fit(chosen)[0])
-    clear = fit.clear_of(effect.torque_shift(coefficients))
+    """On the rows that can be used if the effects change the torque."""
+    clear = fit.clear_of(fit.effects.torque(fit.sized(chosen, fit.fit(chosen)[0])))
     return (fit, chosen) if clear is fit else _refined(clear, chosen)
 
 
@@ -187,6 +187,8 @@ def _swapped(fit: LinearisedFit, chosen: Chosen, rivals: set[str]) -> tuple[Line
         if effect.stage > Stage.GEAR:
             fit, chosen = _of_kind(fit, chosen, index)
     for index, (effect, nonlinear) in enumerate(chosen):
+        if effect.given:
+            continue
         others = chosen[:index] + chosen[index + 1 :]
         now = fit.design(chosen).deviance()
         without = fit.corrected(others)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
 from hd_diag.arrays import Floats
-from hd_diag.diagnosis.diagnosis import Rms
+from hd_diag.diagnosis.gain import Rms
 from hd_diag.formatting import ARCSEC
 from hd_diag.report.binned import Band
 from hd_diag.report.ladder import Rung

@@ -1,0 +1,119 @@
+"""Torque that causes add to the reported one along a record, and what the model does under it."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from hd_diag.arrays import Floats
+from hd_diag.diagnosis.fit.fitted_rows import FittedRows
+from hd_diag.effects.effect import Effect, Values
+from hd_diag.effects.mesh_torque import MeshTorque
+from hd_diag.effects.signals import Signals
+
+_STEEPEST = 1e-2  # [rad/(N m)]; no joint that bears is a hundredth as soft
+_TOLD_APART = 5e-3  # of the rated torque: changes of it within which derivatives are not told apart
+_STEP = 4e-3  # of the rated torque, by which the compliance is taken: a change of flanks is a step
+
+# Causes with their nonlinear values and coefficients.
+Torques = tuple[tuple[tuple[MeshTorque, Values], Floats], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class MeshTorques:
+    """Causes that change the torque in the mesh, at their size; all arrays are of all rows of the record.
+
+    Parameters
+    ----------
+    data : FittedRows
+    parameters : ndarray, shape (7,)
+        Of the model, in units of `fit_parameters.SCALES`.
+    causes : tuple
+    """
+
+    data: FittedRows
+    parameters: Floats
+    causes: Torques
+
+    @cached_property
+    def more(self) -> Floats:
+        """Real less reported torque [N m], shape (n,)."""
+        total = np.zeros(self.data.source.size)
+        for (effect, nonlinear), coefficients in self.causes:
+            total += self.data.torque(effect, nonlinear) @ coefficients
+        return total
+
+    @cached_property
+    def error(self) -> Floats:
+        """What the model does under it beside its own error [rad], shape (n,)."""
+        return self._under(self.more) if self.causes else np.zeros(self.data.source.size)
+
+    @cached_property
+    def slope(self) -> Floats:
+        """The model's derivative by the torque under it [rad/(N m)], shape (n,)."""
+        whole = self._whole
+
+        def slope() -> Floats:
+            step = _STEP * whole.rated_torque
+            return (self._under(self.more + step) - self._under(self.more - step)) / (2.0 * step)
+
+        if not self.causes:
+            known = (
+                np.abs(whole.predicted_torque_slope) < _STEEPEST
+            )  # in the gap between the flanks it is not
+            return np.where(known, whole.predicted_torque_slope, 0.0)
+        return self.data.kept.get((self.parameters.tobytes(), "slope", self.key), slope)
+
+    @property
+    def rounded(self) -> MeshTorques:
+        """The same causes at sizes that hardly change the model's derivatives: these are costly."""
+        step, found = _TOLD_APART * self.data.configured.rated_torque, []
+        for (effect, nonlinear), coefficients in self.causes:
+            reach = np.max(np.abs(self.data.torque(effect, nonlinear)), axis=0, initial=1e-9)
+            found.append(((effect, nonlinear), np.rint(coefficients * reach / step) * step / reach))
+        return replace(self, causes=tuple(found))
+
+    @property
+    def key(self) -> Hashable:
+        """Which causes, at which sizes."""
+        return tuple((effect.name, nonlinear, one.tobytes()) for (effect, nonlinear), one in self.causes)
+
+    def derivatives(self) -> Floats:
+        """Of the model by its parameters under it, shape (n, 7)."""
+        return self.data.derivatives(self.parameters, self.more)
+
+    def columns(self, effect: MeshTorque, nonlinear: Values) -> Floats:
+        """Of a cause beside these [rad per unit], shape (n, size)."""
+        return np.asarray(self.slope[:, None] * self.data.torque(effect, nonlinear))
+
+    def beside(self, effect: MeshTorque, nonlinear: Values, coefficients: Floats) -> Floats:
+        """What a cause of some size does beside these, itself left out [rad], shape (n,)."""
+        others = replace(self, causes=tuple(one for one in self.causes if one[0][0].name != effect.name))
+        both = replace(others, causes=(*others.causes, ((effect, nonlinear), coefficients)))
+        return np.asarray(both.error - others.error)
+
+    def signals(self) -> Signals:
+        """The record with the model's own error under it."""
+        if not self.causes:
+            return self._whole
+        error = self._whole.predicted + self.error
+        return replace(self._whole, predicted=error, predicted_rate=self.data.rate(error))
+
+    @property
+    def _whole(self) -> Signals:
+        return self.data.linearised(self.parameters).whole
+
+    def _under(self, more: Floats) -> Floats:
+        return np.nan_to_num(self._whole.contact.under_more_torque(more))
+
+
+def mesh_torques(
+    data: FittedRows, parameters: Floats, sized: Iterable[tuple[tuple[Effect, Values], Any]]
+) -> MeshTorques:
+    """Of the effects among some that are torque; see :class:`MeshTorques`."""
+    causes = [((e, nonlinear), one) for (e, nonlinear), one in sized if isinstance(e, MeshTorque)]
+    return MeshTorques(data, parameters, tuple(causes))

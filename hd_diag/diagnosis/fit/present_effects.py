@@ -1,0 +1,212 @@
+"""What effects do to a record beside each other: their columns at a point, and their full size."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from hd_diag.arrays import Floats
+from hd_diag.diagnosis.fit.fitted_rows import FittedRows
+from hd_diag.diagnosis.fit.mesh_torques import MeshTorques, mesh_torques
+from hd_diag.effects.effect import Effect, Stage, Values
+from hd_diag.effects.mesh_torque import MeshTorque
+from hd_diag.effects.signals import Signals
+from hd_diag.effects.stages import seen_at
+
+Item = tuple[Effect, Values]
+
+# Effects with their nonlinear values and coefficients.
+Sized = tuple[tuple[Item, Floats], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class PresentEffects:
+    """Effects of some size beside which a record is linearised.
+
+    What they are at full size beyond their columns is no longer in the residual, and effects of later stages
+    carry what earlier ones add.
+
+    Parameters
+    ----------
+    data : FittedRows
+    parameters : ndarray, shape (7,)
+        Where the model is linearised, in units of `fit_parameters.SCALES`.
+    present : tuple
+    """
+
+    data: FittedRows
+    parameters: Floats
+    present: Sized
+
+    @cached_property
+    def whole(self) -> Signals:
+        """Of all rows."""
+        return self.data.linearised(self.parameters).whole
+
+    @cached_property
+    def signals(self) -> Signals:
+        """Of the fitted rows."""
+        return self.data.linearised(self.parameters).signals
+
+    def kept(self, *key: Hashable, compute: Callable[[], Floats]) -> Floats:
+        """What was computed at these parameters, by names of its own."""
+        return self.data.kept.get((self.parameters.tobytes(), *key), compute)
+
+    def columns(self, effect: Effect, nonlinear: Values) -> Floats:
+        """Columns of an effect, shape (n, k) [rad per unit]; of a present one those that hold at its size."""
+        return self.kept(
+            "columns", *self.context(effect, nonlinear), compute=lambda: self.new_columns(effect, nonlinear)
+        )
+
+    @cached_property
+    def uncorrected(self) -> Floats:
+        """Measured less predicted error of the model alone [rad], shape (n,)."""
+        record, ratio = self.data.record, self.data.configured.kinematics.ratio
+        return np.asarray(record.output_angle - record.input_angle / ratio - self.signals.predicted)
+
+    @cached_property
+    def residual(self) -> Floats:
+        """The same less what the present effects are at full size beyond their columns [rad], shape (n,)."""
+
+        def corrected() -> Floats:
+            first = [self.columns(*item) @ coefficients for item, coefficients in self.present]
+            return np.asarray(self.uncorrected - self.together(self.present) + sum(first))
+
+        return self.kept("residual", _key(self.present), compute=corrected)
+
+    @cached_property
+    def jacobian(self) -> Floats:
+        """Derivatives by the parameters, under the real torque, as later stages show them, (n, 7)."""
+        rounded = self._torques.rounded
+
+        def carried() -> Floats:
+            return self._carried(rounded.derivatives(), Stage.GEAR, of_teeth=True).take(self.data.at, axis=0)
+
+        return self.kept("jacobian", rounded.key, _key(self._later), compute=carried)
+
+    def torque(self, sized: Sized) -> Floats:
+        """What effects add to the torque in the mesh at all rows [N m]."""
+        return mesh_torques(self.data, self.parameters, sized).more
+
+    def together(self, sized: Sized) -> Floats:
+        """Part of several effects in the error, torques added up before the mesh bears them; (n,) [rad]."""
+        torques = mesh_torques(self.data, self.parameters, sized)
+        rest = [self.full_size(*item, one) for item, one in sized if item[0].stage != Stage.TORQUE]
+        return np.asarray(sum(rest, torques.error.take(self.data.at)))
+
+    def full_size(self, effect: Effect, nonlinear: Values, coefficients: Floats) -> Floats:
+        """An effect's part in the error, contacts made and lost by it included, shape (n,) [rad].
+
+        Coefficients beyond its own are of what it wanders by. A torque is added to those present.
+        """
+        if isinstance(effect, MeshTorque):
+            return self._torques.beside(effect, nonlinear, coefficients).take(self.data.at)
+        if (own := effect.size) < coefficients.size and effect.stage > Stage.NOWHERE:
+            wandering = effect.wandering(self.whole, nonlinear).take(self.data.at, axis=0)
+            return self.full_size(effect, nonlinear, coefficients[:own]) + wandering @ coefficients[own:]
+        if effect.remembers or effect.stage > Stage.GEAR:
+            found = effect.response(self._seen(effect.stage), coefficients, nonlinear).take(self.data.at)
+        else:
+            found = effect.response(self.signals, coefficients, nonlinear)
+        return np.nan_to_num(found)
+
+    @cached_property
+    def _torques(self) -> MeshTorques:
+        """Of the present effects."""
+        return mesh_torques(self.data, self.parameters, self.present)
+
+    @cached_property
+    def _before(self) -> Sized:
+        """Present effects that a later stage sees."""
+        return tuple(one for one in self.present if Stage.TORQUE <= one[0][0].stage < Stage.STREAM)
+
+    @cached_property
+    def _later(self) -> Sized:
+        """Present effects that carry what earlier stages add."""
+        return tuple(one for one in self.present if one[0][0].stage > Stage.GEAR)
+
+    def context(self, effect: Effect, nonlinear: Values) -> tuple[Hashable, ...]:
+        """What the columns of an effect depend on, beside the parameters."""
+        torque = tuple(one for one in self._before if one[0][0].stage == Stage.TORQUE)
+        seen: dict[Stage, Sized] = {
+            Stage.TORQUE: torque + self._later,
+            Stage.GEAR: self._later,
+            Stage.SPRING: self._before + self._later,
+            Stage.STREAM: self._before,
+        }
+        size = self._size_of(effect, nonlinear)
+        return (
+            effect.name,
+            nonlinear,
+            _key(seen.get(effect.stage, ())),
+            None if size is None else size.tobytes(),
+        )
+
+    def _size_of(self, effect: Effect, nonlinear: Values) -> Floats | None:
+        """Coefficients at which its columns are taken, if it is present and they depend on its size."""
+        if not effect.own_slopes or effect.stage == Stage.TORQUE:
+            return None
+        return next((one for item, one in self.present if item == (effect, nonlinear)), None)
+
+    def new_columns(self, effect: Effect, nonlinear: Values) -> Floats:
+        """The same, not kept."""
+        if isinstance(effect, MeshTorque):
+            columns = self._torques.columns(effect, nonlinear)
+            return self._carried(columns, effect.stage, effect.of_teeth).take(self.data.at, axis=0)
+        size = self._size_of(effect, nonlinear)
+
+        def of(seen: Signals) -> Floats:
+            own = effect.columns(seen, nonlinear) if size is None else effect.slopes(seen, size, nonlinear)
+            return np.nan_to_num(own)
+
+        def whole() -> Floats:
+            seen = self._seen(effect.stage)
+            columns = of(seen)
+            if effect.wanders_by:
+                columns = np.concatenate((columns, effect.wandering(seen, nonlinear)), axis=1)
+            return columns
+
+        if not self._sees_all(effect):
+            return of(self.signals)
+        if effect.of_teeth and size is None:  # they see no other effect, but what carries them varies
+            columns = self.kept("whole", effect.name, nonlinear, compute=whole)
+        else:
+            columns = whole()
+        return self._carried(columns, effect.stage, effect.of_teeth).take(self.data.at, axis=0)
+
+    def _carried(self, columns: Floats, stage: Stage, of_teeth: bool) -> Floats:
+        """With what later stages make of them, shape (rows of the whole, k)."""
+        for (effect, nonlinear), coefficients in self._later:
+            if effect.stage > stage and (of_teeth or effect.stage > Stage.SPRING):
+                columns = columns + effect.carry(self.whole, columns, coefficients, nonlinear)
+        return columns
+
+    def _sees_all(self, effect: Effect) -> bool:
+        """Whether it needs rows that are not fitted: they come before others."""
+        if effect.remembers or effect.stage > Stage.GEAR or effect.wanders_by:
+            return True
+        return effect.stage == Stage.GEAR and bool(self._later)
+
+    def _seen(self, stage: Stage) -> Signals:
+        """The whole record, as effects of a stage see it."""
+        if stage <= Stage.GEAR:
+            return self.whole
+        if stage not in self._behind:
+            parts = [
+                (e, np.nan_to_num(e.response(self._seen(e.stage), coefficients[: e.size], nonlinear)))
+                for (e, nonlinear), coefficients in self._before
+                if Stage.TORQUE < e.stage < stage
+            ]
+            self._behind[stage] = seen_at(stage, self._torques.signals(), parts, self.data.rate)
+        return self._behind[stage]
+
+    @cached_property
+    def _behind(self) -> dict[Stage, Signals]:
+        return {}
+
+
+def _key(sized: Sized) -> Hashable:
+    return tuple((effect.name, nonlinear, one.tobytes()) for (effect, nonlinear), one in sized)

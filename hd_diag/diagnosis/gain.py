@@ -1,0 +1,204 @@
+"""What a model is worth on rows that no fit saw: residuals, gain, and what is left over the noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.arrays import Floats, Integers
+from hd_diag.diagnosis.extension import extended_model, running_residual
+from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
+from hd_diag.diagnosis.noise import slices
+from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.search.causes import Search
+from hd_diag.diagnosis.search.order_table import part
+from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
+from hd_diag.drive import Drive
+
+Rows = npt.NDArray[np.bool_]
+
+_HELD_OUT = 4  # every fourth run, or stretch of a single run, is held out
+_STRETCHES = 12
+_SLICE = 1.0  # length of a block of the bootstrap [s]
+_DRAWS = 2000
+_MORE = 1.15  # what is left over the noise where it is more than noise for certain
+
+MISFIT = 1.3
+"""Held-out residual over noise beyond which what is left is not noise."""
+
+
+@dataclass(frozen=True)
+class Rms:
+    """Root mean squares on held-out data [rad].
+
+    `extended` is that of the model as it runs, with causal signals, along the record; `named` the same
+    without its order table; `offline` that of the fit's own signals; `live` that of the model as it runs with
+    the torque as reported, not smoothed. The noise is `repeated` if it is from states that were passed again;
+    else it is a lower bound, from differences between neighbours.
+    """
+
+    nominal: float
+    refit: float
+    named: float
+    extended: float
+    offline: float
+    live: float
+    noise: float
+    noise_low: float
+    noise_high: float
+    repeated: bool = field(default=True, kw_only=True)
+
+    @property
+    def misfit(self) -> Misfit:
+        """What is left over the noise."""
+        value, low, high = (
+            self.extended / max(one, 1e-300) for one in (self.noise, self.noise_high, self.noise_low)
+        )
+        return Misfit(value, low, high)
+
+
+@dataclass(frozen=True)
+class Gain:
+    """Share of the nominal model's mean square that the extended model explains, with its 95 % interval."""
+
+    fraction: float
+    low: float
+    high: float
+    held_out: str
+
+
+class Misfit(NamedTuple):
+    """Held-out rms of the extended model over the measured noise, and its interval [-]."""
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def plain(self) -> bool:
+        """Whether what is left is more than noise: then something is `unexplained`."""
+        return self.value > MISFIT or (self.low > _MORE and self.high > MISFIT)
+
+
+def held_out(record: Record) -> tuple[Rows, str]:
+    """Rows that no fit sees, shape (n,), and in words which: whole recordings or runs, or stretches."""
+    bags = np.unique(record.bag)
+    if bags.size >= _HELD_OUT:
+        rows = np.searchsorted(bags, record.bag) % _HELD_OUT == _HELD_OUT - 1
+        if 0.1 < rows.mean() < 0.5:
+            return rows, f"{bags.size // _HELD_OUT} of {bags.size} recordings"
+    if record.extent.runs >= _HELD_OUT:
+        rows = record.run % _HELD_OUT == _HELD_OUT - 1
+        if 0.1 < rows.mean() < 0.5:
+            return rows, f"{np.unique(record.run[rows]).size} of {record.extent.runs} runs"
+    stretch = np.arange(record.size) * _STRETCHES // record.size
+    which = f"{_STRETCHES // _HELD_OUT} of {_STRETCHES} stretches of the record"
+    return stretch % _HELD_OUT == _HELD_OUT - 1, which
+
+
+def renumbered(record: Record) -> Record:
+    """Run numbers from zero, with a new run wherever rows are missing."""
+    step = float(np.median(np.diff(record.time)))
+    change = (np.diff(record.run) != 0) | (np.diff(record.time) > 20.0 * step)
+    return replace(record, run=np.concatenate(([0], np.cumsum(change))).astype(np.int64))
+
+
+def measured_gain(
+    record: Record,
+    test: Rows,
+    which: str,
+    plain: LinearisedFit,
+    found: Search,
+    every: LinearisedFit,
+    rng: np.random.Generator,
+) -> tuple[Rms, Gain]:
+    """Residuals of held-out rows; `every` fits all rows, so that its effects remember what came before."""
+    plain = replace(plain, whiten=found.fit.whiten)  # one noise model, that of the whole model, for both
+    configured, fitted = every.data.configured, every.data.mask
+
+    def unseen(residual: Floats) -> Floats:
+        """Held-out rows, less what each recording's encoders are off in the others, or in these."""
+        for bag in np.unique(record.bag):
+            own = fitted & (record.bag == bag)
+            if own.any():
+                known = own & ~test if np.any(own & ~test) else own
+                residual = np.where(own, residual - np.nanmean(residual[known]), residual)
+        return np.asarray(residual[fitted & test])
+
+    def of_fit(residual: Floats) -> Floats:
+        whole = np.zeros(record.size)
+        whole[fitted] = residual
+        return unseen(whole)
+
+    nominal = unseen(_nominal_residual(record, configured))
+    model = extended_model(found, configured, record.select(~test))
+    extended, live = (
+        unseen(running_residual(model, record, torque, model.torsion_map))
+        for torque in (record.torque, record.reported_torque)
+    )
+    named = None
+    if any(row.repeats for row in found.table):
+        alone = extended_model(replace(found, table=()), configured, record.select(~test))
+        named = unseen(running_residual(alone, record, record.torque, alone.torsion_map))
+    seen = found.fit.signals
+    described = part(found.table, seen.input_angle, seen.torque, configured.rated_torque)
+    noise = found.fit.data.noise_of(found.fit.remainder(found.chosen) - described)
+    rest = renumbered(record.select(fitted & test))
+    number = slices(rest.time, rest.run, _SLICE)
+    rms = Rms(
+        nominal=_rms(nominal),
+        refit=_rms(of_fit(_residual_of(every.moved(plain.parameters), plain, ()))),
+        named=_rms(extended) if named is None else _rms(named),
+        extended=_rms(extended),
+        offline=_rms(of_fit(_residual_of(every, found.fit, found.chosen))),
+        live=_rms(live[np.isfinite(live)]),
+        noise=noise.rms,
+        noise_low=noise.low,
+        noise_high=noise.high,
+        repeated=noise.repeated,
+    )
+    return rms, explained(nominal, extended, number, which, rng)
+
+
+def explained(before: Floats, after: Floats, number: Integers, which: str, rng: np.random.Generator) -> Gain:
+    """Share of a residual's mean square that another model explains, by a bootstrap of numbered stretches."""
+    whole, rest = _sums(before**2, number), _sums(after**2, number)
+    high, low = (1.0 - _ratio_interval(rest, whole, rng)).tolist()
+    return Gain(1.0 - float(rest.sum() / whole.sum()), low, high, which)
+
+
+def _nominal_residual(record: Record, configured: Drive) -> Floats:
+    """Residual of the configured drive at all rows [rad]."""
+    error, _, _ = fit_parameters.along(configured, configured, record.input_angle, record.torque)
+    return np.asarray(record.output_angle - record.input_angle / configured.kinematics.ratio - error)
+
+
+def _residual_of(fit: LinearisedFit, trained: LinearisedFit, chosen: Chosen) -> Floats:
+    """Residual of all rows of a fit, with coefficients trained on some rows [rad].
+
+    Unmodelled terms are fitted, but are no part of the model; nor is what a cause wanders by.
+    """
+    beta, _, _ = trained.fit(chosen)
+    fixed = fit.always()
+    residual = fit.effects.uncorrected - fixed @ beta[: fixed.shape[1]]
+    sized = tuple((item, part[: item[0].size]) for item, part in trained.sized(chosen, beta))
+    causes = tuple(one for one in sized if not isinstance(one[0][0], UnmodelledTerm))
+    return np.asarray(residual - fit.beside(sized).effects.together(causes))
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _sums(values: Floats, number: Integers) -> Floats:
+    return np.asarray(np.bincount(number, values), np.float64)
+
+
+def _ratio_interval(top: Floats, bottom: Floats, rng: np.random.Generator) -> Floats:
+    """95 % interval of a ratio of sums by bootstrap of their parts, shape (2,)."""
+    draws = rng.integers(0, top.size, (_DRAWS, top.size))
+    return np.asarray(np.quantile(top[draws].sum(axis=1) / bottom[draws].sum(axis=1), (0.025, 0.975)))

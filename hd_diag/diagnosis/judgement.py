@@ -1,0 +1,165 @@
+"""What a diagnosis comes to: what kind of answer it is, on what grounds, and whether the joint is normal."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from hd_diag.diagnosis.diagnosis import Diagnosis
+from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit.refit import usable
+from hd_diag.diagnosis.gain import MISFIT
+
+Judgement = Literal["as_configured", "parameters", "causes", "described", "misfit", "not_judged"]
+
+_SIGMAS = 3.0  # a parameter this many standard deviations off its configured value is another
+_LEAST_SHARE = 0.05  # of the noise, below which what a parameter changes is of no use
+_MOST_ROWS = 2000
+_PEAK_TO_PEAK = 2.0 * math.sqrt(2.0)  # of a wave, over its rms
+
+# Fitted numbers that are judged together: their places in `fit_parameters.SCALES`, and the value compared.
+GROUPS = {
+    "eccentricity": (slice(0, 2), "eccentricity.magnitude"),
+    "runout": (slice(2, 4), "runout.magnitude"),
+    "circular_spline_datum": (slice(4, 5), "circular_spline_datum"),
+    "tooth_compliance": (slice(5, 6), "tooth_compliance"),
+    "cup_compliance": (slice(6, 7), "cup_compliance"),
+}
+
+
+class Change(NamedTuple):
+    """A parameter that is not as configured; `explains` is what it changes in the error [rad rms]."""
+
+    name: str
+    value: float
+    std: float
+    configured: float
+    unit: str
+    explains: float
+
+
+class Normal(NamedTuple):
+    """Transmission error without torsion, peak to peak, beside what the catalogue allows [rad]."""
+
+    accuracy: float
+    measured: float
+
+    @property
+    def within(self) -> bool:
+        """Whether the joint is as good as its catalogue says."""
+        return self.measured <= self.accuracy
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What a diagnosis comes to, each part computed once."""
+
+    diagnosis: Diagnosis
+
+    @cached_property
+    def judgement(self) -> Judgement:
+        """Kind of the answer; that the model does not describe the record goes before all else."""
+        found = self.diagnosis
+        if found.rms is None:
+            return "not_judged"
+        if found.refitted is None:
+            return "described" if found.order_table else "not_judged"
+        if self.residual_over_noise > MISFIT:
+            return "misfit"
+        if found.causes or any(finding.name == "tooth_skip" for finding in found.findings):
+            return "causes"
+        if found.order_table or found.unexplained:
+            return "described"
+        return "parameters" if self.changes else "as_configured"
+
+    @cached_property
+    def residual_over_noise(self) -> float:
+        """Of the extended model, on data that no fit saw [-]; nan where nothing was fitted."""
+        misfit = self.diagnosis.misfit
+        return misfit.value if misfit else math.nan
+
+    @cached_property
+    def changes(self) -> list[Change]:
+        """Parameters that are not as configured, the one that changes the error most first."""
+        found = self.diagnosis
+        if found.refitted is None or not found.refitted.trustworthy:
+            return []
+        least = _LEAST_SHARE * found.rms.noise if found.rms else 0.0
+        changed = []
+        for name, explains in parameter_sizes(found).items():
+            entry = found.parameters[GROUPS[name][1]]
+            off = abs(entry["value"] - entry["configured"])
+            if off > _SIGMAS * entry["std"] and explains > least:
+                number = (entry["value"], entry["std"], entry["configured"], entry["unit"])
+                changed.append(Change(name, *number, explains))
+        return sorted(changed, key=lambda change: -change.explains)
+
+    @cached_property
+    def normal(self) -> Normal | None:
+        """The joint beside its catalogue; None where nothing can be said."""
+        return normal(self.diagnosis)
+
+    @property
+    def evidence(self) -> dict[str, Any]:
+        """Numbers that the judgement stands on."""
+        found = self.diagnosis
+        return {
+            "residual_over_noise": self.residual_over_noise,
+            "misfit_above": MISFIT,
+            "fraction_explained": found.gain.fraction if found.gain else math.nan,
+            "changed": {change.name: change.explains for change in self.changes},
+            "causes": {cause.effect.name: cause.gain for cause in found.causes},
+            "described": len(found.order_table),
+            "unexplained": len(found.unexplained),
+        }
+
+
+def parameter_sizes(diagnosis: Diagnosis) -> dict[str, float]:
+    """How much the refitted drive's error changes where a group of parameters is as configured [rad rms]."""
+    configured, refitted = diagnosis.configured, diagnosis.refitted
+    assert refitted is not None
+    rows = np.flatnonzero(usable(diagnosis.record))
+    record = diagnosis.record.select(rows[:: 1 + rows.size // _MOST_ROWS])
+    as_configured = fit_parameters.vector(configured, configured)
+
+    def error(parameters: np.ndarray) -> np.ndarray:
+        drive = fit_parameters.drive_of(parameters, configured)
+        return fit_parameters.along(drive, configured, record.input_angle, record.torque)[0]
+
+    whole, sizes = error(refitted.parameters), {}
+    for name, (at, _) in GROUPS.items():
+        without = refitted.parameters.copy()
+        without[at] = as_configured[at]
+        sizes[name] = float(np.nanstd(whole - error(without)))
+    return sizes
+
+
+def normal(diagnosis: Diagnosis) -> Normal | None:
+    """Whether the joint's error is what its catalogue allows; None where it cannot be said.
+
+    Notes
+    -----
+    The catalogue measures without load. Here torsion, friction and an offset of every run are taken off by
+    a regression that knows no gear, and the noise's variance; the rest counts as one wave of that rms.
+    """
+    record = diagnosis.record
+    if any(finding.fatal for finding in diagnosis.findings):
+        return None
+    ratio = diagnosis.configured.kinematics.ratio
+    error = record.output_angle - record.input_angle / ratio
+    load = record.torque / diagnosis.configured.rated_torque
+    top = max(float(np.percentile(np.abs(record.speed), 99)), 1e-9)
+    columns = [load, load * np.abs(load), load**3, np.tanh(load / 0.05)]
+    columns += [record.speed / top, np.tanh(record.speed / (0.02 * top))]
+    count = np.maximum(np.bincount(record.run), 1)
+    matrix = np.stack(
+        [c - (np.bincount(record.run, c) / count)[record.run] for c in (*columns, error)], axis=1
+    )
+    rest = matrix[:, -1] - matrix[:, :-1] @ np.linalg.lstsq(matrix[:, :-1], matrix[:, -1], rcond=None)[0]
+    noise = np.nan_to_num(diagnosis.rms.noise) if diagnosis.rms else 0.0
+    own = max(float(np.mean(rest**2)) - noise**2, 0.0)
+    return Normal(diagnosis.configured.accuracy, _PEAK_TO_PEAK * math.sqrt(own))

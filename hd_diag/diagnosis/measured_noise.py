@@ -1,0 +1,208 @@
+"""Noise as it is measured: what differs when the same state is passed again, whatever the model."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+from scipy.spatial import cKDTree
+
+from hd_diag.arrays import Floats, Integers
+from hd_diag.diagnosis.noise import ORDER, slices
+from hd_diag.diagnosis.record import Record
+from hd_diag.effects.signals import Signals
+
+_QUERIES, _KNOWN, _NEIGHBOURS = 6000, 24_000, 24  # moments looked from, and to, and how many nearest
+_PAIRS = 4  # of each moment
+_APART = 0.5  # [s], beyond which noise of an encoder has forgotten itself
+_WAY = 1.0  # [rad] of the input, in between: a rest is not passed again
+_NEAR = 8.0  # square of the distance [-] of states that count as the same
+_LAG = 0.2  # [s], over which the torque's rise tells the branch of a loop
+_LEAST_PAIRS, _LEAST_SLICES = 400, 8
+_SLICE = 0.5  # of the bootstrap [s]
+_VAGUE = 1.5  # ratio of the interval's ends from which nothing is extrapolated
+_DRAWS = 200
+_OWN = 0.06  # of it: slow noise that leading back takes for a difference of states
+_DIFFERENCE = 6  # order of the difference that no smooth motion makes
+_WHOLE = 0.02  # of a step, by which counts may be off whole numbers
+_MOST_STEPS = 1000.0  # between neighbours, for counts that can be told
+
+
+@dataclass(frozen=True)
+class MeasuredNoise:
+    """Noise of a record [rad rms], and its 95 % interval; `repeated` if states were passed again."""
+
+    rms: float
+    low: float
+    high: float
+    repeated: bool
+
+
+@dataclass(frozen=True)
+class Revisits:
+    """Pairs of moments at which the drive is in nearly the same state, in passes of their own.
+
+    Attributes
+    ----------
+    first, second : ndarray of int64, shape (n,)
+        Their rows.
+    apart : ndarray, shape (n, k)
+        Squares of the distances of the states, kind by kind [-].
+    """
+
+    first: Integers
+    second: Integers
+    apart: Floats
+
+
+def revisits(signals: Signals) -> Revisits:
+    """Moments at which wave generator, output, torque and its rise, speed and direction come back.
+
+    Parameters
+    ----------
+    signals : Signals
+        Of a record, in time order.
+    """
+    state, kinds = _states(signals)
+    rng, size = np.random.default_rng(0), signals.size
+    known = np.sort(rng.choice(size, min(_KNOWN, size), replace=False))
+    asked = np.sort(rng.choice(size, min(_QUERIES, size), replace=False))
+    count = min(_NEIGHBOURS, known.size)
+    found = known[cKDTree(state[known]).query(state[asked], count)[1].reshape(asked.size, count)]
+    way = np.cumsum(np.abs(np.diff(signals.wave_generator_angle, prepend=signals.wave_generator_angle[0])))
+    again = np.abs(signals.time[found] - signals.time[asked, None]) > _APART
+    again &= np.abs(way[found] - way[asked, None]) > _WAY
+    again |= signals.run[found] != signals.run[asked, None]
+    again &= np.cumsum(again, axis=1) <= _PAIRS
+    first, second = np.broadcast_to(asked[:, None], found.shape)[again], found[again]
+    away = (state[first] - state[second]) ** 2
+    near = away.sum(axis=1) < _NEAR
+    apart = np.stack([away[:, kinds == kind].sum(axis=1) for kind in range(kinds[-1] + 1)], axis=1)
+    return Revisits(first[near], second[near], apart[near])
+
+
+def measured_noise(
+    residual: Floats, time: Floats, run: Integers, passed: Revisits, counted: float
+) -> MeasuredNoise:
+    """Noise of a residual, whatever is wrong with the model: that is the same in the same state.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (n,)
+        Of a model that need not fit [rad].
+    time : ndarray, shape (n,)
+        [s]
+    run : ndarray of int64, shape (n,)
+        Of rows that follow each other without a gap.
+    passed : Revisits
+        Of the same rows.
+    counted : float
+        See :func:`of_counts` [rad].
+
+    Notes
+    -----
+    Half the mean square difference of pairs (variogram), led back to states that are the same (its nugget:
+    Matheron, Economic Geology 58, 1963) by a straight line in the squares of their distances. Without states
+    that come back: sixth differences, which tell white noise alone: a lower bound.
+    """
+    least = max(_of_short_differences(residual, run), counted)
+    slice_ = slices(time, run, _SLICE)[passed.first]
+    if passed.first.size < _LEAST_PAIRS or np.unique(slice_).size < _LEAST_SLICES:
+        return MeasuredNoise(least, (1.0 - _OWN) * least, max(float(np.std(residual)), least), False)
+    half = 0.5 * (residual[passed.first] - residual[passed.second]) ** 2
+    columns = np.column_stack((np.ones(half.size), passed.apart))
+    columns /= np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-300)
+    unit = max(float(half.mean()), 1e-300)
+    grams, moments = _by_slice(columns, half / unit, slice_)
+    draws = np.random.default_rng(0).integers(0, len(grams), (_DRAWS, len(grams)))
+    drawn = [_nugget(grams[rows].sum(axis=0), moments[rows].sum(axis=0)) for rows in draws]
+    low, high = (np.sqrt(unit * np.quantile(drawn, (0.025, 0.975))) * (1.0 - _OWN, 1.0 + _OWN)).tolist()
+    rms = math.sqrt(unit * _nugget(grams.sum(axis=0), moments.sum(axis=0)))
+    if high > _VAGUE * low:  # too few to lead them back
+        rms = high = math.sqrt(float(half.mean()))
+    return MeasuredNoise(
+        max(rms, least), max(min(low, rms), (1.0 - _OWN) * least), max(high, rms, least), True
+    )
+
+
+def measured_covariance(residual: Floats, run: Integers, passed: Revisits, noise: MeasuredNoise) -> Floats:
+    """Covariances of the noise at lags 0 to ORDER [rad^2], whatever misfit is in a residual.
+
+    Those of the differences between passes; what the noise leaves of their variance is misfit as well, and
+    changes little over so few samples.
+    """
+    last = np.maximum(passed.first, passed.second) + ORDER < run.size
+    first, second = passed.first[last], passed.second[last]
+    whole = (run[first + ORDER] == run[first]) & (run[second + ORDER] == run[second])
+    first, second = first[whole], second[whole]
+    away = np.stack([residual[first + lag] - residual[second + lag] for lag in range(ORDER + 1)])
+    found = np.array([0.5 * float(np.mean(away[: ORDER + 1 - lag] * away[lag:])) for lag in range(ORDER + 1)])
+    return np.asarray(found - max(float(found[0]) - noise.rms**2, 0.0))
+
+
+def _states(signals: Signals) -> tuple[Floats, Integers]:
+    """Coordinates of every moment in units within which nothing changes much, and their kinds."""
+    load, speed = signals.torque, signals.forward_speed
+    span = max(float(np.ptp(load)), 0.02 * signals.rated_torque)
+    fast = max(float(np.percentile(np.abs(speed), 99)), 1e-9)
+    lag = max(round(_LAG / float(np.median(np.diff(signals.time)))), 1)
+    before = np.concatenate((np.full(min(lag, load.size), load[0]), load[:-lag]))
+    coordinates = (
+        (0, np.cos(signals.wave_generator_angle) / 0.15),
+        (0, np.sin(signals.wave_generator_angle) / 0.15),
+        (1, np.cos(signals.output_angle) / 0.6),
+        (1, np.sin(signals.output_angle) / 0.6),
+        (2, load / (0.04 * span)),
+        (3, (load - before) / (0.1 * span)),
+        (4, speed / (0.1 * fast)),
+        (5, np.tanh(speed / (0.02 * fast)) / 0.3),
+        (6, signals.time / 40.0),
+    )
+    return np.stack([values for _, values in coordinates], axis=1), np.array(
+        [kind for kind, _ in coordinates]
+    )
+
+
+def _by_slice(columns: Floats, target: Floats, number: Integers) -> tuple[Floats, Floats]:
+    """Normal equations of every slice, shape (slices, k, k) and (slices, k)."""
+    order = np.argsort(number, kind="stable")
+    parts = np.split(order, np.flatnonzero(np.diff(number[order])) + 1)
+    grams = np.stack([columns[rows].T @ columns[rows] for rows in parts])
+    return grams, np.stack([columns[rows].T @ target[rows] for rows in parts])
+
+
+def _nugget(gram: Floats, moment: Floats) -> float:
+    """First coefficient of the least squares without negative ones."""
+    root = np.linalg.cholesky(gram + 1e-9 * np.trace(gram) * np.eye(gram.shape[0]))
+    return float(nnls(root.T, np.linalg.solve(root, moment))[0][0])
+
+
+def _of_short_differences(values: Floats, run: Integers) -> float:
+    """Rms of noise that is white, from differences between neighbours [rad]."""
+    order = _DIFFERENCE
+    if values.size <= order:
+        return 0.0
+    weights = np.array([(-1.0) ** k * math.comb(order, k) for k in range(order + 1)])
+    inside = run[order:] == run[:-order]
+    found = np.convolve(values, weights / np.linalg.norm(weights), "valid")[inside]
+    return float(np.sqrt(np.mean(found**2))) if found.size else 0.0
+
+
+def of_counts(record: Record, ratio: float) -> float:
+    """Rms of what encoders that count leave between their counts, at the output [rad]."""
+    steps = _step(record.output_angle, record.run), _step(record.input_angle, record.run) / abs(ratio)
+    return math.hypot(*steps) / math.sqrt(12.0)
+
+
+def _step(angle: Floats, run: Integers) -> float:
+    """Step of an encoder that counts [rad]; zero where none can be told."""
+    change = np.abs(np.diff(angle))[np.diff(run) == 0]
+    moved = change[change > 1e-12]
+    if moved.size < 0.01 * change.size or not moved.size:
+        return 0.0
+    step = float(moved.min())
+    number = moved / step
+    whole = np.abs(number - np.rint(number)) < _WHOLE
+    return step if float(np.mean(whole)) > 0.99 and float(np.median(number)) < _MOST_STEPS else 0.0

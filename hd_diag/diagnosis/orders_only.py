@@ -1,0 +1,109 @@
+"""An order table without a tooth model: for gears of which nobody has the geometry."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.arrays import Floats, Integers
+from hd_diag.diagnosis.diagnosis import Diagnosis
+from hd_diag.diagnosis.gain import Rms, explained, held_out
+from hd_diag.diagnosis.noise import slices
+from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.screening import Screened
+from hd_diag.diagnosis.search.order_table import order_table, part, table_at
+from hd_diag.diagnosis.search.remainder import Remainder
+from hd_diag.diagnosis.search.unexplained import lines, waves
+from hd_diag.drive import Drive
+
+_BLOCKS = 24
+_SLICE = 1.0  # length of a block of the bootstrap [s]
+_NEAR_ZERO = 0.05  # of the rated torque, where flanks change
+_SLOW = 0.02  # of the greatest speed, where friction turns
+
+
+def orders_only(checked: Screened, configured: Drive, rng: np.random.Generator) -> Diagnosis:
+    """Describe the error of a joint by lines over its turn, whatever gear it has.
+
+    Parameters
+    ----------
+    checked : Screened
+    configured : Drive
+        Its ratio, rated torque and accuracy are used, its geometry is not.
+    rng : numpy.random.Generator
+        For the gain's interval.
+
+    Returns
+    -------
+    Diagnosis
+        Without parameters and causes; "nominal" is the error less torsion and friction by a regression on
+        torque and speed, "extended" the same less the table's rows that repeat.
+    """
+    record, findings = checked.record, checked.findings
+    empty = Diagnosis(record, configured, findings, None, None, None, None)
+    if any(finding.fatal for finding in findings):
+        return empty
+    test, which = held_out(record)
+    columns, error = _smooth(record, configured)
+    beta = np.linalg.lstsq(columns[~test], error[~test], rcond=None)[0]
+    # Recordings that are held out have offsets of their own.
+    rest = _centered(error - columns @ beta, record.bag, test)
+    trained, rated = _remainder(record, configured, rest, columns, ~test), configured.rated_torque
+    table = order_table(trained, waves(trained), rated)
+    after = rest - part(table, record.input_angle, record.torque, rated)
+    number = slices(record.time[test], record.run[test], _SLICE)
+    gain = explained(rest[test], after[test], number, which, rng)
+    repeats = [row.repeats and gain.fraction > 0.0 for row in table]
+    whole = _remainder(record, configured, rest, columns, np.ones(record.size, bool))
+    known = [(row.order, row.frame, row.nonlinear) for row in table]
+    rows = table_at(whole, known, rated)
+    steady = {value: one for (_, _, value), one in zip(known, repeats, strict=True)}
+    rows = tuple(replace(row, repeats=steady[row.nonlinear]) for row in rows)
+    first, last = (float(np.sqrt(np.mean(one[test] ** 2))) for one in (rest, after))
+    return replace(
+        empty,
+        rms=Rms(first, first, first, last, last, last, *[math.nan] * 3),
+        gain=gain,
+        orders=rows,
+        unexplained=tuple(lines(whole, waves(whole))),
+    )
+
+
+def _smooth(record: Record, configured: Drive) -> tuple[Floats, Floats]:
+    """Columns of what any joint does over torque and speed, and the error [rad], less means of recordings."""
+    load = record.torque / configured.rated_torque
+    top = max(float(np.percentile(np.abs(record.speed), 99)), 1e-9)
+    columns = [load, load * np.abs(load), load**3, np.tanh(load / _NEAR_ZERO)]
+    columns += [record.speed / top, np.tanh(record.speed / (_SLOW * top))]
+    error = record.output_angle - record.input_angle / configured.kinematics.ratio
+    every = np.ones(record.size, bool)
+    centered = [_centered(column, record.bag, every) for column in (*columns, error)]
+    return np.stack(centered[:-1], axis=1), centered[-1]
+
+
+def _centered(values: Floats, bag: Integers, rows: npt.NDArray[np.bool_]) -> Floats:
+    """Values, in some rows less the mean of these rows of their recording."""
+    total, count = np.bincount(bag, values * rows), np.maximum(np.bincount(bag, rows), 1.0)
+    return np.asarray(values - rows * (total / count)[bag])
+
+
+def _remainder(
+    record: Record, configured: Drive, rest: Floats, columns: Floats, rows: npt.NDArray[np.bool_]
+) -> Remainder:
+    way = np.sign(configured.kinematics.ratio)
+    some, at = record.select(rows), np.flatnonzero(rows)
+    gap = np.concatenate(([False], (np.diff(at) > 1) | (np.diff(some.run) != 0)))
+    return Remainder(
+        some.time,
+        some.input_angle,
+        some.torque,
+        some.speed * way,
+        rest[rows],
+        columns[rows],
+        np.cumsum(gap).astype(np.int64),
+        (np.arange(at.size) * _BLOCKS // max(at.size, 1)).astype(np.int64),
+        configured.kinematics.ratio,
+    )

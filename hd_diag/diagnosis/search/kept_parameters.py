@@ -1,0 +1,157 @@
+"""Which of the model's parameters a record moves: the others stay as configured, with an upper bound."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hd_diag.arrays import Floats
+from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit.design import lower_bound
+from hd_diag.diagnosis.fit.fit_parameters import COUNT, MIRRORED
+from hd_diag.diagnosis.fit.joint_refinement import covariance, settle
+from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
+from hd_diag.drive import Drive
+
+GROUPS: dict[str, tuple[int, ...]] = {
+    "eccentricity": (0, 1),
+    "runout": (2, 3),
+    "circular_spline_datum": (4,),
+    "tooth_compliance": (5,),
+    "cup_compliance": (6,),
+}
+"""Parameters that are judged together: their numbers."""
+
+_PLAIN = 400.0  # square of standard deviations beyond which no test is needed
+_NOISE = {"eccentricity": 16.0, "runout": 16.0}  # fall of the deviance that noise hardly ever brings
+_USUAL_NOISE = 6.0  # that of parameters of which a wrong value does no harm
+_PREDICTED = 0.5  # of that fall, in blocks held out
+_AGREEING = 0.5  # of the gain, that may be lost in some blocks
+_TWO_SIDED = 1.96  # standard deviations of a 95 % interval
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Groups that stay as configured as far as a record tells: how far off they may be, at 95 %.
+
+    Attributes
+    ----------
+    bounds : dict
+        By the group's name, in units of :func:`fit_parameters.units`.
+    """
+
+    bounds: dict[str, float]
+
+    @property
+    def held(self) -> tuple[int, ...]:
+        """Numbers of the parameters."""
+        return tuple(number for name in self.bounds for number in GROUPS[name])
+
+    def physical(self, configured: Drive) -> dict[str, float]:
+        """The bounds in SI."""
+        units = fit_parameters.units(configured)
+        units[5] *= configured.mesh.tooth_compliance
+        return {name: bound * float(units[GROUPS[name][0]]) for name, bound in self.bounds.items()}
+
+    def spread(self, free: Floats) -> Floats:
+        """Covariance of all parameters whose intervals reach as far as the bounds, shape (7, 7)."""
+        found = free.copy()
+        for name, bound in self.bounds.items():
+            for number in GROUPS[name]:
+                found[number], found[:, number] = 0.0, 0.0
+                found[number, number] = (bound / _TWO_SIDED) ** 2
+        return found
+
+
+def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Kept]:
+    """Hold at their configured values the groups without which held-out data is predicted as well.
+
+    Parameters
+    ----------
+    fit : LinearisedFit
+        Settled beside the chosen effects, all parameters free.
+    chosen : sequence of (Effect, nonlinear values)
+
+    Returns
+    -------
+    fit : LinearisedFit
+        The same with these groups held.
+    kept : Kept
+    """
+    away, spread = _away(fit, chosen)
+    doubtful = [name for name in GROUPS if _certainty(away, spread, name) < _PLAIN]
+    if not doubtful:
+        return fit, Kept({})
+    best, held = fit, list[str]()
+    if (trial := _held(fit, chosen, doubtful)) is not None:
+        best, held = trial, doubtful
+    elif len(doubtful) > 1:
+        for name in sorted(doubtful, key=lambda one: _certainty(away, spread, one)):
+            if (trial := _held(best, chosen, [*held, name])) is not None:
+                best, held = trial, [*held, name]
+    return best, Kept({name: _bound(fit, chosen, name) for name in held})
+
+
+def all_kept(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Kept]:
+    """All groups held at their configured values; see :func:`kept_parameters`."""
+    trial, _ = _trial(fit, chosen, [*GROUPS])
+    return trial, Kept({name: _bound(fit, chosen, name) for name in GROUPS})
+
+
+def _away(fit: LinearisedFit, chosen: Chosen) -> tuple[Floats, Floats]:
+    """How far the parameters are from the configured ones, lobes swapped if that is nearer; covariance."""
+    configured = fit_parameters.vector(fit.data.configured, fit.data.configured)
+    found = fit.parameters + fit.fit(chosen)[0][:COUNT]
+    own = slice(COUNT)
+    away = min((found - configured, found * MIRRORED - configured), key=lambda x: float(np.sum(x[:4] ** 2)))
+    return away, covariance(fit, chosen)[0][own, own]
+
+
+def _certainty(away: Floats, spread: Floats, name: str) -> float:
+    numbers = list(GROUPS[name])
+    return float(away[numbers] @ np.linalg.solve(spread[np.ix_(numbers, numbers)], away[numbers]))
+
+
+def _held(fit: LinearisedFit, chosen: Chosen, names: list[str]) -> LinearisedFit | None:
+    """The fit with groups held at their configured values; None if held-out blocks are predicted worse."""
+    trial, gain = _trial(fit, chosen, names)
+    fall = trial.design(chosen).deviance() - fit.design(chosen).deviance()
+    lost, won = -float(gain[gain < 0.0].sum()), float(gain[gain > 0.0].sum())
+    pays = won - lost > _PREDICTED * fall and (lower_bound(gain) > 0.0 or lost < _AGREEING * won)
+    noise = max(_NOISE.get(name, _USUAL_NOISE) for name in names)
+    return None if fall > noise and pays else trial
+
+
+def _trial(fit: LinearisedFit, chosen: Chosen, names: list[str]) -> tuple[LinearisedFit, Floats]:
+    """The fit with groups held, and what held-out blocks lose by it."""
+    held = tuple(number for name in names for number in GROUPS[name])
+    configured = fit_parameters.vector(fit.data.configured, fit.data.configured)
+    points = (fit.parameters, fit.parameters * MIRRORED)
+    start = min(points, key=lambda x: float(np.sum((x - configured)[:4] ** 2))).copy()
+    start[list(held)] = configured[list(held)]
+    trial = settle(replace(fit.moved(start), held=held), chosen, rounds=2, learn=False)
+    return trial, trial.design(chosen).held_out() - fit.design(chosen).held_out()
+
+
+def _bound(fit: LinearisedFit, chosen: Chosen, name: str) -> float:
+    """How far off a group may be, at 95 %.
+
+    What a displacement adds grows with its square, so near none its slope says nothing: it is taken one unit
+    away.
+    """
+    away, spread = _away(fit, chosen)
+    numbers = list(GROUPS[name])
+    size = float(np.hypot(*away[numbers])) if len(numbers) > 1 else abs(float(away[numbers[0]]))
+    if name != "eccentricity" or np.any(fit_parameters.vector(fit.data.configured, fit.data.configured)[:2]):
+        return size + _TWO_SIDED * _deviation(spread, numbers)
+    start = max(size, 1.0)
+    moved = fit.parameters.copy()
+    moved[:2] = start * (moved[:2] / size if size > 1e-6 else np.array([1.0, 0.0]))
+    there = fit.moved(moved).beside(fit.present)
+    own = covariance(there, chosen)[0][:COUNT, :COUNT]
+    return float(np.sqrt(size**2 + 2.0 * start * _TWO_SIDED * _deviation(own, numbers)))
+
+
+def _deviation(spread: Floats, numbers: list[int]) -> float:
+    return float(np.sqrt(np.linalg.eigvalsh(spread[np.ix_(numbers, numbers)])[-1]))

@@ -1,0 +1,237 @@
+"""What is left of a record when all that is known is taken off, and the waves in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.arrays import Floats, Integers
+from hd_diag.diagnosis.fit.design import f_test, holds, orthonormal
+from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
+from hd_diag.diagnosis.noise import Whitening, whitening
+from hd_diag.diagnosis.search.acceptance import LEAST_SIZE
+
+Rows = npt.NDArray[np.bool_]
+
+_MOST_CELLS = 4_000_000
+_PER_TURN = 128  # cells per turn of the input, so orders up to 64 are seen
+_MOST_ORDERS = 40.0
+_LEAST_ORDER = 0.012  # once and twice per output turn are causes of their own
+_LEAST_PART = 0.08  # of the record, in which a wave is searched for alone
+_CONFIRMED = 0.5  # of the gain of held-out blocks that a wave predicts
+_UNLIKE = 0.8  # ratio of speeds below which they differ
+_CHANCE = 1e-4  # of a wave by noise alone, over all orders searched
+
+
+class Weight(NamedTuple):
+    """A factor of a wave, shape (n,), and in words where that is not zero."""
+
+    values: Floats
+    where: str = ""
+
+
+class Wave(NamedTuple):
+    """A wave found: periods per turn of the input or per second, and what it is multiplied with."""
+
+    order: float
+    frame: str
+    weight: Weight
+
+
+@dataclass(frozen=True, eq=False)
+class Remainder:
+    """Rows of a record with what no cause explains, shape (n,) each.
+
+    Parameters
+    ----------
+    time, input_angle, torque, speed : ndarray
+        [s], [rad], on the link [N m], of the input, positive where the output angle grows [rad/s].
+    residual : ndarray
+        [rad]
+    beside : ndarray, shape (n, k)
+        Columns of all that was fitted: a wave has to bring more than they would.
+    run, block : ndarray of int64
+        Numbers of the runs; of stretches of which each can be held out.
+    ratio : float
+    """
+
+    time: Floats
+    input_angle: Floats
+    torque: Floats
+    speed: Floats
+    residual: Floats
+    beside: Floats
+    run: Integers
+    block: Integers
+    ratio: float
+
+    @staticmethod
+    def of(fit: LinearisedFit, chosen: Chosen) -> Remainder:
+        """What a fit leaves beside the chosen effects."""
+        s = fit.signals
+        beside = np.concatenate((fit.always(), fit.joined(chosen)), axis=1)
+        residual = fit.remainder(chosen)
+        return Remainder(
+            s.time,
+            s.input_angle,
+            s.torque,
+            s.forward_speed,
+            residual,
+            beside,
+            fit.data.run,
+            fit.data.block,
+            s.ratio,
+        )
+
+    def phase(self, frame: str) -> Floats:
+        """Angle whose periods per turn are counted [rad]: of the input, or of one turn a second."""
+        return self.input_angle if frame == "input" else 2.0 * np.pi * self.time
+
+    def pair(self, wave: Wave) -> Floats:
+        """Cosine and sine of a wave, shape (n, 2)."""
+        phase = wave.order * self.phase(wave.frame)
+        return np.asarray(np.stack((np.cos(phase), np.sin(phase)), axis=1) * wave.weight.values[:, None])
+
+    @cached_property
+    def load(self) -> Floats:
+        """Torque over its greatest."""
+        return np.asarray(self.torque / max(float(np.max(np.abs(self.torque))), 1e-300))
+
+    @cached_property
+    def weights(self) -> list[Weight]:
+        """One; the torque over its greatest where it has both signs; one in a part of the record alone."""
+        both = float(self.load.min()) < -0.2 and float(self.load.max()) > 0.2
+        whole = [Weight(np.ones(self.load.size)), *([Weight(self.load)] if both else [])]
+        parts = [*_signs(self.load, "under positive torque", "under negative torque"), *_speeds(self.speed)]
+        return [*whole, *(Weight(rows.astype(np.float64), where) for rows, where in parts)]
+
+    def without(self, wave: Wave) -> Remainder:
+        """The same with a wave fitted and taken off."""
+        pair = self.pair(wave)
+        rest = self.residual - _explained(pair, self.residual)
+        beside = np.concatenate((self.beside, pair), axis=1)
+        return replace(self, residual=rest, beside=beside)
+
+
+def strongest(rest: Remainder) -> Wave | None:
+    """The wave that stands out most: evenly, in proportion to the torque, or in a part of the record."""
+    residual = rest.residual
+    peaks = [
+        (*peak, frame, weight)
+        for frame in ("input", "time")
+        for weight in rest.weights
+        if (peak := _peak(rest.phase(frame), residual * weight.values)) is not None
+    ]
+    if not peaks:
+        return None
+    _, order, frame, weight = max(peaks, key=lambda one: one[0])
+    order = _refined(rest.phase(frame), residual * weight.values, order)
+    # Noise is learnt beside waves of this order in every part, or strong ones would count as noise.
+    every = [Wave(order, frame, one) for one in rest.weights]
+    pairs = [rest.pair(wave) for wave in every]
+    whiten = whitening(residual - _explained(np.concatenate(pairs, axis=1), residual), rest.run)
+    white = whiten(residual, rest.run)
+    gains = [float(np.sum(_explained(whiten(pair, rest.run), white) ** 2)) for pair in pairs]
+    best = int(np.argmax(gains))
+    pair = pairs[best]
+    tests = 4.0 * len(every) * _MOST_ORDERS * max(turns(rest.input_angle), 1.0)
+    small = float(np.std(_explained(pair, residual))) < LEAST_SIZE
+    if small or tests * _chance(rest, pair, whiten) > _CHANCE:
+        return None
+    gain, predicted = _block_gains(rest, pair, whiten)
+    if not holds(gain, predicted) and gain.sum() < _CONFIRMED * predicted.sum():
+        return None
+    return every[best]
+
+
+def turns(phase: Floats) -> float:
+    """Turns that an angle [rad] covers."""
+    return float(np.ptp(phase)) / (2.0 * np.pi)
+
+
+def _chance(rest: Remainder, pair: Floats, whiten: Whitening) -> float:
+    """Chance of the gain of a wave by noise."""
+    white, residual = whiten(rest.beside, rest.run), whiten(rest.residual, rest.run)
+    basis = orthonormal(white)
+    before = residual - basis @ (basis.T @ residual)
+    own = whiten(pair, rest.run)
+    after = before - _explained(own - basis @ (basis.T @ own), before)
+    rows = int(np.count_nonzero(residual))
+    return f_test(float(before @ before), float(after @ after), 2, rows, basis.shape[1] + 2)
+
+
+def _signs(values: Floats, above: str, below: str) -> list[tuple[Rows, str]]:
+    """Rows with values of either sign, if there are enough of both."""
+    parts = [(values > 0.0, above), (values < 0.0, below)]
+    return parts if min(float(np.mean(rows)) for rows, _ in parts) > _LEAST_PART else []
+
+
+def _speeds(speed: Floats) -> list[tuple[Rows, str]]:
+    """Rows of one direction, and in it of each third of the speeds, where the speed differs."""
+    speed = speed / (2.0 * np.pi)
+    found = _signs(speed, "forward", "backward") or [(speed != 0.0, "")]
+    edges = np.quantile(np.abs(speed), (0.0, 1 / 3, 2 / 3, 1.0))
+    bands = []
+    for rows, way in found:
+        for low, high in pairwise(edges.tolist()):
+            inside = rows & (np.abs(speed) >= low) & (np.abs(speed) <= high)
+            if edges[1] < _UNLIKE * edges[2] and float(np.mean(inside)) > _LEAST_PART:
+                bands.append((inside, f"{way} at {low:.2g} to {high:.2g} turns/s of the input".strip()))
+    return [*(one for one in found if one[1]), *bands]
+
+
+def _explained(columns: Floats, residual: Floats) -> Floats:
+    """Part of a residual that columns explain."""
+    return np.asarray(columns @ np.linalg.lstsq(columns, residual, rcond=None)[0])
+
+
+def _block_gains(rest: Remainder, pair: Floats, whiten: Whitening) -> tuple[Floats, Floats]:
+    """Fall of the sum of squares in each block by a wave fitted to all others, and the fall predicted."""
+    white = whiten(np.column_stack((pair, rest.residual)), rest.run)
+    gains, predicted = [], []
+    for block in range(int(rest.block[-1]) + 1):
+        inside = rest.block == block
+        found = np.linalg.lstsq(white[~inside, :2], white[~inside, 2], rcond=None)[0]
+        here, wave = white[inside, 2], white[inside, :2] @ found
+        gains.append(float(here @ here - np.sum((here - wave) ** 2)))
+        predicted.append(float(wave @ wave))
+    return np.array(gains), np.array(predicted)
+
+
+def _peak(phase: Floats, residual: Floats) -> tuple[float, float] | None:
+    """Height of the highest peak of the spectrum over its neighbourhood, and its order."""
+    covered = turns(phase)
+    cells = int(np.ceil(covered * _PER_TURN)) + 1
+    if covered < 3.0 or cells > _MOST_CELLS:
+        return None
+    index = ((phase - phase.min()) / (2.0 * np.pi) * _PER_TURN).astype(np.int64)
+    total = np.bincount(index, weights=residual, minlength=cells)
+    count = np.bincount(index, minlength=cells)
+    mean = np.where(count > 0, total / np.maximum(count, 1), 0.0)
+    power = np.abs(np.fft.rfft(mean, 2 * cells)) ** 2
+    orders = np.arange(power.size) * _PER_TURN / (2.0 * cells)
+    use = (orders > max(_LEAST_ORDER, 2.0 / covered)) & (orders < _MOST_ORDERS)
+    if use.sum() < 50:
+        return None
+    power, orders = power[use], orders[use]
+    width = max(25, power.size // 60)
+    floor = np.array([np.median(part) for part in np.array_split(power, max(power.size // width, 1))])
+    local = np.interp(np.arange(power.size), np.linspace(0, power.size, floor.size), floor)
+    ratio = power / np.maximum(local, 1e-300)
+    best = int(np.argmax(ratio))
+    return float(ratio[best]), float(orders[best])
+
+
+def _refined(phase: Floats, residual: Floats, order: float) -> float:
+    """The order near a peak at which a wave explains most."""
+    step = 0.5 / max(turns(phase), 1.0)
+    for _ in range(3):
+        trial = order + step * np.linspace(-1.0, 1.0, 9)
+        power = [float(np.abs(np.exp(1j * value * phase) @ residual) ** 2) for value in trial]
+        order, step = float(trial[int(np.argmax(power))]), step / 4.0
+    return order

@@ -1,0 +1,164 @@
+"""Checks of the signals themselves, before any fit: one sensor twice, rows twice, units, signs, clocks."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hd_diag.arrays import Floats, Integers
+from hd_diag.diagnosis.findings import Finding, wrong_ratio
+from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.record import Record
+from hd_diag.drive import Drive
+
+TORQUE_SIGN = "torque_sign"
+"""Name of the finding after which the torque's sign is turned."""
+
+_NO_ERROR = 1e-7  # [rad]; a tenth of what an encoder of 26 bits can tell
+_REPEATED = 0.05  # share of the rows of a moving joint
+_OUT_OF_STEP = 0.01  # [s]; less is a cause of the catalogue
+_MOST_LEFT = 0.3  # of the error beside torque and angle, where the speed explains it
+_MOST_ROWS = 4000
+_CLUSTERS = 24
+_SIGMAS = 6.0
+_MUCH = 0.02  # of a slope over the angle, from which the ratio is wrong
+_LEAST_TORSION = 0.02  # of the rated torque, by which the torque has to vary
+_OTHER_UNIT = 4.0  # times the configured torsion, beyond what a wrong stiffness can be
+_WRONG_SIGN = -0.3  # of the configured torsion
+_LEAST_REACH, _REACH_WITHOUT_TORQUE = 0.3, 1.5  # of the output [rad]
+_PARTNER_MISS = 0.15  # of the slope between a ratio and its partner
+_FULL_TURN = 360.0
+
+
+def check_one_sensor(record: Record, ratio: float) -> Finding | None:
+    """A finding where the output angle is the input angle over the ratio, digit by digit."""
+    error = record.output_angle - record.input_angle / ratio
+    mean = np.bincount(record.run, error) / np.maximum(np.bincount(record.run), 1)
+    if float(np.quantile(np.abs(error - mean[record.run]), 0.95)) > _NO_ERROR:
+        return None
+    text = (
+        "input and output angle are one sensor given twice: their difference is zero to the last digit. "
+        "Record the motor's own encoder and the link's"
+    )
+    return Finding("one_sensor", text, 0.0, "rad", True)
+
+
+def check_degrees(record: Record) -> Finding | None:
+    """A finding where an angle jumps by 360: it is in degrees."""
+    for name, angle in (("input", record.input_angle), ("output", record.output_angle)):
+        step = np.abs(np.diff(angle)) / _FULL_TURN
+        if np.any(np.abs(step - 1.0) < 0.02) and float(np.median(step)) < 0.1:
+            text = f"the {name} angle jumps by 360: it is in degrees; angles must be in radians"
+            return Finding("unit", text, _FULL_TURN, "-", True)
+    return None
+
+
+def repeated_rows(record: Record) -> tuple[Record, Finding | None]:
+    """The record without rows that repeat the row before them, and a finding if there are many."""
+    same = np.diff(record.run) == 0
+    for column in (record.input_angle, record.output_angle, record.reported_torque):
+        same &= np.diff(column) == 0.0
+    moving = np.abs(record.speed[1:]) > 0.05 * float(np.percentile(np.abs(record.speed), 95))
+    share = float(np.mean(same[moving])) if moving.any() else 0.0
+    if share < _REPEATED:
+        return record, None
+    again = np.concatenate(([False], same))
+    text = (
+        f"{100 * share:.0f} % of the samples in motion repeat the one before: they are published faster than "
+        "measured; the repeated ones are left out"
+    )
+    return record.select(~again), Finding("repeated_rows", text, share, "-", False)
+
+
+def check_partner(record: Record, configured: Drive) -> Finding | None:
+    """A finding where the ratio is that of the other output, one more or one less: 101 for 100.
+
+    Notes
+    -----
+    Pooled over all runs of a recording, for robots seldom turn far: over half a radian the two ratios part by
+    1000 arcsec. Runs may not be joined where turns are lost between them; then nothing is said.
+    """
+    ratio, least = configured.kinematics.ratio, _LEAST_REACH if record.has_torque else _REACH_WITHOUT_TORQUE
+    if float(np.ptp(record.input_angle / ratio)) < least:
+        return None
+    some = record.select(np.arange(0, record.size, 1 + record.size // _MOST_ROWS))
+    output = some.input_angle / ratio
+    columns = [output, some.speed, np.sign(some.speed)]
+    if some.has_torque:
+        columns += [some.torque, some.torque * np.abs(some.torque)]
+    value, deviation = _regression(columns, some.output_angle - output, some.bag)
+    slope, spread = float(value[0]), float(deviation[0])
+    for partner in (ratio + 1.0, ratio - 1.0):
+        expected = ratio / partner - 1.0
+        if abs(slope - expected) < _PARTNER_MISS * abs(expected) and abs(expected) > _SIGMAS * spread:
+            return wrong_ratio(partner, ratio)
+    return None
+
+
+def check_step(record: Record, ratio: float) -> Finding | None:
+    """A finding where the output angle is late or early: a part of the error in proportion to the speed."""
+    some = record.select(np.arange(0, record.size, 1 + record.size // _MOST_ROWS))
+    output = some.input_angle / ratio
+    others = [output, np.sign(some.speed), some.torque, some.torque * np.abs(some.torque)]
+    error = some.output_angle - output
+    (early, slope, *_), (spread, *_) = _regression([some.speed / ratio, *others], error, some.bag)
+    if abs(early) < max(_OUT_OF_STEP, _SIGMAS * spread) or abs(slope) > _MUCH:
+        return None
+    # It has to be nearly all that the others leave: in a short record torque and speed go together.
+    if _rest([some.speed / ratio, *others], error, some.bag) > _MOST_LEFT * _rest(others, error, some.bag):
+        return None
+    text = (
+        f"the output angle is {abs(early) * 1e3:.0f} ms {'behind' if early < 0.0 else 'ahead of'} the input "
+        "angle: stamp both where they are measured"
+    )
+    return Finding("out_of_step", text, -float(early), "s", True)
+
+
+def check_torque(record: Record, configured: Drive) -> Finding | None:
+    """A finding where the torsion is not that of the torque: of the other sign, or many times as much."""
+    enough = _LEAST_TORSION * configured.rated_torque
+    if not record.has_torque or float(np.ptp(record.torque)) < enough:
+        return None
+    some = record.select(np.arange(0, record.size, 1 + record.size // _MOST_ROWS))
+    output = some.input_angle / configured.kinematics.ratio
+    torsion, _, _ = fit_parameters.along(configured, configured, some.input_angle, some.torque)
+    waves = np.cos(output), np.sin(output)
+    columns = [np.nan_to_num(torsion), some.speed, np.sign(some.speed), *waves]
+    value, deviation = _regression(columns, some.output_angle - output, some.bag)
+    factor, spread = float(value[0]), float(deviation[0])
+    if factor < min(_WRONG_SIGN, -_SIGMAS * spread):
+        text = (
+            "the link leads where the torque is positive, and no gear does that: the torque has the other "
+            "sign. It is turned here; turn it where it is recorded"
+        )
+        return Finding(TORQUE_SIGN, text, factor, "-", False)
+    if factor > max(_OTHER_UNIT, _SIGMAS * spread):
+        text = (
+            f"the joint twists {factor:.0f} times as much as configured: is the torque in amperes or at the "
+            "motor, or is this another gear?"
+        )
+        return Finding("torque_unit", text, factor, "-", False)
+    return None
+
+
+def _rest(columns: list[Floats], error: Floats, bag: Integers) -> float:
+    """Root mean square of what a regression leaves [rad]."""
+    means = np.maximum(np.bincount(bag), 1)
+    center = [column - (np.bincount(bag, column) / means)[bag] for column in (*columns, error)]
+    matrix = np.stack(center[:-1], axis=1)
+    return float(
+        np.sqrt(np.mean((center[-1] - matrix @ np.linalg.lstsq(matrix, center[-1], rcond=None)[0]) ** 2))
+    )
+
+
+def _regression(columns: list[Floats], error: Floats, bag: Integers) -> tuple[Floats, Floats]:
+    """Coefficients beside an offset of every recording, and their deviations by stretches of the record."""
+    means = np.maximum(np.bincount(bag), 1)
+    center = [column - (np.bincount(bag, column) / means)[bag] for column in (*columns, error)]
+    scale = np.array([max(float(np.linalg.norm(column)), 1e-300) for column in center[:-1]])
+    matrix = np.stack(center[:-1], axis=1) / scale
+    inverse = np.linalg.pinv(matrix, rcond=1e-6)
+    beta = inverse @ center[-1]
+    pulls = inverse * (center[-1] - matrix @ beta)
+    cluster = np.arange(error.size) * _CLUSTERS // error.size
+    sums = np.stack([np.bincount(cluster, pull) for pull in pulls])
+    return beta / scale, np.sqrt(np.sum(sums**2, axis=1)) / scale

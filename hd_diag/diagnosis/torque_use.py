@@ -1,0 +1,74 @@
+"""Whether a measured torque is that of this joint: a model that knows it must predict better."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from hd_diag.arrays import Floats
+from hd_diag.diagnosis.findings import Finding
+from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit.design import lower_bound
+from hd_diag.diagnosis.fit.refit import refit
+from hd_diag.diagnosis.record import Record
+from hd_diag.drive import Drive
+from hd_diag.formatting import ARCSEC
+
+TORQUE_MISLEADS = "torque_misleads"
+
+_WORSE = 1.3  # ratio of the residuals
+_BLOCKS = 8
+_MOST_ROWS = 2000
+_START = ((0.0, 0.0),)
+
+
+def without_misleading_torque(
+    record: Record, configured: Drive, test: npt.NDArray[np.bool_], rng: np.random.Generator
+) -> tuple[Record, Finding | None]:
+    """The record without its torque where fits to other rows predict held-out ones far better without.
+
+    Parameters
+    ----------
+    record : Record
+    configured : Drive
+    test : ndarray of bool, shape (n,)
+        Rows held out.
+    rng : numpy.random.Generator
+        Chooses the samples of the fits.
+    """
+    if not record.has_torque:
+        return record, None
+    unloaded = np.zeros(record.size)
+    blind = replace(record, torque=unloaded, reported_torque=unloaded, has_torque=False)
+    if np.std(_left(record, configured, test)) < np.std(_left(blind, configured, test)):
+        return record, None  # as configured it helps already
+    known, unknown = (_predicted(one, configured, test, rng) for one in (record, blind))
+    rms = [float(np.sqrt(np.mean(one**2))) for one in (known, unknown)]
+    parts = [np.array_split(one**2, _BLOCKS) for one in (known, unknown)]
+    worse = np.array([float(a.sum() - b.sum()) for a, b in zip(*parts, strict=True)])
+    if rms[0] < _WORSE * rms[1] or lower_bound(worse) < 0.0:
+        return record, None
+    text = (
+        f"with the torque as measured, held-out data are predicted to {rms[0] / ARCSEC:.0f} arcsec, without "
+        f"it to {rms[1] / ARCSEC:.0f}: it is left out here; see whether it is this joint's, and in N m"
+    )
+    return blind, Finding(TORQUE_MISLEADS, text, rms[0] / rms[1], "-", False)
+
+
+def _predicted(
+    record: Record, configured: Drive, test: npt.NDArray[np.bool_], rng: np.random.Generator
+) -> Floats:
+    """The same of a drive that was fitted to all others."""
+    return _left(record, refit(record.select(~test), configured, rng, starts=_START).drive, test)
+
+
+def _left(record: Record, drive: Drive, test: npt.NDArray[np.bool_]) -> Floats:
+    """Residual of a drive on some held-out rows less each recording's mean [rad]."""
+    rows = np.flatnonzero(test)
+    some = record.select(rows[:: 1 + rows.size // _MOST_ROWS])
+    error, _, _ = fit_parameters.along(drive, drive, some.input_angle, some.torque)
+    rest = some.output_angle - some.input_angle / drive.kinematics.ratio - np.nan_to_num(error)
+    count = np.maximum(np.bincount(some.bag), 1)
+    return np.asarray(rest - (np.bincount(some.bag, rest) / count)[some.bag])

@@ -1,0 +1,58 @@
+"""Causes that are torque: the mesh bears more than is reported, and its compliance makes an angle of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hd_diag.arrays import Floats
+from hd_diag.effects.effect import Effect, Stage, Stepped, Values, by_run
+from hd_diag.effects.signals import Signals
+
+Shape = Callable[[Signals, Values], Floats]
+
+
+def _nothing(signals: Signals, nonlinear: Values) -> Floats:
+    return np.empty((signals.size, 0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshTorque(Effect):
+    """The mesh bears the reported torque and ``sum c_k shape_k``; several such causes add up in one torque.
+
+    Parameters
+    ----------
+    reported : bool
+        Whether it is the reported torque that is wrong: what smooths that smooths it as well.
+    shape : callable
+        Signals and nonlinear values to torque [N m per unit of the coefficients], shape (n, size). What
+        depends on earlier samples overrides `torque_step` instead.
+    """
+
+    stage: Stage = Stage.TORQUE
+    proportional: bool = False
+    own_slopes: bool = True
+    reported: bool = False
+    shape: Shape = _nothing
+
+    def torque_step(self, state: Any, signals: Signals, nonlinear: Values) -> Stepped:
+        """Torque at the next samples of a run [N m per unit], shape (n, size), and the state after them."""
+        return self.shape(signals, nonlinear), state
+
+    def torque(self, signals: Signals, nonlinear: Values) -> Floats:
+        """The same along a record, every run from its start."""
+        if not self.remembers:
+            return self.shape(signals, nonlinear)
+        return by_run(signals, lambda run: self.torque_step(self.start(nonlinear), run, nonlinear)[0])
+
+    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
+        """The torque by the model's compliance; see :meth:`Effect.columns`."""
+        return signals.predicted_torque_slope[:, None] * self.torque(signals, nonlinear)
+
+    def step(self, state: Any, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
+        """What the model does under the changed torque; see :meth:`Effect.step`."""
+        torque, state = self.torque_step(state, signals, nonlinear)
+        return signals.contact.under_more_torque(torque @ coefficients), state

@@ -1,0 +1,81 @@
+"""The torque is what the motor's current makes: less what the motor itself needs on the way to the link."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from hd_diag.effects.effect import Stepped, Values
+from hd_diag.effects.excitation import enough_input_turns, torque_known
+from hd_diag.effects.mesh_torque import MeshTorque
+from hd_diag.effects.quantity import Quantity
+from hd_diag.effects.recursions import relax
+from hd_diag.effects.signals import Signals
+
+REFERENCE = 100.0
+"""Speed of the input at which viscous friction is given [rad/s]."""
+
+_POWER = 0.85  # of the speed: friction of grease has 0.7 to 1
+
+_SMOOTH = 0.03  # [s], of the speed whose rate counts: encoders count in steps
+
+# Time [s] of the last sample and the smoothed speed of the input there [rad/s]; None before the first.
+State = tuple[float, float] | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotorCurrent(MeshTorque):
+    """``T' = T + a T - (f + m |T|) s - c s |omega / 100 rad/s|^0.85 - j domega/dt``, ``s = sgn omega``.
+
+    The sign turns round over omega_0: ``omega / (|omega| + omega_0)``.
+    """
+
+    def start(self, nonlinear: Values) -> State:
+        """No sample yet."""
+        return None
+
+    def torque_step(self, state: State, signals: Signals, nonlinear: Values) -> Stepped:
+        """The rate is that of a speed behind a first-order lag; see :meth:`MeshTorque.torque_step`."""
+        if not signals.size:
+            return np.empty((0, self.size)), state
+        speed, torque = signals.forward_speed, signals.torque
+        last, followed = (float(signals.time[0]), float(speed[0])) if state is None else state
+        left = np.exp(-np.maximum(np.diff(signals.time, prepend=last), 0.0) / _SMOOTH)
+        added = np.asarray((1.0 - left) * speed, dtype=np.complex128)[:, None]
+        behind = relax(np.array([followed + 0j]), left + 0j, added)[:, 0].real
+        sign = speed / (np.abs(speed) + max(nonlinear[0], 1e-9))
+        drag = np.sign(speed) * np.abs(speed / REFERENCE) ** _POWER
+        rate = (speed - behind) / (_SMOOTH * REFERENCE)
+        columns = np.stack((torque, -sign, -np.abs(torque) * sign, -drag, -rate), axis=1)
+        return columns, (float(signals.time[-1]), float(behind[-1]))
+
+
+EFFECT = MotorCurrent(
+    name="motor_current",
+    cause="The torque is the motor's current: its constant is known to some 20 %, friction and inertia add.",
+    kind="sensor",
+    frame="torque",
+    needs=("time", "wave_generator_angle", "torque", "speed", "run"),
+    excitation=(torque_known, partial(enough_input_turns, turns=1.0)),
+    remembers=True,
+    searched=False,
+    given=True,
+    grid=((0.5,), (5.0,)),
+    quantities=(
+        Quantity("relative_error", "-", -0.9, 9.0, 0.2, "a, of the torque by the constant that is known"),
+        Quantity("friction", "N m", -1e3, 1e3, 3.0, "f, dry, of motor and gear"),
+        Quantity("loaded_friction", "-", -1.0, 1.0, 0.1, "m, share of the torque that more of it is"),
+        Quantity("viscous_friction", "N m", -1e3, 1e3, 5.0, "c, at 100 rad/s of the input"),
+        Quantity("inertia", "N m", -1e3, 1e3, 3.0, "j, torque for 100 rad/s^2 of the input"),
+        Quantity("reversal_speed", "rad/s", 1e-3, 50.0, 1.0, "omega_0, of the input", linear=False),
+    ),
+    confused_with=("coulomb_windup", "viscous_windup", "torque_offset"),
+    always_confused=("tooth_compliance", "cup_compliance"),
+    source="Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994, pp. 1083-1138",
+    inspect=(
+        "The motor's torque constant times ratio and efficiency; run the joint without load at several "
+        "speeds: the current is its friction. No stiffness follows from a current, and no small friction."
+    ),
+)

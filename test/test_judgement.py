@@ -1,0 +1,63 @@
+"""What kind of answer a diagnosis is, and whether the joint is normal."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+from test_verdict import ENDED, LINE, SKIP, WRONG_RATIO, cause, diagnosis, refitted
+
+from hd_diag.diagnosis.gain import Rms
+from hd_diag.diagnosis.judgement import Answer, normal
+from hd_diag.diagnosis.verdict import as_json, sentence
+
+ARCSEC = np.pi / 648000.0
+MISFIT = Rms(*(ARCSEC * v for v in (20.0, 19.5, 19.0, 19.0, 19.0, 19.0, 1.0, 0.9, 1.1)))
+AS_CONFIGURED = refitted(eccentricity=0.1 + 0.0j)
+
+
+@pytest.mark.parametrize(
+    ("made", "judged"),
+    [
+        ({}, "parameters"),
+        ({"refitted": AS_CONFIGURED}, "as_configured"),
+        ({"unexplained": (LINE,)}, "described"),
+        ({"findings": (SKIP,)}, "causes"),
+        ({"rms": MISFIT}, "misfit"),
+        ({"findings": (WRONG_RATIO,), **ENDED}, "not_judged"),
+    ],
+)
+def test_the_kind_of_answer(made: dict[str, Any], judged: str) -> None:
+    assert as_json(diagnosis(**made), "joint_1")["judgement"] == judged
+
+
+def test_a_cause_beside_a_misfit_is_a_misfit_and_said_first() -> None:
+    made = diagnosis(cause("hysteresis"), rms=MISFIT)
+    assert Answer(made).judgement == "misfit"
+    assert sentence(Answer(made)).startswith("the model does not describe this record: 19.0 times the noise")
+    assert "no other cause is needed" not in sentence(Answer(diagnosis(rms=MISFIT)))
+
+
+def test_what_explains_most_is_said_first() -> None:
+    (first, *_) = changed = Answer(diagnosis()).changes
+    assert [change.explains for change in changed] == sorted((c.explains for c in changed), reverse=True)
+    assert first.name == "eccentricity"
+
+
+@pytest.mark.parametrize("amplitude", [20.0, 60.0])
+def test_the_error_is_compared_with_the_catalogue(amplitude: float) -> None:
+    """A wave of 40 or 120 arcsec from peak to peak beside 90; torsion of much more is no part of it."""
+    made = diagnosis()
+    record = made.record
+    torsion = -300.0 * ARCSEC * record.torque / 30.0
+    noise = 3.2 * ARCSEC * np.random.default_rng(0).standard_normal(record.size)
+    wave = amplitude * ARCSEC * np.cos(2.0 * record.input_angle)
+    output = record.input_angle / 100.0 + torsion + wave + noise
+    found = normal(dataclasses.replace(made, record=dataclasses.replace(record, output_angle=output)))
+    assert found is not None
+    assert found.measured / ARCSEC == pytest.approx(2.0 * amplitude, rel=0.1)
+    assert found.within == (amplitude < 45.0)
+
+
+def test_a_joint_with_a_wrong_ratio_is_not_compared() -> None:
+    assert as_json(diagnosis(findings=(WRONG_RATIO,), **ENDED), "joint_1")["normal"] is None

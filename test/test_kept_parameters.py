@@ -1,0 +1,71 @@
+"""Parameters that a record does not move stay as configured, and say how far off they may be."""
+
+import numpy as np
+import pytest
+from benches import CONFIGURED, POINT, bench, swinging
+from joint_records import ARCSEC, NOISE, RATIO, columns, prepared
+
+from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit.joint_refinement import settle
+from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
+from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.search.kept_parameters import GROUPS, all_kept, kept_parameters
+from hd_diag.drive import transmission_error
+
+AS_CONFIGURED = fit_parameters.vector(CONFIGURED, CONFIGURED)
+
+
+def faultless(seed: int, seconds: float = 20.0) -> Record:
+    """A drive that is as configured, moved up and down under torques of both signs."""
+    given = columns(seconds, seed=seed)
+    time = given["time"]
+    angle = 60.0 * np.sin(2.0 * np.pi * time / 10.0) + 25.0 * np.sin(2.0 * np.pi * time / 3.1)
+    torque = 30.0 * np.sin(2.0 * np.pi * time / 5.3) + 18.0 * np.sin(2.0 * np.pi * time / 1.7)
+    noise = NOISE * np.random.default_rng(seed).standard_normal(time.size)
+    output = angle / RATIO + transmission_error(CONFIGURED, angle, torque) + noise
+    return prepared({**given, "input": angle, "output": output, "torque": torque})
+
+
+def refitted(record: Record) -> LinearisedFit:
+    """A little off zero, as noise leaves it: there an eccentricity looks certain."""
+    start = AS_CONFIGURED + np.array([0.5, 0.4, 0.1, 0.0, 0.1, 0.0, 0.05])
+    return settle(linearise(record, CONFIGURED, start), ())
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_drive_as_configured_stays_so(seed: int) -> None:
+    fit, kept = kept_parameters(refitted(faultless(seed)), ())
+    assert "eccentricity" in kept.bounds
+    assert np.array_equal(fit.parameters[list(kept.held)], AS_CONFIGURED[list(kept.held)])
+    assert 0.05 < kept.bounds["eccentricity"] < 4.0
+    assert fit.fit(())[0][list(kept.held)] == pytest.approx(0.0, abs=1e-9)
+    told = fit_parameters.physical(fit.parameters, kept.spread(np.eye(fit_parameters.COUNT)), CONFIGURED)
+    size = told["eccentricity.magnitude"]
+    assert (
+        size["value"] < 1e-12 < size["std"] == pytest.approx(kept.physical(CONFIGURED)["eccentricity"] / 1.96)
+    )
+
+
+def test_what_the_record_shows_moves() -> None:
+    fit, kept = kept_parameters(settle(bench(), ()), ())
+    assert "eccentricity" not in kept.bounds
+    assert fit.parameters[:2] == pytest.approx(POINT[:2], abs=0.5)
+
+
+def test_all_may_be_held() -> None:
+    fit, kept = all_kept(settle(linearise(swinging(), CONFIGURED, POINT), ()), ())
+    assert set(kept.bounds) == set(GROUPS)
+    assert fit.parameters == pytest.approx(AS_CONFIGURED)
+    assert kept.bounds["eccentricity"] > 11.0  # it is 12 um
+    assert np.std(fit.remainder(())) > 2.0 * ARCSEC
+
+
+def test_what_lies_at_a_bound_has_no_deviation() -> None:
+    point = AS_CONFIGURED.copy()
+    point[0] = 1614.0
+    told = fit_parameters.physical(
+        fit_parameters.admissible(point, CONFIGURED), np.eye(fit_parameters.COUNT), CONFIGURED
+    )
+    assert told["eccentricity.magnitude"]["value"] == pytest.approx(45e-6)
+    assert np.isnan(told["eccentricity.magnitude"]["std"])
+    assert np.isfinite(told["circular_spline_datum"]["std"])

@@ -1,0 +1,58 @@
+"""Noise as it is measured: right whatever its colour, its tails, its counts, and the misfit beside it."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from benches import CONFIGURED, POINT, swinging
+from challenge import noise
+from joint_records import ARCSEC, RATIO
+
+from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
+from hd_diag.diagnosis.measured_noise import MeasuredNoise, of_counts
+
+
+@pytest.fixture(scope="module")
+def plain() -> LinearisedFit:
+    return linearise(swinging(60.0), CONFIGURED, POINT)
+
+
+def misfit(fit: LinearisedFit) -> np.ndarray:
+    """Twice the noise: friction that grows with torque, a ripple on one flank, once per output turn [rad]."""
+    s = fit.signals
+    friction = np.tanh(s.speed / 3.0) * (4.0 + 0.1 * np.abs(s.torque))
+    return ARCSEC * (friction + 5.0 * np.cos(2.0 * s.wave_generator_angle) * (s.torque > 0.0))
+
+
+@pytest.mark.parametrize("family", noise.FAMILIES)
+@pytest.mark.parametrize("wrong", [0.0, 1.0, 3.0])
+def test_noise_of_any_colour_beside_any_misfit(plain: LinearisedFit, family: str, wrong: float) -> None:
+    """To a tenth; differences between neighbours alone would tell two thirds."""
+    own = noise.FAMILIES[family](np.random.default_rng(3), plain.residual.size)
+    found = plain.data.noise_of(own + wrong * misfit(plain))
+    assert found.repeated
+    assert found.rms == pytest.approx(float(own.std()), rel=0.1)
+    assert found.low <= found.rms <= found.high < 1.4 * found.low  # 6 % either way beside its scatter
+
+
+@pytest.mark.parametrize(("output_bits", "input_bits"), [(19, 17), (17, 12), (15, 14), (12, 19)])
+def test_counts_of_encoders(plain: LinearisedFit, output_bits: int, input_bits: int) -> None:
+    steps = 2.0 * np.pi / 2.0**output_bits, 2.0 * np.pi / 2.0**input_bits
+    record = plain.data.record
+    counted = dataclasses.replace(
+        record,
+        output_angle=steps[0] * np.rint(record.output_angle / steps[0]),
+        input_angle=steps[1] * np.rint(record.input_angle / steps[1]),
+    )
+    expected = np.hypot(steps[0], steps[1] / RATIO) / np.sqrt(12.0)
+    assert of_counts(counted, RATIO) == pytest.approx(float(expected), rel=0.05)
+    assert of_counts(record, RATIO) == 0.0
+
+
+def test_a_motion_that_never_comes_back_tells_a_lower_bound() -> None:
+    fit = linearise(swinging(3.0), CONFIGURED, POINT)
+    own = noise.autoregressive(np.random.default_rng(0), fit.residual.size)
+    found: MeasuredNoise = fit.data.noise_of(own)
+    assert not found.repeated
+    assert found.low < found.rms == pytest.approx(noise.WHITE, rel=0.1)
+    assert found.high == pytest.approx(float(own.std()))

@@ -1,0 +1,45 @@
+"""Orders without a tooth model: a gear of which only the ratio is known."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_runner import assert_one_line_error, hd_diag
+from test_recording import COLUMNS, write_table
+from test_signal_findings import ARCSEC, moves
+
+SIZE = 8.0 * ARCSEC
+
+
+def table(folder: Path, seed: int, order: float = 128.0) -> Path:
+    """A robot's move of 0.8 of an output turn, with an encoder's line and an offset of its own."""
+    record = moves(5.0)
+    rng = np.random.default_rng(seed)
+    line = SIZE * np.cos(order * record.input_angle / 100.0 - 0.7) + 1e-3 * rng.uniform()
+    noise = 2.0 * ARCSEC * rng.standard_normal(record.size)
+    torsion = -7.0 * ARCSEC * record.torque
+    given = {"time": record.time, "input": record.input_angle, "torque": record.torque}
+    output = record.input_angle / 100.0 + torsion + line + noise
+    return write_table(folder / f"{seed}.csv", {**given, "output": output})
+
+
+def test_a_line_of_the_output_encoder_is_described(tmp_path: Path) -> None:
+    bags, result = [table(tmp_path, seed) for seed in (1, 2)], tmp_path / "o.json"
+    columns = ",".join(f"{key}={name}" for key, name in COLUMNS.items())
+    done = hd_diag("diagnose", *bags, "--columns", columns, "--orders-only", "--json", result)
+    assert (done.exit_code, done.stderr) == (0, "")
+    told = json.loads(result.read_text())
+    (row,) = told["described"]
+    assert (row["order"], row["frame"], row["repeats"]) == (128.0, "output", True)
+    assert row["amplitude"] == pytest.approx(SIZE, rel=0.05)
+    assert row["phase"] == pytest.approx(0.7, abs=0.1)
+    assert row["might_be"] == ["output_encoder_interpolation", "tooth_damage"]
+    assert (told["judgement"], told["causes"], told["refit"]["parameters"]) == ("described", [], {})
+    assert told["gain"]["low"] > 0.5
+    assert "128 per output turn (8.0" in told["verdict"]
+
+
+def test_it_writes_no_model(tmp_path: Path) -> None:
+    done = hd_diag("diagnose", table(tmp_path, 1), "--orders-only", "--model", tmp_path / "m.json")
+    assert_one_line_error(done, "--orders-only")

@@ -1,0 +1,108 @@
+"""What is wrong with the signals themselves: each a finding in words, and none in a good record."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+from benches import swinging
+from joint_records import ARCSEC, RATIO, columns, joint, prepared
+
+from hd_diag.diagnosis.findings import Finding
+from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.screening import screened
+from hd_diag.drive import transmission_error
+
+CONFIGURED = joint().drive
+
+
+def moves(reach: float = 0.6, **changed: Any) -> Record:
+    """Point to point within a part of a turn, against gravity."""
+    time = np.arange(0.0, 60.0, 0.005)
+    output = 0.5 * reach * np.sin(2.0 * np.pi * time / 7.0) + 0.1 * reach * np.sin(2.0 * np.pi * time / 2.3)
+    torque = 20.0 * np.cos(output) + 4.0 * np.gradient(np.gradient(output, time), time)
+    noise = 2.0 * ARCSEC * np.random.default_rng(1).standard_normal(time.size)
+    angle = RATIO * output
+    error = transmission_error(CONFIGURED, angle, torque)
+    made = {"time": time, "input": angle, "output": output + error + noise, "torque": torque}
+    return prepared({**made, **{name: change(made[name]) for name, change in changed.items()}})
+
+
+def names(record: Record) -> list[str]:
+    return [finding.name for finding in screened(record, CONFIGURED).findings]
+
+
+def only(record: Record) -> Finding:
+    (found,) = screened(record, CONFIGURED).findings
+    return found
+
+
+@pytest.mark.parametrize("record", [prepared(columns()), swinging(), moves(), moves(3.0)], ids=range(4))
+def test_a_good_record_has_none(record: Record) -> None:
+    assert names(record) == []
+
+
+def test_one_sensor_given_twice() -> None:
+    record = moves()
+    found = only(dataclasses.replace(record, output_angle=record.input_angle / RATIO))
+    assert (found.name, found.fatal) == ("one_sensor", True)
+
+
+@pytest.mark.parametrize(("partner", "reach"), [(101.0, 0.4), (99.0, 0.4), (101.0, 3.0)])
+def test_the_ratio_of_the_other_output_over_a_part_of_a_turn(partner: float, reach: float) -> None:
+    found = only(moves(reach, input=lambda angle: angle * partner / RATIO))
+    assert (found.name, found.fatal) == ("ratio_error", True)
+    assert found.value == pytest.approx(partner, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("column", "factor", "said"),
+    [
+        ("input", np.degrees(1.0), "input angle is in degrees"),
+        ("output", np.degrees(1.0), "output angle is in degrees"),
+        ("input", 2.0**17 / (2.0 * np.pi), "input angle is in counts of 17 bits"),
+        ("output", 2.0**19 / (2.0 * np.pi), "output angle is in counts of 19 bits"),
+    ],
+)
+def test_other_units(column: str, factor: float, said: str) -> None:
+    found = only(moves(2.0, **{column: lambda angle: factor * angle}))
+    assert found.fatal
+    assert said in found.text
+
+
+def test_degrees_that_wrap() -> None:
+    found = only(moves(20.0, output=lambda angle: np.mod(np.degrees(angle), 360.0)))
+    assert (found.name, found.fatal) == ("unit", True)
+
+
+def test_a_torque_of_the_other_sign_is_turned() -> None:
+    record = moves(torque=lambda torque: -torque)
+    found = screened(record, CONFIGURED)
+    assert [(one.name, one.fatal) for one in found.findings] == [("torque_sign", False)]
+    np.testing.assert_array_equal(found.record.torque, -record.torque)
+
+
+@pytest.mark.parametrize("constant", [20.0, 30.0])
+def test_a_torque_in_amperes(constant: float) -> None:
+    """The factor is of the torsion, which is softer under less torque."""
+    found = only(moves(3.0, torque=lambda torque: torque / constant))
+    assert (found.name, found.fatal) == ("torque_unit", False)
+    assert 4.0 < found.value < constant
+
+
+@pytest.mark.parametrize("late", [0.02, -0.05])
+def test_angles_out_of_step(late: float) -> None:
+    record = moves(3.0)
+    moved = np.interp(record.time - late, record.time, record.output_angle)
+    found = only(dataclasses.replace(record, output_angle=moved))
+    assert (found.name, found.fatal) == ("out_of_step", True)
+    assert found.value == pytest.approx(late, rel=0.1)
+
+
+def test_rows_that_repeat_are_left_out() -> None:
+    record = moves()
+    held = np.arange(record.size) // 2 * 2
+    again = {name: getattr(record, name)[held] for name in ("input_angle", "output_angle", "reported_torque")}
+    found = screened(dataclasses.replace(record, **again), CONFIGURED)
+    assert [one.name for one in found.findings] == ["repeated_rows"]
+    assert found.record.size == pytest.approx(0.5 * record.size, rel=0.05)

@@ -1,0 +1,38 @@
+"""A torque that is not this joint's is left out, and said."""
+
+import dataclasses
+import warnings
+
+import numpy as np
+from benches import CONFIGURED, swinging
+from joint_records import columns, prepared
+
+from hd_diag.diagnosis.diagnosis import diagnose
+from hd_diag.diagnosis.gain import held_out
+from hd_diag.diagnosis.torque_use import TORQUE_MISLEADS, without_misleading_torque
+
+
+def test_a_torque_of_another_joint_is_left_out() -> None:
+    record = swinging(40.0)
+    test, _ = held_out(record)
+    same, finding = without_misleading_torque(record, CONFIGURED, test, np.random.default_rng(0))
+    assert finding is None
+    assert same is record
+    other = 120.0 * np.sin(2.0 * np.pi * record.time / 2.3)
+    unloaded = dataclasses.replace(record, output_angle=record.input_angle / 100.0, torque=other)
+    blind, finding = without_misleading_torque(unloaded, CONFIGURED, test, np.random.default_rng(0))
+    assert finding is not None
+    assert (finding.name, finding.fatal, blind.has_torque) == (TORQUE_MISLEADS, False, False)
+    assert not blind.torque.any()
+    assert finding.value > 1.3
+
+
+def test_a_record_without_torque_is_judged_in_the_gap_between_the_flanks() -> None:
+    """At no torque the model has no compliance: nothing may overflow, and the misfit is said."""
+    record = prepared({name: column for name, column in columns(seconds=6.0).items() if name != "torque"})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = diagnose(record, CONFIGURED, np.random.default_rng(0))
+    assert found.misfit is not None
+    assert found.misfit.plain
+    assert found.unexplained
