@@ -1,5 +1,7 @@
 """Load distribution: exact solution of a rising piecewise-linear function."""
 
+from random import Random
+
 import drives
 import numpy as np
 import pytest
@@ -134,3 +136,14 @@ def test_torsion_holds_the_torque_and_rises_with_it(rotation: Array, stiffness: 
     several = np.array([-50.0, -3.0, -1e-3, -1e-9, 0.0, 1e-9, 1e-3, 3.0, 50.0])
     rising = torsion_of_flanks(rotation[None], stiffness[None], several)[0]
     assert np.all(np.diff(rising[~np.isnan(rising)]) >= -1e-15)
+
+
+@given(
+    st.floats(1e-4, 1e-3), st.floats(10.0, 60.0), st.floats(-22.0, -10.0), st.randoms(use_true_random=False)
+)
+def test_a_torque_below_rounding_is_held(start: float, gain: float, exponent: float, random: Random) -> None:
+    """Flanks a last digit apart: the torsion stays at them, however small the torque."""
+    digits = np.array([[random.randint(-3, 3) for _ in range(6)] for _ in range(2)])
+    rotation, stiffness = start + digits * np.spacing(start), np.full((2, 6), gain)
+    beta = torsion_of_flanks(rotation[None], stiffness[None], np.array([-(10.0**exponent), 10.0**exponent]))
+    assert_allclose(beta[0], [-start, start], rtol=1e-12, atol=10.0**exponent / gain)

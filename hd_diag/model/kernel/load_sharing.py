@@ -136,11 +136,15 @@ def balance(flanks: Flanks, torque: float) -> float:
     """Torsion at one torque: Newton's iteration over the pieces, kept in a bracket; exact where it rests."""
     if torque == 0.0 and flanks.high > flanks.low:
         return middle(flanks)
+    least, most = -math.inf, math.inf
+    if flanks.high > flanks.low:  # rounding must not leave a small torque in the gap, where no flank holds it
+        least, most = (flanks.high, math.inf) if torque > 0.0 else (-math.inf, flanks.low)
     beta = _first_guess(flanks, torque) if not math.isnan(torque) else math.nan
     low, high = -math.inf, math.inf
     while math.isfinite(beta):
+        beta = min(max(beta, least), most)
         stiffness, moment = bearing(flanks, beta)
-        new = (torque + moment) / stiffness
+        new = min(max((torque + moment) / stiffness, least), most)
         low, high = (low, beta) if new < beta else (beta, high)
         resting = _ROUNDING * (abs(beta) + _SMALL_TORSION)
         if abs(new - beta) <= resting or high - low <= resting:
