@@ -23,13 +23,10 @@ import numpy as np
 from challenge import noise
 from challenge.clearances import Array
 from challenge.faults import FAULTS, UNKNOWN
+from challenge.findability import SNR, TORQUE_AS_ANGLE, WORTH_NAMING, own
 from challenge.motion import RATE, Motion, standard
 from challenge.records import contribution, transmission_error
 from challenge.truth import ARCSEC, Base, drawn
-
-SNR = 7.6  # sqrt of 58: chi-square with 2 degrees of freedom at 1e-6 is 28; 99 % power doubles it
-WORTH_NAMING = 0.25 * ARCSEC  # [rad] rms
-TORQUE_AS_ANGLE = 5 * ARCSEC  # [rad/(N m)], of torque noise
 
 
 def whitened(x: Array) -> Array:
@@ -56,16 +53,11 @@ def jacobian(base: Base, motion: Motion, time: Array, here: Array) -> Array:
     return np.stack([transmission_error(b, (), motion, time) - here for b in _moved(base)], axis=1)
 
 
-def _rest(x: Array, columns: Array) -> Array:
-    scale = np.linalg.norm(columns, axis=0)
-    return np.asarray(x - columns / scale @ np.linalg.lstsq(columns / scale, x, rcond=None)[0])
-
-
 def least(signal: Array, columns: Array) -> tuple[float, float]:
     """Factor that makes a signal (n,) [rad] findable, and the share of it that is its own."""
-    own = _rest(signal, columns)
-    seen = np.linalg.norm(_rest(whitened(signal[:, None])[:, 0], whitened(columns)))
-    return float(max(SNR / seen, WORTH_NAMING / own.std())), float(own.std() / signal.std())
+    rest = own(signal, columns)
+    seen = np.linalg.norm(own(whitened(signal[:, None])[:, 0], whitened(columns)))
+    return float(max(SNR / seen, WORTH_NAMING / rest.std())), float(rest.std() / signal.std())
 
 
 def main(drives: int = 2) -> None:

@@ -9,7 +9,7 @@ from joint_records import NOISE, RATIO, columns, joint, prepared
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.record import Record
-from hd_diag.drive import transmission_error
+from hd_diag.drive import Drive, transmission_error
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.effect import Effect
 from hd_diag.effects.signals import Signals
@@ -21,14 +21,14 @@ EFFECTS = {effect.name: effect for effect in CATALOGUE}
 Part = Callable[[Signals], np.ndarray]
 
 
-def swinging(seconds: float = 20.0, seed: int = 0) -> Record:
+def swinging(seconds: float = 20.0, seed: int = 0, drive: Drive = TRUE) -> Record:
     """A joint that moves up and down at several speeds under torques of both signs, with nested reversals."""
     given = columns(seconds, seed=seed)
     time = given["time"]
     angle = 60.0 * np.sin(2.0 * np.pi * time / 10.0) + 25.0 * np.sin(2.0 * np.pi * time / 3.1)
     torque = 30.0 * np.sin(2.0 * np.pi * time / 5.3) + 18.0 * np.sin(2.0 * np.pi * time / 1.7)
     noise = NOISE * np.random.default_rng(seed).standard_normal(time.size)
-    output = angle / RATIO + transmission_error(TRUE, angle, torque) + noise
+    output = angle / RATIO + transmission_error(drive, angle, torque) + noise
     return prepared({**given, "input": angle, "output": output, "torque": torque})
 
 

@@ -3,27 +3,20 @@
 import numpy as np
 import pytest
 from benches import CONFIGURED, POINT, bench, swinging
-from joint_records import ARCSEC, NOISE, RATIO, columns, prepared
+from joint_records import ARCSEC
 
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.search.kept_parameters import GROUPS, all_kept, kept_parameters
-from hd_diag.drive import transmission_error
 
 AS_CONFIGURED = fit_parameters.vector(CONFIGURED, CONFIGURED)
 
 
 def faultless(seed: int, seconds: float = 20.0) -> Record:
-    """A drive that is as configured, moved up and down under torques of both signs."""
-    given = columns(seconds, seed=seed)
-    time = given["time"]
-    angle = 60.0 * np.sin(2.0 * np.pi * time / 10.0) + 25.0 * np.sin(2.0 * np.pi * time / 3.1)
-    torque = 30.0 * np.sin(2.0 * np.pi * time / 5.3) + 18.0 * np.sin(2.0 * np.pi * time / 1.7)
-    noise = NOISE * np.random.default_rng(seed).standard_normal(time.size)
-    output = angle / RATIO + transmission_error(CONFIGURED, angle, torque) + noise
-    return prepared({**given, "input": angle, "output": output, "torque": torque})
+    """A drive that is as configured."""
+    return swinging(seconds, seed, CONFIGURED)
 
 
 def refitted(record: Record) -> LinearisedFit:

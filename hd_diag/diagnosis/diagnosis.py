@@ -175,9 +175,9 @@ def _predicting(
         best = tried(*all_kept(best.found.fit, best.found.chosen), found)
     found = with_table(best.found)
     if any(row.repeats for row in found.table):
-        more = measured_gain(record, test, which, plain, found, best.every, rng)
-        if more[0].extended < more[0].named:
-            return best._replace(found=found, rms=more[0], gain=more[1])
+        rms, gain = measured_gain(record, test, which, plain, found, best.every, rng)
+        if rms.extended < best.rms.extended:
+            return best._replace(found=found, rms=replace(rms, named=best.rms.extended), gain=gain)
         found = replace(found, table=tuple(row for row in found.table if not row.repeats))
     return best._replace(found=found)
 

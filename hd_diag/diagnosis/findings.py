@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hd_diag.arrays import Floats, Integers
+from hd_diag.arrays import Floats
 from hd_diag.diagnosis.blocks import blocks
 from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.regression import centered
 
 _RATIO_MISS = 2e-3  # relative; more than any transmission error can make of a turn
 _RAMP_MISS = 8e-5  # relative; torsion by gravity leans by half of it over a robot's reach
@@ -39,7 +40,7 @@ class Finding:
 
 def check_ratio(record: Record, ratio: float) -> Finding | None:
     """A finding where the output does not follow the input at the configured ratio [-], torsion aside."""
-    angle, output = (_centered(column, record.run) for column in (record.input_angle, record.output_angle))
+    angle, output = (centered(column, record.run) for column in (record.input_angle, record.output_angle))
     slope = _usual_slope(record)
     if float(np.std(output - slope * angle)) > 0.3 * float(np.std(output)):
         return Finding(
@@ -63,10 +64,10 @@ def check_ramp(record: Record, ratio: float) -> Finding | None:
     Torsion, friction, runout and the gear's ripple are fitted beside the ramps, one for each of `_PARTS`
     parts. Without a measured torque, torsion looks like a ramp; over a small part of a turn, runout does.
     """
-    reach = float(np.ptp(_centered(record.input_angle / ratio, record.run)))
+    reach = float(np.ptp(centered(record.input_angle / ratio, record.run)))
     if not record.has_torque or reach < _LEAST_REACH:
         return None
-    ramps, deviation = _ramps(record.select(np.arange(0, record.size, 1 + record.size // _MOST_ROWS)), ratio)
+    ramps, deviation = _ramps(record.thinned(_MOST_ROWS), ratio)
     mean = float(ramps.mean())
     spread = max(float(ramps.std(ddof=1)) / np.sqrt(ramps.size), deviation)
     if abs(mean) > max(_RAMP_MISS, _RAMP_ERROR / reach, 6.0 * spread):
@@ -126,12 +127,12 @@ def _ramps(record: Record, ratio: float) -> tuple[Floats, float]:
     )
     rows = np.arange(record.size)
     part = rows * _PARTS // record.size
-    along = _centered(ideal, record.run)
+    along = centered(ideal, record.run)
     columns = [along * (part == number) for number in range(_PARTS)]
-    columns += [_centered(column, record.run) for column in shared]
+    columns += [centered(column, record.run) for column in shared]
     scale = np.array([max(float(np.linalg.norm(c)), 1e-300) for c in columns])
     scaled = np.stack(columns, axis=1) / scale
-    error = _centered(record.output_angle - ideal, record.run)
+    error = centered(record.output_angle - ideal, record.run)
     inverse = np.linalg.pinv(scaled, rcond=1e-6)
     found = inverse @ error
     weight = (inverse[:_PARTS] / scale[:_PARTS, None]).mean(axis=0)
@@ -141,11 +142,6 @@ def _ramps(record: Record, ratio: float) -> tuple[Floats, float]:
 
 def _waves(angle: Floats) -> tuple[Floats, Floats]:
     return np.cos(angle), np.sin(angle)
-
-
-def _centered(values: Floats, run: Integers) -> Floats:
-    """Values less the mean of their run: between runs turns may be lost and a hub may slip."""
-    return np.asarray(values - (np.bincount(run, values) / np.maximum(np.bincount(run), 1))[run])
 
 
 def find_steps(record: Record, ratio: float, tooth_pitch: float) -> tuple[Floats, list[Finding]]:

@@ -140,10 +140,6 @@ def measured_gain(
         unseen(running_residual(model, record, torque, model.torsion_map))
         for torque in (record.torque, record.reported_torque)
     )
-    named = None
-    if any(row.repeats for row in found.table):
-        alone = extended_model(replace(found, table=()), configured, record.select(~test))
-        named = unseen(running_residual(alone, record, record.torque, alone.torsion_map))
     seen = found.fit.signals
     described = part(found.table, seen.input_angle, seen.torque, configured.rated_torque)
     noise = found.fit.data.noise_of(found.fit.remainder(found.chosen) - described)
@@ -152,7 +148,7 @@ def measured_gain(
     rms = Rms(
         nominal=_rms(nominal),
         refit=_rms(of_fit(_residual_of(every.moved(plain.parameters), plain, ()))),
-        named=_rms(extended) if named is None else _rms(named),
+        named=_rms(extended),
         extended=_rms(extended),
         offline=_rms(of_fit(_residual_of(every, found.fit, found.chosen))),
         live=_rms(live[np.isfinite(live)]),

@@ -13,6 +13,8 @@ from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.refit import usable
 from hd_diag.diagnosis.gain import MISFIT
+from hd_diag.diagnosis.regression import centered, usual_laws
+from hd_diag.diagnosis.search.kept_parameters import GROUPS
 
 Judgement = Literal["as_configured", "parameters", "causes", "described", "misfit", "not_judged"]
 
@@ -20,15 +22,6 @@ _SIGMAS = 3.0  # a parameter this many standard deviations off its configured va
 _LEAST_SHARE = 0.05  # of the noise, below which what a parameter changes is of no use
 _MOST_ROWS = 2000
 _PEAK_TO_PEAK = 2.0 * math.sqrt(2.0)  # of a wave, over its rms
-
-# Fitted numbers that are judged together: their places in `fit_parameters.SCALES`, and the value compared.
-GROUPS = {
-    "eccentricity": (slice(0, 2), "eccentricity.magnitude"),
-    "runout": (slice(2, 4), "runout.magnitude"),
-    "circular_spline_datum": (slice(4, 5), "circular_spline_datum"),
-    "tooth_compliance": (slice(5, 6), "tooth_compliance"),
-    "cup_compliance": (slice(6, 7), "cup_compliance"),
-}
 
 
 class Change(NamedTuple):
@@ -91,7 +84,7 @@ class Answer:
         least = _LEAST_SHARE * found.rms.noise if found.rms else 0.0
         changed = []
         for name, explains in parameter_sizes(found).items():
-            entry = found.parameters[GROUPS[name][1]]
+            entry = found.parameters[name if name in found.parameters else f"{name}.magnitude"]
             off = abs(entry["value"] - entry["configured"])
             if off > _SIGMAS * entry["std"] and explains > least:
                 number = (entry["value"], entry["std"], entry["configured"], entry["unit"])
@@ -122,8 +115,7 @@ def parameter_sizes(diagnosis: Diagnosis) -> dict[str, float]:
     """How much the refitted drive's error changes where a group of parameters is as configured [rad rms]."""
     configured, refitted = diagnosis.configured, diagnosis.refitted
     assert refitted is not None
-    rows = np.flatnonzero(usable(diagnosis.record))
-    record = diagnosis.record.select(rows[:: 1 + rows.size // _MOST_ROWS])
+    record = diagnosis.record.select(usable(diagnosis.record)).thinned(_MOST_ROWS)
     as_configured = fit_parameters.vector(configured, configured)
 
     def error(parameters: np.ndarray) -> np.ndarray:
@@ -131,9 +123,9 @@ def parameter_sizes(diagnosis: Diagnosis) -> dict[str, float]:
         return fit_parameters.along(drive, configured, record.input_angle, record.torque)[0]
 
     whole, sizes = error(refitted.parameters), {}
-    for name, (at, _) in GROUPS.items():
+    for name, numbers in GROUPS.items():
         without = refitted.parameters.copy()
-        without[at] = as_configured[at]
+        without[list(numbers)] = as_configured[list(numbers)]
         sizes[name] = float(np.nanstd(whole - error(without)))
     return sizes
 
@@ -151,15 +143,9 @@ def normal(diagnosis: Diagnosis) -> Normal | None:
         return None
     ratio = diagnosis.configured.kinematics.ratio
     error = record.output_angle - record.input_angle / ratio
-    load = record.torque / diagnosis.configured.rated_torque
-    top = max(float(np.percentile(np.abs(record.speed), 99)), 1e-9)
-    columns = [load, load * np.abs(load), load**3, np.tanh(load / 0.05)]
-    columns += [record.speed / top, np.tanh(record.speed / (0.02 * top))]
-    count = np.maximum(np.bincount(record.run), 1)
-    matrix = np.stack(
-        [c - (np.bincount(record.run, c) / count)[record.run] for c in (*columns, error)], axis=1
-    )
-    rest = matrix[:, -1] - matrix[:, :-1] @ np.linalg.lstsq(matrix[:, :-1], matrix[:, -1], rcond=None)[0]
+    laws = [centered(law, record.run) for law in usual_laws(record, diagnosis.configured.rated_torque)]
+    matrix, target = np.stack(laws, axis=1), centered(error, record.run)
+    rest = target - matrix @ np.linalg.lstsq(matrix, target, rcond=None)[0]
     noise = np.nan_to_num(diagnosis.rms.noise) if diagnosis.rms else 0.0
     own = max(float(np.mean(rest**2)) - noise**2, 0.0)
     return Normal(diagnosis.configured.accuracy, _PEAK_TO_PEAK * math.sqrt(own))

@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.arrays import Floats, Integers
+from hd_diag.arrays import Floats
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.gain import Rms, explained, held_out
 from hd_diag.diagnosis.noise import slices
 from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.regression import centered, usual_laws
 from hd_diag.diagnosis.screening import Screened
 from hd_diag.diagnosis.search.order_table import order_table, part, table_at
 from hd_diag.diagnosis.search.remainder import Remainder
@@ -21,8 +22,6 @@ from hd_diag.drive import Drive
 
 _BLOCKS = 24
 _SLICE = 1.0  # length of a block of the bootstrap [s]
-_NEAR_ZERO = 0.05  # of the rated torque, where flanks change
-_SLOW = 0.02  # of the greatest speed, where friction turns
 
 
 def orders_only(checked: Screened, configured: Drive, rng: np.random.Generator) -> Diagnosis:
@@ -47,10 +46,13 @@ def orders_only(checked: Screened, configured: Drive, rng: np.random.Generator) 
     if any(finding.fatal for finding in findings):
         return empty
     test, which = held_out(record)
-    columns, error = _smooth(record, configured)
+    laws = [centered(law, record.bag) for law in usual_laws(record, configured.rated_torque)]
+    columns = np.stack(laws, axis=1)
+    error = centered(record.output_angle - record.input_angle / configured.kinematics.ratio, record.bag)
     beta = np.linalg.lstsq(columns[~test], error[~test], rcond=None)[0]
     # Recordings that are held out have offsets of their own.
-    rest = _centered(error - columns @ beta, record.bag, test)
+    rest = error - columns @ beta
+    rest[test] = centered(rest[test], record.bag[test])
     trained, rated = _remainder(record, configured, rest, columns, ~test), configured.rated_torque
     table = order_table(trained, waves(trained), rated)
     after = rest - part(table, record.input_angle, record.torque, rated)
@@ -70,24 +72,6 @@ def orders_only(checked: Screened, configured: Drive, rng: np.random.Generator) 
         orders=rows,
         unexplained=tuple(lines(whole, waves(whole))),
     )
-
-
-def _smooth(record: Record, configured: Drive) -> tuple[Floats, Floats]:
-    """Columns of what any joint does over torque and speed, and the error [rad], less means of recordings."""
-    load = record.torque / configured.rated_torque
-    top = max(float(np.percentile(np.abs(record.speed), 99)), 1e-9)
-    columns = [load, load * np.abs(load), load**3, np.tanh(load / _NEAR_ZERO)]
-    columns += [record.speed / top, np.tanh(record.speed / (_SLOW * top))]
-    error = record.output_angle - record.input_angle / configured.kinematics.ratio
-    every = np.ones(record.size, bool)
-    centered = [_centered(column, record.bag, every) for column in (*columns, error)]
-    return np.stack(centered[:-1], axis=1), centered[-1]
-
-
-def _centered(values: Floats, bag: Integers, rows: npt.NDArray[np.bool_]) -> Floats:
-    """Values, in some rows less the mean of these rows of their recording."""
-    total, count = np.bincount(bag, values * rows), np.maximum(np.bincount(bag, rows), 1.0)
-    return np.asarray(values - rows * (total / count)[bag])
 
 
 def _remainder(

@@ -107,6 +107,10 @@ class Record:
         chosen: dict[str, Any] = {name: column[rows] for name, column in columns.items()}
         return replace(self, **chosen)
 
+    def thinned(self, most: int) -> Record:
+        """Every so-manyth row: about so many, at most."""
+        return self.select(np.arange(0, self.size, 1 + self.size // most))
+
 
 def prepare(
     time: Floats,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.findings import Finding, wrong_ratio
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.regression import centered, regression
 from hd_diag.drive import Drive
 
 TORQUE_SIGN = "torque_sign"
@@ -18,7 +18,6 @@ _REPEATED = 0.05  # share of the rows of a moving joint
 _OUT_OF_STEP = 0.01  # [s]; less is a cause of the catalogue
 _MOST_LEFT = 0.3  # of the error beside torque and angle, where the speed explains it
 _MOST_ROWS = 4000
-_CLUSTERS = 24
 _SIGMAS = 6.0
 _MUCH = 0.02  # of a slope over the angle, from which the ratio is wrong
 _LEAST_TORSION = 0.02  # of the rated torque, by which the torque has to vary
@@ -32,8 +31,7 @@ _FULL_TURN = 360.0
 def check_one_sensor(record: Record, ratio: float) -> Finding | None:
     """A finding where the output angle is the input angle over the ratio, digit by digit."""
     error = record.output_angle - record.input_angle / ratio
-    mean = np.bincount(record.run, error) / np.maximum(np.bincount(record.run), 1)
-    if float(np.quantile(np.abs(error - mean[record.run]), 0.95)) > _NO_ERROR:
+    if float(np.quantile(np.abs(centered(error, record.run)), 0.95)) > _NO_ERROR:
         return None
     text = (
         "input and output angle are one sensor given twice: their difference is zero to the last digit. "
@@ -80,13 +78,13 @@ def check_partner(record: Record, configured: Drive) -> Finding | None:
     ratio, least = configured.kinematics.ratio, _LEAST_REACH if record.has_torque else _REACH_WITHOUT_TORQUE
     if float(np.ptp(record.input_angle / ratio)) < least:
         return None
-    some = record.select(np.arange(0, record.size, 1 + record.size // _MOST_ROWS))
+    some = record.thinned(_MOST_ROWS)
     output = some.input_angle / ratio
     columns = [output, some.speed, np.sign(some.speed)]
     if some.has_torque:
         columns += [some.torque, some.torque * np.abs(some.torque)]
-    value, deviation = _regression(columns, some.output_angle - output, some.bag)
-    slope, spread = float(value[0]), float(deviation[0])
+    found = regression(columns, some.output_angle - output, some.bag)
+    slope, spread = float(found.value[0]), float(found.deviation[0])
     for partner in (ratio + 1.0, ratio - 1.0):
         expected = ratio / partner - 1.0
         if abs(slope - expected) < _PARTNER_MISS * abs(expected) and abs(expected) > _SIGMAS * spread:
@@ -96,21 +94,22 @@ def check_partner(record: Record, configured: Drive) -> Finding | None:
 
 def check_step(record: Record, ratio: float) -> Finding | None:
     """A finding where the output angle is late or early: a part of the error in proportion to the speed."""
-    some = record.select(np.arange(0, record.size, 1 + record.size // _MOST_ROWS))
+    some = record.thinned(_MOST_ROWS)
     output = some.input_angle / ratio
     others = [output, np.sign(some.speed), some.torque, some.torque * np.abs(some.torque)]
     error = some.output_angle - output
-    (early, slope, *_), (spread, *_) = _regression([some.speed / ratio, *others], error, some.bag)
-    if abs(early) < max(_OUT_OF_STEP, _SIGMAS * spread) or abs(slope) > _MUCH:
+    found = regression([some.speed / ratio, *others], error, some.bag)
+    early, slope = float(found.value[0]), float(found.value[1])
+    if abs(early) < max(_OUT_OF_STEP, _SIGMAS * found.deviation[0]) or abs(slope) > _MUCH:
         return None
     # It has to be nearly all that the others leave: in a short record torque and speed go together.
-    if _rest([some.speed / ratio, *others], error, some.bag) > _MOST_LEFT * _rest(others, error, some.bag):
+    if found.rest > _MOST_LEFT * regression(others, error, some.bag).rest:
         return None
     text = (
         f"the output angle is {abs(early) * 1e3:.0f} ms {'behind' if early < 0.0 else 'ahead of'} the input "
         "angle: stamp both where they are measured"
     )
-    return Finding("out_of_step", text, -float(early), "s", True)
+    return Finding("out_of_step", text, -early, "s", True)
 
 
 def check_torque(record: Record, configured: Drive) -> Finding | None:
@@ -118,13 +117,13 @@ def check_torque(record: Record, configured: Drive) -> Finding | None:
     enough = _LEAST_TORSION * configured.rated_torque
     if not record.has_torque or float(np.ptp(record.torque)) < enough:
         return None
-    some = record.select(np.arange(0, record.size, 1 + record.size // _MOST_ROWS))
+    some = record.thinned(_MOST_ROWS)
     output = some.input_angle / configured.kinematics.ratio
     torsion, _, _ = fit_parameters.along(configured, configured, some.input_angle, some.torque)
     waves = np.cos(output), np.sin(output)
     columns = [np.nan_to_num(torsion), some.speed, np.sign(some.speed), *waves]
-    value, deviation = _regression(columns, some.output_angle - output, some.bag)
-    factor, spread = float(value[0]), float(deviation[0])
+    found = regression(columns, some.output_angle - output, some.bag)
+    factor, spread = float(found.value[0]), float(found.deviation[0])
     if factor < min(_WRONG_SIGN, -_SIGMAS * spread):
         text = (
             "the link leads where the torque is positive, and no gear does that: the torque has the other "
@@ -138,27 +137,3 @@ def check_torque(record: Record, configured: Drive) -> Finding | None:
         )
         return Finding("torque_unit", text, factor, "-", False)
     return None
-
-
-def _rest(columns: list[Floats], error: Floats, bag: Integers) -> float:
-    """Root mean square of what a regression leaves [rad]."""
-    means = np.maximum(np.bincount(bag), 1)
-    center = [column - (np.bincount(bag, column) / means)[bag] for column in (*columns, error)]
-    matrix = np.stack(center[:-1], axis=1)
-    return float(
-        np.sqrt(np.mean((center[-1] - matrix @ np.linalg.lstsq(matrix, center[-1], rcond=None)[0]) ** 2))
-    )
-
-
-def _regression(columns: list[Floats], error: Floats, bag: Integers) -> tuple[Floats, Floats]:
-    """Coefficients beside an offset of every recording, and their deviations by stretches of the record."""
-    means = np.maximum(np.bincount(bag), 1)
-    center = [column - (np.bincount(bag, column) / means)[bag] for column in (*columns, error)]
-    scale = np.array([max(float(np.linalg.norm(column)), 1e-300) for column in center[:-1]])
-    matrix = np.stack(center[:-1], axis=1) / scale
-    inverse = np.linalg.pinv(matrix, rcond=1e-6)
-    beta = inverse @ center[-1]
-    pulls = inverse * (center[-1] - matrix @ beta)
-    cluster = np.arange(error.size) * _CLUSTERS // error.size
-    sums = np.stack([np.bincount(cluster, pull) for pull in pulls])
-    return beta / scale, np.sqrt(np.sum(sums**2, axis=1)) / scale

@@ -13,6 +13,7 @@ from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import lower_bound
 from hd_diag.diagnosis.fit.refit import refit
 from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.regression import centered
 from hd_diag.drive import Drive
 from hd_diag.formatting import ARCSEC
 
@@ -66,9 +67,7 @@ def _predicted(
 
 def _left(record: Record, drive: Drive, test: npt.NDArray[np.bool_]) -> Floats:
     """Residual of a drive on some held-out rows less each recording's mean [rad]."""
-    rows = np.flatnonzero(test)
-    some = record.select(rows[:: 1 + rows.size // _MOST_ROWS])
+    some = record.select(test).thinned(_MOST_ROWS)
     error, _, _ = fit_parameters.along(drive, drive, some.input_angle, some.torque)
     rest = some.output_angle - some.input_angle / drive.kinematics.ratio - np.nan_to_num(error)
-    count = np.maximum(np.bincount(some.bag), 1)
-    return np.asarray(rest - (np.bincount(some.bag, rest) / count)[some.bag])
+    return centered(rest, some.bag)

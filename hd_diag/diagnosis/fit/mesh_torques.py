@@ -62,10 +62,8 @@ class MeshTorques:
             return (self._under(self.more + step) - self._under(self.more - step)) / (2.0 * step)
 
         if not self.causes:
-            known = (
-                np.abs(whole.predicted_torque_slope) < _STEEPEST
-            )  # in the gap between the flanks it is not
-            return np.where(known, whole.predicted_torque_slope, 0.0)
+            steep = whole.predicted_torque_slope  # without end in the gap between the flanks
+            return np.where(np.abs(steep) < _STEEPEST, steep, 0.0)
         return self.data.kept.get((self.parameters.tobytes(), "slope", self.key), slope)
 
     @property

@@ -10,7 +10,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.noise import Whitening, bounds, whitening
-from hd_diag.diagnosis.search.remainder import Remainder, Wave, Weight
+from hd_diag.diagnosis.search.remainder import Remainder, Wave, Weight, fitted_part
 from hd_diag.effects.effect import Values
 
 _SAME = 9.0  # deviance that a whole number may cost; half a step beside it must cost more
@@ -79,11 +79,11 @@ def order_table(rest: Remainder, waves: list[Wave], rated_torque: float) -> tupl
     if not steady:
         return ()
     pairs = np.concatenate([rest.pair(wave) for wave in steady], axis=1)
-    whiten = whitening(rest.residual - _fitted(pairs, rest.residual)[0], rest.run)
+    whiten = whitening(rest.residual - fitted_part(pairs, rest.residual), rest.run)
     named = []
     for index, wave in enumerate(steady):
         others = np.delete(pairs, (2 * index, 2 * index + 1), axis=1)
-        named.append(_whole(rest, wave, rest.residual - _fitted(others, rest.residual)[0], whiten))
+        named.append(_whole(rest, wave, rest.residual - fitted_part(others, rest.residual), whiten))
     loaded = [float(wave.weight.values.min()) < 0.0 for wave in steady]
     values = [(in_input, float(one)) for (_, _, in_input), one in zip(named, loaded, strict=True)]
     rows = [(*name[:2], value) for name, value in zip(named, values, strict=True)]
@@ -109,7 +109,7 @@ def table_at(
     weights = [Weight(scale if value[1] else np.ones(scale.size)) for _, _, value in rows]
     waves = [Wave(value[0], "input", weight) for (_, _, value), weight in zip(rows, weights, strict=True)]
     pairs = np.concatenate([rest.pair(wave) for wave in waves], axis=1)
-    whiten = whitening(rest.residual - _fitted(pairs, rest.residual)[0], rest.run)
+    whiten = whitening(rest.residual - fitted_part(pairs, rest.residual), rest.run)
     white, target = whiten(pairs, rest.run), whiten(rest.residual, rest.run)
     spread = np.asarray(np.linalg.pinv(white.T @ white), np.float64)
     beta = spread @ (white.T @ target)
@@ -141,7 +141,7 @@ def _whole(rest: Remainder, wave: Wave, residual: Floats, whiten: Whitening) -> 
 
     def deviance(order: float) -> float:
         columns = whiten(rest.pair(wave._replace(order=order)), rest.run)
-        return -float(np.sum(_fitted(columns, target)[0] ** 2))
+        return -float(np.sum(fitted_part(columns, target) ** 2))
 
     best, ratio = deviance(wave.order), abs(rest.ratio)
     for step, frame in ((1.0, "input"), (1.0 / ratio, "output")):
@@ -151,12 +151,6 @@ def _whole(rest: Remainder, wave: Wave, residual: Floats, whiten: Whitening) -> 
         if min(deviance((number + side) * step) for side in (-0.5, 0.5)) - best > _SAME:
             return number, frame, number * step
     return wave.order, "input", wave.order
-
-
-def _fitted(columns: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Part of values that columns explain, and the coefficients."""
-    beta = np.linalg.lstsq(columns, values, rcond=None)[0]
-    return np.asarray(columns @ beta), np.asarray(beta, np.float64)
 
 
 def _segments(run: Integers) -> list[slice]:

@@ -113,7 +113,7 @@ class Remainder:
     def without(self, wave: Wave) -> Remainder:
         """The same with a wave fitted and taken off."""
         pair = self.pair(wave)
-        rest = self.residual - _explained(pair, self.residual)
+        rest = self.residual - fitted_part(pair, self.residual)
         beside = np.concatenate((self.beside, pair), axis=1)
         return replace(self, residual=rest, beside=beside)
 
@@ -134,13 +134,13 @@ def strongest(rest: Remainder) -> Wave | None:
     # Noise is learnt beside waves of this order in every part, or strong ones would count as noise.
     every = [Wave(order, frame, one) for one in rest.weights]
     pairs = [rest.pair(wave) for wave in every]
-    whiten = whitening(residual - _explained(np.concatenate(pairs, axis=1), residual), rest.run)
+    whiten = whitening(residual - fitted_part(np.concatenate(pairs, axis=1), residual), rest.run)
     white = whiten(residual, rest.run)
-    gains = [float(np.sum(_explained(whiten(pair, rest.run), white) ** 2)) for pair in pairs]
+    gains = [float(np.sum(fitted_part(whiten(pair, rest.run), white) ** 2)) for pair in pairs]
     best = int(np.argmax(gains))
     pair = pairs[best]
     tests = 4.0 * len(every) * _MOST_ORDERS * max(turns(rest.input_angle), 1.0)
-    small = float(np.std(_explained(pair, residual))) < LEAST_SIZE
+    small = float(np.std(fitted_part(pair, residual))) < LEAST_SIZE
     if small or tests * _chance(rest, pair, whiten) > _CHANCE:
         return None
     gain, predicted = _block_gains(rest, pair, whiten)
@@ -160,7 +160,7 @@ def _chance(rest: Remainder, pair: Floats, whiten: Whitening) -> float:
     basis = orthonormal(white)
     before = residual - basis @ (basis.T @ residual)
     own = whiten(pair, rest.run)
-    after = before - _explained(own - basis @ (basis.T @ own), before)
+    after = before - fitted_part(own - basis @ (basis.T @ own), before)
     rows = int(np.count_nonzero(residual))
     return f_test(float(before @ before), float(after @ after), 2, rows, basis.shape[1] + 2)
 
@@ -185,7 +185,7 @@ def _speeds(speed: Floats) -> list[tuple[Rows, str]]:
     return [*(one for one in found if one[1]), *bands]
 
 
-def _explained(columns: Floats, residual: Floats) -> Floats:
+def fitted_part(columns: Floats, residual: Floats) -> Floats:
     """Part of a residual that columns explain."""
     return np.asarray(columns @ np.linalg.lstsq(columns, residual, rcond=None)[0])
 

@@ -1,0 +1,62 @@
+"""Regressions of a record that know no gear: beside means of runs or recordings, deviations by stretches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from hd_diag.arrays import Floats, Integers
+from hd_diag.diagnosis.record import Record
+
+_CLUSTERS = 24
+_NEAR_ZERO = 0.05  # of the rated torque, where flanks change
+_SLOW = 0.02  # of the greatest speed, where friction turns
+
+
+class Regression(NamedTuple):
+    """Coefficients with their deviations, shape (k,), and the root mean square of what is left."""
+
+    value: Floats
+    deviation: Floats
+    rest: float
+
+
+def centered(values: Floats, group: Integers) -> Floats:
+    """Values less the mean of their group: of a run, between which turns may be lost; of a recording."""
+    return np.asarray(values - (np.bincount(group, values) / np.maximum(np.bincount(group), 1))[group])
+
+
+def regression(columns: Sequence[Floats], values: Floats, group: Integers) -> Regression:
+    """Values by columns, each less the mean of its group.
+
+    Parameters
+    ----------
+    columns : sequence of ndarray, shape (n,)
+    values : ndarray, shape (n,)
+    group : ndarray of int64, shape (n,)
+
+    Returns
+    -------
+    Regression
+        Deviations allow for a rest that is correlated within `_CLUSTERS` stretches.
+    """
+    parts, target = [centered(column, group) for column in columns], centered(values, group)
+    scale = np.array([max(float(np.linalg.norm(column)), 1e-300) for column in parts])
+    matrix = np.stack(parts, axis=1) / scale
+    inverse = np.linalg.pinv(matrix, rcond=1e-6)
+    beta = inverse @ target
+    rest = target - matrix @ beta
+    cluster = np.arange(values.size) * _CLUSTERS // values.size
+    sums = np.stack([np.bincount(cluster, pull) for pull in inverse * rest])
+    deviation = np.sqrt(np.sum(sums**2, axis=1)) / scale
+    return Regression(beta / scale, deviation, float(np.sqrt(np.mean(rest**2))))
+
+
+def usual_laws(record: Record, rated_torque: float) -> list[Floats]:
+    """What torsion and friction of any joint go with, each of order one, shape (n,)."""
+    load = record.torque / rated_torque
+    top = max(float(np.percentile(np.abs(record.speed), 99)), 1e-9)
+    torsion = [load, load * np.abs(load), load**3, np.tanh(load / _NEAR_ZERO)]
+    return [*torsion, record.speed / top, np.tanh(record.speed / (_SLOW * top))]
