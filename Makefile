@@ -6,8 +6,9 @@ PYTHON ?=
 ARGS ?=
 PYTEST_ARGS ?=
 SELECTED = -m 'not slow'
-# Test processes at once.
+# Test processes at once; a file's tests stay in one, in the order of conftest.py.
 JOBS = 2
+SPREAD = -n $(JOBS) --dist loadgroup --no-loadscope-reorder
 SHELL = /bin/sh
 
 # The environments bring their own ROS; nothing of a sourced one may mix in.
@@ -67,7 +68,7 @@ types: install
 
 pytest: install
 	@echo "== Tests, newest numpy (6 minutes)"
-	@$(call IN,test) pytest -n $(JOBS) --dist worksteal --durations=10 $(SELECTED) $(PYTEST_ARGS)
+	@$(call IN,test) pytest $(SPREAD) --durations=10 $(SELECTED) $(PYTEST_ARGS)
 
 # Arithmetic of model, drive, effects, streams, monitor and diagnosis; what else there is does not depend on numpy.
 NUMERICAL = acceptance alignment contact design drive effects extended_model fit_parameters joint_refinement \
@@ -81,7 +82,7 @@ pytest-ubuntu:
 	else \
 	    $(ENVIRONMENT) ubuntu "$$python" && \
 	    echo "== Numerical tests, numpy 1.26 and scipy 1.11 as in Ubuntu 24.04 (1 minute)" && \
-	    $(call IN,ubuntu) pytest -n 2 --dist worksteal $(SELECTED) $(PYTEST_ARGS) $(NUMERICAL:%=test/test_%.py); \
+	    $(call IN,ubuntu) pytest $(SPREAD) $(SELECTED) $(PYTEST_ARGS) $(NUMERICAL:%=test/test_%.py); \
 	fi
 
 challenge:

@@ -61,10 +61,22 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
 
 
+# Files that begin first, the longest first, so that the processes end together.
+LONGEST = ("demo", "diagnose", "watch_live", "node", "docs", "cli_fleet", "replay_live", "monitor_model")
+# They share diagnosed records (report_samples), which one process then computes once.
+DIAGNOSED = ("diagnose", "report", "report_browser")
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """First the tests of the same diagnosed records (report_samples): one process then diagnoses them."""
-    first = ("test_diagnose.py", "test_report.py", "test_report_browser.py")
-    items.sort(key=lambda item: item.path.name not in first)
+    """A file stays in one process (``--dist loadgroup``): what its module fixtures build is built once."""
+
+    def name(item: pytest.Item) -> str:
+        return item.path.stem.removeprefix("test_")
+
+    for item in items:
+        item.add_marker(pytest.mark.xdist_group("diagnosed" if name(item) in DIAGNOSED else name(item)))
+    begin = (*LONGEST, *DIAGNOSED)
+    items.sort(key=lambda item: begin.index(name(item)) if name(item) in begin else len(begin))
 
 
 @pytest.fixture(scope="session", autouse=True)
