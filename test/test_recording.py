@@ -119,8 +119,22 @@ def test_a_clock_set_back_begins_a_run(tmp_path: Path) -> None:
     """It is not sorted into one run."""
     record = read(set_back(tmp_path / "back.mcap"))
     assert record.size > 3990
-    assert record.extent.runs == 2
+    assert (record.extent.runs, record.stamps.set_back) == (2, 1)
     assert_array_equal(np.flatnonzero(np.diff(record.run)), np.flatnonzero(np.diff(record.time) < 0.0))
+
+
+@pytest.mark.parametrize("apart", [0.2, -1000.0])
+def test_streams_of_two_clocks(given: dict[str, np.ndarray], apart: float, tmp_path: Path) -> None:
+    """The input comes four times a second, or its clock is another."""
+    time = given["time"] + apart
+    slow = slice(None, None, 50 if apart > 0.0 else 1)
+    path = write(
+        tmp_path / "apart.mcap",
+        states(time[slow], NAMES[:1], (given["input"][slow],), topic="/motor/joint_states"),
+        states(given["time"], NAMES[1:], (given["output"],), (given["torque"],)),
+    )
+    with pytest.raises(RecordError, match=r"1[0-9]+ output angles have no input angle within 50 ms"):
+        read(path)
 
 
 @pytest.mark.slow

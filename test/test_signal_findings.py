@@ -90,13 +90,31 @@ def test_a_torque_in_amperes(constant: float) -> None:
     assert 4.0 < found.value < constant
 
 
-@pytest.mark.parametrize("late", [0.02, -0.05])
-def test_angles_out_of_step(late: float) -> None:
-    record = moves(3.0)
+@pytest.mark.parametrize("late", [0.02, -0.05, 0.3, -3.0])
+@pytest.mark.parametrize("record", [moves(3.0), swinging()], ids=range(2))
+def test_angles_out_of_step(record: Record, late: float) -> None:
+    """Seconds apart, the output follows the input at no ratio."""
     moved = np.interp(record.time - late, record.time, record.output_angle)
     found = only(dataclasses.replace(record, output_angle=moved))
     assert (found.name, found.fatal) == ("out_of_step", True)
     assert found.value == pytest.approx(late, rel=0.1)
+
+
+def test_a_clock_set_back_begins_a_recording_and_is_said() -> None:
+    given = columns()
+    given["time"][given["time"].size // 2 :] -= 5.0
+    found = screened(prepared(given), CONFIGURED)
+    assert [one.name for one in found.findings] == ["clock_set_back"]
+    assert "set back once in the middle" in found.findings[0].text
+    assert np.unique(found.record.bag).size == 2
+    assert found.record.size == given["time"].size
+
+
+def test_stamps_that_repeat_are_left_out_and_said() -> None:
+    given = {name: np.repeat(column, 2) for name, column in columns().items()}
+    found = only(prepared(given))
+    assert (found.name, found.value) == ("refused_rows", pytest.approx(0.5, abs=0.01))
+    assert found.text.startswith("50 % of the samples are left out, the last because: their stamps repeat")
 
 
 def test_rows_that_repeat_are_left_out() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from array import array
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,6 +18,7 @@ from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record, RecordError, prepare
+from hd_diag.diagnosis.stamps import Stamps
 from hd_diag.messages.publications import JOINT_STATE, OWN_OUTPUTS, TEMPERATURE, read_temperature
 from hd_diag.streams.alignment import Aligned, Alignment, Names, torque_between
 from hd_diag.streams.columns import JointStates
@@ -32,7 +33,7 @@ _TURN = 2.0 * np.pi + 1e-6  # of an encoder that wraps [rad]
 
 
 class _Samples(NamedTuple):
-    """Samples of a joint, columns (n,), None where no bag tells it; how many rows were refused.
+    """Samples of a joint, columns (n,), None where no bag tells it; what became of others.
 
     Times since the first [s], numbers of the stretches, angles [rad], torque [N m], speed of the input
     [rad/s], temperature [degree Celsius].
@@ -45,7 +46,7 @@ class _Samples(NamedTuple):
     torque: Floats
     speed: Floats | None
     temperature: Floats | None
-    refused: int
+    stamps: Stamps
 
 
 def joint_state_topics(reader: BagReader) -> list[str]:
@@ -98,15 +99,14 @@ def read_bags(paths: Sequence[str | Path], joint: JointConfig) -> Record:
         Where the joint has no input or output angle in them, or too little of them.
     """
     found = _read_all(paths, joint, lambda samples: np.isfinite(samples.output_angle))
-    if found is None:
+    time, stretch, given, own, torque, speed, warm, stamps = found
+    if not time.size:
         raise RecordError(
             f"no input angle ({joint.input_joint!r}) with output angle ({joint.output_joint!r}) "
-            f"in {', '.join(map(str, paths))}"
+            f"in {', '.join(map(str, paths))}{stamps.why}"
         )
-    time, stretch, given, own, torque, speed, warm, refused = found
     ratio = joint.drive.kinematics.ratio
-    record = prepare(time, given, own, torque, warm, stretch, ratio, joint.torque, speed)
-    return replace(record, dropped=record.dropped + refused)
+    return prepare(time, given, own, torque, warm, stretch, ratio, joint.torque, speed, stamps=stamps)
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ def read_motion(paths: Sequence[str | Path], joint: JointConfig) -> InputRecord 
         Where a bag cannot be read.
     """
     found = _read_all(paths, joint, lambda samples: samples.paired == 0)
-    if found is None:
+    if not found.time.size:
         return None
     angle = found.input_angle
     for begin, end in bounds(found.stretch):
@@ -148,28 +148,28 @@ def read_motion(paths: Sequence[str | Path], joint: JointConfig) -> InputRecord 
     return InputRecord(found.time, angle, torque, found.stretch)
 
 
-def _read_all(
-    paths: Sequence[str | Path], joint: JointConfig, wanted: Callable[[Aligned], Any]
-) -> _Samples | None:
+def _read_all(paths: Sequence[str | Path], joint: JointConfig, wanted: Callable[[Aligned], Any]) -> _Samples:
     """Samples of all bags that are wanted; `stretch` numbers what bags and clocks set back begin."""
-    bags, refused, begun = [], 0, 0
+    bags, stamps, begun = [], Stamps(), 0
     for path in paths:
-        columns, rejected = _read(path, joint, wanted)
+        columns, told = _read(path, joint, wanted)
+        stamps = stamps.and_then(told)
         if columns[0].size > 1:
             columns[1] += begun - columns[1][0]
-            begun, refused = int(columns[1][-1]) + 1, refused + rejected
+            begun = int(columns[1][-1]) + 1
             bags.append(columns)
     if not bags:
-        return None
+        nothing = np.zeros(0)
+        return _Samples(nothing, np.zeros(0, np.int64), nothing, nothing, nothing, None, None, stamps)
     columns = bags[0] if len(bags) == 1 else [np.concatenate(parts) for parts in zip(*bags, strict=True)]
     stamp, stretch, given, own, torque, speed, warm = columns
-    told = speed if np.isfinite(speed).any() else None
+    told_speed = speed if np.isfinite(speed).any() else None
     warmth = warm if warm.size == stamp.size else None
-    return _Samples(_seconds(stamp, stamp[0]), stretch, given, own, torque, told, warmth, refused)
+    return _Samples(_seconds(stamp, stamp[0]), stretch, given, own, torque, told_speed, warmth, stamps)
 
 
-def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]) -> tuple[list[Any], int]:
-    """Columns of one bag as `_Samples` has them, with stamps [ns], by these in each stretch; rows refused."""
+def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]) -> tuple[list[Any], Stamps]:
+    """Columns of one bag as `_Samples` has them, with stamps [ns], by these in each stretch."""
     streams = Alignment([Names(joint.input_joint, joint.output_joint)], _REMEMBERED)
     nothing = np.zeros(0, np.int64)
     times, heat, size = [nothing], [np.zeros(0)], 0
@@ -198,7 +198,10 @@ def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]
     stamp, torque_stamp, stretch, given, own, torque, speed = columns
     torque = torque_between(stamp, stretch, torque, torque_stamp)
     warm = _temperature(np.concatenate(times), np.concatenate(heat), stamp)
-    return [stamp, stretch, given, own, torque, speed, warm], int(streams.joints["rejected"][0])
+    seen = streams.joints[0]
+    unpaired = int(seen["unpaired"] + seen["waiting"])  # no input came for those that still wait
+    told = Stamps(int(seen["rejected"]), streams.last_rejection(0), unpaired, int(seen["clock_jumps"]))
+    return [stamp, stretch, given, own, torque, speed, warm], told
 
 
 def _temperature_topics(reader: BagReader, joint: JointConfig) -> list[str]:

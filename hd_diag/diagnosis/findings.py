@@ -13,6 +13,7 @@ from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.regression import centered
 
+_FOLLOWS = 0.3  # of the output's travel, that it may be off at most
 _RATIO_MISS = 2e-3  # relative; more than any transmission error can make of a turn
 _RAMP_MISS = 8e-5  # relative; torsion by gravity leans by half of it over a robot's reach
 _RAMP_ERROR = 1e-4  # [rad]; what is not fitted beside a ramp may lean by this over a run
@@ -40,9 +41,8 @@ class Finding:
 
 def check_ratio(record: Record, ratio: float) -> Finding | None:
     """A finding where the output does not follow the input at the configured ratio [-], torsion aside."""
-    angle, output = (centered(column, record.run) for column in (record.input_angle, record.output_angle))
     slope = _usual_slope(record)
-    if float(np.std(output - slope * angle)) > 0.3 * float(np.std(output)):
+    if not follows(record, slope, _FOLLOWS):
         return Finding(
             "ratio_error",
             "the output does not follow the input at any fixed ratio: are the joints' names swapped?",
@@ -51,9 +51,16 @@ def check_ratio(record: Record, ratio: float) -> Finding | None:
             True,
         )
     # The error itself may lean with the angle by as much as its own size over the range.
-    if abs(slope * ratio - 1.0) > max(_RATIO_MISS, 0.02 / max(float(np.ptp(output)), 1e-9)):
+    reach = float(np.ptp(centered(record.output_angle, record.run)))
+    if abs(slope * ratio - 1.0) > max(_RATIO_MISS, 0.02 / max(reach, 1e-9)):
         return wrong_ratio(1.0 / slope, ratio)
     return None
+
+
+def follows(record: Record, slope: float, share: float) -> bool:
+    """Whether the output is the input times a slope [-], but for a share of its travel, in every run."""
+    angle, output = (centered(column, record.run) for column in (record.input_angle, record.output_angle))
+    return float(np.std(output - slope * angle)) <= share * float(np.std(output))
 
 
 def check_ramp(record: Record, ratio: float) -> Finding | None:

@@ -13,6 +13,7 @@ from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.blocks import filtered, unwrapped
 from hd_diag.diagnosis.noise import bounds, spans
 from hd_diag.diagnosis.smoothing import best_width, rate, settled, smooth
+from hd_diag.diagnosis.stamps import UNTOLD, Stamps, by_clock
 
 Rows = npt.NDArray[np.bool_]
 # Columns of one length by name; None for those that were not recorded.
@@ -76,6 +77,8 @@ class Record:
         Of the smoothing of the torque [s]; 0: none.
     by_current : bool
         Whether the torque is a motor's current times a constant.
+    stamps : Stamps
+        What became of samples before.
     """
 
     time: Floats
@@ -95,6 +98,7 @@ class Record:
     extent: Extent
     torque_window: float = 0.0
     by_current: bool = False
+    stamps: Stamps = UNTOLD
 
     @property
     def size(self) -> int:
@@ -123,6 +127,7 @@ def prepare(
     assumed_torque: float = 0.0,
     reported_speed: Floats | None = None,
     by_current: bool = False,
+    stamps: Stamps = UNTOLD,
 ) -> Record:
     """A record from raw columns of shape (n,).
 
@@ -136,6 +141,8 @@ def prepare(
         Used where no torque was measured [N m].
     by_current : bool
         Whether the torque is a motor's current times a constant.
+    stamps : Stamps
+        What became of samples before. A clock that is set back within a recording begins another one here.
 
     Raises
     ------
@@ -149,11 +156,14 @@ def prepare(
         "torque": _measured(torque),
         "temperature": _measured(temperature),
     }
+    refused = stamps.refused
+    bag, stamps = by_clock(time, bag, stamps)
     usable = _usable(columns, bag)
     dropped = usable.size - int(np.count_nonzero(usable))
     if usable.size - dropped < MINIMUM_SAMPLES:
         raise RecordError(
             f"too short: {usable.size - dropped} usable samples, at least {MINIMUM_SAMPLES} are needed"
+            f"{stamps.why}"
         )
     if dropped > 0.5 * usable.size:
         raise RecordError(
@@ -186,12 +196,13 @@ def prepare(
         run=run,
         has_torque=load is not None,
         outliers=keep.size - int(np.count_nonzero(keep)),
-        dropped=dropped,
+        dropped=dropped + refused,
         reported_torque=raw,
         stretch=_segments(time, columns["bag"], _LONG_GAP_STEPS),
         extent=extent(time, columns["input_angle"], run),
         torque_window=width,
         by_current=by_current and load is not None,
+        stamps=stamps,
     )
 
 

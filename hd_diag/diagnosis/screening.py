@@ -12,6 +12,7 @@ from hd_diag.diagnosis.signal_findings import (
     check_degrees,
     check_one_sensor,
     check_partner,
+    check_stamps,
     check_step,
     check_torque,
     repeated_rows,
@@ -53,8 +54,9 @@ def screened(
     progress("checking the signals")
     wrong = check_one_sensor(record, ratio) or check_degrees(record) or check_step(record, ratio)
     wrong = wrong or check_ratio(record, ratio) or check_partner(record, configured)
+    stamps = check_stamps(record)
     if wrong is not None:
-        return Screened(subsample(record, limit), (wrong,))
+        return Screened(subsample(record, limit), (wrong, *stamps))
     record, again = repeated_rows(record)
     correction, steps = find_steps(record, ratio, configured.mesh.geometry.tooth_pitch)
     if steps:
@@ -62,7 +64,7 @@ def screened(
     del correction
     record = subsample(record, limit)
     torque = check_torque(record, configured) if teeth else None
-    found = [one for one in (check_ramp(record, ratio), torque, again, *steps) if one is not None]
+    found = [one for one in (check_ramp(record, ratio), torque, *stamps, again, *steps) if one is not None]
     if torque is not None and torque.name == TORQUE_SIGN:
         record = replace(record, torque=-record.torque, reported_torque=-record.reported_torque)
     return Screened(record, tuple(found))

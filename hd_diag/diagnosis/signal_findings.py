@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-import numpy as np
+import math
 
-from hd_diag.diagnosis.findings import Finding, wrong_ratio
+import numpy as np
+from scipy.signal import correlate
+
+from hd_diag.diagnosis.findings import Finding, follows, wrong_ratio
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.regression import centered, regression
+from hd_diag.diagnosis.stamps import UNPAIRED
 from hd_diag.drive import Drive
 
 TORQUE_SIGN = "torque_sign"
@@ -18,6 +22,8 @@ _REPEATED = 0.05  # share of the rows of a moving joint
 _OUT_OF_STEP = 0.01  # [s]; less is a cause of the catalogue
 _MOST_LEFT = 0.3  # of the error beside torque and angle, where the speed explains it
 _MOST_ROWS = 4000
+_GRID = 20_001  # moments of a recording
+_MATCHED = 0.1  # of the output's travel, that streams put in step may be apart
 _SIGMAS = 6.0
 _MUCH = 0.02  # of a slope over the angle, from which the ratio is wrong
 _LEAST_TORSION = 0.02  # of the rated torque, by which the torque has to vary
@@ -48,6 +54,27 @@ def check_degrees(record: Record) -> Finding | None:
             text = f"the {name} angle jumps by 360: it is in degrees; angles must be in radians"
             return Finding("unit", text, _FULL_TURN, "-", True)
     return None
+
+
+def check_stamps(record: Record) -> list[Finding]:
+    """Findings of what stamps were found to be before samples came together: set back, refused, apart."""
+    refused, reason, unpaired, set_back = record.stamps
+    found = []
+    if set_back:
+        times = "once" if set_back == 1 else f"{set_back} times"
+        text = (
+            f"the clock was set back {times} in the middle of a recording: what comes after counts as "
+            "another recording"
+        )
+        found.append(Finding("clock_set_back", text, float(set_back), "-", False))
+    whole = record.extent.samples + record.dropped + unpaired
+    if refused > _REPEATED * whole:
+        text = f"{100 * refused / whole:.0f} % of the samples are left out, the last because: {reason}"
+        found.append(Finding("refused_rows", text, refused / whole, "-", False))
+    if unpaired > _REPEATED * whole:
+        text = f"{100 * unpaired / whole:.0f} % of the output angles {UNPAIRED}"
+        found.append(Finding("unpaired_outputs", text, unpaired / whole, "-", False))
+    return found
 
 
 def repeated_rows(record: Record) -> tuple[Record, Finding | None]:
@@ -98,6 +125,8 @@ def check_step(record: Record, ratio: float) -> Finding | None:
     output = some.input_angle / ratio
     others = [output, np.sign(some.speed), some.torque, some.torque * np.abs(some.torque)]
     error = some.output_angle - output
+    if not follows(record, 1.0 / ratio, _MATCHED) and math.isfinite(late := _late(record, ratio)):
+        return _out_of_step(late)
     found = regression([some.speed / ratio, *others], error, some.bag)
     early, slope = float(found.value[0]), float(found.value[1])
     if abs(early) < max(_OUT_OF_STEP, _SIGMAS * found.deviation[0]) or abs(slope) > _MUCH:
@@ -105,11 +134,32 @@ def check_step(record: Record, ratio: float) -> Finding | None:
     # It has to be nearly all that the others leave: in a short record torque and speed go together.
     if found.rest > _MOST_LEFT * regression(others, error, some.bag).rest:
         return None
+    return _out_of_step(-early)
+
+
+def _out_of_step(late: float) -> Finding:
+    size = f"{abs(late) * 1e3:.0f} ms" if abs(late) < 1.0 else f"{abs(late):.2f} s"
     text = (
-        f"the output angle is {abs(early) * 1e3:.0f} ms {'behind' if early < 0.0 else 'ahead of'} the input "
-        "angle: stamp both where they are measured"
+        f"the output angle is {size} {'behind' if late > 0.0 else 'ahead of'} the input angle: stamp both "
+        "where they are measured"
     )
-    return Finding("out_of_step", text, -early, "s", True)
+    return Finding("out_of_step", text, late, "s", True)
+
+
+def _late(record: Record, ratio: float) -> float:
+    """By how much an output that does not follow the input at once comes after it [s]; nan if it does not.
+
+    The peak of their rates' correlation over the longest recording, in step by which they have to match.
+    """
+    part = record.select(record.bag == np.argmax(np.bincount(record.bag)))
+    grid = np.linspace(part.time[0], part.time[-1], _GRID)
+    step = float(grid[1] - grid[0])
+    angle, output = (np.interp(grid, part.time, c) for c in (part.input_angle / ratio, part.output_angle))
+    match = correlate(np.gradient(output), np.gradient(angle), "same", "fft")
+    shift = int(np.argmax(match)) - _GRID // 2
+    away = output[max(shift, 0) : _GRID + min(shift, 0)] - angle[max(-shift, 0) : _GRID - max(shift, 0)]
+    matched = float(np.std(away)) < _MATCHED * float(np.std(output))
+    return shift * step if matched and abs(shift * step) > _OUT_OF_STEP else math.nan
 
 
 def check_torque(record: Record, configured: Drive) -> Finding | None:

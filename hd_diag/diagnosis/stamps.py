@@ -1,0 +1,64 @@
+"""What becomes of samples before they make a record: refused, without a partner, after a clock set back."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hd_diag.arrays import Floats, Integers
+from hd_diag.streams.rules import CLOCK_JUMP, PAIRING_GAP
+
+UNPAIRED = (
+    f"have no input angle within {PAIRING_GAP * 1e-6:.0f} ms of their stamp: was one clock used for both, "
+    "and does the input come as often?"
+)
+"""What is said of output angles without an input angle."""
+
+
+class Stamps(NamedTuple):
+    """Counts of samples that are in no record.
+
+    How many were refused and why the last; output angles without an input angle at their stamp; how often the
+    clock was set back in the middle of a recording.
+    """
+
+    refused: int = 0
+    reason: str = ""
+    unpaired: int = 0
+    set_back: int = 0
+
+    @property
+    def why(self) -> str:
+        """Why there are so few samples, as far as it is known; empty where it is not."""
+        if self.unpaired:
+            return f": {self.unpaired} output angles {UNPAIRED}"
+        return f": {self.refused} were refused, the last because: {self.reason}" if self.refused else ""
+
+    def and_then(self, later: Stamps) -> Stamps:
+        """Of two recordings, one after the other."""
+        counts = self.unpaired + later.unpaired, self.set_back + later.set_back
+        return Stamps(self.refused + later.refused, later.reason or self.reason, *counts)
+
+
+UNTOLD = Stamps()
+"""Where nothing is known of them."""
+
+
+def by_clock(time: Floats, bag: Integers, stamps: Stamps) -> tuple[Integers, Stamps]:
+    """Numbers of recordings, another one after each clock set back, and what is told of stamps.
+
+    Parameters
+    ----------
+    time, bag : ndarray, shape (n,)
+        [s], number of the recording.
+    stamps : Stamps
+        What was told before.
+    """
+    step = np.where(np.diff(bag) == 0, np.diff(time), np.nan)
+    back = step < -CLOCK_JUMP * 1e-9
+    late = int(np.count_nonzero((step <= 0.0) & ~back))
+    bag = bag + np.concatenate(([0], np.cumsum(back)))[: bag.size]
+    set_back = stamps.set_back + int(np.count_nonzero(back))
+    reason = "their stamps repeat the last, or are before it" if late else stamps.reason
+    return bag, stamps._replace(refused=stamps.refused + late, reason=reason, set_back=set_back)
