@@ -1,11 +1,12 @@
 """Imports point one way, without circles, and the core starts without what belongs to the edges."""
 
 import ast
+import functools
 import graphlib
 import json
+import re
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -62,17 +63,22 @@ def modules(folder: Path, prefix: str = "") -> dict[str, Path]:
 
 PACKAGE = modules(ROOT / "hd_diag", "hd_diag")
 # The challenge's records stand among the tests, under the name of the script that uses them.
-BENCH = modules(ROOT / "bench") | modules(ROOT / "test/challenge", "challenge")
+CHALLENGE = modules(ROOT / "test/challenge", "challenge")
+BENCH = modules(ROOT / "bench") | CHALLENGE
+INDEPENDENT = CHALLENGE | modules(ROOT / "test/reference", "reference")
 
 
-def named(path: Path) -> Iterator[str]:
+@functools.cache
+def named(path: Path) -> list[str]:
     """What a module imports, inside functions too."""
+    found = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+            found += [f"{node.module}.{alias.name}" for alias in node.names]
+    return found
 
 
 def graph(of: dict[str, Path]) -> dict[str, set[str]]:
@@ -116,6 +122,18 @@ def test_libraries_of_the_edges_stay_there() -> None:
         if inside and not module.startswith(tuple(f"hd_diag.{place}" for place in inside))
     ]
     assert wrong == []
+
+
+def test_what_the_package_is_measured_by_shares_no_code_with_it() -> None:
+    """No import, none by a name in a string, and none of what a process has loaded with all of it."""
+    assert {"challenge.records", "challenge.clearances", "reference.polyline"} <= INDEPENDENT.keys()
+    named = re.compile(r"^ *(import|from) hd_diag|['\"]hd_diag['\".]", re.MULTILINE)
+    assert [m for m, path in INDEPENDENT.items() if named.search(path.read_text(encoding="utf-8"))] == []
+    look = "print('hd_diag' in sys.modules)"
+    path = f"sys.path[:0] = {[str(ROOT / 'test'), *sys.path]}"
+    code = f"import sys; {path}; import {', '.join(INDEPENDENT)}; {look}; import hd_diag; {look}"
+    run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert run.stdout == "False\nTrue\n"
 
 
 LOOK = """
