@@ -1,10 +1,8 @@
 """The simulated joint: its motion, its noise, the bag written of it, and the command that writes one."""
 
-import io
 import itertools
 import json
 import math
-import re
 import signal
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -17,11 +15,9 @@ from click.testing import Result
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
-from rich.console import Console
 from rosbags.highlevel import AnyReader
 
 from hd_diag.bag import BagReader, BagWriter
-from hd_diag.cli import progress as cli_progress
 from hd_diag.config.configuration import dump, resolve
 from hd_diag.drive import Drive, transmission_error
 from hd_diag.model import torsion_map
@@ -371,42 +367,34 @@ def test_json_on_stdout_is_alone_there(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["out.mcap"]
 
 
-def interrupting(monkeypatch: pytest.MonkeyPatch, turn: int) -> None:
-    """Ctrl-C while the so-manyth part is written."""
+def test_ctrl_c_leaves_a_whole_bag_or_the_one_to_be_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """While the third of four parts is written; it says what there is."""
+    new, old = tmp_path / "new.mcap", tmp_path / "old.mcap"
+    old.write_text("precious")
     write, calls = BagWriter.write_many, itertools.count(1)
 
-    def call(*arguments: Any) -> None:
-        if next(calls) == turn:
+    def interrupting(*arguments: Any) -> None:
+        if next(calls) in (3, 6):
             signal.raise_signal(signal.SIGINT)
         write(*arguments)
 
-    monkeypatch.setattr(BagWriter, "write_many", call)
-
-
-LONG = ("--duration", 8, "--rate", 500)  # four parts
-
-
-def test_ctrl_c_leaves_a_whole_bag_and_says_what_it_holds(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out = tmp_path / "out.mcap"
-    interrupting(monkeypatch, 3)
-    result = invoke("--out", out, *LONG)
-    line = f"hd-diag: interrupted: {out} holds the first 3000 messages\n"
-    assert (result.exit_code, result.stdout, result.stderr) == (130, "", line)
-    with BagReader(out) as reader:
+    monkeypatch.setattr(BagWriter, "write_many", interrupting)
+    long = ("--duration", 8, "--rate", 500, "--overwrite")
+    for out, left in (
+        (new, f"{new} holds the first 3000 messages"),
+        (old, f"nothing was written, {old} is as it was"),
+    ):
+        result = invoke("--out", out, *long)
+        assert (result.exit_code, result.stdout, result.stderr) == (
+            130,
+            "",
+            f"hd-diag: interrupted: {left}\n",
+        )
+    assert old.read_text() == "precious"
+    with BagReader(new) as reader:
         assert (reader.problems, reader.message_count) == ([], 3000)
-
-
-def test_ctrl_c_keeps_what_was_to_be_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    out = tmp_path / "out.mcap"
-    assert invoke("--out", out, "--duration", 0.1).exit_code == 0
-    before = out.read_bytes()
-    interrupting(monkeypatch, 3)
-    result = invoke("--out", out, *LONG, "--overwrite")
-    assert (result.exit_code, result.stdout) == (130, "")
-    assert result.stderr == f"hd-diag: interrupted: nothing was written, {out} is as it was\n"
-    assert out.read_bytes() == before
 
 
 def test_ctrl_c_while_the_map_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -418,12 +406,3 @@ def test_ctrl_c_while_the_map_is_made(tmp_path: Path, monkeypatch: pytest.Monkey
     result = invoke("--out", tmp_path / "out.mcap", "--duration", 100)
     assert (result.exit_code, result.stderr) == (130, "hd-diag: interrupted: nothing was written\n")
     assert list(tmp_path.iterdir()) == []
-
-
-def test_progress_has_a_rate_and_the_time_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    shown = io.StringIO()
-    made = Console(file=shown, force_terminal=True, width=120, color_system=None)
-    monkeypatch.setattr(cli_progress, "Console", lambda stderr: made)
-    assert invoke("--out", tmp_path / "out.mcap", "--duration", 0.4, "--rate", 30_000).exit_code == 0
-    assert re.search(r"map .* 100/100 +[\d,.]+ %/s +\d:\d\d:\d\d", shown.getvalue())
-    assert re.search(r"simulate .* 12000/12000 [\d,.]+ samples/s +\d:\d\d:\d\d", shown.getvalue())

@@ -3,7 +3,6 @@
 import contextlib
 import itertools
 import json
-import os
 import select
 import signal
 import subprocess
@@ -18,8 +17,6 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from live import MS, START, parameters
 from running import Process, Rig, feed, running
-
-from hd_diag.watch.display import REFRESH_PERIOD
 
 pytestmark = pytest.mark.usefixtures("ros")
 
@@ -209,64 +206,3 @@ def test_hostile_diagnostics_do_no_harm() -> None:
         _, errors = process.communicate(timeout=LIMIT)
         assert (process.returncode, errors) == (130, "")
     node.destroy_node()
-
-
-class Terminal:
-    """The command in a pseudo-terminal of 80 columns."""
-
-    def __init__(self, *arguments: str) -> None:
-        self._file, other = os.openpty()
-        size = {"TERM": "xterm-256color", "COLUMNS": "80", "LINES": "24"}
-        ends = {"stdin": other, "stdout": other, "stderr": other}
-        self.process = subprocess.Popen([*COMMAND, *arguments], **ends, env={**os.environ, **size})
-        os.close(other)
-        self.shown = ""
-
-    def __enter__(self) -> "Terminal":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self.process.poll() is None:
-            self.process.kill()
-        self.process.wait(LIMIT)
-        os.close(self._file)
-
-    def until(self, words: str) -> None:
-        end = time.monotonic() + LIMIT
-        while words not in self.shown:
-            assert time.monotonic() < end, self.shown[-2000:]
-            self._read(0.2)
-
-    def interrupt(self) -> int:
-        """Ctrl-C; exit code."""
-        self.process.send_signal(signal.SIGINT)
-        while self._read(LIMIT):
-            pass
-        return self.process.wait(LIMIT)
-
-    def follow(self, seconds: float) -> None:
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            self._read(0.1)
-
-    def _read(self, seconds: float) -> bool:
-        if select.select([self._file], [], [], seconds)[0]:
-            try:
-                self.shown += os.read(self._file, 65536).decode(errors="replace")
-            except OSError:  # Linux's way to say that the other end is closed
-                return False
-        return True
-
-
-def test_a_terminal_is_left_as_it_was_and_drawn_less_often_than_reports_come(arm: Rig) -> None:
-    """Ten reports a second, but four pictures: these are what it costs."""
-    with Terminal("--namespace", arm.process.namespace) as terminal:
-        terminal.until("elbow")
-        terminal.until("shoulder")
-        begin, pictures = time.monotonic(), terminal.shown.count("hd-diag watch")
-        terminal.follow(3.0)
-        drawn = terminal.shown.count("hd-diag watch") - pictures
-        assert 3 < drawn <= (time.monotonic() - begin) / REFRESH_PERIOD + 2
-        assert terminal.interrupt() == 130
-        assert terminal.shown.count("\x1b[?25l") == terminal.shown.count("\x1b[?25h") == 1
-        assert "Traceback" not in terminal.shown
