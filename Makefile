@@ -72,7 +72,7 @@ pytest: install
 
 # Arithmetic of model, drive, effects, streams, monitor and diagnosis; what else there is does not depend on numpy.
 NUMERICAL = acceptance alignment contact design drive effects extended_model fit_parameters joint_refinement \
-       linearised_fit load_sharing monitor neutral_curve noise recursions refit smoothing torsion torsion_map \
+       linearised_fit load_sharing monitor noise recursions refit smoothing torsion torsion_map \
        transmission_error
 pytest-ubuntu:
 	@python=$$(sh scripts/find_python.sh '$(PYTHON)') && \

@@ -142,23 +142,3 @@ def test_symmetries_rename_the_teeth(moment: Moment, turns: int) -> None:
         "moved along the curve by one pitch": np.roll(backlash(along), 1, axis=1),
     }.items():
         assert_allclose(other, found, rtol=0, atol=1e-13, err_msg=name)
-
-
-@given(moments, st.sampled_from([0.1, 1.7, 20.0]))
-@settings(max_examples=20)
-def test_backlash_grows_with_the_drive(moment: Moment, factor: float) -> None:
-    angle, (e_x, e_y), (r_x, r_y), arc_offset = moment
-    grown = (factor * e_x, factor * e_y), (factor * r_x, factor * r_y), factor * arc_offset
-    found = backlash(Moment(angle, *grown), drives.scaled(factor)) / factor
-    # Contacts within a nanometre of a joint count to either side of it: its square over the arcs' radii.
-    assert_allclose(found, backlash(moment), rtol=0, atol=3e-12)
-
-
-def test_one_moment_equals_many_to_the_last_bit() -> None:
-    mesh = drives.mesh(eccentricity=(9e-6, -14e-6), runout=(3e-6, 0.0))
-    angle = np.linspace(-9, 30, 400)
-    many = contacts(mesh, angle)
-    for row in range(0, angle.size, 7):
-        one = contacts(mesh, angle[row : row + 1])
-        for name, found in vars(one).items():
-            assert_array_equal(found[0], getattr(many, name)[row])

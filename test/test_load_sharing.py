@@ -15,7 +15,6 @@ from hd_diag.model import load_sharing
 from hd_diag.model.contact import contacts
 from hd_diag.model.load_sharing import FLANKS, MeshState, flank_stiffness, shares, torsion_of_flanks
 from hd_diag.model.mesh import Mesh
-from hd_diag.model.torsion import torsion_and_gradient
 
 Array = polyline.Array
 COMPLIANCE = drives.PAPER.tooth_compliance
@@ -51,29 +50,6 @@ def test_reference(drive: polyline.Drive) -> None:
         assert_allclose(found.load[0], polyline.loads(expected, beta, drive), rtol=2e-3, atol=0.01)
         assert_allclose(found.backlash[0], expected.backlash, rtol=0, atol=1e-9)
         assert_allclose(found.pressure_angle[0], expected.pressure_angle, rtol=0, atol=2e-3)
-
-
-@each_mesh
-@pytest.mark.parametrize("torque", [-80.0, -1.0, 0.0, 1e-6, 7.0, 56.0, 300.0])
-def test_forces_hold_the_torque(mesh: Mesh, torque: float) -> None:
-    """The sum of k overlap is the torque; forces are as much over the lever arm, which k is the square of."""
-    rotation, stiffness = flanks_of(mesh)
-    found = state(mesh, torque)
-    overlap = np.nan_to_num(FLANKS * found.torsion[:, None, None] - rotation, nan=-1.0)
-    moment = stiffness * np.maximum(overlap, 0.0)
-    scale = moment.sum(axis=(1, 2)).max()
-    assert_allclose((FLANKS * moment).sum(axis=(1, 2)), torque, rtol=0, atol=1e-12 * max(scale, 1))
-    force = np.sqrt(stiffness / COMPLIANCE) * np.maximum(overlap, 0.0)
-    assert_allclose(np.sort(found.load[found.load > 0]), np.sort(force[force > 0]), rtol=1e-9, atol=1e-10)
-
-
-@each_mesh
-@pytest.mark.parametrize("torque", [-56.0, 0.7, 20.0])
-def test_stiffness_is_that_of_the_loaded_flanks(mesh: Mesh, torque: float) -> None:
-    rotation, stiffness = flanks_of(mesh)
-    beta, gradient = torsion_and_gradient(mesh, ANGLES, np.full(ANGLES.size, torque))
-    loaded = FLANKS * beta[:, None, None] > rotation
-    assert_allclose(1 / gradient[:, 4], np.where(loaded, stiffness, 0.0).sum(axis=(1, 2)), rtol=1e-12)
 
 
 @each_mesh

@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from hd_diag.effects.recursions import relax, slip
@@ -37,14 +36,6 @@ def test_relax_is_the_sum_of_all_that_was_added() -> None:
     one_for_all = np.array([math.exp(-0.1) + 0j])
     steady = relax(np.zeros(1) + 0j, one_for_all, np.full((400, 1), 1.0 + 2.0j))[-1]
     assert_allclose(steady, (1.0 + 2.0j) / (1.0 - one_for_all))
-
-
-@pytest.mark.parametrize("cut", [1, 17, COUNT - 1])
-def test_chunks_are_the_whole(cut: int) -> None:
-    first, second = slip(0.3, CHANGE[:cut]), relax(START, DECAY[:cut], ADDED[:cut])
-    assert_array_equal(np.concatenate((first, slip(float(first[-1]), CHANGE[cut:]))), slip(0.3, CHANGE))
-    rest = relax(second[-1], DECAY[cut:], ADDED[cut:])
-    assert_array_equal(np.concatenate((second, rest)), relax(START, DECAY, ADDED))
 
 
 def test_arrays_of_any_layout_and_none() -> None:

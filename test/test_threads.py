@@ -7,40 +7,9 @@ import sys
 import threading
 from concurrent.futures import ProcessPoolExecutor
 
-import numpy as np
 import pytest
 
 from hd_diag.model import threads
-
-
-def counted(size, share):
-    """How often each row was worked on, and the parts with the threads that did them."""
-    count, parts = np.zeros(size, dtype=int), []
-
-    def work(first, last):
-        count[first:last] += 1
-        parts.append((first, last, threading.current_thread().name))
-
-    threads.spread(work, size, share)
-    return count, parts
-
-
-@pytest.mark.parametrize("cores", [1, 2, 3, 8])
-@pytest.mark.parametrize("size", [0, 1, 19, 39, 40, 41, 79, 80, 123])
-def test_every_row_once(monkeypatch, cores, size):
-    monkeypatch.setattr(threads, "cores", lambda: cores)
-    count, parts = counted(size, 10)
-    assert np.all(count == 1)
-    whole = cores == 1 or size < 40
-    assert (len(parts) == 1) == whole
-    assert all(last - first <= 10 for first, last, _ in parts) or whole
-
-
-def test_small_batches_are_done_here_and_each_thread_gets_two_shares_or_more(monkeypatch):
-    monkeypatch.setattr(threads, "cores", lambda: 64)
-    assert len({name for *_, name in counted(59, 10)[1]}) <= 2
-    monkeypatch.setattr(threads, "cores", lambda: pytest.fail("asked"))
-    assert counted(39, 10)[1] == [(0, 39, threading.current_thread().name)]
 
 
 def test_as_many_threads_as_cores_work_at_once_and_end(monkeypatch):

@@ -78,15 +78,6 @@ def test_displacement_is_what_stands_and_what_turns() -> None:
     assert_allclose(found, [8e-6 - 14e-6j, 3e-6 - 13e-6j, 2e-6 - 18e-6j], rtol=1e-12)
 
 
-@pytest.mark.parametrize("drive", drives.DRIVES.values(), ids=drives.DRIVES)
-@given(angle=angles, torque=torques)
-@settings(max_examples=2)
-def test_reference(drive: polyline.Drive, angle: float, torque: float) -> None:
-    moment = {"eccentricity": (-9e-6, 4e-6), "runout": (1e-6, 6e-6), "arc_offset": -7e-6}
-    expected = polyline.torsion(polyline.mesh(angle, **moment, drive=drive), torque, drive)
-    assert_allclose(at(drives.mesh(drive, **moment), angle, torque), expected, rtol=1e-4, atol=1e-8)
-
-
 STATIC = drives.mesh(eccentricity=(5e-6, -16e-6))
 RUNOUT = drives.mesh(runout=(12e-6, 9e-6))
 # Mesh; angle by which another of the same torsion turns on; that mesh; sign of angle, torque and torsion.
@@ -107,13 +98,6 @@ def test_symmetries(law: str, angle: float, torque: float) -> None:
     mesh, later, other, sign = LAWS[law]
     found = sign * at(other, sign * angle + later, sign * torque)
     assert_allclose(found, at(mesh, angle, torque), rtol=1e-9, atol=1e-13)
-
-
-@given(angles)
-@settings(max_examples=10)
-def test_rises_with_torque(angle: float) -> None:
-    torque = np.linspace(-100, 100, 401)
-    assert np.all(np.diff(torsion_table(ASTRAY, np.array([angle]), torque)[0]) > 0)
 
 
 def test_nan_where_no_tooth_reaches_the_slots() -> None:

@@ -66,28 +66,12 @@ SECANT_STIFFNESS = {(1.0, T1): 3.0e4, (T1, T2): 4.8e4, (RATED_TORQUE, 100.0): 6.
 # ECCENTRICITY_AT_ROUNDED_DATUM.
 DATUM_OF_INTERFERENCE = 29.86833e-3  # [m]
 ECCENTRICITY_AT_ROUNDED_DATUM = 20.32e-6  # [m]
-ENGAGEMENT_TEETH = (*range(50), *range(150, 200))
-FIRST_TO_INTERFERE = 16  # tooth, on its + flank
-
-
-class Moment(NamedTuple):
-    """Keyword arguments of a moment: ``mesh(**moment._asdict())``."""
-
-    wave_generator_angle: float
-    eccentricity: tuple[float, float]
-    arc_offset: float
-
-
-def anchored(eccentricity: float) -> Moment:
-    """Give the paper's initial moment for an eccentricity across the long axis [m]."""
-    return Moment(0.0, (0.0, eccentricity), -eccentricity)
 
 
 # One tooth over a turn (PAPER: backlash grows, load falls) ---
 # CALCULATION: tooth 0, eccentricity along x. Least backlash of either flank and largest force at 56 N m while
-# the lobe passes tooth 0, wave-generator angle within PASSAGE [rad]. The other lobe differs by some percent,
+# the lobe passes tooth 0, wave-generator angle from -0.7 to 0 rad. The other lobe differs by some percent,
 # because the tooth has moved on by one pitch (47.4 N and -9.08 um at +ECCENTRICITY).
-PASSAGE = (-0.7, 0.0)
 
 
 class Turn(NamedTuple):
