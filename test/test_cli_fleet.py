@@ -147,8 +147,14 @@ def bags_of(folder: Path, count: int) -> Path:
     return folder
 
 
-def test_what_is_known_is_not_judged_again(here: None, quick: Path, tmp_path: Path) -> None:
+def test_what_is_known_is_not_judged_again_and_what_failed_is(
+    here: None, quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     out, bags = tmp_path / "f.parquet", bags_of(tmp_path / "bags", 4)
+    with monkeypatch.context() as patch:
+        patch.setattr(run, "judge", lambda task: [][0])
+        failed = fleet(bags, "--out", out)
+    assert (failed.exit_code, failed.stderr.count("joint_1: IndexError: ")) == (2, 4)
     assert fleet(bags, "--out", out).exit_code == 0
     first = out.read_bytes()
     assert fleet(bags, "--out", out).exit_code == 0
@@ -264,12 +270,9 @@ def test_a_drift_is_reported_with_the_day_of_its_limit(
     assert found["eccentricity"]["form"] == "constant"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("judge", "error", "times"),
-    [
-        (fleet_tasks.stuck_first, LATE, 1),
-        pytest.param(fleet_tasks.deadly_first, KILLED, 3, marks=pytest.mark.slow),
-    ],
+    ("judge", "error", "times"), [(fleet_tasks.stuck_first, LATE, 1), (fleet_tasks.deadly_first, KILLED, 3)]
 )
 def test_a_bag_that_ends_its_worker_is_reported_and_tried_again_by_the_next_run(
     quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, judge: Any, error: str, times: int

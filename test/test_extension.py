@@ -41,7 +41,7 @@ def runs(number: int) -> tuple[np.ndarray, np.ndarray]:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bag of a joint with parameters and an effect that are not configured, and its diagnosis."""
     path = tmp_path_factory.mktemp("extension")
-    angle, torque = runs(16)
+    angle, torque = runs(10)
     made, random = true_model(), np.random.default_rng(11)
     time, stamps = np.arange(angle.size) * STEP * 1e-3, START + STEP * MS * np.arange(angle.size)
     error, _ = made.step(made.start(), time, angle, None, torque, None, made.torsion_map)

@@ -20,7 +20,7 @@ from hd_diag.fleet.cluster import ClusterPool
 from hd_diag.fleet.journal import Journal
 from hd_diag.fleet.run import Fleet, diagnose_fleet
 from hd_diag.fleet.survey import find_bags
-from hd_diag.process_pool import ATTEMPTS, Failure, ProcessPool, run
+from hd_diag.process_pool import ATTEMPTS, Failure, run
 
 pytest.importorskip("distributed")
 
@@ -138,7 +138,7 @@ def test_the_cluster_makes_the_same_rows(
     given = config()
     fleet = Fleet(find_bags([Path("bags")]), given, given.joints)
     monkeypatch.setenv(pool_tasks.CALLS, str(one_worker.calls))
-    with ProcessPool(1) as local, Journal(tmp_path / "local") as journal:
+    with pool_tasks.PoolHere() as local, Journal(tmp_path / "local") as journal:
         expected = diagnose_fleet(fleet, local, journal)
     with ClusterPool(one_worker.address) as pool, Journal(tmp_path / "cluster") as journal:
         assert diagnose_fleet(fleet, pool, journal) == expected
