@@ -132,7 +132,9 @@ def exact(angle: Array, torque: Array) -> tuple[Array, Array, Array, Array]:
     """Shares and radii of the flanks, slots and teeth."""
     contact = contacts(DRIVE.mesh, angle)
     beta = torsion(DRIVE.mesh, angle, DRIVE.frame.cup_torque(torque))
-    share = shares(contact.rotation, flank_stiffness(contact, DRIVE.mesh.tooth_compliance), beta)
+    share = shares(contact.rotation, flank_stiffness(contact, DRIVE.mesh.tooth_compliance), beta[:, None])[
+        :, 0
+    ]
     return share, np.where(np.isnan(contact.rotation), 1.0, contact.radius), contact.slots, contact.teeth
 
 

@@ -57,7 +57,7 @@ def test_shares_of_a_common_shift(mesh: Mesh) -> None:
     """Slots turned by d, all b+ grow and all b- shrink by it: the cup turns by d."""
     rotation, stiffness = flanks_of(mesh)
     beta = state(mesh, -13.0).torsion
-    found = shares(rotation, stiffness, beta)
+    found = shares(rotation, stiffness, beta[:, None])[:, 0]
     assert_allclose((FLANKS * found).sum(axis=(1, 2)), 1, rtol=1e-13)
     assert np.all(FLANKS * found >= 0)
     assert_array_equal(found != 0, FLANKS * beta[:, None, None] > rotation)
@@ -67,7 +67,7 @@ def test_shares_of_a_common_shift(mesh: Mesh) -> None:
 def test_shares_are_the_derivatives_by_each_rotation(torque: float) -> None:
     rotation, stiffness = flanks_of(MESHES["23 um"], np.array([0.4]))
     beta = torsion_of_flanks(rotation, stiffness, np.array([torque]))[:, 0]
-    found = shares(rotation, stiffness, beta)[0]
+    found = shares(rotation, stiffness, beta[:, None])[0, 0]
     step = 1e-10  # [rad], 3 nm; a flank within that of contact is in doubt
     side, column = np.nonzero(np.abs(FLANKS * beta[0] - rotation[0]) > 10 * step)
     every, both = np.arange(side.size), []

@@ -163,8 +163,7 @@ def _predicting(
 
     def tried(fit: LinearisedFit, kept: Kept, found: Search) -> _Tried:
         before, found = plain if found.chosen else fit, refitted(fit, found)
-        rows = usable(record, found.torque_shift)
-        every = linearise(record, fit.data.configured, found.fit.parameters, rows, fit.data.catalogue)
+        every = found.fit.on(usable(record, found.torque_shift))
         return _Tried(found, kept, every, *measured_gain(record, test, which, before, found, every, rng))
 
     best = tried(*kept_parameters(found.fit, found.chosen), found)

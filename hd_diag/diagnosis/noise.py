@@ -8,7 +8,6 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_toeplitz, toeplitz
-from scipy.signal import lfilter
 
 from hd_diag.arrays import Floats, Integers
 
@@ -50,11 +49,12 @@ class Whitening:
         """
         if not columns.size:
             return np.zeros_like(columns)
+        from hd_diag.diagnosis import kernel  # late: it imports numba
+
         taps = np.concatenate(([1.0], -self.coefficients)) / self.scale
-        result = np.asarray(lfilter(taps, 1.0, columns, axis=0))  # over all runs at once, then:
-        begun = np.flatnonzero(np.concatenate(([True], run[1:] != run[:-1])))[:, None] + np.arange(ORDER)
-        result[begun[begun < run.size]] = 0.0  # what reaches from one run into the next
-        return result
+        edges = np.concatenate(([0], np.flatnonzero(np.diff(run)) + 1, [run.size]))
+        wide = np.ascontiguousarray(columns.reshape(run.size, -1))
+        return np.asarray(kernel.filtered(wide, taps, edges).reshape(columns.shape))
 
 
 def bounds(run: Integers) -> list[tuple[int, int]]:

@@ -113,8 +113,8 @@ class ContactTable:
 
     @cached_property
     def share(self) -> Floats:
-        """D beta / d b of every flank [-], negative for - flanks; shape (torques, angles, 2, pairs)."""
-        return np.stack([shares(self.contact.rotation, self._stiffness, beta) for beta in self.torsion])
+        """D beta / d b of every flank [-], negative for - flanks; shape (angles, torques, 2, pairs)."""
+        return shares(self.contact.rotation, self._stiffness, self.torsion.T)
 
     @cached_property
     def mean_slot(self) -> Floats:
@@ -128,7 +128,7 @@ class ContactTable:
         count = self.drive.mesh.geometry.circular_spline_teeth
         row = np.arange(self.steps)[:, None] - _STEPS_PER_SLOT * self.contact.slots[:-1]
         row = np.mod(row, self.steps).ravel()
-        response = (self.share[:, :-1] / self._radius[:-1] / count).transpose(2, 0, 1, 3)
+        response = (self.share[:-1] / self._radius[:-1, None] / count).transpose(2, 1, 0, 3)
         response = response.reshape(2, -1, row.size)
         return np.array([[np.bincount(row, one, self.steps) for one in flank] for flank in response])
 
@@ -195,12 +195,13 @@ class ContactTable:
         The pair parts where the opening has used up its overlap: there the others bear all of the load, and
         the cup turns no further.
         """
-        place = (angle_row * 2 + flank) * self.share.shape[3] + pair
-        radius = self._radius.take(place)
+        pairs = self.share.shape[3]
+        radius = self._radius.take((angle_row * 2 + flank) * pairs + pair)
         if isinstance(torque_row, slice):
-            share = self.share[torque_row, angle_row, flank, pair]
+            share = self.share[angle_row, torque_row, flank, pair].T
         else:  # by one index, which is several times as fast
-            share = self.share.take(torque_row * self._radius.size + place)
+            row = angle_row * self.torque_nodes.size + torque_row
+            share = self.share.take((row * 2 + flank) * pairs + pair)
         if opening <= 0.0:
             return np.asarray(share / radius)
         overlap = FLANKS[flank, 0] * self.torsion[torque_row, angle_row] - np.nan_to_num(
@@ -210,33 +211,34 @@ class ContactTable:
         return np.asarray(share / radius * np.minimum(1.0, parted / opening))
 
     def _harmonic(self, error: Error, order: int) -> Complexes:
-        turning: Complexes = np.exp(
-            1j * order * (self._tooth_angle if error == "tooth" else self._slot_angle)
-        )
-        responses = self._kept.get(error, lambda: self._responses(error))
-        found = responses @ np.stack((turning.real, turning.imag), axis=2)
-        return np.asarray((found[..., 0] + 1j * found[..., 1]).T)
-
-    def _responses(self, error: Error) -> Floats:
-        """Response to every pair's own error [rad/m], shape (angles, torques, pairs).
+        """As `harmonic`.
 
         A slot that moves outward opens both flanks (db) and moves their contacts, which changes how stiff
         they are (dk): ``K d beta`` is the sum of ``k db - overlap dk`` over the loaded flanks.
         """
+        turning = np.exp(1j * order * (self._tooth_angle if error == "tooth" else self._slot_angle))
         if error == "radial":
             opening, softening = self._radial_slopes
-            fixed = np.nan_to_num(opening + self.contact.rotation * softening)
-            with_torsion = self._summed(FLANKS * np.nan_to_num(softening))
-            found = self._summed(fixed) - self.torsion[:, :, None] * with_torsion
+            fixed = opening + self.contact.rotation * softening
+            weights = np.nan_to_num(np.stack((fixed, FLANKS * softening)))
         else:
-            weight = {"slot": FLANKS, "tooth": -FLANKS, "clearance": np.ones((2, 1))}[error]
-            found = self._summed(weight / self._radius)
-        return np.ascontiguousarray(found.transpose(1, 0, 2))
+            weights = self._weights[error]
+        found = self._summed(weights * turning[:, None, :])
+        return np.asarray(found[0] - self.torsion * found[1] if error == "radial" else found[0])
 
-    def _summed(self, weight: Floats) -> Floats:
-        """Shares times a weight of every flank, shape (angles, 2, pairs), summed over both flanks."""
-        plus, minus = (self.share[:, :, flank] * weight[:, flank] for flank in (0, 1))
-        return np.asarray(plus + minus)
+    @cached_property
+    def _weights(self) -> dict[str, Floats]:
+        """Response of every flank to an error of its own [rad/m], shape (1, angles, 2, pairs)."""
+        inverse = 1.0 / self._radius[None]
+        return {"slot": FLANKS * inverse, "tooth": -FLANKS * inverse, "clearance": inverse}
+
+    def _summed(self, weights: Complexes) -> Complexes:
+        """Shares times weights (k, angles, 2, pairs) of every flank, summed; shape (k, torques, angles)."""
+        angles, torques = self.share.shape[:2]
+        flat = weights.reshape(len(weights), angles, -1)
+        columns = np.concatenate((flat.real, flat.imag)).transpose(1, 2, 0)
+        found = (self.share.reshape(angles, torques, -1) @ columns).transpose(2, 1, 0)
+        return np.asarray(found[: len(weights)] + 1j * found[len(weights) :])
 
     def _displaced(self, circumferential: Floats, radial: Floats, *clearance: Floats) -> Floats:
         slots = self.contact.slots
@@ -252,12 +254,12 @@ class ContactTable:
 
     def _teeth_beyond(self, displacement: Displacement, coefficients: Floats) -> Floats:
         every = slice(None, None, _SPARSE)
-        rest, stiffness, share = self.contact.rotation[every], self._stiffness[every], self.share[:, every]
+        rest, stiffness, share = self.contact.rotation[every], self._stiffness[every], self.share[every]
         found = []
         for phase in np.pi / PHASES * np.arange(PHASES):
             moved = displacement(coefficients, self._tooth_angle[every] + phase)
             turned = -FLANKS * moved[:, None, :] / self._radius[every]
-            first = np.einsum("tafp,afp->ta", share, turned)
+            first = np.einsum("atfp,afp->ta", share, turned)
             found.append(self._torsion(rest + turned, stiffness) - self.torsion[:, every] - first)
         place = np.arange(self.steps + 1) / _SPARSE
         low = np.minimum(place.astype(np.int64), found[0].shape[1] - 2)

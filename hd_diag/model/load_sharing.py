@@ -123,10 +123,10 @@ def torsion_of_flanks(rotation: Floats, stiffness: Floats, torque: Floats) -> Fl
 
 
 def shares(rotation: Floats, stiffness: Floats, torsion: Floats) -> Floats:
-    """Derivatives of the torsion (moments,) by each flank's rotation (moments, 2, teeth) [-].
+    """Derivatives of torsions (moments, torques) by each flank's rotation; (moments, torques, 2, teeth) [-].
 
-    ``d beta / d b = +-k / sum k`` of loaded flanks, negative for - flanks; zero of others.
+    Rotations and stiffnesses as of :func:`torsion_of_flanks`. ``d beta / d b = +-k / sum k`` of loaded
+    flanks, negative for - flanks; zero of others.
     """
-    bearing = np.where(FLANKS * torsion[:, None, None] > rotation, stiffness, 0.0)
-    total = bearing.sum(axis=(1, 2), keepdims=True)
-    return np.asarray(FLANKS * bearing / np.where(total > 0.0, total, np.inf))
+    found: Floats = kernel.entry.shares(*map(contiguous, (rotation, stiffness, torsion)))
+    return found

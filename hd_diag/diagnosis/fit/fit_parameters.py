@@ -55,8 +55,11 @@ _NODES_PAY = 2.0  # samples per node from which they do
 
 def warm_up() -> None:
     """Compile now, or read from the disk, what a diagnosis needs."""
+    from hd_diag.diagnosis import kernel  # late: it imports numba
+
     torsion.warm_up(gradient=True)
     recursions.warm_up()
+    kernel.warm_up()
 
 
 def units(configured: Drive) -> Floats:

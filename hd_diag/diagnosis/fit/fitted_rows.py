@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from hd_diag.arrays import Floats, Integers
-from hd_diag.diagnosis.fit import fit_parameters
-from hd_diag.diagnosis.fit.refit import usable
+from hd_diag.diagnosis.fit.record_model import RecordModel
 from hd_diag.diagnosis.measured_noise import (
     MeasuredNoise,
     Revisits,
@@ -20,29 +18,18 @@ from hd_diag.diagnosis.measured_noise import (
     of_counts,
     revisits,
 )
-from hd_diag.diagnosis.noise import Whitening, bounds, whitening, whitening_of
+from hd_diag.diagnosis.noise import Whitening, whitening, whitening_of
 from hd_diag.diagnosis.record import Record
-from hd_diag.diagnosis.smoothing import smooth
 from hd_diag.drive import Drive
 from hd_diag.effects import Catalogue
-from hd_diag.effects.contact_weights import contact_weights
 from hd_diag.effects.effect import Effect, Values
 from hd_diag.effects.kept import Kept
-from hd_diag.effects.mesh_torque import MeshTorque
 from hd_diag.effects.signals import Signals
 
 _BLOCKS = 24
 _MISFIT = 1.15  # times the measured noise, beyond which a residual does not say what the noise is like
-_MOST_KEPT = 128 << 20  # bytes
+_MOST_KEPT = 96 << 20  # bytes
 _KNOWN = 2  # parameters, for a search that goes back to them
-
-
-class Linearised(NamedTuple):
-    """The model at some parameters: signals of all rows and of the fitted ones, derivatives of all rows."""
-
-    whole: Signals
-    signals: Signals
-    derivatives: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,22 +38,34 @@ class FittedRows:
 
     Parameters
     ----------
-    source : Record
-        All that is known: causes with memory go through every row of it.
-    configured : Drive
+    model : RecordModel
+        Of all rows.
     mask : ndarray of bool, shape (n,)
         Which rows are fitted.
     catalogue : tuple of Effect
         Causes to search among.
     """
 
-    source: Record
-    configured: Drive
+    model: RecordModel
     mask: npt.NDArray[np.bool_]
     catalogue: Catalogue
-    _linearised: dict[bytes, Linearised] = field(default_factory=dict, init=False)
+    _signals: dict[bytes, Signals] = field(default_factory=dict, init=False)
     _testable: dict[str, tuple[bool, str]] = field(default_factory=dict, init=False)
     _grids: dict[str, list[Values]] = field(default_factory=dict, init=False)
+
+    @property
+    def source(self) -> Record:
+        """All rows."""
+        return self.model.record
+
+    @property
+    def configured(self) -> Drive:
+        """The simulation as configured."""
+        return self.model.configured
+
+    def on(self, mask: npt.NDArray[np.bool_]) -> FittedRows:
+        """Other rows of the same record."""
+        return self if np.array_equal(mask, self.mask) else FittedRows(self.model, mask, self.catalogue)
 
     @cached_property
     def at(self) -> Integers:
@@ -115,7 +114,7 @@ class FittedRows:
     @cached_property
     def revisits(self) -> Revisits:
         """Fitted rows at which the drive is in the same state."""
-        return revisits(self._any.signals)
+        return revisits(self._motion)
 
     def noise_of(self, residual: Floats) -> MeasuredNoise:
         """Noise of a residual of the fitted rows [rad], shape (n,), whatever misfit is in it."""
@@ -129,26 +128,25 @@ class FittedRows:
             return whitening(residual, self.run)
         return whitening_of(measured_covariance(residual, self.run, self.revisits, noise))
 
-    def linearised(self, parameters: Floats) -> Linearised:
-        """The model at parameters in units of `fit_parameters.units`; the latest are kept."""
-        known, key = self._linearised, parameters.tobytes()
-        if key not in known:
-            known[key] = self._linearise(parameters)
-        known[key] = known.pop(key)
+    def signals(self, parameters: Floats) -> Signals:
+        """Of the fitted rows at parameters in units of `fit_parameters.units`; the latest are kept."""
+        known, key = self._signals, parameters.tobytes()
+        part = known.pop(key) if key in known else self.model.at(parameters).signals.part(self.at)
+        known[key] = part
         while len(known) > _KNOWN:
             del known[next(iter(known))]
-        return known[key]
+        return part
 
     def testable(self, effect: Effect) -> tuple[bool, str]:
         """Whether the motion allows to find an effect; if not, which extra motion would."""
         if effect.name not in self._testable:
-            self._testable[effect.name] = effect.testable(self._any.signals)
+            self._testable[effect.name] = effect.testable(self._motion)
         return self._testable[effect.name]
 
     def grid(self, effect: Effect) -> list[Values]:
         """Start points of an effect's nonlinear values."""
         if effect.name not in self._grids:
-            self._grids[effect.name] = effect.starts(self._any.signals).points
+            self._grids[effect.name] = effect.starts(self._motion).points
         return self._grids[effect.name]
 
     def grid_step(self, effect: Effect, point: Values) -> Floats:
@@ -160,39 +158,10 @@ class FittedRows:
             [s if np.isfinite(s) else 0.1 * max(abs(p), 1e-3) for s, p in zip(steps, point, strict=True)]
         )
 
-    def torque(self, effect: MeshTorque, nonlinear: Values) -> Floats:
-        """What an effect adds to the torque at all rows [N m per unit], shape (n, size)."""
-
-        def torque() -> Floats:
-            columns = np.nan_to_num(effect.torque(self._any.whole, nonlinear))
-            record, width = self.source, self.source.torque_window
-            if not (effect.reported and width):
-                return columns
-            step = float(np.median(np.diff(record.time)))
-            return smooth(columns, record.run, step, width)
-
-        return self.kept.get(("torque", effect.name, nonlinear), torque)
-
-    def derivatives(self, parameters: Floats, shift: Floats) -> Floats:
-        """Of the model by its parameters at all rows, under a torque more by a shift (n,) [N m]; (n, 7)."""
-        if not shift.any():
-            return self.linearised(parameters).derivatives
-        drive = fit_parameters.drive_of(parameters, self.configured)
-        torque = self.source.torque + shift
-        return fit_parameters.along(drive, self.configured, self.source.input_angle, torque)[1]
-
-    def rate(self, values: Floats) -> Floats:
-        """Derivative by time of values at all rows, run by run."""
-        rate = np.zeros(self.source.size)
-        for begin, end in bounds(self.source.run):
-            if end - begin > 2:
-                rate[begin:end] = np.gradient(values[begin:end], self.source.time[begin:end])
-        return rate
-
     @cached_property
     def smooth(self) -> Floats:
         """What any cause may look like at the fitted rows: low orders, powers of torque, speed; (n, k)."""
-        s = self._any.signals
+        s = self._motion
         theta, turned = s.wave_generator_angle, s.wave_generator_angle + s.output_angle
         load = s.torque / max(float(np.max(np.abs(s.torque))), 1e-9)
         columns = [f(k * theta) for k in (1, 2, 3, 4, 6, 8) for f in (np.cos, np.sin)]
@@ -202,45 +171,7 @@ class FittedRows:
         speed = s.speed / max(float(np.max(np.abs(s.speed))), 1e-9)
         return np.stack([*columns, load**3, load * np.abs(load), np.abs(load), load * speed]).T
 
-    @property
-    def _any(self) -> Linearised:
+    @cached_property
+    def _motion(self) -> Signals:
         """At whatever parameters, for what is asked of the motion alone."""
-        known = next(iter(self._linearised.values()), None)
-        return known or self.linearised(fit_parameters.vector(self.configured, self.configured))
-
-    def _linearise(self, parameters: Floats) -> Linearised:
-        record, drive = self.source, fit_parameters.drive_of(parameters, self.configured)
-        error, derivatives, slope = fit_parameters.along(
-            drive, self.configured, record.input_angle, record.torque
-        )
-        angle = drive.frame.wave_generator_angle(record.input_angle)
-        torsion = -drive.frame.torque_sign * (error + drive.cup_compliance * record.torque)
-        whole = Signals(
-            time=record.time,
-            wave_generator_angle=angle,
-            output_angle=record.input_angle / drive.frame.ratio,
-            speed=record.speed,
-            torque=record.torque,
-            temperature=record.temperature,
-            run=record.stretch,
-            predicted=error,
-            predicted_torque_slope=slope,
-            predicted_rate=self.rate(error),
-            contact=contact_weights(drive, angle, record.torque, torsion),
-        )
-        return Linearised(whole, whole.part(self.at), derivatives)
-
-
-def fitted_rows(
-    record: Record,
-    configured: Drive,
-    catalogue: Catalogue,
-    mask: npt.NDArray[np.bool_] | None = None,
-    shift: Floats | float = 0.0,
-) -> FittedRows:
-    """Rows of a record where the model's error is well defined; of these the ones in a mask, if given.
-
-    Near zero torque it is not, reported or shifted [N m].
-    """
-    found = usable(record, shift)
-    return FittedRows(record, configured, found if mask is None else found & mask, catalogue)
+        return self.model.motion.part(self.at)

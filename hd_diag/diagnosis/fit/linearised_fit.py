@@ -12,9 +12,11 @@ import numpy.typing as npt
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import Design, design, inverse, projection
-from hd_diag.diagnosis.fit.fitted_rows import FittedRows, fitted_rows
+from hd_diag.diagnosis.fit.fitted_rows import FittedRows
 from hd_diag.diagnosis.fit.mesh_torques import mesh_torques
 from hd_diag.diagnosis.fit.present_effects import Item, PresentEffects, Sized
+from hd_diag.diagnosis.fit.record_model import RecordModel
+from hd_diag.diagnosis.fit.refit import usable
 from hd_diag.diagnosis.noise import ORDER, Whitening
 from hd_diag.diagnosis.record import Record
 from hd_diag.drive import Drive
@@ -64,10 +66,12 @@ class LinearisedFit:
 
     def clear_of(self, shift: Floats) -> LinearisedFit:
         """Exclude rows where reported torque plus a shift [N m] of all rows is near zero; beside nothing."""
-        data = fitted_rows(self.data.source, self.data.configured, self.data.catalogue, self.data.mask, shift)
-        if np.array_equal(data.mask, self.data.mask):
-            return self
-        return LinearisedFit(data, self.parameters, self.whiten)
+        data = self.data.on(self.data.mask & usable(self.data.source, shift))
+        return self if data is self.data else LinearisedFit(data, self.parameters, self.whiten)
+
+    def on(self, rows: npt.NDArray[np.bool_]) -> LinearisedFit:
+        """On other rows (n,) of the record, their noise not known yet; beside nothing."""
+        return LinearisedFit(self.data.on(rows), self.parameters)
 
     def with_noise(self, chosen: Chosen) -> LinearisedFit:
         """Whitened by the residual of a model rich enough to leave only noise."""
@@ -175,7 +179,7 @@ class LinearisedFit:
         Of another torque, along the whole record: most of it is near zero torque, which no fit uses.
         """
         if isinstance(effect, MeshTorque):
-            alone = mesh_torques(self.data, self.parameters, [((effect, nonlinear), coefficients)])
+            alone = mesh_torques(self.data.model, self.parameters, [((effect, nonlinear), coefficients)])
             return float(np.std(alone.error))
         return float(np.std(self.effects.full_size(effect, nonlinear, coefficients)))
 
@@ -218,4 +222,6 @@ def linearise(
     Of parameters (7,) in units of `fit_parameters.units`, on some rows (n,) where the error is well defined,
     on all of these without.
     """
-    return LinearisedFit(fitted_rows(record, configured, catalogue, rows), parameters)
+    found = usable(record)
+    mask = found if rows is None else found & rows
+    return LinearisedFit(FittedRows(RecordModel(record, configured), mask, catalogue), parameters)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.diagnosis.fit.fitted_rows import FittedRows
+from hd_diag.diagnosis.fit.record_model import RecordModel
 from hd_diag.effects.effect import Effect, Values
 from hd_diag.effects.mesh_torque import MeshTorque
 from hd_diag.effects.signals import Signals
@@ -29,28 +29,28 @@ class MeshTorques:
 
     Parameters
     ----------
-    data : FittedRows
+    model : RecordModel
     parameters : ndarray, shape (7,)
         Of the model, in units of `fit_parameters.SCALES`.
     causes : tuple
     """
 
-    data: FittedRows
+    model: RecordModel
     parameters: Floats
     causes: Torques
 
     @cached_property
     def more(self) -> Floats:
         """Real less reported torque [N m], shape (n,)."""
-        total = np.zeros(self.data.source.size)
+        total = np.zeros(self.model.record.size)
         for (effect, nonlinear), coefficients in self.causes:
-            total += self.data.torque(effect, nonlinear) @ coefficients
+            total += self.model.torque(effect, nonlinear) @ coefficients
         return total
 
     @cached_property
     def error(self) -> Floats:
         """What the model does under it beside its own error [rad], shape (n,)."""
-        return self._under(self.more) if self.causes else np.zeros(self.data.source.size)
+        return self._under(self.more) if self.causes else np.zeros(self.model.record.size)
 
     @cached_property
     def slope(self) -> Floats:
@@ -64,14 +64,14 @@ class MeshTorques:
         if not self.causes:
             steep = whole.predicted_torque_slope  # without end in the gap between the flanks
             return np.where(np.abs(steep) < _STEEPEST, steep, 0.0)
-        return self.data.kept.get((self.parameters.tobytes(), "slope", self.key), slope)
+        return self.model.kept.get((self.parameters.tobytes(), "slope", self.key), slope)
 
     @property
     def rounded(self) -> MeshTorques:
         """The same causes at sizes that hardly change the model's derivatives: these are costly."""
-        step, found = _TOLD_APART * self.data.configured.rated_torque, []
+        step, found = _TOLD_APART * self.model.configured.rated_torque, []
         for (effect, nonlinear), coefficients in self.causes:
-            reach = np.max(np.abs(self.data.torque(effect, nonlinear)), axis=0, initial=1e-9)
+            reach = np.max(np.abs(self.model.torque(effect, nonlinear)), axis=0, initial=1e-9)
             found.append(((effect, nonlinear), np.rint(coefficients * reach / step) * step / reach))
         return replace(self, causes=tuple(found))
 
@@ -82,11 +82,11 @@ class MeshTorques:
 
     def derivatives(self) -> Floats:
         """Of the model by its parameters under it, shape (n, 7)."""
-        return self.data.derivatives(self.parameters, self.more)
+        return self.model.derivatives(self.parameters, self.more)
 
     def columns(self, effect: MeshTorque, nonlinear: Values) -> Floats:
         """Of a cause beside these [rad per unit], shape (n, size)."""
-        return np.asarray(self.slope[:, None] * self.data.torque(effect, nonlinear))
+        return np.asarray(self.slope[:, None] * self.model.torque(effect, nonlinear))
 
     def beside(self, effect: MeshTorque, nonlinear: Values, coefficients: Floats) -> Floats:
         """What a cause of some size does beside these, itself left out [rad], shape (n,)."""
@@ -99,19 +99,19 @@ class MeshTorques:
         if not self.causes:
             return self._whole
         error = self._whole.predicted + self.error
-        return replace(self._whole, predicted=error, predicted_rate=self.data.rate(error))
+        return replace(self._whole, predicted=error, predicted_rate=self.model.rate(error))
 
     @property
     def _whole(self) -> Signals:
-        return self.data.linearised(self.parameters).whole
+        return self.model.at(self.parameters).signals
 
     def _under(self, more: Floats) -> Floats:
         return np.nan_to_num(self._whole.contact.under_more_torque(more))
 
 
 def mesh_torques(
-    data: FittedRows, parameters: Floats, sized: Iterable[tuple[tuple[Effect, Values], Any]]
+    model: RecordModel, parameters: Floats, sized: Iterable[tuple[tuple[Effect, Values], Any]]
 ) -> MeshTorques:
     """Of the effects among some that are torque; see :class:`MeshTorques`."""
     causes = [((e, nonlinear), one) for (e, nonlinear), one in sized if isinstance(e, MeshTorque)]
-    return MeshTorques(data, parameters, tuple(causes))
+    return MeshTorques(model, parameters, tuple(causes))

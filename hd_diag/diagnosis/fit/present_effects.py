@@ -44,12 +44,12 @@ class PresentEffects:
     @cached_property
     def whole(self) -> Signals:
         """Of all rows."""
-        return self.data.linearised(self.parameters).whole
+        return self.data.model.at(self.parameters).signals
 
     @cached_property
     def signals(self) -> Signals:
         """Of the fitted rows."""
-        return self.data.linearised(self.parameters).signals
+        return self.data.signals(self.parameters)
 
     def kept(self, *key: Hashable, compute: Callable[[], Floats]) -> Floats:
         """What was computed at these parameters, by names of its own."""
@@ -89,11 +89,11 @@ class PresentEffects:
 
     def torque(self, sized: Sized) -> Floats:
         """What effects add to the torque in the mesh at all rows [N m]."""
-        return mesh_torques(self.data, self.parameters, sized).more
+        return mesh_torques(self.data.model, self.parameters, sized).more
 
     def together(self, sized: Sized) -> Floats:
         """Part of several effects in the error, torques added up before the mesh bears them; (n,) [rad]."""
-        torques = mesh_torques(self.data, self.parameters, sized)
+        torques = mesh_torques(self.data.model, self.parameters, sized)
         rest = [self.full_size(*item, one) for item, one in sized if item[0].stage != Stage.TORQUE]
         return np.asarray(sum(rest, torques.error.take(self.data.at)))
 
@@ -116,7 +116,7 @@ class PresentEffects:
     @cached_property
     def _torques(self) -> MeshTorques:
         """Of the present effects."""
-        return mesh_torques(self.data, self.parameters, self.present)
+        return mesh_torques(self.data.model, self.parameters, self.present)
 
     @cached_property
     def _before(self) -> Sized:
@@ -172,7 +172,8 @@ class PresentEffects:
         if not self._sees_all(effect):
             return of(self.signals)
         if effect.of_teeth and size is None:  # they see no other effect, but what carries them varies
-            columns = self.kept("whole", effect.name, nonlinear, compute=whole)
+            key = (self.parameters.tobytes(), "whole", effect.name, nonlinear)
+            columns = self.data.model.kept.get(key, whole)
         else:
             columns = whole()
         return self._carried(columns, effect.stage, effect.of_teeth).take(self.data.at, axis=0)
@@ -200,7 +201,7 @@ class PresentEffects:
                 for (e, nonlinear), coefficients in self._before
                 if Stage.TORQUE < e.stage < stage
             ]
-            self._behind[stage] = seen_at(stage, self._torques.signals(), parts, self.data.rate)
+            self._behind[stage] = seen_at(stage, self._torques.signals(), parts, self.data.model.rate)
         return self._behind[stage]
 
     @cached_property

@@ -61,6 +61,22 @@ def torsion_of_flanks(rotation: Floats, stiffness: Floats, torque: Floats) -> Fl
 
 
 @entry_point
+def shares(rotation: Floats, stiffness: Floats, torsion: Floats) -> Floats:
+    """Shares (n, q, 2, flanks) in the stiffness at torsions (n, q) of such flanks, negative for - flanks."""
+    share = np.empty((*torsion.shape, 2, rotation.shape[2]))
+    for i in range(torsion.shape[0]):
+        for j in range(torsion.shape[1]):
+            beta, here, total = torsion[i, j], share[i, j], 0.0
+            for k in range(rotation.shape[2]):
+                here[0, k] = stiffness[i, 0, k] if beta > rotation[i, 0, k] else 0.0
+                here[1, k] = -stiffness[i, 1, k] if -beta > rotation[i, 1, k] else 0.0
+                total += here[0, k] - here[1, k]
+            if total > 0.0:
+                here /= total
+    return share
+
+
+@entry_point
 def curves(mesh: MeshData, turn: Floats, eccentricity: Complexes, limit: float) -> tuple[Floats, Floats]:
     """Breakpoints within a torque limit: torques and torsions (n, breakpoints)."""
     work, columns, used = scratch(mesh.constants), 2 * mesh.constants.flexspline_teeth + 4, 0
@@ -213,5 +229,6 @@ def warm_up(gradient: bool) -> None:
     interpolate(rows, rows, columns(rows), 0.0, row, row, row, 0, 0)
     if gradient:
         torsion_of_flanks(flat, flat, row)
+        shares(flat, flat, rows[:0])
         torsion_and_gradient(mesh, row, center, row)
         torsion_along(mesh, row, center, 0.0, row.astype(np.int64), row, row)

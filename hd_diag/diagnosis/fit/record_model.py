@@ -1,0 +1,117 @@
+"""The model along all rows of a record, whichever of them are fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from hd_diag.arrays import Floats
+from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.noise import bounds
+from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.smoothing import smooth
+from hd_diag.drive import Drive
+from hd_diag.effects.contact_weights import contact_weights
+from hd_diag.effects.effect import Values
+from hd_diag.effects.kept import Kept
+from hd_diag.effects.mesh_torque import MeshTorque
+from hd_diag.effects.signals import Signals
+
+_MOST_KEPT = 64 << 20  # bytes
+_KNOWN = 3  # parameters, for a search that goes back to them
+
+
+class AtParameters(NamedTuple):
+    """The model at some parameters along a record: its signals, and its derivatives (n, 7)."""
+
+    signals: Signals
+    derivatives: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class RecordModel:
+    """A record and what the model does along it, computed once for all fits of any of its rows.
+
+    Parameters
+    ----------
+    record : Record
+        All that is known: causes with memory go through every row of it.
+    configured : Drive
+    """
+
+    record: Record
+    configured: Drive
+    _known: dict[bytes, AtParameters] = field(default_factory=dict, init=False)
+
+    @cached_property
+    def kept(self) -> Kept:
+        """What was computed of all rows and may be needed again."""
+        return Kept(_MOST_KEPT)
+
+    def at(self, parameters: Floats) -> AtParameters:
+        """The model at parameters in units of `fit_parameters.units`; the latest are kept."""
+        known, key = self._known, parameters.tobytes()
+        known[key] = known.pop(key) if key in known else self._at(parameters)
+        while len(known) > _KNOWN:
+            del known[next(iter(known))]
+        return known[key]
+
+    @property
+    def motion(self) -> Signals:
+        """At whatever parameters, for what is asked of the motion alone."""
+        known = next(iter(self._known.values()), None)
+        return (known or self.at(fit_parameters.vector(self.configured, self.configured))).signals
+
+    def torque(self, effect: MeshTorque, nonlinear: Values) -> Floats:
+        """What an effect adds to the torque at all rows [N m per unit], shape (n, size)."""
+
+        def torque() -> Floats:
+            columns = np.nan_to_num(effect.torque(self.motion, nonlinear))
+            record, width = self.record, self.record.torque_window
+            if not (effect.reported and width):
+                return columns
+            step = float(np.median(np.diff(record.time)))
+            return smooth(columns, record.run, step, width)
+
+        return self.kept.get(("torque", effect.name, nonlinear), torque)
+
+    def derivatives(self, parameters: Floats, shift: Floats) -> Floats:
+        """Of the model by its parameters at all rows, under a torque more by a shift (n,) [N m]; (n, 7)."""
+        if not shift.any():
+            return self.at(parameters).derivatives
+        drive = fit_parameters.drive_of(parameters, self.configured)
+        torque = self.record.torque + shift
+        return fit_parameters.along(drive, self.configured, self.record.input_angle, torque)[1]
+
+    def rate(self, values: Floats) -> Floats:
+        """Derivative by time of values at all rows, run by run."""
+        rate = np.zeros(self.record.size)
+        for begin, end in bounds(self.record.run):
+            if end - begin > 2:
+                rate[begin:end] = np.gradient(values[begin:end], self.record.time[begin:end])
+        return rate
+
+    def _at(self, parameters: Floats) -> AtParameters:
+        record, drive = self.record, fit_parameters.drive_of(parameters, self.configured)
+        error, derivatives, slope = fit_parameters.along(
+            drive, self.configured, record.input_angle, record.torque
+        )
+        angle = drive.frame.wave_generator_angle(record.input_angle)
+        torsion = -drive.frame.torque_sign * (error + drive.cup_compliance * record.torque)
+        signals = Signals(
+            time=record.time,
+            wave_generator_angle=angle,
+            output_angle=record.input_angle / drive.frame.ratio,
+            speed=record.speed,
+            torque=record.torque,
+            temperature=record.temperature,
+            run=record.stretch,
+            predicted=error,
+            predicted_torque_slope=slope,
+            predicted_rate=self.rate(error),
+            contact=contact_weights(drive, angle, record.torque, torsion),
+        )
+        return AtParameters(signals, derivatives)
