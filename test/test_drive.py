@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from reference import published
 
-from hd_diag.drive import Drive, Drives, MeshState, mesh_state, transmission_error
+from hd_diag.drive import Drive, MeshState, mesh_state, transmission_error
 from hd_diag.model.contact import contacts
 from hd_diag.model.torsion import torsion
 from hd_diag.model.torsion_map import ARCSEC, TorsionMap, build
@@ -115,19 +115,3 @@ def test_a_map_gives_the_same_within_its_bound_and_beyond_it_the_solution_is_exa
     assert_array_equal(found[beyond], exact[beyond])
     assert 0.0 < np.abs(found - exact).max() <= table.error_bound + 1e-15
     assert table.error_bound < 0.04 * ARCSEC
-
-
-def test_drives_side_by_side_give_each_its_own_error_to_the_last_bit(table: TorsionMap) -> None:
-    """By a map, beyond it, and without one; the output at either member."""
-    backwards = Drive(ASTRAY.mesh, Kinematics(-101.0, "circular_spline", 0.4), RATED)
-    given, tables = [ASTRAY, ALIGNED, backwards, ASTRAY], [table, None, table, None]
-    number, angle = np.array([2, 0, 3, 0, 1]), np.array([4.4, 0.3, 0.3, 7.1, -2.0])
-    torque = np.array([-20.0, 12.0, 0.0, 55.0, 5.0])
-    drives_ = Drives(given)
-    found = drives_.transmission_error(drives_.frame(number), number, angle, torque, tables)
-    alone = [
-        transmission_error(given[n], angle[k : k + 1], torque[k : k + 1], tables[n])[0]
-        for k, n in enumerate(number)
-    ]
-    assert_array_equal(found, alone)
-    assert len(set(alone)) == len(alone)

@@ -182,6 +182,28 @@ def test_a_map_is_used_from_the_next_sample_on_and_kept_while_its_mesh_is() -> N
     assert monitor.joints["a"].table is MAPS["a"]
 
 
+def test_drives_side_by_side_give_each_its_own_error_to_the_last_bit() -> None:
+    """By a map, beyond it and without one, the output at either member; many messages at once and apart."""
+    other = {"c__ratio": -101.0, "c__output": "circular_spline", "c__wave_generator_phase": 0.4}
+    monitor = Monitor(config("a", "b", "c", a__cup_compliance=1e-5, **other))
+    given = monitor.config.joints
+    tables = {"a": MAPS["a"], "b": None, "c": map_of(given[2])}
+    assert all(monitor.use_map(name, table) for name, table in tables.items() if table is not None)
+    names = [name for joint in given for name in (joint.input_joint, joint.output_joint)]
+    angle = np.linspace(-7.0, 9.0, 24).reshape(8, 3)
+    torque = np.linspace(-150.0, 150.0, 24).reshape(8, 3)[::-1]
+    position, effort = np.repeat(angle, 2, axis=1), np.repeat(torque, 2, axis=1)
+    stamp = (START + MS * np.arange(8)).tolist()
+    published = run(monitor, states(names, stamp[:6], position[:6], effort[:6]))
+    for row in (6, 7):
+        published += run(monitor, states(names, stamp[row:][:1], position[row:][:1], effort[row:][:1]))
+    errors = np.concatenate([each.position for each in found(published, "~/transmission_error")])
+    assert max(abs(torque[:, 0])) > MAPS["a"].torque_limit
+    for number, joint in enumerate(given):
+        alone = transmission_error(joint.drive, angle[:, number], torque[:, number], tables[joint.name])
+        assert_array_equal(errors[:, number], alone)
+
+
 def test_an_outdated_map_is_refused() -> None:
     monitor = Monitor(CONFIG)
     monitor.use_map("a", MAPS["a"])

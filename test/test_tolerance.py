@@ -65,12 +65,12 @@ def test_an_environment_compiles_the_kernels_of_model_and_tolerances() -> None:
     (code,) = re.findall(r"-c '(.*warm_up.*)'", (ROOT / "scripts" / "environment.sh").read_text())
     kernels = (
         "tolerance.evaluate, entry.torsion, entry.torsion_and_gradient, entry.torsion_of_flanks, *slow,"
-        "align, messages.write, messages.read"
+        "align, messages.write, messages.read, monitor.compare, monitor.follow, monitor.lost"
     )
     compiled = f"print([len(k.signatures) for k in ({kernels})])"
     imports = (
         "from hd_diag.model.kernel import entry; from hd_diag.tolerance import kernel as tolerance;"
-        "from hd_diag.messages import kernel as messages;"
+        "from hd_diag.messages import kernel as messages; from hd_diag.monitor import kernel as monitor;"
         "from hd_diag.effects import recursions as r;"
         "from hd_diag.effects.contact_table import contact_table;"
         "from hd_diag.streams.kernel import align; slow = [r._compiled(f) for f in (r._slip, r._relax)]"
@@ -86,7 +86,7 @@ def test_an_environment_compiles_the_kernels_of_model_and_tolerances() -> None:
     program = f"import sys; {here}; {code}; {imports}; {compiled}; {use}; {compiled}"
     command = [sys.executable, "-c", program]
     ran = subprocess.run(command, check=True, capture_output=True, text=True, timeout=300)
-    assert ran.stdout.splitlines() == ["[1, 1, 1, 1, 1, 1, 1, 1, 2]"] * 2
+    assert ran.stdout.splitlines() == ["[1, 1, 1, 1, 1, 1, 1, 1, 2, 1, 1, 1]"] * 2
 
 
 def test_moments_are_those_of_the_mesh() -> None:

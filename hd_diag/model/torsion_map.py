@@ -12,6 +12,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 
@@ -69,14 +70,16 @@ class TorsionMap:
         return float(self.torque[0, -1])
 
     @cached_property
-    def read(self) -> partial[None]:
-        """Sets rows of the torsions as a call gives them: ``read(angle, torque, torsion, first, last)``.
+    def place(self) -> tuple[int, int, int, int, int, float]:
+        """Where the table lies, for kernels: addresses of breakpoints, torsions and index, size, limit."""
+        *arrays, limit = self._table
+        return *(array.ctypes.data for array in arrays), *self.torque.shape, limit
 
-        From the first row to before the last; for maps one after the other. All arrays (n,) are contiguous.
-        """
+    @cached_property
+    def _table(self) -> tuple[Floats, Floats, Any, float]:
+        """As kernels read it, index included."""
         torque, torsion = contiguous(self.torque), contiguous(self.torsion)
-        index = kernel.entry.columns(torque)
-        return partial(kernel.entry.interpolate, torque, torsion, index, float(self.torque_limit))
+        return torque, torsion, kernel.entry.columns(torque), float(self.torque_limit)
 
     def __call__(self, wave_generator_angle: Floats, torque: Floats) -> Floats:
         """Torsion (n,) [rad] at wave generator angles (n,) [rad] and torques on the cup (n,) [N m].
@@ -88,7 +91,7 @@ class TorsionMap:
         if turn.shape != load.shape:
             raise ValueError(f"{turn.size} wave generator angles, but {load.size} torques")
         beta = np.empty(turn.size)
-        spread(partial(self.read, turn, load, beta), beta.size, _SAMPLES)
+        spread(partial(kernel.entry.interpolate, *self._table, turn, load, beta), beta.size, _SAMPLES)
         return beta
 
 

@@ -16,32 +16,31 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Generic, Literal, TypeVar
+from typing import Literal
 
 from hd_diag.arrays import Floats
 from hd_diag.model.geometry import Geometry
 
 Output = Literal["flexspline", "circular_spline"]
-Value = TypeVar("Value", float, Floats)
 
 # A ratio may miss the teeth's by rounding in a configuration file, no more [-].
 _RATIO_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
-class Frame(Generic[Value]):
-    """How reported numbers map to the mesh and back: of one drive, or of k side by side with arrays (k,).
+class Frame:
+    """How reported numbers map to the mesh and back.
 
     `turning` dtheta_W / dtheta_in [-]; `phase` theta_W at input angle zero [rad]; `torque_sign` torque on the
     cup over torque on the link [-]; `ratio` reported input angle over reported output angle, signed [-];
     `cup_compliance` c_cup [rad/(N m)].
     """
 
-    turning: Value
-    phase: Value
-    torque_sign: Value
-    ratio: Value
-    cup_compliance: Value
+    turning: float
+    phase: float
+    torque_sign: float
+    ratio: float
+    cup_compliance: float
 
     def wave_generator_angle(self, input_angle: Floats) -> Floats:
         """Angle theta_W of the long axis, seen from the circular spline, at an input angle [rad]."""
@@ -98,7 +97,7 @@ class Kinematics:
                 f"{self.output.replace('_', ' ')}: its magnitude must be {expected:g}"
             )
 
-    def frame(self, geometry: Geometry, cup_compliance: float = 0.0) -> Frame[float]:
+    def frame(self, geometry: Geometry, cup_compliance: float = 0.0) -> Frame:
         """The same as numbers, for the teeth of a geometry and a torsion of the cup [rad/(N m)]."""
         turning, torque_sign = math.copysign(1.0, self.ratio), 1.0
         if self.output == "flexspline":

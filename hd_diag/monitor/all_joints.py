@@ -13,28 +13,21 @@ from typing import Any
 import numpy as np
 
 from hd_diag.arrays import Floats, Integers, Times
-from hd_diag.drive import Drives, MeshState, mesh_state
+from hd_diag.drive import MeshState, mesh_state
 from hd_diag.model.torsion_map import TorsionMap
-from hd_diag.model.transmission_error import Frame
+from hd_diag.monitor.comparison import Comparison
 from hd_diag.monitor.health import Around, reports
 from hd_diag.monitor.joint import Joint, Window, names_of
-from hd_diag.monitor.publications import (
-    NO_ERRORS,
-    Drawings,
-    Due,
-    Errors,
-    Publication,
-    Report,
-    ToothArrays,
-    angles,
-)
+from hd_diag.monitor.lost_samples import LostSamples
+from hd_diag.monitor.publications import Drawings, Due, Publication, Report, ToothArrays, angles
 from hd_diag.monitor.settings import JointConfig, MonitorConfig
 from hd_diag.streams.alignment import Aligned, Alignment, Seen, kernel
 from hd_diag.streams.columns import JointStates
 
 _NEVER = -(2**62)  # number of a period
 _NO_TIMES = np.empty(0, np.int64)
-_KEPT = 256  # messages whose errors wait one by one; more are joined, for a report may be far
+_ORDERED = "stamp", "input_angle", "output_angle", "residual"  # what the orders are followed in
+_FOLLOWED = 256  # samples that are taken into the residual's orders at once: a report may be far
 
 
 class Monitor:
@@ -59,9 +52,8 @@ class Monitor:
         self.periods = np.full((2, len(self.joints)), _NEVER)
         self._names = tuple(self.joints)
         self._reported = self.streams.joints[None].copy()
-        self._parts = [NO_ERRORS]  # since the last report, and in the orders of the residual
-        self._new: list[Errors] = []  # since then
-        self._set_drives()
+        self._comparison = Comparison()
+        self._comparison.use([*self.joints.values()])
 
     def configure(self, config: MonitorConfig) -> None:
         """Use another configuration of the same joints from the next message on."""
@@ -69,7 +61,7 @@ class Monitor:
         for joint in config.joints:
             self.joints[joint.name].configure(joint)
         self.config = config
-        self._set_drives()
+        self._comparison.use([*self.joints.values()])
 
     def use_map(self, joint: str, table: TorsionMap) -> bool:
         """Predict a joint by its map from the next message on; False if the map is of another mesh."""
@@ -77,6 +69,7 @@ class Monitor:
         if table.mesh != known.config.drive.mesh:
             return False
         known.table = table
+        self._comparison.use([*self.joints.values()])
         return True
 
     def reject(self, reason: str) -> None:
@@ -126,12 +119,11 @@ class Monitor:
         else:
             samples = self.streams.take(heard, shapes, refused)
         if samples.row.size:
-            errors = self._compare(samples)
-            self._new.append(errors)
+            errors = self._comparison.errors(samples, *self._by_models(samples))
             published = [*angles(received, errors, self._names), *self._teeth(received, samples)]
         if due:
             published += self._reports(due, seen, samples.row.size)
-        elif len(self._new) >= _KEPT:
+        elif self._comparison.count - self._comparison.followed >= _FOLLOWED:
             self._follow()
         return published
 
@@ -194,62 +186,39 @@ class Monitor:
         They end at numbers of samples that are counted from the last one on, <= 0.
         """
         amplitudes = self._follow(ends)
-        every = Errors.joined(self._parts)
-        ends = every.predicted.size + ends
-        self._parts = [every.part(slice(int(ends[-1]), None))]
+        kept = self._comparison.kept
+        ends = kept.size + ends
         known = np.concatenate((self._reported, seen))
         self._reported = known[-1:].copy()
         windows = []
         for number, joint in enumerate(self.joints.values()):
-            rows = np.flatnonzero(every.samples.joint == number)
-            own = every.part(rows), rows.searchsorted(ends), known[:, number], amplitudes[number]
+            rows = np.flatnonzero(kept["joint"] == number)
+            own = kept[rows], rows.searchsorted(ends), known[:, number], amplitudes[number]
             windows.append(joint.windows(*own))
+        self._comparison.drop(int(ends[-1]))
         return windows
 
     def _follow(self, ends: Integers = _NO_TIMES) -> list[Floats]:
         """Take what is new into the residuals' orders; amplitudes (l, orders) of each joint at `ends`."""
-        new, found = Errors.joined([NO_ERRORS, *self._new]), []
-        self._parts.append(new)
-        self._new = []
-        samples, ends = new.samples, new.predicted.size + ends
-        has_output = np.isfinite(samples.output_angle)
+        new, found = self._comparison.kept[self._comparison.followed :], []
+        self._comparison.followed = self._comparison.count
+        ends, has_output = new.size + ends, np.isfinite(new["output_angle"])
         for number, joint in enumerate(self.joints.values()):
-            rows = np.flatnonzero(has_output & (samples.joint == number))
-            own = samples.part(rows)
-            columns = own.stamp, own.input_angle, own.output_angle, new.residual[rows]
-            found.append(joint.orders.add(*columns, rows.searchsorted(ends)))
+            rows = np.flatnonzero(has_output & (new["joint"] == number))
+            columns: list[Any] = [*(new[name][rows] for name in _ORDERED), rows.searchsorted(ends)]
+            found.append(joint.orders.add(*columns))
         return found
 
-    def _set_drives(self) -> None:
-        joints = self.config.joints
-        self._drives = Drives([joint.drive for joint in joints])
-        self._modelled = [number for number, joint in enumerate(joints) if joint.model is not None]
-
-    def _compare(self, samples: Aligned) -> Errors:
-        """Predicted and measured errors."""
-        frame, speed = self._drives.frame(samples.joint), samples.speed
-        if self._modelled:
-            predicted, speed = self._by_models(samples)
-        else:
-            predicted = self._by_drives(samples, frame)
-        measured = frame.measured_error(samples.input_angle, samples.output_angle)
-        return Errors(samples, predicted, measured, measured - predicted, speed)
-
-    def _by_drives(self, samples: Aligned, frame: Frame[Floats]) -> Floats:
-        tables = [joint.table for joint in self.joints.values()]
-        given = samples.joint, samples.input_angle, samples.torque
-        return self._drives.transmission_error(frame, *given, tables)
-
-    def _by_models(self, samples: Aligned) -> tuple[Floats, Floats]:
+    def _by_models(self, samples: Aligned) -> list[Floats]:
         """Predicted errors [rad] and speeds [rad/s] where some joints have extended models."""
-        predicted, speed = np.empty(samples.row.size), samples.speed.copy()
-        plain = ~np.isin(samples.joint, self._modelled)
-        rest = samples.part(plain)
-        predicted[plain] = self._by_drives(rest, self._drives.frame(rest.joint))
-        for number in self._modelled:
+        modelled = [(number, joint) for number, joint in enumerate(self.joints.values()) if joint.runs]
+        if not modelled:
+            return []
+        predicted, speed = np.full(samples.row.size, np.nan), samples.speed.copy()
+        for number, joint in modelled:
             rows = np.flatnonzero(samples.joint == number)
-            predicted[rows], speed[rows] = self.joints[self._names[number]].predict(samples.part(rows))
-        return predicted, speed
+            predicted[rows], speed[rows] = joint.predict(samples.part(rows))
+        return [predicted, speed]
 
     def _teeth(self, received: Times, samples: Aligned) -> Iterator[Publication]:
         """Per-tooth arrays and drawings where a period of their rates has begun."""
@@ -304,3 +273,4 @@ def warm_up(config: MonitorConfig) -> None:
     states = JointStates(time, time, tuple(name for pair in names for name in pair), "", *[nothing] * 3)
     monitor.joint_states(time, states)
     monitor.tick(0, 0, {})
+    LostSamples().judge(np.arange(10), 0)

@@ -11,7 +11,6 @@ from hd_diag.arrays import Floats, Integers, Times
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.monitor.lost_samples import LostSamples
 from hd_diag.monitor.model_run import ModelRun
-from hd_diag.monitor.publications import Errors
 from hd_diag.monitor.residual_orders import ResidualOrders
 from hd_diag.monitor.settings import JointConfig
 from hd_diag.streams.alignment import Aligned, Alignment, Names
@@ -122,18 +121,18 @@ class Joint:
         model = self.config.model
         self.runs = () if model is None else (ModelRun(model), ModelRun(model))
 
-    def windows(self, errors: Errors, ends: Integers, known: Any, amplitudes: Floats) -> list[Window]:
-        """What happened between reports, of the errors of all samples since the one before them.
+    def windows(self, kept: Any, ends: Integers, known: Any, amplitudes: Floats) -> list[Window]:
+        """What happened between reports, of all samples since the one before them, as `Comparison.kept`.
 
         `ends` (l,) are how many of these came before each report, `known` (l + 1,) what was known of the
         joint at the report before and at each, `amplitudes` (l, orders) those of the orders then [rad].
         """
-        samples, is_modelled = errors.samples, np.isfinite(errors.speed)
+        is_modelled = np.isfinite(kept["speed"])
         parts = zip(
-            _pieces(samples.stamp, samples.paired == 0, ends),
-            _pieces(errors.residual, np.isfinite(samples.output_angle), ends),
-            _pieces(samples.torque, is_modelled, ends),
-            _pieces(errors.speed, is_modelled, ends),
+            _pieces(kept["stamp"], kept["paired"] == 0, ends),
+            _pieces(kept["residual"], np.isfinite(kept["output_angle"]), ends),
+            _pieces(kept["torque"], is_modelled, ends),
+            _pieces(kept["speed"], is_modelled, ends),
             np.diff(known["samples"]).tolist(),
             np.diff(known["rejected"]).tolist(),
             strict=True,

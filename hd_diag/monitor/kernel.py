@@ -1,13 +1,15 @@
-"""Orders of the residual and lost samples, compiled: imported late, for it imports numba."""
+"""Errors of samples, orders of the residual, lost samples, compiled: imported late, for it imports numba."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from hd_diag.arrays import Floats, Integers, Times
 from hd_diag.model.kernel.compiler import entry_point, part
+from hd_diag.model.kernel.interpolation import interpolate_at
 
 MEMORY = 30.0  # time of motion after which a sample counts for 1/e [s]
 _LONGEST_STEP = 0.1  # of motion between two samples [s]; longer ones are gaps
@@ -16,6 +18,66 @@ _STEPS_TOGETHER = 32
 _KEPT = 0.02  # by which the steps of a sender that keeps its period differ [-]
 _OFF_MULTIPLE = 0.25  # by which a step may differ from whole periods [-]
 _SAME = 0.9  # share of steps that are alike: the period is another now
+
+
+@entry_point
+def compare(
+    joint: Integers,
+    stamp: Times,
+    paired: Integers,
+    input_angle: Floats,
+    output_angle: Floats,
+    torque: Floats,
+    speed: Floats,
+    drives: Any,
+    known: Floats,
+    is_whole: bool,
+    kept: Any,
+    count: int,
+) -> tuple[Floats, int]:
+    """Errors (3, m) of samples, columns as in `Aligned`: predicted, measured and the difference [rad].
+
+    Predicted is what is `known` (m,) [rad], which may be empty; where that is nan, unless it `is_whole`, what
+    the maps of the `drives` (`DRIVE`) give. How many are still missing then is returned too: if it is none,
+    the samples are put into `kept` (`SAMPLE`), from `count` on.
+    """
+    size, missing = joint.size, 0
+    errors = np.empty((3, size))
+    predicted, measured, residual = errors[0], errors[1], errors[2]
+    predicted[:] = math.nan
+    if known.size:
+        predicted[:] = known
+    if not is_whole:
+        _predict(joint, input_angle, torque, drives, predicted)
+        for i in range(size):
+            missing += math.isnan(predicted[i])
+    for i in range(0 if missing else size):
+        measured[i] = output_angle[i] - input_angle[i] / drives[joint[i]].ratio
+        residual[i] = measured[i] - predicted[i]
+        sample = kept[count + i]
+        sample.joint, sample.stamp, sample.paired = joint[i], stamp[i], paired[i]
+        sample.input_angle, sample.output_angle = input_angle[i], output_angle[i]
+        sample.torque, sample.speed, sample.residual = torque[i], speed[i], residual[i]
+    return errors, missing
+
+
+@part
+def _predict(joint: Integers, input_angle: Floats, torque: Floats, drives: Any, predicted: Floats) -> None:
+    """As `drive.transmission_error` by each joint's map, if it has one, where predicted is nan."""
+    rows, turn = np.empty(joint.size, np.int64), np.empty(joint.size)
+    load, beta = np.empty(joint.size), np.empty(joint.size)
+    for j in range(drives.size):
+        drive, count = drives[j], 0
+        for i in range(joint.size if drive.rows else 0):
+            if joint[i] == j and math.isnan(predicted[i]):
+                rows[count], turn[count] = i, drive.phase + drive.turning * input_angle[i]
+                load[count] = drive.torque_sign * torque[i]
+                count += 1
+        if count:
+            interpolate_at(drive, turn, load, beta, count)
+        for k in range(count):
+            i = rows[k]
+            predicted[i] = -drive.torque_sign * beta[k] - drive.cup_compliance * torque[i]
 
 
 @entry_point

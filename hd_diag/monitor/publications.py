@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
-
-import numpy as np
+from typing import NamedTuple
 
 from hd_diag.arrays import Floats, Integers, Times
 from hd_diag.drive import Drive
+from hd_diag.monitor.comparison import Errors
 from hd_diag.streams.alignment import Aligned, kernel
 
 PREDICTED = "~/transmission_error"
@@ -105,36 +104,6 @@ class Report(NamedTuple):
 
 
 Publication = Angles | ToothArrays | Drawings | Report
-
-
-class Errors(NamedTuple):
-    """Aligned samples and their transmission error: predicted, measured and the difference [rad], each (m,).
-
-    Measured error and residual are nan where no output angle is reported. `speed` is what a model took for
-    the input's [rad/s]; nan without a model.
-    """
-
-    samples: Aligned
-    predicted: Floats
-    measured: Floats
-    residual: Floats
-    speed: Floats
-
-    @staticmethod
-    def joined(parts: Sequence[Errors]) -> Errors:
-        """Several one after the other."""
-        columns = zip(*((*part.samples, *part[1:]) for part in parts), strict=True)
-        every = [np.concatenate(column) for column in columns]
-        return Errors(Aligned(*every[: len(Aligned._fields)]), *every[len(Aligned._fields) :])
-
-    def part(self, rows: Any) -> Errors:
-        """Some of the samples."""
-        return Errors(self.samples.part(rows), *(column[rows] for column in self[1:]))
-
-
-_NONE: Any = np.empty(0, np.int64), np.empty(0)
-NO_ERRORS = Errors(Aligned(*_NONE[:1] * 6, *_NONE[1:] * 4), *_NONE[1:] * 4)
-"""Of no samples."""
 
 
 def angles(received: Times, errors: Errors, names: Sequence[str]) -> Iterator[Angles]:

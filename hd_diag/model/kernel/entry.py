@@ -14,7 +14,7 @@ import numpy as np
 from hd_diag.arrays import Complexes, Floats, Integers
 from hd_diag.model.kernel.compiler import entry_point
 from hd_diag.model.kernel.contact import arms, closing_angle, contacts_room, find
-from hd_diag.model.kernel.interpolation import BLOCK, Columns, cells, columns, locate, read
+from hd_diag.model.kernel.interpolation import columns, interpolate
 from hd_diag.model.kernel.load_sharing import (
     balance,
     balance_all,
@@ -84,26 +84,6 @@ def curves(mesh: MeshData, turn: Floats, eccentricity: Complexes, limit: float) 
     for i in range(turn.size):
         used = max(used, curve(flanks(mesh, turn[i], eccentricity[i], work), limit, torque[i], beta[i]))
     return torque[:, :used].copy(), beta[:, :used].copy()
-
-
-@entry_point
-def interpolate(
-    breakpoints: Floats,
-    values: Floats,
-    near: Columns,
-    limit: float,
-    turn: Floats,
-    torque: Floats,
-    beta: Floats,
-    first: int,
-    last: int,
-) -> None:
-    """Torsion (n,) by a table; nan beyond its limit."""
-    found = cells()
-    for begin in range(first, last, BLOCK):
-        end = min(begin + BLOCK, last)
-        locate(breakpoints, values, near, limit, turn, torque, begin, end, found)
-        read(breakpoints, values, torque, begin, end, found, beta)
 
 
 @entry_point

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+import numba
 import numpy as np
 import numpy.typing as npt
 from llvmlite import ir
@@ -49,6 +50,19 @@ def _fetch(typing: Any, rows: Any, row: Any, column: Any) -> Any:
 
 fetch: Any = intrinsic(_fetch)
 """Have one place of a table (array, row, column) on its way to the core, without waiting for it."""
+
+
+def _pointer(typing: Any, address: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.inttoptr(arguments[0], ir.IntType(8).as_pointer())
+
+    return types.voidptr(types.intp), generate
+
+
+_at: Any = intrinsic(_pointer)
+"""What lies at an address."""
+
+_array: Any = numba.carray  # type: ignore[attr-defined]
 
 
 class Cells(NamedTuple):
@@ -147,3 +161,33 @@ def read(
 def _line(start: float, end: float, beta: float, end_beta: float, torque: float) -> float:
     slope = (end_beta - beta) / (end - start)
     return beta + slope * (torque - start)
+
+
+@entry_point
+def interpolate(
+    breakpoints: Floats,
+    values: Floats,
+    near: Columns,
+    limit: float,
+    turn: Floats,
+    torque: Floats,
+    beta: Floats,
+    first: int,
+    last: int,
+) -> None:
+    """Torsion (n,) by a table; nan beyond its limit."""
+    found = cells()
+    for begin in range(first, last, BLOCK):
+        end = min(begin + BLOCK, last)
+        locate(breakpoints, values, near, limit, turn, torque, begin, end, found)
+        read(breakpoints, values, torque, begin, end, found, beta)
+
+
+@part
+def interpolate_at(place: Any, turn: Floats, torque: Floats, beta: Floats, count: int) -> None:
+    """As `interpolate` for the first of the samples, by a table whose place and size a record has."""
+    shape = place.rows, place.columns
+    breakpoints = _array(_at(place.breakpoints), shape, np.float64)
+    values = _array(_at(place.values), shape, np.float64)
+    near = _array(_at(place.near), (1 + (place.rows - 1) // _ROWS, _BINS), np.int16)
+    interpolate(breakpoints, values, near, place.limit, turn, torque, beta, 0, count)
