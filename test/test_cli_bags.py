@@ -335,7 +335,9 @@ def test_ctrl_c_keeps_what_was_to_be_replaced(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: click.Command
 ) -> None:
     shutil.copy(folder / "log.mcap", tmp_path / "out.mcap")
-    place = "hd_diag.bag.recover._lines" if command is recover else "hd_diag.replay.replay.layouts"
+    place = (
+        "hd_diag.bag.recover._lines" if command is recover else "hd_diag.replay.replay.temperature_changes"
+    )
     interrupting(monkeypatch, place, 2)
     given = ("--out", tmp_path / "out.mcap", "--overwrite")
     given += () if command is recover else ("--config", folder / "c.yaml")

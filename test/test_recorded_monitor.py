@@ -160,7 +160,7 @@ def test_a_report_is_recorded_with_its_facts(session: Session, recording: Record
 def test_messages_that_cannot_be_read_are_counted(session: Session, data: bytes, reason: str) -> None:
     session.joint_state(START, data)
     joint = session.monitor.joints["joint_1"]
-    assert joint.last_rejection.startswith(f"a JointState message {reason}")
+    assert joint.last_rejection.startswith(f"a message {reason}")
     assert joint.rejected == 1
     session.joint_state(START, sample(START, 0.1, 0.2, 0.3))
     assert joint.samples == 1
@@ -298,14 +298,14 @@ def test_a_hostile_state_is_refused(spoil: str) -> None:
         "x",
         [[1e300]],
         {"a": {}},
-        ["AAAA"] * 3,
+        ["AAAA"] * 4,
         {"a": state["joints"]["a"] | {"runs": [1]}},
     ):
         with pytest.raises(ValueError, match="its state is none of these joints"):
             carry_on(session.monitor, state | {spoil: value})
-    joints, inputs, waiting = (array.copy() for array in session.monitor.streams.state)
+    joints, *others = (array.copy() for array in session.monitor.streams.state)
     joints["waiting"] = 10**9
-    rows = [base64.b64encode(array.tobytes()).decode() for array in (joints, inputs, waiting)]
+    rows = [base64.b64encode(array.tobytes()).decode() for array in (joints, *others)]
     with pytest.raises(ValueError, match="a place that no ring has"):
         carry_on(session.monitor, state | {"streams": rows})
 

@@ -10,8 +10,10 @@ from bag_samples import JOINT_STATE, STRING, string_cdr, write_with_mcap
 from joint_records import RATIO, columns, joint, prepared
 from numpy.testing import assert_allclose, assert_array_equal
 
-from hd_diag.bag import BagError
-from hd_diag.bag.joint_record import joints_in, read_bags, read_tables
+from hd_diag.bag import BagError, BagReader
+from hd_diag.bag.joint_record import read_bags
+from hd_diag.bag.joint_topics import joints_in
+from hd_diag.bag.tables import Table, read_tables
 from hd_diag.config.configuration import resolve
 from hd_diag.diagnosis.diagnosis import diagnose
 from hd_diag.diagnosis.record import Record, RecordError
@@ -171,7 +173,8 @@ def test_several_joints(given: dict[str, np.ndarray], tmp_path: Path) -> None:
     angles = (given["input"], given["output"], other["input"], other["output"])
     messages = states(given["time"], names, angles)
     path = write(tmp_path / "two.mcap", messages, [("/note", STRING, string_cdr("x"), START)])
-    assert joints_in([path]) == set(names)
+    with BagReader(path) as reader:
+        assert joints_in(reader) == set(names)
     config = resolve({"joints": ["joint_1", "joint_2"]})
     first, second = (read_bags([path], j) for j in config.joints)
     assert_array_equal(first.input_angle, given["input"])
@@ -198,12 +201,12 @@ def test_no_torque_and_an_effort_of_nan(given: dict[str, np.ndarray], tmp_path: 
 def test_bags_that_hold_no_record_of_the_joint(given: dict[str, np.ndarray], tmp_path: Path) -> None:
     wanted = r"no input angle \('joint_1_motor'\) with output angle \('joint_1'\)"
     cases: list[tuple[list[Message], type[Exception], str]] = [
-        (whole(given, ("elbow_motor", "elbow")), RecordError, wanted),
+        (whole(given, ("elbow_motor", "elbow")), RecordError, wanted + ".*there hold elbow, elbow_motor$"),
         (states(given["time"], NAMES[:1], (given["input"],)), RecordError, "with output angle"),
         (
             [("/note", STRING, string_cdr("x"), START)],
             BagError,
-            "has no topic with sensor_msgs/msg/JointState",
+            r"has no topic with sensor_msgs/msg/JointState; it has /note \(std_msgs/msg/String\)",
         ),
     ]
     for number, (messages, error, said) in enumerate(cases):
@@ -223,21 +226,23 @@ def write_table(path: Path, given: dict[str, np.ndarray], **more: np.ndarray) ->
 
 def test_a_table_gives_the_same_record(given: dict[str, np.ndarray], tmp_path: Path) -> None:
     path = write_table(tmp_path / "a.csv", given, note=np.zeros(given["time"].size))
-    record, expected = read_tables([path], COLUMNS, joint(), False), prepared(given)
+    record, expected = read_tables([path], Table(COLUMNS), joint()), prepared(given)
     for name in ("time", "input_angle", "output_angle", "torque", "speed", "run"):
         assert_array_equal(getattr(record, name), getattr(expected, name))
 
 
 def test_each_table_is_a_recording(given: dict[str, np.ndarray], tmp_path: Path) -> None:
     paths = [write_table(tmp_path / name, given) for name in ("a.csv", "b.csv")]
-    record = read_tables(paths, COLUMNS, joint(), False)
+    record = read_tables(paths, Table(COLUMNS), joint())
     assert_array_equal(record.output_angle, np.tile(prepared(given).output_angle, 2))
     assert np.unique(record.bag).tolist() == [0, 1]
 
 
 def test_an_input_that_is_divided_already(given: dict[str, np.ndarray], tmp_path: Path) -> None:
     path = write_table(tmp_path / "a.csv", {**given, "input": given["input"] / RATIO})
-    assert_allclose(read_tables([path], COLUMNS, joint(), True).input_angle, given["input"], rtol=1e-12)
+    assert_allclose(
+        read_tables([path], Table(COLUMNS, divided=True), joint()).input_angle, given["input"], rtol=1e-12
+    )
 
 
 def test_a_table_without_torque_and_with_temperature_and_records(
@@ -246,9 +251,8 @@ def test_a_table_without_torque_and_with_temperature_and_records(
     count = given["time"].size
     path = write_table(tmp_path / "a.csv", given, heat=np.full(count, 31.0), part=np.arange(count) // 600)
     chosen = {name: COLUMNS[name] for name in ("time", "input", "output")}
-    record = read_tables(
-        [path], {**chosen, "temperature": "heat", "record": "part"}, joint(torque=3.0), False
-    )
+    table = Table({**chosen, "temperature": "heat", "record": "part"})
+    record = read_tables([path], table, joint(torque=3.0))
     assert (record.has_torque, record.extent.runs) == (False, 2)
     assert_allclose(record.temperature, 31.0, rtol=1e-9)
 
@@ -259,7 +263,7 @@ def test_empty_cells_are_missing_values(given: dict[str, np.ndarray], tmp_path: 
     lines[100] = lines[100].rpartition(",")[0] + ","
     lines[200] = lines[200].split(",")[0]
     path.write_text("\n".join(lines))
-    assert read_tables([path], COLUMNS, joint(), False).dropped == 2
+    assert read_tables([path], Table(COLUMNS), joint()).dropped == 2
 
 
 @pytest.mark.parametrize(
@@ -283,6 +287,6 @@ def test_a_bad_table_is_told_in_one_line(
     if text is not None:
         path.write_text(text, encoding="latin-1")
     with pytest.raises(RecordError) as caught:
-        read_tables([path], columns, joint(), False)
+        read_tables([path], Table(columns), joint())
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)

@@ -1,34 +1,33 @@
-"""Measured records of joints from bags and tables: columns of time, angles, torque, temperature."""
+"""Measured records of joints from bags: columns of time, angles, torque, temperature."""
 
 from __future__ import annotations
 
-import csv
-from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import nan
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from hd_diag.arrays import Floats, Integers, Times
-from hd_diag.bag import BagError
-from hd_diag.bag.reader import BagReader, Mixed
+from hd_diag.bag.joint_topics import JointTopics, joints_in
+from hd_diag.bag.reader import BagReader
 from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record, RecordError, prepare
 from hd_diag.diagnosis.stamps import Stamps
-from hd_diag.messages.publications import JOINT_STATE, OWN_OUTPUTS, TEMPERATURE, read_temperature
-from hd_diag.streams.alignment import Aligned, Alignment, Names, torque_between
-from hd_diag.streams.columns import JointStates
-
-COLUMNS = ("time", "input", "output", "torque", "temperature")
-"""Columns of a table that `read_tables` knows."""
+from hd_diag.formatting import visible
+from hd_diag.messages.publications import TEMPERATURE, read_temperature
+from hd_diag.streams.alignment import Aligned, Alignment
+from hd_diag.streams.interpolation import torque_between
+from hd_diag.streams.signals import Signal, temperatures
 
 _REMEMBERED = 1 << 14  # samples over which topics of one bag may lag behind each other
 _STAMPS, _VALUES = ("stamp", "torque_stamp", "stretch"), ("input_angle", "output_angle", "torque", "speed")
 _ROOM = 1 << 22  # rows for which there is room at first: an hour at 1 kHz
+_NAMES_SHOWN = 12
 _TURN = 2.0 * np.pi + 1e-6  # of an encoder that wraps [rad]
 
 
@@ -49,43 +48,6 @@ class _Samples(NamedTuple):
     stamps: Stamps
 
 
-def joint_state_topics(reader: BagReader) -> list[str]:
-    """Topics of a bag with joint states; a node's own outputs are none.
-
-    Raises
-    ------
-    BagError
-        Where there is none.
-    """
-    found = [topic.name for topic in reader.topics if topic.type_name == JOINT_STATE]
-    found = [name for name in found if not name.endswith(OWN_OUTPUTS)]
-    if not found:
-        raise BagError(reader.path, f"has no topic with {JOINT_STATE}")
-    return found
-
-
-def layouts(reader: BagReader, mixed: Mixed) -> tuple[list[JointStates], list[tuple[int, str]]]:
-    """Joint states of consecutive messages; positions of those that cannot be read, and why, in order."""
-    shapes: list[JointStates] = []
-    refused: list[tuple[int, str]] = []
-    for rows, batch in mixed.batches:
-        columns, rejected = reader.joint_states(batch)
-        shapes += [states._replace(row=rows[states.row]) for states in columns]
-        refused += [(int(rows[each.row]), each.reason) for each in rejected]
-    return shapes, refused
-
-
-def joints_in(paths: Sequence[str | Path]) -> set[str]:
-    """Names that the joint states of bags hold."""
-    names: set[str] = set()
-    for path in paths:
-        with BagReader(path) as reader:
-            for batch in reader.batches(joint_state_topics(reader)):
-                for states in reader.joint_states(batch)[0]:
-                    names.update(states.names)
-    return names
-
-
 def read_bags(paths: Sequence[str | Path], joint: JointConfig) -> Record:
     """A joint's record from one bag or several, each of which begins a new run, as a clock set back does.
 
@@ -101,12 +63,33 @@ def read_bags(paths: Sequence[str | Path], joint: JointConfig) -> Record:
     found = _read_all(paths, joint, lambda samples: np.isfinite(samples.output_angle))
     time, stretch, given, own, torque, speed, warm, stamps = found
     if not time.size:
-        raise RecordError(
-            f"no input angle ({joint.input_joint!r}) with output angle ({joint.output_joint!r}) "
-            f"in {', '.join(map(str, paths))}{stamps.why}"
-        )
+        raise RecordError(_nothing(paths, joint, stamps))
     ratio = joint.drive.kinematics.ratio
-    return prepare(time, given, own, torque, warm, stretch, ratio, joint.torque, speed, stamps=stamps)
+    columns = time, given, own, torque, warm, stretch, ratio, joint.torque, speed
+    return prepare(*columns, by_current=joint.signals.is_current, stamps=stamps)
+
+
+def _nothing(paths: Sequence[str | Path], joint: JointConfig, stamps: Stamps) -> str:
+    """What is missing in bags, and why or what there is."""
+    roles = (joint.signals.input, joint.input_joint), (joint.signals.output, joint.output_joint)
+    given, measured = (place(*role) for role in roles)
+    text = f"no input angle ({given}) with output angle ({measured}) in {', '.join(map(str, paths))}"
+    if stamps.why:
+        return text + stamps.why
+    names: set[str] = set()
+    for path in paths:
+        with BagReader(path) as reader:
+            names |= joints_in(reader)
+    more = f" and {len(names) - _NAMES_SHOWN} more" if len(names) > _NAMES_SHOWN else ""
+    there = f"{', '.join(visible(name) for name in sorted(names)[:_NAMES_SHOWN]) or 'no joint'}{more}"
+    return f"{text}; joint states there hold {there}"
+
+
+def place(signal: Signal | None, name: str) -> str:
+    """Where a signal is looked for, for an error; by default under a name in joint states."""
+    if signal is None:
+        return repr(name)
+    return f"{signal.field} of {signal.topic or 'joint states'}, {signal.name!r}"
 
 
 @dataclass(frozen=True)
@@ -170,21 +153,28 @@ def _read_all(paths: Sequence[str | Path], joint: JointConfig, wanted: Callable[
 
 def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]) -> tuple[list[Any], Stamps]:
     """Columns of one bag as `_Samples` has them, with stamps [ns], by these in each stretch."""
-    streams = Alignment([Names(joint.input_joint, joint.output_joint)], _REMEMBERED)
+    streams = Alignment([joint.names._replace(torque=nan)], _REMEMBERED)
     nothing = np.zeros(0, np.int64)
     times, heat, size = [nothing], [np.zeros(0)], 0
     with BagReader(path) as reader:
         room = max(1, min(reader.message_count, _ROOM))
         columns: list[Any] = [np.empty(room, np.int64) for _ in _STAMPS]
         columns += [np.empty(room) for _ in _VALUES]
-        topics = joint_state_topics(reader) + _temperature_topics(reader, joint)
-        for mixed in reader.mixed(topics, lambda topic: topic.type_name == JOINT_STATE):
+        topics = JointTopics(reader, {joint.name: joint.signals})
+        for mixed in reader.mixed(topics.types, topics.is_read):
             _, batch = mixed.batches[0]
-            if batch.topic.type_name == TEMPERATURE:
+            if not topics.is_read(batch.topic):
+                if batch.topic.type_name != TEMPERATURE:
+                    continue
                 times.append(mixed.log_time)
                 heat.append(np.array([read_temperature(bytes(data)) for data in batch.messages()]))
             else:
-                found = streams.take(mixed.log_time, *layouts(reader, mixed))
+                shapes, refused = topics.columns(mixed)
+                for states in shapes:
+                    for column in temperatures(states).values():
+                        times.append(states.stamp)
+                        heat.append(column)
+                found = streams.take(mixed.log_time, shapes, refused)
                 rows = np.flatnonzero(wanted(found))
                 while size + rows.size > columns[0].size:
                     columns = [np.concatenate((column, np.empty_like(column))) for column in columns]
@@ -196,17 +186,16 @@ def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]
         order = np.lexsort((columns[0], columns[2]))
         columns = [column[order] for column in columns]
     stamp, torque_stamp, stretch, given, own, torque, speed = columns
+    encoder = streams.encoders[0, 0]
+    if given.size and not joint.input_divided and encoder["high"] - encoder["low"] <= _TURN < np.ptp(given):
+        # It wraps: turns that are lost in a gap follow from the output, as `prepare` has it.
+        given = np.remainder(given + np.pi, 2.0 * np.pi) - np.pi
     torque = torque_between(stamp, stretch, torque, torque_stamp)
     warm = _temperature(np.concatenate(times), np.concatenate(heat), stamp)
     seen = streams.joints[0]
     unpaired = int(seen["unpaired"] + seen["waiting"])  # no input came for those that still wait
     told = Stamps(int(seen["rejected"]), streams.last_rejection(0), unpaired, int(seen["clock_jumps"]))
     return [stamp, stretch, given, own, torque, speed, warm], told
-
-
-def _temperature_topics(reader: BagReader, joint: JointConfig) -> list[str]:
-    end = f"{joint.name}/temperature"
-    return [t.name for t in reader.topics if t.type_name == TEMPERATURE and t.name.endswith(end)]
 
 
 def _temperature(time: Times, value: Floats, at: Times) -> Floats:
@@ -220,56 +209,3 @@ def _temperature(time: Times, value: Floats, at: Times) -> Floats:
 def _seconds(stamp: Times, origin: int) -> Floats:
     """Times after an origin [s]: since 1970 a double would tell them to a quarter of a microsecond only."""
     return (stamp - origin).astype(np.float64) * 1e-9
-
-
-def read_tables(
-    paths: Sequence[str | Path], columns: dict[str, str], joint: JointConfig, divided: bool
-) -> Record:
-    """A record from CSV files with named columns, each of which is a recording.
-
-    `columns` says which is what: keys of `COLUMNS`, values the names in the files' first rows;
-    `divided` whether the input angle is already divided by the ratio.
-
-    Raises
-    ------
-    RecordError
-        Where a file lacks a column, or a value is no number.
-    """
-    missing = [name for name in COLUMNS[:3] if name not in columns]
-    unknown = [name for name in columns if name not in (*COLUMNS, "record")]
-    if missing or unknown:
-        what = f"needs {', '.join(missing)}" if missing else f"does not know {unknown[0]!r}"
-        raise RecordError(f"--columns {what}; it takes {', '.join(COLUMNS)} and record")
-    tables = [_read_csv(Path(path), columns) for path in paths]
-    file = np.repeat(np.arange(len(tables)), [table["time"].size for table in tables])
-    table = {name: np.concatenate([one[name] for one in tables]) for name in tables[0]}
-    ratio = joint.drive.kinematics.ratio
-    angle = table["input"] * (ratio if divided else 1.0)
-    recording = np.stack((file, table.get("record", np.zeros(angle.size))), axis=1)
-    run = np.unique(recording, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
-    torque, warm = table.get("torque"), table.get("temperature")
-    return prepare(table["time"], angle, table["output"], torque, warm, run, ratio, joint.torque)
-
-
-def _read_csv(path: Path, columns: dict[str, str]) -> dict[str, Floats]:
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = csv.DictReader(file)
-            header = rows.fieldnames or []
-            absent = [name for name in columns.values() if name not in header]
-            if absent:
-                raise RecordError(f"{path}: has no column {absent[0]!r}; it has {', '.join(header)}")
-            values = {key: array("d") for key in columns}
-            for row in rows:
-                for key, name in columns.items():
-                    values[key].append(_number(path, rows.line_num, row[name] or ""))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise RecordError(f"{path}: cannot be read: {error}") from error
-    return {key: np.frombuffer(column) for key, column in values.items()}
-
-
-def _number(path: Path, line: int, text: str) -> float:
-    try:
-        return float(text.strip() or "nan")
-    except ValueError:
-        raise RecordError(f"{path}, line {line}: {text.strip()!r} is no number") from None

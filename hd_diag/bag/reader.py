@@ -140,7 +140,7 @@ class BagReader(AbstractContextManager["BagReader"]):
 
     def deserialize(self, batch: Batch) -> tuple[list[tuple[int, Any]], list[Rejection]]:
         """Message objects with their positions, and what could not be decoded; BagError for unknown types."""
-        store = jazzy() if batch.topic.type_name == JOINT_STATE else self._store(batch.topic)
+        store = jazzy() if batch.topic.type_name == JOINT_STATE else self.types(batch.topic)
         messages, rejected = [], []
         for index, data in enumerate(batch.messages()):
             try:
@@ -181,8 +181,8 @@ class BagReader(AbstractContextManager["BagReader"]):
             known.count += topic.count if known is not topic else 0
             self._sources[-1][2][number] = known
 
-    def _store(self, topic: Topic) -> Typestore:
-        """Types as the bag means them for a topic."""
+    def types(self, topic: Topic) -> Typestore:
+        """Types as the bag means them for a topic; BagError where it does not say."""
         try:
             return store_of(topic.type_name, topic.definition)
         except ValueError as exc:
@@ -197,8 +197,8 @@ class BagReader(AbstractContextManager["BagReader"]):
             payload = own.payload()
             if self._message_compression:
                 payload = unpacked(path, payload)
-            if topic.type_name == JOINT_STATE and self._store(topic) is not jazzy():
-                payload = [standard_joint_state(data, self._store(topic)) for data in payload]
+            if topic.type_name == JOINT_STATE and self.types(topic) is not jazzy():
+                payload = [standard_joint_state(data, self.types(topic)) for data in payload]
             batches.append((rows, Batch(topic, own.log_time, own.publish_time, payload)))
         return Mixed(part.log_time, batches)
 

@@ -14,7 +14,8 @@ import click
 import numpy as np
 from rich.console import Console
 
-from hd_diag.bag.joint_record import read_bags, read_tables
+from hd_diag.bag.joint_record import read_bags
+from hd_diag.bag.tables import Table, read_tables
 from hd_diag.cli.options import CONFIG, FILE, JOINTS, Problem, chosen_joints, configured, write_json, writing
 from hd_diag.config.catalogue import load
 from hd_diag.config.configuration import Config, JointConfig
@@ -32,7 +33,16 @@ _OPTIONS = (
     click.option(
         "--columns",
         metavar="time=T,input=I,output=O[,torque=M,temperature=C,record=R]",
-        help="The BAGS are CSV files with these columns [s, rad, rad, N m, degree Celsius].",
+        help="The BAGS are CSV files with these columns [s, rad, rad, N m, degree Celsius], or in other "
+        "units: input=m[deg], output=l[counts/8192], torque=i[A]*11.2.",
+    ),
+    click.option(
+        "--rate",
+        type=click.FloatRange(0.0, min_open=True),
+        help="Rows per second of CSV files without a time.",
+    ),
+    click.option(
+        "--delimiter", default="", help="Between the columns of CSV files; tab. [default: as found]"
     ),
     click.option(
         "--input-divided",
@@ -58,8 +68,7 @@ class Records:
     bags: tuple[Path, ...]
     config: Config
     joints: list[JointConfig]
-    columns: str | None
-    divided: bool
+    table: Table | None
     catalogue: Catalogue
     orders_only: bool = False
 
@@ -72,13 +81,18 @@ class Records:
         return diagnose(looked, joint.configured, np.random.default_rng(0), progress, self.catalogue)
 
     def _record(self, joint: JointConfig) -> Record:
-        if self.columns is None:
-            return read_bags(self.bags, joint)
-        pairs = [item.split("=", 1) for item in self.columns.split(",")]
-        if any(len(pair) != 2 for pair in pairs):
-            raise Problem("--columns takes pairs like time=t,input=motor_position,output=joint_position")
-        names = {key.strip(): name.strip() for key, name in pairs}
-        return read_tables(self.bags, names, joint, self.divided)
+        return (
+            read_bags(self.bags, joint) if self.table is None else read_tables(self.bags, self.table, joint)
+        )
+
+
+def table_of(columns: str, divided: bool, rate: float, delimiter: str) -> Table:
+    """How CSV files are read, from the options."""
+    pairs = [item.split("=", 1) for item in columns.split(",")]
+    if any(len(pair) != 2 for pair in pairs):
+        raise Problem("--columns takes pairs like time=t,input=motor_position[deg],output=joint_position")
+    names = {key.strip(): name.strip() for key, name in pairs}
+    return Table(names, divided, rate, {"tab": "\t"}.get(delimiter, delimiter))
 
 
 def on_records(function: Callable[..., None]) -> Callable[..., None]:
@@ -90,6 +104,8 @@ def on_records(function: Callable[..., None]) -> Callable[..., None]:
         config_file: str | None,
         names: tuple[str, ...],
         columns: str | None,
+        rate: float | None,
+        delimiter: str,
         divided: bool,
         effect_files: tuple[Path, ...],
         **own: Any,
@@ -97,7 +113,8 @@ def on_records(function: Callable[..., None]) -> Callable[..., None]:
         catalogue = load(effect_files)
         config = configured(config_file, catalogue)
         joints = chosen_joints(config, names)
-        function(Records(bags, config, joints, columns, divided, catalogue), **own)
+        table = None if columns is None else table_of(columns, divided, rate or 0.0, delimiter)
+        function(Records(bags, config, joints, table, catalogue), **own)
 
     for option in reversed(_OPTIONS):
         run = option(run)

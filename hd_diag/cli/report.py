@@ -39,7 +39,7 @@ def report(records: Records, out: Path | None, json_file: str | None) -> None:
             try:
                 found = records.diagnosed(joint, progress)
             except RecordError as error:
-                motion = read_motion(records.bags, joint) if records.columns is None else None
+                motion = read_motion(records.bags, joint) if records.table is None else None
                 if motion is None:
                     raise
                 page = of_motion(motion, joint, flat, str(error))

@@ -9,6 +9,7 @@ from typing import Any
 
 from hd_diag.config import parameter_file
 from hd_diag.config.configured_drive import drive_from, number
+from hd_diag.config.configured_signals import signals_from, spelled_out
 from hd_diag.config.model_file import model_for, reader
 from hd_diag.config.parameters import (
     JOINT_PARAMETERS,
@@ -25,6 +26,7 @@ from hd_diag.config.parameters import (
 from hd_diag.effects import Catalogue
 from hd_diag.extended_model import ExtendedModel
 from hd_diag.monitor.settings import JointConfig, Limit, MonitorConfig
+from hd_diag.streams.signals import Signals
 
 __all__ = ["Config", "ConfigError", "JointConfig", "LogConfig", "ModelText", "dump", "load", "resolve"]
 
@@ -73,11 +75,7 @@ def resolve(
         Naming the first parameter that cannot be, its value and what was expected; for an unknown one, the
         nearest known.
     """
-    joints = joint_names(given.get("joints", ["joint_1"]))
-    known = parameters(joints)
-    check_known(list(given), known)
-    flat = {name: checked(name, given.get(name, p.default), p) for name, p in known.items()}
-    flat["joints"] = joints
+    flat, joints = _completed(given)
     configured = tuple(_joint(name, flat, model_text, catalogue) for name in joints)
     _check_names(configured)
     log = LogConfig(**{p.name[4:]: flat[p.name] for p in NODE_PARAMETERS if p.name.startswith("log.")})  # type: ignore[arg-type]
@@ -89,6 +87,12 @@ def resolve(
         log,
         flat,
     )
+
+
+def recorded_signals(given: Mapping[str, Any]) -> dict[str, Signals]:
+    """Signals of each joint of flat parameters; raises ConfigError as `resolve` does."""
+    flat, joints = _completed({**given, "joints": given.get("joints")})
+    return {name: signals_from(name, _own(name, flat)) for name in joints}
 
 
 def load(path: str | Path, catalogue: Catalogue | None = None) -> Config:
@@ -108,10 +112,26 @@ def dump(config: Config) -> str:
     return parameter_file.text(config.flat)
 
 
+def _completed(given: Mapping[str, Any]) -> tuple[dict[str, Value], list[str]]:
+    """Every parameter, each checked alone, and the joints."""
+    given = spelled_out(given)
+    joints = joint_names(given.get("joints", ["joint_1"]))
+    known = parameters(joints)
+    check_known(list(given), known)
+    flat = {name: checked(name, given.get(name, p.default), p) for name, p in known.items()}
+    flat["joints"] = joints
+    return flat, joints
+
+
+def _own(joint: str, flat: Mapping[str, Value]) -> dict[str, Value]:
+    """Parameters of a joint by their names within it."""
+    return {p.name: flat[f"{joint}.{p.name}"] for p in JOINT_PARAMETERS}
+
+
 def _joint(
     name: str, flat: Mapping[str, Value], model_text: ModelText | None, catalogue: Catalogue | None
 ) -> JointConfig:
-    own = {p.name: flat[f"{name}.{p.name}"] for p in JOINT_PARAMETERS}
+    own = _own(name, flat)
     limits = {
         key: Limit(number(own, f"limits.{key}.warn"), number(own, f"limits.{key}.error")) for key in LIMITS
     }
@@ -136,6 +156,8 @@ def _joint(
         str(own["model_file"]),
         model,
         text,
+        signals_from(name, own),
+        bool(own["input_divided"]),
     )
 
 

@@ -17,7 +17,15 @@ from hd_diag.config import json_shape
 from hd_diag.config.catalogue import load
 from hd_diag.config.configured_drive import drive_from
 from hd_diag.config.json_shape import Number
-from hd_diag.config.parameters import JOINT_PARAMETERS, ConfigError, Value, check_known, checked, shown
+from hd_diag.config.parameters import (
+    JOINT_PARAMETERS,
+    SIGNALS,
+    ConfigError,
+    Value,
+    check_known,
+    checked,
+    shown,
+)
 from hd_diag.effects import Catalogue
 from hd_diag.effects.order_line import ORDER_LINE
 from hd_diag.extended_model import ExtendedModel, Range, Ranges, Term
@@ -50,11 +58,11 @@ _SHAPE = {
     "valid_range": {"torque": _RANGE, "speed": _RANGE, "temperature": (_RANGE, None)},
     "evidence": dict,
 }
-_NOT_OF_THE_DRIVE = ("input_joint", "output_joint", "torque", "accuracy", "model_file")
+_NOT_OF_THE_DRIVE = ("output_joint", "torque", "accuracy", "model_file")
 _DRIVE = {
     p.name: p
     for p in JOINT_PARAMETERS
-    if p.name not in _NOT_OF_THE_DRIVE and not p.name.startswith(("limits.", "tolerance."))
+    if p.name not in _NOT_OF_THE_DRIVE and not p.name.startswith(("limits.", "tolerance.", *SIGNALS))
 }
 
 

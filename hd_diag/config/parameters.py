@@ -70,6 +70,9 @@ JOINT_PARAMETERS = _table("joint")
 LIMITS = tuple(p.name.split(".")[1] for p in JOINT_PARAMETERS if re.fullmatch(r"limits\.\w+\.warn", p.name))
 """Quantities with thresholds ``limits.<quantity>.warn`` and ``.error``."""
 
+SIGNALS = ("input", "output_signal.", "torque_signal.", "temperature_signal.")
+"""How parameters begin that say where a joint's signals stand."""
+
 ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides")
 """Parameters that every ROS node has: a parameter file may hold them, they are no part of a configuration."""
 

@@ -67,8 +67,14 @@ def tasks(seen: Survey, config: Config, joints: tuple[JointConfig, ...]) -> list
     return [
         Task(seen.path, joint, seen.digest, config_digest(config, joint), seen.messages)
         for joint in joints
-        if seen.names & {joint.input_joint, joint.output_joint}
+        if seen.names & {joint.input_joint, joint.output_joint} or _has_mapped(seen, joint)
     ]
+
+
+def _has_mapped(seen: Survey, joint: JointConfig) -> bool:
+    """Whether a bag has a topic to which a signal of a joint is mapped."""
+    wanted = tuple(f"/{signal.topic.lstrip('/')}" for signal in joint.mapped.values() if signal.topic)
+    return any(topic.endswith(wanted) for topic in seen.topics)
 
 
 def config_digest(config: Config, joint: JointConfig) -> str:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from hd_diag.bag import BagError, BagReader
-from hd_diag.bag.joint_record import joint_state_topics, joints_in
+from hd_diag.bag.joint_topics import joint_state_topics, joints_in
 from hd_diag.replay.versions import Versions, running
 
 SUFFIXES = (".mcap", ".db3")
@@ -21,8 +21,8 @@ class Survey:
     """What was seen of one bag; where it has an `error`, nothing else is known.
 
     The digest is of the contents, whatever the bag is called; it starts at its first log time [ns since
-    1970], None for an empty bag; messages and names are those of its joint states; problems are what is
-    unfinished about its files; versions are those of the worker that looked.
+    1970], None for an empty bag; messages and names are those of its joint states, where it has
+    any; problems are what is unfinished about its files; versions are those of the worker that looked.
     """
 
     path: str
@@ -33,6 +33,7 @@ class Survey:
     problems: tuple[str, ...] = ()
     error: str = ""
     versions: Versions = field(default_factory=running)
+    topics: frozenset[str] = frozenset()
 
 
 def find_bags(given: Iterable[Path]) -> list[Path]:
@@ -65,16 +66,19 @@ def survey(path: str) -> Survey:
     try:
         with BagReader(path) as reader:
             measured = joint_state_topics(reader)
-            messages = sum(topic.count for topic in reader.topics if topic.name in measured)
+            if not reader.topics:
+                raise BagError(path, "holds no topic")
+            topics = frozenset(topic.name for topic in reader.topics)
+            messages = sum(topic.count for topic in reader.topics if topic.name in measured or not measured)
             start = reader.start if reader.message_count else None
             digest = _digest(reader.paths)
             problems = tuple(reader.problems)
-        names = frozenset(joints_in([path]))
+            names = joints_in(reader)
     except BagError as error:
         return Survey(path, error=str(error))
     except OSError as error:
         return Survey(path, error=str(BagError(path, error)))
-    return Survey(path, digest, start, messages, names, problems)
+    return Survey(path, digest, start, messages, names, problems, topics=topics)
 
 
 def _digest(files: Iterable[Path]) -> str:

@@ -10,14 +10,17 @@ from __future__ import annotations
 import functools
 import itertools
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
 
 from hd_diag.arrays import Bytes, Integers, Times
+from hd_diag.messages.field_path import path_in
+from hd_diag.messages.schemas import jazzy
 from hd_diag.streams.columns import JointStates
+from hd_diag.streams.signals import Signal
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 
@@ -192,6 +195,59 @@ class JointStateDecoder:
                 rows, index = rows[1:], index[1:]
 
 
+class JointStateReader:
+    """Reads joint states of a topic, and signals that are mapped to them by other names or units.
+
+    Parameters
+    ----------
+    signals : mapping of str to Signal
+        By the keys that their columns get.
+
+    Raises
+    ------
+    ValueError
+        Where a signal's path is none of position, velocity or effort.
+    """
+
+    def __init__(self, signals: Mapping[str, Signal]) -> None:
+        self._decoder = JointStateDecoder()
+        self._signals = {key: (*_place(signal), signal.unit) for key, signal in signals.items()}
+
+    def columns(
+        self, payload: Bytes | Sequence[bytes | memoryview], received: Times
+    ) -> tuple[list[JointStates], list[Rejection]]:
+        """Columns of messages, as `decode_joint_states`."""
+        columns, rejected = self._decoder.columns(payload)
+        return [self._with_signals(states) for states in columns] if self._signals else columns, rejected
+
+    def one(self, data: bytes, received: Times) -> JointStates:
+        """Columns, n = 1, of one message; ValueError says how it is malformed."""
+        states = self._decoder.decode(data)
+        return self._with_signals(states) if self._signals else states
+
+    def _with_signals(self, states: JointStates) -> JointStates:
+        found = {}
+        for key, (number, index, unit) in self._signals.items():
+            block = states.blocks[number]
+            column = index if isinstance(index, int) else _column_of(states.names, index)
+            if block is not None and 0 <= column < block.shape[1]:
+                found[key] = block[:, column] * unit.factor + unit.offset
+        signals = np.stack([*found.values()], axis=1) if found else None
+        return states._replace(signals=signals, keys=tuple(found))
+
+
+def _column_of(names: tuple[str, ...], name: str) -> int:
+    return names.index(name) if name in names else -1
+
+
+def _place(signal: Signal) -> tuple[int, int | str]:
+    """Number of the block in which a signal stands, and its index there."""
+    (field, index), *more = path_in(jazzy(), JOINT_STATE, signal)
+    if more or field not in JointStates._fields[4:7] or index is None:
+        raise ValueError(f"{signal.field!a} of {JOINT_STATE} is none of position, velocity, effort")
+    return JointStates._fields[4:7].index(field), index
+
+
 def decode_joint_states(
     payload: Bytes | Sequence[bytes | memoryview],
 ) -> tuple[list[JointStates], list[Rejection]]:
@@ -229,8 +285,11 @@ def _take(
         stamp, values, index = stamp[is_read], values[is_read], index[is_read]
     if index.size:
         begins = itertools.count(0, width)
-        arrays = [values[:, (at := next(begins)) : at + width] if there else None for there in layout.present]
-        columns.append(JointStates(index, stamp, layout.names, layout.frame_id, *arrays))
+        position, velocity, effort = (
+            values[:, (at := next(begins)) : at + width] if there else None for there in layout.present
+        )
+        own = layout.names, layout.frame_id
+        columns.append(JointStates(index, stamp, *own, position, velocity, effort))
     return rest
 
 

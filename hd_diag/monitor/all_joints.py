@@ -17,7 +17,7 @@ from hd_diag.drive import MeshState, mesh_state
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.monitor.comparison import Comparison
 from hd_diag.monitor.health import Around, reports
-from hd_diag.monitor.joint import Joint, Window, names_of
+from hd_diag.monitor.joint import Joint, Window
 from hd_diag.monitor.lost_samples import LostSamples
 from hd_diag.monitor.publications import Drawings, Due, Publication, Report, ToothArrays, angles
 from hd_diag.monitor.settings import JointConfig, MonitorConfig
@@ -45,7 +45,7 @@ class Monitor:
 
     def __init__(self, config: MonitorConfig) -> None:
         self.config = config
-        self.streams = Alignment([names_of(joint) for joint in config.joints])
+        self.streams = Alignment([joint.names for joint in config.joints])
         self.joints = {
             joint.name: Joint(joint, self.streams, number) for number, joint in enumerate(config.joints)
         }
@@ -270,7 +270,10 @@ def warm_up(config: MonitorConfig) -> None:
     monitor, time = Monitor(config), np.zeros(1, np.int64)
     names = [(joint.input_joint, joint.output_joint) for joint in config.joints]
     nothing = np.zeros((1, 2 * len(names)))
-    states = JointStates(time, time, tuple(name for pair in names for name in pair), "", *[nothing] * 3)
+    flat = tuple(name for pair in names for name in pair)
+    keys = tuple(name for joint in config.joints for name in joint.mapped)
+    signals = np.zeros((1, len(keys))) if keys else None
+    states = JointStates(time, time, flat, "", nothing, nothing, nothing, signals, keys)
     monitor.joint_states(time, states)
     monitor.tick(0, 0, {})
     LostSamples().judge(np.arange(10), 0)

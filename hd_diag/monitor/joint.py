@@ -13,7 +13,7 @@ from hd_diag.monitor.lost_samples import LostSamples
 from hd_diag.monitor.model_run import ModelRun
 from hd_diag.monitor.residual_orders import ResidualOrders
 from hd_diag.monitor.settings import JointConfig
-from hd_diag.streams.alignment import Aligned, Alignment, Names
+from hd_diag.streams.alignment import Aligned, Alignment
 
 _TOTALS = ("angle", "load", "samples", "rejected", "unpaired", "clock_jumps")
 
@@ -114,7 +114,7 @@ class Joint:
             self.orders = ResidualOrders()
         if config.model != before.model:
             self.begin_model()
-        self._streams.configure(self._number, names_of(config))
+        self._streams.configure(self._number, config.names)
 
     def begin_model(self) -> None:
         """Let the extended model begin anew; what is paired later has a stream of its own."""
@@ -161,8 +161,3 @@ def _pieces(values: Any, chosen: Any, ends: Integers) -> list[Any]:
     bounds = rows.searchsorted(ends).tolist()
     kept = values[rows]
     return [kept[first:last] for first, last in zip([0, *bounds], bounds, strict=False)]
-
-
-def names_of(config: JointConfig) -> Names:
-    """What the alignment of streams must know of a joint."""
-    return Names(config.input_joint, config.output_joint, config.torque)

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 
 from hd_diag.drive import Drive
 from hd_diag.extended_model import ExtendedModel
+from hd_diag.streams.alignment import ELSEWHERE, Names
+from hd_diag.streams.signals import ROLES, USUAL, Signal, Signals, key
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,8 @@ class JointConfig:
     """One joint: the names it has in JointState, its drive, assumed torque [N m] and limits.
 
     With an extended model `drive` is the model's, refitted; `configured` is what the parameters say.
-    `model_text` is the whole content of the model's file.
+    `model_text` is the whole content of the model's file. `signals` are those that have not their usual
+    places; `input_divided` tells whether the input is reported at the output's side.
     """
 
     name: str
@@ -39,6 +42,27 @@ class JointConfig:
     model_file: str = ""
     model: ExtendedModel | None = None
     model_text: str = field(default="", repr=False)
+    signals: Signals = USUAL
+    input_divided: bool = False
+
+    @property
+    def mapped(self) -> dict[str, Signal]:
+        """Signals that have not their usual places, by the keys of their columns."""
+        pairs = zip(ROLES, self.signals, strict=True)
+        return {key(self.name, role): signal for role, signal in pairs if signal is not None}
+
+    @property
+    def names(self) -> Names:
+        """What the alignment of streams must know of the joint."""
+        has = {
+            role: key(self.name, role) for role, s in zip(ROLES, self.signals, strict=True) if s is not None
+        }
+        own = has.get("input", "")
+        # Of a mapped angle no speed is known, of a mapped velocity no angle.
+        angle, speed = (ELSEWHERE, own) if self.signals.is_velocity else (own, own and ELSEWHERE)
+        keys = angle, has.get("output", ""), has.get("torque", ""), speed
+        factor = self.drive.kinematics.ratio if self.input_divided else 1.0
+        return Names(self.input_joint, self.output_joint, self.torque, keys, factor)
 
 
 @dataclass(frozen=True)

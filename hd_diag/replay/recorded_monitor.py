@@ -14,7 +14,8 @@ import numpy as np
 
 from hd_diag.arrays import Times
 from hd_diag.config.configuration import Config, JointConfig
-from hd_diag.messages.joint_states import JointStateDecoder
+from hd_diag.messages.fields import FieldReader
+from hd_diag.messages.joint_states import JointStateReader
 from hd_diag.messages.publications import (
     PARAMETER_EVENT,
     STRING,
@@ -39,12 +40,14 @@ from hd_diag.replay.events import (
     write_event,
 )
 from hd_diag.streams.columns import JointStates
+from hd_diag.streams.signals import temperatures
 
 EVENTS = "~/events"
 """Topic of the events in a log: std_msgs/String with one JSON object, key ``event``."""
 
 PARAMETER_EVENTS = "/parameter_events"
 
+Reader = JointStateReader | FieldReader
 Sink = Callable[[Encoded], None]
 
 
@@ -76,7 +79,9 @@ class Session:
         self._sink = sink
         self._node = node
         self._topics = dict(topics or {})
-        self._decoder = JointStateDecoder()
+        self._usual = JointStateReader(
+            {k: s for joint in config.joints for k, s in joint.mapped.items() if not s.topic}
+        )
 
     def start(self, now: int) -> None:
         """Record the configuration that the session begins with, at a time [ns]."""
@@ -96,16 +101,20 @@ class Session:
         carry_on(self.monitor, state)
         self._event(now, CarriedOn(state))
 
-    def joint_state(self, received: int, data: bytes, heard: int | None = None) -> None:
-        """Take one JointState in CDR that arrived at a time [ns]; one that cannot be read is counted.
+    def joint_state(
+        self, received: int, data: bytes, heard: int | None = None, reader: Reader | None = None
+    ) -> None:
+        """Take one message in CDR that arrived at a time [ns]; one that cannot be read is counted.
 
-        `heard` is the same time by the clock that is asked for silence [ns].
+        `heard` is the same time by the clock that is asked for silence [ns]; the reader is that of its topic,
+        by default of one with joint states.
         """
         received_at, heard_at = np.array([received]), np.array([received if heard is None else heard])
         try:
-            shapes, refused = [self._decoder.decode(data)], []
+            shapes, refused = [(reader or self._usual).one(data, received_at)], []
         except ValueError as error:
             shapes, refused = [], [(0, str(error))]
+        self._note_temperatures(shapes)
         self._publish(self.monitor.mixed_states(received_at, shapes, refused, heard_at))
 
     def mixed_states(
@@ -115,7 +124,8 @@ class Session:
         refused: Sequence[tuple[int, str]],
         due: Sequence[Due] = (),
     ) -> None:
-        """Take messages, as `Monitor.mixed_states`."""
+        """Take messages, as `Monitor.mixed_states`; temperatures in them stand for all of them."""
+        self._note_temperatures(shapes)
         self._publish(self.monitor.mixed_states(received, shapes, refused, due=due))
 
     def temperature(self, joint: str, data: bytes) -> None:
@@ -126,6 +136,11 @@ class Session:
             self.monitor.joints[joint].reject(f"a Temperature message cannot be read: {error}")
         else:
             self.monitor.temperature(joint, value)
+
+    def _note_temperatures(self, shapes: Sequence[JointStates]) -> None:
+        for states in shapes:
+            for joint, column in temperatures(states).items():
+                self.monitor.temperature(joint, float(column[-1]))
 
     def configure(self, now: int, config: Config) -> list[str]:
         """Put another configuration in force from the next message on, at a time [ns].

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from hd_diag.arrays import Times
+from hd_diag.arrays import Integers, Times
 from hd_diag.bag import BagError, BagWriter, check_output, replaced
-from hd_diag.bag.joint_record import layouts
 from hd_diag.bag.reader import BagReader, Mixed
 from hd_diag.config.configuration import Config, ConfigError, JointConfig, ModelText, resolve
 from hd_diag.config.parameters import shown
-from hd_diag.messages.publications import LAST_TIME, TEMPERATURE, Encoded, resolved
+from hd_diag.messages.publications import LAST_TIME, Encoded, resolved
+from hd_diag.messages.schemas import jazzy
 from hd_diag.model.torsion_map import TorsionMap, build
 from hd_diag.monitor.publications import Due
 from hd_diag.replay import versions
@@ -24,6 +24,7 @@ from hd_diag.replay.map_builder import map_limit
 from hd_diag.replay.recorded_monitor import Session
 from hd_diag.replay.sources import Sources, event_of, sources_of
 from hd_diag.streams.columns import JointStates
+from hd_diag.streams.signals import temperature_changes
 
 _NANOSECONDS = 1_000_000_000
 _LONGEST_SILENCE = 60 * _NANOSECONDS  # of a bag, over which reports go on [ns]
@@ -118,7 +119,7 @@ def replay(
             run = _Run(reader, writer, sources)
             if config is not None:
                 run.begin(reader.start, config)
-            for mixed in reader.mixed(sources.every, sources.is_joint_states):
+            for mixed in reader.mixed(sources.every, sources.topics.is_read):
                 run.take(mixed)
                 progress(run.done, total)
             return run.result()
@@ -141,8 +142,9 @@ class _Run:
         self._versions_compared = False
         self._outputs: list[Encoded] | None = None  # of messages that are being taken
         for topic in reader.topics:
-            if sources.inputs.get(topic.name) == topic.type_name:
-                writer.add_topic(topic.name, topic.type_name, topic.offers)
+            if sources.topics.types.get(topic.name) == (kind := topic.type_name):
+                known = None if kind in jazzy().fielddefs else topic.definition
+                writer.add_topic(topic.name, kind, topic.offers, known)
 
     def begin(self, now: int, config: Config) -> None:
         """Start a session; without recorded events every joint gets its map at once."""
@@ -156,20 +158,19 @@ class _Run:
 
     def take(self, mixed: Mixed) -> None:
         """Take consecutive messages."""
-        self._last = int(mixed.log_time[-1])
+        self._last, sources = int(mixed.log_time[-1]), self._sources
         self._check_time(self._last)
-        _, batch = mixed.batches[0]
-        name, kind = batch.topic.name, batch.topic.type_name
-        if name == self._sources.events:
+        name = (batch := mixed.batches[0][1]).topic.name
+        if name == sources.events:
             for now, data in zip(batch.log_time.tolist(), batch.messages(), strict=True):
                 self._event(now, event_of(self._reader.path, bytes(data)))
-        elif self._sources.inputs.get(name) != kind:
+        elif sources.topics.types.get(name) != batch.topic.type_name:
             pass
-        elif kind == TEMPERATURE:
-            self._temperatures(mixed, self._sources.temperatures[name])
+        elif name in sources.topics.temperatures:
+            self._temperatures(mixed, sources.topics.temperatures[name])
         else:
-            shapes, refused = layouts(self._reader, mixed)
-            for rows in self._together(mixed.log_time):
+            shapes, refused = sources.topics.columns(mixed)
+            for rows in self._together(mixed.log_time, temperature_changes(shapes)):
                 self._joint_states(mixed, rows, shapes, refused)
         self.done += mixed.log_time.size
 
@@ -201,13 +202,14 @@ class _Run:
         if now > LAST_TIME:
             raise BagError(self._reader.path, "holds times beyond the year 2038, which ROS 2 does not have")
 
-    def _together(self, times: Times) -> Iterator[slice]:
-        """Rows, cut where what the node publishes of them may be large."""
+    def _together(self, times: Times, cuts: Integers) -> Iterator[slice]:
+        """Rows, cut at some of them and where what the node publishes of them may be large."""
         config, begin = self._running.config, 0
-        joint = config.array_rate * _ARRAYS_SIZE + config.mesh_rate * _DRAWING_SIZE
-        longest = int(_NANOSECONDS * _MOST_BYTES / max(1.0, joint * len(config.joints)))
+        size = len(config.joints) * (config.array_rate * _ARRAYS_SIZE + config.mesh_rate * _DRAWING_SIZE)
+        longest = int(_NANOSECONDS * _MOST_BYTES / max(1.0, size))
         while begin < times.size:
             end = max(begin + 1, int(np.searchsorted(times, times[begin] + longest)))
+            end = min([end, *cuts[cuts > begin][:1].tolist()])
             yield slice(begin, end)
             begin = end
 
@@ -237,8 +239,7 @@ class _Run:
         return round(_NANOSECONDS / self._running.config.diagnostics_rate)
 
     def _temperatures(self, mixed: Mixed, joint: str) -> None:
-        _, batch = mixed.batches[0]
-        for row, data in enumerate(batch.messages()):
+        for row, data in enumerate(mixed.batches[0][1].messages()):
             at = slice(row, row + 1)
             for due in self._reports_due(mixed.log_time[at]):
                 self._running.tick(due.now, due.stamp, due.facts)

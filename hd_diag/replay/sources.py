@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from hd_diag.bag import BagError, BagReader, Topic
-from hd_diag.bag.joint_record import joint_state_topics
-from hd_diag.config.configuration import Config, ConfigError
-from hd_diag.config.parameters import joint_names
-from hd_diag.messages.publications import INPUT, JOINT_STATE, STRING, TEMPERATURE, temperature_topic
+from hd_diag.bag import BagError, BagReader
+from hd_diag.bag.joint_topics import JointTopics, held
+from hd_diag.config.configuration import Config, ConfigError, recorded_signals
+from hd_diag.messages.publications import INPUT, JOINT_STATE, STRING, temperature_topic
 from hd_diag.replay.events import Configured, Event, read_event
 from hd_diag.replay.recorded_monitor import EVENTS
 
@@ -29,36 +28,21 @@ class Sources:
         Full name of the node that wrote the bag, or whose part is played.
     events : str
         Topic of the events; empty where a configuration is given.
-    joint_states : tuple of str
-    temperatures : mapping of str to str
-        Topic to joint.
+    topics : JointTopics
+        That are taken in.
     names : mapping of str to str
         The node's topics, by their names in `messages`, to full names.
     """
 
     node: str
     events: str
-    joint_states: tuple[str, ...]
-    temperatures: Mapping[str, str]
+    topics: JointTopics
     names: Mapping[str, str]
-
-    @cached_property
-    def inputs(self) -> dict[str, str]:
-        """Topics to take in, with their types."""
-        return dict.fromkeys(self.joint_states, JOINT_STATE) | dict.fromkeys(self.temperatures, TEMPERATURE)
-
-    def is_joint_states(self, topic: Topic) -> bool:
-        """Whether a topic is one of those with joint states."""
-        return topic.name in self._joint_states and topic.type_name == JOINT_STATE
-
-    @cached_property
-    def _joint_states(self) -> frozenset[str]:
-        return frozenset(self.joint_states)
 
     @cached_property
     def every(self) -> set[str]:
         """All topics to read."""
-        return {*self.inputs, *([self.events] if self.events else [])}
+        return {*self.topics.types, *([self.events] if self.events else [])}
 
 
 def sources_of(reader: BagReader, config: Config | None, topics: tuple[str, ...]) -> Sources:
@@ -70,18 +54,8 @@ def sources_of(reader: BagReader, config: Config | None, topics: tuple[str, ...]
     _check(reader, topics)
     if config is None:
         return _of_log(reader, topics)
-    return Sources(
-        NODE,
-        "",
-        topics or tuple(joint_state_topics(reader)),
-        {
-            t.name: joint.name
-            for t in reader.topics
-            for joint in config.joints
-            if t.type_name == TEMPERATURE and t.name.endswith(f"/{temperature_topic(joint.name)}")
-        },
-        {},
-    )
+    signals = {joint.name: joint.signals for joint in config.joints}
+    return Sources(NODE, "", JointTopics(reader, signals, topics or None), {})
 
 
 def event_of(path: Path, data: bytes) -> Event | None:
@@ -97,14 +71,13 @@ def _of_log(reader: BagReader, topics: tuple[str, ...]) -> Sources:
     node = events[: -len(EVENTS[1:])]
     namespace = node.rpartition("/")[0]
     try:
-        joints = joint_names(begin.parameters.get("joints"))
+        signals = recorded_signals(begin.parameters)
     except ConfigError as error:
         raise ConfigError(f"{reader.path}: {error}") from error
-    temperatures = {
-        begin.topics.get(t, f"{namespace}/{t}"): j for j in joints for t in [temperature_topic(j)]
-    }
-    inputs = topics or (begin.topics.get(INPUT, f"{namespace}/{INPUT}"),)
-    return Sources(node, events, inputs, temperatures, begin.topics)
+    own = {s.topic for each in signals.values() for s in each if s is not None and s.topic}
+    names = {t: f"{namespace}/{t}" for t in [*map(temperature_topic, signals), INPUT, *own] if t[0] != "/"}
+    names |= begin.topics
+    return Sources(node, events, JointTopics(reader, signals, topics or (names[INPUT],), names), begin.topics)
 
 
 def _log(reader: BagReader) -> tuple[str, Configured]:
@@ -124,4 +97,4 @@ def _log(reader: BagReader) -> tuple[str, Configured]:
 def _check(reader: BagReader, topics: tuple[str, ...]) -> None:
     missing = set(topics) - {t.name for t in reader.topics if t.type_name == JOINT_STATE}
     if missing:
-        raise BagError(reader.path, f"has no topic {min(missing)} with {JOINT_STATE}")
+        raise BagError(reader.path, f"has no topic {min(missing)} with {JOINT_STATE}; {held(reader)}")

@@ -12,7 +12,7 @@ import numpy as np
 from hd_diag.arrays import Floats, Integers
 from hd_diag.bag.joint_record import InputRecord
 from hd_diag.config.configuration import JointConfig
-from hd_diag.config.parameters import JOINT_PARAMETERS, Value
+from hd_diag.config.parameters import JOINT_PARAMETERS, SIGNALS, Value
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.judgement import Answer
@@ -29,7 +29,7 @@ from hd_diag.report.teeth import TeethOverTurn, teeth_over_turn
 _LINE_SHARE = 0.2  # of a cause's mean square from which a peak of its spectrum is its order
 _LEAK = 0.1  # strength of a peak's side lobes that are no peaks of their own
 _MOST_MARKS = 2  # orders marked for one cause
-_NOT_OF_THE_DRIVE = ("input_joint", "output_joint", "limits.", "tolerance.")
+_NOT_OF_THE_DRIVE = ("output_joint", "limits.", "tolerance.", *SIGNALS)
 _ORDERS = (8.0, 40.0)  # least and greatest end of the spectrum
 _GAP_STEPS = 5.5  # a step this many times the usual one is a gap, as the diagnosis takes it
 _TURN = 2.0 * np.pi

@@ -8,6 +8,8 @@
 * **Torque.** Of a sample it is the last one reported up to there, and only if that one's stamp is at most
   `LONGEST_HOLD` away; else it is not known. Live the configured torque then stands for it. Offline, where the
   next one is known too, `torque_between` interpolates between reported torques at most as far apart.
+* **Turns are counted.** An angle that stays within one turn and jumps by more than half of one is an encoder
+  that wraps: it is followed the short way. Once it goes beyond a turn it counts by itself.
 * **What is not measured** is often reported as nan: then it counts as not reported, until a number comes; an
   output angle also beside a torque that comes apart from the input. Other values that are none, and those
   beyond `LARGEST_ANGLE` and `LARGEST_TORQUE`, refuse the sample.
@@ -27,19 +29,38 @@ import numpy as np
 
 from hd_diag.arrays import Bytes, Floats, Integers, Times
 from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TORQUE, JointStates
-from hd_diag.streams.rules import INPUT, JOINT, LONGEST_HOLD, NEVER, OUTPUT, REMEMBERED, Given, Reason
+from hd_diag.streams.rules import (
+    ENCODER,
+    INPUT,
+    JOINT,
+    NEVER,
+    OUTPUT,
+    REMEMBERED,
+    Given,
+    Reason,
+)
 
 _LAYOUTS = 64  # of messages, whose columns are remembered
 _NOTHING = np.zeros((1, 1))
 _NO_MOMENTS = np.empty((3, 0), np.int64)
 
 
+ELSEWHERE = "-"
+"""Key of a signal that no message gives."""
+
+
 class Names(NamedTuple):
-    """Names of a joint's input and output in messages, and the torque where none is known [N m]."""
+    """What a joint is called in messages.
+
+    Names of input and output in joint states, and the torque where none is known [N m]; keys of input,
+    output, torque and speed where they are signals of their own; by what reported inputs are multiplied.
+    """
 
     input_joint: str
     output_joint: str
     torque: float = math.nan
+    keys: tuple[str, str, str, str] = ("", "", "", "")
+    input_factor: float = 1.0
 
 
 class Aligned(NamedTuple):
@@ -122,6 +143,8 @@ class Alignment:
     ----------
     joints : ndarray of JOINT, shape (k,)
         What is known of each.
+    encoders : ndarray of ENCODER, shape (k, 2)
+        Of input and output.
     texts : list of str
         Reasons that were given to `reject`.
     foreign : int
@@ -135,22 +158,26 @@ class Alignment:
         self.texts = [""] * len(names)
         self._inputs = np.zeros((len(names), remembered), INPUT)
         self._waiting = np.zeros((len(names), remembered), OUTPUT)
+        self.encoders = np.zeros((len(names), 2), ENCODER)
+        self.encoders["stretch"] = -1
         self._unseen = np.empty((0, len(names)), JOINT)
         self._columns: dict[Any, _Columns] = {}
         self.foreign = 0
         self.joints["assumed_torque"] = [each.torque for each in names]
+        self.joints["input_factor"] = [each.input_factor for each in names]
         kernel().begin_after(self.joints, NEVER - 1)
 
     @property
-    def state(self) -> tuple[Any, Any, Any]:
-        """All that is remembered of the streams: joints, rings of inputs (k, remembered) and of outputs."""
-        return self.joints, self._inputs, self._waiting
+    def state(self) -> tuple[Any, Any, Any, Any]:
+        """All that is remembered: joints, encoders (k, 2), rings (k, remembered) of inputs and of outputs."""
+        return self.joints, self.encoders, self._inputs, self._waiting
 
     def configure(self, number: int, names: Names) -> None:
         """Let a joint have other names, with which its stream begins anew, or another assumed torque."""
         before, self._names[number] = self._names[number], names
         self.joints["assumed_torque"][number] = names.torque
-        if names[:2] != before[:2]:
+        self.joints["input_factor"][number] = names.input_factor
+        if names._replace(torque=before.torque) != before:
             self._columns.clear()
             kernel().begin_after(self.joints[number : number + 1], NEVER - 1)
 
@@ -245,7 +272,7 @@ class Alignment:
             case Reason.LATE_OUTPUT:
                 return _late(names.output_joint, late)
             case Reason.UNREADABLE:
-                return f"a JointState message {unreadable[late]}"
+                return f"a message {unreadable[late]}"
         return texts[number]
 
     def _rows(self, count: int, shapes: Sequence[JointStates]) -> tuple[Times, Floats, Bytes]:
@@ -265,13 +292,12 @@ class Alignment:
 
     def _values(self, states: JointStates, columns: _Columns) -> Floats:
         nothing = _NOTHING if states.stamp.size == 1 else np.zeros((states.stamp.size, 1))
-        blocks = [block for block in states[4:] if block is not None]
+        blocks = [block for block in states.blocks if block is not None]
         joined = np.concatenate([nothing, *blocks], axis=1)
         return joined.take(columns.place, axis=1).reshape(-1, self.joints.size, 4)
 
     def _columns_of(self, states: JointStates) -> _Columns:
-        _, _, names, _, position, velocity, effort = states
-        key = names, position is None, velocity is None, effort is None
+        key = states.names, states.keys, *(block is None for block in states.blocks)
         found = self._columns.get(key)
         if found is None:
             if len(self._columns) >= _LAYOUTS:
@@ -283,53 +309,27 @@ class Alignment:
 
     def _find(self, states: JointStates) -> _Columns:
         columns = {name: column for column, name in enumerate(states.names)}
+        signals = {name: column for column, name in enumerate(states.keys)}
         begins, width = [], 1
-        for block in states[4:]:
+        for block in states.blocks:
             begins.append(None if block is None else width)
-            width += 0 if block is None else len(columns)
-        position, velocity, effort = begins
+            width += 0 if block is None else block.shape[1]
+        position, velocity, effort, mapped = begins
         place = np.zeros((len(self._names), 4), np.int64)
         given = np.zeros((1, len(self._names)), np.uint8)
         for number, names in enumerate(self._names):
             own, out = columns.get(names.input_joint), columns.get(names.output_joint)
-            given[0, number] = 0 if own is None and out is None else Given.NAMED
-            wanted = (own, position), (out, position), (out, effort), (own, velocity)
-            for kind, (column, begin) in enumerate(wanted):
+            usual = (own, position), (out, position), (out, effort), (own, velocity)
+            for kind, (key, place_of) in enumerate(zip(names.keys, usual, strict=True)):
+                column, begin = (signals.get(key), mapped) if key else place_of
+                if column is not None:
+                    given[0, number] |= Given.NAMED
                 if column is not None and begin is not None:
                     place[number, kind] = begin + column
                     given[0, number] |= 1 << kind
+        if states.keys and not given.any():
+            given[:] = Given.OTHER
         return _Columns(place.reshape(-1), given, not given.any())
-
-
-def torque_between(stamp: Times, stretch: Integers, torque: Floats, torque_stamp: Times) -> Floats:
-    """Torque of one joint's samples where the next reported one is known as well: interpolated.
-
-    Parameters
-    ----------
-    stamp, stretch, torque, torque_stamp : ndarray, shape (m,)
-        As in `Aligned`, by stamps in each stretch.
-
-    Returns
-    -------
-    ndarray, shape (m,)
-        [N m]; nan where none is reported nearby. See the rules of this module.
-    """
-    found = torque
-    for number in np.unique(stretch[torque_stamp != stamp]):
-        rows = np.flatnonzero(stretch == number)
-        held = rows[np.isfinite(torque[rows])]
-        if not held.size:
-            continue
-        known, first = np.unique(torque_stamp[held], return_index=True)
-        at = stamp[rows]
-        after = np.minimum(known.searchsorted(at), known.size - 1)
-        before = np.maximum(after - 1, 0)
-        gap = known[after] - np.minimum(known[before], at)
-        near = (at < known[after]) & (gap <= LONGEST_HOLD)
-        between = np.interp((at - known[0]) * 1e-9, (known - known[0]) * 1e-9, torque[held[first]])
-        found = found.copy() if found is torque else found
-        found[rows[near]] = between[near]
-    return found
 
 
 @functools.cache

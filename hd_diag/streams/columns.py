@@ -29,6 +29,10 @@ class JointStates(NamedTuple):
     frame_id : str
     position, velocity, effort : ndarray, shape (n, k), or None
         [rad] or [m], [rad/s] or [m/s], [N m] or [N]; None where the messages have none.
+    signals : ndarray, shape (n, m), or None
+        What is mapped to joints otherwise than by these names, in SI and degree Celsius.
+    keys : tuple of str
+        The m signals, as `hd_diag.streams.signals.key` has them.
     """
 
     row: Times
@@ -38,9 +42,17 @@ class JointStates(NamedTuple):
     position: Floats | None
     velocity: Floats | None
     effort: Floats | None
+    signals: Floats | None = None
+    keys: tuple[str, ...] = ()
+
+    @property
+    def blocks(self) -> tuple[Floats | None, ...]:
+        """Position, velocity, effort, signals."""
+        return self[4:8]
 
     def between(self, low: int, high: int) -> JointStates:
         """Rows at positions from `low` to before `high`, their positions counted from there."""
         rows = slice(*np.searchsorted(self.row, (low, high)).tolist())
-        values = [None if column is None else column[rows] for column in self[4:]]
-        return JointStates(self.row[rows] - low, self.stamp[rows], self.names, self.frame_id, *values)
+        values = [None if column is None else column[rows] for column in self.blocks]
+        head = self.row[rows] - low, self.stamp[rows], self.names, self.frame_id
+        return JointStates(*head, values[0], values[1], values[2], values[3], self.keys)

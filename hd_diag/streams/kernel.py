@@ -17,7 +17,7 @@ from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TORQUE
 from hd_diag.streams.rules import CLOCK_JUMP, LONGEST_HOLD, NEVER, PAIRING_GAP, Given, Reason
 
 _INPUT, _OUTPUT, _TORQUE, _SPEED = int(Given.INPUT), int(Given.OUTPUT), int(Given.TORQUE), int(Given.SPEED)
-_REFUSED, _UNREADABLE = int(Given.REFUSED), int(Reason.UNREADABLE)
+_REFUSED, _OTHER, _UNREADABLE = int(Given.REFUSED), int(Given.OTHER), int(Reason.UNREADABLE)
 _NAMELESS, _BAD_INPUT, _BAD_OUTPUT = int(Reason.NAMELESS), int(Reason.INPUT), int(Reason.OUTPUT)
 _BAD_TORQUE, _LATE_INPUT, _LATE_OUTPUT = int(Reason.TORQUE), int(Reason.LATE_INPUT), int(Reason.LATE_OUTPUT)
 _TURN = 2.0 * math.pi
@@ -32,6 +32,7 @@ def align(
     values: Floats,
     given: Bytes,
     joints: Any,
+    encoders: Any,
     inputs: Any,
     waiting: Any,
     moments: Times,
@@ -40,8 +41,9 @@ def align(
     """Aligned samples, columns (6, m) and (4, m) as in `Aligned`.
 
     Stamps and times of reception [ns] (n,); input and output angle, torque, speed (n, k, 4) of k joints, and
-    which of them are given (n, k). `moments` (3, l): rows before which the joints are looked at, and when
-    [ns]; set are what is `seen` (l, k), and as the third the numbers of samples by then.
+    which of them are given (n, k); the values become continuous. `moments` (3, l): rows before which the
+    joints are looked at, and when [ns]; set are what is `seen` (l, k), and as the third the numbers of
+    samples by then.
     """
     room = values.shape[0] * joints.size
     for j in range(joints.size):
@@ -52,6 +54,7 @@ def align(
         for j in range(joints.size):
             if given[row, j]:
                 left = _checked(joints[j], row, stamp[row], int(given[row, j]), values[row, j])
+                _count_turns(joints[j], encoders[j], left, values[row, j])
                 if left & _TORQUE:
                     joints[j].torque, joints[j].torque_stamp = values[row, j, 2], stamp[row]
                 if left & _INPUT:
@@ -94,7 +97,7 @@ def _begin(joint: Any) -> None:
     """Forget the stream."""
     joint.input_stamp = joint.output_stamp = joint.torque_stamp = NEVER
     joint.inputs = joint.waiting = joint.output_seen = 0
-    joint.torque, joint.farthest = math.nan, 0.0
+    joint.torque = math.nan
     joint.stretch += 1
 
 
@@ -110,6 +113,8 @@ def _checked(joint: Any, row: int, stamp: int, given: int, value: Floats) -> int
     """What is given less what cannot be used; 0 where the row is refused."""
     if given & _REFUSED:
         return _refuse(joint, _UNREADABLE, 0.0, row)
+    if given == _OTHER:
+        return 0
     if not given & (_INPUT | _OUTPUT | _TORQUE):
         return _refuse(joint, _NAMELESS, 0.0, 0)
     if stamp < max(joint.input_stamp, joint.output_stamp) - CLOCK_JUMP:
@@ -136,6 +141,33 @@ def _checked(joint: Any, row: int, stamp: int, given: int, value: Floats) -> int
 
 
 @part
+def _count_turns(joint: Any, encoders: Any, given: int, value: Floats) -> None:
+    """Make the angles of a row continuous, and the input the wave generator's."""
+    if given & _INPUT:
+        value[0] = _continuous(encoders[0], joint.stretch, value[0]) * joint.input_factor
+    if given & _OUTPUT:
+        value[1] = _continuous(encoders[1], joint.stretch, value[1])
+    if given & _SPEED:
+        value[3] *= joint.input_factor
+
+
+@part
+def _continuous(encoder: Any, stretch: int, angle: float) -> float:
+    """An angle that may wrap, with its turns [rad]."""
+    if encoder.stretch != stretch:
+        if encoder.stretch < 0:
+            encoder.low = encoder.high = angle
+        encoder.stretch, encoder.turns, encoder.angle = stretch, 0.0, angle
+    encoder.low, encoder.high = min(encoder.low, angle), max(encoder.high, angle)
+    if encoder.high - encoder.low > _TURN + _ROUNDING:
+        encoder.turns = 0.0
+    elif abs(angle - encoder.angle) > math.pi:
+        encoder.turns -= math.copysign(1.0, angle - encoder.angle)
+    encoder.angle = angle
+    return float(angle + _TURN * encoder.turns)
+
+
+@part
 def _load(joint: Any, stamp: int) -> float:
     """Torque at a stamp [N m]."""
     is_known = abs(stamp - joint.torque_stamp) <= LONGEST_HOLD and not math.isnan(joint.torque)
@@ -147,7 +179,6 @@ def _load(joint: Any, stamp: int) -> float:
 def _take_input(joint: Any, stamp: int, heard: int, given: int, value: Floats, ring: Any) -> None:
     joint.input_stamp, joint.heard = stamp, heard
     joint.angle, joint.load = value[0], _load(joint, stamp)
-    joint.farthest = max(joint.farthest, abs(value[0]))
     joint.samples += 1
     place = joint.inputs % ring.size
     ring[place].stamp, ring[place].angle = stamp, value[0]
@@ -209,11 +240,7 @@ def _put(
 
 @part
 def _interpolated(joint: Any, ring: Any, stamp: int) -> float:
-    """Input angle at a stamp that is not after the last [rad]; nan where the inputs around it are far apart.
-
-    An encoder that wraps stays within a turn about zero and jumps by more than half of one: it is followed
-    the short way, and the angle between is put on its turn.
-    """
+    """Input angle at a stamp not after the last [rad]; nan where the inputs around it are far apart."""
     low, high = joint.inputs - min(joint.inputs, ring.size), joint.inputs - 1
     while low < high:
         middle = (low + high) // 2
@@ -224,13 +251,8 @@ def _interpolated(joint: Any, ring: Any, stamp: int) -> float:
     is_oldest = low == joint.inputs - min(joint.inputs, ring.size)
     if is_oldest or later.stamp - earlier.stamp > PAIRING_GAP:
         return math.nan
-    change, start = later.angle - earlier.angle, earlier.angle
     share = float(stamp - earlier.stamp) / float(later.stamp - earlier.stamp)
-    if joint.farthest > _TURN + _ROUNDING or abs(change) <= math.pi:
-        return float(start + change * share)
-    begin = -math.pi if min(start, later.angle) < 0.0 else 0.0
-    change -= math.copysign(_TURN, change)
-    return float(begin + (start + change * share - begin) % _TURN)
+    return float(earlier.angle + (later.angle - earlier.angle) * share)
 
 
 @entry_point

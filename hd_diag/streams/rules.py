@@ -23,7 +23,10 @@ NEVER = -(2**62)
 
 
 class Given(IntFlag):
-    """What a row of a joint gives; `NAMED` if the message names the joint, `REFUSED` if it is unreadable."""
+    """What a row of a joint gives; `NAMED` if the message names the joint, `REFUSED` if it is unreadable.
+
+    `OTHER` is a signal that is not aligned, such as a temperature.
+    """
 
     INPUT = 1
     OUTPUT = 2
@@ -31,6 +34,7 @@ class Given(IntFlag):
     SPEED = 8
     NAMED = 16
     REFUSED = 32
+    OTHER = 64
 
 
 class Reason(IntEnum):
@@ -52,13 +56,18 @@ JOINT = np.dtype(
         *((name, np.int64) for name in ("inputs", "first", "waiting", "output_seen")),
         *((name, np.int64) for name in ("samples", "rejected", "unpaired", "clock_jumps")),
         *((name, np.int64) for name in ("reason", "reason_late")),
-        *((name, np.float64) for name in ("reason_value", "torque", "assumed_torque", "farthest")),
+        *((name, np.float64) for name in ("reason_value", "torque", "assumed_torque", "input_factor")),
         *((name, np.float64) for name in ("angle", "load")),
     ]
 )
 """State of one joint: stamps [ns], when an input was last heard [ns], number of its stream, places in rings,
-counters, the last refusal, torque reported and assumed [N m], farthest input angle [rad]; input angle and
-torque of the last sample."""
+counters, the last refusal, torque reported and assumed [N m], by which reported inputs are multiplied; input
+angle and torque of the last sample."""
+
+ENCODER = np.dtype(
+    [("stretch", np.int64), *((name, np.float64) for name in ("angle", "low", "high", "turns"))]
+)
+"""An angle as it is reported: in which stream, the last one, least and greatest [rad], whole turns to add."""
 
 INPUT = np.dtype([("stamp", np.int64), ("angle", np.float64)])
 OUTPUT = np.dtype(

@@ -1,0 +1,165 @@
+"""Topics of a bag that serve joints: those with joint states, and those that signals are mapped to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from hd_diag.bag.block import Topic
+from hd_diag.bag.errors import BagError
+from hd_diag.bag.reader import BagReader, Batch, Mixed
+from hd_diag.formatting import visible
+from hd_diag.messages.fields import FieldReader
+from hd_diag.messages.joint_states import JOINT_STATE, JointStateReader, Rejection
+from hd_diag.messages.publications import INPUT, OWN_OUTPUTS, TEMPERATURE, temperature_topic
+from hd_diag.streams.columns import JointStates
+from hd_diag.streams.signals import ROLES, Signal, Signals, key
+
+_SHOWN = 12  # topics that an error names
+_LONGEST = 60  # of a name
+
+
+class JointTopics:
+    """What of a bag is read for some joints.
+
+    Parameters
+    ----------
+    reader : BagReader
+    signals : mapping of str to Signals
+        By joint.
+    usual : sequence of str, optional
+        Topics with joint states, for signals that have no topic of their own; by default all but a node's
+        outputs and those that signals are mapped to.
+    names : mapping of str to str, optional
+        Full names of the topics that signals and temperatures have, where the bag's differ.
+
+    Attributes
+    ----------
+    readers : dict of str to JointStateReader or FieldReader
+        By topic.
+    types : dict of str to str
+        Types of these topics, and of the temperatures'.
+    temperatures : dict of str to str
+        Topics with temperatures in a type of their own, to joints.
+
+    Raises
+    ------
+    BagError
+        Where a topic is missing, or has no such field; it names what there is.
+    """
+
+    def __init__(
+        self,
+        reader: BagReader,
+        signals: Mapping[str, Signals],
+        usual: Iterable[str] | None = None,
+        names: Mapping[str, str] | None = None,
+    ) -> None:
+        self._bag, self._names = reader, names or {}
+        topics: dict[str, dict[str, Signal]] = {}
+        anywhere: dict[str, Signal] = {}
+        self.types: dict[str, str] = {}
+        for joint, own in signals.items():
+            for role, signal in zip(ROLES, own, strict=True):
+                if signal is not None and not signal.topic:
+                    anywhere[key(joint, role)] = signal
+                elif signal is not None:
+                    topic = self._find(joint, signal)
+                    topics.setdefault(topic, {})[key(joint, role)] = signal
+                    self.types[topic] = signal.type_name
+        usual = self._usual(topics, signals) if usual is None else usual
+        for topic in usual:
+            topics[topic] = topics.get(topic, {}) | anywhere
+            self.types[topic] = JOINT_STATE
+        self.readers = {topic: self._reader(topic, own) for topic, own in topics.items()}
+        self.temperatures = {
+            topic: joint
+            for joint, own in signals.items()
+            if own.temperature is None
+            for topic in self._temperatures(joint)
+        }
+        self.types |= dict.fromkeys(self.temperatures, TEMPERATURE)
+
+    def is_read(self, topic: Topic) -> bool:
+        """Whether a topic has signals that are aligned with each other."""
+        return topic.name in self.readers and topic.type_name == self.types[topic.name]
+
+    def columns(self, mixed: Mixed) -> tuple[list[JointStates], list[tuple[int, str]]]:
+        """Signals of consecutive messages; positions of those that cannot be read, and why, in order."""
+        shapes: list[JointStates] = []
+        refused: list[tuple[int, str]] = []
+        for rows, batch in mixed.batches:
+            columns, rejected = self._columns(batch)
+            shapes += [states._replace(row=rows[states.row]) for states in columns]
+            refused += [(int(rows[each.row]), each.reason) for each in rejected]
+        return shapes, refused
+
+    def _columns(self, batch: Batch) -> tuple[list[JointStates], list[Rejection]]:
+        """Signals of messages of one topic."""
+        return self.readers[batch.topic.name].columns(batch.payload, batch.log_time)
+
+    def _find(self, joint: str, signal: Signal) -> str:
+        """Name that the bag has for a signal's topic."""
+        wanted = self._names.get(signal.topic, signal.topic)
+        end = "/" + wanted.lstrip("/")
+        known = [t for t in self._bag.topics if t.name == wanted] or [
+            t for t in self._bag.topics if t.name.endswith(end)
+        ]
+        if not known:
+            raise BagError(self._bag.path, f"has no topic {wanted} for {joint}; {held(self._bag)}")
+        right = [t.name for t in known if t.type_name == signal.type_name]
+        if not right:
+            text = (
+                f"{known[0].name} has type {known[0].type_name}, not {signal.type_name} as mapped for {joint}"
+            )
+            raise BagError(self._bag.path, text)
+        return right[0]
+
+    def _usual(self, mapped: Iterable[str], signals: Mapping[str, Signals]) -> list[str]:
+        """Topics with joint states but those that are mapped, unless they are called as a node's input is."""
+        every = [t for t in joint_state_topics(self._bag) if t not in mapped or t.endswith(f"/{INPUT}")]
+        if not every and not any(signal for own in signals.values() for signal in own):
+            raise BagError(self._bag.path, f"has no topic with {JOINT_STATE}; {held(self._bag)}")
+        return every
+
+    def _temperatures(self, joint: str) -> list[str]:
+        usual = temperature_topic(joint)
+        named = self._names.get(usual)
+        return [
+            t.name
+            for t in self._bag.topics
+            if t.type_name == TEMPERATURE
+            and (t.name == named if named is not None else t.name.endswith(f"/{usual}"))
+        ]
+
+    def _reader(self, topic: str, signals: Mapping[str, Signal]) -> JointStateReader | FieldReader:
+        type_name = self.types[topic]
+        try:
+            if type_name == JOINT_STATE:
+                return JointStateReader(signals)
+            (known,) = (t for t in self._bag.topics if (t.name, t.type_name) == (topic, type_name))
+            return FieldReader(self._bag.types(known), type_name, signals)
+        except ValueError as error:
+            cause = error.cause if isinstance(error, BagError) else f"{topic}: {error}"
+            raise BagError(self._bag.path, cause) from error
+
+
+def joint_state_topics(reader: BagReader) -> list[str]:
+    """Topics of a bag with joint states; a node's own outputs are none."""
+    found = [topic.name for topic in reader.topics if topic.type_name == JOINT_STATE]
+    return [name for name in found if not name.endswith(OWN_OUTPUTS)]
+
+
+def joints_in(reader: BagReader) -> frozenset[str]:
+    """Names that the joint states of a bag hold."""
+    names: set[str] = set()
+    for batch in reader.batches(joint_state_topics(reader)):
+        for states in reader.joint_states(batch)[0]:
+            names.update(states.names)
+    return frozenset(names)
+
+
+def held(reader: BagReader) -> str:
+    """Topics of a bag with their types, for an error."""
+    topics = [f"{visible(t.name, _LONGEST)} ({visible(t.type_name, _LONGEST)})" for t in reader.topics]
+    more = f" and {len(topics) - _SHOWN} more" if len(topics) > _SHOWN else ""
+    return f"it has {', '.join(topics[:_SHOWN])}{more}" if topics else "it has no topics"

@@ -1,0 +1,87 @@
+"""Signals of a joint from its parameters."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+from hd_diag.config.parameters import ConfigError, Value, shown
+from hd_diag.streams.signals import ROLES, Signal, Signals, Unit, unit
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+TEMPERATURE = "sensor_msgs/msg/Temperature"
+
+OWNERS = dict(zip(ROLES, ("input", "output_signal", "torque_signal", "temperature_signal"), strict=True))
+"""Under which parameter each signal stands."""
+
+# Field and unit where none is given.
+_USUAL = {
+    "input": ("position", "rad"),
+    "output": ("position", "rad"),
+    "torque": ("effort", "N m"),
+    "temperature": ("temperature", "degC"),
+}
+_VELOCITY = "velocity"
+_TYPE = re.compile(r"([A-Za-z]\w*)/(?:msg/)?([A-Za-z]\w*)", re.ASCII)
+
+
+def spelled_out(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Parameters with ``input: velocity`` written as what it stands for; ConfigError for another word."""
+    found = dict(given)
+    for name in [n for n in found if n.endswith(".input") and not isinstance(found[n], Mapping)]:
+        value, joint = found.pop(name), name.removesuffix(".input")
+        if value != _VELOCITY:
+            raise ConfigError(f"{name}: expected '{_VELOCITY}' or topic, field, ..., not {shown(value)}")
+        found |= {f"{name}.field": _VELOCITY, f"{joint}.input_divided": True}
+    return found
+
+
+def signals_from(joint: str, own: Mapping[str, Value]) -> Signals:
+    """Signals of a joint from its parameters by their names within it; ConfigError naming what cannot be."""
+    return Signals(*(_signal(joint, role, owner, own) for role, owner in OWNERS.items()))
+
+
+def _signal(joint: str, role: str, owner: str, own: Mapping[str, Value]) -> Signal | None:
+    keys = ("topic", "type", "field", "name", "unit")
+    topic, kind, field, name, text = (str(own[f"{owner}.{key}"]) for key in keys)
+    scale, sign = own[f"{owner}.scale"], own[f"{owner}.sign"]
+    if (topic, kind, field, name, text, scale, sign) == ("", "", "", "", "", 1.0, 1):
+        return None
+    usual_field, usual_unit = _USUAL[role]
+    type_name = _type(f"{joint}.{owner}.type", kind) or (
+        TEMPERATURE if role == "temperature" else JOINT_STATE
+    )
+    if not topic and type_name != JOINT_STATE:
+        raise ConfigError(f"{joint}.{owner}.topic: which topic with {type_name} is missing")
+    if not field and type_name not in (JOINT_STATE, TEMPERATURE):
+        raise ConfigError(f"{joint}.{owner}.field: which field of {type_name} is missing")
+    is_velocity = role == "input" and type_name == JOINT_STATE and field.startswith(_VELOCITY)
+    at_motor = role == "input" and not (is_velocity and own["input_divided"])
+    joint_name = (
+        str(own["input_joint"]) or f"{joint}_motor" if at_motor else str(own["output_joint"]) or joint
+    )
+    name = name or joint_name
+    if sign not in (1, -1):
+        raise ConfigError(f"{joint}.{owner}.sign: expected 1 or -1, not {shown(sign)}")
+    try:
+        known = unit(role, text or ("rad/s" if is_velocity else usual_unit))
+    except ValueError as error:
+        raise ConfigError(f"{joint}.{owner}.unit: {error}") from error
+    return Signal(
+        topic, type_name, (field or usual_field).replace("{name}", name), name, _scaled(known, scale, sign)
+    )
+
+
+def _scaled(known: Unit, scale: Any, sign: Any) -> Unit:
+    return known._replace(factor=known.factor * float(scale) * int(sign))
+
+
+def _type(parameter: str, text: str) -> str:
+    """Full name of a type, ``package/msg/Name``; empty for none."""
+    found = _TYPE.fullmatch(text)
+    if text and not found:
+        raise ConfigError(
+            f"{parameter}: expected a type such as control_msgs/DynamicJointState, not {shown(text)}"
+        )
+    return f"{found[1]}/msg/{found[2]}" if found else ""

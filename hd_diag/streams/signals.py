@@ -1,0 +1,156 @@
+"""Signals as robots publish them: where in which messages a quantity of a joint stands, in which unit."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hd_diag.arrays import Floats, Integers
+from hd_diag.streams.columns import JointStates
+
+ROLES = ("input", "output", "torque", "temperature")
+"""What a joint's signals are."""
+
+_TURN = 2.0 * math.pi
+_ANGLES = {"rad": 1.0, "deg": _TURN / 360.0, "turns": _TURN}
+_COUNTS = re.compile(r"counts/(\d+(?:\.\d+)?)")
+_ZERO_CELSIUS = 273.15  # [K]
+
+
+class Unit(NamedTuple):
+    """SI (degree Celsius for temperatures) is factor times value plus offset.
+
+    A rate is an angle per second; a current is ampere, for whoever knows N m per ampere.
+    """
+
+    factor: float
+    offset: float = 0.0
+    is_rate: bool = False
+    is_counts: bool = False
+    is_current: bool = False
+
+
+_UNITS = {
+    "angle": {
+        **{name: Unit(factor) for name, factor in _ANGLES.items()},
+        **{f"{name}/s": Unit(factor, is_rate=True) for name, factor in _ANGLES.items()},
+        "rpm": Unit(_TURN / 60.0, is_rate=True),
+    },
+    "torque": {
+        "N m": Unit(1.0),
+        "N mm": Unit(1e-3),
+        "A": Unit(1.0, is_current=True),
+        "mA": Unit(1e-3, is_current=True),
+    },
+    "temperature": {"degC": Unit(1.0), "K": Unit(1.0, -_ZERO_CELSIUS)},
+    "time": {"s": Unit(1.0), "ms": Unit(1e-3), "us": Unit(1e-6), "ns": Unit(1e-9)},
+}
+
+
+_OTHERWISE = {
+    **dict.fromkeys(("°", "degree", "degrees"), "deg"),
+    **dict.fromkeys(("turn", "rev"), "turns"),
+    **dict.fromkeys(("Nm", "N·m", "N.m", "N*m"), "N m"),
+    **dict.fromkeys(("°C", "C"), "degC"),
+    "rad/sec": "rad/s",
+    "deg/sec": "deg/s",
+    "µs": "us",
+}
+
+
+def unit(role: str, text: str) -> Unit:
+    """Unit of a quantity, one of `ROLES` or ``time``, by its name; ValueError names those that there are.
+
+    Of an encoder's counts it is ``counts/4096``: so many to the turn.
+    """
+    text = _OTHERWISE.get(text, text)
+    known = _UNITS["angle" if role in ("input", "output") else role]
+    counts = _COUNTS.fullmatch(text) if "rad" in known else None
+    if counts and float(counts[1]) > 0.0:
+        return Unit(_TURN / float(counts[1]), is_counts=True)
+    if text not in known or (role == "output" and known[text].is_rate):
+        names = [name for name, each in known.items() if not (role == "output" and each.is_rate)]
+        names += ["counts/N (N to the turn)"] if "rad" in known else []
+        raise ValueError(f"{text!a} is no unit of {role}; there are {', '.join(names)}")
+    return known[text]
+
+
+@dataclass(frozen=True)
+class Signal:
+    """Where a quantity stands.
+
+    Attributes
+    ----------
+    topic : str
+        Empty: every one with joint states.
+    type_name : str
+        Of its messages, as ``package/msg/Name``.
+    field : str
+        Path in a message, as `hd_diag.messages.field_path` has it.
+    name : str
+        Index of arrays that have none in the path.
+    unit : Unit
+        With scale and sign in it.
+    """
+
+    topic: str
+    type_name: str
+    field: str
+    name: str
+    unit: Unit
+
+
+class Signals(NamedTuple):
+    """Signals of a joint; None for one that has its usual place."""
+
+    input: Signal | None = None
+    output: Signal | None = None
+    torque: Signal | None = None
+    temperature: Signal | None = None
+
+    @property
+    def is_current(self) -> bool:
+        """Whether the torque is a motor's current times a constant."""
+        return self.torque is not None and self.torque.unit.is_current
+
+    @property
+    def is_velocity(self) -> bool:
+        """Whether the input is known by its velocity alone."""
+        return self.input is not None and self.input.unit.is_rate
+
+
+USUAL = Signals()
+
+
+def key(joint: str, role: str) -> str:
+    """Name of a signal's column."""
+    return f"{joint}.{role}"
+
+
+def temperatures(states: JointStates) -> dict[str, Floats]:
+    """Columns of temperatures among signals, by joint [degree Celsius]."""
+    if states.signals is None:
+        return {}
+    end = key("", "temperature")
+    return {k[: -len(end)]: states.signals[:, i] for i, k in enumerate(states.keys) if k.endswith(end)}
+
+
+def temperature_changes(shapes: Sequence[JointStates]) -> Integers:
+    """Rows from which on a temperature is another than in the message before with the same signals."""
+    rows = [
+        states.row[np.concatenate(([True], np.diff(column) != 0.0))]
+        for states in shapes
+        for column in temperatures(states).values()
+    ]
+    return np.unique(np.concatenate([np.empty(0, np.int64), *rows]))
+
+
+def nearest(name: str, known: list[str]) -> str:
+    """The most similar of some names, the first of them where none is; empty where there are none."""
+    return next(iter(difflib.get_close_matches(name, known, n=1, cutoff=0.0)), "")
