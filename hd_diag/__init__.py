@@ -25,7 +25,8 @@ bag                 reading, writing and recovering recordings
 replay              events of a log, and the monitor over a bag
 simulation          simulated joints, and bags of them
 ros                 the node
-tolerance, fleet    studies over many drives; over many bags
+tolerance           studies over many drives
+fleet               studies over many bags
 report              a bag or a verdict on one page
 watch               a running node in the terminal
 cli                 one module a verb

@@ -3,13 +3,24 @@
 import numpy as np
 import pytest
 from benches import EFFECTS, bench, of
+from test_verdict import SKIP, diagnosis
 
+from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.search.causes import causes
-from hd_diag.fleet.rows import amplitude_std
+from hd_diag.fleet.rows import amplitude_std, judged
 
 ENCODER, HYSTERESIS, BEARING = (
     EFFECTS[name] for name in ("input_encoder_eccentricity", "hysteresis", "bearing_passage")
 )
+
+
+def test_a_finding_about_the_signals_is_no_cause() -> None:
+    """Causes, amplitudes and their deviations are as many."""
+    found = diagnosis(findings=(Finding("clock_set_back", "the clock was set back", 1.0, "-", False), SKIP))
+    row = judged(found, "joint_1")
+    assert row["causes"] == ["tooth_skip"]
+    assert len(row["cause_amplitudes_rad"]) == len(row["cause_amplitude_stds_rad"]) == 1
+    assert len(row["findings"]) == 2
 
 
 def test_the_deviation_of_an_amplitude_is_that_of_drawn_coefficients() -> None:

@@ -8,7 +8,7 @@ from benches import CONFIGURED, EFFECTS, POINT, bench, of
 
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.search.ranking import Projector, candidates, family_size, ranked
-from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS
+from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS, UnmodelledTerm
 from hd_diag.effects.effect import Stage
 
 RUBBED, DRY = EFFECTS["hysteresis"], EFFECTS["coulomb_windup"]
@@ -64,6 +64,21 @@ def test_what_is_chosen_is_no_candidate(made: LinearisedFit) -> None:
     assert [one.effect for one in beside] == [DRY]
     alone = next(one for one in ranked(made, (), [RUBBED, DRY]) if one.effect is DRY)
     assert beside[0].gain < 0.1 * alone.gain
+
+
+def test_a_shape_that_only_the_fitted_rows_have_is_no_candidate(made: LinearisedFit) -> None:
+    """Of all rows more rests are seen: too many for a constant each."""
+    fitted, whole = made.data.at.size, made.data.source.size
+    assert fitted < whole
+    few = UnmodelledTerm(
+        name="few",
+        cause="",
+        frame="time",
+        remembers=True,
+        shape=lambda signals: np.ones((signals.size, int(signals.size <= fitted))),
+    )
+    assert made.data.testable(few)[0]
+    assert ranked(made, (), [few]) == []
 
 
 def test_without_a_measured_torque_only_what_the_motion_proves_takes_part(made: LinearisedFit) -> None:

@@ -32,6 +32,7 @@ from hd_diag.tolerance.limit import (
     STEPS,
     EccentricityLimit,
     across_long_axis,
+    allowed,
     check_largest,
     first_excess,
     input_angle,
@@ -190,6 +191,14 @@ def value(criterion: str, found: EccentricityLimit, eccentricity: float) -> floa
         return float(np.ptp(torsion(own.mesh, around, np.full(around.size, CUP))))
     name = {"peak_tooth_load": "peak_load"}.get(criterion, criterion)
     return float(getattr(state, name)[0])
+
+
+@pytest.mark.parametrize("without", [(), ("overlap",), NAMES])
+def test_what_is_allowed_is_the_first_limit_of_all(without: tuple[str, ...]) -> None:
+    """As the study finds it by solving for every one; without those that are out of reach."""
+    limits = LIMITS | dict.fromkeys(without, 1e9)
+    reached = [(excess(name, LIMITS[name]).eccentricity, name) for name in NAMES if name not in without]
+    assert allowed(drive(), CUP, limits, LARGEST) == (min(reached) if reached else None)
 
 
 @pytest.mark.parametrize(

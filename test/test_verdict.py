@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 from joint_records import ARCSEC, columns, joint, prepared
 
-from hd_diag.diagnosis.diagnosis import Diagnosis
+from hd_diag.diagnosis.diagnosis import Allowed, Diagnosis
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.refit import Refit
@@ -39,7 +40,7 @@ KEYS = {
     "testability": "name testable least_size reason",
 }
 MORE = {
-    "": "findings evidence",
+    "": "findings evidence tolerance",
     "record": "has_torque outliers dropped",
     "extended": "rms_named rms_offline rms_live",
 }
@@ -198,6 +199,18 @@ def test_the_sentence(made: Diagnosis, said: str) -> None:
     """Its end; the whole of it where nothing comes before."""
     assert sentence(Answer(made)).endswith(said)
     assert said.startswith((";", "unexplained")) or sentence(Answer(made)) == said
+
+
+@pytest.mark.parametrize(("most", "where"), [(20e-6, "within"), (10e-6, "beyond")])
+def test_severity_comes_first(most: float, where: str) -> None:
+    """Catalogue's accuracy, then what the assembly may have; before anything that was found."""
+    made = diagnosis(cause("hysteresis"), allowed=Allowed(most, "peak_tooth_load"))
+    first, _, _ = sentence(Answer(made)).partition(";")
+    assert re.fullmatch(r"the joint is within its accuracy \(\d+ of 90 arcsec peak to peak\) and .*", first)
+    sizes = f"18.2 of {most * 1e6:.1f} µm"
+    assert first.endswith(f"its eccentricity is {where} the tolerance's limit ({sizes}, by peak tooth load)")
+    expected = {"eccentricity": pytest.approx(18.2e-6), "allowed": most, "criterion": "peak_tooth_load"}
+    assert as_json(made, "joint_1")["tolerance"] == {**expected, "within": where == "within"}
 
 
 def test_causes_that_predict_nothing_are_doubted() -> None:

@@ -25,6 +25,8 @@ from hd_diag.diagnosis.record import Record, RecordError
 from hd_diag.diagnosis.screening import screened
 from hd_diag.effects import Catalogue
 from hd_diag.report.facts import Fact, JointReport
+from hd_diag.tolerance.severity import with_allowed
+from hd_diag.tolerance.study import limits_and_spreads
 
 _OPTIONS = (
     click.argument("bags", nargs=-1, required=True, type=click.Path(path_type=Path)),
@@ -78,7 +80,8 @@ class Records:
         looked = screened(self._record(joint), joint.configured, teeth=not self.orders_only)
         if self.orders_only:
             return orders_only(looked, joint.configured, np.random.default_rng(0))
-        return diagnose(looked, joint.configured, np.random.default_rng(0), progress, self.catalogue)
+        found = diagnose(looked, joint.configured, np.random.default_rng(0), progress, self.catalogue)
+        return with_allowed(found, limits_and_spreads(self.config.flat, joint.name)[0])
 
     def _record(self, joint: JointConfig) -> Record:
         return (

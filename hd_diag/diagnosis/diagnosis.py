@@ -33,12 +33,19 @@ from hd_diag.extended_model import ExtendedModel
 _WORSE = 1.02  # times the residual of a simpler model: then data speak against the richer one
 
 
+class Allowed(NamedTuple):
+    """The eccentricity that an assembly may have [m], and the criterion that it is by."""
+
+    eccentricity: float
+    criterion: str
+
+
 @dataclass(frozen=True)
 class Diagnosis:
     """Result for one joint; `orders` is its order table where no tooth model was fitted.
 
     `kept` are the parameters that stay as configured, for held-out data are predicted no better with others,
-    and how far off each may be, at 95 % (SI).
+    and how far off each may be, at 95 % (SI). What is `allowed` is not found here: who knows it adds it.
     """
 
     record: Record
@@ -54,6 +61,7 @@ class Diagnosis:
     model: ExtendedModel | None = None
     catalogue: Catalogue = CATALOGUE
     orders: tuple[OrderRow, ...] = ()
+    allowed: Allowed | None = None
 
     @property
     def misfit(self) -> Misfit | None:

@@ -91,6 +91,15 @@ class Answer:
                 changed.append(Change(name, *number, explains))
         return sorted(changed, key=lambda change: -change.explains)
 
+    @property
+    def eccentricity(self) -> float:
+        """What is told of it, found or as configured [m]; nan where nothing is."""
+        found = self.diagnosis
+        if found.refitted is None or not found.refitted.trustworthy:
+            return math.nan
+        changed = [change.value for change in self.changes if change.name == "eccentricity"]
+        return changed[0] if changed else abs(found.configured.mesh.eccentricity)
+
     @cached_property
     def normal(self) -> Normal | None:
         """The joint beside its catalogue; None where nothing can be said."""

@@ -71,6 +71,7 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
         "evidence": answer.evidence,
         "described": [_row(row) for row in diagnosis.order_table],
         "normal": answer.normal and {**answer.normal._asdict(), "within": answer.normal.within},
+        "tolerance": _tolerance(answer),
         "model": model,
         "verdict": sentence(answer),
     }
@@ -178,12 +179,31 @@ def _misfit(answer: Answer) -> list[str]:
 
 
 def _severity(answer: Answer) -> list[str]:
-    usual = answer.normal
-    if usual is None:
-        return []
-    size, allowed = usual.measured / ARCSEC, usual.accuracy / ARCSEC
-    where = "within" if usual.within else "beyond"
-    return [f"the joint is {where} its accuracy ({size:.0f} of {allowed:.0f} arcsec peak to peak)"]
+    """The joint beside its catalogue's accuracy, and its eccentricity beside what the assembly may have."""
+    told, usual, beside = [], answer.normal, _tolerance(answer)
+    if usual is not None:
+        size, allowed = usual.measured / ARCSEC, usual.accuracy / ARCSEC
+        where = "within" if usual.within else "beyond"
+        told.append(f"the joint is {where} its accuracy ({size:.0f} of {allowed:.0f} arcsec peak to peak)")
+    if beside is not None:
+        where = "within" if beside["within"] else "beyond"
+        sizes = f"{beside['eccentricity'] * 1e6:.1f} of {beside['allowed'] * 1e6:.1f} µm"
+        by = words(beside["criterion"])
+        told.append(f"its eccentricity is {where} the tolerance's limit ({sizes}, by {by})")
+    return [" and ".join(told)] if told else []
+
+
+def _tolerance(answer: Answer) -> dict[str, Any] | None:
+    most, own = answer.diagnosis.allowed, answer.eccentricity
+    if most is None:
+        return None
+    within = own <= most.eccentricity
+    return {
+        "eccentricity": own,
+        "allowed": most.eccentricity,
+        "criterion": most.criterion,
+        "within": within,
+    }
 
 
 def _parameters(answer: Answer) -> str:

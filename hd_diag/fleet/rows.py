@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,6 +27,8 @@ from hd_diag.effects import CATALOGUE
 from hd_diag.fleet.survey import Survey
 from hd_diag.formatting import json_ready
 from hd_diag.replay.versions import running
+from hd_diag.tolerance.severity import with_allowed
+from hd_diag.tolerance.study import limits_and_spreads
 
 SCHEMA = "hd_diag/fleet/1"
 
@@ -46,10 +49,11 @@ _FITTED = {
 
 @dataclass(frozen=True)
 class Task:
-    """One joint of one bag, to be diagnosed where the bag can be read."""
+    """One joint of one bag, to be diagnosed where the bag can be read; limits on its assembly."""
 
     bag: str
     joint: JointConfig
+    limits: Mapping[str, float]
     digest: str
     config_digest: str
     messages: int
@@ -65,7 +69,14 @@ class Task:
 def tasks(seen: Survey, config: Config, joints: tuple[JointConfig, ...]) -> list[Task]:
     """The joints of a configuration of which a bag holds an angle."""
     return [
-        Task(seen.path, joint, seen.digest, config_digest(config, joint), seen.messages)
+        Task(
+            seen.path,
+            joint,
+            limits_and_spreads(config.flat, joint.name)[0],
+            seen.digest,
+            config_digest(config, joint),
+            seen.messages,
+        )
         for joint in joints
         if seen.names & {joint.input_joint, joint.output_joint} or _has_mapped(seen, joint)
     ]
@@ -92,6 +103,7 @@ def judge(task: Task) -> Row:
         configured = task.joint.configured
         record = screened(read_bags([task.bag], task.joint), configured)
         found = diagnose(record, configured, np.random.default_rng(0), catalogue=load())
+        found = with_allowed(found, task.limits)
     except BagError as error:
         return {**fixed, "error": error.cause}
     except RecordError as error:
@@ -118,7 +130,7 @@ def judged(found: Diagnosis, joint: str) -> Row:
         },
         "trustworthy": report["refit"]["trustworthy"],
         **_causes(report["causes"]),
-        "cause_amplitude_stds_rad": json_ready([math.nan] * len(found.findings) + stds),
+        "cause_amplitude_stds_rad": json_ready([math.nan] * (len(report["causes"]) - len(stds)) + stds),
         "tested": [test["name"] for test in tested],
         "tested_least_rad": [test["least_size"] for test in tested],
         **{f"{name}_rad": gain[name] for name in ("rms_nominal", "rms_refit", "rms_extended")},

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -108,14 +108,32 @@ def first_excess(
     search = _Search(drive, cup_torque, criterion)
     eccentricity = np.linspace(0.0, largest, STEPS + 1)
     scanned = np.stack((eccentricity, [search.scan(e) for e in eccentricity]))
-
-    def excess(e: float) -> float:
-        value = search.worst(e).value
-        return min(value, 1e9) - limit  # a finite step where no flank can bear the torque
-
-    found = _crossing(excess, eccentricity, scanned[1] > limit, FINE_STEPS if search.jumps else 1)
+    found = search.exceeded(limit, scanned)
     worst = search.worst(found if math.isfinite(found) else largest)
     return EccentricityLimit(criterion, limit, found, worst, search.worst(0.0).value, scanned)
+
+
+def allowed(
+    drive: Drive, cup_torque: float, limits: Mapping[str, float], largest: float
+) -> tuple[float, str] | None:
+    """The least of all criteria's :func:`first_excess` [m] and its criterion, without solving for the others.
+
+    Limits by the names of the criteria; None where none is reached.
+    """
+    searches = [_Search(drive, cup_torque, name) for name in NAMES]
+    eccentricity = np.linspace(0.0, largest, STEPS + 1)
+    values = np.stack([searches[-1].scan_of_all(e) for e in eccentricity], axis=1)
+    above = [row > limits[name] for row, name in zip(values, NAMES, strict=True)]
+    first = [int(np.argmax(one)) if one.any() else STEPS for one in above]
+    least = None
+    for k in sorted(range(len(NAMES)), key=lambda k: first[k]):
+        limit, search = limits[NAMES[k]], searches[k]
+        if least is not None and not search.worst(least[0]).value > limit:
+            continue
+        found = search.exceeded(limit, np.stack((eccentricity, values[k])))
+        if math.isfinite(found) and (least is None or found < least[0]):
+            least = found, NAMES[k]
+    return least
 
 
 def across_long_axis(drive: Drive, largest: float) -> tuple[float, float]:
@@ -173,17 +191,34 @@ class _Search:
         beta = self._torsion(replace(self.drive.mesh, eccentricity=eccentricity), around[:, None])
         return float(np.ptp(np.where(np.isnan(beta), np.inf, beta)))
 
+    def scan_of_all(self, eccentricity: float) -> Floats:
+        """The same of all criteria, in the order of ``criteria.CRITERIA``; this one is that of a turn."""
+        return np.append(self._moments(eccentricity, _grid(*_SCAN)).max(axis=1), self.scan(eccentricity))
+
+    def exceeded(self, limit: float, scanned: Floats) -> float:
+        """The eccentricity at which a limit is first exceeded, nan if it is not."""
+
+        def excess(e: float) -> float:
+            value = self.worst(e).value
+            return min(value, 1e9) - limit  # a finite step where no flank can bear the torque
+
+        return _crossing(excess, scanned[0], scanned[1] > limit, FINE_STEPS if self.jumps else 1)
+
     def worst(self, eccentricity: float) -> Worst:
         """Worst over all directions and angles."""
         return self._of_turn(eccentricity) if self.of_turn else self._of_moment(eccentricity)
 
     def _values(self, eccentricity: float, points: Floats) -> Floats:
         """Criterion (n,) at points (n, 2): angle from the long axis [rad], phase in a slot pitch [-]."""
+        return np.asarray(self._moments(eccentricity, points)[self.index])
+
+    def _moments(self, eccentricity: float, points: Floats) -> Floats:
+        """All criteria of a moment (5, n)."""
         turn, mesh = self.pitch * points[:, 1], self.drive.mesh
         towards: Complexes = np.exp(1j * (points[:, 0] + turn))
         turning: Complexes = np.exp(1j * turn)
         found = evaluate(mesh, turn, eccentricity * towards + mesh.runout * turning, self.torque)
-        return of_moments(found, self.drive.cup_compliance, self.reference)[self.index, :, 0]
+        return of_moments(found, self.drive.cup_compliance, self.reference)[:, :, 0]
 
     def _of_moment(self, eccentricity: float) -> Worst:
         points = _grid(*self.grid)

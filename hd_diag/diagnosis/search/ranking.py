@@ -82,7 +82,10 @@ def ranked(fit: LinearisedFit, chosen: Chosen, effects: Sequence[Effect]) -> lis
             continue
         points = []
         for nonlinear in effect.starts(fit.signals, rest).points:
-            coefficients, moment = projector.fit(fit.white(effect, nonlinear))
+            white = fit.white(effect, nonlinear)
+            if not white.shape[1]:  # of all rows, what the fitted ones have may be too much
+                continue
+            coefficients, moment = projector.fit(white)
             if effect.sensible(coefficients[: effect.size], nonlinear):
                 gain = float(moment @ coefficients)
                 points.append(_candidate(fit, projector, effect, nonlinear, gain))
