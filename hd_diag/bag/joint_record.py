@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import nan
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -63,18 +63,25 @@ def read_bags(paths: Sequence[str | Path], joint: JointConfig) -> Record:
     found = _read_all(paths, joint, lambda samples: np.isfinite(samples.output_angle))
     time, stretch, given, own, torque, speed, warm, stamps = found
     if not time.size:
-        raise RecordError(_nothing(paths, joint, stamps))
+        raise RecordError(nothing(paths, joint, stamps))
     ratio = joint.drive.kinematics.ratio
     columns = time, given, own, torque, warm, stretch, ratio, joint.torque, speed
     return prepare(*columns, by_current=joint.signals.is_current, stamps=stamps)
 
 
-def _nothing(paths: Sequence[str | Path], joint: JointConfig, stamps: Stamps) -> str:
-    """What is missing in bags, and why or what there is."""
+def nothing(paths: Sequence[str | Path], joint: JointConfig, stamps: Stamps | None = None) -> str:
+    """What is missing in bags, and why or what there is; of one angle what a driver would have to publish."""
     roles = (joint.signals.input, joint.input_joint), (joint.signals.output, joint.output_joint)
     given, measured = (place(*role) for role in roles)
     text = f"no input angle ({given}) with output angle ({measured}) in {', '.join(map(str, paths))}"
-    if stamps.why:
+    if not _read_all(paths, joint, _is_input).time.size and (own := _one_angle(paths, joint)).time.size:
+        ripple = "what the torque shows: hd-diag ripple"
+        return (
+            f"{text}; one angle has no transmission error: the robot's driver would have to publish the "
+            "motor encoder's angle, or its velocity (input: velocity); "
+            + (ripple if np.isfinite(own.torque).any() else "for hd-diag ripple an effort or a current")
+        )
+    if stamps is not None and stamps.why:
         return text + stamps.why
     names: set[str] = set()
     for path in paths:
@@ -115,20 +122,37 @@ class InputRecord:
 def read_motion(paths: Sequence[str | Path], joint: JointConfig) -> InputRecord | None:
     """A joint's motion from one bag or several, at the input angle's stamps; None where there is none.
 
+    Where only the output's angle is reported, and a torque, it is that angle times the ratio, at its stamps.
+
     Raises
     ------
     BagError
         Where a bag cannot be read.
     """
-    found = _read_all(paths, joint, lambda samples: samples.paired == 0)
-    if not found.time.size:
+    found = _read_all(paths, joint, _is_input)
+    if is_single := not found.time.size:
+        found = _one_angle(paths, joint)
+    known = np.isfinite(found.torque)
+    if not found.time.size or (is_single and not known.any()):
         return None
     angle = found.input_angle
     for begin, end in bounds(found.stretch):
         if np.abs(angle[begin:end]).max() <= _TURN:
             angle[begin:end] = unwrapped(angle[begin:end])
-    torque = found.torque if np.isfinite(found.torque).all() else None
-    return InputRecord(found.time, angle, torque, found.stretch)
+    if not known.any():
+        return InputRecord(found.time, angle, None, found.stretch)
+    return InputRecord(found.time[known], angle[known], found.torque[known], found.stretch[known])
+
+
+def _is_input(samples: Aligned) -> Any:
+    return samples.paired == 0
+
+
+def _one_angle(paths: Sequence[str | Path], joint: JointConfig) -> _Samples:
+    """Samples whose input angle is the output's times the ratio."""
+    signals = joint.signals._replace(input=joint.signals.output)
+    own = replace(joint, input_joint=joint.output_joint, signals=signals, input_divided=True)
+    return _read_all(paths, own, _is_input)
 
 
 def _read_all(paths: Sequence[str | Path], joint: JointConfig, wanted: Callable[[Aligned], Any]) -> _Samples:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from hd_diag.arrays import Floats
+from hd_diag.bag.joint_record import InputRecord
 from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.noise import bounds
@@ -65,6 +66,23 @@ def read_tables(paths: Sequence[str | Path], table: Table, joint: JointConfig) -
     torque, warm = found.get("torque"), found.get("temperature")
     columns = found["time"], found["input"], found["output"], torque, warm, run
     return prepare(*columns, ratio, joint.torque, by_current=by_current)
+
+
+def read_table_motion(paths: Sequence[str | Path], table: Table, joint: JointConfig) -> InputRecord:
+    """A joint's motion and torque from CSV files: of the input's angle, else of the output's times the ratio.
+
+    RecordError as of :func:`read_tables`; the torque is needed.
+    """
+    angle = "input" if "input" in table.columns else "output"
+    found, _ = columns_of(paths, table, joint, ("time", angle, "torque"))
+    record, values = found["record"].astype(np.int64), found[angle]
+    for begin, end in bounds(record):
+        if np.ptp(values[begin:end]) <= _TURN:
+            values[begin:end] = unwrapped(values[begin:end])
+    if angle == "output":
+        values = values * joint.drive.kinematics.ratio
+    usable = np.isfinite(found["time"]) & np.isfinite(values) & np.isfinite(found["torque"])
+    return InputRecord(found["time"][usable], values[usable], found["torque"][usable], record[usable])
 
 
 def columns_of(

@@ -27,7 +27,7 @@ from hd_diag.fleet.cluster import ClusterPool
 from hd_diag.fleet.journal import JOURNAL_SUFFIX, Journal
 from hd_diag.fleet.rows import Row
 from hd_diag.fleet.run import Fleet, Progress, diagnose_fleet
-from hd_diag.fleet.series import ECCENTRICITY, NOMINAL, REFIT, series_of
+from hd_diag.fleet.series import ECCENTRICITY, NOMINAL, REFIT, RIPPLE, series_of
 from hd_diag.fleet.summary import as_json, error_line, sentences, table
 from hd_diag.fleet.survey import find_bags
 from hd_diag.fleet.trend import CHANGED, Trend, trends
@@ -80,8 +80,9 @@ _ERRORS_SHOWN = 20
     "limits",
     multiple=True,
     metavar="QUANTITY=VALUE",
-    help="Predict when eccentricity [m], residual_nominal, residual_refit or a cause's amplitude [rad] "
-    "reaches this; repeatable. residual_nominal has limits.residual_rms.error of the configuration.",
+    help="Predict when eccentricity [m], residual_nominal, residual_refit, a cause's amplitude [rad] or a "
+    "ripple_ORDER [N m] reaches this; repeatable. residual_nominal has limits.residual_rms.error of the "
+    "configuration.",
 )
 @click.option("--fresh", is_flag=True, help="Forget what earlier runs have kept.")
 @options.FAIL_ON_CAUSE
@@ -94,8 +95,9 @@ def fleet(bags: tuple[Path, ...], config_file: str | None, names: tuple[str, ...
     and joint, as ``hd-diag diagnose`` judges it alone; what cannot be judged has a row that says why. Each
     result is kept beside the table in OUT.journal.jsonl as soon as it is there: the same command goes on
     after an interruption, and later judges new bags only. Series over time are eccentricity, residuals and
-    the amplitude of each cause; steps and drifts are reported with a chance of false alarm of 5 % for the
-    whole run. Exit code 2 where no bag could be judged, 130 after Ctrl-C.
+    the amplitude of each cause, of a joint with one angle those of its torque's ripple; steps and drifts are
+    reported with a chance of false alarm of 5 % for the whole run. Exit code 2 where no bag could be judged,
+    130 after Ctrl-C.
     """
     config = options.configured(config_file)
     joints = tuple(options.chosen_joints(config, names))
@@ -145,8 +147,9 @@ def _limits(joints: Sequence[JointConfig], wanted: tuple[str, ...]) -> dict[tupl
     limits = {(joint.name, NOMINAL): joint.limits["residual_rms"].error for joint in joints}
     for text in wanted:
         name, _, number = text.partition("=")
-        if name not in known:
-            raise FleetError(f"--limit {text}: no quantity {name!r}; there are {', '.join(known)}")
+        if name not in known and not name.startswith(RIPPLE):
+            names = f"{', '.join(known)}, {RIPPLE}ORDER"
+            raise FleetError(f"--limit {text}: no quantity {name!r}; there are {names}")
         try:
             value = float(number)
         except ValueError:

@@ -14,14 +14,15 @@ import click
 import numpy as np
 from rich.console import Console
 
-from hd_diag.bag.joint_record import read_bags
-from hd_diag.bag.tables import Table, read_tables
+from hd_diag.bag.joint_record import InputRecord, nothing, read_bags, read_motion
+from hd_diag.bag.tables import Table, read_table_motion, read_tables
 from hd_diag.cli.options import CONFIG, FILE, JOINTS, Problem, chosen_joints, configured, write_json, writing
 from hd_diag.config.catalogue import load
 from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
 from hd_diag.diagnosis.orders_only import orders_only
 from hd_diag.diagnosis.record import Record, RecordError
+from hd_diag.diagnosis.ripple.ripple import Ripple, ripple
 from hd_diag.diagnosis.screening import screened
 from hd_diag.effects import Catalogue
 from hd_diag.report.facts import Fact, JointReport
@@ -82,6 +83,19 @@ class Records:
             return orders_only(looked, joint.configured, np.random.default_rng(0))
         found = diagnose(looked, joint.configured, np.random.default_rng(0), progress, self.catalogue)
         return with_allowed(found, limits_and_spreads(self.config.flat, joint.name)[0])
+
+    def ripple(self, joint: JointConfig, motion: InputRecord | None) -> Ripple:
+        """Lines of a joint's torque over a motion; RecordError where there is nothing that can be judged."""
+        if motion is None:
+            raise RecordError(nothing(self.bags, joint))
+        columns = motion.time, motion.input_angle, motion.torque, motion.bag
+        return ripple(*columns, joint.configured.kinematics)
+
+    def motion(self, joint: JointConfig) -> InputRecord | None:
+        """A joint's motion and torque, by two angles or one; None where there is none."""
+        if self.table is None:
+            return read_motion(self.bags, joint)
+        return read_table_motion(self.bags, self.table, joint)
 
     def _record(self, joint: JointConfig) -> Record:
         return (

@@ -8,11 +8,13 @@ from pathlib import Path
 import click
 import numpy as np
 
-from hd_diag.bag.joint_record import read_motion
+from hd_diag.bag.joint_record import InputRecord
 from hd_diag.cli.options import FILE, JSON, Problem, check_targets, verb
 from hd_diag.cli.record import Judged, Records, judge_each, not_judged, on_records, status
 from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.record import RecordError
+from hd_diag.diagnosis.ripple.ripple import Ripple
+from hd_diag.diagnosis.ripple.verdict import as_json as ripple_json
 from hd_diag.diagnosis.verdict import as_json
 from hd_diag.report.facts import of_diagnosis, of_motion
 
@@ -39,14 +41,25 @@ def report(records: Records, out: Path | None, json_file: str | None) -> None:
             try:
                 found = records.diagnosed(joint, progress)
             except RecordError as error:
-                motion = read_motion(records.bags, joint) if records.table is None else None
+                motion, ripple = _motion(records, joint)
                 if motion is None:
                     raise
-                page = of_motion(motion, joint, flat, str(error))
-                return not_judged(joint.name, error), [page.verdict], page
+                page = of_motion(motion, joint, flat, str(error), ripple)
+                told = {"ripple": ripple_json(ripple, joint.name)} if ripple else {}
+                return not_judged(joint.name, error) | told, [page.verdict], page
             progress("gathering the report's numbers")
             page = of_diagnosis(found, joint, flat, np.random.default_rng(0))
             return as_json(found, joint.name), [page.verdict], page
 
     _, complete = judge_each(records, judge, target, json_file)
     sys.exit(0 if complete else Problem.exit_code)
+
+
+def _motion(records: Records, joint: JointConfig) -> tuple[InputRecord | None, Ripple | None]:
+    """A joint's motion and the ripple of its torque, as far as there are any."""
+    motion = None
+    try:
+        motion = records.motion(joint)
+        return motion, records.ripple(joint, motion)
+    except RecordError:
+        return motion, None

@@ -32,6 +32,7 @@ VERBS = {
     "recover": ("bags", "Save what a crash left of a bag."),
     "replay": ("bags", "Run the model over a bag: the outputs that the node would give."),
     "report": ("report", "A bag on one HTML page: verdict, what to inspect, pictures."),
+    "ripple": ("ripple", "Lines of the torque over position, for robots with one angle a joint."),
     "simulate": ("simulate", "Write a bag of a simulated joint."),
     "tolerance": ("tolerance", "Say what eccentricity an assembly may have."),
     "watch": ("watch", "A running node in the terminal: numbers and faults by joint."),

@@ -13,13 +13,15 @@ import numpy as np
 
 from hd_diag import __version__
 from hd_diag.bag import BagError
-from hd_diag.bag.joint_record import read_bags
+from hd_diag.bag.joint_record import read_bags, read_motion
 from hd_diag.config.catalogue import load
 from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.config.parameters import JOINT_PARAMETERS
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.record import RecordError
+from hd_diag.diagnosis.ripple.ripple import ripple
+from hd_diag.diagnosis.ripple.verdict import sentence as ripple_sentence
 from hd_diag.diagnosis.screening import screened
 from hd_diag.diagnosis.search.causes import Cause
 from hd_diag.diagnosis.verdict import as_json
@@ -107,8 +109,30 @@ def judge(task: Task) -> Row:
     except BagError as error:
         return {**fixed, "error": error.cause}
     except RecordError as error:
-        return {**fixed, "error": str(error).replace(task.bag, "the bag")}
+        return {**fixed, **(_rippled(task) or {"error": str(error).replace(task.bag, "the bag")})}
     return {**fixed, **judged(found, task.joint.name)}
+
+
+def _rippled(task: Task) -> Row | None:
+    """Columns of a torque's ripple, where the angles cannot be judged; None where it cannot either."""
+    motion, kinematics = read_motion([task.bag], task.joint), task.joint.configured.kinematics
+    if motion is None:
+        return None
+    try:
+        found = ripple(motion.time, motion.input_angle, motion.torque, motion.bag, kinematics)
+    except RecordError:
+        return None
+    return {
+        "duration_s": float(motion.time[-1] - motion.time[0]),
+        "samples": motion.time.size,
+        "runs": found.runs,
+        "input_turns": found.turns,
+        "ripple_orders": [line.order for line in found.lines],
+        **{f"ripple_{name}": [getattr(line, name) for line in found.lines] for name in ("reverses", "found")},
+        "ripple_amplitudes_Nm": [line.amplitude for line in found.lines],
+        "ripple_stds_Nm": [line.std for line in found.lines],
+        "verdict": ripple_sentence(found),
+    }
 
 
 def judged(found: Diagnosis, joint: str) -> Row:

@@ -1,4 +1,4 @@
-"""Rows as series: eccentricity, residuals and the amplitude of each cause of one joint over time."""
+"""Rows as series: eccentricity, residuals, amplitudes of causes and torque ripple of one joint over time."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from hd_diag.fleet.rows import Row
 ECCENTRICITY = "eccentricity"
 NOMINAL = "residual_nominal"
 REFIT = "residual_refit"
+RIPPLE = "ripple_"
+"""Begin of a ripple's quantity; its order per turn of the output follows."""
 
 _SIGMAS_95 = 2.0 * 1.959964  # width of a 95 % interval in standard deviations
 _UNSEEN = 0.5  # of the least size found: what may be there unseen lies within two such deviations
@@ -46,11 +48,12 @@ def series_of(rows: Sequence[Row], limits: Mapping[tuple[str, str], float]) -> l
     Eccentricity where the refit is trustworthy [m]; held-out residuals, nominal and refitted [rad]; the
     amplitude of each cause found at least once [rad rms]. Where a cause was not found but could have been,
     its amplitude is 0 with half the least size found as standard deviation; names that a record could not
-    tell apart make one cause.
+    tell apart make one cause. Of a joint with one angle the amplitude of each line of its torque that was
+    found at least once [N m].
     """
     joints: dict[tuple[str, str], list[Row]] = defaultdict(list)
     for row in sorted(rows, key=lambda row: (row.get("start") or 0, row["bag"])):
-        if row.get("start") is not None and row.get("rms_nominal_rad") is not None:
+        if row.get("start") is not None and _judged(row):
             joints[row.get("robot") or "", row["joint"]].append(row)
     return [
         _series(robot, joint, quantity, points, limits)
@@ -67,13 +70,38 @@ def _series(
     limits: Mapping[tuple[str, str], float],
 ) -> Series:
     time, value, std = np.array(points).reshape(-1, 3).T
-    unit = "m" if quantity == ECCENTRICITY else "rad"
+    unit = "m" if quantity == ECCENTRICITY else "N m" if quantity.startswith(RIPPLE) else "rad"
     names = quantity.split(" or ")
     limit = min((limits[joint, name] for name in names if (joint, name) in limits), default=math.nan)
     return Series(robot, joint, quantity, unit, time, value, std, limit)
 
 
+def _judged(row: Row) -> bool:
+    return row.get("rms_nominal_rad") is not None or bool(row.get("ripple_orders"))
+
+
 def _quantities(rows: list[Row]) -> dict[str, list[Point]]:
+    rippled = [row for row in rows if row.get("ripple_orders")]
+    rows = [row for row in rows if not row.get("ripple_orders")]
+    return {**(_of_errors(rows) if rows else {}), **_ripples(rippled)}
+
+
+def _ripples(rows: list[Row]) -> dict[str, list[Point]]:
+    """Amplitudes of each line that was found in one row at least."""
+    found: dict[str, list[Point]] = defaultdict(list)
+    seen = set()
+    for row in rows:
+        for order, reverses, size, std, there in zip(
+            *(row[f"ripple_{name}"] for name in ("orders", "reverses", "amplitudes_Nm", "stds_Nm", "found")),
+            strict=True,
+        ):
+            name = f"{RIPPLE}{order:g}{'_reversing' * reverses}"
+            found[name].append((_time(row), size, _known(std)))
+            seen |= {name} if there else set()
+    return {name: points for name, points in found.items() if name in seen}
+
+
+def _of_errors(rows: list[Row]) -> dict[str, list[Point]]:
     found = {
         ECCENTRICITY: [
             (_time(row), row["eccentricity_m"], _known(row["eccentricity_std_m"]))

@@ -18,7 +18,7 @@ from hd_diag.fleet.steps import FALSE_ALARM, Change
 from hd_diag.fleet.trend import CHANGED, Trend
 from hd_diag.formatting import ARCSEC, json_ready, words
 
-SHOWN = {"m": (1e-6, "µm"), "rad": (ARCSEC, "arcsec")}
+SHOWN = {"m": (1e-6, "µm"), "rad": (ARCSEC, "arcsec"), "N m": (1.0, "N m")}
 """Size and name of the unit that people read, by the unit inside."""
 
 _MONTH = 30.0 * 86400.0  # [s]

@@ -74,6 +74,13 @@ COLUMNS = pa.schema(
         ),
         _column("unexplained_frames", _TEXTS, "", "input, output (orders per turn) or time (Hz) of each"),
         _column("unexplained_amplitudes_rad", _NUMBERS, "rad", "amplitude of each"),
+        _column(
+            "ripple_orders", _NUMBERS, "1/turn of the output", "of a joint with one angle: its torque's lines"
+        ),
+        _column("ripple_reverses", pa.list_(_FLAG), "", "whether each changes its sign with the direction"),
+        _column("ripple_amplitudes_Nm", _NUMBERS, "N m", "amplitude of each, found or not"),
+        _column("ripple_stds_Nm", _NUMBERS, "N m", "their standard deviations"),
+        _column("ripple_found", pa.list_(_FLAG), "", "whether each stands out of noise"),
         _column("findings", _TEXTS, "", "what comes before the model: ratio, skipped teeth, ramps"),
         _column("verdict", _TEXT, "", "one sentence"),
         _column("error", _TEXT, "", "why it could not be judged; null where it was"),

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from hd_diag.arrays import Floats
+from hd_diag.diagnosis.ripple.ripple import Ripple
 from hd_diag.diagnosis.search.detectability import Testability
 from hd_diag.diagnosis.search.unexplained import Unexplained
 from hd_diag.formatting import ARCSEC, arcsec, direction, number, si, words
@@ -52,6 +53,15 @@ def over_torque(found: Comparison) -> str:
     return (
         f"Over torque, all {found.samples} samples: means in {found.measured.center.size} bins, {_SPREAD}. "
         f"Greatest mean residual: {_worst(found)}."
+    )
+
+
+def ripple(found: Ripple) -> str:
+    """Caption of the torque's lines over position."""
+    return (
+        f"Mean over {found.windows} stretches of {found.turns / found.windows:g} turns of the wave generator "
+        f"in {found.runs} runs; gravity, friction and inertia are taken off as smooth parts. Dotted: the "
+        "gear's orders. A strong line has images of itself at either side."
     )
 
 

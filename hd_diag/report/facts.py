@@ -16,6 +16,8 @@ from hd_diag.config.parameters import JOINT_PARAMETERS, SIGNALS, Value
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.judgement import Answer
+from hd_diag.diagnosis.ripple.ripple import Ripple
+from hd_diag.diagnosis.ripple.verdict import sentence as ripple_sentence
 from hd_diag.diagnosis.verdict import sentence
 from hd_diag.effects.order_spectrum import line_width, spectrum
 from hd_diag.formatting import number, words
@@ -76,6 +78,8 @@ class Judgement:
 class JointReport:
     """One joint's part of a report; without a judgement where nothing could be judged.
 
+    `ripple` are the lines of its torque, of a joint with one angle.
+
     `best` says whose numbers the teeth and the torsion curve are: the refitted drive's or the configured's.
     """
 
@@ -87,6 +91,7 @@ class JointReport:
     quality: tuple[Fact, ...]
     settings: tuple[Fact, ...]
     judgement: Judgement | None
+    ripple: Ripple | None = None
 
 
 def of_diagnosis(
@@ -112,19 +117,28 @@ def of_diagnosis(
     )
 
 
-def of_motion(motion: InputRecord, joint: JointConfig, flat: Mapping[str, Value], reason: str) -> JointReport:
+def of_motion(
+    motion: InputRecord,
+    joint: JointConfig,
+    flat: Mapping[str, Value],
+    reason: str,
+    ripple: Ripple | None = None,
+) -> JointReport:
     """The model's side alone, over the motion in a bag; the reason is why nothing could be judged."""
+    found = "" if ripple is None else f"{ripple_sentence(ripple)} "
     drive, assumed = joint.drive, np.full(motion.time.size, joint.torque)
     teeth = teeth_over_turn(drive, motion.input_angle, assumed if motion.torque is None else motion.torque)
     return JointReport(
         joint.name,
-        f"Nothing could be judged: {reason}. What follows is what the model says of the motion.",
+        f"{found}Nothing {'else ' * bool(found)}could be judged: {reason}. What follows is what the model "
+        "says of the motion.",
         "configured" if joint.model is None else "extended",
         torsion.simulated(joint.configured, drive, max(abs(teeth.torque), drive.rated_torque)),
         teeth,
         tuple(quality_of(motion.time, motion.input_angle, motion.torque, drive.kinematics.ratio, motion.bag)),
         settings(joint, flat),
         None,
+        ripple,
     )
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from jinja2 import Environment, StrictUndefined, Template
 
+from hd_diag.diagnosis.ripple import verdict as ripple
 from hd_diag.formatting import arcsec, visible, words
 from hd_diag.report import captions
 from hd_diag.report.facts import Fact, JointReport, versions
@@ -31,6 +32,7 @@ def page(reports: Sequence[JointReport], sources: Sequence[Fact]) -> str:
             for number, report in enumerate(reports, start=1)
         ],
         captions=captions,
+        ripple=ripple,
         arcsec=arcsec,
     )
 

@@ -12,6 +12,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLoca
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.gain import Rms
+from hd_diag.diagnosis.ripple.ripple import Ripple
 from hd_diag.formatting import ARCSEC
 from hd_diag.report.binned import Band
 from hd_diag.report.ladder import Rung
@@ -108,6 +109,19 @@ def orders(spectra: Mapping[str, tuple[Floats, Floats]], marks: Sequence[float],
         before = mark if level < 1.02 else -1.0
         axes.text(mark, level, f"{number}", transform=axes.get_xaxis_transform(), ha="center", va="bottom")
     titled(axes, "Amplitude of the residual [arcsec]", _RAISED if marks else 0.0)
+    return figure
+
+
+@drawn
+def ripple(found: Ripple) -> Figure:
+    """Amplitude of the torque's waves over the order of the output's turn; the gear's orders are marked."""
+    figure, (axes,) = sheet(2.8)
+    axes.plot(found.orders, found.spectrum, color=REFIT, lw=0.9)
+    for order in {line.order for line in found.lines}:
+        axes.axvline(order, color=INK, lw=0.8, ls=(0, (1, 1.5)))
+    axes.set(xlim=(0.0, found.orders[-1]), xlabel="Order: cycles per turn of the output")
+    axes.set_ylim(bottom=0.0)
+    titled(axes, "Amplitude of the torque [N m]")
     return figure
 
 

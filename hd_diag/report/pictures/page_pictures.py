@@ -27,6 +27,13 @@ def _drawings(report: JointReport) -> Iterator[_Drawing]:
     judged, teeth = report.judgement is not None, report.teeth
     if report.judgement is not None:
         yield from _comparisons(report.judgement)
+    if report.ripple is not None:
+        yield (
+            "ripple",
+            "Ripple of the torque",
+            comparison.ripple(report.ripple),
+            captions.ripple(report.ripple),
+        )
     yield (
         "torsion",
         "Torsion curve",

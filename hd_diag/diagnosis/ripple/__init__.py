@@ -1,0 +1,1 @@
+"""Ripple of a torque over position: what a joint with one angle tells of its gear."""

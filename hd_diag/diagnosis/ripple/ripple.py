@@ -1,0 +1,152 @@
+"""Ripple of a joint's torque over its position: what one angle, with a torque or a current, tells of a gear.
+
+At an order each window of the motion has a complex amplitude. Over the windows these must agree in phase, and
+their mean must stand out of those at the orders beside. No error of the gear follows from it, and no cause: a
+torque shows what sensor, motor, friction and gear do together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from hd_diag.arrays import Floats, Integers
+from hd_diag.diagnosis.record import RecordError
+from hd_diag.diagnosis.ripple.lines import Line, Multiple
+from hd_diag.diagnosis.ripple.waves import BESIDE, LEAST_WINDOWS
+from hd_diag.diagnosis.ripple.windows import TURNS, Windows, windows
+from hd_diag.model.transmission_error import Kinematics
+
+MULTIPLES = (1.0, 2.0, 4.0)
+"""Periods per turn of the wave generator: itself, its two lobes, and their double."""
+
+_LOWEST, _HIGHEST = 0.3, 4.5  # of the spectrum, per turn of the wave generator
+_MOST_WINDOWS = 200  # that a spectrum is made of
+_MOST_OTHERS = 3
+_WIDTH = 1.5  # of a line, in periods over the reach
+
+
+@dataclass(frozen=True)
+class Ripple:
+    """Lines of a joint's torque.
+
+    Attributes
+    ----------
+    ratio : float
+        Magnitude [-].
+    lines : tuple of Line
+        At the gear's orders, found or not, by order.
+    others : tuple of Line
+        At orders that are none of the gear's, the strongest first.
+    orders, spectrum : ndarray, shape (k,)
+        Per turn of the output; amplitude of the mean over the windows [N m].
+    windows, runs, records : int
+    turns, reach : float
+        Of the wave generator that the windows cover; of the output from end to end.
+    """
+
+    ratio: float
+    lines: tuple[Line, ...]
+    others: tuple[Line, ...]
+    orders: Floats
+    spectrum: Floats
+    windows: int
+    runs: int
+    records: int
+    turns: float
+    reach: float
+
+    @property
+    def found(self) -> tuple[Line, ...]:
+        """The gear's lines that were found, the largest first."""
+        return tuple(sorted((line for line in self.lines if line.found), key=lambda line: -line.amplitude))
+
+
+def ripple(
+    time: Floats, input_angle: Floats, torque: Floats | None, record: Integers, kinematics: Kinematics
+) -> Ripple:
+    """Lines of a torque at the orders of a gear.
+
+    Parameters
+    ----------
+    time, input_angle, torque, record : ndarray, shape (n,)
+        As :func:`hd_diag.diagnosis.ripple.windows.windows` takes them; of a joint with one angle, that
+        times the ratio. A torque of None is not measured.
+    kinematics : Kinematics
+        Its ratio is that of the wave generator's turns seen from the housing; seen from the output it is one
+        more with the output at the flexspline, else one less.
+
+    Raises
+    ------
+    RecordError
+        Where the motion is too short, the samples are too far apart, or the torque does not change.
+    """
+    if torque is None or float(np.ptp(torque)) == 0.0:
+        what = "is not in it" if torque is None else "never changes"
+        raise RecordError(
+            f"the torque {what}: the robot's driver would have to publish effort, or the current"
+        )
+    size = abs(kinematics.ratio)
+    whole = windows(time, np.sign(kinematics.ratio) * input_angle, torque, record)
+    if whole.size < LEAST_WINDOWS:
+        raise RecordError(
+            f"too little motion: {whole.size} times {TURNS:g} turns of the wave generator in one direction "
+            f"({360.0 * TURNS / size:.0f}° of the output), {LEAST_WINDOWS} are needed"
+        )
+    seen_from_output = 1.0 if kinematics.output == "flexspline" else -1.0
+    lines = []
+    for multiple in MULTIPLES:
+        shifts = (0.0, multiple * seen_from_output / size)
+        lines += Multiple.of(whole, multiple, size, shifts, len(MULTIPLES)).lines()
+    if not lines:
+        raise RecordError(
+            f"the samples are too far apart to tell waves of {size:g} per output turn: record faster, or "
+            "move more slowly"
+        )
+    orders, spectrum = _spectrum(whole)
+    others = _others(whole, orders, spectrum, lines, size)
+    return Ripple(
+        size,
+        tuple(lines),
+        tuple(others),
+        orders * size,
+        spectrum,
+        whole.size,
+        int(np.unique(whole.run).size),
+        int(np.unique(whole.record).size),
+        TURNS * whole.size,
+        whole.reach / size,
+    )
+
+
+def _spectrum(whole: Windows) -> tuple[Floats, Floats]:
+    """Orders per turn of the wave generator, and amplitudes of the mean over windows spread over all."""
+    some = whole.select(np.unique(np.linspace(0, whole.size - 1, _MOST_WINDOWS).astype(np.int64)))
+    highest = min(_HIGHEST, float(np.median(some.highest)))
+    orders = np.arange(_LOWEST, max(highest, _LOWEST + 1e-9), 0.5 / some.reach)
+    return orders, np.abs(np.mean(some.amplitudes(orders), axis=0))
+
+
+def _others(
+    whole: Windows, orders: Floats, spectrum: Floats, lines: Sequence[Line], ratio: float
+) -> list[Line]:
+    """Lines at the spectrum's peaks that are not at the gear's orders nor beside those that were found."""
+    level = np.sqrt(median_filter(spectrum**2, 2 * int(2.0 * BESIDE[1] / TURNS * whole.reach) + 1))
+    height = spectrum / np.maximum(level, 1e-300)
+    for line in lines:
+        near = BESIDE[0] / TURNS if line.found else _WIDTH / whole.reach
+        height[np.abs(orders - line.order / ratio) <= near] = 0.0
+    found: list[Line] = []
+    tests = max(int((_HIGHEST - _LOWEST) * whole.reach), 1)
+    while len(found) < _MOST_OTHERS and height.any():
+        order = float(orders[int(np.argmax(height))])
+        height[np.abs(orders - order) <= BESIDE[0] / TURNS] = 0.0
+        trial = Multiple.of(whole, order, ratio, (0.0,), tests)
+        seen = [line for line in trial.lines() if line.found]
+        if not seen:
+            break
+        found.append(max(seen, key=lambda line: line.amplitude))
+    return found

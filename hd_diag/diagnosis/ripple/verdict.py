@@ -1,0 +1,84 @@
+"""A ripple in words and in JSON."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from hd_diag.diagnosis.ripple.lines import FALSE_ALARM, Line
+from hd_diag.diagnosis.ripple.ripple import Ripple
+from hd_diag.formatting import json_ready, number, si, spread_number
+
+TITLES = ("per output turn", "amplitude [N m]", "phase", "runs agree", "repeats", "or")
+"""Of the columns of `row`."""
+
+
+def as_json(found: Ripple, joint: str) -> dict[str, Any]:
+    """What `hd-diag ripple --json` writes: schema ``hd_diag/ripple/1``; SI, orders per turn of the output."""
+    content = {
+        "schema": "hd_diag/ripple/1",
+        "joint": joint,
+        "unit": "N m",
+        "ratio": found.ratio,
+        "record": {
+            "windows": found.windows,
+            "runs": found.runs,
+            "records": found.records,
+            "input_turns": found.turns,
+            "output_turns": found.reach,
+        },
+        "false_alarm": FALSE_ALARM,
+        "lines": [_line(line) for line in found.lines],
+        "others": [_line(line) for line in found.others],
+        "verdict": sentence(found),
+    }
+    return dict(json_ready(content))
+
+
+def _line(line: Line) -> dict[str, Any]:
+    told = {name: value for name, value in vars(line).items() if name not in ("alike", "records")}
+    alike = [{"order": order, "reverses": reverses} for order, reverses in line.alike]
+    return {**told, "alike": alike, "records": [part._asdict() for part in line.records]}
+
+
+def sentence(found: Ripple) -> str:
+    """What the torque shows, in a sentence or two."""
+    ratio = number(found.ratio)
+    if found.found:
+        text = f"The torque ripples with the gear of ratio {ratio}: {_listed(found.found)}."
+    else:
+        least = max(line.least for line in found.lines)
+        text = f"The torque shows no line of a gear of ratio {ratio} above {number(least)} N m."
+    if found.others:
+        question = "" if found.found else " Is the ratio right?"
+        text += f" Lines that are none of its orders: {_listed(found.others)}.{question}"
+    if found.found and found.runs == 1:
+        text += " All of it is one run: a vibration in time would look the same."
+    return text
+
+
+def _listed(lines: tuple[Line, ...]) -> str:
+    return ", ".join(
+        f"{number(line.order)} per output turn ({si(line.amplitude, line.std, 'N m')}"
+        f"{', with the sign of the direction' if line.reverses else ''}"
+        f"{', not repeated' if line.repeats is False else ''})"
+        for line in lines
+    )
+
+
+def row(line: Line) -> tuple[str, ...]:
+    """Cells of a table, by `TITLES`; of a line that was not found what would have been."""
+    order = number(line.order) + (", reverses" if line.reverses else "")
+    if not line.found:
+        return order, f"< {number(line.least, digits=2)}", "", "", "", ""
+    repeats = {True: "yes", False: "no", None: "one run"}[line.repeats]
+    phase = "another in each" if math.isnan(line.phase) else f"{math.degrees(line.phase):.0f}°"
+    alike = (number(other) + (", reverses" if reverses else "") for other, reverses in line.alike)
+    return (
+        order,
+        spread_number(line.amplitude, line.std, ""),
+        phase,
+        f"{line.agreement:.2f}",
+        repeats,
+        " or ".join(alike),
+    )
