@@ -138,6 +138,8 @@ class ExtendedModel:
                 mesh_torque = mesh_torque + np.nan_to_num(columns @ np.array(coefficients))
         own = transmission_error(self.drive, input_angle, mesh_torque, table)
         rate = _rate(_change(own, state.predicted), step)
+        if mesh_torque is not torque:
+            signals = signals.bearing(mesh_torque)
         signals = replace(signals, predicted=own, predicted_rate=rate)
         added: list[tuple[Effect, Floats]] = []
         for index, term in terms:

@@ -153,6 +153,31 @@ def test_torques_of_several_causes_are_found_together() -> None:
     assert np.std(together - expected) < 0.05 * ARCSEC
 
 
+def test_what_is_behind_the_torque_sees_what_the_mesh_bears() -> None:
+    """Elements slip by the torque that is in the mesh, friction included, not by that of the sensor."""
+    record = swinging()
+    borne = record.torque + 8.0 * np.gradient(record.input_angle, record.time) / RATIO
+    slips, state = [], 0.0
+    for change in np.diff(borne, prepend=borne[0]).tolist():
+        state = min(max(state + change / 4.0, -1.0), 1.0)
+        slips.append(20.0 * ARCSEC * state)
+    drive = linearise(record, CONFIGURED, POINT).drive
+    error = transmission_error(drive, record.input_angle, borne)
+    error -= transmission_error(drive, record.input_angle, record.torque)
+    both = dataclasses.replace(record, output_angle=record.output_angle + error + slips)
+    friction, elements = (EFFECTS["viscous_windup"], (1.0,)), (HYSTERESIS, (9.0, 1.6, 4.0, 1.0))
+    rest, made, (viscous, _) = left(both, friction, elements)
+    assert rest == pytest.approx(2.0, abs=0.05)
+    assert viscous[0] == pytest.approx(8.0, rel=0.01)
+    beta = made.fit((friction, elements))[0][-3:]
+    terms = Term(friction[0], (8.0,), (1.0,)), Term(HYSTERESIS, tuple(beta[1:]), elements[1])
+    live = ExtendedModel(drive, terms, 0.0, ALL)
+    found = live.step(live.start(), record.time, record.input_angle, record.speed, record.torque)[0]
+    found -= transmission_error(drive, record.input_angle, record.torque)
+    expected = error + np.array(slips)
+    assert np.std(found - expected) < 0.05 * np.std(expected)
+
+
 def test_columns_of_teeth_are_the_same_when_carried_again() -> None:
     made, other = bench(), bench()
     for damping in (0.1, 0.05):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Hashable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -29,7 +29,7 @@ class Signals:
     speed : ndarray, shape (n,)
         d theta_in / dt of the reported input [rad/s].
     torque : ndarray, shape (n,)
-        On the link [N m].
+        On the link [N m]: as reported; behind causes that change it, what the mesh bears.
     temperature : ndarray, shape (n,), or None
         [degC]; None: not measured.
     run : ndarray of int64, shape (n,)
@@ -105,6 +105,11 @@ class Signals:
         """theta_F = theta_W (1 + 1/N), the wave generator seen from the flexspline [rad], shape (n,)."""
         reduction = self.contact.drive.mesh.geometry.reduction
         return np.asarray(self.wave_generator_angle * (1.0 + 1.0 / reduction))
+
+    def bearing(self, torque: Floats) -> Signals:
+        """The same with a mesh that bears another torque (n,) [N m]; the prediction stays."""
+        contact = ContactWeights(self.contact.table, self.wave_generator_angle, torque)
+        return replace(self, torque=torque, contact=contact)
 
     def part(self, rows: Rows) -> Signals:
         """Some of the samples, in their order."""

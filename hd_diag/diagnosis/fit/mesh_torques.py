@@ -95,11 +95,12 @@ class MeshTorques:
         return np.asarray(both.error - others.error)
 
     def signals(self) -> Signals:
-        """The record with the model's own error under it."""
+        """The record as what comes behind sees it: the mesh bears it, with the model's own error under it."""
         if not self.causes:
             return self._whole
         error = self._whole.predicted + self.error
-        return replace(self._whole, predicted=error, predicted_rate=self.model.rate(error))
+        seen = self._whole.bearing(self._whole.torque + self.more)
+        return replace(seen, predicted=error, predicted_rate=self.model.rate(error))
 
     @property
     def _whole(self) -> Signals:

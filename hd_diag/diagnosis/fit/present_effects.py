@@ -110,8 +110,25 @@ class PresentEffects:
         if effect.remembers or effect.stage > Stage.GEAR:
             found = effect.response(self._seen(effect.stage), coefficients, nonlinear).take(self.data.at)
         else:
-            found = effect.response(self.signals, coefficients, nonlinear)
+            found = effect.response(self._there(effect, self._borne), coefficients, nonlinear)
         return np.nan_to_num(found)
+
+    @cached_property
+    def _borne(self) -> Signals:
+        """Of all rows, under the torque that the mesh bears."""
+        return self._torques.signals()
+
+    @cached_property
+    def _borne_roughly(self) -> Signals:
+        """The same without its prediction, for columns: costly, and hardly changed by small torques."""
+        causes = self._torques.rounded
+        return self.whole.bearing(self.whole.torque + causes.more) if causes.causes else self.whole
+
+    def _there(self, effect: Effect, borne: Signals) -> Signals:
+        """Of the fitted rows what an effect sees: what no stage has sees the record as it is reported."""
+        if effect.stage < Stage.GEAR or borne is self.whole:
+            return self.signals
+        return borne.part(self.data.at)
 
     @cached_property
     def _torques(self) -> MeshTorques:
@@ -131,19 +148,14 @@ class PresentEffects:
     def context(self, effect: Effect, nonlinear: Values) -> tuple[Hashable, ...]:
         """What the columns of an effect depend on, beside the parameters."""
         torque = tuple(one for one in self._before if one[0][0].stage == Stage.TORQUE)
-        seen: dict[Stage, Sized] = {
-            Stage.TORQUE: torque + self._later,
-            Stage.GEAR: self._later,
-            Stage.SPRING: self._before + self._later,
-            Stage.STREAM: self._before,
+        seen: dict[Stage, Hashable] = {
+            Stage.TORQUE: _key(torque + self._later),
+            Stage.GEAR: (self._torques.rounded.key, _key(self._later)),
+            Stage.SPRING: _key(self._before + self._later),
+            Stage.STREAM: _key(self._before),
         }
         size = self._size_of(effect, nonlinear)
-        return (
-            effect.name,
-            nonlinear,
-            _key(seen.get(effect.stage, ())),
-            None if size is None else size.tobytes(),
-        )
+        return effect.name, nonlinear, seen.get(effect.stage), None if size is None else size.tobytes()
 
     def _size_of(self, effect: Effect, nonlinear: Values) -> Floats | None:
         """Coefficients at which its columns are taken, if it is present and they depend on its size."""
@@ -163,16 +175,16 @@ class PresentEffects:
             return np.nan_to_num(own)
 
         def whole() -> Floats:
-            seen = self._seen(effect.stage)
+            seen = self._borne_roughly if effect.stage == Stage.GEAR else self._seen(effect.stage)
             columns = of(seen)
             if effect.wanders_by:
                 columns = np.concatenate((columns, effect.wandering(seen, nonlinear)), axis=1)
             return columns
 
         if not self._sees_all(effect):
-            return of(self.signals)
-        if effect.of_teeth and size is None:  # they see no other effect, but what carries them varies
-            key = (self.parameters.tobytes(), "whole", effect.name, nonlinear)
+            return of(self._there(effect, self._borne_roughly))
+        if effect.of_teeth and size is None:  # they see no effect but torque, what carries them varies
+            key = (self.parameters.tobytes(), "whole", effect.name, nonlinear, self._torques.rounded.key)
             columns = self.data.model.kept.get(key, whole)
         else:
             columns = whole()
@@ -193,15 +205,17 @@ class PresentEffects:
 
     def _seen(self, stage: Stage) -> Signals:
         """The whole record, as effects of a stage see it."""
-        if stage <= Stage.GEAR:
+        if stage < Stage.GEAR:
             return self.whole
+        if stage == Stage.GEAR:
+            return self._borne
         if stage not in self._behind:
             parts = [
                 (e, np.nan_to_num(e.response(self._seen(e.stage), coefficients[: e.size], nonlinear)))
                 for (e, nonlinear), coefficients in self._before
                 if Stage.TORQUE < e.stage < stage
             ]
-            self._behind[stage] = seen_at(stage, self._torques.signals(), parts, self.data.model.rate)
+            self._behind[stage] = seen_at(stage, self._borne, parts, self.data.model.rate)
         return self._behind[stage]
 
     @cached_property
