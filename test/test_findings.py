@@ -4,11 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+from challenge import families
 from joint_records import ARCSEC, RATIO, columns, joint, prepared
 
 from hd_diag.diagnosis.diagnosis import diagnose
 from hd_diag.diagnosis.findings import check_ramp, check_ratio, find_steps
-from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.record import Record, prepare
 from hd_diag.simulation import Motion, Noise, SimulatedJoint, simulate
 
 PITCH = joint().drive.mesh.geometry.tooth_pitch
@@ -63,6 +64,17 @@ def test_a_large_eccentricity_over_a_part_of_a_turn_is_no_ramp(seconds: float) -
     record = prepared({name: column[:count] for name, column in given.items()})
     assert check_ratio(record, RATIO) is None
     assert check_ramp(record, RATIO) is None
+
+
+def test_torsion_that_goes_with_position_is_no_ramp() -> None:
+    """A robot's arm over half a turn: what its spring's law leaves leans like a ramp."""
+    made = families.made("robot_pair", 4001)
+    arm = prepare(
+        made.time, made.input_angle, made.output_angle, made.torque, made.temperature, made.part, RATIO
+    )
+    assert check_ratio(arm, RATIO) is None
+    assert check_ramp(arm, RATIO) is None
+    assert check_ramp(scaled(arm, 1.001), RATIO) is not None
 
 
 def test_a_ramp_is_not_looked_for_where_nothing_tells_it_from_torsion(record: Record) -> None:

@@ -6,7 +6,7 @@ from benches import CONFIGURED, POINT, bench, swinging
 from joint_records import ARCSEC
 
 from hd_diag.diagnosis.fit import fit_parameters
-from hd_diag.diagnosis.fit.joint_refinement import settle
+from hd_diag.diagnosis.fit.joint_refinement import covariance, settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.search.kept_parameters import GROUPS, all_kept, kept_parameters
@@ -43,6 +43,22 @@ def test_what_the_record_shows_moves() -> None:
     fit, kept = kept_parameters(settle(bench(), ()), ())
     assert "eccentricity" not in kept.bounds
     assert fit.parameters[:2] == pytest.approx(POINT[:2], abs=0.5)
+
+
+def test_what_is_held_widens_the_intervals_of_what_it_moves() -> None:
+    """A drive that is nearly as configured is held there; the others then answer for it."""
+    free = settle(bench(), ())
+    fit, kept = kept_parameters(free, ())
+    others = [number for number in range(fit_parameters.COUNT) if number not in kept.held]
+    assert kept.held
+    assert others
+    before, after = (one.parameters + one.fit(())[0][: fit_parameters.COUNT] for one in (free, fit))
+    moved = np.abs(after - before)[others]
+    assert moved.max() > 0.0
+    spread, _ = covariance(free, ())
+    own = spread[: fit_parameters.COUNT, : fit_parameters.COUNT]
+    reach, plain = (1.96 * np.sqrt(np.diag(one))[others] for one in (kept.spread(own), own))
+    assert reach == pytest.approx(plain + moved, rel=1e-6)
 
 
 def test_all_may_be_held() -> None:

@@ -8,10 +8,12 @@ from benches import CONFIGURED, EFFECTS, POINT, bench, of, swinging
 from joint_records import ARCSEC, RATIO
 from numpy.testing import assert_allclose, assert_array_equal
 
+from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.joint_refinement import polished, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit, linearise
 from hd_diag.diagnosis.fit.refit import refit, usable
 from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.search.ranking import Projector
 from hd_diag.drive import transmission_error
 from hd_diag.extended_model import ExtendedModel, Range, Ranges, Term
 
@@ -110,6 +112,27 @@ def test_a_wrong_zero_of_the_torque_is_found_at_full_size() -> None:
     assert sizes(made, chosen)[0][0] == pytest.approx(2.5, abs=0.05)
     found = refit(shifted, CONFIGURED, np.random.default_rng(0)).parameters
     assert min(np.abs(found[:2] - POINT[:2]).max(), np.abs(found[:2] + POINT[:2]).max()) < 1.0
+
+
+def test_what_no_drive_can_have_explains_nothing() -> None:
+    """A spring that pushes would undo torsion: candidates and held-out blocks are judged without it."""
+    record = swinging()
+    softer = dataclasses.replace(record, output_angle=record.output_angle + 1.5 * ARCSEC * record.torque)
+    made = settle(linearise(softer, CONFIGURED, POINT), ())
+    beta, _, _ = made.fit(())
+    left, built = made.whiten(made.remainder(()), made.data.run), made.design(())
+    held, _ = made.on_bounds(())
+    assert 6 in held
+    assert made.parameters[6] + beta[6] == pytest.approx(0.0, abs=1e-9)
+    center, width = fit_parameters.prior(CONFIGURED)
+    free = np.setdiff1d(np.arange(7), held)
+    away = np.sum(((made.parameters + beta[:7] - center) / width)[free] ** 2)
+    expected = float(left @ left) + away
+    assert built.deviance() == pytest.approx(expected, rel=1e-6)
+    assert built.held_out().sum() == pytest.approx(expected, rel=0.05)
+    assert Projector(made, ()).deviance == pytest.approx(expected, rel=1e-6)
+    unbounded = np.linalg.lstsq(made.always_white, made.residual_white, rcond=None)[1][0]
+    assert expected > 1.2 * unbounded
 
 
 def test_rows_near_the_real_zero_of_the_torque_are_left_out(plain: LinearisedFit) -> None:

@@ -29,8 +29,13 @@ def deviance(columns: np.ndarray, target: np.ndarray) -> float:
 def test_gain_is_that_of_a_fit(made: LinearisedFit, chosen: tuple) -> None:
     projector, white = Projector(made, chosen), made.white(RUBBED, (9.0, 1.6, 2.0, 1.5))
     fixed = np.concatenate((made.always_white, *(made.white(*item) for item in chosen)), axis=1)
-    before = deviance(fixed, made.residual_white)
-    after = deviance(np.concatenate((fixed, white), axis=1), made.residual_white)
+    held, steps = made.on_bounds(chosen)
+    precision, pull = made.prior(chosen)
+    target = np.concatenate((made.residual_white - fixed[:, held] @ steps, np.sqrt(precision) * pull))
+    fixed = np.concatenate((fixed, np.diag(np.sqrt(precision))))
+    fixed[:, held], white = 0.0, np.concatenate((white, np.zeros((precision.size, 2))))
+    before, after = deviance(fixed, target), deviance(np.concatenate((fixed, white), axis=1), target)
+    white = white[: made.residual_white.size]
     assert projector.deviance == pytest.approx(before, rel=1e-9)
     assert projector.gain(white) == pytest.approx(before - after, rel=1e-6)
     assert projector.fitted == fixed.shape[1]

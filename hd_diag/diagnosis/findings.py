@@ -18,6 +18,7 @@ _RATIO_MISS = 2e-3  # relative; more than any transmission error can make of a t
 _RAMP_MISS = 8e-5  # relative; torsion by gravity leans by half of it over a robot's reach
 _RAMP_ERROR = 1e-4  # [rad]; what is not fitted beside a ramp may lean by this over a run
 _LEAST_REACH = 2.5  # of a run at the output [rad]; over less, a wave of the output bends like a ramp
+_PLAIN = 0.5  # of the rest, that a ramp must explain alone
 _PARTS = 6
 _CLUSTERS = 60
 _MOST_ROWS = 20_000  # of the fit of ramps
@@ -69,15 +70,16 @@ def check_ramp(record: Record, ratio: float) -> Finding | None:
     Notes
     -----
     Torsion, friction, runout and the gear's ripple are fitted beside the ramps, one for each of `_PARTS`
-    parts. Without a measured torque, torsion looks like a ramp; over a small part of a turn, runout does.
+    parts. Without a measured torque, torsion looks like a ramp; over a small part of a turn, runout does, and
+    what is left of the ramp beside it must stand out of the rest: their laws are known to a share only.
     """
     reach = float(np.ptp(centered(record.input_angle / ratio, record.run)))
     if not record.has_torque or reach < _LEAST_REACH:
         return None
-    ramps, deviation = _ramps(record.thinned(_MOST_ROWS), ratio)
+    ramps, deviation, hidden = _ramps(record.thinned(_MOST_ROWS), ratio)
     mean = float(ramps.mean())
     spread = max(float(ramps.std(ddof=1)) / np.sqrt(ramps.size), deviation)
-    if abs(mean) > max(_RAMP_MISS, _RAMP_ERROR / reach, 6.0 * spread):
+    if abs(mean) > max(_RAMP_MISS, _RAMP_ERROR / reach, 6.0 * spread, _PLAIN * hidden):
         return wrong_ratio(ratio / (1.0 + mean), ratio)
     return None
 
@@ -117,8 +119,10 @@ def _usual_slope(record: Record) -> float:
     return float(slope[order][min(int(half), order.size - 1)])
 
 
-def _ramps(record: Record, ratio: float) -> tuple[Floats, float]:
+def _ramps(record: Record, ratio: float) -> tuple[Floats, float, float]:
     """Error per output angle in each part of a record, shape (_PARTS,) [-], and their mean's deviation.
+
+    Then the mean at which what only ramps explain is as large as the rest [-].
 
     The deviation allows for a residual that is correlated within `_CLUSTERS` stretches.
     """
@@ -143,8 +147,10 @@ def _ramps(record: Record, ratio: float) -> tuple[Floats, float]:
     inverse = np.linalg.pinv(scaled, rcond=1e-6)
     found = inverse @ error
     weight = (inverse[:_PARTS] / scale[:_PARTS, None]).mean(axis=0)
-    cluster = np.bincount(rows * _CLUSTERS // record.size, weight * (error - scaled @ found))
-    return np.asarray((found / scale)[:_PARTS]), float(np.sqrt(np.sum(cluster**2)))
+    rest = error - scaled @ found
+    cluster = np.bincount(rows * _CLUSTERS // record.size, weight * rest)
+    hidden = float(np.linalg.norm(weight) * np.linalg.norm(rest))
+    return np.asarray((found / scale)[:_PARTS]), float(np.sqrt(np.sum(cluster**2))), hidden
 
 
 def _waves(angle: Floats) -> tuple[Floats, Floats]:

@@ -59,6 +59,7 @@ EFFECT = ThermalDrift(
     needs=("time", "temperature", "run"),
     excitation=(temperature_varies,),
     remembers=True,
+    broadband=True,
     grid=((1.0,), (60.0,), (300.0,)),
     quantities=(
         Quantity("drift", "rad/K", -1e-3, 1e-3, 1.0 * ARCSEC, "g, at the output per kelvin"),

@@ -28,16 +28,38 @@ class Design:
         ``X_b^T y_b``.
     square : ndarray, shape (blocks,)
         ``y_b^T y_b``.
+    precision, pull : ndarray, shape (k,)
+        Of the prior of every coefficient, and where it is centred: what blocks cannot tell stays there.
     """
 
     gram: Floats
     moment: Floats
     square: Floats
+    precision: Floats
+    pull: Floats
 
     def deviance(self) -> float:
-        """Residual sum of squares of the fit to all blocks."""
-        gram, moment = self.gram.sum(axis=0), self.moment.sum(axis=0)
-        return float(self.square.sum() - moment @ solve(gram, moment))
+        """Residual sum of squares of the fit to all blocks, with that of the prior."""
+        gram, moment = self.whole
+        whole = self.square.sum() + self.precision @ self.pull**2
+        return float(whole - moment @ solve(gram, moment))
+
+    def holding(self, numbers: Integers, values: Floats) -> Design:
+        """The same with some coefficients at values: their columns are taken off the target."""
+        if not numbers.size:
+            return self
+        gram, moment = self.gram.copy(), self.moment - self.gram[:, :, numbers] @ values
+        square = self.square - (self.moment + moment)[:, numbers] @ values
+        gram[:, numbers], gram[:, :, numbers], moment[:, numbers] = 0.0, 0.0, 0.0
+        precision = self.precision.copy()
+        precision[numbers] = 0.0
+        return Design(gram, moment, square, precision, self.pull)
+
+    @property
+    def whole(self) -> tuple[Floats, Floats]:
+        """Normal equations of all blocks and the prior."""
+        gram = self.gram.sum(axis=0) + np.diag(self.precision)
+        return gram, self.moment.sum(axis=0) + self.precision * self.pull
 
     def held_out(self) -> Floats:
         """Sum of squares of each block, predicted by a fit to all others; shape (blocks,)."""
@@ -78,7 +100,7 @@ class Design:
 
         A column that lives in the block alone leaves only rounding behind: it is set to zero.
         """
-        gram, moment = self.gram.sum(axis=0), self.moment.sum(axis=0)
+        gram, moment = self.whole
         for own, own_moment in zip(self.gram, self.moment, strict=True):
             others, towards = gram - own, moment - own_moment
             alone = np.diag(others) < _ALONE * np.diag(gram)
@@ -101,7 +123,13 @@ def inverse(gram: Floats) -> Floats:
     return np.asarray((vectors[:, kept] / values[kept]) @ vectors[:, kept].T / np.outer(scale, scale))
 
 
-def design(columns: Floats, target: Floats, block: Integers) -> Design:
+def design(
+    columns: Floats,
+    target: Floats,
+    block: Integers,
+    precision: Floats | None = None,
+    pull: Floats | None = None,
+) -> Design:
     """Normal equations of whitened columns.
 
     Parameters
@@ -110,15 +138,19 @@ def design(columns: Floats, target: Floats, block: Integers) -> Design:
     target : ndarray, shape (n,)
     block : ndarray of int64, shape (n,)
         Contiguous stretches numbered from zero.
+    precision, pull : ndarray, shape (k,), optional
+        Of the prior; none without.
 
     Returns
     -------
     Design
     """
+    none = np.zeros(columns.shape[1])
+    precision, pull = (none if one is None else one for one in (precision, pull))
     edges = np.flatnonzero(np.diff(block)) + 1
     parts = [(columns[first:last], target[first:last]) for first, last in pairwise([0, *edges, block.size])]
     gram, moment = np.stack([x.T @ x for x, _ in parts]), np.stack([x.T @ y for x, y in parts])
-    return Design(gram, moment, np.array([float(y @ y) for _, y in parts]))
+    return Design(gram, moment, np.array([float(y @ y) for _, y in parts]), precision, pull)
 
 
 def orthonormal(columns: Floats) -> Floats:

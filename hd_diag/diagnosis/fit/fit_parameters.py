@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hd_diag.arrays import Floats
+from hd_diag.arrays import Floats, Integers
 from hd_diag.drive import Drive
 from hd_diag.effects import recursions
 from hd_diag.formatting import ARCSEC
@@ -163,7 +163,9 @@ def _datums(geometry: Geometry, unit: float) -> tuple[float, float]:
     return low, high
 
 
-def bounded(beta: Floats, covariance: Floats, parameters: Floats, configured: Drive) -> Floats:
+def bounded(
+    beta: Floats, covariance: Floats, parameters: Floats, configured: Drive
+) -> tuple[Floats, Integers]:
     """The best coefficients of a fit whose parameters a drive can have: those beyond a bound lie on it.
 
     Parameters
@@ -176,7 +178,9 @@ def bounded(beta: Floats, covariance: Floats, parameters: Floats, configured: Dr
 
     Returns
     -------
-    ndarray, shape (k,)
+    beta : ndarray, shape (k,)
+    held : ndarray of int64
+        Numbers of the parameters that lie on a bound.
     """
     held = np.zeros(COUNT, dtype=np.bool_)
     found = beta
@@ -190,7 +194,7 @@ def bounded(beta: Floats, covariance: Floats, parameters: Floats, configured: Dr
         wanted = (admissible(parameters + beta[:COUNT], configured) - parameters)[rows]
         spread = covariance[np.ix_(rows, rows)]
         found = beta - covariance[:, rows] @ np.linalg.solve(spread, beta[rows] - wanted)
-    return found
+    return found, np.flatnonzero(held)
 
 
 def prior(configured: Drive) -> tuple[Floats, Floats]:

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.arrays import Floats
+from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import Design, design, inverse, projection
 from hd_diag.diagnosis.fit.fitted_rows import FittedRows
@@ -186,28 +186,55 @@ class LinearisedFit:
     def fit(self, chosen: Chosen, more: Floats | None = None) -> tuple[Floats, Floats, Design]:
         """Coefficients and covariance of [model, offset, effects, more], and their normal equations.
 
-        The model's coefficients are steps from `parameters`, drawn to the prior. `more` are columns (n, k).
+        The model's coefficients are steps from `parameters`; see :meth:`prior`. `more` are columns (n, k).
         """
-        built = self.design(chosen, more)
-        center, width = fit_parameters.prior(self.data.configured)
-        precision, pull = np.zeros((2, built.moment.shape[1]))
-        precision[: fit_parameters.COUNT] = width**-2.0
-        pull[: fit_parameters.COUNT] = center - self.parameters
-        precision[list(self.held)], pull[list(self.held)] = _HELD, 0.0
-        for (effect, _), place in zip(chosen, self.places(chosen), strict=True):
-            if effect.given or effect.of_teeth:  # of errors of teeth that a record cannot part, small ones
-                precision[place] = (effect.usual * (1.0 if effect.given else _TEETH)) ** -2.0
-        covariance = inverse(built.gram.sum(axis=0) + np.diag(precision))
-        beta = covariance @ (built.moment.sum(axis=0) + precision * pull)
-        beta = fit_parameters.bounded(beta, covariance, self.parameters, self.data.configured)
+        beta, covariance, built, _ = self._fit(chosen, more)
         return beta, covariance, built
 
     def design(self, chosen: Chosen, more: Floats | None = None) -> Design:
-        """Normal equations of [model, offset, effects, more] against the residual."""
+        """Normal equations of [model, offset, effects, more] against the residual.
+
+        A parameter that the fit puts on a bound stays there, as it does in the fit.
+        """
+        beta, _, built, held = self._fit(chosen, more)
+        return built.holding(held, beta[held])
+
+    def on_bounds(self, chosen: Chosen) -> tuple[Integers, Floats]:
+        """Numbers of the parameters that a fit puts on a bound, and its steps to there."""
+        beta, _, _, held = self._fit(chosen)
+        return held, beta[held]
+
+    def _fit(self, chosen: Chosen, more: Floats | None = None) -> tuple[Floats, Floats, Design, Integers]:
         parts = [self.always_white, *(self.white(*item) for item in chosen)]
         if more is not None and more.shape[1]:
             parts.append(self.whiten(more, self.data.run))
-        return design(np.concatenate(parts, axis=1), self.residual_white, self.data.block)
+        columns = np.concatenate(parts, axis=1)
+        precision, pull = np.zeros((2, columns.shape[1]))
+        prior = self.prior(chosen)
+        precision[: prior[0].size], pull[: prior[1].size] = prior
+        built = design(columns, self.residual_white, self.data.block, precision, pull)
+        gram, moment = built.whole
+        covariance = inverse(gram)
+        beta, held = fit_parameters.bounded(
+            covariance @ moment, covariance, self.parameters, self.data.configured
+        )
+        return beta, covariance, built, held
+
+    def prior(self, chosen: Chosen) -> tuple[Floats, Floats]:
+        """Precision of the coefficients of [model, offset, effects], and where they are drawn to; (k,) each.
+
+        The model's are drawn to the prior of a drive, errors of teeth to small ones.
+        """
+        places = self.places(chosen)
+        center, width = fit_parameters.prior(self.data.configured)
+        precision, pull = np.zeros((2, places[-1].stop if places else self.always_white.shape[1]))
+        precision[: fit_parameters.COUNT] = width**-2.0
+        pull[: fit_parameters.COUNT] = center - self.parameters
+        precision[list(self.held)], pull[list(self.held)] = _HELD, 0.0
+        for (effect, _), place in zip(chosen, places, strict=True):
+            if effect.given or effect.of_teeth:
+                precision[place] = (effect.usual * (1.0 if effect.given else _TEETH)) ** -2.0
+        return precision, pull
 
 
 def linearise(

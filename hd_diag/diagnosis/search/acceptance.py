@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.diagnosis.fit.design import f_test, holds, orthonormal
+from hd_diag.diagnosis.fit.design import f_test, holds, solve
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.search.ranking import Candidate
 from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
@@ -112,14 +112,15 @@ def block_deviances(fit: LinearisedFit, chosen: Chosen) -> Floats:
 
 
 def size(fit: LinearisedFit, chosen: Chosen, effect: Effect, nonlinear: tuple[float, ...]) -> float:
-    """Rms of an effect's part that neither the model nor the chosen effects can imitate [rad]."""
+    """Rms of what the model and the chosen effects, fitted to an effect's part, leave of it [rad]."""
     columns = fit.columns(effect, nonlinear)
     beta, _, _ = fit.fit((*chosen, (effect, nonlinear)))
     part = columns @ beta[-columns.shape[1] :]
     fixed = np.concatenate((fit.always(), fit.joined(chosen)), axis=1)
-    basis = orthonormal(fixed)
-    own = part - basis @ (basis.T @ part)
-    return float(np.sqrt(np.mean(own**2)))
+    white = fit.whiten(part, fit.data.run)
+    moment = [one.T @ white for one in (fit.always_white, *(fit.white(*item) for item in chosen))]
+    own = part - fixed @ solve(fit.design(chosen).whole[0], np.concatenate(moment))
+    return float(np.std(own))
 
 
 def _confirmed(fit: LinearisedFit, chosen: Chosen, effect: Effect, nonlinear: tuple[float, ...]) -> bool:

@@ -36,23 +36,23 @@ def testability(found: Search) -> list[Testability]:
     """Testability of every effect of the catalogue on a record."""
     fit = found.fit
     named = {effect.name for effect, _ in found.chosen}
-    basis, family = Projector(fit, found.chosen).basis, max(family_size(fit), 1)
+    beside, family = Projector(fit, found.chosen), max(family_size(fit), 1)
     return [
         Testability(effect.name, True, LEAST_SIZE, "found")
         if effect.name in named
-        else _tested(fit, effect, basis, family)
+        else _tested(fit, effect, beside, family)
         for effect in fit.data.searched
     ]
 
 
-def _tested(fit: LinearisedFit, effect: Effect, basis: Floats, family: int) -> Testability:
+def _tested(fit: LinearisedFit, effect: Effect, beside: Projector, family: int) -> Testability:
     """By what the record determines with everything else free; the motion says what it lacks, in words."""
     lacking = fit.data.testable(effect)[1]
     if not competes(fit, effect):
         return Testability(effect.name, False, math.nan, lacking)
     nonlinear = fit.data.grid(effect)[len(fit.data.grid(effect)) // 2]
     columns, white = fit.columns(effect, nonlinear), fit.white(effect, nonlinear)
-    own = float(np.sum((white - basis @ (basis.T @ white)) ** 2))
+    own = float(np.sum(beside.off(white) ** 2))
     information = own / max(float(np.sum(np.mean(columns**2, axis=0))), 1e-300)
     size = math.sqrt(_noncentrality(columns.shape[1], family) / max(information, 1e-300))
     if own < _OWN * max(float(np.sum(white**2)), 1e-300):

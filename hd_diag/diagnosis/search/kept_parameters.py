@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -39,9 +39,12 @@ class Kept:
     ----------
     bounds : dict
         By the group's name, in units of :func:`fit_parameters.units`.
+    moved : ndarray, shape (7,)
+        How far the others are from where they would be, were these fitted too, in the same units.
     """
 
     bounds: dict[str, float]
+    moved: Floats = field(default_factory=lambda: np.zeros(COUNT))
 
     @property
     def held(self) -> tuple[int, ...]:
@@ -55,8 +58,13 @@ class Kept:
         return {name: bound * float(units[GROUPS[name][0]]) for name, bound in self.bounds.items()}
 
     def spread(self, free: Floats) -> Floats:
-        """Covariance of all parameters whose intervals reach as far as the bounds, shape (7, 7)."""
-        found = free.copy()
+        """Covariance of all parameters, shape (7, 7).
+
+        Intervals reach as far as the bounds; those of the others are as much longer as these moved them.
+        """
+        deviation = np.sqrt(np.maximum(np.diag(free), 1e-300))
+        longer = 1.0 + self.moved / _TWO_SIDED / deviation
+        found = free * np.multiply.outer(longer, longer)
         for name, bound in self.bounds.items():
             for number in GROUPS[name]:
                 found[number], found[:, number] = 0.0, 0.0
@@ -90,7 +98,9 @@ def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, 
         for name in sorted(doubtful, key=lambda one: _certainty(away, spread, one)):
             if (trial := _held(best, chosen, [*held, name])) is not None:
                 best, held = trial, [*held, name]
-    return best, Kept({name: _bound(fit, chosen, name) for name in held})
+    moved = _fitted(best, chosen), _fitted(best, chosen) * MIRRORED
+    nearest = min((np.abs(one - _fitted(fit, chosen)) for one in moved), key=lambda x: float(np.sum(x[:4])))
+    return best, Kept({name: _bound(fit, chosen, name) for name in held}, nearest)
 
 
 def all_kept(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Kept]:
@@ -102,10 +112,14 @@ def all_kept(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Kept]:
 def _away(fit: LinearisedFit, chosen: Chosen) -> tuple[Floats, Floats]:
     """How far the parameters are from the configured ones, lobes swapped if that is nearer; covariance."""
     configured = fit_parameters.vector(fit.data.configured, fit.data.configured)
-    found = fit.parameters + fit.fit(chosen)[0][:COUNT]
-    own = slice(COUNT)
+    found, own = _fitted(fit, chosen), slice(COUNT)
     away = min((found - configured, found * MIRRORED - configured), key=lambda x: float(np.sum(x[:4] ** 2)))
     return away, covariance(fit, chosen)[0][own, own]
+
+
+def _fitted(fit: LinearisedFit, chosen: Chosen) -> Floats:
+    """Parameters where a fit has them, shape (7,)."""
+    return np.asarray(fit.parameters + fit.fit(chosen)[0][:COUNT])
 
 
 def _certainty(away: Floats, spread: Floats, name: str) -> float:

@@ -28,16 +28,33 @@ class Candidate:
 
 
 class Projector:
-    """Projects whitened columns off the model, the encoders' offset and the chosen effects."""
+    """Projects whitened columns off the model, the encoders' offset and the chosen effects.
+
+    Their prior stands below the samples, a row for each, and what a fit puts on a bound stays there: what
+    only unheard-of values could imitate remains.
+    """
 
     def __init__(self, fit: LinearisedFit, chosen: Chosen) -> None:
         parts = [fit.always_white, *(fit.white(effect, nonlinear) for effect, nonlinear in chosen)]
         fixed = np.concatenate(parts, axis=1)
-        self.basis = orthonormal(fixed)
-        self.rest = fit.residual_white - self.basis @ (self.basis.T @ fit.residual_white)
+        held, steps = fit.on_bounds(chosen)
+        target = fit.residual_white - fixed[:, held] @ steps
+        precision, pull = fit.prior(chosen)
+        fixed[:, held], precision[held] = 0.0, 0.0
+        self.basis = orthonormal(np.concatenate((fixed, np.diag(np.sqrt(precision)))))
+        self.rest = self.off(target, np.sqrt(precision) * pull)
         self.deviance = float(self.rest @ self.rest)
         self.rows = int(np.count_nonzero(fit.residual_white))
         self.fitted = fixed.shape[1]
+
+    def off(self, columns: Floats, below: Floats | None = None) -> Floats:
+        """Columns less their projection, with a row below for each prior."""
+        count = self.basis.shape[0] - columns.shape[0]
+        below = np.zeros((count, *columns.shape[1:])) if below is None else below
+        inner = self.basis[: columns.shape[0]].T @ columns + self.basis[columns.shape[0] :].T @ below
+        found = np.concatenate((columns, below))
+        found -= self.basis @ inner
+        return found
 
     def gain(self, columns: Floats) -> float:
         """Fall of the residual sum of squares by these columns."""
@@ -46,13 +63,13 @@ class Projector:
 
     def fit_beyond(self, columns: Floats, beyond: Floats) -> tuple[Floats, float]:
         """Coefficients beside a whitened part that is present anyway, and the gain of both."""
-        rest = self.rest - (beyond - self.basis @ (self.basis.T @ beyond))
+        rest = self.rest - self.off(beyond)
         coefficients, moment = self.fit(columns, rest)
         return coefficients, self.deviance - float(rest @ rest) + float(moment @ coefficients)
 
     def fit(self, columns: Floats, rest: Floats | None = None) -> tuple[Floats, Floats]:
         """Coefficients of these columns, zero for those that vanish by projection, and their moments."""
-        part = columns - self.basis @ (self.basis.T @ columns)
+        part = self.off(columns)
         moment = part.T @ (self.rest if rest is None else rest)
         own = np.einsum("ij,ij->j", part, part) > 1e-8 * np.maximum(
             np.einsum("ij,ij->j", columns, columns), 1e-300
