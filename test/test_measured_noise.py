@@ -7,9 +7,10 @@ import pytest
 from benches import CONFIGURED, POINT, swinging
 from challenge import noise
 from joint_records import ARCSEC, RATIO
+from scipy.linalg import toeplitz
 
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
-from hd_diag.diagnosis.measured_noise import MeasuredNoise, of_counts
+from hd_diag.diagnosis.measured_noise import MeasuredNoise, Revisits, measured_covariance, of_counts
 
 
 @pytest.fixture(scope="module")
@@ -56,3 +57,17 @@ def test_a_motion_that_never_comes_back_tells_a_lower_bound() -> None:
     assert not found.repeated
     assert found.low < found.rms == pytest.approx(noise.WHITE, rel=0.1)
     assert found.high == pytest.approx(float(own.std()))
+
+
+def test_misfit_that_changes_at_once_leaves_covariances_that_noise_can_have() -> None:
+    """Misfit three times the noise, other in every pass, gone after some samples: the noise stays white."""
+    rng, count = np.random.default_rng(4), 40_000
+    quick = np.convolve(rng.standard_normal(count + 4), np.full(5, 5.0**-0.5), "valid")
+    residual = ARCSEC * (2.0 * rng.standard_normal(count) + 6.0 * quick)
+    first = rng.integers(0, count // 2, 8000)
+    passed = Revisits(first, first + count // 2 - 100, np.zeros((first.size, 1)))
+    noise = MeasuredNoise(2.0 * ARCSEC, 1.9 * ARCSEC, 2.1 * ARCSEC, True)
+    found = measured_covariance(residual, np.zeros(count, dtype=np.int64), passed, noise) / noise.rms**2
+    assert found[0] == pytest.approx(1.0)
+    assert np.abs(found[1:]).max() < 0.3
+    assert np.linalg.eigvalsh(toeplitz(found))[0] > 0.2

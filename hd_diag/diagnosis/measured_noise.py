@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import toeplitz
 from scipy.optimize import nnls
 from scipy.spatial import cKDTree
 
@@ -26,6 +27,7 @@ _VAGUE = 1.5  # ratio of the interval's ends from which nothing is extrapolated
 _DRAWS = 200
 _OWN = 0.06  # of it: slow noise that leading back takes for a difference of states
 _DIFFERENCE = 6  # order of the difference that no smooth motion makes
+_QUICKEST = 0.25  # of their variance, that noise has at least in every wave
 _WHOLE = 0.02  # of a step, by which counts may be off whole numbers
 _MOST_STEPS = 1000.0  # between neighbours, for counts that can be told
 
@@ -131,7 +133,8 @@ def measured_covariance(residual: Floats, run: Integers, passed: Revisits, noise
     """Covariances of the noise at lags 0 to ORDER [rad^2], whatever misfit is in a residual.
 
     Those of the differences between passes; what the noise leaves of their variance is misfit as well, and
-    changes little over so few samples.
+    changes little over so few samples. Where it changes, these are no covariances: they are shrunk towards
+    white noise of the same variance, until no wave has less of it than a share of the quickest differences.
     """
     last = np.maximum(passed.first, passed.second) + ORDER < run.size
     first, second = passed.first[last], passed.second[last]
@@ -139,7 +142,12 @@ def measured_covariance(residual: Floats, run: Integers, passed: Revisits, noise
     first, second = first[whole], second[whole]
     away = np.stack([residual[first + lag] - residual[second + lag] for lag in range(ORDER + 1)])
     found = np.array([0.5 * float(np.mean(away[: ORDER + 1 - lag] * away[lag:])) for lag in range(ORDER + 1)])
-    return np.asarray(found - max(float(found[0]) - noise.rms**2, 0.0))
+    found -= max(float(found[0]) - noise.rms**2, 0.0)
+    whole, weakest = float(found[0]), float(np.linalg.eigvalsh(toeplitz(found))[0])
+    least = min(_QUICKEST * _of_short_differences(residual, run) ** 2, whole)
+    if weakest < least:
+        found[1:] *= (whole - least) / (whole - weakest)
+    return found
 
 
 def _states(signals: Signals) -> tuple[Floats, Integers]:
