@@ -130,7 +130,9 @@ def diagnose(
     whole = refitted(settle(replace(best.every, held=kept.held), best.found.chosen), best.found)
     del begun, plain, found, best  # some hundred columns each
     parameters, covariance = parameters_of(whole)
-    trustworthy = first.trustworthy and not fit_parameters.at_bound(parameters, configured)
+    # Minima beside a drive without displacement are no rivals of it.
+    certain = first.trustworthy or "eccentricity" in kept.bounds
+    trustworthy = certain and not fit_parameters.at_bound(parameters, configured)
     drive = fit_parameters.drive_of(parameters, configured)
     progress("looking at what no cause explains")
     return Diagnosis(

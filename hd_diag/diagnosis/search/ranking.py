@@ -134,9 +134,9 @@ def _candidate(
 
 
 def _gain_at_size(fit: LinearisedFit, projector: Projector, candidate: Candidate) -> float:
-    """Gain with the columns at the size found, of an effect whose columns change with its size."""
+    """Gain at the size found, of an effect that is not its columns times its size."""
     effect, nonlinear = candidate.effect, candidate.nonlinear
-    if not effect.own_slopes:
+    if effect.proportional and not effect.own_slopes:
         return 0.0
     coefficients, _ = projector.fit(fit.white(effect, nonlinear))
     best = 0.0
