@@ -23,6 +23,8 @@ _SLOW = 0.34  # share of the samples that count as slow
 _MOST_TERMS = 3  # unmodelled
 _RIVALS = 6  # best candidates of a round that are tried later in place of others
 _UNEVEN = 1.3  # ratio of the residual at high and low speed from which both are fitted apart
+_AS_MUCH = 0.9  # of the best candidate's gain, that its rivals have
+_FAR = 2.0  # times the noise's deviance, that is left where parameters are wrong still
 _RESTARTS = 3  # causes found, up to which each lets the model's parameters be searched for again
 _PLAINLY = 10.0  # surprise by which an unmodelled term must beat all causes to come before them
 _FIRST_MOVE = 0.5  # of a grid step, by which a refinement begins
@@ -54,6 +56,7 @@ def search(
         if not chosen and speed_dependent(fit):
             fit = _begun_slowly(fit, rng)
         best = candidates(fit, chosen) if _named(chosen) < _MOST_CAUSES else []
+        best = _settled_first(fit, chosen, best)
         rivals |= {candidate.effect.name for candidate in best[:_RIVALS]}
         found = _next(fit, chosen, family, best)
         if found is None:
@@ -99,6 +102,23 @@ def _next(fit: LinearisedFit, chosen: Chosen, family: int, best: list[Candidate]
         or passing(fit, chosen, [_between(fit, chosen, one) for one in best[:1] if free(one.effect)], family)
         or passing(fit, chosen, terms, family)
     )
+
+
+def _settled_first(fit: LinearisedFit, chosen: Chosen, best: list[Candidate]) -> list[Candidate]:
+    """The candidates, those that explain about as much as the best in the order of what they leave, settled.
+
+    Beside a large cause the model's parameters are wrong: what little either leaves there says nothing.
+    """
+    close = [one for one in best[:_RIVALS] if one.gain > _AS_MUCH * best[0].gain]
+    rows = int(np.count_nonzero(fit.residual_white))
+    if len(close) < 2 or fit.design(chosen).deviance() - max(one.gain for one in close) < _FAR * rows:
+        return best
+
+    def left(candidate: Candidate) -> float:
+        trial = (*chosen, (candidate.effect, candidate.nonlinear))
+        return _deviance(settle(fit.corrected(trial), trial, rounds=2, learn=False), trial)
+
+    return [*sorted(close, key=left), *(one for one in best if one not in close)]
 
 
 def _between(fit: LinearisedFit, chosen: Chosen, candidate: Candidate) -> Candidate:
