@@ -4,12 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-from benches import EFFECTS, bench, of
+from benches import CONFIGURED, EFFECTS, POINT, bench, of, swinging
+from joint_records import joint, prepared
 from numpy.testing import assert_allclose
 
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.joint_refinement import covariance, free, polished, slopes
-from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
+from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.effects.effect import Effect
 
 TRUTH = {
@@ -91,6 +92,28 @@ def test_a_value_stops_at_its_limit() -> None:
     low = effect.nonlinear[0].low
     made = bench(lambda signals: signals.contact.under_more_torque(2.0 * np.sign(signals.forward_speed)))
     assert polished(made, ((effect, (0.8,)),))[1][0][1] == (low,)
+
+
+def test_deviations_follow_the_scatter_of_recordings() -> None:
+    """A joint whose eccentricity differs from one recording to the next: the mean of four is half as sure."""
+    sizes = np.array([11.0, 12.0, 13.0, 12.0])
+    given = [parted(size * 1e-6, seed) for seed, size in enumerate(sizes)]
+    rows = {name: np.concatenate([one[name] for one in given]) for name in given[0]}
+    bag = np.repeat(np.arange(sizes.size), given[0]["time"].size)
+    made = linearise(prepared(rows, bag), CONFIGURED, POINT).with_noise(())
+    spread, _ = covariance(made, ())
+    towards = POINT[:2] / np.hypot(*POINT[:2])
+    expected = sizes.std(ddof=1) / np.sqrt(sizes.size)
+    assert np.sqrt(towards @ spread[:2, :2] @ towards) == pytest.approx(expected, rel=0.25)
+
+
+def parted(eccentricity: float, seed: int) -> dict[str, np.ndarray]:
+    """Columns of one recording."""
+    record = swinging(
+        10.0, seed, joint(eccentricity__magnitude=eccentricity, eccentricity__direction=0.6).drive
+    )
+    names = {"time": "time", "input": "input_angle", "output": "output_angle", "torque": "reported_torque"}
+    return {name: getattr(record, column) for name, column in names.items()}
 
 
 def test_deviations_follow_the_scatter_of_blocks(case: Case) -> None:

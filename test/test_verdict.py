@@ -40,7 +40,7 @@ KEYS = {
     "testability": "name testable least_size reason",
 }
 MORE = {
-    "": "findings evidence tolerance",
+    "": "findings evidence tolerance encoder_zeros",
     "record": "has_torque outliers dropped",
     "extended": "rms_named rms_offline rms_live",
 }
@@ -211,6 +211,16 @@ def test_severity_comes_first(most: float, where: str) -> None:
     assert first.endswith(f"its eccentricity is {where} the tolerance's limit ({sizes}, by peak tooth load)")
     expected = {"eccentricity": pytest.approx(18.2e-6), "allowed": most, "criterion": "peak_tooth_load"}
     assert as_json(made, "joint_1")["tolerance"] == {**expected, "within": where == "within"}
+
+
+def test_scatter_of_the_encoders_zeros_is_told() -> None:
+    """Of several recordings; of one there is nothing to tell."""
+    zeros = tuple(ARCSEC * np.array([10.0, 20.0, 60.0]))
+    made = diagnosis(encoder_zeros=zeros)
+    scatter = pytest.approx(np.std(zeros, ddof=1))
+    assert as_json(made, "joint_1")["encoder_zeros"] == {"values": [*zeros], "scatter": scatter}
+    assert summary(made)[2].startswith("encoders' zero: one for each of 3 recordings; they scatter by 26.46")
+    assert as_json(diagnosis(encoder_zeros=zeros[:1]), "joint_1")["encoder_zeros"] is None
 
 
 def test_causes_that_predict_nothing_are_doubted() -> None:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hd_diag.diagnosis.extension import extended_model
+from hd_diag.diagnosis.extension import encoder_zeros, extended_model
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.joint_refinement import settle
@@ -46,6 +46,7 @@ class Diagnosis:
 
     `kept` are the parameters that stay as configured, for held-out data are predicted no better with others,
     and how far off each may be, at 95 % (SI). What is `allowed` is not found here: who knows it adds it.
+    `encoder_zeros` are those of the recordings [rad].
     """
 
     record: Record
@@ -62,6 +63,7 @@ class Diagnosis:
     catalogue: Catalogue = CATALOGUE
     orders: tuple[OrderRow, ...] = ()
     allowed: Allowed | None = None
+    encoder_zeros: tuple[float, ...] = ()
 
     @property
     def misfit(self) -> Misfit | None:
@@ -148,6 +150,7 @@ def diagnose(
         tuple(testability(whole)),
         extended_model(whole, configured, record),
         catalogue,
+        encoder_zeros=tuple(encoder_zeros(whole).tolist()),
     )
 
 

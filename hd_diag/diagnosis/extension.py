@@ -43,6 +43,14 @@ def extended_model(found: Search, configured: Drive, record: Record) -> Extended
     return ExtendedModel(drive, terms, offset, _ranges(record))
 
 
+def encoder_zeros(found: Search) -> Floats:
+    """Zero of the encoders, output against input, in each recording that is fitted [rad], shape (k,)."""
+    data = found.fit.data
+    first = np.unique(data.record.bag, return_index=True)[1]
+    own = found.fit.fit(found.chosen)[0][fit_parameters.COUNT :][: data.offsets.shape[1]]
+    return np.asarray(data.offsets[first] @ own)
+
+
 def running_residual(
     model: ExtendedModel, record: Record, torque: Floats, table: TorsionMap | None
 ) -> Floats:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.gain import Gain, Rms
@@ -72,6 +74,7 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
         "described": [_row(row) for row in diagnosis.order_table],
         "normal": answer.normal and {**answer.normal._asdict(), "within": answer.normal.within},
         "tolerance": _tolerance(answer),
+        "encoder_zeros": _zeros(diagnosis),
         "model": model,
         "verdict": sentence(answer),
     }
@@ -206,6 +209,12 @@ def _tolerance(answer: Answer) -> dict[str, Any] | None:
     }
 
 
+def _zeros(diagnosis: Diagnosis) -> dict[str, Any] | None:
+    """Zeros of several recordings and their scatter; None of one."""
+    zeros = diagnosis.encoder_zeros
+    return {"values": zeros, "scatter": float(np.std(zeros, ddof=1))} if len(zeros) > 1 else None
+
+
 def _parameters(answer: Answer) -> str:
     """What the fit of the model's own parameters says, in words: what changes the error most first."""
     diagnosis, changed = answer.diagnosis, answer.changes
@@ -282,6 +291,11 @@ def summary(diagnosis: Diagnosis) -> list[str]:
             f"refit {rms.refit / ARCSEC:.2f}, extended {rms.extended / ARCSEC:.2f}, "
             f"noise {arcsec(rms.noise)} rms; explained {100 * gain.fraction:.1f} % "
             f"({100 * gain.low:.1f} to {100 * gain.high:.1f} %)"
+        )
+    if zeros := _zeros(diagnosis):
+        lines.append(
+            f"encoders' zero: one for each of {len(zeros['values'])} recordings; they scatter by "
+            f"{arcsec(zeros['scatter'])} (standard deviation), which is no cause"
         )
     if any(change.name == "eccentricity" for change in answer.changes):
         lines.append(f"direction: {_HOW_TO_FIND}")

@@ -90,6 +90,12 @@ class FittedRows:
         return (np.arange(self.at.size) * _BLOCKS // max(self.at.size, 1)).astype(np.int64)
 
     @cached_property
+    def bag_of_block(self) -> Integers:
+        """Recording in which the middle of each block lies."""
+        edges = np.searchsorted(self.block, np.arange(self.block[-1] + 2))
+        return np.asarray(self.record.bag[(edges[:-1] + edges[1:]) // 2], np.int64)
+
+    @cached_property
     def offsets(self) -> Floats:
         """Columns of the encoders' zero at the fitted rows: one, and one for each further recording."""
         bag = self.record.bag

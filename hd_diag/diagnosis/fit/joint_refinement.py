@@ -98,7 +98,7 @@ def slopes(fit: LinearisedFit, chosen: Chosen) -> Floats:
 def covariance(fit: LinearisedFit, chosen: Chosen) -> tuple[Floats, list[npt.NDArray[np.int64]]]:
     """Covariance of all that is fitted, the free nonlinear values included.
 
-    Where blocks of the record scatter more than the noise model has it, by their scatter.
+    By the scatter of blocks of the record, or of recordings, where that is more than the noise model has it.
 
     Returns
     -------
@@ -116,15 +116,22 @@ def covariance(fit: LinearisedFit, chosen: Chosen) -> tuple[Floats, list[npt.NDA
         own = place.stop if effect.stage == Stage.NOWHERE else place.start + effect.size
         places.append(np.concatenate((np.arange(place.start, own), inner)))
     beta, spread, built = fit.fit(chosen, slopes(fit, chosen))
-    return spread * np.multiply.outer(*[_wider(beta, spread, built)] * 2), places
+    return spread * np.multiply.outer(*[_wider(fit, beta, spread, built)] * 2), places
 
 
-def _wider(beta: Floats, spread: Floats, built: Design) -> Floats:
-    """Deviations by the scatter of blocks (sandwich estimate) over those of the noise model, at least 1."""
-    pulls = built.moment - built.gram @ beta
-    blocks = pulls.shape[0]
-    scatter = np.einsum("bk,kp->bp", pulls, spread)
-    variance = np.sum(scatter**2, axis=0) * blocks / max(blocks - 1, 1)
+def _wider(fit: LinearisedFit, beta: Floats, spread: Floats, built: Design) -> Floats:
+    """Deviations by scatter (sandwich estimate) over those of the noise model, at least 1.
+
+    The scatter of blocks, or that of recordings, which are alike within: the greater of both.
+    """
+    scatter = (built.moment - built.gram @ beta) @ spread
+    bags, number = np.unique(fit.data.bag_of_block, return_inverse=True)
+    together = np.zeros((bags.size, scatter.shape[1]))
+    np.add.at(together, number, scatter)
+    variances = [
+        np.sum(parts**2, axis=0) * len(parts) / max(len(parts) - 1, 1) for parts in (scatter, together)
+    ]
+    variance = np.maximum(*variances) if bags.size > 1 else variances[0]
     return np.asarray(np.sqrt(np.maximum(variance / np.maximum(np.diag(spread), 1e-300), 1.0)))
 
 
