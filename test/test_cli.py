@@ -79,13 +79,6 @@ def test_check_describes_a_valid_configuration(tmp_path: Path) -> None:
     assert told["parameters"] == dict(resolve({"joint_1.eccentricity.magnitude": 12e-6}).flat)
 
 
-def test_check_names_file_parameter_and_expectation(tmp_path: Path) -> None:
-    path = tmp_path / "bad.yaml"
-    path.write_text("hd_diag: {ros__parameters: {joint_1: {rated_torque: '56'}}}")
-    said = (str(path), "joint_1.rated_torque", "expected a number [N m]", "'56'")
-    assert_one_line_error(hd_diag("check", path), *said)
-
-
 # mesh ---
 
 

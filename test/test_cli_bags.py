@@ -5,12 +5,9 @@ import json
 import os
 import random
 import re
-import resource
 import shutil
 import signal
-import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -53,13 +50,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run(command: click.Command, *arguments: str | Path) -> Result:
     return runner().invoke(command, [str(argument) for argument in arguments])
-
-
-def process(*arguments: str | Path, **options: Any) -> subprocess.Popen[str]:
-    """``hd-diag`` in a process of its own."""
-    command = [sys.executable, "-m", "hd_diag", *map(str, arguments)]
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    return subprocess.Popen(command, **pipes, **options)  # type: ignore[call-overload,no-any-return]
 
 
 def refused(result: Result) -> str:
@@ -234,44 +224,6 @@ def test_a_damaged_bag_is_refused_with_advice(folder: Path, tmp_path: Path) -> N
 # What comes in between ---
 
 
-def test_a_full_disk_leaves_nothing_that_passes_for_whole(folder: Path, tmp_path: Path) -> None:
-    def limit() -> None:
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, 2_000_000))
-
-    out = tmp_path / "out.mcap"
-    given = ("replay", folder / "long.mcap", "--config", folder / "c.yaml", "--out", out)
-    done = process(*given, preexec_fn=limit)
-    stdout, stderr = done.communicate(timeout=60)
-    assert (done.returncode, stdout) == (2, "")
-    assert stderr == f"hd-diag: {out}: File too large\n"
-    with BagReader(out) as reader:
-        assert reader.problems
-    assert run(recover, out, "--out", tmp_path / "saved.mcap").exit_code == 0
-    assert content(tmp_path / "saved.mcap")["/hd_diag/residual"]
-
-
-def test_ctrl_c_leaves_a_whole_bag(folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    running = process("replay", folder / "long.mcap", "--config", folder / "c.yaml", "--out", out)
-    file = out / "out_0.mcap"
-    end = time.monotonic() + 60.0
-    while not (file.exists() and file.stat().st_size > 1_000_000):
-        assert time.monotonic() < end
-        assert running.poll() is None
-        time.sleep(0.02)
-    running.send_signal(signal.SIGINT)
-    stdout, stderr = running.communicate(timeout=30)
-    stderr = stderr.removeprefix("\n")  # click before 8.2 ends the line that shows ^C
-    assert (running.returncode, stdout) == (130, "")
-    assert stderr.startswith(f"hd-diag: interrupted: {out} holds what the first ")
-    assert stderr.count("\n") == 1
-    with BagReader(out) as reader:
-        assert not reader.problems
-        counts = {topic.name: topic.count for topic in reader.topics}
-    assert 0 < counts["/joint_states"] == counts["/hd_diag/residual"] < COUNT
-
-
 def interrupting(monkeypatch: pytest.MonkeyPatch, place: str, turn: int) -> None:
     """Ctrl-C during the so-manyth call of a function."""
     module, _, name = place.rpartition(".")
@@ -286,21 +238,32 @@ def interrupting(monkeypatch: pytest.MonkeyPatch, place: str, turn: int) -> None
     monkeypatch.setattr(sys.modules[module], name, call)
 
 
+STOPPED = {
+    recover: ("hd_diag.bag.recover._lines", ""),
+    replay: ("hd_diag.replay.replay.temperature_changes", "what "),
+}
+
+
 @pytest.mark.parametrize("name", ["out.mcap", "out"])
-def test_ctrl_c_of_recover_says_what_there_is(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+@pytest.mark.parametrize("command", STOPPED, ids=["recover", "replay"])
+def test_ctrl_c_leaves_a_whole_bag_and_says_what_there_is(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: click.Command, name: str
 ) -> None:
-    out = tmp_path / name
+    out, (place, what) = tmp_path / name, STOPPED[command]
+    given = () if command is recover else ("--config", folder / "c.yaml")
     with monkeypatch.context() as patch:
-        interrupting(patch, "hd_diag.bag.recover._lines", 3)
-        result = run(recover, folder / "long.mcap", "--out", out)
+        interrupting(patch, place, 3 if command is recover else 1)
+        result = run(command, folder / "long.mcap", "--out", out, *given)
     with BagReader(out) as reader:
         assert not reader.problems
-        count = reader.message_count
+        counts = {topic.name: topic.count for topic in reader.topics}
+    count = counts["/joint_states"]
     assert 0 < count < COUNT
-    line = f"hd-diag: interrupted: {out} holds the first {count} messages\n"
-    assert (result.exit_code, result.stdout, result.stderr) == (130, "", line)
-    assert content(out)["/joint_states"] == content(folder / "long.mcap")["/joint_states"][:count]
+    assert counts.get("/hd_diag/residual", count) == count
+    assert (result.exit_code, result.stdout, result.stderr.count("\n")) == (130, "", 1)
+    assert result.stderr.startswith(f"hd-diag: interrupted: {out} holds {what}the first {count} messages")
+    if command is recover:
+        assert content(out)["/joint_states"] == content(folder / "long.mcap")["/joint_states"][:count]
 
 
 def test_ctrl_c_while_the_result_is_read_back(
@@ -335,10 +298,7 @@ def test_ctrl_c_keeps_what_was_to_be_replaced(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: click.Command
 ) -> None:
     shutil.copy(folder / "log.mcap", tmp_path / "out.mcap")
-    place = (
-        "hd_diag.bag.recover._lines" if command is recover else "hd_diag.replay.replay.temperature_changes"
-    )
-    interrupting(monkeypatch, place, 2)
+    interrupting(monkeypatch, STOPPED[command][0], 2)
     given = ("--out", tmp_path / "out.mcap", "--overwrite")
     given += () if command is recover else ("--config", folder / "c.yaml")
     result = run(command, folder / "long.mcap", *given)

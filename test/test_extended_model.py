@@ -93,6 +93,7 @@ def test_no_rows_are_no_step_and_it_needs_what_its_effects_need() -> None:
     error, state = MODEL.step(MODEL.start(), nothing, nothing, None, nothing)
     assert (error.size, state.is_fresh) == (0, True)
     assert "temperature" in model("thermal_drift").needs
+    assert model("stream_delay").needs >= {"time", "speed"}
     assert {"speed", "torque"} <= model(*STATEFUL).needs
 
 
@@ -164,11 +165,6 @@ def test_a_resonance_of_a_joint_that_is_met_in_motion_starts_steady() -> None:
     response = (1.0 + damped) / (1.0 - r * r + damped)
     assert_allclose(np.hypot(*fit), values["amplitude"] * abs(response), rtol=2e-3)
     assert rest < 1e-6 * np.sum(wave**2)
-
-
-def test_what_it_needs_is_what_its_effects_need() -> None:
-    assert model("stream_delay").needs >= {"time", "speed"}
-    assert {"speed", "torque"} <= model(*STATEFUL).needs
 
 
 def test_a_sample_without_prediction_spoils_no_later_one() -> None:

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import matplotlib
 import numpy as np
 import pytest
+from browser import luminance
 
 from hd_diag.config.configuration import resolve
 from hd_diag.drive import Drive, mesh_state
@@ -152,17 +153,11 @@ def test_colours_are_viridis() -> None:
     assert (viridis(np.array([-1.0, 7.0])) == viridis(np.array([0.0, 1.0]))).all()
 
 
-def luminance(colour: tuple[float, ...]) -> float:
-    """Relative luminance of an sRGB colour (WCAG 2.1)."""
-    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in colour[:3]]
-    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
-
-
 @pytest.mark.parametrize("ground", [48 / 255, 0.07, 1.0], ids=["RViz", "Foxglove dark", "white"])
 def test_every_line_is_seen_on_dark_and_light_ground(ground: float) -> None:
     for shape in shapes(drive()).values():
         if shape.kind != "triangle_list":
-            low, high = sorted((luminance(shape.colour), luminance((ground,) * 3)))
+            low, high = sorted((luminance(shape.colour[:3]), luminance((ground,) * 3)))
             assert (high + 0.05) / (low + 0.05) > 2.0, shape.name
 
 

@@ -77,17 +77,10 @@ def shuffled(messages: list[Message]) -> list[Message]:
 
 
 WAYS: dict[str, Callable[[Path, list[Message]], Path]] = {
-    "zstd": lambda f, m: write_with_mcap(f / "b.mcap", m),
     "tiny chunks": lambda f, m: write_with_mcap(f / "b.mcap", m, chunk_size=300),
-    "no chunks": lambda f, m: write_with_mcap(f / "b.mcap", m, chunked=False),
-    "no indexes": lambda f, m: write_with_mcap(f / "b.mcap", m, indexes=False),
-    "no summary": lambda f, m: write_with_mcap(f / "b.mcap", m, summary=False, indexes=False),
     "no end": lambda f, m: cut_end(write_with_mcap(f / "c.mcap", m), f / "b.mcap"),
     "split by size": lambda f, m: with_writer(f / "b", m, max_size=20_000, compression="none"),
-    "sqlite3": lambda f, m: with_rosbags(f / "b", m, "", StoragePlugin.SQLITE3),
     "sqlite3, messages compressed": lambda f, m: with_rosbags(f / "b", m, "MESSAGE", StoragePlugin.SQLITE3),
-    "mcap of rosbags": lambda f, m: with_rosbags(f / "b", m, "", StoragePlugin.MCAP),
-    "disordered": lambda f, m: write_with_mcap(f / "b.mcap", shuffled(m), chunk_size=2000),
     "disordered, no indexes": lambda f, m: write_with_mcap(
         f / "b.mcap", shuffled(m), chunk_size=2000, summary=False, indexes=False
     ),
