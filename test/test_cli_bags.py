@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import yaml
 from bag_samples import cut_end
-from cli_runner import runner
+from cli_runner import hd_diag
 from click.testing import Result
 from live import MS, START, message, parameters
 from logs import content
@@ -49,7 +49,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(command: click.Command, *arguments: str | Path) -> Result:
-    return runner().invoke(command, [str(argument) for argument in arguments])
+    return hd_diag(command.name, *arguments)
 
 
 def refused(result: Result) -> str:
@@ -92,15 +92,6 @@ def test_rejections_and_absent_joints_are_told(folder: Path, tmp_path: Path) -> 
     assert result.exit_code == 0
     assert "a: 1 rejected, the last because: stamp of a_motor repeats the last" in result.stdout
     assert result.stderr == "b: no sample in the bag\n"
-
-
-def test_an_unfinished_bag_is_replayed_with_a_warning(folder: Path, tmp_path: Path) -> None:
-    cut = cut_end(folder / "log.mcap", tmp_path / "cut.mcap")
-    result = run(replay, cut, "--out", tmp_path / "out.mcap")
-    assert result.exit_code == 0
-    assert result.stderr.startswith("warning: cut.mcap: ")
-    assert result.stderr.count("\n") == 1
-    assert content(tmp_path / "out.mcap") == content(folder / "log.mcap")
 
 
 def test_a_bag_that_is_being_written_is_replayed_as_far_as_it_goes(folder: Path, tmp_path: Path) -> None:
@@ -172,16 +163,6 @@ def test_input_and_output_that_cannot_be(
     before = {path: path.read_bytes() for path in tmp_path.rglob("*.*") if path.is_file()}
     assert reason in refused(run(command, tmp_path / bag, "--out", tmp_path / out))
     assert {path: path.read_bytes() for path in before} == before
-
-
-def test_an_existing_output_is_kept_unless_told_otherwise(folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out.mcap"
-    assert run(replay, folder / "log.mcap", "--out", out).exit_code == 0
-    before = out.read_bytes()
-    assert "exists already" in refused(run(replay, folder / "log.mcap", "--out", out))
-    refused(run(replay, folder / "long.mcap", "--out", out, "--overwrite"))  # needs a configuration
-    assert out.read_bytes() == before
-    assert run(replay, folder / "log.mcap", "--out", out, "--overwrite").exit_code == 0
 
 
 def test_a_json_file_that_cannot_be_written_is_told(folder: Path, tmp_path: Path) -> None:

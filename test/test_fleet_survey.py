@@ -6,7 +6,7 @@ from pathlib import Path
 
 import fleet_tasks
 import pytest
-from bag_samples import STRING, cut_end, string_cdr, write_with_mcap
+from bag_samples import cut_end
 
 from hd_diag.config.configuration import resolve
 from hd_diag.fleet.rows import tasks
@@ -57,17 +57,6 @@ def test_what_is_no_bag(content: bytes, tmp_path: Path) -> None:
     assert seen.error
     assert seen.error.isprintable()
     assert "does not exist" in survey(str(tmp_path / "none.mcap")).error
-
-
-def test_a_bag_without_joint_states(tmp_path: Path) -> None:
-    path = write_with_mcap(tmp_path / "a.mcap", [("/n", STRING, string_cdr("x"), 5)])
-    seen = survey(str(path))
-    assert (seen.names, seen.topics, seen.messages, seen.error) == (frozenset(), {"/n"}, 1, "")
-    mapped = resolve(
-        {"joint_1.input.topic": "n", "joint_1.input.type": "std_msgs/String", "joint_1.input.field": "x"}
-    )
-    assert not tasks(seen, resolve({}), resolve({}).joints)
-    assert [task.joint.name for task in tasks(seen, mapped, mapped.joints)] == ["joint_1"]
 
 
 def test_tasks_are_the_joints_that_a_bag_holds(tmp_path: Path) -> None:

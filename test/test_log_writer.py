@@ -62,20 +62,6 @@ def test_a_path_that_cannot_be_written_fails_and_stops_nothing(
     assert (tmp_path / "taken.mcap").read_bytes() == b"precious"
 
 
-def test_overwrite_replaces_but_nothing_that_is_being_written(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
-    first = LogWriter(LogConfig(str(path)))
-    second = LogWriter(LogConfig(str(path), overwrite=True))
-    assert "being written by another" in second.state
-    fill(first)
-    first.close()
-    assert count(path) == 10
-    third = LogWriter(LogConfig(str(path), overwrite=True))
-    fill(third, 0, 5)
-    third.close()
-    assert count(path) == 5
-
-
 def test_a_message_that_cannot_be_written_ends_the_log_not_the_caller(tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     log = LogWriter(LogConfig(str(path)))

@@ -308,15 +308,6 @@ def test_a_log_without_its_beginning_says_so(tmp_path: Path, log: Path) -> None:
         replay(bag, tmp_path / "out.mcap")
 
 
-@pytest.mark.parametrize("out", ["b.mcap", "b.mcap/x", "."])
-def test_the_input_is_never_the_output(tmp_path: Path, out: str) -> None:
-    bag = write_with_mcap(tmp_path / "b.mcap", samples()[:5])
-    before = bag.read_bytes()
-    with pytest.raises(BagError):
-        replay(bag, tmp_path / out, CONFIG, overwrite=True)
-    assert bag.read_bytes() == before
-
-
 def test_after_an_error_no_reader_takes_the_output_for_whole(tmp_path: Path) -> None:
     """Here a chunk in the middle of the input is damaged."""
     bag = write_with_mcap(tmp_path / "b.mcap", samples(), chunk_size=20_000, compression="none")

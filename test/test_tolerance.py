@@ -27,7 +27,6 @@ from hd_diag.tolerance import assembly
 from hd_diag.tolerance.assembly import FACTORS, Assembly, Population, Share, Spread, draw, judged, yields
 from hd_diag.tolerance.criteria import CRITERIA, NAMES, cup_torques, of_moments
 from hd_diag.tolerance.evaluation import evaluate, reference_stiffness
-from hd_diag.tolerance.hills import NARROWING, climbed, hills
 from hd_diag.tolerance.limit import (
     STEPS,
     EccentricityLimit,
@@ -125,33 +124,7 @@ def test_one_slot_turned_is_that_of_the_brute_force() -> None:
     assert_allclose(found.interference[0], -np.nanmin(reference.backlash), atol=0.05e-6)
 
 
-# Climbing hills ---
-
-
-def test_a_climb_finds_the_top_of_a_torus() -> None:
-    top = np.array([1.234, 5.01])
-
-    def height(points: Any) -> Any:
-        return np.cos(points - top).sum(axis=1) + 0.2 * np.cos(3 * (points[:, 0] - top[0]))
-
-    steps = 2 * np.pi / 16
-    grid = np.stack(np.meshgrid(*[steps * np.arange(16)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
-    first = hills(height(grid).reshape(16, 16))
-    place, value = climbed(height, grid[first], np.full(2, steps))
-    assert_allclose(place, top, atol=steps / NARROWING)
-    assert_allclose(value, 2.2, atol=1e-6)
-
-
 # Limits ---
-
-
-def test_the_paper_s_arrangement_interferes_at_its_eccentricity() -> None:
-    rounded, clearance = across_long_axis(drive(), LARGEST)
-    assert_allclose(rounded, published.ECCENTRICITY_AT_ROUNDED_DATUM, atol=0.01e-6)
-    assert_allclose(clearance, 0.944e-6, atol=0.001e-6)
-    exact = dataclasses.replace(drives.PAPER, circular_spline_datum=published.DATUM_OF_INTERFERENCE)
-    found, _ = across_long_axis(drive(drives.mesh(exact)), LARGEST)
-    assert_allclose(found, published.ECCENTRICITY, atol=0.05e-6)
 
 
 def test_no_interference_where_the_slots_stand_off() -> None:

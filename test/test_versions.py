@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cli_runner import runner
+from cli_runner import hd_diag
 from replay_fuzz import log_of
 
 from hd_diag.bag import BagReader, BagWriter
-from hd_diag.cli.bags import replay as replay_command
 from hd_diag.messages.publications import STRING, read_string, string
 from hd_diag.replay import versions
 from hd_diag.replay.events import Configured, read_event
@@ -61,7 +60,7 @@ def test_a_log_names_its_versions_and_the_same_ones_are_no_problem(tmp_path: Pat
 )
 def test_other_versions_are_one_warning(tmp_path: Path, change: dict[str, Any], told: str) -> None:
     log = rewritten(log_of(tmp_path / "log.mcap"), tmp_path / "other.mcap", change)
-    result = runner().invoke(replay_command, [str(log), "--out", str(tmp_path / "out.mcap")])
+    result = hd_diag("replay", log, "--out", tmp_path / "out.mcap")
     assert result.exit_code == 0
     assert result.stderr == f"warning: {log}: was recorded with {told}: outputs may differ by rounding\n"
 
