@@ -154,11 +154,12 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         log_time: int,
         publish_time: int | None = None,
         qos: Qos | None = None,
+        known: Definition | None = None,
     ) -> None:
         """Append one message: CDR with its 4-byte header, as a raw subscription gives it.
 
         Times [ns] are 0 or more; the publish time defaults to the log time. The topic is declared with the
-        profile where it is new.
+        profile and the definition, as in `add_topic`, where it is new.
 
         Raises
         ------
@@ -166,7 +167,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             Where the message cannot be written (disk full, closed, unknown type, time out of range).
         """
         if self.error is not None or self._closed or (topic, type_name) not in self._streams:
-            self.add_topic(topic, type_name, qos)
+            self.add_topic(topic, type_name, qos, known)
         publish = log_time if publish_time is None else publish_time
         if not (0 <= log_time <= _LAST_TIME and 0 <= publish <= _LAST_TIME):
             what = f"{topic}: time {log_time} ns, published {publish} ns, is out of range"

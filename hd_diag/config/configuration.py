@@ -178,7 +178,10 @@ def _model(
 def _check_names(joints: tuple[JointConfig, ...]) -> None:
     taken: dict[str, str] = {}
     for joint in joints:
-        for role, name in (("input_joint", joint.input_joint), ("output_joint", joint.output_joint)):
+        roles = ("input_joint", joint.input_joint), ("output_joint", joint.output_joint)
+        for (role, name), signal in zip(roles, joint.signals[:2], strict=True):
+            if signal is not None:
+                continue
             if name in taken:
                 raise ConfigError(f"{joint.name}.{role}: {shown(name)} is already {taken[name]}")
             taken[name] = f"{joint.name}.{role}"

@@ -53,8 +53,7 @@ class Replay:
         By joint: samples that could not be used, and samples that are missing by the stamps.
     last_rejection : dict of str to str
     problems : list of str
-        What is wrong with the bag itself, joints that have no map, and software of other versions than a log
-        was recorded with.
+        What is wrong with the bag, joints without a map, software of other versions than the log's.
     joints : tuple of str
         Joints that had samples.
     """
@@ -96,8 +95,7 @@ def replay(
         Topics with joint states; by default all but a node's outputs.
     overwrite : bool, optional
     progress : callable, optional
-        Called with the messages read so far and their number. If it raises KeyboardInterrupt, a new output
-        is finished with what it has.
+        Called with the messages read so far and their number; a KeyboardInterrupt finishes a new output.
 
     Returns
     -------
@@ -214,15 +212,18 @@ class _Run:
             begin = end
 
     def _reports_due(self, times: Times) -> list[Due]:
-        """Reports between messages at log times; a log holds its own."""
+        """Reports between messages at log times; one before the first is given. A log holds its own."""
         found: list[Due] = []
         begin = times.size if self._sources.events else 0
         while begin < times.size:
             due = self._due(int(times[begin]))
             end = begin + int(np.searchsorted(times[begin:], due))
             if end == begin:
-                found.append(Due(begin, due, due, _FACTS))
                 self._next_report = due + self._period
+                if begin:
+                    found.append(Due(begin, due, due, _FACTS))
+                else:  # a temperature in the messages is not known yet
+                    self._running.tick(due, due, _FACTS)
             begin = end
         return found
 
@@ -241,8 +242,7 @@ class _Run:
     def _temperatures(self, mixed: Mixed, joint: str) -> None:
         for row, data in enumerate(mixed.batches[0][1].messages()):
             at = slice(row, row + 1)
-            for due in self._reports_due(mixed.log_time[at]):
-                self._running.tick(due.now, due.stamp, due.facts)
+            self._reports_due(mixed.log_time[at])
             self._copy(mixed, at)
             self._running.temperature(joint, bytes(data))
 

@@ -2,30 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from hd_diag.bag import BagError, BagWriter, Qos
 from hd_diag.config.configuration import LogConfig
+from hd_diag.messages.schemas import Definition
 
 
 class LogWriter:
     """A log that never stops its owner: what goes wrong with the file turns it off and is shown by `state`.
 
-    The state is ``off``, ``writing PATH`` or ``failed: REASON``.
+    It needs the definitions of types that ROS 2 Jazzy does not have, by name. The state is ``off``, ``writing
+    PATH`` or ``failed: REASON``.
     """
 
-    def __init__(self, config: LogConfig) -> None:
+    def __init__(self, config: LogConfig, definitions: Mapping[str, Definition] | None = None) -> None:
         self.config = config
+        self._definitions = definitions or {}
         self.state = "off"
         self._writer: BagWriter | None = None
         self._open()
 
     def write(self, topic: str, type_name: str, data: bytes, time: int, qos: Qos | None = None) -> None:
         """Write one message, received or caused at a time [ns]."""
-        writer = self._writer
+        writer, known = self._writer, self._definitions.get(type_name)
         if writer is not None:
-            self._attempt(lambda: writer.write(topic, type_name, data, time, qos=qos))
+            self._attempt(lambda: writer.write(topic, type_name, data, time, qos=qos, known=known))
 
     def flush_if_due(self) -> None:
         """Hand the open chunk to the system where it has waited for the flush period."""

@@ -27,18 +27,26 @@ from hd_diag.bag import RELIABLE
 from hd_diag.config.configuration import Config
 from hd_diag.config.model_file import reader
 from hd_diag.messages import encoding
-from hd_diag.messages.publications import INPUT, JOINT_STATE, TEMPERATURE, temperature_topic
+from hd_diag.messages.publications import TEMPERATURE, temperature_topic
 from hd_diag.model import torsion
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor import warm_up
 from hd_diag.replay.map_builder import MapBuilder
-from hd_diag.replay.recorded_monitor import Session
+from hd_diag.replay.recorded_monitor import Reader, Session
 from hd_diag.ros.arguments import check_arguments, parameter_files, reason
 from hd_diag.ros.log_writer import LogWriter
+from hd_diag.ros.message_types import definition_of
 from hd_diag.ros.parameter_server import ParameterServer
 from hd_diag.ros.publishing import Publishing
 from hd_diag.ros.stop_signals import ignore_signals, note_signals
-from hd_diag.ros.subscriptions import INPUT_DEPTH, JointStateInput, subscribe_temperature
+from hd_diag.ros.subscriptions import (
+    INPUT_DEPTH,
+    SignalInput,
+    Source,
+    check_types,
+    sources,
+    subscribe_temperature,
+)
 from hd_diag.streams.rules import CLOCK_JUMP
 
 _QOS = RELIABLE._replace(depth=INPUT_DEPTH)
@@ -58,13 +66,16 @@ class DiagnosticNode(Node):
         super().__init__("hd_diag", automatically_declare_parameters_from_overrides=True)
         self._server = ParameterServer(self, reader(*model_folders))
         config = self._server.config
+        check_types(config)
         joints = [joint.name for joint in config.joints]
         self._last_time = 0
         self._latencies: list[int] = []
-        self._log = LogWriter(config.log)
+        self._sources = sources(config, self.resolve_topic_name)
+        self._log = LogWriter(config.log, {s.type_name: definition_of(s.type_name) for s in self._sources})
         self._shown_state = ""
         self._publishing = Publishing(self, joints, self._log)
-        self._names = dict(self._publishing.names)
+        own = {s.topic for joint in config.joints for s in joint.mapped.values() if s.topic}
+        self._names = self._publishing.names | {topic: self.resolve_topic_name(topic) for topic in own}
         self._session = Session(
             config, self._publishing.emit, self.get_fully_qualified_name(), dict(self._names)
         )
@@ -75,10 +86,14 @@ class DiagnosticNode(Node):
         self._next_report = self._next_look = time.monotonic()
         self.get_logger().info("preparing the model (the first time on a machine takes half a minute)")
         _warm_up(config)
-        self._input = JointStateInput(self, self._on_joint_state)
-        for name in joints:
-            take = partial(self._survive, "a temperature was dropped", self._temperature, name)
-            subscribe_temperature(self, name, take)
+        self._inputs = [
+            SignalInput(self, source, partial(self._on_signals, source, source.reader()))
+            for source in self._sources
+        ]
+        for joint in config.joints:
+            if joint.signals.temperature is None:
+                take = partial(self._survive, "a temperature was dropped", self._temperature, joint.name)
+                subscribe_temperature(self, joint.name, take)
         backward = JumpThreshold(
             min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False
         )
@@ -96,7 +111,8 @@ class DiagnosticNode(Node):
         if now >= self._next_look:
             self._log.flush_if_due()
             self._take_maps()
-            self._input.follow_publishers()
+            for each in self._inputs:
+                each.follow_publishers()
             self._show_log_state()
             if now >= self._next_report:
                 period = 1.0 / self._session.config.diagnostics_rate
@@ -144,17 +160,17 @@ class DiagnosticNode(Node):
             return error
         return None
 
-    def _on_joint_state(self, data: bytes) -> None:
+    def _on_signals(self, source: Source, reader: Reader, data: bytes) -> None:
         begin = time.perf_counter_ns()
-        error = self._survive("a message was dropped", self._joint_state, data)
+        error = self._survive("a message was dropped", self._signals, source, reader, data)
         if error is not None:
             self._session.monitor.reject(f"{type(error).__name__}: {error}")
         self._latencies.append(time.perf_counter_ns() - begin)
 
-    def _joint_state(self, data: bytes) -> None:
+    def _signals(self, source: Source, reader: Reader, data: bytes) -> None:
         now = self._now()
-        self._log.write(self._names[INPUT], JOINT_STATE, data, now, _QOS)
-        self._session.joint_state(now, data, time.monotonic_ns())
+        self._log.write(source.topic, source.type_name, data, now, _QOS)
+        self._session.joint_state(now, data, time.monotonic_ns(), reader)
 
     def _temperature(self, joint: str, data: bytes) -> None:
         self._log.write(self._names[temperature_topic(joint)], TEMPERATURE, data, self._now())

@@ -68,7 +68,11 @@ class ParameterServer:
             kept = f"{joint}.model_file" not in own and in_force[joint]
             return kept or self._model_text(joint, path)
 
-        return resolve({**self.config.flat, **own}, model_text)
+        candidate = resolve({**self.config.flat, **own}, model_text)
+        for before, after in zip(self.config.joints, candidate.joints, strict=True):
+            if after.signals != before.signals:
+                raise ConfigError(f"{after.name}: where its signals stand is read when the node starts")
+        return candidate
 
 
 class _Unknown(ParameterNotDeclaredException):
