@@ -37,9 +37,9 @@ html_copy_source = False
 html_show_sourcelink = False
 
 FIGURES = HERE / "_build" / "figures"
-subprocess.run(
-    [sys.executable, "-m", "hd_diag", "figures", "--out", str(FIGURES)],
-    cwd=HERE,
-    check=True,
-    stdout=subprocess.DEVNULL,
-)
+# The example drive's own page: its geometry is drawn.
+PAGE = "--size 25 --ratio 100 --rated-torque 56 --k1 3.1e4 --k2 5.0e4 --k3 5.7e4 --t1 14 --t2 48"
+DRAWN = ["--out", f"{FIGURES}/gear.yaml", "--figure", f"{FIGURES}/tooth_pair.svg"]
+for words in (["figures", "--out", str(FIGURES)], ["gear", *PAGE.split(), *DRAWN]):
+    command = [sys.executable, "-m", "hd_diag", *words]
+    subprocess.run(command, cwd=HERE, check=True, stdout=subprocess.DEVNULL)

@@ -14,6 +14,7 @@ Rooms, each of which imports those above it alone:
 arrays              names of array types; beside it `formatting` and `process_pool`
 model               the mechanics: frames and signs, geometry, contact, load sharing, torsion and its map
 drive               one drive: a mesh in its frame, with ratio and rated torque
+gear                a drive from its catalogue page, and what a drive is in such a page's numbers
 effects             causes that the model leaves out
 extended_model      a drive with causes
 streams             columns of samples; input, output and torque aligned; clock rules

@@ -50,6 +50,11 @@ def number(value: float, spread: float = math.nan, digits: int = _DIGITS) -> str
     return _signed(f"{value:.{min(max(decimals, 0), _MOST_DECIMALS)}f}")
 
 
+def rounded(value: float, digits: int = _DIGITS) -> float:
+    """A number with so many significant digits."""
+    return float(f"{value:.{digits}g}")
+
+
 def _decimals(spread: float) -> int:
     """Places after the point that a spread's own digits reach."""
     exponent = math.floor(math.log10(spread))

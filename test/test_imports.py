@@ -17,6 +17,7 @@ CHAIN = (
     ("arrays", "formatting", "process_pool"),
     ("model",),
     ("drive",),
+    ("gear",),
     ("effects",),
     ("extended_model",),
     ("streams",),
@@ -35,7 +36,9 @@ CHAIN = (
     ("__main__",),
 )
 PLACE = {room: i for i, rooms in enumerate(CHAIN) for room in rooms}
-CORE = (*("model", "drive", "effects", "extended_model", "streams", "monitor", "diagnosis", "tolerance"),)
+CORE = (
+    *("model", "drive", "gear", "effects", "extended_model", "streams", "monitor", "diagnosis", "tolerance"),
+)
 # Where the libraries of the edges may be named, in whatever part of a module.
 ROS = ("ros", "watch")
 OWNERS = {

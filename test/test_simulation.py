@@ -140,7 +140,7 @@ def test_without_noise_the_error_is_the_drives(gear: Drive) -> None:
 @pytest.fixture(scope="module")
 def table() -> TorsionMap:
     """Map of the drive, so that many samples take little time."""
-    found = map_for(drive(), Motion(duration=1000.0))
+    found = map_for(SimulatedJoint(drive()), Motion(duration=1000.0))
     assert found is not None
     return found
 
@@ -206,7 +206,7 @@ def test_a_long_motion_by_map_agrees_with_the_exact_solution() -> None:
     exact = transmission_error(gear, record.input_angle[rows], record.torque[rows])
     difference = np.abs(measured - exact).max()
     assert 0.0 < difference < 0.05 * ARCSEC
-    assert map_for(gear, SHORT) is None
+    assert map_for(SimulatedJoint(gear), SHORT) is None
 
 
 TWO = {

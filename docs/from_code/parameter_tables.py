@@ -11,11 +11,12 @@ from hd_diag.config.parameters import JOINT_PARAMETERS, NODE_PARAMETERS, Paramet
 
 def content(folder: Path) -> dict[str, Any]:
     """What parameters.md is filled with."""
-    drive = [p for p in JOINT_PARAMETERS if not p.name.startswith(("limits.", "tolerance."))]
+    drive = [p for p in JOINT_PARAMETERS if not p.name.startswith(("gear.", "limits.", "tolerance."))]
     return {
         "tables": {
             "Of the node": NODE_PARAMETERS,
             "Of a joint: the drive": drive,
+            "Of a joint: its catalogue page": _of("gear."),
             "Of a joint: limits of the diagnostics": _of("limits."),
             "Of a joint: `hd-diag tolerance`": _of("tolerance."),
         },

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import click
 
-from hd_diag.cli.options import JSON, verb, write_json
-from hd_diag.config.configuration import load
+from hd_diag.cli.options import JSON, tell, verb, write_json
+from hd_diag.config.assessment import Assessment, assess
+from hd_diag.config.configuration import JointConfig, load
+from hd_diag.formatting import ARCSEC
+from hd_diag.gear.characteristics import ECCENTRICITY
 
 
 @verb("check config/example_drive.yaml")
@@ -15,19 +18,50 @@ def check(config_file: str, json_file: str | None) -> None:
     """Validate a configuration without ROS and say what it describes.
 
     Every value is checked alone and the geometry as a whole; an unknown key is an error that names the
-    nearest known one.
+    nearest known one. Of each joint are told torsional stiffness, lost motion, clearance without torque and
+    what an eccentricity does to the error; warnings where these cannot be a gear's, or not that of its
+    catalogue page.
     """
     config = load(config_file)
+    found = {joint.name: assess(config, joint) for joint in config.joints}
     if json_file:
-        write_json(json_file, {"schema": "hd_diag/check/1", "valid": True, "parameters": dict(config.flat)})
-        if json_file == "-":
-            return
-    for joint in config.joints:
-        mesh = joint.drive.mesh
-        click.echo(
-            f"{joint.name}: {joint.input_joint} -> {joint.output_joint}, "
-            f"ratio {joint.drive.kinematics.ratio:g}, "
-            f"{mesh.geometry.flexspline_teeth}/{mesh.geometry.circular_spline_teeth} teeth, "
-            f"rated {joint.drive.rated_torque:g} N m, eccentricity {abs(mesh.eccentricity) * 1e6:g} um"
-        )
-    click.echo(f"{config_file}: valid")
+        content = {"schema": "hd_diag/check/1", "valid": True, "parameters": dict(config.flat)}
+        write_json(json_file, content | {"joints": {name: each.content() for name, each in found.items()}})
+    if json_file != "-":
+        for joint in config.joints:
+            describe(joint, found[joint.name])
+        tell(f"{config_file}: valid")
+
+
+def describe(joint: JointConfig, assessed: Assessment) -> None:
+    """Print what a joint is."""
+    drive, found = joint.configured, assessed.found
+    mesh = drive.mesh
+    tell(
+        f"{joint.name}: {joint.input_joint} -> {joint.output_joint}, ratio {drive.kinematics.ratio:g}, "
+        f"{mesh.geometry.flexspline_teeth}/{mesh.geometry.circular_spline_teeth} teeth, "
+        f"rated {drive.rated_torque:g} N m, eccentricity {abs(mesh.eccentricity) * 1e6:g} um"
+    )
+    radius = mesh.geometry.curve.radius
+    tell(f"  module {found.module * 1e3:.4g} mm, radius of the neutral layer {radius * 1e3:.4g} mm")
+    tell(f"  {_stiffness(assessed)} (T1 {found.t1:.3g}, T2 {found.t2:.3g} N m)")
+    gap = "overlap" if found.overlap > 0.0 else "clearance"
+    tell(
+        f"  at rest: lost motion {found.lost_motion / ARCSEC:.3g} arcsec, least backlash "
+        f"{found.least_backlash * 1e6:.3g} um, {gap} of the lobes {abs(found.overlap) * 1e6:.3g} um"
+    )
+    error = found.error_per_eccentricity * ECCENTRICITY / ARCSEC
+    tell(
+        f"  transmission error {error:.3g} arcsec (order 2 of the input) per {ECCENTRICITY * 1e6:.0f} um of "
+        f"eccentricity at {0.5 * drive.rated_torque:g} N m"
+    )
+    for warning in assessed.warnings:
+        tell(f"  warning: {warning}")
+
+
+def _stiffness(assessed: Assessment) -> str:
+    page = assessed.page
+    given = (page.k1, page.k2, page.k3) if page else ()
+    told = ", ".join(f"K{i} {value:.3g}" for i, value in enumerate(assessed.found.stiffness, 1))
+    beside = f"; the page gives {', '.join(f'{value:.3g}' for value in given)}" if page else ""
+    return f"{told} N m/rad{beside}"

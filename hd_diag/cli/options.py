@@ -21,6 +21,7 @@ from hd_diag.formatting import json_ready, visible
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 _LONGEST_LINE = 2000
+_FIGURES = (".png", ".svg", ".pdf")
 
 
 class Problem(click.ClickException):
@@ -53,7 +54,7 @@ def verb(example: str, **settings: Any) -> Callable[[Callable[..., Any]], click.
             except (ConfigError, BagError) as error:
                 raise Problem(str(error)) from error
 
-        return click.command(epilog=f"Example: hd-diag {example}", context_settings=settings)(run)
+        return click.command(epilog=f"\b\nExample: hd-diag {example}", context_settings=settings)(run)
 
     return made
 
@@ -75,6 +76,19 @@ def json_option(what: str) -> Callable[[_Command], _Command]:
     return click.option(
         "--json", "json_file", type=kind, callback=check_writable, help=f"Write {what} here; - is stdout."
     )
+
+
+def _check_figure(context: click.Context, parameter: click.Parameter, path: Path | None) -> Path | None:
+    """Refuse before the work what cannot be drawn after it."""
+    if path is not None and path.suffix.lower() not in _FIGURES:
+        raise Problem(f"{path}: a figure ends with {', '.join(_FIGURES)}")
+    return check_writable(context, parameter, path)  # type: ignore[no-any-return]
+
+
+def figure_option(what: str) -> Callable[[_Command], _Command]:
+    """Option ``--figure`` for a verb that draws this."""
+    text = f"Draw {what}: *.png, *.svg or *.pdf."
+    return click.option("--figure", type=FILE, callback=_check_figure, help=text)
 
 
 FILE = click.Path(dir_okay=False, path_type=Path)

@@ -15,6 +15,7 @@ from hd_diag.cli.progress import interrupted, working
 from hd_diag.config.configuration import Config, ConfigError, load, resolve
 from hd_diag.config.parameter_file import parse_value
 from hd_diag.config.parameters import JOINT_PARAMETERS
+from hd_diag.drive import Drive
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.simulation import START, Motion, Noise, SimulatedJoint, write_bag
 
@@ -22,6 +23,9 @@ _TURN = 2.0 * math.pi
 _SECOND = 1_000_000_000  # [ns]
 _MOTION = Motion()
 _SPEEDS = tuple(speed / _TURN for speed in _MOTION.speeds)
+
+_RATED = 56.0  # torque of the drive that the motion's own torques are meant for [N m]
+_LEVELS = ", ".join(f"{100.0 * torque / _RATED:.0f}" for torque in _MOTION.torques) + " %"
 
 # Short options for the values most asked for: parameter, and its unit in the option's unit.
 _SHORT = {
@@ -40,8 +44,11 @@ _SHORT = {
 @options.shown("--duration", _MOTION.duration, "Length of the record [s].")
 @options.shown("--rate", _MOTION.sample_rate, "Samples per second [Hz].")
 @options.shown("--speed", _SPEEDS, "Speed of the input [rev/s]; repeatable.", type=float, multiple=True)
-@options.shown(
-    "--torque-level", _MOTION.torques, "Torque on the link [N m]; repeatable.", type=float, multiple=True
+@click.option(
+    "--torque-level",
+    type=float,
+    multiple=True,
+    help=f"Torque on the link [N m]; repeatable. [default: {_LEVELS} of the rated torque]",
 )
 @click.option("--one-way", is_flag=True, help="Turn forwards only.")
 @click.option("--eccentricity-um", type=float, help="Eccentricity, fixed in the housing [µm].")
@@ -78,8 +85,8 @@ def simulate(
     try:
         config = _true_configuration(config_file, names, given)
         speeds = tuple(_TURN * speed for speed in given["speed"])
-        both_ways = not given["one_way"]
-        motion = Motion(given["duration"], given["rate"], speeds, given["torque_level"], both_ways)
+        both_ways, levels = not given["one_way"], given["torque_level"] or _MOTION.torques
+        motion = Motion(given["duration"], given["rate"], speeds, levels, both_ways)
         joints = _joints(config, names, given)
         if not 0.0 <= given["start_time"] < 2.0**31:
             raise ValueError(f"--start-time must be a Unix time within 32 bits, not {given['start_time']} s")
@@ -131,7 +138,7 @@ def _true_configuration(file: str | None, names: tuple[str, ...], given: dict[st
     if file:
         config = load(file)
         options.chosen_joints(config, names)
-        flat = dict(config.flat)
+        flat = dict(config.given)
     for joint in names or flat["joints"]:
         for option, (parameter, unit) in _SHORT.items():
             if given[option] is not None:
@@ -153,7 +160,11 @@ def _joints(config: Config, names: tuple[str, ...], given: dict[str, Any]) -> di
     angles = ("angle_noise_arcsec", "angle_drift_arcsec", "offset_arcsec")
     white, drift, offset = (given[name] * ARCSEC for name in angles)
     noise = Noise(white=white, drift=drift, torque=given["torque_noise"])
+
+    def share(drive: Drive) -> float:
+        return 1.0 if given["torque_level"] else drive.rated_torque / _RATED
+
     return {
-        joint.name: SimulatedJoint(joint.drive, noise, offset)
+        joint.name: SimulatedJoint(joint.drive, noise, offset, torque_share=share(joint.drive))
         for joint in options.chosen_joints(config, names)
     }

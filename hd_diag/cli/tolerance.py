@@ -27,7 +27,6 @@ from hd_diag.tolerance.document import document
 from hd_diag.tolerance.study import Question, Study, limits_and_spreads, study
 
 _UM = 1e-6
-_FIGURES = (".png", ".svg", ".pdf")
 _SHARE = click.FloatRange(0.0, 1.0)
 # Options that take the place of configured limits: criterion, unit in SI, range, help.
 _LIMITS = {
@@ -44,14 +43,6 @@ def _limit_options(function: Callable[..., None]) -> Callable[..., None]:
     for name, (_, _, kind, what) in reversed(_LIMITS.items()):
         function = click.option(f"--{name.replace('_', '-')}", type=kind, help=f"Limit on {what}.")(function)
     return function
-
-
-def _check_figure(context: click.Context, parameter: click.Parameter, path: Path | None) -> Path | None:
-    """Refuse before the work what cannot be drawn after it."""
-    if path is not None and path.suffix.lower() not in _FIGURES:
-        raise options.Problem(f"{path}: a figure ends with {', '.join(_FIGURES)}")
-    options.check_targets((path,))
-    return path
 
 
 @options.verb("tolerance --config arm.yaml --joint elbow --te-arcsec 20")
@@ -79,9 +70,7 @@ def _check_figure(context: click.Context, parameter: click.Parameter, path: Path
 @options.shown("--target", 0.95, "Share of assemblies that shall be good [-].", type=_SHARE)
 @options.JOBS
 @options.JSON
-@click.option(
-    "--figure", type=options.FILE, callback=_check_figure, help="Draw the result: *.png, *.svg or *.pdf."
-)
+@options.figure_option("the result")
 def tolerance(
     config_file: str | None, joint: str | None, json_file: str | None, figure: Path | None, **given: Any
 ) -> None:

@@ -27,6 +27,7 @@ VERBS = {
     "diagnose": ("diagnose", "What the simulation gets wrong, the physical cause, the gain."),
     "figures": ("figures", "The model's counterparts of the paper's Figs. 5 to 7."),
     "fleet": ("fleet", "Diagnose every joint of many bags; what changes over time."),
+    "gear": ("gear", "A parameter file for a drive from its catalogue page."),
     "mesh": ("mesh", "One moment: backlash and load of every tooth, torsion, error."),
     "node": ("node", "Run the node: joint states in; error, teeth, diagnostics out."),
     "recover": ("bags", "Save what a crash left of a bag."),

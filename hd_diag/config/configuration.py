@@ -10,6 +10,7 @@ from typing import Any
 from hd_diag.config import parameter_file
 from hd_diag.config.configured_drive import drive_from, number
 from hd_diag.config.configured_signals import signals_from, spelled_out
+from hd_diag.config.defaults import joint_values
 from hd_diag.config.model_file import model_for, reader
 from hd_diag.config.parameters import (
     JOINT_PARAMETERS,
@@ -48,17 +49,25 @@ class LogConfig:
 
 @dataclass(frozen=True)
 class Config(MonitorConfig):
-    """A whole configuration; `flat` holds every parameter by its full ROS name."""
+    """A whole configuration.
+
+    `flat` holds every parameter by its full ROS name; `given` those that do not follow from others: from
+    these a configuration with other values is resolved.
+    """
 
     diagnostics_rate: float
     log: LogConfig
     flat: Mapping[str, Value] = field(repr=False)
+    given: Mapping[str, Value] = field(repr=False, compare=False)
 
 
 def resolve(
     given: Mapping[str, Any], model_text: ModelText | None = None, catalogue: Catalogue | None = None
 ) -> Config:
-    """Configuration from flat parameters, defaults filled in, everything checked.
+    """Configuration from flat parameters, the others filled in, everything checked.
+
+    What is not given comes from a joint's catalogue page, goes with its drive or has its default:
+    :mod:`hd_diag.config.defaults`.
 
     Parameters
     ----------
@@ -75,7 +84,7 @@ def resolve(
         Naming the first parameter that cannot be, its value and what was expected; for an unknown one, the
         nearest known.
     """
-    flat, joints = _completed(given)
+    flat, kept, joints = _completed(given)
     configured = tuple(_joint(name, flat, model_text, catalogue) for name in joints)
     _check_names(configured)
     log = LogConfig(**{p.name[4:]: flat[p.name] for p in NODE_PARAMETERS if p.name.startswith("log.")})  # type: ignore[arg-type]
@@ -86,12 +95,13 @@ def resolve(
         number(flat, "diagnostics_rate"),
         log,
         flat,
+        kept,
     )
 
 
 def recorded_signals(given: Mapping[str, Any]) -> dict[str, Signals]:
     """Signals of each joint of flat parameters; raises ConfigError as `resolve` does."""
-    flat, joints = _completed({**given, "joints": given.get("joints")})
+    flat, _, joints = _completed({**given, "joints": given.get("joints")})
     return {name: signals_from(name, _own(name, flat)) for name in joints}
 
 
@@ -112,15 +122,37 @@ def dump(config: Config) -> str:
     return parameter_file.text(config.flat)
 
 
-def _completed(given: Mapping[str, Any]) -> tuple[dict[str, Value], list[str]]:
-    """Every parameter, each checked alone, and the joints."""
+def _completed(given: Mapping[str, Any]) -> tuple[dict[str, Value], dict[str, Value], list[str]]:
+    """Every parameter, each checked alone; those that do not follow from others; and the joints."""
     given = spelled_out(given)
     joints = joint_names(given.get("joints", ["joint_1"]))
     known = parameters(joints)
     check_known(list(given), known)
-    flat = {name: checked(name, given.get(name, p.default), p) for name, p in known.items()}
+    found = {name: checked(name, given[name], p) for name, p in known.items() if name in given}
+    flat: dict[str, Value] = {p.name: found.get(p.name, p.default) for p in NODE_PARAMETERS}
     flat["joints"] = joints
-    return flat, joints
+    kept = {name: value for name, value in found.items() if name in flat}
+    for name in joints:
+        every, beside = _joint_values(name, found)
+        flat |= every
+        kept |= beside
+    return flat, kept, joints
+
+
+def _joint_values(name: str, found: Mapping[str, Value]) -> tuple[dict[str, Value], dict[str, Value]]:
+    """All of a joint's parameters, and those given beside its page, by their full names."""
+    names = {f"{name}.{p.name}": p.name for p in JOINT_PARAMETERS}
+    try:
+        values = joint_values({names[full]: value for full, value in found.items() if full in names})
+    except ValueError as error:
+        raise ConfigError(f"{name}: {error}") from error
+    every, beside = ({f"{name}.{own}": _unshared(value) for own, value in part.items()} for part in values)
+    return every, beside
+
+
+def _unshared(value: Value) -> Value:
+    """A value that no other parameter shares."""
+    return list(value) if isinstance(value, list) else value  # type: ignore[return-value]
 
 
 def _own(joint: str, flat: Mapping[str, Value]) -> dict[str, Value]:
@@ -140,10 +172,7 @@ def _joint(
             raise ConfigError(
                 f"{name}.limits.{key}: error ({limit.error:g}) must not be below warn ({limit.warn:g})"
             )
-    try:
-        drive = drive_from(own)
-    except ValueError as error:
-        raise ConfigError(f"{name}: {error}") from error
+    drive = drive_from(own)
     model, text = _model(name, own, model_text, catalogue)
     return JointConfig(
         name,

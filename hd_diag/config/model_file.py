@@ -62,7 +62,7 @@ _NOT_OF_THE_DRIVE = ("output_joint", "torque", "accuracy", "model_file")
 _DRIVE = {
     p.name: p
     for p in JOINT_PARAMETERS
-    if p.name not in _NOT_OF_THE_DRIVE and not p.name.startswith(("limits.", "tolerance.", *SIGNALS))
+    if p.name not in _NOT_OF_THE_DRIVE and not p.name.startswith(("gear.", "limits.", "tolerance.", *SIGNALS))
 }
 
 

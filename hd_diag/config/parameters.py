@@ -22,7 +22,10 @@ class ConfigError(ValueError):
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter: name within its owner, default (whose type it has), unit, meaning, range."""
+    """One parameter: name within its owner, default (whose type it has), unit, meaning, range.
+
+    `scale` names what the default goes with from drive to drive (see :mod:`hd_diag.config.defaults`).
+    """
 
     name: str
     default: Value
@@ -31,6 +34,7 @@ class Parameter:
     low: float = -math.inf
     high: float = math.inf
     choices: tuple[str, ...] = ()
+    scale: str = ""
 
 
 _MOST_JOINTS = 256
@@ -50,6 +54,7 @@ def _table(owner: str) -> tuple[Parameter, ...]:
                 float(row["low"] or -math.inf),
                 float(row["high"] or math.inf),
                 tuple(row["choices"].split()),
+                row["scale"] or "",
             )
             for row in csv.DictReader(file)
             if row["owner"] == owner

@@ -65,6 +65,11 @@ class Geometry:
         return self.flexspline_teeth / (self.circular_spline_teeth - self.flexspline_teeth)
 
     @property
+    def module(self) -> float:
+        """Diameter of the circle with the neutral curve's perimeter, per tooth: 2 R_b / Z_R [m]."""
+        return 2.0 * self.curve.radius / self.flexspline_teeth
+
+    @property
     def slot_pitch(self) -> float:
         """Angle between the circular spline's slots [rad]."""
         return 2.0 * math.pi / self.circular_spline_teeth

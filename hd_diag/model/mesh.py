@@ -75,15 +75,19 @@ def moments(
     return turn, mesh.displacement(turn), contiguous(np.broadcast_to(torque, turn.shape))
 
 
-def _check_displacement(mesh: Mesh) -> None:
-    geometry = mesh.geometry
+def largest_displacement(geometry: Geometry) -> tuple[float, str]:
+    """Displacement of the wave generator that is too much [m], and which part then strikes."""
     tip_radius = geometry.circular_spline_tip_radius
     slot_end = geometry.circular_spline_datum + geometry.slot_end
-    largest, place = min(
+    return min(
         (tip_radius - geometry.semi_major - geometry.flexspline_root, "root at the long axis"),
         (slot_end - geometry.semi_major - geometry.flexspline_tip, "tip at the long axis"),
         (tip_radius - geometry.semi_minor - geometry.flexspline_tip, "tip at the short axis"),
     )
+
+
+def _check_displacement(mesh: Mesh) -> None:
+    largest, place = largest_displacement(mesh.geometry)
     eccentricity, runout = abs(mesh.eccentricity), abs(mesh.runout)
     if not eccentricity + runout < largest:
         raise ValueError(

@@ -28,6 +28,7 @@ class ParameterServer:
         declared: dict[str, Any] = node.get_parameters_by_prefix("")
         given = {name: _plain(known.value) for name, known in declared.items() if _is_own(name)}
         self.config = resolve(given, model_text)
+        self._following: dict[str, Any] = {}
         self._known = parameters([joint.name for joint in self.config.joints])
         for name in given:
             node.undeclare_parameter(name)
@@ -42,16 +43,30 @@ class ParameterServer:
         self._node.add_post_set_parameters_callback(lambda _: apply(self.config))
 
     def _typed(self, changed: Sequence[RosParameter]) -> list[RosParameter]:
-        """The parameters, with numbers of the type that they were declared with; unknown ones are refused."""
+        """The parameters, with numbers of the type that they were declared with, and those that follow them.
+
+        Unknown ones are refused.
+        """
         try:
             check_known([parameter.name for parameter in changed if _is_own(parameter.name)], self._known)
         except ConfigError as error:
             raise _Unknown(str(error)) from error
-        return [_as_declared(parameter, self._known.get(parameter.name)) for parameter in changed]
+        self._following = self._followers(changed)
+        typed = [_as_declared(parameter, self._known.get(parameter.name)) for parameter in changed]
+        return typed + [RosParameter(name, value=value) for name, value in self._following.items()]
+
+    def _followers(self, changed: Sequence[RosParameter]) -> dict[str, Any]:
+        """Parameters that a change alters too, such as a geometry that follows from a catalogue page."""
+        try:
+            config = self._candidate(changed)
+        except Exception:  # `_validate` says why
+            return {}
+        asked, before = {parameter.name for parameter in changed}, self.config.flat
+        return {name: v for name, v in config.flat.items() if v != before[name] and name not in asked}
 
     def _validate(self, changed: Sequence[RosParameter]) -> SetParametersResult:
         try:
-            self.config = self._candidate(changed)
+            self.config = self._candidate([one for one in changed if one.name not in self._following])
         except Exception as error:  # a ConfigError; whatever else a value does, the node lives
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
@@ -68,7 +83,7 @@ class ParameterServer:
             kept = f"{joint}.model_file" not in own and in_force[joint]
             return kept or self._model_text(joint, path)
 
-        candidate = resolve({**self.config.flat, **own}, model_text)
+        candidate = resolve({**self.config.given, **own}, model_text)
         for before, after in zip(self.config.joints, candidate.joints, strict=True):
             if after.signals != before.signals:
                 raise ConfigError(f"{after.name}: where its signals stand is read when the node starts")

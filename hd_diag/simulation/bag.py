@@ -113,15 +113,15 @@ def _maps(
     joints: Mapping[str, SimulatedJoint], motion: Motion, progress: Callable[[float], None]
 ) -> dict[Drive, TorsionMap | None]:
     """Map of every drive; joints with the same drive share it."""
-    drives = list(dict.fromkeys(joint.drive for joint in joints.values()))
+    drives = {joint.drive: joint for joint in joints.values()}
     maps: dict[Drive, TorsionMap | None] = {}
 
     def wanted(fraction: float) -> bool:
         progress((len(maps) + fraction) / len(drives))
         return True
 
-    for drive in drives:
-        maps[drive] = map_for(drive, motion, wanted)
+    for drive, joint in drives.items():
+        maps[drive] = map_for(joint, motion, wanted)
     if any(maps.values()):
         progress(1.0)
     return maps

@@ -89,26 +89,30 @@ class SimulatedJoint:
         Of the output encoder's zero [rad].
     alter : Alteration
         Departure from the drive's model; it comes before the noise. None by default.
+    torque_share : float
+        Of a motion's torques that the joint is put under [-].
     """
 
     drive: Drive
     noise: Noise = field(default_factory=Noise)
     offset: float = 0.0
     alter: Alteration = lambda samples: samples
+    torque_share: float = 1.0
 
 
 def map_for(
-    drive: Drive, motion: Motion, wanted: Callable[[float], bool] = lambda fraction: True
+    joint: SimulatedJoint, motion: Motion, wanted: Callable[[float], bool] = lambda fraction: True
 ) -> TorsionMap | None:
-    """Map that a long motion is simulated with; None where solving every sample exactly takes less time.
+    """Map that a joint's long motion is simulated with; None where solving every sample takes less time.
 
     For `wanted` see :func:`hd_diag.model.torsion_map.build`. Raises ValueError if the teeth cannot bear the
     motion's torque.
     """
     if motion.samples <= _EXACT_SAMPLES:
         return None
-    limit = max(max(map(abs, motion.torques)), 0.05 * drive.rated_torque)
-    return torsion_map.build(drive.mesh, limit, wanted)
+    torques = motion.under(joint.torque_share).torques
+    limit = max(max(map(abs, torques)), 0.05 * joint.drive.rated_torque)
+    return torsion_map.build(joint.drive.mesh, limit, wanted)
 
 
 def parts(
@@ -124,7 +128,7 @@ def parts(
     Without a map of its mesh every sample is solved exactly. Three generators are spawned of the one given:
     the same state gives the same samples. Raises ValueError if the teeth cannot bear the motion's torque.
     """
-    disturb = _Disturbance(joint.noise, rng)
+    disturb, motion = _Disturbance(joint.noise, rng), motion.under(joint.torque_share)
     for first in range(0, motion.samples, chunk):
         stamp = motion.stamps(start, first, first + chunk)
         exact = _exact(joint, stamp, motion.at((stamp - start) / SECOND), table)
@@ -133,7 +137,7 @@ def parts(
 
 def simulate(joint: SimulatedJoint, motion: Motion, rng: np.random.Generator, start: int = START) -> Samples:
     """What the joint reports over a whole motion; see :func:`parts`."""
-    every = list(parts(joint, motion, rng, start, map_for(joint.drive, motion)))
+    every = list(parts(joint, motion, rng, start, map_for(joint, motion)))
     return Samples(*(np.concatenate(column) for column in zip(*every, strict=True)))
 
 

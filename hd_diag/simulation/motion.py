@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -75,6 +75,10 @@ class Motion:
             )
         if self.samples < 1:
             raise ValueError(f"{self.duration} s at {self.sample_rate} Hz hold no sample")
+
+    def under(self, share: float) -> Motion:
+        """The same motion with a share of its torques."""
+        return replace(self, torques=tuple(share * torque for torque in self.torques))
 
     @property
     def samples(self) -> int:

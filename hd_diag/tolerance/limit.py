@@ -83,8 +83,7 @@ def input_angle(drive: Drive, wave_generator_angle: float) -> float:
 
 def largest_eccentricity(drive: Drive) -> float:
     """How far to look: a fifth of the module [m]."""
-    geometry = drive.mesh.geometry
-    return 0.2 * 2.0 * geometry.curve.radius / geometry.flexspline_teeth
+    return 0.2 * drive.mesh.geometry.module
 
 
 def check_largest(drive: Drive, largest: float) -> None:

@@ -1,0 +1,135 @@
+"""``hd-diag gear``: a parameter file for a drive from its catalogue page."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from hd_diag.cli import options
+from hd_diag.cli.check import describe
+from hd_diag.config import gear_file
+from hd_diag.config.assessment import Assessment, assess
+from hd_diag.config.configuration import Config, JointConfig, resolve
+from hd_diag.config.parameters import JOINT_PARAMETERS
+
+_ARCMIN = math.pi / 10800.0  # [rad]
+_PAGE = {
+    "size": "Size on the page: pitch diameter in tenths of an inch.",
+    "pitch_diameter": "Pitch diameter [m], in place of the size.",
+    "ratio": "Input angle over output angle as the joint reports them, signed.",
+    "rated_torque": "Rated torque [N m].",
+    "k1": "Torsional stiffness up to T1 [N m/rad].",
+    "k2": "Torsional stiffness from T1 to T2 [N m/rad].",
+    "k3": "Torsional stiffness from T2 on [N m/rad].",
+    "t1": "T1 [N m]. [default: a quarter of the rated torque]",
+    "t2": "T2 [N m]. [default: 0.86 of the rated torque]",
+}
+_REQUIRED = ("ratio", "rated_torque", "k1", "k2", "k3")
+# Pages name the ratio with the circular spline fixed; these are on them.
+_USUAL = (30, 50, 80, 100, 120, 160)
+
+
+def _page_options(function: Any) -> Any:
+    for name, text in reversed(_PAGE.items()):
+        flag = f"--{name.replace('_', '-')}"
+        function = click.option(flag, name, type=float, required=name in _REQUIRED, help=text)(function)
+    return function
+
+
+@options.verb(
+    "gear --size 20 --ratio 160 --rated-torque 40 --k1 16e3 --k2 25e3 --k3 29e3 --t1 7 --t2 25 --out f.yaml"
+)
+@_page_options
+@click.option("--accuracy", type=float, help="Transmission accuracy [arcmin]. [default: 1.5]")
+@options.shown(
+    "--output",
+    "flexspline",
+    "Member that drives the link; the other is fixed.",
+    type=click.Choice(["flexspline", "circular_spline"]),
+)
+@options.shown("--joint", "joint_1", "Name of the joint.")
+@click.option("--out", required=True, type=options.FILE, callback=options.check_writable, help="The file.")
+@click.option("--table", is_flag=True, help="Print every parameter of the drive.")
+@options.figure_option("the tooth pair")
+@options.JSON
+def gear(
+    out: Path, joint: str, table: bool, figure: Path | None, json_file: str | None, **given: Any
+) -> None:
+    """Write a parameter file for a drive from its catalogue page.
+
+    Teeth, neutral curve and clearance by similarity to the example drive, compliances by a fit to K1, K2, K3;
+    limits and tolerances scaled. The file says what was given, what is assumed and what was reached. A page
+    names the ratio with the circular spline fixed, 100 say; with the output there the joint's is 101.
+    """
+    options.check_targets((out, figure, json_file))
+    accuracy, output = given.pop("accuracy"), given.pop("output")
+    own = {f"gear.{name}": value for name, value in given.items() if value is not None}
+    own |= {"output": output} | ({} if accuracy is None else {"accuracy": accuracy * _ARCMIN})
+    config = resolve({"joints": [joint]} | {f"{joint}.{name}": value for name, value in own.items()})
+    found = config.joints[0]
+    assessed = assess(config, found)
+    written = gear_file.text(config, found, assessed, _command(own, joint))
+    with options.writing(out) as place:
+        place.write_text(written, encoding="utf-8")
+    if figure:
+        from hd_diag.report.pictures.tooth_pair import save, tooth_pair_picture  # matplotlib takes its time
+
+        with options.writing(figure) as place:
+            save(tooth_pair_picture(found.configured.mesh.geometry), place)
+    if json_file:
+        content = {"schema": "hd_diag/gear/1", "file": str(out), "parameters": dict(config.flat)}
+        options.write_json(json_file, content | {"joints": {joint: assessed.content()}})
+    if json_file != "-":
+        _show(config, found, assessed, table)
+        options.tell(f"{out}: written")
+
+
+def _command(own: dict[str, Any], joint: str) -> str:
+    """The command that gives the same file, without where it is written to."""
+    words = [f"hd-diag gear --joint {joint}"]
+    for name, value in own.items():
+        flag = name.removeprefix("gear.").replace("_", "-")
+        given = value / _ARCMIN if name == "accuracy" else value
+        words.append(f"--{flag} {given if name == 'output' else f'{given:.6g}'}")
+    return " ".join(words)
+
+
+def _show(config: Config, joint: JointConfig, assessed: Assessment, table: bool) -> None:
+    options.tell(f"Assumed: {gear_file.assumed(joint)}.")
+    describe(joint, assessed)
+    for line in gear_file.reached(assessed):
+        options.tell(f"  {line}")
+    note = _usual_ratio(joint)
+    if note:
+        options.tell(f"  note: {note}")
+    if table:
+        Console().print(_table(config, joint))
+
+
+def _usual_ratio(joint: JointConfig) -> str:
+    """What to look at where the ratio is off by one from those that pages name, or nothing."""
+    geometry, kinematics = joint.configured.mesh.geometry, joint.configured.kinematics
+    teeth = f"{geometry.flexspline_teeth}/{geometry.circular_spline_teeth} teeth"
+    ratio = round(abs(kinematics.ratio))
+    if kinematics.output == "circular_spline" and ratio in _USUAL:
+        return (
+            f"{teeth}. A page's ratio {ratio} is that of a fixed circular spline: the joint's is {ratio + 1}"
+        )
+    if kinematics.output == "flexspline" and ratio - 1 in _USUAL:
+        return f"{teeth}. If the page's ratio is {ratio - 1}, the output is the circular spline: --output"
+    return ""
+
+
+def _table(config: Config, joint: JointConfig) -> Table:
+    table = Table("parameter", "value", "unit", "meaning")
+    for parameter in JOINT_PARAMETERS:
+        value = config.flat[f"{joint.name}.{parameter.name}"]
+        shown = f"{value:.6g}" if isinstance(value, float) else str(value)
+        table.add_row(*map(escape, (parameter.name, shown, parameter.unit, parameter.meaning)))
+    return table

@@ -1,0 +1,161 @@
+"""What a joint's parameters are where its file does not give them: from a catalogue page, or by its size.
+
+The defaults of the table are those of the example drive. With a page in the section ``gear`` the drive's own
+come from the page (:mod:`hd_diag.gear`); limits and tolerances go with the drive, wherever that comes from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from hd_diag.config.configured_drive import drive_from, number
+from hd_diag.config.parameters import JOINT_PARAMETERS, Value
+from hd_diag.drive import Drive
+from hd_diag.formatting import rounded
+from hd_diag.gear.characteristics import T1_SHARE, T2_SHARE
+from hd_diag.model.geometry import Geometry
+from hd_diag.model.mesh import Mesh
+from hd_diag.model.tooth_profile import DoubleArc
+
+DEFAULTS: Mapping[str, Value] = {p.name: p.default for p in JOINT_PARAMETERS}
+EXAMPLE = drive_from(DEFAULTS)
+_EXAMPLE_PITCH_DIAMETER = 25 * 2.54e-3  # [m]; a size is tenths of an inch
+
+# Force on a flank over torque. The more a mesh is loaded, the more pairs share: between drives of sizes 8 to
+# 65 and ratios 50 to 160 the largest force goes with the torque to this power, within 10 %.
+_SHARING = 2.0 / 3.0
+
+
+class Page(NamedTuple):
+    """A catalogue page: pitch diameter [m], ratio [-], torques [N m], stiffness [N m/rad]; the output."""
+
+    pitch_diameter: float
+    ratio: float
+    rated_torque: float
+    k1: float
+    k2: float
+    k3: float
+    t1: float
+    t2: float
+    output: str
+
+
+def joint_values(given: Mapping[str, Value]) -> tuple[dict[str, Value], dict[str, Value]]:
+    """All parameters of a joint from those given, by their names within it; and those that were given.
+
+    Where a page is given, what is no other than without it follows the page and is not counted as given: a
+    file that was written from a page may hold all. Raises ValueError naming what cannot be.
+    """
+    page = page_of(given)
+    values = {**DEFAULTS, **(resolved(page) if page else {})}
+    values |= scaled(drive_from({**values, **given}))
+    kept = {name: value for name, value in given.items() if not page or values[name] != value}
+    return {**values, **given}, kept
+
+
+def page_of(given: Mapping[str, Value]) -> Page | None:
+    """The page in the section ``gear``, None where there is none; raises ValueError naming what it lacks."""
+    values = {**DEFAULTS, **given}
+    if not any(number(values, f"gear.{name}") for name in ("size", *Page._fields[:-1])):
+        return None
+    size, diameter = number(values, "gear.size"), number(values, "gear.pitch_diameter")
+    found = {name: number(values, f"gear.{name}") for name in Page._fields[:-1]}
+    for name in ("ratio", "rated_torque"):
+        found[name] = found[name] or (number(given, name) if name in given else 0.0)
+    found["t1"] = found["t1"] or T1_SHARE * found["rated_torque"]
+    found["t2"] = found["t2"] or T2_SHARE * found["rated_torque"]
+    found["pitch_diameter"] = diameter or size / 25.0 * _EXAMPLE_PITCH_DIAMETER
+    for name, value in found.items():
+        if value == 0.0:
+            unit = next(p.unit for p in JOINT_PARAMETERS if p.name == f"gear.{name}")
+            wanted = "size or gear.pitch_diameter" if name == "pitch_diameter" else name
+            raise ValueError(f"gear.{wanted}: missing; a drive from its catalogue page needs it [{unit}]")
+    if not found["t1"] < found["t2"]:
+        raise ValueError(f"gear.t1 ({found['t1']:g} N m) must be below gear.t2 ({found['t2']:g} N m)")
+    return Page(**found, output=str(values["output"]))
+
+
+@lru_cache(maxsize=256)
+def resolved(page: Page) -> dict[str, Value]:
+    """Parameters of the drive of a page; raises ValueError saying why there is none."""
+    from hd_diag.gear.similarity import (
+        compliances,
+        similar,
+    )  # scipy.optimize takes its time, and most have no page
+
+    flexspline = page.output == "flexspline"
+    slots = 2.0 * abs(page.ratio) + (2.0 if flexspline else 0.0)
+    if slots % 2.0:
+        raise ValueError(
+            f"gear.ratio: {page.ratio:g} is no whole number; with two teeth more on the circular spline it is"
+        )
+    try:
+        scale = page.pitch_diameter / _EXAMPLE_PITCH_DIAMETER
+        found = similar(EXAMPLE.mesh.geometry, scale, int(slots) - 2)
+    except ValueError as error:
+        raise ValueError(f"gear: {error}") from error
+    mesh = Mesh(found, EXAMPLE.mesh.tooth_compliance)
+    tooth, cup = compliances(mesh, page.t1, page.t2, np.array([page.k1, page.k2, page.k3]))
+    own: dict[str, Value] = {"ratio": page.ratio, "rated_torque": page.rated_torque}
+    return {**own, **_of_geometry(found), "tooth_compliance": tooth, "cup_compliance": cup}
+
+
+def scaled(drive: Drive) -> dict[str, Value]:
+    """Limits and tolerances that suit a drive: the example drive's, which go with its size and torque."""
+    factors = _factors(drive)
+    own = {p.name: (number(DEFAULTS, p.name), factors[p.scale]) for p in JOINT_PARAMETERS if p.scale}
+    return {name: value if k == 1.0 else rounded(value * k) for name, (value, k) in own.items()}
+
+
+def _factors(drive: Drive) -> dict[str, float]:
+    """Of a drive over the example drive, by the names of the table's column ``scale``."""
+
+    def numbers(each: Drive) -> tuple[float, ...]:
+        geometry = each.mesh.geometry
+        return (
+            geometry.module,
+            geometry.curve.radius,
+            each.mesh.tooth_compliance,
+            each.rated_torque,
+            float(geometry.flexspline_teeth),
+            each.accuracy,
+        )
+
+    module, radius, compliance, torque, teeth, accuracy = (
+        own / example for own, example in zip(numbers(drive), numbers(EXAMPLE), strict=True)
+    )
+    return {
+        "module": module,
+        "radius": radius,
+        "force": module / compliance * (torque * compliance / (teeth * radius * module)) ** _SHARING,
+        "accuracy": accuracy,
+        "compliance": compliance / (teeth * radius**2),
+    }
+
+
+def _of_geometry(geometry: Geometry) -> dict[str, Value]:
+    return {
+        "flexspline_teeth": geometry.flexspline_teeth,
+        "circular_spline_teeth": geometry.circular_spline_teeth,
+        "neutral_curve.semi_major": geometry.semi_major,
+        "neutral_curve.semi_minor": geometry.semi_minor,
+        **_of_flank("flexspline_tooth", geometry.flexspline_tooth),
+        "flexspline_tooth.root": geometry.flexspline_root,
+        "flexspline_tooth.tip": geometry.flexspline_tip,
+        **_of_flank("circular_spline_slot", geometry.circular_spline_slot),
+        "circular_spline_datum": geometry.circular_spline_datum,
+        "circular_spline_tip_radius": geometry.circular_spline_tip_radius,
+    }
+
+
+def _of_flank(name: str, flank: DoubleArc) -> dict[str, Value]:
+    return {
+        f"{name}.addendum_radius": flank.addendum_radius,
+        f"{name}.dedendum_radius": flank.dedendum_radius,
+        f"{name}.addendum_center": list(flank.addendum_center),
+        f"{name}.dedendum_center": list(flank.dedendum_center),
+    }

@@ -1,0 +1,155 @@
+"""A geometry similar to a known one, and the compliances that give it the torsional stiffness of a page.
+
+A catalogue tells size, ratio and stiffness, never teeth. Teeth go with the module, and so does the radial
+deformation of the flexspline; the neutral curve's perimeter goes with the pitch circle. The circular spline's
+slots are then moved along the radius until the least backlash, too, is that of the known drive times the
+module's scale. What follows from the profile rather than from the stiffness stays assumed: backlash of single
+teeth, the eccentricity of the first interference, forces on teeth.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import brentq, least_squares
+
+from hd_diag.arrays import Floats
+from hd_diag.formatting import rounded
+from hd_diag.gear.characteristics import secant_stiffness, slot_phases
+from hd_diag.model.contact import contacts
+from hd_diag.model.geometry import Geometry
+from hd_diag.model.mesh import Mesh
+from hd_diag.model.neutral_curve import neutral_curve
+from hd_diag.model.tooth_profile import DoubleArc
+
+LEAST_TEETH = 60
+"""Of a flexspline: below a ratio of 30 no gear with the teeth of ratio 100 has been seen."""
+
+_SHIFTS = (
+    -40e-6,
+    120e-6,
+)  # of the slots, of a drive with the known one's module; beyond, teeth are others [m]
+_DIGITS = 10  # decimals of a length: a tenth of a nanometre, so that every machine has the same numbers [m]
+_DIGITS_KEPT = 4  # significant, of a compliance
+
+
+def module_scale(known: Geometry, scale: float, teeth: int) -> float:
+    """Module of a drive over that of a known one [-], for a pitch circle `scale` times as large."""
+    return scale * known.flexspline_teeth / teeth
+
+
+def similar(known: Geometry, scale: float, teeth: int) -> Geometry:
+    """Geometry with a pitch circle `scale` times that of a known one, and so many teeth.
+
+    Parameters
+    ----------
+    known : Geometry
+    scale : float
+        Pitch diameter over the known one's [-].
+    teeth : int
+        Of the flexspline, even; the circular spline has as many more as the known one's.
+
+    Raises
+    ------
+    ValueError
+        Saying why no drive with these teeth runs.
+    """
+    if teeth < LEAST_TEETH:
+        raise ValueError(
+            f"{teeth} teeth of the flexspline are fewer than {LEAST_TEETH} (ratio {LEAST_TEETH // 2}): such "
+            "gears have another profile and deformation, which similarity does not tell: give them all"
+        )
+    k = module_scale(known, scale, teeth)
+    wanted = k * least_backlash(known)
+
+    def excess(shift: float) -> float:
+        return least_backlash(_shifted(known, scale, teeth, shift)) - wanted
+
+    low, high = (k * shift for shift in _SHIFTS)
+    try:
+        shift = round(float(brentq(excess, low, high, xtol=1e-11)), _DIGITS)
+    except ValueError as error:
+        raise ValueError(
+            f"no place of the slots between {low * 1e6:.0f} and {high * 1e6:.0f} um from where the module "
+            f"has them gives {teeth} teeth their clearance: no similar profile; give all the geometry"
+        ) from error
+    return _shifted(known, scale, teeth, shift)
+
+
+def slot_shift(known: Geometry, geometry: Geometry) -> float:
+    """By how much a similar geometry's slots lie further out than the module alone has them [m]."""
+    deep = (known.semi_major - known.circular_spline_datum) * geometry.module / known.module
+    return geometry.circular_spline_datum - (geometry.semi_major - deep)
+
+
+def least_backlash(geometry: Geometry) -> float:
+    """Least backlash of all teeth without eccentricity and torque, over a slot pitch [m]."""
+    found = contacts(Mesh(geometry), slot_phases(geometry))
+    return float(np.nanmin(found.rotation * found.radius))
+
+
+def compliances(mesh: Mesh, t1: float, t2: float, wanted: Floats) -> tuple[float, float]:
+    """Compliance of a tooth pair [m/N] and of the cup [rad/(N m)] that come nearest to K1, K2, K3.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Without eccentricity; its tooth compliance is where the search begins.
+    t1, t2 : float
+        Torques of the three steps [N m].
+    wanted : ndarray, shape (3,)
+        K1, K2, K3 [N m/rad].
+
+    Notes
+    -----
+    Least squares of the logarithms of reached over wanted stiffness.
+    """
+
+    def misses(point: Floats) -> Floats:
+        trial = replace(mesh, tooth_compliance=mesh.tooth_compliance * math.exp(point[0]))
+        return np.log(secant_stiffness(trial, point[1] / wanted[0], t1, t2) / wanted)
+
+    # A cup as soft as all of K1 would leave nothing to the teeth.
+    found = least_squares(misses, (0.0, 0.05), bounds=((-20.0, 0.0), (20.0, 0.95)), x_scale=(1.0, 0.1))
+    tooth, cup = mesh.tooth_compliance * math.exp(found.x[0]), found.x[1] / wanted[0]
+    return rounded(tooth, _DIGITS_KEPT), rounded(cup, _DIGITS_KEPT) if found.x[1] > 1e-6 else 0.0
+
+
+def _shifted(known: Geometry, scale: float, teeth: int, shift: float) -> Geometry:
+    """Geometry by similarity with the slots further out [m]."""
+    k, radius = module_scale(known, scale, teeth), scale * known.curve.radius
+    major = radius + k * (known.semi_major - known.curve.radius)
+    # The sum of the semi-axes hardly differs from twice the radius.
+    least = 2.0 * radius - major - (major - radius)
+    minor = brentq(lambda b: neutral_curve(major, b).radius - radius, least, radius, xtol=1e-13)
+    datum, tip = known.circular_spline_datum, known.circular_spline_tip_radius
+
+    def placed(place: float) -> float:
+        return round(major + k * (place - known.semi_major) + shift, _DIGITS)
+
+    return Geometry(
+        teeth,
+        teeth + known.circular_spline_teeth - known.flexspline_teeth,
+        round(major, _DIGITS),
+        round(float(minor), _DIGITS),
+        _scaled(known.flexspline_tooth, k),
+        round(k * known.flexspline_root, _DIGITS),
+        round(k * known.flexspline_tip, _DIGITS),
+        _scaled(known.circular_spline_slot, k),
+        placed(datum),
+        placed(tip),
+    )
+
+
+def _scaled(flank: DoubleArc, k: float) -> DoubleArc:
+    def point(center: tuple[float, float]) -> tuple[float, float]:
+        return round(k * center[0], _DIGITS), round(k * center[1], _DIGITS)
+
+    return DoubleArc(
+        round(k * flank.addendum_radius, _DIGITS),
+        round(k * flank.dedendum_radius, _DIGITS),
+        point(flank.addendum_center),
+        point(flank.dedendum_center),
+    )
