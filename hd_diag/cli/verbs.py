@@ -36,6 +36,7 @@ VERBS = {
     "ripple": ("ripple", "Lines of the torque over position, for robots with one angle a joint."),
     "simulate": ("simulate", "Write a bag of a simulated joint."),
     "tolerance": ("tolerance", "Say what eccentricity an assembly may have."),
+    "topics": ("topics", "What is in a bag, what could serve a joint, the mapping to paste."),
     "watch": ("watch", "A running node in the terminal: numbers and faults by joint."),
 }
 

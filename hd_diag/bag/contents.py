@@ -1,0 +1,225 @@
+"""What a bag holds that a joint could need: numbers in messages, and which are the two ends of a gear."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from rosbags.interfaces import Nodetype
+from rosbags.typesys.store import Typestore
+
+from hd_diag.arrays import Floats
+from hd_diag.bag.block import Topic
+from hd_diag.bag.errors import BagError
+from hd_diag.bag.reader import BagReader
+from hd_diag.messages.field_path import DTYPES, TEXT, holds_texts, is_array
+from hd_diag.messages.fields import FieldReader
+from hd_diag.messages.publications import OWN_OUTPUTS
+from hd_diag.streams.signals import Signal, Unit
+
+_MOST_MESSAGES = 50_000  # of a topic that are looked at: its first minute at 1 kHz
+_MOST_ELEMENTS, _MOST_NUMBERS = 64, 500  # of an array, of a message
+_SKIPPED = ("std_msgs/msg/Header", "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
+_PLAIN = re.compile(r"[^\[\]{}\x00-\x1f\x7f]+")
+# What a number is, by the words for it in the names of its fields; the first that fits.
+_KINDS = {
+    "temperature": r"temp",
+    "current": r"current|ampere|(?<![a-z])amps?(?![a-z])",
+    "torque": r"torque|effort|(?<![a-z])d?tau",
+    "velocity": r"veloc|speed|(?<![a-z])d(q|theta)(?![a-z])|(?<![a-z])qd(?![a-z])",
+    "angle": r"posit|angle|(?<![a-z])theta|(?<![a-z])q(?![a-z])",
+}
+_COMMANDED = re.compile(r"command|desired|target|set_?point|reference|goal|error|(?<![a-z])ipo|_d(?![a-z])")
+_USUAL = {"temperature": "degC", "current": "A", "torque": "N m", "velocity": "rad/s", "angle": "rad"}
+_RATIOS = 28.0, 400.0  # of a harmonic drive
+_SAME_SIDE = 0.02  # by which the slope of two angles at one side may differ from 1
+_FIT = 0.02  # what one angle may leave of the other
+_POINTS = 2000
+_DEGREES, _TURN = 360.0, 2.0 * np.pi
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Number:
+    """A number in the messages of a topic: kind (one of `_KINDS` or empty), guessed unit, time [s], values.
+
+    Its tag is the index or name by which it is found in an array, the same for all numbers of a joint.
+    """
+
+    topic: Topic
+    field: str
+    tag: str
+    kind: str
+    unit: str
+    time: Floats = dataclasses.field(repr=False)
+    values: Floats = dataclasses.field(repr=False)
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is not the same all the time."""
+        return bool(np.ptp(self.values) > 0.0)
+
+
+class Pair(NamedTuple):
+    """Angles of one joint: input, output, and the slope of the first over the second in rad."""
+
+    input: Number
+    output: Number
+    slope: float
+
+    @property
+    def divided(self) -> bool:
+        """Whether the input is reported at the output's side."""
+        return abs(abs(self.slope) - 1.0) < _SAME_SIDE
+
+
+def numbers(reader: BagReader, topic: Topic) -> list[Number]:
+    """Numbers of a topic that may be a joint's; BagError where its type is not known."""
+    fields = _fields(reader, topic)
+    if not fields:
+        return []
+    signals = {f: Signal(topic.name, topic.type_name, f, "", Unit(1.0)) for f in fields}
+    source = FieldReader(reader.types(topic), topic.type_name, signals)
+    found: dict[str, list[tuple[Any, Floats]]] = {f: [] for f in fields}
+    seen = 0
+    for batch in reader.batches([topic.name], grouped=True):
+        if batch.topic is not topic or seen >= _MOST_MESSAGES:
+            continue
+        rows = slice(0, _MOST_MESSAGES - seen)
+        seen += len(batch)
+        for states in source.columns(batch.payload[rows], batch.log_time[rows])[0]:
+            for i, key in enumerate(states.keys):
+                assert states.signals is not None
+                found[key].append((states.stamp, states.signals[:, i]))
+    return [_number(topic, f, fields[f], parts, reader.start) for f, parts in found.items() if parts]
+
+
+def pairs(angles: list[Number]) -> list[Pair]:
+    """Inputs with their outputs: they turn in proportion, by a gear's ratio or as two encoders of a side."""
+    usable = [n for n in angles if n.kind == "angle" and n.moves and not _COMMANDED.search(n.field)]
+    found: dict[int, Pair] = {}
+    for one in usable:
+        for other in usable:
+            slope = None if one is other else _slope(one, other)
+            if slope is None:
+                continue
+            pair = Pair(one, other, slope)
+            is_gear = _RATIOS[0] <= abs(slope) <= _RATIOS[1]
+            if is_gear or (pair.divided and _at_motor(one) and not _at_motor(other)):
+                known = found.get(id(other))
+                if known is None or _nearness(pair) > _nearness(known):
+                    found[id(other)] = pair
+    return list(found.values())
+
+
+def beside(every: list[Number], output: Number, *kinds: str) -> Number | None:
+    """A number of the same joint, of the first of some kinds; in the same topic where there is one."""
+    own = [n for n in every if n.tag == output.tag and n.kind in kinds and not _COMMANDED.search(n.field)]
+    own = [n for n in own if n.topic is output.topic or not n.tag.isdecimal()]
+    return min(
+        own, key=lambda n: (not n.moves, n.topic is not output.topic, kinds.index(n.kind)), default=None
+    )
+
+
+def _fields(reader: BagReader, topic: Topic) -> dict[str, str]:
+    """Paths of a topic's numbers with their types, from its first message that can be read."""
+    if topic.name.endswith(OWN_OUTPUTS) or not topic.count:
+        return {}
+    store = reader.types(topic)
+    for batch in reader.batches([topic.name]):
+        for _, message in reader.deserialize(batch)[0] if batch.topic is topic else ():
+            found = dict(_leaves(store, topic.type_name, message))
+            return found if len(found) <= _MOST_NUMBERS else {}
+    raise BagError(reader.path, f"{topic.name}: no message can be read")
+
+
+def _leaves(store: Typestore, type_name: str, message: Any, prefix: str = "") -> Iterator[tuple[str, str]]:
+    fields = dict(store.fielddefs[type_name][1])
+    texts = [getattr(message, name) for name, description in fields.items() if holds_texts(description)]
+    for name, description in fields.items():
+        value, path = getattr(message, name), prefix + name
+        places = [(path, value)]
+        what: Any = description
+        if is_array(description[0]):
+            what = description[1][0]
+            labels = _labels(store, what, value, texts) if len(value) <= _MOST_ELEMENTS else []
+            places = [(f"{path}[{label}]", each) for label, each in zip(labels, value, strict=False)]
+        for place, each in places:
+            if what[0] == Nodetype.NAME and what[1] not in _SKIPPED:
+                yield from _leaves(store, what[1], each, f"{place}.")
+            elif what[0] == Nodetype.BASE and what[1][0] in DTYPES:
+                yield place, DTYPES[what[1][0]]
+
+
+def _labels(store: Typestore, element: Any, value: Any, texts: list[list[str]]) -> list[str]:
+    """What elements of an array are called: by the texts beside it, their own names, or their numbers."""
+    own = dict(store.fielddefs[element[1]][1]) if element[0] == Nodetype.NAME else {}
+    candidates = [names for names in texts if len(names) == len(value)]
+    if own.get("name") == TEXT:
+        candidates.append([each.name for each in value])
+    for names in candidates:
+        if len(set(names)) == len(names) and all(map(_PLAIN.fullmatch, names)):
+            return list(names)
+    return [str(i) for i in range(len(value))]
+
+
+def _number(topic: Topic, path: str, dtype: str, parts: list[tuple[Any, Floats]], start: int) -> Number:
+    stamp, values = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    good = np.isfinite(values)
+    time, values = (stamp[good] - start) * 1e-9, values[good]
+    found = re.findall(r"\[([^\]]+)\]", path)
+    tag = found[0] if found else ""
+    rest = path.replace(f"[{tag}]", "", 1).lower()
+    kind = next((kind for kind, words in _KINDS.items() if re.search(words, rest)), "")
+    values = values if values.size else np.zeros(1)
+    return Number(topic, path, tag, kind, _unit(kind, dtype, values), time, values)
+
+
+def _unit(kind: str, dtype: str, values: Floats) -> str:
+    """Unit as far as the numbers tell."""
+    jumps = np.abs(np.diff(values))
+    if (
+        kind == "angle"
+        and np.any(np.abs(jumps - _DEGREES) < 0.05 * _DEGREES)
+        and np.median(jumps) < 0.1 * _DEGREES
+    ):
+        return "deg"
+    if kind == "angle" and dtype[0] in "iu":
+        return "counts/?"
+    if kind == "temperature" and np.median(values) > 200.0:
+        return "K"
+    return _USUAL.get(kind, "")
+
+
+def _at_motor(number: Number) -> bool:
+    return bool(re.search(r"motor|theta|rotor", f"{number.topic.name} {number.field}".lower()))
+
+
+def _nearness(pair: Pair) -> tuple[bool, bool, bool]:
+    """How much speaks for a pair beside its slope: the same tag, a motor by its name, the same topic."""
+    one, other = pair.input, pair.output
+    alike = one.tag == other.tag or other.tag in one.tag
+    return alike, _at_motor(one) and not _at_motor(other), one.topic is other.topic
+
+
+def _slope(one: Number, other: Number) -> float | None:
+    """Slope of an angle over another in rad, where nothing else moves it."""
+    begin, end = max(one.time[0], other.time[0]), min(one.time[-1], other.time[-1])
+    if end <= begin:
+        return None
+    at = np.linspace(begin, end, _POINTS)
+    x, y = (np.interp(at, n.time, _continuous(n)) for n in (other, one))
+    x, y = x - x.mean(), y - y.mean()
+    if not x.any() or not y.any() or np.array_equal(x, y):
+        return None
+    slope = float(x @ y / (x @ x))
+    return slope if float(np.std(y - slope * x)) < _FIT * float(np.std(y)) else None
+
+
+def _continuous(number: Number) -> Floats:
+    """An angle [rad, or counts] without the jumps of an encoder that wraps."""
+    values = np.radians(number.values) if number.unit == "deg" else number.values
+    is_wrapped = float(np.ptp(values)) <= _TURN + 1e-6 and number.unit != "counts/?"
+    return np.unwrap(values) if is_wrapped else values

@@ -1,0 +1,159 @@
+"""``hd-diag topics``: what is in a bag, what could serve a joint, and the mapping to paste."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from hd_diag.bag import BagError
+from hd_diag.bag.block import Topic
+from hd_diag.bag.contents import Number, Pair, beside, numbers, pairs
+from hd_diag.bag.reader import BagReader
+from hd_diag.cli.options import JSON, tell, verb, write_json
+from hd_diag.config.parameter_file import text
+from hd_diag.config.parameters import Value
+from hd_diag.formatting import number as figure
+from hd_diag.messages.joint_states import JOINT_STATE
+
+_SHOWN = 40  # numbers of a topic
+_TORQUES = "torque", "current"
+
+
+@verb("topics joint.mcap")
+@click.argument("bag", type=click.Path(path_type=Path))
+@JSON
+def topics(bag: Path, json_file: str | None) -> None:
+    """Say what is in a bag, what could be input, output and torque of a joint, and the mapping to paste.
+
+    Angles that turn in proportion by a gear's ratio, or as two encoders of one joint, are an input with its
+    output; what else has the joint's name or number is its torque, current or temperature. Units are guesses
+    from names and jumps. The first 50 000 messages of each topic are looked at.
+    """
+    with BagReader(bag) as reader:
+        every, seen = [], []
+        for topic in reader.topics:
+            try:
+                found, problem = numbers(reader, topic), ""
+            except (BagError, ValueError) as error:
+                found, problem = [], getattr(error, "cause", str(error))
+            every += found
+            seen.append((topic, found, problem))
+        result = _result(reader, seen, every)
+    if json_file:
+        write_json(json_file, result)
+    if json_file != "-":
+        _tell(result)
+
+
+def _result(
+    reader: BagReader, seen: list[tuple[Topic, list[Number], str]], every: list[Number]
+) -> dict[str, Any]:
+    found = pairs(every)
+    alone = _alone(every, {id(n) for pair in found for n in pair[:2]})
+    joints = [_joint(pair.output, pair, every) for pair in found] + [_joint(n, None, every) for n in alone]
+    flat: dict[str, Value] = {"joints": [joint["name"] for joint in joints]}
+    for joint in joints:
+        flat |= {f"{joint['name']}.{name}": value for name, value in joint["mapping"].items()}
+    return {
+        "schema": "hd_diag/topics/1",
+        "bag": str(reader.path),
+        "duration": reader.duration,
+        "problems": reader.problems,
+        "topics": [_topic(*each) for each in seen],
+        "joints": joints,
+        "mapping": text(flat) if joints else "",
+    }
+
+
+def _topic(topic: Topic, found: list[Number], problem: str) -> dict[str, Any]:
+    span = max((n.time[-1] - n.time[0] for n in found if n.time.size > 1), default=0.0)
+    count = max((n.time.size for n in found), default=0)
+    return {
+        "name": topic.name,
+        "type": topic.type_name,
+        "messages": topic.count,
+        "rate": (count - 1) / span if span > 0.0 else None,
+        "problem": problem,
+        "joints": sorted({n.tag for n in found if n.tag and n.kind}),
+        "numbers": [
+            {
+                "field": n.field,
+                "kind": n.kind,
+                "unit": n.unit,
+                "least": float(np.min(n.values)),
+                "greatest": float(np.max(n.values)),
+            }
+            for n in found
+        ],
+    }
+
+
+def _alone(every: list[Number], paired: set[int]) -> list[Number]:
+    """Angles of joints of which no second one is known; one for each joint."""
+    joints = {n.tag for n in every if id(n) in paired}
+    found: dict[str, Number] = {}
+    for n in every:
+        if n.kind == "angle" and n.tag and n.tag not in joints and n.moves:
+            found.setdefault(n.tag, n)
+    return list(found.values())
+
+
+def _joint(output: Number, pair: Pair | None, every: list[Number]) -> dict[str, Any]:
+    """A joint's name, mapping by names of parameters, and what is to say about it."""
+    tag = output.tag
+    name = re.sub(r"\W", "_", tag if not tag[:1].isdigit() else f"joint_{tag}", flags=re.ASCII) or "joint_1"
+    mapping: dict[str, Value] = {}
+    said = ""
+    if pair is None:
+        velocity = beside(every, output, "velocity")
+        said = "one angle: see hd-diag ripple"
+        said += "; 'input: velocity' where its velocity is the motor's own" if velocity else ""
+    elif pair.divided:
+        mapping["input_divided"], said = (
+            True,
+            "two encoders at the output's side; the ratio is the catalogue's",
+        )
+    else:
+        said = f"the input turns {pair.slope:.4g} times as far as the output: a ratio of {round(pair.slope)}?"
+    torque, warm = beside(every, output, *_TORQUES), beside(every, output, "temperature")
+    roles = ("input", pair.input if pair else None), ("output_signal", output)
+    for owner, n in (*roles, ("torque_signal", torque), ("temperature_signal", warm)):
+        mapping |= {f"{owner}.{key}": value for key, value in _signal(n).items()} if n else {}
+    if torque is not None and torque.kind == "current":
+        mapping["torque_signal.scale"], said = 1.0, f"{said}; scale: N m per A at the link"
+    slope = None if pair is None or pair.divided else pair.slope
+    return {"name": name, "said": said, "slope": slope, "mapping": mapping}
+
+
+def _signal(n: Number) -> dict[str, Value]:
+    unit = {} if n.unit in ("rad", "N m", "degC", "") else {"unit": n.unit}
+    kind = {} if n.topic.type_name == JOINT_STATE else {"type": n.topic.type_name.replace("/msg/", "/")}
+    return {"topic": n.topic.name, **kind, "field": n.field, **unit}
+
+
+def _tell(result: dict[str, Any]) -> None:
+    tell(f"{result['bag']}: {figure(result['duration'])} s, {len(result['topics'])} topics")
+    for problem in result["problems"]:
+        tell(f"  {problem}")
+    for topic in result["topics"]:
+        rate = f", {figure(topic['rate'])} Hz" if topic["rate"] else ""
+        tell(f"{topic['name']}: {topic['type']}, {topic['messages']} messages{rate}")
+        if topic["problem"]:
+            tell(f"  {topic['problem']}")
+        told = [n for n in topic["numbers"] if n["kind"]]
+        for n in told[:_SHOWN]:
+            span = f"{figure(n['least'])} to {figure(n['greatest'])} {n['unit']}"
+            tell(f"  {n['field']}: {n['kind']}, {span}")
+        if len(told) > _SHOWN:
+            tell(f"  and {len(told) - _SHOWN} more")
+    if not result["joints"]:
+        tell("no angle that moves: nothing can be a joint's input or output")
+        return
+    for joint in result["joints"]:
+        tell(f"{joint['name']}: {joint['said']}")
+    tell("to paste into a parameter file:")
+    click.echo(result["mapping"])
