@@ -40,6 +40,7 @@ _COMPRESS = {
 COMPRESSIONS = tuple(_COMPRESS)
 # Chunks that may wait to be written: they bound the memory, and what a crash costs.
 _MOST_WAITING = 4
+_ROOM = 1 << 20  # that a chunk has from the beginning [byte]
 _FIXED = MESSAGE.size - RECORD.size  # of a message, in the length of its record [byte]
 _HEAD, _INDEX, _ENTRY = struct.Struct("<BQH"), struct.Struct("<BQHI"), struct.Struct("<QQ")
 _UNKNOWN = 2**64 - 1  # least time of no messages [ns]
@@ -69,7 +70,8 @@ class McapFile:
         self.start: int | None = None
         self.written = records.Statistics(0, 0, {}, 0, 0, 0, _UNKNOWN, 1, 0)
         self._compression, self._chunk_size = compression, chunk_size
-        self._chunk = _Chunk()
+        self._rooms: deque[bytearray] = deque()  # of chunks that are written
+        self._chunk = self._begun()
         self._failed = False
         self._waiting: deque[Future[None]] = deque()
         self._indexes = bytearray()  # packed at once: a log of days has a million of them
@@ -93,26 +95,26 @@ class McapFile:
         if stream.channel.id not in self._channels:
             if stream.schema.id not in self._schemas:
                 self._schemas[stream.schema.id] = stream.schema
-                self._chunk.data += _packed(stream.schema)
+                self._chunk.append(_packed(stream.schema))
             self._channels[stream.channel.id] = stream.channel
-            self._chunk.data += _packed(stream.channel)
+            self._chunk.append(_packed(stream.channel))
 
     def add(self, stream: Stream, log_time: int, publish_time: int, data: bytes) -> None:
         """Append a message; the chunk is closed when it is full."""
         self.declare(stream)
-        chunk, number, count = self._chunk.data, stream.channel.id, stream.count & 0xFFFFFFFF
-        entry = _ENTRY.pack(log_time, len(chunk))
-        chunk += MESSAGE.pack(Opcode.MESSAGE, _FIXED + len(data), number, count, log_time, publish_time)
-        chunk += data
+        chunk, number, count = self._chunk, stream.channel.id, stream.count & 0xFFFFFFFF
+        entry = _ENTRY.pack(log_time, chunk.size)
+        head = MESSAGE.pack(Opcode.MESSAGE, _FIXED + len(data), number, count, log_time, publish_time)
+        chunk.append(head + data)
         self._added(stream, 1, log_time, log_time, entry)
 
     def add_rows(self, stream: Stream, times: Times, publish_times: Times, rows: Bytes) -> int:
         """Append messages of one size, shape (n, size), as many as fill the open chunk, and say how many."""
         self.declare(stream)
-        kind, size = _record_of(rows.shape[1]), len(self._chunk.data)
+        kind, size = _record_of(rows.shape[1]), self._chunk.size
         count = min(len(rows), max(1, -(-(self._chunk_size - size) // kind.itemsize)))
         times = times[:count]
-        self._chunk.data += bytes(count * kind.itemsize)
+        self._chunk.grow(count * kind.itemsize)
         table = np.frombuffer(self._chunk.data, kind, count, size)
         table["head"] = np.void(_HEAD.pack(Opcode.MESSAGE, _FIXED + rows.shape[1], stream.channel.id))
         table["sequence"] = np.arange(stream.count, stream.count + count)
@@ -121,7 +123,7 @@ class McapFile:
         table["data"] = rows[:count].view(kind["data"])[:, 0]
         entries = np.empty((count, 2), "<u8")
         entries[:, 0], entries[:, 1] = times, size + kind.itemsize * np.arange(count)
-        del table  # the chunk cannot grow while it is looked at
+        del table  # the chunk's room cannot grow while it is looked at
         self._added(stream, count, int(times.min()), int(times.max()), entries.tobytes())
         return count
 
@@ -132,13 +134,13 @@ class McapFile:
         chunk.opened = time.monotonic() if chunk.opened is None else chunk.opened
         chunk.first, chunk.last = min(chunk.first, first), max(chunk.last, last)
         chunk.index.setdefault(stream.channel.id, bytearray()).extend(entries)
-        if len(chunk.data) >= self._chunk_size:
+        if chunk.size >= self._chunk_size:
             self.close_chunk()
 
     def close_chunk(self) -> None:
         """Hand everything added so far to the thread that writes."""
-        if self._chunk.data:
-            chunk, self._chunk = self._chunk, _Chunk()
+        if self._chunk.size:
+            chunk, self._chunk = self._chunk, self._begun()
             self._waiting.append(self._pool.submit(self._store, chunk))
         self.wait(_MOST_WAITING)
 
@@ -183,11 +185,15 @@ class McapFile:
             with suppress(OSError):
                 os.close(fd)
 
+    def _begun(self) -> _Chunk:
+        """An empty chunk; in fresh memory it would take twice as long to fill."""
+        return _Chunk(self._rooms.popleft() if self._rooms else bytearray(min(self._chunk_size, _ROOM)))
+
     def _store(self, chunk: _Chunk) -> None:
         """Write a chunk; after one that could not be written none is."""
         if self._failed:
             return
-        data, start = chunk.data, self.size
+        data, start = memoryview(chunk.data)[: chunk.size], self.size
         first, name = (0 if chunk.opened is None else chunk.first), self._compression.replace("none", "")
         stored = _COMPRESS[self._compression](data)
         record = _packed(records.Chunk(name, stored, chunk.last, first, zlib.crc32(data), len(data)))
@@ -211,6 +217,9 @@ class McapFile:
             written.message_count += count
             counts = written.channel_message_counts
             counts[channel] = counts.get(channel, 0) + count
+        data.release()
+        if len(chunk.data) <= 2 * self._chunk_size:
+            self._rooms.append(chunk.data)
 
     def _put(self, data: bytes) -> None:
         """Write all of `data`, or nothing: a record that does not fit is cut off again."""
@@ -228,11 +237,23 @@ class McapFile:
 class _Chunk:
     """Records of the chunk that is being filled, their times, and where the messages of each channel are."""
 
-    def __init__(self) -> None:
-        self.data = bytearray()
+    def __init__(self, room: bytearray) -> None:
+        self.data, self.size = room, 0
         self.opened: float | None = None
         self.first, self.last = _UNKNOWN, 0
         self.index: dict[int, bytearray] = {}
+
+    def grow(self, count: int) -> None:
+        """Have room for so many bytes more, whose values are to be set."""
+        self.size += count
+        if self.size > len(self.data):
+            self.data += bytes(self.size - len(self.data))
+
+    def append(self, record: bytes) -> None:
+        """Add bytes."""
+        begin = self.size
+        self.grow(len(record))
+        self.data[begin : self.size] = record
 
 
 @functools.lru_cache(maxsize=256)

@@ -45,20 +45,21 @@ class Encoded(NamedTuple):
 
 def encode(publication: Publication, node: str = "/hd_diag") -> Encoded:
     """CDR of what a monitor publishes; diagnostics hold the full name of the node."""
-    kind, rows = _rows(publication, node)
-    return Encoded(publication.topic, kind, np.atleast_1d(publication.received), rows)
+    if isinstance(publication, Report):
+        received, rows = np.array([publication.received]), [_diagnostics(publication, node)]
+        return Encoded(publication.topic, DIAGNOSTICS, received, rows)
+    kind, encoded = _rows(publication)
+    return Encoded(publication.topic, kind, publication.received, encoded)
 
 
-def _rows(publication: Publication, node: str) -> tuple[str, Bytes | list[bytes]]:
+def _rows(publication: Angles | ToothArrays | Drawings) -> tuple[str, Bytes | list[bytes]]:
     if isinstance(publication, Angles):
-        values = publication.position, None, publication.effort
-        return JOINT_STATE, encode_joint_states(publication.names, publication.stamp, *values)
+        _, _, stamp, names, position, effort = publication
+        return JOINT_STATE, encode_joint_states(names, stamp, position, None, effort)
     if isinstance(publication, ToothArrays):
         dims = ("flank", 2), ("tooth", publication.values.shape[2])
         return MULTI_ARRAY, encode_float64_multiarray(dims, publication.values)
-    if isinstance(publication, Drawings):
-        return MARKERS, _markers(publication)
-    return DIAGNOSTICS, [_diagnostics(publication, node)]
+    return MARKERS, _markers(publication)
 
 
 def published_topics(joints: Sequence[str]) -> dict[str, str]:

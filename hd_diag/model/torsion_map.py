@@ -134,20 +134,22 @@ def build(
         raise ValueError(f"the teeth cannot bear {torque_limit:g} N m at every wave generator angle")
     used = np.flatnonzero((torque > -torque_limit).any(axis=0) & (torque < torque_limit).any(axis=0))
     columns = slice(used[0] - 1, used[-1] + 2)
-    rows = np.append(np.arange(steps), 0)
-    table = TorsionMap(mesh, torque[rows, columns], beta[rows, columns], torque_limit, np.inf)
+    curves = contiguous(torque[:, columns]), contiguous(beta[:, columns])
+    table = TorsionMap(mesh, *curves, torque_limit, np.inf)
     return _checked(table, 2.0 * TOLERANCE * (STEPS_PER_TOOTH / steps_per_tooth) ** 2)
 
 
 def _curves(
     mesh: Mesh, angle: Floats, torque_limit: float, wanted: Callable[[float], bool], threads: int
 ) -> tuple[Floats, Floats]:
-    """Exact piecewise-linear curves (angles, breakpoints), rising; a true gap has two at zero torque.
+    """Exact piecewise-linear curves (angles + 1, breakpoints), rising; a true gap has two at zero torque.
 
-    Rows with fewer breakpoints end with more of the limit; nan where no flank can bear it.
+    The last angle repeats the first. Rows with fewer breakpoints end with more of the limit; nan where no
+    flank can bear it.
     """
     turn, center, _ = moments(mesh, angle)
-    parts, found = [slice(first, first + _CHUNK) for first in range(0, angle.size, _CHUNK)], []
+    begins, found = range(0, angle.size, _CHUNK), []
+    parts = [slice(begin, min(begin + _CHUNK, angle.size)) for begin in begins]
     with ThreadPoolExecutor(threads, thread_name_prefix="torsion map") as pool:
         solved = pool.map(
             lambda part: kernel.entry.curves(mesh.data, turn[part], center[part], float(torque_limit)), parts
@@ -156,10 +158,13 @@ def _curves(
             if not wanted(part.start / angle.size):
                 pool.shutdown(cancel_futures=True)
                 raise BuildCancelled
-            found.append(np.stack(next(solved)))
-    width = max(part.shape[2] for part in found)
-    padded = [np.pad(part, ((0, 0), (0, 0), (0, width - part.shape[2])), "edge") for part in found]
-    torque, torsion = np.concatenate(padded, axis=1)
+            found.append(next(solved))
+    torque, torsion = np.empty((2, angle.size + 1, max(own.shape[1] for own, _ in found)))
+    for part, both in zip(parts, found, strict=True):
+        for whole, own in zip((torque, torsion), both, strict=True):
+            whole[part, : own.shape[1]] = own
+            whole[part, own.shape[1] :] = own[:, -1:]
+    torque[-1], torsion[-1] = torque[0], torsion[0]
     return torque, torsion
 
 

@@ -53,7 +53,7 @@ class Monitor:
         self._names = tuple(self.joints)
         self._reported = self.streams.joints[None].copy()
         self._comparison = Comparison()
-        self._comparison.use([*self.joints.values()])
+        self._set_in_force()
 
     def configure(self, config: MonitorConfig) -> None:
         """Use another configuration of the same joints from the next message on."""
@@ -61,7 +61,7 @@ class Monitor:
         for joint in config.joints:
             self.joints[joint.name].configure(joint)
         self.config = config
-        self._comparison.use([*self.joints.values()])
+        self._set_in_force()
 
     def use_map(self, joint: str, table: TorsionMap) -> bool:
         """Predict a joint by its map from the next message on; False if the map is of another mesh."""
@@ -209,6 +209,17 @@ class Monitor:
             found.append(joint.orders.add(*columns))
         return found
 
+    def _set_in_force(self) -> None:
+        self._comparison.use([*self.joints.values()])
+        rates, kinds = (self.config.array_rate, self.config.mesh_rate), (self._arrays, self._drawings)
+        self._rates = [
+            # Each joint's periods begin at another time: no message has to wait for the arrays of all.
+            (period, period * np.arange(last.size) // last.size, last, published)
+            for rate, last, published in zip(rates, self.periods, kinds, strict=True)
+            if rate > 0.0
+            for period in [round(1e9 / rate)]
+        ]
+
     def _by_models(self, samples: Aligned) -> list[Floats]:
         """Predicted errors [rad] and speeds [rad/s] where some joints have extended models."""
         modelled = [(number, joint) for number, joint in enumerate(self.joints.values()) if joint.runs]
@@ -222,15 +233,9 @@ class Monitor:
 
     def _teeth(self, received: Times, samples: Aligned) -> Iterator[Publication]:
         """Per-tooth arrays and drawings where a period of their rates has begun."""
-        rates = self.config.array_rate, self.config.mesh_rate
-        for rate, last, published in zip(rates, self.periods, (self._arrays, self._drawings), strict=True):
-            if rate <= 0.0:
-                continue
-            period = round(1e9 / rate)
-            # Each joint's periods begin at another time: no message has to wait for the arrays of all.
-            offset = period * np.arange(last.size) // last.size
+        for period, offset, last, published in self._rates:
             rows = kernel().begun(samples.stamp, samples.joint, samples.paired, period, offset, last)
-            for number in np.unique(samples.joint[rows]).tolist():
+            for number in np.unique(samples.joint[rows]).tolist() if rows.size else ():
                 yield from published(received, samples.part(rows[samples.joint[rows] == number]), number)
 
     def _arrays(self, received: Times, samples: Aligned, number: int) -> Iterator[Publication]:

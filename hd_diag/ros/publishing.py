@@ -50,7 +50,7 @@ class Publishing:
         self.names[encoded.topic] = name
         publisher = self._publishers.get(encoded.topic)
         for row, received in zip(encoded.rows, encoded.received.tolist(), strict=True):
-            data = bytes(row)
+            data = row if isinstance(row, bytes) else row.tobytes()
             self._log.write(name, encoded.type_name, data, received)
             if publisher is not None:
                 publisher.publish(data)
