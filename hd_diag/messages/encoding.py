@@ -46,7 +46,7 @@ def encode_joint_states(
     ValueError
         Where shapes do not agree or a stamp does not fit into a ROS time.
     """
-    time = np.array(stamps, np.int64).reshape(-1)  # contiguous, for which the kernel is compiled
+    time = np.ascontiguousarray(stamps, np.int64).reshape(-1)
     shape, values, present = (time.size, len(names)), [_NOTHING] * 3, []
     for number, given in enumerate((position, velocity, effort)):
         if given is not None:
