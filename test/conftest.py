@@ -67,6 +67,7 @@ LONGEST = ("demo", "diagnose", "watch_live", "node", "docs", "cli_fleet", "repla
 DIAGNOSED = ("diagnose", "report", "report_browser")
 
 
+@pytest.hookimpl(tryfirst=True)  # before xdist looks at the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """A file stays in one process (``--dist loadgroup``): what its module fixtures build is built once."""
 
