@@ -8,7 +8,7 @@ PYTEST_ARGS ?=
 SELECTED = -m 'not slow'
 # Test processes at once; a file's tests stay in one, in the order of conftest.py.
 JOBS = 2
-SPREAD = -n $(JOBS) --dist loadgroup --no-loadscope-reorder
+SPREAD = -n $(JOBS) --no-loadscope-reorder
 SHELL = /bin/sh
 
 # The environments bring their own ROS; nothing of a sourced one may mix in.

@@ -67,17 +67,22 @@ LONGEST = ("demo", "diagnose", "watch_live", "node", "docs", "cli_fleet", "repla
 DIAGNOSED = ("diagnose", "report", "report_browser")
 
 
-@pytest.hookimpl(tryfirst=True)  # before xdist looks at the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """A file stays in one process (``--dist loadgroup``): what its module fixtures build is built once."""
+    begin = [f"test_{name}.py" for name in (*LONGEST, *DIAGNOSED)]
+    items.sort(key=lambda item: begin.index(item.path.name) if item.path.name in begin else len(begin))
 
-    def name(item: pytest.Item) -> str:
-        return item.path.stem.removeprefix("test_")
 
-    for item in items:
-        item.add_marker(pytest.mark.xdist_group("diagnosed" if name(item) in DIAGNOSED else name(item)))
-    begin = (*LONGEST, *DIAGNOSED)
-    items.sort(key=lambda item: begin.index(name(item)) if name(item) in begin else len(begin))
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    """A file stays in one process: what its module fixtures build is built once."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByFile(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            name = Path(nodeid.partition("::")[0]).stem.removeprefix("test_")
+            return "diagnosed" if name in DIAGNOSED else name
+
+    return ByFile(config, log)
 
 
 @pytest.fixture(scope="session", autouse=True)
