@@ -63,3 +63,9 @@ def luminance(colour: Sequence[float]) -> float:
     """Relative luminance of red, green and blue from 0 to 1, as of WCAG 2.1."""
     linear = [c / 12.92 if c <= 0.03928 else ((c + 0.055) / 1.055) ** 2.4 for c in colour]
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def contrast(one: Sequence[float], other: Sequence[float]) -> float:
+    """Of two colours, from 1 to 21, as of WCAG 2.1."""
+    darker, brighter = sorted((luminance(one), luminance(other)))
+    return (brighter + 0.05) / (darker + 0.05)

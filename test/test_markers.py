@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import matplotlib
 import numpy as np
 import pytest
-from browser import luminance
+from browser import contrast
 
 from hd_diag.config.configuration import resolve
 from hd_diag.drive import Drive, mesh_state
@@ -157,8 +157,7 @@ def test_colours_are_viridis() -> None:
 def test_every_line_is_seen_on_dark_and_light_ground(ground: float) -> None:
     for shape in shapes(drive()).values():
         if shape.kind != "triangle_list":
-            low, high = sorted((luminance(shape.colour[:3]), luminance((ground,) * 3)))
-            assert (high + 0.05) / (low + 0.05) > 2.0, shape.name
+            assert contrast(shape.colour[:3], (ground,) * 3) > 2.0, shape.name
 
 
 def test_faces_do_not_flicker_through_the_lines() -> None:
