@@ -24,7 +24,7 @@ IN = AMENT_PREFIX_PATH='$(CURDIR)/.venv/$(1)' PATH="$(CURDIR)/.venv/$(1)/bin:$$P
 
 help:
 	@echo "make demo     run the main job on a simulated joint (about a minute; the first time also installs)"
-	@echo "make test     linters, types, documentation and tests, on the newest numpy and on Ubuntu 24.04's (7 minutes)"
+	@echo "make test     linters, types, documentation and tests, on the newest numpy and on Ubuntu 24.04's (6 minutes)"
 	@echo "make test-all the same with all that takes long: whole challenges, fuzzing, fleets, colcon (half an hour)"
 	@echo "make docs     the documentation alone: docs/_build/html/index.html"
 	@echo "make challenge  hidden causes to be found, beside plain methods (about 25 s a record; see ARGS=--help)"
@@ -67,7 +67,7 @@ types: install
 	fi
 
 pytest: install
-	@echo "== Tests, newest numpy (6 minutes)"
+	@echo "== Tests, newest numpy (5 minutes)"
 	@$(call IN,test) pytest $(SPREAD) --durations=10 $(SELECTED) $(PYTEST_ARGS)
 
 # Arithmetic of model, drive, effects, streams, monitor and diagnosis; what else there is does not depend on numpy.
