@@ -151,3 +151,11 @@ def test_a_second_smooth_law_has_to_be_more_than_the_first_one_s_shape(made: Lin
     assert of_shapes(settled, chosen, EFFECTS["hysteresis"]) == pytest.approx(0.08 * whole)
     assert of_shapes(settled, (), EFFECTS["hysteresis"]) == 0.0
     assert of_shapes(settled, chosen, EFFECTS["input_encoder_eccentricity"]) == 0.0
+
+
+def test_a_runout_beside_a_large_delay_is_no_mended_shape() -> None:
+    """A delay has no shape of its own: a hundredth of it may be a cause."""
+    late = (EFFECTS["stream_delay"], ())
+    made = bench(of(late[0], delay=2e-3)).corrected((late,))
+    whole = made.amplitude(*late, made.fit((late,))[0][made.places((late,))[0]])
+    assert of_shapes(made, (late,), EFFECTS["output_runout"]) < 0.01 * whole

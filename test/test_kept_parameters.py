@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 from benches import CONFIGURED, POINT, bench, swinging
-from joint_records import ARCSEC
+from challenge import families
+from joint_records import ARCSEC, RATIO
 
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.joint_refinement import covariance, settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
-from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.record import Record, prepare
 from hd_diag.diagnosis.search.kept_parameters import GROUPS, all_kept, kept_parameters
 
 AS_CONFIGURED = fit_parameters.vector(CONFIGURED, CONFIGURED)
@@ -37,6 +38,21 @@ def test_a_drive_as_configured_stays_so(seed: int) -> None:
     assert (
         size["value"] < 1e-12 < size["std"] == pytest.approx(kept.physical(CONFIGURED)["eccentricity"] / 1.96)
     )
+
+
+def test_a_minimum_that_noise_made_beside_no_displacement_is_left() -> None:
+    """Under torque of one sign the datum has minima of its own, beside a false eccentricity."""
+    made = families.made("faultless", 4005)
+    record = prepare(
+        made.time, made.input_angle, made.output_angle, made.torque, made.temperature, made.part, RATIO
+    )
+    beside = AS_CONFIGURED + np.array([-0.6, 0.05, -0.2, 0.0, 0.2, -2.0, 0.2])
+    noisy = settle(linearise(record, CONFIGURED, beside), ())
+    true = 1e6 * made.base.datum
+    assert abs(noisy.parameters[4] - true) > 6.0
+    fit, kept = kept_parameters(noisy, ())
+    assert {"eccentricity", "runout"} <= set(kept.bounds)
+    assert abs(fit.parameters[4] + fit.fit(())[0][4] - true) < 2.0
 
 
 def test_what_the_record_shows_moves() -> None:

@@ -6,12 +6,14 @@ from typing import cast
 
 import numpy as np
 import pytest
-from benches import EFFECTS, bench, of, swinging
+from benches import EFFECTS, POINT, bench, of, swinging
 from joint_records import ARCSEC
 from joint_records import NOISE as NOISE_OF_RECORD
 
+from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
-from hd_diag.diagnosis.search.selection import search, speed_dependent
+from hd_diag.diagnosis.search.ranking import candidates
+from hd_diag.diagnosis.search.selection import _less_misled, search, speed_dependent
 
 NOISE = np.random.default_rng(0).normal(0.0, ARCSEC, 6000)
 
@@ -40,6 +42,18 @@ def test_speeds_that_are_alike_have_no_slow_part() -> None:
 def test_a_delay_is_seen_and_noise_is_not() -> None:
     assert not speed_dependent(bench())
     assert speed_dependent(bench(of(EFFECTS["stream_delay"], delay=2e-3)))
+
+
+def test_parameters_that_imitate_a_cause_are_left_for_those_fitted_beside_it() -> None:
+    """Settled without a large delay they are far off; the search goes on from where the refit had them."""
+    misled = settle(bench(of(EFFECTS["stream_delay"], delay=5e-3)), ())
+    assert np.abs(misled.parameters - POINT).max() > 5.0
+    fit, best = _less_misled(misled, POINT, candidates(misled, ()))
+    assert np.array_equal(fit.parameters, POINT)
+    assert best[0].effect is EFFECTS["stream_delay"]
+    plain = settle(bench(of(EFFECTS["output_runout"], amplitude=20.0 * ARCSEC, direction=0.3)), ())
+    elsewhere = POINT + np.array([0.0, 0.0, 0.0, 0.0, 9.0, 0.0, 0.0])
+    assert _less_misled(plain, elsewhere, candidates(plain, ()))[0] is plain
 
 
 def test_search_returns_the_cause_and_no_other() -> None:

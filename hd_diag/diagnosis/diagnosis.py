@@ -124,7 +124,7 @@ def diagnose(
     progress("looking for causes")
     begun = linearise(record, configured, first.parameters, rows=~test, catalogue=catalogue)
     plain = settle(begun, ())
-    found = search(plain, rng, progress)
+    found = search(plain, rng, progress, first.parameters)
     progress("measuring the gain")
     best = _predicting(record, test, which, plain, found, rng)
     kept, rms, gain = best.kept, best.rms, best.gain

@@ -11,7 +11,7 @@ from hd_diag.diagnosis.fit.design import f_test, holds, solve
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.search.ranking import Candidate
 from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
-from hd_diag.effects.effect import Effect
+from hd_diag.effects.effect import Effect, Stage
 from hd_diag.model.torsion_map import ARCSEC
 
 FAMILY_ERROR = 0.01
@@ -21,6 +21,7 @@ LEAST_SIZE = 0.25 * ARCSEC
 """A cause smaller than this beside the refitted model is of no practical size [rad rms]."""
 
 _SHAPE = 0.08  # of a smooth law's size, to which its shape is known
+_LATE = 0.002  # the same of a delay
 _CERTAIN_SIZE = 0.5 * ARCSEC  # of a shape that nothing held out can prove [rad rms]
 _SECONDS = 2.5  # of a mean in which quick noise is gone
 _CHANCE_SHARE = 3.0  # times what noise alone gives to so many columns
@@ -49,13 +50,14 @@ def of_shapes(fit: LinearisedFit, chosen: Chosen, effect: Effect) -> float:
     """Size up to which an effect may only mend the shape of those chosen [rad rms].
 
     A law of friction, torsion or drift is right to some share of it; what the next smooth law then explains
-    is no second cause. Lines of teeth, bearings and encoders mend no smooth law.
+    is no second cause. Lines of teeth, bearings and encoders mend no smooth law; a delay has hardly a shape.
     """
     if not _smooth(effect):
         return 0.0
-    sized = fit.sized(chosen, fit.fit(chosen)[0])
-    sizes = [fit.amplitude(*item, coefficients) for item, coefficients in sized if _smooth(item[0])]
-    return _SHAPE * max(sizes, default=0.0)
+    sized = [one for one in fit.sized(chosen, fit.fit(chosen)[0]) if _smooth(one[0][0])]
+    shares = [_LATE if item[0].stage == Stage.STREAM else _SHAPE for item, _ in sized]
+    sizes = [fit.amplitude(*item, coefficients) for item, coefficients in sized]
+    return max((share * one for share, one in zip(shares, sizes, strict=True)), default=0.0)
 
 
 def _smooth(effect: Effect) -> bool:

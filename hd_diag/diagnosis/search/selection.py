@@ -21,6 +21,7 @@ from hd_diag.effects.effect import Effect, Stage
 _MOST_CAUSES = 4
 _SLOW = 0.34  # share of the samples that count as slow
 _MOST_TERMS = 3  # unmodelled
+_LEADING = 3  # best candidates that are tried at other parameters
 _RIVALS = 6  # best candidates of a round that are tried later in place of others
 _UNEVEN = 1.3  # ratio of the residual at high and low speed from which both are fitted apart
 _AS_MUCH = 0.9  # of the best candidate's gain, that its rivals have
@@ -32,7 +33,10 @@ _RESTART_GAIN = 12.0  # deviance by which another minimum must beat the present 
 
 
 def search(
-    fit: LinearisedFit, rng: np.random.Generator, progress: Callable[[str], None] = lambda text: None
+    fit: LinearisedFit,
+    rng: np.random.Generator,
+    progress: Callable[[str], None] = lambda text: None,
+    begun: Floats | None = None,
 ) -> Search:
     """Find the causes of the refitted model's residual.
 
@@ -44,6 +48,8 @@ def search(
         For intervals.
     progress : callable
         Called with what is being done.
+    begun : ndarray, shape (7,), optional
+        Parameters that were fitted beside terms for whatever a cause may be, as `refit` does.
     """
     chosen: Chosen = fit.data.given
     p_values: dict[str, float] = {}
@@ -56,6 +62,8 @@ def search(
         if not chosen and speed_dependent(fit):
             fit = _begun_slowly(fit, rng)
         best = candidates(fit, chosen) if _named(chosen) < _MOST_CAUSES else []
+        if not chosen and begun is not None and best and distinct([fit.parameters, begun])[1:]:
+            fit, best = _less_misled(fit, begun, best)
         best = _settled_first(fit, chosen, best)
         rivals |= {candidate.effect.name for candidate in best[:_RIVALS]}
         found = _next(fit, chosen, family, best)
@@ -102,6 +110,21 @@ def _next(fit: LinearisedFit, chosen: Chosen, family: int, best: list[Candidate]
         or passing(fit, chosen, [_between(fit, chosen, one) for one in best[:1] if free(one.effect)], family)
         or passing(fit, chosen, terms, family)
     )
+
+
+def _less_misled(
+    fit: LinearisedFit, begun: Floats, best: list[Candidate]
+) -> tuple[LinearisedFit, list[Candidate]]:
+    """The fit at the parameters that it began with, and its candidates, if one of these explains more there.
+
+    Fitted without a large cause, the parameters imitate it: no cause stands out beside what they then are.
+    """
+    other = fit.moved(begun)
+    there = next(iter(ranked(other, (), [one.effect for one in best[:_LEADING]])), None)
+    here = fit.design(((best[0].effect, best[0].nonlinear),)).deviance()
+    if there is None or other.design(((there.effect, there.nonlinear),)).deviance() > here - _RESTART_GAIN:
+        return fit, best
+    return other, candidates(other, ())
 
 
 def _settled_first(fit: LinearisedFit, chosen: Chosen, best: list[Candidate]) -> list[Candidate]:
