@@ -257,6 +257,57 @@ def test_a_table_without_torque_and_with_temperature_and_records(
     assert_allclose(record.temperature, 31.0, rtol=1e-9)
 
 
+def write_lines(
+    path: Path, header: str, given: Sequence[np.ndarray], between: str, decimal: str = "."
+) -> Path:
+    rows = [
+        between.join(f"{value:.17g}".replace(".", decimal) for value in row)
+        for row in zip(*given, strict=True)
+    ]
+    path.write_text("\n".join([header, *rows]), encoding="utf-8-sig")
+    return path
+
+
+@pytest.mark.parametrize("between", [";", "\t", "|"])
+def test_a_table_with_a_decimal_comma_and_units_in_its_header(
+    given: dict[str, np.ndarray], tmp_path: Path, between: str
+) -> None:
+    """As spreadsheets write it, with a mark of its encoding."""
+    current = given["torque"] / 11.2
+    units = 1e3 * given["time"], np.degrees(given["input"]), given["output"] / (2 * np.pi), current * 1e3
+    header = between.join(("t [ms]", "motor (deg)", "link", "i [mA]"))
+    path = write_lines(tmp_path / "a.csv", header, units, between, ",")
+    table = Table({"time": "t", "input": "motor", "output": "link[turns]", "torque": "i*11.2"})
+    record, expected = read_tables([path], table, joint()), prepared(given)
+    assert record.by_current
+    for name in ("time", "input_angle", "output_angle", "reported_torque"):
+        assert_allclose(getattr(record, name), getattr(expected, name), rtol=0, atol=1e-9, err_msg=name)
+
+
+@pytest.mark.parametrize(("counts", "size"), [(512, 2**16), (4096, 4096)])
+def test_a_table_of_counts_that_run_over(
+    given: dict[str, np.ndarray], tmp_path: Path, counts: int, size: int
+) -> None:
+    """A counter of 16 bits over many turns, and one that begins anew each turn; no time but a rate."""
+    angle = np.rint(given["input"] / (2 * np.pi) * counts) + 100.0
+    columns = np.mod(angle, size), given["output"]
+    path = write_lines(tmp_path / "a.csv", "m,l", columns, ",")
+    record = read_tables([path], Table({"input": f"m[counts/{counts}]", "output": "l"}, rate=200.0), joint())
+    assert_allclose(np.diff(record.time), 0.005, rtol=0, atol=1e-12)
+    turned = record.input_angle - record.input_angle[0]
+    assert_allclose(turned, 2 * np.pi / counts * (angle - angle[0]), rtol=0, atol=1e-9)
+
+
+def test_a_divided_input_of_a_table_that_wraps(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    """At the output's side it goes beyond half a turn, at which both encoders begin anew."""
+    moved = {"input": given["input"] / RATIO + 3.0, "output": given["output"] + 3.0}
+    wrapped = {name: np.mod(angle + np.pi, 2 * np.pi) - np.pi for name, angle in moved.items()}
+    path = write_table(tmp_path / "a.csv", {**given, **wrapped})
+    for table, own in ((Table(COLUMNS, divided=True), joint()), (Table(COLUMNS), joint(input_divided=True))):
+        record = read_tables([path], table, own)
+        assert_allclose(record.input_angle - RATIO * 3.0, given["input"], rtol=0, atol=1e-9)
+
+
 def test_empty_cells_are_missing_values(given: dict[str, np.ndarray], tmp_path: Path) -> None:
     path = write_table(tmp_path / "a.csv", given)
     lines = path.read_text().splitlines()
@@ -277,6 +328,10 @@ def test_empty_cells_are_missing_values(given: dict[str, np.ndarray], tmp_path: 
         ("\xff\xfe", COLUMNS, "cannot be read"),
         (None, COLUMNS, "cannot be read"),
         (None, {"time": "t", "input": "motor"}, "--columns needs output"),
+        (None, {"input": "t", "output": "motor"}, "--columns needs time (or --rate)"),
+        ("t,motor,link,tau\n", {**COLUMNS, "input": "motor[mm]"}, "column 'motor': 'mm' is no unit of input"),
+        ("t,motor,link,tau\n", {**COLUMNS, "input": "motor[rpm]"}, "an angle is needed, not a velocity"),
+        ("t,motor,link,tau\n", {**COLUMNS, "input": "motor*x"}, "has no column 'motor*x'"),
         (None, {**COLUMNS, "speed": "v"}, "--columns does not know 'speed'"),
     ],
 )

@@ -32,8 +32,11 @@ def message_class(type_name: str) -> Any:
 
 def definition_of(type_name: str) -> Definition:
     """Definition of an installed message type and of those that it uses."""
-    if type_name in jazzy().fielddefs:
-        return definition(type_name)
+    return definition(type_name) if type_name in jazzy().fielddefs else definition_by_class(type_name)
+
+
+def definition_by_class(type_name: str) -> Definition:
+    """As `definition_of`, from what the installed classes say of their fields."""
     parts: dict[str, str] = {}
     wanted = [type_name]
     while wanted:

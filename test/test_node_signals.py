@@ -1,0 +1,134 @@
+"""The node on messages of other types, as far as they are installed here."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from geometry_msgs.msg import WrenchStamped
+from running import running
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from hd_diag.bag import BagReader
+from hd_diag.bag.typestore import store_of
+from hd_diag.config.configuration import ConfigError, resolve
+from hd_diag.messages.schemas import jazzy
+from hd_diag.replay.replay import replay
+from hd_diag.ros.message_types import definition_by_class, message_class
+from hd_diag.ros.subscriptions import check_types, sources
+
+pytestmark = pytest.mark.usefixtures("ros")
+
+START = 1_700_000_000 * 10**9
+MS = 1_000_000
+STATE = {"topic": "states", "type": "trajectory_msgs/JointTrajectory"}
+FORCE = {"topic": "force", "type": "geometry_msgs/msg/WrenchStamped"}
+SIGNALS = {
+    "input": {**STATE, "field": "points[0].positions[1]", "unit": "deg"},
+    "output_signal": {**STATE, "field": "points[0].positions[0]"},
+    "torque_signal": {**FORCE, "field": "wrench.torque.z", "sign": -1},
+    "temperature_signal": {**STATE, "field": "points[0].effort[0]", "unit": "K"},
+}
+
+
+def parameters(**more: Any) -> dict[str, Any]:
+    flat = {f"elbow.{owner}.{name}": value for owner, own in SIGNALS.items() for name, value in own.items()}
+    return {"joints": ["elbow"], "diagnostics_rate": 20.0, **flat, **more}
+
+
+def state(number: int, degrees: float) -> JointTrajectory:
+    message = JointTrajectory()
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(START + number * MS, 10**9)
+    message.points = [JointTrajectoryPoint(positions=[0.0, degrees], effort=[300.0 + number])]
+    return message
+
+
+def force(number: int, torque: float) -> WrenchStamped:
+    message = WrenchStamped()
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(START + number * MS, 10**9)
+    message.wrench.torque.z = torque
+    return message
+
+
+def test_signals_of_other_types_live_and_in_the_log(tmp_path: Path) -> None:
+    """An encoder that wraps at 180 degrees, a torque of the other sign; the log replays to the last bit."""
+    with running(tmp_path, parameters(**{"log.path": str(tmp_path / "log.mcap")})) as rig:
+        states, forces = rig.publisher("states", JointTrajectory), rig.publisher("force", WrenchStamped)
+        forces.publish(force(0, 4.0))
+        rig.values("elbow", lambda values: values["samples_rejected"] == "0")
+        for number in range(1, 100):
+            states.publish(state(number, (number * 5.0 + 180.0) % 360.0 - 180.0))
+        values = rig.values("elbow", lambda values: values["samples"] == "99")
+        assert float(values["input_angle_rad"]) == pytest.approx(99 * 5.0 * 3.14159265 / 180.0, abs=1e-3)
+        assert float(values["torque_Nm"]) == -4.0
+        assert float(values["temperature_C"]) == pytest.approx(399.0 - 273.15)
+        states.publish(JointTrajectory())
+        values = rig.values("elbow", lambda values: values["samples_rejected"] == "1")
+        assert values["last_rejection"] == "a message has 0 elements of points: none is points[0]"
+        (answer,) = rig.set(elbow__torque_signal__sign=1)
+        assert (answer.successful, answer.reason) == (
+            False,
+            "elbow: where its signals stand is read when the node starts",
+        )
+        assert rig.process.end() == 0
+    replay(tmp_path / "log.mcap", tmp_path / "again.mcap")
+    live, again = (content(tmp_path / name) for name in ("log.mcap", "again.mcap"))
+    assert live == again
+    assert len(live[f"{rig.process.namespace}/states"]) == 100
+
+
+def content(path: Path) -> dict[str, list[bytes]]:
+    found: dict[str, list[bytes]] = {}
+    with BagReader(path) as reader:
+        for batch in reader.batches():
+            found.setdefault(batch.topic.name, []).extend(bytes(data) for data in batch.messages())
+    return found
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "trajectory_msgs/msg/JointTrajectory",
+        "diagnostic_msgs/msg/DiagnosticArray",
+        "sensor_msgs/msg/PointCloud2",
+        "geometry_msgs/msg/PoseWithCovarianceStamped",
+        "rcl_interfaces/msg/ParameterEvent",
+        "rcl_interfaces/msg/ParameterDescriptor",
+        "shape_msgs/msg/SolidPrimitive",
+        "std_msgs/msg/Empty",
+    ],
+)
+def test_definitions_by_class_are_those_of_the_type(name: str) -> None:
+    """By the hash that ROS gives a type."""
+    found = definition_by_class(name)
+    assert store_of(name, found).hash_rihs01(name) == jazzy().hash_rihs01(name)
+    if name != "std_msgs/msg/Empty":
+        assert message_class(name).__name__ == name.rsplit("/", 1)[1]
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (
+            {"elbow.input.type": "control_msgs/DynamicJointState"},
+            "elbow.input.type: control_msgs/msg/DynamicJointState is not installed here",
+        ),
+        (
+            {"elbow.input.type": "trajectory_msgs/JointTrajectry"},
+            "trajectory_msgs has no message JointTrajectry; the nearest is JointTrajectory",
+        ),
+        (
+            {"elbow.input.field": "points[0].position[1]"},
+            "elbow.input.field: trajectory_msgs/msg/JointTrajectoryPoint has no field 'position'",
+        ),
+        ({"elbow.input.topic": "joint_states"}, "elbow.input.type: /joint_states cannot have"),
+    ],
+)
+def test_a_mapping_that_cannot_be_is_told_at_the_start(given: dict[str, Any], said: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        start(resolve(parameters(**given)))
+    assert said in str(caught.value)
+
+
+def start(config: Any) -> None:
+    check_types(config)
+    sources(config, lambda topic: f"/{topic.lstrip('/')}")
