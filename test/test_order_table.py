@@ -1,9 +1,11 @@
 """Waves that no cause explains as rows of a table: whole numbers, frames, phases that repeat."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from hd_diag.diagnosis.search.order_table import order_table, part
+from hd_diag.diagnosis.search.order_table import order_table, part, refitted_rows
 from hd_diag.diagnosis.search.remainder import Remainder
 from hd_diag.diagnosis.search.unexplained import waves
 
@@ -25,8 +27,6 @@ def remainder(seed: int = 0, turns: float = 0.7, ratio: float = 100.0, **extra: 
 
 
 def added(rest: Remainder, wave: np.ndarray) -> Remainder:
-    from dataclasses import replace
-
     return replace(rest, residual=rest.residual + wave)
 
 
@@ -70,6 +70,17 @@ def test_a_phase_that_changes_from_run_to_run_does_not_repeat() -> None:
     rows = order_table(made, waves(made), RATED)
     assert all(not row.repeats for row in rows)
     assert not part(rows, made.input_angle, made.torque, RATED).any()
+
+
+@pytest.mark.parametrize("repeats", [False, True])
+def test_other_rows_do_not_change_whether_a_wave_repeats(repeats: bool) -> None:
+    """One without a steady phase in the rows it was found in has no held-out gain: it must not come back."""
+    rest = remainder()
+    steady = added(rest, 6.0 * ARCSEC * np.cos(1.5 * rest.input_angle - 1.0))
+    phase = np.random.default_rng(5).uniform(0.0, 2.0 * np.pi, 20)[rest.run]
+    other = added(rest, 6.0 * ARCSEC * np.cos(1.5 * rest.input_angle - phase)) if repeats else steady
+    rows = [replace(row, repeats=repeats) for row in order_table(steady, waves(steady), RATED)]
+    assert [row.repeats for row in refitted_rows(other, rows, RATED)] == [repeats]
 
 
 def test_noise_has_no_rows() -> None:

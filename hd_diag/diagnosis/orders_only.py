@@ -15,7 +15,7 @@ from hd_diag.diagnosis.noise import slices
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.regression import centered, usual_laws
 from hd_diag.diagnosis.screening import Screened
-from hd_diag.diagnosis.search.order_table import order_table, part, table_at
+from hd_diag.diagnosis.search.order_table import order_table, part, refitted_rows
 from hd_diag.diagnosis.search.remainder import Remainder
 from hd_diag.diagnosis.search.unexplained import lines, waves
 from hd_diag.drive import Drive
@@ -58,12 +58,9 @@ def orders_only(checked: Screened, configured: Drive, rng: np.random.Generator) 
     after = rest - part(table, record.input_angle, record.torque, rated)
     number = slices(record.time[test], record.run[test], _SLICE)
     gain = explained(rest[test], after[test], number, which, rng)
-    repeats = [row.repeats and gain.fraction > 0.0 for row in table]
+    table = tuple(replace(row, repeats=row.repeats and gain.fraction > 0.0) for row in table)
     whole = _remainder(record, configured, rest, columns, np.ones(record.size, bool))
-    known = [(row.order, row.frame, row.nonlinear) for row in table]
-    rows = table_at(whole, known, rated)
-    steady = {value: one for (_, _, value), one in zip(known, repeats, strict=True)}
-    rows = tuple(replace(row, repeats=steady[row.nonlinear]) for row in rows)
+    rows = refitted_rows(whole, table, rated)
     first, last = (float(np.sqrt(np.mean(one[test] ** 2))) for one in (rest, after))
     return replace(
         empty,

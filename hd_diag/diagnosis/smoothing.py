@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.signal import savgol_coeffs, savgol_filter
+from scipy.signal import oaconvolve, savgol_coeffs, savgol_filter
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.blocks import filtered
@@ -95,8 +95,21 @@ def _twice(values: Floats, step: float, width: float) -> Floats:
     window = _window(values.shape[0], step, width)
     if window <= _ORDER + 1:
         return values
-    once = savgol_filter(values, window, _ORDER, axis=0)
-    return np.asarray(savgol_filter(once, window, _ORDER, axis=0))
+    return _filtered(_filtered(values, window), window)
+
+
+def _filtered(values: Floats, window: int) -> Floats:
+    """Savitzky-Golay filter of (n,) or (n, k); at either end one quadratic of half a window's rows.
+
+    By FFT, which is many times as fast for windows of a second.
+    """
+    kernel = savgol_coeffs(window, _ORDER).reshape(-1, *[1] * (values.ndim - 1))
+    half, ends = window // 2, np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, window), _ORDER + 1))[0]
+    result = np.empty_like(values)
+    result[half : values.shape[0] - half] = oaconvolve(values, kernel, "valid", axes=0)
+    result[:half] = ends[:half] @ (ends.T @ values[:window])
+    result[values.shape[0] - half :] = ends[-half:] @ (ends.T @ values[-window:])
+    return result
 
 
 def _prediction_error(values: Floats, step: float, width: float) -> float:

@@ -27,10 +27,9 @@ class CircularSplineForm(Effect):
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Response to every lobe number; see :meth:`Effect.columns`."""
         (bending,), contact = nonlinear, signals.contact
-        found = [contact.harmonic("radial", k) for k in ORDERS]
+        found = contact.harmonics("radial", ORDERS)
         if bending:
-            along = [1j * bending / k * contact.harmonic("slot", k) for k in ORDERS]
-            found = [radial + moved for radial, moved in zip(found, along, strict=True)]
+            found = found + 1j * bending / np.array(ORDERS) * contact.harmonics("slot", ORDERS)
         return harmonics(found)
 
     def step(self, state: Any, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:

@@ -21,7 +21,7 @@ class CircularSplinePitch(Effect):
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Response to every harmonic; see :meth:`Effect.columns`."""
-        return harmonics([signals.contact.harmonic("slot", k) for k in ORDERS])
+        return harmonics(signals.contact.harmonics("slot", ORDERS))
 
     def step(self, state: Any, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
         """The slots displaced at their full size; see :meth:`Effect.step`."""

@@ -132,15 +132,15 @@ class ContactTable:
         response = response.reshape(2, -1, row.size)
         return np.array([[np.bincount(row, one, self.steps) for one in flank] for flank in response])
 
-    def harmonic(self, error: Error, order: int) -> Complexes:
-        """Response to ``Re(A exp(i k phi))`` over ``A exp(i k theta)`` [rad/m], shape (torques, angles).
+    def harmonics(self, error: Error, orders: tuple[int, ...]) -> Complexes:
+        """Responses to ``Re(A exp(i k phi))`` over ``A exp(i k theta)`` [rad/m], (torques, angles, orders).
 
         theta is the wave generator's angle as the slots, or the teeth, see it.
         """
-        return self._kept.get((error, order), lambda: self._harmonic(error, order))
+        return self._kept.get((error, orders), lambda: self._harmonics(error, np.array(orders)))
 
-    def one_slot(self, slot: int, opening: Openings = NO_OPENING) -> Complexes:
-        """Response to more clearance on the flanks (+, -) of one slot [rad/m]; (2, torques, angles).
+    def one_slot(self, slot: int, opening: Openings = NO_OPENING) -> Floats:
+        """Response to more clearance on the flanks (+, -) of one slot [rad/m]; (torques, angles, 2).
 
         At an opening [m] of the flanks it is the mean slope from none to that opening.
         """
@@ -180,12 +180,12 @@ class ContactTable:
         slopes = [self._slope(torque_row, angle_row, f, column, opening[f]) for f in (0, 1)]
         return np.where(near, np.stack(slopes), 0.0)
 
-    def _one_slot(self, slot: int, opening: Openings) -> Complexes:
+    def _one_slot(self, slot: int, opening: Openings) -> Floats:
         angle, pair = np.nonzero(self.contact.slots == slot)
-        found = np.zeros((2, *self.torsion.shape))
+        found = np.zeros((*self.torsion.shape, 2))
         for flank in (0, 1):  # a slot is at one lobe at a time: no angle comes twice
-            found[flank][:, angle] = self._slope(np.s_[:], angle, flank, pair, opening[flank])
-        return found.astype(np.complex128)
+            found[:, angle, flank] = self._slope(np.s_[:], angle, flank, pair, opening[flank])
+        return found
 
     def _slope(
         self, torque_row: Integers | slice, angle_row: Integers, flank: int, pair: Integers, opening: float
@@ -210,35 +210,28 @@ class ContactTable:
         parted = np.maximum(overlap, 0.0) / np.maximum(1.0 - np.abs(share), 1e-6) * radius
         return np.asarray(share / radius * np.minimum(1.0, parted / opening))
 
-    def _harmonic(self, error: Error, order: int) -> Complexes:
-        """As `harmonic`.
+    def _harmonics(self, error: Error, orders: Integers) -> Complexes:
+        """As `harmonics`.
 
         A slot that moves outward opens both flanks (db) and moves their contacts, which changes how stiff
         they are (dk): ``K d beta`` is the sum of ``k db - overlap dk`` over the loaded flanks.
         """
-        turning = np.exp(1j * order * (self._tooth_angle if error == "tooth" else self._slot_angle))
+        angle = self._tooth_angle if error == "tooth" else self._slot_angle
+        turning = np.exp(1j * orders * angle[:, None, :, None])
         if error == "radial":
             opening, softening = self._radial_slopes
-            fixed = opening + self.contact.rotation * softening
-            weights = np.nan_to_num(np.stack((fixed, FLANKS * softening)))
-        else:
-            weights = self._weights[error]
-        found = self._summed(weights * turning[:, None, :])
-        return np.asarray(found[0] - self.torsion * found[1] if error == "radial" else found[0])
+            fixed = np.nan_to_num(opening + self.contact.rotation * softening)
+            softer = self._summed(FLANKS * np.nan_to_num(softening), turning)
+            return np.asarray(self._summed(fixed, turning) - self.torsion[..., None] * softer)
+        sign = {"slot": FLANKS, "tooth": -FLANKS, "clearance": np.ones((2, 1))}[error]
+        return self._summed(sign / self._radius, turning)
 
-    @cached_property
-    def _weights(self) -> dict[str, Floats]:
-        """Response of every flank to an error of its own [rad/m], shape (1, angles, 2, pairs)."""
-        inverse = 1.0 / self._radius[None]
-        return {"slot": FLANKS * inverse, "tooth": -FLANKS * inverse, "clearance": inverse}
-
-    def _summed(self, weights: Complexes) -> Complexes:
-        """Shares times weights (k, angles, 2, pairs) of every flank, summed; shape (k, torques, angles)."""
+    def _summed(self, weight: Floats, turning: Complexes) -> Complexes:
+        """Shares times weights (angles, 2, pairs) of all flanks and waves (angles, 1, pairs, k), summed."""
         angles, torques = self.share.shape[:2]
-        flat = weights.reshape(len(weights), angles, -1)
-        columns = np.concatenate((flat.real, flat.imag)).transpose(1, 2, 0)
-        found = (self.share.reshape(angles, torques, -1) @ columns).transpose(2, 1, 0)
-        return np.asarray(found[: len(weights)] + 1j * found[len(weights) :])
+        columns = (weight[..., None] * turning).reshape(angles, -1, turning.shape[-1]).view(np.float64)
+        found = self.share.reshape(angles, torques, -1) @ columns
+        return np.ascontiguousarray(found.view(np.complex128).transpose(1, 0, 2))
 
     def _displaced(self, circumferential: Floats, radial: Floats, *clearance: Floats) -> Floats:
         slots = self.contact.slots

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +25,7 @@ from hd_diag.effects.contact_table import (
 from hd_diag.model.torsion import torsion
 
 Neighbours = tuple[tuple[Integers, Floats], tuple[Integers, Floats]]
+Values = TypeVar("Values", Floats, Complexes)
 Rows = slice | npt.NDArray[np.bool_] | Integers
 
 _ROUNDED = 1e-7  # [m]
@@ -69,29 +71,33 @@ class ContactWeights:
             found.__dict__["ripple"] = self.ripple[rows]
         return found
 
-    def harmonic(self, error: Error, order: int) -> Complexes:
-        """Response H to errors with some periods around the gear.
+    def harmonics(self, error: Error, orders: tuple[int, ...]) -> Complexes:
+        """Responses H to errors with some periods around the gear.
 
         Parameters
         ----------
         error : {"slot", "tooth", "radial"}
             Displacement of slots or teeth counter-clockwise, or of slots outward.
-        order : int
+        orders : tuple of int
             k, periods around.
 
         Returns
         -------
-        ndarray of complex, shape (n,)
+        ndarray of complex, shape (n, orders)
             Of TE to the displacement ``Re(A exp(i k phi))``: Re(A H), H in [rad/m]. phi is the angle of the
             slot, or of the tooth along the flexspline, tooth 0 at zero.
         """
         turns = 1.0 + 1.0 / self.drive.mesh.geometry.reduction if error == "tooth" else 1.0
-        turned: Complexes = np.exp(1j * order * turns * self.wave_generator_angle)
-        return self._sign * self._interpolate(self.table.harmonic(error, order)) * turned
+        turned: Complexes = np.exp(1j * turns * np.multiply.outer(self.wave_generator_angle, orders))
+        return self._sign * self._interpolate(self.table.harmonics(error, orders)) * turned
+
+    def harmonic(self, error: Error, order: int) -> Complexes:
+        """The same of one order, shape (n,)."""
+        return self.harmonics(error, (order,))[:, 0]
 
     def clearance(self) -> Floats:
         """Response to more circumferential clearance on both flanks of all pairs [rad/m], shape (n,)."""
-        return self._sign * self._interpolate(self.table.harmonic("clearance", 0)).real
+        return self._sign * self._interpolate(self.table.harmonics("clearance", (0,)).real)[:, 0]
 
     def one_slot(self, position: float, opening: Openings = NO_OPENING) -> Floats:
         """Response to more clearance on the flanks (+, -) of the slot nearest an angle.
@@ -111,8 +117,7 @@ class ContactWeights:
         """
         geometry = self.drive.mesh.geometry
         slot = round(position / geometry.slot_pitch) % geometry.circular_spline_teeth
-        flanks = self.table.one_slot(slot, opening)
-        return self._sign * np.stack([self._interpolate(flank).real for flank in flanks], axis=1)
+        return self._sign * self._interpolate(self.table.one_slot(slot, opening))
 
     def one_tooth(self, position: float, opening: Openings = NO_OPENING) -> Floats:
         """The same of the tooth nearest an angle along the flexspline [rad/m], shape (n, 2)."""
@@ -170,7 +175,7 @@ class ContactWeights:
         errors = np.empty((4, self.drive.mesh.geometry.circular_spline_teeth))
         errors[0], errors[1], errors[2:] = circumferential, radial, clearance
         change = self.table.displaced(errors)
-        return self._sign * self._interpolate(change.astype(np.complex128)).real
+        return self._sign * self._interpolate(change[..., None])[:, 0]
 
     def teeth_beyond(self, displacement: Displacement, coefficients: Floats) -> Floats:
         """Change of TE by errors of the flexspline's teeth at their full size, beyond the first order.
@@ -238,6 +243,12 @@ class ContactWeights:
             for angle_row, angle_share in self.angle_rows:
                 yield torque_row, angle_row, torque_share * angle_share
 
+    @cached_property
+    def _nodes(self) -> list[tuple[Integers, Floats]]:
+        """The same with one number for both rows."""
+        count = self.table.steps + 1
+        return [(torque_row * count + row, share[:, None]) for torque_row, row, share in self._cells()]
+
     @property
     def _sign(self) -> float:
         return -self.drive.frame.torque_sign
@@ -253,11 +264,10 @@ class ContactWeights:
         beta[beyond] = torsion(self.drive.mesh, self.wave_generator_angle[beyond], cup_torque[beyond])
         return beta
 
-    def _interpolate(self, table: Complexes) -> Complexes:
-        result = np.zeros(self.torque.shape, dtype=np.complex128)
-        for torque_row, angle_row, share in self._cells():
-            result += share * table[torque_row, angle_row]
-        return result
+    def _interpolate(self, table: Values) -> Values:
+        """Of columns (torques, angles, k), shape (n, k)."""
+        flat = table.reshape(-1, table.shape[-1])
+        return np.asarray(sum(share * flat.take(node, axis=0) for node, share in self._nodes))
 
 
 def contact_weights(

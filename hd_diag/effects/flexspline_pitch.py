@@ -21,7 +21,7 @@ class FlexsplinePitch(Effect):
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Response to every harmonic; see :meth:`Effect.columns`."""
-        return harmonics([signals.contact.harmonic("tooth", k) for k in ORDERS])
+        return harmonics(signals.contact.harmonics("tooth", ORDERS))
 
     def step(self, state: Any, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
         """The teeth displaced at their full size; see :meth:`Effect.step`."""

@@ -108,9 +108,9 @@ def turning(phase: Floats) -> Floats:
     return np.stack((np.cos(phase), np.sin(phase)), axis=1)
 
 
-def harmonics(responses: Sequence[Complexes]) -> Floats:
-    """Columns of a cosine and a sine coefficient for every complex response, shape (n, 2 k)."""
-    return np.stack([part for one in responses for part in (one.real, one.imag)], axis=1)
+def harmonics(responses: Complexes) -> Floats:
+    """Columns of a cosine and a sine coefficient for every complex response (n, k), shape (n, 2 k)."""
+    return np.ascontiguousarray(responses).view(np.float64)
 
 
 def harmonic_sum(coefficients: Floats, orders: Sequence[int], angle: Floats) -> Floats:

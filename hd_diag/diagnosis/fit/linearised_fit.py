@@ -75,14 +75,18 @@ class LinearisedFit:
 
     def with_noise(self, chosen: Chosen) -> LinearisedFit:
         """Whitened by the residual of a model rich enough to leave only noise."""
+        parts = (self.always(), self.joined(chosen), self.flexible())
+        rest = self.residual - projection(np.concatenate(parts, axis=1), self.residual)
+        return replace(self, whiten=self.data.whitening_of(rest))
+
+    def flexible(self) -> Floats:
+        """Columns by which any cause leaves hardly more than noise, (n, k)."""
         broadband = []
         for effect in self.data.searched:
             if effect.broadband and self.data.testable(effect)[0]:
                 points = self.data.grid(effect)
                 broadband.append(self.columns(effect, points[len(points) // 2]))
-        parts = (self.always(), self.joined(chosen), self.data.smooth, *broadband)
-        rest = self.residual - projection(np.concatenate(parts, axis=1), self.residual)
-        return replace(self, whiten=self.data.whitening_of(rest))
+        return np.concatenate((self.data.smooth, *broadband), axis=1)
 
     def corrected(self, chosen: Chosen) -> LinearisedFit:
         """Linearised beside the chosen effects at the size that fits here."""

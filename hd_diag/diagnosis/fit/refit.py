@@ -102,7 +102,7 @@ def refit(
     extra : ndarray, shape (n, k), optional
         Further columns that may take part freely: effects already found.
     start : ndarray, shape (7,), optional
-        One more start.
+        One more start, where the fit is now: once all that is hopeful leads back to it, the search ends.
     starts : sequence of (float, float)
         Eccentricities to begin with: magnitude [um], direction [pi rad].
 
@@ -122,6 +122,8 @@ def refit(
         hopeful = [point for point, value in trials if value < _HOPELESS * trials[0][1]]
         points = distinct(hopeful)[:kept]
         noise = max(problem.residual_rms(points[0]), _LEAST_NOISE)
+        if start is not None and not distinct([start, *points])[1:]:
+            break
     covariance = problem.covariance(trials[0][0])
     (point, deviance), *others = [(found[:COUNT], value) for found, value in trials]
     rivals = distinct([point, *(other for other, value in others if value - deviance < _DISTINCT)])[1:]

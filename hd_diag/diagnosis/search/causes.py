@@ -14,7 +14,7 @@ from hd_diag.diagnosis.fit.design import interval, lower_bound
 from hd_diag.diagnosis.fit.joint_refinement import covariance
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.search.acceptance import block_deviances, held_out_gain, wanders
-from hd_diag.diagnosis.search.order_table import OrderRow, table_at
+from hd_diag.diagnosis.search.order_table import OrderRow, refitted_rows
 from hd_diag.diagnosis.search.ranking import by_name, ranked
 from hd_diag.diagnosis.search.remainder import Remainder
 from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
@@ -24,6 +24,8 @@ CLASS_DEVIANCE = 10.0
 """Causes whose exchange changes the held-out deviance by less cannot be told apart."""
 
 _DISAGREEING = 0.2  # of what one cause gains on another, in blocks where it loses
+_FAR = 0.1  # of a cause's gain, up to which another is told from it without a fit of its own
+_CERTAIN = 100.0  # gain of such a cause
 
 
 @dataclass(frozen=True)
@@ -135,9 +137,8 @@ def refitted(fit: LinearisedFit, found: Search) -> Search:
         )
     )
     whole = replace(found, fit=fit, causes=again)
-    rows = [(row.order, row.frame, row.nonlinear) for row in found.table]
     rest = Remainder.of(fit, whole.chosen)
-    return replace(whole, table=table_at(rest, rows, fit.signals.rated_torque))
+    return replace(whole, table=refitted_rows(rest, found.table, fit.signals.rated_torque))
 
 
 def _numbers(fit: LinearisedFit, chosen: Chosen) -> list[tuple[Floats, Floats, float]]:
@@ -195,8 +196,10 @@ def _alike(fit: LinearisedFit, chosen: Chosen, index: int, rivals: Collection[st
     named = {e.name for e, _ in chosen}
     found = [name for name in effect.always_confused if name not in named]
     without = fit.corrected(others)
+    far = without.design(others).deviance() - fit.design(chosen).deviance()
+    far = _FAR * far if far > _CERTAIN else 0.0
     for candidate in ranked(without, others, by_name(fit, {*rivals, *effect.confused_with})):
-        if candidate.effect.name in named or candidate.effect.name in found:
+        if candidate.effect.name in named or candidate.effect.name in found or candidate.gain < far:
             continue
         trial = (*others, (candidate.effect, candidate.nonlinear))
         there, blind = without.corrected(trial), wanders(fit, chosen) or wanders(fit, trial)

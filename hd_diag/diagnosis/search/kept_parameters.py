@@ -26,6 +26,7 @@ GROUPS: dict[str, tuple[int, ...]] = {
 _PLAIN = 400.0  # square of standard deviations beyond which no test is needed
 _NOISE = {"eccentricity": 16.0, "runout": 16.0}  # fall of the deviance that noise hardly ever brings
 _USUAL_NOISE = 6.0  # that of parameters of which a wrong value does no harm
+_PLAINLY = 8.0  # times that fall by the linear model, four times the true one at most: no fit is needed
 _PREDICTED = 0.5  # of that fall, in blocks held out
 _AGREEING = 0.5  # of the gain, that may be lost in some blocks
 _DATUMS = (-8.0, 0.0, 8.0)  # from the configured one, with which other minima are looked for
@@ -150,22 +151,39 @@ def _certainty(away: Floats, spread: Floats, name: str) -> float:
 
 def _held(fit: LinearisedFit, chosen: Chosen, names: list[str]) -> LinearisedFit | None:
     """The fit with groups held at their configured values; None if held-out blocks are predicted worse."""
-    trial, gain = _trial(fit, chosen, names)
-    fall = trial.design(chosen).deviance() - fit.design(chosen).deviance()
-    lost, won = -float(gain[gain < 0.0].sum()), float(gain[gain > 0.0].sum())
-    pays = won - lost > _PREDICTED * fall and (lower_bound(gain) > 0.0 or lost < _AGREEING * won)
     noise = max(_NOISE.get(name, _USUAL_NOISE) for name in names)
-    return None if fall > noise and pays else trial
+    start, numbers = _start(fit, names)
+    free = fit.design(chosen)
+    ways = (start - fit.parameters, start * MIRRORED - fit.parameters)
+    linear = free.holding(np.array(numbers), min(ways, key=lambda way: float(way @ way))[numbers])
+    fall, gain = linear.deviance() - free.deviance(), linear.held_out() - free.held_out()
+    if fall > _PLAINLY * noise and _pays(fall, gain):
+        return None
+    trial, gain = _trial(fit, chosen, names)
+    fall = trial.design(chosen).deviance() - free.deviance()
+    return None if fall > noise and _pays(fall, gain) else trial
+
+
+def _pays(fall: float, gain: Floats) -> bool:
+    """Whether held-out blocks confirm a fall of the deviance."""
+    lost, won = -float(gain[gain < 0.0].sum()), float(gain[gain > 0.0].sum())
+    return won - lost > _PREDICTED * fall and (lower_bound(gain) > 0.0 or lost < _AGREEING * won)
+
+
+def _start(fit: LinearisedFit, names: list[str]) -> tuple[Floats, list[int]]:
+    """Parameters, lobes swapped if that is nearer, with groups as configured; the numbers of these."""
+    numbers = [number for name in names for number in GROUPS[name]]
+    configured = fit_parameters.vector(fit.data.configured, fit.data.configured)
+    points = (fit.parameters, fit.parameters * MIRRORED)
+    start = min(points, key=lambda x: float(np.sum((x - configured)[:4] ** 2))).copy()
+    start[numbers] = configured[numbers]
+    return start, numbers
 
 
 def _trial(fit: LinearisedFit, chosen: Chosen, names: list[str]) -> tuple[LinearisedFit, Floats]:
     """The fit with groups held, and what held-out blocks lose by it."""
-    held = tuple(number for name in names for number in GROUPS[name])
-    configured = fit_parameters.vector(fit.data.configured, fit.data.configured)
-    points = (fit.parameters, fit.parameters * MIRRORED)
-    start = min(points, key=lambda x: float(np.sum((x - configured)[:4] ** 2))).copy()
-    start[list(held)] = configured[list(held)]
-    trial = settle(replace(fit.moved(start), held=held), chosen, rounds=2, learn=False)
+    start, held = _start(fit, names)
+    trial = settle(replace(fit.moved(start), held=tuple(held)), chosen, rounds=2, learn=False)
     return trial, trial.design(chosen).held_out() - fit.design(chosen).held_out()
 
 

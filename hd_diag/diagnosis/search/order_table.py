@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -120,6 +120,13 @@ def table_at(
         might_be = _might_be(order, frame, bool(nonlinear[1]), rest.ratio)
         found.append(OrderRow(order, frame, nonlinear, beta[at], spread[at, at], repeats, might_be))
     return tuple(sorted(found, key=lambda row: -row.amplitude))
+
+
+def refitted_rows(rest: Remainder, rows: Sequence[OrderRow], rated_torque: float) -> tuple[OrderRow, ...]:
+    """Rows of a table fitted to another remainder; whether they repeat stays as where they were found."""
+    repeats = {row.nonlinear: row.repeats for row in rows}
+    found = table_at(rest, [(row.order, row.frame, row.nonlinear) for row in rows], rated_torque)
+    return tuple(replace(row, repeats=repeats[row.nonlinear]) for row in found)
 
 
 def part(rows: tuple[OrderRow, ...], input_angle: Floats, torque: Floats, rated_torque: float) -> Floats:

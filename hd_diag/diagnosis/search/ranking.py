@@ -69,15 +69,15 @@ class Projector:
 
     def fit(self, columns: Floats, rest: Floats | None = None) -> tuple[Floats, Floats]:
         """Coefficients of these columns, zero for those that vanish by projection, and their moments."""
-        part = self.off(columns)
-        moment = part.T @ (self.rest if rest is None else rest)
-        own = np.einsum("ij,ij->j", part, part) > 1e-8 * np.maximum(
-            np.einsum("ij,ij->j", columns, columns), 1e-300
-        )
+        rest = self.rest if rest is None else rest  # projected already
+        rows = slice(columns.shape[0])
+        moment, square, inside = columns.T @ rest[rows], columns.T @ columns, self.basis[rows].T @ columns
+        gram = square - inside.T @ inside
+        own = np.diag(gram) > 1e-8 * np.maximum(np.diag(square), 1e-300)
         coefficients = np.zeros(moment.size)
         if own.any():
-            coefficients[own] = solve(part[:, own].T @ part[:, own], moment[own])
-        return coefficients, moment
+            coefficients[own] = solve(gram[np.ix_(own, own)], moment[own])
+        return coefficients, np.where(own, moment, 0.0)
 
 
 def candidates(fit: LinearisedFit, chosen: Chosen) -> list[Candidate]:

@@ -59,9 +59,9 @@ def search(
     family, rivals = family_size(fit), set[str]()
     for _ in range(_MOST_CAUSES + _MOST_TERMS):
         progress(f"looking for cause {len(chosen) + 1}")
-        if not chosen and speed_dependent(fit):
-            fit = _begun_slowly(fit, rng)
         best = candidates(fit, chosen) if _named(chosen) < _MOST_CAUSES else []
+        if not chosen and speed_dependent(fit):
+            fit, best = _begun_slowly(fit, best, rng)
         if not chosen and begun is not None and best and distinct([fit.parameters, begun])[1:]:
             fit, best = _less_misled(fit, begun, best)
         best = _settled_first(fit, chosen, best)
@@ -154,8 +154,10 @@ def _named(chosen: Chosen) -> int:
     return sum(not (effect.given or isinstance(effect, UnmodelledTerm)) for effect, _ in chosen)
 
 
-def _begun_slowly(fit: LinearisedFit, rng: np.random.Generator) -> LinearisedFit:
-    """The parameters fitted at low speed, if a cause beside them then explains more.
+def _begun_slowly(
+    fit: LinearisedFit, best: list[Candidate], rng: np.random.Generator
+) -> tuple[LinearisedFit, list[Candidate]]:
+    """The parameters fitted at low speed and the candidates there, if the first of these explains more.
 
     Where something changes the ripple with speed, parameters fitted at all speeds are wrong, and no cause
     stands out beside them.
@@ -163,11 +165,12 @@ def _begun_slowly(fit: LinearisedFit, rng: np.random.Generator) -> LinearisedFit
     speed = np.abs(fit.data.record.speed)
     slow = refit(fit.data.record.select(speed <= np.quantile(speed, _SLOW)), fit.data.configured, rng)
     other = fit.moved(slow.parameters)
-    trials = [(each, next(iter(candidates(each, ())), None)) for each in (fit, other)]
+    trials = ((fit, best), (other, candidates(other, ())))
     here, there = (
-        each.design(((best.effect, best.nonlinear),) if best else ()).deviance() for each, best in trials
+        each.design(tuple((one.effect, one.nonlinear) for one in found[:1])).deviance()
+        for each, found in trials
     )
-    return other if there < here - _RESTART_GAIN else fit
+    return trials[there < here - _RESTART_GAIN]
 
 
 def _refined(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
@@ -244,7 +247,14 @@ def _swapped(fit: LinearisedFit, chosen: Chosen, rivals: set[str]) -> tuple[Line
 
 
 def _restarted(fit: LinearisedFit, chosen: Chosen, rng: np.random.Generator) -> LinearisedFit:
-    """Search the model's parameters globally again, now that the causes found take part freely."""
+    """Search the model's parameters globally again, now that the causes found take part freely.
+
+    Where even flexible columns explain no more than noise gives them, no other minimum can.
+    """
+    more = fit.flexible()
+    here = fit.design(chosen).deviance()
+    if here - fit.design(chosen, more).deviance() < more.shape[1] + _RESTART_GAIN:
+        return fit
     again = refit(
         fit.data.record,
         fit.data.configured,
@@ -257,7 +267,7 @@ def _restarted(fit: LinearisedFit, chosen: Chosen, rng: np.random.Generator) -> 
         return fit
     other = settle(fit.moved(again.parameters), chosen, rounds=2)
     deviance = replace(other, whiten=fit.whiten).design(chosen).deviance()  # with one noise model
-    return other if deviance < fit.design(chosen).deviance() - _RESTART_GAIN else fit
+    return other if deviance < here - _RESTART_GAIN else fit
 
 
 def _finished(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
