@@ -21,6 +21,7 @@ from hd_diag.diagnosis.search.causes import Cause
 from hd_diag.diagnosis.search.unexplained import Unexplained
 from hd_diag.diagnosis.verdict import as_json, sentence, summary
 from hd_diag.effects import CATALOGUE
+from hd_diag.extended_model import ExtendedModel, Term
 
 CONFIGURED = joint().drive
 EFFECTS = {effect.name: effect for effect in CATALOGUE}
@@ -40,7 +41,7 @@ KEYS = {
     "testability": "name testable least_size reason",
 }
 MORE = {
-    "": "findings evidence tolerance encoder_zeros",
+    "": "findings evidence tolerance encoder_zeros motor_current",
     "record": "has_torque outliers dropped",
     "extended": "rms_named rms_offline rms_live",
 }
@@ -211,6 +212,35 @@ def test_severity_comes_first(most: float, where: str) -> None:
     assert first.endswith(f"its eccentricity is {where} the tolerance's limit ({sizes}, by peak tooth load)")
     expected = {"eccentricity": pytest.approx(18.2e-6), "allowed": most, "criterion": "peak_tooth_load"}
     assert as_json(made, "joint_1")["tolerance"] == {**expected, "within": where == "within"}
+
+
+def test_what_a_motor_s_current_costs_is_said() -> None:
+    """Its constant and friction are told; a compliance is not: only the product shows."""
+    effect = EFFECTS["motor_current"]
+    values = {q.name: 1.0 for q in effect.quantities} | {"relative_error": -0.12, "friction": 4.8}
+    coefficients, nonlinear = effect.from_physical(values)
+    model = ExtendedModel(CONFIGURED, (Term(effect, tuple(coefficients), nonlinear),), 0.0, None)
+    point = fit_parameters.vector(CONFIGURED, CONFIGURED) * np.array([1, 1, 1, 1, 1, 2.0, 1])
+    stiff = dataclasses.replace(refitted(eccentricity=0j), parameters=point)
+    of_torque, of_current = (
+        diagnosis(refitted=stiff, record=dataclasses.replace(diagnosis().record, by_current=one), model=model)
+        for one in (False, True)
+    )
+    assert "tooth compliance +100" in sentence(Answer(of_torque))
+    told = sentence(Answer(of_current))
+    assert "compliance" not in told
+    assert "the torque is a motor's current: its constant (−12 %), friction (4.80 N m) and inertia" in told
+    motor = as_json(of_current, "joint_1")["motor_current"]
+    assert motor["friction"] == {"value": pytest.approx(4.8), "unit": "N m"}
+
+
+def test_a_bound_is_not_told_of_a_model_that_does_not_describe_the_record() -> None:
+    kept = {"refitted": refitted(eccentricity=0j), "kept": {"eccentricity": 3e-6}}
+    misfit = Rms(*(ARCSEC * v for v in (20.0, 20.0, 20.0, 20.0, 20.0, 20.0, 3.2, 3.1, 3.3)))
+    assert "this record tells: no more than 3.0 µm off" in sentence(Answer(diagnosis(**kept)))
+    told = sentence(Answer(diagnosis(**kept, rms=misfit)))
+    assert "as configured (0.0 µm), and how far off it may be cannot be told;" in told
+    assert "no more than" not in told
 
 
 def test_scatter_of_the_encoders_zeros_is_told() -> None:

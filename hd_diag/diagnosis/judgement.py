@@ -20,6 +20,7 @@ Judgement = Literal["as_configured", "parameters", "causes", "described", "misfi
 
 _SIGMAS = 3.0  # a parameter this many standard deviations off its configured value is another
 _LEAST_SHARE = 0.05  # of the noise, below which what a parameter changes is of no use
+_BY_TORQUE = ("tooth_compliance", "cup_compliance")
 _MOST_ROWS = 2000
 _PEAK_TO_PEAK = 2.0 * math.sqrt(2.0)  # of a wave, over its rms
 
@@ -77,13 +78,18 @@ class Answer:
 
     @cached_property
     def changes(self) -> list[Change]:
-        """Parameters that are not as configured, the one that changes the error most first."""
+        """Parameters that are not as configured, the one that changes the error most first.
+
+        No compliance where the torque is a motor's current: only its product with the constant shows.
+        """
         found = self.diagnosis
         if found.refitted is None or not found.refitted.trustworthy:
             return []
         least = _LEAST_SHARE * found.rms.noise if found.rms else 0.0
         changed = []
         for name, explains in parameter_sizes(found).items():
+            if found.record.by_current and name in _BY_TORQUE:
+                continue
             entry = found.parameters[name if name in found.parameters else f"{name}.magnitude"]
             off = abs(entry["value"] - entry["configured"])
             if off > _SIGMAS * entry["std"] and explains > least:

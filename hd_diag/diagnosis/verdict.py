@@ -14,7 +14,7 @@ from hd_diag.diagnosis.judgement import Answer, Change
 from hd_diag.diagnosis.search.causes import Cause
 from hd_diag.diagnosis.search.order_table import OrderRow
 from hd_diag.diagnosis.search.unexplained import Unexplained
-from hd_diag.formatting import ARCSEC, arcsec, direction, json_ready, si, spread_number, words
+from hd_diag.formatting import ARCSEC, arcsec, direction, json_ready, number, si, spread_number, words
 
 _NO_RMS, _NO_GAIN = Rms(*[math.nan] * 9), Gain(math.nan, math.nan, math.nan, "nothing")
 _HOW_TO_FIND = (
@@ -75,6 +75,7 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
         "normal": answer.normal and {**answer.normal._asdict(), "within": answer.normal.within},
         "tolerance": _tolerance(answer),
         "encoder_zeros": _zeros(diagnosis),
+        "motor_current": _motor(diagnosis),
         "model": model,
         "verdict": sentence(answer),
     }
@@ -148,7 +149,7 @@ def sentence(answer: Answer) -> str:
     if fatal:
         return f"First of all: {fatal[0].text}."
     parts = [*_misfit(answer), *_severity(answer), *(finding.text for finding in diagnosis.findings)]
-    parts.append(_parameters(answer))
+    parts += [_parameters(answer), *_current(diagnosis)]
     if diagnosis.refitted is None:
         pass
     elif diagnosis.causes:
@@ -187,7 +188,8 @@ def _severity(answer: Answer) -> list[str]:
     if usual is not None:
         size, allowed = usual.measured / ARCSEC, usual.accuracy / ARCSEC
         where = "within" if usual.within else "beyond"
-        told.append(f"the joint is {where} its accuracy ({size:.0f} of {allowed:.0f} arcsec peak to peak)")
+        own = f"{size:.0f}" if size >= 0.5 else "none to be seen beside the noise,"
+        told.append(f"the joint is {where} its accuracy ({own} of {allowed:.0f} arcsec peak to peak)")
     if beside is not None:
         where = "within" if beside["within"] else "beyond"
         sizes = f"{beside['eccentricity'] * 1e6:.1f} of {beside['allowed'] * 1e6:.1f} µm"
@@ -209,6 +211,29 @@ def _tolerance(answer: Answer) -> dict[str, Any] | None:
     }
 
 
+def _current(diagnosis: Diagnosis) -> list[str]:
+    """What it costs that the torque is a motor's current."""
+    values = _motor(diagnosis)
+    if values is None:
+        return []
+    gain, dry = 100.0 * values["relative_error"]["value"], values["friction"]["value"]
+    constant = f"{'+' if gain > 0.0 else '−'}{abs(gain):.0f} %"
+    return [
+        f"the torque is a motor's current: its constant ({constant}), friction ({number(dry)} N m) and "
+        "inertia are fitted too, and neither stiffness nor a small friction can be told from it"
+    ]
+
+
+def _motor(diagnosis: Diagnosis) -> dict[str, Any] | None:
+    """What a motor needs of its torque, as fitted; None where the torque is no current."""
+    terms = diagnosis.model.effects if diagnosis.model else ()
+    for effect, coefficients, nonlinear in ((t.effect, t.coefficients, t.nonlinear) for t in terms):
+        if effect.given:
+            values = effect.to_physical(np.array(coefficients), nonlinear)
+            return {name: {"value": value, "unit": unit} for name, (value, unit) in values.items()}
+    return None
+
+
 def _zeros(diagnosis: Diagnosis) -> dict[str, Any] | None:
     """Zeros of several recordings and their scatter; None of one."""
     zeros = diagnosis.encoder_zeros
@@ -226,11 +251,11 @@ def _parameters(answer: Answer) -> str:
         configured = diagnosis.parameters["eccentricity.magnitude"]["configured"]
         told = f"the eccentricity is as configured ({configured * 1e6:.1f} µm)"
         most = diagnosis.kept.get("eccentricity")
-        return (
-            told
-            if most is None
-            else f"{told}, as far as this record tells: no more than {most * 1e6:.1f} µm off"
-        )
+        if most is None:
+            return told
+        if answer.judgement == "misfit":  # a bound stands on a model that describes the record
+            return f"{told}, and how far off it may be cannot be told"
+        return f"{told}, as far as this record tells: no more than {most * 1e6:.1f} µm off"
     told = ", ".join(_change_in_words(diagnosis, change) for change in changed)
     if changed[0].name in ("eccentricity", "runout"):
         return told
