@@ -17,7 +17,9 @@ from hd_diag.config.parameter_file import read
 from hd_diag.config.parameters import parameters
 
 ROOT = Path(__file__).resolve().parent.parent
-FILES = [ROOT / "config" / f"{name}.yaml" for name in ("example_drive", "node", "seven_joints")]
+FILES = [
+    ROOT / "config" / f"{name}.yaml" for name in ("example_drive", "node", "other_robots", "seven_joints")
+]
 EXAMPLE = FILES[0]
 KNOWN = parameters(["joint_1"])
 

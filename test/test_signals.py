@@ -1,5 +1,6 @@
 """Signals that stand elsewhere than in joint states: messages of other robots, in their units."""
 
+import dataclasses
 import struct
 from pathlib import Path
 from typing import Any
@@ -16,13 +17,14 @@ from hd_diag.bag import BagError, BagReader
 from hd_diag.bag.joint_record import read_bags, read_motion
 from hd_diag.bag.joint_topics import JointTopics
 from hd_diag.bag.typestore import store_of
-from hd_diag.config.configuration import ConfigError, resolve
+from hd_diag.config.configuration import ConfigError, load, resolve
 from hd_diag.config.parameter_file import read
 from hd_diag.diagnosis.record import RecordError
 from hd_diag.messages.fields import FieldReader
 from hd_diag.replay.replay import replay
 from hd_diag.streams.signals import Signal, Unit, unit
 
+ROOT = Path(__file__).resolve().parent.parent
 ELBOW = {
     "type": "control_msgs/DynamicJointState",
     "topic": "/dynamic_joint_states",
@@ -55,82 +57,61 @@ def assert_same(record: Any, expected: Any, torque: bool = True) -> None:
 # Recipes of the docs ---
 
 
-def test_ros2_control(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def recipes() -> dict[str, Any]:
+    """Joints of the file that is there to copy from."""
+    return {each.name: each for each in load(ROOT / "config/other_robots.yaml").joints}
+
+
+def test_ros2_control(given: dict[str, np.ndarray], recipes: dict[str, Any], tmp_path: Path) -> None:
     messages = Messages(DYNAMIC)
     path = messages.write(
         tmp_path / "a.mcap", "/dynamic_joint_states", robots.dynamic_states(messages, given)
     )
-    assert_same(read_bags([path], mapped(ROS2_CONTROL)), prepared(given))
+    assert_same(read_bags([path], recipes["elbow"]), prepared(given))
 
 
-def test_franka(given: dict[str, np.ndarray], tmp_path: Path) -> None:
-    messages, own = Messages(FRANKA), {"type": "franka_msgs/FrankaRobotState", "topic": "robot_state"}
-    path = messages.write(
-        tmp_path / "a.mcap", "/franka/robot_state", robots.franka_states(messages, given, RATIO)
-    )
-    franka = mapped(
-        {
-            "input": {**own, "field": "measured_joint_motor_state.position"},
-            "output_signal": {**own, "field": "measured_joint_state.position"},
-            "torque_signal": {**own, "field": "measured_joint_state.effort"},
-        },
-        input_joint="fr3_joint4",
-        output_joint="fr3_joint4_link",
-        input_divided=True,
-    )
-    with pytest.raises(RecordError, match=r"measured_joint_state.position of robot_state, 'fr3_joint4_link'"):
-        read_bags([path], franka)
-    own["name"] = "fr3_joint4"
-    franka = mapped(
-        {
-            "input": {**own, "field": "measured_joint_motor_state.position"},
-            "output_signal": {**own, "field": "measured_joint_state.position"},
-            "torque_signal": {**own, "field": "measured_joint_state.effort"},
-        },
-        input_divided=True,
-    )
+def test_franka(given: dict[str, np.ndarray], recipes: dict[str, Any], tmp_path: Path) -> None:
+    messages, topic = Messages(FRANKA), "/franka_robot_state_broadcaster/robot_state"
+    path = messages.write(tmp_path / "a.mcap", topic, robots.franka_states(messages, given, RATIO))
+    franka = recipes["fr3_joint4"]
     assert_same(read_bags([path], franka), prepared(given))
+    elsewhere = dataclasses.replace(franka.signals.output, name="joint_4")
+    with pytest.raises(RecordError, match=f"measured_joint_state.position of {topic}, 'joint_4'"):
+        read_bags([path], dataclasses.replace(franka, signals=franka.signals._replace(output=elsewhere)))
 
 
-def test_kuka(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+def test_kuka(given: dict[str, np.ndarray], recipes: dict[str, Any], tmp_path: Path) -> None:
     """One angle and the torque, without a header: stamps are the times of reception."""
-    messages, own = Messages(KUKA), {"type": "lbr_fri_idl/LBRState", "topic": "/lbr/state"}
+    messages, kuka = Messages(KUKA), recipes["lbr_A4"]
     path = messages.write(tmp_path / "a.mcap", "/lbr/state", robots.kuka_states(messages, given))
-    kuka = mapped(
-        {
-            "input": {**own, "field": "measured_joint_position[3]"},
-            "torque_signal": {**own, "field": "measured_torque[3]", "sign": -1},
-        }
-    )
-    motion = read_motion([path], kuka)
+    one_angle = dataclasses.replace(kuka, signals=kuka.signals._replace(input=kuka.signals.output))
+    motion = read_motion([path], one_angle)
     assert motion is not None
     assert_allclose(motion.time, given["time"], rtol=0, atol=1e-9)
     assert_array_equal(motion.input_angle, given["output"])
     assert_array_equal(motion.torque, -given["torque"])
-    with pytest.raises(RecordError, match="joint states there hold no joint"):
+    with pytest.raises(RecordError, match="one angle has no transmission error"):
         read_bags([path], kuka)
 
 
-def test_a_ur_reports_current_and_the_motors_velocity(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+def test_a_ur(given: dict[str, np.ndarray], recipes: dict[str, Any], tmp_path: Path) -> None:
     """Its velocity is the motor's at the joint's side, its efforts are the motors' currents."""
-    constant, speed = 11.2, np.gradient(given["input"], given["time"]) / RATIO
-    current = given["torque"] / constant
-    path = write(
-        tmp_path / "a.mcap", states(given["time"], ["elbow"], (given["output"],), (current,), (speed,))
+    speed, current, ur = (
+        np.gradient(given["input"], given["time"]) / RATIO,
+        given["torque"] / 11.2,
+        recipes["ur_elbow"],
     )
-    file = tmp_path / "ur.yaml"
-    file.write_text(
-        "hd_diag:\n  ros__parameters:\n    joint_1:\n      output_joint: elbow\n      input: velocity\n"
-        f"      torque_signal: {{unit: A, scale: {constant}}}\n"
-    )
-    ur = resolve(read(file)).joints[0]
+    names = ["elbow_joint", "wrist_1_joint"]
+    blocks = ((column, 2.0 * column) for column in (given["output"], current, speed))
+    path = write(tmp_path / "a.mcap", states(given["time"], names, *blocks))
     assert (ur.signals.is_velocity, ur.signals.is_current, ur.input_divided) == (True, True, True)
     with BagReader(path) as reader:
         topics = JointTopics(reader, {ur.name: ur.signals})
         (found,) = (
             s for mixed in reader.mixed(topics.types, topics.is_read) for s in topics.columns(mixed)[0]
         )
-    assert found.keys == ("joint_1.input", "joint_1.torque")
+    assert found.keys == ("ur_elbow.input", "ur_elbow.torque")
     assert_allclose(found.signals, np.stack((speed, given["torque"]), axis=1), rtol=1e-14)
 
 
