@@ -5,8 +5,10 @@ import pytest
 from bag_samples import joint_state_cdr
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
 
 from hd_diag.messages.encoding import encode_float64_multiarray, encode_joint_states
+from hd_diag.messages.joint_states import kernel
 from hd_diag.messages.publications import DIAGNOSTICS, STRING, encode, read_string, string
 from hd_diag.messages.schemas import jazzy, serialize
 from hd_diag.monitor.publications import Report, Status
@@ -88,3 +90,12 @@ def test_stamps_beyond_ros_time_are_refused(stamp):
 
 def test_no_messages():
     assert encode_joint_states(("a",), [], np.zeros((0, 1))).shape[0] == 0
+
+
+def test_strided_stamps_and_values_need_no_other_machine_code() -> None:
+    """As a message of several joints has them; a node would stop for seconds to compile."""
+    stamps, values = np.arange(6) * 10**9, np.arange(24.0).reshape(6, 4)
+    expected = encode_joint_states(("a", "b"), stamps[::2].copy(), values[::2, ::2].copy())
+    known = len(kernel().write.signatures)
+    assert_array_equal(encode_joint_states(("a", "b"), stamps[::2], values[::2, ::2]), expected)
+    assert len(kernel().write.signatures) == known
