@@ -190,6 +190,10 @@ ALIKE = cause("output_runout", 2.5 * ARCSEC, ("output_encoder_eccentricity",))
         ),
         (DIAGNOSES["wrong ratio"], "First of all: the output follows at 101."),
         (
+            diagnosis(findings=(dataclasses.replace(SWAPPED, text="are they swapped?"),), **ENDED),
+            "First of all: are they swapped?",
+        ),
+        (
             DIAGNOSES["ambiguous"],
             "; the model's parameters are ambiguous: several sets fit about as well; no other cause is "
             "needed.",

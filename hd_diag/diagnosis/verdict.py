@@ -147,7 +147,7 @@ def sentence(answer: Answer) -> str:
     diagnosis = answer.diagnosis
     fatal = [finding for finding in diagnosis.findings if finding.fatal]
     if fatal:
-        return f"First of all: {fatal[0].text}."
+        return _ended(f"First of all: {fatal[0].text}")
     parts = [*_misfit(answer), *_severity(answer), *(finding.text for finding in diagnosis.findings)]
     parts += [_parameters(answer), *_current(diagnosis)]
     if diagnosis.refitted is None:
@@ -172,7 +172,11 @@ def sentence(answer: Answer) -> str:
     if record.size < record.extent.samples:
         samples = f"{record.size} of {record.extent.samples} samples"
         parts.append(f"fitted to {samples}, in stretches all over the record")
-    return "; ".join(parts) + "."
+    return _ended("; ".join(parts))
+
+
+def _ended(text: str) -> str:
+    return text if text.endswith("?") else f"{text}."
 
 
 def _misfit(answer: Answer) -> list[str]:
