@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import robot_messages as robots
+from cli_runner import assert_one_line_error, hd_diag
 from joint_records import RATIO, columns, joint, prepared
 from numpy.testing import assert_allclose, assert_array_equal
 from robot_messages import DYNAMIC, FRANKA, KUKA, Messages
@@ -303,6 +304,14 @@ def test_a_bad_mapping_is_refused_by_its_name(parameters: dict[str, Any], said: 
     assert said in str(caught.value)
 
 
+def test_check_knows_the_fields_of_ros_own_types(tmp_path: Path) -> None:
+    file = tmp_path / "a.yaml"
+    file.write_text("hd_diag: {ros__parameters: {joint_1: {input: {field: postion}}}}")
+    result = hd_diag("check", file)
+    said = "joint_1.input: sensor_msgs/msg/JointState has no field 'postion'; the nearest is 'position'"
+    assert_one_line_error(result, said)
+
+
 def test_a_file_says_it_nested_or_in_a_word(tmp_path: Path) -> None:
     file = tmp_path / "a.yaml"
     for text in ("input: velocity", "input_divided: true\n      input: {field: velocity}"):
@@ -372,6 +381,12 @@ def test_columns_are_those_of_rosbags_whatever_the_lengths() -> None:
                     assert each.stamp[i] == (begin + row) * 10**7
                     found[begin + row] = dict(zip(each.keys, each.signals[i].tolist(), strict=True))
         assert [found[row] for row in range(300)] == expected
+    for row, (data, values) in enumerate(zip(sent, expected, strict=True)):
+        one = reader.one(data, np.zeros(1, np.int64))
+        assert (dict(zip(one.keys, one.signals[0].tolist(), strict=True)), one.stamp[0]) == (
+            values,
+            row * 10**7,
+        )
 
 
 def test_messages_that_are_cut_off_or_hostile_are_rejected() -> None:
@@ -394,5 +409,10 @@ def test_messages_that_are_cut_off_or_hostile_are_rejected() -> None:
     reasons = {each.row: each.reason for each in rejected}
     assert reasons[0] == "is not a CDR message"
     assert reasons[len(data) // 2] == "is cut off"
+    late = bytearray(data)
+    late[8:12] = struct.pack("<I", 2 * 10**9)
+    for _ in range(2):
+        with pytest.raises(ValueError, match="has a stamp with 2000000000 nanoseconds"):
+            reader.one(bytes(late), np.zeros(1, np.int64))
     late = messages.data(messages.of("DynamicJointState", messages.header(0), ["elbow"], []))
     assert "elements of interface_values" in reader.columns([late], np.zeros(1, np.int64))[1][0].reason

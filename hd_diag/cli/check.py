@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import click
 
-from hd_diag.cli.options import JSON, tell, verb, write_json
+from hd_diag.cli.options import JSON, Problem, tell, verb, write_json
 from hd_diag.config.assessment import Assessment, assess
 from hd_diag.config.configuration import JointConfig, load
 from hd_diag.formatting import ARCSEC
 from hd_diag.gear.characteristics import ECCENTRICITY
+from hd_diag.messages.field_path import path_in
+from hd_diag.messages.schemas import jazzy
 
 
 @verb("check config/example_drive.yaml")
@@ -23,6 +25,8 @@ def check(config_file: str, json_file: str | None) -> None:
     catalogue page.
     """
     config = load(config_file)
+    for joint in config.joints:
+        check_fields(joint)
     found = {joint.name: assess(config, joint) for joint in config.joints}
     if json_file:
         content = {"schema": "hd_diag/check/1", "valid": True, "parameters": dict(config.flat)}
@@ -33,12 +37,24 @@ def check(config_file: str, json_file: str | None) -> None:
         tell(f"{config_file}: valid")
 
 
+def check_fields(joint: JointConfig) -> None:
+    """Refuse a signal whose type is ROS 2 Jazzy's own and has no such field; others are known by bags."""
+    for name, signal in joint.mapped.items():
+        if signal.type_name in jazzy().fielddefs:
+            try:
+                path_in(jazzy(), signal.type_name, signal)
+            except ValueError as error:
+                raise Problem(f"{name}: {error}") from error
+
+
 def describe(joint: JointConfig, assessed: Assessment) -> None:
     """Print what a joint is."""
     drive, found = joint.configured, assessed.found
     mesh = drive.mesh
+    names = zip(joint.signals, (joint.input_joint, joint.output_joint), strict=False)
+    ends = [f"{s.field} ({s.topic or s.name})" if s else name for s, name in names]
     tell(
-        f"{joint.name}: {joint.input_joint} -> {joint.output_joint}, ratio {drive.kinematics.ratio:g}, "
+        f"{joint.name}: {ends[0]} -> {ends[1]}, ratio {drive.kinematics.ratio:g}, "
         f"{mesh.geometry.flexspline_teeth}/{mesh.geometry.circular_spline_teeth} teeth, "
         f"rated {drive.rated_torque:g} N m, eccentricity {abs(mesh.eccentricity) * 1e6:g} um"
     )

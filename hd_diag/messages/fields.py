@@ -7,7 +7,7 @@ for each such layout, from one message; the others are compared with it in all b
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,17 +21,25 @@ from hd_diag.streams.columns import JointStates
 from hd_diag.streams.signals import Signal
 
 _REMEMBERED = 64  # layouts
+_FIRST = np.zeros(1, np.int64)
 _NANOSECONDS = 1_000_000_000
+_CODES = dict(zip(("i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f4", "f8"), "bhiqBHIQfd", strict=True))
 _SIZES = {name: int(code[1]) for name, code in DTYPES.items()}
 
 
 class _Layout(NamedTuple):
-    """Messages of one size: bytes (m,) that are as in the template; places and types of numbers by key."""
+    """Messages of one size: bytes (m,) that are as in the template; places and types of numbers by key.
+
+    `known` are those bytes of the template; `unpack` and `time` read the numbers and the stamp's two.
+    """
 
     fixed: Integers
     template: Bytes
     numbers: dict[str, tuple[int, str]]
     stamp: tuple[int, ...]
+    known: bytes
+    unpack: tuple[Callable[[bytes, int], tuple[Any, ...]], ...]
+    time: tuple[Callable[[bytes, int], tuple[Any, ...]], ...]
 
 
 class FieldReader:
@@ -71,10 +79,29 @@ class FieldReader:
 
     def one(self, data: bytes, received: Times) -> JointStates:
         """Signals, n = 1, of one message; ValueError says how it is malformed."""
+        view = np.frombuffer(data, np.uint8)
+        for layout in self._layouts.get(len(data), ()):
+            if view[layout.fixed].tobytes() == layout.known:
+                return self._one(layout, data, received)
         columns, rejected = self.columns([data], received)
         if rejected:
             raise ValueError(rejected[0].reason)
         return columns[0]
+
+    def _one(self, layout: _Layout, data: bytes, received: Times) -> JointStates:
+        values, stamp = [], received
+        for (key, (place, _)), unpack in zip(layout.numbers.items(), layout.unpack, strict=True):
+            unit = self._units[key]
+            values.append(unpack(data, place)[0] * unit.factor + unit.offset)
+        if layout.stamp:
+            (second,), (nano,) = (
+                unpack(data, p) for unpack, p in zip(layout.time, layout.stamp, strict=True)
+            )
+            if nano >= _NANOSECONDS:
+                raise ValueError(_bad_stamp(nano))
+            stamp = np.array([second * _NANOSECONDS + nano])
+        signals = np.array([values]) if values else None
+        return JointStates(_FIRST, stamp, (), "", None, None, None, signals, tuple(layout.numbers))
 
     def _by_layout(
         self, rows: Bytes, index: Integers, rejected: list[Rejection]
@@ -107,7 +134,13 @@ class FieldReader:
             parts = [walk.place(self._type_name, (*self._stamp, Step(part))) for part in ("sec", "nanosec")]
             stamp = tuple(part[0] for part in parts if part is not None)
         fixed = np.unique(np.concatenate([np.arange(4), *(np.arange(*part) for part in walk.fixed)]))
-        layout = _Layout(fixed.astype(np.int64), np.frombuffer(data, np.uint8), numbers, stamp)
+        fixed, template = fixed.astype(np.int64), np.frombuffer(data, np.uint8)
+        order = "<" if data[1] else ">"
+        unpack, time = (
+            tuple(struct.Struct(order + _CODES[kind]).unpack_from for kind in kinds)
+            for kinds in ([kind for _, kind in numbers.values()], ["i4", "u4"] if stamp else [])
+        )
+        layout = _Layout(fixed, template, numbers, stamp, template[fixed].tobytes(), unpack, time)
         if sum(map(len, self._layouts.values())) >= _REMEMBERED:
             self._layouts.clear()
         self._layouts.setdefault(len(data), []).append(layout)
@@ -123,8 +156,7 @@ class FieldReader:
             second, nano = (_column(rows, place, order + kind) for place, kind in kinds)
             stamp = second.astype(np.int64) * _NANOSECONDS + nano
             for row in np.flatnonzero(nano >= _NANOSECONDS).tolist():
-                text = f"has a stamp with {nano[row]} nanoseconds, 1e9 or more"
-                rejected.append(Rejection(int(index[row]), text))
+                rejected.append(Rejection(int(index[row]), _bad_stamp(nano[row])))
             good = nano < _NANOSECONDS
             rows, index, stamp = rows[good], index[good], stamp[good]
         if not index.size:
@@ -135,6 +167,10 @@ class FieldReader:
         ]
         signals = np.stack(values, axis=1) if values else None
         yield JointStates(index, stamp, (), "", None, None, None, signals, tuple(layout.numbers))
+
+
+def _bad_stamp(nano: int) -> str:
+    return f"has a stamp with {nano} nanoseconds, 1e9 or more"
 
 
 def _by_size(payload: Bytes | Sequence[bytes | memoryview]) -> Iterator[tuple[Bytes, Integers]]:
