@@ -92,7 +92,8 @@ def test_motors_in_degrees_that_wrap_beside_links(given: dict[str, np.ndarray], 
         [("/note", STRING, string_cdr("x"), START)],
     )
     content, config = found_in(path, tmp_path)
-    assert [topic["name"] for topic in content["topics"]][-1] == "/note"
+    rates = {topic["name"]: topic["rate"] for topic in content["topics"]}
+    assert (rates["/links/joint_states"], rates["/note"]) == (pytest.approx(200.0), None)
     (joint,) = config.joints
     assert joint.signals.input.topic == "/motors/joint_states"
     record = read_bags([path], joint)

@@ -14,7 +14,7 @@ from rosbags.typesys.store import Typestore
 from hd_diag.arrays import Floats
 from hd_diag.bag.block import Topic
 from hd_diag.bag.errors import BagError
-from hd_diag.bag.reader import BagReader
+from hd_diag.bag.reader import BagReader, Batch
 from hd_diag.messages.field_path import DTYPES, TEXT, holds_texts, is_array
 from hd_diag.messages.fields import FieldReader
 from hd_diag.messages.publications import OWN_OUTPUTS
@@ -129,10 +129,19 @@ def _fields(reader: BagReader, topic: Topic) -> dict[str, str]:
         return {}
     store = reader.types(topic)
     for batch in reader.batches([topic.name]):
-        for _, message in reader.deserialize(batch)[0] if batch.topic is topic else ():
+        for message in _first(reader, batch) if batch.topic is topic else ():
             found = dict(_leaves(store, topic.type_name, message))
             return found if len(found) <= _MOST_NUMBERS else {}
     raise BagError(reader.path, f"{topic.name}: no message can be read")
+
+
+def _first(reader: BagReader, batch: Batch) -> Iterator[Any]:
+    """Messages that can be read, one after the other."""
+    for i in range(len(batch)):
+        one = Batch(
+            batch.topic, batch.log_time[i : i + 1], batch.publish_time[i : i + 1], batch.payload[i : i + 1]
+        )
+        yield from (message for _, message in reader.deserialize(one)[0])
 
 
 def _leaves(store: Typestore, type_name: str, message: Any, prefix: str = "") -> Iterator[tuple[str, str]]:

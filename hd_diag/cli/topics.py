@@ -9,7 +9,6 @@ from typing import Any
 import click
 import numpy as np
 
-from hd_diag.bag import BagError
 from hd_diag.bag.block import Topic
 from hd_diag.bag.contents import Number, Pair, beside, numbers, pairs
 from hd_diag.bag.reader import BagReader
@@ -38,8 +37,8 @@ def topics(bag: Path, json_file: str | None) -> None:
         for topic in reader.topics:
             try:
                 found, problem = numbers(reader, topic), ""
-            except (BagError, ValueError) as error:
-                found, problem = [], getattr(error, "cause", str(error))
+            except Exception as error:  # rosbags raises several kinds on hostile definitions and data
+                found, problem = [], str(error)
             every += found
             seen.append((topic, found, problem))
         result = _result(reader, seen, every)
@@ -63,20 +62,21 @@ def _result(
         "bag": str(reader.path),
         "duration": reader.duration,
         "problems": reader.problems,
-        "topics": [_topic(*each) for each in seen],
+        "topics": [_topic(reader.duration, *each) for each in seen],
         "joints": joints,
         "mapping": text(flat) if joints else "",
     }
 
 
-def _topic(topic: Topic, found: list[Number], problem: str) -> dict[str, Any]:
-    span = max((n.time[-1] - n.time[0] for n in found if n.time.size > 1), default=0.0)
-    count = max((n.time.size for n in found), default=0)
+def _topic(duration: float, topic: Topic, found: list[Number], problem: str) -> dict[str, Any]:
+    """Content of a topic; its rate by its stamps, or by the duration [s] of the bag."""
+    longest = max((n.time for n in found), key=len, default=np.zeros(0))
+    span, count = (longest[-1] - longest[0], longest.size) if longest.size > 1 else (duration, topic.count)
     return {
         "name": topic.name,
         "type": topic.type_name,
         "messages": topic.count,
-        "rate": (count - 1) / span if span > 0.0 else None,
+        "rate": (count - 1) / span if span > 0.0 and count > 1 else None,
         "problem": problem,
         "joints": sorted({n.tag for n in found if n.tag and n.kind}),
         "numbers": [
