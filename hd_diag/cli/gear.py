@@ -16,6 +16,7 @@ from hd_diag.cli.check import describe
 from hd_diag.config import gear_file
 from hd_diag.config.assessment import Assessment, assess
 from hd_diag.config.configuration import Config, JointConfig, resolve
+from hd_diag.config.defaults import Page, resolved
 from hd_diag.config.parameters import JOINT_PARAMETERS
 
 _ARCMIN = math.pi / 10800.0  # [rad]
@@ -55,7 +56,7 @@ def _page_options(function: Any) -> Any:
 )
 @options.shown("--joint", "joint_1", "Name of the joint.")
 @click.option("--out", required=True, type=options.FILE, callback=options.check_writable, help="The file.")
-@click.option("--table", is_flag=True, help="Print every parameter of the drive.")
+@click.option("--table", is_flag=True, help="Print the drive's parameters, limits and tolerances.")
 @options.figure_option("the tooth pair")
 @options.JSON
 def gear(
@@ -108,8 +109,8 @@ def _show(config: Config, joint: JointConfig, assessed: Assessment, table: bool)
     note = _usual_ratio(joint)
     if note:
         options.tell(f"  note: {note}")
-    if table:
-        Console().print(_table(config, joint))
+    if table and assessed.page:
+        Console().print(_table(config, joint, assessed.page))
 
 
 def _usual_ratio(joint: JointConfig) -> str:
@@ -126,10 +127,11 @@ def _usual_ratio(joint: JointConfig) -> str:
     return ""
 
 
-def _table(config: Config, joint: JointConfig) -> Table:
-    table = Table("parameter", "value", "unit", "meaning")
-    for parameter in JOINT_PARAMETERS:
+def _table(config: Config, joint: JointConfig, page: Page) -> Table:
+    table = Table("parameter", "value", "unit", box=None, pad_edge=False)  # fits 80 columns
+    drive = resolved(page)
+    for parameter in (p for p in JOINT_PARAMETERS if p.name in drive or p.scale):
         value = config.flat[f"{joint.name}.{parameter.name}"]
         shown = f"{value:.6g}" if isinstance(value, float) else str(value)
-        table.add_row(*map(escape, (parameter.name, shown, parameter.unit, parameter.meaning)))
+        table.add_row(*map(escape, (parameter.name, shown, parameter.unit)))
     return table

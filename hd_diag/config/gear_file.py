@@ -69,7 +69,7 @@ def assumed(joint: JointConfig) -> str:
         f"{geometry.module / example.module:.3g}, its pitch circle times "
         f"{geometry.curve.radius / example.curve.radius:.3g}, deformation with the teeth; slots "
         f"{abs(shift) * 1e6:.1f} um further {side}, so that the least backlash goes with the "
-        " module too"
+        "module too"
     )
 
 
