@@ -348,6 +348,14 @@ def test_an_input_that_is_divided_and_wraps() -> None:
     np.testing.assert_allclose(found.input_angle, 100.0 * turns, rtol=0, atol=1e-9)
 
 
+def test_a_name_that_stands_twice_moves_no_other_column() -> None:
+    """The last of two counts, and the effort of the link is still the link's."""
+    position, effort = np.array([[1.0, 2.0, 3.0]]), np.array([[4.0, 5.0, 6.0]])
+    states = JointStates(np.array([0]), np.array([START]), ("m", "m", "l"), "", position, None, effort)
+    found = Alignment([Names("m", "l")]).take(np.zeros(1, np.int64), [states])
+    assert (found.input_angle[0], found.output_angle[0], found.torque[0]) == (2.0, 3.0, 6.0)
+
+
 def test_an_angle_that_goes_beyond_a_turn_counts_by_itself() -> None:
     """A jump near the start was a fast motor's: from where that is seen on the angle is as it is reported."""
     streams, reported = Alignment([Names("m", "l")]), [0.0, 3.5, 5.0, 8.0, 4.0]
