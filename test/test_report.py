@@ -299,12 +299,12 @@ def test_a_bag_without_output_gets_the_model_s_side(tmp_path: Path) -> None:
     config = config_file(tmp_path, input_joint=f"{HOSTILE}_motor", output_joint=HOSTILE)
     result = hd_diag("report", bag, "--config", config, "--out", out, "--json", told)
     assert (result.exit_code, result.stderr) == (0, "")
-    assert "Nothing could be judged" in result.stdout
+    assert "Nothing else could be judged: no input angle" in result.stdout
     read = Reader(out.read_text(encoding="utf-8"))
     assert {tag for tag, _ in read.tags} & {"script", "img"} == set()
-    assert "Nothing could be judged" in read.text
+    assert "Nothing else could be judged: no input angle" in read.text
     assert "<b>bag.mcap" in read.text
-    assert len(read.all("svg")) == 3
+    assert len(read.all("svg")) == 4  # one of them the torque over position
     assert "Measured against simulated" not in read.text
     assert not list(tmp_path.glob(".*"))
     found = json.loads(told.read_text())
