@@ -11,8 +11,7 @@ from hd_diag.config.configured_drive import number
 from hd_diag.config.defaults import EXAMPLE, Page, page_of
 from hd_diag.config.parameters import JOINT_PARAMETERS
 from hd_diag.drive import Drive
-from hd_diag.gear.characteristics import Characteristics, characteristics
-from hd_diag.gear.similarity import slot_shift
+from hd_diag.gear.characteristics import Characteristics, characteristics, slot_shift
 
 _FAR = 1.5  # reached over given stiffness, either way [-]
 _DISSIMILAR_TEETH = 100  # of a flexspline; with fewer the profile of ratio 100 is hardly a gear's

@@ -11,7 +11,7 @@ from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.config.defaults import DEFAULTS, EXAMPLE, resolved
 from hd_diag.config.parameters import JOINT_PARAMETERS, Parameter, nested
 from hd_diag.formatting import ARCSEC
-from hd_diag.gear.similarity import slot_shift
+from hd_diag.gear.characteristics import slot_shift
 
 _WIDTH = 118  # of a comment
 _COLUMN = 62  # at which the comment of a value begins

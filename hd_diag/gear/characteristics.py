@@ -97,6 +97,12 @@ def secant_stiffness(mesh: Mesh, cup: float, t1: float, t2: float, angle: Floats
     return np.asarray(np.diff(torque) / np.diff(beta), dtype=np.float64)
 
 
+def slot_shift(known: Geometry, geometry: Geometry) -> float:
+    """By how much a similar geometry's slots lie further out than the module alone has them [m]."""
+    deep = (known.semi_major - known.circular_spline_datum) * geometry.module / known.module
+    return geometry.circular_spline_datum - (geometry.semi_major - deep)
+
+
 def slot_phases(geometry: Geometry) -> Floats:
     """Wave generator angles [rad] in a slot pitch of the circular spline."""
     return geometry.slot_pitch / _PHASES * np.arange(_PHASES, dtype=np.float64)

@@ -78,12 +78,6 @@ def similar(known: Geometry, scale: float, teeth: int) -> Geometry:
     return _shifted(known, scale, teeth, shift)
 
 
-def slot_shift(known: Geometry, geometry: Geometry) -> float:
-    """By how much a similar geometry's slots lie further out than the module alone has them [m]."""
-    deep = (known.semi_major - known.circular_spline_datum) * geometry.module / known.module
-    return geometry.circular_spline_datum - (geometry.semi_major - deep)
-
-
 def least_backlash(geometry: Geometry) -> float:
     """Least backlash of all teeth without eccentricity and torque, over a slot pitch [m]."""
     found = contacts(Mesh(geometry), slot_phases(geometry))
