@@ -66,7 +66,9 @@ def read_bags(paths: Sequence[str | Path], joint: JointConfig) -> Record:
         raise RecordError(nothing(paths, joint, stamps))
     ratio = joint.drive.kinematics.ratio
     columns = time, given, own, torque, warm, stretch, ratio, joint.torque, speed
-    return prepare(*columns, by_current=joint.signals.is_current, stamps=stamps)
+    return prepare(
+        *columns, by_current=joint.signals.is_current, by_velocity=joint.signals.is_velocity, stamps=stamps
+    )
 
 
 def nothing(paths: Sequence[str | Path], joint: JointConfig, stamps: Stamps | None = None) -> str:
@@ -211,7 +213,11 @@ def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]
         columns = [column[order] for column in columns]
     stamp, torque_stamp, stretch, given, own, torque, speed = columns
     encoder = streams.encoders[0, 0]
-    if given.size and not joint.input_divided and encoder["high"] - encoder["low"] <= _TURN < np.ptp(given):
+    if (
+        given.size
+        and not (joint.input_divided or joint.signals.is_velocity)
+        and encoder["high"] - encoder["low"] <= _TURN < np.ptp(given)
+    ):
         # It wraps: turns that are lost in a gap follow from the output, as `prepare` has it.
         given = np.remainder(given + np.pi, 2.0 * np.pi) - np.pi
     torque = torque_between(stamp, stretch, torque, torque_stamp)

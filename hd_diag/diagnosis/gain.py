@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hd_diag.arrays import Floats, Integers
+from hd_diag.diagnosis.drift import without_drift
 from hd_diag.diagnosis.extension import extended_model, running_residual
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
@@ -121,7 +122,10 @@ def measured_gain(
     configured, fitted = every.data.configured, every.data.mask
 
     def unseen(residual: Floats) -> Floats:
-        """Held-out rows, less what each recording's encoders are off in the others, or in these."""
+        """Held-out rows, less what each recording's encoders are off in the others, or in these; or drift."""
+        if record.by_velocity:
+            own = fitted & test
+            return without_drift(residual[own], record.time[own], record.bag[own])
         for bag in np.unique(record.bag):
             own = fitted & (record.bag == bag)
             if own.any():

@@ -77,6 +77,8 @@ class Record:
         Of the smoothing of the torque [s]; 0: none.
     by_current : bool
         Whether the torque is a motor's current times a constant.
+    by_velocity : bool
+        Whether the input angle is the integral of a velocity, whose drift is free.
     stamps : Stamps
         What became of samples before.
     """
@@ -98,6 +100,7 @@ class Record:
     extent: Extent
     torque_window: float = 0.0
     by_current: bool = False
+    by_velocity: bool = False
     stamps: Stamps = UNTOLD
 
     @property
@@ -127,6 +130,7 @@ def prepare(
     assumed_torque: float = 0.0,
     reported_speed: Floats | None = None,
     by_current: bool = False,
+    by_velocity: bool = False,
     stamps: Stamps = UNTOLD,
 ) -> Record:
     """A record from raw columns of shape (n,).
@@ -141,6 +145,8 @@ def prepare(
         Used where no torque was measured [N m].
     by_current : bool
         Whether the torque is a motor's current times a constant.
+    by_velocity : bool
+        Whether the input angle is the integral of a velocity, whose drift is free.
     stamps : Stamps
         What became of samples before. A clock that is set back within a recording begins another one here.
 
@@ -202,6 +208,7 @@ def prepare(
         extent=extent(time, columns["input_angle"], run),
         torque_window=width,
         by_current=by_current and load is not None,
+        by_velocity=by_velocity,
         stamps=stamps,
     )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from hd_diag.diagnosis.drift import check_velocity
 from hd_diag.diagnosis.findings import Finding, check_ramp, check_ratio, find_steps
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.signal_findings import (
@@ -52,8 +53,11 @@ def screened(
     """
     ratio = configured.kinematics.ratio
     progress("checking the signals")
-    wrong = check_one_sensor(record, ratio) or check_degrees(record) or check_step(record, ratio)
-    wrong = wrong or check_ratio(record, ratio) or check_partner(record, configured)
+    wrong = check_one_sensor(record, ratio) or check_degrees(record)
+    wrong = wrong or check_velocity(record, configured.kinematics) or check_step(record, ratio)
+    if not record.by_velocity:  # whose slow part is free
+        wrong = wrong or check_ratio(record, ratio)
+    wrong = wrong or check_partner(record, configured)
     stamps = check_stamps(record)
     if wrong is not None:
         return Screened(subsample(record, limit), (wrong, *stamps))
@@ -64,7 +68,8 @@ def screened(
     del correction
     record = subsample(record, limit)
     torque = check_torque(record, configured) if teeth else None
-    found = [one for one in (check_ramp(record, ratio), torque, *stamps, again, *steps) if one is not None]
+    ramp = None if record.by_velocity else check_ramp(record, ratio)
+    found = [one for one in (ramp, torque, *stamps, again, *steps) if one is not None]
     if torque is not None and torque.name == TORQUE_SIGN:
         record = replace(record, torque=-record.torque, reported_torque=-record.reported_torque)
     return Screened(record, tuple(found))

@@ -61,8 +61,9 @@ class JointConfig:
         # Of a mapped angle no speed is known, of a mapped velocity no angle.
         angle, speed = (ELSEWHERE, own) if self.signals.is_velocity else (own, own and ELSEWHERE)
         keys = angle, has.get("output", ""), has.get("torque", ""), speed
-        factor = self.drive.kinematics.ratio if self.input_divided else 1.0
-        return Names(self.input_joint, self.output_joint, self.torque, keys, factor)
+        ratio = self.drive.kinematics.ratio
+        factor, velocity_ratio = ratio if self.input_divided else 1.0, ratio * self.signals.is_velocity
+        return Names(self.input_joint, self.output_joint, self.torque, keys, factor, velocity_ratio)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,8 @@
 * **Torque.** Of a sample it is the last one reported up to there, and only if that one's stamp is at most
   `LONGEST_HOLD` away; else it is not known. Live the configured torque then stands for it. Offline, where the
   next one is known too, `torque_between` interpolates between reported torques at most as far apart.
+* **A velocity is integrated** where it is what is known of the input: between messages at most `PAIRING_GAP`
+  apart, from the output's angle times the ratio on, which the integral follows over `DRIFT_TIME`.
 * **Turns are counted.** An angle that stays within one turn and jumps by more than half of one is an encoder
   that wraps: it is followed the short way. Once it goes beyond a turn it counts by itself.
 * **What is not measured** is often reported as nan: then it counts as not reported, until a number comes; an
@@ -53,7 +55,8 @@ class Names(NamedTuple):
     """What a joint is called in messages.
 
     Names of input and output in joint states, and the torque where none is known [N m]; keys of input,
-    output, torque and speed where they are signals of their own; by what reported inputs are multiplied.
+    output, torque and speed where they are signals of their own; by what reported inputs are multiplied; the
+    ratio where the input is known by its velocity, else 0.
     """
 
     input_joint: str
@@ -61,6 +64,7 @@ class Names(NamedTuple):
     torque: float = math.nan
     keys: tuple[str, str, str, str] = ("", "", "", "")
     input_factor: float = 1.0
+    velocity_ratio: float = 0.0
 
 
 class Aligned(NamedTuple):
@@ -165,6 +169,7 @@ class Alignment:
         self.foreign = 0
         self.joints["assumed_torque"] = [each.torque for each in names]
         self.joints["input_factor"] = [each.input_factor for each in names]
+        self.joints["velocity_ratio"] = [each.velocity_ratio for each in names]
         kernel().begin_after(self.joints, NEVER - 1)
 
     @property
@@ -177,6 +182,7 @@ class Alignment:
         before, self._names[number] = self._names[number], names
         self.joints["assumed_torque"][number] = names.torque
         self.joints["input_factor"][number] = names.input_factor
+        self.joints["velocity_ratio"][number] = names.velocity_ratio
         if names._replace(torque=before.torque) != before:
             self._columns.clear()
             kernel().begin_after(self.joints[number : number + 1], NEVER - 1)

@@ -18,6 +18,9 @@ LONGEST_HOLD = 200_000_000
 REMEMBERED = 256
 """Input samples kept for output angles that arrive later, and output angles that may wait for an input."""
 
+DRIFT_TIME = 30.0
+"""Time after which an integrated velocity has forgotten what it was off its output by [s]."""
+
 NEVER = -(2**62)
 """Before every stamp [ns]."""
 
@@ -58,11 +61,15 @@ JOINT = np.dtype(
         *((name, np.int64) for name in ("reason", "reason_late")),
         *((name, np.float64) for name in ("reason_value", "torque", "assumed_torque", "input_factor")),
         *((name, np.float64) for name in ("angle", "load")),
+        ("followed", np.int64),
+        *((name, np.float64) for name in ("velocity_ratio", "own", "away", "drift", "rate")),
     ]
 )
 """State of one joint: stamps [ns], when an input was last heard [ns], number of its stream, places in rings,
 counters, the last refusal, torque reported and assumed [N m], by which reported inputs are multiplied; input
-angle and torque of the last sample."""
+angle and torque of the last sample. Where the input is a velocity: whether the output is known, the
+ratio (else 0), output times ratio, how far the integral is off it and how far that drifted [rad], last
+velocity [rad/s]."""
 
 ENCODER = np.dtype(
     [("stretch", np.int64), *((name, np.float64) for name in ("angle", "low", "high", "turns"))]

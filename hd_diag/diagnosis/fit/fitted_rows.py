@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hd_diag.arrays import Floats, Integers
+from hd_diag.diagnosis.drift import drift_columns
 from hd_diag.diagnosis.fit.record_model import RecordModel
 from hd_diag.diagnosis.measured_noise import (
     MeasuredNoise,
@@ -97,7 +98,9 @@ class FittedRows:
 
     @cached_property
     def offsets(self) -> Floats:
-        """Columns of the encoders' zero at the fitted rows: one, and one for each further recording."""
+        """Columns of the encoders' zero at the fitted rows, one for each recording; or of its drift."""
+        if self.source.by_velocity:
+            return drift_columns(self.source.time, self.source.bag)[self.at]
         bag = self.record.bag
         return np.column_stack((np.ones(bag.size), *(bag == one for one in np.unique(self.source.bag)[1:])))
 
