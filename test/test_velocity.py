@@ -182,6 +182,6 @@ def test_a_cause_is_named_by_a_velocity() -> None:
     size = made.truth["effects"]["input_encoder_eccentricity"]["offset"]
     cause = sizes["input_encoder_eccentricity"]
     values = cause.effect.to_physical(cause.coefficients, cause.nonlinear)
-    assert values["offset"][0] == pytest.approx(size, rel=0.2)
+    assert values["amplitude"][0] == pytest.approx(size, rel=0.2)
     assert told.gain is not None
     assert told.gain.fraction > 0.9

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.optimize import nnls
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record, RecordError
 from hd_diag.diagnosis.ripple.ripple import ripple
-from hd_diag.diagnosis.smoothing import rate
+from hd_diag.diagnosis.smoothing import smooth
 from hd_diag.model.transmission_error import Kinematics
 
 _KNOTS = 5.0  # between which a drift goes straight [s]
 _MOST_KNOTS = 60  # of a record
-_MEMORY = 0.06  # of a filter of positions [s]
-_AHEAD = 0.01  # by which it may be centred [s]
-_TAPS = 15
+_MEMORY = 0.25  # of a filter of positions [s]
+_TAPS = 30
+_SLOW = 1.0  # [s]
 _MOST_ROWS = 120_000
-_COHERENT = 0.5  # share of the integral's error that the output's own speed explains
+_LEFT = 0.3  # of a line of the integral, which a mean of the output's angles cannot make
+_COHERENT = 0.5  # share of the integral's error that the output's own course explains
 
 
 def drift_columns(time: Floats, record: Integers) -> Floats:
@@ -55,30 +57,31 @@ def check_velocity(record: Record, kinematics: Kinematics) -> Finding | None:
 
     Notes
     -----
-    A filtered derivative of the output's angle is coherent with it and late. What the integral is off the
-    output is fitted by the output's own speed, before and after; a second encoder leaves lines at the gear's
-    orders, a filter leaves none.
+    The integral of a filtered derivative is a mean of the output's angles before, with weights that are not
+    negative: it is coherent and late. What the integral is off the output is fitted by such a mean; a second
+    encoder leaves lines at the gear's orders, a filter leaves none.
     """
     if not record.by_velocity:
         return None
     record = record.select(np.arange(min(record.size, _MOST_ROWS)))
     step = float(np.median(np.diff(record.time)))
-    error = record.input_angle / kinematics.ratio - record.output_angle
-    speed = rate(record.output_angle, record.stretch, step, 3.0 * step)
-    every = max(round((_MEMORY + _AHEAD) / _TAPS / step), 1)
-    first = -round(_AHEAD / step)
-    lags = first + every * np.arange(_TAPS)
+    lags = np.unique(np.rint(np.geomspace(1.0, max(_MEMORY / step, 2.0), _TAPS)).astype(np.int64))
     inner = np.zeros(record.size, bool)
     for begin, end in bounds(record.stretch):
-        inner[begin + lags[-1] : end + first] = True
-    columns = np.stack([np.roll(speed, lag) for lag in lags], axis=1)
-    both = without_drift(np.column_stack((columns, error)), record.time, record.bag)
-    taps = np.linalg.lstsq(both[inner, :-1], both[inner, -1], rcond=1e-9)[0]
-    rest = both[:, -1] - both[:, :-1] @ taps
-    explained = 1.0 - float(np.var(rest[inner]) / max(np.var(both[inner, -1]), 1e-300))
+        inner[begin + lags[-1] : end] = True
+    columns = [np.roll(record.output_angle, lag) - record.output_angle for lag in lags]
+    columns.append(record.input_angle / kinematics.ratio - record.output_angle)
+    both = without_drift(np.stack(columns, axis=1)[inner], record.time[inner], record.bag[inner])
+    # Quick parts tell the weights: of slow ones some is forgotten in the integral.
+    small = np.linalg.qr(both - smooth(both, record.stretch[inner], step, _SLOW), mode="r")
+    kernel, _ = nnls(small[:, :-1], small[:, -1])
+    rest = both[:, -1] - both[:, :-1] @ kernel
+    explained = 1.0 - float(np.var(rest) / max(np.var(both[:, -1]), 1e-300))
     try:
-        given = record.time[inner], record.input_angle[inner], rest[inner], record.bag[inner]
-        if ripple(*given, kinematics).found:
+        given = record.time[inner], record.input_angle[inner], record.bag[inner]
+        before, after = (ripple(*given[:2], values, given[2], kinematics) for values in (both[:, -1], rest))
+        largest = max(line.amplitude for line in before.lines)
+        if any(line.amplitude > _LEFT * largest for line in after.found):
             return None
         why = "shows no line of the gear"
     except RecordError as error:
@@ -87,7 +90,7 @@ def check_velocity(record: Record, kinematics: Kinematics) -> Finding | None:
     if explained > _COHERENT:
         text += (
             f". It is that angle, filtered: {100 * explained:.0f} % of what its integral is off is the "
-            f"output's own speed, {-1e3 * float(np.sum(taps)):.0f} ms late"
+            f"output's own course, {1e3 * step * float(kernel @ lags):.0f} ms late"
         )
     advice = (
         "No transmission error can be had of it; the robot's driver would have to publish the motor encoder's"

@@ -8,8 +8,7 @@
 * **Torque.** Of a sample it is the last one reported up to there, and only if that one's stamp is at most
   `LONGEST_HOLD` away; else it is not known. Live the configured torque then stands for it. Offline, where the
   next one is known too, `torque_between` interpolates between reported torques at most as far apart.
-* **A velocity is integrated** where it is what is known of the input: between messages at most `PAIRING_GAP`
-  apart, from the output's angle times the ratio on, which the integral follows over `DRIFT_TIME`.
+* **A velocity is integrated** from the output's angle times the ratio on: see `hd_diag.streams.integration`.
 * **Turns are counted.** An angle that stays within one turn and jumps by more than half of one is an encoder
   that wraps: it is followed the short way. Once it goes beyond a turn it counts by itself.
 * **What is not measured** is often reported as nan: then it counts as not reported, until a number comes; an
@@ -167,9 +166,8 @@ class Alignment:
         self._unseen = np.empty((0, len(names)), JOINT)
         self._columns: dict[Any, _Columns] = {}
         self.foreign = 0
-        self.joints["assumed_torque"] = [each.torque for each in names]
-        self.joints["input_factor"] = [each.input_factor for each in names]
-        self.joints["velocity_ratio"] = [each.velocity_ratio for each in names]
+        for own, each in zip(self.joints, names, strict=True):
+            own[["assumed_torque", "input_factor", "velocity_ratio"]] = each.torque, *each[4:]
         kernel().begin_after(self.joints, NEVER - 1)
 
     @property
@@ -180,9 +178,7 @@ class Alignment:
     def configure(self, number: int, names: Names) -> None:
         """Let a joint have other names, with which its stream begins anew, or another assumed torque."""
         before, self._names[number] = self._names[number], names
-        self.joints["assumed_torque"][number] = names.torque
-        self.joints["input_factor"][number] = names.input_factor
-        self.joints["velocity_ratio"][number] = names.velocity_ratio
+        self.joints[["assumed_torque", "input_factor", "velocity_ratio"]][number] = names.torque, *names[4:]
         if names._replace(torque=before.torque) != before:
             self._columns.clear()
             kernel().begin_after(self.joints[number : number + 1], NEVER - 1)

@@ -14,7 +14,8 @@ import numpy as np
 from hd_diag.arrays import Bytes, Floats, Integers, Times
 from hd_diag.model.kernel.compiler import entry_point, part
 from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TORQUE
-from hd_diag.streams.rules import CLOCK_JUMP, DRIFT_TIME, LONGEST_HOLD, NEVER, PAIRING_GAP, Given, Reason
+from hd_diag.streams.integration import integrate, with_velocity
+from hd_diag.streams.rules import CLOCK_JUMP, LONGEST_HOLD, NEVER, PAIRING_GAP, Given, Reason
 
 _INPUT, _OUTPUT, _TORQUE, _SPEED = int(Given.INPUT), int(Given.OUTPUT), int(Given.TORQUE), int(Given.SPEED)
 _REFUSED, _OTHER, _UNREADABLE = int(Given.REFUSED), int(Given.OTHER), int(Reason.UNREADABLE)
@@ -53,12 +54,12 @@ def align(
         looks = _look(row, count, joints, moments, seen, looks)
         for j in range(joints.size):
             if given[row, j]:
-                told = _velocity(joints[j], int(given[row, j]), values[row, j])
+                told = with_velocity(joints[j], int(given[row, j]), values[row, j])
                 before = joints[j].input_stamp
                 left = _checked(joints[j], row, stamp[row], told, values[row, j])
                 _count_turns(joints[j], encoders[j], left, values[row, j])
                 if joints[j].velocity_ratio != 0.0:
-                    left = _integrate(joints[j], stamp[row], before, left, values[row, j])
+                    left = integrate(joints[j], stamp[row], before, left, values[row, j])
                 if left & _TORQUE:
                     joints[j].torque, joints[j].torque_stamp = values[row, j, 2], stamp[row]
                 if left & _INPUT:
@@ -143,40 +144,6 @@ def _checked(joint: Any, row: int, stamp: int, given: int, value: Floats) -> int
             return _refuse(joint, _BAD_OUTPUT, value[1], 0)
         given &= ~_OUTPUT
     return given
-
-
-@part
-def _velocity(joint: Any, given: int, value: Floats) -> int:
-    """What is given where an input's velocity stands for its angle: checked in its place."""
-    if joint.velocity_ratio != 0.0 and given & _SPEED:
-        value[0] = value[3]
-        given |= _INPUT
-    return given
-
-
-@part
-def _integrate(joint: Any, stamp: int, before: int, given: int, value: Floats) -> int:
-    """Put the integral of the velocity in the input angle's place; what is given then.
-
-    It follows the output times the ratio, slowly: what both are apart is forgotten over `DRIFT_TIME`. Before
-    an output is known there is no angle. `before` is the stamp of the input before.
-    """
-    elapsed = (stamp - before) * 1e-9
-    if given & _INPUT:
-        if stamp - before > PAIRING_GAP:
-            joint.followed = 0  # it goes on as far off the output as it was
-        joint.away += 0.5 * (joint.rate + value[3]) * elapsed * joint.followed
-        joint.rate = value[3]
-    if given & _OUTPUT:
-        own = joint.velocity_ratio * value[1]
-        if joint.followed:
-            joint.away -= own - joint.own
-        joint.own, joint.followed = own, 1
-    if given & _INPUT and joint.followed:
-        joint.drift += (1.0 - math.exp(-min(elapsed, DRIFT_TIME) / DRIFT_TIME)) * (joint.away - joint.drift)
-        value[0] = joint.own + joint.away - joint.drift
-        return given
-    return given & ~_INPUT
 
 
 @part
