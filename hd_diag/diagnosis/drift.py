@@ -73,7 +73,7 @@ def check_velocity(record: Record, kinematics: Kinematics) -> Finding | None:
     columns.append(record.input_angle / kinematics.ratio - record.output_angle)
     both = without_drift(np.stack(columns, axis=1)[inner], record.time[inner], record.bag[inner])
     # Quick parts tell the weights: of slow ones some is forgotten in the integral.
-    small = np.linalg.qr(both - smooth(both, record.stretch[inner], step, _SLOW), mode="r")
+    small = np.asarray(np.linalg.qr(both - smooth(both, record.stretch[inner], step, _SLOW), mode="r"))
     kernel, _ = nnls(small[:, :-1], small[:, -1])
     rest = both[:, -1] - both[:, :-1] @ kernel
     explained = 1.0 - float(np.var(rest) / max(np.var(both[:, -1]), 1e-300))

@@ -8,9 +8,8 @@
 * **Torque.** Of a sample it is the last one reported up to there, and only if that one's stamp is at most
   `LONGEST_HOLD` away; else it is not known. Live the configured torque then stands for it. Offline, where the
   next one is known too, `torque_between` interpolates between reported torques at most as far apart.
-* **A velocity is integrated** from the output's angle times the ratio on: see `hd_diag.streams.integration`.
-* **Turns are counted.** An angle that stays within one turn and jumps by more than half of one is an encoder
-  that wraps: it is followed the short way. Once it goes beyond a turn it counts by itself.
+* **A velocity is integrated** from the output's angle on: see `kernel_integration`.
+* **Turns are counted.** An angle within one turn that jumps by over half of one wraps: it goes the short way.
 * **What is not measured** is often reported as nan: then it counts as not reported, until a number comes; an
   output angle also beside a torque that comes apart from the input. Other values that are none, and those
   beyond `LARGEST_ANGLE` and `LARGEST_TORQUE`, refuse the sample.
@@ -41,6 +40,7 @@ from hd_diag.streams.rules import (
     Reason,
 )
 
+_CONFIGURED = ["assumed_torque", "input_factor", "velocity_ratio"]  # of JOINT, as in Names
 _LAYOUTS = 64  # of messages, whose columns are remembered
 _NOTHING = np.zeros((1, 1))
 _NO_MOMENTS = np.empty((3, 0), np.int64)
@@ -166,8 +166,7 @@ class Alignment:
         self._unseen = np.empty((0, len(names)), JOINT)
         self._columns: dict[Any, _Columns] = {}
         self.foreign = 0
-        for own, each in zip(self.joints, names, strict=True):
-            own[["assumed_torque", "input_factor", "velocity_ratio"]] = each.torque, *each[4:]
+        self.joints[_CONFIGURED][:] = [(each.torque, *each[4:]) for each in names]
         kernel().begin_after(self.joints, NEVER - 1)
 
     @property
@@ -178,7 +177,7 @@ class Alignment:
     def configure(self, number: int, names: Names) -> None:
         """Let a joint have other names, with which its stream begins anew, or another assumed torque."""
         before, self._names[number] = self._names[number], names
-        self.joints[["assumed_torque", "input_factor", "velocity_ratio"]][number] = names.torque, *names[4:]
+        self.joints[_CONFIGURED][number] = names.torque, *names[4:]
         if names._replace(torque=before.torque) != before:
             self._columns.clear()
             kernel().begin_after(self.joints[number : number + 1], NEVER - 1)

@@ -14,7 +14,7 @@ import numpy as np
 from hd_diag.arrays import Bytes, Floats, Integers, Times
 from hd_diag.model.kernel.compiler import entry_point, part
 from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TORQUE
-from hd_diag.streams.integration import integrate, with_velocity
+from hd_diag.streams.kernel_integration import integrate, with_velocity
 from hd_diag.streams.rules import CLOCK_JUMP, LONGEST_HOLD, NEVER, PAIRING_GAP, Given, Reason
 
 _INPUT, _OUTPUT, _TORQUE, _SPEED = int(Given.INPUT), int(Given.OUTPUT), int(Given.TORQUE), int(Given.SPEED)
