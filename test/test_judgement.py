@@ -59,5 +59,18 @@ def test_the_error_is_compared_with_the_catalogue(amplitude: float) -> None:
     assert found.within == (amplitude < 45.0)
 
 
+@pytest.mark.parametrize(("size", "said"), [(0.1, True), (3.0, False)])
+def test_torsion_by_a_torque_that_is_not_measured_is_not_held_against_the_joint(
+    size: float, said: bool
+) -> None:
+    made = diagnosis(rms=MISFIT)
+    blind = dataclasses.replace(made.record, has_torque=False, torque=np.zeros(made.record.size))
+    slow = 100.0 * ARCSEC * size * np.sin(np.arange(blind.size) / 10.0)
+    blind = dataclasses.replace(blind, output_angle=blind.input_angle / 100.0 + slow)
+    found = dataclasses.replace(made, record=blind)
+    assert (normal(found) is not None) == said
+    assert "whose torque is not measured" in sentence(Answer(found))
+
+
 def test_a_joint_with_a_wrong_ratio_is_not_compared() -> None:
     assert as_json(diagnosis(findings=(WRONG_RATIO,), **ENDED), "joint_1")["normal"] is None

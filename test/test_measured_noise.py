@@ -59,6 +59,16 @@ def test_a_motion_that_never_comes_back_tells_a_lower_bound() -> None:
     assert found.high == pytest.approx(float(own.std()))
 
 
+def test_what_an_unmeasured_torque_does_is_no_noise() -> None:
+    """The wave generator comes back, the torque does not: what differs then is torsion."""
+    record = dataclasses.replace(swinging(60.0), has_torque=False)
+    fit = linearise(record, CONFIGURED, POINT)
+    own = noise.autoregressive(np.random.default_rng(3), fit.residual.size)
+    found = fit.data.noise_of(own + 1e-5 * fit.signals.torque)
+    assert not found.repeated
+    assert found.rms == pytest.approx(noise.WHITE, rel=0.1)
+
+
 def test_misfit_that_changes_at_once_leaves_covariances_that_noise_can_have() -> None:
     """Misfit three times the noise, other in every pass, gone after some samples: the noise stays white."""
     rng, count = np.random.default_rng(4), 40_000

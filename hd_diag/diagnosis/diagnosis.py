@@ -146,7 +146,7 @@ def diagnose(
         rms,
         gain,
         kept.physical(configured),
-        _described(unexplained(whole), rms),
+        _described(record, unexplained(whole), rms),
         tuple(testability(whole)),
         extended_model(whole, configured, record),
         catalogue,
@@ -194,12 +194,13 @@ def _predicting(
     return best._replace(found=found)
 
 
-def _described(lines: list[Unexplained], rms: Rms) -> tuple[Unexplained, ...]:
+def _described(record: Record, lines: list[Unexplained], rms: Rms) -> tuple[Unexplained, ...]:
     """What no cause explains: never nothing where more than noise is left."""
     if lines or not rms.misfit.plain:
         return tuple(lines)
     what = "is left, in no shape that was tried"
     if not rms.repeated:
-        what += ": drive the same motion twice, and noise can be told from it"
+        means = "drive the same motion twice" if record.has_torque else "record the torque"
+        what += f": {means}, and noise can be told from it"
     amplitude = math.sqrt(2.0 * max(rms.extended**2 - rms.noise**2, 0.0))
     return (Unexplained(0.0, "input", amplitude, "no law was found", "no law was found", what),)

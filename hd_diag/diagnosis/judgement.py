@@ -152,6 +152,7 @@ def normal(diagnosis: Diagnosis) -> Normal | None:
     -----
     The catalogue measures without load. Here torsion, friction and an offset of every run are taken off by
     a regression that knows no gear, and the noise's variance; the rest counts as one wave of that rms.
+    Without a measured torque a rest that is too large may be torsion, and nothing is said.
     """
     record = diagnosis.record
     if any(finding.fatal for finding in diagnosis.findings):
@@ -163,4 +164,5 @@ def normal(diagnosis: Diagnosis) -> Normal | None:
     rest = target - matrix @ np.linalg.lstsq(matrix, target, rcond=None)[0]
     noise = np.nan_to_num(diagnosis.rms.noise) if diagnosis.rms else 0.0
     own = max(float(np.mean(rest**2)) - noise**2, 0.0)
-    return Normal(diagnosis.configured.accuracy, _PEAK_TO_PEAK * math.sqrt(own))
+    found = Normal(diagnosis.configured.accuracy, _PEAK_TO_PEAK * math.sqrt(own))
+    return found if record.has_torque or found.within else None

@@ -59,6 +59,10 @@ class Revisits:
     apart: Floats
 
 
+NEVER = Revisits(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty((0, 1)))
+"""Of a motion that never comes back."""
+
+
 def revisits(signals: Signals) -> Revisits:
     """Moments at which wave generator, output, torque and its rise, speed and direction come back.
 

@@ -182,8 +182,10 @@ def _ended(text: str) -> str:
 def _misfit(answer: Answer) -> list[str]:
     if answer.judgement != "misfit":
         return []
-    left = answer.residual_over_noise
-    return [f"the model does not describe this record: {left:.1f} times the noise is left"]
+    left, told = answer.residual_over_noise, "the model does not describe this record"
+    if not answer.diagnosis.record.has_torque:
+        told += ", whose torque is not measured, so that torsion by it counts as unexplained"
+    return [f"{told}: {left:.1f} times the noise is left"]
 
 
 def _severity(answer: Answer) -> list[str]:

@@ -12,6 +12,7 @@ from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.drift import drift_columns
 from hd_diag.diagnosis.fit.record_model import RecordModel
 from hd_diag.diagnosis.measured_noise import (
+    NEVER,
     MeasuredNoise,
     Revisits,
     measured_covariance,
@@ -122,8 +123,8 @@ class FittedRows:
 
     @cached_property
     def revisits(self) -> Revisits:
-        """Fitted rows at which the drive is in the same state."""
-        return revisits(self._motion)
+        """Fitted rows at which the drive is in the same state; none are known where no torque is measured."""
+        return revisits(self._motion) if self.record.has_torque else NEVER
 
     def noise_of(self, residual: Floats) -> MeasuredNoise:
         """Noise of a residual of the fitted rows [rad], shape (n,), whatever misfit is in it."""
