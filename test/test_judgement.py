@@ -35,6 +35,7 @@ def test_a_cause_beside_a_misfit_is_a_misfit_and_said_first() -> None:
     made = diagnosis(cause("hysteresis"), rms=MISFIT)
     assert Answer(made).judgement == "misfit"
     assert sentence(Answer(made)).startswith("the model does not describe this record: 19.0 times the noise")
+    assert "though they do not explain it: hysteresis" in sentence(Answer(made))
     assert "no other cause is needed" not in sentence(Answer(diagnosis(rms=MISFIT)))
 
 

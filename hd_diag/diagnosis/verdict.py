@@ -153,7 +153,9 @@ def sentence(answer: Answer) -> str:
     if diagnosis.refitted is None:
         pass
     elif diagnosis.causes:
-        parts.append("beside that: " + "; ".join(map(_cause_in_words, diagnosis.causes)))
+        nearest = "nearest to it, though they do not explain it"
+        how = nearest if answer.judgement == "misfit" else "beside that"
+        parts.append(f"{how}: {'; '.join(map(_cause_in_words, diagnosis.causes))}")
     elif not diagnosis.unexplained and answer.judgement != "misfit":
         parts.append("no other cause is needed")
     else:
