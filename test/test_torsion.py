@@ -265,7 +265,7 @@ def test_kernels_are_compiled_once() -> None:
     build(drives.mesh(drives.COARSE), 6.0)(turn, np.broadcast_to(0.5, 5))
     compiled = [found for found in vars(kernel.entry).values() if hasattr(found, "signatures")]
     own = [found for found in compiled if found.py_func.__module__.endswith((".entry", ".interpolation"))]
-    assert [len(found.signatures) for found in own] == [1] * 10
+    assert [len(found.signatures) for found in own] == [1] * 11
 
 
 def test_a_cache_that_cannot_be_written_is_done_without(monkeypatch: pytest.MonkeyPatch) -> None:
