@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 ARCSEC = math.pi / 648_000.0
@@ -93,6 +93,12 @@ def arcsec(value: float) -> str:
 def words(name: str) -> str:
     """A machine name in words."""
     return name.replace("_", " ")
+
+
+def listed(names: Sequence[str], most: int) -> str:
+    """Names with commas between, no more of them than `most`."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
 
 
 def visible(text: str, longest: int | None = None) -> str:

@@ -18,7 +18,7 @@ from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record, RecordError, prepare
 from hd_diag.diagnosis.stamps import Stamps
-from hd_diag.formatting import visible
+from hd_diag.formatting import listed, visible
 from hd_diag.messages.publications import TEMPERATURE, read_temperature
 from hd_diag.streams.alignment import Aligned, Alignment
 from hd_diag.streams.interpolation import torque_between
@@ -89,8 +89,7 @@ def nothing(paths: Sequence[str | Path], joint: JointConfig, stamps: Stamps | No
     for path in paths:
         with BagReader(path) as reader:
             names |= joints_in(reader)
-    more = f" and {len(names) - _NAMES_SHOWN} more" if len(names) > _NAMES_SHOWN else ""
-    there = f"{', '.join(visible(name) for name in sorted(names)[:_NAMES_SHOWN]) or 'no joint'}{more}"
+    there = listed([visible(name) for name in sorted(names)], _NAMES_SHOWN) or "no joint"
     return f"{text}; joint states there hold {there}"
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from hd_diag.bag.block import Topic
 from hd_diag.bag.errors import BagError
 from hd_diag.bag.reader import BagReader, Batch, Mixed
-from hd_diag.formatting import visible
+from hd_diag.formatting import listed, visible
 from hd_diag.messages.fields import FieldReader
 from hd_diag.messages.joint_states import JOINT_STATE, JointStateReader, Rejection
 from hd_diag.messages.publications import INPUT, OWN_OUTPUTS, TEMPERATURE, temperature_topic
@@ -161,5 +161,4 @@ def joints_in(reader: BagReader) -> frozenset[str]:
 def held(reader: BagReader) -> str:
     """Topics of a bag with their types, for an error."""
     topics = [f"{visible(t.name, _LONGEST)} ({visible(t.type_name, _LONGEST)})" for t in reader.topics]
-    more = f" and {len(topics) - _SHOWN} more" if len(topics) > _SHOWN else ""
-    return f"it has {', '.join(topics[:_SHOWN])}{more}" if topics else "it has no topics"
+    return f"it has {listed(topics, _SHOWN)}" if topics else "it has no topics"

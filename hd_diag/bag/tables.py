@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hd_diag.arrays import Floats
+from hd_diag.arrays import Floats, Integers
 from hd_diag.bag.joint_record import InputRecord
 from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.blocks import unwrapped
@@ -76,9 +76,7 @@ def read_table_motion(paths: Sequence[str | Path], table: Table, joint: JointCon
     angle = "input" if "input" in table.columns else "output"
     found, _ = columns_of(paths, table, joint, ("time", angle, "torque"))
     record, values = found["record"].astype(np.int64), found[angle]
-    for begin, end in bounds(record):
-        if np.ptp(values[begin:end]) <= _TURN:
-            values[begin:end] = unwrapped(values[begin:end])
+    _follow(values, record)
     if angle == "output":
         values = values * joint.drive.kinematics.ratio
     usable = np.isfinite(found["time"]) & np.isfinite(values) & np.isfinite(found["torque"])
@@ -107,12 +105,16 @@ def columns_of(
     recording = np.stack((number, found.get("record", np.zeros(number.size))), axis=1)
     found["record"] = np.unique(recording, axis=0, return_inverse=True)[1].reshape(-1)
     if (table.divided or joint.input_divided) and "input" in found:
-        for begin, end in bounds(found["record"]):
-            part = found["input"][begin:end]
-            if part.size and np.ptp(part) <= _TURN:
-                found["input"][begin:end] = unwrapped(part)
+        _follow(found["input"], found["record"].astype(np.int64))
         found["input"] *= joint.drive.kinematics.ratio
     return found, files[0][1]
+
+
+def _follow(angle: Floats, record: Integers) -> None:
+    """Make angles that stay within a turn continuous, in place, recording by recording."""
+    for begin, end in bounds(record):
+        if begin < end and np.ptp(angle[begin:end]) <= _TURN:
+            angle[begin:end] = unwrapped(angle[begin:end])
 
 
 def _file(path: Path, table: Table) -> tuple[dict[str, Floats], bool]:

@@ -23,7 +23,6 @@ _PARTS = 6
 _CLUSTERS = 60
 _MOST_ROWS = 20_000  # of the fit of ramps
 _INPUT_ORDERS = (1, 2, 4)  # of waves that any gear may have
-_SLOW = 0.02  # of the greatest speed, where friction turns
 _STEP = 0.25  # of a tooth pitch
 _DEGREES = math.degrees(1.0)
 _BITS = range(10, 25)  # of encoders
@@ -129,7 +128,7 @@ def _ramps(record: Record, ratio: float) -> tuple[Floats, float, float]:
     ideal = record.input_angle / ratio
     load = record.torque / max(float(np.max(np.abs(record.torque))), 1e-9)
     waves = [wave for order in _INPUT_ORDERS for wave in _waves(order * record.input_angle)]
-    way = np.tanh(record.speed / (_SLOW * max(float(np.percentile(np.abs(record.speed), 99)), 1e-9)))
+    way = record.way
     shared = (
         *(load, load * np.abs(load), load**3, record.speed, way, way * load, way * np.abs(load)),
         *_waves(ideal),

@@ -13,7 +13,7 @@ from hd_diag.diagnosis.drift import without_drift
 from hd_diag.diagnosis.extension import extended_model, running_residual
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
-from hd_diag.diagnosis.noise import slices
+from hd_diag.diagnosis.noise import numbered, slices
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.search.causes import Search
 from hd_diag.diagnosis.search.order_table import part
@@ -105,7 +105,7 @@ def renumbered(record: Record) -> Record:
     """Run numbers from zero, with a new run wherever rows are missing."""
     step = float(np.median(np.diff(record.time)))
     change = (np.diff(record.run) != 0) | (np.diff(record.time) > 20.0 * step)
-    return replace(record, run=np.concatenate(([0], np.cumsum(change))).astype(np.int64))
+    return replace(record, run=numbered(change))
 
 
 def measured_gain(

@@ -63,6 +63,11 @@ def bounds(run: Integers) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in pairwise(edges.tolist())]
 
 
+def numbered(change: npt.NDArray[np.bool_]) -> Integers:
+    """Numbers, from zero, of the stretches that n - 1 changes from row to row divide; shape (n,)."""
+    return np.concatenate(([0], np.cumsum(change))).astype(np.int64)
+
+
 def spans(rows: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
     """First row and end of every stretch of rows that are true."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], rows, [False])).astype(np.int8)))
@@ -74,7 +79,7 @@ def slices(time: Floats, run: Integers, seconds: float) -> Integers:
     edges = bounds(run)
     begun = np.repeat([time[begin] for begin, _ in edges], [end - begin for begin, end in edges])
     change = (np.diff((time - begun) // seconds) != 0) | (np.diff(run) != 0)
-    return np.concatenate(([0], np.cumsum(change))).astype(np.int64)
+    return numbered(change)
 
 
 def whitening(residual: Floats, run: Integers) -> Whitening:

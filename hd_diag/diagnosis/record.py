@@ -11,7 +11,7 @@ from scipy.ndimage import median_filter
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.blocks import filtered, unwrapped
-from hd_diag.diagnosis.noise import bounds, spans
+from hd_diag.diagnosis.noise import bounds, numbered, spans
 from hd_diag.diagnosis.smoothing import best_width, rate, settled, smooth
 from hd_diag.diagnosis.stamps import UNTOLD, Stamps, by_clock
 
@@ -23,8 +23,11 @@ MINIMUM_SAMPLES = 200
 """Fewer samples than this are too short a record."""
 
 _PAUSE = 0.2  # rest that ends a run [s]
+_SLOW = 0.02  # of the top speed, within which friction turns [-]
 _REST_SPEED = 0.02  # of the record's 95th percentile of speed, below which the joint rests [-]
-_GAP_STEPS = 5.5  # a step this many times the usual one is a gap: state and filters restart
+GAP_STEPS = 5.5
+"""A step this many times the usual one is a gap: state and filters restart."""
+
 _SPEED_WINDOW = 0.03  # [s]
 _HEAT_WINDOW = 2.0  # [s]
 _LONG_GAP_STEPS = 200.0  # a step this many times the usual one is more than a cause remembers through
@@ -108,6 +111,16 @@ class Record:
         """Number of samples."""
         return int(self.time.size)
 
+    @property
+    def top_speed(self) -> float:
+        """Input speed that hardly any sample is above [rad/s]."""
+        return max(float(np.percentile(np.abs(self.speed), 99)), 1e-9)
+
+    @property
+    def way(self) -> Floats:
+        """Direction of the motion, -1 to 1 through rest as friction turns, shape (n,)."""
+        return np.asarray(np.tanh(self.speed / (_SLOW * self.top_speed)))
+
     def select(self, rows: Rows | Integers) -> Record:
         """The record of some rows; their run numbers stay."""
         columns = {name: column for name, column in vars(self).items() if isinstance(column, np.ndarray)}
@@ -178,7 +191,7 @@ def prepare(
     columns |= {"bag": bag, "reported_speed": reported_speed}
     columns = _kept(columns, usable)
     bag, output = columns["bag"], _unwrapped(columns["output_angle"], columns["bag"])
-    segment = _segments(columns["time"], bag, _GAP_STEPS)
+    segment = segments(columns["time"], bag, GAP_STEPS)
     angle = _with_turns(columns["input_angle"], output, bag, segment, ratio)
     if float(np.ptp(angle)) < np.pi:
         raise RecordError(
@@ -204,7 +217,7 @@ def prepare(
         outliers=keep.size - int(np.count_nonzero(keep)),
         dropped=dropped + refused,
         reported_torque=raw,
-        stretch=_segments(time, columns["bag"], _LONG_GAP_STEPS),
+        stretch=segments(time, columns["bag"], _LONG_GAP_STEPS),
         extent=extent(time, columns["input_angle"], run),
         torque_window=width,
         by_current=by_current and load is not None,
@@ -270,12 +283,12 @@ def _with_turns(angle: Floats, output: Floats, bag: Integers, segment: Integers,
     return result
 
 
-def _segments(time: Floats, bag: Integers, gap: float) -> Integers:
+def segments(time: Floats, bag: Integers, gap: float) -> Integers:
     """Numbers of stretches without a gap [usual steps], a stamp that goes back, or another recording."""
     step = np.diff(time)
     usual = np.median(step[step > 0.0])
     breaks = (step > gap * usual) | (step <= 0.0) | (np.diff(bag) != 0)
-    return np.concatenate(([0], np.cumsum(breaks))).astype(np.int64)
+    return numbered(breaks)
 
 
 def _outliers(error: Floats, bag: Integers) -> Rows:

@@ -12,7 +12,6 @@ from hd_diag.diagnosis.record import Record
 
 _CLUSTERS = 24
 _NEAR_ZERO = 0.05  # of the rated torque, where flanks change
-_SLOW = 0.02  # of the greatest speed, where friction turns
 
 
 class Regression(NamedTuple):
@@ -57,6 +56,5 @@ def regression(columns: Sequence[Floats], values: Floats, group: Integers) -> Re
 def usual_laws(record: Record, rated_torque: float) -> list[Floats]:
     """What torsion and friction of any joint go with, each of order one, shape (n,)."""
     load = record.torque / rated_torque
-    top = max(float(np.percentile(np.abs(record.speed), 99)), 1e-9)
     torsion = [load, load * np.abs(load), load**3, np.tanh(load / _NEAR_ZERO)]
-    return [*torsion, record.speed / top, np.tanh(record.speed / (_SLOW * top))]
+    return [*torsion, record.speed / record.top_speed, record.way]

@@ -11,7 +11,7 @@ from hd_diag.effects.effect import Stepped, Values
 from hd_diag.effects.excitation import both_directions, enough_input_turns
 from hd_diag.effects.mesh_torque import MeshTorque
 from hd_diag.effects.quantity import Quantity
-from hd_diag.effects.recursions import relax
+from hd_diag.effects.recursions import lag
 from hd_diag.effects.signals import Signals
 
 # Time [s] and input angle [rad] of the last sample, None before the first; z.
@@ -44,7 +44,7 @@ class CoulombWindup(MeshTorque):
         bent = np.abs(moved) + creep * np.maximum(step, 0.0)
         left = np.exp(-bent / way)
         aim = moved / np.where(bent > 0.0, bent, 1.0)
-        bend = relax(np.array([z + 0j]), left + 0j, ((1.0 - left) * aim + 0j)[:, None])[:, 0].real
+        bend = lag(z, left, (1.0 - left) * aim)
         more = 1.0 + share * np.exp(-((signals.speed / slow) ** 2))
         return (more * bend)[:, None], ((float(time[-1]), float(angle[-1])), float(bend[-1]))
 

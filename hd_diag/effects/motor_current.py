@@ -11,7 +11,7 @@ from hd_diag.effects.effect import Stepped, Values
 from hd_diag.effects.excitation import enough_input_turns, torque_known
 from hd_diag.effects.mesh_torque import MeshTorque
 from hd_diag.effects.quantity import Quantity
-from hd_diag.effects.recursions import relax
+from hd_diag.effects.recursions import lag
 from hd_diag.effects.signals import Signals
 
 REFERENCE = 100.0
@@ -43,8 +43,7 @@ class MotorCurrent(MeshTorque):
         speed, torque = signals.forward_speed, signals.torque
         last, followed = (float(signals.time[0]), float(speed[0])) if state is None else state
         left = np.exp(-np.maximum(np.diff(signals.time, prepend=last), 0.0) / _SMOOTH)
-        added = np.asarray((1.0 - left) * speed, dtype=np.complex128)[:, None]
-        behind = relax(np.array([followed + 0j]), left + 0j, added)[:, 0].real
+        behind = lag(followed, left, (1.0 - left) * speed)
         sign = speed / (np.abs(speed) + max(nonlinear[0], 1e-9))
         drag = np.sign(speed) * np.abs(speed / REFERENCE) ** _POWER
         rate = (speed - behind) / (_SMOOTH * REFERENCE)

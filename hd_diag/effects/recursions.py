@@ -78,6 +78,12 @@ def relax(state: Complexes, decay: Complexes, added: Complexes) -> Complexes:
     return found
 
 
+def lag(state: float, decay: Floats, added: Floats) -> Floats:
+    """The same recursion of one real column: decays, what is added and q after every step, shape (n,)."""
+    decays, column = decay.astype(np.complex128), added.astype(np.complex128)[:, None]
+    return relax(np.array([state + 0j]), decays, column)[:, 0].real
+
+
 def _slip(state: float, change: Floats) -> Floats:
     result = np.empty(change.size)
     for index in range(change.size):

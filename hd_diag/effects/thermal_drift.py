@@ -10,7 +10,7 @@ from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Effect, Stepped, Values, by_run
 from hd_diag.effects.excitation import temperature_varies
 from hd_diag.effects.quantity import Quantity
-from hd_diag.effects.recursions import relax
+from hd_diag.effects.recursions import lag
 from hd_diag.effects.signals import Signals
 from hd_diag.formatting import ARCSEC
 
@@ -47,7 +47,7 @@ def _lagging(state: State, signals: Signals, nonlinear: Values) -> tuple[Floats,
     left = np.exp(-np.diff(time, prepend=last) / max(nonlinear[0], _AT_ONCE))
     kept = np.where(known, left, 1.0)
     added = np.where(known, (1.0 - left) * np.where(known, heat, 0.0), 0.0)
-    follows = relax(np.array([y + 0j]), kept + 0j, (added + 0j)[:, None])[:, 0].real
+    follows = lag(y, kept, added)
     return np.where(known, follows - REFERENCE, 0.0)[:, None], (float(time[-1]), float(follows[-1]))
 
 

@@ -16,6 +16,7 @@ from hd_diag.fleet import FleetError
 from hd_diag.fleet.journal import Journal
 from hd_diag.fleet.rows import Row, Task, judge, tasks
 from hd_diag.fleet.survey import Survey, survey
+from hd_diag.formatting import listed
 from hd_diag.messages.joint_states import JOINT_STATE
 from hd_diag.process_pool import Failure, Pool, run
 from hd_diag.replay.versions import running
@@ -124,7 +125,6 @@ def _unusable(seen: Survey, joints: tuple[JointConfig, ...]) -> Row:
     if not (seen.error or seen.names):
         return {"error": f"has no topic with {JOINT_STATE} and none that a joint is mapped to"}
     names = sorted(seen.names)
-    more = f" and {len(names) - _NAMES_SHOWN} more" if len(names) > _NAMES_SHOWN else ""
     wanted = ", ".join(shown(joint.output_joint) for joint in joints[:_NAMES_SHOWN])
-    held = ", ".join(map(shown, names[:_NAMES_SHOWN])) or "nothing"
-    return {"error": seen.error.partition(": ")[2] or seen.error or f"no {wanted}; it has {held}{more}"}
+    held = listed([shown(name) for name in names], _NAMES_SHOWN) or "nothing"
+    return {"error": seen.error.partition(": ")[2] or seen.error or f"no {wanted}; it has {held}"}

@@ -107,22 +107,18 @@ class FieldReader:
         self, rows: Bytes, index: Integers, rejected: list[Rejection]
     ) -> Iterator[tuple[_Layout, Integers]]:
         """Layouts of messages of one size, with their positions among these."""
-        left = np.arange(len(rows))
-        for layout in [*self._layouts.get(rows.shape[1], ())]:
-            fits = (rows[left][:, layout.fixed] == layout.template[layout.fixed]).all(axis=1)
-            if fits.any():
-                yield layout, left[fits]
-                left = left[~fits]
+        left, known = np.arange(len(rows)), iter([*self._layouts.get(rows.shape[1], ())])
         while left.size:
             try:
-                layout = self._layout(rows[left[0]].tobytes())
+                layout = next(known, None) or self._layout(rows[left[0]].tobytes())
             except ValueError as error:
                 rejected.append(Rejection(int(index[left[0]]), str(error)))
                 left = left[1:]
                 continue
             fits = (rows[left][:, layout.fixed] == layout.template[layout.fixed]).all(axis=1)
-            yield layout, left[fits]
-            left = left[~fits]
+            if fits.any():
+                yield layout, left[fits]
+                left = left[~fits]
 
     def _layout(self, data: bytes) -> _Layout:
         walk = _Walk(data, self._store)

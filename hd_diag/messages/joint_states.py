@@ -17,12 +17,11 @@ from typing import NamedTuple
 import numpy as np
 
 from hd_diag.arrays import Bytes, Integers, Times
+from hd_diag.config.configured_signals import JOINT_STATE as JOINT_STATE
 from hd_diag.messages.field_path import path_in
 from hd_diag.messages.schemas import jazzy
 from hd_diag.streams.columns import JointStates
 from hd_diag.streams.signals import Signal
-
-JOINT_STATE = "sensor_msgs/msg/JointState"
 
 # Number of layouts per decoder that are remembered; one topic rarely has more than one or two.
 _REMEMBERED = 64

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hd_diag.arrays import Bytes, Times
+from hd_diag.config.configured_signals import TEMPERATURE as TEMPERATURE
 from hd_diag.messages.encoding import HEADER, encode_float64_multiarray, encode_joint_states, text
 from hd_diag.messages.joint_states import JOINT_STATE as JOINT_STATE
 from hd_diag.messages.markers import MARKERS, drawing, marker_array
@@ -18,7 +19,6 @@ from hd_diag.monitor.publications import Angles, Drawings, Publication, Report, 
 
 MULTI_ARRAY = "std_msgs/msg/Float64MultiArray"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
-TEMPERATURE = "sensor_msgs/msg/Temperature"
 STRING = "std_msgs/msg/String"
 PARAMETER_EVENT = "rcl_interfaces/msg/ParameterEvent"
 

@@ -16,6 +16,7 @@ from hd_diag.config.parameters import JOINT_PARAMETERS, SIGNALS, Value
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.judgement import Answer
+from hd_diag.diagnosis.record import GAP_STEPS
 from hd_diag.diagnosis.ripple.ripple import Ripple
 from hd_diag.diagnosis.ripple.verdict import sentence as ripple_sentence
 from hd_diag.diagnosis.verdict import sentence
@@ -33,7 +34,6 @@ _LEAK = 0.1  # strength of a peak's side lobes that are no peaks of their own
 _MOST_MARKS = 2  # orders marked for one cause
 _NOT_OF_THE_DRIVE = ("output_joint", "limits.", "tolerance.", *SIGNALS)
 _ORDERS = (8.0, 40.0)  # least and greatest end of the spectrum
-_GAP_STEPS = 5.5  # a step this many times the usual one is a gap, as the diagnosis takes it
 _TURN = 2.0 * np.pi
 
 
@@ -151,8 +151,8 @@ def quality_of(
     """
     step = np.diff(time)[np.diff(bag) == 0]
     usual = float(np.median(step))
-    near = step[step <= _GAP_STEPS * usual]
-    gaps = step[step > _GAP_STEPS * usual]
+    near = step[step <= GAP_STEPS * usual]
+    gaps = step[step > GAP_STEPS * usual]
     off = 1e6 * np.abs(near - usual)
     moved = np.diff(input_angle)[np.diff(bag) == 0]
     way, reach = float(np.abs(moved).sum()), float(np.ptp(input_angle)) / _TURN

@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from hd_diag.formatting import json_ready
+from hd_diag.formatting import json_ready, listed
 
 PREFIX = "hd_diag: "
 """What the names of this package's statuses begin with; the joint follows."""
@@ -234,9 +234,7 @@ def _cut(text: str) -> str:
 
 
 def _listed(names: Iterable[str]) -> str:
-    every = list(names) if isinstance(names, (list, tuple)) else sorted(names)
-    more = f" and {len(every) - _NAMES_SHOWN} more" if len(every) > _NAMES_SHOWN else ""
-    return ", ".join(every[:_NAMES_SHOWN]) + more
+    return listed(list(names) if isinstance(names, (list, tuple)) else sorted(names), _NAMES_SHOWN)
 
 
 def as_json(watch: Watch, now: float) -> dict[str, Any]:

@@ -72,10 +72,10 @@ def nuisance(record: Record, ratio: float) -> Floats:
         Dimensionless, of order one.
     """
     output = record.input_angle / ratio
-    top = max(float(np.percentile(np.abs(record.speed), 99)), 1e-9)
+    top = record.top_speed
     columns = [np.ones(record.size), *(record.bag == one for one in np.unique(record.bag)[1:])]
     if np.std(record.speed) > 0.05 * top:
-        columns += [record.speed / top, np.tanh(record.speed / (0.02 * top))]
+        columns += [record.speed / top, record.way]
     if record.temperature is not None and np.std(record.temperature) > 0.3:
         columns.append(record.temperature - record.temperature.mean())
     if np.ptp(output) > 0.8 * np.pi:

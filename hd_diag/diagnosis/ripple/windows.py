@@ -10,8 +10,8 @@ import numpy.typing as npt
 from numpy.polynomial import legendre
 
 from hd_diag.arrays import Complexes, Floats, Integers
-from hd_diag.diagnosis.noise import bounds
-from hd_diag.diagnosis.record import RecordError
+from hd_diag.diagnosis.noise import bounds, numbered
+from hd_diag.diagnosis.record import GAP_STEPS, RecordError, segments
 from hd_diag.diagnosis.smoothing import rate
 
 TURNS = 8.0
@@ -23,7 +23,6 @@ _CELLS = 512  # of a window, over which samples are averaged
 _LEAST_SAMPLES = 4.0  # of a period; and of a window, for each degree of its smooth part
 _SLOW = 0.1  # of the greatest speed, below which friction is not smooth
 _SPEED_WINDOW = 0.05  # [s]
-_GAP_STEPS = 5.5  # a step this many times the usual one is a gap
 _DEGREE = 3  # of the smooth part, over position and over time
 
 
@@ -93,10 +92,10 @@ def windows(time: Floats, input_angle: Floats, torque: Floats, record: Integers)
     if not (step > 0.0).any():
         raise RecordError("too short: at least two stamps that rise are needed")
     usual = float(np.median(step[step > 0.0]))
-    cut = (step > _GAP_STEPS * usual) | (step <= 0.0) | (np.diff(record) != 0)
-    speed = rate(input_angle, _number(cut), usual, _SPEED_WINDOW)
+    segment = segments(time, record, GAP_STEPS)
+    speed = rate(input_angle, segment, usual, _SPEED_WINDOW)
     way = np.sign(speed) * (np.abs(speed) > _SLOW * np.percentile(np.abs(speed), 95))
-    run = _number(cut | (np.diff(way) != 0.0))
+    run = numbered((np.diff(segment) != 0) | (np.diff(way) != 0.0))
     found = [
         (*_cells(time[part], input_angle[part], torque[part], np.abs(speed[part])), way[a], run[a], record[a])
         for begin, end in bounds(run)
@@ -111,10 +110,6 @@ def windows(time: Floats, input_angle: Floats, torque: Floats, record: Integers)
     phase, rest, weight, highest, way, run, record = map(np.array, zip(*found, strict=True))
     middle = np.sum(weight * phase, axis=1) / np.sum(weight, axis=1)
     return Windows(phase, rest, weight, way, middle, run, record, highest)
-
-
-def _number(cut: npt.NDArray[np.bool_]) -> Integers:
-    return np.concatenate(([0], np.cumsum(cut))).astype(np.int64)
 
 
 def _parts(angle: Floats, begin: int, end: int) -> list[tuple[int, slice]]:

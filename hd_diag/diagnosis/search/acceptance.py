@@ -9,6 +9,7 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.design import f_test, holds, solve
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
+from hd_diag.diagnosis.noise import numbered
 from hd_diag.diagnosis.search.ranking import Candidate
 from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
 from hd_diag.effects.effect import Effect, Stage
@@ -147,7 +148,7 @@ def _means(fit: LinearisedFit, columns: Floats) -> Floats:
     # By the clock: numbered from the begin of every run, short runs would give too few means for a proof.
     stretch = np.floor(fit.data.record.time / _SECONDS)
     change = (np.diff(stretch) != 0) | (np.diff(fit.data.run) != 0)
-    number = np.concatenate(([0], np.cumsum(change))).astype(np.int64)
+    number = numbered(change)
     count = np.bincount(number)
     wide = columns.reshape(columns.shape[0], -1)
     means = np.stack([np.bincount(number, c) / count for c in wide.T], axis=1)
