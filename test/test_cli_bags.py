@@ -89,9 +89,12 @@ def test_rejections_and_absent_joints_are_told(folder: Path, tmp_path: Path) -> 
         yaml.safe_dump({"hd_diag": {"ros__parameters": nested(parameters("a", "b"))}})
     )
     result = run(replay, bag, "--config", tmp_path / "c.yaml", "--out", tmp_path / "out.mcap")
-    assert result.exit_code == 0
+    assert result.exit_code == 2  # as of a joint that cannot be judged
     assert "a: 1 rejected, the last because: stamp of a_motor repeats the last" in result.stdout
-    assert result.stderr == "b: no sample in the bag\n"
+    assert result.stderr == (
+        f"hd-diag: b: no input angle ('b_motor') in {bag}; joint states there hold a_motor; its topics are "
+        f"/joint_states; what could serve, and the mapping to paste: hd-diag topics {bag}\n"
+    )
 
 
 def test_a_bag_that_is_being_written_is_replayed_as_far_as_it_goes(folder: Path, tmp_path: Path) -> None:

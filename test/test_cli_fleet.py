@@ -90,7 +90,10 @@ def test_every_bag_has_its_row(judged: tuple[Result, Path]) -> None:
     assert len(errors) == 6
     assert [errors[name] for name in ("good.mcap", HOSTILE, "\\udcff\\udcfe.mcap")] == [None] * 3
     assert "too short: 12 usable samples" in errors["short.mcap"]
-    assert errors["strange.mcap"] == "no 'joint_1'; it has 'elbow', 'elbow_\\x07motor'"
+    assert errors["strange.mcap"] == (
+        "no 'joint_1'; joint states there hold 'elbow', 'elbow_\\x07motor'; its topics are '/joint_states'; "
+        "hd-diag topics tells more"
+    )
     assert errors["zeros.mcap"]
 
 

@@ -11,14 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hd_diag.arrays import Floats, Integers, Times
-from hd_diag.bag.joint_topics import JointTopics, joints_in
+from hd_diag.bag.joint_topics import JointTopics, offered
 from hd_diag.bag.reader import BagReader
 from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record, RecordError, prepare
 from hd_diag.diagnosis.stamps import Stamps
-from hd_diag.formatting import listed, visible
 from hd_diag.messages.publications import TEMPERATURE, read_temperature
 from hd_diag.streams.alignment import Aligned, Alignment
 from hd_diag.streams.interpolation import torque_between
@@ -27,7 +26,6 @@ from hd_diag.streams.signals import Signal, temperatures
 _REMEMBERED = 1 << 14  # samples over which topics of one bag may lag behind each other
 _STAMPS, _VALUES = ("stamp", "torque_stamp", "stretch"), ("input_angle", "output_angle", "torque", "speed")
 _ROOM = 1 << 22  # rows for which there is room at first: an hour at 1 kHz
-_NAMES_SHOWN = 12
 _TURN = 2.0 * np.pi + 1e-6  # of an encoder that wraps [rad]
 
 
@@ -82,15 +80,16 @@ def nothing(paths: Sequence[str | Path], joint: JointConfig, stamps: Stamps | No
             f"{text}; one angle has no transmission error: the robot's driver would have to publish the "
             "motor encoder's angle, or its velocity (input: velocity); "
             + (ripple if np.isfinite(own.torque).any() else "for hd-diag ripple an effort or a current")
+            + f"; whether another topic holds it: hd-diag topics {paths[0]}"
         )
     if stamps is not None and stamps.why:
         return text + stamps.why
-    names: set[str] = set()
-    for path in paths:
-        with BagReader(path) as reader:
-            names |= joints_in(reader)
-    there = listed([visible(name) for name in sorted(names)], _NAMES_SHOWN) or "no joint"
-    return f"{text}; joint states there hold {there}"
+    return f"{text}; {offered(paths[0])}"
+
+
+def no_input(path: str | Path, joint: JointConfig) -> str:
+    """That a bag has no input angle of a joint, and what it has."""
+    return f"no input angle ({place(joint.signals.input, joint.input_joint)}) in {path}; {offered(path)}"
 
 
 def place(signal: Signal | None, name: str) -> str:

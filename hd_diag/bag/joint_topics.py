@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 
 from hd_diag.bag.block import Topic
 from hd_diag.bag.errors import BagError
@@ -159,6 +160,16 @@ def joints_in(reader: BagReader) -> frozenset[str]:
 
 
 def held(reader: BagReader) -> str:
-    """Topics of a bag with their types, for an error."""
+    """Topics of a bag with their types, and what tells more, for an error."""
     topics = [f"{visible(t.name, _LONGEST)} ({visible(t.type_name, _LONGEST)})" for t in reader.topics]
-    return f"it has {listed(topics, _SHOWN)}" if topics else "it has no topics"
+    return f"hd-diag topics tells more; it has {listed(topics, _SHOWN)}" if topics else "it has no topics"
+
+
+def offered(path: str | Path) -> str:
+    """Joints and topics of a bag, and where to go on, for an error about a joint that is not in it."""
+    with BagReader(path) as reader:
+        names = [visible(name, _LONGEST) for name in sorted(joints_in(reader))]
+        topics = [visible(topic.name, _LONGEST) for topic in reader.topics]
+    joints = f"joint states there hold {listed(names, _SHOWN) or 'no joint'}"
+    more = f"what could serve, and the mapping to paste: hd-diag topics {path}"
+    return f"{joints}; its topics are {listed(topics, _SHOWN) or 'none'}; {more}"

@@ -47,8 +47,9 @@ def replay(
 
     Time is the bag's; the machine goes as fast as it can. Without --config the bag must be a log of the node:
     its configuration and every change of it are followed, and the outputs are those of the live run, bit for
-    bit. Reads MCAP files and rosbag2 folders (MCAP or sqlite3), unfinished ones included. Ctrl-C leaves a
-    valid file and ends with code 130; after an error the output is left without its end. A bag that
+    bit. Reads MCAP files and rosbag2 folders (MCAP or sqlite3), unfinished ones included. A joint of which
+    the bag has no sample is reported on stderr, with what the bag has, and the exit code is 2. Ctrl-C leaves
+    a valid file and ends with code 130; after an error the output is left without its end. A bag that
     --overwrite replaces stays until the new one is whole, also then.
     """
     check_targets((json_file,), bag)
@@ -75,6 +76,7 @@ def replay(
         write_json(json_file, _replay_json(result, out, took))
     if json_file != "-":
         _tell_replay(result, out, took)
+    sys.exit(Problem.exit_code if result.absent else 0)
 
 
 def _replay_json(result: Replay, out: Path, took: float) -> dict[str, object]:
@@ -87,6 +89,7 @@ def _replay_json(result: Replay, out: Path, took: float) -> dict[str, object]:
         "duration": result.duration,
         "seconds": took,
         "joints": list(result.joints),
+        "absent": result.absent,
         "rejected": result.rejected,
         "missed": result.missed,
         "last_rejection": result.last_rejection,
@@ -103,10 +106,10 @@ def _tell_replay(result: Replay, out: Path, took: float) -> None:
         f"{result.messages} messages of {result.duration:.1f} s replayed in {took:.1f} s{speed} ({how}); "
         f"{result.written} written to {out}"
     )
-    for joint in result.rejected:
-        if joint not in result.joints:
-            tell(f"{joint}: no sample in the bag", err=True)
-        elif result.rejected[joint] or result.missed[joint]:
+    for joint, why in result.absent.items():
+        tell(f"hd-diag: {joint}: {why}", err=True)
+    for joint in result.joints:
+        if result.rejected[joint] or result.missed[joint]:
             last = f", the last because: {result.last_rejection[joint]}" if result.rejected[joint] else ""
             gaps = f"{result.missed[joint]} missing by the stamps"
             tell(f"{joint}: {result.rejected[joint]} rejected{last}; {gaps}")

@@ -17,7 +17,6 @@ from hd_diag.fleet.journal import Journal
 from hd_diag.fleet.rows import Row, Task, judge, tasks
 from hd_diag.fleet.survey import Survey, survey
 from hd_diag.formatting import listed
-from hd_diag.messages.joint_states import JOINT_STATE
 from hd_diag.process_pool import Failure, Pool, run
 from hd_diag.replay.versions import running
 
@@ -122,9 +121,11 @@ def _judge(todo: list[Task], outcomes: _Outcomes, journal: Journal, progress: Pr
 
 
 def _unusable(seen: Survey, joints: tuple[JointConfig, ...]) -> Row:
-    if not (seen.error or seen.names):
-        return {"error": f"has no topic with {JOINT_STATE} and none that a joint is mapped to"}
-    names = sorted(seen.names)
+    if seen.error:
+        return {"error": seen.error.partition(": ")[2] or seen.error}
     wanted = ", ".join(shown(joint.output_joint) for joint in joints[:_NAMES_SHOWN])
-    held = listed([shown(name) for name in names], _NAMES_SHOWN) or "nothing"
-    return {"error": seen.error.partition(": ")[2] or seen.error or f"no {wanted}; it has {held}"}
+    names, topics = (listed(sorted(map(shown, each)), _NAMES_SHOWN) for each in (seen.names, seen.topics))
+    held = (
+        f"joint states there hold {names or 'no joint'}; its topics are {topics}; hd-diag topics tells more"
+    )
+    return {"error": f"no {wanted}; {held}"}

@@ -11,8 +11,9 @@ import numpy as np
 
 from hd_diag.arrays import Integers, Times
 from hd_diag.bag import BagError, BagWriter, check_output, replaced
+from hd_diag.bag.joint_record import no_input
 from hd_diag.bag.reader import BagReader, Mixed
-from hd_diag.config.configuration import Config, ConfigError, JointConfig, ModelText, resolve
+from hd_diag.config.configuration import Config, ConfigError, JointConfig, resolve
 from hd_diag.config.parameters import shown
 from hd_diag.messages.publications import LAST_TIME, Encoded, resolved
 from hd_diag.messages.schemas import jazzy
@@ -22,7 +23,7 @@ from hd_diag.replay import versions
 from hd_diag.replay.events import CarriedOn, ClockSetBack, Configured, Event, MapUsed, Reported
 from hd_diag.replay.map_builder import map_limit
 from hd_diag.replay.recorded_monitor import Session
-from hd_diag.replay.sources import Sources, event_of, sources_of
+from hd_diag.replay.sources import Sources, event_of, models_of, sources_of
 from hd_diag.streams.columns import JointStates
 from hd_diag.streams.signals import temperature_changes
 
@@ -56,6 +57,8 @@ class Replay:
         What is wrong with the bag, joints without a map, software of other versions than the log's.
     joints : tuple of str
         Joints that had samples.
+    absent : dict of str to str
+        Joints that had none, with what the bag has instead.
     """
 
     reproduced: bool
@@ -67,6 +70,7 @@ class Replay:
     last_rejection: dict[str, str] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
     joints: tuple[str, ...] = ()
+    absent: dict[str, str] = field(default_factory=dict)
 
 
 def replay(
@@ -188,7 +192,14 @@ class _Run:
             {name: joint.last_rejection for name, joint in joints.items()},
             self._problems,
             tuple(name for name, joint in joints.items() if joint.samples),
+            {j.name: self._absent(j) for j in session.config.joints if not joints[j.name].samples},
         )
+
+    def _absent(self, joint: JointConfig) -> str:
+        seen = self._running.monitor.joints[joint.name]
+        if seen.rejected:
+            return f"{seen.rejected} samples, all rejected, the last because: {seen.last_rejection}"
+        return no_input(self._reader.path, joint)
 
     @property
     def _running(self) -> Session:
@@ -295,7 +306,8 @@ class _Run:
     def _configure(self, now: int, event: Configured) -> None:
         before = {} if event.new else self._running.config.flat
         try:
-            config = resolve({**before, **event.parameters}, self._model_text(event))
+            models = models_of(event, [] if event.new else self._running.config.joints)
+            config = resolve({**before, **event.parameters}, models)
         except ConfigError as error:
             raise ConfigError(f"{self._reader.path}: {error}") from error
         if event.new:
@@ -313,18 +325,6 @@ class _Run:
             self._versions_compared = True
             text = f"was recorded with {other}: outputs may differ by rounding"
             self._problems.append(str(BagError(self._reader.path, text)))
-
-    def _model_text(self, event: Configured) -> ModelText:
-        """Model files as the log holds them, whatever lies at their paths now."""
-        running = [] if event.new else self._running.config.joints
-        known = {joint.name: joint.model_text for joint in running if joint.model} | dict(event.models)
-
-        def recorded(joint: str, path: str) -> str:
-            if joint not in known:
-                raise ConfigError("the log does not hold this model")
-            return known[joint]
-
-        return recorded
 
     def _map(self, joint: JointConfig, torque_limit: float | None = None) -> TorsionMap:
         """Map of a joint as it is configured now."""

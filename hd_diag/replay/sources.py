@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 from hd_diag.bag import BagError, BagReader
 from hd_diag.bag.joint_topics import JointTopics, held
-from hd_diag.config.configuration import Config, ConfigError, recorded_signals
+from hd_diag.config.configuration import Config, ConfigError, JointConfig, ModelText, recorded_signals
 from hd_diag.messages.publications import INPUT, JOINT_STATE, STRING, temperature_topic
 from hd_diag.replay.events import Configured, Event, read_event
 from hd_diag.replay.recorded_monitor import EVENTS
@@ -64,6 +64,18 @@ def event_of(path: Path, data: bytes) -> Event | None:
         return read_event(data)
     except ValueError as error:
         raise BagError(path, f"has an event that cannot be read: {error}") from error
+
+
+def models_of(event: Configured, known: Iterable[JointConfig]) -> ModelText:
+    """Model files as a log holds them, whatever lies at their paths now."""
+    texts = {joint.name: joint.model_text for joint in known if joint.model} | dict(event.models)
+
+    def recorded(joint: str, path: str) -> str:
+        if joint not in texts:
+            raise ConfigError("the log does not hold this model")
+        return texts[joint]
+
+    return recorded
 
 
 def _of_log(reader: BagReader, topics: tuple[str, ...]) -> Sources:
