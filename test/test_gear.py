@@ -1,5 +1,6 @@
 """A drive from its catalogue page: similarity, stiffness, the section of a file, the verb, the check."""
 
+import dataclasses
 import json
 import math
 from pathlib import Path
@@ -17,7 +18,14 @@ from rclpy.parameter import Parameter
 
 from hd_diag.config.assessment import assess
 from hd_diag.config.configuration import Config, ConfigError, dump, load, resolve
-from hd_diag.config.defaults import DEFAULTS
+from hd_diag.config.defaults import DEFAULTS, EXAMPLE
+from hd_diag.config.model_file import document, parse
+from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit.linearised_fit import linearise
+from hd_diag.diagnosis.record import prepare
+from hd_diag.effects import CATALOGUE
+from hd_diag.effects.scaling import of_drive
+from hd_diag.extended_model import ExtendedModel, Range, Ranges, Term
 from hd_diag.gear.characteristics import characteristics
 from hd_diag.gear.similarity import least_backlash
 from hd_diag.model.load_sharing import mesh_state
@@ -55,6 +63,57 @@ def refusal(**values: Any) -> str:
     with pytest.raises(ConfigError) as caught:
         resolve({f"joint_1.{name.replace('__', '.')}": value for name, value in values.items()})
     return str(caught.value)
+
+
+# Causes of a small and a large gear ---
+
+
+@pytest.mark.parametrize("name", ["8/50", "65/160"])
+def test_what_is_usual_of_causes_goes_with_the_gear(name: str) -> None:
+    """Pages say by how much: lengths go with the diameter over the teeth, torques with the rated torque."""
+    size, ratio, rated = PAGES[name][:3]
+    expected = {"m": (size / ratio) / (25 / 100), "N m": rated / 56.0, "rad/(N m)": 56.0 / rated}
+    drive, angle = of_page(name).joints[0].drive, np.linspace(0.0, 60.0, 600)
+    record = prepare(0.01 * np.arange(600), angle, angle / ratio, None, None, np.zeros(600, np.int64), ratio)
+    known = linearise(record, drive, fit_parameters.vector(drive, drive)).data.catalogue
+    for effect, own in zip(CATALOGUE, known, strict=True):
+        for q, here in zip(effect.quantities, own.quantities, strict=True):
+            scale = expected.get(q.unit, 1.0)
+            wanted = [scale * each for each in (q.low, q.high, q.prior_scale)]
+            assert_allclose([here.low, here.high, here.prior_scale], wanted, rtol=1e-3, err_msg=q.name)
+    units = fit_parameters.units(drive) / np.array([scale.si for scale in fit_parameters.SCALES])
+    wanted = [*[expected["m"]] * 5, 1.0, expected["rad/(N m)"]]
+    assert_allclose(units, wanted, rtol=1e-3)
+
+
+def test_causes_of_the_example_drive_are_as_they_are_stated() -> None:
+    assert of_drive(CATALOGUE, EXAMPLE) == CATALOGUE
+
+
+@pytest.mark.parametrize(("name", "fits"), [("8/50", False), ("65/160", True)])
+@pytest.mark.parametrize(
+    ("cause", "values"),
+    [("wear_backlash", {"clearance": 1.5e-4}), ("viscous_windup", {"friction": 5e3, "exponent": 1.0})],
+)
+def test_a_model_file_holds_what_its_gear_can_have(
+    name: str, fits: bool, cause: str, values: dict[str, float]
+) -> None:
+    """150 um of wear is half a tooth of the small gear, 5 kN m thousands of times its rated torque."""
+    config = of_page(name)
+    own = {n: config.flat[f"joint_1.{n}"] for n in DEFAULTS}
+    effect = next(effect for effect in CATALOGUE if effect.name == cause)
+    wide = [dataclasses.replace(quantity, low=-1e9, high=1e9) for quantity in effect.quantities]
+    effect = dataclasses.replace(effect, quantities=tuple(wide))
+    coefficients, nonlinear = effect.from_physical(values)
+    term = Term(effect, tuple(coefficients.tolist()), nonlinear)
+    ranges = Ranges(Range(-1.0, 1.0), Range(-10.0, 10.0))
+    model = ExtendedModel(config.joints[0].drive, (term,), 0.0, ranges)
+    text = json.dumps(document("joint_1", own, model, {}, [({}, ())], {}, "0"))
+    if fits:
+        assert parse(text).model.effects[0].coefficients == tuple(coefficients.tolist())
+    else:
+        with pytest.raises(ConfigError, match=f"{cause}: {next(iter(values))} must be from"):
+            parse(text)
 
 
 # Similarity ---

@@ -28,6 +28,7 @@ from hd_diag.config.parameters import (
 )
 from hd_diag.effects import Catalogue
 from hd_diag.effects.order_line import ORDER_LINE
+from hd_diag.effects.scaling import of_drive
 from hd_diag.extended_model import ExtendedModel, Range, Ranges, Term
 
 SCHEMA = "hd_diag/model/1"
@@ -142,8 +143,9 @@ def _parsed(text: str, catalogue: Catalogue) -> ModelFile:
         drive = drive_from(parameters)
     except ValueError as error:
         raise ConfigError(f"parameters: {error}") from error
-    terms = [_term(item, f"effects[{i}]", catalogue) for i, item in enumerate(content["effects"])]
-    once = [term.effect.name for term in terms if term.effect is not ORDER_LINE]
+    known = of_drive((*catalogue, ORDER_LINE), drive)
+    terms = [_term(item, f"effects[{i}]", known) for i, item in enumerate(content["effects"])]
+    once = [term.effect.name for term in terms if term.effect.name != ORDER_LINE.name]
     if len(set(once)) != len(once):
         raise ConfigError("effects: a name stands twice")
     ranges = Ranges(*(_range(name, content["valid_range"][name]) for name in _UNITS))  # type: ignore[arg-type]
@@ -250,7 +252,7 @@ def _base(found: Mapping[str, Any], parameters: Mapping[str, Value]) -> dict[str
 
 
 def _term(found: Mapping[str, Any], where: str, catalogue: Catalogue) -> Term:
-    known = {effect.name: effect for effect in (*catalogue, ORDER_LINE)}
+    known = {effect.name: effect for effect in catalogue}
     check_known([found["name"]], known, f"{where}: unknown effect", "; your own must be given or installed")
     effect = known[found["name"]]
     if not effect.lasting:

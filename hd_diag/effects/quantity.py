@@ -22,9 +22,10 @@ class Quantity:
     unit : str
         SI; "-" for a pure number.
     low, high : float
-        Values that make sense.
+        Values that make sense; lengths, torques and compliances are those of a gear of size 25, ratio 100 and
+        56 N m, and those of another gear follow (`hd_diag.effects.scaling`).
     prior_scale : float
-        Size that is usual, in its unit.
+        Size that is usual, in its unit, of the same gear.
     meaning : str
     linear : bool
         Whether the transmission error is proportional to it. An amplitude and the direction after it count as

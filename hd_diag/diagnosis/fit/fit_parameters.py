@@ -12,6 +12,7 @@ import numpy as np
 from hd_diag.arrays import Floats, Integers
 from hd_diag.drive import Drive
 from hd_diag.effects import recursions
+from hd_diag.effects.scaling import unit_scales
 from hd_diag.formatting import ARCSEC
 from hd_diag.model import torsion
 from hd_diag.model.geometry import Geometry
@@ -27,7 +28,6 @@ class Scale:
     unit: str
 
 
-_LENGTHS = 5  # of them come first: they scale with the module
 SCALES = (
     Scale("eccentricity.x", 1e-6, 15.0, "m"),
     Scale("eccentricity.y", 1e-6, 15.0, "m"),
@@ -40,8 +40,6 @@ SCALES = (
 """The fitted parameters, in units near the precision that matters to a gear of size 25, ratio 100."""
 
 COUNT = len(SCALES)
-_MODULE = 0.0599988 / 200.0  # of that gear: sum of the neutral curve's semi-axes over teeth [m]
-_STIFFNESS = 56.0  # its rated torque, with which the stiffness goes [N m]
 _MOST_SHIFTED = (45.0, 20.0)  # eccentricity and runout
 _DATUM = (-40.0, 45.0)  # from the configured one
 _HALVINGS = 12  # towards the last datum that makes a gear
@@ -64,11 +62,8 @@ def warm_up() -> None:
 
 def units(configured: Drive) -> Floats:
     """What one of each parameter is in SI, shape (7,): lengths go with the module, the cup with torque."""
-    geometry = configured.mesh.geometry
-    found = np.array([scale.si for scale in SCALES])
-    found[:_LENGTHS] *= (geometry.semi_major + geometry.semi_minor) / geometry.flexspline_teeth / _MODULE
-    found[-1] *= _STIFFNESS / configured.rated_torque
-    return found
+    scales = unit_scales(configured)
+    return np.array([scale.si * scales.get(scale.unit, 1.0) for scale in SCALES])
 
 
 def vector(drive: Drive, configured: Drive) -> Floats:

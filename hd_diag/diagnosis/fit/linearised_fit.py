@@ -23,6 +23,7 @@ from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE, Catalogue
 from hd_diag.effects.effect import Effect, Values
 from hd_diag.effects.mesh_torque import MeshTorque
+from hd_diag.effects.scaling import of_drive
 from hd_diag.effects.signals import Signals
 
 _TEETH = 3.0  # times the usual size, to which errors of the teeth are drawn
@@ -255,4 +256,5 @@ def linearise(
     """
     found = usable(record)
     mask = found if rows is None else found & rows
-    return LinearisedFit(FittedRows(RecordModel(record, configured), mask, catalogue), parameters)
+    rows_of = FittedRows(RecordModel(record, configured), mask, of_drive(catalogue, configured))
+    return LinearisedFit(rows_of, parameters)

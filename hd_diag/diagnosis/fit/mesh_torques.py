@@ -13,9 +13,10 @@ from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.record_model import RecordModel
 from hd_diag.effects.effect import Effect, Values
 from hd_diag.effects.mesh_torque import MeshTorque
+from hd_diag.effects.scaling import unit_scales
 from hd_diag.effects.signals import Signals
 
-_STEEPEST = 1e-2  # [rad/(N m)]; no joint that bears is a hundredth as soft
+_STEEPEST = 1e-2  # [rad/(N m)], of a rated torque of 56 N m; no joint that bears is a hundredth as soft
 _TOLD_APART = 5e-3  # of the rated torque: changes of it within which derivatives are not told apart
 _STEP = 4e-3  # of the rated torque, by which the compliance is taken: a change of flanks is a step
 
@@ -63,7 +64,8 @@ class MeshTorques:
 
         if not self.causes:
             steep = whole.predicted_torque_slope  # without end in the gap between the flanks
-            return np.where(np.abs(steep) < _STEEPEST, steep, 0.0)
+            most = _STEEPEST * unit_scales(self.model.configured)["rad/(N m)"]
+            return np.where(np.abs(steep) < most, steep, 0.0)
         return self.model.kept.get((self.parameters.tobytes(), "slope", self.key), slope)
 
     @property

@@ -1,0 +1,42 @@
+"""How sizes that make sense go with the gear: lengths with its module, torques with its rated torque."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from hd_diag.drive import Drive
+from hd_diag.effects.effect import Effect
+from hd_diag.effects.quantity import Quantity
+
+# Of the gear of size 25, ratio 100, for which limits and usual sizes are stated:
+_MODULE = (0.0302584 + 0.0297404) / 200.0  # sum of the neutral curve's semi-axes over teeth [m]
+_RATED_TORQUE = 56.0  # [N m]
+
+
+def unit_scales(drive: Drive) -> Mapping[str, float]:
+    """What sizes in a unit are multiplied with for a drive: 1 for a gear of size 25, ratio 100 and 56 N m.
+
+    Angles stay: the torsion under the rated torque is nearly that of all sizes.
+    """
+    geometry = drive.mesh.geometry
+    return {
+        "m": (geometry.semi_major + geometry.semi_minor) / geometry.flexspline_teeth / _MODULE,
+        "N m": drive.rated_torque / _RATED_TORQUE,
+        "rad/(N m)": _RATED_TORQUE / drive.rated_torque,
+    }
+
+
+def of_drive(effects: Sequence[Effect], drive: Drive) -> tuple[Effect, ...]:
+    """Effects with the limits and usual sizes that suit a drive, from those that each states."""
+    scales = unit_scales(drive)
+    return tuple(
+        replace(
+            effect, quantities=tuple(_scaled(one, scales.get(one.unit, 1.0)) for one in effect.quantities)
+        )
+        for effect in effects
+    )
+
+
+def _scaled(one: Quantity, scale: float) -> Quantity:
+    return replace(one, low=scale * one.low, high=scale * one.high, prior_scale=scale * one.prior_scale)
