@@ -27,8 +27,8 @@ replay              events of a log, and the monitor over a bag
 simulation          simulated joints, and bags of them
 ros                 the node
 tolerance           studies over many drives
-fleet               studies over many bags
 report              a bag or a verdict on one page
+fleet               studies over many bags, and how each joint stands
 watch               a running node in the terminal
 cli                 one module a verb
 =================== ===================================================================================

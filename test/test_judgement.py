@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from test_verdict import ENDED, LINE, SKIP, WRONG_RATIO, cause, diagnosis, refitted
 
+from hd_diag.diagnosis.diagnosis import Allowed
 from hd_diag.diagnosis.gain import Rms
-from hd_diag.diagnosis.judgement import Answer, normal
+from hd_diag.diagnosis.judgement import Answer, beside, normal
 from hd_diag.diagnosis.verdict import as_json, sentence
 
 ARCSEC = np.pi / 648000.0
@@ -58,6 +59,48 @@ def test_the_error_is_compared_with_the_catalogue(amplitude: float) -> None:
     assert found is not None
     assert found.measured / ARCSEC == pytest.approx(2.0 * amplitude, rel=0.1)
     assert found.within == (amplitude < 45.0)
+
+
+def test_how_well_the_error_is_known_is_how_much_it_scatters_between_records() -> None:
+    """Waves whose amplitude differs from stretch to stretch: the deviation is that of many such records."""
+    made, rng = diagnosis(), np.random.default_rng(1)
+    record = made.record
+    stretch = np.arange(record.size) * 12 // record.size
+    found = []
+    for _ in range(200):
+        amplitude = ARCSEC * (30.0 + 10.0 * rng.standard_normal(12))[stretch]
+        wave = amplitude * np.cos(2.0 * record.input_angle) + 3.2 * ARCSEC * rng.standard_normal(record.size)
+        output = record.input_angle / 100.0 + wave
+        found.append(
+            normal(dataclasses.replace(made, record=dataclasses.replace(record, output_angle=output)))
+        )
+    scatter = np.std([one.measured for one in found if one])
+    assert np.median([one.std for one in found if one]) == pytest.approx(scatter, rel=0.25)
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "place"),
+    [
+        (8.0, 1.0, "within"),
+        (8.1, 1.0, "near"),
+        (11.9, 1.0, "near"),
+        (12.0, 1.0, "beyond"),
+        (8.0, np.nan, "open"),
+        (12.0, np.nan, "near"),
+        (np.nan, 1.0, "open"),
+    ],
+)
+def test_a_value_beside_its_limit(value: float, std: float, place: str) -> None:
+    """Near is where the 95 % interval holds the limit of 10."""
+    assert beside(value, std, 10.0) == place
+    assert beside(value, std, np.nan) == "open"
+
+
+def test_the_eccentricity_of_a_misfit_has_no_known_deviation() -> None:
+    made = dataclasses.replace(diagnosis(), allowed=Allowed(1e-5, "overlap"))
+    told = as_json(made, "joint_1")["tolerance"]
+    assert told["std"] == made.parameters["eccentricity.magnitude"]["std"] > 0.0
+    assert as_json(dataclasses.replace(made, rms=MISFIT), "joint_1")["tolerance"]["std"] is None
 
 
 @pytest.mark.parametrize(("size", "said"), [(0.1, True), (3.0, False)])

@@ -214,8 +214,12 @@ def test_severity_comes_first(most: float, where: str) -> None:
     assert re.fullmatch(r"the joint is within its accuracy \(\d+ of 90 arcsec peak to peak\) and .*", first)
     sizes = f"18.2 of {most * 1e6:.1f} µm"
     assert first.endswith(f"its eccentricity is {where} the tolerance's limit ({sizes}, by peak tooth load)")
-    expected = {"eccentricity": pytest.approx(18.2e-6), "allowed": most, "criterion": "peak_tooth_load"}
-    assert as_json(made, "joint_1")["tolerance"] == {**expected, "within": where == "within"}
+    expected = {"eccentricity": pytest.approx(18.2e-6), "std": pytest.approx(3e-7), "allowed": most}
+    assert as_json(made, "joint_1")["tolerance"] == {
+        **expected,
+        "criterion": "peak_tooth_load",
+        "within": where == "within",
+    }
 
 
 def test_what_a_motor_s_current_costs_is_said() -> None:

@@ -23,6 +23,27 @@ _LEAST_SHARE = 0.05  # of the noise, below which what a parameter changes is of 
 _BY_TORQUE = ("tooth_compliance", "cup_compliance")
 _MOST_ROWS = 2000
 _PEAK_TO_PEAK = 2.0 * math.sqrt(2.0)  # of a wave, over its rms
+_STRETCHES = 12  # of a record, whose scatter tells how well its mean square is known
+
+Beside = Literal["within", "near", "beyond", "open"]
+"""A value beside its limit: under it, over it, too near to it to tell which, or not to be told."""
+
+TWO_SIDED = 1.96
+"""Standard deviations to either side of a value that make its 95 % interval."""
+
+
+def beside(value: float, std: float, limit: float) -> Beside:
+    """A value with its standard deviation beside a limit; ``near`` where its 95 % interval holds the limit.
+
+    With an unknown deviation (nan) a value under the limit says nothing, one over it no more than ``near``.
+    """
+    if math.isnan(value) or math.isnan(limit):
+        return "open"
+    if math.isnan(std):
+        return "near" if value > limit else "open"
+    if value + TWO_SIDED * std <= limit:
+        return "within"
+    return "beyond" if value - TWO_SIDED * std > limit else "near"
 
 
 class Change(NamedTuple):
@@ -41,11 +62,26 @@ class Normal(NamedTuple):
 
     accuracy: float
     measured: float
+    std: float
 
     @property
     def within(self) -> bool:
         """Whether the joint is as good as its catalogue says."""
         return self.measured <= self.accuracy
+
+
+class Tolerance(NamedTuple):
+    """Eccentricity that is told beside what the assembly may have [m], and the criterion that this is by."""
+
+    eccentricity: float
+    std: float
+    allowed: float
+    criterion: str
+
+    @property
+    def within(self) -> bool:
+        """Whether the assembly is as good as it must be."""
+        return self.eccentricity <= self.allowed
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +142,15 @@ class Answer:
         changed = [change.value for change in self.changes if change.name == "eccentricity"]
         return changed[0] if changed else abs(found.configured.mesh.eccentricity)
 
+    @property
+    def tolerance(self) -> Tolerance | None:
+        """The eccentricity beside its limit; None without a limit. In a misfit its deviation is unknown."""
+        most = self.diagnosis.allowed
+        if most is None:
+            return None
+        std = self.diagnosis.parameters["eccentricity.magnitude"]["std"]
+        return Tolerance(self.eccentricity, math.nan if self.judgement == "misfit" else std, *most)
+
     @cached_property
     def normal(self) -> Normal | None:
         """The joint beside its catalogue; None where nothing can be said."""
@@ -151,8 +196,9 @@ def normal(diagnosis: Diagnosis) -> Normal | None:
     Notes
     -----
     The catalogue measures without load. Here torsion, friction and an offset of every run are taken off by
-    a regression that knows no gear, and the noise's variance; the rest counts as one wave of that rms.
-    Without a measured torque a rest that is too large may be torsion, and nothing is said.
+    a regression that knows no gear, and the noise's variance; the rest counts as one wave of that rms. How
+    much its mean square differs between stretches of the record gives the standard deviation, with that of
+    the noise. Without a measured torque a rest that is too large may be torsion, and nothing is said.
     """
     record = diagnosis.record
     if any(finding.fatal for finding in diagnosis.findings):
@@ -162,7 +208,19 @@ def normal(diagnosis: Diagnosis) -> Normal | None:
     laws = [centered(law, record.run) for law in usual_laws(record, diagnosis.configured.rated_torque)]
     matrix, target = np.stack(laws, axis=1), centered(error, record.run)
     rest = target - matrix @ np.linalg.lstsq(matrix, target, rcond=None)[0]
-    noise = np.nan_to_num(diagnosis.rms.noise) if diagnosis.rms else 0.0
-    own = max(float(np.mean(rest**2)) - noise**2, 0.0)
-    found = Normal(diagnosis.configured.accuracy, _PEAK_TO_PEAK * math.sqrt(own))
+    noise, noise_spread = _noise(diagnosis)
+    own = max(float(np.mean(rest**2)) - noise, 0.0)
+    stretches = [float(np.mean(part**2)) for part in np.array_split(rest, _STRETCHES)]
+    spread = math.hypot(float(np.std(stretches, ddof=1)) / math.sqrt(_STRETCHES), noise_spread)
+    # d sqrt(x) = dx / (2 sqrt(x)), and no more than sqrt(dx) where x vanishes.
+    std = min(spread / (2.0 * math.sqrt(own)), math.sqrt(spread)) if own > 0.0 else math.sqrt(spread)
+    found = Normal(diagnosis.configured.accuracy, _PEAK_TO_PEAK * math.sqrt(own), _PEAK_TO_PEAK * std)
     return found if record.has_torque or found.within else None
+
+
+def _noise(diagnosis: Diagnosis) -> tuple[float, float]:
+    """Mean square of the noise and its standard deviation [rad²]; zero where it is unknown."""
+    if diagnosis.rms is None or not math.isfinite(diagnosis.rms.noise):
+        return 0.0, 0.0
+    low, high = diagnosis.rms.noise_low, diagnosis.rms.noise_high
+    return diagnosis.rms.noise**2, float(np.nan_to_num((high**2 - low**2) / (2.0 * TWO_SIDED)))

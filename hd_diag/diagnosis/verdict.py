@@ -73,7 +73,7 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
         "evidence": answer.evidence,
         "described": [_row(row) for row in diagnosis.order_table],
         "normal": answer.normal and {**answer.normal._asdict(), "within": answer.normal.within},
-        "tolerance": _tolerance(answer),
+        "tolerance": answer.tolerance and {**answer.tolerance._asdict(), "within": answer.tolerance.within},
         "encoder_zeros": _zeros(diagnosis),
         "motor_current": _motor(diagnosis),
         "model": model,
@@ -192,31 +192,18 @@ def _misfit(answer: Answer) -> list[str]:
 
 def _severity(answer: Answer) -> list[str]:
     """The joint beside its catalogue's accuracy, and its eccentricity beside what the assembly may have."""
-    told, usual, beside = [], answer.normal, _tolerance(answer)
+    told, usual, assembly = [], answer.normal, answer.tolerance
     if usual is not None:
         size, allowed = usual.measured / ARCSEC, usual.accuracy / ARCSEC
         where = "within" if usual.within else "beyond"
         own = f"{size:.0f}" if size >= 0.5 else "none to be seen beside the noise,"
         told.append(f"the joint is {where} its accuracy ({own} of {allowed:.0f} arcsec peak to peak)")
-    if beside is not None:
-        where = "within" if beside["within"] else "beyond"
-        sizes = f"{beside['eccentricity'] * 1e6:.1f} of {beside['allowed'] * 1e6:.1f} µm"
-        by = words(beside["criterion"])
+    if assembly is not None:
+        where = "within" if assembly.within else "beyond"
+        sizes = f"{assembly.eccentricity * 1e6:.1f} of {assembly.allowed * 1e6:.1f} µm"
+        by = words(assembly.criterion)
         told.append(f"its eccentricity is {where} the tolerance's limit ({sizes}, by {by})")
     return [" and ".join(told)] if told else []
-
-
-def _tolerance(answer: Answer) -> dict[str, Any] | None:
-    most, own = answer.diagnosis.allowed, answer.eccentricity
-    if most is None:
-        return None
-    within = own <= most.eccentricity
-    return {
-        "eccentricity": own,
-        "allowed": most.eccentricity,
-        "criterion": most.criterion,
-        "within": within,
-    }
 
 
 def _current(diagnosis: Diagnosis) -> list[str]:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from importlib.resources import files
 from typing import Any
 
-from jinja2 import Environment, StrictUndefined, Template
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from hd_diag.diagnosis.ripple import verdict as ripple
 from hd_diag.formatting import arcsec, visible, words
@@ -19,12 +19,9 @@ from hd_diag.report.pictures.page_pictures import pictures
 
 def page(reports: Sequence[JointReport], sources: Sequence[Fact]) -> str:
     """HTML of a report, with files and their digests: the same for the same numbers, without a date."""
-    texts = files("hd_diag.report") / "templates"
-    style = (texts / "report.css").read_text(encoding="utf-8")
-    return _template((texts / "report.html.jinja").read_text(encoding="utf-8")).render(
+    return rendered(
+        "report.html.jinja",
         title=f"Harmonic drive report: {', '.join(report.name for report in reports)}",
-        policy=_policy(style),
-        style=style,
         sources=sources,
         versions=versions(),
         joints=[
@@ -33,7 +30,24 @@ def page(reports: Sequence[JointReport], sources: Sequence[Fact]) -> str:
         ],
         captions=captions,
         ripple=ripple,
-        arcsec=arcsec,
+    )
+
+
+def rendered(template: str, styles: str = "", **content: Any) -> str:
+    """HTML of a template with its content; `styles` come after those that all pages share."""
+    texts = files("hd_diag.report") / "templates"
+    style = (texts / "report.css").read_text(encoding="utf-8") + styles
+    environment = Environment(
+        loader=PackageLoader("hd_diag.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=_shown,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["words"] = words
+    return environment.get_template(template).render(
+        policy=_policy(style), style=style, arcsec=arcsec, **content
     )
 
 
@@ -43,14 +57,6 @@ def _policy(style: str) -> str:
     return (
         f"default-src 'none'; style-src 'sha256-{digest}'; img-src data:; base-uri 'none'; form-action 'none'"
     )
-
-
-def _template(text: str) -> Template:
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, finalize=_shown, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters["words"] = words
-    return environment.from_string(text)
 
 
 def _shown(value: Any) -> Any:
