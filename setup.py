@@ -65,6 +65,7 @@ setup(
             "hypothesis>=6.98,<7",
             "mcap-ros2-support>=0.5,<0.7",
             "selenium>=4.20,<5",
+            "axe-core-python>=0.1,<0.2",
         ],
         # Plain methods that bench/challenge.py runs beside this package's, and what builds the tree there.
         "challenge": [

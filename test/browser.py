@@ -1,15 +1,22 @@
-"""A headless Chromium for tests, with what it logs and what it asks the network for."""
+"""A headless Chromium for tests: how pages are laid out, what they log and ask the network for."""
 
+import importlib.util
 import json
 import os
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-NEEDED = "needs Chromium, chromedriver and selenium (Debian: apt install chromium chromium-driver)"
+NEEDED = "needs selenium, axe-core-python and Chromium (Debian: apt install chromium chromium-driver)"
+WIDTHS = (390, 1280)  # of a phone and of a desk [CSS px]
+_LAYOUT, _CONTRAST = (
+    Path(__file__).with_name(name).read_text(encoding="utf-8")
+    for name in ("page_faults.js", "page_contrast.js")
+)
 
 
 def unavailable() -> None:
@@ -59,13 +66,45 @@ def requested(browser: Any) -> list[str]:
     ]
 
 
-def luminance(colour: Sequence[float]) -> float:
-    """Relative luminance of red, green and blue from 0 to 1, as of WCAG 2.1."""
-    linear = [c / 12.92 if c <= 0.03928 else ((c + 0.055) / 1.055) ** 2.4 for c in colour]
-    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+def opened(browser: Any, address: str, width: int = 1280) -> Any:
+    """The browser with a page; what was logged before is forgotten."""
+    sized(browser, width)
+    browser.get_log("browser")
+    browser.get_log("performance")
+    browser.get(address)
+    return browser
 
 
-def contrast(one: Sequence[float], other: Sequence[float]) -> float:
-    """Of two colours, from 1 to 21, as of WCAG 2.1."""
-    darker, brighter = sorted((luminance(one), luminance(other)))
-    return (brighter + 0.05) / (darker + 0.05)
+def page_faults(browser: Any, address: str, rules: Sequence[str] = ("color-contrast",)) -> list[str]:
+    """What a reader of a page stumbles over at both widths: empty of a good one.
+
+    Wider than the window, cut off, text or a mark over other text, complaints in the log, files from the
+    network; and what axe-core finds by its `rules`, by day and by night: too little contrast.
+    """
+    found = []
+    for width in WIDTHS:
+        opened(browser, address, width)
+        found += [f"{width} px: {fault}" for fault in browser.execute_script(_LAYOUT)]
+        found += [f"{width} px: logged: {entry['message']}" for entry in browser.get_log("browser")]
+    found += [
+        f"asked for {other}" for other in requested(browser) if not other.startswith(("file:", "data:"))
+    ]
+    for scheme in ("light", "dark"):
+        in_scheme(browser, scheme)
+        found += [f"{scheme}: {fault}" for fault in _by_axe(browser, rules)]
+    in_scheme(browser, "")
+    return found
+
+
+def in_scheme(browser: Any, scheme: str) -> None:
+    """As in the dark or in the light; empty: as the machine is."""
+    features = [{"name": "prefers-color-scheme", "value": scheme}] if scheme else []
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+
+
+def _by_axe(browser: Any, rules: Sequence[str]) -> list[str]:
+    found = importlib.util.find_spec("axe_core_python")
+    if found is None or found.origin is None:
+        unavailable()
+    browser.execute_script(Path(found.origin).with_name("axe.min.js").read_text(encoding="utf-8"))
+    return list(browser.execute_async_script(_CONTRAST, list(rules)))

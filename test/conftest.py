@@ -8,7 +8,9 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import browser as headless
 import drives
 import hypothesis
 import pytest
@@ -83,6 +85,13 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
             return "diagnosed" if name in DIAGNOSED else name
 
     return ByFile(config, log)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Chromium, one for the pages of a file."""
+    with headless.chromium() as driver:
+        yield driver
 
 
 @pytest.fixture(scope="session", autouse=True)
