@@ -10,10 +10,12 @@ from cli_runner import assert_one_line_error, config_file, hd_diag
 from reference import published
 
 from hd_diag.config.configuration import resolve
+from hd_diag.config.defaults import EXAMPLE
 from hd_diag.drive import mesh_state
-from hd_diag.tolerance.assembly import FACTORS
+from hd_diag.tolerance.assembly import FACTORS, Share
 from hd_diag.tolerance.criteria import NAMES
-from hd_diag.tolerance.study import Question
+from hd_diag.tolerance.document import yielded
+from hd_diag.tolerance.study import Question, Yield, limits_and_spreads
 
 QUICK = ("tolerance", "--samples", "12", "--sensitivity-samples", "2", "--jobs", "1")
 
@@ -53,6 +55,27 @@ def test_json_holds_what_the_contract_says(told: dict[str, Any]) -> None:
         assert all(low <= s <= high for s, low, high in zip(*share.values(), strict=True))
     assert tuple(told["sensitivity"]["criteria"]) == NAMES
     assert tuple(told["sensitivity"]["criteria"]["overlap"]) == FACTORS
+
+
+@pytest.mark.parametrize(
+    ("share", "high", "at", "said"),
+    [
+        (0.9, 0.94, np.nan, "95 % of the assemblies are not within all limits even without eccentricity."),
+        (
+            0.925,
+            0.974,
+            np.nan,
+            "12 assemblies do not tell: 92.5 % are (80.0 to 97.4 %); draw more (--samples).",
+        ),
+        (0.97, 0.99, 3e-6, "up to a tolerance of 3.00 um"),
+    ],
+)
+def test_few_assemblies_do_not_tell_of_a_share(share: float, high: float, at: float, said: str) -> None:
+    flat = resolve({}).flat
+    limits, spreads = limits_and_spreads(flat, "joint_1")
+    question = Question(EXAMPLE, np.array([56.0]), limits, spreads, 6e-5, 12, 0, 0, 0.95)
+    column = Share(np.array([share]), np.array([0.8]), np.array([high]))
+    assert said in yielded(question, Yield(np.zeros(1), 1e-5, column, [], at))
 
 
 def test_first_interference_is_the_paper_s(told: dict[str, Any]) -> None:

@@ -31,6 +31,11 @@ from hd_diag.gear.similarity import least_backlash
 from hd_diag.model.load_sharing import mesh_state
 from hd_diag.model.torsion import torsion
 from hd_diag.ros.parameter_server import ParameterServer
+from hd_diag.tolerance import assembly
+from hd_diag.tolerance.assembly import FACTORS, Population, Spread, draw
+from hd_diag.tolerance.criteria import NAMES as NAMES_OF_CRITERIA
+from hd_diag.tolerance.evaluation import reference_stiffness
+from hd_diag.tolerance.study import limits_and_spreads
 
 LEAST_BACKLASH = 0.94e-6  # of the paper's drive, /model's check values [m]
 
@@ -278,6 +283,21 @@ def test_a_perfect_assembly_is_within_its_limits(name: str) -> None:
     found = assess(config, config.joints[0]).found
     assert found.rated_load < config.flat["joint_1.tolerance.limits.peak_tooth_load"]
     assert found.rated_load < 0.5 * config.flat["joint_1.limits.peak_tooth_load.warn"]
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_defaults_of_tolerances_ask_the_same_of_every_gear(name: str) -> None:
+    """The cup's spread is the same share of the whole compliance, and no gear's own ripple is a loss."""
+    config = of_page(name)
+    drive = config.joints[0].drive
+    torque = drive.frame.cup_torque(np.array([drive.rated_torque]))
+    stiffness = reference_stiffness(drive, torque)
+    share = config.flat["joint_1.tolerance.cup_compliance.size"] * stiffness[0]
+    assert share == pytest.approx(5e-7 * reference_stiffness(EXAMPLE, np.array([56.0]))[0], rel=0.12)
+    spreads = limits_and_spreads(config.flat, "joint_1")[1]
+    population = Population(drive, {n: Spread("fixed", 0.0) for n in spreads}, torque)
+    perfect = assembly.worst(population, draw(population, np.full(len(FACTORS), 0.5)), np.zeros(1))
+    assert abs(perfect[NAMES_OF_CRITERIA.index("stiffness_loss"), 0]) < 2e-3
 
 
 def test_a_page_is_set_while_a_node_runs() -> None:

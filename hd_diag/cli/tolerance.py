@@ -21,9 +21,9 @@ from hd_diag.formatting import ARCSEC, words
 from hd_diag.model.threads import cores
 from hd_diag.process_pool import ProcessPool
 from hd_diag.tolerance import limit
-from hd_diag.tolerance.assembly import FACTORS, WITHIN
+from hd_diag.tolerance.assembly import FACTORS
 from hd_diag.tolerance.criteria import CRITERIA
-from hd_diag.tolerance.document import document
+from hd_diag.tolerance.document import document, yielded
 from hd_diag.tolerance.study import Question, Study, limits_and_spreads, study
 
 _UM = 1e-6
@@ -194,13 +194,7 @@ def _show_assemblies(console: Console, found: Study) -> None:
         together = f"{100 * t.share[k]:.1f} ({100 * t.low[k]:.1f}-{100 * t.high[k]:.1f})"
         table.add_row(f"{value * 1e6:.2f}", together, *(f"{100 * s.share[k]:.1f}" for s in drawn.each))
     console.print(table)
-    share = f"{100 * question.target:g} % of the assemblies are"
-    console.print(
-        f"{share} within all limits up to a tolerance of {drawn.at_target * 1e6:.2f} um "
-        f"({100 * WITHIN:g} % of eccentricities are within it; {drawn.configured * 1e6:.2f} um configured)."
-        if math.isfinite(drawn.at_target)
-        else f"{share} not within all limits even without eccentricity."
-    )
+    console.print(yielded(question, drawn))
 
 
 def _sensitivity_table(found: Study) -> Table:

@@ -29,6 +29,9 @@ _EXAMPLE_PITCH_DIAMETER = 25 * 2.54e-3  # [m]; a size is tenths of an inch
 # 65 and ratios 50 to 160 the largest force goes with the torque to this power, within 10 %.
 _SHARING = 2.0 / 3.0
 
+# Of the example drive at its rated torque; all in its teeth [rad/(N m)].
+_COMPLIANCE = 1.75e-5
+
 
 class Page(NamedTuple):
     """A catalogue page: pitch diameter [m], ratio [-], torques [N m], stiffness [N m/rad]; the output."""
@@ -128,12 +131,14 @@ def _factors(drive: Drive) -> dict[str, float]:
     module, radius, compliance, torque, teeth, accuracy = (
         own / example for own, example in zip(numbers(drive), numbers(EXAMPLE), strict=True)
     )
+    load = torque * compliance / (teeth * radius * module)
+    of_teeth = compliance / (teeth * radius**2) * load ** (_SHARING - 1.0)  # the more pairs share
     return {
         "module": module,
         "radius": radius,
-        "force": module / compliance * (torque * compliance / (teeth * radius * module)) ** _SHARING,
+        "force": module / compliance * load**_SHARING,
         "accuracy": accuracy,
-        "compliance": compliance / (teeth * radius**2),
+        "compliance": of_teeth + drive.cup_compliance / _COMPLIANCE,
     }
 
 

@@ -93,7 +93,7 @@ class Population:
 
     @functools.cached_property
     def reference(self) -> Floats:
-        """Stiffness of a perfect assembly [N m/rad], shape (q,)."""
+        """Least stiffness of a perfect assembly [N m/rad], shape (q,)."""
         return reference_stiffness(self.drive, self.cup_torque)
 
     @property

@@ -1,4 +1,4 @@
-"""A study as JSON: schema ``hd_diag/tolerance/1``."""
+"""A study as JSON, schema ``hd_diag/tolerance/1``, and what its assemblies yield in words."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any
 
 from hd_diag.formatting import json_ready
-from hd_diag.tolerance.assembly import ANGLES, FACTORS
+from hd_diag.tolerance.assembly import ANGLES, FACTORS, WITHIN
 from hd_diag.tolerance.criteria import CRITERIA, NAMES
 from hd_diag.tolerance.limit import (
     FINE_STEPS,
@@ -57,6 +57,20 @@ def document(joint: str, found: Study) -> dict[str, Any]:
         },
     }
     return dict(json_ready(content))
+
+
+def yielded(question: Question, drawn: Yield) -> str:
+    """What assemblies yield, in one sentence: so few may be drawn that it is not known."""
+    share, t = f"{100 * question.target:g} % of the assemblies are", drawn.together
+    if math.isfinite(drawn.at_target):
+        place = f"{share} within all limits up to a tolerance of {drawn.at_target * 1e6:.2f} um"
+        configured = f"{drawn.configured * 1e6:.2f} um configured"
+        return f"{place} ({100 * WITHIN:g} % of eccentricities are within it; {configured})."
+    if t.high[0] < question.target:
+        return f"{share} not within all limits even without eccentricity."
+    found, low, high = (f"{100 * each[0]:.1f}" for each in (t.share, t.low, t.high))
+    few = f"{question.samples} assemblies do not tell: {found} % are ({low} to {high} %)"
+    return f"Whether {share} within all limits without eccentricity, {few}; draw more (--samples)."
 
 
 def _limit(found: Study, limit: EccentricityLimit) -> dict[str, Any]:

@@ -80,17 +80,18 @@ def evaluate(
 
 
 def reference_stiffness(drive: Drive, cup_torque: Floats) -> Floats:
-    """Mean torsional stiffness of a drive without eccentricity and runout (q,) [N m/rad].
+    """Least torsional stiffness of a drive without eccentricity and runout (q,) [N m/rad].
 
-    Raises ValueError if the teeth cannot bear one of the torques on the cup (q,) [N m].
+    It goes up and down as pairs come into load, by 1 % for 200 teeth and 3 % for 100: no loss, whatever the
+    gear. Raises ValueError if the teeth cannot bear one of the torques on the cup (q,) [N m].
     """
     turn = drive.mesh.geometry.slot_pitch * np.arange(_PHASES) / _PHASES
     found = evaluate(drive.mesh, turn, np.zeros(_PHASES, dtype=np.complex128), cup_torque)
     if not np.isfinite(found.torsion).all():
         torques = ", ".join(f"{value:g}" for value in cup_torque)
         raise ValueError(f"the teeth cannot bear {torques} N m even without eccentricity")
-    mean: Floats = np.mean(found.total_stiffness(drive.cup_compliance), axis=0)
-    return mean
+    least: Floats = np.min(found.total_stiffness(drive.cup_compliance), axis=0)
+    return least
 
 
 def warm_up() -> None:
