@@ -23,6 +23,7 @@ from hd_diag.config.model_file import document, parse
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.linearised_fit import linearise
 from hd_diag.diagnosis.record import prepare
+from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.scaling import of_drive
 from hd_diag.extended_model import ExtendedModel, Range, Ranges, Term
@@ -30,6 +31,7 @@ from hd_diag.gear.characteristics import characteristics
 from hd_diag.gear.similarity import least_backlash
 from hd_diag.model.load_sharing import mesh_state
 from hd_diag.model.torsion import torsion
+from hd_diag.report.teeth import teeth_over_turn
 from hd_diag.ros.parameter_server import ParameterServer
 from hd_diag.tolerance import assembly
 from hd_diag.tolerance.assembly import FACTORS, Population, Spread, draw
@@ -298,6 +300,19 @@ def test_defaults_of_tolerances_ask_the_same_of_every_gear(name: str) -> None:
     population = Population(drive, {n: Spread("fixed", 0.0) for n in spreads}, torque)
     perfect = assembly.worst(population, draw(population, np.full(len(FACTORS), 0.5)), np.zeros(1))
     assert abs(perfect[NAMES_OF_CRITERIA.index("stiffness_loss"), 0]) < 2e-3
+
+
+@pytest.mark.parametrize(("name", "free"), [("8/50", 3e-5), ("25/80", 5e-5), ("65/160", 6e-5)])
+def test_the_report_shows_backlash_as_far_as_goes_with_the_teeth(name: str, free: float) -> None:
+    """A like share of the teeth is near enough to be shown, whatever the gear."""
+
+    def shown(drive: Drive) -> tuple[float, float]:
+        found = teeth_over_turn(drive, np.linspace(0.0, 6.0, 50), np.full(50, drive.rated_torque))
+        return found.free, float(np.mean(found.backlash < found.free))
+
+    own, example = shown(of_page(name).joints[0].drive), shown(EXAMPLE)
+    assert (own[0], example[0]) == (pytest.approx(free), pytest.approx(4e-5))
+    assert own[1] == pytest.approx(example[1], rel=0.25)
 
 
 def test_a_page_is_set_while_a_node_runs() -> None:

@@ -11,12 +11,14 @@ from scipy.stats import binned_statistic
 
 from hd_diag.arrays import Floats
 from hd_diag.drive import Drive, mesh_state
+from hd_diag.formatting import rounded
 
 _ANGLES = 180  # over a turn of the input
 _DIRECTIONS = 120  # around the gear
 _MOMENTS = 720  # of the record
 _STRONG = 99.0  # percentile of a record's torque for which the map is drawn
 _TURN = 2.0 * np.pi
+_FREE = 2.0 / 15.0  # backlash over module from which a tooth is simply free: 40 um at 0.3 mm
 
 
 class Extremes(NamedTuple):
@@ -38,7 +40,8 @@ class TeethOverTurn:
     sum [N], shape (angles, Z_R); `visited` says where the record was. `moment` is the index of the angle with
     the greatest force on a tooth: teeth, long axis and the wave generator's displacement [m] have these
     directions in the housing [rad] then. The least backlash [m] and the greatest load [N] of the whole turn
-    stand over directions, shape (directions,). The extremes are those of the record's own moments.
+    stand over directions, shape (directions,). The extremes are those of the record's own moments. From a
+    backlash of `free` [m] on a tooth of this gear is far from any load.
     """
 
     torque: float
@@ -55,6 +58,7 @@ class TeethOverTurn:
     least_backlash: Floats
     greatest_load: Floats
     extremes: Extremes
+    free: float
 
 
 def strongest_torque(torque: Floats) -> float:
@@ -91,6 +95,7 @@ def teeth_over_turn(drive: Drive, input_angle: Floats, torque: Floats) -> TeethO
         binned_statistic(place[known], backlash[known], "min", **around).statistic,
         np.nan_to_num(binned_statistic(place.ravel(), load.ravel(), "max", **around).statistic),
         _extremes(drive, input_angle, torque),
+        rounded(_FREE * geometry.module, 1),
     )
 
 

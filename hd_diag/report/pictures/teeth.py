@@ -15,7 +15,6 @@ from hd_diag.arrays import Floats
 from hd_diag.report.pictures.canvas import ACCENT, INK, NOMINAL, REFIT, WIDTH, drawn, sheet, turn
 from hd_diag.report.teeth import TeethOverTurn
 
-_SHOWN = 40e-6  # backlash beyond which a tooth is simply free [m]
 _LEAST = 1e-6  # [m]
 _EMPTY = (0.54, 0.56, 0.6, 0.25)
 _PLACES = np.radians(np.arange(11.25, 360.0, 22.5))  # where the radius may be labelled [rad]
@@ -26,8 +25,8 @@ def tooth_maps(found: TeethOverTurn) -> Figure:
     """Maps of tooth over input angle; where the record never was is marked under them."""
     figure, (top, bottom) = sheet(6.2, 2, sharex=True)
     least = min(float(np.nanmin(found.backlash)), -_LEAST)
-    near = np.where(found.backlash < _SHOWN, found.backlash, np.nan)
-    norm = TwoSlopeNorm(0.0, least * 1e6, _SHOWN * 1e6)
+    near = np.where(found.backlash < found.free, found.backlash, np.nan)
+    norm = TwoSlopeNorm(0.0, least * 1e6, found.free * 1e6)
     _map(figure, top, near.T * 1e6, "PuOr", norm, "Backlash of a tooth [µm]; below 0: interference")
     loaded = np.where(found.load > 0.0, found.load, np.nan)
     _map(figure, bottom, loaded.T, "cividis_r", None, "Load of a tooth [N]")
@@ -67,13 +66,13 @@ def around_the_gear(found: TeethOverTurn) -> Figure:
     top.plot(closed, greatest, color=NOMINAL, lw=1.0, label="most in a turn")
     top.set_title("Load of the teeth [N]", pad=40)
     top.set_ylim(0.0, 1.1 * max(float(np.max(greatest)), 1e-3))
-    near = np.where(backlash < _SHOWN, backlash, np.nan) * 1e6
-    least = np.minimum(np.append(found.least_backlash, found.least_backlash[0]), _SHOWN) * 1e6
+    near = np.where(backlash < found.free, backlash, np.nan) * 1e6
+    least = np.minimum(np.append(found.least_backlash, found.least_backlash[0]), found.free) * 1e6
     bottom.plot(place, near, "o", ms=2.0, color=REFIT, label="at this moment")
     bottom.plot(closed, least, color=NOMINAL, lw=1.0, label="least in a turn")
     bottom.set_title("Backlash of the teeth [µm]", pad=40)
     floor = min(float(np.nanmin(near, initial=0.0)), float(np.nanmin(least, initial=0.0)))
-    bottom.set_ylim(floor - 0.25 * (_SHOWN * 1e6 - floor), _SHOWN * 1e6)
+    bottom.set_ylim(floor - 0.25 * (found.free * 1e6 - floor), found.free * 1e6)
     for axes in dials:
         _dial(axes, found.long_axis, found.eccentricity if found.displacement > 0.0 else None)
     return figure
