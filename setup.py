@@ -5,6 +5,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 NAME = "hd_diag"
+FLEET = ["pyarrow>=17,<27", "ruptures>=1.1.9,<2"]
 
 
 def share(folder: str) -> list[tuple[str, list[str]]]:
@@ -46,17 +47,17 @@ setup(
         "lz4>=4.0,<5",
         "matplotlib>=3.6,<4",
         "Jinja2>=3.1,<4",
-        "pyarrow>=17,<27",
-        "ruptures>=1.1.9,<2",
     ],
     extras_require={
+        # hd-diag fleet alone: a table as Parquet, steps of a series.
+        "fleet": FLEET,
         # Where no ROS 2 Jazzy is installed: rclpy, rcl and Fast DDS as wheels.
         "ros": [
             "ros-jazzy-rclpy[fastrtps]==7.1.6",
             "ros-jazzy-common-interfaces==5.3.6",
         ],
-        # hd-diag fleet on more than one machine; on one it needs nothing more.
-        "cluster": ["distributed>=2024.8,<2027"],
+        # hd-diag fleet on more than one machine.
+        "cluster": [*FLEET, "distributed>=2024.8,<2027"],
         "test": [
             "distributed>=2024.8,<2027",
             "pytest>=7.4,<10",

@@ -21,10 +21,13 @@ fail() {
 }
 
 install_lock() {
-    echo "== Environment $env: $(grep -c == "$lock") packages of $lock with $("$python" -V); about 900 MB, 1 to 5 minutes"
+    size="1.1 GB"
+    [ "$name" != demo ] || size="750 MB, of which 210 MB are downloaded"
+    echo "== Environment $env: $(grep -c == "$lock") packages of $lock with $("$python" -V); $size, 1 to 5 minutes"
     rm -rf "$env"
     "$python" -m venv "$env" >"$log" 2>&1 || fail "$python cannot make a virtual environment (Debian, Ubuntu: apt install python3-venv)"
-    $pip install --require-hashes --no-deps --only-binary :all: -r "$lock" >>"$log" 2>&1 ||
+    # Bytecode is written when a module is first imported: most of them never are.
+    $pip install --require-hashes --no-deps --no-compile --only-binary :all: -r "$lock" >>"$log" 2>&1 ||
         fail "pip could not install $lock: is there a network, and a package index that pip can reach?"
     [ ! -f "$source_lock" ] ||
         $pip install --require-hashes --no-deps --no-build-isolation -r "$source_lock" >>"$log" 2>&1 ||
@@ -52,11 +55,14 @@ install_tree() {
     compile_kernels
 }
 
-# Once here rather than in every process that is first to compute.
+# Once here rather than in every process that is first to compute; two at a time, one reads what the other has compiled.
 compile_kernels() {
     echo "== Compiling its kernels where they have changed (half a minute)"
-    $env/bin/python -I -c 'from hd_diag.config.configuration import resolve; from hd_diag.diagnosis.fit import fit_parameters; from hd_diag.messages import encoding; from hd_diag.monitor import all_joints; from hd_diag.tolerance import evaluation; fit_parameters.warm_up(); evaluation.warm_up(); encoding.warm_up(); all_joints.warm_up(resolve({}))' >>"$log" 2>&1 ||
+    $env/bin/python -I -c 'from hd_diag.diagnosis.fit import fit_parameters; from hd_diag.tolerance import evaluation; fit_parameters.warm_up(); evaluation.warm_up()' >>"$log" 2>&1 &
+    first=$!
+    $env/bin/python -I -c 'from hd_diag.config.configuration import resolve; from hd_diag.messages import encoding; from hd_diag.monitor import all_joints; encoding.warm_up(); all_joints.warm_up(resolve({}))' >>"$log" 2>&1 ||
         fail "the kernels could not be compiled"
+    wait "$first" || fail "the kernels could not be compiled"
 }
 
 python=$(sh scripts/find_python.sh "${2:-}")

@@ -375,7 +375,8 @@ def test_bad_usage_is_reported_before_anything_is_done(
 def test_what_is_not_installed_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bag, out = fleet_tasks.small_bag(tmp_path / "a.mcap"), tmp_path / "f.parquet"
     monkeypatch.setattr(cli_fleet, "_NEEDED", ("pyarrow", "no_such_module"))
-    assert_one_line_error(fleet(bag, "--out", out), "fleet needs no_such_module: pip install no_such_module")
+    said = f"fleet needs no_such_module: {sys.executable} -m pip install 'hd_diag[fleet]'"
+    assert_one_line_error(fleet(bag, "--out", out), said)
     monkeypatch.undo()
     monkeypatch.setitem(sys.modules, "distributed", None)
     needs = fleet(bag, "--out", out, "--scheduler", "tcp://127.0.0.1:9", jobs=False)

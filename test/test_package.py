@@ -13,6 +13,8 @@ from catkin_pkg.package import Package, parse_package
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+from hd_diag.cli import fleet as cli_fleet
+
 ROOT = Path(__file__).resolve().parent.parent
 LOCKS = ("demo", "test", "ubuntu", "challenge")
 # The whole grammar of a lock: no option, no address, no path can be in it.
@@ -101,6 +103,14 @@ def test_locked_versions_are_in_range(requirements: list[Requirement], lock: str
     }
     assert runtime <= {name for name, _ in in_lock}
     assert [(name, version) for name, version in in_lock if version not in ranges[name]] == []
+
+
+def test_the_demo_leaves_out_what_the_fleet_alone_needs(requirements: list[Requirement]) -> None:
+    """170 MB: they are an extra, which `make test` installs and `hd-diag fleet` names."""
+    alone = {r.name for r in requirements if r.marker and r.marker.evaluate({"extra": "fleet"})}
+    assert alone == {"pyarrow", "ruptures"} == set(cli_fleet._NEEDED)
+    assert alone <= {name for name, _ in locked("test")}
+    assert not alone & {name for name, _ in locked("demo")}
 
 
 @pytest.mark.parametrize("lock", [*LOCKS, "test-source"])

@@ -62,7 +62,7 @@ def excess(criterion: str, limit: float, of: Drive | None = None, torque: float 
 
 def test_an_environment_compiles_the_kernels_of_model_and_tolerances() -> None:
     """What the script runs leaves nothing that the first study or diagnosis would compile."""
-    (code,) = re.findall(r"-c '(.*warm_up.*)'", (ROOT / "scripts" / "environment.sh").read_text())
+    parts = re.findall(r"-c '(.*warm_up.*)'", (ROOT / "scripts" / "environment.sh").read_text())
     kernels = (
         "tolerance.evaluate, entry.torsion, entry.torsion_and_gradient, entry.torsion_of_flanks, *slow,"
         "align, messages.write, messages.read, monitor.compare, monitor.follow, monitor.lost"
@@ -83,7 +83,7 @@ def test_an_environment_compiles_the_kernels_of_model_and_tolerances() -> None:
         "r.slip(0.5, np.ones(3)); r.relax(np.ones(2) + 0j, np.ones(1) + 0j, np.ones((3, 2)) + 0j)"
     )
     here = f"sys.path.insert(0, {str(ROOT / 'test')!r})"
-    program = f"import sys; {here}; {code}; {imports}; {compiled}; {use}; {compiled}"
+    program = f"import sys; {here}; {'; '.join(parts)}; {imports}; {compiled}; {use}; {compiled}"
     command = [sys.executable, "-c", program]
     ran = subprocess.run(command, check=True, capture_output=True, text=True, timeout=300)
     assert ran.stdout.splitlines() == ["[1, 1, 1, 1, 1, 1, 1, 1, 2, 1, 1, 1]"] * 2

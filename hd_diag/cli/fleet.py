@@ -118,7 +118,8 @@ def _fleet(
     """What is to be done, checked as far as it can be before hours of work."""
     missing = [name for name in _NEEDED if importlib.util.find_spec(name) is None]
     if missing:
-        raise FleetError(f"fleet needs {' and '.join(missing)}: pip install {' '.join(missing)}")
+        get = f"{sys.executable} -m pip install 'hd_diag[fleet]'"
+        raise FleetError(f"fleet needs {' and '.join(missing)}: {get}")
     from hd_diag.fleet.plots import check_format
 
     if given["scheduler"] and (given["jobs"] or given["memory"]):

@@ -272,6 +272,7 @@ def _state(joint: JointConfig, samples: Aligned) -> MeshState:
 
 def warm_up(config: MonitorConfig) -> None:
     """Compile, or read from the disk, what the first message would have to wait for."""
+    LostSamples().judge(np.arange(10), 0)
     monitor, time = Monitor(config), np.zeros(1, np.int64)
     names = [(joint.input_joint, joint.output_joint) for joint in config.joints]
     nothing = np.zeros((1, 2 * len(names)))
@@ -281,4 +282,3 @@ def warm_up(config: MonitorConfig) -> None:
     states = JointStates(time, time, flat, "", nothing, nothing, nothing, signals, keys)
     monitor.joint_states(time, states)
     monitor.tick(0, 0, {})
-    LostSamples().judge(np.arange(10), 0)
