@@ -148,9 +148,14 @@ def test_a_second_smooth_law_has_to_be_more_than_the_first_one_s_shape(made: Lin
     chosen = ((first.effect, first.nonlinear),)
     settled = made.corrected(chosen)
     whole = settled.amplitude(*chosen[0], settled.fit(chosen)[0][settled.places(chosen)[0]])
-    assert of_shapes(settled, chosen, EFFECTS["hysteresis"]) == pytest.approx(0.08 * whole)
-    assert of_shapes(settled, (), EFFECTS["hysteresis"]) == 0.0
+    assert of_shapes(settled, chosen, EFFECTS["torsional_hardening"]) == pytest.approx(0.08 * whole)
+    assert of_shapes(settled, (), EFFECTS["torsional_hardening"]) == 0.0
     assert of_shapes(settled, chosen, EFFECTS["input_encoder_eccentricity"]) == 0.0
+
+
+def test_a_loop_has_to_be_more_than_torsion_whose_torque_is_a_little_late(made: LinearisedFit) -> None:
+    least = of_shapes(made, (), EFFECTS["hysteresis"])
+    assert least == pytest.approx(0.01 * float(np.std(made.signals.predicted)))
 
 
 def test_a_runout_beside_a_large_delay_is_no_mended_shape() -> None:

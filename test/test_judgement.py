@@ -40,6 +40,33 @@ def test_a_cause_beside_a_misfit_is_a_misfit_and_said_first() -> None:
     assert "no other cause is needed" not in sentence(Answer(diagnosis(rms=MISFIT)))
 
 
+@pytest.mark.parametrize(
+    ("alike", "changes", "told"),
+    [
+        (("wear_backlash", "torque_offset", "torque_gain", "stream_delay"), {}, True),
+        (("wear_backlash", "torque_offset", "torque_gain", "stream_delay", "resonance"), {}, False),
+        ((), {"refitted": refitted(trustworthy=False)}, False),
+        ((), {"rms": MISFIT}, False),
+    ],
+    ids=["a small class", "a class nobody can use", "ambiguous parameters", "more left than explained"],
+)
+def test_what_the_record_cannot_tell_is_a_hint(
+    alike: tuple[str, ...], changes: dict[str, Any], told: bool
+) -> None:
+    """The cause explains 0.4 of what is left without it."""
+    made = diagnosis(cause("hysteresis", alike=alike), **changes)
+    content = as_json(made, "joint_1")
+    assert [one["name"] for one in content["causes"]] == ["hysteresis"] * told
+    assert [one["name"] for one in content["hints"]] == ["hysteresis"] * (not told)
+    assert (content["judgement"] == "causes") is told
+    assert ("though they do not explain it: hysteresis" in content["verdict"]) is not told
+
+
+def test_a_cause_that_explains_more_than_a_misfit_leaves_is_named() -> None:
+    large = dataclasses.replace(cause("hysteresis"), gain=0.7)
+    assert diagnosis(large, rms=MISFIT).causes == (large,)
+
+
 def test_what_explains_most_is_said_first() -> None:
     (first, *_) = changed = Answer(diagnosis()).changes
     assert [change.explains for change in changed] == sorted((c.explains for c in changed), reverse=True)

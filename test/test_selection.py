@@ -6,14 +6,15 @@ from typing import cast
 
 import numpy as np
 import pytest
-from benches import EFFECTS, POINT, bench, of, swinging
+from benches import EFFECTS, POINT, Part, bench, of, swinging
 from joint_records import ARCSEC
 from joint_records import NOISE as NOISE_OF_RECORD
 
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
-from hd_diag.diagnosis.search.ranking import candidates
-from hd_diag.diagnosis.search.selection import _less_misled, search, speed_dependent
+from hd_diag.diagnosis.search.ranking import candidates, family_size
+from hd_diag.diagnosis.search.selection import _less_misled, _next, search, speed_dependent
+from hd_diag.diagnosis.search.unexplained import with_table
 
 NOISE = np.random.default_rng(0).normal(0.0, ARCSEC, 6000)
 
@@ -54,6 +55,33 @@ def test_parameters_that_imitate_a_cause_are_left_for_those_fitted_beside_it() -
     plain = settle(bench(of(EFFECTS["output_runout"], amplitude=20.0 * ARCSEC, direction=0.3)), ())
     elsewhere = POINT + np.array([0.0, 0.0, 0.0, 0.0, 9.0, 0.0, 0.0])
     assert _less_misled(plain, elsewhere, candidates(plain, ()))[0] is plain
+
+
+def wave(order: float) -> Part:
+    """Of some orders per output turn, a quarter of which is driven."""
+    return lambda signals: 3.0 * ARCSEC * np.cos(order * signals.output_angle - 1.0)
+
+
+@pytest.mark.parametrize(("order", "named"), [(45.0, "output_line_1"), (45.5, "bearing_passage")])
+def test_a_cage_is_named_only_where_its_order_is_no_whole_one_of_the_output(order: float, named: str) -> None:
+    """The spectrum resolves four orders here, the wave's phase over the record a tenth of one."""
+    fit = bench(wave(order))
+    best = candidates(fit, ())
+    assert best[0].effect.name == "bearing_passage"
+    found = _next(fit, (), family_size(fit), best)
+    assert found is not None
+    assert (found.effect.name, found.nonlinear[0]) == (
+        named,
+        pytest.approx(order if order == 45 else 0.455, abs=1e-3),
+    )
+
+
+def test_lines_of_the_output_are_described() -> None:
+    """Fitted with all else, they stay in the remainder, and its table has them."""
+    found = with_table(search(bench(wave(45.0), wave(87.0)), np.random.default_rng(0)))
+    assert found.causes == ()
+    assert sorted((row.order, row.frame) for row in found.table) == [(45.0, "output"), (87.0, "output")]
+    assert [row.amplitude / ARCSEC for row in found.table] == pytest.approx([3.0, 3.0], rel=0.1)
 
 
 def test_search_returns_the_cause_and_no_other() -> None:

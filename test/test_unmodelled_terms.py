@@ -7,7 +7,7 @@ import pytest
 from benches import CONFIGURED
 from numpy.testing import assert_allclose, assert_array_equal
 
-from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS, UnmodelledTerm
+from hd_diag.diagnosis.search.unmodelled_terms import OUTPUT_LINES, UNMODELLED_TERMS, UnmodelledTerm
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.contact_table import contact_table
 from hd_diag.effects.contact_weights import ContactWeights
@@ -236,3 +236,33 @@ def test_place_asks_for_motion_and_counts_its_trials(turning: Signals) -> None:
     assert not PLACE.testable(still)[0]
     found, trials = PLACE.starts(turning, np.zeros(turning.size))
     assert (len(found), trials) == (2, 480)
+
+
+LINE = OUTPUT_LINES[0]
+
+
+def test_a_line_of_the_output_is_found_over_part_of_its_turn() -> None:
+    """0.6 of a turn: a spectrum is blurred over two numbers, what a fit leaves is not."""
+    signals = made(np.repeat([63.0, -63.0], 300))
+    assert np.ptp(signals.output_angle) == pytest.approx(0.6 * 2.0 * np.pi, rel=0.01)
+    (kind, *_) = found = LINE.starts(signals, np.cos(45.0 * signals.output_angle - 1.0)).points
+    left = {
+        number: 1.0
+        - np.linalg.lstsq(LINE.columns(signals, (number,)), wave, rcond=None)[1][0] / (wave @ wave)
+        for wave in [np.cos(45.0 * signals.output_angle - 1.0)]
+        for (number,) in found
+    }
+    assert len(kind) == 1
+    assert max(left, key=left.__getitem__) == 45.0
+    assert {(44.0,), (46.0,)} >= set(LINE.neighbours(signals, (45.0,)))
+
+
+@pytest.mark.parametrize("number", [3, 64, 72, 99, 100, 101, 102, 128, 180, 195])
+def test_a_line_is_not_the_gear_s_nor_an_encoder_s(number: int) -> None:
+    signals = made(np.repeat([63.0, -63.0], 300))
+    beside = LINE.neighbours(signals, (number - 1.0,)) + LINE.neighbours(signals, (number + 1.0,))
+    assert (float(number),) not in beside
+
+
+def test_a_joint_that_hardly_moves_shows_no_line() -> None:
+    assert not LINE.testable(made(np.full(600, 0.1)))[0]

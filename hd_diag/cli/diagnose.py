@@ -89,11 +89,12 @@ def diagnose(
 def model_document(found: Diagnosis, joint: str, records: Records) -> dict[str, Any]:
     """What `hd-diag diagnose --model` writes of a diagnosis with a model."""
     assert found.model is not None
+    assert found.found is not None
     own = {p.name: records.config.flat[f"{joint}.{p.name}"] for p in JOINT_PARAMETERS}
     spreads = {name: value["std"] for name, value in found.parameters.items()}
     effects = [
         (cause.effect.standard_deviations(cause.coefficients, cause.nonlinear, cause.covariance), cause.alike)
-        for cause in found.causes
+        for cause in found.found.causes
     ]
     effects += [
         (ORDER_LINE.standard_deviations(row.coefficients, row.nonlinear, row.covariance), (ORDER_LINE.name,))

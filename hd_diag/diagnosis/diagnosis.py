@@ -25,11 +25,14 @@ from hd_diag.diagnosis.search.kept_parameters import Kept, all_kept, kept_parame
 from hd_diag.diagnosis.search.order_table import OrderRow
 from hd_diag.diagnosis.search.selection import search
 from hd_diag.diagnosis.search.unexplained import Unexplained, unexplained, with_table
+from hd_diag.diagnosis.search.unmodelled_terms import OutputLine
 from hd_diag.diagnosis.torque_use import without_misleading_torque
 from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE, Catalogue
 from hd_diag.extended_model import ExtendedModel
 
+_MOST_ALIKE = 5  # causes that a class may hold and still say something
+_HALF = 0.5  # of what is left without a cause, that it explains beside a misfit
 _WORSE = 1.02  # times the residual of a simpler model: then data speak against the richer one
 
 
@@ -72,8 +75,27 @@ class Diagnosis:
 
     @property
     def causes(self) -> tuple[Cause, ...]:
-        """Causes found, most explaining first."""
+        """Causes found that the record can tell, most explaining first."""
+        return tuple(cause for cause in self._explaining if self._told(cause))
+
+    @property
+    def hints(self) -> tuple[Cause, ...]:
+        """The others: nearest to what the record shows, and in the model, but not to be named for it."""
+        return tuple(cause for cause in self._explaining if not self._told(cause))
+
+    @property
+    def _explaining(self) -> tuple[Cause, ...]:
         return self.found.causes if self.found else ()
+
+    def _told(self, cause: Cause) -> bool:
+        """Not where too many would do as well, the parameters are ambiguous, or more is left than explained.
+
+        Beside a misfit chance is no measure: what else is wrong may well look like the cause, so that it has
+        to explain more than all of that.
+        """
+        sure = self.refitted is None or self.refitted.trustworthy
+        ahead = self.misfit is None or not self.misfit.plain or cause.gain > _HALF
+        return sure and ahead and len(cause.alike) <= _MOST_ALIKE
 
     @property
     def order_table(self) -> tuple[OrderRow, ...]:
@@ -180,9 +202,10 @@ def _predicting(
         return _Tried(found, kept, every, *measured_gain(record, test, which, before, found, every, rng))
 
     best = tried(*kept_parameters(found.fit, found.chosen), found)
-    if found.chosen and best.rms.extended > _WORSE * min(best.rms.refit, best.rms.nominal):
-        found = Search(plain, ())
-        best = tried(*kept_parameters(plain, ()), found)
+    lines = tuple(item for item in found.chosen if isinstance(item[0], OutputLine))
+    if found.chosen != lines and best.rms.extended > _WORSE * min(best.rms.refit, best.rms.nominal):
+        found = Search(settle(plain, lines) if lines else plain, (), lines)
+        best = tried(*kept_parameters(found.fit, lines), found)
     if best.rms.extended > _WORSE * best.rms.nominal:
         best = tried(*all_kept(best.found.fit, best.found.chosen), found)
     found = with_table(best.found)

@@ -17,6 +17,7 @@ from hd_diag.diagnosis.noise import numbered, slices
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.search.causes import Search
 from hd_diag.diagnosis.search.order_table import part
+from hd_diag.diagnosis.search.remainder import Remainder
 from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
 from hd_diag.drive import Drive
 
@@ -146,7 +147,7 @@ def measured_gain(
     )
     seen = found.fit.signals
     described = part(found.table, seen.input_angle, seen.torque, configured.rated_torque)
-    noise = found.fit.data.noise_of(found.fit.remainder(found.chosen) - described)
+    noise = found.fit.data.noise_of(Remainder.of(found.fit, found.chosen).residual - described)
     rest = renumbered(record.select(fitted & test))
     number = slices(rest.time, rest.run, _SLICE)
     rms = Rms(

@@ -102,7 +102,7 @@ class Answer:
             return "misfit"
         if found.causes or any(finding.name == "tooth_skip" for finding in found.findings):
             return "causes"
-        if found.order_table or found.unexplained:
+        if found.order_table or found.unexplained or found.hints:
             return "described"
         return "parameters" if self.changes else "as_configured"
 

@@ -51,6 +51,7 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
         "nominal": {"rms": rms.nominal},
         "refit": {"rms": rms.refit, "parameters": diagnosis.parameters, "trustworthy": trustworthy},
         "causes": [*map(_finding, _named(diagnosis)), *map(_cause, diagnosis.causes)],
+        "hints": [*map(_cause, diagnosis.hints)],
         "unexplained": [_unexplained(line) for line in diagnosis.unexplained],
         "extended": {
             "rms": rms.extended,
@@ -152,10 +153,8 @@ def sentence(answer: Answer) -> str:
     parts += [_parameters(answer), *_current(diagnosis)]
     if diagnosis.refitted is None:
         pass
-    elif diagnosis.causes:
-        nearest = "nearest to it, though they do not explain it"
-        how = nearest if answer.judgement == "misfit" else "beside that"
-        parts.append(f"{how}: {'; '.join(map(_cause_in_words, diagnosis.causes))}")
+    elif diagnosis.causes or diagnosis.hints:
+        parts += _causes(answer)
     elif not diagnosis.unexplained and answer.judgement != "misfit":
         parts.append("no other cause is needed")
     else:
@@ -175,6 +174,15 @@ def sentence(answer: Answer) -> str:
         samples = f"{record.size} of {record.extent.samples} samples"
         parts.append(f"fitted to {samples}, in stretches all over the record")
     return _ended("; ".join(parts))
+
+
+def _causes(answer: Answer) -> list[str]:
+    """Those that can be told, then those that are nearest to what is left."""
+    told, nearest = answer.diagnosis.causes, answer.diagnosis.hints
+    if answer.judgement == "misfit":
+        told, nearest = (), (*told, *nearest)
+    parts = {"beside that": told, "nearest to it, though they do not explain it": nearest}
+    return [f"{how}: {'; '.join(map(_cause_in_words, some))}" for how, some in parts.items() if some]
 
 
 def _ended(text: str) -> str:

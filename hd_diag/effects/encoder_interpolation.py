@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d
 
 from hd_diag.arrays import Floats
@@ -61,12 +62,15 @@ class EncoderInterpolation(Harmonic):
         A whole order of the input's turn is the gear's own or the input encoder's.
         """
         order, gear = np.arange(strength.size), self._gear(signals)
-        can = (order % self.multiple == 0) & (strength > 0.0) & ((gear == 1.0) | (order % gear != 0.0))
-        if self.multiple > 1:
-            can &= _ROUND % np.maximum(order, 1) == 0
+        can = self.divides(order) & (strength > 0.0) & ((gear == 1.0) | (order % gear != 0.0))
         can &= strength >= maximum_filter1d(strength, 2 * self.multiple - 1)
         found = order[can]
         return [int(one) for one in found[np.argsort(strength[found])[::-1]]]
+
+    def divides(self, number: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+        """Whether circles are divided by numbers, shape (n,)."""
+        divided = number % self.multiple == 0
+        return divided & (_ROUND % np.maximum(number, 1) == 0) if self.multiple > 1 else divided
 
     def slow_enough(self, signals: Signals) -> Verdict:
         """Whether the least number of lines does not alias."""

@@ -77,7 +77,7 @@ def stages(diagnosis: Diagnosis, plain: LinearisedFit | None) -> Stages:
     residual = {NOMINAL: first - first.mean()}
     if plain is not None:
         residual[REFIT] = plain.remainder(())
-    if diagnosis.model is not None and diagnosis.causes:
+    if diagnosis.model is not None and (diagnosis.causes or diagnosis.hints):
         whole, model = diagnosis.record, diagnosis.model
         residual[EXTENDED] = running_residual(model, whole, whole.torque, model.torsion_map)[rows]
     drive = diagnosis.refitted.drive if diagnosis.refitted else configured

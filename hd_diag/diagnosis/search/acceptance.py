@@ -22,6 +22,7 @@ LEAST_SIZE = 0.25 * ARCSEC
 """A cause smaller than this beside the refitted model is of no practical size [rad rms]."""
 
 _SHAPE = 0.08  # of a smooth law's size, to which its shape is known
+_LOOP = 0.01  # of the model's torsion, that its loops are right to
 _LATE = 0.002  # the same of a delay
 _CERTAIN_SIZE = 0.5 * ARCSEC  # of a shape that nothing held out can prove [rad rms]
 _SECONDS = 2.5  # of a mean in which quick noise is gone
@@ -52,13 +53,15 @@ def of_shapes(fit: LinearisedFit, chosen: Chosen, effect: Effect) -> float:
 
     A law of friction, torsion or drift is right to some share of it; what the next smooth law then explains
     is no second cause. Lines of teeth, bearings and encoders mend no smooth law; a delay has hardly a shape.
+    The model's own torsion is such a law: a torque some milliseconds late makes a loop of it.
     """
     if not _smooth(effect):
         return 0.0
+    own = _LOOP * float(np.std(fit.signals.predicted)) if effect.name == "hysteresis" else 0.0
     sized = [one for one in fit.sized(chosen, fit.fit(chosen)[0]) if _smooth(one[0][0])]
     shares = [_LATE if item[0].stage == Stage.STREAM else _SHAPE for item, _ in sized]
     sizes = [fit.amplitude(*item, coefficients) for item, coefficients in sized]
-    return max((share * one for share, one in zip(shares, sizes, strict=True)), default=0.0)
+    return max(own, *(share * one for share, one in zip(shares, sizes, strict=True)), 0.0)
 
 
 def _smooth(effect: Effect) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.noise import Whitening, bounds, whitening
 from hd_diag.diagnosis.search.remainder import Remainder, Wave, Weight, fitted_part
+from hd_diag.effects.bearing_passage import CAGE
 from hd_diag.effects.effect import Values
 
 _SAME = 9.0  # deviance that a whole number may cost; half a step beside it must cost more
@@ -204,7 +205,8 @@ def _might_be(order: float, frame: str, loaded: bool, ratio: float) -> tuple[str
         near = abs(around - round(around)) * abs(ratio)  # 2 N + 2 is the gear's own, seen from the flexspline
         if round(around) in (2, 4, 6) and 0.5 < near <= round(around) + 0.5:
             return ("flexspline_pitch", "tooth_damage")
-        return ("output_encoder_interpolation", "tooth_damage")
+        cage = ("bearing_passage",) if CAGE[0] <= around <= CAGE[1] else ()
+        return (*cage, "output_encoder_interpolation", "tooth_damage")
     if not whole:
         return ("bearing_passage",)
     if order > _FEW_INPUT:

@@ -15,6 +15,7 @@ from hd_diag.diagnosis.fit.design import f_test, holds, orthonormal
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.noise import Whitening, whitening
 from hd_diag.diagnosis.search.acceptance import LEAST_SIZE
+from hd_diag.diagnosis.search.unmodelled_terms import OutputLine
 
 Rows = npt.NDArray[np.bool_]
 
@@ -58,6 +59,8 @@ class Remainder:
     run, block : ndarray of int64
         Numbers of the runs; of stretches of which each can be held out.
     ratio : float
+    lines : tuple of float
+        Orders per turn of the input of waves that are known to be in it.
     """
 
     time: Floats
@@ -69,13 +72,19 @@ class Remainder:
     run: Integers
     block: Integers
     ratio: float
+    lines: tuple[float, ...] = ()
 
     @staticmethod
     def of(fit: LinearisedFit, chosen: Chosen) -> Remainder:
-        """What a fit leaves beside the chosen effects."""
-        s = fit.signals
-        beside = np.concatenate((fit.always(), fit.joined(chosen)), axis=1)
-        residual = fit.remainder(chosen)
+        """What a fit leaves beside the chosen effects; lines of unknown cause among them are in it."""
+        s, beta = fit.signals, fit.fit(chosen)[0]
+        known = tuple(item for item in chosen if not isinstance(item[0], OutputLine))
+        beside = np.concatenate((fit.always(), fit.joined(known)), axis=1)
+        residual, lines = fit.remainder(chosen), []
+        for item, place in zip(chosen, fit.places(chosen), strict=True):
+            if isinstance(item[0], OutputLine):
+                residual = residual + fit.columns(*item) @ beta[place]
+                lines.append(item[1][0] / abs(s.ratio))
         return Remainder(
             s.time,
             s.input_angle,
@@ -86,6 +95,7 @@ class Remainder:
             fit.data.run,
             fit.data.block,
             s.ratio,
+            tuple(lines),
         )
 
     def phase(self, frame: str) -> Floats:

@@ -15,12 +15,17 @@ from hd_diag.diagnosis.fit.refit import FEW_STARTS, distinct, refit
 from hd_diag.diagnosis.search.acceptance import needed, passing
 from hd_diag.diagnosis.search.causes import CLASS_DEVIANCE, Search, causes
 from hd_diag.diagnosis.search.ranking import Candidate, Projector, by_name, candidates, family_size, ranked
-from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS, UnmodelledTerm
+from hd_diag.diagnosis.search.unmodelled_terms import (
+    OUTPUT_LINES,
+    UNMODELLED_TERMS,
+    OutputLine,
+    UnmodelledTerm,
+)
 from hd_diag.effects.effect import Effect, Stage
 
 _MOST_CAUSES = 4
 _SLOW = 0.34  # share of the samples that count as slow
-_MOST_TERMS = 3  # unmodelled
+_MOST_TERMS = 3  # unmodelled, beside lines of the output's turn
 _LEADING = 3  # best candidates that are tried at other parameters
 _RIVALS = 6  # best candidates of a round that are tried later in place of others
 _UNEVEN = 1.3  # ratio of the residual at high and low speed from which both are fitted apart
@@ -28,6 +33,7 @@ _AS_MUCH = 0.9  # of the best candidate's gain, that its rivals have
 _FAR = 2.0  # times the noise's deviance, that is left where parameters are wrong still
 _RESTARTS = 3  # causes found, up to which each lets the model's parameters be searched for again
 _PLAINLY = 10.0  # surprise by which an unmodelled term must beat all causes to come before them
+_RESOLVED = 5.0  # surprise by which a wave of any order must beat a whole number per output turn
 _FIRST_MOVE = 0.5  # of a grid step, by which a refinement begins
 _RESTART_GAIN = 12.0  # deviance by which another minimum must beat the present one
 
@@ -57,7 +63,7 @@ def search(
     if chosen:
         fit, chosen = polished(_restarted(fit, chosen, rng), chosen)
     family, rivals = family_size(fit), set[str]()
-    for _ in range(_MOST_CAUSES + _MOST_TERMS):
+    for _ in range(_MOST_CAUSES + _MOST_TERMS + len(OUTPUT_LINES)):
         progress(f"looking for cause {len(chosen) + 1}")
         best = candidates(fit, chosen) if _named(chosen) < _MOST_CAUSES else []
         if not chosen and speed_dependent(fit):
@@ -101,15 +107,31 @@ def _next(fit: LinearisedFit, chosen: Chosen, family: int, best: list[Candidate]
     A cause that fails at its grid point is tried between grid points. A term that is not predictive comes
     last: a constant for every run imitates friction and drift together.
     """
-    terms = ranked(fit, chosen, UNMODELLED_TERMS)[:2] if len(chosen) - _named(chosen) < _MOST_TERMS else []
+    terms = ranked(fit, chosen, _unmodelled(chosen))[:2]
     leading = [one for one in terms[:1] if isinstance(one.effect, UnmodelledTerm) and one.effect.predictive]
-    ahead = bool(best and leading) and leading[0].surprise > best[0].surprise + _PLAINLY
+    ahead = bool(best and leading) and leading[0].surprise > best[0].surprise + _margin(leading[0], best[0])
     return (
         (passing(fit, chosen, leading, family) if ahead else None)
         or passing(fit, chosen, best[:3], family)
         or passing(fit, chosen, [_between(fit, chosen, one) for one in best[:1] if free(one.effect)], family)
         or passing(fit, chosen, terms, family)
     )
+
+
+def _unmodelled(chosen: Chosen) -> list[UnmodelledTerm]:
+    """Terms that may come next: of lines, which are alike, the first that is left."""
+    lines = sum(isinstance(effect, OutputLine) for effect, _ in chosen)
+    others = sum(isinstance(effect, UnmodelledTerm) for effect, _ in chosen) - lines
+    return [*(UNMODELLED_TERMS if others < _MOST_TERMS else ()), *OUTPUT_LINES[lines : lines + 1]]
+
+
+def _margin(term: Candidate, cause: Candidate) -> float:
+    """Surprise by which a term must beat a cause; a wave of any order itself must beat a line.
+
+    A line's order is whole; that of a cage or a belt would be close to a whole one by chance alone.
+    """
+    of_any_order = any(q.name == "order" and not q.discrete for q in cause.effect.nonlinear)
+    return -_RESOLVED if isinstance(term.effect, OutputLine) and of_any_order else _PLAINLY
 
 
 def _less_misled(

@@ -10,7 +10,8 @@ from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.present_effects import Item
 from hd_diag.diagnosis.search.causes import Search
 from hd_diag.diagnosis.search.order_table import order_table
-from hd_diag.diagnosis.search.remainder import Remainder, Rows, Wave, strongest
+from hd_diag.diagnosis.search.remainder import Remainder, Rows, Wave, Weight, strongest
+from hd_diag.diagnosis.search.unmodelled_terms import OutputLine
 from hd_diag.formatting import ARCSEC
 
 _MOST_WAVES = 8
@@ -46,8 +47,11 @@ class Unexplained:
 
 
 def waves(rest: Remainder) -> list[Wave]:
-    """Waves that stand out of the noise, the strongest first."""
-    found: list[Wave] = []
+    """Waves that are known to be there, then those that stand out of the noise, the strongest first."""
+    even = Weight(np.ones(rest.residual.size))
+    found = [Wave(order, "input", even) for order in rest.lines]
+    for wave in found:
+        rest = rest.without(wave)
     while len(found) < _MOST_WAVES and (wave := strongest(rest)) is not None:
         found.append(wave)
         rest = rest.without(wave)
@@ -63,9 +67,8 @@ def with_table(found: Search) -> Search:
 def unexplained(found: Search) -> list[Unexplained]:
     """Unmodelled terms, and periodic parts of the residual that stand out of the noise."""
     rest = Remainder.of(found.fit, found.chosen)
-    return [_term(found, item, rest) for item in found.unmodelled if not item[0].given] + lines(
-        rest, waves(rest)
-    )
+    terms = [item for item in found.unmodelled if not (item[0].given or isinstance(item[0], OutputLine))]
+    return [_term(found, item, rest) for item in terms] + lines(rest, waves(rest))
 
 
 def lines(rest: Remainder, found: list[Wave]) -> list[Unexplained]:

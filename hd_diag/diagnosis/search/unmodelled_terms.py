@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from hd_diag.arrays import Floats
+from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.noise import bounds, spans
 from hd_diag.effects.effect import Effect, Kind, Stage, Starts, Values
-from hd_diag.effects.quantity import Quantity
+from hd_diag.effects.excitation import output_turns
+from hd_diag.effects.order_spectrum import integer_orders
+from hd_diag.effects.output_encoder_interpolation import EFFECT as OUTPUT_ENCODER_LINES
+from hd_diag.effects.quantity import Quantity, amplitude, direction, turning
 from hd_diag.effects.signals import Signals
+from hd_diag.formatting import ARCSEC
 
 Shape = Callable[[Signals], Floats]
 
@@ -19,6 +24,9 @@ _STRETCHES = 12  # that a creep may be cut into
 _KNOTS = 7  # of a drift over a recording
 _CELLS = 240  # per turn of the output
 _WIDTHS = (0.06, 0.15)  # of a bump there [rad]
+_PERIODS = 4.0  # of a line within the output's way
+_LOWEST, _HIGHEST = 8, 1.9  # line per output turn; per input turn
+_PEAKS = 3  # of a spectrum that are looked at, with their neighbours
 
 
 _SIZE = Quantity("size", "rad", -1.0, 1.0, 1e-4, "of the greatest column")
@@ -93,6 +101,48 @@ class Place(UnmodelledTerm):
 def _around(values: Floats, bump: Floats) -> Floats:
     """Sums of values weighted by a bump around every cell."""
     return np.asarray(np.fft.irfft(np.fft.rfft(values) * np.conj(np.fft.rfft(bump)), values.size))
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutputLine(UnmodelledTerm):
+    """A wave with a whole number of periods per output turn, as rollers of an output bearing would leave.
+
+    Not the gear's own, nor a number of lines that an encoder may have: those are causes.
+    """
+
+    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
+        """See :meth:`Effect.columns`."""
+        return turning(nonlinear[0] * signals.output_angle)
+
+    def testable(self, signals: Signals) -> tuple[bool, str]:
+        """Where some lines pass several periods."""
+        return bool(_line_numbers(signals).size), "the output moves too little to show a line"
+
+    def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
+        """The strongest of a residual's whole orders, and those beside them, which part of a turn blurs."""
+        numbers = _line_numbers(signals)
+        if residual is None or not numbers.size:
+            return Starts([(float(one),) for one in numbers[:1]], numbers.size)
+        strength = integer_orders(signals.output_angle, residual, int(numbers[-1]))[numbers]
+        peaks = numbers[np.argsort(strength)[::-1][:_PEAKS]]
+        around = np.unique(peaks[:, None] + np.array([-1, 0, 1]))
+        return Starts([(float(one),) for one in np.intersect1d(around, numbers)], numbers.size)
+
+    def neighbours(self, signals: Signals, nonlinear: Values) -> list[Values]:
+        """The numbers beside."""
+        beside = np.array([nonlinear[0] - 1.0, nonlinear[0] + 1.0])
+        return [(float(one),) for one in np.intersect1d(beside, _line_numbers(signals))]
+
+
+def _line_numbers(signals: Signals) -> Integers:
+    """Whole numbers per output turn that a line of unknown cause may have."""
+    turned = output_turns(signals)
+    if turned == 0.0:
+        return np.empty(0, np.int64)
+    ratio = abs(signals.ratio)
+    number = np.arange(max(_LOWEST, math.ceil(_PERIODS / turned)), int(_HIGHEST * ratio))
+    of_gear = np.abs(number - ratio * np.rint(number / ratio)) <= 2.0
+    return number[~of_gear & ~OUTPUT_ENCODER_LINES.divides(number)]
 
 
 def _full(values: Floats) -> Floats:
@@ -225,4 +275,19 @@ UNMODELLED_TERMS = (
         name="square_speed", shape=_fast, cause="grows with the square of the speed", frame="input"
     ),
 )
-"""All of them; each is tested like a cause, and described where it wins."""
+"""All but lines; each is tested like a cause, and described where it wins."""
+
+OUTPUT_LINES = tuple(
+    OutputLine(
+        name=f"output_line_{number}",
+        cause="belongs to the output's turn",
+        frame="output",
+        quantities=(
+            amplitude("amplitude", "rad", 1e-3, 3.0 * ARCSEC, "of the transmission error"),
+            direction("phase", "of the wave at output angle zero"),
+            Quantity("number", "-", _LOWEST, 1e3, 1.0, "periods per output turn", False, discrete=True),
+        ),
+    )
+    for number in range(1, 6)
+)
+"""As many as a record may have of them."""
