@@ -70,7 +70,9 @@ class EncoderInterpolation(Harmonic):
     def divides(self, number: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
         """Whether circles are divided by numbers, shape (n,)."""
         divided = number % self.multiple == 0
-        return divided & (_ROUND % np.maximum(number, 1) == 0) if self.multiple > 1 else divided
+        if self.multiple > 1:
+            divided &= _ROUND % np.maximum(number, 1) == 0
+        return np.asarray(divided, np.bool_)
 
     def slow_enough(self, signals: Signals) -> Verdict:
         """Whether the least number of lines does not alias."""

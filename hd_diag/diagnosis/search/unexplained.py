@@ -50,8 +50,8 @@ def waves(rest: Remainder) -> list[Wave]:
     """Waves that are known to be there, then those that stand out of the noise, the strongest first."""
     even = Weight(np.ones(rest.residual.size))
     found = [Wave(order, "input", even) for order in rest.lines]
-    for wave in found:
-        rest = rest.without(wave)
+    for known in found:
+        rest = rest.without(known)
     while len(found) < _MOST_WAVES and (wave := strongest(rest)) is not None:
         found.append(wave)
         rest = rest.without(wave)
