@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from hd_diag.bag import BagError, BagReader
 from hd_diag.bag.joint_record import read_bags
 from hd_diag.bag.joint_topics import joints_in
-from hd_diag.bag.tables import Table, read_tables
+from hd_diag.bag.tables import Table, read_table_motion, read_tables
 from hd_diag.config.configuration import resolve
 from hd_diag.diagnosis.diagnosis import diagnose
 from hd_diag.diagnosis.record import Record, RecordError
@@ -302,6 +302,47 @@ def test_a_table_of_counts_that_run_over(
     assert_allclose(turned, 2 * np.pi / counts * (angle - angle[0]), rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("counts", "bits", "offset"),
+    [(512, 16, 100.0), (512, 16, -32000.0), (4096, 16, 65000.0), (2**20, 32, 2.0**31), (4096, 12, 3.0)],
+)
+def test_a_counter_that_runs_over_is_the_same_in_tables_and_bags(
+    given: dict[str, np.ndarray], tmp_path: Path, counts: int, bits: int, offset: float
+) -> None:
+    """Of 16 bits with and without a sign, of 32 bits, and one that begins anew each turn."""
+    whole = np.rint(given["input"] / (2 * np.pi) * counts) + offset
+    told = np.mod(whole + 2.0**15, 2.0**16) - 2.0**15 if offset < 0 else np.mod(whole, 2.0**bits)
+    lines = write_lines(tmp_path / "a.csv", "t,m,l", (given["time"], told, given["output"]), ",")
+    columns = {"time": "t", "input": f"m[counts/{counts}]", "output": "l"}
+    own = joint(input__field="position", input__unit=f"counts/{counts}")
+    bag = write(tmp_path / "a.mcap", states(given["time"], NAMES, (told, given["output"])))
+    for record in (read_tables([lines], Table(columns), joint()), read_bags([bag], own)):
+        turned = record.input_angle - record.input_angle[0]
+        assert_allclose(turned, 2 * np.pi / counts * (whole - whole[0]), rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("divided", [True, False])
+def test_a_velocity_in_a_table_is_integrated_as_in_a_bag(
+    given: dict[str, np.ndarray], tmp_path: Path, divided: bool
+) -> None:
+    """As the link's, of a joint of which the configuration says it; and in rpm of the motor."""
+    speed = np.gradient(given["input"], given["time"])
+    own = joint(input="velocity")
+    columns = {"time": "t", "input": "v", "output": "l"} if divided else {**COLUMNS, "input": "v[rpm]"}
+    shown = speed / RATIO if divided else speed * 60.0 / (2 * np.pi)
+    header = "t,v,l,tau" if divided else "t,v,link,tau"
+    values = given["time"], shown, given["output"], given["torque"]
+    path = write_lines(tmp_path / "a.csv", header, values, ",")
+    record = read_tables([path], Table({**columns, "torque": "tau"}), own if divided else joint())
+    messages = states(given["time"], NAMES[1:], (given["output"],), (given["torque"],), (speed / RATIO,))
+    expected = read_bags([write(tmp_path / "a.mcap", messages)], own)
+    assert (record.by_velocity, expected.by_velocity) == (True, True)
+    for name in ("time", "input_angle", "output_angle", "torque", "reported_speed"):
+        assert_allclose(getattr(record, name), getattr(expected, name), rtol=0, atol=1e-8, err_msg=name)
+    with pytest.raises(RecordError, match="needs the output's angle, from which its integral goes on"):
+        read_table_motion([path], Table({"time": "t", "input": "v[rpm]", "torque": "tau"}), joint())
+
+
 def test_a_divided_input_of_a_table_that_wraps(given: dict[str, np.ndarray], tmp_path: Path) -> None:
     """At the output's side it goes beyond half a turn, at which both encoders begin anew."""
     moved = {"input": given["input"] / RATIO + 3.0, "output": given["output"] + 3.0}
@@ -331,10 +372,22 @@ def test_empty_cells_are_missing_values(given: dict[str, np.ndarray], tmp_path: 
         ("t,motor,link,tau\n0,1,2,3\n", COLUMNS, "too short: 1 usable samples"),
         ("\xff\xfe", COLUMNS, "cannot be read"),
         (None, COLUMNS, "cannot be read"),
-        (None, {"time": "t", "input": "motor"}, "--columns needs output"),
+        (
+            None,
+            {"time": "t", "input": "motor"},
+            "--columns needs output: one angle has no transmission error; ",
+        ),
+        (
+            None,
+            {"time": "t", "output": "link"},
+            "publish the motor encoder's angle, or its velocity (input=v[",
+        ),
+        (None, {"time": "t", "output": "link"}, "; for hd-diag ripple a torque or a current"),
+        (None, {"output": "link", "torque": "tau"}, "; what the torque shows: hd-diag ripple"),
+        (None, {"torque": "tau"}, "--columns needs time (or --rate), input, output"),
         (None, {"input": "t", "output": "motor"}, "--columns needs time (or --rate)"),
         ("t,motor,link,tau\n", {**COLUMNS, "input": "motor[mm]"}, "column 'motor': 'mm' is no unit of input"),
-        ("t,motor,link,tau\n", {**COLUMNS, "input": "motor[rpm]"}, "an angle is needed, not a velocity"),
+        ("t,motor,link,tau\n", {**COLUMNS, "output": "link[rpm]"}, "'rpm' is no unit of output"),
         ("t,motor,link,tau\n", {**COLUMNS, "input": "motor*x"}, "has no column 'motor*x'"),
         (None, {**COLUMNS, "speed": "v"}, "--columns does not know 'speed'"),
     ],

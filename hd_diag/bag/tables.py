@@ -17,16 +17,19 @@ from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record, RecordError, prepare
+from hd_diag.streams.alignment import ELSEWHERE, Alignment, Names
+from hd_diag.streams.columns import JointStates
+from hd_diag.streams.rules import unseen
 from hd_diag.streams.signals import Unit, unit
 
 COLUMNS = ("time", "input", "output", "torque", "temperature")
 """Columns that `read_tables` knows; beside them ``record`` tells recordings in one file apart."""
 
+_KEYS = ELSEWHERE, "output", "", "input"  # of rows with a velocity
 _USUAL = dict(zip(COLUMNS, ("s", "rad", "rad", "N m", "degC"), strict=True))
 _DELIMITERS = ",;\t|"
 _GIVEN = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]+)\])?\s*(?:\*\s*(?P<scale>[-+.\deE]+))?")
 _IN_HEADER = re.compile(r"(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]+)[\])]")
-_COUNTERS = (2.0**16, 2.0**32)  # of encoders, that run over
 _TURN = 2.0 * np.pi + 1e-6
 
 
@@ -61,11 +64,31 @@ def read_tables(paths: Sequence[str | Path], table: Table, joint: JointConfig) -
     RecordError
         Where a file lacks a column, or a value is no number.
     """
-    found, by_current = columns_of(paths, table, joint, ("time", "input", "output"))
+    _check_both(table)
+    found, units = columns_of(paths, table, joint, ("time", "input", "output"))
     ratio, run = joint.drive.kinematics.ratio, found["record"].astype(np.int64)
     torque, warm = found.get("torque"), found.get("temperature")
     columns = found["time"], found["input"], found["output"], torque, warm, run
-    return prepare(*columns, ratio, joint.torque, by_current=by_current)
+    by_current, by_velocity = "torque" in units and units["torque"].is_current, units["input"].is_rate
+    return prepare(*columns, ratio, joint.torque, found.get("speed"), by_current, by_velocity)
+
+
+def _check_both(table: Table) -> None:
+    """Raise RecordError, saying what could be had, where there is but one angle."""
+    given = table.columns
+    if ("input" in given) == ("output" in given):
+        return
+    missing = "output" if "input" in given else "input"
+    publish = "the motor encoder's angle, or its velocity (input=v[rad/s])"
+    ripple = (
+        "what the torque shows: hd-diag ripple"
+        if "torque" in given
+        else "for hd-diag ripple a torque or a current"
+    )
+    raise RecordError(
+        f"--columns needs {missing}: one angle has no transmission error; the robot's driver would have to "
+        f"publish {publish if missing == 'input' else 'the angle of the link'}; {ripple}"
+    )
 
 
 def read_table_motion(paths: Sequence[str | Path], table: Table, joint: JointConfig) -> InputRecord:
@@ -85,29 +108,80 @@ def read_table_motion(paths: Sequence[str | Path], table: Table, joint: JointCon
 
 def columns_of(
     paths: Sequence[str | Path], table: Table, joint: JointConfig, needed: Sequence[str]
-) -> tuple[dict[str, Floats], bool]:
-    """Columns of CSV files, and whether the torque is a current's.
+) -> tuple[dict[str, Floats], dict[str, Unit]]:
+    """Columns of CSV files, and the units that they had.
 
     Given are those of `COLUMNS` that the table names, of shape (n,): time [s], angles [rad] (the input's is
-    the wave generator's, and continuous where it was divided), torque [N m], temperature [degree Celsius];
-    and ``record``, the number of the recording. RecordError where one that is needed is not there.
+    the wave generator's, and continuous where it was divided, counted or integrated), torque [N m],
+    temperature [degree Celsius]; ``record``, the number of the recording; and the input's ``speed`` [rad/s]
+    where that was given. RecordError where one that is needed is not there.
     """
     given = dict(table.columns)
     missing = [name for name in needed if name not in given and not (name == "time" and table.rate)]
     unknown = [name for name in given if name not in (*COLUMNS, "record")]
     if missing or unknown:
-        what = f"needs {', '.join(missing)}" if missing else f"does not know {unknown[0]!r}"
-        rate = " (or --rate)" if "time" in missing else ""
-        raise RecordError(f"--columns {what}{rate}; it takes {', '.join(COLUMNS)} and record")
-    files = [_file(Path(path), table) for path in paths]
+        names = ["time (or --rate)" if name == "time" else name for name in missing]
+        what = f"needs {', '.join(names)}" if missing else f"does not know {unknown[0]!r}"
+        raise RecordError(f"--columns {what}; it takes {', '.join(COLUMNS)} and record")
+    usual = _USUAL | ({"input": "rad/s"} if joint.signals.is_velocity else {})
+    files = [_file(Path(path), table, usual) for path in paths]
     number = np.repeat(np.arange(len(files)), [len(next(iter(columns.values()))) for columns, _ in files])
     found = {name: np.concatenate([columns[name] for columns, _ in files]) for name in files[0][0]}
     recording = np.stack((number, found.get("record", np.zeros(number.size))), axis=1)
     found["record"] = np.unique(recording, axis=0, return_inverse=True)[1].reshape(-1)
-    if (table.divided or joint.input_divided) and "input" in found:
-        _follow(found["input"], found["record"].astype(np.int64))
-        found["input"] *= joint.drive.kinematics.ratio
+    _make_angles(found, files[0][1], joint, table.divided)
     return found, files[0][1]
+
+
+def _make_angles(
+    found: dict[str, Floats], units: Mapping[str, Unit], joint: JointConfig, divided: bool
+) -> None:
+    """Let counters go on where they run over, and the input be the wave generator's angle, in place."""
+    record, ratio = found["record"].astype(np.int64), joint.drive.kinematics.ratio
+    for name in {"input", "output"} & units.keys():
+        _count(found[name], units[name].counter, record)
+    if "input" not in found:
+        return
+    is_rate = units["input"].is_rate
+    divided |= joint.input_divided and is_rate == joint.signals.is_velocity
+    if is_rate:
+        names = Names("", "", keys=_KEYS, input_factor=ratio if divided else 1.0, velocity_ratio=ratio)
+        _integrate(found, record, names)
+    elif divided:
+        _follow(found["input"], record)
+        found["input"] *= ratio
+
+
+def _integrate(found: dict[str, Floats], record: Integers, names: Names) -> None:
+    """Put the velocity's integral in the input's place, by the rules of streams; nan where there is none."""
+    if "output" not in found:
+        raise RecordError("a velocity as input needs the output's angle, from which its integral goes on")
+    columns = np.stack((found["output"], found["input"]), axis=1)
+    good = np.isfinite(columns).all(axis=1) & np.isfinite(found["time"])
+    found["input"], found["speed"] = np.full((2, record.size), np.nan)
+    for begin, end in bounds(record):
+        rows = begin + np.flatnonzero(good[begin:end])
+        if not rows.size:
+            continue
+        stamp = np.rint(1e9 * (found["time"][rows] - found["time"][rows[0]])).astype(np.int64)
+        states = JointStates(
+            np.arange(rows.size), stamp, (), "", None, None, None, columns[rows], _KEYS[1::2]
+        )
+        samples = Alignment([names]).take(stamp, [states])
+        found["input"][rows[samples.row]] = samples.input_angle
+        found["speed"][rows[samples.row]] = samples.speed
+
+
+def _count(angle: Floats, counter: float, record: Integers) -> None:
+    """Let a counter that runs over go on, in place; one that begins anew each turn is an angle that wraps."""
+    if not counter:
+        return
+    from hd_diag.streams.kernel_encoder import continued  # late: it imports numba
+
+    for begin, end in bounds(record):
+        own = angle[begin:end]
+        if own.size and np.nanmax(own) - np.nanmin(own) > _TURN:
+            angle[begin:end] = continued(own, counter, unseen())
 
 
 def _follow(angle: Floats, record: Integers) -> None:
@@ -117,14 +191,14 @@ def _follow(angle: Floats, record: Integers) -> None:
             angle[begin:end] = unwrapped(angle[begin:end])
 
 
-def _file(path: Path, table: Table) -> tuple[dict[str, Floats], bool]:
-    """Columns of a file in SI, and whether the torque is a current's."""
+def _file(path: Path, table: Table, usual: Mapping[str, str]) -> tuple[dict[str, Floats], dict[str, Unit]]:
+    """Columns of a file in SI, and the units that they had; the usual one where none is given."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             first = file.readline()
             delimiter = table.delimiter or max(_DELIMITERS, key=first.count)
             header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
-            wanted = {key: _column(path, key, text, header) for key, text in table.columns.items()}
+            wanted = {key: _column(path, key, text, header, usual) for key, text in table.columns.items()}
             values = {key: array("d") for key in wanted}
             rows = csv.reader(file, delimiter=delimiter)
             for row in rows:
@@ -134,13 +208,16 @@ def _file(path: Path, table: Table) -> tuple[dict[str, Floats], bool]:
                     )
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise RecordError(f"{path}: cannot be read: {error}") from error
-    columns = {key: _in_si(np.frombuffer(column), wanted[key][1]) for key, column in values.items()}
+    units = {key: known for key, (_, known) in wanted.items()}
+    columns = {
+        key: np.frombuffer(column) * units[key].factor + units[key].offset for key, column in values.items()
+    }
     if table.rate and "time" not in columns:
         columns["time"] = np.arange(len(next(iter(columns.values())))) / table.rate
-    return columns, "torque" in wanted and wanted["torque"][1].is_current
+    return columns, units
 
 
-def _column(path: Path, key: str, text: str, header: list[str]) -> tuple[int, Unit]:
+def _column(path: Path, key: str, text: str, header: list[str], usual: Mapping[str, str]) -> tuple[int, Unit]:
     """Place of a column in the rows, and its unit."""
     given = _GIVEN.fullmatch(text)
     name = text if text in header or given is None else given["name"]
@@ -153,22 +230,11 @@ def _column(path: Path, key: str, text: str, header: list[str]) -> tuple[int, Un
     stated, scale = (given["unit"], given["scale"]) if given and name != text else (None, None)
     told = _IN_HEADER.fullmatch(header[place])
     try:
-        known = unit(key, stated or (told["unit"] if told else _USUAL[key]))
+        known = unit(key, stated or (told["unit"] if told else usual[key]))
         factor = known.factor * float(scale or 1.0)
     except ValueError as error:
         raise RecordError(f"{path}: column {header[place]!r}: {error}") from error
-    if known.is_rate:
-        raise RecordError(f"{path}: column {header[place]!r}: an angle is needed, not a velocity")
     return place, known._replace(factor=factor)
-
-
-def _in_si(values: Floats, known: Unit) -> Floats:
-    if known.is_counts:
-        for size in _COUNTERS:
-            if np.nanmax(np.abs(values), initial=0.0) < size and np.isfinite(values).all():
-                values = np.unwrap(values, period=size)
-                break
-    return values * known.factor + known.offset
 
 
 def _number(path: Path, line: int, text: str) -> float:

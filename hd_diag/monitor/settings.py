@@ -63,7 +63,9 @@ class JointConfig:
         keys = angle, has.get("output", ""), has.get("torque", ""), speed
         ratio = self.drive.kinematics.ratio
         factor, velocity_ratio = ratio if self.input_divided else 1.0, ratio * self.signals.is_velocity
-        return Names(self.input_joint, self.output_joint, self.torque, keys, factor, velocity_ratio)
+        counters = (0.0 if s is None else s.unit.counter for s in self.signals[:2])
+        names = self.input_joint, self.output_joint
+        return Names(*names, self.torque, keys, factor, velocity_ratio, *counters)
 
 
 @dataclass(frozen=True)

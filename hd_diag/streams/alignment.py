@@ -9,7 +9,8 @@
   `LONGEST_HOLD` away; else it is not known. Live the configured torque then stands for it. Offline, where the
   next one is known too, `torque_between` interpolates between reported torques at most as far apart.
 * **A velocity is integrated** from the output's angle on: see `kernel_integration`.
-* **Turns are counted.** An angle within one turn that jumps by over half of one wraps: it goes the short way.
+* **Turns are counted.** An angle within one turn that jumps by over half of one wraps, as does a counter of
+  16 or 32 bits: it goes the short way.
 * **What is not measured** is often reported as nan: then it counts as not reported, until a number comes; an
   output angle also beside a torque that comes apart from the input. Other values that are none, and those
   beyond `LARGEST_ANGLE` and `LARGEST_TORQUE`, refuse the sample.
@@ -29,22 +30,13 @@ import numpy as np
 
 from hd_diag.arrays import Bytes, Floats, Integers, Times
 from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TORQUE, JointStates
-from hd_diag.streams.rules import (
-    ENCODER,
-    INPUT,
-    JOINT,
-    NEVER,
-    OUTPUT,
-    REMEMBERED,
-    Given,
-    Reason,
-)
+from hd_diag.streams.rules import INPUT, JOINT, NEVER, OUTPUT, REMEMBERED, Given, Reason, unseen
 
-_CONFIGURED = ["assumed_torque", "input_factor", "velocity_ratio"]  # of JOINT, as in Names
+# Of JOINT, as in Names.
+_CONFIGURED = ["assumed_torque", "input_factor", "velocity_ratio", "input_counter", "output_counter"]
 _LAYOUTS = 64  # of messages, whose columns are remembered
 _NOTHING = np.zeros((1, 1))
 _NO_MOMENTS = np.empty((3, 0), np.int64)
-
 
 ELSEWHERE = "-"
 """Key of a signal that no message gives."""
@@ -55,7 +47,7 @@ class Names(NamedTuple):
 
     Names of input and output in joint states, and the torque where none is known [N m]; keys of input,
     output, torque and speed where they are signals of their own; by what reported inputs are multiplied; the
-    ratio where the input is known by its velocity, else 0.
+    ratio where the input is known by its velocity, else 0; 16 bits of counts [rad] where angles are counted.
     """
 
     input_joint: str
@@ -64,6 +56,8 @@ class Names(NamedTuple):
     keys: tuple[str, str, str, str] = ("", "", "", "")
     input_factor: float = 1.0
     velocity_ratio: float = 0.0
+    input_counter: float = 0.0
+    output_counter: float = 0.0
 
 
 class Aligned(NamedTuple):
@@ -161,8 +155,7 @@ class Alignment:
         self.texts = [""] * len(names)
         self._inputs = np.zeros((len(names), remembered), INPUT)
         self._waiting = np.zeros((len(names), remembered), OUTPUT)
-        self.encoders = np.zeros((len(names), 2), ENCODER)
-        self.encoders["stretch"] = -1
+        self.encoders = unseen(2 * len(names)).reshape(-1, 2)
         self._unseen = np.empty((0, len(names)), JOINT)
         self._columns: dict[Any, _Columns] = {}
         self.foreign = 0

@@ -14,6 +14,7 @@ import numpy as np
 from hd_diag.arrays import Bytes, Floats, Integers, Times
 from hd_diag.model.kernel.compiler import entry_point, part
 from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TORQUE
+from hd_diag.streams.kernel_encoder import continuous
 from hd_diag.streams.kernel_integration import integrate, with_velocity
 from hd_diag.streams.rules import CLOCK_JUMP, LONGEST_HOLD, NEVER, PAIRING_GAP, Given, Reason
 
@@ -21,8 +22,6 @@ _INPUT, _OUTPUT, _TORQUE, _SPEED = int(Given.INPUT), int(Given.OUTPUT), int(Give
 _REFUSED, _OTHER, _UNREADABLE = int(Given.REFUSED), int(Given.OTHER), int(Reason.UNREADABLE)
 _NAMELESS, _BAD_INPUT, _BAD_OUTPUT = int(Reason.NAMELESS), int(Reason.INPUT), int(Reason.OUTPUT)
 _BAD_TORQUE, _LATE_INPUT, _LATE_OUTPUT = int(Reason.TORQUE), int(Reason.LATE_INPUT), int(Reason.LATE_OUTPUT)
-_TURN = 2.0 * math.pi
-_ROUNDING = 1e-6  # by which a wrapped angle may leave its turn [rad]
 _FIRST, _LAST = -(2**63), 2**63 - 1  # before and after every stamp [ns]
 
 
@@ -150,27 +149,11 @@ def _checked(joint: Any, row: int, stamp: int, given: int, value: Floats) -> int
 def _count_turns(joint: Any, encoders: Any, given: int, value: Floats) -> None:
     """Make the angles of a row continuous, and the input the wave generator's."""
     if given & _INPUT and joint.velocity_ratio == 0.0:
-        value[0] = _continuous(encoders[0], joint.stretch, value[0]) * joint.input_factor
+        value[0] = continuous(encoders[0], joint.stretch, value[0], joint.input_counter) * joint.input_factor
     if given & _OUTPUT:
-        value[1] = _continuous(encoders[1], joint.stretch, value[1])
+        value[1] = continuous(encoders[1], joint.stretch, value[1], joint.output_counter)
     if given & _SPEED:
         value[3] *= joint.input_factor
-
-
-@part
-def _continuous(encoder: Any, stretch: int, angle: float) -> float:
-    """An angle that may wrap, with its turns [rad]."""
-    if encoder.stretch != stretch:
-        if encoder.stretch < 0:
-            encoder.low = encoder.high = angle
-        encoder.stretch, encoder.turns, encoder.angle = stretch, 0.0, angle
-    encoder.low, encoder.high = min(encoder.low, angle), max(encoder.high, angle)
-    if encoder.high - encoder.low > _TURN + _ROUNDING:
-        encoder.turns = 0.0
-    elif abs(angle - encoder.angle) > math.pi:
-        encoder.turns -= math.copysign(1.0, angle - encoder.angle)
-    encoder.angle = angle
-    return float(angle + _TURN * encoder.turns)
 
 
 @part

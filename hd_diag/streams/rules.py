@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import IntEnum, IntFlag
+from typing import Any
 
 import numpy as np
 
@@ -63,18 +64,27 @@ JOINT = np.dtype(
         *((name, np.float64) for name in ("angle", "load")),
         ("followed", np.int64),
         *((name, np.float64) for name in ("velocity_ratio", "own", "away", "drift", "rate")),
+        *((name, np.float64) for name in ("input_counter", "output_counter")),
     ]
 )
 """State of one joint: stamps [ns], when an input was last heard [ns], number of its stream, places in rings,
 counters, the last refusal, torque reported and assumed [N m], by which reported inputs are multiplied; input
 angle and torque of the last sample. Where the input is a velocity: whether the output is known, the
 ratio (else 0), output times ratio, how far the integral is off it and how far that drifted [rad], last
-velocity [rad/s]."""
+velocity [rad/s]. What 16 bits of counts are of input and output, 0 where they do not count [rad]."""
 
 ENCODER = np.dtype(
     [("stretch", np.int64), *((name, np.float64) for name in ("angle", "low", "high", "turns"))]
 )
 """An angle as it is reported: in which stream, the last one, least and greatest [rad], whole turns to add."""
+
+
+def unseen(count: int = 1) -> Any:
+    """So many encoders of which nothing is known yet."""
+    encoders = np.zeros(count, ENCODER)
+    encoders["stretch"] = -1
+    return encoders
+
 
 INPUT = np.dtype([("stamp", np.int64), ("angle", np.float64)])
 OUTPUT = np.dtype(

@@ -21,6 +21,7 @@ _TURN = 2.0 * math.pi
 _ANGLES = {"rad": 1.0, "deg": _TURN / 360.0, "turns": _TURN}
 _COUNTS = re.compile(r"counts/(\d+(?:\.\d+)?)")
 _ZERO_CELSIUS = 273.15  # [K]
+_COUNTER = 2.0**16  # counts after which a small counter begins anew
 
 
 class Unit(NamedTuple):
@@ -34,6 +35,11 @@ class Unit(NamedTuple):
     is_rate: bool = False
     is_counts: bool = False
     is_current: bool = False
+
+    @property
+    def counter(self) -> float:
+        """What 16 bits of counts are [rad]; 0 where nothing is counted."""
+        return _COUNTER * abs(self.factor) * self.is_counts
 
 
 _UNITS = {
