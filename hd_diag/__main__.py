@@ -1,19 +1,21 @@
 """``hd-diag``, ``python -m hd_diag``, ``hd_diag_node``: a signal during their imports ends them cleanly."""
 
+import signal
 import sys
-
-_INTERRUPTED = 130  # exit code, as of a process that SIGINT has ended
 
 
 def main() -> None:
     """Entry point of the ``hd-diag`` command."""
     try:
+        from hd_diag.ros.stop_signals import raise_signals
+
+        raise_signals()
         from hd_diag.cli import main as run
 
         run()
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as error:
         print("hd-diag: interrupted", file=sys.stderr)  # noqa: T201
-        sys.exit(_INTERRUPTED)
+        sys.exit(128 + getattr(error, "number", signal.SIGINT))
 
 
 def node() -> None:

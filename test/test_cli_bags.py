@@ -296,7 +296,8 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
     """What a terminal shows of the progress."""
     shown = io.StringIO()
     made = Console(file=shown, force_terminal=True, width=120, color_system=None)
-    monkeypatch.setattr(cli_progress, "Console", lambda stderr: made)
+    monkeypatch.setattr(cli_progress, "_on_terminal", lambda: True)
+    monkeypatch.setattr("rich.console.Console", lambda stderr: made)
     return shown
 
 
@@ -309,7 +310,7 @@ def test_progress_has_a_rate_and_the_time_left(
     shown = terminal(monkeypatch)
     given = () if command is recover else ("--config", folder / "c.yaml")
     assert run(command, folder / "long.mcap", "--out", tmp_path / "out.mcap", *given).exit_code == 0
-    assert re.search(rf"{command.name} .* (\d+)/\1 [\d,.]+ {unit}/s \d:\d\d:\d\d", shown.getvalue())
+    assert re.search(rf"{command.name} .* ([\d,]+) of \1 {unit}, [\d,.]+/(s|min)", shown.getvalue())
 
 
 def test_whatever_a_bag_holds_the_answer_is_proper(tmp_path: Path) -> None:

@@ -65,8 +65,8 @@ def replay(
                 advance(messages, total)
 
             result = replay_bag(bag, out, config, topics=topics, overwrite=overwrite, progress=progress)
-    except KeyboardInterrupt:
-        interrupted(out, kept, f"what the first {done} messages give")
+    except KeyboardInterrupt as error:
+        interrupted(error, out, kept, f"what the first {done} messages give")
     except BagError as error:
         if not isinstance(error, DamagedChunk) and not isinstance(error.__cause__, DamagedChunk):
             raise
@@ -139,8 +139,8 @@ def recover(bag: Path, out: Path, overwrite: bool, json_file: str | None) -> Non
                 advance(done * 1e-3, total * 1e-3)
 
             report = recover_bag(bag, out, overwrite=overwrite, progress=progress)
-    except KeyboardInterrupt:
-        interrupted(out, kept)
+    except KeyboardInterrupt as error:
+        interrupted(error, out, kept)
     if not any(report.counts.values()) and not report.complete:
         raise Problem(f"{bag}: nothing can be saved: {report.statement()[1]}")
     if json_file:

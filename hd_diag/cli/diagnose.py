@@ -12,7 +12,8 @@ import numpy as np
 
 from hd_diag import __version__
 from hd_diag.cli.options import FAIL_ON_CAUSE, FILE, JSON, Problem, check_targets, verb
-from hd_diag.cli.record import Judged, Records, digests, judge_each, on_records, status
+from hd_diag.cli.progress import showing
+from hd_diag.cli.record import Judged, Records, digests, judge_each, on_records
 from hd_diag.config.configuration import JointConfig
 from hd_diag.config.model_file import document, write
 from hd_diag.config.parameters import JOINT_PARAMETERS
@@ -64,8 +65,8 @@ def diagnose(
         raise Problem("--orders-only has no tooth model: it takes neither --model nor --report")
 
     def judge(joint: JointConfig) -> Judged:
-        with status(joint.name) as progress:
-            found = records.diagnosed(joint, progress)
+        with showing() as part:
+            found = records.diagnosed(joint, part(joint.name))
         lines, written, page = summary(found), None, None
         if model_file is not None and found.model is None:
             lines.append("no model was written: the record does not allow one")

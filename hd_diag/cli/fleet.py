@@ -6,9 +6,7 @@ import contextlib
 import importlib.util
 import os
 import re
-import signal
 import sys
-import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,8 +16,8 @@ import numpy as np
 from rich.console import Console
 
 from hd_diag.cli import options
-from hd_diag.cli.progress import bar
-from hd_diag.cli.verbs import INTERRUPTED
+from hd_diag.cli.progress import Advance, showing
+from hd_diag.cli.verbs import signalled
 from hd_diag.config.catalogue import load
 from hd_diag.config.configuration import JointConfig
 from hd_diag.fleet import FleetError
@@ -33,7 +31,7 @@ from hd_diag.fleet.survey import find_bags
 from hd_diag.fleet.trend import CHANGED, Trend, trends
 from hd_diag.model.threads import cores
 from hd_diag.process_pool import ProcessPool
-from hd_diag.ros.stop_signals import noted_signals
+from hd_diag.ros.stop_signals import Stopped, noted_signals
 
 _NEEDED = ("pyarrow", "ruptures")
 _MEMORY_SHARE = 0.9  # of the machine's, for all workers together
@@ -171,29 +169,24 @@ def _run(
                 with _pool(given) as pool:
                     rows = diagnose_fleet(chosen, pool, journal, tell, tick, given["bag_timeout"])
                 return rows, trends(series_of(rows, limits), np.random.default_rng(0), tick)
-        except KeyboardInterrupt:
+        except KeyboardInterrupt as error:
             text = f"{len(journal.results)} results are in {path}; the same command goes on"
             click.echo(f"hd-diag: interrupted: {text}", err=True)
-            sys.exit(INTERRUPTED)
+            sys.exit(signalled(error))
 
 
 @contextlib.contextmanager
 def _watched() -> Iterator[tuple[Progress, Callable[[], None]]]:
     """What shows the progress of a run, and what ends it after Ctrl-C."""
-    with bar() as progress, noted_signals([signal.SIGINT]) as came:
-        task, stage, begin = progress.add_task("fleet", total=None, rate=""), "", time.monotonic()
+    with showing() as part, noted_signals() as came:
+        stages: dict[str, Advance] = {}
 
         def tick() -> None:
             if came:
-                raise KeyboardInterrupt
+                raise Stopped(came[0])
 
-        def tell(now: str, done: int, total: int, tasks: int) -> None:
-            nonlocal stage, begin
-            if now != stage:
-                progress.reset(task, description=now, rate="")
-                stage, begin = now, time.monotonic()
-            rate = f"{tasks} done, {60.0 * tasks / max(time.monotonic() - begin, 1e-9):.1f} a minute"
-            progress.update(task, completed=done, total=total, rate=rate)
+        def tell(stage: str, done: int, total: int, tasks: int) -> None:
+            stages.setdefault(stage, part(stage))(done, total, f"{tasks} done")
 
         yield tell, tick
 

@@ -1,70 +1,167 @@
-"""Long work on bags: progress with rate and time left, and Ctrl-C where the work can end."""
+"""Long work: how far it is and how long it still takes, and Ctrl-C where the work can end.
+
+A bar on a terminal; in a pipe a line on stderr every 10 s, none of work that ends before.
+"""
 
 from __future__ import annotations
 
-import signal
+import os
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
-from typing import NoReturn
-
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from typing import NoReturn, Protocol
 
 from hd_diag.bag import BagReader
 from hd_diag.cli.options import tell
-from hd_diag.cli.verbs import INTERRUPTED
-from hd_diag.ros.stop_signals import noted_signals
+from hd_diag.cli.verbs import signalled
+from hd_diag.ros.stop_signals import Stopped, noted_signals
 
-Advance = Callable[[float, float], None]
-"""Takes what is done, and what there is in all."""
+_PERIOD = 10.0  # of lines in a pipe [s]
+
+
+class Advance(Protocol):
+    """How far a part of the work is."""
+
+    def __call__(self, done: float, total: float, note: str = "") -> None:
+        """Show what is done, of what in all (0: not known), and what is being done now."""
+
+
+class Part(Protocol):
+    """Begins parts of the work."""
+
+    def __call__(self, what: str, unit: str = "") -> Advance:
+        """A part of this name, counted in this unit; without one its share is shown in per cent."""
+
+
+class _Work:
+    """A part of the work, told in words; its clock begins when it is first heard of."""
+
+    def __init__(self, what: str, unit: str) -> None:
+        self._what, self._unit, self._note = what, unit, ""
+        self.done = self.total = self._first = self._begin = self._now = 0.0
+
+    def advance(self, done: float, total: float, note: str) -> None:
+        self._now = time.monotonic()
+        if not self._begin:
+            self._begin, self._first = self._now, done
+        self.done, self.total, self._note = done, total, note
+
+    @property
+    def name(self) -> str:
+        return f"{self._what}: {self._note}" if self._note else self._what
+
+    def __str__(self) -> str:
+        spent, since = self._now - self._begin, time.monotonic() - self._now
+        if not self.total > 0.0:
+            return f"{duration(spent + since)} so far"
+        parts = [f"{self.done:,.0f} of {self.total:,.0f} {self._unit}"]
+        if not self._unit:
+            parts = [f"{100.0 * self.done / self.total:.0f} %"]
+        if spent > 0.0 and self.done > self._first:
+            rate = (self.done - self._first) / spent
+            if self._unit:
+                parts.append(f"{rate:,.0f}/s" if rate >= 10.0 else f"{60.0 * rate:,.1f}/min")
+            left = (self.total - self.done) / rate - since
+            parts += [f"about {duration(left)} left"] if left >= 1.0 else []
+        return ", ".join(parts)
+
+
+def duration(seconds: float) -> str:
+    """A time [s] as people say it: 40 s, 5 min, 2 h 10 min."""
+    minutes = round(seconds / 60.0)
+    if seconds < 99.5:
+        return f"{seconds:.0f} s"
+    return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60} min"
 
 
 @contextmanager
-def bar() -> Iterator[Progress]:
-    """Progress with rate and time left, on stderr, gone when done; silent where stderr is no terminal."""
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[rate]}"),
-        TimeRemainingColumn(),
-    )
-    console = Console(stderr=True)
-    progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
-    # Older releases of rich print an empty line at the end of a bar that never showed.
-    with progress if console.is_terminal else nullcontext(progress):
-        yield progress
+def showing() -> Iterator[Part]:
+    """Parts of the work: each gives what is to be called meanwhile; shown from the first call on."""
+    with _bars() if _on_terminal() else _lines() as show:
 
+        def part(what: str, unit: str = "") -> Advance:
+            work = _Work(what, unit)
 
-@contextmanager
-def working() -> Iterator[Callable[[str, str], Advance]]:
-    """A function that takes what is to be done and its unit, and gives what is to be called meanwhile.
-
-    A bar shows from the first call on. A call raises KeyboardInterrupt where Ctrl-C has come since the last.
-    """
-    with bar() as bars, noted_signals([signal.SIGINT]) as came:
-
-        def part(what: str, unit: str) -> Advance:
-            begin = time.monotonic()
-            task = bars.add_task(what, total=None, rate="", visible=False)
-
-            def advance(done: float, total: float) -> None:
-                rate = done / max(time.monotonic() - begin, 1e-9)
-                shown = f"{rate:,.0f}" if rate >= 100.0 else f"{rate:,.1f}"
-                bars.update(task, completed=done, total=total, rate=f"{shown} {unit}/s", visible=True)
-                if came:
-                    raise KeyboardInterrupt
+            def advance(done: float, total: float, note: str = "") -> None:
+                work.advance(done, total, note)
+                show(work)
 
             return advance
 
         yield part
 
 
-def interrupted(out: Path, kept: bool, content: str = "") -> NoReturn:
-    """End after Ctrl-C with a line on what `out` holds; `kept` where it was there before, and still is."""
+@contextmanager
+def working() -> Iterator[Part]:
+    """The same for work that must end at a call: there `Stopped` is raised where a signal has come."""
+    with showing() as shown, noted_signals() as came:
+
+        def part(what: str, unit: str = "") -> Advance:
+            show = shown(what, unit)
+
+            def advance(done: float, total: float, note: str = "") -> None:
+                show(done, total, note)
+                if came:
+                    raise Stopped(came[0])
+
+            return advance
+
+        yield part
+
+
+def _on_terminal() -> bool:
+    return sys.stderr.isatty() and os.environ.get("TERM") not in (None, "dumb", "unknown")
+
+
+@contextmanager
+def _lines() -> Iterator[Callable[[_Work], None]]:
+    """Shows work as a line now and then."""
+    latest: list[_Work] = []
+    ended = threading.Event()
+
+    def write() -> None:
+        while not ended.wait(_PERIOD):
+            for work in latest:
+                tell(f"hd-diag: {work.name}: {work}", err=True)
+
+    def show(work: _Work) -> None:
+        latest[:] = [work]
+
+    thread = threading.Thread(target=write, daemon=True)
+    thread.start()
+    try:
+        yield show
+    finally:
+        ended.set()
+
+
+@contextmanager
+def _bars() -> Iterator[Callable[[_Work], None]]:
+    """Shows work as bars on a terminal, which are gone when it is done."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskID, TextColumn
+
+    tasks: dict[_Work, TaskID] = {}
+    columns = [
+        TextColumn("{task.fields[work].name}", markup=False),
+        BarColumn(),
+        TextColumn("{task.fields[work]}"),
+    ]
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
+
+        def show(work: _Work) -> None:
+            if work not in tasks:
+                tasks[work] = bars.add_task("", total=None, work=work)
+            bars.update(tasks[work], completed=work.done, total=work.total or None)
+
+        yield show
+
+
+def interrupted(error: KeyboardInterrupt, out: Path, kept: bool, content: str = "") -> NoReturn:
+    """End after a signal with a line on what `out` holds; `kept` where it was there before, and still is."""
     left = f"nothing was written, {out} is as it was" if kept else "nothing was written"
     if out.exists() and not kept:
         if not content:
@@ -72,4 +169,4 @@ def interrupted(out: Path, kept: bool, content: str = "") -> NoReturn:
                 content = f"the first {reader.message_count} messages"
         left = f"{out} holds {content}"
     tell(f"hd-diag: interrupted: {left}", err=True)
-    sys.exit(INTERRUPTED)
+    sys.exit(signalled(error))

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import functools
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
-from rich.console import Console
 
 from hd_diag.bag.joint_record import InputRecord, nothing, read_bags, read_motion
 from hd_diag.bag.tables import Table, read_table_motion, read_tables
 from hd_diag.cli.options import CONFIG, FILE, JOINTS, Problem, chosen_joints, configured, write_json, writing
+from hd_diag.cli.progress import Advance
 from hd_diag.config.catalogue import load
 from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
@@ -75,13 +75,15 @@ class Records:
     catalogue: Catalogue
     orders_only: bool = False
 
-    def diagnosed(self, joint: JointConfig, progress: Callable[[str], None]) -> Diagnosis:
+    def diagnosed(self, joint: JointConfig, advance: Advance) -> Diagnosis:
         """Diagnosis of a joint; BagError and RecordError where there is nothing that can be judged."""
+        advance(0, 0, "reading")
         # No name for the record: it goes as soon as it was looked through.
         looked = screened(self._record(joint), joint.configured, teeth=not self.orders_only)
         if self.orders_only:
             return orders_only(looked, joint.configured, np.random.default_rng(0))
-        found = diagnose(looked, joint.configured, np.random.default_rng(0), progress, self.catalogue)
+        rng, told = np.random.default_rng(0), partial(advance, 0, 0)
+        found = diagnose(looked, joint.configured, rng, told, self.catalogue)
         return with_allowed(found, limits_and_spreads(self.config.flat, joint.name)[0])
 
     def ripple(self, joint: JointConfig, motion: InputRecord | None) -> Ripple:
@@ -201,14 +203,3 @@ def digests(path: Path) -> dict[str, str]:
                     digest.update(part)
             found[file.name] = digest.hexdigest()
     return found
-
-
-@contextmanager
-def status(joint: str) -> Iterator[Callable[[str], None]]:
-    """Shows on a terminal, and only there, what is being done."""
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield lambda text: None
-        return
-    with console.status(f"{joint}: reading") as shown:
-        yield lambda text: shown.update(f"{joint}: {text}")

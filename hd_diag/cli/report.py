@@ -10,7 +10,8 @@ import numpy as np
 
 from hd_diag.bag.joint_record import InputRecord
 from hd_diag.cli.options import FILE, JSON, Problem, check_targets, verb
-from hd_diag.cli.record import Judged, Records, judge_each, not_judged, on_records, status
+from hd_diag.cli.progress import showing
+from hd_diag.cli.record import Judged, Records, judge_each, not_judged, on_records
 from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.record import RecordError
 from hd_diag.diagnosis.ripple.ripple import Ripple
@@ -37,9 +38,10 @@ def report(records: Records, out: Path | None, json_file: str | None) -> None:
 
     def judge(joint: JointConfig) -> Judged:
         flat = records.config.flat
-        with status(joint.name) as progress:
+        with showing() as part:
+            advance = part(joint.name)
             try:
-                found = records.diagnosed(joint, progress)
+                found = records.diagnosed(joint, advance)
             except RecordError as error:
                 motion, ripple = _motion(records, joint)
                 if motion is None:
@@ -47,7 +49,7 @@ def report(records: Records, out: Path | None, json_file: str | None) -> None:
                 page = of_motion(motion, joint, flat, str(error), ripple)
                 told = {"ripple": ripple_json(ripple, joint.name)} if ripple else {}
                 return not_judged(joint.name, error) | told, [page.verdict], page
-            progress("gathering the report's numbers")
+            advance(0, 0, "gathering the report's numbers")
             page = of_diagnosis(found, joint, flat, np.random.default_rng(0))
             return as_json(found, joint.name), [page.verdict], page
 

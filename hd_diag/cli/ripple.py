@@ -8,7 +8,8 @@ from rich.console import Console
 from rich.table import Table
 
 from hd_diag.cli.options import JSON, Problem, check_targets, verb
-from hd_diag.cli.record import Judged, Records, judge_each, on_records, status
+from hd_diag.cli.progress import showing
+from hd_diag.cli.record import Judged, Records, judge_each, on_records
 from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.ripple.ripple import Ripple
 from hd_diag.diagnosis.ripple.verdict import TITLES, as_json, row, sentence
@@ -30,7 +31,8 @@ def ripple(records: Records, json_file: str | None) -> None:
     tables: dict[str, Ripple] = {}
 
     def judge(joint: JointConfig) -> Judged:
-        with status(joint.name):
+        with showing() as part:
+            part(joint.name)(0, 0, "looking at the torque")
             found = records.ripple(joint, records.motion(joint))
         tables[joint.name] = found
         return as_json(found, joint.name), [sentence(found)], None

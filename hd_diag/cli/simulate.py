@@ -92,7 +92,7 @@ def simulate(
             raise ValueError(f"--start-time must be a Unix time within 32 bits, not {given['start_time']} s")
         start = round(given["start_time"] * _SECOND)
         with working() as part:
-            mapping = part("map", "%")
+            mapping = part("map")
             samples = write_bag(
                 out,
                 config,
@@ -102,11 +102,11 @@ def simulate(
                 start=start,
                 with_temperature=given["temperature"],
                 overwrite=given["overwrite"],
-                mapped=lambda fraction: mapping(100.0 * fraction, 100.0),
+                mapped=lambda fraction: mapping(fraction, 1.0),
                 progress=part("simulate", "samples"),
             )
-    except KeyboardInterrupt:
-        interrupted(out, kept)
+    except KeyboardInterrupt as error:
+        interrupted(error, out, kept)
     except ValueError as error:
         raise options.Problem(str(error)) from error
     if json_file:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from hd_diag.cli import options
-from hd_diag.cli.progress import bar
+from hd_diag.cli.progress import showing
 from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.formatting import ARCSEC, words
 from hd_diag.model.threads import cores
@@ -85,12 +85,14 @@ def tolerance(
     chosen = options.chosen_joint(config, joint)
     try:
         question = _question(config, chosen, given)
-        with bar() as bars, ProcessPool(given["jobs"] or cores()) as pool:
+        with showing() as part, ProcessPool(given["jobs"] or cores()) as pool:
 
-            def part(what: str, steps: int) -> Callable[[], None]:
-                return partial(bars.advance, bars.add_task(what, total=steps, rate=""))
+            def counted(what: str, steps: int) -> Callable[[], None]:
+                advance, done = part(what), itertools.count(1)
+                advance(0, steps)
+                return lambda: advance(next(done), steps)
 
-            found = study(question, pool, part)
+            found = study(question, pool, counted)
     except ValueError as error:
         raise options.Problem(f"{chosen.name}: {error}") from error
     if json_file:

@@ -17,9 +17,6 @@ import hd_diag
 SIGNALLED = 128
 """Plus the number of a signal: exit code of what it has ended, as shells have it."""
 
-INTERRUPTED = SIGNALLED + signal.SIGINT
-"""Exit code after Ctrl-C."""
-
 # Module of each verb, and its line in the list of all.
 VERBS = {
     "check": ("check", "Validate a configuration without ROS and say what it describes."),
@@ -60,27 +57,31 @@ class _Verbs(click.Group):
     def main(self, *args: Any, **kwargs: Any) -> Any:
         try:
             code = super().main(*args, **kwargs | {"standalone_mode": False})
-        except click.ClickException as error:
-            click.echo(f"hd-diag: {' '.join(error.format_message().split())}", err=True)
-            sys.exit(error.exit_code)
-        except ModuleNotFoundError as error:  # numba, which rosdep cannot install
-            if error.name is None or error.name.startswith(__package__.partition(".")[0]):
-                raise
-            click.echo(f"hd-diag: {error}: python3 -m pip install {error.name}", err=True)
-            sys.exit(2)
-        except (click.Abort, SystemError) as error:
-            if not _is_interruption(error):
-                raise
-            click.echo("hd-diag: interrupted", err=True)
-            sys.exit(INTERRUPTED)
+        except Exception as error:
+            code, text = _ended(error)
+            click.echo(f"hd-diag: {text}", err=True)
         sys.exit(code if isinstance(code, int) else 0)
 
 
-def _is_interruption(error: BaseException | None) -> bool:
-    """Whether it began as a KeyboardInterrupt: numba's compiled code makes SystemErrors of one."""
+def _ended(error: Exception) -> tuple[int, str]:
+    """Exit code of what ended a verb, and the line on it; raises what nobody expects."""
+    if code := signalled(error):
+        return code, "interrupted"
+    if isinstance(error, click.ClickException):
+        return error.exit_code, " ".join(error.format_message().split())
+    if isinstance(error, ModuleNotFoundError) and error.name and not error.name.startswith("hd_diag"):
+        return 2, f"{error}: python3 -m pip install {error.name}"  # numba, which rosdep cannot install
+    raise error
+
+
+def signalled(error: BaseException | None) -> int:
+    """Exit code of what a signal has ended; 0 where none has.
+
+    Others make their own errors of a KeyboardInterrupt: click, numba's compiled code, imports.
+    """
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
-    return error is not None
+    return SIGNALLED + getattr(error, "number", signal.SIGINT) if error else 0
 
 
 @click.group(

@@ -1,0 +1,78 @@
+"""Progress of long work: a bar on a terminal, a line now and then in a pipe, how far and how long still."""
+
+import signal
+import threading
+
+import pytest
+
+from hd_diag.cli import progress
+from hd_diag.cli.progress import duration, showing, working
+from hd_diag.ros.stop_signals import Stopped
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    now = [100.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    return now
+
+
+def test_work_says_how_far_it_is_and_how_long_still(clock: list[float]) -> None:
+    """By the rate since its own first call, and the time since the last."""
+    work = progress._Work("joint_1", "")
+    work.advance(0.2, 1.0, "reading")
+    clock[0] += 10.0
+    work.advance(0.4, 1.0, "looking for causes")
+    clock[0] += 5.0
+    assert (work.name, str(work)) == ("joint_1: looking for causes", "40 %, about 25 s left")
+    clock[0] += 60.0  # longer than thought: nobody knows how long still
+    assert str(work) == "40 %"
+
+
+def test_counted_work_has_a_rate(clock: list[float]) -> None:
+    work = progress._Work("replay", "messages")
+    work.advance(0, 30_000, "")
+    clock[0] += 2.0
+    work.advance(12_000, 30_000, "")
+    assert str(work) == "12,000 of 30,000 messages, 6,000/s, about 3 s left"
+
+
+def test_work_of_unknown_length_says_how_long_so_far(clock: list[float]) -> None:
+    work = progress._Work("arm", "")
+    work.advance(0, 0, "reading")
+    clock[0] += 130.0
+    assert str(work) == "2 min so far"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "told"), [(0.6, "1 s"), (99.0, "99 s"), (100.0, "2 min"), (7800.0, "2 h 10 min")]
+)
+def test_durations_as_people_say_them(seconds: float, told: str) -> None:
+    assert duration(seconds) == told
+
+
+def test_in_a_pipe_lines_come_while_nothing_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the first word on, also in the middle of a long step; none after the end."""
+    written, lines = threading.Event(), []
+
+    def tell(line: str, err: bool) -> None:
+        lines.append((line, err))
+        written.set()
+
+    monkeypatch.setattr(progress, "_PERIOD", 0.01)
+    monkeypatch.setattr(progress, "tell", tell)
+    with showing() as part:
+        part("joint_1")(0.5, 1.0, "looking for causes")
+        assert written.wait(30.0)
+    assert lines[0] == ("hd-diag: joint_1: looking for causes: 50 %", True)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_work_at_its_next_call(number: signal.Signals) -> None:
+    before = signal.getsignal(number)
+    with working() as part:
+        advance = part("replay", "messages")
+        signal.raise_signal(number)  # where nothing can be left
+        with pytest.raises(Stopped) as ended:
+            advance(1, 2)
+    assert (ended.value.number, signal.getsignal(number)) == (number, before)
