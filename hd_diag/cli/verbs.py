@@ -79,9 +79,13 @@ def signalled(error: BaseException | None) -> int:
 
     Others make their own errors of a KeyboardInterrupt: click, numba's compiled code, imports.
     """
-    while error is not None and not isinstance(error, KeyboardInterrupt):
+    seen: list[BaseException] = []
+    while error is not None and error not in seen:  # an error that was raised again may be its own context
+        if isinstance(error, KeyboardInterrupt):
+            return SIGNALLED + int(getattr(error, "number", signal.SIGINT))
+        seen.append(error)
         error = error.__cause__ or error.__context__
-    return SIGNALLED + getattr(error, "number", signal.SIGINT) if error else 0
+    return 0
 
 
 @click.group(
