@@ -123,9 +123,9 @@ def measured_noise(
     unit = max(float(half.mean()), 1e-300)
     grams, moments = _by_slice(columns, half / unit, slice_)
     draws = np.random.default_rng(0).integers(0, len(grams), (_DRAWS, len(grams)))
-    drawn = [_nugget(grams[rows].sum(axis=0), moments[rows].sum(axis=0)) for rows in draws]
+    drawn = _nuggets(grams[draws].sum(axis=1), moments[draws].sum(axis=1))
     low, high = (np.sqrt(unit * np.quantile(drawn, (0.025, 0.975))) * (1.0 - _OWN, 1.0 + _OWN)).tolist()
-    rms = math.sqrt(unit * _nugget(grams.sum(axis=0), moments.sum(axis=0)))
+    rms = math.sqrt(unit * _nuggets(grams.sum(axis=0)[None], moments.sum(axis=0)[None])[0])
     if high > _VAGUE * low:  # too few to lead them back
         rms = high = math.sqrt(float(half.mean()))
     return MeasuredNoise(
@@ -185,10 +185,12 @@ def _by_slice(columns: Floats, target: Floats, number: Integers) -> tuple[Floats
     return grams, np.stack([columns[rows].T @ target[rows] for rows in parts])
 
 
-def _nugget(gram: Floats, moment: Floats) -> float:
-    """First coefficient of the least squares without negative ones."""
-    root = np.linalg.cholesky(gram + 1e-9 * np.trace(gram) * np.eye(gram.shape[0]))
-    return float(nnls(root.T, np.linalg.solve(root, moment))[0][0])
+def _nuggets(gram: Floats, moment: Floats) -> list[float]:
+    """First coefficients of n least squares without negative ones, of Gram matrices (n, k, k)."""
+    ridge = 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None]
+    root = np.linalg.cholesky(gram + ridge * np.eye(gram.shape[-1]))
+    target = np.linalg.solve(root, moment[..., None])[..., 0]
+    return [float(nnls(each.T, own)[0][0]) for each, own in zip(root, target, strict=True)]
 
 
 def _of_short_differences(values: Floats, run: Integers) -> float:

@@ -80,8 +80,12 @@ class ContactTable:
 
     @cached_property
     def torsion_map(self) -> TorsionMap:
-        """Of the mesh without errors, for torques somewhat beyond the limit."""
-        return build(self.drive.mesh, _BEYOND * self.torque_limit, steps_per_tooth=_MAP_STEPS)
+        """Of the mesh without errors, for torques somewhat beyond the limit.
+
+        Where teeth enter by their corners the torsion jumps at some angle: here it does so within a step.
+        """
+        found = build(self.drive.mesh, _BEYOND * self.torque_limit, steps_per_tooth=_MAP_STEPS)
+        return replace(found, torque_limit=found.requested_limit)
 
     @cached_property
     def mean_torsion(self) -> tuple[Floats, Floats]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -32,6 +33,9 @@ _WHITE = Whitening(np.zeros(ORDER), 1.0)
 
 # Effects with their nonlinear values.
 Chosen = tuple[Item, ...]
+
+# Coefficients, covariance, normal equations, numbers of the parameters that lie on a bound.
+_Solution = tuple[Floats, Floats, Design, Integers]
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,11 +213,21 @@ class LinearisedFit:
         beta, _, _, held = self._fit(chosen)
         return held, beta[held]
 
-    def _fit(self, chosen: Chosen, more: Floats | None = None) -> tuple[Floats, Floats, Design, Integers]:
-        parts = [self.always_white, *(self.white(*item) for item in chosen)]
+    def _fit(self, chosen: Chosen, more: Floats | None = None) -> _Solution:
         if more is not None and more.shape[1]:
-            parts.append(self.whiten(more, self.data.run))
-        columns = np.concatenate(parts, axis=1)
+            return self._solved(chosen, more)
+        key = tuple((effect.name, nonlinear) for effect, nonlinear in chosen)
+        if key not in self._solutions:
+            self._solutions[key] = self._solved(chosen, np.empty((self.data.at.size, 0)))
+        return self._solutions[key]
+
+    @cached_property
+    def _solutions(self) -> dict[Hashable, _Solution]:
+        return {}
+
+    def _solved(self, chosen: Chosen, more: Floats) -> _Solution:
+        parts = [self.always_white, *(self.white(*item) for item in chosen)]
+        columns = np.concatenate((*parts, self.whiten(more, self.data.run)), axis=1)
         precision, pull = np.zeros((2, columns.shape[1]))
         prior = self.prior(chosen)
         precision[: prior[0].size], pull[: prior[1].size] = prior

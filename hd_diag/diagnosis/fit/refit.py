@@ -171,7 +171,8 @@ def _starts(configured: Drive, start: Floats | None, starts: Starts) -> list[Flo
         point = first.copy()
         point[:2] = size * np.cos(np.pi * turn), size * np.sin(np.pi * turn)
         points.append(point)
-    return [*points, first, *([] if start is None else [start])]
+    again = [] if any(np.array_equal(first, point) for point in points) else [first]
+    return [*points, *again, *([] if start is None else [start])]
 
 
 class _Problem:

@@ -230,11 +230,19 @@ def _peak(phase: Floats, residual: Floats) -> tuple[float, float] | None:
         return None
     power, orders = power[use], orders[use]
     width = max(25, power.size // 60)
-    floor = np.array([np.median(part) for part in np.array_split(power, max(power.size // width, 1))])
+    floor = _medians(power, max(power.size // width, 1))
     local = np.interp(np.arange(power.size), np.linspace(0, power.size, floor.size), floor)
     ratio = power / np.maximum(local, 1e-300)
     best = int(np.argmax(ratio))
     return float(ratio[best]), float(orders[best])
+
+
+def _medians(values: Floats, count: int) -> Floats:
+    """Of so many parts as even as can be, the longer ones first, as `numpy.array_split` has them."""
+    size, longer = divmod(values.size, count)
+    edge = longer * (size + 1)
+    parts = (values[:edge].reshape(longer, size + 1), values[edge:].reshape(-1, size))
+    return np.concatenate([np.median(part, axis=1) for part in parts])
 
 
 def _refined(phase: Floats, residual: Floats, order: float) -> float:
