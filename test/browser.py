@@ -108,3 +108,14 @@ def _by_axe(browser: Any, rules: Sequence[str]) -> list[str]:
         unavailable()
     browser.execute_script(Path(found.origin).with_name("axe.min.js").read_text(encoding="utf-8"))
     return list(browser.execute_async_script(_CONTRAST, list(rules)))
+
+
+def contrast(one: Sequence[float], other: Sequence[float]) -> float:
+    """Of two colours, red, green and blue from 0 to 1: from 1 to 21, as of WCAG 2.1."""
+    darker, brighter = sorted((_luminance(one), _luminance(other)))
+    return (brighter + 0.05) / (darker + 0.05)
+
+
+def _luminance(colour: Sequence[float]) -> float:
+    linear = [c / 12.92 if c <= 0.03928 else ((c + 0.055) / 1.055) ** 2.4 for c in colour]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]

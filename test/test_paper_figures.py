@@ -83,7 +83,7 @@ def test_the_command_writes_figures_and_captions(tmp_path: Path) -> None:
     assert (result.exit_code, result.stderr) == (0, "")
     assert "does not agree" not in result.stdout
     names = {f"figure_{number}.png" for number in (5, 6, 7)}
-    assert {path.name for path in (tmp_path / "new").iterdir()} == {*names, "figures.md"}
+    assert {path.name for path in (tmp_path / "new").iterdir()} == {*names, "drive.png", "figures.md"}
     captions = (tmp_path / "new/figures.md").read_text(encoding="utf-8")
     assert all(f"]({name})" in captions for name in names)
     assert all(f"* ({letter}) " in captions for letter in "abcde")

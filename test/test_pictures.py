@@ -1,19 +1,23 @@
 """SVG of pictures: what stands in it, what cannot, the same for the same numbers."""
 
 import re
+from itertools import combinations
 from xml.etree import ElementTree as Xml
 
 import matplotlib as mpl
 import numpy as np
 import pytest
 from browser import contrast
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from report_samples import HOSTILE
 
+from hd_diag.config.configuration import resolve
 from hd_diag.diagnosis.gain import Rms
 from hd_diag.report.ladder import Rung
 from hd_diag.report.pictures import canvas
 from hd_diag.report.pictures.comparison import model_ladder
+from hd_diag.report.pictures.eccentric_drive import _least_backlash, drive_picture
 from hd_diag.report.pictures.markup import inline_svg
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -92,3 +96,20 @@ def test_a_ladder_shows_its_numbers() -> None:
     rungs = [Rung(name, value, 0.9 * value, 1.1 * value) for name, value in zip(names, rms, strict=True)]
     svg = inline_svg(model_ladder(rungs, held_out), "a", "", "")
     assert {*names, "46.00", "12.50", "3.30"} <= set(texts(svg))
+
+
+def test_the_drawn_drives_labels_are_apart_and_teeth_interfere_between_lobe_and_eccentricity() -> None:
+    own = resolve({}).joints[0].drive
+    figure = drive_picture(own)
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    figure.canvas.draw()
+    letters = [text for axes in figure.axes for text in axes.texts if text.get_text()]
+    boxes = [(text.get_text(), text.get_window_extent(renderer)) for text in letters]
+    assert len(boxes) >= 15
+    assert [(a, b) for (a, first), (b, second) in combinations(boxes, 2) if first.overlaps(second)] == []
+    assert [text for text, box in boxes if not (box.x0 >= 0.0 and box.x1 <= figure.bbox.width)] == []
+    where, least, positive = _least_backlash(own)
+    struck = np.degrees(where[least < 0.0]) % 360.0
+    assert np.all((struck > 20.0) & (struck < 75.0) == positive[least < 0.0])
+    assert np.all((struck > 155.0) & (struck < 210.0) != positive[least < 0.0])
+    assert np.nanmin(least) == pytest.approx(-18.3e-6, abs=0.1e-6)  # as of the paper's tooth 0, of symmetry

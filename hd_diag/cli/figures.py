@@ -1,4 +1,4 @@
-"""``hd-diag figures``: the model's counterparts of the paper's Figs. 5, 6 and 7, with captions."""
+"""``hd-diag figures``: the model's counterparts of the paper's figures, and a drawing of the drive."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import click
 from hd_diag.cli.examples import load_example
 from hd_diag.cli.options import CONFIG, configured, shown, verb, writing
 from hd_diag.report.pictures.canvas import save
+from hd_diag.report.pictures.eccentric_drive import drive_picture
 
 _CAPTIONS = "figures.md"
 
@@ -24,7 +25,8 @@ def figures(out: Path, config_file: str | None, format: str) -> None:
 
     For the first configured joint: the neutral layer's motion, backlash and load over the teeth, one tooth
     over time, for eccentricities from none to 23 µm. figures.md gets captions with the numbers that the
-    paper's claims come to.
+    paper's claims come to. Beside them drive.*: what is eccentric to what, positive directions, where teeth
+    interfere.
     """
     joint = configured(config_file).joints[0]
     entries = load_example("paper_figures").figures(joint.drive)
@@ -37,6 +39,9 @@ def figures(out: Path, config_file: str | None, format: str) -> None:
             save(figure, place)
         captions.append(f"## {title}\n\n![{title}]({file.name})\n\n{listed}")
         click.echo(f"{file}: {title}\n{listed}")
+    with writing(out / f"drive.{format}") as place:
+        save(drive_picture(joint.drive), place)
+    click.echo(f"{out / f'drive.{format}'}: what is eccentric to what, positive directions, interference")
     with writing(out / _CAPTIONS) as place:
         place.write_text("\n\n".join(captions) + "\n", encoding="utf-8")
     click.echo(f"{out / _CAPTIONS}: captions")
