@@ -129,6 +129,14 @@ def test_outputs_are_put_beneath_their_commands(tmp_path: Path) -> None:
     )
 
 
+def test_readme_is_short_and_says_what_the_demo_takes_before_its_command() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(text.split()) < 700
+    before = text.partition("    make demo\n")[0]
+    (size,) = re.findall(r'size="(\d+ MB)', (ROOT / "scripts/environment.sh").read_text(encoding="utf-8"))
+    assert size in before
+
+
 def test_readme_has_its_picture_and_linked_files_exist() -> None:
     readme, more = ((ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "CONTRIBUTING.md"))
     (name,) = re.findall(r'<img src="([^"]+)"', readme)
@@ -234,6 +242,10 @@ def test_nomenclature_figures_and_the_public_core_are_those_of_the_code(pages: d
     assert "slot 0 lies on its x axis" in physics
     assert "arc offset of tooth 0 along the neutral curve" in physics
     assert "negative: the flanks interfere" in physics
+    assert all(
+        any(link.endswith("/drive.svg") for link in pages[name].links)
+        for name in ("index.html", "physics.html")
+    )
     pictures = {name for link in paper.links for name in re.findall(r"figure_\d\.svg", link)}
     assert pictures == {"figure_5.svg", "figure_6.svg", "figure_7.svg"}
     assert all(f"({letter})" in paper.text for letter in "abcde")
