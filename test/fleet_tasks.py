@@ -9,7 +9,7 @@ import numpy as np
 from bag_samples import rows, write_with_mcap
 from pool_tasks import note
 
-from hd_diag.fleet.rows import Row, Task
+from hd_diag.fleet.rows import PAGE, Row, Task
 from hd_diag.fleet.survey import Survey, survey
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -40,6 +40,12 @@ def slow(task: Task) -> Row:
     return quick(task)
 
 
+def compared(arcsec: float) -> Row:
+    """Columns of an error beside an accuracy of 90 arcsec, known to 1 arcsec."""
+    error, std, accuracy = np.radians([arcsec / 3600.0, 1.0 / 3600.0, 90.0 / 3600.0]).tolist()
+    return {"error_rad": error, "error_std_rad": std, "accuracy_rad": accuracy}
+
+
 def row(residual: float) -> Row:
     return {
         "joint": "joint_1",
@@ -59,7 +65,14 @@ def row(residual: float) -> Row:
         "noise_floor_low_rad": 0.98e-6,
         "noise_floor_high_rad": 1.02e-6,
         "hd_diag_version": "0.1.0",
+        **compared(40.0),
     }
+
+
+def drawn(task: Task) -> Row:
+    """The name of its bag is its page."""
+    page = {PAGE: Path(task.bag).name} if task.drawn else {}
+    return {**quick(task), **page}
 
 
 def small_bag(path: Path, day: int = 0, names: tuple[str, ...] = ("joint_1_motor", "joint_1")) -> Path:

@@ -17,6 +17,7 @@ for (const box of document.querySelectorAll("body *")) {
 
 // The visible part of every line of text, as [left, top, right, bottom, what, picture].
 const clipped = (rect, element) => {
+  if (!element.checkVisibility()) return null;  // within what is folded up
   let [left, top, right, bottom] = [rect.left, rect.top, rect.right, rect.bottom];
   for (let e = element; e && e !== document.body; e = e.parentElement) {
     const style = getComputedStyle(e);

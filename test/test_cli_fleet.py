@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import signal
 import socket
@@ -17,6 +18,7 @@ import numpy as np
 import pool_tasks
 import pyarrow.parquet as pq
 import pytest
+from browser import opened, page_faults
 from cli_runner import assert_one_line_error, hd_diag
 from click.testing import Result
 from live import config
@@ -63,7 +65,7 @@ HOSTILE = "[red]$x^2$\n\x1b[31m'; DROP.mcap"
 
 @pytest.fixture(scope="module")
 def judged(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, Path]:
-    """A run over a bag, its copies under hostile names, and bags that cannot be judged."""
+    """A run over a bag, its copies under hostile names, one cut off, and some that cannot be judged."""
     folder = tmp_path_factory.mktemp("fleet")
     bags = folder / "bags"
     (bags / "deep").mkdir(parents=True)
@@ -79,19 +81,23 @@ def judged(tmp_path_factory: pytest.TempPathFactory) -> tuple[Result, Path]:
     fleet_tasks.small_bag(bags / "short.mcap")
     fleet_tasks.small_bag(bags / "strange.mcap", names=("elbow_\x07motor", "elbow"))
     (bags / "notes.txt").touch()
+    later = fleet_tasks.BEGIN + fleet_tasks.DAY
+    write_bag(bags / "torn.mcap", truth, motion, np.random.default_rng(1), joints, start=later)
+    torn = (bags / "torn.mcap").read_bytes()
+    (bags / "torn.mcap").write_bytes(torn[: 3 * len(torn) // 4])
     outputs = ("--out", folder / "f.parquet", "--json", folder / "f.json", "--figure", folder / "f.png")
-    return fleet(bags, *outputs), folder
+    return fleet(bags, *outputs, "--report", folder / "week.html", "--fail-on", "amber"), folder
 
 
 def test_every_bag_has_its_row(judged: tuple[Result, Path]) -> None:
     result, folder = judged
-    assert (result.exit_code, result.exception and result.exit_code) == (0, None), result.output
+    assert result.exit_code == 1, result.output  # something is not green
     errors = {Path(row["bag"]).name: row["error"] for row in table(folder / "f.parquet")}
-    assert len(errors) == 6
+    assert len(errors) == 7
     assert [errors[name] for name in ("good.mcap", HOSTILE, "\\udcff\\udcfe.mcap")] == [None] * 3
     assert "too short: 12 usable samples" in errors["short.mcap"]
     assert errors["strange.mcap"] == (
-        "no 'joint_1'; joint states there hold 'elbow', 'elbow_\\x07motor'; its topics are '/joint_states'; "
+        "no 'joint_1'; joint states there hold 'elbow', 'elbow_\\x07motor'; its topics are '/j'; "
         "hd-diag topics tells more"
     )
     assert errors["zeros.mcap"]
@@ -100,7 +106,7 @@ def test_every_bag_has_its_row(judged: tuple[Result, Path]) -> None:
 def test_a_row_is_what_diagnose_says(judged: tuple[Result, Path]) -> None:
     """To the bits that sums on one thread and on several differ by."""
     _, folder = judged
-    rows = [row for row in table(folder / "f.parquet") if row["error"] is None]
+    rows = [row for row in table(folder / "f.parquet") if row["error"] is None and not row["problems"]]
     alone = hd_diag("diagnose", folder / "bags" / "good.mcap", "--json", "-")
     written = json.loads(alone.stdout)
     for row in rows:
@@ -112,6 +118,10 @@ def test_a_row_is_what_diagnose_says(judged: tuple[Result, Path]) -> None:
         assert row["eccentricity_std_m"] == pytest.approx(size["std"], rel=SAME)
         assert abs(row["eccentricity_m"] - 12e-6) < 4.0 * row["eccentricity_std_m"]
         assert row["causes"] == [cause["name"] for cause in written["causes"]]
+        for quantity, name in (("error", "measured"), ("error_std", "std"), ("accuracy", "accuracy")):
+            assert row[f"{quantity}_rad"] == pytest.approx(written["normal"][name], rel=SAME)
+        assert row["eccentricity_allowed_m"] == pytest.approx(written["tolerance"]["allowed"], rel=SAME)
+        assert row["judgement"] == written["judgement"]
         assert row["start"] == datetime(2026, 1, 1, tzinfo=timezone.utc)
     assert len({row["bag_sha256"] for row in rows}) == 1
 
@@ -123,21 +133,52 @@ def test_what_a_run_says_in_the_terminal_and_in_json(judged: tuple[Result, Path]
     assert "\x1b" not in said
     assert "\x07" not in said
     assert "cannot tell yet" in " ".join(result.stdout.split())
-    assert Counter(line.partition(": ")[0] for line in result.stderr.splitlines()) == {"not judged": 3}
+    told = Counter(line.partition(": ")[0] for line in result.stderr.splitlines())
+    told.pop("hd-diag", None)  # how far it is, every ten seconds
+    assert told == {
+        "not judged": 3,
+        "cut off": 1,
+        "recorded at the same time": 1,
+    }
     written = json.loads((folder / "f.json").read_text())
-    assert (written["schema"], written["bags"], written["rows"]) == ("hd_diag/fleet/1", 6, 6)
+    assert (written["schema"], written["bags"], written["rows"]) == ("hd_diag/fleet/1", 7, 7)
     assert len(written["errors"]) == 3
     trend = next(trend for trend in written["trends"] if trend["quantity"] == "eccentricity")
-    assert (trend["joint"], trend["bags"], trend["form"]) == ("joint_1", 3, "unknown")
-    assert trend["needed"] > 3
-    assert trend["last"]["time"] == "2026-01-01T00:00:00+00:00"
+    assert (trend["joint"], trend["bags"], trend["form"]) == ("joint_1", 4, "unknown")
+    assert trend["needed"] > 4
+    assert trend["last"]["time"] == "2026-01-02T00:00:00+00:00"
     assert (folder / "f.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_equal_contents_are_judged_once_and_kept(judged: tuple[Result, Path]) -> None:
-    """The good bag and the short one; what could not be read was not begun."""
+    """The good bag, the torn and the short one; what could not be read was not begun."""
     _, folder = judged
-    assert len((folder / "f.parquet.journal.jsonl").read_text().splitlines()) == 2
+    assert len((folder / "f.parquet.journal.jsonl").read_text().splitlines()) == 3
+
+
+def test_the_weekly_page_says_how_the_joint_stands_and_leads_to_its_page(
+    judged: tuple[Result, Path], browser: Any
+) -> None:
+    """By the last recording, which was cut off: that stands on top, and in the row; no link is dead."""
+    _, folder = judged
+    assert page_faults(browser, (folder / "week.html").as_uri()) == []
+    told = [json.loads((folder / "f.json").read_text())[name] for name in ("joints", "problems")]
+    ((joint,), (problem,)) = told
+    assert Path(joint["bag"]).name == Path(problem["bag"]).name == "torn.mcap"
+    assert (joint["state"], joint["recorded"]) == ("red", "2026-01-02T00:00:00+00:00")
+    assert (joint["since"], joint["recordings"]) == ("2026-01-01T00:00:00+00:00", 4)
+    assert "is cut off or damaged at byte" in problem["problems"][0]
+    assert ["eccentricity" in reason or "cut off" in reason for reason in joint["reasons"]] == [True, True]
+    opened(browser, (folder / "week.html").as_uri())
+    row = browser.find_element("css selector", ".joints tbody tr").text
+    assert re.search(r"red\s+since 2026-01-01 \(4 recordings\)", row)
+    assert re.search(r"1[12]\.\d+ ± 0\.\d+ µm\s+of 10\.2 µm", row)
+    assert "is cut off or damaged" in browser.find_element("css selector", ".attention").text
+    links = browser.execute_script("return [...document.querySelectorAll('a')].map(a => a.href)")
+    outside = [link for link in links if "#" not in link]
+    assert outside == [(folder / joint["page"]).as_uri()]
+    opened(browser, outside[0])
+    assert "eccentricity" in browser.find_element("css selector", ".verdict").text
 
 
 # Going on ---
@@ -238,6 +279,52 @@ def test_robots_are_reported_apart(here: None, quick: Path, tmp_path: Path) -> N
     assert_one_line_error(
         fleet(tmp_path / "arm_a", "--robot", "leg", "--out", out), "--robot leg matches nothing"
     )
+
+
+def test_pages_are_drawn_of_last_recordings_once_and_go_when_newer_ones_come(
+    here: None, quick: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of what was judged without a page too; what is not the run's own stays."""
+    monkeypatch.setattr(run, "judge", fleet_tasks.drawn)
+    bags, out, page = bags_of(tmp_path / "bags", 3), tmp_path / "f.parquet", tmp_path / "week.html"
+    folder = tmp_path / "week_joints"
+    assert fleet(bags, "--out", out).exit_code == 0
+    assert (page.exists(), folder.exists()) == (False, False)
+    given = (bags, "--out", out, "--report", page)
+    assert fleet(*given).exit_code == 0
+    (first,) = folder.iterdir()
+    assert first.read_text() == "02.mcap"
+    assert [row["page"] for row in table(out)] == [None, None, f"week_joints/{first.name}"]
+    assert f'href="week_joints/{first.name}"' in page.read_text()
+    (folder / "notes.html").touch()
+    assert fleet(*given).exit_code == 0
+    bags_of(bags, 4)
+    assert fleet(*given).exit_code == 0
+    assert [name for name, _ in pool_tasks.calls(quick)] == [
+        *("00.mcap", "01.mcap", "02.mcap"),
+        *("02.mcap", "03.mcap"),
+    ]
+    (second,) = {*folder.iterdir()} - {folder / "notes.html"}
+    assert (first.exists(), second.read_text()) == (False, "03.mcap")
+    assert first.name not in page.read_text()
+
+
+@pytest.mark.parametrize(
+    ("arcsec", "least", "code"), [(40, "amber", 0), (90, "amber", 1), (90, "red", 0), (99, "red", 1)]
+)
+def test_it_fails_on_colours_where_asked(
+    here: None,
+    quick: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arcsec: int,
+    least: str,
+    code: int,
+) -> None:
+    monkeypatch.setattr(run, "judge", lambda task: fleet_tasks.row(1e-6) | fleet_tasks.compared(arcsec))
+    given = (bags_of(tmp_path / "bags", 1), "--out", tmp_path / "f.parquet")
+    assert fleet(*given).exit_code == 0
+    assert fleet(*given, "--fail-on", least).exit_code == code
 
 
 def test_steps_and_causes_are_reported_and_fail_on_request(

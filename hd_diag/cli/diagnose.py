@@ -13,7 +13,7 @@ import numpy as np
 from hd_diag import __version__
 from hd_diag.cli.options import FAIL_ON_CAUSE, FILE, JSON, Problem, check_targets, verb
 from hd_diag.cli.progress import showing
-from hd_diag.cli.record import Judged, Records, digests, judge_each, on_records
+from hd_diag.cli.record import Judged, Records, judge_each, on_records
 from hd_diag.config.configuration import JointConfig
 from hd_diag.config.model_file import document, write
 from hd_diag.config.parameters import JOINT_PARAMETERS
@@ -22,6 +22,7 @@ from hd_diag.diagnosis.verdict import as_json, summary
 from hd_diag.effects.order_line import ORDER_LINE
 from hd_diag.formatting import json_ready
 from hd_diag.report.facts import of_diagnosis
+from hd_diag.report.sources import digests
 
 
 @verb("diagnose joint.mcap --config arm.yaml --report joint.html")

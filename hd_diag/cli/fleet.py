@@ -8,6 +8,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
@@ -21,16 +22,20 @@ from hd_diag.cli.verbs import signalled
 from hd_diag.config.catalogue import load
 from hd_diag.config.configuration import JointConfig
 from hd_diag.fleet import FleetError
+from hd_diag.fleet.bag_pages import BagPages
 from hd_diag.fleet.cluster import ClusterPool
+from hd_diag.fleet.health_page import health_page
 from hd_diag.fleet.journal import JOURNAL_SUFFIX, Journal
-from hd_diag.fleet.rows import Row
+from hd_diag.fleet.rows import PAGE
 from hd_diag.fleet.run import Fleet, Progress, diagnose_fleet
-from hd_diag.fleet.series import ECCENTRICITY, NOMINAL, REFIT, RIPPLE, series_of
-from hd_diag.fleet.summary import as_json, error_line, sentences, table
+from hd_diag.fleet.series import ECCENTRICITY, ERROR, NOMINAL, REFIT, RIPPLE, series_of
+from hd_diag.fleet.standing import Health, attention, health, limits_of
+from hd_diag.fleet.summary import as_json, attention_lines, headline, notes, sentences, table
 from hd_diag.fleet.survey import find_bags
-from hd_diag.fleet.trend import CHANGED, Trend, trends
+from hd_diag.fleet.trend import CHANGED, trends
 from hd_diag.model.threads import cores
 from hd_diag.process_pool import ProcessPool
+from hd_diag.report.facts import Fact
 from hd_diag.ros.stop_signals import Stopped, noted_signals
 
 _NEEDED = ("pyarrow", "ruptures")
@@ -46,6 +51,12 @@ _ERRORS_SHOWN = 20
 @options.CONFIG
 @options.JOINTS
 @click.option("--out", required=True, type=options.FILE, help="The table: *.parquet.")
+@click.option(
+    "--report",
+    type=options.FILE,
+    help="Write one HTML page here, a row a joint with its colour; pages of the joints' last recordings go "
+    "into the folder <name>_joints beside it.",
+)
 @click.option("--figure", type=options.FILE, help="Draw the series: *.png, *.pdf, ...")
 @options.JOBS
 @click.option(
@@ -78,13 +89,19 @@ _ERRORS_SHOWN = 20
     "limits",
     multiple=True,
     metavar="QUANTITY=VALUE",
-    help="Predict when eccentricity [m], residual_nominal, residual_refit, a cause's amplitude [rad] or a "
-    "ripple_ORDER [N m] reaches this; repeatable. residual_nominal has limits.residual_rms.error of the "
-    "configuration.",
+    help="Judge by this, and predict when it is reached: eccentricity [m], transmission_error, "
+    "residual_nominal, residual_refit, a cause's amplitude [rad] or a ripple_ORDER [N m]; repeatable. "
+    "[default: the joint's accuracy and the eccentricity that hd-diag tolerance allows]",
 )
 @click.option("--fresh", is_flag=True, help="Forget what earlier runs have kept.")
 @options.FAIL_ON_CAUSE
 @click.option("--fail-on-change", is_flag=True, help="Exit with 1 where something steps or drifts.")
+@click.option(
+    "--fail-on",
+    type=click.Choice(("amber", "red")),
+    help="Exit with 1 where a joint is red; with amber also where one is not green, or a bag could not be "
+    "judged or was cut off.",
+)
 @options.JSON
 def fleet(bags: tuple[Path, ...], config_file: str | None, names: tuple[str, ...], **given: Any) -> None:
     """Diagnose every joint of every bag, in parallel, and report what changes over time.
@@ -94,20 +111,22 @@ def fleet(bags: tuple[Path, ...], config_file: str | None, names: tuple[str, ...
     result is kept beside the table in OUT.journal.jsonl as soon as it is there: the same command goes on
     after an interruption, and later judges new bags only. Series over time are eccentricity, residuals and
     the amplitude of each cause, of a joint with one angle those of its torque's ripple; steps and drifts are
-    reported with a chance of false alarm of 5 % for the whole run. Exit code 2 where no bag could be judged,
-    130 after Ctrl-C.
+    reported with a chance of false alarm of 5 % for the whole run. Each joint is green, amber, red or not
+    judged by its last recording: its transmission error beside its accuracy, its eccentricity beside what the
+    assembly may have; amber where the 95 % interval holds the limit, or the bag is cut off. Exit code 2 where
+    no bag could be judged, 130 after Ctrl-C.
     """
     config = options.configured(config_file)
     joints = tuple(options.chosen_joints(config, names))
     try:
         limits = _limits(joints, given["limits"])
-        rows, found = _run(_fleet(bags, config, joints, given), limits, given)
-        _write(rows, found, given)
+        health = _run(_fleet(bags, config, joints, given), joints, limits, given)
+        _write(health, given)
     except FleetError as error:
         raise options.Problem(str(error)) from error
     if given["json_file"] != "-":
-        _show(rows, found, given["out"])
-    sys.exit(_code(rows, found, given))
+        _show(health, given)
+    sys.exit(_code(health, given))
 
 
 def _fleet(
@@ -128,7 +147,7 @@ def _fleet(
     found = find_bags(bags)
     if not found:
         raise FleetError(f"no bag in {', '.join(map(str, bags))}")
-    options.check_targets((given["out"], given["figure"], given["json_file"]), *found)
+    options.check_targets((given["out"], given["figure"], given["json_file"], given["report"]), *found)
     if given["out"].suffix != ".parquet":
         raise FleetError(f"{given['out']}: the table is Parquet: name it *.parquet")
     if given["figure"]:
@@ -141,9 +160,9 @@ def _fleet(
 
 
 def _limits(joints: Sequence[JointConfig], wanted: tuple[str, ...]) -> dict[tuple[str, str], float]:
-    """Limits by joint and quantity: the configuration's, and those of the command line."""
-    known = (ECCENTRICITY, NOMINAL, REFIT, *(effect.name for effect in load()))
-    limits = {(joint.name, NOMINAL): joint.limits["residual_rms"].error for joint in joints}
+    """Limits of the command line by joint and quantity."""
+    known = (ECCENTRICITY, ERROR, NOMINAL, REFIT, *(effect.name for effect in load()))
+    limits: dict[tuple[str, str], float] = {}
     for text in wanted:
         name, _, number = text.partition("=")
         if name not in known and not name.startswith(RIPPLE):
@@ -160,15 +179,22 @@ def _limits(joints: Sequence[JointConfig], wanted: tuple[str, ...]) -> dict[tupl
 
 
 def _run(
-    chosen: Fleet, limits: dict[tuple[str, str], float], given: dict[str, Any]
-) -> tuple[list[Row], list[Trend]]:
+    chosen: Fleet,
+    joints: Sequence[JointConfig],
+    given_limits: dict[tuple[str, str], float],
+    given: dict[str, Any],
+) -> Health:
     path = given["out"].with_name(given["out"].name + JOURNAL_SUFFIX)
+    pages = BagPages(given["report"]) if given["report"] else None
     with Journal(path, given["fresh"]) as journal:
         try:
             with _watched() as (tell, tick):
                 with _pool(given) as pool:
-                    rows = diagnose_fleet(chosen, pool, journal, tell, tick, given["bag_timeout"])
-                return rows, trends(series_of(rows, limits), np.random.default_rng(0), tick)
+                    rows = diagnose_fleet(chosen, pool, journal, tell, tick, given["bag_timeout"], pages)
+                own = limits_of(rows) | given_limits
+                alarms = {(joint.name, NOMINAL): joint.limits["residual_rms"].error for joint in joints}
+                found = trends(series_of(rows, alarms | own), np.random.default_rng(0), tick)
+                return health(rows, found, own)
         except KeyboardInterrupt as error:
             text = f"{len(journal.results)} results are in {path}; the same command goes on"
             click.echo(f"hd-diag: interrupted: {text}", err=True)
@@ -200,36 +226,56 @@ def _pool(given: dict[str, Any]) -> Any:
     return ProcessPool(jobs, int(each))
 
 
-def _write(rows: list[Row], found: list[Trend], given: dict[str, Any]) -> None:
+def _write(found: Health, given: dict[str, Any]) -> None:
     from hd_diag.fleet.plots import draw
     from hd_diag.fleet.table import write_table
 
-    write_table(given["out"], rows)
+    write_table(given["out"], found.rows)
     if given["json_file"]:
-        options.write_json(given["json_file"], as_json(str(given["out"]), rows, found))
+        options.write_json(given["json_file"], as_json(str(given["out"]), found))
     if given["figure"]:
-        draw(found, given["figure"])
+        draw(found.trends, given["figure"])
+    if given["report"]:
+        with options.writing(given["report"]) as place:
+            place.write_text(health_page(found, _made(given)), encoding="utf-8")
+        BagPages(given["report"]).keep(one.row.get(PAGE) for one in found.standings)
 
 
-def _show(rows: list[Row], found: list[Trend], out: Path) -> None:
-    if any(row.get("joint") for row in rows):
-        Console().print(table(rows, found))
-    for line in sentences(found):
+def _made(given: dict[str, Any]) -> list[Fact]:
+    """What a page says of its making."""
+    when = datetime.now(timezone.utc).isoformat(" ", "minutes").removesuffix("+00:00")
+    limits = ", ".join(given["limits"]) or "accuracy and tolerance of the configuration"
+    return [Fact("Written", f"{when} UTC"), Fact("Table", str(given["out"])), Fact("Limits", limits)]
+
+
+def _show(found: Health, given: dict[str, Any]) -> None:
+    if found.standings:
+        Console().print(table(found))
+    for line in sentences(found.trends):
         click.echo(line)
-    failed = [row for row in rows if row.get("error")]
-    for row in failed[:_ERRORS_SHOWN]:
-        click.echo(f"not judged: {error_line(row)}", err=True)
-    if len(failed) > _ERRORS_SHOWN:
-        click.echo(f"not judged: {len(failed) - _ERRORS_SHOWN} more; see the column error", err=True)
+    present, past = attention(found.rows, found.colours)
+    lines = [line for n in (*present, *past) for line in attention_lines(found.rows[n], found.colours[n])]
+    for line in lines[:_ERRORS_SHOWN]:
+        click.echo(line, err=True)
+    if len(lines) > _ERRORS_SHOWN:
+        more = f"{len(lines) - _ERRORS_SHOWN} more"
+        click.echo(f"not judged or cut off: {more}; see the columns error and problems", err=True)
+    for note in notes(found):
+        options.tell(note, err=True)
+    click.echo(headline(found))
     click.echo(
-        f"{len(rows)} rows of {len({row['bag'] for row in rows})} bags in {click.format_filename(out)}"
+        f"{len(found.rows)} rows of {len({row['bag'] for row in found.rows})} bags in "
+        f"{click.format_filename(given['out'])}"
     )
+    if given["report"]:
+        click.echo(f"report written: {click.format_filename(given['report'])}")
 
 
-def _code(rows: list[Row], found: list[Trend], given: dict[str, Any]) -> int:
-    if all(row.get("error") for row in rows):
+def _code(found: Health, given: dict[str, Any]) -> int:
+    if all(row.get("error") for row in found.rows):
         click.echo("hd-diag: no bag could be judged", err=True)
         return 2
-    caused = any(row.get("causes") or row.get("unexplained_orders") for row in rows)
-    changed = any(trend.form in CHANGED for trend in found)
-    return int((given["fail_on_cause"] and caused) or (given["fail_on_change"] and changed))
+    caused = any(row.get("causes") or row.get("unexplained_orders") for row in found.rows)
+    changed = any(trend.form in CHANGED for trend in found.trends)
+    failed = given["fail_on"] is not None and found.fails(given["fail_on"])
+    return int((given["fail_on_cause"] and caused) or (given["fail_on_change"] and changed) or failed)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -25,7 +24,8 @@ from hd_diag.diagnosis.record import Record, RecordError
 from hd_diag.diagnosis.ripple.ripple import Ripple, ripple
 from hd_diag.diagnosis.screening import screened
 from hd_diag.effects import Catalogue
-from hd_diag.report.facts import Fact, JointReport
+from hd_diag.report.facts import JointReport
+from hd_diag.report.sources import sources
 from hd_diag.tolerance.severity import with_allowed
 from hd_diag.tolerance.study import limits_and_spreads
 
@@ -183,23 +183,5 @@ def not_judged(joint: str, error: Exception) -> dict[str, Any]:
 def _write_page(target: Path, reports: Sequence[JointReport], bags: Sequence[Path]) -> None:
     from hd_diag.report.page import page  # here, because matplotlib takes its time
 
-    sources = [
-        Fact(f"{bag.resolve().name}/{name}" if bag.is_dir() else name, f"SHA-256 {digest}")
-        for bag in bags
-        for name, digest in digests(bag).items()
-    ]
     with writing(target) as place:
-        place.write_text(page(reports, sources), encoding="utf-8")
-
-
-def digests(path: Path) -> dict[str, str]:
-    """SHA-256 of a file, or of every file of a folder, by name."""
-    found = {}
-    for file in sorted(path.iterdir()) if path.is_dir() else [path]:
-        if file.is_file():
-            digest = hashlib.sha256()
-            with file.open("rb") as opened:
-                while part := opened.read(1 << 20):
-                    digest.update(part)
-            found[file.name] = digest.hexdigest()
-    return found
+        place.write_text(page(reports, sources(bags)), encoding="utf-8")

@@ -7,20 +7,21 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hd_diag import __version__
 from hd_diag.bag import BagError
-from hd_diag.bag.joint_record import read_bags, read_motion
+from hd_diag.bag.joint_record import InputRecord, read_bags, read_motion
 from hd_diag.config.catalogue import load
 from hd_diag.config.configuration import Config, JointConfig
-from hd_diag.config.parameters import JOINT_PARAMETERS
+from hd_diag.config.parameters import JOINT_PARAMETERS, Value
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
 from hd_diag.diagnosis.record import RecordError
-from hd_diag.diagnosis.ripple.ripple import ripple
+from hd_diag.diagnosis.ripple.ripple import Ripple, ripple
 from hd_diag.diagnosis.ripple.verdict import sentence as ripple_sentence
 from hd_diag.diagnosis.screening import screened
 from hd_diag.diagnosis.search.causes import Cause
@@ -29,14 +30,22 @@ from hd_diag.effects import CATALOGUE
 from hd_diag.fleet.survey import Survey
 from hd_diag.formatting import json_ready
 from hd_diag.replay.versions import running
+from hd_diag.report.advice import cards
+from hd_diag.report.facts import JointReport, of_diagnosis, of_motion
+from hd_diag.report.sources import sources
 from hd_diag.tolerance.severity import with_allowed
 from hd_diag.tolerance.study import limits_and_spreads
 
 SCHEMA = "hd_diag/fleet/1"
 
+PAGE = "page"
+"""Of a result, not of a row: the HTML of its own page, where that was asked for."""
+
 Row = dict[str, Any]
 """Values by the names of `hd_diag.fleet.table.COLUMNS`; what is missing is unknown. `start` is in nanoseconds
 since 1970."""
+
+_CONTENT = "2"  # of rows: results that a journal holds with another are made anew
 
 _FITTED = {
     "eccentricity.magnitude": "eccentricity{}_m",
@@ -51,20 +60,24 @@ _FITTED = {
 
 @dataclass(frozen=True)
 class Task:
-    """One joint of one bag, to be diagnosed where the bag can be read; limits on its assembly."""
+    """One joint of one bag, to be diagnosed where the bag can be read, with a page if it is to be drawn.
+
+    `flat` are the joint's parameters by their full names.
+    """
 
     bag: str
     joint: JointConfig
-    limits: Mapping[str, float]
+    flat: Mapping[str, Value]
     digest: str
     config_digest: str
     messages: int
+    drawn: bool = False
 
     @property
     def key(self) -> str:
         """What the result depends on: the bag's contents, the joint's parameters, version, effects added."""
         added = (effect.name for effect in load() if effect not in CATALOGUE)
-        parts = (SCHEMA, __version__, self.digest, self.joint.name, self.config_digest, *added)
+        parts = (SCHEMA, _CONTENT, __version__, self.digest, self.joint.name, self.config_digest, *added)
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
@@ -74,7 +87,7 @@ def tasks(seen: Survey, config: Config, joints: tuple[JointConfig, ...]) -> list
         Task(
             seen.path,
             joint,
-            limits_and_spreads(config.flat, joint.name)[0],
+            {name: value for name, value in config.flat.items() if name.startswith(f"{joint.name}.")},
             seen.digest,
             config_digest(config, joint),
             seen.messages,
@@ -98,30 +111,55 @@ def config_digest(config: Config, joint: JointConfig) -> str:
 
 
 def judge(task: Task) -> Row:
-    """The part of a row that a bag's contents, joint and version determine: a diagnosis, or an ``error``."""
+    """The part of a row that a bag's contents, joint and version determine: a diagnosis, or an ``error``.
+
+    With `PAGE` where it is to be drawn and there is something to draw.
+    """
     versions = {f"{name}_version": version for name, version in running().items()}
     fixed = {"joint": task.joint.name, "config_sha256": task.config_digest, **versions}
     try:
         configured = task.joint.configured
         record = screened(read_bags([task.bag], task.joint), configured)
         found = diagnose(record, configured, np.random.default_rng(0), catalogue=load())
-        found = with_allowed(found, task.limits)
+        found = with_allowed(found, limits_and_spreads(task.flat, task.joint.name)[0])
     except BagError as error:
         return {**fixed, "error": error.cause}
     except RecordError as error:
-        return {**fixed, **(_rippled(task) or {"error": str(error).replace(task.bag, "the bag")})}
-    return {**fixed, **judged(found, task.joint.name)}
+        return {**fixed, **_not_judged(task, str(error).replace(task.bag, "the bag"))}
+    row = {**fixed, **judged(found, task.joint.name)}
+    if task.drawn:
+        row[PAGE] = _page(task, of_diagnosis(found, task.joint, task.flat, np.random.default_rng(0)))
+    return row
 
 
-def _rippled(task: Task) -> Row | None:
-    """Columns of a torque's ripple, where the angles cannot be judged; None where it cannot either."""
-    motion, kinematics = read_motion([task.bag], task.joint), task.joint.configured.kinematics
+def _page(task: Task, report: JointReport) -> str:
+    from hd_diag.report.page import page  # here, because matplotlib takes its time
+
+    return page([report], sources([Path(task.bag)]))
+
+
+def _not_judged(task: Task, reason: str) -> Row:
+    """Columns where the angles cannot be judged: the ripple of the torque, or an ``error``."""
+    motion = read_motion([task.bag], task.joint)
+    found = _ripple(motion, task.joint)
+    row = {"error": reason} if motion is None or found is None else _rippled(motion, found)
+    if task.drawn and motion is not None:
+        row[PAGE] = _page(task, of_motion(motion, task.joint, task.flat, reason, found))
+    return row
+
+
+def _ripple(motion: InputRecord | None, joint: JointConfig) -> Ripple | None:
+    """Lines of a torque; None where there are none to be judged."""
     if motion is None:
         return None
+    columns = motion.time, motion.input_angle, motion.torque, motion.bag
     try:
-        found = ripple(motion.time, motion.input_angle, motion.torque, motion.bag, kinematics)
+        return ripple(*columns, joint.configured.kinematics)
     except RecordError:
         return None
+
+
+def _rippled(motion: InputRecord, found: Ripple) -> Row:
     return {
         "duration_s": float(motion.time[-1] - motion.time[0]),
         "samples": motion.time.size,
@@ -143,7 +181,15 @@ def judged(found: Diagnosis, joint: str) -> Row:
     stds = [amplitude_std(found.found.fit, cause) for cause in found.causes] if found.found else []
     tested = [test for test in report["testability"] if test["testable"]]
     lines = report["unexplained"]
+    normal, tolerance = report["normal"] or {}, report["tolerance"] or {}
     return {
+        "judgement": report["judgement"],
+        "accuracy_rad": found.configured.accuracy,
+        "error_rad": normal.get("measured"),
+        "error_std_rad": normal.get("std"),
+        "eccentricity_allowed_m": tolerance.get("allowed"),
+        "eccentricity_criterion": tolerance.get("criterion"),
+        "inspect": [f"{card.title}: {card.inspect or card.cause}" for card in cards(found)],
         "duration_s": record["duration"],
         **{name: record[name] for name in ("samples", "runs", "input_turns")},
         **{

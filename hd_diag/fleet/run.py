@@ -6,15 +6,16 @@ import functools
 import os
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.config.parameters import shown
 from hd_diag.fleet import FleetError
+from hd_diag.fleet.bag_pages import BagPages
 from hd_diag.fleet.journal import Journal
-from hd_diag.fleet.rows import Row, Task, judge, tasks
+from hd_diag.fleet.rows import PAGE, Row, Task, judge, tasks
 from hd_diag.fleet.survey import Survey, survey
 from hd_diag.formatting import listed
 from hd_diag.process_pool import Failure, Pool, run
@@ -59,26 +60,52 @@ def diagnose_fleet(
     progress: Progress = lambda stage, done, total, tasks: None,
     tick: Callable[[], None] = lambda: None,
     timeout: float = 0.0,
+    pages: BagPages | None = None,
 ) -> list[Row]:
     """Rows of every joint of every bag, in the order of bags and joints, with ``error`` where none is judged.
 
     What the journal holds is not done again, and every result goes into it as it comes. The timeout [s] is
     for looking at a bag, and for judging each of its joints; for `tick` see :func:`hd_diag.process_pool.run`.
+    Of each joint's last recording a page is drawn, where there are to be `pages` and it is not there yet.
     Raises FleetError where workers are gone, have another version, or the journal cannot be written.
     """
     robots = [fleet.robot_of(bag) for bag in fleet.bags]
     outcomes = functools.partial(run, pool, tick=tick, timeout=timeout)
     seen = _surveys(fleet, outcomes, progress)
     wanted = [tasks(one, fleet.config, fleet.joints) for one in seen]
-    todo = {task.key: task for own in wanted for task in own if task.key not in journal.results}
-    failed = _judge(list(todo.values()), outcomes, journal, progress)
+    shown = _last(robots, seen, wanted) if pages else {}
+    missing = {key for key in shown if pages and not pages.place(shown[key]).exists()}
+    todo = {
+        task.key: replace(task, drawn=task.key in missing)
+        for own in wanted
+        for task in own
+        if task.key not in journal.results or task.key in missing
+    }
+    failed = _judge(list(todo.values()), outcomes, journal, progress, pages)
     rows = []
     for bag, robot, one, own in zip(fleet.bags, robots, seen, wanted, strict=True):
         fixed = {"bag": str(bag), "robot": robot, "start": one.start, "problems": list(one.problems)}
         fixed["bag_sha256"] = one.digest or None
-        results = [journal.results.get(task.key) or failed[task.key] for task in own]
+        results = [
+            (journal.results.get(task.key) or failed[task.key])
+            | ({PAGE: pages.link(task)} if pages and task.key in shown else {})
+            for task in own
+        ]
         rows += [{**fixed, **result} for result in results or [_unusable(one, fleet.joints)]]
     return rows
+
+
+def _last(
+    robots: Sequence[str | None], seen: Sequence[Survey], wanted: Sequence[Sequence[Task]]
+) -> dict[str, Task]:
+    """The last recording of each joint of each robot, by its key."""
+    found: dict[tuple[str | None, str], tuple[int, Task]] = {}
+    for robot, one, own in zip(robots, seen, wanted, strict=True):
+        for task in own:
+            name, start = (robot, task.joint.name), one.start or 0
+            if name not in found or start >= found[name][0]:
+                found[name] = start, task
+    return {task.key: task for _, task in found.values()}
 
 
 def _surveys(fleet: Fleet, outcomes: _Outcomes, progress: Progress) -> list[Survey]:
@@ -99,7 +126,9 @@ def _check_version(seen: Survey) -> None:
         raise FleetError(f"a worker has hd_diag {there}, this is {here}: install the same everywhere")
 
 
-def _judge(todo: list[Task], outcomes: _Outcomes, journal: Journal, progress: Progress) -> dict[str, Row]:
+def _judge(
+    todo: list[Task], outcomes: _Outcomes, journal: Journal, progress: Progress, pages: BagPages | None
+) -> dict[str, Row]:
     """Fill the journal; what gave no result is returned, and tried again by the next run."""
     failed: dict[str, Row] = {}
     todo.sort(key=lambda task: -task.messages)  # the long ones first, or the last would keep all waiting
@@ -114,6 +143,9 @@ def _judge(todo: list[Task], outcomes: _Outcomes, journal: Journal, progress: Pr
                 "error": outcome.text,
             }
         else:
+            drawn = outcome.pop(PAGE, None)
+            if pages and drawn:
+                pages.write(task, drawn)
             journal.add(task.key, outcome)
         samples += task.messages
         progress("diagnosing", samples, total, done)

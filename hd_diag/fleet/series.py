@@ -1,4 +1,4 @@
-"""Rows as series: eccentricity, residuals, amplitudes of causes and torque ripple of one joint over time."""
+"""Rows as series: eccentricity, error, residuals, amplitudes of causes, torque ripple over time."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from hd_diag.arrays import Floats
 from hd_diag.fleet.rows import Row
 
 ECCENTRICITY = "eccentricity"
+ERROR = "transmission_error"
 NOMINAL = "residual_nominal"
 REFIT = "residual_refit"
 RIPPLE = "ripple_"
@@ -45,11 +46,11 @@ class Series:
 def series_of(rows: Sequence[Row], limits: Mapping[tuple[str, str], float]) -> list[Series]:
     """Series of every joint of every robot that has been diagnosed; limits by joint and quantity.
 
-    Eccentricity where the refit is trustworthy [m]; held-out residuals, nominal and refitted [rad]; the
-    amplitude of each cause found at least once [rad rms]. Where a cause was not found but could have been,
-    its amplitude is 0 with half the least size found as standard deviation; names that a record could not
-    tell apart make one cause. Of a joint with one angle the amplitude of each line of its torque that was
-    found at least once [N m].
+    Eccentricity where the refit is trustworthy [m]; transmission error without torsion, peak to peak [rad];
+    held-out residuals, nominal and refitted [rad]; the amplitude of each cause found at least once [rad rms].
+    Where a cause was not found but could have been, its amplitude is 0 with half the least size found as
+    standard deviation; names that a record could not tell apart make one cause. Of a joint with one angle the
+    amplitude of each line of its torque that was found at least once [N m].
     """
     joints: dict[tuple[str, str], list[Row]] = defaultdict(list)
     for row in sorted(rows, key=lambda row: (row.get("start") or 0, row["bag"])):
@@ -102,7 +103,10 @@ def _ripples(rows: list[Row]) -> dict[str, list[Point]]:
 
 
 def _of_errors(rows: list[Row]) -> dict[str, list[Point]]:
-    found = {
+    compared = [row for row in rows if row.get("error_rad") is not None]
+    errors = [(_time(row), row["error_rad"], _known(row["error_std_rad"])) for row in compared]
+    found = {ERROR: errors} if errors else {}
+    found |= {
         ECCENTRICITY: [
             (_time(row), row["eccentricity_m"], _known(row["eccentricity_std_m"]))
             for row in rows

@@ -3,29 +3,49 @@
 from __future__ import annotations
 
 import math
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Sequence
 from datetime import datetime, timezone
 from typing import Any
 
+from rich.box import SIMPLE
 from rich.table import Table
 from rich.text import Text
 
 from hd_diag.bag import BagError
-from hd_diag.fleet.rows import SCHEMA, Row, readable
-from hd_diag.fleet.series import ECCENTRICITY
+from hd_diag.fleet.rows import PAGE, SCHEMA, Row, readable
+from hd_diag.fleet.series import ECCENTRICITY, ERROR
+from hd_diag.fleet.standing import (
+    GREEN,
+    GREY,
+    STATES,
+    Colour,
+    Health,
+    Standing,
+    attention,
+    moment_of,
+    own_problems,
+)
 from hd_diag.fleet.steps import FALSE_ALARM, Change
 from hd_diag.fleet.trend import CHANGED, Trend
-from hd_diag.formatting import ARCSEC, json_ready, words
+from hd_diag.formatting import ARCSEC, json_ready, number, words
 
 SHOWN = {"m": (1e-6, "µm"), "rad": (ARCSEC, "arcsec"), "N m": (1.0, "N m")}
 """Size and name of the unit that people read, by the unit inside."""
 
+_LINES = 24
+"""Joints of a table for a terminal; those that are not green are never left out."""
+
 _MONTH = 30.0 * 86400.0  # [s]
 
 
-def as_json(out: str, rows: Sequence[Row], trends: Sequence[Trend]) -> dict[str, Any]:
+LABELS = {"red": "red", "amber": "amber", "green": "green", "not_judged": "not judged"}
+"""States of joints in words."""
+
+
+def as_json(out: str, found: Health) -> dict[str, Any]:
     """What `hd-diag fleet --json` writes, with the table's path: SI, times in ISO 8601 UTC."""
+    rows = found.rows
     errors = [row for row in rows if row.get("error")]
     content = {
         "schema": SCHEMA,
@@ -33,10 +53,34 @@ def as_json(out: str, rows: Sequence[Row], trends: Sequence[Trend]) -> dict[str,
         "bags": len({row["bag"] for row in rows}),
         "rows": len(rows),
         "errors": [{name: readable(row.get(name)) for name in ("bag", "joint", "error")} for row in errors],
+        "problems": [
+            {name: readable(row.get(name)) for name in ("bag", "joint", "problems")}
+            for row in rows
+            if row.get("problems")
+        ],
+        "joints": [_joint(one) for one in found.standings],
         "false_alarm": FALSE_ALARM,
-        "trends": [_trend(trend) for trend in trends],
+        "trends": [_trend(trend) for trend in found.trends],
     }
     return dict(json_ready(content))
+
+
+def _joint(one: Standing) -> dict[str, Any]:
+    recorded = moment_of(one.row)
+    return {
+        "robot": one.robot or None,
+        "joint": one.joint,
+        "state": one.colour.state,
+        "since": None if one.since is None else moment(one.since),
+        "recordings": one.count,
+        "before": one.before,
+        "reasons": one.colour.reasons,
+        "limits": [{**each._asdict(), "place": each.place} for each in one.colour.limited],
+        "changes": [words(trend.series.quantity) for trend in one.changes],
+        "recorded": None if recorded is None else moment(recorded),
+        "bag": readable(one.row["bag"]),
+        "page": one.row.get(PAGE),
+    }
 
 
 def _trend(trend: Trend) -> dict[str, Any]:
@@ -108,8 +152,8 @@ def _step(trend: Trend, change: Change) -> str:
     scale, unit = SHOWN[trend.series.unit]
     size, low, high = (value / scale for value in (change.size, change.size_low, change.size_high))
     return (
-        f"by {size:+.3g} {unit} ({low:.3g} to {high:.3g}) between {_day(change.before)} and "
-        f"{_day(change.after)} (95 %: {_day(change.low)} to {_day(change.high)}), p = {change.p_value:.2g}"
+        f"by {size:+.3g} {unit} ({low:.3g} to {high:.3g}) between {day(change.before)} and "
+        f"{day(change.after)} (95 %: {day(change.low)} to {day(change.high)}), p = {change.p_value:.2g}"
     )
 
 
@@ -127,66 +171,122 @@ def _drift(trend: Trend) -> str:
     when, first, last = trend.crossing
     word = "passed" if when < trend.series.time[-1] else "reaches"
     return (
-        f"{text}; {word} the limit of {limit / scale:.4g} {unit} on {_day(when)} "
-        f"({_day(first)} to {_day(last)})"
+        f"{text}; {word} the limit of {limit / scale:.4g} {unit} on {day(when)} ({day(first)} to {day(last)})"
     )
 
 
-def _day(time: float) -> str:
+def day(time: float) -> str:
+    """A time [s since 1970] to the minute, UTC; "never" where it is no date."""
     text = moment(time)
     return text[:16].replace("T", " ") if text else "never"
 
 
-def table(rows: Sequence[Row], trends: Sequence[Trend]) -> Table:
-    """One line for each joint of each robot."""
-    joints: dict[tuple[str, str], list[Row]] = defaultdict(list)
-    for row in rows:
-        if row.get("joint"):
-            joints[row.get("robot") or "", row["joint"]].append(row)
-    titles = ["robot", "joint", "bags", "judged", "eccentricity", "causes", "changes"]
-    first = 0 if any(robot for robot, _ in joints) else 1  # column
-    result = Table(*titles[first:])
-    for (robot, joint), own in sorted(joints.items()):
-        of_joint = [t for t in trends if (t.series.robot, t.series.joint) == (robot, joint)]
-        judged = [row for row in own if not row.get("error")]
-        cells = [robot, joint, str(len(own)), str(len(judged))]
-        cells += [_eccentricity(of_joint), _all_causes(judged), _changes(of_joint)]
+def headline(found: Health) -> str:
+    """How many joints have which state, and what is missing."""
+    standings, rows = found.standings, [found.rows[n] for n in attention(found.rows, found.colours)[0]]
+    if not standings:
+        return "No joint was found in any recording."
+    counts = Counter(one.colour.state for one in standings)
+    told = [f"{counts[state]} {LABELS[state]}" for state in STATES if counts[state]]
+    changed = sum(bool(one.changes) for one in standings)
+    total = f"{len(standings)} joint{'s' * (len(standings) > 1)}"
+    text = f"Of {total}: {', '.join(told)}. {changed or 'None'} changed over time."
+    lost = {
+        "without a joint that could be judged": {row["bag"] for row in rows if not row.get("joint")},
+        "cut off": {row["bag"] for row in rows if row.get("problems")},
+    }
+    told = [f"{len(bags)} {what}" for what, bags in lost.items() if bags]
+    return f"{text} Of the bags: {', '.join(told)}." if told else text
+
+
+def notes(found: Health) -> list[str]:
+    """What casts doubt on the whole: recordings of one joint at the same time."""
+    pairs = found.overlapping
+    if not pairs:
+        return []
+    more = f", and {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
+    first, second = (readable(row["bag"]) for row in pairs[0])
+    return [
+        f"recorded at the same time: one joint in {first} and {second}{more}. Are they of several robots? "
+        "--robot tells them apart; now they count as one."
+    ]
+
+
+def recorded(row: Row) -> str:
+    """When a row's recording began, in words."""
+    time = moment_of(row)
+    return "date unknown" if time is None else f"recorded {day(time)}"
+
+
+def table(found: Health) -> Table:
+    """One line for each joint of each robot, the worst first; of many the green ones are left out."""
+    shown = [one for n, one in enumerate(found.standings) if n < _LINES or one.colour.state != GREEN]
+    titles = ["robot", "joint", "state", "recorded", "error\narcsec", "eccentr.\nµm", "bags", "what"]
+    first = 0 if any(one.robot for one in shown) else 1  # column
+    left = len(found.standings) - len(shown)
+    caption = f"and {left} more green" if left else None
+    style = {"box": SIMPLE, "padding": (0, 1, 0, 0), "caption_justify": "left"}
+    result = Table(caption=caption, **style)  # type: ignore[arg-type]
+    for title in titles[first:]:
+        result.add_column(title, no_wrap=title in ("state", "recorded", "bags"))
+    for one in shown:
+        own = [
+            row for row in found.rows if (row.get("robot") or "", row.get("joint")) == (one.robot, one.joint)
+        ]
+        judged = sum(not row.get("error") for row in own)
+        cells = [
+            one.robot,
+            one.joint,
+            LABELS[one.colour.state],
+            recorded(one.row).removeprefix("recorded ")[:10],
+        ]
+        cells += [_last(one, ERROR), _last(one, ECCENTRICITY)]
+        cells += [str(judged) if judged == len(own) else f"{judged} of {len(own)}", _what(one, own)]
         result.add_row(*map(Text, cells[first:]))
     return result
 
 
-def _eccentricity(trends: Sequence[Trend]) -> str:
-    for trend in trends:
-        series = trend.series
-        if series.quantity == ECCENTRICITY and series.value.size:
-            return f"{series.value[-1] * 1e6:.1f} ± {series.std[-1] * 1e6:.1f} µm"
+def _last(one: Standing, quantity: str) -> str:
+    """The last recording's value, and its limit if it has one, without the unit."""
+    for trend in one.trends:
+        series, at = trend.series, moment_of(one.row)
+        if series.quantity == quantity and at in series.time:
+            scale = SHOWN[series.unit][0]
+            limits = [each.limit for each in one.colour.limited if each.quantity == quantity]
+            return " of ".join(number(value / scale) for value in (float(series.value[-1]), *limits))
     return "-"
 
 
-def _all_causes(rows: Sequence[Row]) -> str:
+def _what(one: Standing, rows: Sequence[Row]) -> str:
+    """Causes with the number of bags, and what changes."""
     counts = Counter(name for row in rows for name in row.get("causes") or [])
     most = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
-    return ", ".join(f"{words(name)} ({count})" for name, count in most) or "none"
-
-
-def _changes(trends: Sequence[Trend]) -> str:
-    if changed := [words(t.series.quantity) for t in trends if t.form in CHANGED]:
-        return ", ".join(changed)
-    unknown = [trend for trend in trends if trend.form == "unknown"]
-    return statement(unknown[0]) if unknown else "none" if trends else "-"
+    told = [f"{words(name)} ({count})" for name, count in most]
+    told += [f"{words(trend.series.quantity)} changes" for trend in one.changes]
+    return ", ".join(told) or "-"
 
 
 def sentences(trends: Sequence[Trend]) -> list[str]:
-    """One for each series that changes."""
-    return [
+    """One for each series that changes, and one for those that cannot be told of yet."""
+    told = [
         f"{f'{t.series.robot} ' if t.series.robot else ''}{t.series.joint}: "
         f"{words(t.series.quantity)} {statement(t)}"
         for t in trends
         if t.form in CHANGED
     ]
+    unknown = [trend for trend in trends if trend.form == "unknown"]
+    if unknown:
+        longest = max(unknown, key=lambda trend: trend.series.value.size)
+        joints = len({(trend.series.robot, trend.series.joint) for trend in unknown})
+        told.append(f"changes of {joints} joint{'s' * (joints > 1)}: {statement(longest)}")
+    return told
 
 
-def error_line(row: Row) -> str:
-    """A row's error in one line, whatever its bag is called."""
+def attention_lines(row: Row, colour: Colour) -> list[str]:
+    """Why a row is not judged, and what is cut off, a line each, whatever its bag is called."""
     joint = f"{row['joint']}: " if row.get("joint") else ""
-    return str(BagError(row["bag"], f"{joint}{row['error']}"))
+    date = f" ({recorded(row)})" if row.get("start") is not None else ""
+    told = [("cut off", problem) for problem in own_problems(row)]
+    if colour.state == GREY:
+        told.insert(0, ("not judged", colour.reasons[0]))
+    return [f"{what}: {BagError(row['bag'], f'{joint}{text}')}{date}" for what, text in told]

@@ -1,0 +1,266 @@
+"""How each joint stands: the colour of its last recording, by which limits, since when, and what changed.
+
+One rule, for a recording of a joint:
+
+* ``red``: a quantity is beyond its limit with its whole 95 % interval, or teeth were skipped.
+* ``amber``: the interval of a quantity holds its limit, or the recording is cut off.
+* ``not_judged``: it could not be judged, or nothing tells whether the transmission error is within its limit.
+* ``green``: every quantity that could be told is within its limit with its whole interval, the transmission
+  error among them.
+
+Limits are the joint's accuracy, the eccentricity that its assembly may have, and those that a user gives.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import PurePath
+from typing import NamedTuple
+
+from hd_diag.diagnosis.judgement import Beside, beside
+from hd_diag.fleet.rows import Row
+from hd_diag.fleet.series import ECCENTRICITY, ERROR, Series
+from hd_diag.fleet.trend import CHANGED, Trend
+from hd_diag.formatting import si, words
+
+RED, GREY, AMBER, GREEN = STATES = ("red", "not_judged", "amber", "green")
+"""The worst first: what is not known is worse than what is nearly too much."""
+
+Limits = Mapping[tuple[str, str], float]
+"""By joint and quantity, in SI."""
+
+_NO_TORQUE = "its torque is not measured, so its error may be torsion and is not held against the accuracy"
+_ONE_ANGLE = "one angle alone: no transmission error, only lines of the torque"
+
+
+class Limited(NamedTuple):
+    """A quantity of a recording beside its limit, in `unit`."""
+
+    quantity: str
+    value: float
+    std: float
+    limit: float
+    unit: str
+
+    @property
+    def place(self) -> Beside:
+        """Where it is."""
+        return beside(self.value, self.std, self.limit)
+
+
+class Colour(NamedTuple):
+    """State of a recording, why it is not green, and what was compared."""
+
+    state: str
+    reasons: tuple[str, ...]
+    limited: tuple[Limited, ...]
+
+
+@dataclass(frozen=True)
+class Standing:
+    """A joint of a robot.
+
+    Its last recording as a row of the table with its colour; since when [s since 1970] and in how many
+    recordings it has had that state without another between (those not judged aside), and the state before;
+    all recordings in time order with their states; its trends.
+    """
+
+    robot: str
+    joint: str
+    row: Row
+    colour: Colour
+    since: float | None
+    count: int
+    before: str | None
+    history: tuple[tuple[float | None, str], ...]
+    trends: tuple[Trend, ...]
+
+    @property
+    def changes(self) -> tuple[Trend, ...]:
+        """What steps or drifts."""
+        return tuple(trend for trend in self.trends if trend.form in CHANGED)
+
+    @property
+    def nearest(self) -> Limited | None:
+        """What comes nearest to its limit, or is farthest beyond; None without any."""
+        return max(self.colour.limited, key=lambda one: one.value / one.limit, default=None)
+
+
+def limits_of(rows: Iterable[Row]) -> dict[tuple[str, str], float]:
+    """Limits that the rows themselves tell: accuracy, and the eccentricity of the assembly."""
+    columns = ((ERROR, "accuracy_rad"), (ECCENTRICITY, "eccentricity_allowed_m"))
+    return {
+        (row["joint"], quantity): row[column]
+        for row in rows
+        for quantity, column in columns
+        if row.get(column) is not None
+    }
+
+
+def coloured(rows: Sequence[Row], trends: Sequence[Trend], limits: Limits) -> list[Colour]:
+    """The colour of every row."""
+    series: dict[tuple[str, str], list[Series]] = defaultdict(list)
+    for trend in trends:
+        series[trend.series.robot, trend.series.joint].append(trend.series)
+    return [_colour(row, series[row.get("robot") or "", row.get("joint") or ""], limits) for row in rows]
+
+
+def _colour(row: Row, series: Sequence[Series], limits: Limits) -> Colour:
+    cut = tuple(f"cut off: {problem}" for problem in own_problems(row))
+    if row.get("error"):
+        return Colour(GREY, (row["error"], *cut), ())
+    if row.get("judgement") == "not_judged":
+        return Colour(GREY, (row["verdict"], *cut), ())
+    limited = tuple(one for each in series if (one := _limited(row, each, limits)))
+    places = {one.place for one in limited}
+    reasons = [phrase(one) for one in limited if one.place in ("beyond", "near")]
+    skipped = "tooth_skip" in (row.get("causes") or [])
+    reasons += ["teeth or counts were skipped"] * skipped
+    known = any(one.quantity == ERROR and one.place != "open" for one in limited)
+    if skipped or "beyond" in places:
+        return Colour(RED, (*reasons, *cut), limited)
+    if row.get("ripple_orders") and not limited:
+        return Colour(GREY, (_ONE_ANGLE, *cut), limited)
+    if "near" in places:
+        return Colour(AMBER, (*reasons, *cut), limited)
+    if not known and not row.get("ripple_orders"):
+        return Colour(GREY, (_NO_TORQUE, *cut), limited)
+    return Colour(AMBER if cut else GREEN, cut, limited)
+
+
+def own_problems(row: Row) -> list[str]:
+    """What is unfinished about a row's bag, without its name where it is one file."""
+    name = f"{PurePath(row['bag']).name}: "
+    return [problem.removeprefix(name) for problem in row.get("problems") or []]
+
+
+def _limited(row: Row, series: Series, limits: Limits) -> Limited | None:
+    """A series' value in a row beside its limit; None where it has none."""
+    names = series.quantity.split(" or ")
+    limit = min((limits[series.joint, n] for n in names if (series.joint, n) in limits), default=math.nan)
+    at = [n for n, time in enumerate(series.time) if row.get("start") and time == float(row["start"]) * 1e-9]
+    if math.isnan(limit) or not at:
+        return None
+    # A deviation of a model that does not describe the record says nothing of the gear.
+    unsure = series.quantity == ECCENTRICITY and row.get("judgement") == "misfit"
+    std = math.nan if unsure else float(series.std[at[-1]])
+    return Limited(series.quantity, float(series.value[at[-1]]), std, limit, series.unit)
+
+
+def phrase(one: Limited) -> str:
+    """A quantity beside its limit in words."""
+    where = {
+        "within": "within the limit of",
+        "near": "too near to the limit to tell:",
+        "beyond": "beyond the limit of",
+        "open": "not to be told beside the limit of",
+    }[one.place]
+    return f"{words(one.quantity)} {si(one.value, one.std, one.unit)}, {where} {size(one.limit, one.unit)}"
+
+
+def size(value: float, unit: str) -> str:
+    """A limit in the unit that people use."""
+    return si(value, math.nan, unit)
+
+
+# Joints ---
+
+
+def standings(rows: Sequence[Row], colours: Sequence[Colour], trends: Sequence[Trend]) -> list[Standing]:
+    """Every joint of every robot by its last recording, the worst first, then those that changed."""
+    joints: dict[tuple[str, str], list[tuple[Row, Colour]]] = defaultdict(list)
+    for row, colour in zip(rows, colours, strict=True):
+        if row.get("joint"):
+            joints[row.get("robot") or "", row["joint"]].append((row, colour))
+    found = [
+        _standing(robot, joint, sorted(own, key=lambda one: one[0].get("start") or 0), trends)
+        for (robot, joint), own in joints.items()
+    ]
+    return sorted(found, key=_order)
+
+
+def _standing(robot: str, joint: str, own: Sequence[tuple[Row, Colour]], trends: Sequence[Trend]) -> Standing:
+    history = tuple((moment_of(row), colour.state) for row, colour in own)
+    row, colour = own[-1]
+    told = [one for one in history if colour.state == GREY or one[1] != GREY]
+    count = next((n for n, (_, state) in enumerate(reversed(told)) if state != colour.state), len(told))
+    before = told[-count - 1][1] if count < len(told) else None
+    of_joint = tuple(t for t in trends if (t.series.robot, t.series.joint) == (robot, joint))
+    return Standing(robot, joint, row, colour, told[-count][0], count, before, history, of_joint)
+
+
+@dataclass(frozen=True)
+class Health:
+    """A run's rows, each with its colour, its trends, and how each joint stands, the worst first."""
+
+    rows: Sequence[Row]
+    colours: Sequence[Colour]
+    trends: Sequence[Trend]
+    standings: Sequence[Standing]
+
+    def fails(self, least: str) -> bool:
+        """Whether something is ``red``, or as bad as ``amber``: not green, or a bag not judged or cut off."""
+        if least == RED:
+            return any(one.colour.state == RED for one in self.standings)
+        bad = any(one.colour.state != GREEN for one in self.standings)
+        return bad or bool(attention(self.rows, self.colours)[0])
+
+    @property
+    def overlapping(self) -> list[tuple[Row, Row]]:
+        """Rows of one joint of one robot that were recorded at the same time, copies aside."""
+        found = []
+        known = [row for row in self.rows if row.get("joint") and row.get("start") is not None]
+        ordered = sorted(known, key=lambda row: (row.get("robot") or "", row["joint"], row["start"]))
+        for one, other in itertools.pairwise(ordered):
+            name, next_name = ((row.get("robot"), row["joint"]) for row in (one, other))
+            same = name == next_name and one.get("bag_sha256") != other.get("bag_sha256")
+            if same and other["start"] < one["start"] + 1e9 * (one.get("duration_s") or 0.0):
+                found.append((one, other))
+        return found
+
+
+def health(rows: Sequence[Row], trends: Sequence[Trend], limits: Limits) -> Health:
+    """Rows and trends of a run judged by limits; the rows get the column ``state``."""
+    colours = coloured(rows, trends, limits)
+    told = [{**row, "state": colour.state} for row, colour in zip(rows, colours, strict=True)]
+    return Health(told, colours, trends, standings(told, colours, trends))
+
+
+def moment_of(row: Row) -> float | None:
+    """When a row's recording began [s since 1970]; None where it is not known."""
+    return None if row.get("start") is None else float(row["start"]) * 1e-9
+
+
+def _order(one: Standing) -> tuple[int, bool, float, list[object], list[object]]:
+    worst = one.nearest.value / one.nearest.limit if one.nearest else 0.0
+    return STATES.index(one.colour.state), not one.changes, -worst, natural(one.robot), natural(one.joint)
+
+
+def natural(name: str) -> list[object]:
+    """A key that sorts robot_2 before robot_10."""
+    return [(0, int(part), "") if part.isdigit() else (1, 0, part) for part in re.split(r"(\d+)", name)]
+
+
+def attention(rows: Sequence[Row], colours: Sequence[Colour]) -> tuple[list[int], list[int]]:
+    """Indices of rows that could not be judged or were cut off: those that still matter, and older ones.
+
+    Older ones are followed by a recording of the same joint, or, where a bag has no usable joint, of the same
+    robot.
+    """
+    last: dict[tuple[str | None, str | None], int] = {}
+    for row in rows:
+        for joint in (row.get("joint"), None) if row.get("joint") else ():
+            key = row.get("robot"), joint
+            last[key] = max(last.get(key, 0), row.get("start") or 0)
+    present: list[int] = []
+    past: list[int] = []
+    for place, (row, colour) in enumerate(zip(rows, colours, strict=True)):
+        if colour.state == GREY or row.get("problems"):
+            start, newest = row.get("start"), last.get((row.get("robot"), row.get("joint")), 0)
+            (past if start is not None and start < newest else present).append(place)
+    return present, past

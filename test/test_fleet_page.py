@@ -1,0 +1,103 @@
+"""The fleet's weekly page: read at a desk and on a phone, filtered, with names that want to be markup."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from browser import opened, page_faults
+from fleet_samples import BEGIN, CAUSED, fleet_rows, judged, row
+from report_samples import HOSTILE
+
+from hd_diag.fleet.health_page import health_page
+from hd_diag.report.facts import Fact
+
+ROWS = "return [...document.querySelectorAll('.joints tbody tr')].filter(r => r.checkVisibility())"
+NAMES = ROWS + ".map(r => r.querySelector('th bdi').textContent)"
+
+
+def written(path: Path, rows: list[dict[str, Any]]) -> str:
+    """Address of the page of these rows."""
+    path.write_text(health_page(judged(rows), [Fact("Table", "f.parquet")]), encoding="utf-8")
+    return path.as_uri()
+
+
+@pytest.fixture(scope="module")
+def some(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """Address of a page of five robots, with every state and a name that wants to be markup."""
+    folder = tmp_path_factory.mktemp("page")
+    rows = fleet_rows(robots=5)
+    hostile = {"robot": "robot_6", "bag": f"{HOSTILE}.mcap", "joint": HOSTILE, "verdict": HOSTILE}
+    rows += [
+        row(120.0, **hostile, **CAUSED, inspect=[f"{HOSTILE}: {HOSTILE}"], page=f"week_joints/{HOSTILE}")
+    ]
+    rows += [{**hostile, "joint": None, "error": HOSTILE, "problems": [f"{HOSTILE}.mcap: {HOSTILE}"]}]
+    return written(folder / "week.html", rows)
+
+
+def test_nothing_is_in_the_way_of_a_reader(browser: Any, some: str, tmp_path: Path) -> None:
+    """With everything unfolded."""
+    page = Path(some.removeprefix("file://")).read_text()
+    unfolded = tmp_path / "week.html"
+    unfolded.write_text(page.replace("<details>", "<details open>"))
+    assert page_faults(browser, unfolded.as_uri()) == []
+
+
+def test_a_fleet_of_240_joints_fits_both_windows(browser: Any, tmp_path: Path) -> None:
+    page = written(tmp_path / "week.html", fleet_rows())
+    for width in (390, 1280):
+        opened(browser, page, width)
+        across = "const page = document.documentElement; return [page.scrollWidth, page.clientWidth]"
+        whole, seen = browser.execute_script(across)
+        assert whole == seen <= width
+        assert len(browser.execute_script(ROWS)) == 240
+    marks = "return document.querySelector('.robots').getBoundingClientRect().height"
+    assert browser.execute_script(marks) < 800  # of the window: the whole fleet at one look
+
+
+def test_names_out_of_a_bag_do_nothing(browser: Any, some: str) -> None:
+    opened(browser, some)
+    count = "return document.querySelectorAll('script, img, [onerror], b, foreignObject').length"
+    assert browser.execute_script(count) == 0
+    assert "<script>alert(1)</script>" in browser.execute_script("return document.body.textContent")
+
+
+def test_the_worst_come_first_and_can_be_chosen(browser: Any, some: str) -> None:
+    opened(browser, some)
+
+    def shown(*choices: str) -> list[str]:
+        for choice in choices:
+            browser.find_element("id", choice).click()
+        return list(browser.execute_script(NAMES))
+
+    assert len(shown()) == 31
+    red = shown("show-red")
+    assert red == [name for name in shown("show-all") if name in red]  # they come first
+    assert [name.split()[0] for name in red] == ["robot_5", "robot_6", "robot_2"]
+    assert len(shown("show-look")) == 31 - len(shown("show-green")) == 7
+    assert set(shown("robot-0", "show-all")) == {f"robot_1 joint_{number}" for number in range(1, 7)}
+    # What a mark of the overview leads to is shown, whatever was chosen.
+    hidden = browser.find_element("css selector", ".chips a.red")
+    browser.execute_script("arguments[0].click()", hidden)
+    assert set(shown()) - {f"robot_1 joint_{number}" for number in range(1, 7)} == {"robot_2 joint_2"}
+
+
+def test_what_is_missing_stands_before_the_joints(some: str) -> None:
+    page = Path(some.removeprefix("file://")).read_text()
+    before, _, rows = page.partition('<table class="joints">')
+    assert "is cut off or damaged at byte 228680 of 261683" in before
+    assert "too short: 12 usable samples" in before
+    assert "date unknown" in before
+    assert before.index("cut off") < before.index('id="robots"') < len(before)
+    assert rows.count("recorded 2026-") == 31
+
+
+def test_what_changed_stands_in_its_row_with_its_day(tmp_path: Path) -> None:
+    """A drift towards the limit, and the day on which that is reached."""
+    day = 86_400 * 10**9
+    rows = [row(30.0 + 2.0 * n, start=BEGIN + n * day, bag=f"{n}.mcap") for n in range(16)]
+    page = Path(written(tmp_path / "week.html", rows).removeprefix("file://")).read_text()
+    assert "1 changed over time" in page
+    drift = re.search(r"transmission error drifts by \+60.*?reaches the limit of 90 arcsec on ([\d-]+)", page)
+    assert drift is not None
+    assert drift[1] == "2026-02-04"  # 30 days after the first
