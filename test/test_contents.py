@@ -71,6 +71,22 @@ def test_franka_has_two_encoders_at_one_side(given: dict[str, np.ndarray], tmp_p
     assert "two encoders" in content["joints"][0]["said"]
 
 
+@pytest.mark.parametrize("bits", [16, 13])
+def test_a_motor_that_counts_is_told_with_its_counts(
+    given: dict[str, np.ndarray], tmp_path: Path, bits: int
+) -> None:
+    """8192 to the turn, of 16 bits that run over or anew each turn; the user knows the ratio."""
+    told = np.mod(np.rint(given["input"] / (2 * np.pi) * 8192) + 60_000, 2.0**bits)
+    path = write(tmp_path / "a.mcap", states(given["time"], ("a/x", "a/y"), (told, given["output"])))
+    result = hd_diag("topics", path, "--json", tmp_path / "t.json")
+    (found,) = json.loads((tmp_path / "t.json").read_text())["joints"]
+    assert (found["mapping"]["input.field"], found["mapping"]["input.unit"]) == ("position[a/x]", "counts/?")
+    assert found["mapping"]["output_signal.field"] == "position[a/y]"
+    counts = float(found["said"].split()[0])
+    assert counts / RATIO == pytest.approx(8192, rel=2e-3)
+    assert "'?'" in result.output
+
+
 def test_one_angle_is_told(given: dict[str, np.ndarray], tmp_path: Path) -> None:
     messages = Messages(KUKA)
     path = messages.write(tmp_path / "a.mcap", "/lbr/state", robots.kuka_states(messages, given))

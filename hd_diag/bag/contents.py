@@ -39,6 +39,7 @@ _SAME_SIDE = 0.02  # by which the slope of two angles at one side may differ fro
 _FIT = 0.02  # what one angle may leave of the other
 _POINTS = 2000
 _DEGREES, _TURN = 360.0, 2.0 * np.pi
+_COUNTS, _MANY_COUNTS = "counts/?", 1000.0  # whole numbers over so many are no angle in rad or deg
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -63,7 +64,7 @@ class Number:
 
 
 class Pair(NamedTuple):
-    """Angles of one joint: input, output, and the slope of the first over the second in rad."""
+    """Angles of one joint: input, output, and the slope of the first over the second in rad, or counts."""
 
     input: Number
     output: Number
@@ -72,7 +73,12 @@ class Pair(NamedTuple):
     @property
     def divided(self) -> bool:
         """Whether the input is reported at the output's side."""
-        return abs(abs(self.slope) - 1.0) < _SAME_SIDE
+        return not self.counted and abs(abs(self.slope) - 1.0) < _SAME_SIDE
+
+    @property
+    def counted(self) -> bool:
+        """Whether the input counts: its slope then tells no ratio."""
+        return self.input.unit == _COUNTS
 
 
 def numbers(reader: BagReader, topic: Topic) -> list[Number]:
@@ -106,8 +112,10 @@ def pairs(angles: list[Number]) -> list[Pair]:
             if slope is None:
                 continue
             pair = Pair(one, other, slope)
-            is_gear = _RATIOS[0] <= abs(slope) <= _RATIOS[1]
-            if is_gear or (pair.divided and _at_motor(one) and not _at_motor(other)):
+            is_gear = not pair.counted and _RATIOS[0] <= abs(slope) <= _RATIOS[1]
+            at_motor = _at_motor(one) and not _at_motor(other)
+            is_counter = pair.counted and (at_motor or other.unit != _COUNTS)
+            if is_gear or is_counter or (pair.divided and at_motor):
                 known = found.get(id(other))
                 if known is None or _nearness(pair) > _nearness(known):
                     found[id(other)] = pair
@@ -195,8 +203,10 @@ def _unit(kind: str, dtype: str, values: Floats) -> str:
         and np.median(jumps) < 0.1 * _DEGREES
     ):
         return "deg"
-    if kind == "angle" and dtype[0] in "iu":
-        return "counts/?"
+    if kind == "angle" and (
+        dtype[0] in "iu" or (np.ptp(values) > _MANY_COUNTS and not np.any(np.mod(values, 1.0)))
+    ):
+        return _COUNTS
     if kind == "temperature" and np.median(values) > 200.0:
         return "K"
     return _USUAL.get(kind, "")
@@ -206,11 +216,11 @@ def _at_motor(number: Number) -> bool:
     return bool(re.search(r"motor|theta|rotor", f"{number.topic.name} {number.field}".lower()))
 
 
-def _nearness(pair: Pair) -> tuple[bool, bool, bool]:
-    """How much speaks for a pair beside its slope: the same tag, a motor by its name, the same topic."""
+def _nearness(pair: Pair) -> tuple[bool, bool, bool, bool]:
+    """How much speaks for a pair: a ratio by its slope, the same tag, a motor by its name, the same topic."""
     one, other = pair.input, pair.output
     alike = one.tag == other.tag or other.tag in one.tag
-    return alike, _at_motor(one) and not _at_motor(other), one.topic is other.topic
+    return not pair.counted, alike, _at_motor(one) and not _at_motor(other), one.topic is other.topic
 
 
 def _slope(one: Number, other: Number) -> float | None:
@@ -228,7 +238,8 @@ def _slope(one: Number, other: Number) -> float | None:
 
 
 def _continuous(number: Number) -> Floats:
-    """An angle [rad, or counts] without the jumps of an encoder that wraps."""
+    """An angle [rad, or counts] without the jumps of an encoder that wraps or a counter that runs over."""
+    if number.unit == _COUNTS:
+        return np.unwrap(number.values, period=2.0 ** np.ceil(np.log2(max(np.ptp(number.values), 2.0))))
     values = np.radians(number.values) if number.unit == "deg" else number.values
-    is_wrapped = float(np.ptp(values)) <= _TURN + 1e-6 and number.unit != "counts/?"
-    return np.unwrap(values) if is_wrapped else values
+    return np.unwrap(values) if float(np.ptp(values)) <= _TURN + 1e-6 else values

@@ -112,6 +112,11 @@ def _joint(output: Number, pair: Pair | None, every: list[Number]) -> dict[str, 
         velocity = beside(every, output, "velocity")
         said = "one angle: see hd-diag ripple"
         said += "; 'input: velocity' where its velocity is the motor's own" if velocity else ""
+    elif pair.counted:
+        said = "input and output count: in unit counts/N put N, the counts to a turn, for '?'"
+        if pair.output.unit == "rad":
+            whole = 2.0 * np.pi * abs(pair.slope)
+            said = f"{whole:.6g} counts of the input to a turn of the output: put that over the ratio for '?'"
     elif pair.divided:
         mapping["input_divided"], said = (
             True,
@@ -125,7 +130,7 @@ def _joint(output: Number, pair: Pair | None, every: list[Number]) -> dict[str, 
         mapping |= {f"{owner}.{key}": value for key, value in _signal(n).items()} if n else {}
     if torque is not None and torque.kind == "current":
         mapping["torque_signal.scale"], said = 1.0, f"{said}; scale: N m per A at the link"
-    slope = None if pair is None or pair.divided else pair.slope
+    slope = None if pair is None or pair.divided or pair.counted else pair.slope
     return {"name": name, "said": said, "slope": slope, "mapping": mapping}
 
 

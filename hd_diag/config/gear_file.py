@@ -31,6 +31,7 @@ _SCALES = {
     "radius": "the size",
     "force": "the tooth force",
     "accuracy": "the accuracy",
+    "compliance": "the compliance of teeth and cup",
 }
 
 
