@@ -93,9 +93,12 @@ def test_search_returns_the_cause_and_no_other() -> None:
         "stribeck": 0.5,
         "stribeck_speed": 8.0,
     }
-    found = search(bench(of(EFFECTS["coulomb_windup"], **values)), np.random.default_rng(0), said.append)
+    fit = bench(of(EFFECTS["coulomb_windup"], **values))
+    fit.work.progress = lambda share, text: said.append(text)
+    found = search(fit, np.random.default_rng(0))
     (cause,) = found.causes
-    assert said == ["looking for cause 1", "looking for cause 2"]
+    assert said == ["looking for cause 1", "looking for cause 2", "refining what was found"]
+    assert fit.work.left_out == []
     assert (cause.alike, found.unmodelled) == (("coulomb_windup",), ())
     assert found.chosen == ((cause.effect, cause.nonlinear),)
     assert np.array([*cause.coefficients, *cause.nonlinear]) == pytest.approx([*values.values()], rel=0.3)

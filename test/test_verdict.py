@@ -41,7 +41,7 @@ KEYS = {
     "testability": "name testable least_size reason",
 }
 MORE = {
-    "": "findings hints evidence tolerance encoder_zeros motor_current",
+    "": "findings hints evidence tolerance encoder_zeros motor_current left_out",
     "record": "has_torque outliers dropped",
     "extended": "rms_named rms_offline rms_live",
 }

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ from hd_diag.diagnosis.orders_only import orders_only
 from hd_diag.diagnosis.record import Record, RecordError
 from hd_diag.diagnosis.ripple.ripple import Ripple, ripple
 from hd_diag.diagnosis.screening import screened
+from hd_diag.diagnosis.work import Work
 from hd_diag.effects import Catalogue
 from hd_diag.report.facts import JointReport
 from hd_diag.report.sources import sources
@@ -61,6 +61,15 @@ _OPTIONS = (
         type=FILE,
         help="Python file with further effects to search among, as EFFECT or EFFECTS; repeatable. It is run.",
     ),
+    click.option(
+        "--time-limit",
+        metavar="SECONDS",
+        type=click.FloatRange(0.0),
+        default=60.0,
+        show_default=True,
+        help="Computing time for each joint; what there was no time for is said. The fit, the gain and what "
+        "no cause explains are never left out.",
+    ),
 )
 
 
@@ -73,17 +82,19 @@ class Records:
     joints: list[JointConfig]
     table: Table | None
     catalogue: Catalogue
+    time_limit: float
     orders_only: bool = False
 
     def diagnosed(self, joint: JointConfig, advance: Advance) -> Diagnosis:
         """Diagnosis of a joint; BagError and RecordError where there is nothing that can be judged."""
-        advance(0, 0, "reading")
+        work = Work(self.time_limit, lambda share, text: advance(share, 1.0, text))
+        work.progress(0.0, "reading")
         # No name for the record: it goes as soon as it was looked through.
         looked = screened(self._record(joint), joint.configured, teeth=not self.orders_only)
+        rng = np.random.default_rng(0)
         if self.orders_only:
-            return orders_only(looked, joint.configured, np.random.default_rng(0))
-        rng, told = np.random.default_rng(0), partial(advance, 0, 0)
-        found = diagnose(looked, joint.configured, rng, told, self.catalogue)
+            return orders_only(looked, joint.configured, rng)
+        found = diagnose(looked, joint.configured, rng, work, self.catalogue)
         return with_allowed(found, limits_and_spreads(self.config.flat, joint.name)[0])
 
     def ripple(self, joint: JointConfig, motion: InputRecord | None) -> Ripple:
@@ -127,13 +138,14 @@ def on_records(function: Callable[..., None]) -> Callable[..., None]:
         delimiter: str,
         divided: bool,
         effect_files: tuple[Path, ...],
+        time_limit: float,
         **own: Any,
     ) -> None:
         catalogue = load(effect_files)
         config = configured(config_file, catalogue)
         joints = chosen_joints(config, names)
         table = None if columns is None else table_of(columns, divided, rate or 0.0, delimiter)
-        function(Records(bags, config, joints, table, catalogue), **own)
+        function(Records(bags, config, joints, table, catalogue, time_limit), **own)
 
     for option in reversed(_OPTIONS):
         run = option(run)

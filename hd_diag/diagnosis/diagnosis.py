@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -27,12 +26,14 @@ from hd_diag.diagnosis.search.selection import search
 from hd_diag.diagnosis.search.unexplained import Unexplained, unexplained, with_table
 from hd_diag.diagnosis.search.unmodelled_terms import OutputLine
 from hd_diag.diagnosis.torque_use import without_misleading_torque
+from hd_diag.diagnosis.work import Work
 from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE, Catalogue
 from hd_diag.extended_model import ExtendedModel
 
 _MOST_ALIKE = 5  # causes that a class may hold and still say something
 _HALF = 0.5  # of what is left without a cause, that it explains beside a misfit
+_KEPT, _TESTED = 0.8, 0.95  # of the time that a diagnosis may take, by which these must end
 _WORSE = 1.02  # times the residual of a simpler model: then data speak against the richer one
 
 
@@ -49,7 +50,7 @@ class Diagnosis:
 
     `kept` are the parameters that stay as configured, for held-out data are predicted no better with others,
     and how far off each may be, at 95 % (SI). What is `allowed` is not found here: who knows it adds it.
-    `encoder_zeros` are those of the recordings [rad].
+    `encoder_zeros` are those of the recordings [rad]; `left_out` is what there was no time for, in words.
     """
 
     record: Record
@@ -67,6 +68,7 @@ class Diagnosis:
     orders: tuple[OrderRow, ...] = ()
     allowed: Allowed | None = None
     encoder_zeros: tuple[float, ...] = ()
+    left_out: tuple[str, ...] = ()
 
     @property
     def misfit(self) -> Misfit | None:
@@ -113,7 +115,7 @@ def diagnose(
     record: Record | Screened,
     configured: Drive,
     rng: np.random.Generator,
-    progress: Callable[[str], None] = lambda text: None,
+    work: Work | None = None,
     catalogue: Catalogue = CATALOGUE,
 ) -> Diagnosis:
     """Compare the model with a record and find the causes of the difference.
@@ -126,12 +128,14 @@ def diagnose(
         The simulation as configured.
     rng : numpy.random.Generator
         For bootstrap intervals.
-    progress : callable
-        Called with what is being done.
+    work : Work, optional
+        Is told how far this is. Where its time is too short the result says what was left out; the fit, the
+        gain and what no cause explains never are.
     catalogue : tuple of Effect
         Causes to search among.
     """
-    checked = record if isinstance(record, Screened) else screened(record, configured, progress)
+    work = work or Work()
+    checked = record if isinstance(record, Screened) else screened(record, configured)
     record, findings = checked.record, checked.findings
     if any(finding.fatal for finding in findings):
         return Diagnosis(record, configured, findings, None, None, None, None, catalogue=catalogue)
@@ -141,16 +145,16 @@ def diagnose(
     test &= (np.bincount(record.run) > ORDER)[record.run]
     record, misleading = without_misleading_torque(record, configured, test, rng)
     findings = (*findings, *([misleading] if misleading else []))
-    progress("fitting the model's own parameters")
+    work.progress(0.02, "fitting the model's own parameters")
     first = refit(renumbered(record.select(~test)), configured, rng)
-    progress("looking for causes")
-    begun = linearise(record, configured, first.parameters, rows=~test, catalogue=catalogue)
+    work.progress(0.12, "looking for causes")
+    begun = linearise(record, configured, first.parameters, rows=~test, catalogue=catalogue, work=work)
     plain = settle(begun, ())
-    found = search(plain, rng, progress, first.parameters)
-    progress("measuring the gain")
+    found = search(plain, rng, first.parameters)
+    work.progress(0.78, "measuring the gain")
     best = _predicting(record, test, which, plain, found, rng)
     kept, rms, gain = best.kept, best.rms, best.gain
-    progress("using all data")
+    work.progress(0.88, "using all data")
     whole = refitted(settle(replace(best.every, held=kept.held), best.found.chosen), best.found)
     del begun, plain, found, best  # some hundred columns each
     parameters, covariance = parameters_of(whole)
@@ -158,7 +162,10 @@ def diagnose(
     certain = first.trustworthy or "eccentricity" in kept.bounds
     trustworthy = certain and not fit_parameters.at_bound(parameters, configured)
     drive = fit_parameters.drive_of(parameters, configured)
-    progress("looking at what no cause explains")
+    work.progress(0.94, "looking at what no cause explains")
+    left, testable = _described(record, unexplained(whole), rms), list[Testability]()
+    with work.until(_TESTED, "asking what this motion could have shown"):
+        testable = testability(whole)
     return Diagnosis(
         record,
         configured,
@@ -168,11 +175,12 @@ def diagnose(
         rms,
         gain,
         kept.physical(configured),
-        _described(record, unexplained(whole), rms),
-        tuple(testability(whole)),
+        left,
+        tuple(testable),
         extended_model(whole, configured, record),
         catalogue,
         encoder_zeros=tuple(encoder_zeros(whole).tolist()),
+        left_out=tuple(work.left_out),
     )
 
 
@@ -201,7 +209,10 @@ def _predicting(
         every = found.fit.on(usable(record, found.torque_shift))
         return _Tried(found, kept, every, *measured_gain(record, test, which, before, found, every, rng))
 
-    best = tried(*kept_parameters(found.fit, found.chosen), found)
+    fit, kept = found.fit, Kept({})
+    with fit.work.until(_KEPT, "asking which parameters may be as configured"):
+        fit, kept = kept_parameters(fit, found.chosen)
+    best = tried(fit, kept, found)
     lines = tuple(item for item in found.chosen if isinstance(item[0], OutputLine))
     if found.chosen != lines and best.rms.extended > _WORSE * min(best.rms.refit, best.rms.nominal):
         found = Search(settle(plain, lines) if lines else plain, (), lines)

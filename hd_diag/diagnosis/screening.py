@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from hd_diag.diagnosis.drift import check_velocity
@@ -33,7 +32,6 @@ class Screened:
 def screened(
     record: Record,
     configured: Drive,
-    progress: Callable[[str], None] = lambda text: None,
     limit: int = LIMIT,
     *,
     teeth: bool = True,
@@ -44,15 +42,12 @@ def screened(
     ----------
     record : Record
     configured : Drive
-    progress : callable
-        Called with what is being done.
     limit : int
         Rows to keep, at most: a caller who keeps only the result frees a long record.
     teeth : bool
         Whether the configured geometry is that of the gear: else its torsion is not compared.
     """
     ratio = configured.kinematics.ratio
-    progress("checking the signals")
     wrong = check_one_sensor(record, ratio) or check_degrees(record)
     wrong = wrong or check_velocity(record, configured.kinematics) or check_step(record, ratio)
     if not record.by_velocity:  # whose slow part is free

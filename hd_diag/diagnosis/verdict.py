@@ -13,6 +13,7 @@ from hd_diag.diagnosis.gain import Gain, Rms
 from hd_diag.diagnosis.judgement import Answer, Change
 from hd_diag.diagnosis.search.causes import Cause
 from hd_diag.diagnosis.search.order_table import OrderRow
+from hd_diag.diagnosis.search.selection import FURTHER_CAUSES
 from hd_diag.diagnosis.search.unexplained import Unexplained
 from hd_diag.formatting import ARCSEC, arcsec, direction, json_ready, number, si, spread_number, words
 
@@ -77,6 +78,7 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
         "tolerance": answer.tolerance and {**answer.tolerance._asdict(), "within": answer.tolerance.within},
         "encoder_zeros": _zeros(diagnosis),
         "motor_current": _motor(diagnosis),
+        "left_out": diagnosis.left_out,
         "model": model,
         "verdict": sentence(answer),
     }
@@ -155,6 +157,8 @@ def sentence(answer: Answer) -> str:
         pass
     elif diagnosis.causes or diagnosis.hints:
         parts += _causes(answer)
+    elif FURTHER_CAUSES in diagnosis.left_out:
+        parts.append("no cause was found in the time that there was")
     elif not diagnosis.unexplained and answer.judgement != "misfit":
         parts.append("no other cause is needed")
     else:
@@ -173,6 +177,8 @@ def sentence(answer: Answer) -> str:
     if record.size < record.extent.samples:
         samples = f"{record.size} of {record.extent.samples} samples"
         parts.append(f"fitted to {samples}, in stretches all over the record")
+    if diagnosis.left_out:
+        parts.append(f"the time limit was reached, so this was left out: {', '.join(diagnosis.left_out)}")
     return _ended("; ".join(parts))
 
 

@@ -20,6 +20,7 @@ from hd_diag.diagnosis.fit.record_model import RecordModel
 from hd_diag.diagnosis.fit.refit import usable
 from hd_diag.diagnosis.noise import ORDER, Whitening
 from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.work import Work
 from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE, Catalogue
 from hd_diag.effects.effect import Effect, Values
@@ -106,6 +107,11 @@ class LinearisedFit:
         return tuple((item, beta[place]) for item, place in zip(chosen, self.places(chosen), strict=True))
 
     @property
+    def work(self) -> Work:
+        """What all fits of the record are a part of."""
+        return self.data.model.work
+
+    @property
     def drive(self) -> Drive:
         """At the parameters."""
         return self.signals.contact.drive
@@ -156,7 +162,8 @@ class LinearisedFit:
         return self.effects.columns(effect, nonlinear)
 
     def white(self, effect: Effect, nonlinear: Values, keep: bool = True) -> Floats:
-        """Whitened columns of an effect."""
+        """Whitened columns of an effect; OutOfTime where there is none left for them."""
+        self.work.check()
         if not keep:
             return self.whiten(self.effects.new_columns(effect, nonlinear), self.data.run)
         noise = self.whiten.coefficients.tobytes(), self.whiten.scale
@@ -262,13 +269,16 @@ def linearise(
     parameters: Floats,
     rows: npt.NDArray[np.bool_] | None = None,
     catalogue: Catalogue = CATALOGUE,
+    work: Work | None = None,
 ) -> LinearisedFit:
     """A record linearised about a drive, its noise not known yet; see :class:`FittedRows`.
 
     Of parameters (7,) in units of `fit_parameters.units`, on some rows (n,) where the error is well defined,
-    on all of these without.
+    on all of these without; a part of some work, or of work that may take as long as it does.
     """
     found = usable(record)
     mask = found if rows is None else found & rows
-    rows_of = FittedRows(RecordModel(record, configured), mask, of_drive(catalogue, configured))
+    rows_of = FittedRows(
+        RecordModel(record, configured, work or Work()), mask, of_drive(catalogue, configured)
+    )
     return LinearisedFit(rows_of, parameters)

@@ -13,6 +13,7 @@ from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.smoothing import smooth
+from hd_diag.diagnosis.work import Work
 from hd_diag.drive import Drive
 from hd_diag.effects.contact_weights import contact_weights
 from hd_diag.effects.effect import Values
@@ -40,10 +41,13 @@ class RecordModel:
     record : Record
         All that is known: causes with memory go through every row of it.
     configured : Drive
+    work : Work
+        What a new point of the parameters is a part of.
     """
 
     record: Record
     configured: Drive
+    work: Work = field(default_factory=Work)
     _known: dict[bytes, AtParameters] = field(default_factory=dict, init=False)
 
     @cached_property
@@ -95,6 +99,7 @@ class RecordModel:
         return rate
 
     def _at(self, parameters: Floats) -> AtParameters:
+        self.work.check()
         record, drive = self.record, fit_parameters.drive_of(parameters, self.configured)
         error, derivatives, slope = fit_parameters.along(
             drive, self.configured, record.input_angle, record.torque

@@ -19,6 +19,7 @@ from hd_diag.diagnosis.search.ranking import by_name, ranked
 from hd_diag.diagnosis.search.remainder import Remainder
 from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
 from hd_diag.effects.effect import Effect
+from hd_diag.formatting import words
 
 CLASS_DEVIANCE = 10.0
 """Causes whose exchange changes the held-out deviance by less cannot be told apart."""
@@ -26,6 +27,7 @@ CLASS_DEVIANCE = 10.0
 _DISAGREEING = 0.2  # of what one cause gains on another, in blocks where it loses
 _FAR = 0.1  # of a cause's gain, up to which another is told from it without a fit of its own
 _CERTAIN = 100.0  # gain of such a cause
+_CLASSED = 0.73  # of the time that a diagnosis may take, by which the classes of all are known
 
 
 @dataclass(frozen=True)
@@ -121,7 +123,9 @@ def causes(
             continue
         share = _share(fit, chosen, index)
         low, high = interval(share, rng)
-        alike = (effect.name, *_alike(fit, chosen, index, rivals))
+        alike = (effect.name, *effect.always_confused)
+        with fit.work.until(_CLASSED, f"asking what would explain {words(effect.name)} as well"):
+            alike = (effect.name, *_alike(fit, chosen, index, rivals))
         p_value = p_values.get(effect.name, float("nan"))
         gains = float(np.mean(share)), low, min(high, 1.0)
         found.append(Cause(effect, nonlinear, *numbers, p_value, alike, *gains))

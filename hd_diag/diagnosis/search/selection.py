@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +23,9 @@ from hd_diag.diagnosis.search.unmodelled_terms import (
 )
 from hd_diag.effects.effect import Effect, Stage
 
+FURTHER_CAUSES = "looking for further causes"
+"""What is left out where the search has no more time."""
+
 _MOST_CAUSES = 4
 _SLOW = 0.34  # share of the samples that count as slow
 _MOST_TERMS = 3  # unmodelled, beside lines of the output's turn
@@ -36,15 +39,17 @@ _PLAINLY = 10.0  # surprise by which an unmodelled term must beat all causes to 
 _RESOLVED = 5.0  # surprise by which a wave of any order must beat a whole number per output turn
 _FIRST_MOVE = 0.5  # of a grid step, by which a refinement begins
 _RESTART_GAIN = 12.0  # deviance by which another minimum must beat the present one
+_SEARCHED, _REFINED = 0.55, 0.65  # of the time that a diagnosis may take, by which these must end
+_FIRST, _LAST = 0.15, 0.75  # of the time it takes, that are gone when the search begins and ends
+_ROUND = 0.45  # of what is left of the search, after each round
 
 
 def search(
     fit: LinearisedFit,
     rng: np.random.Generator,
-    progress: Callable[[str], None] = lambda text: None,
     begun: Floats | None = None,
 ) -> Search:
-    """Find the causes of the refitted model's residual.
+    """Find the causes of the refitted model's residual, as far as there is time.
 
     Parameters
     ----------
@@ -52,19 +57,42 @@ def search(
         At the refitted parameters.
     rng : numpy.random.Generator
         For intervals.
-    progress : callable
-        Called with what is being done.
     begun : ndarray, shape (7,), optional
         Parameters that were fitted beside terms for whatever a cause may be, as `refit` does.
     """
-    chosen: Chosen = fit.data.given
-    p_values: dict[str, float] = {}
+    work, chosen = fit.work, fit.data.given
+    p_values, rivals = dict[str, float](), set[str]()
     fit = settle(fit, chosen)
+    with work.until(_SEARCHED, FURTHER_CAUSES):
+        for now in _rounds(fit, chosen, p_values, rivals, rng, begun):
+            fit, chosen = now
+    work.progress(_LAST, "refining what was found")
+    chosen = needed(fit, chosen)
+    fit, chosen = _finished_in_time(settle(fit, chosen), chosen)
+    if (fewer := needed(fit, chosen)) != chosen:
+        fit, chosen = _finished_in_time(settle(fit, fewer), fewer)
+    unmodelled = tuple(item for item in chosen if item[0].given or isinstance(item[0], UnmodelledTerm))
+    return Search(fit, causes(fit, chosen, p_values, rivals, rng), unmodelled)
+
+
+def _rounds(
+    fit: LinearisedFit,
+    chosen: Chosen,
+    p_values: dict[str, float],
+    rivals: set[str],
+    rng: np.random.Generator,
+    begun: Floats | None,
+) -> Iterator[tuple[LinearisedFit, Chosen]]:
+    """The fit beside one effect more in every round; what is given at any time can be the last.
+
+    Chances of what is chosen and names of its rivals are added to `p_values` and `rivals`.
+    """
     if chosen:
         fit, chosen = polished(_restarted(fit, chosen, rng), chosen)
-    family, rivals = family_size(fit), set[str]()
-    for _ in range(_MOST_CAUSES + _MOST_TERMS + len(OUTPUT_LINES)):
-        progress(f"looking for cause {len(chosen) + 1}")
+        yield fit, chosen
+    family = family_size(fit)
+    for number in range(_MOST_CAUSES + _MOST_TERMS + len(OUTPUT_LINES)):
+        fit.work.progress(_LAST - (_LAST - _FIRST) * _ROUND**number, f"looking for cause {len(chosen) + 1}")
         best = candidates(fit, chosen) if _named(chosen) < _MOST_CAUSES else []
         if not chosen and speed_dependent(fit):
             fit, best = _begun_slowly(fit, best, rng)
@@ -81,16 +109,13 @@ def search(
         fit, chosen = _clear(fit, chosen)
         if isinstance(found.effect, UnmodelledTerm):  # a cause that was only the nearest to it may go
             chosen = needed(fit, chosen)
+            yield fit, chosen
             continue
+        yield fit, chosen
         fit, chosen = _swapped(fit, chosen, rivals)
         if len(chosen) <= _RESTARTS:
             fit = _restarted(fit, chosen, rng)
-    chosen = needed(fit, chosen)
-    fit, chosen = _finished(settle(fit, chosen), chosen)
-    if (fewer := needed(fit, chosen)) != chosen:
-        fit, chosen = _finished(settle(fit, fewer), fewer)
-    unmodelled = tuple(item for item in chosen if item[0].given or isinstance(item[0], UnmodelledTerm))
-    return Search(fit, causes(fit, chosen, p_values, rivals, rng), unmodelled)
+        yield fit, chosen
 
 
 def speed_dependent(fit: LinearisedFit) -> bool:
@@ -290,6 +315,13 @@ def _restarted(fit: LinearisedFit, chosen: Chosen, rng: np.random.Generator) -> 
     other = settle(fit.moved(again.parameters), chosen, rounds=2)
     deviance = replace(other, whiten=fit.whiten).design(chosen).deviance()  # with one noise model
     return other if deviance < here - _RESTART_GAIN else fit
+
+
+def _finished_in_time(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
+    """As `_finished`; as they are where there is no time."""
+    with fit.work.until(_REFINED, "refining the causes' numbers"):
+        fit, chosen = _finished(fit, chosen)
+    return fit, chosen
 
 
 def _finished(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:

@@ -1,0 +1,56 @@
+"""The work of a diagnosis: how far it is, how long it may take, and what there was no time for."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+Progress = Callable[[float, str], None]
+"""Takes the share of the time that is done, and what is being done now."""
+
+
+class OutOfTime(Exception):
+    """A part of the work has no more time."""
+
+
+class Work:
+    """Computing time of this process, counted from here.
+
+    On a free core it is no less than the time by the clock, and a busy machine does not change what is found.
+
+    Parameters
+    ----------
+    seconds : float
+        That all of the work may take [s].
+    progress : callable
+
+    Attributes
+    ----------
+    left_out : list of str
+        What there was no time for, in words.
+    """
+
+    def __init__(self, seconds: float = math.inf, progress: Progress = lambda share, text: None) -> None:
+        self.seconds, self.progress, self.left_out = seconds, progress, list[str]()
+        self._begin, self._most = time.process_time(), math.inf
+
+    def check(self) -> None:
+        """Raise OutOfTime where the part that is being done has no more time."""
+        if time.process_time() - self._begin > self._most:
+            raise OutOfTime
+
+    @contextmanager
+    def until(self, share: float, what: str) -> Iterator[None]:
+        """A part of the work that ends, wherever it is, when a share of all the time is gone.
+
+        Then `what` is left out, and what follows the part goes on.
+        """
+        before, self._most = self._most, share * self.seconds
+        try:
+            yield
+        except OutOfTime:
+            self.left_out += [what] if what not in self.left_out else []
+        finally:
+            self._most = before

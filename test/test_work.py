@@ -1,0 +1,74 @@
+"""The time that a diagnosis may take: what ends by it, what never does, and how far the work says it is."""
+
+import json
+
+import numpy as np
+import pytest
+from benches import CONFIGURED, EFFECTS, bench, of, swinging
+from joint_records import ARCSEC
+
+from hd_diag.diagnosis import work
+from hd_diag.diagnosis.diagnosis import diagnose
+from hd_diag.diagnosis.judgement import Answer
+from hd_diag.diagnosis.search.selection import FURTHER_CAUSES, search
+from hd_diag.diagnosis.verdict import as_json, sentence
+from hd_diag.diagnosis.work import Work
+
+FRICTION = {"friction": 2.0, "way": 0.2, "creep_speed": 0.5, "stribeck": 0.5, "stribeck_speed": 8.0}
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Computing time, set by the test [s]."""
+    now = [100.0]
+    monkeypatch.setattr(work.time, "process_time", lambda: now[0])
+    return now
+
+
+def test_a_part_ends_where_its_share_of_the_time_is_gone(clock: list[float]) -> None:
+    limited, steps = Work(10.0), list[str]()
+    for name in ("one", "one", "other"):
+        with limited.until(0.5, name):
+            for _ in range(3):
+                limited.check()
+                clock[0] += 2.0
+                steps.append(name)
+        limited.check()  # outside a part there is no end
+    assert (steps, limited.left_out) == (["one"] * 3, ["one", "other"])
+
+
+def test_a_search_that_is_cut_off_gives_what_it_has_found(clock: list[float]) -> None:
+    fit, said = bench(of(EFFECTS["coulomb_windup"], **FRICTION)), dict[str, float]()
+
+    def progress(share: float, text: str) -> None:
+        said[text] = share
+        clock[0] += 100.0 * (text == "looking for cause 2")
+
+    fit.work.seconds, fit.work.progress = 100.0, progress
+    found = search(fit, np.random.default_rng(0))
+    (cause,) = found.causes
+    assert (cause.effect.name, cause.gain_low > 0.5) == ("coulomb_windup", True)
+    assert cause.coefficients[0] == pytest.approx(2.0, rel=0.3)
+    asked = "asking what would explain coulomb windup as well"
+    assert fit.work.left_out == [FURTHER_CAUSES, "refining the causes' numbers", asked]
+    assert [*said] == ["looking for cause 1", "looking for cause 2", "refining what was found"]
+    assert sorted(said.values()) == [*said.values()]
+
+
+def test_a_diagnosis_without_time_measures_the_fit_and_the_misfit_and_says_what_it_left_out() -> None:
+    shares: list[float] = []
+    record = bench(of(EFFECTS["stream_delay"], delay=5e-3), record=swinging(10.0)).data.source
+    hurried = Work(0.0, lambda share, text: shares.append(share))
+    found = diagnose(record, CONFIGURED, np.random.default_rng(0), hurried)
+    assert (found.causes, found.testable, found.left_out[0]) == ((), (), FURTHER_CAUSES)
+    told = json.loads(json.dumps(as_json(found, "joint_1"), allow_nan=False))
+    assert told["judgement"] == "misfit"
+    assert told["left_out"] == [*found.left_out]
+    assert told["extended"]["rms"] > 5.0 * told["noise_floor"]["rms"] > 5.0 * ARCSEC
+    assert (len(told["unexplained"]) > 0, told["refit"]["parameters"] != {}) == (True, True)
+    verdict = sentence(Answer(found))
+    assert verdict.startswith("the model does not describe this record")
+    assert "no cause was found in the time that there was" in verdict
+    assert verdict.endswith(f"so this was left out: {', '.join(found.left_out)}.")
+    assert 0.0 < shares[0] < shares[-1] < 1.0
+    assert sorted(shares) == shares
