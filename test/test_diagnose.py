@@ -91,7 +91,9 @@ def test_wrong_parameters_in_a_bag(tmp_path: Path) -> None:
     made, told_file = generated("wrong_parameters", 3), tmp_path / "told.json"
     records.write_bag(made, tmp_path / "joint.mcap")
     result = diagnosed_by(tmp_path / "joint.mcap", "--json", told_file, "--fail-on-cause")
-    assert (result.exit_code, result.stderr) == (0, "")
+    assert result.exit_code == 0
+    # A busy computer takes so long that it is said how long.
+    assert [line for line in result.stderr.splitlines() if not re.search(r": [\w' ]+: \d+ %", line)] == []
     told = json.loads(told_file.read_text())
     assert (told["causes"], told["unexplained"], told["findings"]) == ([], [], [])
     assert told["verdict"].endswith("no other cause is needed.")
