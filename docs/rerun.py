@@ -3,9 +3,9 @@
     python docs/rerun.py docs/tour.md ...
 
 In blocks of the language ``console`` a line that begins with ``$ `` is a command, what follows is what it
-says. The commands of a page run one after the other in one shell, in an empty folder in which ``config`` and
-``docs`` are those of this tree; ``hd-diag`` and ``python`` must be on the PATH. Blocks of the language ``sh``
-are never run. What a page starts in the background is ended with it.
+says, but for its progress. The commands of a page run one after the other in one shell, in an empty folder in
+which ``config`` and ``docs`` are those of this tree; ``hd-diag`` and ``python`` must be on the PATH. Blocks of
+the language ``sh`` are never run. What a page starts in the background is ended with it.
 """
 
 # ruff: noqa: T201
@@ -25,6 +25,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 BLOCK = re.compile(r"(?ms)^```console\n(.*?)^```$")
 END = "\x1e"  # printed after each command
+# A line every 10 s, on a machine as slow as that.
+PROGRESS = re.compile(r"(?m)^hd-diag: .*: (\d[^:]* so far|\d+ %.*|[\d,]+ of [\d,]+ .*)\n")
 LONGEST = 900.0  # for a page [s]
 
 
@@ -53,7 +55,7 @@ def told(lines: list[str], folder: Path) -> Iterator[str]:
             with contextlib.suppress(ProcessLookupError):  # what went on in the background
                 os.killpg(shell.pid, signal.SIGTERM)
     for part in output.split(END)[: len(lines)]:
-        text = part.replace(f"{folder}/", "")
+        text = PROGRESS.sub("", part.replace(f"{folder}/", ""))
         yield "".join(f"{line.rstrip()}\n" for line in text.splitlines())
 
 

@@ -129,6 +129,19 @@ def test_outputs_are_put_beneath_their_commands(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        "joint_1: looking for cause 1: 10 s so far",
+        "joint_1: fitting: 40 %, about 2 min left",
+        "a.mcap: 9,120 of 60,000 messages, 912/s",
+    ],
+)
+def test_progress_is_no_output_of_a_page(line: str, tmp_path: Path) -> None:
+    (told,) = rerun.told([f"echo 'hd-diag: {line}' >&2; echo 'hd-diag: no such file: 3'"], tmp_path)
+    assert told == "hd-diag: no such file: 3\n"
+
+
 def test_readme_is_short_and_says_what_the_demo_takes_before_its_command() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     assert len(text.split()) < 700
