@@ -4,8 +4,8 @@
 
 In blocks of the language ``console`` a line that begins with ``$ `` is a command, what follows is what it
 says, but for its progress. The commands of a page run one after the other in one shell, in an empty folder in
-which ``config`` and ``docs`` are those of this tree; ``hd-diag`` and ``python`` must be on the PATH. Blocks of
-the language ``sh`` are never run. What a page starts in the background is ended with it.
+which ``config`` and ``docs`` are those of this tree; ``hd-diag`` and ``python`` must be on the PATH. Blocks
+of the language ``sh`` are never run. What a page starts in the background is ended with it.
 """
 
 # ruff: noqa: T201
