@@ -68,12 +68,12 @@ class MeshTorques:
             return np.where(np.abs(steep) < most, steep, 0.0)
         return self.model.kept.get((self.parameters.tobytes(), "slope", self.key), slope)
 
-    @property
+    @cached_property
     def rounded(self) -> MeshTorques:
         """The same causes at sizes that hardly change the model's derivatives: these are costly."""
         step, found = _TOLD_APART * self.model.configured.rated_torque, []
         for (effect, nonlinear), coefficients in self.causes:
-            reach = np.max(np.abs(self.model.torque(effect, nonlinear)), axis=0, initial=1e-9)
+            reach = self.model.greatest_torque(effect, nonlinear)
             found.append(((effect, nonlinear), np.rint(coefficients * reach / step) * step / reach))
         return replace(self, causes=tuple(found))
 

@@ -82,6 +82,14 @@ class RecordModel:
 
         return self.kept.get(("torque", effect.name, nonlinear), torque)
 
+    def greatest_torque(self, effect: MeshTorque, nonlinear: Values) -> Floats:
+        """Greatest magnitude of each of these columns [N m per unit], shape (size,)."""
+
+        def greatest() -> Floats:
+            return np.asarray(np.max(np.abs(self.torque(effect, nonlinear)), axis=0, initial=1e-9))
+
+        return self.kept.get(("greatest torque", effect.name, nonlinear), greatest)
+
     def derivatives(self, parameters: Floats, shift: Floats) -> Floats:
         """Of the model by its parameters at all rows, under a torque more by a shift (n,) [N m]; (n, 7)."""
         if not shift.any():
