@@ -173,7 +173,7 @@ def test_value_of_the_wrong_type_or_out_of_range(name: str, value: Any, expected
         ({"neutral_curve.semi_major": 0.035}, "flexspline"),
         ({"neutral_curve.semi_major": 0.0297, "neutral_curve.semi_minor": 0.0303}, ""),
         ({"circular_spline_tip_radius": 0.040}, "circular_spline_slot"),
-        ({"limits.overlap.warn": 1e-3}, "limits.overlap: error (2e-05) must not be below warn (0.001)"),
+        ({"limits.overlap.warn": 1e-3}, "limits.overlap: error (8.5e-05) must not be below warn (0.001)"),
         ({"model_file": "x.json"}, "model_file: 'x.json'"),
         ({"output_joint": "joint_1_motor"}, "output_joint: 'joint_1_motor' is already joint_1.input_joint"),
     ],

@@ -27,7 +27,7 @@ from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.scaling import of_drive
 from hd_diag.extended_model import ExtendedModel, Range, Ranges, Term
-from hd_diag.gear.characteristics import characteristics
+from hd_diag.gear.characteristics import ToothLoads, characteristics, tooth_loads
 from hd_diag.gear.similarity import least_backlash
 from hd_diag.model.load_sharing import mesh_state
 from hd_diag.model.torsion import torsion
@@ -285,6 +285,24 @@ def test_a_perfect_assembly_is_within_its_limits(name: str) -> None:
     found = assess(config, config.joints[0]).found
     assert found.rated_load < config.flat["joint_1.tolerance.limits.peak_tooth_load"]
     assert found.rated_load < 0.5 * config.flat["joint_1.limits.peak_tooth_load.warn"]
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_an_overlap_at_its_limit_does_the_same_to_every_gear(name: str) -> None:
+    """At the warning a tooth bears half more at the rated torque than without eccentricity."""
+    joint = of_page(name).joints[0]
+    mesh, warn = joint.drive.mesh, joint.limits["overlap"].warn
+
+    def eccentric(size: float) -> ToothLoads:
+        return tooth_loads(
+            dataclasses.replace(joint.drive, mesh=dataclasses.replace(mesh, eccentricity=size))
+        )
+
+    first, second = (eccentric(share * mesh.geometry.module).overlap for share in (0.02, 0.05))
+    size = (0.02 + 0.03 * (warn - first) / (second - first)) * mesh.geometry.module
+    found = eccentric(size)
+    assert found.overlap == pytest.approx(warn, rel=0.03)
+    assert found.rated / tooth_loads(joint.drive).rated == pytest.approx(1.5, abs=0.07)
 
 
 @pytest.mark.parametrize("name", PAGES)

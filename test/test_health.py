@@ -7,7 +7,7 @@ import pytest
 from live import MS, RATIO, START, config, states
 from numpy.testing import assert_allclose
 
-from hd_diag.drive import mesh_state, transmission_error
+from hd_diag.drive import MeshState, mesh_state, transmission_error
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor import Monitor
 from hd_diag.monitor.health import FAULT_CODES
@@ -103,8 +103,8 @@ def limited(name: str, warn: float, error: float) -> Cause:
 CAUSES = [
     ("STALE", silence(1.0), 1, "no valid sample for 1.0 s"),
     ("STALE", silence(3.0), 2, "no valid sample for 3.0 s"),
-    ("INPUT_INVALID", running(broken=5), 1, "5 rejected: input angle of joint_1_motor is nan"),
-    ("INPUT_INVALID", running(broken=30), 2, "30 rejected: input angle of joint_1_motor is nan"),
+    ("INPUT_INVALID", running(broken=5), 1, "5 samples rejected: input angle of joint_1_motor is nan"),
+    ("INPUT_INVALID", running(broken=30), 2, "30 samples rejected: input angle of joint_1_motor is nan"),
     ("OUT_OF_RANGE", running(torque=-123.2), 1, "torque is 2.20 times the rated torque"),
     ("OUT_OF_RANGE", running(torque=224.0), 2, "torque is 4.00 times the rated torque"),
     ("RESIDUAL", running(wobble=2e-4), 1, "residual 41."),
@@ -187,10 +187,8 @@ def test_numbers_are_those_of_the_drive(life: Life) -> None:
     state = mesh_state(drive, np.array([0.98]), np.array([-30.0]))
     turn = transmission_error(drive, np.linspace(0.0, 2.0 * np.pi, 4000), np.full(4000, 30.0))
     assert values["loaded_pairs"] == str(state.loaded_pairs[0])
-    assert values["interference"] == ("true" if state.interference[0] else "false")
     expected = {
         "minimum_backlash_um": state.minimum_backlash[0] * 1e6,
-        "overlap_um": state.overlap[0] * 1e6,
         "peak_tooth_load_N": state.peak_load[0],
         "load_concentration": state.load_concentration[0],
         "lost_motion_arcmin": state.lost_motion[0] / ARCSEC / 60.0,
@@ -204,6 +202,36 @@ def test_numbers_are_those_of_the_drive(life: Life) -> None:
     assert values["samples"] == "50"
     assert values["latency_p99_us"] == "81.5"
     assert values["log_state"] == "writing x"
+
+
+def turned(eccentricity: float, torque: float) -> MeshState:
+    """The example drive over a turn; an eccentricity [m] and a torque [N m]."""
+    drive = config(joint_1__eccentricity__magnitude=eccentricity).joints[0].drive
+    return mesh_state(drive, np.linspace(0.0, 2.0 * np.pi, 400), np.full(400, torque))
+
+
+def test_overlap_is_judged_by_what_it_does_to_the_teeth() -> None:
+    """Half more than without eccentricity is a warning, a preload like the rated torque's an error."""
+    even = turned(0.0, 56.0).peak_load.max()
+    for size, level in ((10e-6, 0), (18e-6, 0), (24e-6, 1), (38e-6, 1), (42e-6, 2)):
+        life = Life(joint_1__eccentricity__magnitude=size, joint_1__limits__peak_tooth_load__warn=100.0)
+        life.run()
+        status = life.report()
+        idle, rated = turned(size, 0.0), turned(size, 56.0).peak_load.max()
+        expected = {
+            "overlap_um": idle.overlap.max() * 1e6,
+            "idle_tooth_load_N": idle.peak_load.max(),
+            "rated_tooth_load_N": rated,
+            "tooth_load_margin_lost_percent": 100.0 * (rated - even) / (100.0 - even),
+        }
+        for key, value in expected.items():
+            assert_allclose(float(status.values[key]), value, rtol=0.02, err_msg=key)
+        assert status.values["interference"] == ("true" if idle.overlap.max() > 0.0 else "false")
+        assert code(status) == (("INTERFERENCE", level) if level else ("OK", 0))
+        assert level == 0 or 1.5 * even < rated
+        assert level < 2 or idle.peak_load.max() > even
+        for words in ("without torque", "at the rated torque", "% of the margin to 100 N is lost"):
+            assert level == 0 or words in status.message
 
 
 def test_residual_is_about_its_mean_for_the_encoders_zero_is_nobodys_fault(life: Life) -> None:

@@ -258,6 +258,33 @@ def test_a_silent_joint_is_grey_and_says_so() -> None:
     assert "90mjoint_1" in silent.replace("1;", "")
 
 
+def test_what_is_wrong_is_said_a_line_a_statement() -> None:
+    """As the monitor says it; in a pipe it stays one line."""
+    said = "residual repeats twice per input turn with 24.4 arcsec (input 2); typical of this; do that"
+    watch = watched(message(level=1, text=said, fault_code="RESIDUAL", fault_codes="RESIDUAL STALE"))
+    first, second, third, _ = [line.strip() for line in lines(watch, 100)[5:9]]
+    assert first == f"RESIDUAL {said.split('; ')[0]} (also STALE)"
+    assert (second, third) == ("typical of this", "do that")
+    assert len(lines(watched(message(level=1, text="a; " * 1000)))) < 12
+    assert f": RESIDUAL {said} (also STALE); configured " in plain_line(watch.view(0.0)[0])
+
+
+def test_an_order_that_repeats_within_its_limit_is_told_beside_ok() -> None:
+    told = {
+        "residual_order": "input 2",
+        "residual_order_repeats": "true",
+        "residual_order_amplitude_arcsec": "6.71794",
+        "residual_order_limit_arcsec": "10.3132",
+    }
+    watch = watched(message(**told))
+    assert "; residual repeats 2x per input turn: 6.7 of 10.3 arcsec allowed; " in plain_line(
+        watch.view(0.0)[0]
+    )
+    assert "OK residual" not in drawn(watch)
+    assert "residual repeats 2x per input turn" in drawn(watch)
+    assert "repeats" not in plain_line(watched(message()).view(0.0)[0])
+
+
 @pytest.mark.parametrize("width", [20, 40, 79, 80, 81, 120, 300])
 @pytest.mark.parametrize("text", ["joint_1", HOSTILE])
 def test_no_line_is_wider_than_the_terminal(width: int, text: str) -> None:
@@ -363,7 +390,7 @@ def test_another_fault_is_shown_at_once_with_everything_else() -> None:
         display.show(watch, 1.05, is_last=True)
     shown = stream.getvalue().splitlines()
     assert [line.split(": ")[1].split()[0].strip(";") for line in shown] == ["OK", "RESIDUAL", "OK", "STALE"]
-    words = ("18.0 um at 0 deg", "lost motion", "loaded pairs", "arcsec p-p", "arcsec rms", "812 us")
+    words = ("18.0 um at 0 deg", "lost motion", "tooth pairs", "arcsec peak to peak", "arcsec rms", "812 us")
     assert [part for part in words if part not in shown[0]] == []
     assert shown[0].endswith("log writing log.mcap")
 

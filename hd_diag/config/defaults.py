@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hd_diag.config.configured_drive import drive_from, number
-from hd_diag.config.parameters import JOINT_PARAMETERS, Value
+from hd_diag.config.parameters import JOINT_PARAMETERS, LIMITS, Value
 from hd_diag.drive import Drive
 from hd_diag.formatting import rounded
 from hd_diag.gear.characteristics import T1_SHARE, T2_SHARE
@@ -31,6 +31,11 @@ _SHARING = 2.0 / 3.0
 
 # Of the example drive at its rated torque; all in its teeth [rad/(N m)].
 _COMPLIANCE = 1.75e-5
+
+# Amplitude of order 2 [rad] of an eccentricity over the pitch circle's radius, at the torque where it is
+# largest: 0.18 to 0.21 between the same drives; and the part of it that may be the model's own error.
+_ERROR_OF_ECCENTRICITY = 0.19
+_MODEL_SHARE = 0.25
 
 
 class Page(NamedTuple):
@@ -56,6 +61,9 @@ def joint_values(given: Mapping[str, Value]) -> tuple[dict[str, Value], dict[str
     page = page_of(given)
     values = {**DEFAULTS, **(resolved(page) if page else {})}
     values |= scaled(drive_from({**values, **given}))
+    for name in LIMITS:  # where an error alone is given, its warning is not above it
+        warn, error = f"limits.{name}.warn", f"limits.{name}.error"
+        values[warn] = min(number(values, warn), number({**values, **given}, error))
     kept = {name: value for name, value in given.items() if not page or values[name] != value}
     return {**values, **given}, kept
 
@@ -133,13 +141,22 @@ def _factors(drive: Drive) -> dict[str, float]:
     )
     load = torque * compliance / (teeth * radius * module)
     of_teeth = compliance / (teeth * radius**2) * load ** (_SHARING - 1.0)  # the more pairs share
+    force = module / compliance * load**_SHARING
     return {
         "module": module,
         "radius": radius,
-        "force": module / compliance * load**_SHARING,
+        "force": force,
+        "preload": force * compliance,
         "accuracy": accuracy,
+        "error": max(accuracy, _model_error(drive) / number(DEFAULTS, "limits.residual_order.warn")),
         "compliance": of_teeth + drive.cup_compliance / _COMPLIANCE,
     }
+
+
+def _model_error(drive: Drive) -> float:
+    """Amplitude [rad] of what the configured eccentricity may be wrong by."""
+    share = abs(drive.mesh.eccentricity) / drive.mesh.geometry.curve.radius
+    return _MODEL_SHARE * _ERROR_OF_ECCENTRICITY * share
 
 
 def _of_geometry(geometry: Geometry) -> dict[str, Value]:

@@ -32,6 +32,8 @@ _SCALES = {
     "force": "the tooth force",
     "accuracy": "the accuracy",
     "compliance": "the compliance of teeth and cup",
+    "error": "the accuracy",
+    "preload": "the tooth force",
 }
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -65,12 +67,40 @@ class Characteristics:
     error_per_eccentricity: float
 
 
+class ToothLoads(NamedTuple):
+    """What teeth bear over a turn of the wave generator, and by what the lobes press against each other.
+
+    Attributes
+    ----------
+    overlap : float
+        Without torque [m]; negative: clearance.
+    idle, rated : float
+        Largest force on a flank without torque, and at the rated torque [N]; nan: cannot be borne.
+    """
+
+    overlap: float
+    idle: float
+    rated: float
+
+
+@lru_cache(maxsize=512)
+def tooth_loads(drive: Drive) -> ToothLoads:
+    """What the teeth of a drive bear."""
+    angle = _turn(_MOMENTS)
+    idle = mesh_state(drive.mesh, angle, np.zeros(angle.size))
+    rated = mesh_state(drive.mesh, angle, np.full(angle.size, drive.rated_torque))
+    return ToothLoads(
+        float(idle.overlap.max()),
+        float(idle.peak_load.max()),
+        float(rated.peak_load.max()) if np.isfinite(rated.torsion).all() else math.nan,
+    )
+
+
 def characteristics(drive: Drive, t1: float = 0.0, t2: float = 0.0) -> Characteristics:
     """Characteristics of a drive; T1 and T2 [N m] are shares of the rated torque where they are zero."""
     t1, t2 = t1 or T1_SHARE * drive.rated_torque, t2 or T2_SHARE * drive.rated_torque
     mesh, angle = drive.mesh, _turn(_MOMENTS)
-    idle = mesh_state(mesh, angle, np.zeros(angle.size))
-    rated = mesh_state(mesh, angle, np.full(angle.size, drive.rated_torque))
+    idle, found = mesh_state(mesh, angle, np.zeros(angle.size)), tooth_loads(drive)
     return Characteristics(
         mesh.geometry.module,
         t1,
@@ -78,9 +108,9 @@ def characteristics(drive: Drive, t1: float = 0.0, t2: float = 0.0) -> Character
         secant_stiffness(mesh, drive.cup_compliance, t1, t2, angle),
         float(idle.lost_motion.max()),
         float(idle.minimum_backlash.min()),
-        float(idle.overlap.max()),
-        float(idle.peak_load.max()),
-        float(rated.peak_load.max()) if np.isfinite(rated.torsion).all() else math.nan,
+        found.overlap,
+        found.idle,
+        found.rated,
         _error_per_eccentricity(drive),
     )
 

@@ -20,13 +20,14 @@ from hd_diag.monitor.health import Around, reports
 from hd_diag.monitor.joint import Joint, Window
 from hd_diag.monitor.lost_samples import LostSamples
 from hd_diag.monitor.publications import Drawings, Due, Publication, Report, ToothArrays, angles
+from hd_diag.monitor.residual_orders import Order
 from hd_diag.monitor.settings import JointConfig, MonitorConfig
 from hd_diag.streams.alignment import Aligned, Alignment, Seen, kernel
 from hd_diag.streams.columns import JointStates
 
 _NEVER = -(2**62)  # number of a period
 _NO_TIMES = np.empty(0, np.int64)
-_ORDERED = "stamp", "input_angle", "output_angle", "residual"  # what the orders are followed in
+_ORDERED = "stamp", "input_angle", "output_angle", "torque", "residual"  # what the orders are followed in
 _FOLLOWED = 256  # samples that are taken into the residual's orders at once: a report may be far
 
 
@@ -185,7 +186,7 @@ class Monitor:
 
         They end at numbers of samples that are counted from the last one on, <= 0.
         """
-        amplitudes = self._follow(ends)
+        orders = self._follow(ends)
         kept = self._comparison.kept
         ends = kept.size + ends
         known = np.concatenate((self._reported, seen))
@@ -193,13 +194,13 @@ class Monitor:
         windows = []
         for number, joint in enumerate(self.joints.values()):
             rows = np.flatnonzero(kept["joint"] == number)
-            own = kept[rows], rows.searchsorted(ends), known[:, number], amplitudes[number]
+            own = kept[rows], rows.searchsorted(ends), known[:, number], orders[number]
             windows.append(joint.windows(*own))
         self._comparison.drop(int(ends[-1]))
         return windows
 
-    def _follow(self, ends: Integers = _NO_TIMES) -> list[Floats]:
-        """Take what is new into the residuals' orders; amplitudes (l, orders) of each joint at `ends`."""
+    def _follow(self, ends: Integers = _NO_TIMES) -> list[list[list[Order]]]:
+        """Take what is new into the residuals' orders; those of each joint that are known at `ends` (l,)."""
         new, found = self._comparison.kept[self._comparison.followed :], []
         self._comparison.followed = self._comparison.count
         ends, has_output = new.size + ends, np.isfinite(new["output_angle"])

@@ -5,17 +5,20 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.drive import mesh_state, transmission_error
+from hd_diag.drive import Drive, mesh_state, transmission_error
 from hd_diag.extended_model import Range
+from hd_diag.gear.characteristics import ToothLoads, tooth_loads
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor.joint import Joint, Window
 from hd_diag.monitor.publications import Status
-from hd_diag.monitor.residual_orders import ORDERS
+from hd_diag.monitor.residual_orders import Order
 
 FAULT_CODES = (
     "LOG_FAILED",
@@ -37,6 +40,14 @@ _ANGLES_WITHOUT_MAP = 61
 _RARE = 0.05  # share of the samples that may lie outside a model's range on either side
 _MARGIN = 0.05  # of a range, by which it may be left: what was fitted does not end at once
 _KELVIN = 2.0  # the same, of a temperature [K]
+# What is usual of an order that repeats.
+_TYPICAL = {
+    "input 1": "typical of an input encoder or coupling off centre, or of a wave generator that runs out",
+    "input 2": "typical of a wave generator off centre (eccentricity) or of a pitch error",
+    "input 4": "typical of a circular spline out of round or of a pitch error",
+    "output 1": "typical of an output encoder off centre or of a link that runs out",
+}
+_TIMES = {1: "once", 2: "twice"}
 
 Fault = tuple[str, int, str]
 
@@ -58,8 +69,6 @@ class _Mesh(NamedTuple):
     """The teeth at a joint's last sample, and the predicted error over a turn at its torque, in SI."""
 
     minimum_backlash: float
-    interference: bool
-    overlap: float
     loaded_pairs: int
     peak_load: float
     load_concentration: float
@@ -72,7 +81,7 @@ def reports(joint: Joint, windows: Sequence[Window], around: Sequence[Around]) -
 
     It has the fault code of the worst finding, and numbers in the units that their keys name.
     """
-    fixed = _configuration_values(joint), _model_values(joint)
+    fixed = _configuration_values(joint), _model_values(joint), _at_rest_values(joint)
     return [
         _status(joint, *each, fixed) for each in zip(windows, around, _meshes(joint, windows), strict=True)
     ]
@@ -83,8 +92,9 @@ def _status(
 ) -> Status:
     residual = float(np.std(window.residual)) if window.residual.size > 1 else math.nan
     mean = float(np.mean(window.residual)) if window.residual.size else math.nan
-    order, amplitude = _largest_order(window.amplitudes)
-    faults = _faults(joint, window, around, residual, mesh) + _model_faults(joint, window, order, amplitude)
+    order = max(window.orders, key=lambda order: (order.repeats, order.amplitude), default=Order())
+    faults = _faults(joint, window, around, residual, mesh) + _model_faults(joint, window)
+    faults += _order_faults(joint, window.orders)
     faults = [*(fault for fault in faults if fault[1]), ("OK", 0, "OK")]
     code, level, message = max(faults, key=lambda fault: (fault[1], -FAULT_CODES.index(fault[0])))
     angle, torque = window.last or (math.nan, math.nan)
@@ -96,10 +106,15 @@ def _status(
         "torque_Nm": _number(torque),
         **fixed[1],
         **_mesh_values(mesh),
+        **fixed[2],
         "residual_rms_arcsec": _number(residual / ARCSEC),
         "residual_mean_arcsec": _number(mean / ARCSEC),
-        "residual_order": order,
-        "residual_order_amplitude_arcsec": _number(amplitude / ARCSEC),
+        "residual_order": order.name,
+        "residual_order_amplitude_arcsec": _number(order.amplitude / ARCSEC),
+        "residual_order_std_arcsec": _number(order.std / ARCSEC),
+        "residual_order_phase_deg": _number(math.degrees(order.phase)),
+        "residual_order_repeats": "true" if order.repeats else "false",
+        "residual_order_limit_arcsec": _number(joint.config.limits["residual_order"].warn / ARCSEC),
         "sample_rate_hz": _number(_rate(window)),
         "samples": str(window.samples),
         "samples_rejected": str(window.all_rejected),
@@ -122,38 +137,82 @@ def _faults(joint: Joint, window: Window, around: Around, residual: float, mesh:
     torque = abs(window.last[1]) / joint.config.drive.rated_torque if window.last else 0.0
     judged = [
         ("STALE", "silence", silence, f"no valid sample for {silence:.1f} s"),
-        ("INPUT_INVALID", "rejected", share, f"{window.rejected} rejected: {around.last_rejection}"),
+        ("INPUT_INVALID", "rejected", share, f"{window.rejected} samples rejected: {around.last_rejection}"),
         ("OUT_OF_RANGE", "torque", torque, f"torque is {torque:.2f} times the rated torque"),
     ]
     if mesh is not None:
-        overlap, peak, ratio = mesh.overlap, mesh.peak_load, mesh.load_concentration
+        loads, peak, ratio = tooth_loads(joint.config.drive), mesh.peak_load, mesh.load_concentration
         concentrated = f"peak tooth load is {ratio:.1f} times the mean"
         judged += [
-            ("INTERFERENCE", "overlap", overlap, f"the lobes overlap by {overlap * 1e6:.1f} um"),
+            ("INTERFERENCE", "overlap", loads.overlap, _interference(joint, loads)),
             ("LOAD_CONCENTRATION", "peak_tooth_load", peak, f"peak tooth load {peak:.1f} N"),
             ("LOAD_CONCENTRATION", "load_concentration", ratio, concentrated),
         ]
-    judged.append(("RESIDUAL", "residual_rms", residual, f"residual {residual / ARCSEC:.1f} arcsec rms"))
+    judged.append(("RESIDUAL", "residual_rms", residual, _rms_told(residual)))
     found = [(code, limits[name].level(value), text) for code, name, value, text in judged]
     return [("LOG_FAILED", 1, f"log {log}"), *found] if log.startswith("failed") else found
 
 
-def _largest_order(amplitudes: Floats) -> tuple[str, float]:
-    """The residual's largest followed order, such as ``input 2``, and its amplitude [rad]."""
-    if np.isnan(amplitudes).all():
-        return "", math.nan
-    largest = int(np.nanargmax(amplitudes))
-    frame, order = ORDERS[largest]
-    return f"{frame} {order}", float(amplitudes[largest])
+def _interference(joint: Joint, loads: ToothLoads) -> str:
+    """How far the lobes overlap, and what that does to the teeth."""
+    even, limit = _even_loads(joint.config.drive).rated, joint.config.limits["peak_tooth_load"].warn
+    return (
+        f"the lobes overlap by {loads.overlap * 1e6:.1f} um; they press a tooth with {loads.idle:.0f} N "
+        f"without torque; at the rated torque it bears {loads.rated:.0f} N, not {even:.0f} N as if centred; "
+        f"{100.0 * _margin_lost(joint):.0f} % of the margin to {limit:.0f} N is lost"
+    )
 
 
-def _model_faults(joint: Joint, window: Window, order: str, amplitude: float) -> list[Fault]:
-    """What an extended model adds: its valid range, and orders that have grown since it was fitted."""
+@lru_cache(maxsize=512)
+def _even_loads(drive: Drive) -> ToothLoads:
+    """What the teeth of a drive bear without eccentricity."""
+    return tooth_loads(replace(drive, mesh=replace(drive.mesh, eccentricity=0.0, runout=0.0)))
+
+
+def _margin_lost(joint: Joint) -> float:
+    """Part of what is left at the rated torque up to the limit of the tooth load that eccentricity takes."""
+    loads, even = tooth_loads(joint.config.drive), _even_loads(joint.config.drive)
+    margin = joint.config.limits["peak_tooth_load"].warn - even.rated
+    return (loads.rated - even.rated) / margin if margin > 0.0 else math.nan
+
+
+def _order_faults(joint: Joint, orders: Sequence[Order]) -> list[Fault]:
+    """Orders that repeat, and of an extended model those of the output that have grown since it was fitted.
+
+    Without one the output's own order is no finding: a torque that goes with the link's angle has it too.
+    """
+    limit, known = joint.config.limits["residual_order"], joint.config.model is not None
+    return [
+        ("RESIDUAL", limit.level(order.amplitude), _told(order, known))
+        for order in sorted(orders, key=lambda order: -order.amplitude)
+        if order.repeats or (known and order.frame == "output")
+    ]
+
+
+def _rms_told(residual: float) -> str:
+    return (
+        f"residual {residual / ARCSEC:.1f} arcsec rms; the measured error is not the predicted one; "
+        "run 'hd-diag diagnose' on a log"
+    )
+
+
+def _told(order: Order, has_model: bool) -> str:
+    """An order in words."""
+    times = _TIMES.get(order.number, f"{order.number} times")
+    grown = " has grown since the model was fitted: it" if has_model else ""
+    return (
+        f"residual{grown} repeats {times} per {order.frame} turn with {order.amplitude / ARCSEC:.1f} arcsec "
+        f"({order.name}); {_TYPICAL[order.name]}; run 'hd-diag diagnose' on a log"
+    )
+
+
+def _model_faults(joint: Joint, window: Window) -> list[Fault]:
+    """Where an extended model is outside its valid range."""
     model = joint.config.model
     if model is None:
         return []
     ranges = model.ranges
-    found: list[Fault] = [
+    return [
         ("OUT_OF_RANGE", 1, f"outside the model's valid range: {text}")
         for text in (
             _outside("torque", window.torque, ranges.torque, _margin(ranges.torque), "N m"),
@@ -162,9 +221,6 @@ def _model_faults(joint: Joint, window: Window, order: str, amplitude: float) ->
         )
         if text
     ]
-    level = joint.config.limits["residual_order"].level(amplitude)
-    text = f"order {order} of the residual has grown to {amplitude / ARCSEC:.1f} arcsec"
-    return [*found, ("RESIDUAL", level, text)]
 
 
 def _margin(limits: Range) -> float:
@@ -228,14 +284,24 @@ def _configuration_values(joint: Joint) -> dict[str, str]:
     }
 
 
+def _at_rest_values(joint: Joint) -> dict[str, str]:
+    """What the configured eccentricity does to the teeth, over a turn."""
+    loads = tooth_loads(joint.config.drive)
+    return {
+        "interference": "true" if loads.overlap > 0.0 else "false",
+        "overlap_um": _number(loads.overlap * 1e6),
+        "idle_tooth_load_N": _number(loads.idle),
+        "rated_tooth_load_N": _number(loads.rated),
+        "tooth_load_margin_lost_percent": _number(100.0 * _margin_lost(joint)),
+    }
+
+
 def _mesh_values(mesh: _Mesh | None) -> dict[str, str]:
     if mesh is None:
-        keys = "minimum_backlash_um interference overlap_um loaded_pairs peak_tooth_load_N load_concentration"
+        keys = "minimum_backlash_um loaded_pairs peak_tooth_load_N load_concentration"
         return dict.fromkeys([*keys.split(), "lost_motion_arcmin", "predicted_te_pp_arcsec"], "nan")
     return {
         "minimum_backlash_um": _number(mesh.minimum_backlash * 1e6),
-        "interference": "true" if mesh.interference else "false",
-        "overlap_um": _number(mesh.overlap * 1e6),
         "loaded_pairs": str(mesh.loaded_pairs),
         "peak_tooth_load_N": _number(mesh.peak_load),
         "load_concentration": _number(mesh.load_concentration),

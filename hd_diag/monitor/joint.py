@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from hd_diag.arrays import Floats, Integers, Times
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.monitor.lost_samples import LostSamples
 from hd_diag.monitor.model_run import ModelRun
-from hd_diag.monitor.residual_orders import ResidualOrders
+from hd_diag.monitor.residual_orders import Order, ResidualOrders
 from hd_diag.monitor.settings import JointConfig
 from hd_diag.streams.alignment import Aligned, Alignment
 
@@ -34,8 +35,8 @@ class Window(NamedTuple):
         Input angle [rad] and torque [N m] of the last sample; None before the first.
     samples, all_rejected, unpaired, clock_jumps, missed : int
         Since the beginning.
-    amplitudes : ndarray
-        Of the residual's orders [rad]; nan where the motion does not show one.
+    orders : sequence of Order
+        Of the residual, those that the motion shows.
     """
 
     stamps: Times
@@ -50,7 +51,7 @@ class Window(NamedTuple):
     unpaired: int
     clock_jumps: int
     missed: int
-    amplitudes: Floats
+    orders: Sequence[Order]
 
 
 class Joint:
@@ -121,11 +122,13 @@ class Joint:
         model = self.config.model
         self.runs = () if model is None else (ModelRun(model), ModelRun(model))
 
-    def windows(self, kept: Any, ends: Integers, known: Any, amplitudes: Floats) -> list[Window]:
+    def windows(
+        self, kept: Any, ends: Integers, known: Any, orders: Sequence[Sequence[Order]]
+    ) -> list[Window]:
         """What happened between reports, of all samples since the one before them, as `Comparison.kept`.
 
         `ends` (l,) are how many of these came before each report, `known` (l + 1,) what was known of the
-        joint at the report before and at each, `amplitudes` (l, orders) those of the orders then [rad].
+        joint at the report before and at each, `orders` (l) those of the residual then.
         """
         is_modelled = np.isfinite(kept["speed"])
         parts = zip(
@@ -139,7 +142,7 @@ class Joint:
         )
         totals = zip(*(known[name][1:].tolist() for name in _TOTALS), strict=True)
         found = []
-        for part, (angle, load, *total), own in zip(parts, totals, amplitudes, strict=True):
+        for part, (angle, load, *total), own in zip(parts, totals, orders, strict=True):
             self.lost.judge(part[0], part[-1])
             last = (angle, load) if total[0] else None
             found.append(Window._make((*part, last, *total, self.lost.count, own)))

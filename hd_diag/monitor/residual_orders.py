@@ -1,6 +1,15 @@
-"""Orders of the residual while a joint runs: a lock-in with forgetting, in bounded memory."""
+"""Orders of the residual while a joint runs: waves of short windows, and whether they agree; bounded memory.
+
+A window is two turns of the input. In each the waves of the input's orders are fitted beside what is slow,
+and sorted by the side of the teeth that the torque loads: with it an eccentricity's wave turns by half a
+period. An order repeats where the waves of many windows agree in size and phase, as those of noise, of a
+transient or of another order do not. What lies 64 turns and half a minute of motion back counts for 1/e.
+"""
 
 from __future__ import annotations
+
+import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,30 +18,52 @@ from hd_diag.arrays import Floats, Integers, Times
 ORDERS = (("input", 1), ("input", 2), ("input", 4), ("output", 1))
 """Followed orders: periods per turn of the input or of the output."""
 
-_LEAST_INFORMATION = 0.1  # of a cosine over many turns 0.5 is left beside the other orders
-_LEAST_SAMPLES = 200.0
-_RIDGE = 1e-6  # keeps orders that do not move from spoiling the others
+
+class Order(NamedTuple):
+    """An order: frame and periods per turn; ``amplitude cos(order angle - phase)`` [rad].
+
+    `std` is the amplitude's standard deviation by the spread of the windows [rad], nan of an order of the
+    output; `repeats` tells whether the windows agree, False of an order of the output, where nothing does.
+    """
+
+    frame: str = ""
+    number: int = 0
+    amplitude: float = math.nan
+    phase: float = math.nan
+    std: float = math.nan
+    repeats: bool = False
+
+    @property
+    def name(self) -> str:
+        """Such as ``input 2``; empty where no order is known."""
+        return f"{self.frame} {self.number}" if self.frame else ""
 
 
 class ResidualOrders:
-    """Amplitudes of orders in the residual, by recursive least squares over the last half minute of motion.
+    """Orders of a joint's residual.
 
     What comes of samples depends on their sequence alone, to the last bit, however many come at once.
 
     Attributes
     ----------
     state : tuple of ndarray
-        Last input angle [rad], sums of the normal equations (9, 9) and (9,), last stamp [ns].
+        As `kernel_orders.follow` has it.
     """
 
     def __init__(self) -> None:
-        count = 1 + 2 * len(ORDERS)
-        sums = np.zeros((count, count)), np.zeros(count)
-        self.state = np.full(1, np.nan), *sums, np.zeros(1, np.int64)
+        window = np.zeros((9, 9)), np.zeros(9), np.zeros(7)
+        before = np.zeros((3, 3, 5)), np.zeros((3, 3)), np.zeros(3)
+        self.state = np.full(1, np.nan), np.zeros(1, np.int64), *window, *before
 
     def add(
-        self, stamp: Times, input_angle: Floats, output_angle: Floats, residual: Floats, ends: Integers
-    ) -> Floats:
+        self,
+        stamp: Times,
+        input_angle: Floats,
+        output_angle: Floats,
+        torque: Floats,
+        residual: Floats,
+        ends: Integers,
+    ) -> list[list[Order]]:
         """Take samples; those at rest and those without a residual are left out.
 
         Parameters
@@ -41,32 +72,27 @@ class ResidualOrders:
             [ns]
         input_angle, output_angle : ndarray, shape (n,)
             As reported [rad].
+        torque : ndarray, shape (n,)
+            [N m]
         residual : ndarray, shape (n,)
             [rad]
         ends : ndarray of int64, shape (l,)
-            Rising numbers of samples after which the amplitudes are asked for.
+            Rising numbers of samples after which the orders are asked for.
 
         Returns
         -------
-        ndarray, shape (l, orders)
-            Amplitudes of `ORDERS` [rad]; nan where the motion does not show one apart from the others.
+        list of l lists of Order
+            Those that the motion shows apart from the others.
         """
-        from hd_diag.monitor.kernel import follow  # late: it imports numba
+        from hd_diag.monitor.kernel_orders import follow  # late: it imports numba
 
-        size = self.state[2].size
-        sums = np.empty((ends.size, size, size)), np.empty((ends.size, size))
-        follow(stamp, input_angle, output_angle, residual, *self.state, ends, *sums)
-        return _amplitudes(*sums)
-
-
-def _amplitudes(gram: Floats, moment: Floats) -> Floats:
-    weight = gram[:, 0, 0]
-    divisor = np.maximum(weight, 1.0)[:, None]
-    inverse = np.linalg.inv(gram / divisor[:, None] + _RIDGE * np.eye(moment.shape[1]))
-    found = (inverse * (moment / divisor)[:, None, :]).sum(axis=2)
-    cosine, sine = np.arange(1, 1 + len(ORDERS)), np.arange(1 + len(ORDERS), moment.shape[1])
-    # Of the 2 x 2 blocks of each order the greater eigenvalue: the direction that is known least.
-    a, b, c = inverse[:, cosine, cosine], inverse[:, cosine, sine], inverse[:, sine, sine]
-    information = 1.0 / (0.5 * (a + c) + np.hypot(0.5 * (a - c), b))
-    is_known = (information > _LEAST_INFORMATION) & (weight >= _LEAST_SAMPLES)[:, None]
-    return np.where(is_known, np.hypot(found[:, cosine], found[:, sine]), np.nan)
+        found = np.empty((ends.size, len(ORDERS), 4))
+        follow(stamp, input_angle, output_angle, torque, residual, *self.state, ends, found)
+        return [
+            [
+                Order(frame, number, amplitude, phase, std, bool(repeats))
+                for (frame, number), (amplitude, phase, std, repeats) in zip(ORDERS, rows, strict=True)
+                if amplitude >= 0.0
+            ]
+            for rows in found.tolist()
+        ]

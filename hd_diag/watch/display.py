@@ -27,6 +27,7 @@ _STYLES = ("green", "yellow", "bold red", "magenta")
 _GREY = "bright_black"
 _LEAST_NAME = 8
 _NAMES_SHOWN = 40  # characters of the nodes' names in the title
+_MOST_STATEMENTS = 4  # of a message, a line each
 _LINES_ABOUT = 6  # title, heading, remark and the terminal's own last line
 
 
@@ -84,7 +85,7 @@ class Display:
 
 
 class JointTable:
-    """All joints as rich renders them: a line of numbers and one or two of words each, none of which wraps.
+    """All joints as rich renders them: a line of numbers and some of words each, none of which wraps.
 
     Where not all fit the terminal's height [lines], the worst are shown.
     """
@@ -129,7 +130,9 @@ class JointTable:
         return title.append(f"{faulty} with a fault" if faulty else "no fault", _STYLES[2 if faulty else 0])
 
     def _joint(self, view: JointView, is_shared: bool) -> list[Text]:
-        """Numbers; what is wrong; bookkeeping with the curve. Where nothing is wrong the last two are one.
+        """Numbers; what is wrong, a line a statement; bookkeeping with the curve.
+
+        Where nothing is wrong the last two are one.
 
         Where the joint's name is shared, the bookkeeping begins with its node.
         """
@@ -139,10 +142,13 @@ class JointTable:
         if view.is_silent:
             line.stylize(_GREY)
         style = _GREY if view.is_silent else _STYLES[min(view.level, len(_STYLES) - 1)]
-        verdict = Text("  ").append(shown_text(_verdict(view)), style)
-        more = [_node(view)] * is_shared + _bookkeeping(view)
+        first, *rest = view.status.message.split("; ", _MOST_STATEMENTS - 1)
+        told = [shown_text(text) for text in (_verdict(view, first), *rest)]
+        verdict, *why = (Text("  ").append(text, style) for text in told)
+        more = [_node(view)] * is_shared + _order(view) + _bookkeeping(view)
         details = Text("  ").append(", ".join(map(shown_text, more)), _GREY)
-        words = [verdict, details] if view.level or view.is_silent else [verdict.append(details)]
+        is_wrong = view.level or view.is_silent
+        words = [verdict, *why, details] if is_wrong else [verdict.append(details)]
         room = min(_LONGEST_CURVE, self._width - words[-1].cell_len - 2)
         if room >= _SHORTEST_CURVE:
             curve = spark(view.residuals, room, self._is_ascii)
@@ -170,17 +176,28 @@ def waiting(watch: Watch) -> list[str]:
 
 def plain_line(view: JointView) -> str:
     """A joint in one line without control characters, for a pipe."""
-    parts = (_verdict(view), sentence(view.number), *_bookkeeping(view))
+    parts = (_verdict(view, view.status.message), *_order(view), sentence(view.number), *_bookkeeping(view))
     return f"{shown_text(f'{_node(view)} {view.name}')}: {'; '.join(map(shown_text, parts))}"
 
 
-def _verdict(view: JointView) -> str:
-    """Fault code, its message, the other codes, and whether reports have stopped."""
+def _verdict(view: JointView, said: str) -> str:
+    """Fault code, what is said of it, the other codes, and whether reports have stopped."""
     silent = f"no report for {view.age:.0f} s; the last: " if view.is_silent else ""
-    message = f" {view.status.message}" if view.status.message not in ("", view.code) else ""
+    message = f" {said}" if said not in ("", view.code) else ""
     others = [code for code in view.text("fault_codes").split() if code != view.code]
     also = f" (also {' '.join(others)})" if others else ""
     return f"{silent}{view.code}{message}{also}"
+
+
+def _order(view: JointView) -> list[str]:
+    """What repeats in the residual of a joint that has no fault, and may have none."""
+    if view.level or view.text("residual_order_repeats") != "true":
+        return []
+    size, limit = (
+        shown_number(view.number(f"residual_order_{key}_arcsec"), 1) for key in ("amplitude", "limit")
+    )
+    frame, _, number = view.text("residual_order").partition(" ")
+    return [f"residual repeats {number}x per {frame} turn: {size} of {limit} arcsec allowed"]
 
 
 def _bookkeeping(view: JointView) -> list[str]:

@@ -30,14 +30,14 @@ _NUMBERS = (
     _Number("lost_motion_arcmin", ("lost", "motion", "arcmin"), 2, 6),
     _Number("loaded_pairs", ("loaded", "pairs", ""), 0, 6),
     _Number("peak_tooth_load_N", ("peak", "load", "N"), 1, 6),
-    _Number("predicted_te_pp_arcsec", ("TE p-p", "pred.", "arcsec"), 1, 6),
+    _Number("predicted_te_pp_arcsec", ("pred.", "error", "arcsec"), 1, 6),
     _Number("residual_rms_arcsec", ("resid.", "rms", "arcsec"), 2, 6),
     _Number("sample_rate_hz", ("rate", "", "Hz"), 0, 6),
 )
 
 _SENTENCE = (
-    "eccentricity {} um at {} deg; least backlash {} um; lost motion {} arcmin; {} loaded pairs; "
-    "peak load {} N; predicted TE {} arcsec p-p; residual {} arcsec rms; {} Hz"
+    "configured eccentricity {} um at {} deg; least backlash {} um; lost motion {} arcmin; {} tooth pairs "
+    "loaded, the most with {} N; predicted error {} arcsec peak to peak; residual {} arcsec rms; {} samples/s"
 )
 
 NUMBERS_WIDTH = sum(number.width + 1 for number in _NUMBERS)

@@ -1,0 +1,200 @@
+"""Orders of the residual, compiled: imported late, for it imports numba."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hd_diag.arrays import Floats, Integers, Times
+from hd_diag.model.kernel.compiler import entry_point, part
+
+FORGOTTEN_WAY = 64 * 2.0 * math.pi  # of the input [rad], and time of motion [s], after both of which what an
+FORGOTTEN_TIME = 30.0  # order was counts for 1/e
+_WINDOW = 2 * 2.0 * math.pi  # way of the input over which a wave is told from what is slow [rad]
+_LEAST_SAMPLES = 32.0  # in a window, of nine numbers
+_LEAST_INFORMATION = 0.2  # of a cosine over many turns 0.5 is left beside the rest, over one and a half 0.2
+_RIDGE = 1e-6  # keeps orders that do not move from spoiling the others
+_LOADED = 0.5  # mean torque over its mean size, from which a window is of one side
+_FEWEST_WINDOWS, _FEWEST_SAMPLES = 4.0, 200.0  # of which an order is told
+# An order repeats where its windows agree: the mean wave has at least half of their power, and more of it
+# than noise has by chance. Of k waves of noise that share is above r with probability (1 - r)^(k - 1).
+_STEADY, _STEADY_WINDOWS = 0.5, 12.0
+_CHANCE = 1e-6
+_LONGEST_STEP = 0.1  # of motion between two samples [s]; longer ones are gaps
+_SLOWEST = 0.05  # of the input [rad/s]; slower is rest
+
+
+@entry_point
+def follow(
+    stamp: Times,
+    input_angle: Floats,
+    output_angle: Floats,
+    torque: Floats,
+    residual: Floats,
+    last: Floats,
+    step: Times,
+    gram: Floats,
+    moment: Floats,
+    window: Floats,
+    waves: Floats,
+    output: Floats,
+    means: Floats,
+    ends: Integers,
+    found: Floats,
+) -> None:
+    """Follow the orders in `residual_orders.ORDERS` over windows of motion.
+
+    All but the samples and `ends` change. `last` is the input angle of the sample before, `step` its stamp,
+    nan and 0 before the first. Of the present window: `gram` (9, 9), `moment` (9,) and, in `window` (7,),
+    first residual and angle, way, time, sums of torque, its size and output angle. Of those before:
+    `waves` (sides, orders, 5), sums of weights, of their squares, of waves (x, y) and of their power, and
+    `output` (3, 3) and `means` (3,), those of the output's order. `found` (l, 4, 4) is what `_look` tells
+    after numbers of samples `ends` (l,).
+    """
+    terms, looks = np.ones(9), 0
+    for i in range(stamp.size + 1):
+        while looks < ends.size and ends[looks] <= i:
+            _look(waves, output, means, found[looks])
+            looks += 1
+        if i == stamp.size:
+            break
+        elapsed, turned = (stamp[i] - step[0]) * 1e-9, abs(input_angle[i] - last[0])
+        last[0], step[0] = input_angle[i], stamp[i]
+        if not 0.0 < elapsed <= _LONGEST_STEP:
+            _empty(gram, moment, window)  # what was lost between is not known
+        if not (elapsed > 0.0 and turned > _SLOWEST * min(elapsed, _LONGEST_STEP)):
+            continue
+        if not math.isfinite(residual[i]):
+            continue
+        if gram[0, 0] == 0.0:
+            window[0], window[1] = residual[i], input_angle[i]
+        else:
+            window[2] += turned
+            window[3] += elapsed
+        _add(terms, gram, moment, input_angle[i], input_angle[i] - window[1], residual[i] - window[0])
+        window[4] += torque[i]
+        window[5] += abs(torque[i])
+        window[6] += output_angle[i]
+        if window[2] >= _WINDOW and gram[0, 0] >= _LEAST_SAMPLES:
+            _close(gram, moment, window, waves, output, means)
+            _empty(gram, moment, window)
+
+
+@part
+def _empty(gram: Floats, moment: Floats, window: Floats) -> None:
+    for sums in (gram.ravel(), moment, window):
+        sums[:] = 0.0
+
+
+@part
+def _add(
+    terms: Floats, gram: Floats, moment: Floats, angle: float, from_first: float, residual: float
+) -> None:
+    """Add a sample to a window's sums: a parabola of the angle for what is slow, cosines and sines."""
+    terms[1] = from_first / _WINDOW
+    terms[2] = terms[1] * terms[1]
+    terms[3], terms[6] = math.cos(angle), math.sin(angle)
+    for k in (4, 5):  # twice the angle
+        terms[k] = 1.0 - 2.0 * terms[k + 2] * terms[k + 2]
+        terms[k + 3] = 2.0 * terms[k + 2] * terms[k - 1]
+    for j in range(9):
+        moment[j] += terms[j] * residual
+        for k in range(j + 1):
+            gram[j, k] += terms[j] * terms[k]
+
+
+@part
+def _close(
+    gram: Floats, moment: Floats, window: Floats, waves: Floats, output: Floats, means: Floats
+) -> None:
+    """Take what a window tells: each order's wave, by the side that the torque loads, and the mean."""
+    kept = math.exp(-min(window[2] / FORGOTTEN_WAY, window[3] / FORGOTTEN_TIME))
+    loaded = window[4] / window[5] if window[5] > 0.0 else 0.0
+    side = 1 if loaded > _LOADED else 2 if loaded < -_LOADED else 0
+    for i in range(waves.shape[0]):
+        for order in range(3):
+            for k in range(5):
+                waves[i, order, k] *= kept * kept if k == 1 else kept
+    count, inverse = gram[0, 0], _inverse(gram)
+    for order in range(3):
+        if _is_known(inverse, count, 3 + order, 6 + order):
+            x, y = _product(inverse, 3 + order, moment), _product(inverse, 6 + order, moment)
+            wave = waves[side, order]
+            for k, value in enumerate((1.0, 1.0, x, y, x * x + y * y)):
+                wave[k] += value
+    angle = window[6] / count
+    place = (1.0, math.cos(angle), math.sin(angle))
+    for j in range(3):
+        means[j] = kept * means[j] + place[j] * (moment[0] + count * window[0])
+        for k in range(3):
+            output[j, k] = kept * output[j, k] + count * place[j] * place[k]
+
+
+@part
+def _inverse(gram: Floats) -> Floats:
+    """Inverse of normal equations, whose lower triangle and first number, the samples, are given."""
+    size, divisor = gram.shape[0], max(gram[0, 0], 1.0)
+    left, found = np.empty((size, size)), np.zeros((size, size))
+    for j in range(size):
+        for k in range(size):
+            left[j, k] = gram[max(j, k), min(j, k)] / divisor
+        left[j, j] += _RIDGE
+        found[j, j] = 1.0 / divisor
+    for j in range(size):  # positive definite: no pivots are sought
+        scale = 1.0 / left[j, j]
+        for k in range(size):
+            left[j, k] *= scale
+            found[j, k] *= scale
+        for i in range(size):
+            factor = left[i, j] if i != j else 0.0
+            for k in range(size if factor != 0.0 else 0):
+                left[i, k] -= factor * left[j, k]
+                found[i, k] -= factor * found[j, k]
+    return found
+
+
+@part
+def _product(matrix: Floats, row: int, vector: Floats) -> float:
+    """A row times a vector."""
+    total = 0.0
+    for k in range(vector.size):
+        total += matrix[row, k] * vector[k]
+    return total
+
+
+@part
+def _is_known(inverse: Floats, count: float, c: int, s: int) -> bool:
+    """Whether the motion shows an order: by the greater eigenvalue, of the direction that is known least."""
+    half, mean = 0.5 * (inverse[c, c] - inverse[s, s]), 0.5 * (inverse[c, c] + inverse[s, s])
+    return bool((mean + math.hypot(half, inverse[c, s])) * count * _LEAST_INFORMATION < 1.0)
+
+
+@part
+def _look(waves: Floats, output: Floats, means: Floats, found: Floats) -> None:
+    """Amplitude, phase, standard deviation, whether it repeats (4, 4) of each order; nan: not known.
+
+    Of the sides it is the one where the order repeats, else where it is larger.
+    """
+    for order in range(4):
+        for k in range(4):
+            found[order, k] = math.nan if k < 3 else 0.0
+    for order in range(3):
+        for side in range(3):
+            wave, known = waves[side, order], found[order]
+            weight, squares, x, y, power = wave[0], wave[1], wave[2], wave[3], wave[4]
+            windows = weight * weight / squares if squares > 0.0 else 0.0
+            if windows < _FEWEST_WINDOWS:
+                continue
+            amplitude, mean_square = math.hypot(x, y) / weight, power / weight
+            steady = amplitude * amplitude / mean_square if mean_square > 0.0 else 0.0
+            chance = 1.0 - _CHANCE ** (1.0 / (windows - 1.0))
+            repeats = 1.0 if windows >= _STEADY_WINDOWS and steady > max(_STEADY, chance) else 0.0
+            if math.isnan(known[0]) or (repeats, amplitude) > (known[3], known[0]):
+                variance = max(0.0, mean_square - amplitude * amplitude) / (windows - 1.0)
+                known[0], known[1], known[3] = amplitude, math.atan2(y, x), repeats
+                known[2] = math.sqrt(0.5 * variance)
+    count, inverse = output[0, 0], _inverse(output)
+    if count >= _FEWEST_SAMPLES and _is_known(inverse, count, 1, 2):
+        x, y = _product(inverse, 1, means), _product(inverse, 2, means)
+        found[3, 0], found[3, 1] = math.hypot(x, y), math.atan2(y, x)
