@@ -1,6 +1,7 @@
 """Orders of the residual while a joint runs: which repeat, which do not; records of the other generator."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
@@ -102,6 +103,21 @@ def test_the_sides_that_the_torque_loads_are_followed_apart() -> None:
     found = fed(angle, 5.0 * side * np.cos(2.0 * angle), 20.0 * side)["input 2"]
     assert (found.amplitude, found.repeats) == (pytest.approx(5.0, rel=0.02), True)
     assert fed(angle, 5.0 * side * np.cos(2.0 * angle), 20.0)["input 2"].repeats is False
+
+
+@pytest.mark.parametrize("cuts", [(1, 2, 700, 701, 15_000), tuple(range(250, 30_000, 256))])
+def test_samples_in_pieces_are_samples_together(cuts: tuple[int, ...]) -> None:
+    """To the last bit, what is remembered too; asked for in between or not."""
+    angle = strokes(8.3)
+    columns = START + 2_000_000 * np.arange(TIME.size), angle, angle / RATIO, np.sin(TIME), noise(3, 1.0)
+    whole, parts = ResidualOrders(), ResidualOrders()
+    asked = whole.add(*columns, np.array([15_000, TIME.size]))
+    found = []
+    for first, last in itertools.pairwise((0, *cuts, TIME.size)):
+        found += parts.add(*(column[first:last] for column in columns), np.array([last - first]))
+    assert [array.tobytes() for array in parts.state] == [array.tobytes() for array in whole.state]
+    assert str(found[-1]) == str(asked[-1])
+    assert len(asked[-1]) >= 3
 
 
 # What does not repeat ---
