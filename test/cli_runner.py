@@ -6,8 +6,10 @@ from typing import Any
 
 from click.testing import CliRunner, Result
 
-from hd_diag.cli import cli
+from hd_diag.cli import cli, progress
 from hd_diag.config.configuration import dump, resolve
+
+progress._PERIOD = 1e6  # [s]; a slow machine adds no lines of progress to what tests compare
 
 
 def runner() -> CliRunner:

@@ -25,7 +25,8 @@ from rich.console import Console
 
 from hd_diag.bag import BagReader, BagWriter
 from hd_diag.cli import progress as cli_progress
-from hd_diag.cli.bags import recover, replay
+from hd_diag.cli.verbs.recover import recover
+from hd_diag.cli.verbs.replay import replay
 from hd_diag.config.parameters import nested
 from hd_diag.messages.encoding import encode_joint_states
 
@@ -143,8 +144,9 @@ def test_recover_of_what_is_no_bag_leaves_nothing(tmp_path: Path, name: str) -> 
         ("c.yaml", "out.mcap", "c.yaml"),
         ("log.mcap", "log.mcap", "overwrite the input"),
         ("log.mcap", "log.mcap/out.mcap", "log.mcap"),
-        ("log.mcap", "c.yaml/out.mcap", "Not a directory"),
-        ("log.mcap", "c.yaml", "exists already"),
+        ("log.mcap", "c.yaml/out.mcap", "no such folder"),
+        ("log.mcap", "c.yaml", "a bag is a file *.mcap, or a folder"),
+        ("log.mcap", "bag/bag_0.mcap", "exists already: --overwrite replaces it"),
         ("bag", "bag/out.mcap", "overwrite the input"),
         ("bag", "bag", "overwrite the input"),
         ("log.mcap", "link.mcap", "overwrite the input"),

@@ -198,7 +198,7 @@ def test_a_ratio_of_30_is_done_and_what_changed_is_said() -> None:
     told = assess(config, config.joints[0])
     assert told.found.stiffness == pytest.approx([1.0e4, 1.3e4, 2.1e4], rel=0.2)
     (warning,) = told.warnings
-    assert "60 teeth of the flexspline: slots have to lie 189 um further out" in warning
+    assert "60 teeth of the flexspline: slots have to lie 189 µm further out" in warning
 
 
 @pytest.mark.parametrize(("output", "teeth"), [("flexspline", (202, 204)), ("circular_spline", (200, 202))])

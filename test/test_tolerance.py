@@ -270,7 +270,7 @@ def test_questions_that_cannot_be() -> None:
     with pytest.raises(ValueError, match="cannot bear"):
         reference_stiffness(Drive(drives.mesh(drives.shallow()), Kinematics(15.0), RATED), np.array([9.0]))
     check_largest(drive(), largest_eccentricity(drive()))
-    with pytest.raises(ValueError, match="must be positive, not 0 um"):
+    with pytest.raises(ValueError, match="must be positive, not 0 µm"):
         check_largest(drive(), 0.0)
     with pytest.raises(ValueError, match="strikes the circular spline"):
         check_largest(drive(), 1e-3)

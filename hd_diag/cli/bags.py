@@ -6,35 +6,17 @@ import sys
 import time
 from pathlib import Path
 
-import click
-
 from hd_diag.bag import BagError
 from hd_diag.bag.mcap_scan import DamagedChunk
 from hd_diag.bag.recover import recover as recover_bag
-from hd_diag.cli.options import BAG, JSON, OVERWRITE, Problem, check_targets, tell, verb, write_json
+from hd_diag.cli.options import tell
 from hd_diag.cli.progress import interrupted, working
+from hd_diag.cli.targets import Problem, write_json
 from hd_diag.config.configuration import load
 from hd_diag.replay.replay import Replay
 from hd_diag.replay.replay import replay as replay_bag
 
 
-@verb("replay log --out again.mcap")
-@click.argument("bag", type=click.Path(path_type=Path))
-@BAG
-@click.option(
-    "--config",
-    "config_file",
-    type=click.Path(dir_okay=False),
-    help="ROS parameter file. [default: what the node's log holds]",
-)
-@click.option(
-    "--topic",
-    "topics",
-    multiple=True,
-    help="Topic with joint states; repeatable. [default: all but what a node published]",
-)
-@OVERWRITE
-@JSON
 def replay(
     bag: Path,
     out: Path,
@@ -43,16 +25,7 @@ def replay(
     overwrite: bool,
     json_file: str | None,
 ) -> None:
-    """Run the monitor over a recorded bag and write what the node would have published.
-
-    Time is the bag's; the machine goes as fast as it can. Without --config the bag must be a log of the node:
-    its configuration and every change of it are followed, and the outputs are those of the live run, bit for
-    bit. Reads MCAP files and rosbag2 folders (MCAP or sqlite3), unfinished ones included. A joint of which
-    the bag has no sample is reported on stderr, with what the bag has, and the exit code is 2. Ctrl-C leaves
-    a valid file and ends with code 130; after an error the output is left without its end. A bag that
-    --overwrite replaces stays until the new one is whole, also then.
-    """
-    check_targets((json_file,), bag)
+    """Do what ``hd-diag replay`` is asked for."""
     config = load(config_file) if config_file else None
     begin, kept, done = time.monotonic(), out.exists(), 0
     try:
@@ -115,21 +88,8 @@ def _tell_replay(result: Replay, out: Path, took: float) -> None:
             tell(f"{joint}: {result.rejected[joint]} rejected{last}; {gaps}")
 
 
-@verb("recover torn.mcap --out whole.mcap")
-@click.argument("bag", type=click.Path(path_type=Path))
-@BAG
-@OVERWRITE
-@JSON
 def recover(bag: Path, out: Path, overwrite: bool, json_file: str | None) -> None:
-    """Save what can be saved of a bag that a crash left unfinished.
-
-    Everything in closed chunks, and what can be read of the open one, is copied into a new bag and read back.
-    Says what was saved and what was lost. Exit code 0 also where something was lost: losing is not this
-    command's doing; 2 where nothing can be saved. Ctrl-C leaves a valid file and ends with code 130; after an
-    error the output is left without its end. A bag that --overwrite replaces stays until the new one is
-    whole.
-    """
-    check_targets((json_file,), bag)
+    """Do what ``hd-diag recover`` is asked for."""
     kept = out.exists()
     try:
         with working() as part:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import click
-
-from hd_diag.cli.options import JSON, Problem, tell, verb, write_json
+from hd_diag.cli.options import tell
+from hd_diag.cli.targets import Problem, write_json
 from hd_diag.config.assessment import Assessment, assess
 from hd_diag.config.configuration import JointConfig, load
 from hd_diag.formatting import ARCSEC
@@ -13,17 +12,8 @@ from hd_diag.messages.field_path import path_in
 from hd_diag.messages.schemas import jazzy
 
 
-@verb("check config/example_drive.yaml")
-@click.argument("config_file", metavar="CONFIG", type=click.Path(dir_okay=False))
-@JSON
 def check(config_file: str, json_file: str | None) -> None:
-    """Validate a configuration without ROS and say what it describes.
-
-    Every value is checked alone and the geometry as a whole; an unknown key is an error that names the
-    nearest known one. Of each joint are told torsional stiffness, lost motion, clearance without torque and
-    what an eccentricity does to the error; warnings where these cannot be a gear's, or not that of its
-    catalogue page.
-    """
+    """Do what ``hd-diag check`` is asked for."""
     config = load(config_file)
     for joint in config.joints:
         check_fields(joint)
@@ -56,7 +46,7 @@ def describe(joint: JointConfig, assessed: Assessment) -> None:
     tell(
         f"{joint.name}: {ends[0]} -> {ends[1]}, ratio {drive.kinematics.ratio:g}, "
         f"{mesh.geometry.flexspline_teeth}/{mesh.geometry.circular_spline_teeth} teeth, "
-        f"rated {drive.rated_torque:g} N m, eccentricity {abs(mesh.eccentricity) * 1e6:g} um"
+        f"rated {drive.rated_torque:g} N m, eccentricity {abs(mesh.eccentricity) * 1e6:g} µm"
     )
     radius = mesh.geometry.curve.radius
     tell(f"  module {found.module * 1e3:.4g} mm, radius of the neutral layer {radius * 1e3:.4g} mm")
@@ -64,11 +54,11 @@ def describe(joint: JointConfig, assessed: Assessment) -> None:
     gap = "overlap" if found.overlap > 0.0 else "clearance"
     tell(
         f"  at rest: lost motion {found.lost_motion / ARCSEC:.3g} arcsec, least backlash "
-        f"{found.least_backlash * 1e6:.3g} um, {gap} of the lobes {abs(found.overlap) * 1e6:.3g} um"
+        f"{found.least_backlash * 1e6:.3g} µm, {gap} of the lobes {abs(found.overlap) * 1e6:.3g} µm"
     )
     error = found.error_per_eccentricity * ECCENTRICITY / ARCSEC
     tell(
-        f"  transmission error {error:.3g} arcsec (order 2 of the input) per {ECCENTRICITY * 1e6:.0f} um of "
+        f"  transmission error {error:.3g} arcsec (order 2 of the input) per {ECCENTRICITY * 1e6:.0f} µm of "
         f"eccentricity at {0.5 * drive.rated_torque:g} N m"
     )
     for warning in assessed.warnings:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import click
 import numpy as np
 
 from hd_diag import __version__
-from hd_diag.cli.options import FAIL_ON_CAUSE, FILE, JSON, Problem, check_targets, verb
 from hd_diag.cli.progress import showing
 from hd_diag.cli.record import Judged, Records, judge_each, on_records
+from hd_diag.cli.targets import Problem, check_targets
 from hd_diag.config.configuration import JointConfig
 from hd_diag.config.model_file import document, write
 from hd_diag.config.parameters import JOINT_PARAMETERS
@@ -25,24 +25,7 @@ from hd_diag.report.facts import of_diagnosis
 from hd_diag.report.sources import digests
 
 
-@verb("diagnose joint.mcap --config arm.yaml --report joint.html")
 @on_records
-@FAIL_ON_CAUSE
-@click.option(
-    "--orders-only",
-    is_flag=True,
-    help="Describe the error by its orders alone, for a gear of which nobody has the geometry: of the "
-    "configuration only names, ratio, rated torque and accuracy are used.",
-)
-@click.option(
-    "--model",
-    "model_file",
-    type=FILE,
-    help="Write the extended model here, for the parameter <joint>.model_file; of several joints each gets a "
-    "file with _<joint> in its name.",
-)
-@click.option("--report", "report_file", type=FILE, help="Draw it all on one HTML page here.")
-@JSON
 def diagnose(
     records: Records,
     fail_on_cause: bool,
@@ -51,16 +34,9 @@ def diagnose(
     report_file: Path | None,
     json_file: str | None,
 ) -> None:
-    """Show what the simulation gets wrong, name the physical cause and measure the gain.
-
-    The model's own parameters are refitted first; causes are then searched among the catalogue's and named
-    only where data that nothing was fitted to confirm them. Several bags are runs of the same joint. "None
-    of the known causes" and "this record cannot tell these apart" are answers too. A record too long to be
-    fitted is looked through sample by sample for a wrong ratio, steps and outliers; stretches spread over
-    all of it are fitted. A joint that cannot be judged, for its signals are wrong or too few, is reported on
-    stderr, the others go on, and the exit code is 2.
-    """
-    check_targets((model_file, report_file, json_file), *records.bags)
+    """Do what ``hd-diag diagnose`` is asked for."""
+    models = _model_files(model_file, records.joints)
+    check_targets((*models.values(), report_file, json_file), *records.bags)
     records = replace(records, orders_only=orders_only)
     if orders_only and (model_file or report_file):
         raise Problem("--orders-only has no tooth model: it takes neither --model nor --report")
@@ -72,9 +48,7 @@ def diagnose(
         if model_file is not None and found.model is None:
             lines.append("no model was written: the record does not allow one")
         elif model_file is not None:
-            several = len(records.joints) > 1
-            name = f"{model_file.stem}_{joint.name}{model_file.suffix}" if several else model_file.name
-            written = str(model_file.with_name(name))
+            written = str(models[joint.name])
             write(written, model_document(found, joint.name, records), records.catalogue)
             lines.append(f"model written: {written}")
         if report_file is not None:
@@ -86,6 +60,15 @@ def diagnose(
     if fail_on_cause and named:
         sys.exit(1)
     sys.exit(0 if complete else Problem.exit_code)
+
+
+def _model_files(file: Path | None, joints: Sequence[JointConfig]) -> dict[str, Path]:
+    """Where each joint's model is written: of several joints each has its name in that of its file."""
+    if file is None:
+        return {}
+    if len(joints) == 1:
+        return {joints[0].name: file}
+    return {joint.name: file.with_name(f"{file.stem}_{joint.name}{file.suffix}") for joint in joints}
 
 
 def model_document(found: Diagnosis, joint: str, records: Records) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import ModuleType
 
 import hd_diag
-from hd_diag.cli.options import Problem
+from hd_diag.cli.targets import Problem
 
 
 def load_example(name: str) -> ModuleType:

@@ -7,27 +7,16 @@ from pathlib import Path
 import click
 
 from hd_diag.cli.examples import load_example
-from hd_diag.cli.options import CONFIG, configured, shown, verb, writing
+from hd_diag.cli.joints import configured
+from hd_diag.cli.targets import writing
 from hd_diag.report.pictures.canvas import save
 from hd_diag.report.pictures.eccentric_drive import drive_picture
 
 _CAPTIONS = "figures.md"
 
 
-@verb("figures --out figures --format png")
-@click.option(
-    "--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Folder for the files."
-)
-@CONFIG
-@shown("--format", "svg", "Of the figures.", type=click.Choice(["svg", "png", "pdf"]))
 def figures(out: Path, config_file: str | None, format: str) -> None:
-    """Draw the model's counterparts of the paper's Figs. 5, 6 and 7.
-
-    For the first configured joint: the neutral layer's motion, backlash and load over the teeth, one tooth
-    over time, for eccentricities from none to 23 µm. figures.md gets captions with the numbers that the
-    paper's claims come to. Beside them drive.*: what is eccentric to what, positive directions, where teeth
-    interfere.
-    """
+    """Do what ``hd-diag figures`` is asked for."""
     joint = configured(config_file).joints[0]
     entries = load_example("paper_figures").figures(joint.drive)
     captions = [f"Drive of {joint.name}; claims are those of Dong et al. (2019), sections 4.2, 4.3 and 5."]

@@ -14,10 +14,11 @@ from typing import Any
 
 import click
 import numpy as np
-from rich.console import Console
 
-from hd_diag.cli import options
+from hd_diag.cli.joints import chosen_joints, configured
+from hd_diag.cli.options import show_table, tell
 from hd_diag.cli.progress import Advance, showing
+from hd_diag.cli.targets import Problem, check_targets, write_json, writing
 from hd_diag.cli.verbs import signalled
 from hd_diag.config.catalogue import load
 from hd_diag.config.configuration import JointConfig
@@ -40,90 +41,19 @@ from hd_diag.ros.stop_signals import Stopped, noted_signals
 
 _NEEDED = ("pyarrow", "ruptures")
 _MEMORY_SHARE = 0.9  # of the machine's, for all workers together
-_BAG_TIMEOUT = 1800.0  # [s]
 _ERRORS_SHOWN = 20
 
 
-@options.verb("fleet bags/ --config arm.yaml --out arm.parquet")
-@click.argument(
-    "bags", metavar="BAGS_OR_FOLDERS...", nargs=-1, required=True, type=click.Path(path_type=Path)
-)
-@options.CONFIG
-@options.JOINTS
-@click.option("--out", required=True, type=options.FILE, help="The table: *.parquet.")
-@click.option(
-    "--report",
-    type=options.FILE,
-    help="Write one HTML page here, a row a joint with its colour; pages of the joints' last recordings go "
-    "into the folder <name>_joints beside it.",
-)
-@click.option("--figure", type=options.FILE, help="Draw the series: *.png, *.pdf, ...")
-@options.JOBS
-@click.option(
-    "--memory",
-    type=click.FloatRange(min=0.0, min_open=True),
-    help="What each process may have [GiB]; a bag that needs more gets an error. "
-    "[default: 90 % of the machine's over the processes]",
-)
-@options.shown(
-    "--bag-timeout",
-    _BAG_TIMEOUT,
-    "What may be spent on looking at a bag, and on diagnosing each of its joints [s]; a bag that takes "
-    "longer gets an error and is tried again by the next run. 0: no limit.",
-    type=click.FloatRange(min=0.0),
-    metavar="SECONDS",
-)
-@click.option(
-    "--scheduler",
-    metavar="ADDRESS",
-    help="Work on the cluster of this Dask scheduler, e.g. tcp://host:8786. Paths are sent, not data: "
-    "workers must see the bags under the same paths.",
-)
-@click.option(
-    "--robot",
-    metavar="REGEX",
-    help="Bags are of several robots; the first group in a bag's path names its robot.",
-)
-@click.option(
-    "--limit",
-    "limits",
-    multiple=True,
-    metavar="QUANTITY=VALUE",
-    help="Judge by this, and predict when it is reached: eccentricity [m], transmission_error, "
-    "residual_nominal, residual_refit, a cause's amplitude [rad] or a ripple_ORDER [N m]; repeatable. "
-    "[default: the joint's accuracy and the eccentricity that hd-diag tolerance allows]",
-)
-@click.option("--fresh", is_flag=True, help="Forget what earlier runs have kept.")
-@options.FAIL_ON_CAUSE
-@click.option("--fail-on-change", is_flag=True, help="Exit with 1 where something steps or drifts.")
-@click.option(
-    "--fail-on",
-    type=click.Choice(("amber", "red")),
-    help="Exit with 1 where a joint is red; with amber also where one is not green, or a bag could not be "
-    "judged or was cut off.",
-)
-@options.JSON
 def fleet(bags: tuple[Path, ...], config_file: str | None, names: tuple[str, ...], **given: Any) -> None:
-    """Diagnose every joint of every bag, in parallel, and report what changes over time.
-
-    Folders are searched for bags; a folder with a metadata.yaml is one. The table has one row for each bag
-    and joint, as ``hd-diag diagnose`` judges it alone; what cannot be judged has a row that says why. Each
-    result is kept beside the table in OUT.journal.jsonl as soon as it is there: the same command goes on
-    after an interruption, and later judges new bags only. Series over time are eccentricity, residuals and
-    the amplitude of each cause, of a joint with one angle those of its torque's ripple; steps and drifts are
-    reported with a chance of false alarm of 5 % for the whole run. Each joint is green, amber, red or not
-    judged by its last recording: its transmission error beside its accuracy, its eccentricity beside what the
-    assembly may have; amber where the 95 % interval holds the limit, or the bag is cut off. Exit code 2 where
-    no bag could be judged, 130 after Ctrl-C.
-    """
-    config = options.configured(config_file)
-    joints = tuple(options.chosen_joints(config, names))
+    """Do what ``hd-diag fleet`` is asked for."""
+    config = configured(config_file)
+    joints = tuple(chosen_joints(config, names))
     try:
         limits = _limits(joints, given["limits"])
         health = _run(_fleet(bags, config, joints, given), joints, limits, given)
         _write(health, given)
     except FleetError as error:
-        raise options.Problem(str(error)) from error
+        raise Problem(str(error)) from error
     if given["json_file"] != "-":
         _show(health, given)
     sys.exit(_code(health, given))
@@ -137,8 +67,6 @@ def _fleet(
     if missing:
         get = f"{sys.executable} -m pip install 'hd_diag[fleet]'"
         raise FleetError(f"fleet needs {' and '.join(missing)}: {get}")
-    from hd_diag.fleet.plots import check_format
-
     if given["scheduler"] and (given["jobs"] or given["memory"]):
         raise FleetError("--jobs and --memory are of this machine: with --scheduler its workers set them")
     for path in bags:
@@ -147,11 +75,7 @@ def _fleet(
     found = find_bags(bags)
     if not found:
         raise FleetError(f"no bag in {', '.join(map(str, bags))}")
-    options.check_targets((given["out"], given["figure"], given["json_file"], given["report"]), *found)
-    if given["out"].suffix != ".parquet":
-        raise FleetError(f"{given['out']}: the table is Parquet: name it *.parquet")
-    if given["figure"]:
-        check_format(given["figure"])
+    check_targets((given["out"], given["figure"], given["json_file"], given["report"]), *found)
     try:
         robot = None if given["robot"] is None else re.compile(given["robot"])
     except re.error as error:
@@ -188,9 +112,9 @@ def _run(
     pages = BagPages(given["report"]) if given["report"] else None
     with Journal(path, given["fresh"]) as journal:
         try:
-            with _watched() as (tell, tick):
+            with _watched() as (told, tick):
                 with _pool(given) as pool:
-                    rows = diagnose_fleet(chosen, pool, journal, tell, tick, given["bag_timeout"], pages)
+                    rows = diagnose_fleet(chosen, pool, journal, told, tick, given["bag_timeout"], pages)
                 own = limits_of(rows) | given_limits
                 alarms = {(joint.name, NOMINAL): joint.limits["residual_rms"].error for joint in joints}
                 found = trends(series_of(rows, alarms | own), np.random.default_rng(0), tick)
@@ -211,10 +135,10 @@ def _watched() -> Iterator[tuple[Progress, Callable[[], None]]]:
             if came:
                 raise Stopped(came[0])
 
-        def tell(stage: str, done: int, total: int, tasks: int) -> None:
+        def told(stage: str, done: int, total: int, tasks: int) -> None:
             stages.setdefault(stage, part(stage))(done, total, f"{tasks} done")
 
-        yield tell, tick
+        yield told, tick
 
 
 def _pool(given: dict[str, Any]) -> Any:
@@ -232,11 +156,12 @@ def _write(found: Health, given: dict[str, Any]) -> None:
 
     write_table(given["out"], found.rows)
     if given["json_file"]:
-        options.write_json(given["json_file"], as_json(str(given["out"]), found))
+        write_json(given["json_file"], as_json(str(given["out"]), found))
     if given["figure"]:
-        draw(found.trends, given["figure"])
+        with writing(given["figure"]) as place:
+            draw(found.trends, place)
     if given["report"]:
-        with options.writing(given["report"]) as place:
+        with writing(given["report"]) as place:
             place.write_text(health_page(found, _made(given)), encoding="utf-8")
         BagPages(given["report"]).keep(one.row.get(PAGE) for one in found.standings)
 
@@ -250,7 +175,7 @@ def _made(given: dict[str, Any]) -> list[Fact]:
 
 def _show(found: Health, given: dict[str, Any]) -> None:
     if found.standings:
-        Console().print(table(found))
+        show_table(table(found))
     for line in sentences(found.trends):
         click.echo(line)
     present, past = attention(found.rows, found.colours)
@@ -261,7 +186,7 @@ def _show(found: Health, given: dict[str, Any]) -> None:
         more = f"{len(lines) - _ERRORS_SHOWN} more"
         click.echo(f"not judged or cut off: {more}; see the columns error and problems", err=True)
     for note in notes(found):
-        options.tell(note, err=True)
+        tell(note, err=True)
     click.echo(headline(found))
     click.echo(
         f"{len(found.rows)} rows of {len({row['bag'] for row in found.rows})} bags in "

@@ -6,13 +6,11 @@ import math
 from pathlib import Path
 from typing import Any
 
-import click
-from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
 
 from hd_diag.cli import options
 from hd_diag.cli.check import describe
+from hd_diag.cli.targets import write_json, writing
 from hd_diag.config import gear_file
 from hd_diag.config.assessment import Assessment, assess
 from hd_diag.config.configuration import Config, JointConfig, resolve
@@ -20,55 +18,14 @@ from hd_diag.config.defaults import Page, resolved
 from hd_diag.config.parameters import JOINT_PARAMETERS
 
 _ARCMIN = math.pi / 10800.0  # [rad]
-_PAGE = {
-    "size": "Size on the page: pitch diameter in tenths of an inch.",
-    "pitch_diameter": "Pitch diameter [m], in place of the size.",
-    "ratio": "Input angle over output angle as the joint reports them, signed.",
-    "rated_torque": "Rated torque [N m].",
-    "k1": "Torsional stiffness up to T1 [N m/rad].",
-    "k2": "Torsional stiffness from T1 to T2 [N m/rad].",
-    "k3": "Torsional stiffness from T2 on [N m/rad].",
-    "t1": "T1 [N m]. [default: a quarter of the rated torque]",
-    "t2": "T2 [N m]. [default: 0.86 of the rated torque]",
-}
-_REQUIRED = ("ratio", "rated_torque", "k1", "k2", "k3")
 # Pages name the ratio with the circular spline fixed; these are on them.
 _USUAL = (30, 50, 80, 100, 120, 160)
 
 
-def _page_options(function: Any) -> Any:
-    for name, text in reversed(_PAGE.items()):
-        flag = f"--{name.replace('_', '-')}"
-        function = click.option(flag, name, type=float, required=name in _REQUIRED, help=text)(function)
-    return function
-
-
-@options.verb(
-    "gear --size 20 --ratio 160 --rated-torque 40 --k1 16e3 --k2 25e3 --k3 29e3 --t1 7 --t2 25 --out f.yaml"
-)
-@_page_options
-@click.option("--accuracy", type=float, help="Transmission accuracy [arcmin]. [default: 1.5]")
-@options.shown(
-    "--output",
-    "flexspline",
-    "Member that drives the link; the other is fixed.",
-    type=click.Choice(["flexspline", "circular_spline"]),
-)
-@options.shown("--joint", "joint_1", "Name of the joint.")
-@click.option("--out", required=True, type=options.FILE, callback=options.check_writable, help="The file.")
-@click.option("--table", is_flag=True, help="Print the drive's parameters, limits and tolerances.")
-@options.figure_option("the tooth pair")
-@options.JSON
 def gear(
     out: Path, joint: str, table: bool, figure: Path | None, json_file: str | None, **given: Any
 ) -> None:
-    """Write a parameter file for a drive from its catalogue page.
-
-    Teeth, neutral curve and clearance by similarity to the example drive, compliances by a fit to K1, K2, K3;
-    limits and tolerances scaled. The file says what was given, what is assumed and what was reached. A page
-    names the ratio with the circular spline fixed, 100 say; with the output there the joint's is 101.
-    """
-    options.check_targets((out, figure, json_file))
+    """Do what ``hd-diag gear`` is asked for."""
     accuracy, output = given.pop("accuracy"), given.pop("output")
     own = {f"gear.{name}": value for name, value in given.items() if value is not None}
     own |= {"output": output} | ({} if accuracy is None else {"accuracy": accuracy * _ARCMIN})
@@ -76,16 +33,16 @@ def gear(
     found = config.joints[0]
     assessed = assess(config, found)
     written = gear_file.text(config, found, assessed, _command(own, joint))
-    with options.writing(out) as place:
+    with writing(out) as place:
         place.write_text(written, encoding="utf-8")
     if figure:
         from hd_diag.report.pictures.tooth_pair import save, tooth_pair_picture  # matplotlib takes its time
 
-        with options.writing(figure) as place:
+        with writing(figure) as place:
             save(tooth_pair_picture(found.configured.mesh.geometry), place)
     if json_file:
         content = {"schema": "hd_diag/gear/1", "file": str(out), "parameters": dict(config.flat)}
-        options.write_json(json_file, content | {"joints": {joint: assessed.content()}})
+        write_json(json_file, content | {"joints": {joint: assessed.content()}})
     if json_file != "-":
         _show(config, found, assessed, table)
         options.tell(f"{out}: written")
@@ -110,7 +67,7 @@ def _show(config: Config, joint: JointConfig, assessed: Assessment, table: bool)
     if note:
         options.tell(f"  note: {note}")
     if table and assessed.page:
-        Console().print(_table(config, joint, assessed.page))
+        options.show_table(_table(config, joint, assessed.page))
 
 
 def _usual_ratio(joint: JointConfig) -> str:
@@ -133,5 +90,5 @@ def _table(config: Config, joint: JointConfig, page: Page) -> Table:
     for parameter in (p for p in JOINT_PARAMETERS if p.name in drive or p.scale):
         value = config.flat[f"{joint.name}.{parameter.name}"]
         shown = f"{value:.6g}" if isinstance(value, float) else str(value)
-        table.add_row(*map(escape, (parameter.name, shown, parameter.unit)))
+        table.add_row(parameter.name, shown, parameter.unit)
     return table

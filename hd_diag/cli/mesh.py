@@ -4,38 +4,27 @@ from __future__ import annotations
 
 from typing import Any
 
-import click
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from hd_diag.arrays import Floats
-from hd_diag.cli.options import CONFIG, JOINT, JSON, chosen_joint, configured, shown, verb, write_json
+from hd_diag.cli.joints import chosen_joint, configured
+from hd_diag.cli.options import show_table, tell
+from hd_diag.cli.targets import Problem, write_json
 from hd_diag.config.configuration import JointConfig
 from hd_diag.drive import mesh_state, transmission_error
 from hd_diag.formatting import ARCSEC, json_ready
 from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TORQUE
 
 
-@verb("mesh --config arm.yaml --joint elbow --torque 14")
-@CONFIG
-@JOINT
-@shown("--input-angle", 0.0, "Reported input angle [rad].")
-@shown("--torque", 0.0, "Torque M [N m].")
-@JSON
 def mesh(
     config_file: str | None, joint: str | None, input_angle: float, torque: float, json_file: str | None
 ) -> None:
-    """One moment: backlash and load of every tooth, torsion, transmission error.
-
-    Torsion and loads are those of a torque M that turns the cup counter-clockwise (M > 0 bears on + flanks).
-    The transmission error is the drive's when it exerts M on the link, whose reaction on the cup is -M for an
-    output at the flexspline; "as_driven" holds torsion and loads of that state, which the node publishes.
-    """
+    """Do what ``hd-diag mesh`` is asked for."""
     given = ("input-angle", input_angle, LARGEST_ANGLE), ("torque", torque, LARGEST_TORQUE)
     for name, value, largest in given:
         if not abs(value) <= largest:
-            raise click.BadParameter(f"--{name} must be a number of at most {largest:g}, not {value:g}")
+            raise Problem(f"--{name} must be a number of at most {largest:g}, not {value:g}")
     result = moment(chosen_joint(configured(config_file), joint), input_angle, torque)
     if json_file:
         write_json(json_file, result)
@@ -84,23 +73,23 @@ def _show(result: dict[str, Any]) -> None:
     def scaled(value: float | None, scale: float) -> str:
         return "-" if value is None else f"{value * scale:.3f}"
 
-    console = Console()
-    console.print(
-        f"[bold]{result['joint']}[/bold] at input angle {result['input_angle']:g} rad, "
-        f"torque {result['torque']:g} N m\n"
+    tell(f"{result['joint']} at input angle {result['input_angle']:g} rad, torque {result['torque']:g} N m")
+    tell(
         f"transmission error {scaled(result['transmission_error'], 1 / ARCSEC)} arcsec, "
         f"torsion {scaled(result['torsion'], 1 / ARCSEC)} arcsec, "
-        f"lost motion {scaled(result['lost_motion'], 1 / ARCSEC / 60)} arcmin\n"
+        f"lost motion {scaled(result['lost_motion'], 1 / ARCSEC / 60)} arcmin"
+    )
+    tell(
         f"{result['loaded_pairs']} loaded flanks, largest force {scaled(result['peak_tooth_load'], 1)} N, "
         f"{scaled(result['load_concentration'], 1)} times the mean; "
         f"interference: {'yes' if result['interference'] else 'no'} "
-        f"(overlap {scaled(result['overlap'], 1e6)} um)"
+        f"(overlap {scaled(result['overlap'], 1e6)} µm)"
     )
-    table = Table("tooth", "backlash + [um]", "backlash - [um]", "load + [N]", "load - [N]")
+    table = Table("tooth", "backlash + [µm]", "backlash - [µm]", "load + [N]", "load - [N]")
     for tooth in range(len(result["backlash"]["+"])):
         cells = [result[what][sign][tooth] for what in ("backlash", "load") for sign in "+-"]
         if cells[0] is not None or cells[1] is not None:
             scales = (1e6, 1e6, 1.0, 1.0)
             table.add_row(str(tooth), *(scaled(c, s) for c, s in zip(cells, scales, strict=True)))
-    console.print(table)
-    console.print("Teeth that are not listed cannot touch.")
+    show_table(table)
+    tell("Teeth that are not listed cannot touch.")

@@ -1,62 +1,127 @@
-"""What the verbs of the command line share: options, one-line errors, JSON."""
+"""What the verbs of the command line share: options, kinds of files, one-line errors.
+
+Nothing here or in :mod:`hd_diag.cli.verbs` imports more than click: help and completion come at once.
+"""
 
 from __future__ import annotations
 
 import functools
-import json
-import os
+import shutil
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from hd_diag.bag import BagError, check_output
-from hd_diag.config.configuration import Config, ConfigError, JointConfig, load, resolve
-from hd_diag.effects import Catalogue
-from hd_diag.formatting import json_ready, visible
+from hd_diag.cli.targets import LONGEST_LINE, Problem, check_targets
+from hd_diag.cli.verbs import VERBS
+from hd_diag.formatting import visible
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
-_LONGEST_LINE = 2000
-_FIGURES = (".png", ".svg", ".pdf")
-
-
-class Problem(click.ClickException):
-    """Bad input: one line on stderr, exit code 2."""
-
-    exit_code = 2
-
-    def format_message(self) -> str:
-        """The message as one line that a terminal can show."""
-        return visible(" ".join(self.message.split()), _LONGEST_LINE)
-
-    def show(self, file: Any = None) -> None:
-        """Print the line."""
-        click.echo(f"hd-diag: {self.format_message()}", file=file or sys.stderr)
+_WIDEST = 1000  # characters of a table in a pipe: rich wraps what is wider
 
 
 def tell(line: str, *, err: bool = False) -> None:
-    """Print one line of which some may come from a file."""
-    click.echo(visible(line, _LONGEST_LINE), err=err)
+    """Print one line of which some may come from a file; on a terminal it breaks between words."""
+    line, stream = visible(line, LONGEST_LINE), sys.stderr if err else sys.stdout
+    if stream.isatty():
+        indent = " " * (len(line) - len(line.lstrip()))
+        line = click.wrap_text(line.strip(), shutil.get_terminal_size().columns, indent, f"{indent}  ")
+    click.echo(line, err=err)
+
+
+def show_table(table: Table) -> None:
+    """Print a table: without markup, in a pipe as wide as it needs."""
+    from rich.console import Console
+
+    Console(width=None if sys.stdout.isatty() else _WIDEST, highlight=False, markup=False).print(table)
+
+
+class Source(click.Path):
+    """A file or bag that a verb reads."""
+
+
+class Target(click.Path):
+    """A file that a verb writes; of a known kind it must have one of these endings."""
+
+    def __init__(self, *endings: str, folders: bool = False, stdout: bool = False) -> None:
+        super().__init__(dir_okay=folders, allow_dash=stdout, path_type=str if stdout else Path)
+        self._endings = endings
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path, or a Problem where its name is not that of such a file."""
+        path = Path(value)
+        if self._endings and path.suffix.lower() not in self._endings and not _is_special(path):
+            raise Problem(f"{value}: the name must end with {' or '.join(self._endings)}")
+        return super().convert(value, param, ctx)
+
+
+class BagTarget(Target):
+    """A bag that a verb writes: a file, or a folder, whose name has no ending of a file."""
+
+    def __init__(self) -> None:
+        super().__init__(folders=True)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The path, or a Problem where nobody would look for a bag there."""
+        suffix = Path(value).suffix.lower()
+        if suffix != ".mcap" and suffix[1:].isalnum() and suffix[1:2].isalpha() and not Path(value).is_dir():
+            raise Problem(f"{value}: a bag is a file *.mcap, or a folder whose name has no ending")
+        return super().convert(value, param, ctx)
+
+
+def _is_special(path: Path) -> bool:
+    """Whether it is a device or a pipe, whose name says nothing."""
+    return path.exists() and not path.is_file()
 
 
 def verb(example: str, **settings: Any) -> Callable[[Callable[..., Any]], click.Command]:
-    """A function as a verb: help with an example, bad input in one line; settings are of click's context."""
+    """A function without a body as a verb: its name, its help, and the options that decorate it.
 
-    def made(function: Callable[..., Any]) -> click.Command:
-        @functools.wraps(function)
-        def run(*args: Any, **kwargs: Any) -> Any:
+    The function of the same name in the module that `VERBS` names does the work. That module is imported when
+    the verb is called, its files are compared before. Bad input is one line; settings are of click's context.
+    """
+
+    def made(stub: Callable[..., Any]) -> click.Command:
+        @functools.wraps(stub)
+        def run(**given: Any) -> Any:
+            params = click.get_current_context().command.params
+            check_targets(_paths(params, given, Target), *_paths(params, given, Source))
+            name = stub.__name__
+            function = getattr(import_module(f"hd_diag.cli.{VERBS[name][0]}"), name)
             try:
-                return function(*args, **kwargs)
-            except (ConfigError, BagError) as error:
-                raise Problem(str(error)) from error
+                return function(**given)
+            except ValueError as error:
+                raise _problem(error, "overwrite" in given) from error
 
         return click.command(epilog=f"\b\nExample: hd-diag {example}", context_settings=settings)(run)
 
     return made
+
+
+def _paths(params: list[click.Parameter], given: dict[str, Any], kind: type[click.Path]) -> list[Path]:
+    """Paths of this kind that were given."""
+    values = [given[p.name] for p in params if isinstance(p.type, kind) and p.name]
+    flat = [one for value in values for one in (value if isinstance(value, tuple) else (value,))]
+    return [Path(one) for one in flat if one not in (None, "-")]
+
+
+def _problem(error: ValueError, overwrites: bool) -> ValueError | Problem:
+    """What is said of bad input; any other error is itself."""
+    from hd_diag.bag.errors import BagError
+    from hd_diag.config.parameters import ConfigError
+
+    if not isinstance(error, (BagError, ConfigError)):
+        return error
+    advice = ": --overwrite replaces it" if overwrites and str(error).endswith("exists already") else ""
+    return Problem(f"{error}{advice}")
 
 
 def shown(flag: str, default: Any, text: str, **more: Any) -> Callable[[_Command], _Command]:
@@ -64,45 +129,28 @@ def shown(flag: str, default: Any, text: str, **more: Any) -> Callable[[_Command
     return click.option(flag, default=default, show_default=True, help=text, **more)
 
 
-def check_writable(context: click.Context, parameter: click.Parameter, value: Any) -> Any:
-    """Refuse before the work a file that could not be written after it."""
-    check_targets((value,))
-    return value
-
-
 def json_option(what: str) -> Callable[[_Command], _Command]:
     """Option ``--json`` for a verb that writes this there."""
-    kind = click.Path(dir_okay=False, allow_dash=True)
-    return click.option(
-        "--json", "json_file", type=kind, callback=check_writable, help=f"Write {what} here; - is stdout."
-    )
-
-
-def _check_figure(context: click.Context, parameter: click.Parameter, path: Path | None) -> Path | None:
-    """Refuse before the work what cannot be drawn after it."""
-    if path is not None and path.suffix.lower() not in _FIGURES:
-        raise Problem(f"{path}: a figure ends with {', '.join(_FIGURES)}")
-    return check_writable(context, parameter, path)  # type: ignore[no-any-return]
+    kind = Target(stdout=True)
+    return click.option("--json", "json_file", type=kind, help=f"Write {what} here; - is stdout.")
 
 
 def figure_option(what: str) -> Callable[[_Command], _Command]:
     """Option ``--figure`` for a verb that draws this."""
     text = f"Draw {what}: *.png, *.svg or *.pdf."
-    return click.option("--figure", type=FILE, callback=_check_figure, help=text)
+    return click.option("--figure", type=Target(".png", ".svg", ".pdf"), help=text)
 
 
-FILE = click.Path(dir_okay=False, path_type=Path)
+PAGE = Target(".html", ".htm")
 CONFIG = click.option(
     "--config",
     "config_file",
-    type=click.Path(dir_okay=False),
+    type=Source(dir_okay=False),
     help="ROS parameter file. [default: the example drive]",
 )
 JOINT = click.option("--joint", help="Joint. [default: the first configured]")
 JOINTS = click.option("--joint", "names", multiple=True, help="Joint; repeatable. [default: all configured]")
-BAG = click.option(
-    "--out", required=True, type=click.Path(path_type=Path), help="*.mcap or a rosbag2 folder."
-)
+BAG = click.option("--out", required=True, type=BagTarget(), help="*.mcap or a rosbag2 folder.")
 OVERWRITE = click.option("--overwrite", is_flag=True, help="Replace the output where it exists.")
 JOBS = click.option(
     "--jobs", type=click.IntRange(1), help="Processes on this machine. [default: one per core that is free]"
@@ -112,56 +160,55 @@ FAIL_ON_CAUSE = click.option(
 )
 JSON = json_option("the result")
 
+_RECORDS = (
+    click.argument("bags", nargs=-1, required=True, type=Source(path_type=Path)),
+    CONFIG,
+    JOINTS,
+    click.option(
+        "--columns",
+        metavar="time=T,input=I,output=O[,torque=M,temperature=C,record=R]",
+        help="The BAGS are CSV files with these columns [s, rad, rad, N m, degree Celsius], or in other "
+        "units: input=m[deg], output=l[counts/8192], torque=i[A]*11.2.",
+    ),
+    click.option(
+        "--rate",
+        type=click.FloatRange(0.0, min_open=True),
+        help="Rows per second of CSV files without a time.",
+    ),
+    click.option(
+        "--delimiter", default="", help="Between the columns of CSV files; tab. [default: as found]"
+    ),
+    click.option(
+        "--input-divided",
+        "divided",
+        is_flag=True,
+        help="In a CSV file the input angle is already divided by the ratio.",
+    ),
+    click.option(
+        "--effects",
+        "effect_files",
+        metavar="FILE",
+        multiple=True,
+        type=Source(dir_okay=False, path_type=Path),
+        help="Python file with further effects to search among, as EFFECT or EFFECTS; repeatable. It is run.",
+    ),
+    click.option(
+        "--time-limit",
+        metavar="SECONDS",
+        type=click.FloatRange(0.0),
+        default=60.0,
+        show_default=True,
+        help="Computing time for each joint; what there was no time for is said. The fit, the gain and what "
+        "no cause explains are never left out.",
+    ),
+)
 
-def configured(config_file: str | None, catalogue: Catalogue | None = None) -> Config:
-    """The configuration of a file, or the example drive's; its model files hold effects of the catalogue."""
-    return load(config_file, catalogue) if config_file else resolve({}, catalogue=catalogue)
 
-
-def chosen_joint(config: Config, name: str | None) -> JointConfig:
-    """The joint of this name, or the first."""
-    return chosen_joints(config, () if name is None else (name,))[0]
-
-
-def chosen_joints(config: Config, names: tuple[str, ...]) -> list[JointConfig]:
-    """The joints of these names, or all."""
-    known = {joint.name: joint for joint in config.joints}
-    for name in names:
-        if name not in known:
-            raise Problem(f"no joint {name!r} in the configuration; it has {', '.join(known)}")
-    return [known[name] for name in names] or list(config.joints)
-
-
-def check_targets(targets: Iterable[str | Path | None], *inputs: Path) -> None:
-    """Refuse before the work files that could not be written, would overwrite each other or an input."""
-    wanted = [Path(target) for target in targets if target not in (None, "-")]
-    if len(set(map(os.path.realpath, wanted))) < len(wanted):
-        raise Problem(f"{' and '.join(map(str, wanted))} must be different files")
-    for target in wanted:
-        folder = target.absolute().parent
-        if not folder.is_dir():
-            raise Problem(f"{target}: cannot be written: no such folder")
-        if not os.access(target if target.exists() else folder, os.W_OK):
-            raise Problem(f"{target}: cannot be written: no permission, or a disk that is read-only")
-        # What does not exist, like links in a circle, is reported when it is read.
-        check_output(target, *filter(os.path.exists, inputs))
-
-
-@contextmanager
-def writing(path: str | Path) -> Iterator[Path]:
-    """Where to write a file, put in place when it is whole; pipes, devices and links are written to."""
-    target = Path(path)
-    plain = not os.path.lexists(target) or (target.is_file() and not target.is_symlink())
-    beside = plain and os.access(target.parent, os.W_OK)
-    place = target.with_name(f".part.{target.name}") if beside else target
-    try:
-        yield place
-        os.replace(place, target)
-    except OSError as error:
-        raise Problem(f"{path}: cannot be written: {error.strerror}") from error
-    finally:
-        if beside:
-            place.unlink(missing_ok=True)
+def records(stub: _Command) -> _Command:
+    """The options that say which records a verb looks at."""
+    for option in reversed(_RECORDS):
+        stub = option(stub)
+    return stub
 
 
 @contextmanager
@@ -171,13 +218,3 @@ def needing_ros(what: str) -> Iterator[None]:
         yield
     except ImportError as error:
         raise Problem(f"{what} needs ROS 2 Jazzy (rclpy), which is not to be imported: {error}") from error
-
-
-def write_json(path: str, result: Any) -> None:
-    """Write a result as JSON; numbers that are not finite become null."""
-    text = json.dumps(json_ready(result), indent=1, allow_nan=False)
-    if path == "-":
-        click.echo(text)
-        return
-    with writing(path) as place:
-        place.write_text(text + "\n", encoding="utf-8")

@@ -13,8 +13,9 @@ import numpy as np
 
 from hd_diag.bag.joint_record import InputRecord, nothing, read_bags, read_motion
 from hd_diag.bag.tables import Table, read_table_motion, read_tables
-from hd_diag.cli.options import CONFIG, FILE, JOINTS, Problem, chosen_joints, configured, write_json, writing
+from hd_diag.cli.joints import chosen_joints, configured
 from hd_diag.cli.progress import Advance
+from hd_diag.cli.targets import Problem, write_json, writing
 from hd_diag.config.catalogue import load
 from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
@@ -28,49 +29,6 @@ from hd_diag.report.facts import JointReport
 from hd_diag.report.sources import sources
 from hd_diag.tolerance.severity import with_allowed
 from hd_diag.tolerance.study import limits_and_spreads
-
-_OPTIONS = (
-    click.argument("bags", nargs=-1, required=True, type=click.Path(path_type=Path)),
-    CONFIG,
-    JOINTS,
-    click.option(
-        "--columns",
-        metavar="time=T,input=I,output=O[,torque=M,temperature=C,record=R]",
-        help="The BAGS are CSV files with these columns [s, rad, rad, N m, degree Celsius], or in other "
-        "units: input=m[deg], output=l[counts/8192], torque=i[A]*11.2.",
-    ),
-    click.option(
-        "--rate",
-        type=click.FloatRange(0.0, min_open=True),
-        help="Rows per second of CSV files without a time.",
-    ),
-    click.option(
-        "--delimiter", default="", help="Between the columns of CSV files; tab. [default: as found]"
-    ),
-    click.option(
-        "--input-divided",
-        "divided",
-        is_flag=True,
-        help="In a CSV file the input angle is already divided by the ratio.",
-    ),
-    click.option(
-        "--effects",
-        "effect_files",
-        metavar="FILE",
-        multiple=True,
-        type=FILE,
-        help="Python file with further effects to search among, as EFFECT or EFFECTS; repeatable. It is run.",
-    ),
-    click.option(
-        "--time-limit",
-        metavar="SECONDS",
-        type=click.FloatRange(0.0),
-        default=60.0,
-        show_default=True,
-        help="Computing time for each joint; what there was no time for is said. The fit, the gain and what "
-        "no cause explains are never left out.",
-    ),
-)
 
 
 @dataclass(frozen=True)
@@ -126,7 +84,7 @@ def table_of(columns: str, divided: bool, rate: float, delimiter: str) -> Table:
 
 
 def on_records(function: Callable[..., None]) -> Callable[..., None]:
-    """A verb's function with the options that say which records; it gets them as :class:`Records`."""
+    """A verb's function that gets the options that say which records as :class:`Records`."""
 
     @functools.wraps(function)
     def run(
@@ -147,8 +105,6 @@ def on_records(function: Callable[..., None]) -> Callable[..., None]:
         table = None if columns is None else table_of(columns, divided, rate or 0.0, delimiter)
         function(Records(bags, config, joints, table, catalogue, time_limit), **own)
 
-    for option in reversed(_OPTIONS):
-        run = option(run)
     return run
 
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import click
 import numpy as np
 
 from hd_diag.bag.joint_record import InputRecord
-from hd_diag.cli.options import FILE, JSON, Problem, check_targets, verb
 from hd_diag.cli.progress import showing
 from hd_diag.cli.record import Judged, Records, judge_each, not_judged, on_records
+from hd_diag.cli.targets import Problem, check_targets
 from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.record import RecordError
 from hd_diag.diagnosis.ripple.ripple import Ripple
@@ -20,19 +19,9 @@ from hd_diag.diagnosis.verdict import as_json
 from hd_diag.report.facts import of_diagnosis, of_motion
 
 
-@verb("report joint.mcap --config arm.yaml --out joint.html")
 @on_records
-@click.option("--out", type=FILE, help="Write the page here. [default: the first bag's name with .html]")
-@JSON
 def report(records: Records, out: Path | None, json_file: str | None) -> None:
-    """Draw a bag: verdict, what to inspect, measured against simulated, teeth, data.
-
-    Diagnoses the bag as `hd-diag diagnose` does, with the same JSON, and writes one HTML file that needs
-    nothing else. Where a bag does not hold the output angle, or its record cannot be judged, it shows the
-    model's side of the motion and says so; the JSON then has the reason as "error". Several bags are runs of
-    the same joint. A joint of which nothing can be shown is reported on stderr, the others go on, and the
-    exit code is 2.
-    """
+    """Do what ``hd-diag report`` is asked for."""
     target = out or Path(f"{records.bags[0].stem}.html")
     check_targets((target, json_file), *records.bags)
 

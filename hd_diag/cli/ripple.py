@@ -4,30 +4,20 @@ from __future__ import annotations
 
 import sys
 
-from rich.console import Console
 from rich.table import Table
 
-from hd_diag.cli.options import JSON, Problem, check_targets, verb
+from hd_diag.cli.options import show_table
 from hd_diag.cli.progress import showing
 from hd_diag.cli.record import Judged, Records, judge_each, on_records
+from hd_diag.cli.targets import Problem
 from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.ripple.ripple import Ripple
 from hd_diag.diagnosis.ripple.verdict import TITLES, as_json, row, sentence
 
 
-@verb("ripple joint.mcap --config arm.yaml")
 @on_records
-@JSON
 def ripple(records: Records, json_file: str | None) -> None:
-    """Look for lines of the torque, or of a current, at the gear's orders over a turn of the output.
-
-    For robots that report one angle a joint, with a torque or a current: no transmission error can be had of
-    it, and no eccentricity. Friction, gravity and inertia are taken off as smooth parts. A line must have the
-    same phase in all stretches of the motion, and stand out of the orders beside its own. Several bags are
-    recordings of the same joint. A joint that cannot be judged is reported on stderr, the others go on, and
-    the exit code is 2.
-    """
-    check_targets((json_file,), *records.bags)
+    """Do what ``hd-diag ripple`` is asked for."""
     tables: dict[str, Ripple] = {}
 
     def judge(joint: JointConfig) -> Judged:
@@ -39,7 +29,7 @@ def ripple(records: Records, json_file: str | None) -> None:
 
     _, complete = judge_each(records, judge, None, json_file)
     for name, found in tables.items() if json_file != "-" else ():
-        Console().print(_table(name, found))
+        show_table(_table(name, found))
     sys.exit(0 if complete else Problem.exit_code)
 
 

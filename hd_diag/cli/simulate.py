@@ -7,25 +7,24 @@ import math
 from pathlib import Path
 from typing import Any
 
-import click
 import numpy as np
 
 from hd_diag.cli import options
+from hd_diag.cli.joints import chosen_joints
 from hd_diag.cli.progress import interrupted, working
+from hd_diag.cli.targets import Problem, write_json
 from hd_diag.config.configuration import Config, ConfigError, load, resolve
 from hd_diag.config.parameter_file import parse_value
 from hd_diag.config.parameters import JOINT_PARAMETERS
 from hd_diag.drive import Drive
 from hd_diag.model.torsion_map import ARCSEC
-from hd_diag.simulation import START, Motion, Noise, SimulatedJoint, write_bag
+from hd_diag.simulation import Motion, Noise, SimulatedJoint, write_bag
 
 _TURN = 2.0 * math.pi
 _SECOND = 1_000_000_000  # [ns]
 _MOTION = Motion()
-_SPEEDS = tuple(speed / _TURN for speed in _MOTION.speeds)
 
 _RATED = 56.0  # torque of the drive that the motion's own torques are meant for [N m]
-_LEVELS = ", ".join(f"{100.0 * torque / _RATED:.0f}" for torque in _MOTION.torques) + " %"
 
 # Short options for the values most asked for: parameter, and its unit in the option's unit.
 _SHORT = {
@@ -37,50 +36,10 @@ _SHORT = {
 }
 
 
-@options.verb("simulate --out joint.mcap --eccentricity-um 18")
-@options.BAG
-@options.CONFIG
-@options.JOINTS
-@options.shown("--duration", _MOTION.duration, "Length of the record [s].")
-@options.shown("--rate", _MOTION.sample_rate, "Samples per second [Hz].")
-@options.shown("--speed", _SPEEDS, "Speed of the input [rev/s]; repeatable.", type=float, multiple=True)
-@click.option(
-    "--torque-level",
-    type=float,
-    multiple=True,
-    help=f"Torque on the link [N m]; repeatable. [default: {_LEVELS} of the rated torque]",
-)
-@click.option("--one-way", is_flag=True, help="Turn forwards only.")
-@click.option("--eccentricity-um", type=float, help="Eccentricity, fixed in the housing [µm].")
-@click.option("--direction-deg", type=float, help="Its direction [degrees].")
-@click.option("--runout-um", type=float, help="Runout, which turns with the wave generator [µm].")
-@click.option("--runout-direction-deg", type=float, help="Its direction at input angle 0 [degrees].")
-@click.option("--datum-mm", type=float, help="Datum radius of the circular spline's slots [mm].")
-@click.option(
-    "--set",
-    "assignments",
-    multiple=True,
-    metavar="PARAMETER=VALUE",
-    help="Any parameter, such as joint_1.cup_compliance=2e-6; repeatable.",
-)
-@options.shown("--offset-arcsec", 0.0, "Zero error of the output encoder [arcsec].")
-@options.shown("--angle-noise-arcsec", 0.0, "White noise of the output angle [arcsec rms].")
-@options.shown("--angle-drift-arcsec", 0.0, "Correlated noise of the output angle [arcsec rms].")
-@options.shown("--torque-noise", 0.0, "White noise of the torque [N m rms].")
-@options.shown("--seed", 0, "Seed of the noise.", type=click.IntRange(min=0))
-@options.shown("--start-time", START / _SECOND, "First stamp, Unix time [s].")
-@click.option("--temperature", is_flag=True, help="Write /<joint>/temperature at 1 Hz too.")
-@options.OVERWRITE
-@options.json_option("the true values")
 def simulate(
     out: Path, config_file: str | None, names: tuple[str, ...], json_file: str | None, **given: Any
 ) -> None:
-    """Write a bag of a simulated joint.
-
-    The joint is that of --config with what the options change; it moves both ways at every speed under every
-    torque. What an option does not give stands in the configuration. Ctrl-C leaves a valid file and ends with
-    code 130; a bag that --overwrite replaces stays until the new one is whole.
-    """
+    """Do what ``hd-diag simulate`` is asked for."""
     kept = out.exists()
     try:
         config = _true_configuration(config_file, names, given)
@@ -108,7 +67,7 @@ def simulate(
     except KeyboardInterrupt as error:
         interrupted(error, out, kept)
     except ValueError as error:
-        raise options.Problem(str(error)) from error
+        raise Problem(str(error)) from error
     if json_file:
         truth = {
             "schema": "hd_diag/simulation/1",
@@ -127,7 +86,7 @@ def simulate(
                 for name, joint in joints.items()
             },
         }
-        options.write_json(json_file, truth)
+        write_json(json_file, truth)
     if json_file != "-":
         options.tell(f"{out}: {samples} samples, {motion.duration:g} s, joints {', '.join(joints)}")
 
@@ -137,7 +96,7 @@ def _true_configuration(file: str | None, names: tuple[str, ...], given: dict[st
     flat: dict[str, Any] = {"joints": list(names) or ["joint_1"]}
     if file:
         config = load(file)
-        options.chosen_joints(config, names)
+        chosen_joints(config, names)
         flat = dict(config.given)
     for joint in names or flat["joints"]:
         for option, (parameter, unit) in _SHORT.items():
@@ -166,5 +125,5 @@ def _joints(config: Config, names: tuple[str, ...], given: dict[str, Any]) -> di
 
     return {
         joint.name: SimulatedJoint(joint.drive, noise, offset, torque_share=share(joint.drive))
-        for joint in options.chosen_joints(config, names)
+        for joint in chosen_joints(config, names)
     }

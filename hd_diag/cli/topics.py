@@ -12,7 +12,8 @@ import numpy as np
 from hd_diag.bag.block import Topic
 from hd_diag.bag.contents import Number, Pair, beside, numbers, pairs
 from hd_diag.bag.reader import BagReader
-from hd_diag.cli.options import JSON, tell, verb, write_json
+from hd_diag.cli.options import tell
+from hd_diag.cli.targets import write_json
 from hd_diag.config.parameter_file import text
 from hd_diag.config.parameters import Value
 from hd_diag.formatting import number as figure
@@ -22,16 +23,8 @@ _SHOWN = 40  # numbers of a topic
 _TORQUES = "torque", "current"
 
 
-@verb("topics joint.mcap")
-@click.argument("bag", type=click.Path(path_type=Path))
-@JSON
 def topics(bag: Path, json_file: str | None) -> None:
-    """Say what is in a bag, what could be input, output and torque of a joint, and the mapping to paste.
-
-    Angles that turn in proportion by a gear's ratio, or as two encoders of one joint, are an input with its
-    output; what else has the joint's name or number is its torque, current or temperature. Units are guesses
-    from names and jumps. The first 50 000 messages of each topic are looked at.
-    """
+    """Do what ``hd-diag topics`` is asked for."""
     with BagReader(bag) as reader:
         every, seen = [], []
         for topic in reader.topics:

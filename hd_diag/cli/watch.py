@@ -13,7 +13,8 @@ from typing import IO, TYPE_CHECKING
 
 import click
 
-from hd_diag.cli.options import Problem, check_writable, needing_ros, shown, verb, write_json
+from hd_diag.cli.options import needing_ros
+from hd_diag.cli.targets import Problem, write_json
 from hd_diag.cli.verbs import SIGNALLED
 from hd_diag.ros.stop_signals import noted_signals
 from hd_diag.watch import Watch, as_json
@@ -28,31 +29,6 @@ _SETTLE = 3.0
 _SETTLE_JOINTS = 0.5  # where it is known what is waited for
 
 
-@verb("watch --once --joint joint_1 --fail-on-fault")
-@click.option("--joint", "joints", multiple=True, help="Joint; repeatable. [default: all]")
-@click.option(
-    "--namespace",
-    "namespaces",
-    multiple=True,
-    help="Nodes in this namespace, or below it; repeatable. [default: all]",
-)
-@click.option(
-    "--once",
-    is_flag=True,
-    help="Show one report of every joint and end; finding all nodes takes 3 s, less with --joint.",
-)
-@shown("--timeout", 10.0, "With --once: longest wait for a report [s].", type=click.FloatRange(0.1, 3600.0))
-@click.option("--fail-on-fault", is_flag=True, help="End with code 1 once a joint has a fault.")
-@click.option(
-    "--json",
-    "json_file",
-    is_flag=False,
-    flag_value="-",
-    metavar="[FILE]",
-    type=click.Path(dir_okay=False, allow_dash=True),
-    callback=check_writable,
-    help="Everything reported as JSON, to stdout or a file; without --once a line a second.",
-)
 def watch(
     joints: tuple[str, ...],
     namespaces: tuple[str, ...],
@@ -61,11 +37,7 @@ def watch(
     fail_on_fault: bool,
     json_file: str | None,
 ) -> None:
-    """A running node in the terminal: what its diagnostics say of every joint.
-
-    A table in a terminal, a line for each report on a pipe (one a second). Needs ROS 2 Jazzy. Exit codes: 0
-    done, 1 a fault with --fail-on-fault, 2 nothing came within --timeout, 130 after Ctrl-C.
-    """
+    """Do what ``hd-diag watch`` is asked for."""
     with needing_ros("watch"):
         from hd_diag.watch.listener import listening
     state = Watch(joints, namespaces)

@@ -63,7 +63,7 @@ def _overlap(found: Characteristics) -> list[str]:
     if found.overlap <= 0.0:
         return []
     return [
-        f"the lobes overlap by {found.overlap * 1e6:.3g} um without eccentricity, which presses a tooth with "
+        f"the lobes overlap by {found.overlap * 1e6:.3g} µm without eccentricity, which presses a tooth with "
         f"{found.idle_load:.3g} N without torque: neutral curve and slots do not fit each other"
     ]
 
@@ -75,7 +75,7 @@ def _dissimilar(drive: Drive) -> list[str]:
     shift = slot_shift(EXAMPLE.mesh.geometry, geometry)
     share = shift / (geometry.flexspline_tip - geometry.flexspline_root)
     return [
-        f"{geometry.flexspline_teeth} teeth of the flexspline: slots have to lie {shift * 1e6:.0f} um "
+        f"{geometry.flexspline_teeth} teeth of the flexspline: slots have to lie {shift * 1e6:.0f} µm "
         f"further out than at ratio 100, {100.0 * share:.0f} % of a tooth's height; such gears have another "
         "profile and deformation, and what depends on them (backlash of single teeth, first interference, "
         "tooth forces) is a guess"

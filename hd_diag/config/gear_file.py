@@ -71,7 +71,7 @@ def assumed(joint: JointConfig) -> str:
         f"teeth of the example drive (size 25, ratio 100; config/example_drive.yaml) times "
         f"{geometry.module / example.module:.3g}, its pitch circle times "
         f"{geometry.curve.radius / example.curve.radius:.3g}, deformation with the teeth; slots "
-        f"{abs(shift) * 1e6:.1f} um further {side}, so that the least backlash goes with the "
+        f"{abs(shift) * 1e6:.1f} µm further {side}, so that the least backlash goes with the "
         "module too"
     )
 
@@ -84,7 +84,7 @@ def _head(assessed: Assessment, joint: JointConfig, command: str) -> Iterator[st
     yield from (f"Reached: {line}" for line in reached(assessed))
     yield (
         f"At rest: lost motion {found.lost_motion / ARCSEC / 60:.2g} arcmin, least backlash "
-        f"{found.least_backlash * 1e6:.2g} um, clearance of the lobes {-found.overlap * 1e6:.2g} um"
+        f"{found.least_backlash * 1e6:.2g} µm, clearance of the lobes {-found.overlap * 1e6:.2g} µm"
     )
     yield from _wrapped(
         "Stiffness and the error of order 2 per eccentricity are fitted or follow. Backlash of single teeth, "

@@ -49,7 +49,7 @@ EFFECT = CircularSplinePitch(
         "cumulative pitch deviation: ISO 1328-1:2013; response: share of the stiffness (see contact_weights)"
     ),
     inspect=(
-        "Cumulative pitch deviation of the circular spline on a gear tester, by harmonics: 1 um reads about "
+        "Cumulative pitch deviation of the circular spline on a gear tester, by harmonics: 1 µm reads about "
         "6 arcsec at light load. Turn the circular spline in its housing by a quarter turn: the direction "
         "must follow. Lower under load, where more pairs share it; what a coupling or encoder adds is not."
     ),

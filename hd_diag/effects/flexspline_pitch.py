@@ -60,7 +60,7 @@ EFFECT = FlexsplinePitch(
     ),
     inspect=(
         "Cumulative pitch deviation of the flexspline on a gear tester, by harmonics, or tooth marks on one "
-        "side of it: 1 um reads about 6 arcsec at light load. Mount the output turned by half a turn on the "
+        "side of it: 1 µm reads about 6 arcsec at light load. Mount the output turned by half a turn on the "
         "flexspline: the direction moves with the flexspline. Its order is 2 (1 + 1/N), 2.02 at N = 100: "
         "short records show it as 2."
     ),

@@ -29,7 +29,7 @@ EFFECT = Harmonic(
         direction("second_direction", "input angle at which that is greatest", 2),
     ),
     confused_with=("coupling_misalignment", "encoder_interpolation", "output_encoder_interpolation"),
-    source="Heidenhain, Rotary Encoders (brochure): error by eccentricity, 412 e / D [arcsec, um, mm]",
+    source="Heidenhain, Rotary Encoders (brochure): error by eccentricity, 412 e / D [arcsec, µm, mm]",
     inspect=(
         "Centring of the motor's encoder: magnet or disc against the shaft; 0.1 mm of a magnet on 5 mm "
         "reads 1.1 deg, 41 arcsec at the output of ratio 100. It does not change with torque; an eccentric "

@@ -27,9 +27,9 @@ EFFECT = Harmonic(
     ),
     confused_with=("output_runout", "ratio_error", "thermal_drift", "flexspline_pitch"),
     always_confused=("output_runout",),
-    source="Heidenhain, Rotary Encoders (brochure): error by eccentricity, 412 e / D [arcsec, um, mm]",
+    source="Heidenhain, Rotary Encoders (brochure): error by eccentricity, 412 e / D [arcsec, µm, mm]",
     inspect=(
-        "Centring of the encoder's disc: 5 um on a graduation radius of 25 mm read 41 arcsec. Two heads "
+        "Centring of the encoder's disc: 5 µm on a graduation radius of 25 mm read 41 arcsec. Two heads "
         "opposite each other cancel it; take the encoder off, turn it by half a turn on its hub and repeat: "
         "the error changes sign if the encoder is the cause."
     ),

@@ -133,7 +133,7 @@ EFFECT = ToothDamage(
     inspect=(
         "Open the gear and look at the teeth around the position given, and at those opposite: a worn flank "
         "shines, a displaced or cracked one stands off under the feeler. Wear of both flanks has equal "
-        "signs, a displaced tooth opposite ones. 10 um on one of some fifty bearing pairs read about 1 "
+        "signs, a displaced tooth opposite ones. 10 µm on one of some fifty bearing pairs read about 1 "
         "arcsec, twice per wave generator turn."
     ),
 )

@@ -40,7 +40,7 @@ EFFECT = WearBacklash(
     always_confused=("circular_spline_datum",),
     source="share of the stiffness of every flank (see contact_weights)",
     inspect=(
-        "Lost motion at the output within 4 % of the rated torque, at eight angles: 1 um on every flank "
+        "Lost motion at the output within 4 % of the rated torque, at eight angles: 1 µm on every flank "
         "adds about 13 arcsec. Then the flanks' bright bands and the grease's metal. Compare with the same "
         "joint's earlier records: wear grows, a wrong datum radius was always there."
     ),

@@ -23,13 +23,6 @@ _PANEL = (4.6, 2.6)  # [inch]
 _LIMIT_NEAR = 3.0  # times the largest value; a limit farther off would press the series flat
 
 
-def check_format(path: Path) -> None:
-    """Raise FleetError where a picture cannot have this suffix."""
-    known = Figure().canvas.get_supported_filetypes()
-    if path.suffix[1:].lower() not in known:
-        raise FleetError(f"{path}: no picture format; known are {', '.join(sorted(known))}")
-
-
 def draw(trends: Sequence[Trend], path: Path) -> None:
     """Draw the series, the clearest changes first; raises FleetError where the file cannot be written."""
     figure = picture(trends)

@@ -72,7 +72,7 @@ def similar(known: Geometry, scale: float, teeth: int) -> Geometry:
         shift = round(float(brentq(excess, low, high, xtol=1e-11)), _DIGITS)
     except ValueError as error:
         raise ValueError(
-            f"no place of the slots between {low * 1e6:.0f} and {high * 1e6:.0f} um from where the module "
+            f"no place of the slots between {low * 1e6:.0f} and {high * 1e6:.0f} µm from where the module "
             f"has them gives {teeth} teeth their clearance: no similar profile; give all the geometry"
         ) from error
     return _shifted(known, scale, teeth, shift)

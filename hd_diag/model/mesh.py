@@ -91,6 +91,6 @@ def _check_displacement(mesh: Mesh) -> None:
     eccentricity, runout = abs(mesh.eccentricity), abs(mesh.runout)
     if not eccentricity + runout < largest:
         raise ValueError(
-            f"eccentricity ({eccentricity * 1e6:.6g} um) and runout ({runout * 1e6:.6g} um) must add up to "
-            f"less than {largest * 1e6:.6g} um, at which the flexspline's {place} strikes the circular spline"
+            f"eccentricity ({eccentricity * 1e6:.6g} µm) and runout ({runout * 1e6:.6g} µm) must add up to "
+            f"less than {largest * 1e6:.6g} µm, at which the flexspline's {place} strikes the circular spline"
         )

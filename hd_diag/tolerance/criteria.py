@@ -30,8 +30,8 @@ class Criterion:
 
 
 CRITERIA = (
-    Criterion("interference", "interf.", "m", "um", 1e6),  # overlap of teeth and slots at one lobe
-    Criterion("overlap", "overlap", "m", "um", 1e6),  # of both lobes with each other, without torque
+    Criterion("interference", "interf.", "m", "µm", 1e6),  # overlap of teeth and slots at one lobe
+    Criterion("overlap", "overlap", "m", "µm", 1e6),  # of both lobes with each other, without torque
     Criterion("peak_tooth_load", "load", "N", "N", 1.0),  # largest force on a flank
     Criterion("load_concentration", "conc.", "-", "-", 1.0, jumps=True),  # largest over mean force
     Criterion("stiffness_loss", "stiff.", "-", "%", 100.0, jumps=True),  # against a perfect assembly

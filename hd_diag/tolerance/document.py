@@ -63,8 +63,8 @@ def yielded(question: Question, drawn: Yield) -> str:
     """What assemblies yield, in one sentence: so few may be drawn that it is not known."""
     share, t = f"{100 * question.target:g} % of the assemblies are", drawn.together
     if math.isfinite(drawn.at_target):
-        place = f"{share} within all limits up to a tolerance of {drawn.at_target * 1e6:.2f} um"
-        configured = f"{drawn.configured * 1e6:.2f} um configured"
+        place = f"{share} within all limits up to a tolerance of {drawn.at_target * 1e6:.2f} µm"
+        configured = f"{drawn.configured * 1e6:.2f} µm configured"
         return f"{place} ({100 * WITHIN:g} % of eccentricities are within it; {configured})."
     if t.high[0] < question.target:
         return f"{share} not within all limits even without eccentricity."

@@ -89,7 +89,7 @@ def largest_eccentricity(drive: Drive) -> float:
 def check_largest(drive: Drive, largest: float) -> None:
     """Raise ValueError for an eccentricity [m] that the geometry cannot have."""
     if not 0.0 < largest < math.inf:
-        raise ValueError(f"the largest eccentricity must be positive, not {largest * 1e6:g} um")
+        raise ValueError(f"the largest eccentricity must be positive, not {largest * 1e6:g} µm")
     replace(drive.mesh, eccentricity=largest)
 
 

@@ -1,0 +1,30 @@
+"""The configuration that a verb was given, and the joints of it that were asked for."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hd_diag.cli.targets import Problem
+from hd_diag.config.configuration import Config, JointConfig, load, resolve
+
+if TYPE_CHECKING:
+    from hd_diag.effects import Catalogue
+
+
+def configured(config_file: str | None, catalogue: Catalogue | None = None) -> Config:
+    """The configuration of a file, or the example drive's; its model files hold effects of the catalogue."""
+    return load(config_file, catalogue) if config_file else resolve({}, catalogue=catalogue)
+
+
+def chosen_joint(config: Config, name: str | None) -> JointConfig:
+    """The joint of this name, or the first."""
+    return chosen_joints(config, () if name is None else (name,))[0]
+
+
+def chosen_joints(config: Config, names: tuple[str, ...]) -> list[JointConfig]:
+    """The joints of these names, or all."""
+    known = {joint.name: joint for joint in config.joints}
+    for name in names:
+        if name not in known:
+            raise Problem(f"no joint {name!r} in the configuration; it has {', '.join(known)}")
+    return [known[name] for name in names] or list(config.joints)

@@ -1,0 +1,91 @@
+"""What a verb writes: refused before the work where it cannot be, in place only when it is whole."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+
+from hd_diag.formatting import json_ready, visible
+
+LONGEST_LINE = 2000
+"""Characters of a line for people, of which some may come from a file."""
+
+
+class Problem(click.ClickException):
+    """Bad input: one line on stderr, exit code 2."""
+
+    exit_code = 2
+
+    def format_message(self) -> str:
+        """The message as one line that a terminal can show."""
+        return visible(" ".join(self.message.split()), LONGEST_LINE)
+
+    def show(self, file: Any = None) -> None:
+        """Print the line."""
+        click.echo(f"hd-diag: {self.format_message()}", file=file or sys.stderr)
+
+
+def check_targets(targets: Iterable[str | Path | None], *inputs: Path) -> None:
+    """Refuse before the work files that could not be written, would overwrite each other or an input."""
+    wanted = [Path(target) for target in targets if target not in (None, "-")]
+    for one, other in itertools.combinations(wanted, 2):
+        if os.path.realpath(one) == os.path.realpath(other) or _is_same(one, other):
+            raise Problem(f"{one} and {other} must be different files")
+    for target in wanted:
+        folder = target.absolute().parent
+        if not folder.is_dir():
+            raise Problem(f"{target}: cannot be written: no such folder")
+        if not os.access(target if target.exists() else folder, os.W_OK):
+            raise Problem(f"{target}: cannot be written: no permission, or a disk that is read-only")
+    there = [path for path in inputs if path.exists()]  # of what does not exist is told when it is read
+    if wanted and there:
+        from hd_diag.bag.errors import BagError, check_output  # the room of bags takes a moment
+
+        for target in wanted:
+            try:
+                check_output(target, *there)
+            except BagError as error:
+                raise Problem(str(error)) from error
+
+
+def _is_same(one: Path, other: Path) -> bool:
+    """Whether both are names of one file that exists, hard links included."""
+    return one.is_file() and other.is_file() and os.path.samefile(one, other)
+
+
+@contextmanager
+def writing(path: str | Path) -> Iterator[Path]:
+    """Where to write a file, put in place when it is whole; pipes and devices are written to.
+
+    A link stays one: what it leads to is replaced.
+    """
+    target = Path(os.path.realpath(path))
+    beside = (target.is_file() or not target.exists()) and os.access(target.parent, os.W_OK)
+    place = target.with_name(f".part.{target.name}") if beside else target
+    try:
+        yield place
+        if beside:
+            os.replace(place, target)
+    except OSError as error:
+        raise Problem(f"{path}: cannot be written: {error.strerror}") from error
+    finally:
+        if beside:
+            place.unlink(missing_ok=True)
+
+
+def write_json(path: str, result: Any) -> None:
+    """Write a result as JSON; numbers that are not finite become null."""
+    text = json.dumps(json_ready(result), indent=1, allow_nan=False)
+    if path == "-":
+        click.echo(text)
+        return
+    with writing(path) as place:
+        place.write_text(text + "\n", encoding="utf-8")
