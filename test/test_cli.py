@@ -52,7 +52,8 @@ def test_help_and_readme_list_the_verbs_of_the_contract() -> None:
     assert re.findall(r"(?m)^  (\w+)", told) == list(VERBS) == sorted(VERBS)
     assert not [line for line in told.splitlines() if line.endswith("...") or len(line) > 80]
     readme = (Path(__file__).resolve().parent.parent / "README.md").read_text()
-    assert sorted(re.findall(r"(?m)^\| `([a-z]+)` \|", readme)) == sorted(VERBS)
+    told = readme.partition("| task | verbs |")[2].partition("\n\n")[0]
+    assert sorted(set(re.findall(r"`([a-z]+)`", told)) & set(VERBS)) == sorted(VERBS)
     assert hd_diag("--version").output == "hd-diag, version 0.1.0\n"
 
 

@@ -262,7 +262,8 @@ def test_ctrl_c_in_a_terminal_leaves_no_worker(quick: Path, tmp_path: Path) -> N
         assert process.poll() is None
     os.killpg(process.pid, signal.SIGINT)
     said, errors = process.communicate(timeout=60)  # the pipes close when the last worker has ended
-    assert (process.returncode, said, errors.count("\n"), out.exists()) == (130, "", 1, False)
+    assert (process.returncode, said, out.exists()) == (130, "", False)
+    assert errors.splitlines()[-1].startswith("hd-diag: interrupted: ")  # after progress on a slow machine
     assert not any(pool_tasks.alive(worker) for _, worker in pool_tasks.calls(quick))
 
 
