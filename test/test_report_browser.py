@@ -32,7 +32,7 @@ def test_such_faults_are_seen(browser: Any, tmp_path: Path) -> None:
         <meta name="viewport" content="width=device-width"><p style="width: 500px">wide</p>
         <div style="overflow: auto; width: 9px">cutoff</div><p style="color: #999">pale</p>
         <p>above<span style="margin-left: -1em">below</span></p>
-        <svg viewBox="0 0 100 20"><path id="m" d="M0 0H9V9H0Z"/><use href="#m" x="20" y="8"/>
+        <svg width="100" viewBox="0 0 100 20"><path id="m" d="M0 0H9V9H0Z"/><use href="#m" x="20" y="8"/>
         <text x="18" y="18" fill="#aaa">3.1</text></svg><script src="https://example.org/a.js"></script></html>"""
     path = tmp_path / "page.html"
     path.write_text(faulty, encoding="utf-8")
