@@ -37,6 +37,15 @@ def test_a_part_ends_where_its_share_of_the_time_is_gone(clock: list[float]) -> 
     assert (steps, limited.left_out) == (["one"] * 3, ["one", "other"])
 
 
+def test_what_may_take_a_minute_is_half_done_after_half_of_it(clock: list[float]) -> None:
+    told: list[float] = []
+    limited = Work(60.0, lambda share, text: told.append(share))
+    for share in (0.02, 0.15, 0.6, 0.9):
+        limited.tell(share, "")
+        clock[0] += 30.0
+    assert told == [0.02, 0.5, 0.6, 0.9]
+
+
 def test_a_search_that_is_cut_off_gives_what_it_has_found(clock: list[float]) -> None:
     fit, said = bench(of(EFFECTS["coulomb_windup"], **FRICTION)), dict[str, float]()
 

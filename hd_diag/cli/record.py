@@ -46,7 +46,7 @@ class Records:
     def diagnosed(self, joint: JointConfig, advance: Advance) -> Diagnosis:
         """Diagnosis of a joint; BagError and RecordError where there is nothing that can be judged."""
         work = Work(self.time_limit, lambda share, text: advance(share, 1.0, text))
-        work.progress(0.0, "reading")
+        work.tell(0.0, "reading")
         # No name for the record: it goes as soon as it was looked through.
         looked = screened(self._record(joint), joint.configured, teeth=not self.orders_only)
         rng = np.random.default_rng(0)

@@ -33,7 +33,7 @@ from hd_diag.extended_model import ExtendedModel
 
 _MOST_ALIKE = 5  # causes that a class may hold and still say something
 _HALF = 0.5  # of what is left without a cause, that it explains beside a misfit
-_KEPT, _TESTED = 0.8, 0.95  # of the time that a diagnosis may take, by which these must end
+_KEPT, _TESTED = 0.7, 0.9  # of the time that a diagnosis may take, by which these must end
 _WORSE = 1.02  # times the residual of a simpler model: then data speak against the richer one
 
 
@@ -145,16 +145,16 @@ def diagnose(
     test &= (np.bincount(record.run) > ORDER)[record.run]
     record, misleading = without_misleading_torque(record, configured, test, rng)
     findings = (*findings, *([misleading] if misleading else []))
-    work.progress(0.02, "fitting the model's own parameters")
+    work.tell(0.02, "fitting the model's own parameters")
     first = refit(renumbered(record.select(~test)), configured, rng)
-    work.progress(0.12, "looking for causes")
+    work.tell(0.12, "looking for causes")
     begun = linearise(record, configured, first.parameters, rows=~test, catalogue=catalogue, work=work)
     plain = settle(begun, ())
     found = search(plain, rng, first.parameters)
-    work.progress(0.78, "measuring the gain")
+    work.tell(0.78, "measuring the gain")
     best = _predicting(record, test, which, plain, found, rng)
     kept, rms, gain = best.kept, best.rms, best.gain
-    work.progress(0.88, "using all data")
+    work.tell(0.88, "using all data")
     whole = refitted(settle(replace(best.every, held=kept.held), best.found.chosen), best.found)
     del begun, plain, found, best  # some hundred columns each
     parameters, covariance = parameters_of(whole)
@@ -162,7 +162,7 @@ def diagnose(
     certain = first.trustworthy or "eccentricity" in kept.bounds
     trustworthy = certain and not fit_parameters.at_bound(parameters, configured)
     drive = fit_parameters.drive_of(parameters, configured)
-    work.progress(0.94, "looking at what no cause explains")
+    work.tell(0.94, "looking at what no cause explains")
     left, testable = _described(record, unexplained(whole), rms), list[Testability]()
     with work.until(_TESTED, "asking what this motion could have shown"):
         testable = testability(whole)

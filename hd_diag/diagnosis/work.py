@@ -34,11 +34,22 @@ class Work:
 
     def __init__(self, seconds: float = math.inf, progress: Progress = lambda share, text: None) -> None:
         self.seconds, self.progress, self.left_out = seconds, progress, list[str]()
-        self._begin, self._most = time.process_time(), math.inf
+        self._begin, self._most, self._share = time.process_time(), math.inf, 0.0
+
+    @property
+    def spent(self) -> float:
+        """Computing time until now [s]."""
+        return time.process_time() - self._begin
+
+    def tell(self, share: float, text: str) -> None:
+        """Tell what is done now, and the share that is done: no less than of the time that it may take."""
+        least = self.spent / self.seconds if self.spent < self.seconds else 0.0
+        self._share = max(self._share, share, least)
+        self.progress(self._share, text)
 
     def check(self) -> None:
         """Raise OutOfTime where the part that is being done has no more time."""
-        if time.process_time() - self._begin > self._most:
+        if self.spent > self._most:
             raise OutOfTime
 
     @contextmanager

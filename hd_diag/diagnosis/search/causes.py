@@ -27,7 +27,7 @@ CLASS_DEVIANCE = 10.0
 _DISAGREEING = 0.2  # of what one cause gains on another, in blocks where it loses
 _FAR = 0.1  # of a cause's gain, up to which another is told from it without a fit of its own
 _CERTAIN = 100.0  # gain of such a cause
-_CLASSED = 0.73  # of the time that a diagnosis may take, by which the classes of all are known
+_CLASSED = 0.63  # of the time that a diagnosis may take, by which the classes of all are known
 
 
 @dataclass(frozen=True)

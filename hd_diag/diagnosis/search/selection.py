@@ -39,7 +39,7 @@ _PLAINLY = 10.0  # surprise by which an unmodelled term must beat all causes to 
 _RESOLVED = 5.0  # surprise by which a wave of any order must beat a whole number per output turn
 _FIRST_MOVE = 0.5  # of a grid step, by which a refinement begins
 _RESTART_GAIN = 12.0  # deviance by which another minimum must beat the present one
-_SEARCHED, _REFINED = 0.55, 0.65  # of the time that a diagnosis may take, by which these must end
+_SEARCHED, _REFINED = 0.45, 0.55  # of the time that a diagnosis may take, by which these must end
 _FIRST, _LAST = 0.15, 0.75  # of the time it takes, that are gone when the search begins and ends
 _ROUND = 0.45  # of what is left of the search, after each round
 
@@ -66,7 +66,7 @@ def search(
     with work.until(_SEARCHED, FURTHER_CAUSES):
         for now in _rounds(fit, chosen, p_values, rivals, rng, begun):
             fit, chosen = now
-    work.progress(_LAST, "refining what was found")
+    work.tell(_LAST, "refining what was found")
     chosen = needed(fit, chosen)
     fit, chosen = _finished_in_time(settle(fit, chosen), chosen)
     if (fewer := needed(fit, chosen)) != chosen:
@@ -92,7 +92,7 @@ def _rounds(
         yield fit, chosen
     family = family_size(fit)
     for number in range(_MOST_CAUSES + _MOST_TERMS + len(OUTPUT_LINES)):
-        fit.work.progress(_LAST - (_LAST - _FIRST) * _ROUND**number, f"looking for cause {len(chosen) + 1}")
+        fit.work.tell(_LAST - (_LAST - _FIRST) * _ROUND**number, f"looking for cause {len(chosen) + 1}")
         best = candidates(fit, chosen) if _named(chosen) < _MOST_CAUSES else []
         if not chosen and speed_dependent(fit):
             fit, best = _begun_slowly(fit, best, rng)
