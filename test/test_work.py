@@ -1,15 +1,18 @@
 """The time that a diagnosis may take: what ends by it, what never does, and how far the work says it is."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 from benches import CONFIGURED, EFFECTS, bench, of, swinging
-from joint_records import ARCSEC
+from cli_runner import hd_diag
+from joint_records import ARCSEC, columns
 
 from hd_diag.diagnosis import work
 from hd_diag.diagnosis.diagnosis import diagnose
 from hd_diag.diagnosis.judgement import Answer
+from hd_diag.diagnosis.record import RecordError
 from hd_diag.diagnosis.search.selection import FURTHER_CAUSES, search
 from hd_diag.diagnosis.verdict import as_json, sentence
 from hd_diag.diagnosis.work import Work
@@ -81,3 +84,19 @@ def test_a_diagnosis_without_time_measures_the_fit_and_the_misfit_and_says_what_
     assert verdict.endswith(f"so this was left out: {', '.join(found.left_out)}.")
     assert 0.0 < shares[0] < shares[-1] < 1.0
     assert sorted(shares) == shares
+
+
+def test_the_command_line_s_limit(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    limits: list[float] = []
+
+    def judge(record: object, configured: object, rng: object, limited: Work, catalogue: object) -> None:
+        limits.append(limited.seconds)
+        raise RecordError("enough")
+
+    monkeypatch.setattr("hd_diag.cli.record.diagnose", judge)
+    rows, path = columns(4.0), tmp_path / "joint.csv"
+    np.savetxt(path, np.stack([*rows.values()], axis=1), delimiter=",", header=",".join(rows), comments="")
+    given = ("diagnose", path, "--columns", "time=time,input=input,output=output,torque=torque")
+    for more in ((), ("--time-limit", "5")):
+        assert "enough" in hd_diag(*given, *more).stderr
+    assert limits == [60.0, 5.0]
