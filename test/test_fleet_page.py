@@ -82,6 +82,21 @@ def test_the_worst_come_first_and_can_be_chosen(browser: Any, some: str) -> None
     assert set(shown()) - {f"robot_1 joint_{number}" for number in range(1, 7)} == {"robot_2 joint_2"}
 
 
+@pytest.mark.parametrize(
+    ("joints", "marks"),
+    [
+        (("joint_1", "joint_2"), ["1", "2"]),
+        (("joint_10", "joint_11"), ["10", "11"]),
+        (("joint", "joint_2"), ["joint", "joint_2"]),
+        (("elbow", "elbow"), ["elbow", "elbow"]),
+    ],
+)
+def test_a_mark_has_a_name(joints: tuple[str, str], marks: list[str], tmp_path: Path) -> None:
+    rows = [row(joint=joint, robot=f"robot_{n}") for n, joint in enumerate(joints)]
+    page = Path(written(tmp_path / "week.html", rows).removeprefix("file://")).read_text()
+    assert sorted(re.findall(r'<bdi aria-hidden="true">(\w*)</bdi>', page)) == marks
+
+
 def test_what_is_missing_stands_before_the_joints(some: str) -> None:
     page = Path(some.removeprefix("file://")).read_text()
     before, _, rows = page.partition('<table class="joints">')

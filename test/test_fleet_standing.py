@@ -23,17 +23,23 @@ def weeks(*given: dict[str, Any], **more: Any) -> list[dict[str, Any]]:
     ("given", "state", "reason"),
     [
         ({}, "green", None),
-        ({"arcsec": 89.0}, "amber", "transmission error 89.0 ± 0.9 arcsec, too near to the limit to tell"),
+        (
+            {"arcsec": 89.0},
+            "amber",
+            "transmission error 89.0 ± 0.9 arcsec, too near to its limit of 90.0 arcsec to tell",
+        ),
         ({"arcsec": 91.0}, "amber", "too near"),
-        ({"arcsec": 92.0}, "red", "transmission error 92.0 ± 0.9 arcsec, beyond the limit of 90.0 arcsec"),
+        ({"arcsec": 92.0}, "red", "transmission error 92.0 ± 0.9 arcsec, beyond its limit of 90.0 arcsec"),
         ({"microns": 9.9}, "amber", "eccentricity 9.90 ± 0.10 µm, too near"),
         ({"microns": 11.0, "arcsec": 89.0}, "red", "eccentricity 11.00 ± 0.10 µm, beyond"),
         ({"error_std_rad": 0.5 * ACCURACY}, "amber", "too near"),
         ({"microns": 9.9, "judgement": "misfit"}, "green", None),
         ({"microns": 20.0, "judgement": "misfit"}, "amber", "eccentricity 20.0 µm, too near"),
         ({"microns": 20.0, "trustworthy": False}, "green", None),
-        (CUT, "amber", "cut off: is cut off or damaged at byte 228680 of 261683"),
+        (CUT, "amber", "the bag is cut off or damaged at byte 228680 of 261683"),
         ({"arcsec": 120.0, **CUT}, "red", "beyond"),
+        ({"bag_duration_s": 121.0}, "amber", "only 60 of the bag's 121 s hold this joint"),
+        ({"bag_duration_s": 119.0}, "green", None),
         (NOT_TOLD, "not_judged", "its torque is not measured"),
         ({**NOT_TOLD, "microns": 12.0}, "red", "eccentricity"),
         ({"causes": ["tooth_skip"]}, "red", "teeth or counts were skipped"),
@@ -98,7 +104,9 @@ def test_a_bag_without_a_joint_matters_until_its_robot_was_recorded_again() -> N
     assert judged([row(), late]).fails("amber")
     assert not judged([row(), early]).fails("amber")
     assert "1 without a joint that could be judged" in headline(judged([row(), late]))
-    assert headline(judged([row(), early])) == "Of 1 joint: 1 green. None changed over time."
+    assert headline(judged([row(), early])) == (
+        "Of 1 joint: 1 green. Changes over time: cannot tell yet: needs 11 bags, has 1."
+    )
 
 
 def test_a_cut_off_bag_matters_until_its_joint_was_recorded_again() -> None:

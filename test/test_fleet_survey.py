@@ -49,6 +49,14 @@ def test_an_unfinished_bag_is_read_and_said_to_be(tmp_path: Path) -> None:
     assert (seen.messages, len(seen.problems), seen.error) == (12, 1, "")
 
 
+def test_an_unfinished_bag_of_which_nothing_can_be_read_is_said_to_be_cut_off(tmp_path: Path) -> None:
+    path = fleet_tasks.small_bag(tmp_path / "a.mcap")
+    path.write_bytes(path.read_bytes()[:100])
+    seen = survey(str(path))
+    assert seen.error == f"{path}: holds no topic that can be read"
+    assert ["cut off" in problem for problem in seen.problems] == [True]
+
+
 @pytest.mark.parametrize("content", [b"", b"garbage", b"\x89MCAP0\r\n" + bytes(100)])
 def test_what_is_no_bag(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "a\n\x1b[31m.mcap"

@@ -59,6 +59,13 @@ class Line:
         return None
 
     @property
+    def criterion(self) -> str | None:
+        """By which criterion the eccentricity has its limit; None where a user gave it."""
+        row = self.standing.row
+        own = [one.limit for one in self.standing.colour.limited if one.quantity == ECCENTRICITY]
+        return row.get("eccentricity_criterion") if own == [row.get("eccentricity_allowed_m")] else None
+
+    @property
     def others(self) -> tuple[Limited, ...]:
         """What has a limit beside error and eccentricity."""
         return tuple(o for o in self.standing.colour.limited if o.quantity not in (ERROR, ECCENTRICITY))
@@ -92,7 +99,7 @@ def health_page(found: Health, facts: Sequence[Fact]) -> str:
         title="Harmonic drives: how each joint stands",
         headline=headline(found),
         notes=notes(found),
-        prefix=os.path.commonprefix([one.joint for one in standings]) if len(standings) > 1 else "",
+        prefix=_prefix({one.joint for one in standings}),
         dates=tuple(map(day, ends)) if ends else None,
         bags=len({row["bag"] for row in rows}),
         present=[(rows[n], colours[n]) for n in present],
@@ -114,6 +121,12 @@ def health_page(found: Health, facts: Sequence[Fact]) -> str:
         error=ERROR,
         eccentricity=ECCENTRICITY,
     )
+
+
+def _prefix(joints: set[str]) -> str:
+    """What all names begin with, but for their numbers; empty where one would have no name without it."""
+    prefix = os.path.commonprefix(list(joints)).rstrip("0123456789") if len(joints) > 1 else ""
+    return "" if prefix in joints else prefix
 
 
 def by_name(lines: Iterable[Line]) -> list[Line]:

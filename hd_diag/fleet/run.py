@@ -84,8 +84,8 @@ def diagnose_fleet(
     failed = _judge(list(todo.values()), outcomes, journal, progress, pages)
     rows = []
     for bag, robot, one, own in zip(fleet.bags, robots, seen, wanted, strict=True):
-        fixed = {"bag": str(bag), "robot": robot, "start": one.start, "problems": list(one.problems)}
-        fixed["bag_sha256"] = one.digest or None
+        fixed: Row = {"bag": str(bag), "robot": robot, "start": one.start, "problems": list(one.problems)}
+        fixed |= {"bag_sha256": one.digest or None, "bag_duration_s": one.duration or None}
         results = [
             (journal.results.get(task.key) or failed[task.key])
             | ({PAGE: pages.link(task)} if pages and task.key in shown else {})

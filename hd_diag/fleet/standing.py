@@ -3,7 +3,8 @@
 One rule, for a recording of a joint:
 
 * ``red``: a quantity is beyond its limit with its whole 95 % interval, or teeth were skipped.
-* ``amber``: the interval of a quantity holds its limit, or the recording is cut off.
+* ``amber``: the interval of a quantity holds its limit, or the recording is cut off, or lacks the joint for
+  more than half of its time.
 * ``not_judged``: it could not be judged, or nothing tells whether the transmission error is within its limit.
 * ``green``: every quantity that could be told is within its limit with its whole interval, the transmission
   error among them.
@@ -34,6 +35,7 @@ RED, GREY, AMBER, GREEN = STATES = ("red", "not_judged", "amber", "green")
 Limits = Mapping[tuple[str, str], float]
 """By joint and quantity, in SI."""
 
+_COVERED = 0.5  # of a bag, that a joint's samples must cover: drivers may start late, or stop early
 _NO_TORQUE = "its torque is not measured, so its error may be torsion and is not held against the accuracy"
 _ONE_ANGLE = "one angle alone: no transmission error, only lines of the torque"
 
@@ -111,7 +113,7 @@ def coloured(rows: Sequence[Row], trends: Sequence[Trend], limits: Limits) -> li
 
 
 def _colour(row: Row, series: Sequence[Series], limits: Limits) -> Colour:
-    cut = tuple(f"cut off: {problem}" for problem in own_problems(row))
+    cut = tuple(missing(row))
     if row.get("error"):
         return Colour(GREY, (row["error"], *cut), ())
     if row.get("judgement") == "not_judged":
@@ -133,10 +135,14 @@ def _colour(row: Row, series: Sequence[Series], limits: Limits) -> Colour:
     return Colour(AMBER if cut else GREEN, cut, limited)
 
 
-def own_problems(row: Row) -> list[str]:
-    """What is unfinished about a row's bag, without its name where it is one file."""
-    name = f"{PurePath(row['bag']).name}: "
-    return [problem.removeprefix(name) for problem in row.get("problems") or []]
+def missing(row: Row) -> list[str]:
+    """What is unfinished about a row's bag or its joint in it, each as a sentence."""
+    name, own = PurePath(row["bag"]).name, [problem.split(": ", 1) for problem in row.get("problems") or []]
+    told = [" ".join(("the bag" if parts[0] == name else parts[0], *parts[1:])) for parts in own]
+    judged, whole = row.get("duration_s"), row.get("bag_duration_s") or 0.0
+    if judged is not None and judged < _COVERED * whole:
+        told.append(f"only {judged:.0f} of the bag's {whole:.0f} s hold this joint")
+    return told
 
 
 def _limited(row: Row, series: Series, limits: Limits) -> Limited | None:
@@ -155,12 +161,13 @@ def _limited(row: Row, series: Series, limits: Limits) -> Limited | None:
 def phrase(one: Limited) -> str:
     """A quantity beside its limit in words."""
     where = {
-        "within": "within the limit of",
-        "near": "too near to the limit to tell:",
-        "beyond": "beyond the limit of",
-        "open": "not to be told beside the limit of",
+        "within": "within its limit of {}",
+        "near": "too near to its limit of {} to tell",
+        "beyond": "beyond its limit of {}",
+        "open": "not known well enough beside its limit of {}",
     }[one.place]
-    return f"{words(one.quantity)} {si(one.value, one.std, one.unit)}, {where} {size(one.limit, one.unit)}"
+    limit = where.format(size(one.limit, one.unit))
+    return f"{words(one.quantity)} {si(one.value, one.std, one.unit)}, {limit}"
 
 
 def size(value: float, unit: str) -> str:
@@ -260,7 +267,7 @@ def attention(rows: Sequence[Row], colours: Sequence[Colour]) -> tuple[list[int]
     present: list[int] = []
     past: list[int] = []
     for place, (row, colour) in enumerate(zip(rows, colours, strict=True)):
-        if colour.state == GREY or row.get("problems"):
+        if colour.state == GREY or missing(row):
             start, newest = row.get("start"), last.get((row.get("robot"), row.get("joint")), 0)
             (past if start is not None and start < newest else present).append(place)
     return present, past

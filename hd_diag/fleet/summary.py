@@ -23,8 +23,8 @@ from hd_diag.fleet.standing import (
     Health,
     Standing,
     attention,
+    missing,
     moment_of,
-    own_problems,
 )
 from hd_diag.fleet.steps import FALSE_ALARM, Change
 from hd_diag.fleet.trend import CHANGED, Trend
@@ -188,15 +188,22 @@ def headline(found: Health) -> str:
         return "No joint was found in any recording."
     counts = Counter(one.colour.state for one in standings)
     told = [f"{counts[state]} {LABELS[state]}" for state in STATES if counts[state]]
-    changed = sum(bool(one.changes) for one in standings)
     total = f"{len(standings)} joint{'s' * (len(standings) > 1)}"
-    text = f"Of {total}: {', '.join(told)}. {changed or 'None'} changed over time."
+    text = f"Of {total}: {', '.join(told)}. {_changed(found)}."
     lost = {
         "without a joint that could be judged": {row["bag"] for row in rows if not row.get("joint")},
-        "cut off": {row["bag"] for row in rows if row.get("problems")},
+        "cut off": {row["bag"] for row in rows if missing(row)},
     }
     told = [f"{len(bags)} {what}" for what, bags in lost.items() if bags]
     return f"{text} Of the bags: {', '.join(told)}." if told else text
+
+
+def _changed(found: Health) -> str:
+    changed = sum(bool(one.changes) for one in found.standings)
+    unknown = [trend for trend in found.trends if trend.form == "unknown"]
+    if changed or not unknown:
+        return f"{changed or 'None'} changed over time"
+    return f"Changes over time: {statement(max(unknown, key=lambda trend: trend.series.value.size))}"
 
 
 def notes(found: Health) -> list[str]:
@@ -267,26 +274,20 @@ def _what(one: Standing, rows: Sequence[Row]) -> str:
 
 
 def sentences(trends: Sequence[Trend]) -> list[str]:
-    """One for each series that changes, and one for those that cannot be told of yet."""
-    told = [
+    """One for each series that changes."""
+    return [
         f"{f'{t.series.robot} ' if t.series.robot else ''}{t.series.joint}: "
         f"{words(t.series.quantity)} {statement(t)}"
         for t in trends
         if t.form in CHANGED
     ]
-    unknown = [trend for trend in trends if trend.form == "unknown"]
-    if unknown:
-        longest = max(unknown, key=lambda trend: trend.series.value.size)
-        joints = len({(trend.series.robot, trend.series.joint) for trend in unknown})
-        told.append(f"changes of {joints} joint{'s' * (joints > 1)}: {statement(longest)}")
-    return told
 
 
 def attention_lines(row: Row, colour: Colour) -> list[str]:
     """Why a row is not judged, and what is cut off, a line each, whatever its bag is called."""
     joint = f"{row['joint']}: " if row.get("joint") else ""
     date = f" ({recorded(row)})" if row.get("start") is not None else ""
-    told = [("cut off", problem) for problem in own_problems(row)]
+    told = [("cut off", problem) for problem in missing(row)]
     if colour.state == GREY:
         told.insert(0, ("not judged", colour.reasons[0]))
     return [f"{what}: {BagError(row['bag'], f'{joint}{text}')}{date}" for what, text in told]

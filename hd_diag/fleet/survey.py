@@ -18,11 +18,12 @@ _PART = 1 << 20  # read at a time [byte]
 
 @dataclass(frozen=True)
 class Survey:
-    """What was seen of one bag; where it has an `error`, nothing else is known.
+    """What was seen of one bag; where it has an `error`, nothing else is known but its problems.
 
     The digest is of the contents, whatever the bag is called; it starts at its first log time [ns since
     1970], None for an empty bag; messages and names are those of its joint states, where it has
-    any; problems are what is unfinished about its files; versions are those of the worker that looked.
+    any; problems are what is unfinished about its files; versions are those of the worker that looked; the
+    duration is from the first to the last message [s].
     """
 
     path: str
@@ -34,6 +35,7 @@ class Survey:
     error: str = ""
     versions: Versions = field(default_factory=running)
     topics: frozenset[str] = frozenset()
+    duration: float = 0.0
 
 
 def find_bags(given: Iterable[Path]) -> list[Path]:
@@ -66,19 +68,21 @@ def survey(path: str) -> Survey:
     try:
         with BagReader(path) as reader:
             measured = joint_state_topics(reader)
+            problems = tuple(reader.problems)
             if not reader.topics:
-                raise BagError(path, "holds no topic")
+                error = str(BagError(path, "holds no topic that can be read"))
+                return Survey(path, error=error, problems=problems)
             topics = frozenset(topic.name for topic in reader.topics)
             messages = sum(topic.count for topic in reader.topics if topic.name in measured or not measured)
             start = reader.start if reader.message_count else None
             digest = _digest(reader.paths)
-            problems = tuple(reader.problems)
+            duration = reader.duration
             names = joints_in(reader)
     except BagError as error:
         return Survey(path, error=str(error))
     except OSError as error:
         return Survey(path, error=str(BagError(path, error)))
-    return Survey(path, digest, start, messages, names, problems, topics=topics)
+    return Survey(path, digest, start, messages, names, problems, topics=topics, duration=duration)
 
 
 def _digest(files: Iterable[Path]) -> str:

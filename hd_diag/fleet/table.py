@@ -93,6 +93,7 @@ COLUMNS = pa.schema(
         _column("eccentricity_allowed_m", _NUMBER, "m", "eccentricity that the assembly may have"),
         _column("eccentricity_criterion", _TEXT, "", "by which criterion of hd-diag tolerance"),
         _column("inspect", _TEXTS, "", "what to look at in the joint"),
+        _column("bag_duration_s", _NUMBER, "s", "from the first to the last message of the bag"),
         _column("page", _TEXT, "", "file with its own page, by --report"),
         _column("bag_sha256", _TEXT, "", "of the bag's contents"),
         _column("config_sha256", _TEXT, "", "of the joint's parameters that a diagnosis uses"),
