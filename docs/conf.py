@@ -32,8 +32,9 @@ html_math_renderer = "mathml"
 html_theme = "furo"
 html_title = "hd_diag"
 html_static_path = ["static"]
-html_css_files = ["wrap.css"]
+html_css_files = ["pages.css"]
 html_copy_source = False
+html_use_index = html_domain_indices = False  # the search finds names
 html_show_sourcelink = False
 
 FIGURES = HERE / "_build" / "figures"

@@ -90,6 +90,18 @@ def arcsec(value: float) -> str:
     return f"{_signed(f'{value / ARCSEC:.2f}')} arcsec" if math.isfinite(value) else "–"
 
 
+def percent(share: float, decimals: int = 1) -> str:
+    """A share in percent, cut off where rounding would make it the whole: 99.9 % is not all."""
+    step = 10.0**-decimals
+    shown = 100.0 - step if 100.0 - 0.5 * step <= 100.0 * share < 100.0 else 100.0 * share
+    return f"{_signed(f'{shown:.{decimals}f}')} %" if math.isfinite(share) else "–"
+
+
+def percents(low: float, high: float) -> str:
+    """An interval in percent."""
+    return f"{percent(low).removesuffix(' %')} to {percent(high)}"
+
+
 def words(name: str) -> str:
     """A machine name in words."""
     return name.replace("_", " ")

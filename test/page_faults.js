@@ -7,10 +7,10 @@ const short = text => text.trim().replace(/\s+/g, " ").slice(0, 40);
 const page = document.documentElement, seen = page.clientWidth, whole = page.scrollWidth;
 if (whole > seen + 0.5) told.push(`the page is ${whole} px wide in a window of ${seen}`);
 
-// What scrolls sideways or is cut off; code may scroll, and what is kept for screen readers alone is no fault.
+// What scrolls sideways or is cut off; code and formulas may scroll, what is for screen readers alone is no fault.
 const hides = style => style.overflowX !== "visible" || style.overflowY !== "visible";
 for (const box of document.querySelectorAll("body *")) {
-  if (box instanceof SVGElement || box.closest("pre, nav, .sidebar-drawer, .toc-drawer")) continue;
+  if (box instanceof SVGElement || box.closest("pre, math, .formula, nav, .sidebar-drawer, .toc-drawer")) continue;
   if (box.clientWidth > 1 && box.scrollWidth > box.clientWidth + SLACK && getComputedStyle(box).overflowX !== "visible")
     told.push(`cut off or scrolled: ${box.tagName.toLowerCase()} ${short(box.textContent)}`);
 }
@@ -41,7 +41,8 @@ for (let node = walker.nextNode(); node; node = walker.nextNode()) {
   for (const rect of rects) {
     const part = clipped(rect, parent);
     if (!part) continue;
-    if (part[2] > seen + SLACK && !parent.closest("pre"))
+    if (part[0] > seen) continue;  // a drawer that is shut; it would widen the page if it were none
+    if (part[2] > seen + SLACK && !parent.closest("pre, .formula"))
       told.push(`out of the window: ${short(node.textContent)}`);
     lines.push([...part, short(node.textContent), parent.closest("svg")]);
   }

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import re
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +88,11 @@ def known_to_the_command_line(monkeypatch: pytest.MonkeyPatch, name: str) -> lis
     monkeypatch.setattr("hd_diag.cli.record.screened", lambda record, _, teeth: record)
     monkeypatch.setattr("hd_diag.cli.record.diagnose", known)
     return asked
+
+
+def letters(text: str) -> str:
+    """Letters and digits of a text: what it says, however it is set."""
+    return re.sub(r"\W+", "", text).lower()
 
 
 def without_output(path: Path, joint: str) -> None:

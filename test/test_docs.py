@@ -10,11 +10,13 @@ import sys
 from html.parser import HTMLParser
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 from urllib.parse import unquote, urldefrag
 
 import click
 import numpy as np
 import pytest
+from browser import page_faults
 from cli_runner import hd_diag
 from live import config
 from numpy.testing import assert_allclose
@@ -265,6 +267,26 @@ def test_nomenclature_figures_and_the_public_core_are_those_of_the_code(pages: d
     places = {place for page in pages.values() for place in page.places}
     core = ("model.load_sharing", "drive", "effects.effect", "diagnosis.diagnosis")
     assert {f"module-hd_diag.{module}" for module in core} <= places
+
+
+def test_cells_know_their_column(pages: dict[str, Page]) -> None:
+    """By which a phone shows a row as a list; cells without a word are left out of it."""
+    names = re.findall(r'<td data-name="([^"]+)"', pages["parameters.html"].path.read_text(encoding="utf-8"))
+    assert set(names) == {"default", "from, to", "goes with", "meaning"}
+    assert names.count("default") == names.count("meaning") > names.count("goes with")
+
+
+# The others take a second each; contrast is the theme's, and on long tables costs ten seconds.
+SHORT, LONG = ("index", "parameters"), ("benchmarks", "effects", "parameters", "command_line")
+SHOWN = [name.removesuffix(".md") for name in NAMES if name != "tables/README.md"]
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name in SHORT else [pytest.mark.slow]) for name in SHOWN]
+)
+def test_pages_fit_a_phone_and_a_desk(browser: Any, site: Path, name: str) -> None:
+    rules = () if name in LONG or name.startswith("api/") else ("color-contrast",)
+    assert page_faults(browser, (site / f"{name}.html").as_uri(), rules) == []
 
 
 # Examples ---

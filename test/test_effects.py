@@ -5,6 +5,7 @@ import importlib
 import itertools
 import math
 import pickle
+import re
 from collections.abc import Callable
 
 import drives
@@ -121,6 +122,11 @@ def by_name(name: str) -> Effect:
 def at(signals: Signals, time: np.ndarray, **changes: object) -> Signals:
     """The first row at other times, with what changes."""
     return dataclasses.replace(signals.part(np.zeros(time.size, dtype=np.int64)), time=time, **changes)
+
+
+def test_micrometres_are_told_with_a_micro_sign() -> None:
+    told = {effect.name: f"{effect.cause} {effect.inspect} {effect.formula}" for effect in CATALOGUE}
+    assert [name for name, text in told.items() if re.search(r"\d (um|deg)\b", text)] == []
 
 
 def test_names_are_the_list_with_one_file_each() -> None:

@@ -75,3 +75,12 @@ def test_json_holds_null_for_what_is_not_finite_and_no_type_of_numpy() -> None:
     found = formatting.json_ready(value | {"e": None, "f": "nan", "g": np.int64(4)})
     assert found == {"a": [1.5, None], "b": [[1.0, None]], "c": True, "d": 3, "e": None, "f": "nan", "g": 4}
     assert json.loads(json.dumps(found, allow_nan=False)) == found
+
+
+def test_what_is_not_all_is_not_told_as_all() -> None:
+    shares = (0.9997, 1.0, 0.99951, 0.9994, -0.00001, math.nan)
+    assert [formatting.percent(share) for share in shares] == [
+        "99.9 %", "100.0 %", "99.9 %", "99.9 %", "0.0 %", "–"
+    ]  # fmt: skip
+    assert [formatting.percent(share, 0) for share in (0.997, 1.0, 0.5)] == ["99 %", "100 %", "50 %"]
+    assert formatting.percents(0.975, 0.99999) == "97.5 to 99.9 %"

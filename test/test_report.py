@@ -1,5 +1,6 @@
 """The numbers of a report and its page: the diagnosis's own; nothing out of a bag acts on the page."""
 
+import dataclasses
 import json
 import re
 from html.parser import HTMLParser
@@ -19,6 +20,7 @@ from report_samples import (
     hostile_page,
     joint_report,
     known_to_the_command_line,
+    letters,
     made,
     report_of,
     without_output,
@@ -32,8 +34,12 @@ from hd_diag.diagnosis.search.unexplained import Unexplained
 from hd_diag.drive import mesh_state, transmission_error
 from hd_diag.formatting import arcsec, words
 from hd_diag.report import captions
+from hd_diag.report.advice import cards
 from hd_diag.report.facts import Fact, JointReport, Judgement, quality_of, settings
+from hd_diag.report.glossary import TERMS, Links, used
+from hd_diag.report.limits import STATES, Gauge, worst
 from hd_diag.report.page import page
+from hd_diag.report.torsion import k_shown
 
 SOURCES = [Fact("a.mcap", "SHA-256 0")]
 OTHER = pytest.param("input_encoder_eccentricity", marks=pytest.mark.slow)
@@ -125,9 +131,67 @@ def test_the_first_cards_are_the_joint_s_own_and_what_was_hidden_is_among_them()
     hidden = next(card for card in found if card.title.lower() in alike)
     assert {hidden.title.lower(), *(name for name, _ in hidden.alternatives)} == alike
     assert all(inspect for _, inspect in hidden.alternatives)
-    uncertain = [card.setting for card in found]
-    assert uncertain == sorted(uncertain)
     assert "Eccentricity of the wave generator in the housing" in [card.title for card in found]
+
+
+def test_cards_are_sorted_by_size_and_leave_out_what_may_be_nothing() -> None:
+    """A harmonic below two standard deviations is not on its card; a cause without any has none."""
+    found = diagnosis("output_runout")
+    sizes = [card.size for card in judged("output_runout").cards]
+    assert len(sizes) > 2
+    assert sizes == sorted(sizes, reverse=True)
+    (cause,) = found.causes
+    title = words(cause.effect.name).capitalize()
+    entry = cause.effect.quantities[0]
+    (value, _), spread = (
+        cause.effect.to_physical(cause.coefficients, cause.nonlinear)[entry.name],
+        cause.effect.standard_deviations(cause.coefficients, cause.nonlinear, cause.covariance)[entry.name],
+    )
+    shown = []
+    for sigmas in (2.1, 1.9):
+        wider = dataclasses.replace(cause, covariance=cause.covariance * (value / sigmas / spread) ** 2)
+        doubted = dataclasses.replace(found, found=None, causes=(wider,))
+        shown.append([card for card in cards(doubted) if card.title == title])
+    (card,), none = shown
+    assert words(entry.name) in dict(card.measures)
+    assert none == []
+
+
+def test_the_first_line_is_how_bad_the_joint_is() -> None:
+    found, report = judged("output_runout"), joint_report("output_runout")
+    assert re.fullmatch(r"The joint is within its accuracy \(\d+ of 90 arcsec peak to peak\)\.", found.first)
+    assert letters(found.first + found.rest) == letters(report.verdict)
+    (gauge,) = found.gauges
+    assert (gauge.state, found.state) == ("within", "good")
+    assert gauge.share == pytest.approx(float(re.findall(r"\d+", found.first)[0]) / 90.0, abs=0.01)
+
+
+def test_a_page_begins_with_the_worst_of_error_and_eccentricity() -> None:
+    """Beyond goes before near, near before within; what cannot be told counts only alone."""
+    states = {name: Gauge("", name, "", 1.0) for name in STATES}
+    for one, other, colour in (("within", "near", "warn"), ("beyond", "near", "bad")):
+        assert worst([states[one], states[other]]) == colour
+    assert [worst([states["open"]]), worst([states["open"], states["within"]])] == ["unknown", "good"]
+    for state, gauge in states.items():  # a meter is yellow where it lies between its marks
+        assert (gauge.low < gauge.share < gauge.high) == (state in ("near", "open"))
+
+
+def test_terms_are_explained_where_they_come_first() -> None:
+    links = Links()
+    first = links("The datum & <overlap>; Overlaps by windup.")
+    assert str(first) == (
+        'The <a class="term" href="#term-datum">datum</a> &amp; &lt;<a class="term" href="#term-overlap">'
+        'overlap</a>&gt;; Overlaps by <a class="term" href="#term-windup">windup</a>.'
+    )
+    assert str(links("the datum, and lost motion")) == (
+        'the datum, and <a class="term" href="#term-lost-motion">lost motion</a>'
+    )
+    assert list(used("lost motion of a datum")) == ["datum", "lost motion"]
+    assert {"datum", "overlap", "interference", "lost motion", "windup"} <= set(TERMS)
+
+
+def test_a_stiffness_has_its_digits_in_small_and_in_large_gears() -> None:
+    assert [k_shown(k) for k in (512.0, 2.55e4, 3.0e4, 25.34e4)] == ["0.0512", "2.55", "3.00", "25.3"]
 
 
 def test_the_eccentricity_s_card_tells_what_a_dial_gauge_reads() -> None:
@@ -223,7 +287,7 @@ def test_a_record_without_torque_has_no_measured_stiffness() -> None:
     assert not [entry for entry in report.torsion.stiffness if np.isfinite(entry.measured)]
     assert report.torsion.measured == ()
     assert dict(report.quality)["Torque"] == "not measured"
-    assert "not measured, fitted" in captions.torsion(report)
+    assert [row[1] for row in captions.stiffness(report)] == ["not measured"] * 3
     text = Reader(page([report], SOURCES)).text
     assert "a part that wanders forwards" in text
     assert "2.50 per output turn" in text
@@ -250,8 +314,8 @@ def test_the_page_says_what_the_diagnosis_says() -> None:
     rms = map(arcsec, (found.rms.nominal, found.rms.refit, found.rms.extended, found.rms.noise))
     tested = (part for test in found.testable for part in (words(test.name), test.reason))
     alike = " or ".join(map(words, found.causes[0].alike))
-    wanted = (joint_report("output_runout").verdict, *rms, *tested)
-    assert [part for part in wanted if part not in text] == []
+    assert letters(joint_report("output_runout").verdict) in letters(text)
+    assert [part for part in (*rms, *tested) if part not in text] == []
     assert f"{alike}: this record fits both about as well." in text
 
 
@@ -260,7 +324,10 @@ def test_every_joint_and_picture_is_told_with_ids_of_its_own() -> None:
     ids = [attributes["id"] for _, attributes in Reader(text).tags if "id" in attributes]
     assert len(set(ids)) == len(ids)
     assert {"joint1", "joint2"} <= set(ids)
-    assert [attributes["href"] for attributes in Reader(text).all("a")] == ["#joint1", "#joint2"]
+    places = [attributes["href"] or "" for attributes in Reader(text).all("a")]
+    assert places[:2] == ["#joint1", "#joint2"]
+    assert "#term-datum" in places
+    assert {place.removeprefix("#") for place in places} <= set(ids)
     told = dict(re.findall(r'<(?:title|desc) id="(joint1-[^"]+)">([^<]+)<', text))
     pictures = Reader(section(text)).all("svg")
     assert len(pictures) == 8
@@ -324,7 +391,7 @@ def test_both_verbs_draw_what_they_say(monkeypatch: pytest.MonkeyPatch, tmp_path
     told = json.loads((tmp_path / "a.json").read_text())
     lines = drawn.stdout.splitlines()
     assert (lines[0], lines[-1]) == (f"joint_1: {told['verdict']}", f"report written: {first}")
-    assert told["verdict"] in Reader(first.read_text(encoding="utf-8")).text
+    assert letters(told["verdict"]) in letters(Reader(first.read_text(encoding="utf-8")).text)
     names = ("--columns", "time=time,input=input,output=output,torque=torque,temperature=temperature")
     result = hd_diag("report", table, *names, "--out", second, "--json", "-")
     assert (result.exit_code, result.stderr) == (0, f"report written: {second}\n")
@@ -356,7 +423,7 @@ def test_a_joint_that_the_bag_lacks_does_not_stop_the_others(
     assert len(result.stderr.splitlines()) == 1
     elbow, joint = json.loads(told.read_text())["joints"]
     assert (elbow["schema"], joint["schema"]) == ("hd_diag/not_judged/1", "hd_diag/diagnosis/1")
-    assert verb == "diagnose" or joint["verdict"] in Reader(out.read_text(encoding="utf-8")).text
+    assert verb == "diagnose" or letters(joint["verdict"]) in letters(Reader(out.read_text("utf-8")).text)
 
 
 @pytest.mark.parametrize(

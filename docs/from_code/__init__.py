@@ -12,7 +12,7 @@ from typing import Any
 from jinja2 import Environment, StrictUndefined
 from sphinx.application import Sphinx
 
-from from_code import catalogue, command_line, mathml, nomenclature, parameter_tables, result_tables
+from from_code import catalogue, command_line, mathml, nomenclature, parameter_tables, result_tables, tables
 
 PAGES = {
     "effects": catalogue.content,
@@ -61,6 +61,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("source-read", render)
     app.connect("autodoc-process-docstring", keep_bars)
     app.connect("env-get-outdated", outdated)
+    tables.setup(app)
     app.add_html_math_renderer(
         "mathml", inline_renderers=(mathml.inline, None), block_renderers=(mathml.block, None)
     )

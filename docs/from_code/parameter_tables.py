@@ -30,13 +30,17 @@ def _of(prefix: str) -> list[Parameter]:
 
 
 def default(parameter: Parameter) -> str:
-    """As it is written in a parameter file."""
-    value = parameter.default
+    """As it is written in a parameter file, with its unit."""
+    unit = "" if parameter.unit == "-" else parameter.unit
+    return f"{_written(parameter.default)} {unit}".rstrip()
+
+
+def _written(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, list):
         return f"[{', '.join(map(str, value))}]"
-    return f"{value:g}" if isinstance(value, float) else str(value) or "''"
+    return f"{value:g}" if isinstance(value, float) else str(value) or "``''``"
 
 
 def allowed(parameter: Parameter) -> str:

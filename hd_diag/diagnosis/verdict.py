@@ -15,7 +15,18 @@ from hd_diag.diagnosis.search.causes import Cause
 from hd_diag.diagnosis.search.order_table import OrderRow
 from hd_diag.diagnosis.search.selection import FURTHER_CAUSES
 from hd_diag.diagnosis.search.unexplained import Unexplained
-from hd_diag.formatting import ARCSEC, arcsec, direction, json_ready, number, si, spread_number, words
+from hd_diag.formatting import (
+    ARCSEC,
+    arcsec,
+    direction,
+    json_ready,
+    number,
+    percent,
+    percents,
+    si,
+    spread_number,
+    words,
+)
 
 _NO_RMS, _NO_GAIN = Rms(*[math.nan] * 9), Gain(math.nan, math.nan, math.nan, "nothing")
 _HOW_TO_FIND = (
@@ -145,13 +156,18 @@ def _unexplained(line: Unexplained) -> dict[str, Any]:
     return content
 
 
+def first_words(answer: Answer) -> str:
+    """What the verdict begins with: whether the model describes the record, and how bad the joint is."""
+    fatal = [finding for finding in answer.diagnosis.findings if finding.fatal]
+    return f"First of all: {fatal[0].text}" if fatal else "; ".join([*_misfit(answer), *_severity(answer)])
+
+
 def sentence(answer: Answer) -> str:
-    """The verdict in one sentence; that the model does not describe the record comes first."""
-    diagnosis = answer.diagnosis
-    fatal = [finding for finding in diagnosis.findings if finding.fatal]
-    if fatal:
-        return _ended(f"First of all: {fatal[0].text}")
-    parts = [*_misfit(answer), *_severity(answer), *(finding.text for finding in diagnosis.findings)]
+    """The verdict in one sentence."""
+    diagnosis, first = answer.diagnosis, first_words(answer)
+    if any(finding.fatal for finding in diagnosis.findings):
+        return _ended(first)
+    parts = [first, *(finding.text for finding in diagnosis.findings)]
     parts += [_parameters(answer), *_current(diagnosis)]
     if diagnosis.refitted is None:
         pass
@@ -212,12 +228,14 @@ def _severity(answer: Answer) -> list[str]:
         where = "within" if usual.within else "beyond"
         own = f"{size:.0f}" if size >= 0.5 else "none to be seen beside the noise,"
         told.append(f"the joint is {where} its accuracy ({own} of {allowed:.0f} arcsec peak to peak)")
+    else:
+        told.append("whether the joint is within its accuracy cannot be told without its torque")
     if assembly is not None:
         where = "within" if assembly.within else "beyond"
         sizes = f"{assembly.eccentricity * 1e6:.1f} of {assembly.allowed * 1e6:.1f} µm"
         by = words(assembly.criterion)
         told.append(f"its eccentricity is {where} the tolerance's limit ({sizes}, by {by})")
-    return [" and ".join(told)] if told else []
+    return [" and ".join(told)]
 
 
 def _current(diagnosis: Diagnosis) -> list[str]:
@@ -323,8 +341,8 @@ def summary(diagnosis: Diagnosis) -> list[str]:
         lines.append(
             f"held-out residual ({gain.held_out}): nominal {rms.nominal / ARCSEC:.2f}, "
             f"refit {rms.refit / ARCSEC:.2f}, extended {rms.extended / ARCSEC:.2f}, "
-            f"noise {arcsec(rms.noise)} rms; explained {100 * gain.fraction:.1f} % "
-            f"({100 * gain.low:.1f} to {100 * gain.high:.1f} %)"
+            f"noise {arcsec(rms.noise)} rms; explained {percent(gain.fraction)} "
+            f"({percents(gain.low, gain.high)})"
         )
     if zeros := _zeros(diagnosis):
         lines.append(

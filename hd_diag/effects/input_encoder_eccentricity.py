@@ -32,7 +32,7 @@ EFFECT = Harmonic(
     source="Heidenhain, Rotary Encoders (brochure): error by eccentricity, 412 e / D [arcsec, µm, mm]",
     inspect=(
         "Centring of the motor's encoder: magnet or disc against the shaft; 0.1 mm of a magnet on 5 mm "
-        "reads 1.1 deg, 41 arcsec at the output of ratio 100. It does not change with torque; an eccentric "
+        "reads 1.1°, 41 arcsec at the output of ratio 100. It does not change with torque; an eccentric "
         "wave generator's order 1 falls with it. Turn the magnet by half a turn: the direction follows."
     ),
 )

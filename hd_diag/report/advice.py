@@ -18,6 +18,9 @@ from hd_diag.formatting import arcsec, direction, si, spread_number, words
 
 _OWN = {effect.name: effect for effect in CATALOGUE}
 
+_SIGMAS = 2.0
+"""Standard deviations from nothing, or from the configured value, from which a number is on a card."""
+
 _Entry = dict[str, Any]  # value, std, unit, configured
 _Measures = tuple[tuple[str, str], ...]
 _Text = tuple[str, str, _Measures, str]  # title, cause, what to measure, how to inspect
@@ -46,31 +49,45 @@ class Card:
 
 
 def cards(diagnosis: Diagnosis) -> list[Card]:
-    """Findings, then causes and displacements by their size, then what may as well be the configuration's."""
+    """Findings, then causes and parameters by their size, as far as they are two standard deviations off."""
     effects = _OWN | {effect.name: effect for effect in diagnosis.catalogue}
     advice = {name: effect.inspect for name, effect in effects.items()}
     first = [
         Card(words(f.name).capitalize(), math.nan, f.text, (), advice.get(f.name, ""))
         for f in diagnosis.findings
     ]
-    found = [_of_cause(cause, effects) for cause in diagnosis.causes]
+    found = [card for cause in diagnosis.causes if (card := _of_cause(cause, effects))]
     if diagnosis.refitted is not None:
         found += _of_parameters(diagnosis)
-    return first + sorted(found, key=lambda card: (card.setting, -card.size))
+    return first + sorted(found, key=lambda card: -card.size)
 
 
-def _of_cause(cause: Cause, effects: Mapping[str, Effect]) -> Card:
+def _of_cause(cause: Cause, effects: Mapping[str, Effect]) -> Card | None:
+    """The card of a cause; None where all its sizes may as well be zero."""
     effect = cause.effect
     values = effect.to_physical(cause.coefficients, cause.nonlinear)
     spread = effect.standard_deviations(cause.coefficients, cause.nonlinear, cause.covariance)
-    measures = tuple(
-        (words(entry.name), quantity(entry, values[entry.name][0], spread.get(entry.name, math.nan)))
+    sure = [
+        (entry, values[entry.name][0], std)
         for entry in effect.quantities
-    )
+        for std in (spread.get(entry.name, math.nan),)
+        if _known(entry, values[entry.name][0], std)
+    ]
+    sizes = {entry.name for entry in effect.quantities if entry.linear and entry.periodic is None}
+    if sizes and not sizes & {entry.name for entry, _, _ in sure}:
+        return None
+    measures = tuple((words(entry.name), quantity(entry, value, std)) for entry, value, std in sure)
     alike = [name for name in cause.alike if name != effect.name]
     others = tuple((words(name), effects[name].inspect if name in effects else "") for name in alike)
     title = words(effect.name).capitalize()
     return Card(title, cause.amplitude, effect.cause, measures, effect.inspect, others)
+
+
+def _known(entry: Quantity, value: float, std: float) -> bool:
+    """Whether a size is two standard deviations off zero; a direction, that of a wave of such a size."""
+    if entry.periodic is not None:
+        return not std * math.tau / entry.periodic > 1.0 / _SIGMAS
+    return not (entry.linear and abs(value) < _SIGMAS * std)
 
 
 def quantity(entry: Quantity, value: float, spread: float) -> str:
@@ -147,7 +164,12 @@ def _compliance(values: dict[str, _Entry], _: Drive) -> _Text:
     return (
         "Torsional stiffness",
         "The torsion under load is another than configured.",
-        tuple((words(name), _beside(values[name])) for name in ("tooth_compliance", "cup_compliance")),
+        tuple(
+            (words(name), _beside(entry))
+            for name in ("tooth_compliance", "cup_compliance")
+            for entry in (values[name],)
+            if not abs(entry["value"] - entry["configured"]) < _SIGMAS * entry["std"]
+        ),
         _OWN["torsional_hardening"].inspect,
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -11,29 +11,33 @@ from hd_diag.arrays import Floats
 from hd_diag.diagnosis.ripple.ripple import Ripple
 from hd_diag.diagnosis.search.detectability import Testability
 from hd_diag.diagnosis.search.unexplained import Unexplained
-from hd_diag.formatting import ARCSEC, arcsec, direction, number, si, words
+from hd_diag.formatting import ARCSEC, arcsec, direction, number, percent, percents, rounded, si, words
 from hd_diag.report.binned import HIGH, LOW
-from hd_diag.report.facts import JointReport, Judgement
+from hd_diag.report.facts import Fact, JointReport, Judgement
 from hd_diag.report.ladder import Rung
 from hd_diag.report.stages import EXTENDED, Comparison, OverTime
 from hd_diag.report.teeth import Extremes, TeethOverTurn
-from hd_diag.report.torsion import Stiffness
+from hd_diag.report.torsion import Stiffness, k_shown
 
 _SPREAD = f"bands from the {100 * LOW:.0f} % to the {100 * HIGH:.0f} % quantile"
 
 
-def held_out(found: Judgement) -> str:
-    """The gain in two sentences; empty where nothing was held out."""
+def held_out(found: Judgement) -> list[tuple[str, str]]:
+    """What the models leave of data that no fit saw: name and rms; empty where nothing was held out."""
     rms, gain = found.diagnosis.rms, found.diagnosis.gain
     if rms is None or gain is None:
-        return ""
-    extended = f", extended by the causes {arcsec(rms.extended)}" if EXTENDED in found.orders else ""
-    return (
-        f"On data that no fit saw ({gain.held_out}) the residual of the configured model is "
-        f"{arcsec(rms.nominal)} rms, refitted {arcsec(rms.refit)}{extended}; the noise floor is "
-        f"{arcsec(rms.noise)}. {_percent(gain.fraction)} of the mean square is explained "
-        f"({_percent(gain.low)} to {_percent(gain.high)})."
-    )
+        return []
+    extended = [("extended by the causes", arcsec(rms.extended))] if EXTENDED in found.orders else []
+    return [
+        ("model as configured", arcsec(rms.nominal)),
+        ("its parameters refitted", arcsec(rms.refit)),
+        *extended,
+        ("noise floor", arcsec(rms.noise)),
+        (
+            "explained of the mean square",
+            f"{percent(gain.fraction)} ({percents(gain.low, gain.high)})",
+        ),
+    ]
 
 
 def over_angle(found: Comparison) -> str:
@@ -118,17 +122,17 @@ def residual(rung: Rung) -> str:
 
 def gain(rung: Rung) -> str:
     """How much a rung explains of the residual of the one before."""
-    value, low, high = map(_percent, (rung.gain, rung.gain_low, rung.gain_high))
-    return f"{value} ({low} to {high})" if math.isfinite(rung.gain) else "–"
+    interval = percents(rung.gain_low, rung.gain_high)
+    return f"{percent(rung.gain)} ({interval})" if math.isfinite(rung.gain) else "–"
 
 
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.1f} %".replace("-", "−")
-
-
-def least_size(test: Testability) -> str:
-    """The least size that would have been found."""
-    return f"{arcsec(test.least_size)} rms" if math.isfinite(test.least_size) else "–"
+def tested(tests: Sequence[Testability]) -> list[Fact]:
+    """Causes that were tested, with the least size that would have been found."""
+    return [
+        Fact(words(test.name), f"{arcsec(test.least_size)} rms{', found' * (test.reason == 'found')}")
+        for test in tests
+        if test.testable
+    ]
 
 
 def unexplained(line: Unexplained) -> str:
@@ -149,46 +153,65 @@ def parameter(name: str, value: float, std: float, unit: str, configured: float)
 
 def torsion(report: JointReport) -> str:
     """Caption of the torsion curve."""
-    found, judged = report.torsion, report.judgement is not None
-    stiffness = "; ".join(_stiffness(entry, judged) for entry in found.stiffness)
+    found = report.torsion
     marks = "Means while the torque rises and falls; their distance is the hysteresis. "
     return (
         f"Torsion curve, averaged over the angle; the band is the {report.best} drive's least and greatest "
-        f"over a turn. {marks if found.measured else ''}Stiffness in 10⁴ N m/rad: {stiffness}."
+        f"over a turn. {marks if found.measured else ''}"
     )
 
 
-def _stiffness(entry: Stiffness, judged: bool) -> str:
-    low, value, high = (1e-4 * k for k in (entry.measured_low, entry.measured, entry.measured_high))
-    if not judged:
-        parts = f"simulated {entry.fitted * 1e-4:.2f}"
-    else:
-        measured = f"measured {value:.2f} ({low:.2f} to {high:.2f})"
-        parts = measured if math.isfinite(value) else "not measured"
-        parts += f", fitted {entry.fitted * 1e-4:.2f}, configured {entry.configured * 1e-4:.2f}"
-    return f"{entry.name} ({number(entry.low)} to {number(entry.high)} N m) {parts}"
+def stiffness_titles(report: JointReport) -> tuple[str, ...]:
+    """What stands over the columns of :func:`stiffness`."""
+    return ("Range", "Measured", "Fitted", "Configured") if report.judgement else ("Range", "Simulated")
+
+
+def stiffness(report: JointReport) -> list[tuple[str, ...]]:
+    """K1, K2 and K3 with their ranges [10⁴ N m/rad]: fitted, configured and measured with its interval.
+
+    Without a judgement as simulated alone.
+    """
+    judged = report.judgement is not None
+    return [
+        (
+            f"{entry.name}, {rounded(entry.low):g} to {rounded(entry.high):g} N m",
+            *((_measured(entry),) if judged else ()),
+            k_shown(entry.fitted),
+            *((k_shown(entry.configured),) if judged else ()),
+        )
+        for entry in report.torsion.stiffness
+    ]
+
+
+def _measured(entry: Stiffness) -> str:
+    if not math.isfinite(entry.measured):
+        return "not measured"
+    ends = f"{k_shown(entry.measured_low)} to {k_shown(entry.measured_high)}"
+    return f"{k_shown(entry.measured)} ({ends})"
 
 
 def maps(report: JointReport) -> str:
     """Caption of the tooth maps."""
-    found, seen = report.teeth, 100.0 * float(np.mean(report.teeth.visited))
-    where = f"The record was at {seen:.0f} % of the angles; the others are marked under the maps."
+    found, seen = report.teeth, float(np.mean(report.teeth.visited))
+    where = f"The record was at {percent(seen, 0)} of the angles; the others are marked under the maps."
     return (
         f"Teeth of the {report.best} drive over a turn of the input, the load at {number(found.torque)} N "
         f"m, which the record hardly exceeds: least backlash {_length(np.nanmin(found.backlash))}, "
         f"greatest load {number(float(found.load.max()))} N. "
-        f"{'The record was at every angle.' if seen == 100.0 else where} {_extremes(found.extremes)}"
+        f"{'The record was at every angle.' if seen == 1.0 else where}"
     )
 
 
-def _extremes(found: Extremes) -> str:
-    pressed = f"the lobes press against each other by up to {_length(found.overlap)}"
-    free = f"the lobes never press against each other; {_length(-found.overlap)} of clearance are left"
-    return (
-        f"At {found.moments} of the record's own moments: least backlash {_length(found.least_backlash)}, "
-        f"greatest force {number(found.greatest_load)} N, {found.fewest_pairs} to {found.most_pairs} loaded "
-        f"flanks; {pressed if found.overlap > 0.0 else free}."
-    )
+def extremes(found: Extremes) -> list[Fact]:
+    """What the record's own moments did to the teeth."""
+    overlap = Fact("Greatest overlap of the lobes", _length(found.overlap))
+    free = Fact("Least clearance of the lobes", _length(-found.overlap))
+    return [
+        Fact("Least backlash of a tooth", _length(found.least_backlash)),
+        Fact("Greatest force on a tooth", f"{number(found.greatest_load)} N"),
+        Fact("Loaded flanks", f"{found.fewest_pairs} to {found.most_pairs}"),
+        overlap if found.overlap > 0.0 else free,
+    ]
 
 
 def _length(length: float) -> str:
@@ -202,7 +225,7 @@ def around(found: TeethOverTurn) -> str:
     angle, where = np.degrees((found.input_angle[found.moment], found.tooth_direction[tooth]))
     displaced = (
         f"The arrow is the wave generator's displacement, {_length(found.displacement)} at "
-        f"{math.degrees(found.eccentricity % math.tau):.0f}°. "
+        f"{round(math.degrees(found.eccentricity)) % 360}°. "
         if found.displacement > 0.0
         else "The wave generator is not displaced. "
     )

@@ -19,13 +19,14 @@ from hd_diag.diagnosis.judgement import Answer
 from hd_diag.diagnosis.record import GAP_STEPS
 from hd_diag.diagnosis.ripple.ripple import Ripple
 from hd_diag.diagnosis.ripple.verdict import sentence as ripple_sentence
-from hd_diag.diagnosis.verdict import sentence
+from hd_diag.diagnosis.verdict import first_words, sentence
 from hd_diag.effects.order_spectrum import line_width, spectrum
-from hd_diag.formatting import number, words
+from hd_diag.formatting import number, percent, words
 from hd_diag.replay.versions import running
 from hd_diag.report import stages, torsion
 from hd_diag.report.advice import Card, cards
 from hd_diag.report.ladder import Rung, benches, ladder
+from hd_diag.report.limits import Gauge, gauges, worst
 from hd_diag.report.stages import Comparison, OverTime, Stages
 from hd_diag.report.teeth import TeethOverTurn, teeth_over_turn
 
@@ -56,12 +57,19 @@ class Mark(NamedTuple):
 class Judgement:
     """What measured angles add to the model's own side.
 
+    `first` is the verdict's beginning, how bad the joint is, as a sentence of its own, `rest` what follows;
+    `gauges` are the numbers of that, `state` its colour, `kind` the judgement.
     The diagnosis is kept without its fit, whose columns are large. `classes` are causes that the record
     cannot tell from each other, `orders` order and amplitude [rad] of the residual by stage, `stretches` how
     many the ladder's data were cut into.
     """
 
     diagnosis: Diagnosis
+    first: str
+    rest: str
+    state: str
+    gauges: tuple[Gauge, ...]
+    kind: str
     classes: tuple[tuple[str, ...], ...]
     cards: tuple[Card, ...]
     over_angle: Comparison
@@ -98,7 +106,7 @@ def of_diagnosis(
     diagnosis: Diagnosis, joint: JointConfig, flat: Mapping[str, Value], rng: np.random.Generator
 ) -> JointReport:
     """A joint's report from its diagnosis; `flat` are the configuration's parameters by their full names."""
-    fitted = benches(diagnosis)
+    fitted, answer = benches(diagnosis), Answer(diagnosis)
     found = stages.stages(diagnosis, fitted[0] if fitted else None)
     record, drive = diagnosis.record, found.drive
     torque = record.torque if record.has_torque else None
@@ -107,13 +115,13 @@ def of_diagnosis(
     excluded = Fact("Taken out", f"{record.outliers} outliers, {record.dropped} not finite or out of order")
     return JointReport(
         joint.name,
-        sentence(Answer(diagnosis)),
+        sentence(answer),
         "refitted" if diagnosis.refitted else "configured",
         torsion.measured(found, diagnosis.configured, rng),
         teeth_over_turn(drive, record.input_angle, record.torque),
         (quality[0], excluded, runs, *quality[1:]),
         settings(joint, flat),
-        _judgement(diagnosis, found, fitted, rng),
+        _judgement(answer, found, fitted, rng),
     )
 
 
@@ -156,7 +164,7 @@ def quality_of(
     off = 1e6 * np.abs(near - usual)
     moved = np.diff(input_angle)[np.diff(bag) == 0]
     way, reach = float(np.abs(moved).sum()), float(np.ptp(input_angle)) / _TURN
-    forwards = 100.0 * float(moved[moved > 0.0].sum()) / max(way, 1e-300)
+    forwards = float(moved[moved > 0.0].sum()) / max(way, 1e-300)
     speed = np.abs(moved[step > 0.0] / step[step > 0.0]) / _TURN
     ends = () if torque is None else (number(float(torque.min())), number(float(torque.max())))
     return [
@@ -167,7 +175,7 @@ def quality_of(
         Fact("Input turns", f"{number(way / _TURN)} in all, over a range of {number(reach)}"),
         Fact("Output range", f"{number(reach / abs(ratio))} turns"),
         Fact("Input speed", f"up to {number(float(np.percentile(speed, 99)))} turns per second"),
-        Fact("Ways turned", f"{forwards:.0f} % forwards, {100.0 - forwards:.0f} % back"),
+        Fact("Ways turned", f"{percent(forwards, 0)} forwards, {percent(1.0 - forwards, 0)} back"),
         Fact("Torque", f"{' to '.join(ends)} N m" if ends else "not measured"),
     ]
 
@@ -177,7 +185,8 @@ def settings(joint: JointConfig, flat: Mapping[str, Value]) -> tuple[Fact, ...]:
     found = [Fact("input_joint", joint.input_joint), Fact("output_joint", joint.output_joint)]
     for entry in JOINT_PARAMETERS:
         key = f"{joint.name}.{entry.name}"
-        if key in flat and not entry.name.startswith(_NOT_OF_THE_DRIVE):
+        unset = entry.name.startswith("gear.") and not flat.get(key)
+        if key in flat and not unset and not entry.name.startswith(_NOT_OF_THE_DRIVE):
             unit = "" if entry.unit == "-" else entry.unit
             found.append(Fact(entry.name, f"{flat[key]} {unit}".strip() or "none"))
     return tuple(found)
@@ -190,13 +199,18 @@ def versions() -> tuple[Fact, ...]:
 
 
 def _judgement(
-    diagnosis: Diagnosis, found: Stages, fitted: list[LinearisedFit], rng: np.random.Generator
+    answer: Answer, found: Stages, fitted: list[LinearisedFit], rng: np.random.Generator
 ) -> Judgement:
+    diagnosis, found_gauges = answer.diagnosis, gauges(answer)
     marks = _marks(diagnosis)
     top = 1.2 * max((mark.order for mark in marks), default=0.0)
     highest = min(max(top, _ORDERS[0]), _ORDERS[1])
     return Judgement(
         replace(diagnosis, found=None),
+        *_first_and_rest(answer),
+        worst(found_gauges) if answer.judgement != "misfit" else "warn",
+        found_gauges,
+        answer.judgement,
         tuple(cause.alike for cause in diagnosis.causes if len(cause.alike) > 1),
         tuple(cards(diagnosis)),
         stages.over_angle(found),
@@ -210,9 +224,18 @@ def _judgement(
     )
 
 
+def _first_and_rest(answer: Answer) -> tuple[str, str]:
+    """The verdict as two sentences."""
+    whole, first = sentence(answer), first_words(answer)
+    rest = whole.removeprefix(first).lstrip("; ")
+    if rest in ("", "."):
+        return whole, ""
+    return f"{first[:1].upper()}{first[1:]}.", f"{rest[:1].upper()}{rest[1:]}"
+
+
 def _marks(diagnosis: Diagnosis) -> list[Mark]:
     """Orders that causes and unexplained lines have in the wave generator's angle."""
-    lines = [line for line in diagnosis.unexplained if line.frame == "input"]
+    lines = [line for line in diagnosis.unexplained if line.frame == "input" and not line.description]
     marks = [Mark(line.order, "unexplained", line.amplitude) for line in lines]
     for cause in diagnosis.causes:
         assert diagnosis.found is not None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from importlib.resources import files
 from typing import Any
 
@@ -12,25 +12,36 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from hd_diag.diagnosis.ripple import verdict as ripple
 from hd_diag.formatting import arcsec, visible, words
-from hd_diag.report import captions
+from hd_diag.report import captions, glossary
 from hd_diag.report.facts import Fact, JointReport, versions
 from hd_diag.report.pictures.page_pictures import pictures
 
 
 def page(reports: Sequence[JointReport], sources: Sequence[Fact]) -> str:
     """HTML of a report, with files and their digests: the same for the same numbers, without a date."""
+    joints: list[dict[str, Any]] = [
+        {"report": report, "pictures": pictures(report, number), "id": f"joint{number}"}
+        for number, report in enumerate(reports, start=1)
+    ]
+    captioned = [picture["caption"] for joint in joints for picture in joint["pictures"].values()]
     return rendered(
         "report.html.jinja",
         title=f"Harmonic drive report: {', '.join(report.name for report in reports)}",
         sources=sources,
         versions=versions(),
-        joints=[
-            {"report": report, "pictures": pictures(report, number)}
-            for number, report in enumerate(reports, start=1)
-        ],
+        joints=joints,
+        terms=glossary.used(" ".join([*captioned, *(text for report in reports for text in _told(report))])),
+        linked=glossary.Links(),
         captions=captions,
         ripple=ripple,
     )
+
+
+def _told(report: JointReport) -> Iterator[str]:
+    """What a page says of a joint before its pictures."""
+    yield report.verdict
+    for card in report.judgement.cards if report.judgement else ():
+        yield from (card.title, card.cause, card.inspect)
 
 
 def rendered(template: str, styles: str = "", **content: Any) -> str:
@@ -45,7 +56,7 @@ def rendered(template: str, styles: str = "", **content: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["words"] = words
+    environment.filters |= {"words": words}
     return environment.get_template(template).render(
         policy=_policy(style), style=style, arcsec=arcsec, **content
     )

@@ -8,6 +8,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.drive import Drive
+from hd_diag.formatting import number
 from hd_diag.report.binned import Band, band
 from hd_diag.report.stages import EXTENDED, Stages, mean_error
 
@@ -39,6 +40,11 @@ class Stiffness:
     measured: float = float("nan")
     measured_low: float = float("nan")
     measured_high: float = float("nan")
+
+
+def k_shown(stiffness: float) -> str:
+    """A stiffness [N m/rad] in 10⁴ N m/rad, as a catalogue gives it, with a digit more."""
+    return number(1e-4 * stiffness)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from hd_diag.report.ladder import Rung
 from hd_diag.report.pictures import canvas
 from hd_diag.report.pictures.canvas import GRID, INK, REFIT, STAGES, drawn, sheet, titled, turn
 from hd_diag.report.stages import Comparison, OverTime
-from hd_diag.report.torsion import Torsion
+from hd_diag.report.torsion import Torsion, k_shown
 
 _TURN = 2.0 * np.pi
 _ARCMIN = 60.0 * ARCSEC
@@ -31,6 +31,7 @@ _LEAST_LABELLED = 0.1  # width of a range over the greatest torque, from which i
 _FLOOR = 0.4  # height of the noise floor at each rung
 _IN_TURN: Any = {"fmt": "o", "ms": 5, "capsize": 3, "color": canvas.EXTENDED, "label": "each stretch in turn"}
 _NEVER_FITTED: Any = {"ms": 6.5, "mfc": "none", "mew": 1.2, "color": REFIT, "label": "never fitted"}
+_BESIDE: Any = {"xytext": (7.0, 0.0), "textcoords": "offset points", "ha": "left", "va": "center"}
 _ROOM = 1.9  # factor to the right of the largest for its number
 
 
@@ -146,7 +147,7 @@ def torsion_curve(found: Torsion, judged: bool) -> Figure:
             axes.axvspan(entry.low, end, color=colour, alpha=0.12, lw=0)
         if end - entry.low >= _LEAST_LABELLED * most:
             value = entry.measured if found.measured else entry.fitted
-            label = f"{entry.name}\n{value * 1e-4:.1f}" if np.isfinite(value) else entry.name
+            label = f"{entry.name}\n{k_shown(value)}" if np.isfinite(value) else entry.name
             middle = 0.5 * (entry.low + end)
             axes.text(middle, 0.985, label, transform=axes.get_xaxis_transform(), ha="center", va="top")
     axes.axhline(0.0, color=INK, lw=0.7)
@@ -168,12 +169,13 @@ def model_ladder(rungs: Sequence[Rung], held_out: Rms) -> Figure:
     ends = place - _FLOOR / 2, place + _FLOOR / 2
     axes.vlines(np.full(place.size, noise[0]), *ends, color=INK, lw=1.2, label="noise floor")
     axes.errorbar(rms, place, xerr=(rms - low, high - rms), **_IN_TURN)
-    marks = {len(rungs) - 1: held_out.extended} | {0: held_out.nominal, 1: held_out.refit}
-    axes.plot(np.array(list(marks.values())) / ARCSEC, list(marks), "D", **_NEVER_FITTED)
+    held = np.full(place.size, np.nan)
+    held[-1], held[:2] = held_out.extended / ARCSEC, (held_out.nominal / ARCSEC, held_out.refit / ARCSEC)
+    axes.plot(held, place, "D", **_NEVER_FITTED)
     for step, rung in enumerate(rungs):
         axes.text(0.0, step - 0.36, rung.name, transform=axes.get_yaxis_transform(), ha="left", va="center")
-        axes.text(high[step] * 1.12, step, f"{rms[step]:.2f}", ha="left", va="center")
-    across = 0.8 * min(noise[1], low.min()), _ROOM * high.max()
+        axes.annotate(f"{rms[step]:.2f}", (np.fmax(high, held)[step], step), **_BESIDE)
+    across = 0.8 * min(noise[1], np.fmin(low, held).min()), _ROOM * np.fmax(high, held).max()
     axes.set(xlim=across, ylim=(len(rungs) - 0.65, -0.6), yticks=[])
     axes.grid(False, axis="y")
     axes.spines["left"].set_visible(False)

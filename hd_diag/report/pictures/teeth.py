@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import TwoSlopeNorm
+from matplotlib.colors import Normalize, TwoSlopeNorm
 from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import MaxNLocator
@@ -16,6 +16,7 @@ from hd_diag.report.pictures.canvas import ACCENT, INK, NOMINAL, REFIT, WIDTH, d
 from hd_diag.report.teeth import TeethOverTurn
 
 _LEAST = 1e-6  # [m]
+_LEAST_LOAD = 1.0  # end of the scale [N]
 _EMPTY = (0.54, 0.56, 0.6, 0.25)
 _PLACES = np.radians(np.arange(11.25, 360.0, 22.5))  # where the radius may be labelled [rad]
 
@@ -29,7 +30,8 @@ def tooth_maps(found: TeethOverTurn) -> Figure:
     norm = TwoSlopeNorm(0.0, least * 1e6, found.free * 1e6)
     _map(figure, top, near.T * 1e6, "PuOr", norm, "Backlash of a tooth [µm]; below 0: interference")
     loaded = np.where(found.load > 0.0, found.load, np.nan)
-    _map(figure, bottom, loaded.T, "cividis_r", None, "Load of a tooth [N]")
+    most = Normalize(0.0, max(float(np.max(found.load)), _LEAST_LOAD))
+    _map(figure, bottom, loaded.T, "cividis_r", most, "Load of a tooth [N]")
     for axes in (top, bottom):
         axes.set_ylabel("Tooth of the flexspline")
         free = np.degrees(found.input_angle[~found.visited])
@@ -46,7 +48,7 @@ def _map(figure: Figure, axes: Axes, table: Floats, colours: str, norm: Any, tit
     axes.set_facecolor(_EMPTY)
     bar = figure.colorbar(image, ax=axes, location="top", aspect=40, pad=0.03, fraction=0.05)
     bar.outline.set_linewidth(0.5)
-    if norm is not None:
+    if norm.vmin < 0.0:
         below = np.asarray(MaxNLocator(3).tick_values(norm.vmin, 0.0))
         inside = (below > norm.vmin) & (below < 0.0)
         bar.set_ticks([*below[inside].tolist(), *np.linspace(0.0, norm.vmax, 5).tolist()])
@@ -65,7 +67,7 @@ def around_the_gear(found: TeethOverTurn) -> Figure:
     top.bar(place[bears], load[bears], width, color=REFIT, lw=0, label="at this moment")
     top.plot(closed, greatest, color=NOMINAL, lw=1.0, label="most in a turn")
     top.set_title("Load of the teeth [N]", pad=40)
-    top.set_ylim(0.0, 1.1 * max(float(np.max(greatest)), 1e-3))
+    top.set_ylim(0.0, 1.1 * max(float(np.max(greatest)), _LEAST_LOAD))
     near = np.where(backlash < found.free, backlash, np.nan) * 1e6
     least = np.minimum(np.append(found.least_backlash, found.least_backlash[0]), found.free) * 1e6
     bottom.plot(place, near, "o", ms=2.0, color=REFIT, label="at this moment")
@@ -93,6 +95,6 @@ def _dial(axes: PolarAxes, long_axis: float, eccentricity: float | None) -> None
     away = np.min(np.abs(np.angle(np.exp(1j * (_PLACES[:, None] - np.array(lines))))), axis=1)
     axes.set_rlabel_position(float(np.degrees(_PLACES[np.argmax(np.round(away, 6))])))
     axes.set_xticks(np.radians(range(0, 360, 45)))
-    axes.tick_params(pad=1)
+    axes.tick_params(pad=4)
     axes.yaxis.set_major_locator(MaxNLocator(4, prune="both"))
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.12), ncols=2)
