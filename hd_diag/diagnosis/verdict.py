@@ -15,6 +15,7 @@ from hd_diag.diagnosis.search.causes import Cause
 from hd_diag.diagnosis.search.order_table import OrderRow
 from hd_diag.diagnosis.search.selection import FURTHER_CAUSES
 from hd_diag.diagnosis.search.unexplained import Unexplained
+from hd_diag.diagnosis.severity import first_words
 from hd_diag.formatting import (
     ARCSEC,
     arcsec,
@@ -156,12 +157,6 @@ def _unexplained(line: Unexplained) -> dict[str, Any]:
     return content
 
 
-def first_words(answer: Answer) -> str:
-    """What the verdict begins with: whether the model describes the record, and how bad the joint is."""
-    fatal = [finding for finding in answer.diagnosis.findings if finding.fatal]
-    return f"First of all: {fatal[0].text}" if fatal else "; ".join([*_misfit(answer), *_severity(answer)])
-
-
 def sentence(answer: Answer) -> str:
     """The verdict in one sentence."""
     diagnosis, first = answer.diagnosis, first_words(answer)
@@ -209,33 +204,6 @@ def _causes(answer: Answer) -> list[str]:
 
 def _ended(text: str) -> str:
     return text if text.endswith("?") else f"{text}."
-
-
-def _misfit(answer: Answer) -> list[str]:
-    if answer.judgement != "misfit":
-        return []
-    left, told = answer.residual_over_noise, "the model does not describe this record"
-    if not answer.diagnosis.record.has_torque:
-        told += ", whose torque is not measured, so that torsion by it counts as unexplained"
-    return [f"{told}: {left:.1f} times the noise is left"]
-
-
-def _severity(answer: Answer) -> list[str]:
-    """The joint beside its catalogue's accuracy, and its eccentricity beside what the assembly may have."""
-    told, usual, assembly = [], answer.normal, answer.tolerance
-    if usual is not None:
-        size, allowed = usual.measured / ARCSEC, usual.accuracy / ARCSEC
-        where = "within" if usual.within else "beyond"
-        own = f"{size:.0f}" if size >= 0.5 else "none to be seen beside the noise,"
-        told.append(f"the joint is {where} its accuracy ({own} of {allowed:.0f} arcsec peak to peak)")
-    else:
-        told.append("whether the joint is within its accuracy cannot be told without its torque")
-    if assembly is not None:
-        where = "within" if assembly.within else "beyond"
-        sizes = f"{assembly.eccentricity * 1e6:.1f} of {assembly.allowed * 1e6:.1f} µm"
-        by = words(assembly.criterion)
-        told.append(f"its eccentricity is {where} the tolerance's limit ({sizes}, by {by})")
-    return [" and ".join(told)]
 
 
 def _current(diagnosis: Diagnosis) -> list[str]:

@@ -156,8 +156,8 @@ def torsion(report: JointReport) -> str:
     found = report.torsion
     marks = "Means while the torque rises and falls; their distance is the hysteresis. "
     return (
-        f"Torsion curve up to {number(float(found.torque[-1]))} N m, averaged over the angle; the band is the {report.best} drive's least and greatest "
-        f"over a turn. {marks if found.measured else ''}"
+        f"Torsion curve up to {number(float(found.torque[-1]))} N m, averaged over the angle; the band is "
+        f"the {report.best} drive's least and greatest over a turn. {marks if found.measured else ''}"
     )
 
 

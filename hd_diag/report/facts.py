@@ -19,7 +19,8 @@ from hd_diag.diagnosis.judgement import Answer
 from hd_diag.diagnosis.record import GAP_STEPS
 from hd_diag.diagnosis.ripple.ripple import Ripple
 from hd_diag.diagnosis.ripple.verdict import sentence as ripple_sentence
-from hd_diag.diagnosis.verdict import first_words, sentence
+from hd_diag.diagnosis.severity import first_words
+from hd_diag.diagnosis.verdict import sentence
 from hd_diag.effects.order_spectrum import line_width, spectrum
 from hd_diag.formatting import number, percent, words
 from hd_diag.replay.versions import running
