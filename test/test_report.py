@@ -431,11 +431,11 @@ def test_a_joint_that_the_bag_lacks_does_not_stop_the_others(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ("report BAG --out BAG", "would overwrite the input"),
+        ("report BAG --out BAG", "must end with .html"),
         ("report BAG --json BAG", "would overwrite the input"),
-        ("diagnose BAG --report BAG", "would overwrite the input"),
+        ("diagnose BAG --report BAG", "must end with .html"),
         ("diagnose BAG --model BAG", "would overwrite the input"),
-        ("report BAG --out a --json a", "must be different files"),
+        ("report BAG --out a.html --json a.html", "must be different files"),
         ("report BAG --columns time=t --out a.html", "needs input, output"),
         ("report BAG --out none/page.html", "no such folder"),
         ("diagnose BAG --report none/page.html", "no such folder"),
