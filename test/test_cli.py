@@ -4,7 +4,9 @@ import importlib.abc
 import json
 import os
 import re
+import resource
 import shlex
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -18,8 +20,9 @@ from reference import published
 
 from hd_diag.__main__ import main
 from hd_diag.cli import cli
-from hd_diag.cli.verbs import VERBS
+from hd_diag.cli.verbs import VERBS, signalled
 from hd_diag.config.configuration import dump, resolve
+from hd_diag.ros.stop_signals import Stopped
 
 
 def mesh(*arguments: object) -> dict[str, Any]:
@@ -57,12 +60,49 @@ def test_help_and_readme_list_the_verbs_of_the_contract() -> None:
     assert hd_diag("--version").output == "hd-diag, version 0.1.0\n"
 
 
-def test_help_imports_nothing_that_is_slow() -> None:
-    code = "import sys; from hd_diag.cli import cli; cli(['--help'], standalone_mode=False)"
-    slow = "{'numba', 'numpy', 'scipy', 'matplotlib', 'rclpy', 'rich', 'yaml', 'mcap'}"
-    code = f"import atexit, sys; atexit.register(lambda: print('slow:', {slow} & set(sys.modules))); {code}"
+def test_help_and_completion_import_nothing_that_is_slow() -> None:
+    """Of all verbs in one process: what comes in a tenth of a second, with numpy alone twice that."""
+    code = (
+        "import contextlib, io, sys\n"
+        "from hd_diag.cli import cli\nfrom hd_diag.cli.verbs import VERBS\n"
+        "with contextlib.redirect_stdout(io.StringIO()) as told:\n"
+        "    for words in ([], ['--help'], *([verb, '--help'] for verb in VERBS), ['completion', 'zsh']):\n"
+        "        with contextlib.suppress(SystemExit):\n"
+        "            cli(words, prog_name='hd-diag')\n"
+        "slow = 'numba numpy scipy matplotlib rclpy rich yaml mcap rosbags'.split()\n"
+        "print(told.getvalue().count('Usage: hd-diag '), [name for name in slow if name in sys.modules])"
+    )
     run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, timeout=60)
-    assert run.stdout.endswith("slow: set()\n")
+    assert run.stdout == f"{len(VERBS) + 2} []\n"
+
+
+def test_bash_completes_verbs_options_choices_and_files(tmp_path: Path) -> None:
+    """As bash asks: the script of the verb, sourced, its function called for the words typed so far."""
+    command = tmp_path / "hd-diag"
+    call = "import sys; sys.argv[0] = 'hd-diag'; from hd_diag.__main__ import main; main()"
+    command.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -c "{call}" "$@"\n')
+    command.chmod(0o755)
+    typed = ("re", "mesh --to", "gear --output f", "check con")
+    asked = [
+        f"COMPREPLY=(); COMP_WORDS=(hd-diag {words}); COMP_CWORD={len(words.split())}\n"
+        '_hd_diag_completion hd-diag; echo "${COMPREPLY[@]}"'
+        for words in typed
+    ]
+    # compopt works in an interactive shell only.
+    script = ['compopt() { echo "compopt $@"; }', "source <(hd-diag completion bash)", *asked]
+    run = subprocess.run(
+        ["bash", "-c", "\n".join(script)],
+        env={
+            **os.environ,
+            "PATH": f"{tmp_path}:{os.environ['PATH']}",
+            "PYTHONPATH": os.pathsep.join(sys.path),
+        },
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    told = ["recover replay report", "--torque", "flexspline", "compopt -o default", ""]
+    assert (run.stdout.splitlines(), run.stderr) == (told, "")
 
 
 # check ---
@@ -144,7 +184,14 @@ def test_mesh_table_lists_the_teeth_that_can_touch(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ("nonsense", "No such command 'nonsense'"),
+        ("nonsense", "No such command 'nonsense'. 'hd-diag --help' lists them."),
+        ("chek", "No such command 'chek'. Did you mean 'check'?"),
+        (
+            "simulate --out joint.txt",
+            "joint.txt: a bag is a file *.mcap, or a folder",
+        ),
+        ("simulate --out x --json x", "x and x must be different files"),
+        ("report x.mcap --out x.pdf", "x.pdf: the name must end with .html or .htm"),
         ("mesh --nonsense", "--nonsense"),
         ("check", "Missing argument 'CONFIG'"),
         ("mesh --torque x", "'x' is not a valid float"),
@@ -160,6 +207,63 @@ def test_mesh_table_lists_the_teeth_that_can_touch(tmp_path: Path) -> None:
 )
 def test_bad_input_is_one_line(arguments: str, said: str) -> None:
     assert_one_line_error(hd_diag(*arguments.split()), said)
+
+
+OUTPUTS = {
+    "check": "CONFIG --json CONFIG",
+    "diagnose": "a.mcap --config CONFIG --model CONFIG",
+    "fleet": "a.mcap --config CONFIG --json CONFIG --out f.parquet",
+    "mesh": "--config CONFIG --json CONFIG",
+    "recover": "a.mcap --out out.mcap --json a.mcap",
+    "replay": "a.mcap --config CONFIG --out out.mcap --json CONFIG",
+    "report": "a.mcap --config CONFIG --json CONFIG --out page.html",
+    "ripple": "a.mcap --config CONFIG --json CONFIG",
+    "simulate": "--config CONFIG --out out.mcap --json CONFIG",
+    "tolerance": "--config CONFIG --json CONFIG",
+    "topics": "a.mcap --json a.mcap",
+}
+
+
+def test_no_verb_writes_over_its_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All that read and write: the others write where they were told to, or read nothing."""
+    monkeypatch.chdir(tmp_path)
+    config_file(tmp_path).rename("CONFIG")
+    (tmp_path / "a.mcap").write_bytes(b"a bag")
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert {*VERBS} - {*OUTPUTS} == {"completion", "demo", "figures", "gear", "node", "watch"}
+    for verb, words in OUTPUTS.items():
+        assert_one_line_error(hd_diag(verb, *words.split()), "output would overwrite the input")
+        assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_a_target_is_replaced_only_when_it_is_whole(tmp_path: Path) -> None:
+    """The system ends a write in the middle, as a full disk does; through a link, too."""
+    path, link = tmp_path / "old.json", tmp_path / "link.json"
+    path.write_text("old")
+    link.symlink_to(path)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
+    try:
+        failed = [hd_diag("mesh", "--json", target) for target in (path, link)]
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    for result in failed:
+        assert_one_line_error(result, "cannot be written: File too large")
+    assert (path.read_text(), link.is_symlink()) == ("old", True)
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["link.json", "old.json"]
+    assert hd_diag("mesh", "--json", link).exit_code == 0
+    assert json.loads(path.read_text())["schema"] == "hd_diag/mesh/1"
+
+
+def test_a_reader_that_has_enough_is_no_finding() -> None:
+    """Code 0, as of a verb whose last line was read; nothing on stderr."""
+    for words in ("mesh", "mesh --help", "--help"):
+        command = f"{shlex.quote(sys.executable)} -m hd_diag {words} | true; echo ${{PIPESTATUS[0]}}"
+        environment = {**os.environ, "PYTHONPATH": ":".join(sys.path)}
+        run = subprocess.run(
+            ["bash", "-c", command], env=environment, capture_output=True, text=True, timeout=60
+        )
+        assert (run.stdout, run.stderr) == ("0\n", "")
 
 
 def test_a_link_or_pipe_that_is_written_to_stays_one(tmp_path: Path) -> None:
@@ -210,19 +314,37 @@ def test_an_interruption_is_one_line_and_130(monkeypatch: pytest.MonkeyPatch) ->
         assert (result.exit_code, result.stdout, result.stderr.strip()) == (130, "", "hd-diag: interrupted")
 
 
-def test_an_interruption_while_modules_are_imported(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)]
+)
+def test_a_signal_while_modules_are_imported(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], number: signal.Signals, code: int
 ) -> None:
     class Interrupting(importlib.abc.MetaPathFinder):
         def find_spec(self, name: str, *_: Any) -> None:
             if name == "hd_diag.cli":
-                raise KeyboardInterrupt
+                signal.raise_signal(number)
 
     monkeypatch.delitem(sys.modules, "hd_diag.cli")
     monkeypatch.setattr(sys, "meta_path", [Interrupting(), *sys.meta_path])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert (ended.value.code, *capsys.readouterr()) == (130, "", "hd-diag: interrupted\n")
+    signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = [signal.signal(each, signal.SIG_DFL) for each in signals]
+    try:
+        with pytest.raises(SystemExit) as ended:
+            main()
+    finally:
+        for each, handler in zip(signals, before, strict=True):
+            signal.signal(each, handler)
+    assert (ended.value.code, *capsys.readouterr()) == (code, "", "hd-diag: interrupted\n")
+
+
+def test_an_error_that_is_its_own_context_is_told() -> None:
+    """Its chain has no end."""
+    one, other = ValueError("one"), ValueError("other")
+    one.__cause__, other.__cause__ = other, one
+    assert signalled(one) == 0
+    other.__cause__ = Stopped(signal.SIGTERM)
+    assert signalled(one) == 143
 
 
 # As installed ---

@@ -41,7 +41,10 @@ def show_table(table: Table) -> None:
     """Print a table: without markup, in a pipe as wide as it needs."""
     from rich.console import Console
 
-    Console(width=None if sys.stdout.isatty() else _WIDEST, highlight=False, markup=False).print(table)
+    console = Console(width=None if sys.stdout.isatty() else _WIDEST, highlight=False, markup=False)
+    with console.capture() as text:  # rich would end the program, with 1, where nobody reads
+        console.print(table)
+    click.echo(text.get(), nl=False)
 
 
 class Source(click.Path):

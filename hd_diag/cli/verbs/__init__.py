@@ -5,8 +5,12 @@ Exit codes: 0 done, 1 a finding to fail on, 2 bad usage or input, 130 after Ctrl
 
 from __future__ import annotations
 
+import difflib
+import os
 import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from typing import Any
 
@@ -20,6 +24,7 @@ SIGNALLED = 128
 # Module of each verb, and its line in the list of all.
 VERBS = {
     "check": ("check", "Validate a configuration without ROS and say what it describes."),
+    "completion": ("completion", "What makes bash, zsh or fish complete verbs, options and files."),
     "demo": ("demo", "The node beside a simulated joint, its log, replay and verdict."),
     "diagnose": ("diagnose", "What the simulation gets wrong, the physical cause, the gain."),
     "figures": ("figures", "The model's counterparts of the paper's Figs. 5 to 7."),
@@ -50,9 +55,25 @@ class _Verbs(click.Group):
         command: click.Command = getattr(import_module(f"{__name__}.{name}"), name)
         return command
 
+    def resolve_command(self, context: click.Context, words: list[str]) -> Any:
+        try:
+            return super().resolve_command(context, words)
+        except click.UsageError as error:
+            near = difflib.get_close_matches(words[0], VERBS, 1)
+            error.message += f" Did you mean '{near[0]}'?" if near else " 'hd-diag --help' lists them."
+            raise
+
     def format_commands(self, context: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
             formatter.write_dl([(name, line) for name, (_, line) in VERBS.items()])
+
+    def make_context(self, *args: Any, **kwargs: Any) -> click.Context:
+        with _read_or_not():
+            return super().make_context(*args, **kwargs)
+
+    def invoke(self, context: click.Context) -> Any:
+        with _read_or_not():
+            return super().invoke(context)
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         try:
@@ -61,6 +82,16 @@ class _Verbs(click.Group):
             code, text = _ended(error)
             click.echo(f"hd-diag: {text}", err=True)
         sys.exit(code if isinstance(code, int) else 0)
+
+
+@contextmanager
+def _read_or_not() -> Iterator[None]:
+    """End well where nobody reads the rest: click ends with 1, which is that of a finding."""
+    try:
+        yield
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what the interpreter has still
+        sys.exit(0)
 
 
 def _ended(error: Exception) -> tuple[int, str]:
@@ -107,10 +138,7 @@ def cli(context: click.Context) -> None:
 
 def main() -> None:
     """Entry point of the ``hd-diag`` command."""
-    try:
-        cli()
-    except BrokenPipeError:
-        sys.exit(0)
+    cli()
 
 
 if __name__ == "__main__":

@@ -1,0 +1,16 @@
+"""``hd-diag completion``: a shell's script that asks ``hd-diag`` itself what can come next."""
+
+from __future__ import annotations
+
+import click
+from click.shell_completion import get_completion_class
+
+_NAME = "hd-diag"
+
+
+def completion(shell: str) -> None:
+    """Do what ``hd-diag completion`` is asked for."""
+    kind, group = get_completion_class(shell), click.get_current_context().find_root().command
+    assert kind is not None  # the option offers those that there are
+    # The variable is the one in which click looks for a request of this command's name.
+    click.echo(kind(group, {}, _NAME, f"_{_NAME.replace('-', '_').upper()}_COMPLETE").source())
