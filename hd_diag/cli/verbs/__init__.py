@@ -60,8 +60,8 @@ class _Verbs(click.Group):
             return super().resolve_command(context, words)
         except click.UsageError as error:
             near = difflib.get_close_matches(words[0], VERBS, 1)
-            error.message += f" Did you mean '{near[0]}'?" if near else " 'hd-diag --help' lists them."
-            raise
+            advice = f"Did you mean '{near[0]}'?" if near else "'hd-diag --help' lists them."
+            raise click.UsageError(f"{error.message} {advice}", context) from error
 
     def format_commands(self, context: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
