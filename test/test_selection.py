@@ -12,9 +12,12 @@ from joint_records import NOISE as NOISE_OF_RECORD
 
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
+from hd_diag.diagnosis.search.causes import Search, causes, doubted
 from hd_diag.diagnosis.search.ranking import candidates, family_size
 from hd_diag.diagnosis.search.selection import _less_misled, _next, search, speed_dependent
 from hd_diag.diagnosis.search.unexplained import with_table
+from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS
+from hd_diag.effects.signals import Signals
 
 NOISE = np.random.default_rng(0).normal(0.0, ARCSEC, 6000)
 
@@ -123,3 +126,19 @@ def test_what_a_motor_needs_itself_is_no_cause() -> None:
     assert values["friction"] == pytest.approx(3.0, abs=0.6)
     assert values["inertia"] == pytest.approx(2.0, abs=0.4)
     assert np.std(found.fit.remainder(found.chosen)) < 1.2 * NOISE_OF_RECORD
+
+
+def test_a_cause_that_a_shape_of_no_cause_beats_is_doubtful() -> None:
+    """A belt creeps with torque times way; the temperature, which rises meanwhile, is the nearest cause."""
+    (creep,) = (term for term in UNMODELLED_TERMS if term.name == "creep")
+    slow = EFFECTS["thermal_drift"]
+
+    def creeping(signals: Signals) -> np.ndarray:
+        return 10.0 * ARCSEC * creep.columns(signals, ())[:, 1]
+
+    record = dataclasses.replace(swinging(), temperature=np.linspace(25.0, 34.0, swinging().size))
+    chosen = ((slow, (1.0,)),)
+    for part, doubtful in ((creeping, True), (of(slow, drift=2.0 * ARCSEC, lag=1.0), False)):
+        fit = settle(bench(part, record=record), chosen)
+        named = Search(fit, causes(fit, chosen, {}, (), np.random.default_rng(0)))
+        assert [cause.doubtful for cause in doubted(named).causes] == [doubtful]

@@ -18,7 +18,7 @@ from hd_diag.diagnosis.gain import Gain, Misfit, Rms, Rows, held_out, measured_g
 from hd_diag.diagnosis.noise import ORDER
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.screening import Screened, screened
-from hd_diag.diagnosis.search.causes import Cause, Search, parameters_of, refitted
+from hd_diag.diagnosis.search.causes import Cause, Search, doubted, parameters_of, refitted
 from hd_diag.diagnosis.search.detectability import Testability, testability
 from hd_diag.diagnosis.search.kept_parameters import Kept, all_kept, kept_parameters
 from hd_diag.diagnosis.search.order_table import OrderRow
@@ -90,14 +90,14 @@ class Diagnosis:
         return self.found.causes if self.found else ()
 
     def _told(self, cause: Cause) -> bool:
-        """Not where too many would do as well, the parameters are ambiguous, or more is left than explained.
+        """Not if too many do as well, beside ambiguous parameters, or if it explains less than is left.
 
         Beside a misfit chance is no measure: what else is wrong may well look like the cause, so that it has
         to explain more than all of that.
         """
         sure = self.refitted is None or self.refitted.trustworthy
         ahead = self.misfit is None or not self.misfit.plain or cause.gain > _HALF
-        return sure and ahead and len(cause.alike) <= _MOST_ALIKE
+        return sure and ahead and len(cause.alike) <= _MOST_ALIKE and not cause.doubtful
 
     @property
     def order_table(self) -> tuple[OrderRow, ...]:
@@ -155,7 +155,7 @@ def diagnose(
     best = _predicting(record, test, which, plain, found, rng)
     kept, rms, gain = best.kept, best.rms, best.gain
     work.tell(0.88, "using all data")
-    whole = refitted(settle(replace(best.every, held=kept.held), best.found.chosen), best.found)
+    whole = doubted(refitted(settle(replace(best.every, held=kept.held), best.found.chosen), best.found))
     del begun, plain, found, best  # some hundred columns each
     parameters, covariance = parameters_of(whole)
     # Minima beside a drive without displacement are no rivals of it.

@@ -30,6 +30,8 @@ def without_misleading_torque(
 ) -> tuple[Record, Finding | None]:
     """The record without its torque where fits to other rows predict held-out ones far better without.
 
+    A current is kept: what the motor itself needs of it, these fits do not know.
+
     Parameters
     ----------
     record : Record
@@ -39,7 +41,7 @@ def without_misleading_torque(
     rng : numpy.random.Generator
         Chooses the samples of the fits.
     """
-    if not record.has_torque:
+    if not record.has_torque or record.by_current:
         return record, None
     unloaded = np.zeros(record.size)
     blind = replace(record, torque=unloaded, reported_torque=unloaded, has_torque=False)

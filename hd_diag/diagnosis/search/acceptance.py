@@ -53,23 +53,27 @@ def of_shapes(fit: LinearisedFit, chosen: Chosen, effect: Effect) -> float:
 
     A law of friction, torsion or drift is right to some share of it; what the next smooth law then explains
     is no second cause. Lines of teeth, bearings and encoders mend no smooth law; a delay has hardly a shape.
-    The model's own torsion is such a law: a torque some milliseconds late makes a loop of it.
     """
-    if not _smooth(effect):
+    if not smooth(effect):
         return 0.0
-    own = _LOOP * float(np.std(fit.signals.predicted)) if effect.name == "hysteresis" else 0.0
-    sized = [one for one in fit.sized(chosen, fit.fit(chosen)[0]) if _smooth(one[0][0])]
+    sized = [one for one in fit.sized(chosen, fit.fit(chosen)[0]) if smooth(one[0][0])]
     shares = [_LATE if item[0].stage == Stage.STREAM else _SHAPE for item, _ in sized]
     sizes = [fit.amplitude(*item, coefficients) for item, coefficients in sized]
-    return max(own, *(share * one for share, one in zip(shares, sizes, strict=True)), 0.0)
+    return max((share * one for share, one in zip(shares, sizes, strict=True)), default=0.0)
 
 
-def _smooth(effect: Effect) -> bool:
+def smooth(effect: Effect) -> bool:
     """Whether an effect has no line of its own: it goes with torque, speed, time or the output's turn."""
     if isinstance(effect, UnmodelledTerm):
         return False
     slow = effect.frame == "output" and not effect.nonlinear
     return effect.broadband or slow or effect.frame in ("torque", "time")
+
+
+def least_size(fit: LinearisedFit, effect: Effect) -> float:
+    """Size that an effect has to have in the end [rad rms]: torsion by a late torque is a small loop, too."""
+    loop = _LOOP * float(np.std(fit.signals.predicted)) if effect.name == "hysteresis" else 0.0
+    return max(LEAST_SIZE, loop)
 
 
 def needed(fit: LinearisedFit, chosen: Chosen) -> Chosen:
@@ -79,7 +83,7 @@ def needed(fit: LinearisedFit, chosen: Chosen) -> Chosen:
             continue
         rest = chosen[:index] + chosen[index + 1 :]
         blind = isinstance(effect, UnmodelledTerm) and not effect.predictive
-        small = size(fit, rest, effect, nonlinear) < (_CERTAIN_SIZE if blind else LEAST_SIZE)
+        small = size(fit, rest, effect, nonlinear) < (_CERTAIN_SIZE if blind else least_size(fit, effect))
         if blind and not small:
             continue
         if small or not holds(*held_out_gain(fit, chosen, index)):

@@ -13,11 +13,11 @@ from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import interval, lower_bound
 from hd_diag.diagnosis.fit.joint_refinement import covariance
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
-from hd_diag.diagnosis.search.acceptance import block_deviances, held_out_gain, wanders
+from hd_diag.diagnosis.search.acceptance import block_deviances, held_out_gain, smooth, wanders
 from hd_diag.diagnosis.search.order_table import OrderRow, refitted_rows
 from hd_diag.diagnosis.search.ranking import by_name, ranked
 from hd_diag.diagnosis.search.remainder import Remainder
-from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
+from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS, UnmodelledTerm
 from hd_diag.effects.effect import Effect
 from hd_diag.formatting import words
 
@@ -26,6 +26,7 @@ CLASS_DEVIANCE = 10.0
 
 _DISAGREEING = 0.2  # of what one cause gains on another, in blocks where it loses
 _FAR = 0.1  # of a cause's gain, up to which another is told from it without a fit of its own
+_PLAINLY = 0.1  # of a cause's gain, by which an unmodelled term beats it
 _CERTAIN = 100.0  # gain of such a cause
 _CLASSED = 0.63  # of the time that a diagnosis may take, by which the classes of all are known
 
@@ -50,6 +51,8 @@ class Cause:
         Names that this record cannot tell from it, itself first.
     gain, gain_low, gain_high : float
         Share of the held-out deviance that it explains, with its interval.
+    doubtful : bool
+        Whether a shape of no known cause explains plainly more in its place.
     """
 
     effect: Effect
@@ -62,6 +65,7 @@ class Cause:
     gain: float = 0.0
     gain_low: float = 0.0
     gain_high: float = 0.0
+    doubtful: bool = False
 
 
 @dataclass(frozen=True)
@@ -132,6 +136,23 @@ def causes(
     return tuple(sorted(found, key=lambda cause: -cause.gain))
 
 
+def doubted(found: Search) -> Search:
+    """The same, with smooth causes doubtful that an unmodelled term beats in their place."""
+    fit, chosen, judged = found.fit, found.chosen, []
+    terms = [term for term in UNMODELLED_TERMS if term.predictive]
+    for index, cause in enumerate(found.causes):
+        others = chosen[:index] + chosen[index + 1 :]
+        without = fit.corrected(others) if smooth(cause.effect) else None
+        best = next(iter(ranked(without, others, terms)), None) if without else None
+        if without is not None and best is not None:
+            trial, now = (*others, (best.effect, best.nonlinear)), fit.design(chosen).deviance()
+            least = max(2.0 * CLASS_DEVIANCE, _PLAINLY * (without.design(others).deviance() - now))
+            better = without.corrected(trial).design(trial).deviance() < now - least
+            cause = replace(cause, doubtful=better)
+        judged.append(cause)
+    return replace(found, causes=tuple(judged))
+
+
 def refitted(fit: LinearisedFit, found: Search) -> Search:
     """The same causes with numbers from a fit to other rows; names, classes and gains stay."""
     again = tuple(
@@ -194,7 +215,8 @@ def _alike(fit: LinearisedFit, chosen: Chosen, index: int, rivals: Collection[st
     """Effects that would do as well in place of one, whether or not the motion can prove them.
 
     One that is worse in some blocks and better in others cannot be told from it either: where the model
-    leaves more than noise, sums alone say nothing.
+    leaves more than noise, sums alone say nothing. All start from the same fit without the cause, itself
+    included: what settling everything beside it brought is no merit of its own.
     """
     effect, others = chosen[index][0], chosen[:index] + chosen[index + 1 :]
     named = {e.name for e, _ in chosen}
@@ -202,12 +224,14 @@ def _alike(fit: LinearisedFit, chosen: Chosen, index: int, rivals: Collection[st
     without = fit.corrected(others)
     far = without.design(others).deviance() - fit.design(chosen).deviance()
     far = _FAR * far if far > _CERTAIN else 0.0
+    again = (*others, chosen[index])
+    itself = without.corrected(again)
     for candidate in ranked(without, others, by_name(fit, {*rivals, *effect.confused_with})):
         if candidate.effect.name in named or candidate.effect.name in found or candidate.gain < far:
             continue
         trial = (*others, (candidate.effect, candidate.nonlinear))
         there, blind = without.corrected(trial), wanders(fit, chosen) or wanders(fit, trial)
-        if not _told_apart(_deviances(there, trial, blind) - _deviances(fit, chosen, blind)):
+        if not _told_apart(_deviances(there, trial, blind) - _deviances(itself, again, blind)):
             found.append(candidate.effect.name)
     return found
 
