@@ -66,9 +66,10 @@ def test_a_large_eccentricity_over_a_part_of_a_turn_is_no_ramp(seconds: float) -
     assert check_ramp(record, RATIO) is None
 
 
-def test_torsion_that_goes_with_position_is_no_ramp() -> None:
+@pytest.mark.parametrize(("family", "seed"), [("robot_pair", 4001), ("robot_single", 716)])
+def test_torsion_that_goes_with_position_is_no_ramp(family: str, seed: int) -> None:
     """A robot's arm over half a turn: what its spring's law leaves leans like a ramp."""
-    made = families.made("robot_pair", 4001)
+    made = families.made(family, seed)
     arm = prepare(
         made.time, made.input_angle, made.output_angle, made.torque, made.temperature, made.part, RATIO
     )

@@ -18,7 +18,6 @@ _RATIO_MISS = 2e-3  # relative; more than any transmission error can make of a t
 _RAMP_MISS = 8e-5  # relative; torsion by gravity leans by half of it over a robot's reach
 _RAMP_ERROR = 1e-4  # [rad]; what is not fitted beside a ramp may lean by this over a run
 _LEAST_REACH = 2.5  # of a run at the output [rad]; over less, a wave of the output bends like a ramp
-_LEANING = 1.0  # of torsion by gravity, that may go with the angle over part of a turn
 _PLAIN = 0.5  # of the rest, that a ramp must explain alone
 _PARTS = 6
 _CLUSTERS = 60
@@ -76,8 +75,7 @@ def check_ramp(record: Record, ratio: float) -> Finding | None:
     reach = float(np.ptp(centered(record.input_angle / ratio, record.run)))
     if not record.has_torque or reach < _LEAST_REACH:
         return None
-    ramps, deviation, hidden, torsion = _ramps(record.thinned(_MOST_ROWS), ratio)
-    leaning = _LEANING * torsion if reach < 2.0 * np.pi else 0.0  # gravity comes back after a turn
+    ramps, deviation, hidden, leaning = _ramps(record.thinned(_MOST_ROWS), ratio)
     mean = float(ramps.mean())
     spread = max(float(ramps.std(ddof=1)) / np.sqrt(ramps.size), deviation)
     if abs(mean) > max(_RAMP_MISS, _RAMP_ERROR / reach, 6.0 * spread, _PLAIN * hidden, leaning):
@@ -123,7 +121,8 @@ def _usual_slope(record: Record) -> float:
 def _ramps(record: Record, ratio: float) -> tuple[Floats, float, float, float]:
     """Error per output angle in each part of a record, shape (_PARTS,) [-], and their mean's deviation.
 
-    Then the means at which what only ramps explain is as large as the rest, and a ramp as torsion [-].
+    Then the mean at which what only ramps explain is as large as the rest, and that of a ramp as large as the
+    torsion, as far as the torque goes with the angle: over part of a turn gravity's does [-].
 
     The deviation allows for a residual that is correlated within `_CLUSTERS` stretches.
     """
@@ -151,9 +150,11 @@ def _ramps(record: Record, ratio: float) -> tuple[Floats, float, float, float]:
     rest = error - scaled @ found
     cluster = np.bincount(rows * _CLUSTERS // record.size, weight * rest)
     hidden = float(np.linalg.norm(weight) * np.linalg.norm(rest))
-    loads = slice(_PARTS, _PARTS + 3)
-    torsion = float(np.std(scaled[:, loads] @ found[loads]) / max(float(np.std(along)), 1e-300))
-    return np.asarray((found / scale)[:_PARTS]), float(np.sqrt(np.sum(cluster**2))), hidden, torsion
+    loads = scaled[:, _PARTS : _PARTS + 3]
+    torsion = float(np.std(loads @ found[_PARTS : _PARTS + 3]))
+    alike = float(np.var(loads @ np.linalg.lstsq(loads, along, rcond=None)[0]) / max(np.var(along), 1e-300))
+    leaning = alike * torsion / max(float(np.std(along)), 1e-300)
+    return np.asarray((found / scale)[:_PARTS]), float(np.sqrt(np.sum(cluster**2))), hidden, leaning
 
 
 def _waves(angle: Floats) -> tuple[Floats, Floats]:
