@@ -42,7 +42,7 @@ KEYS = {
 }
 MORE = {
     "": "findings hints evidence tolerance encoder_zeros motor_current left_out",
-    "record": "has_torque outliers dropped",
+    "record": "has_torque outliers dropped refused unpaired clock_set_back last_refusal problems",
     "extended": "rms_named rms_offline rms_live",
 }
 
@@ -138,6 +138,7 @@ def test_numbers_are_si_and_those_of_the_diagnosis() -> None:
     made = DIAGNOSES["every effect"]
     told = as_json(made, "joint_1")
     counts = {"samples": 800, "runs": 1, "has_torque": True, "outliers": 0, "dropped": 0}
+    counts |= {"refused": 0, "unpaired": 0, "clock_set_back": 0, "last_refusal": "", "problems": []}
     motion = {"duration": pytest.approx(3.995), "input_turns": pytest.approx(made.record.extent.input_turns)}
     assert told["record"] == counts | motion
     assert told["nominal"]["rms"] == told["gain"]["rms_nominal"] == pytest.approx(20.0 * ARCSEC)

@@ -25,11 +25,15 @@ _UNPACKED_RATIO = 100
 
 @dataclass
 class BagFiles:
-    """Storage files of a bag in order, missing ones, and whether each message is compressed."""
+    """Storage files of a bag in order, missing ones, and whether each message is compressed.
+
+    Counted are messages of topics in CDR, as ``metadata.yaml`` says.
+    """
 
     paths: list[Path] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     message_compression: bool = False
+    counted: dict[str, int] = field(default_factory=dict)
 
 
 def find_files(path: Path, *, lenient: bool = False) -> BagFiles:
@@ -69,6 +73,10 @@ def _listed(folder: Path) -> BagFiles:
         # Only names: a path could lead out of the folder.
         names = dict.fromkeys(PurePath(name).name for name in info["relative_file_paths"])
         mode = (info.get("compression_mode") or "").lower()
+        for topic in info.get("topics_with_message_count") or []:
+            meta = topic["topic_metadata"]
+            if meta["serialization_format"] == "cdr":
+                files.counted[str(meta["name"])] = int(topic["message_count"])
     except UNREADABLE as exc:
         raise BagError(path, f"is not rosbag2 metadata: {exc}") from exc
     files.message_compression = mode == "message"

@@ -17,7 +17,7 @@ from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record, RecordError, prepare
-from hd_diag.diagnosis.stamps import Stamps
+from hd_diag.diagnosis.stamps import UNTOLD, Stamps
 from hd_diag.messages.publications import TEMPERATURE, read_temperature
 from hd_diag.streams.alignment import Aligned, Alignment
 from hd_diag.streams.interpolation import torque_between
@@ -111,12 +111,15 @@ class InputRecord:
         On the link [N m].
     bag : ndarray of int64, shape (n,)
         Which recording each sample comes from.
+    stamps : Stamps
+        What became of samples that are not in it.
     """
 
     time: Floats
     input_angle: Floats
     torque: Floats | None
     bag: Integers
+    stamps: Stamps = UNTOLD
 
 
 def read_motion(paths: Sequence[str | Path], joint: JointConfig) -> InputRecord | None:
@@ -140,8 +143,9 @@ def read_motion(paths: Sequence[str | Path], joint: JointConfig) -> InputRecord 
         if np.abs(angle[begin:end]).max() <= _TURN:
             angle[begin:end] = unwrapped(angle[begin:end])
     if not known.any():
-        return InputRecord(found.time, angle, None, found.stretch)
-    return InputRecord(found.time[known], angle[known], found.torque[known], found.stretch[known])
+        return InputRecord(found.time, angle, None, found.stretch, found.stamps)
+    torque, stretch = found.torque[known], found.stretch[known]
+    return InputRecord(found.time[known], angle[known], torque, stretch, found.stamps)
 
 
 def _is_input(samples: Aligned) -> Any:
@@ -222,7 +226,8 @@ def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]
     warm = _temperature(np.concatenate(times), np.concatenate(heat), stamp)
     seen = streams.joints[0]
     unpaired = int(seen["unpaired"] + seen["waiting"])  # no input came for those that still wait
-    told = Stamps(int(seen["rejected"]), streams.last_rejection(0), unpaired, int(seen["clock_jumps"]))
+    counts = int(seen["rejected"]), streams.last_rejection(0), unpaired, int(seen["clock_jumps"])
+    told = Stamps(*counts, tuple(reader.problems))
     return [stamp, stretch, given, own, torque, speed, warm], told
 
 

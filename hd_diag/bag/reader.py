@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,7 +66,8 @@ class BagReader(AbstractContextManager["BagReader"]):
         Least and greatest log time [ns]; 0 and 0 for an empty bag.
     problems : list of str
         One line for each file that is not finished: it was cut off, is damaged, or is still being written.
-        What precedes the damage is read. Empty for a whole bag.
+        What precedes the damage is read. One for each topic of which there are not as many messages as the
+        metadata count, or, once they were read, as a file counts. Empty for a whole bag.
     paths : list of Path
         Storage files in order.
 
@@ -78,7 +80,7 @@ class BagReader(AbstractContextManager["BagReader"]):
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
         self._topics: dict[tuple[str, str], Topic] = {}
-        self._sources: list[tuple[Path, McapStorage | SqliteFile, dict[int, Topic]]] = []
+        self._sources: list[tuple[Path, McapStorage | SqliteFile, dict[int, Topic], dict[int, int]]] = []
         self._stack = ExitStack()
         try:
             found = find_files(self.path)
@@ -91,7 +93,9 @@ class BagReader(AbstractContextManager["BagReader"]):
             if isinstance(exc, OSError):
                 raise BagError(getattr(exc, "filename", None) or self.path, exc) from exc
             raise
-        full = [storage for _, storage, _ in self._sources if any(t.count for t in storage.topics.values())]
+        if not self.problems:
+            self._compare("metadata.yaml", found.counted, _by_name((t, t.count) for t in self.topics))
+        full = [storage for _, storage, *_ in self._sources if any(t.count for t in storage.topics.values())]
         self.start = min((storage.start for storage in full), default=0)
         self.end = max((storage.end for storage in full), default=0)
 
@@ -128,15 +132,28 @@ class BagReader(AbstractContextManager["BagReader"]):
     def mixed(self, topics: Iterable[str] | None, together: Callable[[Topic], bool]) -> Iterator[Mixed]:
         """As `batches`, in long runs: topics for which `together` is true may alternate within one."""
         names = None if topics is None else set(topics)
-        for path, storage, known in self._sources:
+        for path, storage, known, counted in self._sources:
             numbers = [n for n, topic in known.items() if names is None or topic.name in names]
-            alternating = [n for n in numbers if together(known[n])]
+            alternating, read = [n for n in numbers if together(known[n])], Counter[int]()
             try:
                 for block in storage.blocks(numbers) if numbers else ():
+                    read.update(dict(zip(*np.unique(block.channel, return_counts=True), strict=True)))
                     for part in _runs(block, alternating):
                         yield self._mixed(path, known, part)
             except BagError as exc:
                 raise type(exc)(path, exc.cause) from exc
+            if not storage.problem:
+                told, there = (
+                    _by_name((known[n], int(each[n])) for n in numbers) for each in (counted, read)
+                )
+                self._compare(path.name, told, there)
+
+    def _compare(self, what: str, counted: Mapping[str, int], found: Mapping[str, int]) -> None:
+        """Note topics of which there are not as many messages as counted."""
+        for name, count in counted.items():
+            line = str(BagError(what, f"counts {count} messages of {name}, there are {found.get(name, 0)}"))
+            if found.get(name, 0) != count and line not in self.problems:
+                self.problems.append(line)
 
     def deserialize(self, batch: Batch) -> tuple[list[tuple[int, Any]], list[Rejection]]:
         """Message objects with their positions, and what could not be decoded; BagError for unknown types."""
@@ -175,7 +192,8 @@ class BagReader(AbstractContextManager["BagReader"]):
             self.problems.append(str(BagError(path.name, f"is left out: {exc.cause}")))
             return
         self.problems += [str(BagError(path.name, p)) for p in (broken, storage.problem) if p]
-        self._sources.append((path, storage, {}))
+        counted = {number: topic.count for number, topic in storage.topics.items()}
+        self._sources.append((path, storage, {}, counted))
         for number, topic in storage.topics.items():
             known = self._topics.setdefault((topic.name, topic.type_name), topic)
             known.count += topic.count if known is not topic else 0
@@ -201,6 +219,14 @@ class BagReader(AbstractContextManager["BagReader"]):
                 payload = [standard_joint_state(data, self.types(topic)) for data in payload]
             batches.append((rows, Batch(topic, own.log_time, own.publish_time, payload)))
         return Mixed(part.log_time, batches)
+
+
+def _by_name(counts: Iterable[tuple[Topic, int]]) -> dict[str, int]:
+    """Messages by the topic's name."""
+    found = Counter[str]()
+    for topic, count in counts:
+        found[topic.name] += count
+    return found
 
 
 def _runs(block: Block, alternating: list[int]) -> Iterator[Block]:

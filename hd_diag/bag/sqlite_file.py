@@ -40,10 +40,9 @@ class SqliteFile:
 
     What a crash left unfinished stands in a file beside it, ``-wal`` or ``-journal``. SQLite would clear up
     there, and without the right to write would not open it: such a database is read in a copy, which the
-    stack deletes. Raises BagError where it is no database of rosbag2, or damaged.
+    stack deletes. `problem` says what its check of itself found, for damage may hide rows. Raises BagError
+    where it is no database of rosbag2, or so damaged that it cannot be read.
     """
-
-    problem = ""  # a database is whole or cannot be read
 
     def __init__(self, path: Path, stack: ExitStack) -> None:
         self._path = path
@@ -60,10 +59,12 @@ class SqliteFile:
             with closing(self._open()) as db:
                 self.topics = _topics(db)
                 found = db.execute(_COUNT).fetchall()
+                checked = " ".join(str(db.execute("PRAGMA integrity_check(1)").fetchone()[0]).split())
             if any(wrong for *_, wrong in found):
                 raise TypeError("a topic or time is no number")
         except _DAMAGE as exc:
             raise self._error(exc) from exc
+        self.problem = "" if checked == "ok" else f"is damaged: {checked}; {self._advice}"
         self.start = min((start for _, _, start, _, _ in found), default=0)
         self.end = max((end for _, _, _, end, _ in found), default=0)
         for number, count, *_ in found:
@@ -111,6 +112,10 @@ class SqliteFile:
         db.set_progress_handler(lambda: next(turns) > most, _STEPS_PER_TURN)
         return db
 
+    @property
+    def _advice(self) -> str:
+        return f"`sqlite3 {self._path.name} .recover | sqlite3 new.db3` saves what can be read"
+
     def _error(self, exc: Exception) -> BagError:
         """The error in words for people, with advice where the database is damaged."""
         if isinstance(exc, ValueError):
@@ -118,7 +123,7 @@ class SqliteFile:
         what = f"SQLite: {exc}" if isinstance(exc, sqlite3.Error) else f"is damaged: {exc}"
         # Subclasses stand for what is no damage: no right to read, a query that takes too long.
         if not isinstance(exc, sqlite3.Error) or type(exc) is sqlite3.DatabaseError:
-            what += f"; `sqlite3 {self._path.name} .recover | sqlite3 new.db3` saves what can be read"
+            what += f"; {self._advice}"
         return BagError(self._path, what)
 
 

@@ -13,6 +13,7 @@ from hd_diag.cli.targets import Problem
 from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.ripple.ripple import Ripple
 from hd_diag.diagnosis.ripple.verdict import TITLES, as_json, row, sentence
+from hd_diag.diagnosis.stamps import UNTOLD
 
 
 @on_records
@@ -23,9 +24,10 @@ def ripple(records: Records, json_file: str | None) -> None:
     def judge(joint: JointConfig) -> Judged:
         with showing() as part:
             part(joint.name)(0, 0, "looking at the torque")
-            found = records.ripple(joint, records.motion(joint))
-        tables[joint.name] = found
-        return as_json(found, joint.name), [sentence(found)], None
+            motion = records.motion(joint)
+            found = records.ripple(joint, motion)
+        tables[joint.name], stamps = found, motion.stamps if motion else UNTOLD
+        return as_json(found, joint.name) | stamps.told, [*stamps.lines, sentence(found)], None
 
     _, complete = judge_each(records, judge, None, json_file)
     for name, found in tables.items() if json_file != "-" else ():

@@ -58,8 +58,10 @@ def check_degrees(record: Record) -> Finding | None:
 
 def check_stamps(record: Record) -> list[Finding]:
     """Findings of what stamps were found to be before samples came together: set back, refused, apart."""
-    refused, reason, unpaired, set_back = record.stamps
+    refused, reason, unpaired, set_back, problems = record.stamps
     found = []
+    if problems:
+        found.append(Finding("incomplete", record.stamps.broken, float(len(problems)), "-", False))
     if set_back:
         times = "once" if set_back == 1 else f"{set_back} times"
         text = (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,17 +20,39 @@ class Stamps(NamedTuple):
     """Counts of samples that are in no record.
 
     How many were refused and why the last; output angles without an input angle at their stamp; how often the
-    clock was set back in the middle of a recording.
+    clock was set back in the middle of a recording; what is unfinished, damaged or missing of its files.
     """
 
     refused: int = 0
     reason: str = ""
     unpaired: int = 0
     set_back: int = 0
+    problems: tuple[str, ...] = ()
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """The same by names, for JSON."""
+        names = "refused", "last_refusal", "unpaired", "clock_set_back", "problems"
+        return dict(zip(names, (*self[:-1], list(self.problems)), strict=True))
+
+    @property
+    def lines(self) -> list[str]:
+        """For a terminal: what is not whole, and what was refused."""
+        refused = f"{self.refused} samples are left out, the last because: {self.reason}"
+        return [*([self.broken] if self.problems else []), *([refused] if self.refused else [])]
+
+    @property
+    def broken(self) -> str:
+        """What is not whole, as a sentence's part."""
+        return f"the recording is not whole ({'; '.join(self.problems)}): this is of what could be read"
 
     @property
     def why(self) -> str:
         """Why there are so few samples, as far as it is known; empty where it is not."""
+        return self._why + (f"; {self.broken}" if self.problems else "")
+
+    @property
+    def _why(self) -> str:
         if self.unpaired:
             return f": {self.unpaired} output angles {UNPAIRED}"
         return f": {self.refused} were refused, the last because: {self.reason}" if self.refused else ""
@@ -38,7 +60,8 @@ class Stamps(NamedTuple):
     def and_then(self, later: Stamps) -> Stamps:
         """Of two recordings, one after the other."""
         counts = self.unpaired + later.unpaired, self.set_back + later.set_back
-        return Stamps(self.refused + later.refused, later.reason or self.reason, *counts)
+        problems = tuple(dict.fromkeys(self.problems + later.problems))
+        return Stamps(self.refused + later.refused, later.reason or self.reason, *counts, problems)
 
 
 UNTOLD = Stamps()

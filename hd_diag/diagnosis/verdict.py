@@ -59,7 +59,7 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
     content = {
         "schema": "hd_diag/diagnosis/1",
         "joint": joint,
-        "record": {**record.extent._asdict(), **counts},
+        "record": {**record.extent._asdict(), **counts, **record.stamps.told},
         "findings": [finding.__dict__ for finding in diagnosis.findings],
         "nominal": {"rms": rms.nominal},
         "refit": {"rms": rms.refit, "parameters": diagnosis.parameters, "trustworthy": trustworthy},
@@ -312,6 +312,8 @@ def summary(diagnosis: Diagnosis) -> list[str]:
             f"noise {arcsec(rms.noise)} rms; explained {percent(gain.fraction)} "
             f"({percents(gain.low, gain.high)})"
         )
+    told = {finding.text for finding in diagnosis.findings}
+    lines += [line for line in diagnosis.record.stamps.lines if line not in told]
     if zeros := _zeros(diagnosis):
         lines.append(
             f"encoders' zero: one for each of {len(zeros['values'])} recordings; they scatter by "

@@ -78,6 +78,7 @@ def survey(path: str) -> Survey:
             digest = _digest(reader.paths)
             duration = reader.duration
             names = joints_in(reader)
+            problems = tuple(reader.problems)  # with what reading showed
     except BagError as error:
         return Survey(path, error=str(error))
     except OSError as error:

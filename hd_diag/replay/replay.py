@@ -140,7 +140,7 @@ class _Run:
         self._next_report: int | None = None
         # Some maps are kept for a parameter that is set back; nothing else is to be done before one is there.
         self._build = lru_cache(_MAPS_KEPT)(partial(build, threads=2))
-        self._problems = list(reader.problems)
+        self._problems: list[str] = []
         self._versions_compared = False
         self._outputs: list[Encoded] | None = None  # of messages that are being taken
         for topic in reader.topics:
@@ -190,7 +190,7 @@ class _Run:
             {name: joint.rejected for name, joint in joints.items()},
             {name: joint.lost.count for name, joint in joints.items()},
             {name: joint.last_rejection for name, joint in joints.items()},
-            self._problems,
+            [*self._reader.problems, *self._problems],
             tuple(name for name, joint in joints.items() if joint.samples),
             {j.name: self._absent(j) for j in session.config.joints if not joints[j.name].samples},
         )
