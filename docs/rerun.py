@@ -4,7 +4,7 @@
 
 In blocks of the language ``console`` a line that begins with ``$ `` is a command, what follows is what it
 says, but for its progress. The commands of a page run one after the other in one shell, in an empty folder in
-which ``config`` and ``docs`` are those of this tree; ``hd-diag`` and ``python`` must be on the PATH. Blocks
+which those of `TREE` are there; ``hd-diag`` and ``python`` must be on the PATH. Blocks
 of the language ``sh`` are never run. What a page starts in the background is ended with it.
 """
 
@@ -27,6 +27,7 @@ BLOCK = re.compile(r"(?ms)^```console\n(.*?)^```$")
 END = "\x1e"  # printed after each command
 # A line every 10 s, on a machine as slow as that.
 PROGRESS = re.compile(r"(?m)^hd-diag: .*: (\d[^:]* so far|\d+ %.*|[\d,]+ of [\d,]+ .*)\n")
+TREE = ("config", "docs", "examples")  # folders of the tree that commands name
 LONGEST = 900.0  # for a page [s]
 
 
@@ -74,7 +75,7 @@ def rerun(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name).resolve()
-        for part in ("config", "docs"):
+        for part in TREE:
             (folder / part).symlink_to(ROOT / part)
         page.write_text(refreshed(text, told(commands(text), folder)), encoding="utf-8")
 

@@ -144,6 +144,16 @@ def test_progress_is_no_output_of_a_page(line: str, tmp_path: Path) -> None:
     assert told == "hd-diag: no such file: 3\n"
 
 
+@pytest.mark.parametrize("page", NAMES)
+def test_files_of_the_tree_are_there_when_a_page_is_run_again(page: str) -> None:
+    lines = rerun.commands((DOCS / page).read_text(encoding="utf-8"))
+    words = [word for line in lines for word in shlex.split(line) if "/" in word]
+    named = [word for word in words if (ROOT / word.partition("/")[0]).is_dir() and word[0] != "/"]
+    assert [
+        word for word in named if word.partition("/")[0] not in rerun.TREE or not (ROOT / word).exists()
+    ] == []
+
+
 def test_readme_is_short_and_says_what_the_demo_takes_before_its_command() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     assert len(text.split()) < 700
