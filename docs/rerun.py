@@ -4,7 +4,7 @@
 
 In blocks of the language ``console`` a line that begins with ``$ `` is a command, what follows is what it
 says, but for its progress. The commands of a page run one after the other in one shell, in an empty folder in
-which those of `TREE` are there; ``hd-diag`` and ``python`` must be on the PATH. Blocks
+which the folders of `TREE` are this tree's; ``hd-diag`` and ``python`` must be on the PATH. Blocks
 of the language ``sh`` are never run. What a page starts in the background is ended with it.
 """
 
