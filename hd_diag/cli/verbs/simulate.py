@@ -31,7 +31,7 @@ from hd_diag.cli import options
     "assignments",
     multiple=True,
     metavar="PARAMETER=VALUE",
-    help="Any parameter, such as joint_1.cup_compliance=2e-6; repeatable.",
+    help="Any parameter, such as joint_1.torque=5; repeatable.",
 )
 @options.shown("--offset-arcsec", 0.0, "Zero error of the output encoder [arcsec].")
 @options.shown("--angle-noise-arcsec", 0.0, "White noise of the output angle [arcsec rms].")
