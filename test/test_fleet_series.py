@@ -34,7 +34,7 @@ def by_quantity(rows: list[Row], **limits: float) -> dict[str, Series]:
 
 def test_values_in_order_of_time_with_their_deviations() -> None:
     found = by_quantity([row(day) for day in (2, 0, 1)])
-    assert set(found) == {"eccentricity", "residual_nominal", "residual_refit"}
+    assert set(found) == {"eccentricity", "transmission_error", "residual_nominal", "residual_refit"}
     residual = found["residual_refit"]
     assert_allclose(np.diff(residual.time), 86_400.0)
     assert_allclose(residual.value, [1e-6, 2e-6, 3e-6])

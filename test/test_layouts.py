@@ -225,5 +225,5 @@ def test_the_aggregator_shows_this_node_s_joints_alone_and_waits_long_enough(
 @pytest.mark.parametrize(
     "name", ["foxglove_layout.json", "plotjuggler_layout.xml", "rviz.rviz", "diagnostic_aggregator.yaml"]
 )
-def test_the_readme_names_every_layout(name: str) -> None:
-    assert f"config/{name}" in (FOLDER.parent / "README.md").read_text()
+def test_the_page_about_robots_names_every_layout(name: str) -> None:
+    assert f"config/{name}" in (FOLDER.parent / "docs" / "robot.md").read_text()

@@ -56,7 +56,7 @@ def test_the_cause_is_first_at_its_best_grid_point_of_all(made: LinearisedFit) -
     unmodelled = ranked(made, (), UNMODELLED_TERMS)
     assert 2 <= len(unmodelled) <= len(UNMODELLED_TERMS)
     assert max(one.gain for one in unmodelled) < found[0].gain
-    assert found[0].effect is RUBBED
+    assert found[0].effect == RUBBED
     assert found[0].nonlinear in RUBBED.starts(made.signals).points
     assert [one.surprise for one in found] == sorted((one.surprise for one in found), reverse=True)
     assert found[0].p_value < 1e-100

@@ -210,7 +210,7 @@ def test_bags_that_hold_no_record_of_the_joint(given: dict[str, np.ndarray], tmp
         (
             [("/note", STRING, string_cdr("x"), START)],
             BagError,
-            r"has no topic with sensor_msgs/msg/JointState; hd-diag topics tells more; it has /note",
+            r"has no topic with sensor_msgs/msg/JointState; it has /note",
         ),
     ]
     for number, (messages, error, said) in enumerate(cases):

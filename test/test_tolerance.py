@@ -65,12 +65,13 @@ def test_an_environment_compiles_the_kernels_of_model_and_tolerances() -> None:
     parts = re.findall(r"-c '(.*warm_up.*)'", (ROOT / "scripts" / "environment.sh").read_text())
     kernels = (
         "tolerance.evaluate, entry.torsion, entry.torsion_and_gradient, entry.torsion_of_flanks, *slow,"
-        "align, messages.write, messages.read, monitor.compare, monitor.follow, monitor.lost"
+        "align, messages.write, messages.read, monitor.compare, orders.follow, monitor.lost"
     )
     compiled = f"print([len(k.signatures) for k in ({kernels})])"
     imports = (
         "from hd_diag.model.kernel import entry; from hd_diag.tolerance import kernel as tolerance;"
         "from hd_diag.messages import kernel as messages; from hd_diag.monitor import kernel as monitor;"
+        "from hd_diag.monitor import kernel_orders as orders;"
         "from hd_diag.effects import recursions as r;"
         "from hd_diag.effects.contact_table import contact_table;"
         "from hd_diag.streams.kernel import align; slow = [r._compiled(f) for f in (r._slip, r._relax)]"

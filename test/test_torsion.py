@@ -45,12 +45,12 @@ def test_refuses_a_displacement_at_which_teeth_strike(place: str) -> None:
     drive, largest = LIMITS[place]
     drives.mesh(drive, (0.6 * largest, 0.0), (0.0, 0.399 * largest))
     for eccentricity, runout in ((1.001, 0.0), (0.0, 1.001), (0.5, 0.501)):
-        said = rf"eccentricity .* and runout .* {largest * 1e6:.6g} um.*{place}"
+        said = rf"eccentricity .* and runout .* {largest * 1e6:.6g} µm.*{place}"
         with pytest.raises(ValueError, match=said):
             drives.mesh(drive, (0.0, -eccentricity * largest), (runout * largest, 0.0))
 
 
-DISPLACEMENT = "eccentricity .* and runout .* must add up to less than 117.1 um"
+DISPLACEMENT = "eccentricity .* and runout .* must add up to less than 117.1 µm"
 
 
 @pytest.mark.parametrize(

@@ -157,7 +157,7 @@ def _interference(joint: Joint, loads: ToothLoads) -> str:
     """How far the lobes overlap, and what that does to the teeth."""
     even, limit = _even_loads(joint.config.drive).rated, joint.config.limits["peak_tooth_load"].warn
     return (
-        f"the lobes overlap by {loads.overlap * 1e6:.1f} um; they press a tooth with {loads.idle:.0f} N "
+        f"the lobes overlap by {loads.overlap * 1e6:.1f} µm; they press a tooth with {loads.idle:.0f} N "
         f"without torque; at the rated torque it bears {loads.rated:.0f} N, not {even:.0f} N as if centred; "
         f"{100.0 * _margin_lost(joint):.0f} % of the margin to {limit:.0f} N is lost"
     )

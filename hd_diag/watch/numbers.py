@@ -24,9 +24,9 @@ class _Number(NamedTuple):
 
 
 _NUMBERS = (
-    _Number("eccentricity_um", ("eccen-", "tricity", "um"), 1, 7),
+    _Number("eccentricity_um", ("eccen-", "tricity", "µm"), 1, 7),
     _Number("eccentricity_direction_deg", ("at", "", "deg"), 0, 5),
-    _Number("minimum_backlash_um", ("least", "backl.", "um"), 1, 7),
+    _Number("minimum_backlash_um", ("least", "backl.", "µm"), 1, 7),
     _Number("lost_motion_arcmin", ("lost", "motion", "arcmin"), 2, 6),
     _Number("loaded_pairs", ("loaded", "pairs", ""), 0, 6),
     _Number("peak_tooth_load_N", ("peak", "load", "N"), 1, 6),
@@ -36,7 +36,7 @@ _NUMBERS = (
 )
 
 _SENTENCE = (
-    "configured eccentricity {} um at {} deg; least backlash {} um; lost motion {} arcmin; {} tooth pairs "
+    "configured eccentricity {} µm at {} deg; least backlash {} µm; lost motion {} arcmin; {} tooth pairs "
     "loaded, the most with {} N; predicted error {} arcsec peak to peak; residual {} arcsec rms; {} samples/s"
 )
 
