@@ -390,7 +390,7 @@ def test_another_fault_is_shown_at_once_with_everything_else() -> None:
         display.show(watch, 1.05, is_last=True)
     shown = stream.getvalue().splitlines()
     assert [line.split(": ")[1].split()[0].strip(";") for line in shown] == ["OK", "RESIDUAL", "OK", "STALE"]
-    words = ("18.0 um at 0 deg", "lost motion", "tooth pairs", "arcsec peak to peak", "arcsec rms", "812 us")
+    words = ("18.0 µm at 0 deg", "lost motion", "tooth pairs", "arcsec peak to peak", "arcsec rms", "812 us")
     assert [part for part in words if part not in shown[0]] == []
     assert shown[0].endswith("log writing log.mcap")
 
@@ -430,3 +430,4 @@ def test_an_encoding_without_bars_does_no_harm(terminal: bool, monkeypatch: pyte
         display.show(watch, 2.0, is_last=True)
     stream.flush()
     assert b"gelenk_1" in raw.getvalue()
+    assert b"um" in raw.getvalue()

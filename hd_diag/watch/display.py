@@ -71,7 +71,7 @@ class Display:
         """Write lines, not by rich, which ends the program where the reader of a pipe has gone."""
         encoding = self._console.encoding
         for line in lines:
-            self._stream.write(line.encode(encoding, "backslashreplace").decode(encoding) + "\n")
+            self._stream.write(_encodable(line, encoding) + "\n")
         self._stream.flush()
 
     def _is_news(self, view: JointView, arrived: float) -> bool:
@@ -100,6 +100,7 @@ class JointTable:
         self._overflow: OverflowMethod = "crop" if self._is_ascii else "ellipsis"
         lines = self._lines() if self._views else [Text(line) for line in waiting(self._watch)]
         for line in lines:
+            line.plain = _encodable(line.plain, options.encoding)
             line.no_wrap, line.overflow = True, self._overflow
         yield Constrain(Group(*lines), self._width)
 
@@ -164,6 +165,12 @@ class JointTable:
         if shared := sorted({view.name for view in self._views if len(view.nodes) > 1}):
             found.append(f"several nodes report {', '.join(shared)} on one topic and cannot be distinguished")
         return [Text(shown_text(remark), "yellow") for remark in found]
+
+
+def _encodable(text: str, encoding: str) -> str:
+    """A text as a terminal of an encoding can show it."""
+    known = text if "µ".encode(encoding, "ignore") else text.replace("µ", "u")
+    return known.encode(encoding, "backslashreplace").decode(encoding)
 
 
 def waiting(watch: Watch) -> list[str]:
