@@ -100,6 +100,20 @@ def titled(axes: Axes, title: str, raised: float = 0.0) -> None:
         axes.legend(handles, labels, loc="lower left", ncols=_COLUMNS, **anchor)
 
 
+def arrow(axes: Axes, start: complex, end: complex, colour: str, width: float, head: float) -> None:
+    """A straight arrow from a point to another of the plane x + iy; width and head [points]."""
+    style = {
+        "arrowstyle": "-|>",
+        "color": colour,
+        "lw": width,
+        "shrinkA": 0.0,
+        "shrinkB": 0.0,
+        "mutation_scale": head,
+    }
+    (x0, y0), (x1, y1) = ((complex(point).real, complex(point).imag) for point in (start, end))
+    axes.annotate("", (x1, y1), (x0, y0), arrowprops=style)
+
+
 def turn(axes: Axes, label: str) -> None:
     """An axis over one turn in degrees."""
     axes.set(xlim=(0.0, 360.0), xticks=range(0, 361, 60), xlabel=label)

@@ -15,6 +15,7 @@ from hd_diag.arrays import Complexes, Floats
 from hd_diag.drive import Drive, mesh_state
 from hd_diag.model.neutral_curve import tooth_axes
 from hd_diag.model.transmission_error import Kinematics
+from hd_diag.report.pictures import canvas
 from hd_diag.report.pictures.canvas import ACCENT, EXTENDED, GRID, INK, NOMINAL, REFIT, drawn, sheet
 
 _HEIGHT = 7.2  # [inch]
@@ -132,16 +133,7 @@ def _curve(axes: Axes, points: Complexes, color: str, **style: Any) -> None:
 
 
 def _arrow(axes: Axes, start: complex, end: complex, colour: str) -> None:
-    style = {
-        "arrowstyle": "-|>",
-        "color": colour,
-        "lw": 1.1,
-        "shrinkA": 0.0,
-        "shrinkB": 0.0,
-        "mutation_scale": 8,
-    }
-    (x0, y0), (x1, y1) = ((complex(point).real, complex(point).imag) for point in (start, end))
-    axes.annotate("", (x1, y1), (x0, y0), arrowprops=style)
+    canvas.arrow(axes, start, end, colour, 1.1, 8.0)
 
 
 def _arc(axes: Axes, centre: complex, radius: float, start: float, end: float, colour: str) -> None:

@@ -14,6 +14,7 @@ from hd_diag.arrays import Floats
 from hd_diag.model.geometry import Geometry
 from hd_diag.model.neutral_curve import tooth_axes
 from hd_diag.model.tooth_profile import DoubleArc
+from hd_diag.report.pictures import canvas
 from hd_diag.report.pictures.canvas import ACCENT, EXTENDED, GRID, INK, NOMINAL, REFIT, drawn, save, sheet
 
 __all__ = ["save", "tooth_pair_picture"]
@@ -212,16 +213,7 @@ def _outline(flank: DoubleArc, low: float, high: float) -> np.ndarray[Any, np.dt
 
 
 def _arrow(axes: Axes, start: complex, end: complex, colour: str) -> None:
-    style = {
-        "arrowstyle": "-|>",
-        "color": colour,
-        "lw": 0.9,
-        "shrinkA": 0.0,
-        "shrinkB": 0.0,
-        "mutation_scale": 7,
-    }
-    (x0, y0), (x1, y1) = ((complex(point).real, complex(point).imag) for point in (start, end))
-    axes.annotate("", (x1, y1), (x0, y0), arrowprops=style)
+    canvas.arrow(axes, start, end, colour, 0.9, 7.0)
 
 
 def _angle(axes: Axes, centre: complex, radius: float, start: float, end: float, colour: str) -> None:
