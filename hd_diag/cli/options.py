@@ -154,12 +154,12 @@ CONFIG = click.option(
 JOINT = click.option("--joint", help="Joint. [default: the first configured]")
 JOINTS = click.option("--joint", "names", multiple=True, help="Joint; repeatable. [default: all configured]")
 BAG = click.option("--out", required=True, type=BagTarget(), help="*.mcap or a rosbag2 folder.")
-OVERWRITE = click.option("--overwrite", is_flag=True, help="Replace the output where it exists.")
+OVERWRITE = click.option("--overwrite", is_flag=True, help="Replace an existing output.")
 JOBS = click.option(
     "--jobs", type=click.IntRange(1), help="Processes on this machine. [default: one per core that is free]"
 )
 FAIL_ON_CAUSE = click.option(
-    "--fail-on-cause", is_flag=True, help="Exit with 1 where a cause or something unexplained is found."
+    "--fail-on-cause", is_flag=True, help="Exit with code 1 if a cause or something unexplained is found."
 )
 JSON = json_option("the result")
 
@@ -179,13 +179,13 @@ _RECORDS = (
         help="Rows per second of CSV files without a time.",
     ),
     click.option(
-        "--delimiter", default="", help="Between the columns of CSV files; tab. [default: as found]"
+        "--delimiter", default="", help="Between the columns of CSV files, or tab. [default: detected]"
     ),
     click.option(
         "--input-divided",
         "divided",
         is_flag=True,
-        help="In a CSV file the input angle is already divided by the ratio.",
+        help="The input angle of the CSV files is already divided by the ratio.",
     ),
     click.option(
         "--effects",
@@ -193,7 +193,7 @@ _RECORDS = (
         metavar="FILE",
         multiple=True,
         type=Source(dir_okay=False, path_type=Path),
-        help="Python file with further effects to search among, as EFFECT or EFFECTS; repeatable. It is run.",
+        help="Python file with further effects, as EFFECT or EFFECTS; repeatable. The file is executed.",
     ),
     click.option(
         "--time-limit",
@@ -201,8 +201,8 @@ _RECORDS = (
         type=click.FloatRange(0.0),
         default=60.0,
         show_default=True,
-        help="Computing time for each joint; what there was no time for is said. The fit, the gain and what "
-        "no cause explains are never left out.",
+        help="Limit of the computing time for each joint. The result says what was left out; the fit, the "
+        "gain and the unexplained rest are never left out.",
     ),
 )
 

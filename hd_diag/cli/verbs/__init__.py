@@ -23,23 +23,23 @@ SIGNALLED = 128
 
 # Module of each verb, and its line in the list of all.
 VERBS = {
-    "check": ("check", "Validate a configuration without ROS and say what it describes."),
-    "completion": ("completion", "What makes bash, zsh or fish complete verbs, options and files."),
-    "demo": ("demo", "The node beside a simulated joint, its log, replay and verdict."),
-    "diagnose": ("diagnose", "What the simulation gets wrong, the physical cause, the gain."),
-    "figures": ("figures", "The model's counterparts of the paper's Figs. 5 to 7."),
-    "fleet": ("fleet", "Diagnose every joint of many bags; what changes over time."),
-    "gear": ("gear", "A parameter file for a drive from its catalogue page."),
-    "mesh": ("mesh", "One moment: backlash and load of every tooth, torsion, error."),
-    "node": ("node", "Run the node: joint states in; error, teeth, diagnostics out."),
-    "recover": ("bags", "Save what a crash left of a bag."),
-    "replay": ("bags", "Run the model over a bag: the outputs that the node would give."),
-    "report": ("report", "A bag on one HTML page: verdict, what to inspect, pictures."),
-    "ripple": ("ripple", "Lines of the torque over position, for robots with one angle a joint."),
+    "check": ("check", "Check a configuration without ROS and describe its drives."),
+    "completion": ("completion", "Print a completion script for bash, zsh or fish."),
+    "demo": ("demo", "Run the node beside a simulated joint, then replay and diagnose its log."),
+    "diagnose": ("diagnose", "Find what the model gets wrong in a bag, and the physical cause."),
+    "figures": ("figures", "Draw the model's counterparts of the paper's Figs. 5 to 7."),
+    "fleet": ("fleet", "Diagnose every joint of many bags and show what changes over time."),
+    "gear": ("gear", "Write a parameter file for a drive from its catalogue page."),
+    "mesh": ("mesh", "Show backlash and load of every tooth at one input angle and torque."),
+    "node": ("node", "Run the ROS node."),
+    "recover": ("bags", "Save what can be read of an unfinished or damaged bag."),
+    "replay": ("bags", "Run the model over a bag and write what the node would publish."),
+    "report": ("report", "Diagnose a bag and write one HTML page."),
+    "ripple": ("ripple", "Find periodic torque ripple of robots that report one angle for each joint."),
     "simulate": ("simulate", "Write a bag of a simulated joint."),
-    "tolerance": ("tolerance", "Say what eccentricity an assembly may have."),
-    "topics": ("topics", "What is in a bag, what could serve a joint, the mapping to paste."),
-    "watch": ("watch", "A running node in the terminal: numbers and faults by joint."),
+    "tolerance": ("tolerance", "Compute how much eccentricity an assembly may have."),
+    "topics": ("topics", "List what is in a bag and propose the configuration of its joints."),
+    "watch": ("watch", "Show the values and faults of a running node in the terminal."),
 }
 
 
@@ -127,10 +127,11 @@ def signalled(error: BaseException | None) -> int:
 @click.version_option(hd_diag.__version__, prog_name="hd-diag")
 @click.pass_context
 def cli(context: click.Context) -> None:
-    """Harmonic drives in robot joints: what the teeth do, live and in bags.
+    """Model, monitor and diagnose harmonic drives in robot joints, live and from bags.
 
-    Lengths, angles and torques are SI: m, rad, N m. Configurations are ROS parameter files, as the node takes
-    them. Exit codes: 0 done, 1 a finding that you asked to fail on, 2 bad usage or input, 130 after Ctrl-C.
+    Lengths, angles and torques are SI: m, rad, N m. A configuration is a ROS parameter file, the same for the
+    node and for every command. Exit codes: 0 done, 1 a finding that you asked to fail on, 2 bad usage or
+    input, 130 after Ctrl-C.
     """
     if context.invoked_subcommand is None:
         click.echo(context.get_help())

@@ -11,10 +11,10 @@ from hd_diag.cli import options
 @click.argument("config_file", metavar="CONFIG", type=options.Source(dir_okay=False))
 @options.JSON
 def check() -> None:
-    """Validate a configuration without ROS and say what it describes.
+    """Check a configuration without ROS and describe its drives.
 
-    Every value is checked alone and the geometry as a whole; an unknown key is an error that names the
-    nearest known one. Of each joint are told torsional stiffness, lost motion, clearance without torque and
-    what an eccentricity does to the error; warnings where these cannot be a gear's, or not that of its
-    catalogue page.
+    Every value is checked alone, and the geometry as a whole. An unknown key is an error; the message names
+    the nearest known key. For each joint the torsional stiffness, the lost motion, the clearance without
+    torque and the effect of an eccentricity are printed. A warning says where no gear can have such a value,
+    or where it differs from the gear's catalogue page.
     """

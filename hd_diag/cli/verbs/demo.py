@@ -17,9 +17,9 @@ from hd_diag.cli import options
 @options.shown("--seconds", 24.0, "How long node and joint run [s].", type=click.FloatRange(5.0, 600.0))
 @options.JSON
 def demo() -> None:
-    """The main job end to end: the real node beside a simulated joint, over DDS, its log, replay and verdict.
+    """Run the real node beside a simulated joint over DDS, then replay and diagnose its log.
 
-    Starts both as processes of their own, changes the eccentricity while they run, shows what the diagnostics
-    say, replays the log, diagnoses it and writes the report. Needs ROS 2 Jazzy. Exit codes: 0 all held, 1
-    something did not, 130 after Ctrl-C.
+    Starts both as separate processes, changes the eccentricity while they run, shows the diagnostics, replays
+    the log, diagnoses it and writes the report. Needs ROS 2 Jazzy. Exit codes: 0 every step gave the expected
+    result, 1 a step did not, 130 after Ctrl-C.
     """

@@ -13,25 +13,25 @@ from hd_diag.cli import options
 @click.option(
     "--orders-only",
     is_flag=True,
-    help="Describe the error by its orders alone, for a gear of which nobody has the geometry: of the "
-    "configuration only names, ratio, rated torque and accuracy are used.",
+    help="Describe the error by its orders alone, for a gear of unknown geometry. Only names, ratio, rated "
+    "torque and accuracy of the configuration are used.",
 )
 @click.option(
     "--model",
     "model_file",
     type=options.Target(),
-    help="Write the extended model here, for the parameter <joint>.model_file; of several joints each gets a "
-    "file with _<joint> in its name.",
+    help="Write the extended model here, for the parameter <joint>.model_file. With several joints each gets "
+    "its own file with _<joint> in the name.",
 )
-@click.option("--report", "report_file", type=options.PAGE, help="Draw it all on one HTML page here.")
+@click.option("--report", "report_file", type=options.PAGE, help="Write the HTML report here.")
 @options.JSON
 def diagnose() -> None:
-    """Show what the simulation gets wrong, name the physical cause and measure the gain.
+    """Find what the model gets wrong in a bag, name the physical cause and measure the gain.
 
-    The model's own parameters are refitted first; causes are then searched among the catalogue's and named
-    only where data that nothing was fitted to confirm them. Several bags are runs of the same joint. "None
-    of the known causes" and "this record cannot tell these apart" are answers too. A record too long to be
-    fitted is looked through sample by sample for a wrong ratio, steps and outliers; stretches spread over
-    all of it are fitted. A joint that cannot be judged, for its signals are wrong or too few, is reported on
-    stderr, the others go on, and the exit code is 2.
+    First the model's own parameters are fitted. Then the catalogue is searched for causes. A cause is named
+    only where it also predicts the part of the record that was not used in the fit. "None of the known
+    causes" and "this record cannot tell these apart" are possible answers. Several bags are runs of the same
+    joint. Of a very long record every sample is checked for a wrong ratio, steps and outliers, and stretches
+    from all over it are fitted. If a joint's signals are wrong or too few, stderr says so, the other joints
+    are diagnosed, and the exit code is 2.
     """

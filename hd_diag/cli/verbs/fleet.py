@@ -19,21 +19,21 @@ from hd_diag.cli import options
 @click.option(
     "--report",
     type=options.PAGE,
-    help="Write one HTML page here, a row a joint with its colour; pages of the joints' last recordings go "
-    "into the folder <name>_joints beside it.",
+    help="Write one HTML page here, one row for each joint with its colour. A page for the last recording of "
+    "each joint goes into the folder <name>_joints beside it.",
 )
 @options.figure_option("the series")
 @options.JOBS
 @click.option(
     "--memory",
     type=click.FloatRange(min=0.0, min_open=True),
-    help="What each process may have [GiB]; a bag that needs more gets an error. "
+    help="Memory of each process [GiB]; a bag that needs more gets an error. "
     "[default: 90 % of the machine's over the processes]",
 )
 @options.shown(
     "--bag-timeout",
     1800.0,
-    "What may be spent on looking at a bag, and on diagnosing each of its joints [s]; a bag that takes "
+    "Time to read a bag, and to diagnose each of its joints [s]; a bag that takes "
     "longer gets an error and is tried again by the next run. 0: no limit.",
     type=click.FloatRange(min=0.0),
     metavar="SECONDS",
@@ -58,26 +58,27 @@ from hd_diag.cli import options
     "residual_nominal, residual_refit, a cause's amplitude [rad] or a ripple_ORDER [N m]; repeatable. "
     "[default: the joint's accuracy and the eccentricity that hd-diag tolerance allows]",
 )
-@click.option("--fresh", is_flag=True, help="Forget what earlier runs have kept.")
+@click.option("--fresh", is_flag=True, help="Ignore the results of earlier runs.")
 @options.FAIL_ON_CAUSE
-@click.option("--fail-on-change", is_flag=True, help="Exit with 1 where something steps or drifts.")
+@click.option("--fail-on-change", is_flag=True, help="Exit with code 1 if something steps or drifts.")
 @click.option(
     "--fail-on",
     type=click.Choice(("amber", "red")),
-    help="Exit with 1 where a joint is red; with amber also where one is not green, or a bag could not be "
-    "judged or was cut off.",
+    help="Exit with code 1 if a joint is red; with amber also if a joint is not green, or a bag could not be "
+    "judged or is cut off.",
 )
 @options.JSON
 def fleet() -> None:
-    """Diagnose every joint of every bag, in parallel, and report what changes over time.
+    """Diagnose every joint of many bags in parallel and show what changes over time.
 
-    Folders are searched for bags; a folder with a metadata.yaml is one. The table has one row for each bag
-    and joint, as ``hd-diag diagnose`` judges it alone; what cannot be judged has a row that says why. Each
-    result is kept beside the table in OUT.journal.jsonl as soon as it is there: the same command goes on
-    after an interruption, and later judges new bags only. Series over time are eccentricity, residuals and
-    the amplitude of each cause, of a joint with one angle those of its torque's ripple; steps and drifts are
-    reported with a chance of false alarm of 5 % for the whole run. Each joint is green, amber, red or not
-    judged by its last recording: its transmission error beside its accuracy, its eccentricity beside what the
-    assembly may have; amber where the 95 % interval holds the limit, or the bag is cut off. Exit code 2 where
-    no bag could be judged, 130 after Ctrl-C.
+    Folders are searched for bags; a folder with a metadata.yaml is one bag. The table has one row for each
+    bag and joint, with the result of ``hd-diag diagnose``; a joint that cannot be judged has a row with the
+    reason. Each result is saved at once in OUT.journal.jsonl beside the table. The same command therefore
+    continues after an interruption, and later judges only new bags.
+
+    Over time are shown: the eccentricity, the residuals and the amplitude of each cause; for a joint with one
+    angle, its torque ripple. Steps and drifts are reported with a chance of 5 % for a false alarm in the
+    whole run. The colour of a joint comes from its last recording: its transmission error is compared with
+    its accuracy, its eccentricity with what the assembly may have. Amber means that the limit is within the
+    95 % interval, or that the bag is cut off. Exit code 2 if no bag could be judged, 130 after Ctrl-C.
     """

@@ -48,7 +48,8 @@ def _page_options(function: Any) -> Any:
 def gear() -> None:
     """Write a parameter file for a drive from its catalogue page.
 
-    Teeth, neutral curve and clearance by similarity to the example drive, compliances by a fit to K1, K2, K3;
-    limits and tolerances scaled. The file says what was given, what is assumed and what was reached. A page
-    names the ratio with the circular spline fixed, 100 say; with the output there the joint's is 101.
+    Teeth, neutral curve and clearance are scaled from the example drive; the compliances are fitted to K1, K2
+    and K3; limits and tolerances are scaled. The file says what was given, what is assumed and how well K1,
+    K2 and K3 are met. A catalogue gives the ratio with the circular spline fixed, for example 100; if the
+    output is the circular spline, the joint's ratio is 101.
     """

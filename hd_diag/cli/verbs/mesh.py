@@ -12,7 +12,7 @@ from hd_diag.cli import options
 @options.shown("--torque", 0.0, "Torque M [N m].")
 @options.JSON
 def mesh() -> None:
-    """One moment: backlash and load of every tooth, torsion, transmission error.
+    """Show backlash and load of every tooth, torsion and transmission error at one angle and torque.
 
     Torsion and loads are those of a torque M that turns the cup counter-clockwise (M > 0 bears on + flanks).
     The transmission error is the drive's when it exerts M on the link, whose reaction on the cup is -M for an

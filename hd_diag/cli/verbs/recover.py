@@ -15,11 +15,11 @@ from hd_diag.cli import options
 @options.OVERWRITE
 @options.JSON
 def recover() -> None:
-    """Save what can be saved of a bag that a crash left unfinished.
+    """Save what can be read of an unfinished or damaged bag.
 
-    Everything in closed chunks, and what can be read of the open one, is copied into a new bag and read back.
-    Says what was saved and what was lost. Exit code 0 also where something was lost: losing is not this
-    command's doing; 2 where nothing can be saved. Ctrl-C leaves a valid file and ends with code 130; after an
-    error the output is left without its end. A bag that --overwrite replaces stays until the new one is
-    whole.
+    Everything in closed chunks, and what can be read of the open one, is copied into a new bag. The new bag
+    is read back. The command says what was saved and what was lost. Exit codes: 0 something was saved, even
+    if not everything; 2 nothing can be saved; 130 after Ctrl-C, which leaves a valid file. After an error the
+    output has no end, so that it never passes for complete. With --overwrite the old bag stays until the new
+    one is complete.
     """

@@ -27,12 +27,12 @@ from hd_diag.cli import options
 @options.OVERWRITE
 @options.JSON
 def replay() -> None:
-    """Run the monitor over a recorded bag and write what the node would have published.
+    """Run the model over a bag and write what the node would have published.
 
-    Time is the bag's; the machine goes as fast as it can. Without --config the bag must be a log of the node:
-    its configuration and every change of it are followed, and the outputs are those of the live run, bit for
-    bit. Reads MCAP files and rosbag2 folders (MCAP or sqlite3), unfinished ones included. A joint of which
-    the bag has no sample is reported on stderr, with what the bag has, and the exit code is 2. Ctrl-C leaves
-    a valid file and ends with code 130; after an error the output is left without its end. A bag that
-    --overwrite replaces stays until the new one is whole, also then.
+    Time is the bag's, computed as fast as possible. Without --config the bag must be a log of the node: its
+    configuration and every change of it are followed, and the outputs equal those of the live run bit for
+    bit. Reads MCAP files and rosbag2 folders (MCAP or sqlite3), also unfinished ones. If the bag has no
+    sample of a joint, stderr says what the bag has, and the exit code is 2. Ctrl-C leaves a valid file and
+    ends with code 130. After an error the output has no end, so that it never passes for complete. With
+    --overwrite the old bag stays until the new one is complete.
     """

@@ -16,11 +16,10 @@ from hd_diag.cli import options
 )
 @options.JSON
 def report() -> None:
-    """Draw a bag: verdict, what to inspect, measured against simulated, teeth, data.
+    """Diagnose a bag and write one HTML page: verdict, what to inspect, measured beside simulated, teeth.
 
-    Diagnoses the bag as `hd-diag diagnose` does, with the same JSON, and writes one HTML file that needs
-    nothing else. Where a bag does not hold the output angle, or its record cannot be judged, it shows the
-    model's side of the motion and says so; the JSON then has the reason as "error". Several bags are runs of
-    the same joint. A joint of which nothing can be shown is reported on stderr, the others go on, and the
-    exit code is 2.
+    The diagnosis and its JSON are those of `hd-diag diagnose`. The page is one file that needs nothing else.
+    If a bag has no output angle, or its record cannot be judged, the page says so and shows what the model
+    predicts for the motion; the JSON then has the reason as "error". Several bags are runs of the same joint.
+    If nothing of a joint can be shown, stderr says so, the other joints are shown, and the exit code is 2.
     """

@@ -9,11 +9,11 @@ from hd_diag.cli import options
 @options.records
 @options.JSON
 def ripple() -> None:
-    """Look for lines of the torque, or of a current, at the gear's orders over a turn of the output.
+    """Find periodic torque ripple at the gear's orders, for robots that report one angle for each joint.
 
-    For robots that report one angle a joint, with a torque or a current: no transmission error can be had of
-    it, and no eccentricity. Friction, gravity and inertia are taken off as smooth parts. A line must have the
-    same phase in all stretches of the motion, and stand out of the orders beside its own. Several bags are
-    recordings of the same joint. A joint that cannot be judged is reported on stderr, the others go on, and
-    the exit code is 2.
+    With one angle and a torque or a current, neither the transmission error nor an eccentricity can be
+    measured; a periodic ripple of the torque can. Friction, gravity and inertia are removed as smooth parts.
+    A line is reported only if it has the same phase in all stretches of the motion and is larger than the
+    orders beside it. Several bags are recordings of the same joint. If a joint cannot be judged, stderr says
+    so, the other joints are judged, and the exit code is 2.
     """

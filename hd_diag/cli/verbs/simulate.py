@@ -45,7 +45,7 @@ from hd_diag.cli import options
 def simulate() -> None:
     """Write a bag of a simulated joint.
 
-    The joint is that of --config with what the options change; it moves both ways at every speed under every
-    torque. What an option does not give stands in the configuration. Ctrl-C leaves a valid file and ends with
-    code 130; a bag that --overwrite replaces stays until the new one is whole.
+    The joint is that of --config; options change single values. It moves in both directions at every speed
+    under every torque. Ctrl-C leaves a valid file and ends with code 130. With --overwrite the old bag stays
+    until the new one is complete.
     """

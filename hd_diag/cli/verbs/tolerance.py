@@ -52,10 +52,10 @@ def _limit_options(function: Callable[..., None]) -> Callable[..., None]:
 @options.JSON
 @options.figure_option("the result")
 def tolerance() -> None:
-    """Say what eccentricity an assembly may have.
+    """Compute how much eccentricity an assembly may have.
 
-    For every criterion the eccentricity that first exceeds its limit, over all directions and input angles;
-    then assemblies drawn from the configured tolerances: the share within the limits against the tolerance of
-    the eccentricity, and which tolerance matters. Limits and tolerances are in the configuration's section
-    "tolerance"; an option takes a limit's place.
+    For every criterion: the smallest eccentricity that exceeds its limit, over all directions and input
+    angles. Then random assemblies are drawn from the configured tolerances: the share of good ones over the
+    tolerance of the eccentricity, and which tolerance matters most. Limits and tolerances are in the section
+    "tolerance" of the configuration; an option replaces a limit.
     """

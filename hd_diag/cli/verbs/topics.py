@@ -13,9 +13,9 @@ from hd_diag.cli import options
 @click.argument("bag", type=options.Source(path_type=Path))
 @options.JSON
 def topics() -> None:
-    """Say what is in a bag, what could be input, output and torque of a joint, and the mapping to paste.
+    """List what is in a bag and propose the configuration of its joints, ready to paste.
 
-    Angles that turn in proportion by a gear's ratio, or as two encoders of one joint, are an input with its
-    output; what else has the joint's name or number is its torque, current or temperature. Units are guesses
-    from names and jumps. The first 50 000 messages of each topic are looked at.
+    Two angles whose speeds have the ratio of a gear, or that look like two encoders of one joint, are
+    proposed as input and output. Signals with the joint's name or number are its torque, current or
+    temperature. Units are guessed from names and jumps. The first 50 000 messages of each topic are read.
     """

@@ -32,8 +32,8 @@ from hd_diag.cli import options
     help="Everything reported as JSON, to stdout or a file; without --once a line a second.",
 )
 def watch() -> None:
-    """A running node in the terminal: what its diagnostics say of every joint.
+    """Show the values and faults of a running node in the terminal.
 
-    A table in a terminal, a line for each report on a pipe (one a second). Needs ROS 2 Jazzy. Exit codes: 0
+    A table in a terminal; in a pipe one line a second for each joint. Needs ROS 2 Jazzy. Exit codes: 0
     done, 1 a fault with --fail-on-fault, 2 nothing came within --timeout, 130 after Ctrl-C.
     """
