@@ -21,8 +21,11 @@ fail() {
 }
 
 install_lock() {
-    size="1.1 GB"
-    [ "$name" != demo ] || size="750 MB, of which 200 MB are downloaded"
+    case $name in
+    demo) size="750 MB, of which 200 MB are downloaded" ;;
+    ubuntu) size="550 MB" ;;
+    *) size="1.1 GB" ;;
+    esac
     echo "== Environment $env: $(grep -c == "$lock") packages of $lock with $("$python" -V); $size, 1 to 5 minutes"
     rm -rf "$env"
     "$python" -m venv "$env" >"$log" 2>&1 || fail "$python cannot make a virtual environment (Debian, Ubuntu: apt install python3-venv)"

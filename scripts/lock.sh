@@ -24,5 +24,5 @@ compile demo --no-emit-package empy setup.py --extra ros
 compile test --no-emit-package empy setup.py --extra ros --extra fleet --extra test --extra dev --extra docs \
     --constraints requirements/demo.txt
 compile test-source requirements/test-source.in
-compile ubuntu --no-emit-package empy setup.py requirements/ubuntu.in --extra ros --extra test
+compile ubuntu setup.py requirements/ubuntu.in
 compile challenge setup.py --extra challenge --constraints requirements/demo.txt
