@@ -341,7 +341,7 @@ def test_times_that_are_none_are_told(tmp_path, value):
             " timestamp, data); INSERT INTO messages SELECT * FROM old;"
             f" UPDATE messages SET timestamp={value} WHERE id % 7 = 0"
         )
-    with pytest.raises(BagError, match=r"topic or time is no number; .sqlite3"):
+    with pytest.raises(BagError, match=r"topic or time is not a number; .sqlite3"):
         BagReader(file)
 
 

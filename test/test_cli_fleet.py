@@ -445,7 +445,7 @@ def test_no_bag_that_can_be_judged(here: None, tmp_path: Path) -> None:
         ("a.mcap --joint elbow", "no joint 'elbow'"),
         ("a.mcap --robot (", "--robot (: "),
         ("a.mcap --limit weight=1", "no quantity 'weight'"),
-        ("a.mcap --limit eccentricity=x", "'x' is no number"),
+        ("a.mcap --limit eccentricity=x", "'x' is not a number"),
         ("a.mcap --limit eccentricity=nan", "must be positive and finite"),
         ("a.mcap --scheduler tcp://127.0.0.1:9", "with --scheduler its workers set them"),
         ("a.mcap --out f.csv", "f.csv: the name must end with .parquet"),

@@ -220,7 +220,7 @@ def test_joints_that_cannot_be(joints: Any) -> None:
         ("hd_diag: {ros__parameters: 3}", "'hd_diag' holds no 'ros__parameters'"),
         (section("array_rat: 1.0"), "unknown parameter 'array_rat'; the nearest known is 'array_rate'"),
         (section("array_rate: .nan"), "array_rate: expected a number [Hz], not nan"),
-        (section("array_rate: 1, array_rate: 2"), "not YAML: line 1: 'array_rate' stands twice below it"),
+        (section("array_rate: 1, array_rate: 2"), "not YAML: line 1: 'array_rate' appears twice below it"),
         (section("joint_1: 3"), "unknown parameter 'joint_1'"),
         (section("? [a, b] : 3"), "not YAML: "),
         (section(f"{'x' * 900}: 2"), "unknown parameter 'xxx"),

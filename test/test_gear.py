@@ -180,7 +180,7 @@ def test_scaling_everything_with_the_size_would_not_do_away_from_ratio_100() -> 
     ("values", "said"),
     [
         ({"ratio": 20.0}, "gear: 40 teeth of the flexspline are fewer than 60 (ratio 30)"),
-        ({"ratio": 80.5}, "gear.ratio: 80.5 is no whole number"),
+        ({"ratio": 80.5}, "gear.ratio: 80.5 is not a whole number"),
         ({"ratio": 0.0}, "gear.ratio: missing; a drive from its catalogue page needs it [-]"),
         ({"k2": 0.0}, "gear.k2: missing; a drive from its catalogue page needs it [N m/rad]"),
         ({"size": 0.0}, "gear.size or gear.pitch_diameter: missing"),

@@ -367,7 +367,7 @@ def test_empty_cells_are_missing_values(given: dict[str, np.ndarray], tmp_path: 
     [
         ("", COLUMNS, "has no column 't'; it has "),
         ("t,motor,link\n0,0,0\n", COLUMNS, "has no column 'tau'; it has t, motor, link"),
-        ("t,motor,link,tau\n0,1,x,3\n", COLUMNS, "line 2: 'x' is no number"),
+        ("t,motor,link,tau\n0,1,x,3\n", COLUMNS, "line 2: 'x' is not a number"),
         ("t,motor,link,tau\n", COLUMNS, "too short: 0 usable samples"),
         ("t,motor,link,tau\n0,1,2,3\n", COLUMNS, "too short: 1 usable samples"),
         ("\xff\xfe", COLUMNS, "cannot be read"),
@@ -386,8 +386,12 @@ def test_empty_cells_are_missing_values(given: dict[str, np.ndarray], tmp_path: 
         (None, {"output": "link", "torque": "tau"}, "; what the torque shows: hd-diag ripple"),
         (None, {"torque": "tau"}, "--columns needs time (or --rate), input, output"),
         (None, {"input": "t", "output": "motor"}, "--columns needs time (or --rate)"),
-        ("t,motor,link,tau\n", {**COLUMNS, "input": "motor[mm]"}, "column 'motor': 'mm' is no unit of input"),
-        ("t,motor,link,tau\n", {**COLUMNS, "output": "link[rpm]"}, "'rpm' is no unit of output"),
+        (
+            "t,motor,link,tau\n",
+            {**COLUMNS, "input": "motor[mm]"},
+            "column 'motor': 'mm' is not a unit of input",
+        ),
+        ("t,motor,link,tau\n", {**COLUMNS, "output": "link[rpm]"}, "'rpm' is not a unit of output"),
         ("t,motor,link,tau\n", {**COLUMNS, "input": "motor*x"}, "has no column 'motor*x'"),
         (None, {**COLUMNS, "speed": "v"}, "--columns does not know 'speed'"),
     ],

@@ -252,10 +252,10 @@ def decoded(path: Path, topic: str) -> list[Any]:
             {"field": "interface_values[0].values[0].x"},
             "values of control_msgs/msg/InterfaceValue has no fields",
         ),
-        ({"field": "interface_values[0]"}, "is no number; it has interface_names, values"),
-        ({"field": "header.frame_id"}, "frame_id of std_msgs/msg/Header is no number"),
-        ({"field": "header[0].stamp.sec"}, "header of control_msgs/msg/DynamicJointState is no array"),
-        ({"field": "joint_names..x"}, "is no path such as position"),
+        ({"field": "interface_values[0]"}, "is not a number; it has interface_names, values"),
+        ({"field": "header.frame_id"}, "frame_id of std_msgs/msg/Header is not a number"),
+        ({"field": "header[0].stamp.sec"}, "header of control_msgs/msg/DynamicJointState is not an array"),
+        ({"field": "joint_names..x"}, "is not a path such as position"),
         (
             {"topic": "/states"},
             r"no topic /states for joint_1; it has /d (control_msgs/msg/DynamicJointState)",
@@ -280,16 +280,16 @@ def test_what_is_not_there_is_told_with_what_there_is(
     [
         (
             {"input.unit": "degree Celsius"},
-            "joint_1.input.unit: 'degree Celsius' is no unit of input; there are",
+            "joint_1.input.unit: 'degree Celsius' is not a unit of input; there are",
         ),
-        ({"output_signal.unit": "rad/s"}, "joint_1.output_signal.unit: 'rad/s' is no unit of output"),
-        ({"torque_signal.unit": "counts/4096"}, "is no unit of torque; there are N m, N mm, A, mA"),
+        ({"output_signal.unit": "rad/s"}, "joint_1.output_signal.unit: 'rad/s' is not a unit of output"),
+        ({"torque_signal.unit": "counts/4096"}, "is not a unit of torque; there are N m, N mm, A, mA"),
         ({"input.sign": 0}, "joint_1.input.sign: expected 1 or -1, not 0"),
         ({"input.type": "a/b/c/d"}, "joint_1.input.type: expected a type such as"),
-        ({"input.type": "control_msgs/DynamicJointState"}, "joint_1.input.topic: which topic"),
+        ({"input.type": "control_msgs/DynamicJointState"}, "joint_1.input.topic: the topic"),
         (
             {"input.type": "a/B", "input.topic": "/x"},
-            "joint_1.input.field: which field of a/msg/B is missing",
+            "joint_1.input.field: the field of a/msg/B must be named",
         ),
         ({"input": "speed"}, "joint_1.input: expected 'velocity' or topic, field, ..., not 'speed'"),
         (

@@ -41,7 +41,7 @@ def _resolved(name: str | os.PathLike[str]) -> Path:
     try:
         return Path(name).resolve()
     except RuntimeError:
-        raise BagError(name, "a circle of symbolic links") from None
+        raise BagError(name, "a loop of symbolic links") from None
 
 
 @contextmanager

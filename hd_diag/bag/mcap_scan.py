@@ -300,7 +300,7 @@ def _parse(content: bytes, keep: Callable[[bytes], None]) -> Block:
         if opcode != message:
             ignored += 1
             if opcode == 0 or ignored > _MAX_OTHERS:
-                raise ValueError("it holds records that are none")
+                raise ValueError("it holds bytes that are not records")
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 keep(content[position:stop])
         elif more or len(first) or stop > end:

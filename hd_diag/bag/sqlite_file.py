@@ -61,7 +61,7 @@ class SqliteFile:
                 found = db.execute(_COUNT).fetchall()
                 checked = " ".join(str(db.execute("PRAGMA integrity_check(1)").fetchone()[0]).split())
             if any(wrong for *_, wrong in found):
-                raise TypeError("a topic or time is no number")
+                raise TypeError("a topic or time is not a number")
         except _DAMAGE as exc:
             raise self._error(exc) from exc
         self.problem = "" if checked == "ok" else f"is damaged: {checked}; {self._advice}"

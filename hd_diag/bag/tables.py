@@ -62,7 +62,7 @@ def read_tables(paths: Sequence[str | Path], table: Table, joint: JointConfig) -
     Raises
     ------
     RecordError
-        Where a file lacks a column, or a value is no number.
+        Where a file lacks a column, or a value is not a number.
     """
     _check_both(table)
     found, units = columns_of(paths, table, joint, ("time", "input", "output"))
@@ -241,4 +241,4 @@ def _number(path: Path, line: int, text: str) -> float:
     try:
         return float(text.strip().replace(",", ".") or "nan")
     except ValueError:
-        raise RecordError(f"{path}, line {line}: {text.strip()!r} is no number") from None
+        raise RecordError(f"{path}, line {line}: {text.strip()!r} is not a number") from None

@@ -95,7 +95,7 @@ def _limits(joints: Sequence[JointConfig], wanted: tuple[str, ...]) -> dict[tupl
         try:
             value = float(number)
         except ValueError:
-            raise FleetError(f"--limit {text}: {number!r} is no number") from None
+            raise FleetError(f"--limit {text}: {number!r} is not a number") from None
         if not 0.0 < value < float("inf"):
             raise FleetError(f"--limit {text}: must be positive and finite")
         limits |= {(joint.name, name): value for joint in joints}

@@ -220,4 +220,4 @@ def needing_ros(what: str) -> Iterator[None]:
     try:
         yield
     except ImportError as error:
-        raise Problem(f"{what} needs ROS 2 Jazzy (rclpy), which is not to be imported: {error}") from error
+        raise Problem(f"{what} needs ROS 2 Jazzy (rclpy), which cannot be imported: {error}") from error

@@ -53,9 +53,9 @@ def _signal(joint: str, role: str, owner: str, own: Mapping[str, Value]) -> Sign
         TEMPERATURE if role == "temperature" else JOINT_STATE
     )
     if not topic and type_name != JOINT_STATE:
-        raise ConfigError(f"{joint}.{owner}.topic: which topic with {type_name} is missing")
+        raise ConfigError(f"{joint}.{owner}.topic: the topic with {type_name} must be named")
     if not field and type_name not in (JOINT_STATE, TEMPERATURE):
-        raise ConfigError(f"{joint}.{owner}.field: which field of {type_name} is missing")
+        raise ConfigError(f"{joint}.{owner}.field: the field of {type_name} must be named")
     is_velocity = role == "input" and type_name == JOINT_STATE and field.startswith(_VELOCITY)
     at_motor = role == "input" and not (is_velocity and own["input_divided"])
     joint_name = (

@@ -102,7 +102,7 @@ def resolved(page: Page) -> dict[str, Value]:
     slots = 2.0 * abs(page.ratio) + (2.0 if flexspline else 0.0)
     if slots % 2.0:
         raise ValueError(
-            f"gear.ratio: {page.ratio:g} is no whole number; with two teeth more on the circular spline it is"
+            f"gear.ratio: {page.ratio:g} is not a whole number, as two more teeth on the circular spline give"
         )
     try:
         scale = page.pitch_diameter / _EXAMPLE_PITCH_DIAMETER

@@ -63,7 +63,7 @@ def parse(text: str, shape: Shape) -> Any:
 
 
 def _refuse(constant: str) -> Any:
-    raise ConfigError(f"holds {constant}, which is no number")
+    raise ConfigError(f"holds {constant}, which is not a number")
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -71,7 +71,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(found) != len(pairs):
         names = [name for name, _ in pairs]
         twice = next(name for name in names if names.count(name) > 1)
-        raise ConfigError(f"{shown(twice)} stands twice")
+        raise ConfigError(f"{shown(twice)} appears twice")
     return found
 
 

@@ -147,7 +147,7 @@ def _parsed(text: str, catalogue: Catalogue) -> ModelFile:
     terms = [_term(item, f"effects[{i}]", known) for i, item in enumerate(content["effects"])]
     once = [term.effect.name for term in terms if term.effect.name != ORDER_LINE.name]
     if len(set(once)) != len(once):
-        raise ConfigError("effects: a name stands twice")
+        raise ConfigError("effects: a name appears twice")
     ranges = Ranges(*(_range(name, content["valid_range"][name]) for name in _UNITS))  # type: ignore[arg-type]
     return ModelFile(ExtendedModel(drive, tuple(terms), float(content["offset"]), ranges), parameters, base)
 
@@ -244,7 +244,7 @@ def _base(found: Mapping[str, Any], parameters: Mapping[str, Value]) -> dict[str
     before = found["before_the_fit"]
     for name in before:
         if name not in REFITTED:
-            raise ConfigError(f"base.before_the_fit: {shown(name)} is none that a fit changes")
+            raise ConfigError(f"base.before_the_fit: {shown(name)} is not a parameter that a fit changes")
     base = {**parameters, **{name: checked(name, one, _DRIVE[name]) for name, one in before.items()}}
     if found["sha256"] != base_hash(base):
         raise ConfigError("base.sha256 is not that of the parameters: the file was changed")
@@ -256,9 +256,7 @@ def _term(found: Mapping[str, Any], where: str, catalogue: Catalogue) -> Term:
     check_known([found["name"]], known, f"{where}: unknown effect", "; your own must be given or installed")
     effect = known[found["name"]]
     if not effect.lasting:
-        raise ConfigError(
-            f"{where}: {effect.name} happened once in a record, a model that runs cannot hold it"
-        )
+        raise ConfigError(f"{where}: {effect.name} is an event of one record; a running model cannot hold it")
     where = f"{where} ({effect.name})"
     units = {quantity.name: quantity.unit for quantity in effect.quantities}
     for name, one in found["parameters"].items():

@@ -35,12 +35,12 @@ class _Loader(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
     def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-        """Refuse a key that stands twice, of which the last would win unseen."""
+        """Refuse a key that appears twice, of which the last would win unseen."""
         mapping: dict[Any, Any] = super().construct_mapping(node, deep=deep)
         if len(mapping) != len(node.value):
             keys = [key.value for key, _ in node.value]
             twice = next((key for key in keys if keys.count(key) > 1), keys[0])
-            raise yaml.YAMLError(f"line {node.start_mark.line + 1}: {shown(twice)} stands twice below it")
+            raise yaml.YAMLError(f"line {node.start_mark.line + 1}: {shown(twice)} appears twice below it")
         return mapping
 
 

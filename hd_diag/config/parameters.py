@@ -136,7 +136,7 @@ def joint_names(value: Any) -> list[str]:
                 f"joints: {shown(name)} cannot name a joint (letters, digits and _; not a parameter's name)"
             )
     if len(set(names)) != len(names):
-        raise ConfigError(f"joints: a name stands twice in {shown(names)}")
+        raise ConfigError(f"joints: a name appears twice in {shown(names)}")
     return names
 
 

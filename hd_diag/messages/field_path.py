@@ -57,7 +57,7 @@ def parsed(text: str) -> Path:
     while place < len(text) or not steps:
         found = _STEP.match(text, place)
         if found is None:
-            raise ValueError(f"{text!a} is no path such as position[2] or states[joint_1].angle")
+            raise ValueError(f"{text!a} is not a path such as position[2] or states[joint_1].angle")
         index = found[2]
         steps.append(Step(found[1], int(index) if index and index.isdecimal() else index))
         place = found.end()
@@ -86,9 +86,9 @@ def path_in(store: Typestore, type_name: str, signal: Signal) -> Path:
             owner = what
         elif kind == Nodetype.NAME:
             inner = ", ".join(name for name, _ in store.fielddefs[what][1])
-            raise ValueError(f"{field} of {owner} is no number; it has {inner}")
+            raise ValueError(f"{field} of {owner} is not a number; it has {inner}")
         elif not is_last or what[0] not in DTYPES:
-            raise ValueError(f"{field} of {owner} " + ("is no number" if is_last else "has no fields"))
+            raise ValueError(f"{field} of {owner} " + ("is not a number" if is_last else "has no fields"))
     return tuple(path)
 
 
@@ -100,7 +100,7 @@ def _element(store: Typestore, owner: str, step: Step, name: str) -> tuple[Any, 
     kind, what = fields[field]
     if not is_array(kind):
         if index is not None:
-            raise ValueError(f"{field} of {owner} is no array")
+            raise ValueError(f"{field} of {owner} is not an array")
         return (kind, what), None
     element: Any
     element, length = what

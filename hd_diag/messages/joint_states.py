@@ -243,7 +243,7 @@ def _place(signal: Signal) -> tuple[int, int | str]:
     """Number of the block in which a signal stands, and its index there."""
     (field, index), *more = path_in(jazzy(), JOINT_STATE, signal)
     if more or field not in JointStates._fields[4:7] or index is None:
-        raise ValueError(f"{signal.field!a} of {JOINT_STATE} is none of position, velocity, effort")
+        raise ValueError(f"{signal.field!a} of {JOINT_STATE} is not one of position, velocity, effort")
     return JointStates._fields[4:7].index(field), index
 
 

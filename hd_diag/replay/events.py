@@ -138,7 +138,7 @@ _FIELDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "facts": (_texts, "are no texts"),
     "silence": (
         lambda value: isinstance(value, dict) and all(map(_number, value.values())),
-        "is no number of seconds",
+        "is not a number of seconds",
     ),
     "monitor": (lambda value: isinstance(value, dict), "is missing"),
 }

@@ -209,7 +209,9 @@ class _Run:
 
     def _check_time(self, now: int) -> None:
         if now > LAST_TIME:
-            raise BagError(self._reader.path, "holds times beyond the year 2038, which ROS 2 does not have")
+            raise BagError(
+                self._reader.path, "holds times beyond the year 2038, which ROS 2 cannot represent"
+            )
 
     def _together(self, times: Times, cuts: Integers) -> Iterator[slice]:
         """Rows, cut at some of them and where what the node publishes of them may be large."""

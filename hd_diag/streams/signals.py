@@ -83,7 +83,7 @@ def unit(role: str, text: str) -> Unit:
     if text not in known or (role == "output" and known[text].is_rate):
         names = [name for name, each in known.items() if not (role == "output" and each.is_rate)]
         names += ["counts/N (N to the turn)"] if "rad" in known else []
-        raise ValueError(f"{text!a} is no unit of {role}; there are {', '.join(names)}")
+        raise ValueError(f"{text!a} is not a unit of {role}; there are {', '.join(names)}")
     return known[text]
 
 

@@ -103,7 +103,7 @@ def ripple(
         lines += Multiple.of(whole, multiple, size, shifts, len(MULTIPLES)).lines()
     if not lines:
         raise RecordError(
-            f"the samples are too far apart to tell waves of {size:g} per output turn: record faster, or "
+            f"the samples are too far apart to resolve waves of {size:g} per output turn: record faster, or "
             "move more slowly"
         )
     orders, spectrum = _spectrum(whole)
