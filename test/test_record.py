@@ -1,5 +1,7 @@
 """A record's cleaning: what is taken out, what is put back, where runs begin."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from joint_records import ARCSEC, RATIO, columns, prepared
@@ -89,6 +91,36 @@ def test_outliers_are_taken_out_and_nothing_else(
     assert record.outliers == len(outliers)
     assert not set(given["time"][list(outliers)]) & set(record.time)
     assert record.extent.runs == (3 if lost else 1)
+
+
+@pytest.mark.parametrize("size", [1e3, -1e5, 1e160])
+@pytest.mark.parametrize("every", [1, 10, 4000])  # rows for which a reported torque stands: all, constant
+def test_a_torque_far_off_is_taken_out(given: dict[str, np.ndarray], size: float, every: int) -> None:
+    given["torque"] = np.repeat(given["torque"][::every], every)
+    clean = prepared(given)
+    assert clean.outliers == 0
+    count = {1: 1, 10: 10, 4000: 1}[every]
+    given["torque"][1230 : 1230 + count] = size
+    record = prepared(given)
+    assert record.outliers == count
+    assert np.abs(record.torque).max() < 60.0
+
+
+@pytest.mark.parametrize(
+    "torque",
+    [
+        lambda t: 40.0 * np.sign(np.sin(t)),
+        lambda t: np.where(np.sin(t) > 0.99, 30.0, 0.0) * np.sin(60.0 * t),
+        lambda t: 5.0 * np.random.default_rng(1).standard_t(4, t.size),
+        lambda t: np.interp(t, t[::20], np.random.default_rng(2).normal(size=t[::20].size)),
+    ],
+)
+def test_torques_that_a_joint_has_are_no_outliers(
+    given: dict[str, np.ndarray], torque: Callable[[np.ndarray], np.ndarray]
+) -> None:
+    """Two-sided, a burst, noise with long tails, the last between reported ones: hardly a sample goes."""
+    given["torque"] = torque(given["time"])
+    assert prepared(given).outliers <= 4
 
 
 def test_ripple_and_changes_of_flank_are_no_outliers(given: dict[str, np.ndarray]) -> None:

@@ -11,7 +11,8 @@ from joint_records import RATIO, columns, joint, prepared
 from numpy.testing import assert_allclose, assert_array_equal
 
 from hd_diag.bag import BagError, BagReader
-from hd_diag.bag.joint_record import read_bags
+from hd_diag.bag.contents import numbers
+from hd_diag.bag.joint_record import read_bags, read_motion
 from hd_diag.bag.joint_topics import joints_in
 from hd_diag.bag.tables import Table, read_table_motion, read_tables
 from hd_diag.config.configuration import resolve
@@ -115,6 +116,26 @@ def set_back(path: Path) -> Path:
     clean = columns(seconds=20.0)
     clean["time"][clean["time"].size // 2 :] -= 5.0
     return write(path, [(*m[:3], START + i * 10**6) for i, m in enumerate(whole(clean))])
+
+
+@pytest.mark.parametrize("apart", [1, 20])
+def test_a_torque_far_off_goes_with_the_samples_beside_it(
+    given: dict[str, np.ndarray], apart: int, tmp_path: Path
+) -> None:
+    """Reported with the angles or, less often, in messages of its own, between which it is interpolated."""
+    time, torque = given["time"], given["torque"].copy()
+    torque[600] = 1e5
+    angles = states(time, NAMES, (given["input"], given["output"]))
+    torques = states(
+        time[::apart], NAMES[1:], (np.full(time[::apart].size, np.nan),), (torque[::apart],), topic="/t"
+    )
+    record = read(bag := write(tmp_path / "a.mcap", torques, angles))
+    assert record.outliers == 2 * apart - 1
+    assert np.abs(record.torque).max() < 60.0
+    motion = read_motion([bag], joint())
+    assert motion is not None
+    assert motion.torque is not None
+    assert motion.torque.max() < 60.0
 
 
 def test_a_clock_set_back_begins_a_run(tmp_path: Path) -> None:
@@ -406,3 +427,26 @@ def test_a_bad_table_is_told_in_one_line(
         read_tables([path], Table(columns), joint())
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_bag_of_what_rclpy_serializes(given: dict[str, np.ndarray], tmp_path: Path) -> None:
+    """As rosbag2_py writes them: with bytes behind the last field where velocity or effort is empty."""
+    serialize_message = pytest.importorskip("rclpy.serialization").serialize_message
+    messages = pytest.importorskip("sensor_msgs.msg")
+    found: list[Message] = []
+    for t, *position in zip(given["time"], given["input"], given["output"], strict=True):
+        time = START + round(1e9 * t)
+        state = messages.JointState(name=NAMES, position=position)
+        warm = messages.Temperature(temperature=30.0 + t)
+        for message in (state, warm):
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(time, 10**9)
+        found.append(("/joint_states", JOINT_STATE, serialize_message(state), time))
+        found.append(("/joint_1/temperature", TEMPERATURE, serialize_message(warm) + bytes(8), time))
+    bag = write(tmp_path / "a.mcap", found)
+    assert len(found[0][2]) > len(whole(given, torque=False)[0][2])
+    record = read(bag)
+    assert (record.size + record.outliers, record.stamps.refused) == (given["time"].size, 0)
+    assert record.temperature is not None
+    with BagReader(bag) as reader:
+        assert [len(reader.deserialize(batch)[1]) for batch in reader.batches(grouped=True)] == [0, 0]
+        assert [n.field for n in numbers(reader, reader.topics[0])] == [f"position[{n}]" for n in NAMES]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from math import nan
+from math import inf, nan
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,6 +16,7 @@ from hd_diag.bag.reader import BagReader
 from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.noise import bounds
+from hd_diag.diagnosis.outliers import torque_outliers
 from hd_diag.diagnosis.record import Record, RecordError, prepare
 from hd_diag.diagnosis.stamps import UNTOLD, Stamps
 from hd_diag.messages.publications import TEMPERATURE, read_temperature
@@ -222,6 +223,7 @@ def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]
     ):
         # It wraps: turns that are lost in a gap follow from the output, as `prepare` has it.
         given = np.remainder(given + np.pi, 2.0 * np.pi) - np.pi
+    torque[torque_outliers(torque, stretch)] = inf  # goes with the samples around it, which are counted
     torque = torque_between(stamp, stretch, torque, torque_stamp)
     warm = _temperature(np.concatenate(times), np.concatenate(heat), stamp)
     seen = streams.joints[0]

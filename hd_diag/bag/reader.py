@@ -21,7 +21,7 @@ from hd_diag.bag.mcap_storage import McapStorage
 from hd_diag.bag.sqlite_file import SqliteFile, is_sqlite
 from hd_diag.bag.typestore import standard_joint_state, store_of
 from hd_diag.messages.joint_states import JOINT_STATE, Rejection, decode_joint_states
-from hd_diag.messages.schemas import jazzy
+from hd_diag.messages.schemas import deserialize, jazzy
 from hd_diag.streams.columns import JointStates
 
 
@@ -161,7 +161,7 @@ class BagReader(AbstractContextManager["BagReader"]):
         messages, rejected = [], []
         for index, data in enumerate(batch.messages()):
             try:
-                messages.append((index, store.deserialize_cdr(data, batch.topic.type_name)))
+                messages.append((index, deserialize(store, data, batch.topic.type_name)))
             except Exception as exc:  # rosbags raises several kinds on hostile data
                 rejected.append(Rejection(index, f"cannot be decoded: {exc}"))
         return messages, rejected

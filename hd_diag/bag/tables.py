@@ -7,6 +7,7 @@ import re
 from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from hd_diag.bag.joint_record import InputRecord
 from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.noise import bounds
+from hd_diag.diagnosis.outliers import torque_outliers
 from hd_diag.diagnosis.record import Record, RecordError, prepare
 from hd_diag.streams.alignment import ELSEWHERE, Alignment, Names
 from hd_diag.streams.columns import JointStates
@@ -102,6 +104,7 @@ def read_table_motion(paths: Sequence[str | Path], table: Table, joint: JointCon
     _follow(values, record)
     if angle == "output":
         values = values * joint.drive.kinematics.ratio
+    found["torque"][torque_outliers(found["torque"], record)] = inf
     usable = np.isfinite(found["time"]) & np.isfinite(values) & np.isfinite(found["torque"])
     return InputRecord(found["time"][usable], values[usable], found["torque"][usable], record[usable])
 

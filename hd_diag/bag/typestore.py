@@ -13,7 +13,7 @@ from rosbags.typesys.store import Typestore
 
 from hd_diag.messages.encoding import encode_joint_states
 from hd_diag.messages.joint_states import JOINT_STATE
-from hd_diag.messages.schemas import Definition, jazzy
+from hd_diag.messages.schemas import Definition, deserialize, jazzy
 
 _NAME = re.compile(r"[A-Za-z]\w{0,99}/(msg|srv|action)/[A-Za-z]\w{0,99}", re.ASCII)
 # The deserializer of rosbags is unrolled over fixed arrays: longer ones of anything but numbers are refused.
@@ -73,7 +73,7 @@ def _is_bounded(desc: Any) -> bool:
 def standard_joint_state(data: Any, store: Typestore) -> memoryview:
     """A JointState message as ROS 2 Jazzy has it, from one of another definition; empty where damaged."""
     try:
-        message: Any = store.deserialize_cdr(data, JOINT_STATE)
+        message = deserialize(store, data, JOINT_STATE)
         stamp, arrays = message.header.stamp, (message.position, message.velocity, message.effort)
         time = [stamp.sec * 10**9 + stamp.nanosec]
         values = (np.array([array], np.float64) if len(array) else None for array in arrays)

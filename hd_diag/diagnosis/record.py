@@ -6,16 +6,14 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
-from scipy.ndimage import median_filter
 
 from hd_diag.arrays import Floats, Integers
-from hd_diag.diagnosis.blocks import filtered, unwrapped
+from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.noise import bounds, numbered, spans
+from hd_diag.diagnosis.outliers import Rows, outliers, torque_outliers
 from hd_diag.diagnosis.smoothing import best_width, rate, settled, smooth
 from hd_diag.diagnosis.stamps import UNTOLD, Stamps, by_clock
 
-Rows = npt.NDArray[np.bool_]
 # Columns of one length by name; None for those that were not recorded.
 Columns = dict[str, Any]
 
@@ -32,9 +30,6 @@ _SPEED_WINDOW = 0.03  # [s]
 _HEAT_WINDOW = 2.0  # [s]
 _LONG_GAP_STEPS = 200.0  # a step this many times the usual one is more than a cause remembers through
 _WRAP_SLACK = 0.1  # what noise and outliers may add to the range of a wrapped angle [rad]
-_OUTLIER = 8.0  # robust standard deviations of what neighbours do not predict
-_OUTLIER_WINDOW = 51  # over which that deviation is taken [samples]
-_OUTLIER_PASSES = 3
 
 
 class RecordError(ValueError):
@@ -151,7 +146,7 @@ def prepare(
     Parameters
     ----------
     time, input_angle, output_angle, torque, temperature, bag, reported_speed : ndarray, shape (n,), or None
-        As in `Record`, with noise and outliers; angles may be wrapped.
+        As in `Record`, with noise and outliers; angles may be wrapped. An infinite torque is an outlier.
     ratio : float
         Reported input angle over reported output angle [-].
     assumed_torque : float
@@ -178,11 +173,12 @@ def prepare(
     refused = stamps.refused
     bag, stamps = by_clock(time, bag, stamps)
     usable = _usable(columns, bag)
-    dropped = usable.size - int(np.count_nonzero(usable))
-    if usable.size - dropped < MINIMUM_SAMPLES:
+    count = int(np.count_nonzero(usable))
+    outlying = 0 if columns["torque"] is None else int(np.count_nonzero(np.isinf(columns["torque"])))
+    dropped = usable.size - count - outlying
+    if count < MINIMUM_SAMPLES:
         raise RecordError(
-            f"too short: {usable.size - dropped} usable samples, at least {MINIMUM_SAMPLES} are needed"
-            f"{stamps.why}"
+            f"too short: {count} usable samples, at least {MINIMUM_SAMPLES} are needed{stamps.why}"
         )
     if dropped > 0.5 * usable.size:
         raise RecordError(
@@ -197,7 +193,9 @@ def prepare(
         raise RecordError(
             f"no motion: the input turns by {float(np.ptp(angle)):.3g} rad, at least half a turn is needed"
         )
-    keep = ~_outliers(output - angle / ratio, bag)
+    keep = ~outliers(output - angle / ratio, bag)
+    if columns["torque"] is not None:
+        keep &= ~torque_outliers(columns["torque"], bag)
     columns |= {"input_angle": angle, "output_angle": output, "segment": segment}
     columns = _kept(columns, keep)
     time, load, heat, segment = (columns.pop(n) for n in ("time", "torque", "temperature", "segment"))
@@ -214,7 +212,7 @@ def prepare(
         temperature=None if heat is None else smooth(heat, segment, step, _HEAT_WINDOW),
         run=run,
         has_torque=load is not None,
-        outliers=keep.size - int(np.count_nonzero(keep)),
+        outliers=outlying + keep.size - int(np.count_nonzero(keep)),
         dropped=dropped + refused,
         reported_torque=raw,
         stretch=segments(time, columns["bag"], _LONG_GAP_STEPS),
@@ -289,43 +287,6 @@ def segments(time: Floats, bag: Integers, gap: float) -> Integers:
     usual = np.median(step[step > 0.0])
     breaks = (step > gap * usual) | (step <= 0.0) | (np.diff(bag) != 0)
     return numbered(breaks)
-
-
-def _outliers(error: Floats, bag: Integers) -> Rows:
-    """Single samples far off both their neighbours; without them, others beside them may stand out.
-
-    Neighbours are those recorded before and after, even across a gap: between gaps there may be few samples.
-    """
-    found = np.zeros(error.size, dtype=bool)
-    for begin, end in bounds(bag):
-        filtered(found, begin, end, lambda rows: _repeated(error[rows]), 2 * _OUTLIER_WINDOW)
-    return found
-
-
-def _repeated(error: Floats) -> Rows:
-    found = np.zeros(error.size, dtype=bool)
-    rows = np.arange(error.size)
-    for _ in range(_OUTLIER_PASSES):
-        off = _spikes(error[rows])
-        found[rows[off]] = True
-        rows = rows[~off]
-    return found
-
-
-def _spikes(values: Floats) -> Rows:
-    """Samples far off the cubic through their four neighbours, and beyond both next to them.
-
-    The cubic follows the gear's ripple, which a running median would cut; flanks that change are a step,
-    beyond one neighbour only.
-    """
-    if values.size < 9:
-        return np.zeros(values.size, dtype=bool)
-    far, near, x, after, last = np.lib.stride_tricks.sliding_window_view(np.pad(values, 2, "reflect"), 5).T
-    off = np.abs(x - (4.0 * (near + after) - far - last) / 6.0)
-    local = median_filter(off, _OUTLIER_WINDOW, mode="nearest")
-    spread = 1.4826 * np.maximum(local, np.median(off))
-    single = ((x - near) * (x - after) > 0.0) & (np.minimum(np.abs(x - near), np.abs(x - after)) > 0.5 * off)
-    return np.asarray(single & (spread > 0.0) & (off > _OUTLIER * spread))
 
 
 def _runs(time: Floats, speed: Floats, segment: Integers) -> Integers:

@@ -14,7 +14,7 @@ from hd_diag.config.configured_signals import TEMPERATURE as TEMPERATURE
 from hd_diag.messages.encoding import HEADER, encode_float64_multiarray, encode_joint_states, text
 from hd_diag.messages.joint_states import JOINT_STATE as JOINT_STATE
 from hd_diag.messages.markers import MARKERS, drawing, marker_array
-from hd_diag.messages.schemas import jazzy, serialize
+from hd_diag.messages.schemas import deserialize, jazzy, serialize
 from hd_diag.monitor.publications import Angles, Drawings, Publication, Report, ToothArrays
 
 MULTI_ARRAY = "std_msgs/msg/Float64MultiArray"
@@ -88,14 +88,12 @@ def string(value: str) -> bytes:
 
 def read_string(data: bytes) -> str:
     """Text of a std_msgs/String in CDR."""
-    message: Any = jazzy().deserialize_cdr(data, STRING)
-    return str(message.data)
+    return str(deserialize(jazzy(), data, STRING).data)
 
 
 def read_temperature(data: bytes) -> float:
     """Temperature of a sensor_msgs/Temperature in CDR [degree Celsius]."""
-    message: Any = jazzy().deserialize_cdr(data, TEMPERATURE)
-    return float(message.temperature)
+    return float(deserialize(jazzy(), data, TEMPERATURE).temperature)
 
 
 def parameter_event(node: str, stamp: int, values: Mapping[str, Any], new: bool) -> bytes:

@@ -48,3 +48,21 @@ def definition(type_name: str) -> Definition:
 def serialize(message: Any, type_name: str) -> bytes:
     """CDR (little endian, with the 4-byte header) of a message made from the classes of :func:`jazzy`."""
     return bytes(jazzy().serialize_cdr(message, type_name))
+
+
+def deserialize(store: Typestore, data: bytes | memoryview, type_name: str) -> Any:
+    """Message object from CDR; bytes behind its last field are ignored, as DDS does.
+
+    Raises
+    ------
+    ValueError
+        Where the message is malformed; rosbags raises other kinds too on hostile data.
+    """
+    if len(data) < 4 or data[0] != 0 or data[1] > 1:
+        raise ValueError("is not a CDR message")
+    known = store.get_msgdef(type_name)
+    decode = known.deserialize_cdr_le if data[1] else known.deserialize_cdr_be
+    message, end = decode(memoryview(data)[4:], 0, known.cls, store)
+    if end > len(data) - 4:
+        raise ValueError("is cut off")
+    return message

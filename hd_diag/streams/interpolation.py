@@ -19,12 +19,13 @@ def torque_between(stamp: Times, stretch: Integers, torque: Floats, torque_stamp
     Returns
     -------
     ndarray, shape (m,)
-        [N m]; nan where none is reported nearby. See the rules of `hd_diag.streams.alignment`.
+        [N m]; nan where none is reported nearby, infinite beside an infinite one; by the rules of
+        `hd_diag.streams.alignment`.
     """
     found = torque
     for number in np.unique(stretch[torque_stamp != stamp]):
         rows = np.flatnonzero(stretch == number)
-        held = rows[np.isfinite(torque[rows])]
+        held = rows[~np.isnan(torque[rows])]
         if not held.size:
             continue
         known, first = np.unique(torque_stamp[held], return_index=True)
