@@ -103,7 +103,7 @@ def test_every_bag_has_its_row(judged: tuple[Result, Path]) -> None:
     assert "too short: 12 usable samples" in errors["short.mcap"]
     assert errors["strange.mcap"] == (
         "no 'joint_1'; joint states there hold 'elbow', 'elbow_\\x07motor'; its topics are '/j'; "
-        "hd-diag topics tells more"
+        "see hd-diag topics"
     )
     assert errors["zeros.mcap"]
 

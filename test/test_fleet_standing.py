@@ -26,7 +26,7 @@ def weeks(*given: dict[str, Any], **more: Any) -> list[dict[str, Any]]:
         (
             {"arcsec": 89.0},
             "amber",
-            "transmission error 89.0 ± 0.9 arcsec, too near to its limit of 90.0 arcsec to tell",
+            "transmission error 89.0 ± 0.9 arcsec, too near to its limit of 90.0 arcsec to judge",
         ),
         ({"arcsec": 91.0}, "amber", "too near"),
         ({"arcsec": 92.0}, "red", "transmission error 92.0 ± 0.9 arcsec, beyond its limit of 90.0 arcsec"),

@@ -61,7 +61,7 @@ def test_a_search_that_is_cut_off_gives_what_it_has_found(clock: list[float]) ->
     (cause,) = found.causes
     assert (cause.effect.name, cause.gain_low > 0.5) == ("coulomb_windup", True)
     assert cause.coefficients[0] == pytest.approx(2.0, rel=0.3)
-    asked = "asking what would explain coulomb windup as well"
+    asked = "testing what would explain coulomb windup as well"
     assert fit.work.left_out == [FURTHER_CAUSES, "refining the causes' numbers", asked]
     assert [*said] == ["looking for cause 1", "looking for cause 2", "refining what was found"]
     assert sorted(said.values()) == [*said.values()]
@@ -80,7 +80,7 @@ def test_a_diagnosis_without_time_measures_the_fit_and_the_misfit_and_says_what_
     assert (len(told["unexplained"]) > 0, told["refit"]["parameters"] != {}) == (True, True)
     verdict = sentence(Answer(found))
     assert verdict.startswith("the model does not describe this record")
-    assert "no cause was found in the time that there was" in verdict
+    assert "no cause was found within the time limit" in verdict
     assert verdict.endswith(f"so this was left out: {', '.join(found.left_out)}.")
     assert 0.0 < shares[0] < shares[-1] < 1.0
     assert sorted(shares) == shares

@@ -162,7 +162,7 @@ def joints_in(reader: BagReader) -> frozenset[str]:
 def held(reader: BagReader) -> str:
     """Topics of a bag with their types, and what tells more, for an error."""
     topics = [f"{visible(t.name, _LONGEST)} ({visible(t.type_name, _LONGEST)})" for t in reader.topics]
-    return f"it has {listed(topics, _SHOWN)}; hd-diag topics tells more" if topics else "it has no topics"
+    return f"it has {listed(topics, _SHOWN)}; see hd-diag topics" if topics else "it has no topics"
 
 
 def offered(path: str | Path) -> str:

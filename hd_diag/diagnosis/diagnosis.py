@@ -164,7 +164,7 @@ def diagnose(
     drive = fit_parameters.drive_of(parameters, configured)
     work.tell(0.94, "looking at what no cause explains")
     left, testable = _described(record, unexplained(whole), rms), list[Testability]()
-    with work.until(_TESTED, "asking what this motion could have shown"):
+    with work.until(_TESTED, "testing what this motion could have shown"):
         testable = testability(whole)
     return Diagnosis(
         record,
@@ -210,7 +210,7 @@ def _predicting(
         return _Tried(found, kept, every, *measured_gain(record, test, which, before, found, every, rng))
 
     fit, kept = found.fit, Kept({})
-    with fit.work.until(_KEPT, "asking which parameters may be as configured"):
+    with fit.work.until(_KEPT, "testing which parameters may be as configured"):
         fit, kept = kept_parameters(fit, found.chosen)
     best = tried(fit, kept, found)
     lines = tuple(item for item in found.chosen if isinstance(item[0], OutputLine))
@@ -235,6 +235,6 @@ def _described(record: Record, lines: list[Unexplained], rms: Rms) -> tuple[Unex
     what = "is left, in no shape that was tried"
     if not rms.repeated:
         means = "drive the same motion twice" if record.has_torque else "record the torque"
-        what += f": {means}, and noise can be told from it"
+        what += f": {means}, and noise can be separated from it"
     amplitude = math.sqrt(2.0 * max(rms.extended**2 - rms.noise**2, 0.0))
     return (Unexplained(0.0, "input", amplitude, "no law was found", "no law was found", what),)

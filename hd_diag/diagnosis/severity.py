@@ -30,7 +30,7 @@ def _severity(answer: Answer) -> list[str]:
         own = f"{size:.0f}" if size >= 0.5 else "none to be seen beside the noise,"
         told.append(f"the joint is {where} its accuracy ({own} of {allowed:.0f} arcsec peak to peak)")
     else:
-        told.append("whether the joint is within its accuracy cannot be told without its torque")
+        told.append("whether the joint is within its accuracy cannot be judged without its torque")
     if assembly is not None:
         where = "within" if assembly.within else "beyond"
         sizes = f"{assembly.eccentricity * 1e6:.1f} of {assembly.allowed * 1e6:.1f} µm"

@@ -44,7 +44,9 @@ class Stamps(NamedTuple):
     @property
     def broken(self) -> str:
         """What is not whole, as a sentence's part."""
-        return f"the recording is not whole ({'; '.join(self.problems)}): this is of what could be read"
+        return (
+            f"the recording is not whole ({'; '.join(self.problems)}): the result is for what could be read"
+        )
 
     @property
     def why(self) -> str:

@@ -169,7 +169,7 @@ def sentence(answer: Answer) -> str:
     elif diagnosis.causes or diagnosis.hints:
         parts += _causes(answer)
     elif FURTHER_CAUSES in diagnosis.left_out:
-        parts.append("no cause was found in the time that there was")
+        parts.append("no cause was found within the time limit")
     elif not diagnosis.unexplained and answer.judgement != "misfit":
         parts.append("no other cause is needed")
     else:
@@ -181,7 +181,7 @@ def sentence(answer: Answer) -> str:
     rms, record = diagnosis.rms, diagnosis.record
     if rms is not None and diagnosis.causes and not rms.extended < rms.refit:
         parts.append(
-            "but data that nothing was fitted to is predicted no better with it than by the model's "
+            "but held-out data are predicted no better with it than by the model's "
             f"parameters alone ({rms.extended / ARCSEC:.2f} against {arcsec(rms.refit)}): take it for a "
             "hint, and record more"
         )
@@ -215,7 +215,7 @@ def _current(diagnosis: Diagnosis) -> list[str]:
     constant = f"{'+' if gain > 0.0 else '−'}{abs(gain):.0f} %"
     return [
         f"the torque is a motor's current: its constant ({constant}), friction ({number(dry)} N m) and "
-        "inertia are fitted too, and neither stiffness nor a small friction can be told from it"
+        "inertia are fitted too, so neither the stiffness nor a small friction can be determined"
     ]
 
 

@@ -157,7 +157,5 @@ def _unusable(seen: Survey, joints: tuple[JointConfig, ...]) -> Row:
         return {"error": seen.error.partition(": ")[2] or seen.error}
     wanted = ", ".join(shown(joint.output_joint) for joint in joints[:_NAMES_SHOWN])
     names, topics = (listed(sorted(map(shown, each)), _NAMES_SHOWN) for each in (seen.names, seen.topics))
-    held = (
-        f"joint states there hold {names or 'no joint'}; its topics are {topics}; hd-diag topics tells more"
-    )
+    held = f"joint states there hold {names or 'no joint'}; its topics are {topics}; see hd-diag topics"
     return {"error": f"no {wanted}; {held}"}

@@ -162,7 +162,7 @@ def phrase(one: Limited) -> str:
     """A quantity beside its limit in words."""
     where = {
         "within": "within its limit of {}",
-        "near": "too near to its limit of {} to tell",
+        "near": "too near to its limit of {} to judge",
         "beyond": "beyond its limit of {}",
         "open": "not known well enough beside its limit of {}",
     }[one.place]

@@ -163,7 +163,7 @@ def _datum(values: dict[str, _Entry], _: Drive) -> _Text:
 def _compliance(values: dict[str, _Entry], _: Drive) -> _Text:
     return (
         "Torsional stiffness",
-        "The torsion under load is another than configured.",
+        "The torsion under load is not as configured.",
         tuple(
             (words(name), _beside(entry))
             for name in ("tooth_compliance", "cup_compliance")

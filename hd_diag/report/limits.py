@@ -13,7 +13,7 @@ STATES: dict[Beside, str] = {"within": "good", "near": "warn", "beyond": "bad", 
 
 _TOLD: dict[Beside, str] = {
     "within": "within",
-    "near": "too near to its limit to tell",
+    "near": "too near to its limit to judge",
     "beyond": "beyond",
     "open": "not known well enough",
 }

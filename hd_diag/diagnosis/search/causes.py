@@ -128,7 +128,7 @@ def causes(
         share = _share(fit, chosen, index)
         low, high = interval(share, rng)
         alike = (effect.name, *effect.always_confused)
-        with fit.work.until(_CLASSED, f"asking what would explain {words(effect.name)} as well"):
+        with fit.work.until(_CLASSED, f"testing what would explain {words(effect.name)} as well"):
             alike = (effect.name, *_alike(fit, chosen, index, rivals))
         p_value = p_values.get(effect.name, float("nan"))
         gains = float(np.mean(share)), low, min(high, 1.0)
