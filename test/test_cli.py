@@ -16,10 +16,12 @@ import click
 import numpy as np
 import pytest
 from cli_runner import assert_one_line_error, config_file, hd_diag
+from models import write_model
 from reference import published
 
 from hd_diag.__main__ import main
 from hd_diag.cli import cli
+from hd_diag.cli.options import Source, Target
 from hd_diag.cli.verbs import VERBS, signalled
 from hd_diag.config.configuration import dump, resolve
 from hd_diag.ros.stop_signals import Stopped
@@ -209,31 +211,89 @@ def test_bad_input_is_one_line(arguments: str, said: str) -> None:
     assert_one_line_error(hd_diag(*arguments.split()), said)
 
 
-OUTPUTS = {
-    "check": "CONFIG --json CONFIG",
-    "diagnose": "a.mcap --config CONFIG --model CONFIG",
-    "fleet": "a.mcap --config CONFIG --json CONFIG --out f.parquet",
-    "mesh": "--config CONFIG --json CONFIG",
-    "recover": "a.mcap --out out.mcap --json a.mcap",
-    "replay": "a.mcap --config CONFIG --out out.mcap --json CONFIG",
-    "report": "a.mcap --config CONFIG --json CONFIG --out page.html",
-    "ripple": "a.mcap --config CONFIG --json CONFIG",
-    "simulate": "--config CONFIG --out out.mcap --json CONFIG",
-    "tolerance": "--config CONFIG --json CONFIG",
-    "topics": "a.mcap --json a.mcap",
-}
+def pairs_of_files() -> list[tuple[str, click.Parameter, click.Parameter]]:
+    """Each option of a verb that names a file to write, with each that names one to read."""
+    return [
+        (verb, target, source)
+        for verb in VERBS
+        for params in [cli.get_command(click.Context(cli), verb).params]
+        for target in params
+        for source in params
+        if isinstance(target.type, Target) and (isinstance(source.type, Source) or source.name == "bags")
+    ]
 
 
-def test_no_verb_writes_over_its_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """All that read and write: the others write where they were told to, or read nothing."""
+def written(params: dict[str, tuple[click.Parameter, Path]]) -> list[str]:
+    """Words of a command line that give these parameters."""
+    return [
+        str(word)
+        for param, value in params.values()
+        for word in ((value,) if isinstance(param, click.Argument) else (param.opts[-1], value))
+    ]
+
+
+@pytest.mark.parametrize("link", [None, os.link, os.symlink], ids=["name", "hard link", "link"])
+def test_no_verb_writes_over_what_it_reads(link: Any, tmp_path: Path) -> None:
+    """Whatever it writes and reads, by its own name and by other names of the same file."""
+    content = config_file(tmp_path).read_bytes()
+    assert len(pairs_of_files()) > 30
+    for number, (verb, target, source) in enumerate(pairs_of_files()):
+        ending = {"bags": ".mcap", "out": ".mcap"}.get(target.name, ".json")
+        ending = next(iter(target.type._endings), ending)
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        (read := folder / f"read{ending}").write_bytes(content)
+        (place := read if link is None else folder / f"link{ending}")
+        if link:
+            link(read, place)
+        params = cli.get_command(click.Context(cli), verb).params
+        needed = {"bags": "a.mcap", "bag": "a.mcap", "out": f"out{'.parquet' * (verb == 'fleet')}"}
+        given = {p.name: (p, folder / needed[p.name]) for p in params if p.required and p.name in needed}
+        given |= {source.name: (source, read), target.name: (target, place)}
+        if "bags" in given and source.name != "bags":
+            (folder / "a.mcap").touch()
+        there = sorted(folder.iterdir())
+        told = hd_diag(verb, *written(given))
+        assert_one_line_error(told, " the input ", str(place))
+        assert (read.read_bytes(), sorted(folder.iterdir())) == (content, there), (verb, target.name)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("check .part.x.json --json x.json", ""),
+        ("diagnose a.mcap --config m_a.json --model m.json", "m_a.json: output would overwrite the input"),
+        ("diagnose a.mcap --config c --model m_a.json --json m_a.json", "m_a.json and m_a.json must be"),
+        ("report a.mcap --config a.html", "a.html: output would overwrite the input"),
+        ("figures --out . --config figures.md", "figures.md: output would overwrite the input"),
+        ("fleet a.mcap --out f.parquet --json f.parquet.journal.jsonl", "must be different files"),
+        ("fleet a.mcap --out g.parquet --config g.parquet.journal.jsonl", "would overwrite the input"),
+        ("fleet . --out f.parquet --json a.mcap", "a.mcap: output would overwrite the input"),
+        ("simulate --out bag --overwrite --json bag/metadata.yaml", "must be different files"),
+        ("mesh --config with_model --json model.json", "model.json: output would overwrite the input"),
+        ("check with_model --json model.json", "model.json: output would overwrite the input"),
+    ],
+)
+def test_what_follows_from_what_was_given_is_compared_too(
+    words: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Files of several joints, of names that have a default, of a journal, of a bag; files named in files."""
     monkeypatch.chdir(tmp_path)
-    config_file(tmp_path).rename("CONFIG")
-    (tmp_path / "a.mcap").write_bytes(b"a bag")
-    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    assert {*VERBS} - {*OUTPUTS} == {"completion", "demo", "figures", "gear", "node", "watch"}
-    for verb, words in OUTPUTS.items():
-        assert_one_line_error(hd_diag(verb, *words.split()), "output would overwrite the input")
-        assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    two = dump(resolve({"joints": ["a", "b"]}))
+    for name in (".part.x.json", "m_a.json", "c", "a.html", "figures.md", "g.parquet.journal.jsonl"):
+        Path(name).write_text(two)
+    write_model(Path("model.json"))
+    Path("with_model").write_text(dump(resolve({"joint_1.model_file": "model.json"})))
+    Path("bag").mkdir()
+    for name in ("a.mcap", "bag/metadata.yaml", "bag/bag_0.mcap"):
+        Path(name).write_text("a bag")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    told = hd_diag(*words.split())
+    if said:
+        assert_one_line_error(told, said)
+    else:
+        assert told.exit_code == 0
+    assert {path: path.read_bytes() for path in before} == before
 
 
 def test_a_target_is_replaced_only_when_it_is_whole(tmp_path: Path) -> None:
@@ -253,6 +313,8 @@ def test_a_target_is_replaced_only_when_it_is_whole(tmp_path: Path) -> None:
     assert sorted(file.name for file in tmp_path.iterdir()) == ["link.json", "old.json"]
     assert hd_diag("mesh", "--json", link).exit_code == 0
     assert json.loads(path.read_text())["schema"] == "hd_diag/mesh/1"
+    (tmp_path / "new").touch()
+    assert path.stat().st_mode == (tmp_path / "new").stat().st_mode
 
 
 def test_a_reader_that_has_enough_is_no_finding() -> None:

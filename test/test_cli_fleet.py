@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import resource
 import shutil
 import signal
 import socket
@@ -239,6 +240,29 @@ def test_an_interrupted_run_goes_on(
     assert 2 <= kept < 6
     assert len(pool_tasks.calls(quick)) == begun + (6 - kept) + 6
     assert path.read_bytes() == out.read_bytes()
+
+
+def test_a_full_disk_under_the_journal_ends_a_run_that_then_goes_on(
+    here: None, quick: Path, tmp_path: Path
+) -> None:
+    """The system ends a write in the middle of the second line; with room again only that is judged."""
+    out, bags = tmp_path / "f.parquet", bags_of(tmp_path / "bags", 4)
+    journal, before = out.with_name("f.parquet.journal.jsonl"), resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    try:
+        result = fleet(bags, "--out", out)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert_one_line_error(result, f"{journal}: cannot be written: File too large")
+    begun, size = len(pool_tasks.calls(quick)), journal.stat().st_size
+    assert (size, out.exists()) == (1000, False)
+    result = fleet(bags, "--out", out)
+    assert result.exit_code == 0
+    assert (
+        f"{journal}: 1 of its lines are cut off or damaged; what they held is judged again" in result.stderr
+    )
+    assert len(pool_tasks.calls(quick)) == begun + 3
+    assert [row["error"] for row in table(out)] == [None] * 4
 
 
 @pytest.mark.slow

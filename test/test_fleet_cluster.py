@@ -161,5 +161,6 @@ def test_no_scheduler(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster, "_CONNECT", 1.0)
     with pytest.raises(FleetError, match=r"no Dask scheduler at tcp://127\.0\.0\.1:9"):
         ClusterPool("tcp://127.0.0.1:9")
-    with pytest.raises(FleetError, match="no Dask scheduler at nonsense://x"):
-        ClusterPool("nonsense://x")
+    for none in ("nonsense://x", "host", "http://x:1", "tls://127.0.0.1:1", "ucx://x:1", "inproc://"):
+        with pytest.raises(FleetError, match=rf"no Dask scheduler at {none}: .*like tcp://host:8786"):
+            ClusterPool(none)

@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 # Each line may import the lines above it; what stands in one line does not know each other.
 CHAIN = (
-    ("arrays", "formatting", "process_pool"),
+    ("arrays", "formatting", "process_pool", "whole_file"),
     ("model",),
     ("drive",),
     ("gear",),

@@ -9,10 +9,10 @@ from pathlib import Path
 from hd_diag.bag import BagError
 from hd_diag.bag.mcap_scan import DamagedChunk
 from hd_diag.bag.recover import recover as recover_bag
+from hd_diag.cli.joints import configured
 from hd_diag.cli.options import tell
 from hd_diag.cli.progress import interrupted, working
 from hd_diag.cli.targets import Problem, write_json
-from hd_diag.config.configuration import load
 from hd_diag.replay.replay import Replay
 from hd_diag.replay.replay import replay as replay_bag
 
@@ -26,7 +26,7 @@ def replay(
     json_file: str | None,
 ) -> None:
     """Do what ``hd-diag replay`` is asked for."""
-    config = load(config_file) if config_file else None
+    config = configured(config_file) if config_file else None
     begin, kept, done = time.monotonic(), out.exists(), 0
     try:
         with working() as part:

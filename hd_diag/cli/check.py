@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from hd_diag.cli.joints import configured
 from hd_diag.cli.options import tell
 from hd_diag.cli.targets import Problem, write_json
 from hd_diag.config.assessment import Assessment, assess
-from hd_diag.config.configuration import JointConfig, load
+from hd_diag.config.configuration import JointConfig
 from hd_diag.formatting import ARCSEC
 from hd_diag.gear.characteristics import ECCENTRICITY
 from hd_diag.messages.field_path import path_in
@@ -14,7 +15,7 @@ from hd_diag.messages.schemas import jazzy
 
 def check(config_file: str, json_file: str | None) -> None:
     """Do what ``hd-diag check`` is asked for."""
-    config = load(config_file)
+    config = configured(config_file)
     for joint in config.joints:
         check_fields(joint)
     found = {joint.name: assess(config, joint) for joint in config.joints}

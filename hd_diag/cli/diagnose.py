@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from hd_diag import __version__
+from hd_diag.cli.options import check_files
 from hd_diag.cli.progress import showing
 from hd_diag.cli.record import Judged, Records, judge_each, on_records
-from hd_diag.cli.targets import Problem, check_targets
+from hd_diag.cli.targets import Problem
 from hd_diag.config.configuration import JointConfig
 from hd_diag.config.model_file import document, write
 from hd_diag.config.parameters import JOINT_PARAMETERS
@@ -36,7 +37,7 @@ def diagnose(
 ) -> None:
     """Do what ``hd-diag diagnose`` is asked for."""
     models = _model_files(model_file, records.joints)
-    check_targets((*models.values(), report_file, json_file), *records.bags)
+    check_files((*models.values(), report_file, json_file))
     records = replace(records, orders_only=orders_only)
     if orders_only and (model_file or report_file):
         raise Problem("--orders-only has no tooth model: it takes neither --model nor --report")

@@ -8,7 +8,8 @@ import click
 
 from hd_diag.cli.examples import load_example
 from hd_diag.cli.joints import configured
-from hd_diag.cli.targets import writing
+from hd_diag.cli.options import check_files
+from hd_diag.cli.targets import Problem, writing
 from hd_diag.report.pictures.canvas import save
 from hd_diag.report.pictures.eccentric_drive import drive_picture
 
@@ -18,19 +19,24 @@ _CAPTIONS = "figures.md"
 def figures(out: Path, config_file: str | None, format: str) -> None:
     """Do what ``hd-diag figures`` is asked for."""
     joint = configured(config_file).joints[0]
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise Problem(f"{out}: cannot be made: {error.strerror}") from error
     entries = load_example("paper_figures").figures(joint.drive)
+    drawing = out / f"drive.{format}"
+    check_files((*(out / f"{name}.{format}" for name, *_ in entries), drawing, out / _CAPTIONS))
     captions = [f"Drive of {joint.name}; claims are those of Dong et al. (2019), sections 4.2, 4.3 and 5."]
     for name, title, figure, claims in entries:
         file, wrong = out / f"{name}.{format}", " **This does not agree.**"
         listed = "\n".join(f"* ({c.letter}) {c.text}{'' if c.holds else wrong}" for c in claims)
         with writing(file) as place:
-            out.mkdir(parents=True, exist_ok=True)
             save(figure, place)
         captions.append(f"## {title}\n\n![{title}]({file.name})\n\n{listed}")
         click.echo(f"{file}: {title}\n{listed}")
-    with writing(out / f"drive.{format}") as place:
+    with writing(drawing) as place:
         save(drive_picture(joint.drive), place)
-    click.echo(f"{out / f'drive.{format}'}: what is eccentric to what, positive directions, interference")
+    click.echo(f"{drawing}: what is eccentric to what, positive directions, interference")
     with writing(out / _CAPTIONS) as place:
         place.write_text("\n\n".join(captions) + "\n", encoding="utf-8")
     click.echo(f"{out / _CAPTIONS}: captions")

@@ -16,9 +16,9 @@ import click
 import numpy as np
 
 from hd_diag.cli.joints import chosen_joints, configured
-from hd_diag.cli.options import show_table, tell
+from hd_diag.cli.options import check_files, show_table, tell
 from hd_diag.cli.progress import Advance, showing
-from hd_diag.cli.targets import Problem, check_targets, write_json, writing
+from hd_diag.cli.targets import Problem, write_json, writing
 from hd_diag.cli.verbs import signalled
 from hd_diag.config.catalogue import load
 from hd_diag.config.configuration import JointConfig
@@ -75,12 +75,17 @@ def _fleet(
     found = find_bags(bags)
     if not found:
         raise FleetError(f"no bag in {', '.join(map(str, bags))}")
-    check_targets((given["out"], given["figure"], given["json_file"], given["report"]), *found)
+    check_files((*(given[name] for name in ("out", "figure", "json_file", "report")), _journal(given)), found)
     try:
         robot = None if given["robot"] is None else re.compile(given["robot"])
     except re.error as error:
         raise FleetError(f"--robot {given['robot']}: {error}") from error
     return Fleet(found, config, joints, robot)
+
+
+def _journal(given: dict[str, Any]) -> Path:
+    out: Path = given["out"]
+    return out.with_name(out.name + JOURNAL_SUFFIX)
 
 
 def _limits(joints: Sequence[JointConfig], wanted: tuple[str, ...]) -> dict[tuple[str, str], float]:
@@ -108,9 +113,12 @@ def _run(
     given_limits: dict[tuple[str, str], float],
     given: dict[str, Any],
 ) -> Health:
-    path = given["out"].with_name(given["out"].name + JOURNAL_SUFFIX)
+    path = _journal(given)
     pages = BagPages(given["report"]) if given["report"] else None
     with Journal(path, given["fresh"]) as journal:
+        if journal.lost:
+            lines = f"{journal.lost} of its lines are cut off or damaged; what they held is judged again"
+            tell(f"hd-diag: {path}: {lines}", err=True)
         try:
             with _watched() as (told, tick):
                 with _pool(given) as pool:
@@ -154,7 +162,8 @@ def _write(found: Health, given: dict[str, Any]) -> None:
     from hd_diag.fleet.plots import draw
     from hd_diag.fleet.table import write_table
 
-    write_table(given["out"], found.rows)
+    with writing(given["out"]) as place:
+        write_table(place, found.rows)
     if given["json_file"]:
         write_json(given["json_file"], as_json(str(given["out"]), found))
     if given["figure"]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hd_diag.cli.options import check_files
 from hd_diag.cli.targets import Problem
 from hd_diag.config.configuration import Config, JointConfig, load, resolve
 
@@ -13,7 +15,11 @@ if TYPE_CHECKING:
 
 def configured(config_file: str | None, catalogue: Catalogue | None = None) -> Config:
     """The configuration of a file, or the example drive's; its model files hold effects of the catalogue."""
-    return load(config_file, catalogue) if config_file else resolve({}, catalogue=catalogue)
+    if not config_file:
+        return resolve({}, catalogue=catalogue)
+    config = load(config_file, catalogue)
+    check_files(inputs=[Path(joint.model_file) for joint in config.joints if joint.model_file])
+    return config
 
 
 def chosen_joint(config: Config, name: str | None) -> JointConfig:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import shutil
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
@@ -95,8 +95,7 @@ def verb(example: str, **settings: Any) -> Callable[[Callable[..., Any]], click.
     def made(stub: Callable[..., Any]) -> click.Command:
         @functools.wraps(stub)
         def run(**given: Any) -> Any:
-            params = click.get_current_context().command.params
-            check_targets(_paths(params, given, Target), *_paths(params, given, Source))
+            check_files()
             name = stub.__name__
             function = getattr(import_module(f"hd_diag.cli.{VERBS[name][0]}"), name)
             try:
@@ -109,9 +108,22 @@ def verb(example: str, **settings: Any) -> Callable[[Callable[..., Any]], click.
     return made
 
 
-def _paths(params: list[click.Parameter], given: dict[str, Any], kind: type[click.Path]) -> list[Path]:
+def check_files(targets: Iterable[str | Path | None] | None = None, inputs: Iterable[Path] = ()) -> None:
+    """Refuse targets of the running verb that meet each other or what it reads, before the work.
+
+    Without targets they are those that were given; inputs that follow from those given count from now on.
+    """
+    context = click.get_current_context(silent=True)
+    if context is None:
+        return
+    read = context.meta.setdefault(f"{__name__}.read", [])
+    read += inputs
+    check_targets(_paths(context, Target) if targets is None else targets, *_paths(context, Source), *read)
+
+
+def _paths(context: click.Context, kind: type[click.Path]) -> list[Path]:
     """Paths of this kind that were given."""
-    values = [given[p.name] for p in params if isinstance(p.type, kind) and p.name]
+    values = [context.params[p.name] for p in context.command.params if isinstance(p.type, kind) and p.name]
     flat = [one for value in values for one in (value if isinstance(value, tuple) else (value,))]
     return [Path(one) for one in flat if one not in (None, "-")]
 

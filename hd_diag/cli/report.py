@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from hd_diag.bag.joint_record import InputRecord
+from hd_diag.cli.options import check_files
 from hd_diag.cli.progress import showing
 from hd_diag.cli.record import Judged, Records, judge_each, not_judged, on_records
-from hd_diag.cli.targets import Problem, check_targets
+from hd_diag.cli.targets import Problem
 from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.record import RecordError
 from hd_diag.diagnosis.ripple.ripple import Ripple
@@ -23,7 +24,7 @@ from hd_diag.report.facts import of_diagnosis, of_motion
 def report(records: Records, out: Path | None, json_file: str | None) -> None:
     """Do what ``hd-diag report`` is asked for."""
     target = out or Path(f"{records.bags[0].stem}.html")
-    check_targets((target, json_file), *records.bags)
+    check_files((target, json_file))
 
     def judge(joint: JointConfig) -> Judged:
         flat = records.config.flat

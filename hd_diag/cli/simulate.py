@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from hd_diag.cli import options
-from hd_diag.cli.joints import chosen_joints
+from hd_diag.cli.joints import chosen_joints, configured
 from hd_diag.cli.progress import interrupted, working
 from hd_diag.cli.targets import Problem, write_json
-from hd_diag.config.configuration import Config, ConfigError, load, resolve
+from hd_diag.config.configuration import Config, ConfigError, resolve
 from hd_diag.config.parameter_file import parse_value
 from hd_diag.config.parameters import JOINT_PARAMETERS
 from hd_diag.drive import Drive
@@ -95,7 +95,7 @@ def _true_configuration(file: str | None, names: tuple[str, ...], given: dict[st
     """Configuration of the simulated joints: a file's, changed by the options."""
     flat: dict[str, Any] = {"joints": list(names) or ["joint_1"]}
     if file:
-        config = load(file)
+        config = configured(file)
         chosen_joints(config, names)
         flat = dict(config.given)
     for joint in names or flat["joints"]:

@@ -14,6 +14,7 @@ from typing import Any
 import click
 
 from hd_diag.formatting import json_ready, visible
+from hd_diag.whole_file import whole_file
 
 LONGEST_LINE = 2000
 """Characters of a line for people, of which some may come from a file."""
@@ -36,8 +37,9 @@ class Problem(click.ClickException):
 def check_targets(targets: Iterable[str | Path | None], *inputs: Path) -> None:
     """Refuse before the work files that could not be written, would overwrite each other or an input."""
     wanted = [Path(target) for target in targets if target not in (None, "-")]
-    for one, other in itertools.combinations(wanted, 2):
-        if os.path.realpath(one) == os.path.realpath(other) or _is_same(one, other):
+    for one, other in itertools.permutations(wanted, 2):
+        own, within = (Path(os.path.realpath(path)) for path in (one, other))
+        if own == within or own in within.parents or _is_same(one, other):
             raise Problem(f"{one} and {other} must be different files")
     for target in wanted:
         folder = target.absolute().parent
@@ -63,22 +65,12 @@ def _is_same(one: Path, other: Path) -> bool:
 
 @contextmanager
 def writing(path: str | Path) -> Iterator[Path]:
-    """Where to write a file, put in place when it is whole; pipes and devices are written to.
-
-    A link stays one: what it leads to is replaced.
-    """
-    target = Path(os.path.realpath(path))
-    beside = (target.is_file() or not target.exists()) and os.access(target.parent, os.W_OK)
-    place = target.with_name(f".part.{target.name}") if beside else target
+    """Where to write a file, put in place when it is whole; a Problem where it cannot be written."""
     try:
-        yield place
-        if beside:
-            os.replace(place, target)
+        with whole_file(path) as place:
+            yield place
     except OSError as error:
-        raise Problem(f"{path}: cannot be written: {error.strerror}") from error
-    finally:
-        if beside:
-            place.unlink(missing_ok=True)
+        raise Problem(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 def write_json(path: str, result: Any) -> None:

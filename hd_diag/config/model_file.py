@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -30,6 +29,7 @@ from hd_diag.effects import Catalogue
 from hd_diag.effects.order_line import ORDER_LINE
 from hd_diag.effects.scaling import of_drive
 from hd_diag.extended_model import ExtendedModel, Range, Ranges, Term
+from hd_diag.whole_file import whole_file
 
 SCHEMA = "hd_diag/model/1"
 
@@ -196,11 +196,8 @@ def write(path: str | Path, content: Mapping[str, Any], catalogue: Catalogue | N
     try:
         text = json.dumps(content, indent=1, allow_nan=False) + "\n"
         parse(text, catalogue)
-        place = Path(os.path.realpath(path))  # a link stays one
-        partly = place if place.exists() and not place.is_file() else Path(f"{place}.part")
-        partly.write_text(text, encoding="utf-8")
-        if partly != place:  # which is neither a pipe nor a device
-            os.replace(partly, place)
+        with whole_file(path) as place:
+            place.write_text(text, encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from error
     except ValueError as error:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterable
 from pathlib import Path
 
 from hd_diag.fleet import FleetError
 from hd_diag.fleet.rows import Task
+from hd_diag.whole_file import whole_file
 
 _NAME = re.compile(r"[\w.-]+_[0-9a-f]{16}\.html", re.ASCII)
 
@@ -34,11 +34,10 @@ class BagPages:
     def write(self, task: Task, html: str) -> None:
         """Keep a page; one that is there is whole."""
         place = self.place(task)
-        part = place.with_name(f".{place.name}.part")
         try:
             self.folder.mkdir(exist_ok=True)
-            part.write_text(html, encoding="utf-8")
-            os.replace(part, place)
+            with whole_file(place) as draft:
+                draft.write_text(html, encoding="utf-8")
         except OSError as error:
             raise FleetError(f"{place}: cannot be written: {error.strerror or error}") from error
 

@@ -34,8 +34,9 @@ class ClusterPool:
         self._address = address
         try:
             self._client = Client(address, timeout=_CONNECT, set_as_default=False)
-        except (OSError, ValueError, TimeoutError) as error:
-            raise FleetError(f"no Dask scheduler at {address}: {error}") from error
+        except Exception as error:  # of an address that is none it raises several kinds, some without words
+            wanted = "an address is like tcp://host:8786"
+            raise FleetError(f"no Dask scheduler at {address}: {error}; {wanted}") from error
         self._at_work: dict[Any, tuple[str, int]] = {}
         self._seen = time.monotonic()
 

@@ -11,7 +11,6 @@ from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
 
-from hd_diag.fleet import FleetError
 from hd_diag.fleet.summary import SHOWN
 from hd_diag.fleet.trend import Trend
 
@@ -24,12 +23,8 @@ _LIMIT_NEAR = 3.0  # times the largest value; a limit farther off would press th
 
 
 def draw(trends: Sequence[Trend], path: Path) -> None:
-    """Draw the series, the clearest changes first; raises FleetError where the file cannot be written."""
-    figure = picture(trends)
-    try:
-        figure.savefig(path, dpi=120)
-    except OSError as error:
-        raise FleetError(f"{path}: cannot be written: {error.strerror or error}") from error
+    """Draw the series, the clearest changes first; raises OSError where the file cannot be written."""
+    picture(trends).savefig(path, dpi=120)
 
 
 def picture(trends: Sequence[Trend]) -> Figure:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from hd_diag.fleet import FleetError
 from hd_diag.fleet.rows import SCHEMA, Row, readable
 
 _TEXT, _NUMBER, _COUNT, _FLAG = pa.string(), pa.float64(), pa.int64(), pa.bool_()
@@ -109,24 +107,10 @@ COLUMNS = pa.schema(
 
 
 def write_table(path: Path, rows: Sequence[Row]) -> None:
-    """Write the rows as Parquet; a file that was there before stays until the new one is complete.
-
-    Raises FleetError where it cannot be written.
-    """
+    """Write the rows as Parquet; raises OSError where they cannot be."""
     table = pa.Table.from_pylist([_storable(row) for row in rows], schema=COLUMNS)
-    path = Path(os.path.realpath(path))  # a link stays one
-    part = path.with_name(f".{path.name}.part")
-    try:
-        try:
-            with part.open("wb") as file:
-                pq.write_table(table, file, compression="zstd")
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(part, path)
-        finally:
-            part.unlink(missing_ok=True)
-    except OSError as error:
-        raise FleetError(f"{path}: cannot be written: {error.strerror or error}") from error
+    with path.open("wb") as file:
+        pq.write_table(table, file, compression="zstd")
 
 
 def _storable(row: Row) -> Row:
