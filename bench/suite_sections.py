@@ -22,7 +22,7 @@ from hd_diag.model.threads import cores
 from hd_diag.model.torsion import torsion
 from hd_diag.model.torsion_map import build
 from hd_diag.model.transmission_error import Kinematics
-from hd_diag.monitor import Monitor
+from hd_diag.monitor.all_joints import Monitor
 from hd_diag.replay.map_builder import MapBuilder
 
 AGREEMENT = 1e-9  # [rad]

@@ -1,7 +1,11 @@
 """``hd-diag``, ``python -m hd_diag``, ``hd_diag_node``: a signal during their imports ends them cleanly."""
 
+import atexit
+import gc
 import signal
 import sys
+
+atexit.register(gc.freeze)  # at the end nobody looks through all objects once more, which takes 0.25 s
 
 
 def main() -> None:

@@ -16,7 +16,7 @@ from models import write_model
 from hd_diag.bag import BagWriter
 from hd_diag.messages.encoding import encode_joint_states
 from hd_diag.messages.publications import JOINT_STATE, encode
-from hd_diag.monitor import Monitor
+from hd_diag.monitor.all_joints import Monitor
 from hd_diag.monitor.publications import Due, Publication
 from hd_diag.replay.map_builder import map_of
 from hd_diag.replay.replay import replay

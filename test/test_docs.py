@@ -29,7 +29,7 @@ from hd_diag.effects import CATALOGUE
 from hd_diag.effects.effect import Effect
 from hd_diag.messages.publications import published_topics
 from hd_diag.model.torsion_map import ARCSEC
-from hd_diag.monitor import Monitor
+from hd_diag.monitor.all_joints import Monitor
 from hd_diag.monitor.health import FAULT_CODES
 from hd_diag.simulation import write_bag
 

@@ -237,6 +237,16 @@ def test_eccentricity_shows_at_rest_and_is_no_warning(tmp_path: Path) -> None:
     assert told.warnings == []
 
 
+@pytest.mark.parametrize(("deeper", "warned"), [(12e-6, False), (20e-6, True)])
+def test_an_overlap_as_built_is_warned_of_where_it_does_harm(deeper: float, warned: bool) -> None:
+    """From a quarter of limits.overlap.warn on, 11 µm: a preloaded gear has a few."""
+    datum = resolve({}).flat["joint_1.circular_spline_datum"]
+    config = resolve({"joint_1.circular_spline_datum": datum - deeper})
+    told = assess(config, config.joints[0])
+    assert told.found.overlap > 0.0
+    assert any("without eccentricity" in warning for warning in told.warnings) == warned
+
+
 def test_a_stiffness_that_is_not_the_page_s_and_torques_beyond_are_told() -> None:
     beside = {
         "joint_1.tooth_compliance": 6e-6,

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 
 from hd_diag.drive import MeshState, mesh_state, transmission_error
 from hd_diag.model.torsion_map import ARCSEC
-from hd_diag.monitor import Monitor
+from hd_diag.monitor.all_joints import Monitor
 from hd_diag.monitor.health import FAULT_CODES
 from hd_diag.monitor.publications import Status
 from hd_diag.replay.map_builder import map_of

@@ -4,12 +4,14 @@ import ast
 import functools
 import graphlib
 import json
+import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from cli_runner import config_file
 
 ROOT = Path(__file__).resolve().parent.parent
 # Each line may import the lines above it; what stands in one line does not know each other.
@@ -185,6 +187,56 @@ def test_a_core_room_loads_no_edge(name: str, loaded: dict[str, set[str]]) -> No
 
 def test_an_edge_would_be_seen(loaded: dict[str, set[str]]) -> None:
     assert "click" in loaded["an edge"]
+
+
+VERB = """
+import os, sys
+from hd_diag.__main__ import main
+try:
+    main()
+finally:
+    print(*{name.partition(".")[0] for name in sys.modules}, *sys.modules, file=sys.stderr)
+"""
+SLOW = {
+    "numpy",
+    "scipy",
+    "numba",
+    "llvmlite",
+    "yaml",
+    "rich",
+    "rosbags",
+    "mcap",
+    "matplotlib",
+    "jinja2",
+    "rclpy",
+}
+
+
+@pytest.mark.parametrize(
+    ("words", "may"),
+    [
+        ("--help", set()),
+        ("completion zsh", set()),
+        ("diagnose --help", set()),
+        ("check {file}", {"numpy", "yaml"}),
+        ("mesh --config {file}", {"numpy", "yaml", "rich", "numba", "llvmlite", "scipy"}),
+    ],
+)
+def test_a_verb_loads_what_it_needs_alone(words: str, may: set[str], tmp_path: Path) -> None:
+    """What takes long: `check` of a drive that it has seen needs no kernels, and a mesh no effects."""
+    file = config_file(tmp_path)
+    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    given = words.format(file=file).split()
+
+    def loaded() -> set[str]:
+        command = [sys.executable, "-c", VERB, *given]
+        run = subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment)
+        assert run.returncode == 0
+        return set(run.stderr.split())
+
+    if words.startswith("check"):
+        assert "numba" in loaded()
+    assert loaded() & {*SLOW, "hd_diag.effects", "hd_diag.bag.reader"} <= may
 
 
 def test_no_module_is_longer_than_its_limit() -> None:

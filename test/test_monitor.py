@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from hd_diag.drive import mesh_state, transmission_error
 from hd_diag.messages.publications import encode
-from hd_diag.monitor import Monitor
+from hd_diag.monitor.all_joints import Monitor
 from hd_diag.monitor.publications import Drawings, Publication, ToothArrays
 from hd_diag.replay.map_builder import map_of
 from hd_diag.streams.columns import JointStates

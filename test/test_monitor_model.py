@@ -22,7 +22,7 @@ from hd_diag.drive import transmission_error
 from hd_diag.extended_model import ExtendedModel
 from hd_diag.messages.publications import read_string
 from hd_diag.model.torsion_map import ARCSEC
-from hd_diag.monitor import Monitor
+from hd_diag.monitor.all_joints import Monitor
 from hd_diag.monitor.publications import Angles
 from hd_diag.monitor.residual_orders import ORDERS
 from hd_diag.replay.map_builder import map_of

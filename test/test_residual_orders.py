@@ -11,7 +11,7 @@ from challenge.truth import NOMINAL
 from live import START, config, states
 
 from hd_diag.model.torsion_map import ARCSEC, TorsionMap
-from hd_diag.monitor import Monitor
+from hd_diag.monitor.all_joints import Monitor
 from hd_diag.monitor.publications import Due, Report, Status
 from hd_diag.monitor.residual_orders import Order, ResidualOrders
 from hd_diag.replay.map_builder import map_of

@@ -24,7 +24,7 @@ from demo.process import Child, DemoError
 from demo.steps import Step, table
 from hd_diag.config.configuration import dump, resolve
 from hd_diag.messages.publications import published_topics, resolved
-from hd_diag.monitor import warm_up
+from hd_diag.monitor.all_joints import warm_up
 from hd_diag.ros.stop_signals import noted_signals
 
 __all__ = ["DemoError", "run"]

@@ -9,8 +9,6 @@ from hd_diag.config.assessment import Assessment, assess
 from hd_diag.config.configuration import JointConfig
 from hd_diag.formatting import ARCSEC
 from hd_diag.gear.characteristics import ECCENTRICITY
-from hd_diag.messages.field_path import path_in
-from hd_diag.messages.schemas import jazzy
 
 
 def check(config_file: str, json_file: str | None) -> None:
@@ -30,6 +28,11 @@ def check(config_file: str, json_file: str | None) -> None:
 
 def check_fields(joint: JointConfig) -> None:
     """Refuse a signal whose type is ROS 2 Jazzy's own and has no such field; others are known by bags."""
+    if not joint.mapped:
+        return
+    from hd_diag.messages.field_path import path_in  # types of messages take their time, and most need none
+    from hd_diag.messages.schemas import jazzy
+
     for name, signal in joint.mapped.items():
         if signal.type_name in jazzy().fielddefs:
             try:

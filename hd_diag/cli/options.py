@@ -174,6 +174,15 @@ FAIL_ON_CAUSE = click.option(
     "--fail-on-cause", is_flag=True, help="Exit with code 1 if a cause or something unexplained is found."
 )
 JSON = json_option("the result")
+TIME_LIMIT = click.option(
+    "--time-limit",
+    metavar="SECONDS",
+    type=click.FloatRange(0.0),
+    default=60.0,
+    show_default=True,
+    help="Limit of the computing time for each joint. The result says what was left out; the fit, the "
+    "gain and the unexplained rest are never left out.",
+)
 
 _RECORDS = (
     click.argument("bags", nargs=-1, required=True, type=Source(path_type=Path)),
@@ -206,15 +215,6 @@ _RECORDS = (
         multiple=True,
         type=Source(dir_okay=False, path_type=Path),
         help="Python file with further effects, as EFFECT or EFFECTS; repeatable. The file is executed.",
-    ),
-    click.option(
-        "--time-limit",
-        metavar="SECONDS",
-        type=click.FloatRange(0.0),
-        default=60.0,
-        show_default=True,
-        help="Limit of the computing time for each joint. The result says what was left out; the fit, the "
-        "gain and the unexplained rest are never left out.",
     ),
 )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,7 +41,7 @@ class Records:
     joints: list[JointConfig]
     table: Table | None
     catalogue: Catalogue
-    time_limit: float
+    time_limit: float = math.inf
     orders_only: bool = False
 
     def diagnosed(self, joint: JointConfig, advance: Advance) -> Diagnosis:
@@ -96,7 +97,7 @@ def on_records(function: Callable[..., None]) -> Callable[..., None]:
         delimiter: str,
         divided: bool,
         effect_files: tuple[Path, ...],
-        time_limit: float,
+        time_limit: float = math.inf,
         **own: Any,
     ) -> None:
         catalogue = load(effect_files)

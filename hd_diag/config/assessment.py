@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
+
+import numpy as np
 
 from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.config.configured_drive import number
 from hd_diag.config.defaults import EXAMPLE, Page, page_of
+from hd_diag.config.kept import kept
 from hd_diag.config.parameters import JOINT_PARAMETERS
 from hd_diag.drive import Drive
 from hd_diag.gear.characteristics import Characteristics, characteristics, slot_shift
 
 _FAR = 1.5  # reached over given stiffness, either way [-]
+_BY_ITSELF = 0.25  # of the overlap that is warned of, without any eccentricity [-]
 _DISSIMILAR_TEETH = 100  # of a flexspline; with fewer the profile of ratio 100 is hardly a gear's
 _STEPS = ("k1", "k2", "k3")
 
@@ -49,18 +53,28 @@ def assess(config: Config, joint: JointConfig) -> Assessment:
     own = {p.name: config.flat[f"{joint.name}.{p.name}"] for p in JOINT_PARAMETERS}
     page, drive = page_of(own), joint.configured
     steps = (page.t1, page.t2) if page else (number(own, "gear.t1"), number(own, "gear.t2"))
-    found = characteristics(drive, *steps)
+    found = _characteristics(drive, *steps)
     mesh = drive.mesh
     perfect = found
     if mesh.eccentricity or mesh.runout:
-        perfect = characteristics(replace(drive, mesh=replace(mesh, eccentricity=0.0, runout=0.0)), *steps)
-    warnings = [*_overlap(perfect), *_stiffness(perfect, page), *_load(perfect, drive, joint)]
+        perfect = _characteristics(replace(drive, mesh=replace(mesh, eccentricity=0.0, runout=0.0)), *steps)
+    warnings = [*_overlap(perfect, joint), *_stiffness(perfect, page), *_load(perfect, drive, joint)]
     warnings += _dissimilar(drive) if page else []
     return Assessment(found, page, warnings)
 
 
-def _overlap(found: Characteristics) -> list[str]:
-    if found.overlap <= 0.0:
+def _characteristics(drive: Drive, t1: float, t2: float) -> Characteristics:
+    found = kept(_numbers, drive, t1, t2)
+    return Characteristics(**found | {"stiffness": np.array(found["stiffness"])})
+
+
+def _numbers(drive: Drive, t1: float, t2: float) -> dict[str, Any]:
+    found = characteristics(drive, t1, t2)
+    return asdict(found) | {"stiffness": found.stiffness.tolist()}
+
+
+def _overlap(found: Characteristics, joint: JointConfig) -> list[str]:
+    if found.overlap <= max(0.0, _BY_ITSELF * joint.limits["overlap"].warn):
         return []
     return [
         f"the lobes overlap by {found.overlap * 1e6:.3g} µm without eccentricity, which presses a tooth with "

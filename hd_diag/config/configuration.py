@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hd_diag.config import parameter_file
 from hd_diag.config.configured_drive import drive_from, number
 from hd_diag.config.configured_signals import signals_from, spelled_out
 from hd_diag.config.defaults import joint_values
-from hd_diag.config.model_file import model_for, reader
+from hd_diag.config.json_shape import reader
 from hd_diag.config.parameters import (
     JOINT_PARAMETERS,
     LIMITS,
@@ -24,10 +24,12 @@ from hd_diag.config.parameters import (
     parameters,
     shown,
 )
-from hd_diag.effects import Catalogue
-from hd_diag.extended_model import ExtendedModel
 from hd_diag.monitor.settings import JointConfig, Limit, MonitorConfig
 from hd_diag.streams.signals import Signals
+
+if TYPE_CHECKING:
+    from hd_diag.effects import Catalogue
+    from hd_diag.extended_model import ExtendedModel
 
 __all__ = ["Config", "ConfigError", "JointConfig", "LogConfig", "ModelText", "dump", "load", "resolve"]
 
@@ -197,6 +199,8 @@ def _model(
     path = str(own["model_file"])
     if not path:
         return None, ""
+    from hd_diag.config.model_file import model_for  # with all effects, and most have no model
+
     try:
         text = (model_text or reader())(name, path)
         return model_for(text, own, catalogue), text

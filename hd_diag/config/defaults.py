@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hd_diag.config.configured_drive import drive_from, number
+from hd_diag.config.kept import kept
 from hd_diag.config.parameters import JOINT_PARAMETERS, LIMITS, Value
 from hd_diag.drive import Drive
 from hd_diag.formatting import rounded
@@ -93,10 +94,11 @@ def page_of(given: Mapping[str, Value]) -> Page | None:
 @lru_cache(maxsize=256)
 def resolved(page: Page) -> dict[str, Value]:
     """Parameters of the drive of a page; raises ValueError saying why there is none."""
-    from hd_diag.gear.similarity import (
-        compliances,
-        similar,
-    )  # scipy.optimize takes its time, and most have no page
+    return kept(_similar_drive, page)
+
+
+def _similar_drive(page: Page) -> dict[str, Value]:
+    from hd_diag.gear.similarity import compliances, similar  # scipy.optimize, and most have no page
 
     flexspline = page.output == "flexspline"
     slots = 2.0 * abs(page.ratio) + (2.0 if flexspline else 0.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -47,6 +47,19 @@ def read_text(path: Path, kind: str = "model file") -> str:
         return data.decode("utf-8")
     except UnicodeDecodeError as error:
         raise ConfigError(f"not a text in UTF-8: {error.reason} at byte {error.start}") from error
+
+
+def reader(*folders: Path) -> Callable[[str, str], str]:
+    """What gives the text of a joint's model file from the joint's name and the path, or raises ConfigError.
+
+    Relative paths are looked for in these folders, then in the present one.
+    """
+
+    def read(joint: str, path: str) -> str:
+        places = [folder / path for folder in folders if (folder / path).exists()]
+        return read_text(places[0] if places else Path(path))
+
+    return read
 
 
 def parse(text: str, shape: Shape) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -100,19 +100,6 @@ def drive_parameters(own: Mapping[str, Value]) -> dict[str, Value]:
 def base_hash(base: Mapping[str, Value]) -> str:
     """SHA-256 of the parameters of a drive, in hexadecimal digits."""
     return hashlib.sha256(json.dumps(base, sort_keys=True).encode()).hexdigest()
-
-
-def reader(*folders: Path) -> Callable[[str, str], str]:
-    """What gives the text of a joint's model file from the joint's name and the path, or raises ConfigError.
-
-    Relative paths are looked for in these folders, then in the present one.
-    """
-
-    def read(joint: str, path: str) -> str:
-        places = [folder / path for folder in folders if (folder / path).exists()]
-        return json_shape.read_text(places[0] if places else Path(path))
-
-    return read
 
 
 def model_for(text: str, own: Mapping[str, Value], catalogue: Catalogue | None = None) -> ExtendedModel:

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import maximum_filter1d
+from numpy.lib.stride_tricks import sliding_window_view
 
 from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Starts
@@ -63,7 +63,8 @@ class EncoderInterpolation(Harmonic):
         """
         order, gear = np.arange(strength.size), self._gear(signals)
         can = self.divides(order) & (strength > 0.0) & ((gear == 1.0) | (order % gear != 0.0))
-        can &= strength >= maximum_filter1d(strength, 2 * self.multiple - 1)
+        beside = self.multiple - 1
+        can &= strength >= sliding_window_view(np.pad(strength, beside), 2 * beside + 1).max(axis=1)
         found = order[can]
         return [int(one) for one in found[np.argsort(strength[found])[::-1]]]
 

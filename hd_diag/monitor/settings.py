@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from hd_diag.drive import Drive
-from hd_diag.extended_model import ExtendedModel
 from hd_diag.streams.alignment import ELSEWHERE, Names
 from hd_diag.streams.signals import ROLES, USUAL, Signal, Signals, key
+
+if TYPE_CHECKING:
+    from hd_diag.extended_model import ExtendedModel
 
 
 @dataclass(frozen=True)

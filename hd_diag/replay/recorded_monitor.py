@@ -26,7 +26,7 @@ from hd_diag.messages.publications import (
 )
 from hd_diag.model.mesh import Mesh
 from hd_diag.model.torsion_map import TorsionMap
-from hd_diag.monitor import Monitor
+from hd_diag.monitor.all_joints import Monitor
 from hd_diag.monitor.carried import carried, carry_on
 from hd_diag.monitor.publications import Due, Publication, Report
 from hd_diag.replay import versions

@@ -25,12 +25,12 @@ from rclpy.utilities import ok, try_shutdown
 
 from hd_diag.bag import RELIABLE
 from hd_diag.config.configuration import Config
-from hd_diag.config.model_file import reader
+from hd_diag.config.json_shape import reader
 from hd_diag.messages import encoding
 from hd_diag.messages.publications import TEMPERATURE, temperature_topic
 from hd_diag.model import torsion
 from hd_diag.model.torsion_map import ARCSEC
-from hd_diag.monitor import warm_up
+from hd_diag.monitor.all_joints import warm_up
 from hd_diag.replay.map_builder import MapBuilder
 from hd_diag.replay.recorded_monitor import Reader, Session
 from hd_diag.ros.arguments import check_arguments, parameter_files, reason

@@ -9,6 +9,7 @@ from hd_diag.cli import options
 
 @options.verb("diagnose joint.mcap --config arm.yaml --report joint.html")
 @options.records
+@options.TIME_LIMIT
 @options.FAIL_ON_CAUSE
 @click.option(
     "--orders-only",

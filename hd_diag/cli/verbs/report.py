@@ -9,6 +9,7 @@ from hd_diag.cli import options
 
 @options.verb("report joint.mcap --config arm.yaml --out joint.html")
 @options.records
+@options.TIME_LIMIT
 @click.option(
     "--out",
     type=options.PAGE,
