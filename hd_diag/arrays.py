@@ -9,3 +9,4 @@ Integers = npt.NDArray[np.int64]
 Times = npt.NDArray[np.int64]
 """[ns]"""
 Bytes = npt.NDArray[np.uint8]
+Table = npt.NDArray[np.float32]

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from hd_diag.arrays import Floats
+from hd_diag.arrays import Floats, Table
 from hd_diag.formatting import ARCSEC as ARCSEC  # effects of others import it from here
 from hd_diag.model import kernel
 from hd_diag.model.mesh import Mesh, contiguous, moments
@@ -50,8 +50,9 @@ class TorsionMap:
     ----------
     mesh : Mesh
         What it was built for.
-    torque, torsion : ndarray, shape (n + 1, breakpoints)
+    torque, torsion : ndarray of float32, shape (n + 1, breakpoints)
         The piecewise-linear curve of every angle, rising; the last angle repeats the first [N m], [rad].
+        Single precision takes half the memory, and rounds by a thousandth of the error that is aimed at.
     torque_limit : float
         Greatest |M| that it answers for [N m].
     error_bound : float
@@ -59,8 +60,8 @@ class TorsionMap:
     """
 
     mesh: Mesh
-    torque: Floats
-    torsion: Floats
+    torque: Table
+    torsion: Table
     torque_limit: float
     error_bound: float
 
@@ -76,9 +77,9 @@ class TorsionMap:
         return *(array.ctypes.data for array in arrays), *self.torque.shape, limit
 
     @cached_property
-    def _table(self) -> tuple[Floats, Floats, Any, float]:
+    def _table(self) -> tuple[Table, Table, Any, float]:
         """As kernels read it, index included."""
-        torque, torsion = contiguous(self.torque), contiguous(self.torsion)
+        torque, torsion = (np.require(each, np.float32, "CW") for each in (self.torque, self.torsion))
         return torque, torsion, kernel.entry.columns(torque), float(self.torque_limit)
 
     def __call__(self, wave_generator_angle: Floats, torque: Floats) -> Floats:
@@ -108,7 +109,7 @@ def build(
     ----------
     mesh : Mesh
     torque_limit : float
-        Greatest |M| to hold [N m]. Where pairs enter by their tip corners under load the torsion jumps and no
+        Greatest |M| to hold [N m], rounded as the table is. Where pairs enter by their tip corners under load the torsion jumps and no
         table can follow: the map then answers only below that torque.
     wanted : callable
         Called with the fraction done; returning False gives the build up.
@@ -129,19 +130,20 @@ def build(
     teeth = mesh.geometry.circular_spline_teeth
     steps = teeth * round(steps_per_tooth * max(1.0, (_FINE_TEETH / teeth) ** 2))
     angle = 2.0 * np.pi / steps * np.arange(steps, dtype=np.float64)
-    torque, beta = _curves(mesh, angle, torque_limit, wanted, threads)
+    limit = float(np.float32(torque_limit))
+    torque, beta = _curves(mesh, angle, limit, wanted, threads)
     if not np.isfinite(torque).all():
         raise ValueError(f"the teeth cannot bear {torque_limit:g} N m at every wave generator angle")
-    used = np.flatnonzero((torque > -torque_limit).any(axis=0) & (torque < torque_limit).any(axis=0))
+    used = np.flatnonzero((torque > -limit).any(axis=0) & (torque < limit).any(axis=0))
     columns = slice(used[0] - 1, used[-1] + 2)
-    curves = contiguous(torque[:, columns]), contiguous(beta[:, columns])
-    table = TorsionMap(mesh, *curves, torque_limit, np.inf)
+    curves = (np.ascontiguousarray(each[:, columns]) for each in (torque, beta))
+    table = TorsionMap(mesh, *curves, limit, np.inf)
     return _checked(table, 2.0 * TOLERANCE * (STEPS_PER_TOOTH / steps_per_tooth) ** 2)
 
 
 def _curves(
     mesh: Mesh, angle: Floats, torque_limit: float, wanted: Callable[[float], bool], threads: int
-) -> tuple[Floats, Floats]:
+) -> tuple[Table, Table]:
     """Exact piecewise-linear curves (angles + 1, breakpoints), rising; a true gap has two at zero torque.
 
     The last angle repeats the first. Rows with fewer breakpoints end with more of the limit; nan where no
@@ -150,16 +152,20 @@ def _curves(
     turn, center, _ = moments(mesh, angle)
     begins, found = range(0, angle.size, _CHUNK), []
     parts = [slice(begin, min(begin + _CHUNK, angle.size)) for begin in begins]
+
+    def curves(part: slice) -> list[Table]:
+        exact = kernel.entry.curves(mesh.data, turn[part], center[part], torque_limit)
+        return [each.astype(np.float32) for each in exact]
+
     with ThreadPoolExecutor(threads, thread_name_prefix="torsion map") as pool:
-        solved = pool.map(
-            lambda part: kernel.entry.curves(mesh.data, turn[part], center[part], float(torque_limit)), parts
-        )
+        solved = pool.map(curves, parts)
         for part in parts:
             if not wanted(part.start / angle.size):
                 pool.shutdown(cancel_futures=True)
                 raise BuildCancelled
             found.append(next(solved))
-    torque, torsion = np.empty((2, angle.size + 1, max(own.shape[1] for own, _ in found)))
+    shape = angle.size + 1, max(own.shape[1] for own, _ in found)
+    torque, torsion = np.empty(shape, np.float32), np.empty(shape, np.float32)
     for part, both in zip(parts, found, strict=True):
         for whole, own in zip((torque, torsion), both, strict=True):
             whole[part, : own.shape[1]] = own

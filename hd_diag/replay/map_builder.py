@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import queue
 import threading
+from weakref import WeakValueDictionary
 
 from hd_diag.config.configuration import JointConfig
 from hd_diag.extended_model import TORQUE_RANGE
@@ -33,6 +34,8 @@ class MapBuilder:
     def __init__(self) -> None:
         self.finished: queue.SimpleQueue[tuple[str, TorsionMap | Exception]] = queue.SimpleQueue()
         self._wanted: dict[str, tuple[Mesh, float]] = {}
+        # Joints of the same drive share a map, which takes some 20 MB.
+        self._built: WeakValueDictionary[tuple[Mesh, float], TorsionMap] = WeakValueDictionary()
         self._changed = threading.Condition()
         self._closed = False
         self._thread = threading.Thread(target=self._run, name="map builder", daemon=True)
@@ -63,7 +66,9 @@ class MapBuilder:
     def _build(self, name: str, mesh: Mesh, limit: float) -> None:
         result: TorsionMap | Exception
         try:
-            result = build(mesh, limit, lambda fraction: self._is_wanted(name, mesh, limit))
+            known = self._built.get((mesh, limit))
+            result = known or build(mesh, limit, lambda fraction: self._is_wanted(name, mesh, limit))
+            self._built[mesh, limit] = result
         except BuildCancelled:
             return
         except Exception as error:  # whatever it is, the next map shall be built

@@ -2,12 +2,30 @@
 
 from __future__ import annotations
 
+import importlib
+import sys
 import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+
+
+def _import_arrays() -> None:
+    """Have numba's array functions without scipy.linalg, which takes 17 MB and a third of the start.
+
+    numba looks there for a BLAS, which no kernel uses. Others still get it where they ask for one.
+    """
+    found = sys.modules.setdefault("scipy.linalg", None)  # type: ignore[arg-type]
+    try:
+        importlib.import_module("numba.np.arraymath")
+    finally:
+        if found is None:
+            del sys.modules["scipy.linalg"]
+
+
+_import_arrays()
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 

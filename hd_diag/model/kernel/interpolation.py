@@ -17,10 +17,11 @@ from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
-from hd_diag.arrays import Floats, Integers
+from hd_diag.arrays import Floats, Integers, Table
 from hd_diag.model.kernel.compiler import entry_point, inline, part
 
 Columns = npt.NDArray[np.int16]
+Single = np.float32
 
 BLOCK = 32
 """Samples whose places are found at once."""
@@ -80,7 +81,7 @@ def cells() -> Cells:
 
 
 @entry_point
-def columns(breakpoints: Floats) -> Columns:
+def columns(breakpoints: Table) -> Columns:
     """The index that a table needs: about which column holds each bin of torque, for every so many rows."""
     rows, last = breakpoints.shape[0], breakpoints.shape[1] - 2
     found = np.empty((1 + (rows - 1) // _ROWS, _BINS), dtype=np.int16)
@@ -96,8 +97,8 @@ def columns(breakpoints: Floats) -> Columns:
 
 @part
 def locate(
-    breakpoints: Floats,
-    values: Floats,
+    breakpoints: Table,
+    values: Table,
     near: Columns,
     limit: float,
     turn: Floats,
@@ -130,7 +131,7 @@ def _within_turn(turn: float) -> float:
 
 @part
 def read(
-    breakpoints: Floats, values: Floats, torque: Floats, begin: int, end: int, cells: Cells, beta: Floats
+    breakpoints: Table, values: Table, torque: Floats, begin: int, end: int, cells: Cells, beta: Floats
 ) -> None:
     """Set the torsions of the samples from ``begin`` to before ``end``.
 
@@ -139,7 +140,7 @@ def read(
     sample that takes as long as the rest.
     """
     x, y, last = breakpoints, values, breakpoints.shape[1] - 2
-    below_end = np.nextafter(breakpoints[0, -1], 0.0)
+    below_end = np.nextafter(np.float64(breakpoints[0, -1]), 0.0)
     for i in range(begin, end):
         row, column, load = cells.row[i - begin], cells.column[i - begin], torque[i]
         value, low, high = min(load, below_end), math.nan, math.nan
@@ -158,15 +159,15 @@ def read(
 
 
 @inline
-def _line(start: float, end: float, beta: float, end_beta: float, torque: float) -> float:
-    slope = (end_beta - beta) / (end - start)
+def _line(start: Single, end: Single, beta: Single, end_beta: Single, torque: float) -> float:
+    slope = (np.float64(end_beta) - beta) / (np.float64(end) - start)
     return beta + slope * (torque - start)
 
 
 @entry_point
 def interpolate(
-    breakpoints: Floats,
-    values: Floats,
+    breakpoints: Table,
+    values: Table,
     near: Columns,
     limit: float,
     turn: Floats,
@@ -187,7 +188,7 @@ def interpolate(
 def interpolate_at(place: Any, turn: Floats, torque: Floats, beta: Floats, count: int) -> None:
     """As `interpolate` for the first of the samples, by a table whose place and size a record has."""
     shape = place.rows, place.columns
-    breakpoints = _array(_at(place.breakpoints), shape, np.float64)
-    values = _array(_at(place.values), shape, np.float64)
+    breakpoints = _array(_at(place.breakpoints), shape, np.float32)
+    values = _array(_at(place.values), shape, np.float32)
     near = _array(_at(place.near), (1 + (place.rows - 1) // _ROWS, _BINS), np.int16)
     interpolate(breakpoints, values, near, place.limit, turn, torque, beta, 0, count)
