@@ -79,7 +79,7 @@ class TorsionMap:
     @cached_property
     def _table(self) -> tuple[Table, Table, Any, float]:
         """As kernels read it, index included."""
-        torque, torsion = (np.require(each, np.float32, "CW") for each in (self.torque, self.torsion))
+        torque, torsion = (np.require(each, np.float32, ["C", "W"]) for each in (self.torque, self.torsion))
         return torque, torsion, kernel.entry.columns(torque), float(self.torque_limit)
 
     def __call__(self, wave_generator_angle: Floats, torque: Floats) -> Floats:
@@ -109,8 +109,8 @@ def build(
     ----------
     mesh : Mesh
     torque_limit : float
-        Greatest |M| to hold [N m], rounded as the table is. Where pairs enter by their tip corners under load the torsion jumps and no
-        table can follow: the map then answers only below that torque.
+        Greatest |M| to hold [N m], rounded as the table is. Where pairs enter by their tip corners under load
+        the torsion jumps and no table can follow: the map then answers only below that torque.
     wanted : callable
         Called with the fraction done; returning False gives the build up.
     steps_per_tooth : int
@@ -136,8 +136,8 @@ def build(
         raise ValueError(f"the teeth cannot bear {torque_limit:g} N m at every wave generator angle")
     used = np.flatnonzero((torque > -limit).any(axis=0) & (torque < limit).any(axis=0))
     columns = slice(used[0] - 1, used[-1] + 2)
-    curves = (np.ascontiguousarray(each[:, columns]) for each in (torque, beta))
-    table = TorsionMap(mesh, *curves, limit, np.inf)
+    kept = [np.ascontiguousarray(each[:, columns]) for each in (torque, beta)]
+    table = TorsionMap(mesh, kept[0], kept[1], limit, np.inf)
     return _checked(table, 2.0 * TOLERANCE * (STEPS_PER_TOOTH / steps_per_tooth) ** 2)
 
 

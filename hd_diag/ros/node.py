@@ -63,7 +63,9 @@ class DiagnosticNode(Node):
     """
 
     def __init__(self, model_folders: Sequence[Path] = ()) -> None:
-        super().__init__("hd_diag", automatically_declare_parameters_from_overrides=True)
+        super().__init__(
+            "hd_diag", automatically_declare_parameters_from_overrides=True, start_parameter_services=False
+        )
         self._server = ParameterServer(self, reader(*model_folders))
         config = self._server.config
         check_types(config)
@@ -127,9 +129,8 @@ class DiagnosticNode(Node):
             executor.spin_once(timeout_sec=self.housekeeping())
         except ExternalShutdownException:
             raise
-        except Exception as error:  # such as a parameter of a type that ROS does not know
+        except Exception as error:  # samples wait: no pause, whatever goes wrong
             self.get_logger().error(f"a request was dropped: {error!r}", throttle_duration_sec=5.0)
-            time.sleep(_LOOP_PERIOD)  # whatever goes wrong may do so again at once
 
     def warn_of_files(self, sections: Mapping[str, Sequence[Any]]) -> None:
         """Warn of parameter files with no section for this node, which ROS takes without a word."""

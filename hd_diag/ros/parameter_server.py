@@ -10,13 +10,14 @@ from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
+from rclpy.parameter_service import ParameterService
 
 from hd_diag.config.configuration import Config, ConfigError, ModelText, resolve
 from hd_diag.config.parameters import ROS_PARAMETERS, Parameter, check_known, parameters
 
 
 class ParameterServer:
-    """Parameters of a node that was made with those of its overrides.
+    """Parameters of a node that was made with those of its overrides, without services.
 
     Its config is the last one that was accepted. Raises ConfigError where the values given at the start
     cannot be.
@@ -41,6 +42,7 @@ class ParameterServer:
         self._node.add_pre_set_parameters_callback(self._typed)
         self._node.add_on_set_parameters_callback(self._validate)
         self._node.add_post_set_parameters_callback(lambda _: apply(self.config))
+        self._services = _Services(self._node)
 
     def _typed(self, changed: Sequence[RosParameter]) -> list[RosParameter]:
         """The parameters, with numbers of the type that they were declared with, and those that follow them.
@@ -88,6 +90,28 @@ class ParameterServer:
             if after.signals != before.signals:
                 raise ConfigError(f"{after.name}: where its signals stand is read when the node starts")
         return candidate
+
+
+class _Services(ParameterService):
+    """The services that every node has, which answer every request.
+
+    rclpy's own gives no answer, but an exception, where a parameter has a type that ROS does not know.
+    """
+
+    def _set_parameters_callback(self, request: Any, response: Any) -> Any:
+        response.results = [self._set([each]) for each in request.parameters]
+        return response
+
+    def _set_parameters_atomically_callback(self, request: Any, response: Any) -> Any:
+        response.result = self._set(request.parameters)
+        return response
+
+    def _set(self, given: Sequence[Any]) -> SetParametersResult:
+        try:
+            changed = [RosParameter.from_parameter_msg(each) for each in given]
+            return self._get_node().set_parameters_atomically(changed)
+        except Exception as error:  # rclpy raises many kinds
+            return SetParametersResult(successful=False, reason=str(error))
 
 
 class _Unknown(ParameterNotDeclaredException):

@@ -17,12 +17,13 @@ def _import_arrays() -> None:
 
     numba looks there for a BLAS, which no kernel uses. Others still get it where they ask for one.
     """
-    found = sys.modules.setdefault("scipy.linalg", None)  # type: ignore[arg-type]
+    modules: dict[str, Any] = sys.modules
+    found = modules.setdefault("scipy.linalg", None)
     try:
         importlib.import_module("numba.np.arraymath")
     finally:
         if found is None:
-            del sys.modules["scipy.linalg"]
+            del modules["scipy.linalg"]
 
 
 _import_arrays()
