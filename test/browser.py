@@ -70,6 +70,7 @@ def requested(browser: Any) -> list[str]:
 
 def opened(browser: Any, address: str, width: int = 1280) -> Any:
     """The browser with a page; what was logged before is forgotten."""
+    browser.get("about:blank")  # a long page that is still there would be laid out anew, which takes seconds
     sized(browser, width)
     browser.get_log("browser")
     browser.get_log("performance")

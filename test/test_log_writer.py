@@ -111,30 +111,32 @@ def test_other_options_go_on_in_the_same_log(tmp_path: Path) -> None:
 
 FILL = """
 import resource, signal, sys
+from pathlib import Path
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # then a write fails with EFBIG, as it would with ENOSPC
-resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]),) * 2)
-sys.path.insert(0, sys.argv[3])
+sys.path.insert(0, sys.argv[2])
 import test_log_writer
 from hd_diag.config.configuration import LogConfig
-log = test_log_writer.LogWriter(LogConfig(sys.argv[1], compression="none", flush_period=0.01))
-test_log_writer.fill(log, 0, 100)
-log.flush_if_due()
-log.close()
-print(log.state)
+
+def filled(name, limit):
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
+    log = test_log_writer.LogWriter(LogConfig(name, compression="none", flush_period=0.01))
+    test_log_writer.fill(log, 0, 100)
+    log.flush_if_due()
+    log.close()
+    print(Path(name).stat().st_size, log.state)
+    return Path(name).stat().st_size
+
+whole = filled(sys.argv[1] + "/whole.mcap", resource.RLIM_INFINITY)
+for missing in (10, 1000, 10_000):  # end, summary, chunk
+    filled(sys.argv[1] + f"/{missing}.mcap", whole - missing)
 """
 
 
-def filled(path: Path, limit: int) -> str:
-    """State of a log after its end, where files may have so many bytes."""
-    command = [sys.executable, "-c", FILL, str(path), str(limit), str(Path(__file__).parent)]
+def test_a_disk_that_is_full_only_when_the_log_ends_is_reported_too(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", FILL, str(tmp_path), str(Path(__file__).parent)]
     run = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
-    return run.stdout.strip()
-
-
-@pytest.mark.parametrize("missing", [10, 1000, 10_000], ids=["end", "summary", "chunk"])
-def test_a_disk_that_is_full_only_when_the_log_ends_is_reported_too(tmp_path: Path, missing: int) -> None:
-    assert filled(tmp_path / "whole.mcap", 10**9) == "off"
-    limit = (tmp_path / "whole.mcap").stat().st_size - missing
-    state = filled(tmp_path / "log.mcap", limit)
-    assert state.startswith("failed: ")
-    assert (tmp_path / "log.mcap").stat().st_size <= limit
+    (whole, state), *full = (line.split(" ", 1) for line in run.stdout.splitlines())
+    assert state == "off"
+    for (size, state), missing in zip(full, (10, 1000, 10_000), strict=True):
+        assert state.startswith("failed: ")
+        assert int(size) <= int(whole) - missing
