@@ -4,17 +4,23 @@ import json
 import struct
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from cli_runner import hd_diag
 from joint_records import columns, joint
+from live import config
 from test_bag_reader import NOTES, notes_folder
-from test_recording import whole, write
+from test_recording import COLUMNS, Message, read, states, temperatures, whole, write, write_table
 
 from hd_diag.bag import BagReader
 from hd_diag.bag.joint_record import read_bags, read_motion
+from hd_diag.bag.tables import Table, read_tables
+from hd_diag.diagnosis.record import RecordError
 from hd_diag.diagnosis.screening import screened
 from hd_diag.diagnosis.stamps import Stamps
+from hd_diag.fleet.rows import judge, tasks
+from hd_diag.fleet.survey import survey
 
 
 @pytest.fixture(scope="module")
@@ -97,3 +103,106 @@ def test_a_database_that_hides_rows_is_damaged(tmp_path: Path) -> None:
         (problem,) = reader.problems
     assert problem.startswith("bag.db3: is damaged: ")
     assert problem.endswith("`sqlite3 bag.db3 .recover | sqlite3 new.db3` saves what can be read")
+
+
+LOST = "3 samples are left out, the last because: a message is cut off"
+
+
+@pytest.fixture(scope="module")
+def one_angle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bag of one angle, without a torque, of which three messages end early."""
+    given = columns(seconds=5.0)
+    messages = states(given["time"], ("joint_1",), (given["output"],))
+    folder = tmp_path_factory.mktemp("one")
+    return write(folder / "a.mcap", damaged(messages, 300, 301, 302))
+
+
+def damaged(messages: list[Message], *rows: int) -> list[Message]:
+    return [
+        (topic, kind, data[:50] if row in rows else data, time)
+        for row, (topic, kind, data, time) in enumerate(messages)
+    ]
+
+
+def test_refused_samples_are_in_the_verdict_however_few(tmp_path: Path) -> None:
+    bag = write(tmp_path / "a.mcap", damaged(whole(columns(seconds=5.0)), 300, 301, 302))
+    result = hd_diag("diagnose", bag, "--orders-only", "--json", tmp_path / "a.json")
+    assert result.stdout.count(LOST) == 1
+    found = json.loads((tmp_path / "a.json").read_text())
+    assert LOST in found["verdict"]
+    assert found["record"]["refused"] == 3
+
+
+def test_a_page_of_the_motion_tells_them(tmp_path: Path) -> None:
+    given = columns(seconds=5.0)
+    motor = states(given["time"], ("joint_1_motor",), (given["input"],))
+    bag = write(tmp_path / "a.mcap", damaged(motor, 300, 301, 302))
+    result = hd_diag("report", bag, "--out", tmp_path / "a.html", "--json", tmp_path / "a.json")
+    assert result.exit_code == 0, result.stderr
+    assert LOST in result.stdout
+    assert LOST in (tmp_path / "a.html").read_text()
+    assert json.loads((tmp_path / "a.json").read_text())["refused"] == 3
+
+
+def test_a_refusal_tells_what_is_not_whole(one_angle: Path, tmp_path: Path) -> None:
+    """One angle is not enough, and 5 s turn too little for a ripple."""
+    short = write(tmp_path / "a.mcap", whole(columns(seconds=5.0)))
+    for verb, bag in (("ripple", short), ("diagnose", one_angle)):
+        result = hd_diag(verb, cut_off(bag))
+        assert (result.exit_code, result.stdout) == (2, "")
+        assert "the recording is not whole (" in result.stderr
+
+
+def cut_off(bag: Path) -> Path:
+    bag.with_name("cut.mcap").write_bytes(bag.read_bytes()[:-2000])
+    return bag.with_name("cut.mcap")
+
+
+def test_topics_tells_messages_that_cannot_be_read(one_angle: Path, tmp_path: Path) -> None:
+    result = hd_diag("topics", one_angle, "--json", tmp_path / "t.json")
+    said = "3 of 1000 messages cannot be read; the last is cut off"
+    assert said in result.stdout
+    (topic,) = json.loads((tmp_path / "t.json").read_text())["topics"]
+    assert topic["problem"].startswith(said)
+
+
+def test_a_fleet_s_row_counts_refused_samples(one_angle: Path) -> None:
+    own = config()
+    (task,) = tasks(survey(str(one_angle)), own, own.joints)
+    row = judge(task)
+    assert row["error"]
+    # Without a torque there is no motion that anything could be said of; with both angles there is.
+    given = columns(seconds=5.0)
+    motor = states(given["time"], ("joint_1_motor",), (given["input"],))
+    bag = write(one_angle.with_name("motor.mcap"), damaged(motor, 300, 301, 302))
+    (task,) = tasks(survey(str(bag)), own, own.joints)
+    assert judge(task)["refused"] == 3
+    assert judge(task)["last_refusal"].startswith("a message is cut off")
+
+
+def test_temperatures_that_cannot_be_are_refused(tmp_path: Path) -> None:
+    """One of no bytes at all, and one that squares to infinity."""
+    given = columns(seconds=3.0)
+    warm = temperatures(np.array([0.0, 1.0, 2.0, 2.5]), np.array([20.0, 30.0, 30.0, 1e300]))
+    warm[1] = (*warm[1][:2], b"", warm[1][3])
+    record = read(write(tmp_path / "a.mcap", whole(given), warm))
+    assert record.stamps.refused == 2
+    assert record.stamps.reason == "temperature is 1e+300"
+    assert record.temperature is not None
+    assert np.abs(record.temperature - 25.0).max() < 6.0
+
+
+@pytest.mark.parametrize(("column", "value"), [("time", 1e308), ("input", -1e308), ("torque", 1e160)])
+def test_a_table_s_numbers_that_cannot_be_are_refused(column: str, value: float, tmp_path: Path) -> None:
+    given = columns(seconds=3.0)
+    given[column][-1] = value
+    record = read_tables([write_table(tmp_path / "a.csv", given)], Table(COLUMNS), joint())
+    assert (record.stamps.refused, record.size) == (1, 599)
+    assert f"{column} is {value:g} " in record.stamps.reason
+
+
+def test_a_table_s_lines_are_bounded(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("t,motor,link,tau\n" + "0" * (1 << 21))
+    with pytest.raises(RecordError, match="a line is longer than 1048576 characters"):
+        read_tables([path], Table(COLUMNS), joint())

@@ -449,4 +449,4 @@ def test_a_bag_of_what_rclpy_serializes(given: dict[str, np.ndarray], tmp_path: 
     assert record.temperature is not None
     with BagReader(bag) as reader:
         assert [len(reader.deserialize(batch)[1]) for batch in reader.batches(grouped=True)] == [0, 0]
-        assert [n.field for n in numbers(reader, reader.topics[0])] == [f"position[{n}]" for n in NAMES]
+        assert [n.field for n in numbers(reader, reader.topics[0])[0]] == [f"position[{n}]" for n in NAMES]

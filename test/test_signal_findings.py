@@ -114,7 +114,7 @@ def test_stamps_that_repeat_are_left_out_and_said() -> None:
     given = {name: np.repeat(column, 2) for name, column in columns().items()}
     found = only(prepared(given))
     assert (found.name, found.value) == ("refused_rows", pytest.approx(0.5, abs=0.01))
-    assert found.text.startswith("50 % of the samples are left out, the last because: their stamps repeat")
+    assert found.text.startswith("4000 samples are left out, the last because: their stamps repeat")
 
 
 def test_rows_that_repeat_are_left_out() -> None:

@@ -17,6 +17,7 @@ from hd_diag.bag.errors import BagError
 from hd_diag.bag.reader import BagReader, Batch
 from hd_diag.messages.field_path import DTYPES, TEXT, holds_texts, is_array
 from hd_diag.messages.fields import FieldReader
+from hd_diag.messages.joint_states import Rejection
 from hd_diag.messages.publications import OWN_OUTPUTS
 from hd_diag.streams.signals import Signal, Unit
 
@@ -81,25 +82,30 @@ class Pair(NamedTuple):
         return self.input.unit == _COUNTS
 
 
-def numbers(reader: BagReader, topic: Topic) -> list[Number]:
-    """Numbers of a topic that may be a joint's; BagError where its type is not known."""
+def numbers(reader: BagReader, topic: Topic) -> tuple[list[Number], str]:
+    """Numbers of a topic that may be a joint's, and what cannot be read; BagError for an unknown type."""
     fields = _fields(reader, topic)
     if not fields:
-        return []
+        return [], ""
     signals = {f: Signal(topic.name, topic.type_name, f, "", Unit(1.0)) for f in fields}
     source = FieldReader(reader.types(topic), topic.type_name, signals)
     found: dict[str, list[tuple[Any, Floats]]] = {f: [] for f in fields}
-    seen = 0
+    seen, refused = 0, list[Rejection]()
     for batch in reader.batches([topic.name], grouped=True):
         if batch.topic is not topic or seen >= _MOST_MESSAGES:
             continue
         rows = slice(0, _MOST_MESSAGES - seen)
         seen += len(batch)
-        for states in source.columns(batch.payload[rows], batch.log_time[rows])[0]:
+        shapes, rejected = source.columns(batch.payload[rows], batch.log_time[rows])
+        refused += rejected
+        for states in shapes:
             for i, key in enumerate(states.keys):
                 assert states.signals is not None
                 found[key].append((states.stamp, states.signals[:, i]))
-    return [_number(topic, f, fields[f], parts, reader.start) for f, parts in found.items() if parts]
+    problem = (
+        f"{len(refused)} of {seen} messages cannot be read; the last {refused[-1].reason}" if refused else ""
+    )
+    return [_number(topic, f, fields[f], parts, reader.start) for f, parts in found.items() if parts], problem
 
 
 def pairs(angles: list[Number]) -> list[Pair]:

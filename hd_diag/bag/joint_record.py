@@ -21,6 +21,7 @@ from hd_diag.diagnosis.record import Record, RecordError, prepare
 from hd_diag.diagnosis.stamps import UNTOLD, Stamps
 from hd_diag.messages.publications import TEMPERATURE, read_temperature
 from hd_diag.streams.alignment import Aligned, Alignment
+from hd_diag.streams.columns import LARGEST_TEMPERATURE
 from hd_diag.streams.interpolation import torque_between
 from hd_diag.streams.signals import Signal, temperatures
 
@@ -65,9 +66,11 @@ def read_bags(paths: Sequence[str | Path], joint: JointConfig) -> Record:
         raise RecordError(nothing(paths, joint, stamps))
     ratio = joint.drive.kinematics.ratio
     columns = time, given, own, torque, warm, stretch, ratio, joint.torque, speed
-    return prepare(
-        *columns, by_current=joint.signals.is_current, by_velocity=joint.signals.is_velocity, stamps=stamps
-    )
+    kind = joint.signals.is_current, joint.signals.is_velocity
+    try:
+        return prepare(*columns, *kind, stamps)
+    except RecordError as error:
+        raise RecordError(stamps.after(str(error))) from error
 
 
 def nothing(paths: Sequence[str | Path], joint: JointConfig, stamps: Stamps | None = None) -> str:
@@ -77,7 +80,7 @@ def nothing(paths: Sequence[str | Path], joint: JointConfig, stamps: Stamps | No
     text = f"no input angle ({given}) with output angle ({measured}) in {', '.join(map(str, paths))}"
     if not _read_all(paths, joint, _is_input).time.size and (own := _one_angle(paths, joint)).time.size:
         ripple = "what the torque shows: hd-diag ripple"
-        return (
+        return own.stamps.after(
             f"{text}; one angle has no transmission error: the robot's driver would have to publish the "
             "motor encoder's angle, or its velocity (input: velocity); "
             + (ripple if np.isfinite(own.torque).any() else "for hd-diag ripple an effort or a current")
@@ -196,7 +199,7 @@ def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]
                 if batch.topic.type_name != TEMPERATURE:
                     continue
                 times.append(mixed.log_time)
-                heat.append(np.array([read_temperature(bytes(data)) for data in batch.messages()]))
+                heat.append(np.array([_degrees(bytes(data), streams) for data in batch.messages()]))
             else:
                 shapes, refused = topics.columns(mixed)
                 for states in shapes:
@@ -233,12 +236,25 @@ def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]
     return [stamp, stretch, given, own, torque, speed, warm], told
 
 
+def _degrees(data: bytes, streams: Alignment) -> float:
+    """Temperature in a message [degree Celsius]; one that cannot be is refused, and nan."""
+    try:
+        value = read_temperature(data)
+    except ValueError as error:
+        streams.reject(0, f"a Temperature message cannot be read: {error}")
+        return nan
+    if not abs(value) <= LARGEST_TEMPERATURE:
+        streams.reject(0, f"temperature is {value}")
+    return value
+
+
 def _temperature(time: Times, value: Floats, at: Times) -> Floats:
     """Temperature at some times [ns]; none where fewer than two are known."""
-    time, first = np.unique(time[np.isfinite(value)], return_index=True)
+    known = np.abs(value) <= LARGEST_TEMPERATURE
+    time, first = np.unique(time[known], return_index=True)
     if time.size < 2:
         return np.empty(0)
-    return np.interp(_seconds(at, time[0]), _seconds(time, time[0]), value[np.isfinite(value)][first])
+    return np.interp(_seconds(at, time[0]), _seconds(time, time[0]), value[known][first])
 
 
 def _seconds(stamp: Times, origin: int) -> Floats:

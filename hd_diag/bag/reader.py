@@ -162,8 +162,8 @@ class BagReader(AbstractContextManager["BagReader"]):
         for index, data in enumerate(batch.messages()):
             try:
                 messages.append((index, deserialize(store, data, batch.topic.type_name)))
-            except Exception as exc:  # rosbags raises several kinds on hostile data
-                rejected.append(Rejection(index, f"cannot be decoded: {exc}"))
+            except ValueError as exc:
+                rejected.append(Rejection(index, str(exc)))
         return messages, rejected
 
     def joint_states(self, batch: Batch) -> tuple[list[JointStates], list[Rejection]]:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import csv
 import re
 from array import array
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 
@@ -19,8 +20,9 @@ from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.outliers import torque_outliers
 from hd_diag.diagnosis.record import Record, RecordError, prepare
+from hd_diag.diagnosis.stamps import Stamps
 from hd_diag.streams.alignment import ELSEWHERE, Alignment, Names
-from hd_diag.streams.columns import JointStates
+from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TEMPERATURE, LARGEST_TORQUE, JointStates
 from hd_diag.streams.rules import unseen
 from hd_diag.streams.signals import Unit, unit
 
@@ -33,6 +35,14 @@ _DELIMITERS = ",;\t|"
 _GIVEN = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<unit>[^\[\]]+)\])?\s*(?:\*\s*(?P<scale>[-+.\deE]+))?")
 _IN_HEADER = re.compile(r"(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]+)[\])]")
 _TURN = 2.0 * np.pi + 1e-6
+_LARGEST = {
+    "time": (9e9, "s"),  # in nanoseconds an integer of 64 bits
+    "input": (LARGEST_ANGLE, "rad"),
+    "output": (LARGEST_ANGLE, "rad"),
+    "torque": (LARGEST_TORQUE, "N m"),
+    "temperature": (LARGEST_TEMPERATURE, "degC"),
+}
+_LONGEST_LINE, _MOST_ROWS = 1 << 20, 50_000_000  # half a day at 1 kHz
 
 
 @dataclass(frozen=True)
@@ -67,12 +77,12 @@ def read_tables(paths: Sequence[str | Path], table: Table, joint: JointConfig) -
         Where a file lacks a column, or a value is not a number.
     """
     _check_both(table)
-    found, units = columns_of(paths, table, joint, ("time", "input", "output"))
+    found, units, stamps = columns_of(paths, table, joint, ("time", "input", "output"))
     ratio, run = joint.drive.kinematics.ratio, found["record"].astype(np.int64)
     torque, warm = found.get("torque"), found.get("temperature")
     columns = found["time"], found["input"], found["output"], torque, warm, run
     by_current, by_velocity = "torque" in units and units["torque"].is_current, units["input"].is_rate
-    return prepare(*columns, ratio, joint.torque, found.get("speed"), by_current, by_velocity)
+    return prepare(*columns, ratio, joint.torque, found.get("speed"), by_current, by_velocity, stamps)
 
 
 def _check_both(table: Table) -> None:
@@ -99,20 +109,20 @@ def read_table_motion(paths: Sequence[str | Path], table: Table, joint: JointCon
     RecordError as of :func:`read_tables`; the torque is needed.
     """
     angle = "input" if "input" in table.columns else "output"
-    found, _ = columns_of(paths, table, joint, ("time", angle, "torque"))
+    found, _, stamps = columns_of(paths, table, joint, ("time", angle, "torque"))
     record, values = found["record"].astype(np.int64), found[angle]
     _follow(values, record)
     if angle == "output":
         values = values * joint.drive.kinematics.ratio
     found["torque"][torque_outliers(found["torque"], record)] = inf
     usable = np.isfinite(found["time"]) & np.isfinite(values) & np.isfinite(found["torque"])
-    return InputRecord(found["time"][usable], values[usable], found["torque"][usable], record[usable])
+    return InputRecord(found["time"][usable], values[usable], found["torque"][usable], record[usable], stamps)
 
 
 def columns_of(
     paths: Sequence[str | Path], table: Table, joint: JointConfig, needed: Sequence[str]
-) -> tuple[dict[str, Floats], dict[str, Unit]]:
-    """Columns of CSV files, and the units that they had.
+) -> tuple[dict[str, Floats], dict[str, Unit], Stamps]:
+    """Columns of CSV files, the units that they had, and rows left out for numbers that cannot be.
 
     Given are those of `COLUMNS` that the table names, of shape (n,): time [s], angles [rad] (the input's is
     the wave generator's, and continuous where it was divided, counted or integrated), torque [N m],
@@ -127,13 +137,18 @@ def columns_of(
         what = f"needs {', '.join(names)}" if missing else f"does not know {unknown[0]!r}"
         raise RecordError(f"--columns {what}; it takes {', '.join(COLUMNS)} and record")
     usual = _USUAL | ({"input": "rad/s"} if joint.signals.is_velocity else {})
-    files = [_file(Path(path), table, usual) for path in paths]
+    files, stamps = [], Stamps()
+    for path in paths:
+        columns, units = _file(Path(path), table, usual)
+        columns, told = _possible(columns)
+        stamps = stamps.and_then(told)
+        files.append((columns, units))
     number = np.repeat(np.arange(len(files)), [len(next(iter(columns.values()))) for columns, _ in files])
     found = {name: np.concatenate([columns[name] for columns, _ in files]) for name in files[0][0]}
     recording = np.stack((number, found.get("record", np.zeros(number.size))), axis=1)
     found["record"] = np.unique(recording, axis=0, return_inverse=True)[1].reshape(-1)
     _make_angles(found, files[0][1], joint, table.divided)
-    return found, files[0][1]
+    return found, files[0][1], stamps
 
 
 def _make_angles(
@@ -198,13 +213,15 @@ def _file(path: Path, table: Table, usual: Mapping[str, str]) -> tuple[dict[str,
     """Columns of a file in SI, and the units that they had; the usual one where none is given."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            first = file.readline()
+            first = next(lines := _lines(file), "")
             delimiter = table.delimiter or max(_DELIMITERS, key=first.count)
             header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter), [])]
             wanted = {key: _column(path, key, text, header, usual) for key, text in table.columns.items()}
             values = {key: array("d") for key in wanted}
-            rows = csv.reader(file, delimiter=delimiter)
+            rows = csv.reader(lines, delimiter=delimiter)
             for row in rows:
+                if rows.line_num > _MOST_ROWS:
+                    raise RecordError(f"{path}: has more than {_MOST_ROWS} rows: split it")
                 for key, (place, _) in wanted.items():
                     values[key].append(
                         _number(path, rows.line_num + 1, row[place] if place < len(row) else "")
@@ -212,12 +229,34 @@ def _file(path: Path, table: Table, usual: Mapping[str, str]) -> tuple[dict[str,
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise RecordError(f"{path}: cannot be read: {error}") from error
     units = {key: known for key, (_, known) in wanted.items()}
-    columns = {
-        key: np.frombuffer(column) * units[key].factor + units[key].offset for key, column in values.items()
-    }
+    with np.errstate(over="ignore"):
+        columns = {
+            key: np.frombuffer(column) * units[key].factor + units[key].offset
+            for key, column in values.items()
+        }
     if table.rate and "time" not in columns:
         columns["time"] = np.arange(len(next(iter(columns.values())))) / table.rate
     return columns, units
+
+
+def _lines(file: TextIO) -> Iterator[str]:
+    """Lines of a file, none of which is longer than can be believed."""
+    while line := file.readline(_LONGEST_LINE):
+        if len(line) == _LONGEST_LINE:
+            raise csv.Error(f"a line is longer than {_LONGEST_LINE} characters")
+        yield line
+
+
+def _possible(columns: dict[str, Floats]) -> tuple[dict[str, Floats], Stamps]:
+    """Rows without numbers that are none of a joint, and what was left out."""
+    stamps = Stamps()
+    for name, (largest, unit_name) in _LARGEST.items():
+        wrong = np.flatnonzero(np.abs(columns.get(name, np.zeros(0))) > largest)
+        if wrong.size:
+            reason = f"{name} is {columns[name][wrong[-1]]:g} {unit_name}, beyond {largest:g}"
+            stamps = stamps.and_then(Stamps(wrong.size, reason))
+            columns = {key: np.delete(column, wrong) for key, column in columns.items()}
+    return columns, stamps
 
 
 def _column(path: Path, key: str, text: str, header: list[str], usual: Mapping[str, str]) -> tuple[int, Unit]:

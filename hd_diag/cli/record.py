@@ -61,7 +61,10 @@ class Records:
         if motion is None:
             raise RecordError(nothing(self.bags, joint))
         columns = motion.time, motion.input_angle, motion.torque, motion.bag
-        return ripple(*columns, joint.configured.kinematics)
+        try:
+            return ripple(*columns, joint.configured.kinematics)
+        except RecordError as error:
+            raise RecordError(motion.stamps.after(str(error))) from error
 
     def motion(self, joint: JointConfig) -> InputRecord | None:
         """A joint's motion and torque, by two angles or one; None where there is none."""

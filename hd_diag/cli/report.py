@@ -39,7 +39,7 @@ def report(records: Records, out: Path | None, json_file: str | None) -> None:
                 page = of_motion(motion, joint, flat, str(error), ripple)
                 told = {"ripple": ripple_json(ripple, joint.name)} if ripple else {}
                 told |= motion.stamps.told
-                return not_judged(joint.name, error) | told, [*motion.stamps.lines, page.verdict], page
+                return not_judged(joint.name, error) | told, [page.verdict], page
             advance(0, 0, "gathering the report's numbers")
             page = of_diagnosis(found, joint, flat, np.random.default_rng(0))
             return as_json(found, joint.name), [page.verdict], page

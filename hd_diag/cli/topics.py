@@ -29,7 +29,7 @@ def topics(bag: Path, json_file: str | None) -> None:
         every, seen = [], []
         for topic in reader.topics:
             try:
-                found, problem = numbers(reader, topic), ""
+                found, problem = numbers(reader, topic)
             except Exception as error:  # rosbags raises several kinds on hostile definitions and data
                 found, problem = [], str(error)
             every += found

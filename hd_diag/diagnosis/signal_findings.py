@@ -58,7 +58,7 @@ def check_degrees(record: Record) -> Finding | None:
 
 def check_stamps(record: Record) -> list[Finding]:
     """Findings of what stamps were found to be before samples came together: set back, refused, apart."""
-    refused, reason, unpaired, set_back, problems = record.stamps
+    refused, _, unpaired, set_back, problems = record.stamps
     found = []
     if problems:
         found.append(Finding("incomplete", record.stamps.broken, float(len(problems)), "-", False))
@@ -71,8 +71,7 @@ def check_stamps(record: Record) -> list[Finding]:
         found.append(Finding("clock_set_back", text, float(set_back), "-", False))
     whole = record.extent.samples + record.dropped + unpaired
     if refused > _REPEATED * whole:
-        text = f"{100 * refused / whole:.0f} % of the samples are left out, the last because: {reason}"
-        found.append(Finding("refused_rows", text, refused / whole, "-", False))
+        found.append(Finding("refused_rows", record.stamps.lines[-1], refused / whole, "-", False))
     if unpaired > _REPEATED * whole:
         text = f"{100 * unpaired / whole:.0f} % of the output angles {UNPAIRED}"
         found.append(Finding("unpaired_outputs", text, unpaired / whole, "-", False))

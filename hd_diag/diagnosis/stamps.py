@@ -37,9 +37,14 @@ class Stamps(NamedTuple):
 
     @property
     def lines(self) -> list[str]:
-        """For a terminal: what is not whole, and what was refused."""
-        refused = f"{self.refused} samples are left out, the last because: {self.reason}"
+        """For people: what is not whole, and what was refused."""
+        count = f"{self.refused} samples are" if self.refused > 1 else "1 sample is"
+        refused = f"{count} left out, the last because: {self.reason}"
         return [*([self.broken] if self.problems else []), *([refused] if self.refused else [])]
+
+    def after(self, text: str) -> str:
+        """A text, and behind it what is not whole where it does not say so."""
+        return f"{text}; {self.broken}" if self.problems and self.broken not in text else text
 
     @property
     def broken(self) -> str:
@@ -51,13 +56,10 @@ class Stamps(NamedTuple):
     @property
     def why(self) -> str:
         """Why there are so few samples, as far as it is known; empty where it is not."""
-        return self._why + (f"; {self.broken}" if self.problems else "")
-
-    @property
-    def _why(self) -> str:
         if self.unpaired:
-            return f": {self.unpaired} output angles {UNPAIRED}"
-        return f": {self.refused} were refused, the last because: {self.reason}" if self.refused else ""
+            return self.after(f": {self.unpaired} output angles {UNPAIRED}")
+        refused = f": {self.refused} were refused, the last because: {self.reason}"
+        return self.after(refused if self.refused else "")
 
     def and_then(self, later: Stamps) -> Stamps:
         """Of two recordings, one after the other."""

@@ -160,9 +160,11 @@ def _unexplained(line: Unexplained) -> dict[str, Any]:
 def sentence(answer: Answer) -> str:
     """The verdict in one sentence."""
     diagnosis, first = answer.diagnosis, first_words(answer)
+    found = dict.fromkeys(finding.text for finding in diagnosis.findings)
+    lost = diagnosis.record.stamps.lines
     if any(finding.fatal for finding in diagnosis.findings):
-        return _ended(first)
-    parts = [first, *(finding.text for finding in diagnosis.findings)]
+        return _ended("; ".join([first, *lost]))
+    parts = [first, *(found | dict.fromkeys(lost))]
     parts += [_parameters(answer), *_current(diagnosis)]
     if diagnosis.refitted is None:
         pass
@@ -312,8 +314,6 @@ def summary(diagnosis: Diagnosis) -> list[str]:
             f"noise {arcsec(rms.noise)} rms; explained {percent(gain.fraction)} "
             f"({percents(gain.low, gain.high)})"
         )
-    told = {finding.text for finding in diagnosis.findings}
-    lines += [line for line in diagnosis.record.stamps.lines if line not in told]
     if zeros := _zeros(diagnosis):
         lines.append(
             f"encoders' zero: one for each of {len(zeros['values'])} recordings; they scatter by "

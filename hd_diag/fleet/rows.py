@@ -45,7 +45,7 @@ Row = dict[str, Any]
 """Values by the names of `hd_diag.fleet.table.COLUMNS`; what is missing is unknown. `start` is in nanoseconds
 since 1970."""
 
-_CONTENT = "2"  # of rows: results that a journal holds with another are made anew
+_CONTENT = "3"  # of rows: results that a journal holds with another are made anew
 
 _FITTED = {
     "eccentricity.magnitude": "eccentricity{}_m",
@@ -143,6 +143,7 @@ def _not_judged(task: Task, reason: str) -> Row:
     motion = read_motion([task.bag], task.joint)
     found = _ripple(motion, task.joint)
     row = {"error": reason} if motion is None or found is None else _rippled(motion, found)
+    row |= {} if motion is None else _refused(motion.stamps.told)
     if task.drawn and motion is not None:
         row[PAGE] = _page(task, of_motion(motion, task.joint, task.flat, reason, found))
     return row
@@ -192,6 +193,7 @@ def judged(found: Diagnosis, joint: str) -> Row:
         "inspect": [f"{card.title}: {card.inspect or card.cause}" for card in cards(found)],
         "duration_s": record["duration"],
         **{name: record[name] for name in ("samples", "runs", "input_turns")},
+        **_refused(record),
         **{
             column.format(end): fitted[name][key]
             for name, column in _FITTED.items()
@@ -214,6 +216,10 @@ def judged(found: Diagnosis, joint: str) -> Row:
         "findings": [finding["text"] for finding in report["findings"]],
         "verdict": report["verdict"],
     }
+
+
+def _refused(record: Mapping[str, Any]) -> Row:
+    return {name: record[name] for name in ("refused", "last_refusal")}
 
 
 def _causes(causes: list[dict[str, Any]]) -> Row:

@@ -36,6 +36,8 @@ COLUMNS = pa.schema(
         _column("start", _TIME, "UTC", "first log time of the bag, to the microsecond"),
         _column("duration_s", _NUMBER, "s", "time covered by the runs"),
         _column("samples", _COUNT, "1", "samples judged"),
+        _column("refused", _COUNT, "1", "samples left out: unreadable, impossible, or by their stamps"),
+        _column("last_refusal", _TEXT, "", "why the last of them was left out"),
         _column("runs", _COUNT, "1", "runs in the bag"),
         _column("input_turns", _NUMBER, "1", "turns of the input, both directions counted"),
         *_fitted("eccentricity{}_m", "m", "eccentricity, refitted"),

@@ -56,13 +56,16 @@ def deserialize(store: Typestore, data: bytes | memoryview, type_name: str) -> A
     Raises
     ------
     ValueError
-        Where the message is malformed; rosbags raises other kinds too on hostile data.
+        Where the message is malformed.
     """
     if len(data) < 4 or data[0] != 0 or data[1] > 1:
         raise ValueError("is not a CDR message")
     known = store.get_msgdef(type_name)
     decode = known.deserialize_cdr_le if data[1] else known.deserialize_cdr_be
-    message, end = decode(memoryview(data)[4:], 0, known.cls, store)
+    try:
+        message, end = decode(memoryview(data)[4:], 0, known.cls, store)
+    except Exception as exc:  # rosbags raises several kinds on hostile data
+        raise ValueError(f"cannot be decoded: {exc}") from exc
     if end > len(data) - 4:
         raise ValueError("is cut off")
     return message

@@ -23,7 +23,7 @@ from hd_diag.monitor.publications import Drawings, Due, Publication, Report, Too
 from hd_diag.monitor.residual_orders import Order
 from hd_diag.monitor.settings import JointConfig, MonitorConfig
 from hd_diag.streams.alignment import Aligned, Alignment, Seen, kernel
-from hd_diag.streams.columns import JointStates
+from hd_diag.streams.columns import LARGEST_TEMPERATURE, JointStates
 
 _NEVER = -(2**62)  # number of a period
 _NO_TIMES = np.empty(0, np.int64)
@@ -134,7 +134,7 @@ class Monitor:
 
     def temperature(self, joint: str, value: float) -> None:
         """Note a joint's temperature [degree Celsius]."""
-        if math.isfinite(value):
+        if abs(value) <= LARGEST_TEMPERATURE:
             self.joints[joint].temperature = value
         else:
             self.joints[joint].reject(f"temperature is {value}")

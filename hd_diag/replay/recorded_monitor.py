@@ -132,7 +132,7 @@ class Session:
         """Take a Temperature message in CDR."""
         try:
             value = read_temperature(data)
-        except Exception as error:  # rosbags raises several kinds on a malformed message
+        except ValueError as error:
             self.monitor.joints[joint].reject(f"a Temperature message cannot be read: {error}")
         else:
             self.monitor.temperature(joint, value)

@@ -135,12 +135,13 @@ def of_motion(
 ) -> JointReport:
     """The model's side alone, over the motion in a bag; the reason is why nothing could be judged."""
     found = "" if ripple is None else f"{ripple_sentence(ripple)} "
+    lost = "".join(f"{line[:1].upper()}{line[1:]}. " for line in motion.stamps.lines if line not in reason)
     drive, assumed = joint.drive, np.full(motion.time.size, joint.torque)
     teeth = teeth_over_turn(drive, motion.input_angle, assumed if motion.torque is None else motion.torque)
     return JointReport(
         joint.name,
-        f"{found}Nothing {'else ' * bool(found)}could be judged: {reason}. What follows is what the model "
-        "says of the motion.",
+        f"{found}Nothing {'else ' * bool(found)}could be judged: {reason}. {lost}"
+        "What follows is what the model says of the motion.",
         "configured" if joint.model is None else "extended",
         torsion.simulated(joint.configured, drive, max(abs(teeth.torque), drive.rated_torque)),
         teeth,

@@ -14,6 +14,9 @@ LARGEST_ANGLE = 1e10
 LARGEST_TORQUE = 1e6
 """A hundred times what the largest harmonic drives bear [N m]: more is a fault of who reports it."""
 
+LARGEST_TEMPERATURE = 1e4
+"""Beyond it, up or down, nothing is measured [degree Celsius]."""
+
 
 class JointStates(NamedTuple):
     """Messages with the same joints; n >= 1 rows, one while live.
