@@ -67,8 +67,3 @@ def test_the_output_lags_when_it_drives(ratio: float, output: Output, torque: fl
     error = soft.transmission_error(beta, load)
     assert np.all(error * torque < 0)
     assert_allclose(error, rigid.transmission_error(beta, load) - 1e-6 * torque, rtol=1e-12)
-
-
-def test_measured_error_is_what_the_output_is_ahead() -> None:
-    frame = Kinematics(-100.0).frame(GEOMETRY)
-    assert_allclose(frame.measured_error(ANGLES, -ANGLES / 100.0 + 2e-5), 2e-5, rtol=1e-9)

@@ -91,10 +91,6 @@ class ContactWeights:
         turned: Complexes = np.exp(1j * turns * np.multiply.outer(self.wave_generator_angle, orders))
         return self._sign * self._interpolate(self.table.harmonics(error, orders)) * turned
 
-    def harmonic(self, error: Error, order: int) -> Complexes:
-        """The same of one order, shape (n,)."""
-        return self.harmonics(error, (order,))[:, 0]
-
     def clearance(self) -> Floats:
         """Response to more circumferential clearance on both flanks of all pairs [rad/m], shape (n,)."""
         return self._sign * self._interpolate(self.table.harmonics("clearance", (0,)).real)[:, 0]

@@ -54,10 +54,6 @@ class Frame:
         """TE [rad] from the mesh torsion at :meth:`cup_torque` [rad] and the torque on the link [N m]."""
         return -self.torque_sign * torsion - self.cup_compliance * torque
 
-    def measured_error(self, input_angle: Floats, output_angle: Floats) -> Floats:
-        """TE [rad] as reported angles [rad] have it."""
-        return output_angle - input_angle / self.ratio
-
 
 @dataclass(frozen=True)
 class Kinematics:
