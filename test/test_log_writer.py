@@ -1,14 +1,20 @@
 """The log's states: what goes wrong with the file is shown and stops nothing."""
 
-import subprocess
-import sys
+import errno
+import itertools
+import os
+import shutil
+import threading
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from live import START, sample
 
 from hd_diag.bag import BagReader
 from hd_diag.config.configuration import LogConfig
+from hd_diag.ros import log_writer
 from hd_diag.ros.log_writer import LogWriter
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -56,7 +62,7 @@ def test_a_path_that_cannot_be_written_fails_and_stops_nothing(
     assert reason in log.state
     fill(log)
     log.flush_if_due()
-    assert not log.configure(LogConfig(str(tmp_path / path), flush_period=0.1))
+    assert log.facts == {"log_state": log.state, "log_lost": "10"}
     log.close()
     assert log.state.startswith("failed: ")
     assert (tmp_path / "taken.mcap").read_bytes() == b"precious"
@@ -69,74 +75,234 @@ def test_a_message_that_cannot_be_written_ends_the_log_not_the_caller(tmp_path: 
     log.write("/x", "nobody/msg/Knows", b"", START + 20)
     assert "has no known definition" in log.state
     fill(log, 30)
+    log.close()
+    assert "has no known definition" in log.state
     assert count(path) == 10
 
 
-# Changes while it is written ---
+# What it does not follow, and shares with nobody ---
 
 
-def test_another_path_finishes_the_file_and_begins_the_next(tmp_path: Path) -> None:
-    first, second = tmp_path / "first.mcap", tmp_path / "second"
-    log = LogWriter(LogConfig(str(first)))
+@pytest.mark.parametrize("planted", ["log.mcap", "log", "log/log_1.mcap", "log/metadata.yaml.tmp"])
+def test_nothing_is_written_through_a_link(tmp_path: Path, planted: str) -> None:
+    """For the log, for its next file, for the draft of its metadata: what a link leads to stays as it is."""
+    other = tmp_path / "other"
+    if planted == "log":
+        LogWriter(LogConfig(str(other / "log"))).close()  # a bag of the same name
+    else:
+        other.write_text("precious")
+    path = tmp_path / "log.mcap" if planted == "log.mcap" else tmp_path / "log"
+    (tmp_path / planted).parent.mkdir(exist_ok=True)
+    (tmp_path / planted).symlink_to(other / "log" if planted == "log" else other)
+    before = {file: file.read_bytes() for file in [other, *other.rglob("*")] if file.is_file()}
+    log = LogWriter(LogConfig(str(path), split_duration=1e-8, overwrite=True))
+    fill(log, count=30)
+    log.close()
+    assert before == {file: file.read_bytes() for file in [other, *other.rglob("*")] if file.is_file()}
+    if planted in ("log", "log.mcap"):
+        assert "symbolic link" in log.state
+
+
+@pytest.mark.parametrize("name", ["log.mcap", "folder"])
+def test_a_second_writer_takes_nothing_away(tmp_path: Path, name: str, clock: list[float]) -> None:
+    """Not the files that are finished, not the one that is written, and not when the first has ended."""
+    config = LogConfig(str(tmp_path / name), split_duration=1e-8, overwrite=True)
+    first, second = LogWriter(config), LogWriter(config)
+    assert first.state == f"writing {tmp_path / name}"
+    assert "is being written by another process" in second.state
+    fill(first, count=30)
+    clock[0] += 2.0
+    assert not second.flush_if_due()
+    fill(first, 30, 30)
+    third = LogWriter(config)
+    first.close()
+    clock[0] += 100.0
+    assert not any(log.flush_if_due() for log in (second, third))
+    files = sorted(tmp_path.glob("log*.mcap")) or [tmp_path / name]
+    assert sum(map(count, files)) == 60
+    assert "exists already" in second.state
+
+
+# What goes wrong while it is written, and how it goes on ---
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """The time that the log goes by [s], to be set."""
+    now = [0.0]
+    monkeypatch.setattr(log_writer, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    return now
+
+
+def delete(path: Path) -> None:
+    shutil.rmtree(path) if path.is_dir() else path.unlink()
+
+
+def truncate(path: Path) -> None:
+    os.truncate(path / "log_0.mcap" if path.is_dir() else path, 100)
+
+
+def move(path: Path) -> None:
+    path.rename(path.with_name("moved"))
+
+
+@pytest.mark.parametrize("name", ["log.mcap", "log"])
+@pytest.mark.parametrize(
+    ("harm", "reason"),
+    [
+        (delete, "was deleted or moved"),
+        (move, "was deleted or moved"),
+        (truncate, "was changed by another program: 100 bytes"),
+    ],
+)
+def test_files_taken_away_are_noticed_at_the_next_flush(
+    tmp_path: Path, name: str, harm: Callable[[Path], None], reason: str, clock: list[float]
+) -> None:
+    log = LogWriter(LogConfig(str(tmp_path / name), flush_period=0.01))
     fill(log)
-    assert log.configure(LogConfig(str(second)))
-    assert log.state == f"writing {second}"
-    assert count(first) == 10
-    fill(log, 10, 5)
-    assert log.configure(LogConfig())
-    assert log.state == "off"
+    wait_until(lambda: (log.flush_if_due(), stored(tmp_path, name))[1] > 100)
+    harm(tmp_path / name)
+    fill(log, 10)
+    wait_until(lambda: log.flush_if_due() or log.state.startswith("failed"))
+    assert reason in log.state
     fill(log, 20)
-    assert count(second) == 5
-    assert log.configure(LogConfig("/dev/null/log"))
-    assert log.configure(LogConfig(str(tmp_path / "third.mcap")))
-    fill(log)
+    clock[0] += 1.1
+    assert log.flush_if_due()
+    new = tmp_path / ("log/log_1.mcap" if name == "log" else "log_1.mcap")
+    assert log.state == f"writing {new}"
+    assert log.facts["log_lost"] == "20"
+    fill(log, 40)
     log.close()
-    assert count(tmp_path / "third.mcap") == 10
+    assert count(new) == 10
 
 
-def test_other_options_go_on_in_the_same_log(tmp_path: Path) -> None:
-    folder = tmp_path / "log"
-    log = LogWriter(LogConfig(str(folder)))
+def stored(folder: Path, name: str) -> int:
+    path = folder / name
+    return (path / "log_0.mcap" if path.is_dir() else path).stat().st_size
+
+
+def wait_until(condition: Callable[[], object]) -> None:
+    for _ in range(1000):
+        if condition():
+            return
+        threading.Event().wait(0.005)
+    raise AssertionError("it never came true")
+
+
+@pytest.mark.parametrize("name", ["log.mcap", "log"])
+def test_a_disk_that_has_room_again_is_written_in_a_new_file(
+    tmp_path: Path, name: str, clock: list[float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The file before is finished, nothing lies beside it while the disk is full, what is lost is counted."""
+    full, write, attempts = [False], os.write, itertools.count()
+
+    def written(fd: int, data: bytes) -> int:
+        if full[0]:
+            next(attempts)
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(fd, data)
+
+    monkeypatch.setattr(os, "write", written)
+    (tmp_path / "log_1.mcap").write_text("another's")
+    log = LogWriter(LogConfig(str(tmp_path / name), flush_period=0.0))
     fill(log)
-    # Every ten nanoseconds of log time a new file, with the other compression.
-    assert not log.configure(LogConfig(str(folder), compression="lz4", split_duration=1e-8))
-    fill(log, 10, 40)
-    assert log.state == f"writing {folder}"
-    log.close()
-    assert [b"zstd" in path.read_bytes() for path in sorted(folder.glob("*.mcap"))] == [True, *[False] * 4]
-    assert count(folder) == 50
-
-
-# A disk that is full; while the node runs, in test_node.py ---
-
-FILL = """
-import resource, signal, sys
-from pathlib import Path
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # then a write fails with EFBIG, as it would with ENOSPC
-sys.path.insert(0, sys.argv[2])
-import test_log_writer
-from hd_diag.config.configuration import LogConfig
-
-def filled(name, limit):
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
-    log = test_log_writer.LogWriter(LogConfig(name, compression="none", flush_period=0.01))
-    test_log_writer.fill(log, 0, 100)
     log.flush_if_due()
+    full[0] = True
+    fill(log, 10, 5)
+    log.flush_if_due()
+    assert "No space left" in log.state
+    lying = sorted(tmp_path.rglob("*.mcap"))
+    for step in range(1000):
+        clock[0] = 0.1 * step
+        assert not log.flush_if_due()
+        assert sorted(tmp_path.rglob("*.mcap")) == lying
+    assert 2 * 6 <= next(attempts) <= 2 * 9 + 5  # after 1, 2, 4, 8, 16, 30, 30 s: the old end and a new begin
+    full[0] = False
+    fill(log, 15, 5)
+    clock[0] += 30.0
+    assert log.flush_if_due()
+    fill(log, 20, 7)
+    assert log.facts == {
+        "log_state": f"writing {tmp_path / ('log/log_1.mcap' if name == 'log' else 'log_2.mcap')}",
+        "log_lost": "10",
+    }
     log.close()
-    print(Path(name).stat().st_size, log.state)
-    return Path(name).stat().st_size
-
-whole = filled(sys.argv[1] + "/whole.mcap", resource.RLIM_INFINITY)
-for missing in (10, 1000, 10_000):  # end, summary, chunk
-    filled(sys.argv[1] + f"/{missing}.mcap", whole - missing)
-"""
+    if name == "log":
+        assert count(tmp_path / "log") == 17
+    else:
+        assert [count(tmp_path / file) for file in ("log.mcap", "log_2.mcap")] == [10, 7]
+    assert (tmp_path / "log_1.mcap").read_text() == "another's"
 
 
-def test_a_disk_that_is_full_only_when_the_log_ends_is_reported_too(tmp_path: Path) -> None:
-    command = [sys.executable, "-c", FILL, str(tmp_path), str(Path(__file__).parent)]
-    run = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
-    (whole, state), *full = (line.split(" ", 1) for line in run.stdout.splitlines())
-    assert state == "off"
-    for (size, state), missing in zip(full, (10, 1000, 10_000), strict=True):
-        assert state.startswith("failed: ")
-        assert int(size) <= int(whole) - missing
+def test_a_folder_that_comes_later_is_written_then(tmp_path: Path, clock: list[float]) -> None:
+    (tmp_path / "disk").write_text("not there yet")
+    log = LogWriter(LogConfig(str(tmp_path / "disk/log.mcap"), overwrite=True))
+    assert log.state.startswith("failed: ")
+    (tmp_path / "disk").unlink()
+    (tmp_path / "disk").mkdir()
+    assert not log.flush_if_due()
+    clock[0] += 1.1
+    assert log.flush_if_due()
+    fill(log)
+    log.close()
+    assert count(tmp_path / "disk/log.mcap") == 10
+
+
+@pytest.mark.parametrize("period", [0.0, 0.02])
+def test_the_disk_is_made_to_take_it_and_nobody_waits_for_that(
+    tmp_path: Path, period: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At the period, and at the end; a disk that takes long holds up neither messages nor flushes."""
+    done, calls = threading.Event(), list[int]()
+
+    def slow(fd: int) -> None:
+        calls.append(os.fstat(fd).st_size)
+        done.wait(30.0)
+
+    monkeypatch.setattr(os, "fdatasync", slow)
+    log = LogWriter(LogConfig(str(tmp_path / "log"), flush_period=0.0, sync_period=period))
+    for first in range(0, 50, 10):
+        fill(log, first)
+        log.flush_if_due()
+        threading.Event().wait(0.03)
+    assert len(calls) == (1 if period else 0)
+    done.set()
+    log.close()
+    assert log.state == "off"
+    assert calls[-1:] == ([(tmp_path / "log/log_0.mcap").stat().st_size] if period else [])
+
+
+def test_a_disk_that_cannot_take_it_is_a_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(fd: int) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(os, "fdatasync", broken)
+    log = LogWriter(LogConfig(str(tmp_path / "log"), sync_period=0.01))
+    wait_until(lambda: log.flush_if_due() or log.state.startswith("failed"))
+    assert "Input/output error" in log.state
+    log.close()
+
+
+@pytest.mark.parametrize("missing", [10, 1000, 10_000], ids=["end", "summary", "chunk"])
+def test_a_disk_that_is_full_only_when_the_log_ends_is_reported_too(
+    tmp_path: Path, missing: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = LogConfig(str(tmp_path / "log.mcap"), compression="none", flush_period=60.0)
+    log = LogWriter(config)
+    fill(log, count=100)
+    log.close()
+    assert log.state == "off"
+    write, room = os.write, (tmp_path / "log.mcap").stat().st_size - missing
+
+    def limited(fd: int, data: bytes) -> int:
+        if os.fstat(fd).st_size + len(data) > room:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(fd, data)
+
+    monkeypatch.setattr(os, "write", limited)
+    (tmp_path / "log.mcap").unlink()
+    log = LogWriter(config)
+    fill(log, count=100)
+    log.close()
+    assert "No space left" in log.state
+    assert (tmp_path / "log.mcap").stat().st_size <= room

@@ -95,6 +95,14 @@ def _put_in_place(draft: Path, old: Path) -> None:
                 file.unlink()
 
 
+def lock(fd: int, path: Path) -> None:
+    """Lock an open file or folder until it is closed; BagError where another writer of a bag has it."""
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as exc:
+        raise BagError(path, "is being written by another process") from exc
+
+
 def is_locked(fd: int) -> bool:
     """Whether a writer of this package holds the file."""
     try:

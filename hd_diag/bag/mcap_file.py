@@ -6,7 +6,6 @@ messages and their indexes, of which there are many, are laid out here, https://
 
 from __future__ import annotations
 
-import fcntl
 import functools
 import os
 import struct
@@ -28,7 +27,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 
 from hd_diag.arrays import Bytes, Times
-from hd_diag.bag.errors import BagError
+from hd_diag.bag.errors import BagError, lock
 from hd_diag.bag.mcap_scan import MAGIC, MESSAGE, RECORD
 
 # Level 1: floats hardly compress better at higher levels, and the node writes while it works.
@@ -62,7 +61,7 @@ class McapFile:
     wrong there is raised by one of the next calls.
 
     `written` are the statistics of what has reached the operating system, `size` is that of the file [byte],
-    `start` the log time of the first message [ns].
+    `start` the log time of the first message [ns], `is_whole` says whether it has its end.
     """
 
     def __init__(self, path: Path, compression: str, chunk_size: int, overwrite: bool) -> None:
@@ -72,7 +71,7 @@ class McapFile:
         self._compression, self._chunk_size = compression, chunk_size
         self._rooms: deque[bytearray] = deque()  # of chunks that are written
         self._chunk = self._begun()
-        self._failed = False
+        self._failed = self.is_whole = False
         self._waiting: deque[Future[None]] = deque()
         self._indexes = bytearray()  # packed at once: a log of days has a million of them
         self._schemas: dict[int, records.Schema] = {}
@@ -82,7 +81,7 @@ class McapFile:
         try:
             self._pool.submit(self._put, MAGIC + _packed(records.Header("ros2", "hd_diag"))).result()
         except BaseException:
-            self.release()
+            self.discard()
             raise
 
     @property
@@ -176,6 +175,7 @@ class McapFile:
         checksum = zlib.crc32(summary + offsets + struct.pack("<BQQQ", Opcode.FOOTER, 20, *places))
         self._put(end + summary + offsets + _packed(records.Footer(*places, checksum)) + MAGIC)
         self._indexes.clear()
+        self.is_whole = True
 
     def release(self) -> None:
         """Close the file as it is."""
@@ -184,6 +184,15 @@ class McapFile:
             fd, self._fd = self._fd, -1
             with suppress(OSError):
                 os.close(fd)
+
+    def discard(self) -> None:
+        """Close the file, which holds nothing, and take it away."""
+        self.release()
+        self.path.unlink(missing_ok=True)
+
+    def held(self) -> int:
+        """Another descriptor of the file, which stays locked until that is closed too."""
+        return os.dup(self._fd)
 
     def _begun(self) -> _Chunk:
         """An empty chunk; in fresh memory it would take twice as long to fill."""
@@ -203,7 +212,7 @@ class McapFile:
             index += _INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)) + entries
         try:
             self._put(record + index)
-        except OSError:
+        except (BagError, OSError):
             self._failed = True
             raise
         sizes = len(stored), chunk.last, len(index), places, first, len(data)
@@ -221,8 +230,22 @@ class McapFile:
         if len(chunk.data) <= 2 * self._chunk_size:
             self._rooms.append(chunk.data)
 
+    def _check(self) -> None:
+        """Raise BagError where somebody else took the file away or changed its size: writing would go on."""
+        own = os.fstat(self._fd)
+        if own.st_size != self.size:
+            what = f"was changed by another program: {own.st_size} bytes, of {self.size} that were written"
+            raise BagError(self.path, what)
+        try:
+            is_there = os.path.samestat(own, os.lstat(self.path))
+        except FileNotFoundError:
+            is_there = False
+        if not is_there:
+            raise BagError(self.path, "was deleted or moved while it was written")
+
     def _put(self, data: bytes) -> None:
         """Write all of `data`, or nothing: a record that does not fit is cut off again."""
+        self._check()
         view, done = memoryview(data), 0
         try:
             while done < len(view):
@@ -264,16 +287,14 @@ def _record_of(size: int) -> np.dtype[Any]:
 
 
 def _create(path: Path, overwrite: bool) -> int:
-    """File descriptor of a new, locked file."""
-    flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | (0 if overwrite else os.O_EXCL)
+    """File descriptor of a new, locked file; what a link leads to is left alone."""
+    flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | (0 if overwrite else os.O_EXCL)
     fd = os.open(path, flags, 0o666)
     try:
-        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        lock(fd, path)
         os.ftruncate(fd, 0)
-    except BaseException as exc:
+    except BaseException:
         os.close(fd)
-        if isinstance(exc, BlockingIOError):
-            raise BagError(path, "is being written by another process") from exc
         raise
     return fd
 

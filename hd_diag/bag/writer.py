@@ -6,7 +6,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +15,9 @@ from mcap.records import Channel, Schema
 from rosbags.interfaces import Qos
 
 from hd_diag.arrays import Bytes, Times
-from hd_diag.bag.errors import BagError, bag_files
+from hd_diag.bag.errors import BagError
 from hd_diag.bag.mcap_file import COMPRESSIONS, McapFile, Stream
+from hd_diag.bag.place import Disk, Place
 from hd_diag.bag.rosbag2 import RELIABLE, dump_offers, dump_yaml, metadata, parse_offers, written
 from hd_diag.messages.schemas import Definition, definition
 
@@ -40,6 +41,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         Size at which the next file is begun [byte]; 0 for one file. It is overshot by one chunk at most.
     max_duration : float, optional
         Log time after which the next file is begun [s]; 0 for one file.
+    sync_period : float, optional
+        Age at which the disk itself is made to take what was written [s], as `flush_period`; 0 for never.
     overwrite : bool, optional
         Replace the file, or the bag in the folder, where there is one.
 
@@ -58,7 +61,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     Not safe for use by several threads at once. Chunks are compressed and written in a thread, a few behind
     the caller: errors come some calls late, at the latest in `flush`, `flush_if_due` or `close`. After one
     the file is cut back to whole records, and every further write raises the same error; `close` finishes
-    the file if it still can, and does not raise.
+    the file if it still can, and does not raise; `resume` goes on in another file. A file that somebody
+    deletes, moves or cuts off is an error, too, at the next chunk. See `Place` for locks and links.
     A ``with`` statement finishes it too, unless an error ends it, Ctrl-C excepted: then it is left without
     its end, so that no reader takes it for whole. Without splits the summary of a log grows by about 50 MB a
     day, in memory too, at four chunks a second.
@@ -73,20 +77,28 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         flush_period: float = 0.25,
         max_size: int = 0,
         max_duration: float = 0.0,
+        sync_period: float = 0.0,
         overwrite: bool = False,
     ) -> None:
         self.path = Path(path)
         self.error: BagError | None = None
-        self.change(compression, flush_period, max_size, max_duration)
-        if chunk_size < 1:
-            raise BagError(self.path, "a chunk must have a size")
+        if compression not in COMPRESSIONS:
+            what = f"compression must be one of {', '.join(COMPRESSIONS)}, not {compression!r}"
+            raise BagError(self.path, what)
+        if not all(n >= 0 for n in (max_size, flush_period, max_duration, sync_period, chunk_size - 1)):
+            raise BagError(self.path, "sizes and times must not be negative, and a chunk must have a size")
+        self._compression, self._flush_period = compression, flush_period
+        self._max_size, self._max_duration = max_size, int(max_duration * 1e9)
         self._chunk_size, self._overwrite = chunk_size, overwrite
         self._files: list[McapFile] = []
         self._streams: dict[tuple[str, str], Stream] = {}
         self._schemas: dict[str, Schema] = {}
         self._closed = False
+        self._place, self._disk = Place(self.path), Disk(sync_period)
         with self._guarded():
-            self._begin()
+            self._place.take(exist_ok=overwrite)
+            self._place.clear()
+            self._begin(0)
 
     @property
     def paths(self) -> list[Path]:
@@ -100,22 +112,6 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         for stream in self._streams.values():
             counts[stream.channel.topic] += written(self._files, stream) if self.error else stream.count
         return dict(counts)
-
-    def change(self, compression: str, flush_period: float, max_size: int, max_duration: float) -> None:
-        """Go on with other options: periods and sizes act at once, the compression from the next file on.
-
-        Raises
-        ------
-        BagError
-            Where a value cannot be.
-        """
-        if compression not in COMPRESSIONS:
-            what = f"compression must be one of {', '.join(COMPRESSIONS)}, not {compression!r}"
-            raise BagError(self.path, what)
-        if max_size < 0 or not flush_period >= 0 or not max_duration >= 0:
-            raise BagError(self.path, "sizes and times must not be negative")
-        self._compression, self._flush_period = compression, flush_period
-        self._max_size, self._max_duration = max_size, int(max_duration * 1e9)
 
     def add_topic(
         self, topic: str, type_name: str, qos: Qos | str | None = None, known: Definition | None = None
@@ -214,9 +210,11 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         """
         if self.error is not None or self._closed:
             return False
+        now = time.monotonic() if now is None else now
         with self._guarded():
-            is_due = self._close_old_chunk(time.monotonic() if now is None else now)
+            is_due = self._close_old_chunk(now)
             self._file.wait()
+            self._disk.sync_if_due(self._file, now)
         return is_due
 
     def flush(self) -> None:
@@ -225,6 +223,22 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         with self._guarded():
             self._file.close_chunk()
             self._file.wait()
+
+    def resume(self) -> None:
+        """Finish the file if it still can be, go on in a new one; BagError where that cannot be either."""
+        before = self._file
+        with suppress(BagError):
+            if self.error is None:
+                self.flush()
+            with self._guarded():
+                self._finish()
+        with self._guarded():
+            self._place.take(exist_ok=True)
+            self._begin(self._place.free(len(self._files)))
+        before.release()
+        for stream in self._streams.values():
+            stream.count = written(self._files, stream)
+        self.error = None
 
     def close(self, *, whole: bool = True) -> None:
         """Finish the bag; if not `whole`, leave it without its end, so that every reader sees that.
@@ -241,12 +255,14 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             if whole:
                 with self._guarded():
                     self._finish()
+                    self._disk.close()
         except BagError:
             if not failed:
                 raise
         finally:
             self._closed = True
             self._file.release()
+            self._place.release()
 
     def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
         try:
@@ -278,6 +294,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             path = exc.filename or (self.paths or [self.path])[-1]
             exc = BagError(path, "exists already" if isinstance(exc, FileExistsError) else exc)
         self.error = self.error or exc
+        if not self._files:
+            self._place.release()
         return exc
 
     def _close_old_chunk(self, now: float) -> bool:
@@ -298,8 +316,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         if is_late or (self._max_size and file.size >= self._max_size):
             self.flush()
             self._finish()
+            self._begin(len(self._files))
             file.release()
-            self._begin()
 
     def _until_split(self, times: Times, first: int) -> int:
         """Where the messages from `first` on end that go into the open file."""
@@ -309,35 +327,22 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         late = np.flatnonzero(times[first:] - start >= self._max_duration)
         return first + int(late[0]) if len(late) else len(times)
 
-    def _begin(self) -> None:
-        """Open the next file and name it in the metadata, so that a crash leaves it findable."""
-        number, path = len(self._files), self.path
-        if path.suffix == ".mcap":
-            path = path.with_name(f"{path.stem}_{number}.mcap") if number else path
-        else:
-            if not number:
-                path.mkdir(parents=True, exist_ok=self._overwrite)
-                for file in bag_files(path):
-                    file.unlink()
-            path /= f"{path.resolve().name}_{number}.mcap"
+    def _begin(self, number: int) -> None:
+        """Open a file and name it in the metadata, so that a crash leaves it findable."""
         size = min(self._chunk_size, self._max_size or self._chunk_size)
-        self._files.append(McapFile(path, self._compression, size, self._overwrite))
+        self._files.append(McapFile(self._place.name(number), self._compression, size, self._overwrite))
         try:
-            self._save()
+            self._place.save(metadata(self._files, self._streams.values()))
+            self._place.began(self._file)
         except BaseException:
-            self._file.release()
+            self._files.pop().discard()
             raise
 
     def _finish(self) -> None:
         """Write the end of the file, whose messages are all written."""
         self._file.stop()
-        self._file.finish({"serialized_metadata": dump_yaml(metadata(self._files, self._streams.values()))})
-        self._save()
-
-    def _save(self) -> None:
-        """Write ``metadata.yaml``; the old one stays whole until the new one is there."""
-        if self.path.suffix != ".mcap":
-            known = {"rosbag2_bagfile_information": metadata(self._files, self._streams.values())}
-            draft = self.path / "metadata.yaml.tmp"
-            draft.write_text(dump_yaml(known), encoding="utf-8")
-            draft.replace(self.path / "metadata.yaml")
+        found = metadata(self._files, self._streams.values())
+        if not self._file.is_whole:
+            self._file.finish({"serialized_metadata": dump_yaml(found)})
+        self._place.save(found)
+        self._disk.sync(self._file)

@@ -44,6 +44,7 @@ class LogConfig:
     path: str = ""
     compression: str = "zstd"
     flush_period: float = 0.25
+    sync_period: float = 5.0
     split_size: int = 0
     split_duration: float = 0.0
     overwrite: bool = False

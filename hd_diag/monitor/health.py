@@ -126,6 +126,7 @@ def _status(
         "silence_s": _number(around.silence),
         "latency_p99_us": around.facts.get("latency_p99_us", "nan"),
         "log_state": around.facts.get("log_state", "off"),
+        "log_lost": around.facts.get("log_lost", "0"),
     }
     return Status(joint.config.name, level, message, values)
 

@@ -2,86 +2,96 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable, Mapping
-from typing import Any
 
 from hd_diag.bag import BagError, BagWriter, Qos
 from hd_diag.config.configuration import LogConfig
+from hd_diag.formatting import visible
 from hd_diag.messages.schemas import Definition
+
+# Time from a failure to the next attempt [s]: it doubles, and begins anew after a log that lasted.
+_SHORTEST, _LONGEST, _LASTING = 1.0, 30.0, 60.0
 
 
 class LogWriter:
-    """A log that never stops its owner: what goes wrong with the file turns it off and is shown by `state`.
+    """A log that never stops its owner: what goes wrong with it is shown by `state`, and it goes on later.
 
     It needs the definitions of types that ROS 2 Jazzy does not have, by name. The state is ``off``, ``writing
-    PATH`` or ``failed: REASON``.
+    PATH`` or ``failed: REASON``. A file that exists is overwritten at the start alone: what lies there later
+    may be another's.
     """
 
     def __init__(self, config: LogConfig, definitions: Mapping[str, Definition] | None = None) -> None:
-        self.config = config
-        self._definitions = definitions or {}
+        self._config, self._definitions = config, definitions or {}
         self.state = "off"
         self._writer: BagWriter | None = None
-        self._open()
+        self._given = 0
+        self._again_at, self._pause, self._began = math.inf, 0.0, time.monotonic()
+        if config.path:
+            self._attempt(lambda: self._begin(config.overwrite))
+
+    @property
+    def facts(self) -> dict[str, str]:
+        """For the diagnostics: the state, and how many messages are not in the log because it failed."""
+        written = sum(self._writer.counts.values()) if self._writer else 0
+        return {"log_state": self.state, "log_lost": str(self._given - written)}
 
     def write(self, topic: str, type_name: str, data: bytes, time: int, qos: Qos | None = None) -> None:
         """Write one message, received or caused at a time [ns]."""
+        if not self._config.path:
+            return
+        self._given += 1
         writer, known = self._writer, self._definitions.get(type_name)
-        if writer is not None:
+        if writer is not None and self._again_at == math.inf:
             self._attempt(lambda: writer.write(topic, type_name, data, time, qos=qos, known=known))
 
-    def flush_if_due(self) -> None:
-        """Hand the open chunk to the system where it has waited for the flush period."""
-        if self._writer is not None:
-            self._attempt(self._writer.flush_if_due)
-
-    def configure(self, config: LogConfig) -> bool:
-        """Go on as another configuration says, and give whether a log begins.
-
-        It does at another path, and the old one is finished. Otherwise periods and sizes act at once, the
-        compression from the next file on.
-        """
-        has_moved = config.path != self.config.path
-        self.config = config
-        if has_moved:
-            self.close()
-            self.state = "off"
-            self._open()
-        elif self._writer is not None:
-            self._writer.change(**self._options())
-        return has_moved
+    def flush_if_due(self) -> bool:
+        """Hand on what has waited for the flush period; give whether a log begins, in a new file."""
+        if self._again_at == math.inf:
+            if self._writer is not None:
+                self._attempt(self._writer.flush_if_due)
+            return False
+        if time.monotonic() >= self._again_at:
+            self._attempt(self._go_on)
+        return self._again_at == math.inf
 
     def close(self) -> None:
         """Finish the file."""
-        writer, self._writer = self._writer, None
-        if writer is not None:
-            self.state = "off"
-            self._attempt(writer.close)
+        if self._writer is not None:
+            if self._again_at == math.inf:
+                self.state = "off"
+            self._attempt(self._writer.close)
+        self._config, self._writer, self._again_at = LogConfig(), None, math.inf
 
-    def _open(self) -> None:
-        config = self.config
+    def _begin(self, overwrite: bool) -> None:
+        config = self._config
+        self._writer = BagWriter(
+            config.path,
+            compression=config.compression,
+            flush_period=config.flush_period,
+            max_size=config.split_size,
+            max_duration=config.split_duration,
+            sync_period=config.sync_period,
+            overwrite=overwrite,
+        )
+        self.state = f"writing {visible(config.path)}"
 
-        def begin() -> None:
-            self._writer = BagWriter(config.path, overwrite=config.overwrite, **self._options())
-
-        if config.path:
-            self.state = f"writing {config.path}"
-            self._attempt(begin)
-
-    def _options(self) -> dict[str, Any]:
-        """What of a log may change while it is written."""
-        return {
-            "compression": self.config.compression,
-            "flush_period": self.config.flush_period,
-            "max_size": self.config.split_size,
-            "max_duration": self.config.split_duration,
-        }
+    def _go_on(self) -> None:
+        if self._writer is None:
+            self._begin(overwrite=False)
+        else:
+            self._writer.resume()
+            self.state = f"writing {visible(str(self._writer.paths[-1]))}"
+        self._again_at, self._began = math.inf, time.monotonic()
 
     def _attempt(self, action: Callable[[], object]) -> None:
         try:
             action()
         except (BagError, ValueError, OSError) as error:
-            self.state = f"failed: {error}"
-            writer, self._writer = self._writer, None
-            if writer is not None:
-                self._attempt(writer.close)
+            now = time.monotonic()
+            lasted = self._again_at == math.inf and now - self._began > _LASTING
+            self._pause = _SHORTEST if lasted or not self._pause else min(2.0 * self._pause, _LONGEST)
+            self._again_at = now + self._pause
+            self.state = f"failed: {visible(str(error))}"

@@ -111,7 +111,8 @@ class DiagnosticNode(Node):
         """
         now = time.monotonic()
         if now >= self._next_look:
-            self._log.flush_if_due()
+            if self._log.flush_if_due():
+                self._session.start_again(self._now())
             self._take_maps()
             for each in self._inputs:
                 each.follow_publishers()
@@ -180,7 +181,7 @@ class DiagnosticNode(Node):
     def _report(self) -> None:
         latency = np.percentile(self._latencies, 99) * 1e-3 if self._latencies else float("nan")
         self._latencies.clear()
-        facts = {"latency_p99_us": f"{latency:.1f}", "log_state": self._log.state}
+        facts = {"latency_p99_us": f"{latency:.1f}"} | self._log.facts
         silence = self._session.monitor.silence(time.monotonic_ns())
         self._session.tick(self._now(), self.get_clock().now().nanoseconds, facts, silence)
 
@@ -218,9 +219,6 @@ class DiagnosticNode(Node):
         for name in self._session.configure(self._now(), config):
             self._builder.request(joints[name])
         self._next_report = min(self._next_report, time.monotonic() + 1.0 / config.diagnostics_rate)
-        if self._log.configure(config.log):
-            self._session.start_again(self._now())
-            self._show_log_state()
 
 
 def _warm_up(config: Config) -> None:

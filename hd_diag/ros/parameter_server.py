@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
-from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.parameter_service import ParameterService
 
 from hd_diag.config.configuration import Config, ConfigError, ModelText, resolve
-from hd_diag.config.parameters import ROS_PARAMETERS, Parameter, check_known, parameters
+from hd_diag.config.parameters import ROS_PARAMETERS, Parameter, parameters
 
 
 class ParameterServer:
@@ -28,8 +27,7 @@ class ParameterServer:
         self._model_text = model_text
         declared: dict[str, Any] = node.get_parameters_by_prefix("")
         given = {name: _plain(known.value) for name, known in declared.items() if _is_own(name)}
-        self.config = resolve(given, model_text)
-        self._following: dict[str, Any] = {}
+        self.config = self._next = resolve(given, model_text)
         self._known = parameters([joint.name for joint in self.config.joints])
         for name in given:
             node.undeclare_parameter(name)
@@ -39,39 +37,29 @@ class ParameterServer:
 
     def serve(self, apply: Callable[[Config], Any]) -> None:
         """Take changes from now on; `apply` puts a configuration in force that was accepted."""
-        self._node.add_pre_set_parameters_callback(self._typed)
-        self._node.add_on_set_parameters_callback(self._validate)
-        self._node.add_post_set_parameters_callback(lambda _: apply(self.config))
+
+        def accept(_: Sequence[RosParameter]) -> None:
+            self.config = self._next
+            apply(self.config)
+
+        self._node.add_pre_set_parameters_callback(self._checked)
+        self._node.add_post_set_parameters_callback(accept)
         self._services = _Services(self._node)
 
-    def _typed(self, changed: Sequence[RosParameter]) -> list[RosParameter]:
+    def _checked(self, changed: Sequence[RosParameter]) -> list[RosParameter]:
         """The parameters, with numbers of the type that they were declared with, and those that follow them.
 
-        Unknown ones are refused.
+        Such follow as a geometry does from a catalogue page. Raises ConfigError for what cannot be, and for
+        what is read at the start: no other process may choose where this one writes.
         """
-        try:
-            check_known([parameter.name for parameter in changed if _is_own(parameter.name)], self._known)
-        except ConfigError as error:
-            raise _Unknown(str(error)) from error
-        self._following = self._followers(changed)
-        typed = [_as_declared(parameter, self._known.get(parameter.name)) for parameter in changed]
-        return typed + [RosParameter(name, value=value) for name, value in self._following.items()]
-
-    def _followers(self, changed: Sequence[RosParameter]) -> dict[str, Any]:
-        """Parameters that a change alters too, such as a geometry that follows from a catalogue page."""
-        try:
-            config = self._candidate(changed)
-        except Exception:  # `_validate` says why
-            return {}
+        for parameter in changed:
+            if parameter.name in self._known and _is_fixed(parameter.name):
+                raise ConfigError(f"{parameter.name}: is fixed when the node starts (read-only)")
+        self._next = self._candidate(changed)
         asked, before = {parameter.name for parameter in changed}, self.config.flat
-        return {name: v for name, v in config.flat.items() if v != before[name] and name not in asked}
-
-    def _validate(self, changed: Sequence[RosParameter]) -> SetParametersResult:
-        try:
-            self.config = self._candidate([one for one in changed if one.name not in self._following])
-        except Exception as error:  # a ConfigError; whatever else a value does, the node lives
-            return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
+        following = {n: v for n, v in self._next.flat.items() if v != before[n] and n not in asked}
+        typed = [_as_declared(parameter, self._known.get(parameter.name)) for parameter in changed]
+        return typed + [RosParameter(name, value=value) for name, value in following.items()]
 
     def _candidate(self, changed: Sequence[RosParameter]) -> Config:
         own = {p.name: _plain(p.value) for p in changed if _is_own(p.name)}
@@ -114,20 +102,13 @@ class _Services(ParameterService):
             return SetParametersResult(successful=False, reason=str(error))
 
 
-class _Unknown(ParameterNotDeclaredException):
-    """A parameter that the node does not have: rclpy answers with the text, and its own names nothing."""
-
-    def __init__(self, reason: str) -> None:
-        Exception.__init__(self, reason)
-
-
 def _descriptor(name: str, spec: Parameter) -> ParameterDescriptor:
     limits = f"{spec.low:g} to {spec.high:g}" if np.isfinite([spec.low, spec.high]).all() else ""
     return ParameterDescriptor(
         description=f"{spec.meaning}{f' [{spec.unit}]' if spec.unit else ''}",
         dynamic_typing=True,  # an integer for a number is welcome: `_validate` checks
         additional_constraints="one of " + ", ".join(spec.choices) if spec.choices else limits,
-        read_only=name == "joints",
+        read_only=_is_fixed(name),
     )
 
 
@@ -137,6 +118,11 @@ def _as_declared(parameter: RosParameter, spec: Parameter | None) -> RosParamete
     if not is_number or parameter.type_ != RosParameter.Type.INTEGER:
         return parameter
     return RosParameter(parameter.name, RosParameter.Type.DOUBLE, float(parameter.value))
+
+
+def _is_fixed(parameter: str) -> bool:
+    """Whether a parameter is read when the node starts, and not after."""
+    return parameter == "joints" or parameter.startswith("log.")
 
 
 def _is_own(parameter: str) -> bool:

@@ -1,0 +1,118 @@
+"""Where a bag is written: names, lock and metadata of its files, and the disk that is made to take them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from hd_diag.bag.errors import BagError, bag_files, lock
+from hd_diag.bag.mcap_file import McapFile
+from hd_diag.bag.rosbag2 import dump_yaml
+
+
+class Place:
+    """A path that is a file of its own where it ends in ``.mcap``, else a folder; no link is followed.
+
+    The folder, or else the first file, is locked against other writers of this package until `release`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.is_folder = path, path.suffix != ".mcap"
+        self._lock = -1
+
+    def take(self, *, exist_ok: bool) -> None:
+        """Make the folder and lock it; BagError or OSError where it is another's, a link or there already."""
+        if self.path.is_symlink():
+            raise BagError(self.path, "is a symbolic link: give the place it leads to")
+        if self.is_folder:
+            self.path.mkdir(parents=True, exist_ok=exist_ok)
+            self.release()
+            self._lock = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+            with suppress(OSError):  # some networks' folders cannot be locked; the files in them can
+                lock(self._lock, self.path)
+
+    def clear(self) -> None:
+        """Delete the bag in the folder."""
+        for file in bag_files(self.path) if self.is_folder else ():
+            file.unlink()
+
+    def began(self, file: McapFile) -> None:
+        """Keep the first file locked where there is no folder for that."""
+        if self._lock < 0:
+            self._lock = file.held()
+
+    def name(self, number: int) -> Path:
+        """Path of a file by its number, from 0 on."""
+        if self.is_folder:
+            return self.path / f"{self.path.resolve().name}_{number}.mcap"
+        return self.path.with_name(f"{self.path.stem}_{number}.mcap") if number else self.path
+
+    def free(self, number: int) -> int:
+        """The first number from one on whose name nobody has."""
+        while os.path.lexists(self.name(number)):
+            number += 1
+        return number
+
+    def save(self, information: Mapping[str, Any]) -> None:
+        """Write a folder's ``metadata.yaml``; the old one stays whole until the new one is there."""
+        if self.is_folder:
+            draft = self.path / "metadata.yaml.tmp"
+            draft.unlink(missing_ok=True)
+            with draft.open("x", encoding="utf-8") as file:  # never what a link leads to
+                file.write(dump_yaml({"rosbag2_bagfile_information": information}))
+            draft.replace(self.path / "metadata.yaml")
+
+    def release(self) -> None:
+        """Let others write here."""
+        fd, self._lock = self._lock, -1
+        if fd >= 0:
+            os.close(fd)
+
+
+class Disk:
+    """Makes the disk take what was written, in a thread, for it may take long; with a period of 0 never."""
+
+    def __init__(self, period: float) -> None:
+        self._period, self._last = period, -float("inf")
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="bag to disk")
+        self._job: Future[None] | None = None
+
+    def sync_if_due(self, file: McapFile, now: float) -> None:
+        """Begin where the period is over and nothing is under way; raises what went wrong before."""
+        if now - self._last >= self._period and (self._job is None or self._job.done()):
+            self._last = now
+            self.sync(file)
+
+    def sync(self, file: McapFile) -> None:
+        """Begin after what is under way."""
+        if self._period:
+            self._raise()
+            self._job = self._pool.submit(_synced, file.held(), file.path.parent)
+
+    def close(self) -> None:
+        """Wait for what is under way; raises what went wrong."""
+        self._pool.shutdown()
+        self._raise()
+
+    def _raise(self) -> None:
+        if self._job is not None and self._job.done():
+            job, self._job = self._job, None
+            job.result()
+
+
+def _synced(fd: int, folder: Path) -> None:
+    """Wait until the disk has a file, whose descriptor is closed then, and its name in the folder."""
+    try:
+        os.fdatasync(fd)
+    finally:
+        os.close(fd)
+    with suppress(FileNotFoundError):  # the next chunk tells that it was deleted
+        there = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            os.fsync(there)
+        finally:
+            os.close(there)

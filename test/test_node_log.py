@@ -1,0 +1,117 @@
+"""The node's log while it runs: fixed when the node starts, complete, and going on after what goes wrong."""
+
+import itertools
+import resource
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from live import MS, START, parameters
+from logs import content
+from rcl_interfaces.srv import DescribeParameters
+from running import Rig, feed, running
+
+from hd_diag.bag import BagReader
+from hd_diag.replay.replay import replay
+
+pytestmark = pytest.mark.usefixtures("ros")
+
+stamps = itertools.count(START, MS)
+FIXED = ("path", "compression", "flush_period", "sync_period", "split_size", "split_duration", "overwrite")
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    """A node that writes into the folder ``log``; its tests share its time."""
+    folder = tmp_path_factory.mktemp("logged")
+    log = {"log.path": str(folder / "log"), "log.flush_period": 0.05, "log.sync_period": 0.1}
+    with running(folder, parameters(diagnostics_rate=20.0, **log)) as rig:
+        rig.folder = folder  # type: ignore[attr-defined]
+        yield rig
+
+
+@pytest.fixture(scope="module")
+def publisher(rig: Rig) -> Any:
+    return rig.publisher()
+
+
+def log_of(rig: Rig) -> Path:
+    return Path(rig.folder / "log")  # type: ignore[attr-defined]
+
+
+def test_no_other_process_chooses_where_it_writes(rig: Rig, tmp_path: Path) -> None:
+    (tmp_path / "precious").write_text("precious")
+    (tmp_path / "link.mcap").symlink_to("precious")
+    own = {"path": str(tmp_path / "link.mcap"), "overwrite": True, "split_size": 1}
+    together = {f"log__{name}": value for name, value in own.items()}
+    for given in (*({name: value} for name, value in together.items()), together):
+        (answer,) = rig.set(atomically=True, **given)
+        name = next(iter(given)).replace("__", ".")
+        assert (answer.successful, answer.reason) == (
+            False,
+            f"{name}: is fixed when the node starts (read-only)",
+        )
+    client = rig.node.create_client(
+        DescribeParameters, f"{rig.process.namespace}/hd_diag/describe_parameters"
+    )
+    rig.until(client.service_is_ready, "service")
+    asked = client.call_async(DescribeParameters.Request(names=[f"log.{name}" for name in FIXED]))
+    rig.until(asked.done, "answer")
+    assert [descriptor.read_only for descriptor in asked.result().descriptors] == [True] * len(FIXED)
+    assert rig.values("joint_1")["log_state"] == f"writing {log_of(rig)}"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["link.mcap", "precious"]
+    assert (tmp_path / "precious").read_text() == "precious"
+
+
+def deleted(rig: Rig) -> Callable[[], None]:
+    shutil.rmtree(log_of(rig))
+    return lambda: None
+
+
+def full(rig: Rig) -> Callable[[], None]:
+    """Files of the node may not be longer than some of them are."""
+    before = resource.prlimit(rig.process.popen.pid, resource.RLIMIT_FSIZE)
+    resource.prlimit(rig.process.popen.pid, resource.RLIMIT_FSIZE, (2000, before[1]))
+    return lambda: resource.prlimit(rig.process.popen.pid, resource.RLIMIT_FSIZE, before) and None
+
+
+@pytest.mark.parametrize(
+    ("harm", "reason", "file"),
+    [(deleted, "was deleted or moved", "log_1.mcap"), (full, "File too large", "log_2.mcap")],
+)
+def test_it_goes_on_in_a_new_file_when_writing_works_again(
+    rig: Rig, publisher: Any, harm: Callable[[Rig], Callable[[], None]], reason: str, file: str
+) -> None:
+    """A folder that is deleted, a disk that is full: the node says so, lives on, and logs again by itself."""
+    feed(publisher, stamps, 100)
+    assert rig.set(joint_1__runout__magnitude=1e-6)[0].successful
+    mend = harm(rig)
+    feed(publisher, stamps, 100)
+    failed = rig.values("joint_1", lambda values: "LOG_FAILED" in values["fault_codes"])
+    assert reason in failed["log_state"]
+    feed(publisher, stamps, 50)
+    rig.values("joint_1", lambda v: int(v["samples"]) >= int(failed["samples"]) + 50)
+    mend()
+    values = rig.values("joint_1", lambda values: "LOG_FAILED" not in values["fault_codes"])
+    assert values["log_state"] == f"writing {log_of(rig) / file}"
+    assert int(values["log_lost"]) > 100
+    assert rig.set(joint_1__runout__magnitude=2e-6)[0].successful
+    feed(publisher, stamps, 100)
+
+
+def test_what_it_wrote_is_whole_and_replays(rig: Rig, publisher: Any, tmp_path: Path) -> None:
+    """The files after the first begin with all that the node knew: counters, parameters, the map in force."""
+    rig.values("joint_1", lambda values: values["samples"] == "700")
+    assert rig.process.end() == 0
+    assert rig.process.output().count("log failed") == 2
+    with BagReader(log_of(rig)) as reader:
+        assert [problem for problem in reader.problems if "log_0.mcap" not in problem] == []
+    replay(log_of(rig), tmp_path / "again.mcap")
+    live, again = content(log_of(rig)), content(tmp_path / "again.mcap")
+    for topic, logged in live.items():
+        more = [message for message in again[topic] if message not in logged]
+        assert len(more) <= 1, topic  # the log of the full disk may end between an input and what came of it
+        assert [message for message in again[topic] if message not in more] == logged, topic
+    assert len(live[f"{rig.process.namespace}/hd_diag/transmission_error"]) >= 200
