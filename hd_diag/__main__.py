@@ -2,7 +2,6 @@
 
 import atexit
 import gc
-import signal
 import sys
 
 atexit.register(gc.freeze)  # at the end nobody looks through all objects once more, which takes 0.25 s
@@ -18,8 +17,10 @@ def main() -> None:
 
         run()
     except KeyboardInterrupt as error:
+        from hd_diag.ros.stop_signals import signalled
+
         print("hd-diag: interrupted", file=sys.stderr)  # noqa: T201
-        sys.exit(128 + getattr(error, "number", signal.SIGINT))
+        sys.exit(signalled(error))
 
 
 def node() -> None:

@@ -1,5 +1,6 @@
 """The command line: every verb's help, exit codes, one-line errors, and what `mesh --json` says."""
 
+import contextlib
 import importlib.abc
 import json
 import os
@@ -9,6 +10,8 @@ import shlex
 import signal
 import subprocess
 import sys
+import time
+import weakref
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +25,9 @@ from reference import published
 from hd_diag.__main__ import main
 from hd_diag.cli import cli
 from hd_diag.cli.options import Source, Target
-from hd_diag.cli.verbs import VERBS, signalled
+from hd_diag.cli.verbs import VERBS
 from hd_diag.config.configuration import dump, resolve
-from hd_diag.ros.stop_signals import Stopped
+from hd_diag.ros.stop_signals import Stopped, signalled
 
 
 def mesh(*arguments: object) -> dict[str, Any]:
@@ -376,16 +379,26 @@ def test_an_interruption_is_one_line_and_130(monkeypatch: pytest.MonkeyPatch) ->
         assert (result.exit_code, result.stdout, result.stderr.strip()) == (130, "", "hd-diag: interrupted")
 
 
+@pytest.mark.parametrize("lost", ["", "callback", "cleared"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_while_modules_are_imported(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], number: signal.Signals
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], number: signal.Signals, lost: str
 ) -> None:
+    """Also where what is raised is lost: in a callback of the interpreter, in a library that clears it."""
+
     class Interrupting(importlib.abc.MetaPathFinder):
         def find_spec(self, name: str, *_: Any) -> None:
-            if name == "hd_diag.cli":
-                signal.raise_signal(number)
+            if name != "hd_diag.cli":
+                return
+            with contextlib.suppress(BaseException) if lost == "cleared" else contextlib.nullcontext():
+                if lost == "callback":
+                    weakref.finalize(Interrupting(), signal.raise_signal, number)
+                else:
+                    signal.raise_signal(number)
+            time.sleep(20.0)
 
     monkeypatch.delitem(sys.modules, "hd_diag.cli")
+    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
     monkeypatch.setattr(sys, "meta_path", [Interrupting(), *sys.meta_path])
     signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = [signal.signal(each, signal.SIG_DFL) for each in signals]

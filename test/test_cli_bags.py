@@ -210,15 +210,17 @@ def test_a_damaged_bag_is_refused_with_advice(folder: Path, tmp_path: Path) -> N
 # What comes in between ---
 
 
-def interrupting(monkeypatch: pytest.MonkeyPatch, place: str, turn: int) -> None:
-    """Ctrl-C during the so-manyth call of a function."""
+def interrupting(
+    monkeypatch: pytest.MonkeyPatch, place: str, turn: int, number: signal.Signals = signal.SIGINT
+) -> None:
+    """A signal, by default Ctrl-C, during the so-manyth call of a function."""
     module, _, name = place.rpartition(".")
     before, calls = getattr(sys.modules[module], name), []
 
     def call(*arguments: Any, **options: Any) -> Any:
         calls.append(1)
         if len(calls) == turn:
-            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(number)
         return before(*arguments, **options)
 
     monkeypatch.setattr(sys.modules[module], name, call)
@@ -279,17 +281,24 @@ def interrupt(*arguments: Any) -> None:
     raise KeyboardInterrupt
 
 
-@pytest.mark.parametrize("command", [recover, replay], ids=["recover", "replay"])
-def test_ctrl_c_keeps_what_was_to_be_replaced(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: click.Command
+@pytest.mark.parametrize(
+    ("command", "number"), [(recover, signal.SIGINT), (replay, signal.SIGTERM)], ids=["Ctrl-C", "SIGTERM"]
+)
+def test_a_signal_keeps_what_was_to_be_replaced(
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    command: click.Command,
+    number: signal.Signals,
 ) -> None:
+    """And nothing beside it."""
     shutil.copy(folder / "log.mcap", tmp_path / "out.mcap")
-    interrupting(monkeypatch, STOPPED[command][0], 2)
+    interrupting(monkeypatch, STOPPED[command][0], 2, number)
     given = ("--out", tmp_path / "out.mcap", "--overwrite")
     given += () if command is recover else ("--config", folder / "c.yaml")
     result = run(command, folder / "long.mcap", *given)
     line = f"hd-diag: interrupted: nothing was written, {tmp_path / 'out.mcap'} is as it was\n"
-    assert (result.exit_code, result.stderr) == (130, line)
+    assert (result.exit_code, result.stderr) == (128 + number, line)
     assert (tmp_path / "out.mcap").read_bytes() == (folder / "log.mcap").read_bytes()
     assert [path.name for path in tmp_path.iterdir()] == ["out.mcap"]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from hd_diag.cli.examples import load_example
 from hd_diag.cli.options import needing_ros
 from hd_diag.cli.targets import Problem, write_json
-from hd_diag.cli.verbs import SIGNALLED
+from hd_diag.ros.stop_signals import SIGNALLED
 
 
 def demo(folder: str | None, seconds: float, json_file: str | None) -> None:

@@ -19,7 +19,6 @@ from hd_diag.cli.joints import chosen_joints, configured
 from hd_diag.cli.options import check_files, show_table, tell
 from hd_diag.cli.progress import Advance, showing
 from hd_diag.cli.targets import Problem, write_json, writing
-from hd_diag.cli.verbs import signalled
 from hd_diag.config.catalogue import load
 from hd_diag.config.configuration import JointConfig
 from hd_diag.fleet import FleetError
@@ -37,7 +36,7 @@ from hd_diag.fleet.trend import CHANGED, trends
 from hd_diag.model.threads import cores
 from hd_diag.process_pool import ProcessPool
 from hd_diag.report.facts import Fact
-from hd_diag.ros.stop_signals import Stopped, noted_signals
+from hd_diag.ros.stop_signals import Stopped, noted_signals, signalled
 
 _NEEDED = ("pyarrow", "ruptures")
 _MEMORY_SHARE = 0.9  # of the machine's, for all workers together

@@ -13,8 +13,7 @@ def node(config_file: str | None, ros_arguments: tuple[str, ...]) -> None:
     """Do what ``hd-diag node`` is asked for."""
     if config_file:
         load(config_file)
-    stopped = note_signals()
     with needing_ros("the node"):
         from hd_diag.ros.node import main as run
     parameter_file = ["--ros-args", "--params-file", config_file, "--"] if config_file else []
-    sys.exit(run(["hd_diag_node", *parameter_file, *ros_arguments], stopped))
+    sys.exit(run(["hd_diag_node", *parameter_file, *ros_arguments], note_signals()))

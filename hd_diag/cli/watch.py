@@ -15,8 +15,7 @@ import click
 
 from hd_diag.cli.options import needing_ros
 from hd_diag.cli.targets import Problem, write_json
-from hd_diag.cli.verbs import SIGNALLED
-from hd_diag.ros.stop_signals import noted_signals
+from hd_diag.ros.stop_signals import SIGNALLED, noted_signals
 from hd_diag.watch import Watch, as_json
 from hd_diag.watch.display import PLAIN_PERIOD, Display
 

@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
+import sys
+import threading
+import weakref
 from collections.abc import Iterator
 from types import FrameType
+from typing import Any
 
 _STOPPING = (signal.SIGINT, signal.SIGTERM)
+_SOON = 0.02  # [s]
+
+SIGNALLED = 128
+"""Plus the number of a signal: exit code of what it has ended, as shells have it."""
 
 
 class Stopped(KeyboardInterrupt):
@@ -16,17 +25,60 @@ class Stopped(KeyboardInterrupt):
     def __init__(self, number: int = signal.SIGINT) -> None:
         super().__init__(number)
         self.number = number
+        self.seen = threading.Event()  # by who ends the program for it
 
 
 def raise_signals() -> None:
-    """Raise `Stopped` for signals from now on; one that is ignored stays so, as below nohup."""
+    """Raise `Stopped` for signals from now on; one that is ignored stays so, as below nohup.
+
+    Imports and compiled code lose some of what is raised in them: it is raised again until `signalled` has
+    seen it.
+    """
     for number in (*_STOPPING, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _raise)
+    sys.unraisablehook = _lost
+
+
+def signalled(error: BaseException | None) -> int:
+    """Exit code of what a signal has ended, as shells have it; 0 where none has.
+
+    Others make their own errors of a KeyboardInterrupt: click, numba's compiled code, imports.
+    """
+    passed: list[BaseException] = []
+    while error is not None and error not in passed:  # one that was raised again may be its own context
+        if isinstance(error, Stopped):
+            error.seen.set()
+        if isinstance(error, KeyboardInterrupt):
+            return SIGNALLED + int(getattr(error, "number", signal.SIGINT))
+        passed.append(error)
+        error = error.__cause__ or error.__context__
+    return 0
 
 
 def _raise(number: int, frame: FrameType | None) -> None:
-    raise Stopped(number)
+    raise _watched(Stopped(number))
+
+
+def _watched(error: Stopped) -> Stopped:
+    watch = weakref.ref(error), error.seen, error.number
+    with contextlib.suppress(RuntimeError):  # the interpreter ends
+        threading.Thread(target=_raise_again, args=watch, daemon=True).start()
+    return error
+
+
+def _raise_again(error: weakref.ref[Stopped], seen: threading.Event, number: int) -> None:
+    """Send the signal once more where the error is gone and nobody has seen it."""
+    while not seen.wait(_SOON):
+        if error() is None:
+            os.kill(os.getpid(), number)
+            return
+
+
+def _lost(what: Any) -> None:
+    """Tell of what was raised where nobody can catch it, but for signals, which come again."""
+    if not isinstance(what.exc_value, Stopped):
+        sys.__unraisablehook__(what)
 
 
 def note_signals() -> list[int]:

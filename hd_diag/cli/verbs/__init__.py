@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import difflib
 import os
-import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,9 +16,7 @@ from typing import Any
 import click
 
 import hd_diag
-
-SIGNALLED = 128
-"""Plus the number of a signal: exit code of what it has ended, as shells have it."""
+from hd_diag.ros.stop_signals import signalled
 
 # Module of each verb, and its line in the list of all.
 VERBS = {
@@ -103,20 +100,6 @@ def _ended(error: Exception) -> tuple[int, str]:
     if isinstance(error, ModuleNotFoundError) and error.name and not error.name.startswith("hd_diag"):
         return 2, f"{error}: python3 -m pip install {error.name}"  # numba, which rosdep cannot install
     raise error
-
-
-def signalled(error: BaseException | None) -> int:
-    """Exit code of what a signal has ended; 0 where none has.
-
-    Others make their own errors of a KeyboardInterrupt: click, numba's compiled code, imports.
-    """
-    seen: list[BaseException] = []
-    while error is not None and error not in seen:  # an error that was raised again may be its own context
-        if isinstance(error, KeyboardInterrupt):
-            return SIGNALLED + int(getattr(error, "number", signal.SIGINT))
-        seen.append(error)
-        error = error.__cause__ or error.__context__
-    return 0
 
 
 @click.group(
