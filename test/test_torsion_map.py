@@ -2,6 +2,7 @@
 
 import threading
 from dataclasses import replace
+from typing import Any
 
 import drives
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from reference import polyline
 
+from hd_diag.model import kernel
 from hd_diag.model.load_sharing import mesh_state
 from hd_diag.model.mesh import Mesh
 from hd_diag.model.torsion import torsion, torsion_table
@@ -162,10 +164,37 @@ def test_can_be_given_up(several: int) -> None:
         return len(asked) < 4
 
     with pytest.raises(BuildCancelled):
-        build(drives.mesh(drives.COARSE), 6.0, wanted, threads=several)
+        build(drives.mesh(drives.COARSE, arc_offset=1e-6), 6.0, wanted, threads=several)
     assert (len(asked), asked[0]) == (4, 0.0)
     assert np.all(np.diff([*asked, 1.0]) > 0)
     assert not any(thread.name.startswith("torsion map") for thread in threading.enumerate())
+
+
+@pytest.mark.parametrize(
+    ("displaced", "repeats"),
+    [
+        ({}, 202),
+        ({"runout": (3e-6, 8e-6)}, 202),
+        ({"eccentricity": (4e-6, -7e-6)}, 2),
+        ({"eccentricity": (4e-6, -7e-6), "runout": (3e-6, 8e-6)}, 1),
+        ({"arc_offset": 3e-6}, 1),
+    ],
+)
+def test_what_repeats_within_a_turn_is_solved_once(
+    displaced: dict[str, Any], repeats: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    solved, curves = [], kernel.entry.curves
+
+    def counted(data: Any, turn: Array, *others: Any) -> Any:
+        solved.append(turn.size)
+        return curves(data, turn, *others)
+
+    monkeypatch.setattr(kernel.entry, "curves", counted)
+    table = build(drives.mesh(**displaced), 20.0)
+    assert sum(solved) * repeats == table.torque.shape[0] - 1 == 202 * 64
+    assert table.error_bound <= 4 * TOLERANCE
+    angle, torque = points(table, 2000, 5)
+    assert np.abs(table(angle, torque) - torsion(table.mesh, angle, torque)).max() <= table.error_bound
 
 
 def test_several_threads_build_the_same_map() -> None:

@@ -8,6 +8,7 @@ jump at zero torque, the table holds both ends and gives the middle.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -129,9 +130,10 @@ def build(
     """
     teeth = mesh.geometry.circular_spline_teeth
     steps = teeth * round(steps_per_tooth * max(1.0, (_FINE_TEETH / teeth) ** 2))
-    angle = 2.0 * np.pi / steps * np.arange(steps, dtype=np.float64)
+    repeats = math.gcd(_repeats(mesh), steps)
+    angle = 2.0 * np.pi / steps * np.arange(steps // repeats, dtype=np.float64)
     limit = float(np.float32(torque_limit))
-    torque, beta = _curves(mesh, angle, limit, wanted, threads)
+    torque, beta = _curves(mesh, angle, repeats, limit, wanted, threads)
     if not np.isfinite(torque).all():
         raise ValueError(f"the teeth cannot bear {torque_limit:g} N m at every wave generator angle")
     used = np.flatnonzero((torque > -limit).any(axis=0) & (torque < limit).any(axis=0))
@@ -141,13 +143,31 @@ def build(
     return _checked(table, 2.0 * TOLERANCE * (STEPS_PER_TOOTH / steps_per_tooth) ** 2)
 
 
-def _curves(
-    mesh: Mesh, angle: Floats, torque_limit: float, wanted: Callable[[float], bool], threads: int
-) -> tuple[Table, Table]:
-    """Exact piecewise-linear curves (angles + 1, breakpoints), rising; a true gap has two at zero torque.
+def _repeats(mesh: Mesh) -> int:
+    """How often the torsion repeats within a turn of the wave generator.
 
-    The last angle repeats the first. Rows with fewer breakpoints end with more of the limit; nan where no
-    flank can bear it.
+    What turns with it meets every slot alike; beside what stands in the housing one lobe does what the other
+    did half a turn before.
+    """
+    if mesh.arc_offset:
+        return 1
+    if not mesh.eccentricity:
+        return mesh.geometry.circular_spline_teeth
+    return 1 if mesh.runout else 2
+
+
+def _curves(
+    mesh: Mesh,
+    angle: Floats,
+    repeats: int,
+    torque_limit: float,
+    wanted: Callable[[float], bool],
+    threads: int,
+) -> tuple[Table, Table]:
+    """Exact piecewise-linear curves of a turn, rising, shape (repeats of the angles + 1, breakpoints).
+
+    The last angle repeats the first; a true gap has two breakpoints at zero torque. Rows with fewer
+    breakpoints end with more of the limit; nan where no flank can bear it.
     """
     turn, center, _ = moments(mesh, angle)
     begins, found = range(0, angle.size, _CHUNK), []
@@ -164,13 +184,15 @@ def _curves(
                 pool.shutdown(cancel_futures=True)
                 raise BuildCancelled
             found.append(next(solved))
-    shape = angle.size + 1, max(own.shape[1] for own, _ in found)
+    shape = repeats * angle.size + 1, max(own.shape[1] for own, _ in found)
     torque, torsion = np.empty(shape, np.float32), np.empty(shape, np.float32)
     for part, both in zip(parts, found, strict=True):
         for whole, own in zip((torque, torsion), both, strict=True):
             whole[part, : own.shape[1]] = own
             whole[part, own.shape[1] :] = own[:, -1:]
-    torque[-1], torsion[-1] = torque[0], torsion[0]
+    for whole in (torque, torsion):
+        whole[angle.size : -1].reshape(repeats - 1, angle.size, shape[1])[:] = whole[: angle.size]
+        whole[-1] = whole[0]
     return torque, torsion
 
 

@@ -12,9 +12,9 @@ from hd_diag.model.mesh import Mesh
 from hd_diag.model.torsion_map import BuildCancelled, TorsionMap, build
 
 
-def map_of(joint: JointConfig, torque_limit: float | None = None, threads: int = 1) -> TorsionMap:
-    """Map of a joint up to a torque [N m], by default TORQUE_RANGE times the rated one, built now."""
-    return build(joint.drive.mesh, torque_limit or map_limit(joint), threads=threads)
+def map_of(joint: JointConfig) -> TorsionMap:
+    """Map of a joint, built now."""
+    return build(joint.drive.mesh, map_limit(joint))
 
 
 def map_limit(joint: JointConfig) -> float:
