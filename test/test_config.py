@@ -2,6 +2,8 @@
 
 import contextlib
 import math
+import os
+import socket
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -256,6 +258,27 @@ def test_numbers_are_those_of_ros(text: str, value: float, tmp_path: Path) -> No
     """YAML 1.1 takes 1e-3 for a text and 09 for none; a node of ROS reads numbers."""
     assert load(written(tmp_path / "f.yaml", section(f"array_rate: {text}"))).array_rate == value
     assert load(written(tmp_path / "f.yaml", section("log: {path: 2026-01-01}"))).log.path == "2026-01-01"
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("what", ["pipe", "link to a pipe", "device", "socket"])
+def test_only_regular_files_are_read(what: str, tmp_path: Path) -> None:
+    """A parameter file, and a model file that it names; a reader of a pipe waits for who writes."""
+    path = tmp_path / "file"
+    if "pipe" in what:
+        os.mkfifo(tmp_path / "pipe")
+        path = tmp_path / "pipe"
+    if what == "link to a pipe":
+        path = tmp_path / "link"
+        path.symlink_to("pipe")
+    if what == "device":
+        path = Path("/dev/zero")
+    if what == "socket":
+        with socket.socket(socket.AF_UNIX) as bound:
+            bound.bind(str(path))
+    assert file_refusal(path).endswith("cannot be read: it is no regular file")
+    own = written(tmp_path / "f.yaml", section(f"joint_1: {{model_file: '{path}'}}"))
+    assert file_refusal(own).endswith("cannot be read: it is no regular file")
 
 
 @pytest.mark.parametrize("name", ["hd_diag", "/hd_diag", "/arm/hd_diag", "/**"])

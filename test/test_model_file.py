@@ -16,6 +16,7 @@ from numpy.testing import assert_allclose
 from hd_diag.config import model_file
 from hd_diag.config.configuration import ConfigError, load, resolve
 from hd_diag.config.model_file import REFITTED, base_hash, model_for, parse, write
+from hd_diag.config.parameters import ContentError
 
 NAMES = tuple(VALUES)
 AGREEMENT = 1e-9  # [rad]
@@ -99,6 +100,29 @@ def test_effects_outside_their_limits_are_not_written(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+SECRET = "hunter2"
+FOREIGN = [
+    f'{{"password": "{SECRET}"}}',
+    f'{{"{SECRET}": 1, "{SECRET}": 2}}',
+    changed("schema", SECRET),
+    changed("offset", SECRET),
+    changed("effects/0/name", SECRET),
+    changed("parameters/ratio", SECRET),
+    f"root:x:0:0:{SECRET}\\n",
+]
+
+
+@pytest.mark.parametrize("text", FOREIGN)
+def test_who_may_not_read_a_file_is_told_nothing_of_what_it_holds(text: str) -> None:
+    """A parameter of the node may name any file that the node can read; the owner is told all."""
+    given = {"joint_1.model_file": "/etc/\nshadow"}
+    with pytest.raises(ContentError) as caught:
+        resolve(given, lambda joint, path: text)
+    assert SECRET not in caught.value.discreet
+    assert caught.value.discreet.startswith("joint_1.model_file: '/etc/\\nshadow': is not a model")
+    assert "\n" not in str(caught.value)
+
+
 # The joint it was fitted to ---
 
 
@@ -112,7 +136,7 @@ def test_effects_outside_their_limits_are_not_written(tmp_path: Path) -> None:
     ],
 )
 def test_another_joint_is_refused(name: str, value: Any) -> None:
-    with pytest.raises(ConfigError, match=rf"was fitted to a joint with {name} .*, but this one has"):
+    with pytest.raises(ConfigError, match=rf"was fitted to a joint with another {name}; this one has"):
         model_for(WHOLE, own() | {name: value})
 
 

@@ -521,6 +521,8 @@ FAULTY: list[tuple[str, list[str], tuple[str, ...]]] = [
     (file_of(joint_1__ratio=99.0), [], ("robot.yaml", "joint_1", "ratio 99", "must be 100")),
     ("hd_diag: [", [], ("robot.yaml", "not YAML")),
     (GOOD, ["-p", "joint_1.ratio:=80.0"], ("ratio 80",)),
+    (GOOD, ["-p", "joint_1.model_file:=/dev/zero"], ("'/dev/zero'", "no regular file")),
+    (file_of(joint_1__model_file="/none\nhere"), [], ("'/none\\nhere'", "cannot be read")),
     (GOOD, ["--", "extra"], ("unknown arguments: extra",)),
     (GOOD, ["--bogus"], ("'--bogus'",)),
 ]

@@ -1,19 +1,25 @@
 """The node with an extended model, in a process of its own: predictions, parameters, log and replay."""
 
 import itertools
+import os
+import threading
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+import rclpy
 from live import MS, RATIO, START, config, parameters, sample
 from logs import content
 from models import OFFSET, motion, write_model
 from numpy.testing import assert_allclose
+from rclpy.parameter import Parameter
 from running import running
 from sensor_msgs.msg import JointState
 
+from hd_diag.config.configuration import Config, ConfigError
 from hd_diag.replay.replay import replay
+from hd_diag.ros.parameter_server import ParameterServer
 
 pytestmark = pytest.mark.usefixtures("ros")
 
@@ -52,7 +58,15 @@ def test_the_node_predicts_by_the_model_and_its_log_replays(tmp_path: Path) -> N
         path.unlink()
         assert rig.set(joint_1__torque=1.0)[0].successful
         assert "cannot be read" in rig.set(joint_1__model_file="model.json")[0].reason
-        assert "was fitted to a joint with ratio 100.0" in rig.set(joint_1__ratio=-100.0)[0].reason
+        assert "was fitted to a joint with another ratio" in rig.set(joint_1__ratio=-100.0)[0].reason
+        # A file that is none is not waited for, and of others' files nothing is told.
+        os.mkfifo(tmp_path / "pipe")
+        assert "no regular file" in rig.set(joint_1__model_file=str(tmp_path / "pipe"))[0].reason
+        (tmp_path / "a\nb").write_text('{"password": "hunter2"}')
+        (answer,) = rig.set(joint_1__model_file=str(tmp_path / "a\nb"))
+        said = "is not a model that can be used: `hd-diag check` says why"
+        expected = f"joint_1.model_file: '{tmp_path}/a\\nb': {said}"
+        assert (answer.successful, answer.reason) == (False, expected)
         assert rig.set(joint_1__model_file="")[0].successful
         rig.values("joint_1", lambda values: values["model"] == "" and values["eccentricity_um"] == "0")
         assert rig.process.end() == 0
@@ -62,3 +76,31 @@ def test_the_node_predicts_by_the_model_and_its_log_replays(tmp_path: Path) -> N
     live = content(tmp_path / "log")[topic]
     assert content(tmp_path / "again.mcap")[topic] == live
     assert len(live) == COUNT
+
+
+def test_a_disk_that_does_not_answer_holds_up_no_samples(tmp_path: Path) -> None:
+    """Every request is answered at once; when the disk answers again, files are read again."""
+    answers, asked = threading.Event(), list[str]()
+
+    def text(joint: str, path: str) -> str:
+        asked.append(path)
+        answers.wait(60.0)
+        return Path(path).read_text()
+
+    node = rclpy.create_node("slow", automatically_declare_parameters_from_overrides=True)
+    server = ParameterServer(node, text)
+    applied: list[Config] = []
+    server.serve(applied.append)
+    wanted = [Parameter("joint_1.model_file", value=str(write_model(tmp_path / "model.json")))]
+    begin = time.monotonic()
+    for reason in ("that takes longer than 0.25 s", *["the file before is still being read"] * 20):
+        with pytest.raises(ConfigError, match=reason):
+            node.set_parameters_atomically(wanted)
+    assert time.monotonic() - begin < 1.0
+    assert (len(asked), server.config.joints[0].model, applied) == (1, None, [])
+    answers.set()
+    server._reading.join()
+    assert node.set_parameters_atomically(wanted).successful
+    assert applied == [server.config]
+    assert server.config.joints[0].model is not None
+    node.destroy_node()

@@ -17,6 +17,7 @@ from hd_diag.config.parameters import (
     LIMITS,
     NODE_PARAMETERS,
     ConfigError,
+    ContentError,
     Value,
     check_known,
     checked,
@@ -202,11 +203,15 @@ def _model(
         return None, ""
     from hd_diag.config.model_file import model_for  # with all effects, and most have no model
 
+    place = f"{name}.model_file: {path!a}"
     try:
         text = (model_text or reader())(name, path)
         return model_for(text, own, catalogue), text
+    except ContentError as error:
+        discreet = f"{place}: is not a model that can be used: `hd-diag check` says why"
+        raise ContentError(f"{place}: {error}", discreet) from error
     except ConfigError as error:
-        raise ConfigError(f"{name}.model_file: {path!a}: {error}") from error
+        raise ConfigError(f"{place}: {error}") from error
 
 
 def _check_names(joints: tuple[JointConfig, ...]) -> None:

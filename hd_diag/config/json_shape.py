@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import stat
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,13 +33,13 @@ _WHOLE = "the file"
 
 
 def read_text(path: Path, kind: str = "model file") -> str:
-    """Text of a file of some kind.
+    """Text of a file of some kind: a regular one, for a pipe or a device may be waited for without end.
 
     Raises ConfigError where it cannot be read, is too long or no UTF-8; without the file's name.
     """
     try:
-        with path.open("rb") as file:
-            data = file.read(_LARGEST + 1)
+        with open(path, "rb", opener=_regular) as file:
+            data = file.read(_LARGEST + 1) or b""  # nothing of what would have to be waited for
     except (OSError, ValueError) as error:
         cause = error.strerror if isinstance(error, OSError) else error
         raise ConfigError(f"cannot be read: {cause}") from error
@@ -60,6 +62,17 @@ def reader(*folders: Path) -> Callable[[str, str], str]:
         return read_text(places[0] if places else Path(path))
 
     return read
+
+
+def _regular(path: str, flags: int) -> int:
+    """Descriptor of a regular file, as the opener of ``open``; ValueError for others, which stay unopened."""
+    kinds = stat.S_IFREG, stat.S_IFDIR  # of a folder ``open`` says that it is one
+    if stat.S_IFMT(os.stat(path).st_mode) in kinds:
+        fd = os.open(path, flags | os.O_NONBLOCK | os.O_NOCTTY)
+        if stat.S_IFMT(os.fstat(fd).st_mode) in kinds:  # still
+            return fd
+        os.close(fd)
+    raise ValueError("it is no regular file")
 
 
 def parse(text: str, shape: Shape) -> Any:

@@ -20,6 +20,7 @@ from hd_diag.config.parameters import (
     JOINT_PARAMETERS,
     SIGNALS,
     ConfigError,
+    ContentError,
     Value,
     check_known,
     checked,
@@ -87,9 +88,7 @@ class ModelFile:
         for name, value in self.base.items():
             now = configured[name]
             if now != value and not (name in REFITTED and now == self.parameters[name]):
-                raise ConfigError(
-                    f"was fitted to a joint with {name} {shown(value)}, but this one has {shown(now)}"
-                )
+                raise ConfigError(f"was fitted to a joint with another {name}; this one has {shown(now)}")
 
 
 def drive_parameters(own: Mapping[str, Value]) -> dict[str, Value]:
@@ -116,7 +115,10 @@ def model_for(text: str, own: Mapping[str, Value], catalogue: Catalogue | None =
 
 def parse(text: str, catalogue: Catalogue | None = None) -> ModelFile:
     """Content of a file, checked; arguments and errors as for :func:`model_for`."""
-    return _parsed(text, load() if catalogue is None else catalogue)
+    try:
+        return _parsed(text, load() if catalogue is None else catalogue)
+    except ConfigError as error:
+        raise ContentError(str(error)) from error
 
 
 @lru_cache(maxsize=64)
@@ -274,6 +276,6 @@ def _try(model: ExtendedModel) -> None:
         with np.errstate(all="ignore"):
             error, _ = model.step(model.start(), np.array([0.0, 1e-3]), still, None, torque, heat)
     except Exception as found:  # whatever is wrong with the numbers together, it is the file's fault
-        raise ConfigError(f"the model cannot be computed: {found}") from found
+        raise ContentError(f"the model cannot be computed: {found}") from found
     if not np.isfinite(error).any():
-        raise ConfigError("the model has no transmission error at the torques of its valid range")
+        raise ContentError("the model has no transmission error at the torques of its valid range")

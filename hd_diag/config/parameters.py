@@ -20,6 +20,14 @@ class ConfigError(ValueError):
     """A configuration that cannot be used; the text names the parameter, the value and what was expected."""
 
 
+class ContentError(ConfigError):
+    """What a file holds is wrong, of which the text tells some; `discreet` is for who may not read it."""
+
+    def __init__(self, text: str, discreet: str = "") -> None:
+        super().__init__(text)
+        self.discreet = discreet
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One parameter: name within its owner, default (whose type it has), unit, meaning, range.

@@ -14,6 +14,7 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.drive import Drive, mesh_state, transmission_error
 from hd_diag.extended_model import Range
+from hd_diag.formatting import visible
 from hd_diag.gear.characteristics import ToothLoads, tooth_loads
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor.joint import Joint, Window
@@ -252,7 +253,7 @@ def _model_values(joint: Joint) -> dict[str, str]:
         return {"model": "", "model_effects": ""}
     digest = hashlib.sha256(config.model_text.encode()).hexdigest()
     return {
-        "model": f"{config.model_file} sha256:{digest[:16]}",
+        "model": f"{visible(config.model_file)} sha256:{digest[:16]}",
         "model_effects": ", ".join(term.effect.name for term in config.model.effects),
     }
 

@@ -26,6 +26,7 @@ from rclpy.utilities import ok, try_shutdown
 from hd_diag.bag import RELIABLE
 from hd_diag.config.configuration import Config
 from hd_diag.config.json_shape import reader
+from hd_diag.formatting import visible
 from hd_diag.messages import encoding
 from hd_diag.messages.publications import TEMPERATURE, temperature_topic
 from hd_diag.model import torsion
@@ -139,7 +140,9 @@ class DiagnosticNode(Node):
         for file, given in sections.items():
             if not {str(name).rsplit("/", 1)[-1] for name in given} & names:
                 others = ", ".join(sorted(map(str, given))) or "nothing"
-                self.get_logger().warning(f"{file} has no section for {self.get_name()}, but {others}")
+                self.get_logger().warning(
+                    visible(f"{file} has no section for {self.get_name()}, but {others}")
+                )
 
     def close(self) -> None:
         """Report once more and finish the log."""
@@ -249,7 +252,7 @@ def _run(arguments: list[str], stopped: Sequence[int]) -> int:
         set_logger_level("rcl", LoggingSeverity.UNSET)
         node = DiagnosticNode([file.parent for file in parameter_files(arguments)])
     except Exception as error:
-        sys.stderr.write(f"hd_diag: {reason(arguments, error)}\n")
+        sys.stderr.write(f"hd_diag: {visible(reason(arguments, error))}\n")
         try_shutdown()
         return 2
     node.warn_of_files(sections)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import queue
+import threading
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,7 +15,12 @@ from rclpy.parameter import Parameter as RosParameter
 from rclpy.parameter_service import ParameterService
 
 from hd_diag.config.configuration import Config, ConfigError, ModelText, resolve
-from hd_diag.config.parameters import ROS_PARAMETERS, Parameter, parameters
+from hd_diag.config.parameters import ROS_PARAMETERS, ContentError, Parameter, parameters
+from hd_diag.formatting import visible
+
+# How long a model file may take to be read [s]: samples wait meanwhile, in the subscription's queue.
+_PATIENCE, _PATIENCE_AT_START = 0.25, 10.0
+_LONGEST_REASON = 2000  # characters
 
 
 class ParameterServer:
@@ -27,7 +35,8 @@ class ParameterServer:
         self._model_text = model_text
         declared: dict[str, Any] = node.get_parameters_by_prefix("")
         given = {name: _plain(known.value) for name, known in declared.items() if _is_own(name)}
-        self.config = self._next = resolve(given, model_text)
+        self._reading: threading.Thread | None = None
+        self.config = self._next = resolve(given, partial(self._read, patience=_PATIENCE_AT_START))
         self._known = parameters([joint.name for joint in self.config.joints])
         for name in given:
             node.undeclare_parameter(name)
@@ -71,13 +80,38 @@ class ParameterServer:
         def model_text(joint: str, path: str) -> str:
             """A model is read again only where its parameter is set: the file may be another, or gone."""
             kept = f"{joint}.model_file" not in own and in_force[joint]
-            return kept or self._model_text(joint, path)
+            return kept or self._read(joint, path, _PATIENCE)
 
-        candidate = resolve({**self.config.given, **own}, model_text)
+        try:
+            candidate = resolve({**self.config.given, **own}, model_text)
+        except ContentError as error:  # it may be any file that the node can read
+            raise ConfigError(error.discreet) from error
         for before, after in zip(self.config.joints, candidate.joints, strict=True):
             if after.signals != before.signals:
                 raise ConfigError(f"{after.name}: where its signals stand is read when the node starts")
         return candidate
+
+    def _read(self, joint: str, path: str, patience: float) -> str:
+        """Text of a model file, read in a thread: some disks let wait for ever, as one of a network may."""
+        if self._reading is not None and self._reading.is_alive():
+            raise ConfigError("cannot be read: the file before is still being read")
+        found: queue.SimpleQueue[str | Exception] = queue.SimpleQueue()
+
+        def read() -> None:
+            try:
+                found.put(self._model_text(joint, path))
+            except Exception as error:
+                found.put(error)
+
+        self._reading = threading.Thread(target=read, name="model file", daemon=True)
+        self._reading.start()
+        try:
+            result = found.get(timeout=patience)
+        except queue.Empty:
+            raise ConfigError(f"cannot be read: that takes longer than {patience:g} s") from None
+        if isinstance(result, Exception):
+            raise result
+        return result
 
 
 class _Services(ParameterService):
@@ -99,7 +133,7 @@ class _Services(ParameterService):
             changed = [RosParameter.from_parameter_msg(each) for each in given]
             return self._get_node().set_parameters_atomically(changed)
         except Exception as error:  # rclpy raises many kinds
-            return SetParametersResult(successful=False, reason=str(error))
+            return SetParametersResult(successful=False, reason=visible(str(error), _LONGEST_REASON))
 
 
 def _descriptor(name: str, spec: Parameter) -> ParameterDescriptor:
