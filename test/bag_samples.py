@@ -1,6 +1,7 @@
 """Messages and bags for the tests of the bag edge."""
 
 import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -96,6 +97,12 @@ def cut_end(path, out, *, keep=None):
         keep = (summary or len(data) - 37) - 13
     Path(out).write_bytes(data[:keep])
     return Path(out)
+
+
+def sealed(data):
+    """An MCAP file with the checksum that its summary has now."""
+    start, end = struct.unpack("<Q", data[-28:-20])[0], len(data) - 12
+    return data[:end] + struct.pack("<I", zlib.crc32(data[start:end])) + data[-8:]
 
 
 def consume(path):

@@ -1,4 +1,5 @@
 import struct
+import time
 
 import numpy as np
 import pytest
@@ -168,6 +169,20 @@ def test_a_decoder_forgets_layouts_in_time():
     for i in range(1000):
         decoder.decode(joint_state_cdr((f"joint_{i}",), i, (1.0,)))
     assert sum(map(len, decoder._layouts.values())) <= 64
+
+
+def test_malformed_messages_that_are_alike_are_refused_at_once():
+    """Each with its place, beside others of that size and between good ones."""
+    good = joint_state_cdr(("a",), 5, (1.0,))
+    other = bytes([0, 7]) + bytes(8)
+    rows = [bytes(10), good, other, bytes(10), b"", good, b"", bytes(10)] * 500
+    begin = time.process_time()
+    columns, rejected = decode_joint_states(rows)
+    assert [c.row.size for c in columns] == [1000]
+    assert [r.row for r in rejected] == [i for i in range(4000) if i % 8 not in (1, 5)]
+    _, rejected = decode_joint_states([b""] * 200_000)
+    assert len(rejected) == 200_000
+    assert time.process_time() - begin < 5.0
 
 
 def test_no_messages():

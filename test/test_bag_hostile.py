@@ -27,7 +27,8 @@ from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Chunk, Header, Metadata, Schema
 
 from hd_diag.bag import BagError, BagReader, BagWriter, recover
-from hd_diag.bag.mcap_scan import MAGIC, MAX_CHUNK, MESSAGE
+from hd_diag.bag.mcap_chunk import MAX_CHUNK, MESSAGE
+from hd_diag.bag.mcap_scan import MAGIC
 from hd_diag.messages.schemas import definition
 
 
@@ -346,8 +347,8 @@ def test_a_compressed_message_that_unpacks_to_far_more_is_refused(tmp_path):
 def test_a_chunk_of_records_that_are_none_takes_no_memory(tmp_path, monkeypatch):
     """Zeros are records of opcode 0 and no content; unknown records are passed over, but not for ever."""
     path = tmp_path / "a.mcap"
-    monkeypatch.setattr("hd_diag.bag.mcap_scan._MAX_OTHERS", 50_000)
-    for unknown, count in ((bytes(9), 10), (b"\x80" + bytes(8), 50_001)):
+    monkeypatch.setattr("hd_diag.bag.mcap_chunk._MAX_RECORDS", 50_000)
+    for unknown, count in ((bytes(9), 10), (b"\x80" + bytes(8), 50_001), (message(data=b""), 50_001)):
         content = topic() + message() + unknown * count
         path.write_bytes(bag(chunk(content, "zstd", stored=zstandard.compress(content))))
         found, peak = peak_of(lambda: accepts(path))

@@ -10,7 +10,17 @@ import numpy as np
 import pytest
 import yaml
 import zstandard
-from bag_samples import JOINT_STATE, MS, STRING, cut_end, rosbag2_folder, rows, string_cdr, write_with_mcap
+from bag_samples import (
+    JOINT_STATE,
+    MS,
+    STRING,
+    cut_end,
+    rosbag2_folder,
+    rows,
+    sealed,
+    string_cdr,
+    write_with_mcap,
+)
 from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 
@@ -86,7 +96,8 @@ def test_messages_that_the_file_counts_and_does_not_hold_are_lost(tmp_path):
     path = write_with_mcap(tmp_path / "a.mcap", messages())
     data = path.read_bytes()
     (summary,) = struct.unpack("<Q", data[-28:-20])
-    path.write_bytes(data[:summary] + data[summary:].replace(struct.pack("<Q", 600), struct.pack("<Q", 607)))
+    counted = data[summary:].replace(struct.pack("<Q", 600), struct.pack("<Q", 607))
+    path.write_bytes(sealed(data[:summary] + counted))
     report = recover(path, tmp_path / "b.mcap")
     assert (report.counts, report.complete) == ({"/j": 600}, False)
     assert report.statement()[-1] == "a.mcap: at least 7 messages are lost"
@@ -349,7 +360,47 @@ def test_a_message_with_an_impossible_time_costs_only_itself(tmp_path, chunked):
     report = recover(path, tmp_path / "b.mcap")
     assert read(tmp_path / "b.mcap") == expected(given[:40] + given[41:])
     assert (report.files[0].messages, report.files[0].lost) == (89, 1)
-    assert report.statement()[-2:] == [
+    assert report.statement()[2:4] == [
         "a.mcap: 1 messages have a time beyond the year 2262",
         "a.mcap: at least 1 messages are lost",
+    ]
+
+
+def test_a_damaged_summary_is_told(tmp_path):
+    """Whatever bit of it: here of a topic's name, and of a count."""
+    path = write_with_mcap(tmp_path / "a.mcap", messages(50), chunk_size=4000)
+    data = path.read_bytes()
+    (summary,) = struct.unpack("<Q", data[-28:-20])
+    for place in (data.index(b"/j", summary), data.index(struct.pack("<Q", 50), summary)):
+        changed = bytearray(data)
+        changed[place] ^= 1
+        path.write_bytes(changed)
+        report = recover(path, tmp_path / "b.mcap", overwrite=True)
+        assert report.counts == {"/j": 50}
+        assert report.files[0].problems == ["is damaged: the checksum of its summary is wrong"]
+        with BagReader(path) as reader:
+            assert reader.problems == ["a.mcap: is damaged: the checksum of its summary is wrong"]
+            assert [(t.name, t.count) for t in reader.topics] == [("/j", 50)]
+
+
+def test_what_no_checksum_covers_is_unverified(tmp_path):
+    write_with_mcap(tmp_path / "a.mcap", messages(50), chunked=False)
+    rosbag2_folder(tmp_path / "b", messages(50))
+    for bag, file in (("a.mcap", "a.mcap"), ("b", "b.db3")):
+        report = recover(tmp_path / bag, tmp_path / "out.mcap", overwrite=True)
+        assert report.complete
+        unverified = f"{file}: unverified: 50 messages have no checksum"
+        assert report.statement()[-2:] == [unverified, "nothing is known to be missing"]
+        assert report.as_dict()["files"][0]["unverified"] == 50
+
+
+def test_a_definition_that_cannot_be_understood_is_unverified(tmp_path):
+    known = Definition("own_msgs/msg/Own", "%%%\n")
+    with BagWriter(tmp_path / "a.mcap") as writer:
+        writer.write("/own", known.type_name, b"\0\1\0\0", 5, known=known)
+    report = recover(tmp_path / "a.mcap", tmp_path / "b.mcap")
+    assert (report.counts, report.as_dict()["unknown"]) == ({"/own": 1}, ["/own"])
+    assert report.statement()[-2:] == [
+        "/own: unverified: its definition cannot be understood",
+        "nothing is known to be missing",
     ]

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from bag_samples import sealed
 from cli_runner import hd_diag
 from joint_records import columns, joint
 from live import config
@@ -84,10 +85,20 @@ def test_a_file_s_own_counts_are_compared_with_what_is_read(tmp_path: Path) -> N
     data = bag.read_bytes()
     own, other = struct.pack("<HQ", 1, 400), struct.pack("<HQ", 1, 408)
     assert data.count(own) == 1
-    bag.write_bytes(data.replace(own, other))
+    bag.write_bytes(sealed(data.replace(own, other)))
     with BagReader(bag) as reader:
         assert sum(map(len, reader.batches())) == 400
         assert reader.problems == ["a.mcap: counts 408 messages of /joint_states, there are 400"]
+
+
+def test_a_count_is_but_a_hint(tmp_path: Path) -> None:
+    """Columns for 2**40 messages would take 60 TB."""
+    bag = write(tmp_path / "a.mcap", whole(columns(seconds=2.0)))
+    data, own = bag.read_bytes(), struct.pack("<HQ", 1, 400)
+    bag.write_bytes(sealed(data.replace(own, struct.pack("<HQ", 1, 2**40))))
+    record = read(bag)
+    assert record.size == 400
+    assert record.stamps.problems == (f"a.mcap: counts {2**40} messages of /joint_states, there are 400",)
 
 
 def test_a_database_that_hides_rows_is_damaged(tmp_path: Path) -> None:

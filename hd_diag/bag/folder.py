@@ -13,7 +13,7 @@ from typing import Any
 import zstandard
 
 from hd_diag.bag.errors import BagError
-from hd_diag.bag.mcap_scan import believable
+from hd_diag.bag.mcap_chunk import believable
 from hd_diag.bag.rosbag2 import UNREADABLE, load_yaml
 
 _STORED = (".mcap", ".db3")

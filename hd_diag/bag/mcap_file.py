@@ -28,7 +28,8 @@ from mcap.opcode import Opcode
 
 from hd_diag.arrays import Bytes, Times
 from hd_diag.bag.errors import BagError, lock
-from hd_diag.bag.mcap_scan import MAGIC, MESSAGE, RECORD
+from hd_diag.bag.mcap_chunk import MESSAGE, RECORD
+from hd_diag.bag.mcap_scan import MAGIC
 
 # Level 1: floats hardly compress better at higher levels, and the node writes while it works.
 _COMPRESS = {

@@ -10,15 +10,12 @@ import os
 import re
 import struct
 import zlib
-from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from io import BufferedReader, BytesIO
 from pathlib import Path
 
-import lz4.frame
-import numpy as np
 import zstandard
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -26,50 +23,29 @@ from mcap.records import Channel, Header, Schema, Statistics
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
 
-from hd_diag.arrays import Integers
-from hd_diag.bag.block import Block, Topic, gather
+from hd_diag.bag.block import Block, Topic
 from hd_diag.bag.errors import BagError
+from hd_diag.bag.mcap_chunk import (
+    COMPRESSIONS,
+    MAX_CHUNK,
+    MESSAGE,
+    RECORD,
+    believable,
+    check_claim,
+    decompressed,
+    parse,
+)
 from hd_diag.messages.schemas import Definition
 
 MAGIC = MCAP0_MAGIC
-MESSAGE = struct.Struct("<BQHIQQ")
-"""Head of a message: opcode, length, channel, sequence, log time and publish time [ns]."""
-RECORD = struct.Struct("<BQ")
-"""Head of any record: opcode and length."""
-MAX_CHUNK = 256 << 20
-"""A chunk, or a message outside of one, above this is refused: recorders close a chunk after some megabytes,
-and what is made of a chunk takes up to five times its memory [byte]."""
-COMPRESSIONS = ("", "lz4", "zstd")
-_CHUNK = struct.Struct("<QQQII")
+_CHUNK, _FOOTER = struct.Struct("<QQQII"), struct.Struct("<QQI")
 # Opcode of a chunk, and a length below 2**48, as all lengths are.
 _MAYBE_CHUNK = re.compile(rb"(?=\x06[\s\S]{6}\0\0)")
-_WINDOW = 16 << 20
-# A chunk that claims both more than this [byte] and more than so many times what is stored of it is refused
-# unread: recordings seldom reach 100, and a file of some kilobytes could keep the reader busy for minutes.
-_MAX_UNASKED, _MAX_RATIO = 64 << 20, 1000
+_WINDOW, _PEEKED = 16 << 20, 1 << 14
 _MAX_RECORD = 16 << 20  # of other kinds [byte]
 _RUN = 1 << 20  # messages outside of chunks are taken together up to about this size [byte]
 
 
-def believable(stored: int) -> int:
-    """How much may unpack from so many bytes [byte]."""
-    return min(MAX_CHUNK, max(_MAX_UNASKED, _MAX_RATIO * stored))
-
-
-def check_claim(claimed: int, stored: int) -> None:
-    """Raise ValueError for content [byte] that is too large, or more than `believable` of what is stored."""
-    if max(claimed, stored) > MAX_CHUNK:
-        raise ValueError(f"it claims {max(claimed, stored)} bytes, more than {MAX_CHUNK}")
-    if claimed > believable(stored):
-        most = f"{_MAX_UNASKED} and {_MAX_RATIO} times the {stored} stored"
-        raise ValueError(f"it claims {claimed} bytes, more than {most}")
-
-
-_HEAD = np.dtype("u1, <u8, <u2, <u4, <u8, <u8")
-_HEAD.names = ("opcode", "length", "channel", "sequence", "log_time", "publish_time")
-# More records in a chunk that are no messages are refused: an honest one has a few for each topic.
-_MAX_OTHERS = 1_000_000
-_AT_ONCE = 1 << 17  # size that is decompressed at a time [byte]
 # What the libraries raise on damaged content.
 _DAMAGE = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, McapError, EOFError, MemoryError)
 
@@ -111,6 +87,7 @@ class Scan:
         self.statistics: Statistics | None = None
         self.profile = self.problem = ""
         self._path, self._file = path, file
+        self._begin, self._ahead = 0, b""
         if self.read(0, len(MAGIC)) != MAGIC:
             raise BagError(path, "is not an MCAP file" if self.size else "is empty")
         self.walk()
@@ -121,12 +98,19 @@ class Scan:
         """What stands at a place, also beside other readers; ValueError where the file was closed."""
         return os.pread(self._file.fileno(), size, offset)
 
+    def _peek(self, size: int) -> bytes:
+        """What stands at `end`, up to some bytes; read ahead, for records outside of chunks are small."""
+        start = self.end - self._begin
+        if not 0 <= start <= len(self._ahead) - size:
+            start, self._begin, self._ahead = 0, self.end, self.read(self.end, _PEEKED)
+        return self._ahead[start : start + size]
+
     def walk(self) -> None:
         """Walk on from `end`."""
         self.problem, opcode = "", 0
         try:
             while opcode != Opcode.FOOTER:
-                head = self.read(self.end, RECORD.size)
+                head = self._peek(RECORD.size)
                 if len(head) < RECORD.size:
                     self.problem = "has no end: it was cut off, or is still being written"
                     return
@@ -139,10 +123,23 @@ class Scan:
                 self.end = stop
             if self.read(self.end, len(MAGIC)) == MAGIC:
                 self.end += len(MAGIC)
+                self._check_summary()
             else:
                 self.problem = "has no end: the closing magic is missing"
         except (struct.error, ValueError, McapError) as exc:
             self.problem = f"damaged record at byte {self.end}: {exc}"
+
+    def _check_summary(self) -> None:
+        """Compare the summary with its checksum, where the footer has both."""
+        end = self.end - len(MAGIC) - 4
+        start, _, checksum = _FOOTER.unpack(self.read(end - _FOOTER.size + 4, _FOOTER.size))
+        if not start or not checksum:
+            return
+        found = 0
+        for place in range(start, end, _WINDOW):
+            found = zlib.crc32(self.read(place, min(_WINDOW, end - place)), found)
+        if start > end or found != checksum:
+            self.problem, self.statistics = "is damaged: the checksum of its summary is wrong", None
 
     def keep(self, record: bytes) -> None:
         """Remember what a record says; raises several kinds of errors where it is damaged."""
@@ -210,14 +207,14 @@ class Scan:
                 where = f"chunk at byte {section.offset}"
                 check_claim(section.content_size, section.size)
                 stored = self.read(section.offset, section.size)
-                content = _decompressed(section.compression, stored, section.content_size + 1)
+                content = decompressed(section.compression, stored, section.content_size + 1)
                 if len(content) != section.content_size:
                     raise ValueError(f"it holds {len(content)} bytes instead of {section.content_size}")
                 if section.checksum and zlib.crc32(content) != section.checksum:
                     raise ValueError("its checksum is wrong")
                 contents.append(content)
             where = f"chunk at or after byte {sections[0].offset}"
-            return _parse(contents[0] if len(contents) == 1 else b"".join(contents), self.keep)
+            return parse(contents[0] if len(contents) == 1 else b"".join(contents), self.keep)
         except _DAMAGE as exc:
             raise DamagedChunk(self._path, f"{where} is damaged: {exc}") from exc
 
@@ -232,14 +229,14 @@ class Scan:
             section = self.chunk_at(offset, (1 << 64) - 1)
             stored = self.read(section.offset, min(section.size, max(0, end - section.offset), MAX_CHUNK))
             limit = min(section.content_size, believable(len(stored)))
-            content = _decompressed(section.compression, stored, limit, lenient=True)
+            content = decompressed(section.compression, stored, limit, lenient=True)
             stop = following = 0
             while following <= len(content):
                 stop = following
                 if stop + RECORD.size > len(content) or not content[stop]:
                     break
                 following += RECORD.size + RECORD.unpack_from(content, stop)[1]
-            block = _parse(content[:stop], self.keep)
+            block = parse(content[:stop], self.keep)
             return block if len(block) else None
         except (*_DAMAGE, IndexError):
             return None
@@ -258,78 +255,10 @@ class Scan:
 
     def _add_message(self, length: int) -> None:
         """Add the message outside of chunks that stands at `end` to those right before it."""
-        log_time = MESSAGE.unpack(self.read(self.end, MESSAGE.size))[4]
+        log_time = MESSAGE.unpack(self._peek(MESSAGE.size))[4]
         last = self.sections[-1] if self.sections else None
         if last is None or last.is_chunk or last.offset + last.size != self.end or last.size > _RUN:
             last = Section(self.end, 0, log_time, log_time, is_chunk=False)
             self.sections.append(last)
         last.size = last.content_size = last.size + RECORD.size + length
         last.start, last.end = min(last.start, log_time), max(last.end, log_time)
-
-
-def _decompressed(compression: str, stored: bytes, limit: int, *, lenient: bool = False) -> bytes:
-    """No more than `limit` bytes of what is stored, decompressed; with `lenient` those before a damage."""
-    if compression not in COMPRESSIONS:
-        raise ValueError(f"compression {compression!r} is not known")
-    if not compression:
-        return stored
-    if compression == "lz4":
-        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(stored, max_length=limit))
-    parts = []
-    reader = zstandard.ZstdDecompressor().stream_reader(stored)
-    try:
-        while part := reader.read(min(limit, _AT_ONCE)):
-            parts.append(part)
-            limit -= len(part)
-    except zstandard.ZstdError:
-        if not lenient:
-            raise
-    return b"".join(parts)
-
-
-def _parse(content: bytes, keep: Callable[[bytes], None]) -> Block:
-    """Messages among the records in `content`; schemas and channels are handed to `keep`.
-
-    Raises ValueError where the records do not fit together.
-    """
-    first, more, position, ignored = np.empty(0, np.int64), array("q"), 0, 0
-    end, head_at, message = len(content), RECORD.unpack_from, int(Opcode.MESSAGE)
-    while position < end:
-        opcode, length = head_at(content, position)
-        stop = position + 9 + length
-        if opcode != message:
-            ignored += 1
-            if opcode == 0 or ignored > _MAX_OTHERS:
-                raise ValueError("it holds bytes that are not records")
-            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                keep(content[position:stop])
-        elif more or len(first) or stop > end:
-            more.append(position)
-        else:
-            first = _equal_records(content, position, stop - position)
-            stop += int(first[-1]) - position
-        position = stop
-    if position != end:
-        raise ValueError("a record is longer than the chunk")
-    return _messages_at(content, np.concatenate([first, np.array(more, np.int64)]))
-
-
-def _equal_records(content: bytes, start: int, step: int) -> Integers:
-    """Places of the messages of one size that follow one another from `start`; at least one."""
-    count = (len(content) - start) // step
-    heads = np.frombuffer(content, np.uint8, count * step, start).reshape(count, step)[:, :9]
-    same = (heads == heads[0]).all(axis=1)
-    count = count if same.all() else int(same.argmin())
-    return start + step * np.arange(count, dtype=np.int64)
-
-
-def _messages_at(content: bytes, offset: Integers) -> Block:
-    data = np.frombuffer(content, np.uint8)
-    if len(offset) and offset[-1] + MESSAGE.size > len(data):
-        raise ValueError("a message has no room for its times")
-    heads = np.ascontiguousarray(gather(data, offset, MESSAGE.size)).view(_HEAD)[:, 0]
-    size = heads["length"].astype(np.int64) + RECORD.size - MESSAGE.size
-    if len(size) and int(size.min()) < 0:
-        raise ValueError("a message is too short for its times")
-    columns = (heads[name].astype(np.int64) for name in ("channel", "log_time", "publish_time"))
-    return Block(data, offset + MESSAGE.size, size, *columns)

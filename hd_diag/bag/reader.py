@@ -24,6 +24,8 @@ from hd_diag.messages.joint_states import JOINT_STATE, Rejection, decode_joint_s
 from hd_diag.messages.schemas import deserialize, jazzy
 from hd_diag.streams.columns import JointStates
 
+_AT_ONCE = 1 << 16  # messages in a batch
+
 
 @dataclass(frozen=True)
 class Batch:
@@ -230,8 +232,9 @@ def _by_name(counts: Iterable[tuple[Topic, int]]) -> dict[str, int]:
 
 
 def _runs(block: Block, alternating: list[int]) -> Iterator[Block]:
-    """Consecutive messages of one channel, or of any of those that may alternate."""
+    """Consecutive messages of one channel, or of any of those that may alternate; not too many at once."""
     key = np.where(np.isin(block.channel, alternating), -1, block.channel)
     bounds = (np.flatnonzero(np.diff(key)) + 1).tolist()
     for first, last in zip([0, *bounds], [*bounds, len(block)], strict=True):
-        yield block[first:last]
+        for begin in range(first, last, _AT_ONCE):
+            yield block[begin : min(begin + _AT_ONCE, last)]

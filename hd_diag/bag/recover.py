@@ -19,6 +19,7 @@ from hd_diag.bag.errors import BagError, check_output, replaced
 from hd_diag.bag.folder import find_files, unpack, unpacked
 from hd_diag.bag.mcap_scan import MAGIC, Scan
 from hd_diag.bag.sqlite_file import SqliteFile, is_sqlite
+from hd_diag.bag.typestore import store_of
 from hd_diag.bag.writer import BagWriter
 from hd_diag.messages.schemas import jazzy
 
@@ -31,8 +32,8 @@ _Piece = tuple[dict[int, Topic], Block, int]  # topics, messages, place in the f
 class FileRecovery:
     """What became of one storage file: its size and what of it could not be read [byte], messages saved.
 
-    Lost for certain are messages that the file counts and that were not read, or that belong to no topic;
-    `problems` says in one line each what is wrong with the file.
+    Unverified are messages saved that no checksum covers. Lost for certain are messages that the file counts
+    and that were not read, or that belong to no topic; `problems` says in one line each what is wrong.
     """
 
     path: Path
@@ -40,6 +41,7 @@ class FileRecovery:
     unread: int = 0
     messages: int = 0
     lost: int = 0
+    unverified: int = 0
     problems: list[str] = field(default_factory=list)
 
 
@@ -48,7 +50,8 @@ class RecoveryReport:
     """What was saved and what was lost.
 
     `out` are the files written and found equal to what was saved, `counts` the messages saved of each topic,
-    `start` and `end` their least and greatest log time [ns], `problems` what is wrong with the folder.
+    `start` and `end` their least and greatest log time [ns], `problems` what is wrong with the folder,
+    `unknown` topics whose types the bag does not define in a way that can be understood.
     """
 
     out: list[Path]
@@ -57,6 +60,7 @@ class RecoveryReport:
     start: int | None = None
     end: int | None = None
     problems: list[str] = field(default_factory=list)
+    unknown: list[str] = field(default_factory=list)
 
     @property
     def complete(self) -> bool:
@@ -76,7 +80,12 @@ class RecoveryReport:
                 lines.append(f"{file.path.name}: {file.unread} of {file.size} bytes could not be read")
             if file.lost:
                 lines.append(f"{file.path.name}: at least {file.lost} messages are lost")
-        return lines if not self.complete else [*lines, "nothing is missing"]
+            if file.unverified:
+                lines.append(f"{file.path.name}: unverified: {file.unverified} messages have no checksum")
+        lines += [f"{topic}: unverified: its definition cannot be understood" for topic in self.unknown]
+        verified = not self.unknown and not any(file.unverified for file in self.files)
+        found = "nothing is missing" if verified else "nothing is known to be missing"
+        return [*lines, *([found] if self.complete else [])]
 
     def as_dict(self) -> dict[str, Any]:
         """The report as plain values."""
@@ -88,6 +97,7 @@ class RecoveryReport:
             "start": self.start,
             "end": self.end,
             "problems": self.problems,
+            "unknown": self.unknown,
             "files": [{**vars(file), "path": str(file.path)} for file in self.files],
         }
 
@@ -135,6 +145,7 @@ def recover(
             report.out = [Path(out) / path.relative_to(place) for path in paths]
     if saved.counts:
         report.counts, report.start, report.end = dict(saved.counts), saved.start, saved.end
+    report.unknown = sorted(topic.name for topic in saved.topics.values() if not _is_understood(topic))
     return report
 
 
@@ -143,6 +154,7 @@ class _Tally:
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()
+        self.topics: dict[tuple[str, str], Topic] = {}
         self.digest = 0
         self.start, self.end = 2**63 - 1, 0
 
@@ -168,6 +180,7 @@ def _copy(
     for topic in known.values():
         text = topic.definition if topic.definition is not None and topic.definition.text else None
         begin().add_topic(topic.name, topic.type_name, topic.offers, text)
+        saved.topics[topic.name, topic.type_name] = topic
     for channel, data, log_time, publish_time in _lines(block):
         if log_time < 0 or publish_time < 0:
             lost["messages have a time beyond the year 2262"] += 1
@@ -190,6 +203,15 @@ def _copy(
 def _is_defined(topic: Topic) -> bool:
     """Whether the type of a topic has a definition, in the bag or in ROS 2 Jazzy."""
     return bool(topic.definition and topic.definition.text) or topic.type_name in jazzy().fielddefs
+
+
+def _is_understood(topic: Topic) -> bool:
+    """Whether the messages of a topic can be decoded."""
+    try:
+        store_of(topic.type_name, topic.definition)
+    except ValueError:
+        return False
+    return True
 
 
 def _lines(block: Block) -> Iterator[tuple[int, memoryview, int, int]]:
@@ -220,6 +242,7 @@ def _salvage_sqlite(path: Path, report: FileRecovery, stack: ExitStack) -> Itera
     found, place = SqliteFile(path, stack), 0
     for block in found.blocks(None):
         place += len(block.data)
+        report.unverified += len(block)
         yield found.topics, block, min(place, report.size)
 
 
@@ -243,12 +266,14 @@ def _salvage_mcap(path: Path, report: FileRecovery, stack: ExitStack) -> Iterato
             report.unread += section.size
         else:
             read += len(block)
+            report.unverified += 0 if section.checksum else len(block)
             yield found.topics(), block, section.offset + section.size
     for begin, end in gaps:
         report.unread += end - begin
         part = found.load_part(begin, end)
         if part is not None:
             read += len(part)
+            report.unverified += len(part)
             what = f"{len(part)} messages were read from a chunk that is cut off at byte {end}"
             report.problems.append(what)
             yield found.topics(), part, end

@@ -180,8 +180,9 @@ class JointStateDecoder:
             try:
                 layout = layout_of(rows[0].tobytes())
             except ValueError as exc:
-                rejected.append(Rejection(int(index[0]), str(exc)))
-                rows, index = rows[1:], index[1:]
+                same = (rows == rows[0]).all(axis=1)  # a file of some kilobytes may hold millions
+                rejected += [Rejection(row, str(exc)) for row in index[same].tolist()]
+                rows, index = rows[~same], index[~same]
                 continue
             found += 1
             if found <= _MAX_LAYOUTS:
