@@ -1,9 +1,12 @@
 """The package as others get it: a wheel built from a copy of the tree, package.xml, changelog and locks."""
 
 import email
+import os
 import re
+import shutil
 import subprocess
 import sys
+import tempfile
 import zipfile
 from email.message import Message
 from pathlib import Path
@@ -130,3 +133,38 @@ def test_demo_and_test_run_the_same_versions() -> None:
 def test_every_dependency_has_a_reason(requirements: list[Requirement]) -> None:
     reasons = (ROOT / "CONTRIBUTING.md").read_text()
     assert [r.name for r in requirements if f"`{r.name}`" not in reasons] == []
+
+
+# make ---
+
+
+def test_make_works_on_a_copy_of_a_tree_that_is_read_only() -> None:
+    """It says where; a later run keeps environments, and nothing that the tree no longer has."""
+    with tempfile.TemporaryDirectory() as folder:  # which others can enter: root may write everywhere
+        place, tree, cache = Path(folder), Path(folder) / "tree", Path(folder) / "cache"
+        shutil.copytree(ROOT / "scripts", tree / "scripts")
+        shutil.copy(ROOT / "Makefile", tree)
+        cache.mkdir()
+        for path, mode in ((place, 0o755), (cache, 0o777), (tree / "scripts", 0o555), (tree, 0o555)):
+            path.chmod(mode)
+        other = {"user": 65534} if os.geteuid() == 0 else {}
+
+        def lines() -> list[str]:
+            environment = {**os.environ, "XDG_CACHE_HOME": str(cache)}
+            command = ["make", "help"]
+            run = subprocess.run(
+                command, cwd=tree, env=environment, capture_output=True, text=True, timeout=60, **other
+            )
+            assert (run.returncode, run.stderr) == (0, "")
+            return run.stdout.splitlines()
+
+        said = lines()
+        (copy,) = cache.iterdir()
+        assert said[0] == f"== This tree is read-only: make works in {copy}"
+        assert said[1].startswith("make demo ")
+        for name in (".venv", "gone"):
+            (copy / name).mkdir()
+        assert lines() == said
+        assert sorted(path.name for path in copy.iterdir()) == [".venv", "Makefile", "scripts"]
+        (tree / "scripts").chmod(0o755)
+        tree.chmod(0o755)
