@@ -1,6 +1,6 @@
 # make demo   the main job on a simulated joint       make test   linters, types, pages, tests
 # Both make their own environment from a lock. Options: PYTHON=/path/to/python  PYTEST_ARGS='...'
-# ARGS='...' (to hd-diag demo, to bench/challenge.py, to bench/suite.py)
+# ARGS='...' (to hd-diag demo, bench/challenge.py, bench/suite.py, bench/soak.py)
 
 ifneq ($(shell test -w . && echo yes),yes)
 # The tree is read-only: all is done in a copy.
@@ -29,7 +29,7 @@ export RMW_IMPLEMENTATION = rmw_fastrtps_cpp
 ENVIRONMENT = sh scripts/environment.sh
 IN = AMENT_PREFIX_PATH='$(CURDIR)/.venv/$(1)' PATH="$(CURDIR)/.venv/$(1)/bin:$$PATH"
 
-.PHONY: help demo test test-all lint docs types pytest pytest-ubuntu challenge bench install lock clean
+.PHONY: help demo test test-all lint docs types pytest pytest-ubuntu challenge bench soak audit install lock clean
 .NOTPARALLEL:
 
 help:
@@ -39,6 +39,8 @@ help:
 	@echo "make docs     the documentation alone: docs/_build/html/index.html"
 	@echo "make challenge  hidden causes to be found, beside plain methods (about 25 s a record; see ARGS=--help)"
 	@echo "make bench    speed beside the paper's method and plain libraries (some minutes; see ARGS=--help)"
+	@echo "make soak     the node for an hour while all around it changes (ARGS='--seconds 180' for less)"
+	@echo "make audit    known vulnerabilities of all that the locks install (needs the network)"
 	@echo "make install  bring the test environment .venv/test up to date with this tree"
 	@echo "make lock     resolve requirements/*.txt anew"
 	@echo "make clean    remove environments and build results"
@@ -105,6 +107,13 @@ challenge:
 # One run on a quiet machine: ratios of what is timed side by side. ARGS='--json bench/results.json' keeps them.
 bench: install
 	@$(call IN,test) python bench/suite.py $(ARGS)
+
+# Losses and memory, beside docs/tables/faults.md. On a quiet machine.
+soak: install
+	@$(call IN,test) python bench/soak.py --markdown docs/tables/soak.md $(ARGS)
+
+audit:
+	@sh scripts/audit.sh '$(PYTHON)'
 
 lock:
 	@sh scripts/lock.sh '$(PYTHON)'

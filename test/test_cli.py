@@ -19,7 +19,6 @@ import click
 import numpy as np
 import pytest
 from cli_runner import assert_one_line_error, config_file, hd_diag
-from models import write_model
 from reference import published
 
 from hd_diag.__main__ import main
@@ -186,34 +185,6 @@ def test_mesh_table_lists_the_teeth_that_can_touch(tmp_path: Path) -> None:
 # Bad usage and input ---
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        ("nonsense", "No such command 'nonsense'. 'hd-diag --help' lists them."),
-        ("chek", "No such command 'chek'. Did you mean 'check'?"),
-        (
-            "simulate --out joint.txt",
-            "joint.txt: a bag is a file *.mcap, or a folder",
-        ),
-        ("simulate --out x --json x", "x and x must be different files"),
-        ("report x.mcap --out x.pdf", "x.pdf: the name must end with .html or .htm"),
-        ("mesh --nonsense", "--nonsense"),
-        ("check", "Missing argument 'CONFIG'"),
-        ("mesh --torque x", "'x' is not a valid float"),
-        ("check none.yaml", "none.yaml: cannot be read: No such file or directory"),
-        ("mesh --config none.yaml", "none.yaml: cannot be read: No such file or directory"),
-        ("node --config none.yaml", "none.yaml: cannot be read: No such file or directory"),
-        ("mesh --json no/folder.json", "folder.json: cannot be written: no such folder"),
-        ("mesh --torque nan", "--torque must be a number of at most 1e+06"),
-        ("mesh --torque -1e7", "--torque must be a number of at most 1e+06"),
-        ("mesh --input-angle 1e300", "--input-angle must be a number of at most 1e+10"),
-        ("mesh --joint c", "no joint 'c' in the configuration; it has joint_1"),
-    ],
-)
-def test_bad_input_is_one_line(arguments: str, said: str) -> None:
-    assert_one_line_error(hd_diag(*arguments.split()), said)
-
-
 def pairs_of_files() -> list[tuple[str, click.Parameter, click.Parameter]]:
     """Each option of a verb that names a file to write, with each that names one to read."""
     return [
@@ -261,42 +232,12 @@ def test_no_verb_writes_over_what_it_reads(link: Any, tmp_path: Path) -> None:
         assert (read.read_bytes(), sorted(folder.iterdir())) == (content, there), (verb, target.name)
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("check .part.x.json --json x.json", ""),
-        ("diagnose a.mcap --config m_a.json --model m.json", "m_a.json: output would overwrite the input"),
-        ("diagnose a.mcap --config c --model m_a.json --json m_a.json", "m_a.json and m_a.json must be"),
-        ("report a.mcap --config a.html", "a.html: output would overwrite the input"),
-        ("figures --out . --config figures.md", "figures.md: output would overwrite the input"),
-        ("fleet a.mcap --out f.parquet --json f.parquet.journal.jsonl", "must be different files"),
-        ("fleet a.mcap --out g.parquet --config g.parquet.journal.jsonl", "would overwrite the input"),
-        ("fleet . --out f.parquet --json a.mcap", "a.mcap: output would overwrite the input"),
-        ("simulate --out bag --overwrite --json bag/metadata.yaml", "must be different files"),
-        ("mesh --config with_model --json model.json", "model.json: output would overwrite the input"),
-        ("check with_model --json model.json", "model.json: output would overwrite the input"),
-    ],
-)
-def test_what_follows_from_what_was_given_is_compared_too(
-    words: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Files of several joints, of names that have a default, of a journal, of a bag; files named in files."""
-    monkeypatch.chdir(tmp_path)
-    two = dump(resolve({"joints": ["a", "b"]}))
-    for name in (".part.x.json", "m_a.json", "c", "a.html", "figures.md", "g.parquet.journal.jsonl"):
-        Path(name).write_text(two)
-    write_model(Path("model.json"))
-    Path("with_model").write_text(dump(resolve({"joint_1.model_file": "model.json"})))
-    Path("bag").mkdir()
-    for name in ("a.mcap", "bag/metadata.yaml", "bag/bag_0.mcap"):
-        Path(name).write_text("a bag")
-    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    told = hd_diag(*words.split())
-    if said:
-        assert_one_line_error(told, said)
-    else:
-        assert told.exit_code == 0
-    assert {path: path.read_bytes() for path in before} == before
+def test_a_draft_is_nobody_else_s_file(tmp_path: Path) -> None:
+    """It has a name that no file has."""
+    path = config_file(tmp_path).rename(tmp_path / ".part.x.json")
+    before = path.read_bytes()
+    assert hd_diag("check", path, "--json", tmp_path / "x.json").exit_code == 0
+    assert path.read_bytes() == before
 
 
 def test_a_target_is_replaced_only_when_it_is_whole(tmp_path: Path) -> None:

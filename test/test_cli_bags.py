@@ -2,8 +2,6 @@
 
 import io
 import json
-import os
-import random
 import re
 import shutil
 import signal
@@ -128,58 +126,6 @@ def test_recover_tells_what_it_saved(folder: Path, tmp_path: Path) -> None:
 # What it refuses ---
 
 
-@pytest.mark.parametrize("name", ["out.mcap", "out"])
-def test_recover_of_what_is_no_bag_leaves_nothing(tmp_path: Path, name: str) -> None:
-    (tmp_path / "a.mcap").write_bytes(random.Random(1).randbytes(5000))
-    line = refused(run(recover, tmp_path / "a.mcap", "--out", tmp_path / name))
-    assert line == f"hd-diag: {tmp_path / 'a.mcap'}: nothing can be saved: a.mcap: is not an MCAP file\n"
-    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
-
-
-@pytest.mark.parametrize("command", [replay, recover], ids=["replay", "recover"])
-@pytest.mark.parametrize(
-    ("bag", "out", "reason"),
-    [
-        ("nothing.mcap", "out.mcap", "does not exist"),
-        ("c.yaml", "out.mcap", "c.yaml"),
-        ("log.mcap", "log.mcap", "overwrite the input"),
-        ("log.mcap", "log.mcap/out.mcap", "log.mcap"),
-        ("log.mcap", "c.yaml/out.mcap", "no such folder"),
-        ("log.mcap", "c.yaml", "a bag is a file *.mcap, or a folder"),
-        ("log.mcap", "bag/bag_0.mcap", "exists already: --overwrite replaces it"),
-        ("bag", "bag/out.mcap", "overwrite the input"),
-        ("bag", "bag", "overwrite the input"),
-        ("log.mcap", "link.mcap", "overwrite the input"),
-        ("log.mcap", "hard.mcap", "same file as the input"),
-        ("log.mcap", "circle/out.mcap", "circle"),
-        ("circle", "out.mcap", "circle"),
-    ],
-)
-def test_input_and_output_that_cannot_be(
-    folder: Path, tmp_path: Path, command: click.Command, bag: str, out: str, reason: str
-) -> None:
-    for name in ("log.mcap", "c.yaml"):
-        shutil.copy(folder / name, tmp_path)
-    (tmp_path / "bag").mkdir()
-    shutil.copy(folder / "log.mcap", tmp_path / "bag" / "bag_0.mcap")
-    (tmp_path / "link.mcap").symlink_to(tmp_path / "log.mcap")
-    (tmp_path / "circle").symlink_to(tmp_path / "circle")
-    os.link(tmp_path / "log.mcap", tmp_path / "hard.mcap")
-    before = {path: path.read_bytes() for path in tmp_path.rglob("*.*") if path.is_file()}
-    assert reason in refused(run(command, tmp_path / bag, "--out", tmp_path / out))
-    assert {path: path.read_bytes() for path in before} == before
-
-
-def test_a_json_file_that_cannot_be_written_is_told(folder: Path, tmp_path: Path) -> None:
-    """Before the work: there is no output either."""
-    for command in (replay, recover):
-        given = ("--out", tmp_path / "out.mcap", "--json", folder / "c.yaml" / "r.json")
-        assert "cannot be written: no such folder" in refused(run(command, folder / "log.mcap", *given))
-        given = ("--out", tmp_path / "out.mcap", "--json", folder / "log.mcap")
-        assert "overwrite the input" in refused(run(command, folder / "log.mcap", *given))
-    assert list(tmp_path.iterdir()) == []
-
-
 HOSTILE = "/a\nb\x1b[2J\x07\u202e"
 
 
@@ -192,19 +138,6 @@ def test_control_characters_of_a_file_do_not_reach_the_terminal(tmp_path: Path) 
     assert result.stdout.replace("\n", "").isprintable()
     result = run(recover, tmp_path / "a.mcap", "--out", tmp_path / "c.mcap", "--json", "-")
     assert json.loads(result.stdout)["messages"] == {HOSTILE: 1}
-
-
-def test_a_damaged_bag_is_refused_with_advice(folder: Path, tmp_path: Path) -> None:
-    rows = [message(START + i, {"a_motor": 0.1}) for i in range(3)]
-    with BagWriter(tmp_path / "a.mcap", compression="none") as writer:
-        for i, row in enumerate(rows):
-            writer.write("/joint_states", JOINT_STATE, row, START + i)
-    data = bytearray((tmp_path / "a.mcap").read_bytes())
-    data[data.index(rows[1])] ^= 1  # now the checksum is wrong
-    (tmp_path / "a.mcap").write_bytes(data)
-    given = ("--config", folder / "c.yaml", "--out", tmp_path / "out.mcap")
-    line = refused(run(replay, tmp_path / "a.mcap", *given))
-    assert "its checksum is wrong; hd-diag recover saves the rest of the bag" in line
 
 
 # What comes in between ---

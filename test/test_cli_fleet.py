@@ -457,34 +457,6 @@ def test_no_bag_that_can_be_judged(here: None, tmp_path: Path) -> None:
     assert [row["error"] for row in table(tmp_path / "f.parquet")] == ["is not an MCAP file"]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        ("none.mcap", "none.mcap: does not exist"),
-        ("empty", "no bag in empty"),
-        ("a.mcap --out none/f.parquet", "none/f.parquet: cannot be written: no such folder"),
-        ("a.mcap --json a.mcap", "output would overwrite the input"),
-        ("a.mcap --json f.parquet", "must be different files"),
-        ("a.mcap --figure f.xyz", "f.xyz: the name must end with .png or .svg or .pdf"),
-        ("a.mcap --joint elbow", "no joint 'elbow'"),
-        ("a.mcap --robot (", "--robot (: "),
-        ("a.mcap --limit weight=1", "no quantity 'weight'"),
-        ("a.mcap --limit eccentricity=x", "'x' is not a number"),
-        ("a.mcap --limit eccentricity=nan", "must be positive and finite"),
-        ("a.mcap --scheduler tcp://127.0.0.1:9", "with --scheduler its workers set them"),
-        ("a.mcap --out f.csv", "f.csv: the name must end with .parquet"),
-    ],
-)
-def test_bad_usage_is_reported_before_anything_is_done(
-    arguments: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    fleet_tasks.small_bag(tmp_path / "a.mcap")
-    (tmp_path / "empty").mkdir()
-    assert_one_line_error(fleet("--out", "f.parquet", *arguments.split()), said)
-    assert not list(tmp_path.glob("*.parquet*"))
-
-
 def test_what_is_not_installed_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bag, out = fleet_tasks.small_bag(tmp_path / "a.mcap"), tmp_path / "f.parquet"
     monkeypatch.setattr(cli_fleet, "_NEEDED", ("pyarrow", "no_such_module"))

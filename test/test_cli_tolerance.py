@@ -144,27 +144,6 @@ def test_options_take_the_place_of_configured_limits(tmp_path: Path, monkeypatch
 
 
 @pytest.mark.parametrize(
-    ("arguments", "parts"),
-    [
-        ("--joint elbow", ("no joint 'elbow'", "joint_1")),
-        ("--torque 0", ("torque", "not zero")),
-        ("--torque nan", ("torque", "finite")),
-        ("--largest-um 500", ("strikes the circular spline",)),
-        ("--largest-um 0", ("must be positive",)),
-        ("--sensitivity-samples 100", ("power of two", "100")),
-        ("--sensitivity-samples 1", ("power of two",)),
-        ("--samples -1", ("--samples",)),
-        ("--overlap-um nan", ("overlap", "finite")),
-        ("--figure a.txt", ("a.txt", ".png")),
-        ("--figure no/folder/a.png", ("no such folder",)),
-        ("--config none.yaml", ("none.yaml", "No such file or directory")),
-    ],
-)
-def test_what_cannot_be_is_told_in_one_line(arguments: str, parts: tuple[str, ...]) -> None:
-    assert_one_line_error(hd_diag(*QUICK, *arguments.split()), *parts)
-
-
-@pytest.mark.parametrize(
     ("text", "parts"),
     [
         ("eccentricity: {distribution: gauss}", ("tolerance.eccentricity.distribution", "rayleigh")),

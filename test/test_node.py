@@ -2,19 +2,18 @@
 
 import itertools
 import json
-import math
 import re
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import yaml
+from faults import MESSAGES, STARTS, VALUES
 from live import MS, RATIO, START, config, message, parameters, sample
 from logs import content
 from mcap_ros2.reader import read_ros2_messages
@@ -39,6 +38,7 @@ pytestmark = pytest.mark.usefixtures("ros")
 
 QUICK = {"diagnostics_rate": 20.0}
 JOINTS = ("shoulder", "elbow")
+REFUSED = [*VALUES, ({"joints": ["elbow"]}, "read-only")]
 
 
 @pytest.fixture(scope="module")
@@ -198,20 +198,12 @@ def test_is_light(arm: Rig) -> None:
 # What it survives ---
 
 
-HOSTILE: list[tuple[Callable[[], Any], str]] = [
-    (lambda: message(next(stamps), {"elbow_motor": np.nan}), "input angle of elbow_motor is nan"),
-    (lambda: sample(next(stamps) - 100 * MS, 0.0, 0.0, 0.0, "elbow"), "stamp of elbow_motor is 0.09"),
-    (lambda: JointState(name=["elbow_motor", "elbow"], position=[1.0]), "has 1 values of position for 2"),
-]
-
-
-@pytest.mark.parametrize(("made", "reason"), HOSTILE, ids=[reason for _, reason in HOSTILE])
-def test_hostile_messages_are_counted_with_their_reason(
-    arm: Rig, publisher: Any, made: Callable[[], Any], reason: str
-) -> None:
+@pytest.mark.parametrize("what", MESSAGES)
+def test_bad_messages_are_counted_with_their_reason(arm: Rig, publisher: Any, what: str) -> None:
+    made, reason = MESSAGES[what]
     publisher.publish(sample(next(stamps), 0.0, 0.0, 0.0, "elbow"))
     before = int(arm.values("elbow")["samples_rejected"])
-    publisher.publish(made())
+    publisher.publish(made(next(stamps)))
     values = arm.values("elbow", lambda values: int(values["samples_rejected"]) > before)
     assert reason in values["last_rejection"]
 
@@ -259,28 +251,15 @@ def test_every_number_can_be_set(arm: Rig) -> None:
         assert arm.set(**{name.replace(".", "__"): value})[0].successful
 
 
-REFUSED = [
-    ({"elbow__eccentricity__magnitude": math.nan}, "elbow.eccentricity.magnitude: expected a number"),
-    ({"elbow__eccentricity__magnitude": 0.9e-3}, "strikes the circular spline"),
-    ({"elbow__ratio": 80.0}, "ratio 80 does not fit"),
-    ({"elbow__tooth_compliance": "soft"}, "elbow.tooth_compliance: expected a number"),
-    ({"elbow__flexspline_tooth__addendum_center": [1e-3]}, "expected two numbers"),
-    ({"elbow__output": "cup"}, "expected one of flexspline, circular_spline"),
-    ({"joints": ["elbow"]}, "read-only"),
-    ({"elbow__excentricity": 1e-6}, "unknown parameter 'elbow.excentricity'; the nearest known is 'elbow."),
-]
-
-
-@pytest.mark.parametrize(("given", "reason"), REFUSED, ids=[next(iter(g)) for g, _ in REFUSED])
+@pytest.mark.parametrize(("given", "reason"), REFUSED, ids=[reason for _, reason in REFUSED])
 def test_a_bad_value_is_refused_with_its_reason_and_changes_nothing(
     arm: Rig, given: dict[str, Any], reason: str
 ) -> None:
-    names = [name.replace("__", ".") for name in given]
-    before = arm.get(*names)
+    before = arm.get(*given)
     (answer,) = arm.set(**given)
     assert not answer.successful
     assert reason in answer.reason
-    assert arm.get(*names) == before
+    assert arm.get(*given) == before
 
 
 def test_requests_that_make_no_sense_are_survived(arm: Rig) -> None:
@@ -510,23 +489,7 @@ def test_signals_while_messages_wait(tmp_path: Path) -> None:
 # Start-up ---
 
 
-def file_of(**given: Any) -> str:
-    section = {name.replace("__", "."): value for name, value in given.items()}
-    return yaml.safe_dump({"hd_diag": {"ros__parameters": section}})
-
-
-GOOD = file_of(array_rate=5)
-FAULTY: list[tuple[str, list[str], tuple[str, ...]]] = [
-    (file_of(joint_1__eccentricty=1e-6), [], ("robot.yaml", "joint_1.eccentricty", "nearest known")),
-    (file_of(joint_1__ratio=99.0), [], ("robot.yaml", "joint_1", "ratio 99", "must be 100")),
-    ("hd_diag: [", [], ("robot.yaml", "not YAML")),
-    (GOOD, ["-p", "joint_1.ratio:=80.0"], ("ratio 80",)),
-    (GOOD, ["-p", "joint_1.model_file:=/dev/zero"], ("'/dev/zero'", "no regular file")),
-    (file_of(joint_1__model_file="/none\nhere"), [], ("'/none\\nhere'", "cannot be read")),
-    (GOOD, ["--", "extra"], ("unknown arguments: extra",)),
-    (GOOD, ["--bogus"], ("'--bogus'",)),
-]
-STARTS = """
+CALLS = """
 import json, sys
 from hd_diag.ros.node import main
 for arguments in json.loads(sys.argv[1]):
@@ -536,14 +499,14 @@ for arguments in json.loads(sys.argv[1]):
 
 def test_a_faulty_start_ends_with_one_line_and_code_2(tmp_path: Path) -> None:
     starts = []
-    for number, (text, arguments, _) in enumerate(FAULTY):
+    for number, (text, arguments, _) in enumerate(STARTS.values()):
         file = tmp_path / f"{number}robot.yaml"
         file.write_text(text)
         starts.append(["--params-file", str(file), *arguments])
-    command = [sys.executable, "-c", STARTS, json.dumps(starts)]
+    command = [sys.executable, "-c", CALLS, json.dumps(starts)]
     run = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT)
-    assert run.stdout.split() == ["2"] * len(FAULTY), run.stderr
-    for line, (_, _, words) in zip(run.stderr.strip().splitlines(), FAULTY, strict=True):
+    assert run.stdout.split() == ["2"] * len(STARTS), run.stderr
+    for line, (_, _, words) in zip(run.stderr.strip().splitlines(), STARTS.values(), strict=True):
         assert line.startswith("hd_diag: ")
         assert all(word in line for word in words), line
 

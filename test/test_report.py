@@ -428,33 +428,6 @@ def test_a_joint_that_the_bag_lacks_does_not_stop_the_others(
     assert verb == "diagnose" or letters(joint["verdict"]) in letters(Reader(out.read_text("utf-8")).text)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        ("report BAG --out BAG", "must end with .html"),
-        ("report BAG --json BAG", "would overwrite the input"),
-        ("diagnose BAG --report BAG", "must end with .html"),
-        ("diagnose BAG --model BAG", "would overwrite the input"),
-        ("report BAG --out a.html --json a.html", "must be different files"),
-        ("report BAG --columns time=t --out a.html", "needs input, output"),
-        ("report BAG --out none/page.html", "no such folder"),
-        ("diagnose BAG --report none/page.html", "no such folder"),
-        ("report none.mcap", "none.mcap"),
-        ("report BAG --config drive.yaml --out a.html", "elbow_motor"),
-    ],
-)
-def test_pages_that_cannot_be_written_or_read_from(
-    arguments: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    without_output(Path("joint.mcap"), "joint_1")
-    config_file(tmp_path, input_joint="elbow_motor", output_joint="elbow")
-    before = Path("joint.mcap").read_bytes()
-    assert_one_line_error(hd_diag(*arguments.replace("BAG", "joint.mcap").split()), said)
-    assert Path("joint.mcap").read_bytes() == before
-    assert not list(tmp_path.glob("*.html"))
-
-
 def test_settings_are_told_with_their_units() -> None:
     whole = configured(output_joint="link")
     told = dict(settings(whole.joints[0], whole.flat))

@@ -329,29 +329,6 @@ def test_the_command_takes_a_configuration_and_some_of_its_joints(tmp_path: Path
     assert position[-1, 0] == pytest.approx(-100.0 * position[-1, 1], abs=0.1)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        ("--set joint_1.tooth_complianc=1e-6", "nearest known is 'joint_1.tooth_compliance'"),
-        ("--set joint_1.ratio", "expected PARAMETER=VALUE"),
-        ("--set joint_1.ratio=[1", "--set joint_1.ratio: not a value"),
-        ("--set joint_1.ratio=99", "its magnitude must be 100"),
-        ("--joint joint_9 --config CONFIG", "no joint 'joint_9' in the configuration; it has shoulder"),
-        ("--rate nan", "sample_rate must be positive"),
-        ("--angle-noise-arcsec -1", "noise: white must not be negative"),
-        ("--start-time 1e12", "--start-time must be a Unix time within 32 bits"),
-        ("--json missing/truth.json", "missing/truth.json: cannot be written: no such folder"),
-    ],
-)
-def test_bad_input_is_one_line_and_code_2(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: str, text: str
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("CONFIG").write_text(dump(resolve(TWO)))
-    assert_one_line_error(invoke("--out", "out.mcap", "--duration", 0.1, *arguments.split()), text)
-    assert not Path("out.mcap").exists()
-
-
 def test_the_command_replaces_a_bag_only_when_told(tmp_path: Path) -> None:
     out = tmp_path / "out.mcap"
     out.write_text("precious")

@@ -20,6 +20,7 @@ PAGES = {
     "parameters": parameter_tables.content,
     "physics": nomenclature.content,
     "benchmarks": result_tables.content,
+    "faults": result_tables.content,
 }
 
 

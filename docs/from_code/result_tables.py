@@ -1,4 +1,4 @@
-"""Tables that the benchmarks write; where one is not there yet, the page says which command writes it."""
+"""Tables that benchmarks and tests write; where one is not there yet, the page names the command."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ from typing import Any
 COMMANDS = {
     "challenge": "make challenge ARGS='--final --markdown docs/tables/challenge.md'",
     "suite": "make bench ARGS='--markdown docs/tables/suite.md'",
+    "faults": "python test/faults.py",
+    "soak": "make soak",
 }
 
 
 def content(folder: Path) -> dict[str, Any]:
-    """What benchmarks.md is filled with."""
+    """What benchmarks.md and faults.md are filled with."""
     return {"tables": {name: _table(Path(folder), name) for name in COMMANDS}}
 
 

@@ -1,0 +1,152 @@
+"""What bench/soak.py has seen, and the table of it."""
+
+# ruff: noqa: D103
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+STEPS = ("publisher restarted", "clock set ahead", "publisher restarted", "clock set back", "disk full")
+ANSWER, GROWTH = 1.0, 0.02  # allowed: time of an answer [s], growth of the memory [1]
+AROUND = 2_000_000_000  # of a full disk: what was not on it yet, and until it is seen to be free [ns]
+
+
+@dataclass
+class Seen:
+    """What was seen of a run; times are the system's [ns]."""
+
+    counts: dict[str, int] = field(
+        default_factory=lambda: dict.fromkeys((*dict.fromkeys(STEPS), "parameter changed"), 0)
+    )
+    refused: list[str] = field(default_factory=list)
+    answers: list[float] = field(default_factory=list)
+    memory: list[tuple[float, float]] = field(default_factory=list)
+    full: list[list[int]] = field(default_factory=list)
+    failures: int = 0
+    returns: int = 0
+    logged: list[np.ndarray] = field(default_factory=list)
+    files: int = 0
+    unfinished: int = 0
+    values: list[dict[str, str]] = field(default_factory=list)
+    cpu: float = 0.0
+    waited: float = 0.0
+    code: int | None = None
+
+
+def missing(sent: np.ndarray, logged: np.ndarray, full: Sequence[Sequence[int]]) -> tuple[int, int]:
+    """How many messages are not logged though they should be, and how many because the disk was full.
+
+    Rows of `sent` are stamps and when they were sent. Of each time of a full disk [begin, end] one run of
+    messages may be missing, as far as they were sent about then.
+    """
+    absent = ~np.isin(sent[:, 0], logged)
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], absent, [False])).astype(int))).reshape(-1, 2)
+    excused = 0
+    for begin, end in full:
+        about = (sent[:, 1] >= begin - AROUND) & (sent[:, 1] <= end + AROUND)
+        excused += max((int(about[first:last].sum()) for first, last in edges), default=0)
+    return int(absent.sum()) - excused, excused
+
+
+def growth(memory: Sequence[tuple[float, float]], seconds: float) -> float:
+    """Median memory of the last tenth over that of the second, less one; nan where there is too little."""
+    early = [size for at, size in memory if 0.1 * seconds <= at < 0.2 * seconds]
+    late = [size for at, size in memory if at >= 0.9 * seconds]
+    return float(np.median(late) / np.median(early) - 1.0) if early and late else float("nan")
+
+
+Row = tuple[str, str, str, bool]
+"""What, what shall be, what was seen, whether it holds."""
+
+
+def result(seen: Seen, sent: np.ndarray, took: float) -> list[Row]:
+    logged = np.concatenate([np.empty(0, np.int64), *seen.logged])
+    lost, excused = missing(sent, logged, seen.full)
+    strange = int((~np.isin(logged, sent[:, 0])).sum())
+    twice = logged.size - np.unique(logged).size
+    grown, sizes = growth(seen.memory, took), [size for _, size in seen.memory]
+    used = [int(v["samples"]) + int(v["samples_rejected"]) for v in seen.values]
+    slowest = max(seen.answers, default=float("nan"))
+    full = seen.counts["disk full"]
+    return [
+        (
+            "messages that are neither in the log nor sent while the disk was full",
+            "0",
+            f"{lost:,}",
+            lost == 0,
+        ),
+        ("messages not in the log because the disk was full", "", f"{excused:,}", True),
+        ("messages logged twice, or never sent", "0", f"{twice:,}, {strange:,}", not twice and not strange),
+        (
+            "samples used or rejected, least of all joints",
+            f"{len(sent):,}",
+            f"{min(used, default=0):,}",
+            min(used, default=0) == len(sent),
+        ),
+        (
+            "times that the full disk was told, and the log went on",
+            f"{full}, {full}",
+            f"{seen.failures}, {seen.returns}",
+            (seen.failures, seen.returns) == (full, full),
+        ),
+        (
+            "files of the log without an end, of all",
+            f"at most {full}",
+            f"{seen.unfinished} of {seen.files}",
+            seen.unfinished <= full and seen.files > 0,
+        ),
+        (
+            "parameter changes refused",
+            "0",
+            f"{len(seen.refused)} of {seen.counts['parameter changed']}",
+            not seen.refused,
+        ),
+        ("slowest answer to a request", f"{ANSWER:g} s", f"{slowest:.2g} s", slowest <= ANSWER),
+        (
+            "memory, last tenth over second tenth",
+            f"within {100.0 * GROWTH:g} %",
+            f"{100.0 * grown:+.1f} %, {sizes[-1] if sizes else 0.0:.0f} MB",
+            grown <= GROWTH,
+        ),
+        ("CPU of the node, of one core", "", f"{100.0 * seen.cpu / took:.0f} %" if took else "", True),
+        (
+            "time that its first thread could run and had no core",
+            "",
+            f"{100.0 * seen.waited / took:.0f} %" if took else "",
+            True,
+        ),
+        ("exit code of the node", "0", str(seen.code), seen.code == 0),
+    ]
+
+
+def machine() -> str:
+    lines = Path("/proc/cpuinfo").read_text().splitlines()
+    model = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
+    return f"{model}, {len(os.sched_getaffinity(0))} cores, load {os.getloadavg()[1]:.1f}"
+
+
+def heading(seen: Seen, sent: int, took: float, options: argparse.Namespace, interrupted: bool) -> str:
+    done = [f"{name} {count} times" for name, count in seen.counts.items()]
+    end = f", interrupted (of {options.seconds:,.0f} s)" if interrupted else ""
+    return (
+        f"{took:,.0f} s{end}, {options.joints} joints at {options.rate:,.0f} Hz, {sent:,} messages; "
+        f"{', '.join(done)}. {machine()}."
+    )
+
+
+HEAD = ("what", "shall be", "seen", "")
+
+
+def cells(row: Row) -> tuple[str, str, str, str]:
+    return (*row[:3], "" if not row[1] else "holds" if row[3] else "DOES NOT HOLD")
+
+
+def markdown(title: str, rows: Sequence[Row]) -> str:
+    lines = [HEAD, ("---", "---:", "---:", "---"), *map(cells, rows)]
+    return title + "\n\n" + "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"

@@ -1,0 +1,410 @@
+"""Faults and what comes of each: one table, which the tests run and the documentation prints.
+
+    python test/faults.py
+
+writes docs/tables/faults.md. `test_faults.py` runs commands, files, messages and values through verbs,
+`test_node.py` messages and values through a running node; what needs a test of its own is named with it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import random
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from live import MS, START, message, sample
+
+from hd_diag.bag import BagWriter
+from hd_diag.messages.encoding import encode_joint_states
+
+PAGE = Path(__file__).resolve().parent.parent / "docs/tables/faults.md"
+JOINT_STATE = "sensor_msgs/msg/JointState"
+
+# Bad usage and input: code 2, one line that says this, no file made or changed ---
+
+QUICK = "tolerance --samples 12 --sensitivity-samples 2 --jobs 1"
+FLEET = "fleet a.mcap --jobs 1 --out f.parquet"
+SIMULATE = "simulate --out out.mcap --duration 0.1"
+COMMANDS: dict[str, dict[str, str]] = {
+    "Usage": {
+        "nonsense": "No such command 'nonsense'. 'hd-diag --help' lists them.",
+        "chek": "No such command 'chek'. Did you mean 'check'?",
+        "mesh --nonsense": "--nonsense",
+        "check": "Missing argument 'CONFIG'",
+        "mesh --torque x": "'x' is not a valid float",
+        f"{QUICK} --samples -1": "--samples",
+        "simulate --out joint.txt": "joint.txt: a bag is a file *.mcap, or a folder",
+        "report a.mcap --out x.pdf": "x.pdf: the name must end with .html or .htm",
+        "diagnose a.mcap --report a.mcap": "must end with .html",
+        f"{QUICK} --figure a.txt": "a.txt: the name must end with .png",
+        f"{FLEET} --figure f.xyz": "f.xyz: the name must end with .png or .svg or .pdf",
+        f"{FLEET} --out f.csv": "f.csv: the name must end with .parquet",
+        f"{FLEET} --scheduler tcp://127.0.0.1:9": "with --scheduler its workers set them",
+        "report a.mcap --columns time=t": "needs input, output",
+    },
+    "Values": {
+        "mesh --torque nan": "--torque must be a number of at most 1e+06",
+        "mesh --torque -1e7": "--torque must be a number of at most 1e+06",
+        "mesh --input-angle 1e300": "--input-angle must be a number of at most 1e+10",
+        "mesh --joint c": "no joint 'c' in the configuration; it has joint_1",
+        f"{FLEET} --joint elbow": "no joint 'elbow'",
+        f"{FLEET} --robot (": "--robot (: ",
+        f"{FLEET} --limit weight=1": "no quantity 'weight'",
+        f"{FLEET} --limit eccentricity=x": "'x' is not a number",
+        f"{FLEET} --limit eccentricity=nan": "must be positive and finite",
+        f"{QUICK} --joint elbow": "no joint 'elbow' in the configuration; it has joint_1",
+        f"{QUICK} --torque 0": "torque",
+        f"{QUICK} --torque nan": "finite",
+        f"{QUICK} --largest-um 500": "strikes the circular spline",
+        f"{QUICK} --largest-um 0": "must be positive",
+        f"{QUICK} --sensitivity-samples 100": "must be a power of two from 2 on, not 100",
+        f"{QUICK} --sensitivity-samples 1": "power of two",
+        f"{QUICK} --overlap-um nan": "the limit of overlap must be finite",
+        f"{SIMULATE} --set joint_1.tooth_complianc=1e-6": "nearest known is 'joint_1.tooth_compliance'",
+        f"{SIMULATE} --set joint_1.ratio": "expected PARAMETER=VALUE",
+        f"{SIMULATE} --set joint_1.ratio=[1": "--set joint_1.ratio: not a value",
+        f"{SIMULATE} --set joint_1.ratio=99": "its magnitude must be 100",
+        f"{SIMULATE} --joint joint_9 --config two.yaml": "no joint 'joint_9' in the configuration; it has a",
+        f"{SIMULATE} --rate nan": "sample_rate must be positive",
+        f"{SIMULATE} --angle-noise-arcsec -1": "noise: white must not be negative",
+        f"{SIMULATE} --start-time 1e12": "--start-time must be a Unix time within 32 bits",
+    },
+    "Files that are not there, or no place for a file": {
+        "check none.yaml": "none.yaml: cannot be read: No such file or directory",
+        "mesh --config none.yaml": "none.yaml: cannot be read: No such file or directory",
+        "node --config none.yaml": "none.yaml: cannot be read: No such file or directory",
+        f"{QUICK} --config none.yaml": "none.yaml: cannot be read: No such file or directory",
+        "report none.mcap": "none.mcap",
+        "fleet none.mcap --out f.parquet": "none.mcap: does not exist",
+        "fleet empty --out f.parquet": "no bag in empty",
+        "replay circle --out out.mcap": "circle",
+        "replay none.mcap --out out.mcap": "does not exist",
+        "recover none.mcap --out out.mcap": "does not exist",
+        "mesh --json no/folder.json": "folder.json: cannot be written: no such folder",
+        f"{QUICK} --figure no/folder/a.png": "no such folder",
+        f"{FLEET} --out none/f.parquet": "none/f.parquet: cannot be written: no such folder",
+        f"{SIMULATE} --json missing/truth.json": "missing/truth.json: cannot be written: no such folder",
+        "report a.mcap --out none/page.html": "no such folder",
+        "diagnose a.mcap --report none/page.html": "no such folder",
+        "replay a.mcap --out two.yaml/out.mcap": "no such folder",
+        "replay a.mcap --out circle/out.mcap": "circle",
+    },
+    "Outputs over inputs, over each other, over what is there": {
+        "simulate --out x --json x": "x and x must be different files",
+        "report a.mcap --out a.htm --json a.htm": "must be different files",
+        f"{FLEET} --json f.parquet": "must be different files",
+        f"{FLEET} --json f.parquet.journal.jsonl": "must be different files",
+        "simulate --out bag --overwrite --json bag/metadata.yaml": "must be different files",
+        "diagnose a.mcap --config two.yaml --model m_a.json --json m_a.json": "m_a.json and m_a.json must be",
+        "diagnose a.mcap --config m_a.json --model m.json": "m_a.json: output would overwrite the input",
+        "report a.mcap --config a.html": "a.html: output would overwrite the input",
+        "figures --out . --config figures.md": "figures.md: output would overwrite the input",
+        "fleet a.mcap --out g.parquet --config g.parquet.journal.jsonl": "would overwrite the input",
+        "fleet . --out f.parquet --json a.mcap": "a.mcap: output would overwrite the input",
+        "mesh --config with_model --json model.json": "model.json: output would overwrite the input",
+        "check with_model --json model.json": "model.json: output would overwrite the input",
+        "replay a.mcap --out a.mcap": "overwrite the input",
+        "replay a.mcap --out a.mcap/out.mcap": "a.mcap",
+        "replay bag --out bag/out.mcap": "overwrite the input",
+        "recover bag --out bag": "overwrite the input",
+        "recover a.mcap --out link.mcap": "overwrite the input",
+        "recover a.mcap --out hard.mcap": "same file as the input",
+        "recover a.mcap --out bag/bag_0.mcap": "exists already: --overwrite replaces it",
+        "replay a.mcap --config two.yaml --out bag": "exists already: --overwrite replaces it",
+    },
+}
+
+# Files of recordings: each verb ends with this code and says this ---
+
+VERBS = {
+    "topics": "topics FILE",
+    "diagnose": "diagnose FILE --orders-only",
+    "report": "report FILE --out page.html",
+    "ripple": "ripple FILE",
+    "replay": "replay FILE --config one.yaml --out out.mcap",
+    "recover": "recover FILE --out out.mcap",
+}
+COUNT = 150
+
+
+def recording(path: Path) -> bytes:
+    """A short recording whose joint moves under a torque that swings, in chunks of 4 kB."""
+    stamp, angle = START + 10 * MS * np.arange(COUNT), np.linspace(0.0, 40.0, COUNT)
+    noise = 1e-5 * np.random.default_rng(0).standard_normal(COUNT)
+    position = np.column_stack((angle, angle / 100.0 + noise))
+    effort = np.column_stack((0.0 * angle, 20.0 * np.sin(0.3 * angle)))
+    rows = encode_joint_states(("joint_1_motor", "joint_1"), stamp, position, None, effort)
+    with BagWriter(path, compression="none", chunk_size=4000) as writer:
+        for row, now in zip(rows, stamp.tolist(), strict=True):
+            writer.write("/joint_states", JOINT_STATE, row.tobytes(), now)
+    return path.read_bytes()
+
+
+def flipped(whole: bytes) -> bytes:
+    """One bit of a message in the middle is another."""
+    changed = bytearray(whole)
+    changed[whole.index(b"joint_1_motor", len(whole) // 2)] ^= 1
+    return bytes(changed)
+
+
+Told = tuple[int, str]
+CUT = "is cut off or damaged at byte"
+# Too short to be judged: `report` draws the motion alone.
+SHORT: dict[str, Told] = {"diagnose": (2, "too short: "), "ripple": (2, "too little motion")}
+UNFINISHED = dict.fromkeys(VERBS, (0, CUT)) | dict.fromkeys(SHORT, (2, CUT))
+FLIPPED = "its checksum is wrong"
+SAVED = dict.fromkeys(("topics", "recover"), (0, FLIPPED))
+FILES: dict[str, tuple[Callable[[bytes], bytes], dict[str, Told]]] = {
+    "whole, but short": (lambda whole: whole, dict.fromkeys(VERBS, (0, "")) | SHORT),
+    "cut off": (lambda whole: whole[: len(whole) * 4 // 5], UNFINISHED),
+    "without its end": (lambda whole: whole[:-400], UNFINISHED),
+    "one bit of a message flipped": (flipped, dict.fromkeys(VERBS, (2, FLIPPED)) | SAVED),
+    "zeros": (
+        lambda whole: whole[:8] + bytes(len(whole) - 8),
+        dict.fromkeys(VERBS, (2, f"{CUT} 8")) | {"topics": (0, f"{CUT} 8")},
+    ),
+    "empty": (lambda whole: b"", dict.fromkeys(VERBS, (2, "is empty"))),
+    "random bytes": (
+        lambda whole: random.Random(1).randbytes(5000),
+        dict.fromkeys(VERBS, (2, "is not an MCAP file")),
+    ),
+    "text": (lambda whole: b"time,input\n1,2\n", dict.fromkeys(VERBS, (2, "is not an MCAP file"))),
+}
+
+# Messages: the node and a replay reject the sample, count it and go on ---
+
+times = itertools.count(START, MS)
+
+
+def shape(names: list[str], position: list[float]) -> bytes:
+    """A message with more names than positions, as no encoder here would make one."""
+    from rclpy.serialization import serialize_message
+    from sensor_msgs.msg import JointState
+
+    return bytes(serialize_message(JointState(name=names, position=position)))
+
+
+MESSAGES: dict[str, tuple[Callable[[int], bytes], str]] = {
+    "an angle that is no number": (
+        lambda now: message(now, {"elbow_motor": np.nan}),
+        "input angle of elbow_motor is nan",
+    ),
+    "a stamp a little before the last": (
+        lambda now: sample(now - 100 * MS, 0.0, 0.0, 0.0, "elbow"),
+        "stamp of elbow_motor is 0.09",
+    ),
+    "a stamp that repeats the last": (
+        lambda now: sample(now - MS, 0.0, 0.0, 0.0, "elbow"),
+        "stamp of elbow_motor repeats the last",
+    ),
+    "fewer values than names": (
+        lambda now: shape(["elbow_motor", "elbow"], [1.0]),
+        "has 1 values of position for 2",
+    ),
+    "cut off": (lambda now: sample(now, 0.0, 0.0, 0.0, "elbow")[:-20], ""),
+    "bytes that are no message": (lambda now: b"\0\1\0\0no message", ""),
+}
+
+# Values: a running node refuses the change with this reason, `check` a file with code 2 ---
+
+VALUES: list[tuple[dict[str, Any], str]] = [
+    ({"elbow.eccentricity.magnitude": float("nan")}, "elbow.eccentricity.magnitude: expected a number"),
+    ({"elbow.eccentricity.magnitude": 0.9e-3}, "strikes the circular spline"),
+    ({"elbow.ratio": 80.0}, "ratio 80 does not fit"),
+    ({"elbow.tooth_compliance": "soft"}, "elbow.tooth_compliance: expected a number"),
+    ({"elbow.flexspline_tooth.addendum_center": [1e-3]}, "expected two numbers"),
+    ({"elbow.output": "cup"}, "expected one of flexspline, circular_spline"),
+    ({"elbow.excentricity": 1e-6}, "unknown parameter 'elbow.excentricity'; the nearest known is 'elbow."),
+]
+
+
+def parameter_file(**given: Any) -> str:
+    """Text of a parameter file; in names ``__`` stands for a dot."""
+    section = {name.replace("__", "."): value for name, value in given.items()}
+    return str(yaml.safe_dump({"hd_diag": {"ros__parameters": section}}))
+
+
+STARTS: dict[str, tuple[str, list[str], tuple[str, ...]]] = {
+    "an unknown parameter": (
+        parameter_file(joint_1__eccentricty=1e-6),
+        [],
+        ("robot.yaml", "joint_1.eccentricty", "nearest known"),
+    ),
+    "a ratio that the teeth do not have": (
+        parameter_file(joint_1__ratio=99.0),
+        [],
+        ("robot.yaml", "joint_1", "ratio 99", "must be 100"),
+    ),
+    "a file that is not YAML": ("hd_diag: [", [], ("robot.yaml", "not YAML")),
+    "a bad value as an argument": (parameter_file(), ["-p", "joint_1.ratio:=80.0"], ("ratio 80",)),
+    "a model file that is a device": (
+        parameter_file(),
+        ["-p", "joint_1.model_file:=/dev/zero"],
+        ("'/dev/zero'", "no regular file"),
+    ),
+    "a model file that is not there, with a line break in its name": (
+        parameter_file(joint_1__model_file="/none\nhere"),
+        [],
+        ("'/none\\nhere'", "cannot be read"),
+    ),
+    "an argument too many": (parameter_file(), ["--", "extra"], ("unknown arguments: extra",)),
+    "an unknown option": (parameter_file(), ["--bogus"], ("'--bogus'",)),
+}
+
+# What happens to machine, network and processes: what comes of it, and the test that shows it ---
+
+EVENTS: list[tuple[str, str, str, str]] = [
+    (
+        "disk full",
+        "any verb",
+        "code 2, one line; what was there before stays",
+        "test_cli.py::test_a_target_is_replaced_only_when_it_is_whole",
+    ),
+    (
+        "disk full",
+        "fleet",
+        "code 2, one line; with room again the same command goes on",
+        "test_cli_fleet.py::test_a_full_disk_under_the_journal_ends_a_run_that_then_goes_on",
+    ),
+    (
+        "disk full",
+        "node",
+        "LOG_FAILED; samples go on; with room again the log, in a new file",
+        "test_node_log.py::test_it_goes_on_in_a_new_file_when_writing_works_again",
+    ),
+    (
+        "a bit of the journal flipped",
+        "fleet",
+        "told; that result is judged again",
+        "test_fleet_journal.py::test_a_result_that_has_changed_is_none",
+    ),
+    (
+        "a worker killed by its bag",
+        "fleet",
+        "an error in that row; the others go on",
+        "test_cli_fleet.py::test_a_bag_that_ends_its_worker_is_reported_and_tried_again_by_the_next_run",
+    ),
+    (
+        "a FIFO, a socket or a device for a bag",
+        "fleet",
+        "an error in that row; not opened",
+        "test_cli_fleet.py::test_what_is_no_file_is_reported_and_not_opened",
+    ),
+    (
+        "an address that is no scheduler's",
+        "fleet",
+        "code 2, one line",
+        "test_fleet_cluster.py::test_no_scheduler",
+    ),
+    (
+        "Ctrl-C",
+        "replay, recover",
+        "code 130; the bag is whole as far as it goes",
+        "test_cli_bags.py::test_ctrl_c_leaves_a_whole_bag_and_says_what_there_is",
+    ),
+    (
+        "Ctrl-C",
+        "fleet",
+        "code 130; the same command goes on",
+        "test_cli_fleet.py::test_an_interrupted_run_goes_on",
+    ),
+    (
+        "SIGINT, SIGTERM",
+        "node",
+        "code 0; what was taken is answered and logged",
+        "test_node.py::test_signals_while_messages_wait",
+    ),
+    (
+        "a publisher that dies",
+        "node",
+        "STALE until another comes",
+        "test_node.py::test_a_publisher_that_dies_and_comes_back",
+    ),
+    (
+        "a publisher of best effort",
+        "node",
+        "heard likewise",
+        "test_node.py::test_a_best_effort_publisher_that_appears_later",
+    ),
+    ("a clock set back", "node", "state begins anew", "test_node.py::test_simulated_time_that_jumps_back"),
+    (
+        "requests that make no sense",
+        "node",
+        "answered or dropped; samples go on",
+        "test_node.py::test_requests_that_make_no_sense_are_survived",
+    ),
+    (
+        "metadata that miscounts",
+        "verbs on bags",
+        "told",
+        "test_incomplete.py::test_counts_of_the_metadata_are_compared",
+    ),
+    (
+        "a database that hides rows",
+        "verbs on bags",
+        "told",
+        "test_incomplete.py::test_a_database_that_hides_rows_is_damaged",
+    ),
+    (
+        "another process that sets where the log is written",
+        "node",
+        "refused",
+        "test_node_log.py::test_no_other_process_chooses_where_it_writes",
+    ),
+]
+
+
+def page() -> str:
+    """The table as Markdown."""
+    parts = ["## Command line", "Code 2, one line on stderr that holds this; no file is made or changed."]
+    for title, commands in COMMANDS.items():
+        rows = [(code(f"hd-diag {shortened(words)}"), code(said)) for words, said in commands.items()]
+        parts.append(table((title, "the line says"), rows))
+    parts += ["## Recordings", "MCAP files; the exit code, and what text or stderr say."]
+    rows = [
+        (fault, *(f"{told[0]}{': ' * bool(told[1])}{told[1]}" for told in verbs.values()))
+        for fault, (_, verbs) in FILES.items()
+    ]
+    parts.append(table(("file", *VERBS), rows))
+    parts.append("## Messages")
+    parts.append(
+        "Node and `replay` reject the sample, count it in `samples_rejected`, give the reason in "
+        "`last_rejection`, and go on."
+    )
+    parts.append(table(("message", "reason"), [(what, code(said)) for what, (_, said) in MESSAGES.items()]))
+    parts.append("## Values")
+    parts.append(
+        "A running node refuses the change with this reason and stays as it is; of a file with such a value "
+        "`check` says the same with code 2."
+    )
+    rows = [(code(f"{name}: {value}"), code(said)) for given, said in VALUES for name, value in given.items()]
+    parts.append(table(("parameter", "reason"), rows))
+    parts += ["## Start of the node", "Code 2 and one line that holds these words."]
+    rows = [(what, ", ".join(map(code, said))) for what, (_, _, said) in STARTS.items()]
+    parts.append(table(("fault", "words"), rows))
+    parts += ["## Machine, network, processes", "Each with its test."]
+    rows = [(what, where, outcome, code(proof.partition("::")[2])) for what, where, outcome, proof in EVENTS]
+    parts.append(table(("fault", "at", "outcome", "test"), rows))
+    return "\n\n".join(parts) + "\n"
+
+
+def shortened(words: str) -> str:
+    """A command without the options that only make it quick."""
+    return words.replace(QUICK, "tolerance").replace(" --jobs 1", "").replace(" --duration 0.1", "")
+
+
+def code(text: str) -> str:
+    return f"`{text.strip()}`" if text.strip() else ""
+
+
+def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    lines = [head, ("---",) * len(head), *rows]
+    return "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in lines)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")

@@ -1,0 +1,100 @@
+"""The table of faults (`faults.py`), run through the command line; the node's part is in test_node.py."""
+
+import ast
+import os
+import shutil
+from pathlib import Path
+
+import faults
+import pytest
+from cli_runner import assert_one_line_error, hd_diag
+from faults import COMMANDS, EVENTS, FILES, MESSAGES, PAGE, VALUES, VERBS
+from live import MS, START, sample
+from models import write_model
+
+from hd_diag.bag import BagWriter
+from hd_diag.config.configuration import dump, resolve
+
+ALL = {words: said for part in COMMANDS.values() for words, said in part.items()}
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with what the table's commands name."""
+    folder = tmp_path_factory.mktemp("faults")
+    whole = faults.recording(folder / "a.mcap")
+    two = dump(resolve({"joints": ["a", "b"]}))
+    for name in ("two.yaml", "m_a.json", "a.html", "figures.md", "g.parquet.journal.jsonl"):
+        (folder / name).write_text(two)
+    (folder / "one.yaml").write_text(dump(resolve({"array_rate": 0.0})))
+    write_model(folder / "model.json")
+    (folder / "with_model").write_text(dump(resolve({"joint_1.model_file": str(folder / "model.json")})))
+    for name in ("empty", "bag"):
+        (folder / name).mkdir()
+    (folder / "bag" / "bag_0.mcap").write_bytes(whole)
+    (folder / "bag" / "metadata.yaml").touch()
+    (folder / "link.mcap").symlink_to("a.mcap")
+    (folder / "circle").symlink_to("circle")
+    os.link(folder / "a.mcap", folder / "hard.mcap")
+    return folder
+
+
+@pytest.mark.parametrize("words", ALL)
+def test_bad_usage_and_input_is_one_line_and_changes_nothing(
+    words: str, place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(place)
+    before = {path: path.is_file() and path.read_bytes() for path in place.rglob("*")}
+    assert_one_line_error(hd_diag(*words.split()), ALL[words])
+    assert {path: path.is_file() and path.read_bytes() for path in place.rglob("*")} == before
+
+
+@pytest.mark.parametrize(("fault", "verb"), [(fault, verb) for fault in FILES for verb in VERBS])
+def test_what_is_wrong_with_a_recording_is_told(
+    fault: str, verb: str, place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, told = FILES[fault]
+    code, said = told[verb]
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(place / "one.yaml", tmp_path)
+    Path("FILE.mcap").write_bytes(made((place / "a.mcap").read_bytes()))
+    result = hd_diag(*VERBS[verb].replace("FILE", "FILE.mcap").split())
+    assert (result.exit_code, said in result.stdout + result.stderr) == (code, True), result.output
+    if code:
+        assert_one_line_error(result, said)
+    elif not said:
+        assert "damaged" not in result.stdout + result.stderr
+
+
+@pytest.mark.parametrize("what", MESSAGES)
+def test_a_bad_message_is_rejected_by_a_replay(what: str, tmp_path: Path) -> None:
+    """The node: test_node.py."""
+    made, said = MESSAGES[what]
+    (tmp_path / "c.yaml").write_text(dump(resolve({"joints": ["elbow"], "array_rate": 0.0})))
+    rows = [sample(START + i * MS, 0.0, 0.0, 0.0, "elbow") for i in range(3)]
+    rows += [made(START + 3 * MS), sample(START + 4 * MS, 0.0, 0.0, 0.0, "elbow")]
+    with BagWriter(tmp_path / "a.mcap") as writer:
+        for i, row in enumerate(rows):
+            writer.write("/joint_states", faults.JOINT_STATE, row, START + i * MS)
+    result = hd_diag(
+        "replay", tmp_path / "a.mcap", "--config", tmp_path / "c.yaml", "--out", tmp_path / "b.mcap"
+    )
+    assert result.exit_code == 0
+    assert "elbow: 1 rejected, the last because: " in result.stdout
+    assert said in result.stdout
+
+
+@pytest.mark.parametrize(("given", "reason"), VALUES, ids=[reason for _, reason in VALUES])
+def test_a_bad_value_is_refused_by_check(given: dict[str, object], reason: str, tmp_path: Path) -> None:
+    """A running node: test_node.py."""
+    path = tmp_path / "c.yaml"
+    path.write_text(faults.parameter_file(joints=["elbow"], **given))
+    assert_one_line_error(hd_diag("check", path), reason)
+
+
+def test_the_page_is_this_table_and_the_tests_that_it_names_exist() -> None:
+    assert PAGE.read_text(encoding="utf-8") == faults.page(), "python test/faults.py writes it anew"
+    for *_, proof in EVENTS:
+        file, _, name = proof.partition("::")
+        tree = ast.parse((Path(__file__).parent / file).read_text(encoding="utf-8"))
+        assert name in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}, proof

@@ -1,0 +1,44 @@
+"""How `make soak` counts: what is lost, what a full disk excuses, what memory does."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.append(str(Path(__file__).resolve().parent.parent / "bench"))
+
+import soak_result as soak
+
+SECOND = 10**9
+SENT = np.column_stack((7 + 10**6 * np.arange(60_000), 10**6 * np.arange(60_000)))  # a minute of 1 kHz
+
+
+@pytest.mark.parametrize(
+    ("gone", "full", "found"),
+    [
+        ([], [], (0, 0)),
+        ([(100, 101)], [], (1, 0)),
+        ([(20_000, 31_000)], [(20, 30)], (0, 11_000)),
+        ([(20_000, 31_000), (25_000, 25_001), (40_000, 40_002)], [(20, 30)], (2, 11_000)),
+        ([(15_000, 31_000)], [(20, 30)], (3000, 13_000)),
+        ([(20_000, 24_000), (25_000, 26_000)], [(20, 30)], (1000, 4000)),
+        ([(20_000, 24_000), (50_000, 52_000)], [(20, 24), (50, 52)], (0, 6000)),
+    ],
+)
+def test_a_full_disk_excuses_one_run_of_messages_about_its_time(
+    gone: list[tuple[int, int]], full: list[tuple[int, int]], found: tuple[int, int]
+) -> None:
+    there = np.ones(len(SENT), bool)
+    for first, end in gone:
+        there[first:end] = False
+    windows = [(begin * SECOND, end * SECOND) for begin, end in full]
+    assert soak.missing(SENT, SENT[there, 0], windows) == found
+
+
+def test_memory_is_compared_between_the_second_tenth_and_the_last() -> None:
+    flat = [(float(at), 100.0 + 50.0 * (at < 10)) for at in range(100)]
+    assert soak.growth(flat, 100.0) == 0.0
+    grown = [(at, size + 5.0 * (at > 80)) for at, size in flat]
+    assert soak.growth(grown, 100.0) == pytest.approx(0.05)
+    assert np.isnan(soak.growth(flat[:5], 100.0))
