@@ -28,6 +28,7 @@ from report_samples import (
 
 from hd_diag.config.configuration import dump, resolve
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
+from hd_diag.diagnosis.judgement import Answer
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.search.causes import Search, causes
 from hd_diag.diagnosis.search.unexplained import Unexplained
@@ -151,7 +152,7 @@ def test_cards_are_sorted_by_size_and_leave_out_what_may_be_nothing() -> None:
     for sigmas in (2.1, 1.9):
         wider = dataclasses.replace(cause, covariance=cause.covariance * (value / sigmas / spread) ** 2)
         doubted = dataclasses.replace(found, found=dataclasses.replace(found.found, causes=(wider,)))
-        shown.append([card for card in cards(doubted) if card.title == title])
+        shown.append([card for card in cards(Answer(doubted)) if card.title == title])
     (card,), none = shown
     assert words(entry.name) in dict(card.measures)
     assert none == []

@@ -20,6 +20,7 @@ from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.config.parameters import JOINT_PARAMETERS, Value
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
+from hd_diag.diagnosis.judgement import Answer
 from hd_diag.diagnosis.record import RecordError
 from hd_diag.diagnosis.ripple.ripple import Ripple, ripple
 from hd_diag.diagnosis.ripple.verdict import sentence as ripple_sentence
@@ -190,7 +191,7 @@ def judged(found: Diagnosis, joint: str) -> Row:
         "error_std_rad": normal.get("std"),
         "eccentricity_allowed_m": tolerance.get("allowed"),
         "eccentricity_criterion": tolerance.get("criterion"),
-        "inspect": [f"{card.title}: {card.inspect or card.cause}" for card in cards(found)],
+        "inspect": [f"{card.title}: {card.inspect or card.cause}" for card in cards(Answer(found))],
         "duration_s": record["duration"],
         **{name: record[name] for name in ("samples", "runs", "input_turns")},
         **_refused(record),

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.judgement import Answer
 from hd_diag.diagnosis.search.causes import Cause
 from hd_diag.drive import Drive
@@ -48,8 +47,9 @@ class Card:
         return f"{arcsec(self.size)} rms of the error" if math.isfinite(self.size) else ""
 
 
-def cards(diagnosis: Diagnosis) -> list[Card]:
+def cards(answer: Answer) -> list[Card]:
     """Findings, then causes and parameters by their size, as far as they are two standard deviations off."""
+    diagnosis = answer.diagnosis
     effects = _OWN | {effect.name: effect for effect in diagnosis.catalogue}
     advice = {name: effect.inspect for name, effect in effects.items()}
     first = [
@@ -58,7 +58,7 @@ def cards(diagnosis: Diagnosis) -> list[Card]:
     ]
     found = [card for cause in diagnosis.causes if (card := _of_cause(cause, effects))]
     if diagnosis.refitted is not None:
-        found += _of_parameters(diagnosis)
+        found += _of_parameters(answer)
     return first + sorted(found, key=lambda card: -card.size)
 
 
@@ -99,11 +99,12 @@ def quantity(entry: Quantity, value: float, spread: float) -> str:
     return si(value, spread, entry.unit)
 
 
-def _of_parameters(diagnosis: Diagnosis) -> list[Card]:
+def _of_parameters(answer: Answer) -> list[Card]:
     """Cards of the parameters that are not as configured; both compliances are one."""
+    diagnosis = answer.diagnosis
     assert diagnosis.refitted is not None
     found: dict[str, Card] = {}
-    for change in Answer(diagnosis).changes:
+    for change in answer.changes:
         text, setting = _TEXTS[change.name]
         title, cause, measures, inspect = text(diagnosis.parameters, diagnosis.refitted.drive)
         found.setdefault(title, Card(title, change.explains, cause, measures, inspect, setting=setting))

@@ -214,7 +214,7 @@ def _judgement(
         found_gauges,
         answer.judgement,
         tuple(cause.alike for cause in diagnosis.causes if len(cause.alike) > 1),
-        tuple(cards(diagnosis)),
+        tuple(cards(answer)),
         stages.over_angle(found),
         stages.over_torque(found),
         stages.over_time(found),
