@@ -18,13 +18,13 @@ from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.logging_severity import LoggingSeverity
-from rclpy.logging import set_logger_level
+from rclpy.logging import get_logger, set_logger_level
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, try_shutdown
 
 from hd_diag.bag import RELIABLE
-from hd_diag.config.configuration import Config
+from hd_diag.config.configuration import Config, resolve
 from hd_diag.config.json_shape import reader
 from hd_diag.formatting import visible
 from hd_diag.messages import encoding
@@ -34,6 +34,7 @@ from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor.all_joints import warm_up
 from hd_diag.replay.map_builder import MapBuilder
 from hd_diag.replay.recorded_monitor import Reader, Session
+from hd_diag.ros import footprint
 from hd_diag.ros.arguments import check_arguments, parameter_files, reason
 from hd_diag.ros.log_writer import LogWriter
 from hd_diag.ros.message_types import definition_of
@@ -87,8 +88,8 @@ class DiagnosticNode(Node):
         for joint in config.joints:
             self._builder.request(joint)
         self._next_report = self._next_look = time.monotonic()
-        self.get_logger().info("preparing the model (the first time on a machine takes half a minute)")
         _warm_up(config)
+        footprint.give_back()
         self._inputs = [
             SignalInput(self, source, partial(self._on_signals, source, source.reader()))
             for source in self._sources
@@ -198,6 +199,8 @@ class DiagnosticNode(Node):
                     f"{joint}: map in force up to {table.torque_limit:.0f} N m, "
                     f"error at most {table.error_bound / ARCSEC:.3f} arcsec"
                 )
+            if self._builder.finished.empty():
+                footprint.give_back()
 
     def _show_log_state(self) -> None:
         state = self._log.state
@@ -248,6 +251,8 @@ def _run(arguments: list[str], stopped: Sequence[int]) -> int:
     set_logger_level("rcl", LoggingSeverity.FATAL)  # what it says of a faulty file is said below, better
     try:
         sections = check_arguments(arguments)
+        get_logger("hd_diag").info("preparing the model (the first time on a machine takes half a minute)")
+        footprint.compile_apart(lambda: _warm_up(resolve({})), stopped)
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         set_logger_level("rcl", LoggingSeverity.UNSET)
         node = DiagnosticNode([file.parent for file in parameter_files(arguments)])

@@ -43,6 +43,13 @@ def entry_point(function: Kernel) -> Kernel:
         return part(function)
 
 
+def is_kept(function: Any) -> bool:
+    """Whether an entry point's machine code is on the disk, or cannot be."""
+    folder, python = function.stats.cache_path, f"py{sys.version_info.major}{sys.version_info.minor}"
+    name = f"*.{function.py_func.__qualname__}-*.{python}*.nbi"
+    return folder is None or any(Path(folder).glob(name))
+
+
 def part(function: Kernel) -> Kernel:
     """Compile as part of entry points, in whose machine code it is kept."""
     return cast(Kernel, numba.njit(nogil=True, error_model="numpy")(function))

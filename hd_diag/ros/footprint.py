@@ -1,0 +1,47 @@
+"""Memory that the start of a node needs and its run does not."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+import signal
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+_DONT_NEED = 4  # MADV_DONTNEED
+_PATIENCE = 0.05  # between looks at the process that compiles [s]
+
+
+def compile_apart(prepare: Callable[[], None], stopped: Sequence[int]) -> None:
+    """Have machine code that is not on the disk yet made by a process of its own.
+
+    Compiling takes 400 MB, which numba and LLVM keep. The process ends when a signal has come.
+    """
+    from hd_diag.messages.kernel import read  # it imports numba; compiled last
+    from hd_diag.model.kernel.compiler import is_kept
+
+    if not is_kept(read):
+        child = os.fork()
+        if not child:
+            try:
+                prepare()
+            finally:
+                os._exit(0)
+        while not os.waitpid(child, os.WNOHANG)[0]:
+            if stopped:
+                os.kill(child, signal.SIGKILL)
+            time.sleep(_PATIENCE)
+
+
+def give_back() -> None:
+    """Give back free memory, and the pages of LLVM's code, which are read again should they be needed."""
+    gc.collect()
+    libc = ctypes.CDLL(None)
+    libc.malloc_trim(0)
+    for line in Path("/proc/self/maps").read_text().splitlines():
+        place, rights, *rest = line.split()
+        if rights == "r-xp" and rest[-1].endswith("libllvmlite.so"):
+            begin, end = (int(address, 16) for address in place.split("-"))
+            libc.madvise(ctypes.c_void_p(begin), ctypes.c_size_t(end - begin), _DONT_NEED)
