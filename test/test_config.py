@@ -149,7 +149,7 @@ NOT_WHOLE = [200.5, math.nan, "200", True, [200]]
         *(("joint_1.rated_torque", value, "expected a number [N m], not ") for value in NOT_A_NUMBER),
         *(("joint_1.flexspline_teeth", value, "expected a whole number [-], not ") for value in NOT_WHOLE),
         ("joint_1.rated_torque", -1.0, "expected a number [N m] from 0.001 to 100000, not -1.0"),
-        ("joint_1.flexspline_teeth", 10, "expected a whole number [-] from 20 to 2000, not 10"),
+        ("joint_1.flexspline_teeth", 10, "expected a whole number [-] from 20 to 640, not 10"),
         ("joint_1.output", "cup", "expected one of flexspline, circular_spline, not 'cup'"),
         ("joint_1.input_joint", 3, "expected a text, not 3"),
         ("log.overwrite", 1, "expected true or false, not 1"),
@@ -386,3 +386,23 @@ def test_what_the_model_says_of_a_drive_is_computed_once(
     assert (str(kept(compute, drive, 1.0)), len(asked)) == (str(found[0]), 3)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "hd_diag" / file.name))
     assert (str(kept(compute, drive, 1.0)), len(asked)) == (str(found[0]), 4)
+
+
+ARM = [f"j{number}" for number in range(7)]
+
+
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [
+        ({"joints": ARM, "array_rate": 1000.0}, r"array_rate: 1000 Hz is more .* it can be up to 286 Hz"),
+        ({"joints": ARM, "mesh_rate": 60.0, "j0.gear.ratio": 500.0}, "j0.flexspline_teeth: 1000 are more"),
+    ],
+)
+def test_what_a_node_cannot_keep_up_with_is_refused(given: dict[str, Any], reason: str) -> None:
+    page = {"size": 25, "rated_torque": 56.0, "k1": 2.5e4, "k2": 3.4e4, "k3": 4.4e4}
+    if "j0.gear.ratio" in given:
+        given = given | {f"j0.gear.{name}": value for name, value in page.items()}
+    with pytest.raises(ConfigError, match=reason):
+        resolve(given)
+    rates = {"array_rate": 280.0, "mesh_rate": 60.0}
+    assert resolve({"joints": ARM, **rates}).array_rate == 280.0

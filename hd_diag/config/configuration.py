@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from hd_diag.config import parameter_file
 from hd_diag.config.configured_drive import drive_from, number
 from hd_diag.config.configured_signals import signals_from, spelled_out
@@ -33,6 +35,11 @@ if TYPE_CHECKING:
     from hd_diag.extended_model import ExtendedModel
 
 __all__ = ["Config", "ConfigError", "JointConfig", "LogConfig", "ModelText", "dump", "load", "resolve"]
+
+_MOST_TEETH = 640  # ratio 320; the map of a drive takes 240 MB then
+# What a joint's arrays and its drawing take of a core, and each tooth of them [s]; how much both may take.
+_ARRAYS_TIME, _DRAWING_TIME = (1.5e-4, 5e-7), (6e-4, 2.2e-6)
+_MOST_TIME = 0.5
 
 ModelText = Callable[[str, str], str]
 """Gives the text of a joint's model file from the joint's name and the path; raises ConfigError."""
@@ -91,6 +98,7 @@ def resolve(
     flat, kept, joints = _completed(given)
     configured = tuple(_joint(name, flat, model_text, catalogue) for name in joints)
     _check_names(configured)
+    _check_rates(configured, number(flat, "array_rate"), number(flat, "mesh_rate"))
     log = LogConfig(**{p.name[4:]: flat[p.name] for p in NODE_PARAMETERS if p.name.startswith("log.")})  # type: ignore[arg-type]
     return Config(
         configured,
@@ -212,6 +220,24 @@ def _model(
         raise ContentError(f"{place}: {error}", discreet) from error
     except ConfigError as error:
         raise ConfigError(f"{place}: {error}") from error
+
+
+def _check_rates(joints: tuple[JointConfig, ...], array_rate: float, mesh_rate: float) -> None:
+    """Raise ConfigError where arrays and drawings would take a core most of its time."""
+    teeth = np.array([joint.drive.mesh.geometry.flexspline_teeth for joint in joints])
+    if teeth.max() > _MOST_TEETH:
+        name = joints[int(teeth.argmax())].name
+        raise ConfigError(f"{name}.flexspline_teeth: {teeth.max()} are more than {_MOST_TEETH}")
+    for name, rate, (fixed, each) in (
+        ("array_rate", array_rate, _ARRAYS_TIME),
+        ("mesh_rate", mesh_rate, _DRAWING_TIME),
+    ):
+        highest = _MOST_TIME / float(np.sum(fixed + each * teeth))
+        if rate > highest:
+            raise ConfigError(
+                f"{name}: {rate:g} Hz is more than the node can keep up with; "
+                f"with these joints and teeth it can be up to {highest:.3g} Hz"
+            )
 
 
 def _check_names(joints: tuple[JointConfig, ...]) -> None:

@@ -42,6 +42,8 @@ class Monitor:
     ----------
     streams : Alignment
     joints : dict of str to Joint
+    share : float
+        Of the per-tooth arrays and drawings, that is published.
     """
 
     def __init__(self, config: MonitorConfig) -> None:
@@ -50,6 +52,7 @@ class Monitor:
         self.joints = {
             joint.name: Joint(joint, self.streams, number) for number, joint in enumerate(config.joints)
         }
+        self.share = 1.0
         self.periods = np.full((2, len(self.joints)), _NEVER)
         self._names = tuple(self.joints)
         self._reported = self.streams.joints[None].copy()
@@ -62,6 +65,16 @@ class Monitor:
         for joint in config.joints:
             self.joints[joint.name].configure(joint)
         self.config = config
+        self._set_in_force()
+
+    @property
+    def has_arrays(self) -> bool:
+        """Whether per-tooth arrays or drawings are published."""
+        return bool(self._rates)
+
+    def pace(self, share: float) -> None:
+        """Publish a share of the per-tooth arrays and drawings from the next message on."""
+        self.share = share
         self._set_in_force()
 
     def use_map(self, joint: str, table: TorsionMap) -> bool:
@@ -218,7 +231,7 @@ class Monitor:
             (period, period * np.arange(last.size) // last.size, last, published)
             for rate, last, published in zip(rates, self.periods, kinds, strict=True)
             if rate > 0.0
-            for period in [round(1e9 / rate)]
+            for period in [round(1e9 / (rate * self.share))]
         ]
 
     def _by_models(self, samples: Aligned) -> list[Floats]:

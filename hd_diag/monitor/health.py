@@ -125,6 +125,9 @@ def _status(
         "clock_jumps": str(window.clock_jumps),
         "messages_without_joint": str(around.foreign),
         "silence_s": _number(around.silence),
+        "lag_s": around.facts.get("lag_s", "nan"),
+        "messages_lost": around.facts.get("messages_lost", "0"),
+        "array_share": around.facts.get("array_share", "1"),
         "latency_p99_us": around.facts.get("latency_p99_us", "nan"),
         "log_state": around.facts.get("log_state", "off"),
         "log_lost": around.facts.get("log_lost", "0"),
@@ -152,6 +155,8 @@ def _faults(joint: Joint, window: Window, around: Around, residual: float, mesh:
         ]
     judged.append(("RESIDUAL", "residual_rms", residual, _rms_told(residual)))
     found = [(code, limits[name].level(value), text) for code, name, value, text in judged]
+    if warning := around.facts.get("warning"):
+        found.append(("INPUT_INVALID", 1, warning))
     return [("LOG_FAILED", 1, f"log {log}"), *found] if log.startswith("failed") else found
 
 

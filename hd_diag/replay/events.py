@@ -63,7 +63,14 @@ class CarriedOn:
     monitor: Mapping[str, Any]
 
 
-Event = Configured | MapUsed | Reported | ClockSetBack | CarriedOn
+@dataclass(frozen=True)
+class Paced:
+    """From here on a share of the per-tooth arrays and drawings is published: the node cannot keep up."""
+
+    share: float
+
+
+Event = Configured | MapUsed | Reported | ClockSetBack | CarriedOn | Paced
 
 _KINDS: dict[str, type[Event]] = {
     "configuration": Configured,
@@ -71,6 +78,7 @@ _KINDS: dict[str, type[Event]] = {
     "report": Reported,
     "clock": ClockSetBack,
     "state": CarriedOn,
+    "pace": Paced,
 }
 _NAMES = {kind: name for name, kind in _KINDS.items()}
 
@@ -138,6 +146,7 @@ _FIELDS: dict[str, tuple[Callable[[Any], bool], str]] = {
         lambda value: isinstance(value, dict) and all(map(_number, value.values())),
         "is not a number of seconds",
     ),
+    "share": (lambda value: _number(value) and 0.0 < value <= 1.0, "is no share"),
     "monitor": (lambda value: isinstance(value, dict), "is missing"),
 }
 _OPTIONAL = {"topics", "models", "versions", "silence"}

@@ -6,6 +6,7 @@ messages. Recorded in their order, they make a replay give the same bytes.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -36,6 +37,7 @@ from hd_diag.replay.events import (
     Configured,
     Event,
     MapUsed,
+    Paced,
     Reported,
     write_event,
 )
@@ -69,6 +71,8 @@ class Session:
     config : Config
         In force.
     monitor : Monitor
+    lag : float
+        Most that a message came after its stamp since the last report [s]; live alone.
     """
 
     def __init__(
@@ -76,6 +80,7 @@ class Session:
     ) -> None:
         self.config = config
         self.monitor = Monitor(config)
+        self.lag = math.nan
         self._sink = sink
         self._node = node
         self._topics = dict(topics or {})
@@ -94,6 +99,8 @@ class Session:
         for name, joint in self.monitor.joints.items():
             if joint.table is not None:
                 self._event(now, MapUsed(name, joint.table.requested_limit))
+        if self.monitor.share != 1.0:
+            self._event(now, Paced(self.monitor.share))
         self._event(now, CarriedOn(carried(self.monitor)))
 
     def carry_on(self, now: int, state: Mapping[str, Any]) -> None:
@@ -114,6 +121,8 @@ class Session:
             shapes, refused = [(reader or self._usual).one(data, received_at)], []
         except ValueError as error:
             shapes, refused = [], [(0, str(error))]
+        for states in shapes:
+            self.lag = float(np.fmax(self.lag, (received - states.stamp[-1]) * 1e-9))
         self._note_temperatures(shapes)
         self._publish(self.monitor.mixed_states(received_at, shapes, refused, heard_at))
 
@@ -165,6 +174,11 @@ class Session:
         self._event(now, MapUsed(joint, table.requested_limit))
         return True
 
+    def pace(self, now: int, share: float) -> None:
+        """Publish a share of the per-tooth arrays and drawings from the next message on, at a time [ns]."""
+        self.monitor.pace(share)
+        self._event(now, Paced(share))
+
     def clock_set_back(self, now: int, stamp: int) -> None:
         """Note at a time [ns] that the clock of stamps was set back: those after one [ns] are of before."""
         self.monitor.clock_set_back(stamp)
@@ -174,6 +188,7 @@ class Session:
         self, now: int, stamp: int, facts: Mapping[str, str], silence: Mapping[str, float] | None = None
     ) -> None:
         """Report on all joints, as `Monitor.tick`."""
+        self.lag = math.nan
         self._publish([self.monitor.tick(now, stamp, facts, silence or None)])
 
     def _configuration(

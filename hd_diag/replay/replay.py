@@ -20,7 +20,7 @@ from hd_diag.messages.schemas import jazzy
 from hd_diag.model.torsion_map import TorsionMap, build
 from hd_diag.monitor.publications import Due
 from hd_diag.replay import versions
-from hd_diag.replay.events import CarriedOn, ClockSetBack, Configured, Event, MapUsed, Reported
+from hd_diag.replay.events import CarriedOn, ClockSetBack, Configured, Event, MapUsed, Paced, Reported
 from hd_diag.replay.map_builder import map_limit
 from hd_diag.replay.recorded_monitor import Session
 from hd_diag.replay.sources import Sources, event_of, models_of, sources_of
@@ -151,8 +151,7 @@ class _Run:
     def begin(self, now: int, config: Config) -> None:
         """Start a session; without recorded events every joint gets its map at once."""
         self._check_time(now)
-        node, names = self._sources.node, self._sources.names
-        self._session = Session(config, self._write, node, names)
+        self._session = Session(config, self._write, self._sources.node, self._sources.names)
         self._session.start(now)
         if not self._sources.events:
             for joint in config.joints:
@@ -292,11 +291,12 @@ class _Run:
             case MapUsed():
                 joints = {joint.name: joint for joint in self._running.config.joints}
                 if event.joint not in joints:
-                    what = f"holds a map of {shown(event.joint)}, which is not configured"
-                    raise BagError(self._reader.path, what)
+                    raise BagError(self._reader.path, f"holds a map of {shown(event.joint)}, no joint of it")
                 self._running.use_map(now, event.joint, self._map(joints[event.joint], event.torque_limit))
             case Reported():
                 self._running.tick(now, event.stamp, event.facts, event.silence)
+            case Paced():
+                self._running.pace(now, event.share)
             case ClockSetBack():
                 self._running.clock_set_back(now, event.stamp)
             case CarriedOn():
@@ -322,11 +322,10 @@ class _Run:
 
     def _compare(self, recorded: versions.Versions) -> None:
         """Note once which software may change the last bits."""
-        other = versions.differences(recorded)
-        if other and not self._versions_compared:
+        if (other := versions.differences(recorded)) and not self._versions_compared:
             self._versions_compared = True
-            text = f"was recorded with {other}: outputs may differ by rounding"
-            self._problems.append(str(BagError(self._reader.path, text)))
+            what = f"was recorded with {other}: outputs may differ by rounding"
+            self._problems.append(str(BagError(self._reader.path, what)))
 
     def _map(self, joint: JointConfig, torque_limit: float | None = None) -> TorsionMap:
         """Map of a joint as it is configured now."""

@@ -33,7 +33,7 @@ from hd_diag.model import torsion
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor.all_joints import warm_up
 from hd_diag.replay.map_builder import MapBuilder
-from hd_diag.replay.recorded_monitor import Reader, Session
+from hd_diag.replay.recorded_monitor import Session
 from hd_diag.ros import footprint
 from hd_diag.ros.arguments import check_arguments, parameter_files, reason
 from hd_diag.ros.log_writer import LogWriter
@@ -43,8 +43,10 @@ from hd_diag.ros.publishing import Publishing
 from hd_diag.ros.stop_signals import ignore_signals, note_signals
 from hd_diag.ros.subscriptions import (
     INPUT_DEPTH,
+    Reader,
     SignalInput,
     Source,
+    Waiting,
     check_types,
     sources,
     subscribe_temperature,
@@ -53,6 +55,10 @@ from hd_diag.streams.rules import CLOCK_JUMP
 
 _QOS = RELIABLE._replace(depth=INPUT_DEPTH)
 _LOOP_PERIOD = 0.05  # longest sleep between looks at the clock, the log and finished maps [s]
+_DRAIN_PERIOD = 0.01  # between the times at which all is taken that DDS holds, and their greatest length [s]
+_BEHIND = 0.1  # age of a sample from which on the node does less of the rest [s]
+_LEAST_SHARE = 2.0**-12
+_WINDOW = 1.0  # in which it is judged whether there is time for more [s]
 # Longest wait for the interpreter while a map is built beside [s]: a tenth of a sample at 1 kHz; Python's own
 # 5 ms would let samples pile up.
 _SWITCH_INTERVAL = 1e-4
@@ -90,10 +96,12 @@ class DiagnosticNode(Node):
         self._next_report = self._next_look = time.monotonic()
         _warm_up(config)
         footprint.give_back()
+        self._waiting = Waiting()
         self._inputs = [
-            SignalInput(self, source, partial(self._on_signals, source, source.reader()))
+            SignalInput(self, source, partial(self._waiting.put, source, source.reader()))
             for source in self._sources
         ]
+        self._told_lost, self._busy, self._drained, self._paced = 0, 0.0, 0.0, 0.0
         for joint in config.joints:
             if joint.signals.temperature is None:
                 take = partial(self._survive, "a temperature was dropped", self._temperature, joint.name)
@@ -116,6 +124,7 @@ class DiagnosticNode(Node):
             if self._log.flush_if_due():
                 self._session.start_again(self._now())
             self._take_maps()
+            self._pace(now)
             for each in self._inputs:
                 each.follow_publishers()
             self._show_log_state()
@@ -127,13 +136,23 @@ class DiagnosticNode(Node):
         return max(0.0, self._next_look - now)
 
     def spin_once(self, executor: Any) -> None:
-        """Do what is due, and take what comes until something may be due again; the node survives it all."""
+        """Do what is due, take what has come, work on the oldest sample; the node survives it all."""
+        pause = self.housekeeping()
         try:
-            executor.spin_once(timeout_sec=self.housekeeping())
+            executor.spin_once(timeout_sec=0.0 if self._waiting else pause)
+            now = time.monotonic()
+            if now - self._drained > _DRAIN_PERIOD:  # what waits in DDS may be dropped there, silently
+                taken = -1
+                while taken != self._waiting.taken and time.monotonic() - now < _DRAIN_PERIOD:
+                    taken = self._waiting.taken
+                    executor.spin_once(timeout_sec=0.0)
+                self._drained = time.monotonic()
         except ExternalShutdownException:
             raise
         except Exception as error:  # samples wait: no pause, whatever goes wrong
             self.get_logger().error(f"a request was dropped: {error!r}", throttle_duration_sec=5.0)
+        if self._waiting:
+            self._on_signals(*self._waiting.get())
 
     def warn_of_files(self, sections: Mapping[str, Sequence[Any]]) -> None:
         """Warn of parameter files with no section for this node, which ROS takes without a word."""
@@ -166,12 +185,29 @@ class DiagnosticNode(Node):
             return error
         return None
 
+    def _pace(self, now: float) -> None:
+        """Publish fewer arrays and drawings while samples wait, which come first; more once none do."""
+        share = before = self._session.monitor.share
+        is_over = now - self._paced > _WINDOW
+        if self._waiting.age > _BEHIND:
+            share = max(_LEAST_SHARE, 0.5 * before) if self._session.monitor.has_arrays else before
+        elif is_over and not self._waiting and self._busy < 0.5 * (now - self._paced):
+            share = min(1.0, 2.0 * before)
+        if share != before:
+            self._session.pace(self._now(), share)
+            what = f"{100.0 * share:.3g} % of the per-tooth arrays and drawings are published"
+            why = "the node cannot keep up: " if share < before else ""
+            self.get_logger().warning(f"{why}{what}", throttle_duration_sec=5.0)
+        if share != before or is_over:
+            self._paced, self._busy = now, 0.0
+
     def _on_signals(self, source: Source, reader: Reader, data: bytes) -> None:
         begin = time.perf_counter_ns()
         error = self._survive("a message was dropped", self._signals, source, reader, data)
         if error is not None:
             self._session.monitor.reject(f"{type(error).__name__}: {error}")
         self._latencies.append(time.perf_counter_ns() - begin)
+        self._busy += self._latencies[-1] * 1e-9
 
     def _signals(self, source: Source, reader: Reader, data: bytes) -> None:
         now = self._now()
@@ -185,9 +221,23 @@ class DiagnosticNode(Node):
     def _report(self) -> None:
         latency = np.percentile(self._latencies, 99) * 1e-3 if self._latencies else float("nan")
         self._latencies.clear()
-        facts = {"latency_p99_us": f"{latency:.1f}"} | self._log.facts
+        facts = {"latency_p99_us": f"{latency:.1f}"} | self._log.facts | self._arrivals()
         silence = self._session.monitor.silence(time.monotonic_ns())
         self._session.tick(self._now(), self.get_clock().now().nanoseconds, facts, silence)
+
+    def _arrivals(self) -> dict[str, str]:
+        """What the reports tell of how messages arrive."""
+        lost = self._waiting.dropped + sum(each.lost for each in self._inputs)
+        faults = [fault for each in self._inputs for fault in each.faults()]
+        if lost > self._told_lost:
+            faults.append(f"{lost - self._told_lost} messages were lost since the last report")
+        self._told_lost = lost
+        found = {
+            "lag_s": f"{self._session.lag:.6g}",
+            "messages_lost": str(lost),
+            "warning": "; ".join(faults),
+        }
+        return found | {"array_share": f"{self._session.monitor.share:.6g}"}
 
     def _take_maps(self) -> None:
         while not self._builder.finished.empty():
@@ -216,6 +266,8 @@ class DiagnosticNode(Node):
 
         Samples may come a little before their clock: those that are less than half the jump ahead are new.
         """
+        while self._waiting:  # samples of before
+            self._on_signals(*self._waiting.get())
         back = abs(jump.delta.nanoseconds)
         if back < CLOCK_JUMP:
             self._session.clock_set_back(self._now(), self.get_clock().now().nanoseconds + back // 2)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.event_handler import SubscriptionEventCallbacks, UnsupportedEventTypeError
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Temperature
@@ -21,7 +23,15 @@ from hd_diag.ros.message_types import definition_of, message_class
 from hd_diag.streams.signals import ROLES, Signal, key
 
 INPUT_DEPTH = 2000
-"""Samples that may wait while something else takes its time: two seconds of 1 kHz."""
+"""Samples that may wait in DDS while something else takes its time: two seconds of 1 kHz."""
+
+MOST_BYTES = 16 << 20
+"""That may wait in DDS, and as many in the node."""
+
+
+_OBJECTS = 300  # bytes that Python takes for a message that waits
+
+Reader = JointStateReader | FieldReader
 
 
 @dataclass
@@ -32,7 +42,7 @@ class Source:
     type_name: str
     signals: dict[str, Signal] = field(default_factory=dict)
 
-    def reader(self) -> JointStateReader | FieldReader:
+    def reader(self) -> Reader:
         """What reads the signals; ValueError where the type has no such field."""
         if self.type_name == JOINT_STATE:
             return JointStateReader(self.signals)
@@ -78,35 +88,109 @@ def _signals(config: Config) -> Iterator[tuple[str, str, Signal]]:
 
 
 class SignalInput:
-    """Reliable subscription to a topic, in CDR; best effort once a publisher offers no more."""
+    """Reliable subscription to a topic, in CDR; best effort once a publisher offers no more.
+
+    Attributes
+    ----------
+    lost : int
+        Messages that DDS says were lost.
+    """
 
     def __init__(self, node: Node, source: Source, take: Callable[[bytes], None]) -> None:
+        self.lost = 0
         self._node = node
+        self._source = source
         self._take = take
-        self._topic, self._class = source.topic, message_class(source.type_name)
-        self._is_incompatible = self._is_best_effort = False
-        self._subscription = self._subscribe(ReliabilityPolicy.RELIABLE)
+        self._class = message_class(source.type_name)
+        self._wanted = self._offered = ReliabilityPolicy.RELIABLE
+        self._depth, self._largest = INPUT_DEPTH, 1
+        self._subscription = self._subscribe()
 
     def follow_publishers(self) -> None:
-        """Subscribe with best effort where a publisher offers no more: nothing would arrive otherwise."""
-        if self._is_incompatible and not self._is_best_effort:
-            self._is_best_effort = True
-            self._node.destroy_subscription(self._subscription)
-            self._subscription = self._subscribe(ReliabilityPolicy.BEST_EFFORT)
-            self._node.get_logger().info(f"{self._topic} is published with best effort: subscribed likewise")
+        """Subscribe as the publishers need it.
 
-    def _subscribe(self, reliability: ReliabilityPolicy) -> Any:
-        return self._node.create_subscription(
-            self._class,
-            self._topic,
-            self._take,
-            QoSProfile(depth=INPUT_DEPTH, reliability=reliability),
-            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible_qos),
-            raw=True,
-        )
+        With best effort where one offers no more, or nothing would arrive; to fewer messages where they are
+        so large that those that wait would fill the memory.
+        """
+        depth = max(1, min(INPUT_DEPTH, MOST_BYTES // self._largest))
+        if self._wanted == self._offered and 2 * depth > self._depth:
+            return
+        if self._wanted != self._offered:
+            what = "is published with best effort: subscribed likewise"
+        else:
+            what = f"has messages of {self._largest} bytes: at most {depth} wait"
+        self._wanted, self._depth = self._offered, depth
+        self._node.destroy_subscription(self._subscription)
+        self._subscription = self._subscribe()
+        self._node.get_logger().info(f"{self._source.topic} {what}")
+
+    def faults(self) -> list[str]:
+        """What the graph says is wrong with the publishers."""
+        wanted, topic = self._source.type_name, self._source.topic
+        found = {each.topic_type for each in self._node.get_publishers_info_by_topic(topic)} - {wanted}
+        return [f"{topic} is also published as {kind}, not as {wanted}" for kind in sorted(found)]
+
+    def _subscribe(self) -> Any:
+        profile = QoSProfile(depth=self._depth, reliability=self._wanted)
+        told = {"incompatible_qos": self._on_incompatible_qos}
+        try:
+            return self._create(profile, {**told, "message_lost": self._on_lost})
+        except UnsupportedEventTypeError:  # some implementations do not tell losses
+            return self._create(profile, told)
+
+    def _create(self, profile: QoSProfile, told: dict[str, Any]) -> Any:
+        events = SubscriptionEventCallbacks(**told)
+        own = self._class, self._source.topic, self._on_message, profile
+        return self._node.create_subscription(*own, event_callbacks=events, raw=True)
+
+    def _on_message(self, data: bytes) -> None:
+        self._largest = max(self._largest, len(data))
+        self._take(data)
+
+    def _on_lost(self, event: Any) -> None:
+        self.lost += event.total_count_change
 
     def _on_incompatible_qos(self, _: Any) -> None:
-        self._is_incompatible = True  # acted on later: the executor is still busy with the subscription
+        # Acted on later: the executor is still busy with the subscription.
+        self._offered = ReliabilityPolicy.BEST_EFFORT
+
+
+class Waiting:
+    """Messages that wait for their turn, bounded by bytes: the oldest give way, and are counted.
+
+    DDS drops silently what its reader has no room for; so all is taken from it at once.
+
+    Attributes
+    ----------
+    taken, dropped : int
+    """
+
+    def __init__(self) -> None:
+        self.taken = self.dropped = self._bytes = 0
+        self._messages: deque[tuple[float, tuple[Source, Reader, bytes]]] = deque()
+
+    def __len__(self) -> int:
+        return len(self._messages)
+
+    @property
+    def age(self) -> float:
+        """How long the oldest has waited [s]."""
+        return time.monotonic() - self._messages[0][0] if self._messages else 0.0
+
+    def put(self, source: Source, reader: Reader, data: bytes) -> None:
+        """Have a message wait."""
+        self.taken += 1
+        self._bytes += len(data) + _OBJECTS
+        self._messages.append((time.monotonic(), (source, reader, data)))
+        while self._bytes > MOST_BYTES and len(self._messages) > 1:
+            self.dropped += 1
+            self.get()
+
+    def get(self) -> tuple[Source, Reader, bytes]:
+        """The oldest."""
+        _, message = self._messages.popleft()
+        self._bytes -= len(message[-1]) + _OBJECTS
+        return message
 
 
 def subscribe_temperature(node: Node, joint: str, take: Callable[[bytes], Any]) -> None:
