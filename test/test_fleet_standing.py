@@ -8,9 +8,10 @@ from fleet_samples import ACCURACY, ALLOWED, BEGIN, WEEK, judged, row
 
 from hd_diag.fleet.series import series_of
 from hd_diag.fleet.standing import health
-from hd_diag.fleet.summary import headline, notes
+from hd_diag.fleet.summary import as_json, attention_lines, headline, notes
 from hd_diag.fleet.trend import trends
 
+REFUSED = {"refused": 1_000, "last_refusal": "its stamp repeats the last"}
 CUT = {"problems": ["a.mcap: is cut off or damaged at byte 228680 of 261683"]}
 NOT_TOLD = {"error_rad": None, "error_std_rad": None}
 
@@ -36,6 +37,8 @@ def weeks(*given: dict[str, Any], **more: Any) -> list[dict[str, Any]]:
         ({"microns": 9.9, "judgement": "misfit"}, "green", None),
         ({"microns": 20.0, "judgement": "misfit"}, "amber", "eccentricity 20.0 µm, too near"),
         ({"microns": 20.0, "trustworthy": False}, "green", None),
+        ({"samples": 9_000, **REFUSED}, "amber", "1000 of 10000 samples are left out, the last because: its"),
+        ({"samples": 90_000, **REFUSED}, "green", None),
         (CUT, "amber", "the bag is cut off or damaged at byte 228680 of 261683"),
         ({"arcsec": 120.0, **CUT}, "red", "beyond"),
         ({"bag_duration_s": 121.0}, "amber", "only 60 of the bag's 121 s hold this joint"),
@@ -113,6 +116,14 @@ def test_a_cut_off_bag_matters_until_its_joint_was_recorded_again() -> None:
     assert judged(weeks({}, CUT)).fails("amber")
     assert not judged(weeks(CUT, {})).fails("amber")
     assert headline(judged(weeks({}, CUT))).endswith("Of the bags: 1 cut off.")
+
+
+def test_refused_samples_are_told() -> None:
+    some, many = {"samples": 90_000, **REFUSED}, {"samples": 9_000, **REFUSED}
+    assert [one["refused"] for one in as_json("t", judged(weeks({}, some)))["refused"]] == [1_000]
+    found = judged(weeks({}, many))
+    assert headline(found).endswith("Of the bags: 1 with samples left out.")
+    assert any("1000 of 10000 samples" in line for line in attention_lines(found.rows[-1], found.colours[-1]))
 
 
 def test_recordings_of_one_joint_at_the_same_time_are_of_several_robots() -> None:

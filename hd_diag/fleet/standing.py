@@ -3,8 +3,8 @@
 One rule, for a recording of a joint:
 
 * ``red``: a quantity is beyond its limit with its whole 95 % interval, or teeth were skipped.
-* ``amber``: the interval of a quantity holds its limit, or the recording is cut off, or lacks the joint for
-  more than half of its time.
+* ``amber``: the interval of a quantity holds its limit, or the recording is cut off, lacks the joint for more
+  than half of its time, or has more than a twentieth of its samples refused.
 * ``not_judged``: it could not be judged, or nothing tells whether the transmission error is within its limit.
 * ``green``: every quantity that could be told is within its limit with its whole interval, the transmission
   error among them.
@@ -36,6 +36,7 @@ Limits = Mapping[tuple[str, str], float]
 """By joint and quantity, in SI."""
 
 _COVERED = 0.5  # of a bag, that a joint's samples must cover: drivers may start late, or stop early
+_REFUSED = 0.05  # of the samples, up to which the verdict alone tells that they were refused
 _NO_TORQUE = "its torque is not measured, so its error may be torsion and is not held against the accuracy"
 _ONE_ANGLE = "one angle alone: no transmission error, only lines of the torque"
 
@@ -113,7 +114,7 @@ def coloured(rows: Sequence[Row], trends: Sequence[Trend], limits: Limits) -> li
 
 
 def _colour(row: Row, series: Sequence[Series], limits: Limits) -> Colour:
-    cut = tuple(missing(row))
+    cut = (*missing(row), *left_out(row))
     if row.get("error"):
         return Colour(GREY, (row["error"], *cut), ())
     if row.get("judgement") == "not_judged":
@@ -143,6 +144,14 @@ def missing(row: Row) -> list[str]:
     if judged is not None and judged < _COVERED * whole:
         told.append(f"only {judged:.0f} of the bag's {whole:.0f} s hold this joint")
     return told
+
+
+def left_out(row: Row) -> list[str]:
+    """That many samples of a row were refused, as a sentence."""
+    refused = row.get("refused") or 0
+    whole = refused + (row.get("samples") or 0)
+    text = f"{refused} of {whole} samples are left out, the last because: {row.get('last_refusal')}"
+    return [text] if refused > _REFUSED * whole else []
 
 
 def _limited(row: Row, series: Series, limits: Limits) -> Limited | None:
@@ -254,7 +263,7 @@ def natural(name: str) -> list[object]:
 
 
 def attention(rows: Sequence[Row], colours: Sequence[Colour]) -> tuple[list[int], list[int]]:
-    """Indices of rows that could not be judged or were cut off: those that still matter, and older ones.
+    """Indices of rows that could not be judged or are not whole: those that still matter, and older ones.
 
     Older ones are followed by a recording of the same joint, or, where a bag has no usable joint, of the same
     robot.
@@ -267,7 +276,7 @@ def attention(rows: Sequence[Row], colours: Sequence[Colour]) -> tuple[list[int]
     present: list[int] = []
     past: list[int] = []
     for place, (row, colour) in enumerate(zip(rows, colours, strict=True)):
-        if colour.state == GREY or missing(row):
+        if colour.state == GREY or missing(row) or left_out(row):
             start, newest = row.get("start"), last.get((row.get("robot"), row.get("joint")), 0)
             (past if start is not None and start < newest else present).append(place)
     return present, past

@@ -23,6 +23,7 @@ from hd_diag.fleet.standing import (
     Health,
     Standing,
     attention,
+    left_out,
     missing,
     moment_of,
 )
@@ -57,6 +58,11 @@ def as_json(out: str, found: Health) -> dict[str, Any]:
             {name: readable(row.get(name)) for name in ("bag", "joint", "problems")}
             for row in rows
             if row.get("problems")
+        ],
+        "refused": [
+            {name: readable(row.get(name)) for name in ("bag", "joint", "refused", "last_refusal")}
+            for row in rows
+            if row.get("refused")
         ],
         "joints": [_joint(one) for one in found.standings],
         "false_alarm": FALSE_ALARM,
@@ -193,6 +199,7 @@ def headline(found: Health) -> str:
     lost = {
         "without a joint that could be judged": {row["bag"] for row in rows if not row.get("joint")},
         "cut off": {row["bag"] for row in rows if missing(row)},
+        "with samples left out": {row["bag"] for row in rows if left_out(row)},
     }
     told = [f"{len(bags)} {what}" for what, bags in lost.items() if bags]
     return f"{text} Of the bags: {', '.join(told)}." if told else text
@@ -287,7 +294,7 @@ def attention_lines(row: Row, colour: Colour) -> list[str]:
     """Why a row is not judged, and what is cut off, a line each, whatever its bag is called."""
     joint = f"{row['joint']}: " if row.get("joint") else ""
     date = f" ({recorded(row)})" if row.get("start") is not None else ""
-    told = [("cut off", problem) for problem in missing(row)]
+    told = [("cut off", problem) for problem in missing(row)] + [("refused", each) for each in left_out(row)]
     if colour.state == GREY:
         told.insert(0, ("not judged", colour.reasons[0]))
     return [f"{what}: {BagError(row['bag'], f'{joint}{text}')}{date}" for what, text in told]
