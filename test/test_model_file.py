@@ -235,6 +235,7 @@ def test_where_texts_come_from_can_be_given() -> None:
         ("base/sha256", 5, "sha256 is not that"),
         ("base/before_the_fit/ratio", 50.0, "is not a parameter that a fit changes"),
         ("effects", {}, "effects: expected a list"),
+        ("effects", 5000 * [json.loads(WHOLE)["effects"][0]], "5000 are more than the 64 that can run"),
         ("effects/0/name", "histeresis", "unknown effect 'histeresis'; the nearest known is 'hysteresis'"),
         ("effects/0/name", "tooth_skip", "event of one record"),
         ("effects/1/name", "hysteresis", "unknown quantity 'delay'"),

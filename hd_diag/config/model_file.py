@@ -45,6 +45,7 @@ REFITTED = (
 )
 """Parameters of a drive that a fit changes; in all others a joint must be what the model was fitted to."""
 
+_MOST_EFFECTS = 64  # a sample takes 20 us for each
 _UNITS = {"torque": "N m", "speed": "rad/s", "temperature": "degC"}
 _RANGE = {"low": Number(-1e9, 1e9), "high": Number(-1e9, 1e9), "unit?": object}
 _QUANTITY = {"value": Number(), "std?": (Number(0.0), None), "unit?": object}
@@ -124,6 +125,10 @@ def parse(text: str, catalogue: Catalogue | None = None) -> ModelFile:
 @lru_cache(maxsize=64)
 def _parsed(text: str, catalogue: Catalogue) -> ModelFile:
     content = json_shape.parse(text, _SHAPE)
+    if len(content["effects"]) > _MOST_EFFECTS:
+        raise ConfigError(
+            f"effects: {len(content['effects'])} are more than the {_MOST_EFFECTS} that can run"
+        )
     if content["schema"] != SCHEMA:
         raise ConfigError(f"schema is {shown(content['schema'])}, not '{SCHEMA}'")
     parameters = _parameters(content["parameters"])
