@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
 from faults import MESSAGES, STARTS, VALUES
 from live import MS, RATIO, START, config, message, parameters, sample
 from logs import content
@@ -228,6 +229,59 @@ def test_a_publisher_that_dies_and_comes_back(arm: Rig, publisher: Any) -> None:
     assert float(values_of(stale)["silence_s"]) > 0.5
     feed(publisher, stamps, 20, joint="elbow")
     arm.values("elbow", lambda v: "STALE" not in v["fault_codes"])
+
+
+def test_another_type_on_the_topic_is_a_warning_and_lag_is_told(arm: Rig, publisher: Any) -> None:
+    other = rclpy.Context()  # one participant cannot have two types
+    rclpy.init(context=other)
+    stranger = rclpy.create_node("stranger", namespace=arm.process.namespace, context=other)
+    stranger.create_publisher(Temperature, "joint_states", 1)
+    status = arm.status("elbow", lambda v: "INPUT_INVALID" in v["fault_codes"])
+    assert (
+        "also published as sensor_msgs/msg/Temperature, not as sensor_msgs/msg/JointState" in status.message
+    )
+    stranger.destroy_node()
+    rclpy.shutdown(context=other)
+    arm.values("elbow", lambda v: "INPUT_INVALID" not in v["fault_codes"])
+    publisher.publish(sample(next(stamps), 0.0, 0.0, 0.0, "elbow"))
+    late = arm.values("elbow", lambda v: v["lag_s"] != "nan")["lag_s"]
+    assert float(late) == pytest.approx(time.time() - START * 1e-9, rel=1e-3)
+
+
+def test_what_dds_loses_is_told_and_large_messages_do_not_fill_the_memory(tmp_path: Path) -> None:
+    """A node that is stopped misses what the publisher no longer holds; of large messages only few wait."""
+
+    def counted(values: dict[str, str]) -> int:
+        return int(values["messages_without_joint"]) + int(values["messages_lost"])
+
+    with running(tmp_path, parameters(**QUICK)) as rig:
+        patient = rig.publisher()
+        publisher = rig.node.create_publisher(JointState, "joint_states", 10)
+        rig.until(publisher.get_subscription_count, "subscription")
+        small = JointState(name=["stranger"], position=[0.0])
+        rig.process.popen.send_signal(signal.SIGSTOP)
+        for _ in range(3000):
+            publisher.publish(small)
+        rig.process.popen.send_signal(signal.SIGCONT)
+        told = rig.status("joint_1", lambda v: counted(v) == 3000)
+        assert int(values_of(told)["messages_lost"]) > 500
+        rig.values("joint_1", lambda v: v["fault_code"] != "INPUT_INVALID")
+        assert any("messages were lost" in each.message for array in rig.reports for each in array.status)
+
+        large = JointState(name=["stranger"], position=[0.0])
+        large.header.frame_id = "x" * 1_000_000
+        patient.publish(large)
+        rig.until(lambda: "has messages of 1000" in rig.process.output(), "word of fewer messages")
+        rig.until(patient.get_subscription_count, "subscription")
+        rig.process.popen.send_signal(signal.SIGSTOP)
+        for _ in range(200):
+            patient.publish(large)
+        rig.process.popen.send_signal(signal.SIGCONT)
+        seen = rig.values("joint_1")["messages_without_joint"]
+        patient.publish(small)
+        rig.values("joint_1", lambda v: v["messages_without_joint"] != seen)
+        peak = Path(f"/proc/{rig.process.popen.pid}/status").read_text().partition("VmHWM:")[2].split()[0]
+        assert int(peak) < 330_000  # [kB]
 
 
 # Parameters ---

@@ -103,6 +103,30 @@ def test_a_replay_of_the_nodes_log_is_the_same_to_the_last_bit(tmp_path: Path) -
     assert {f"{node}/a/backlash", f"{node}/b/load", f"{node}/a/mesh", f"{node}/events"} <= live.keys()
 
 
+def test_samples_come_before_arrays_and_the_replay_thins_out_alike(tmp_path: Path) -> None:
+    """A node that was stopped for a while has much to do: all samples are taken, few arrays published."""
+    joints = [f"j{number}" for number in range(7)]
+    given = parameters(
+        *joints, **{"diagnostics_rate": 20.0, "log.path": str(tmp_path / "log"), "mesh_rate": 60.0}
+    )
+    with running(tmp_path, given | {"array_rate": 280.0}) as rig:
+        publisher, stamps = rig.publisher(), itertools.count(START, 4 * MS)
+        rig.process.popen.send_signal(signal.SIGSTOP)
+        for stamp in itertools.islice(stamps, 1500):
+            angle = 1e-9 * (stamp - START)
+            publisher.publish(message(stamp, {f"{joint}_motor": angle for joint in joints}))
+        rig.process.popen.send_signal(signal.SIGCONT)
+        rig.values("j0", lambda values: float(values["array_share"]) < 1.0)
+        assert "keep up" in rig.process.output()
+        assert rig.set(j0__torque=1.0)[0].successful
+        rig.values("j6", lambda values: values["samples"] == "1500" and values["array_share"] == "1")
+        assert rig.process.end() == 0
+    replay(tmp_path / "log", tmp_path / "again")
+    live = content(tmp_path / "log")
+    assert content(tmp_path / "again") == live
+    assert len(live[f"{rig.process.namespace}/hd_diag/j0/load"]) < 1400
+
+
 def test_remapped_topics_are_followed(tmp_path: Path) -> None:
     remaps = ("-r", "joint_states:=robot/js", "-r", "joint_1/temperature:=/warmth", "-r", "~/residual:=left")
     with running(tmp_path, parameters(log__path=str(tmp_path / "log.mcap")), *remaps) as rig:

@@ -10,6 +10,8 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from rclpy.logging import get_logger
+
 _DONT_NEED = 4  # MADV_DONTNEED
 _PATIENCE = 0.05  # between looks at the process that compiles [s]
 
@@ -23,6 +25,9 @@ def compile_apart(prepare: Callable[[], None], stopped: Sequence[int]) -> None:
     from hd_diag.model.kernel.compiler import is_kept
 
     if not is_kept(read):
+        get_logger("hd_diag").info(
+            "preparing the model: the first time on a machine this takes half a minute"
+        )
         child = os.fork()
         if not child:
             try:

@@ -18,7 +18,7 @@ from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.logging_severity import LoggingSeverity
-from rclpy.logging import get_logger, set_logger_level
+from rclpy.logging import set_logger_level
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, try_shutdown
@@ -303,7 +303,6 @@ def _run(arguments: list[str], stopped: Sequence[int]) -> int:
     set_logger_level("rcl", LoggingSeverity.FATAL)  # what it says of a faulty file is said below, better
     try:
         sections = check_arguments(arguments)
-        get_logger("hd_diag").info("preparing the model (the first time on a machine takes half a minute)")
         footprint.compile_apart(lambda: _warm_up(resolve({})), stopped)
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         set_logger_level("rcl", LoggingSeverity.UNSET)
