@@ -128,6 +128,7 @@ def _status(
         "lag_s": around.facts.get("lag_s", "nan"),
         "messages_lost": around.facts.get("messages_lost", "0"),
         "array_share": around.facts.get("array_share", "1"),
+        "warning": around.facts.get("warning", ""),
         "latency_p99_us": around.facts.get("latency_p99_us", "nan"),
         "log_state": around.facts.get("log_state", "off"),
         "log_lost": around.facts.get("log_lost", "0"),

@@ -132,9 +132,7 @@ class _Run:
 
     def __init__(self, reader: BagReader, writer: BagWriter, sources: Sources) -> None:
         self.done = 0
-        self._reader = reader
-        self._writer = writer
-        self._sources = sources
+        self._reader, self._writer, self._sources = reader, writer, sources
         self._session: Session | None = None
         self._last = 0
         self._next_report: int | None = None

@@ -57,6 +57,7 @@ _QOS = RELIABLE._replace(depth=INPUT_DEPTH)
 _LOOP_PERIOD = 0.05  # longest sleep between looks at the clock, the log and finished maps [s]
 _DRAIN_PERIOD = 0.01  # between the times at which all is taken that DDS holds, and their greatest length [s]
 _BEHIND = 0.1  # age of a sample from which on the node does less of the rest [s]
+_CATCH_UP = 0.5  # longest that a change waits for samples of before [s]
 _LEAST_SHARE = 2.0**-12
 _WINDOW = 1.0  # in which it is judged whether there is time for more [s]
 # Longest wait for the interpreter while a map is built beside [s]: a tenth of a sample at 1 kHz; Python's own
@@ -266,13 +267,19 @@ class DiagnosticNode(Node):
 
         Samples may come a little before their clock: those that are less than half the jump ahead are new.
         """
-        while self._waiting:  # samples of before
-            self._on_signals(*self._waiting.get())
+        self._catch_up()
         back = abs(jump.delta.nanoseconds)
         if back < CLOCK_JUMP:
             self._session.clock_set_back(self._now(), self.get_clock().now().nanoseconds + back // 2)
 
+    def _catch_up(self) -> None:
+        """Take the samples of before, as many as there is time for: who asked waits for an answer."""
+        end = time.monotonic() + _CATCH_UP
+        while self._waiting and time.monotonic() < end:
+            self._on_signals(*self._waiting.get())
+
     def _put_in_force(self, config: Config) -> None:
+        self._catch_up()
         joints = {joint.name: joint for joint in config.joints}
         for name in self._session.configure(self._now(), config):
             self._builder.request(joints[name])
