@@ -1,7 +1,15 @@
 """Progress of long work: a bar on a terminal, a line now and then in a pipe, how far and how long still."""
 
+import fcntl
+import os
+import pty
+import re
 import signal
+import subprocess
+import sys
+import termios
 import threading
+from pathlib import Path
 
 import pytest
 
@@ -76,3 +84,31 @@ def test_a_signal_ends_work_at_its_next_call(number: signal.Signals) -> None:
         with pytest.raises(Stopped) as ended:
             advance(1, 2)
     assert (ended.value.number, signal.getsignal(number)) == (number, before)
+
+
+def test_ctrl_c_at_a_terminal(tmp_path: Path) -> None:
+    """130 and no traceback; the terminal has its cursor and its settings back. NO_COLOR is heeded."""
+    here, there = pty.openpty()
+    before, shown = termios.tcgetattr(there), b""
+    words = f"-m hd_diag simulate --duration 3600 --out {tmp_path / 'joint.mcap'}"
+    environment = {**os.environ, "TERM": "xterm-256color", "NO_COLOR": "1"}
+    with subprocess.Popen(
+        [sys.executable, *words.split()],
+        stdin=there,
+        stdout=there,
+        stderr=there,
+        env=environment,
+        start_new_session=True,
+        preexec_fn=lambda: fcntl.ioctl(there, termios.TIOCSCTTY, 0),
+    ) as process:
+        while b"\x1b[?25l" not in shown:  # the bar is there, the cursor is not
+            shown += os.read(here, 4096)
+        os.write(here, b"\x03")
+        while b"interrupted" not in shown.rpartition(b"\x1b[?25h")[2]:
+            shown += os.read(here, 4096)
+        assert process.wait(60.0) == 130
+    assert termios.tcgetattr(there) == before
+    assert b"Traceback" not in shown
+    assert not re.search(rb"\x1b\[[34]8;", shown)
+    os.close(here)
+    os.close(there)
