@@ -105,7 +105,9 @@ def test_the_same_figure_is_the_same_whole_file(kind: str, teeth: Any, tmp_path:
 
 def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    assert_one_line_error(hd_diag("figures", "--out", tmp_path / "file" / "in"), "cannot be made: Not a directory")
+    assert_one_line_error(
+        hd_diag("figures", "--out", tmp_path / "file" / "in"), "cannot be made: Not a directory"
+    )
 
 
 def test_an_example_that_was_not_installed_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
