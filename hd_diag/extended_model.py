@@ -135,7 +135,7 @@ class ExtendedModel:
         for index, (effect, coefficients, nonlinear) in terms:
             if isinstance(effect, MeshTorque):
                 columns, after[index] = effect.torque_step(state.effects[index], signals, nonlinear)
-                mesh_torque = mesh_torque + np.nan_to_num(columns @ np.array(coefficients))
+                mesh_torque = mesh_torque + np.nan_to_num(effect.more(columns, np.array(coefficients)))
         own = transmission_error(self.drive, input_angle, mesh_torque, table)
         rate = _rate(_change(own, state.predicted), step)
         if mesh_torque is not torque:

@@ -10,9 +10,12 @@ from benches import EFFECTS, POINT, Part, bench, of, swinging
 from joint_records import ARCSEC
 from joint_records import NOISE as NOISE_OF_RECORD
 
+from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit.fit_parameters import COMPLIANCE, CUP
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
-from hd_diag.diagnosis.search.causes import Search, causes, doubted
+from hd_diag.diagnosis.search.causes import Search, causes, doubted, motor_deviations, parameters_of
+from hd_diag.diagnosis.search.kept_parameters import kept_parameters
 from hd_diag.diagnosis.search.ranking import candidates, family_size
 from hd_diag.diagnosis.search.selection import _less_misled, _next, search, speed_dependent
 from hd_diag.diagnosis.search.unexplained import with_table
@@ -110,13 +113,16 @@ def test_search_returns_the_cause_and_no_other() -> None:
 
 
 def test_what_a_motor_needs_itself_is_no_cause() -> None:
-    """Current for torque: gain within its prior, friction and inertia relative to it; none is named."""
+    """Current for torque: gain within its prior, friction and inertia relative to it; none is named.
+
+    The friction under load is that of the link's torque, which the current is more than.
+    """
     record = swinging()
     speed = np.gradient(record.input_angle, record.time)
-    sign = speed / (np.abs(speed) + 2.0)
+    sign = np.tanh(speed / 2.0)
     rate = np.gradient(speed, record.time)
     needed = record.torque + (3.0 + 0.1 * np.abs(record.torque)) * sign + 2.0 * rate / 100.0
-    by_current = dataclasses.replace(record, torque=needed, by_current=True)
+    by_current = dataclasses.replace(record, torque=needed, reported_torque=needed, by_current=True)
     found = search(bench(record=by_current), np.random.default_rng(0))
     assert found.causes == ()
     ((item, sized),) = found.fit.sized(found.chosen, found.fit.fit(found.chosen)[0])
@@ -127,7 +133,35 @@ def test_what_a_motor_needs_itself_is_no_cause() -> None:
     assert values["friction"] / gain == pytest.approx(3.0, abs=0.15)
     assert values["loaded_friction"] / gain == pytest.approx(0.1, abs=0.01)
     assert values["inertia"] / gain == pytest.approx(2.0, abs=0.2)
-    assert np.std(found.fit.remainder(found.chosen)) < 1.2 * NOISE_OF_RECORD
+    assert np.std(found.fit.remainder(found.chosen)) < 1.05 * NOISE_OF_RECORD
+
+
+def test_stiffness_and_a_current_s_constant_are_open_by_one_factor() -> None:
+    """Twice the torque on half the compliance is the same error: every ± holds what the prior leaves."""
+    record = dataclasses.replace(swinging(), by_current=True)
+    fit = settle(bench(record=record), bench(record=record).data.given)
+    found = Search(fit, (), fit.data.given)
+    parameters, covariance = parameters_of(found)
+    configured = fit_parameters.vector(fit.data.configured, fit.data.configured)
+    assert parameters[COMPLIANCE] == pytest.approx(configured[COMPLIANCE], rel=1e-9)
+    width = 0.15 * parameters[COMPLIANCE]
+    assert covariance[COMPLIANCE, COMPLIANCE] == pytest.approx(width**2, rel=1e-3)
+    assert covariance[CUP, COMPLIANCE] == pytest.approx(0.15 * parameters[CUP] * width, rel=1e-3)
+    deviations, (_, sized) = motor_deviations(found), fit.sized(found.chosen, fit.fit(found.chosen)[0])[0]
+    assert deviations["relative_error"] > 0.15 * (1.0 + sized[0]) > 0.1
+    kept = kept_parameters(fit, found.chosen)[1]
+    assert kept.bounds["tooth_compliance"] == pytest.approx(1.96 * width, rel=1e-2)
+
+
+def test_friction_under_load_by_a_current_has_these_derivatives() -> None:
+    """`changes` against differences, where the torque behind the motor turns round too."""
+    effect, rng = EFFECTS["motor_current"], np.random.default_rng(0)
+    columns, size = rng.normal(0.0, 5.0, (500, 5)), np.array([0.2, 0.8, 0.05, 0.5, 0.1])
+    steps = 1e-7 * np.eye(5)
+    slopes = [
+        (effect.more(columns, size + step) - effect.more(columns, size - step)) / 2e-7 for step in steps
+    ]
+    assert effect.changes(columns, size) == pytest.approx(np.stack(slopes, axis=1), abs=1e-5)
 
 
 def test_a_cause_that_a_shape_of_no_cause_beats_is_doubtful() -> None:

@@ -232,15 +232,23 @@ def test_what_a_motor_s_current_costs_is_said() -> None:
     point = fit_parameters.vector(CONFIGURED, CONFIGURED) * np.array([1, 1, 1, 1, 1, 2.0, 1])
     stiff = dataclasses.replace(refitted(eccentricity=0j), parameters=point)
     of_torque, of_current = (
-        diagnosis(refitted=stiff, record=dataclasses.replace(diagnosis().record, by_current=one), model=model)
+        diagnosis(
+            refitted=stiff,
+            record=dataclasses.replace(diagnosis().record, by_current=one),
+            model=model,
+            motor_std={"relative_error": 0.13, "friction": 0.7},
+        )
         for one in (False, True)
     )
     assert "tooth compliance +100" in sentence(Answer(of_torque))
     told = sentence(Answer(of_current))
     assert "compliance" not in told
-    assert "the torque is a motor's current: its constant (−12 %), friction (4.80 N m) and inertia" in told
+    assert (
+        "the torque is a motor's current: its constant (−12 ± 13 %), friction (4.8 ± 0.7 N m) and inertia"
+        in told
+    )
     motor = as_json(of_current, "joint_1")["motor_current"]
-    assert motor["friction"] == {"value": pytest.approx(4.8), "unit": "N m"}
+    assert motor["friction"] == {"value": pytest.approx(4.8), "std": 0.7, "unit": "N m"}
 
 
 def test_a_bound_is_not_told_of_a_model_that_does_not_describe_the_record() -> None:

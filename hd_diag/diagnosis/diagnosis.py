@@ -18,7 +18,7 @@ from hd_diag.diagnosis.gain import Gain, Misfit, Rms, Rows, held_out, measured_g
 from hd_diag.diagnosis.noise import ORDER
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.screening import Screened, screened
-from hd_diag.diagnosis.search.causes import Cause, Search, doubted, parameters_of, refitted
+from hd_diag.diagnosis.search.causes import Cause, Search, doubted, motor_deviations, parameters_of, refitted
 from hd_diag.diagnosis.search.detectability import Testability, testability
 from hd_diag.diagnosis.search.kept_parameters import Kept, all_kept, kept_parameters
 from hd_diag.diagnosis.search.order_table import OrderRow
@@ -50,7 +50,8 @@ class Diagnosis:
 
     `kept` are the parameters that stay as configured, for held-out data are predicted no better with others,
     and how far off each may be, at 95 % (SI). What is `allowed` is not found here: who knows it adds it.
-    `encoder_zeros` are those of the recordings [rad]; `left_out` is what there was no time for, in words.
+    `encoder_zeros` are those of the recordings [rad]; `motor_std` are the standard deviations of what a motor
+    needs of its current, by name; `left_out` is what there was no time for, in words.
     """
 
     record: Record
@@ -68,6 +69,7 @@ class Diagnosis:
     orders: tuple[OrderRow, ...] = ()
     allowed: Allowed | None = None
     encoder_zeros: tuple[float, ...] = ()
+    motor_std: dict[str, float] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
 
     @property
@@ -149,8 +151,12 @@ def diagnose(
     first = refit(renumbered(record.select(~test)), configured, rng)
     work.tell(0.12, "looking for causes")
     begun = linearise(record, configured, first.parameters, rows=~test, catalogue=catalogue, work=work)
+    if given := begun.data.given:
+        beside = settle(begun, given)
+        first = refit(beside.data.record, configured, rng, beside.joined(given), beside.parameters)
+        begun = begun.moved(first.parameters)
     plain = settle(begun, ())
-    found = search(plain, rng, first.parameters)
+    found = search(begun if given else plain, rng, first.parameters)
     work.tell(0.78, "measuring the gain")
     best = _predicting(record, test, which, plain, found, rng)
     kept, rms, gain = best.kept, best.rms, best.gain
@@ -180,6 +186,7 @@ def diagnose(
         extended_model(whole, configured, record),
         catalogue,
         encoder_zeros=tuple(encoder_zeros(whole).tolist()),
+        motor_std=motor_deviations(whole),
         left_out=tuple(work.left_out),
     )
 

@@ -21,7 +21,6 @@ from hd_diag.formatting import (
     arcsec,
     direction,
     json_ready,
-    number,
     percent,
     percents,
     si,
@@ -213,11 +212,12 @@ def _current(diagnosis: Diagnosis) -> list[str]:
     values = _motor(diagnosis)
     if values is None:
         return []
-    gain, dry = 100.0 * values["relative_error"]["value"], values["friction"]["value"]
-    constant = f"{'+' if gain > 0.0 else '−'}{abs(gain):.0f} %"
+    gain, dry = values["relative_error"], values["friction"]
+    constant = spread_number(100.0 * gain["value"], 100.0 * gain["std"], "%")
     return [
-        f"the torque is a motor's current: its constant ({constant}), friction ({number(dry)} N m) and "
-        "inertia are fitted too, so neither the stiffness nor a small friction can be determined"
+        f"the torque is a motor's current: its constant ({'+' if gain['value'] > 0.0 else ''}{constant}), "
+        f"friction ({spread_number(dry['value'], dry['std'], 'N m')}) and inertia are fitted too, so neither "
+        "the stiffness nor a small friction can be determined"
     ]
 
 
@@ -227,7 +227,11 @@ def _motor(diagnosis: Diagnosis) -> dict[str, Any] | None:
     for effect, coefficients, nonlinear in ((t.effect, t.coefficients, t.nonlinear) for t in terms):
         if effect.given:
             values = effect.to_physical(np.array(coefficients), nonlinear)
-            return {name: {"value": value, "unit": unit} for name, (value, unit) in values.items()}
+            stds = diagnosis.motor_std
+            return {
+                name: {"value": value, "std": stds.get(name, math.nan), "unit": unit}
+                for name, (value, unit) in values.items()
+            }
     return None
 
 

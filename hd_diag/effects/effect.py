@@ -207,8 +207,10 @@ class Effect:
             return np.empty((signals.size, 0))
         angle = signals.wave_generator_angle
         way = np.cumsum(np.abs(np.diff(angle, prepend=angle[0])))
-        place = way * (_KNOTS / max(float(way[-1]), 1e-300))
-        hats = np.maximum(1.0 - np.abs(place[:, None] - np.arange(1, _KNOTS + 1)), 0.0)
+        place, hats = way * (_KNOTS / max(float(way[-1]), 1e-300)), np.zeros((signals.size, _KNOTS))
+        edges = np.searchsorted(place, np.arange(_KNOTS + 2))
+        for knot, (before, after) in enumerate(zip(edges, edges[2:], strict=False)):
+            hats[before:after, knot] = 1.0 - np.abs(place[before:after] - knot - 1.0)
         hats -= hats.mean(axis=0)
         own = self.columns(signals, nonlinear)
         return np.asarray((hats[:, :, None] * own[:, None, :]).reshape(signals.size, -1))

@@ -48,6 +48,14 @@ class MeshTorque(Effect):
             return self.shape(signals, nonlinear)
         return by_run(signals, lambda run: self.torque_step(self.start(nonlinear), run, nonlinear)[0])
 
+    def more(self, columns: Floats, coefficients: Floats) -> Floats:
+        """Real less reported torque [N m], shape (n,), by columns of :meth:`torque`."""
+        return np.asarray(columns @ coefficients)
+
+    def changes(self, columns: Floats, coefficients: Floats) -> Floats:
+        """Derivatives of :meth:`more` by the coefficients [N m per unit], shape (n, size)."""
+        return columns
+
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """The torque by the model's compliance; see :meth:`Effect.columns`."""
         return signals.predicted_torque_slope[:, None] * self.torque(signals, nonlinear)
@@ -55,4 +63,4 @@ class MeshTorque(Effect):
     def step(self, state: Any, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
         """What the model does under the changed torque; see :meth:`Effect.step`."""
         torque, state = self.torque_step(state, signals, nonlinear)
-        return signals.contact.under_more_torque(torque @ coefficients), state
+        return signals.contact.under_more_torque(self.more(torque, coefficients)), state

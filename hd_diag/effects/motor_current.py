@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 
+from hd_diag.arrays import Floats
 from hd_diag.effects.effect import Stepped, Values
 from hd_diag.effects.excitation import enough_input_turns, torque_known
 from hd_diag.effects.mesh_torque import MeshTorque
@@ -21,16 +22,35 @@ _POWER = 0.85  # of the speed: friction of grease has 0.7 to 1
 
 _SMOOTH = 0.03  # [s], of the speed whose rate counts: encoders count in steps
 
+_DRY, _LOADED = 1, 2  # columns of friction: that of one N m, and of one for every N m
+
 # Time [s] of the last sample and the smoothed speed of the input there [rad/s]; None before the first.
 State = tuple[float, float] | None
 
 
 @dataclass(frozen=True, kw_only=True)
 class MotorCurrent(MeshTorque):
-    """``T' = T + a T - (f + m |T|) s - c s |omega / 100 rad/s|^0.85 - j domega/dt``, ``s = sgn omega``.
+    """``T' = M - m |M| s``, ``M = T + a T - f s - c sgn(omega) |omega / 100 rad/s|^0.85 - j domega/dt``.
 
-    The sign turns round over omega_0: ``omega / (|omega| + omega_0)``.
+    The sign s turns round over omega_0: ``omega / sqrt(omega^2 + omega_0^2)``.
     """
+
+    def more(self, columns: Floats, coefficients: Floats) -> Floats:
+        """What friction takes grows with the torque behind the motor's own; see :meth:`MeshTorque.more`."""
+        own = columns @ np.where(np.arange(self.size) == _LOADED, 0.0, coefficients)
+        return np.asarray(own + coefficients[_LOADED] * columns[:, _DRY] * np.abs(columns[:, 0] + own))
+
+    def changes(self, columns: Floats, coefficients: Floats) -> Floats:
+        """Derivatives of the same; see :meth:`MeshTorque.changes`."""
+        own = columns @ np.where(np.arange(self.size) == _LOADED, 0.0, coefficients)
+        behind, dry = columns[:, 0] + own, columns[:, _DRY]
+        found = columns * (1.0 + coefficients[_LOADED] * dry * np.sign(behind))[:, None]
+        found[:, _LOADED] = dry * np.abs(behind)
+        return np.asarray(found)
+
+    def by_factor(self, coefficients: Floats) -> Floats:
+        """Derivative of the coefficients by one factor of all torque that is borne."""
+        return np.where(np.arange(self.size) == _LOADED, 0.0, coefficients + np.eye(self.size)[0])
 
     def start(self, nonlinear: Values) -> State:
         """No sample yet."""
@@ -44,7 +64,7 @@ class MotorCurrent(MeshTorque):
         last, followed = (float(signals.time[0]), float(speed[0])) if state is None else state
         left = np.exp(-np.maximum(np.diff(signals.time, prepend=last), 0.0) / _SMOOTH)
         behind = lag(followed, left, (1.0 - left) * speed)
-        sign = speed / (np.abs(speed) + max(nonlinear[0], 1e-9))
+        sign = speed / np.hypot(speed, max(nonlinear[0], 1e-9))
         drag = np.sign(speed) * np.abs(speed / REFERENCE) ** _POWER
         rate = (speed - behind) / (_SMOOTH * REFERENCE)
         columns = np.stack((torque, -sign, -np.abs(torque) * sign, -drag, -rate), axis=1)
@@ -59,6 +79,7 @@ EFFECT = MotorCurrent(
     needs=("time", "wave_generator_angle", "torque", "speed", "run"),
     excitation=(torque_known, partial(enough_input_turns, turns=1.0)),
     remembers=True,
+    reported=True,
     searched=False,
     given=True,
     grid=((0.5,), (5.0,)),

@@ -40,6 +40,9 @@ SCALES = (
 """The fitted parameters, in units near the precision that matters to a gear of size 25, ratio 100."""
 
 COUNT = len(SCALES)
+COMPLIANCE, CUP = 5, 6
+"""Numbers of the two compliances."""
+
 _MOST_SHIFTED = (45.0, 20.0)  # eccentricity and runout
 _DATUM = (-40.0, 45.0)  # from the configured one
 _HALVINGS = 12  # towards the last datum that makes a gear
@@ -48,7 +51,7 @@ MIRRORED = np.array([-1.0, -1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
 """What the parameters of the same drive with its lobes swapped are multiplied with."""
 
 _STEPS_PER_TOOTH = 8  # nodes along a record
-_NODES_PAY = 2.0  # samples per node from which they do
+_NODES_PAY = 1.5  # samples per node from which they do
 
 
 def warm_up() -> None:
@@ -158,6 +161,27 @@ def _datums(geometry: Geometry, unit: float) -> tuple[float, float]:
     return low, high
 
 
+def as_compliant(parameters: Floats, configured: Drive) -> Floats:
+    """The same error by the configured tooth compliance, under a torque that is in inverse proportion."""
+    found = parameters.copy()
+    found[[COMPLIANCE, CUP]] *= vector(configured, configured)[COMPLIANCE] / parameters[COMPLIANCE]
+    return found
+
+
+def common_factor(configured: Drive) -> float:
+    """Standard deviation of a factor of all compliances, and of the torque's inverse, by the prior [-]."""
+    center, width = prior(configured)
+    return float(width[COMPLIANCE] / center[COMPLIANCE])
+
+
+def scaling(parameters: Floats, held: tuple[int, ...], configured: Drive) -> Floats:
+    """Covariance (7, 7) of compliances that are off by one factor, where that of the teeth is held."""
+    step = np.zeros(COUNT)
+    if COMPLIANCE in held:
+        step[[COMPLIANCE, CUP]] = parameters[[COMPLIANCE, CUP]] * common_factor(configured)
+    return np.outer(step, step)
+
+
 def bounded(
     beta: Floats, covariance: Floats, parameters: Floats, configured: Drive
 ) -> tuple[Floats, Integers]:
@@ -219,20 +243,24 @@ def error_and_jacobian(
 
 
 def along(
-    drive: Drive, configured: Drive, input_angle: Floats, torque: Floats
+    drive: Drive,
+    configured: Drive,
+    input_angle: Floats,
+    torque: Floats,
+    steps: int = _STEPS_PER_TOOTH,
 ) -> tuple[Floats, Floats, Floats]:
     """The same along a record: of a long one solved at nodes of the wave generator's turn, straight between.
 
     Returns
     -------
     error : ndarray, shape (n,)
-        To 0.01 arcsec rms [rad].
+        To 0.01 arcsec rms with eight `steps` a tooth [rad].
     jacobian : ndarray, shape (n, 7)
         [rad] per unit, see :func:`units`.
     slope : ndarray, shape (n,)
         dTE/dT [rad/(N m)].
     """
-    nodes = _STEPS_PER_TOOTH * drive.mesh.geometry.circular_spline_teeth
+    nodes = steps * drive.mesh.geometry.circular_spline_teeth
     if input_angle.size < _NODES_PAY * nodes:
         return error_and_jacobian(drive, configured, input_angle, torque)
     angle = drive.frame.wave_generator_angle(input_angle)

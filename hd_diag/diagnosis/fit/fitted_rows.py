@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.drift import drift_columns
+from hd_diag.diagnosis.fit.fit_parameters import COMPLIANCE
 from hd_diag.diagnosis.fit.record_model import RecordModel
 from hd_diag.diagnosis.measured_noise import (
     NEVER,
@@ -115,6 +116,11 @@ class FittedRows:
         """What is part of every fit of these rows, with nonlinear values to begin with."""
         every = self.catalogue if self.source.by_current else ()
         return tuple((effect, effect.grid[0]) for effect in every if effect.given)
+
+    @property
+    def held(self) -> tuple[int, ...]:
+        """Numbers of the parameters that no fit can tell: by a current only stiffness times its constant."""
+        return (COMPLIANCE,) if self.source.by_current else ()
 
     @cached_property
     def kept(self) -> Kept:

@@ -57,7 +57,7 @@ class LinearisedFit:
         Effects that it is linearised beside: what they are at full size beyond their columns is no longer in
         the residual, and effects of later stages carry what earlier ones add.
     held : tuple of int
-        Numbers of parameters that stay where they are.
+        Numbers of parameters that stay where they are, beside those that the record cannot tell.
     """
 
     data: FittedRows
@@ -73,11 +73,11 @@ class LinearisedFit:
     def clear_of(self, shift: Floats) -> LinearisedFit:
         """Exclude rows where reported torque plus a shift [N m] of all rows is near zero; beside nothing."""
         data = self.data.on(self.data.mask & usable(self.data.source, shift))
-        return self if data is self.data else LinearisedFit(data, self.parameters, self.whiten)
+        return self if data is self.data else replace(self, data=data, present=())
 
     def on(self, rows: npt.NDArray[np.bool_]) -> LinearisedFit:
         """On other rows (n,) of the record, their noise not known yet; beside nothing."""
-        return LinearisedFit(self.data.on(rows), self.parameters)
+        return replace(self, data=self.data.on(rows), whiten=_WHITE, present=())
 
     def with_noise(self, chosen: Chosen) -> LinearisedFit:
         """Whitened by the residual of a model rich enough to leave only noise."""
@@ -140,7 +140,7 @@ class LinearisedFit:
     def jacobian(self) -> Floats:
         """Derivatives by the parameters, zero for those that are held, (n, 7)."""
         found = self.effects.jacobian.copy()
-        found[:, list(self.held)] = 0.0
+        found[:, [*self.held, *self.data.held]] = 0.0
         return found
 
     def always(self) -> Floats:
@@ -256,7 +256,8 @@ class LinearisedFit:
         precision, pull = np.zeros((2, places[-1].stop if places else self.always_white.shape[1]))
         precision[: fit_parameters.COUNT] = width**-2.0
         pull[: fit_parameters.COUNT] = center - self.parameters
-        precision[list(self.held)], pull[list(self.held)] = _HELD, 0.0
+        held = [*self.held, *self.data.held]
+        precision[held], pull[held] = _HELD, 0.0
         for (effect, _), place in zip(chosen, places, strict=True):
             if effect.given or effect.of_teeth:
                 precision[place] = (effect.usual * (1.0 if effect.given else _TEETH)) ** -2.0

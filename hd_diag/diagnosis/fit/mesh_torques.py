@@ -45,7 +45,7 @@ class MeshTorques:
         """Real less reported torque [N m], shape (n,)."""
         total = np.zeros(self.model.record.size)
         for (effect, nonlinear), coefficients in self.causes:
-            total += self.model.torque(effect, nonlinear) @ coefficients
+            total += effect.more(self.model.torque(effect, nonlinear), coefficients)
         return total
 
     @cached_property
@@ -87,8 +87,12 @@ class MeshTorques:
         return self.model.derivatives(self.parameters, self.more)
 
     def columns(self, effect: MeshTorque, nonlinear: Values) -> Floats:
-        """Of a cause beside these [rad per unit], shape (n, size)."""
-        return np.asarray(self.slope[:, None] * self.model.torque(effect, nonlinear))
+        """Of a cause beside these [rad per unit], shape (n, size); of one of these at its size."""
+        torque = self.model.torque(effect, nonlinear)
+        for item, coefficients in self.causes:
+            if item == (effect, nonlinear):
+                torque = effect.changes(torque, coefficients)
+        return np.asarray(self.slope[:, None] * torque)
 
     def beside(self, effect: MeshTorque, nonlinear: Values, coefficients: Floats) -> Floats:
         """What a cause of some size does beside these, itself left out [rad], shape (n,)."""

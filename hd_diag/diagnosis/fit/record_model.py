@@ -73,12 +73,11 @@ class RecordModel:
         """What an effect adds to the torque at all rows [N m per unit], shape (n, size)."""
 
         def torque() -> Floats:
-            columns = np.nan_to_num(effect.torque(self.motion, nonlinear))
             record, width = self.record, self.record.torque_window
             if not (effect.reported and width):
-                return columns
-            step = float(np.median(np.diff(record.time)))
-            return smooth(columns, record.run, step, width)
+                return np.nan_to_num(effect.torque(self.motion, nonlinear))
+            columns = np.nan_to_num(effect.torque(self.motion.bearing(record.reported_torque), nonlinear))
+            return smooth(columns, record.run, float(np.median(np.diff(record.time))), width)
 
         return self.kept.get(("torque", effect.name, nonlinear), torque)
 

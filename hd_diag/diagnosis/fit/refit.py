@@ -18,6 +18,7 @@ from hd_diag.drive import Drive
 # mistake starts that are as good as equal, and a fit of all rows follows.
 _ROUNDS = ((250, 5, 5), (700, 5, 2), (1500, 8, 2))
 _HOPELESS = 2.0  # times the best deviance, beyond which a start is not followed any further
+_STEPS_PER_TOOTH = 1  # nodes of the model: to 0.1 arcsec rms
 _FIRST_NOISE, _LEAST_NOISE = 2e-5, 1e-6  # of the residual [rad]; each round takes that of the one before
 _STILL, _STEADY = 0.02, 0.02  # of the usual top speed, and of the torque's range: a rest
 _SETTLING = 0.05  # [s] of a rest that count
@@ -126,6 +127,8 @@ def refit(
             break
     covariance = problem.covariance(trials[0][0])
     (point, deviance), *others = [(found[:COUNT], value) for found, value in trials]
+    if record.by_current:
+        point = fit_parameters.as_compliant(point, configured)
     rivals = distinct([point, *(other for other, value in others if value - deviance < _DISTINCT)])[1:]
     ambiguous = any(_apart(point, rival, covariance) > _DISTINCT for rival in rivals)
     return Refit(fit_parameters.drive_of(point, configured), point, covariance, not ambiguous)
@@ -199,8 +202,8 @@ class _Problem:
     def residual_and_jacobian(self, point: Floats) -> tuple[Floats, Floats]:
         drive = fit_parameters.drive_of(point[:COUNT], self.configured)
         torque = self.torque + float(point[-1]) * self.offset
-        error, jacobian, slope = fit_parameters.error_and_jacobian(
-            drive, self.configured, self.input_angle, torque
+        error, jacobian, slope = fit_parameters.along(
+            drive, self.configured, self.input_angle, torque, _STEPS_PER_TOOTH
         )
         columns = np.concatenate((jacobian, self.offset * slope[:, None]), axis=1)
         return self._projected(self.measured - error), self._projected(columns)

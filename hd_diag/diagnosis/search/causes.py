@@ -19,6 +19,7 @@ from hd_diag.diagnosis.search.ranking import by_name, ranked
 from hd_diag.diagnosis.search.remainder import Remainder
 from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS, UnmodelledTerm
 from hd_diag.effects.effect import Effect
+from hd_diag.effects.motor_current import MotorCurrent
 from hd_diag.formatting import words
 
 CLASS_DEVIANCE = 10.0
@@ -179,13 +180,30 @@ def _numbers(fit: LinearisedFit, chosen: Chosen) -> list[tuple[Floats, Floats, f
 def parameters_of(found: Search) -> tuple[Floats, Floats]:
     """The model's parameters beside the causes, and their covariance, in units of `fit_parameters.units`.
 
-    What is held makes the others no more certain than they are beside it.
+    What is held makes the others no more certain than they are beside it. By a motor's current all
+    compliances may be off by one factor, and the torque by its inverse, as far as the prior lets them.
     """
-    own = slice(fit_parameters.COUNT)
-    beta, _, _ = found.fit.fit(found.chosen)
-    fit = found.fit
-    spread, _ = covariance(replace(fit, held=()), found.chosen)
-    return fit_parameters.admissible(fit.parameters + beta[own], fit.data.configured), spread[own, own]
+    own, fit = slice(fit_parameters.COUNT), found.fit
+    beta, _, _ = fit.fit(found.chosen)
+    spread = covariance(replace(fit, held=()), found.chosen)[0][own, own]
+    parameters = fit_parameters.admissible(fit.parameters + beta[own], fit.data.configured)
+    return parameters, spread + fit_parameters.scaling(parameters, fit.data.held, fit.data.configured)
+
+
+def motor_deviations(found: Search) -> dict[str, float]:
+    """Standard deviations of what a motor needs of its current, that of the common factor included."""
+    fit = replace(found.fit, held=())
+    for index, (effect, nonlinear) in enumerate(found.chosen):
+        if not isinstance(effect, MotorCurrent):
+            continue
+        spread, places = covariance(fit, found.chosen)
+        own = _part(spread, places[index])
+        coefficients = found.fit.fit(found.chosen)[0][places[index][: effect.size]]
+        configured = fit.data.configured
+        along = effect.by_factor(coefficients) * fit_parameters.common_factor(configured)
+        own[: effect.size, : effect.size] += np.outer(along, along)
+        return effect.standard_deviations(coefficients, nonlinear, own)
+    return {}
 
 
 def _share(fit: LinearisedFit, chosen: Chosen, index: int) -> Floats:

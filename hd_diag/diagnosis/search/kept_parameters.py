@@ -91,25 +91,27 @@ def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, 
     """
     fit = _undisplaced(fit, chosen)
     away, spread = _away(fit, chosen)
-    doubtful = [name for name in GROUPS if _certainty(away, spread, name) < _PLAIN]
+    untold = [name for name, numbers in GROUPS.items() if set(numbers) <= set(fit.data.held)]
+    certain = {name: _certainty(away, spread, name) for name in GROUPS if name not in untold}
+    doubtful = [name for name in certain if certain[name] < _PLAIN]
     if not doubtful:
-        return fit, Kept({})
+        return fit, Kept(_bounds(fit, chosen, untold))
     best, held = fit, list[str]()
     if (trial := _held(fit, chosen, doubtful)) is not None:
         best, held = trial, doubtful
     elif len(doubtful) > 1:
-        for name in sorted(doubtful, key=lambda one: _certainty(away, spread, one)):
+        for name in sorted(doubtful, key=certain.__getitem__):
             if (trial := _held(best, chosen, [*held, name])) is not None:
                 best, held = trial, [*held, name]
     moved = _fitted(best, chosen), _fitted(best, chosen) * MIRRORED
     nearest = min((np.abs(one - _fitted(fit, chosen)) for one in moved), key=lambda x: float(np.sum(x[:4])))
-    return best, Kept({name: _bound(fit, chosen, name) for name in held}, nearest)
+    return best, Kept(_bounds(fit, chosen, [*untold, *held]), nearest)
 
 
 def all_kept(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Kept]:
     """All groups held at their configured values; see :func:`kept_parameters`."""
     trial, _ = _trial(fit, chosen, [*GROUPS])
-    return trial, Kept({name: _bound(fit, chosen, name) for name in GROUPS})
+    return trial, Kept(_bounds(fit, chosen, list(GROUPS)))
 
 
 def _undisplaced(fit: LinearisedFit, chosen: Chosen) -> LinearisedFit:
@@ -136,7 +138,8 @@ def _away(fit: LinearisedFit, chosen: Chosen) -> tuple[Floats, Floats]:
     configured = fit_parameters.vector(fit.data.configured, fit.data.configured)
     found, own = _fitted(fit, chosen), slice(COUNT)
     away = min((found - configured, found * MIRRORED - configured), key=lambda x: float(np.sum(x[:4] ** 2)))
-    return away, covariance(fit, chosen)[0][own, own]
+    open_ = fit_parameters.scaling(found, fit.data.held, fit.data.configured)
+    return away, covariance(fit, chosen)[0][own, own] + open_
 
 
 def _fitted(fit: LinearisedFit, chosen: Chosen) -> Floats:
@@ -185,6 +188,10 @@ def _trial(fit: LinearisedFit, chosen: Chosen, names: list[str]) -> tuple[Linear
     start, held = _start(fit, names)
     trial = settle(replace(fit.moved(start), held=tuple(held)), chosen, rounds=2, learn=False)
     return trial, trial.design(chosen).held_out() - fit.design(chosen).held_out()
+
+
+def _bounds(fit: LinearisedFit, chosen: Chosen, names: list[str]) -> dict[str, float]:
+    return {name: _bound(fit, chosen, name) for name in names}
 
 
 def _bound(fit: LinearisedFit, chosen: Chosen, name: str) -> float:

@@ -88,7 +88,7 @@ def _rounds(
     Chances of what is chosen and names of its rivals are added to `p_values` and `rivals`.
     """
     if chosen:
-        fit, chosen = polished(_restarted(fit, chosen, rng), chosen)
+        fit, chosen = polished(fit, chosen)
         yield fit, chosen
     family = family_size(fit)
     for number in range(_MOST_CAUSES + _MOST_TERMS + len(OUTPUT_LINES)):
