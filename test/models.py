@@ -42,14 +42,9 @@ VALUES = {
         "damping": 0.04,
     },
     "circular_spline_pitch": {
-        "pitch_2": 1e-6,
-        "pitch_direction_2": 0.4,
-        "pitch_4": 2e-7,
-        "pitch_direction_4": 0.1,
-        "pitch_6": 1e-7,
-        "pitch_direction_6": 0.1,
-        "pitch_8": 1e-7,
-        "pitch_direction_8": 0.1,
+        name.format(k): value
+        for k, size in zip(range(1, 9), (3e-7, 1e-6, 3e-7, 2e-7, 1e-7, 1e-7, 1e-7, 1e-7), strict=True)
+        for name, value in (("pitch_{}", size), ("pitch_direction_{}", 0.4 / k))
     },
     "viscous_windup": {"friction": 1.2, "exponent": 0.9},
     "thermal_drift": {"drift": 5e-6, "lag": 20.0},

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from benches import CONFIGURED, EFFECTS, POINT, TRUE, bench, of, swinging
-from joint_records import ARCSEC, NOISE, prepared
+from joint_records import ARCSEC, NOISE, RATIO, prepared
 
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.record import Record
@@ -13,6 +13,7 @@ from hd_diag.diagnosis.search.acceptance import (
     FAMILY_ERROR,
     LEAST_SIZE,
     held_out_gain,
+    imitated,
     least_size,
     needed,
     of_shapes,
@@ -21,10 +22,11 @@ from hd_diag.diagnosis.search.acceptance import (
 )
 from hd_diag.diagnosis.search.ranking import ranked
 from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS
+from hd_diag.drive import transmission_error
 from hd_diag.effects.signals import Signals
 from hd_diag.simulation import Motion, Noise, SimulatedJoint, simulate
 
-RUBBED, DRY = EFFECTS["hysteresis"], EFFECTS["coulomb_windup"]
+RUBBED, DRY, RUNOUT = (EFFECTS[name] for name in ("hysteresis", "coulomb_windup", "output_runout"))
 RUBBING = (RUBBED, (9.0, 1.6, 2.0, 1.5))
 DRIFT, RESTS = (t for t in UNMODELLED_TERMS if t.name in ("drift", "rests"))
 
@@ -62,6 +64,22 @@ def test_a_cause_passes_with_the_p_value_of_a_family_that_is_not_too_large(made:
     weak = dataclasses.replace(best, p_value=1e-4)
     assert passing(made, (), [weak], 99) is not None
     assert passing(made, (), [weak], 101) is None
+
+
+def test_the_shape_of_a_torsion_that_goes_with_position_is_no_runout() -> None:
+    """A spring that bends some per cent under gravity: a runout in its place would be many times that."""
+    record = swinging()
+    torque = 40.0 * np.cos(record.input_angle / RATIO + 0.6)
+    output = record.input_angle / RATIO + transmission_error(TRUE, record.input_angle, torque)
+    output += NOISE * np.random.default_rng(1).standard_normal(record.size)
+    arm = dataclasses.replace(record, torque=torque, reported_torque=torque, output_angle=output)
+    bent = bench(lambda signals: 3e-5 * (signals.torque / 40.0) ** 3, record=arm)
+    (best,) = ranked(bent, (), [RUNOUT])
+    assert best.p_value < FAMILY_ERROR / 50
+    assert LEAST_SIZE < size(bent, (), RUNOUT, ()) < imitated(bent, (), RUNOUT, ())
+    assert passing(bent, (), [best], 50) is None
+    off_centre = bench(of(RUNOUT, amplitude=20.0 * ARCSEC, direction=0.3), record=arm)
+    assert passing(off_centre, (), ranked(off_centre, (), [RUNOUT]), 50) is not None
 
 
 def test_noise_does_not_pass(plain: LinearisedFit) -> None:

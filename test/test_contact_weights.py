@@ -98,6 +98,15 @@ def test_moved_slots_and_slots_out_of_round(member: str, order: int) -> None:
     assert rms(found - expected) < TOLERANCE * rms(expected)
 
 
+def test_odd_pitch_errors_show_where_an_eccentricity_makes_the_lobes_unequal() -> None:
+    angle, torque = np.linspace(0.0, 2.0 * math.pi, 400), np.full(400, 20.0)
+    centred = Drive(drives.mesh(), Kinematics(100.0), 56.0)
+    even, odd = np.abs(weights(centred, angle, torque).harmonics("slot", (2, 3))).T
+    assert np.max(odd) < 1e-3 * np.mean(even)
+    even, odd = np.abs(weights(DRIVE, angle, torque).harmonics("slot", (2, 3))).T
+    assert np.mean(odd) > 0.05 * np.mean(even)
+
+
 def test_one_moved_slot_opens_its_positive_flank() -> None:
     slot = 11  # 0.34 rad: at a lobe in the first moment
     expected = turned(lambda angle: polyline.mesh(angle, ECCENTRICITY, slot_shift=2e-6 * np.eye(202)[slot]))

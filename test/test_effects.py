@@ -37,7 +37,10 @@ VALUES: dict[str, tuple[float, ...]] = {
     "circular_spline_form": (4e-6, 1.0, 3e-6, 0.5, 3e-6, 0.2, 1.0),
     "coupling_misalignment": (0.08, 2.5, 3e-4, 1.0),
     "bearing_passage": (2e-5, 1.0, 0.4437, 0.0),
-    "circular_spline_pitch": (2e-6, 2.0, 2e-6, 1.2, 1e-6, 0.3, 1e-6, 0.2),
+    "circular_spline_pitch": (
+        *(2e-6, 3.0, 2e-6, 2.0, 1e-6, 1.5, 2e-6, 1.2),
+        *(1e-6, 0.9, 1e-6, 0.3, 1e-6, 0.6, 1e-6, 0.2),
+    ),
     "flexspline_pitch": (2e-6, 0.4, 2e-6, 0.9),
     "tooth_damage": (8e-5, 5e-5, 0.0, 2 * math.pi / 202 * 77),
     "wear_backlash": (5e-6,),
@@ -478,6 +481,15 @@ def test_scan_leaves_others_orders_alone(signals: Signals, order: float) -> None
     best = effect.columns(signals, effect.starts(signals, line).points[0])
     left = line - best @ solved(best, line)
     assert np.sum(left**2) > 0.9 * np.sum(line**2)
+
+
+def test_scan_lets_no_bearing_slip_beside_a_stronger_wave_that_goes_with_the_torque(signals: Signals) -> None:
+    """Its plain sum is nothing under torques of both signs, but what leaks from it is not."""
+    effect, angle = by_name("bearing_passage"), signals.wave_generator_angle
+    weak, load = 0.2 * np.cos(10.2537 * angle), signals.torque / np.std(signals.torque)
+    assert any(slips for _, slips in effect.starts(signals, weak).points)
+    found = effect.starts(signals, weak + load * np.cos(21.0 * angle)).points
+    assert not any(slips for _, slips in found)
 
 
 @pytest.mark.parametrize(("member", "count"), [(0.0, 202), (1.0, 200)])

@@ -66,6 +66,16 @@ def test_a_large_eccentricity_over_a_part_of_a_turn_is_no_ramp(seconds: float) -
     assert check_ramp(record, RATIO) is None
 
 
+@pytest.mark.parametrize("phase", [0.5, 2.0, -1.0])
+def test_an_encoder_disc_off_centre_is_no_ramp(record: Record, phase: float) -> None:
+    """Over half a turn, once and twice per output turn lean together."""
+    turn = record.input_angle / RATIO - phase
+    error = 45.0 * ARCSEC * (np.cos(turn) + 0.3 * np.cos(2.0 * turn - 1.0))
+    disc = dataclasses.replace(record, output_angle=record.output_angle + error)
+    assert check_ramp(disc, RATIO) is None
+    assert check_ramp(scaled(disc, 1.001), RATIO) is not None
+
+
 @pytest.mark.parametrize(("family", "seed"), [("robot_pair", 4001), ("robot_single", 716)])
 def test_torsion_that_goes_with_position_is_no_ramp(family: str, seed: int) -> None:
     """A robot's arm over half a turn: what its spring's law leaves leans like a ramp."""

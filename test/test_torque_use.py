@@ -25,6 +25,10 @@ def test_a_torque_of_another_joint_is_left_out() -> None:
     assert (finding.name, finding.fatal, blind.has_torque) == (TORQUE_MISLEADS, False, False)
     assert not blind.torque.any()
     assert finding.value > 1.3
+    hardly = dataclasses.replace(unloaded, torque=0.003 * other)  # it twists nothing
+    same, finding = without_misleading_torque(hardly, CONFIGURED, test, np.random.default_rng(0))
+    assert same is hardly
+    assert finding is None
     current = dataclasses.replace(unloaded, by_current=True)  # most of it may be the motor's own friction
     same, finding = without_misleading_torque(current, CONFIGURED, test, np.random.default_rng(0))
     assert same is current

@@ -22,7 +22,7 @@ from hd_diag.diagnosis.search.causes import Cause, Search, doubted, motor_deviat
 from hd_diag.diagnosis.search.detectability import Testability, testability
 from hd_diag.diagnosis.search.kept_parameters import Kept, all_kept, kept_parameters
 from hd_diag.diagnosis.search.order_table import OrderRow
-from hd_diag.diagnosis.search.selection import search
+from hd_diag.diagnosis.search.selection import alone, search
 from hd_diag.diagnosis.search.unexplained import Unexplained, unexplained, with_table
 from hd_diag.diagnosis.search.unmodelled_terms import OutputLine
 from hd_diag.diagnosis.torque_use import without_misleading_torque
@@ -164,8 +164,8 @@ def diagnose(
     whole = doubted(refitted(settle(replace(best.every, held=kept.held), best.found.chosen), best.found))
     del begun, plain, found, best  # some hundred columns each
     parameters, covariance = parameters_of(whole)
-    # Minima beside a drive without displacement are no rivals of it.
-    certain = first.trustworthy or "eccentricity" in kept.bounds
+    # Minima beside a drive without displacement are no rivals of it; nor those that only a cause made alike.
+    certain = first.trustworthy or "eccentricity" in kept.bounds or alone(whole.fit, whole.chosen, rng)
     trustworthy = certain and not fit_parameters.at_bound(parameters, configured)
     drive = fit_parameters.drive_of(parameters, configured)
     work.tell(0.94, "looking at what no cause explains")

@@ -19,6 +19,7 @@ _RAMP_MISS = 8e-5  # relative; torsion by gravity leans by half of it over a rob
 _RAMP_ERROR = 1e-4  # [rad]; what is not fitted beside a ramp may lean by this over a run
 _LEAST_REACH = 2.5  # of a run at the output [rad]; over less, a wave of the output bends like a ramp
 _PLAIN = 0.5  # of the rest, that a ramp must explain alone
+_LESS = 0.999  # of the rest: beyond what two columns take by chance
 _PARTS = 6
 _CLUSTERS = 60
 _MOST_ROWS = 20_000  # of the fit of ramps
@@ -70,15 +71,16 @@ def check_ramp(record: Record, ratio: float) -> Finding | None:
     -----
     Torsion, friction, runout and the gear's ripple are fitted beside the ramps, one for each of `_PARTS`
     parts. Without a measured torque, torsion looks like a ramp; over a small part of a turn, runout does, and
-    what is left of the ramp beside it must stand out of the rest: their laws are known to a share only.
+    what is left of the ramp beside it must stand out of the rest: their laws are known to a share only. An
+    encoder's disc that is off centre bends twice per turn as well, and must explain less than the ramps.
     """
     reach = float(np.ptp(centered(record.input_angle / ratio, record.run)))
     if not record.has_torque or reach < _LEAST_REACH:
         return None
-    ramps, deviation, hidden, leaning = _ramps(record.thinned(_MOST_ROWS), ratio)
+    ramps, deviation, hidden, leaning, bent = _ramps(record.thinned(_MOST_ROWS), ratio)
     mean = float(ramps.mean())
     spread = max(float(ramps.std(ddof=1)) / np.sqrt(ramps.size), deviation)
-    if abs(mean) > max(_RAMP_MISS, _RAMP_ERROR / reach, 6.0 * spread, _PLAIN * hidden, leaning):
+    if not bent and abs(mean) > max(_RAMP_MISS, _RAMP_ERROR / reach, 6.0 * spread, _PLAIN * hidden, leaning):
         return wrong_ratio(ratio / (1.0 + mean), ratio)
     return None
 
@@ -118,11 +120,13 @@ def _usual_slope(record: Record) -> float:
     return float(slope[order][min(int(half), order.size - 1)])
 
 
-def _ramps(record: Record, ratio: float) -> tuple[Floats, float, float, float]:
+def _ramps(record: Record, ratio: float) -> tuple[Floats, float, float, float, bool]:
     """Error per output angle in each part of a record, shape (_PARTS,) [-], and their mean's deviation.
 
     Then the mean at which what only ramps explain is as large as the rest, and that of a ramp as large as the
     torsion, as far as the torque goes with the angle: over part of a turn gravity's does [-].
+
+    And whether a wave twice per output turn in place of the ramps leaves less.
 
     The deviation allows for a residual that is correlated within `_CLUSTERS` stretches.
     """
@@ -140,10 +144,11 @@ def _ramps(record: Record, ratio: float) -> tuple[Floats, float, float, float]:
     part = rows * _PARTS // record.size
     along = centered(ideal, record.run)
     columns = [along * (part == number) for number in range(_PARTS)]
-    columns += [centered(column, record.run) for column in shared]
+    columns += [centered(column, record.run) for column in (*shared, *_waves(2.0 * ideal))]
     scale = np.array([max(float(np.linalg.norm(c)), 1e-300) for c in columns])
     scaled = np.stack(columns, axis=1) / scale
     error = centered(record.output_angle - ideal, record.run)
+    waved, scaled = scaled[:, _PARTS:], scaled[:, :-2]
     inverse = np.linalg.pinv(scaled, rcond=1e-6)
     found = inverse @ error
     weight = (inverse[:_PARTS] / scale[:_PARTS, None]).mean(axis=0)
@@ -154,7 +159,9 @@ def _ramps(record: Record, ratio: float) -> tuple[Floats, float, float, float]:
     torsion = float(np.std(loads @ found[_PARTS : _PARTS + 3]))
     alike = float(np.var(loads @ np.linalg.lstsq(loads, along, rcond=None)[0]) / max(np.var(along), 1e-300))
     leaning = alike * torsion / max(float(np.std(along)), 1e-300)
-    return np.asarray((found / scale)[:_PARTS]), float(np.sqrt(np.sum(cluster**2))), hidden, leaning
+    ramps, deviation = np.asarray(found[:_PARTS] / scale[:_PARTS]), float(np.sqrt(np.sum(cluster**2)))
+    left = error - waved @ (np.linalg.pinv(waved, rcond=1e-6) @ error)
+    return ramps, deviation, hidden, leaning, bool(np.linalg.norm(left) < _LESS * np.linalg.norm(rest))
 
 
 def _waves(angle: Floats) -> tuple[Floats, Floats]:

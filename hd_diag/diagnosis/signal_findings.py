@@ -163,10 +163,14 @@ def _late(record: Record, ratio: float) -> float:
     return shift * step if matched and abs(shift * step) > _OUT_OF_STEP else math.nan
 
 
+def twisting(record: Record, configured: Drive) -> bool:
+    """Whether a torque is known and changes enough to twist the gear."""
+    return record.has_torque and float(np.ptp(record.torque)) > _LEAST_TORSION * configured.rated_torque
+
+
 def check_torque(record: Record, configured: Drive) -> Finding | None:
     """A finding where the torsion is not that of the torque: of the other sign, or many times as much."""
-    enough = _LEAST_TORSION * configured.rated_torque
-    if not record.has_torque or float(np.ptp(record.torque)) < enough:
+    if not twisting(record, configured):
         return None
     some = record.thinned(_MOST_ROWS)
     output = some.input_angle / configured.kinematics.ratio

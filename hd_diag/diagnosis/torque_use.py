@@ -14,6 +14,7 @@ from hd_diag.diagnosis.fit.design import lower_bound
 from hd_diag.diagnosis.fit.refit import refit
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.regression import centered
+from hd_diag.diagnosis.signal_findings import twisting
 from hd_diag.drive import Drive
 from hd_diag.formatting import ARCSEC
 
@@ -22,7 +23,6 @@ TORQUE_MISLEADS = "torque_misleads"
 _WORSE = 1.3  # ratio of the residuals
 _BLOCKS = 8
 _MOST_ROWS = 2000
-_START = ((0.0, 0.0),)
 
 
 def without_misleading_torque(
@@ -30,7 +30,8 @@ def without_misleading_torque(
 ) -> tuple[Record, Finding | None]:
     """The record without its torque where fits to other rows predict held-out ones far better without.
 
-    A current is kept: what the motor itself needs of it, these fits do not know.
+    A current is kept: what the motor itself needs of it, these fits do not know. So is a torque that hardly
+    changes: it twists nothing, and cannot mislead. Both fits have the same samples and starts.
 
     Parameters
     ----------
@@ -41,13 +42,16 @@ def without_misleading_torque(
     rng : numpy.random.Generator
         Chooses the samples of the fits.
     """
-    if not record.has_torque or record.by_current:
+    if not twisting(record, configured) or record.by_current:
         return record, None
     unloaded = np.zeros(record.size)
     blind = replace(record, torque=unloaded, reported_torque=unloaded, has_torque=False)
     if np.std(_left(record, configured, test)) < np.std(_left(blind, configured, test)):
         return record, None  # as configured it helps already
-    known, unknown = (_predicted(one, configured, test, rng) for one in (record, blind))
+    seed = int(rng.integers(2**31))
+    known, unknown = (
+        _predicted(one, configured, test, np.random.default_rng(seed)) for one in (record, blind)
+    )
     rms = [float(np.sqrt(np.mean(one**2))) for one in (known, unknown)]
     parts = [np.array_split(one**2, _BLOCKS) for one in (known, unknown)]
     worse = np.array([float(a.sum() - b.sum()) for a, b in zip(*parts, strict=True)])
@@ -64,7 +68,7 @@ def _predicted(
     record: Record, configured: Drive, test: npt.NDArray[np.bool_], rng: np.random.Generator
 ) -> Floats:
     """The same of a drive that was fitted to all others."""
-    return _left(record, refit(record.select(~test), configured, rng, starts=_START).drive, test)
+    return _left(record, refit(record.select(~test), configured, rng).drive, test)
 
 
 def _left(record: Record, drive: Drive, test: npt.NDArray[np.bool_]) -> Floats:

@@ -43,7 +43,8 @@ class BearingPassage(Harmonic):
     def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
         """Strongest lines of a residual's order spectrum inside the bands; without one their middles.
 
-        A line may slip only where no line elsewhere is as strong: it could follow what leaks from that.
+        A line may slip only where no line elsewhere is as strong, even or in proportion to the torque: it
+        could follow what leaks from that, or its image where samples are too few.
         """
         width = sum(high - low for low, high in BANDS)
         trials = 2 * max(len(BANDS), int(2.0 * width * input_turns(signals)))
@@ -52,7 +53,9 @@ class BearingPassage(Harmonic):
                 [(0.5 * (low + high), slips) for low, high in BANDS for slips in (0.0, 1.0)], trials
             )
         order, strength = spectrum(signals.wave_generator_angle, residual, _HIGHEST)
-        most = _LEADING * float(np.max(strength[order > _LOWEST], initial=0.0))
+        load = signals.torque / max(float(np.sqrt(np.mean(signals.torque**2))), 1e-9)
+        _, loaded = spectrum(signals.wave_generator_angle, residual * load, _HIGHEST)
+        most = _LEADING * float(np.max(np.maximum(strength, loaded)[order > _LOWEST], initial=0.0))
         peak = np.zeros(order.size, dtype=np.bool_)
         peak[1:-1] = (strength[1:-1] >= strength[:-2]) & (strength[1:-1] >= strength[2:])
         place = np.flatnonzero(peak & _allowed(order, signals))

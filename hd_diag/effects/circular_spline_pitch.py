@@ -12,7 +12,7 @@ from hd_diag.effects.excitation import enough_input_turns, torque_varies
 from hd_diag.effects.quantity import harmonic_sum, harmonics, lobes
 from hd_diag.effects.signals import Signals
 
-ORDERS = (2, 4, 6, 8)  # two opposite lobes cancel the odd ones
+ORDERS = (1, 2, 3, 4, 5, 6, 7, 8)  # odd ones show where an eccentricity makes the lobes unequal
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -40,8 +40,8 @@ def passing(fit: LinearisedFit, chosen: Chosen, ranked: list[Candidate], family:
         if p > FAMILY_ERROR:
             return None
         effect, nonlinear = candidate.effect, candidate.nonlinear
-        own = size(fit, chosen, effect, nonlinear)
-        if own < max(LEAST_SIZE, of_shapes(fit, chosen, effect)):
+        least = max(LEAST_SIZE, of_shapes(fit, chosen, effect), imitated(fit, chosen, effect, nonlinear))
+        if size(fit, chosen, effect, nonlinear) < least:
             continue
         if _confirmed(fit, chosen, effect, nonlinear):
             return replace(candidate, p_value=p)
@@ -60,6 +60,14 @@ def of_shapes(fit: LinearisedFit, chosen: Chosen, effect: Effect) -> float:
     shares = [_LATE if item[0].stage == Stage.STREAM else _SHAPE for item, _ in sized]
     sizes = [fit.amplitude(*item, coefficients) for item, coefficients in sized]
     return max((share * one for share, one in zip(shares, sizes, strict=True)), default=0.0)
+
+
+def imitated(fit: LinearisedFit, chosen: Chosen, effect: Effect, nonlinear: tuple[float, ...]) -> float:
+    """Size up to which an effect may only be the shape of what imitates it beside it [rad rms].
+
+    Over part of a turn, gravity on a soft cup is a runout but for some per cent: the torsion's own shape.
+    """
+    return _SHAPE * float(np.std(_part(fit, chosen, effect, nonlinear))) if smooth(effect) else 0.0
 
 
 def smooth(effect: Effect) -> bool:
@@ -83,7 +91,8 @@ def needed(fit: LinearisedFit, chosen: Chosen) -> Chosen:
             continue
         rest = chosen[:index] + chosen[index + 1 :]
         blind = isinstance(effect, UnmodelledTerm) and not effect.predictive
-        small = size(fit, rest, effect, nonlinear) < (_CERTAIN_SIZE if blind else least_size(fit, effect))
+        least = max(least_size(fit, effect), imitated(fit, rest, effect, nonlinear))
+        small = size(fit, rest, effect, nonlinear) < (_CERTAIN_SIZE if blind else least)
         if blind and not small:
             continue
         if small or not holds(*held_out_gain(fit, chosen, index)):
@@ -123,14 +132,18 @@ def block_deviances(fit: LinearisedFit, chosen: Chosen) -> Floats:
 
 def size(fit: LinearisedFit, chosen: Chosen, effect: Effect, nonlinear: tuple[float, ...]) -> float:
     """Rms of what the model and the chosen effects, fitted to an effect's part, leave of it [rad]."""
-    columns = fit.columns(effect, nonlinear)
-    beta, _, _ = fit.fit((*chosen, (effect, nonlinear)))
-    part = columns @ beta[-columns.shape[1] :]
+    part = _part(fit, chosen, effect, nonlinear)
     fixed = np.concatenate((fit.always(), fit.joined(chosen)), axis=1)
     white = fit.whiten(part, fit.data.run)
     moment = [one.T @ white for one in (fit.always_white, *(fit.white(*item) for item in chosen))]
     own = part - fixed @ solve(fit.design(chosen).whole[0], np.concatenate(moment))
     return float(np.std(own))
+
+
+def _part(fit: LinearisedFit, chosen: Chosen, effect: Effect, nonlinear: tuple[float, ...]) -> Floats:
+    """What an effect adds at the size that fits beside those chosen [rad], (n,)."""
+    columns = fit.columns(effect, nonlinear)
+    return np.asarray(columns @ fit.fit((*chosen, (effect, nonlinear)))[0][-columns.shape[1] :])
 
 
 def _confirmed(fit: LinearisedFit, chosen: Chosen, effect: Effect, nonlinear: tuple[float, ...]) -> bool:

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.joint_refinement import free, polished, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
-from hd_diag.diagnosis.fit.refit import FEW_STARTS, distinct, refit
+from hd_diag.diagnosis.fit.refit import FEW_STARTS, Refit, distinct, refit
 from hd_diag.diagnosis.search.acceptance import needed, passing
 from hd_diag.diagnosis.search.causes import CLASS_DEVIANCE, Search, causes
 from hd_diag.diagnosis.search.ranking import Candidate, Projector, by_name, candidates, family_size, ranked
@@ -302,19 +302,23 @@ def _restarted(fit: LinearisedFit, chosen: Chosen, rng: np.random.Generator) -> 
     here = fit.design(chosen).deviance()
     if here - fit.design(chosen, more).deviance() < more.shape[1] + _RESTART_GAIN:
         return fit
-    again = refit(
-        fit.data.record,
-        fit.data.configured,
-        rng,
-        extra=fit.joined(chosen),
-        start=fit.parameters,
-        starts=FEW_STARTS,
-    )
+    again = _refitted(fit, chosen, rng)
     if not distinct([fit.parameters, again.parameters])[1:]:
         return fit
     other = settle(fit.moved(again.parameters), chosen, rounds=2)
     deviance = replace(other, whiten=fit.whiten).design(chosen).deviance()  # with one noise model
     return other if deviance < here - _RESTART_GAIN else fit
+
+
+def alone(fit: LinearisedFit, chosen: Chosen, rng: np.random.Generator) -> bool:
+    """Whether no other minimum fits about as well beside the chosen effects, which take part freely."""
+    return _refitted(fit, chosen, rng).trustworthy
+
+
+def _refitted(fit: LinearisedFit, chosen: Chosen, rng: np.random.Generator) -> Refit:
+    """The model's parameters searched for globally, the chosen effects beside them."""
+    own, extra = fit.data, fit.joined(chosen)
+    return refit(own.record, own.configured, rng, extra=extra, start=fit.parameters, starts=FEW_STARTS)
 
 
 def _finished_in_time(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
