@@ -52,7 +52,7 @@ def test_a_delay_of_tooth_errors_is_one_delay() -> None:
     rest, _, (pitch, delay) = left(recorded(*truth), (PITCH, ()), (DELAY, ()))
     assert rest == pytest.approx(2.0, abs=0.1)
     assert delay[0] == pytest.approx(2e-3, rel=0.01)
-    assert np.hypot(*pitch[:2]) == pytest.approx(1.2e-6, rel=0.05)
+    assert np.hypot(*pitch[2:4]) == pytest.approx(1.2e-6, rel=0.05)
 
 
 def test_a_spring_carries_tooth_errors_and_the_model_s_own_parameters() -> None:
