@@ -11,7 +11,7 @@ A replay is the live flow fed from a bag. Time is a message's stamp; silence alo
 Rooms, each of which imports those above it alone:
 
 =================== ===================================================================================
-arrays              names of array types; beside it `formatting`, `process_pool` and `whole_file`
+arrays              names of array types; beside it `formatting`, `memory`, `process_pool`, `whole_file`
 model               the mechanics: frames and signs, geometry, contact, load sharing, torsion and its map
 drive               one drive: a mesh in its frame, with ratio and rated torque
 gear                a drive from its catalogue page, and what a drive is in such a page's numbers

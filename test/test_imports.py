@@ -16,7 +16,7 @@ from cli_runner import config_file
 ROOT = Path(__file__).resolve().parent.parent
 # Each line may import the lines above it; what stands in one line does not know each other.
 CHAIN = (
-    ("arrays", "formatting", "process_pool", "whole_file"),
+    ("arrays", "formatting", "memory", "process_pool", "whole_file"),
     ("model",),
     ("drive",),
     ("gear",),

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import ctypes
-import gc
 import os
 import signal
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 from rclpy.logging import get_logger
 
-_DONT_NEED = 4  # MADV_DONTNEED
 _PATIENCE = 0.05  # between looks at the process that compiles [s]
 
 
@@ -38,15 +34,3 @@ def compile_apart(prepare: Callable[[], None], stopped: Sequence[int]) -> None:
             if stopped:
                 os.kill(child, signal.SIGKILL)
             time.sleep(_PATIENCE)
-
-
-def give_back() -> None:
-    """Give back free memory, and the pages of LLVM's code, which are read again should they be needed."""
-    gc.collect()
-    libc = ctypes.CDLL(None)
-    libc.malloc_trim(0)
-    for line in Path("/proc/self/maps").read_text().splitlines():
-        place, rights, *rest = line.split()
-        if rights == "r-xp" and rest[-1].endswith("libllvmlite.so"):
-            begin, end = (int(address, 16) for address in place.split("-"))
-            libc.madvise(ctypes.c_void_p(begin), ctypes.c_size_t(end - begin), _DONT_NEED)

@@ -27,6 +27,7 @@ from hd_diag.bag import RELIABLE
 from hd_diag.config.configuration import Config, resolve
 from hd_diag.config.json_shape import reader
 from hd_diag.formatting import visible
+from hd_diag.memory import give_back
 from hd_diag.messages import encoding
 from hd_diag.messages.publications import TEMPERATURE, temperature_topic
 from hd_diag.model import torsion
@@ -96,7 +97,7 @@ class DiagnosticNode(Node):
             self._builder.request(joint)
         self._next_report = self._next_look = time.monotonic()
         _warm_up(config)
-        footprint.give_back()
+        give_back()
         self._waiting = Waiting()
         self._inputs = [
             SignalInput(self, source, partial(self._waiting.put, source, source.reader()))
@@ -251,7 +252,7 @@ class DiagnosticNode(Node):
                     f"error at most {table.error_bound / ARCSEC:.3f} arcsec"
                 )
             if self._builder.finished.empty():
-                footprint.give_back()
+                give_back()
 
     def _show_log_state(self) -> None:
         state = self._log.state
