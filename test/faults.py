@@ -355,6 +355,48 @@ EVENTS: list[tuple[str, str, str, str]] = [
         "refused",
         "test_node_log.py::test_no_other_process_chooses_where_it_writes",
     ),
+    (
+        "a recording that is cut off",
+        "diagnose",
+        "code 0; text, verdict and JSON say that it is not whole",
+        "test_incomplete.py::test_text_verdict_and_json_tell_it",
+    ),
+    (
+        "bytes behind a message's last field",
+        "verbs on bags",
+        "read; nothing is refused",
+        "test_recording.py::test_a_bag_of_what_rclpy_serializes",
+    ),
+    (
+        "a torque far off its neighbours",
+        "verbs on bags",
+        "taken out, counted among the outliers",
+        "test_record.py::test_a_torque_far_off_is_taken_out",
+    ),
+    (
+        "a count of the file's own that is far too large",
+        "verbs on bags",
+        "told; takes no memory",
+        "test_incomplete.py::test_a_count_is_but_a_hint",
+    ),
+    (
+        "a bit of the summary flipped",
+        "verbs on bags",
+        "told; the chunks are read",
+        "test_bag_recover.py::test_a_damaged_summary_is_told",
+    ),
+    (
+        "disk full under what is printed",
+        "any verb",
+        "code 2, one line",
+        "test_cli.py::test_a_full_disk_under_what_is_printed_is_one_line",
+    ),
+    (
+        "disk full",
+        "watch --json",
+        "code 2, one line",
+        "test_watch_live.py::test_a_full_disk_under_its_lines_is_one_line",
+    ),
 ]
 
 

@@ -272,6 +272,18 @@ def test_a_reader_that_has_enough_is_no_finding() -> None:
         assert (run.stdout, run.stderr) == ("0\n", "")
 
 
+@pytest.mark.parametrize("words", ["mesh", "--help"])
+def test_a_full_disk_under_what_is_printed_is_one_line(words: str) -> None:
+    environment = {**os.environ, "PYTHONPATH": ":".join(sys.path)}
+    with open("/dev/full", "w") as full:
+        command = [sys.executable, "-m", "hd_diag", words]
+        run = subprocess.run(
+            command, env=environment, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60
+        )
+    told = "hd-diag: the output cannot be written: No space left on device\n"
+    assert (run.returncode, run.stderr) == (2, told)
+
+
 def test_a_link_or_pipe_that_is_written_to_stays_one(tmp_path: Path) -> None:
     """As root, a file in its place would take the system its /dev/null."""
     link, pipe = tmp_path / "link.json", tmp_path / "pipe"

@@ -182,6 +182,12 @@ def test_json_lines_until_a_signal(arm: Rig, tmp_path: Path) -> None:
     assert "cannot be written" in run.stderr
 
 
+def test_a_full_disk_under_its_lines_is_one_line(arm: Rig) -> None:
+    run = watch("--namespace", arm.process.namespace, "--json", "/dev/full")
+    told = "hd-diag: /dev/full: cannot be written: No space left on device\n"
+    assert (run.returncode, run.stderr) == (2, told)
+
+
 def test_hostile_diagnostics_do_no_harm() -> None:
     """Over DDS, on /diagnostics, where the nodes of these tests are not."""
     node = rclpy.create_node("hostile")

@@ -55,6 +55,8 @@ def watch(
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             is_faulty = False
             came.clear()
+        except OSError as error:
+            raise Problem(f"{json_file}: cannot be written: {error.strerror}") from error
     sys.exit(SIGNALLED + came[0] if came else int(fail_on_fault and is_faulty))
 
 

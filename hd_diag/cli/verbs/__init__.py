@@ -6,6 +6,7 @@ Exit codes: 0 done, 1 a finding to fail on, 2 bad usage or input, 130 after Ctrl
 from __future__ import annotations
 
 import difflib
+import errno
 import os
 import sys
 from collections.abc import Iterator
@@ -83,12 +84,29 @@ class _Verbs(click.Group):
 
 @contextmanager
 def _read_or_not() -> Iterator[None]:
-    """End well where nobody reads the rest: click ends with 1, which is that of a finding."""
+    """End well where nobody reads the rest: click ends with 1, which is that of a finding.
+
+    A full disk under what is printed is an error of one line.
+    """
     try:
         yield
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what the interpreter has still
+        _print_no_more()
         sys.exit(0)
+    except OSError as error:
+        if error.errno != errno.ENOSPC or error.filename is not None:
+            raise
+        _print_no_more()
+        raise _Full(f"the output cannot be written: {error.strerror}") from error
+
+
+class _Full(click.ClickException):
+    exit_code = 2
+
+
+def _print_no_more() -> None:
+    """Let nothing come of what the interpreter has still to print."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _ended(error: Exception) -> tuple[int, str]:
