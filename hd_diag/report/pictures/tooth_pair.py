@@ -19,8 +19,8 @@ from hd_diag.report.pictures.canvas import ACCENT, EXTENDED, GRID, INK, NOMINAL,
 
 __all__ = ["save", "tooth_pair_picture"]
 
-_WIDTH = 7.2  # [inch]
-_PANELS = (3.5, 2.5, 3.6)  # heights [inch]
+_WIDTH = 4.4  # [inch]; letters are read on a phone, too
+_PANELS = (5.2, 1.8, 3.0, 3.6)  # heights [inch]
 _MM = 1e3
 _POINTS = 200
 _DEFORMED = 12.0  # by which the deformation is drawn larger [-]
@@ -43,8 +43,8 @@ def tooth_pair_picture(geometry: Geometry) -> Figure:
     _pair(rows[1], geometry)
     for axes in rows:
         axes.axis("off")
-    _profile(rows[2].inset_axes((0.04, 0.1, 0.44, 0.8)), geometry, "flexspline_tooth")
-    _profile(rows[2].inset_axes((0.56, 0.1, 0.44, 0.8)), geometry, "circular_spline_slot")
+    for place, name in zip(rows[2:], ("flexspline_tooth", "circular_spline_slot"), strict=True):
+        _profile(place.inset_axes((0.04, 0.1, 0.92, 0.8)), geometry, name)
     return figure
 
 
@@ -70,40 +70,54 @@ def _assembly(axes: Axes, geometry: Geometry) -> None:
     _arrow(axes, fixed, centre, EXTENDED)
     _angle(axes, 0.0, 0.2 * radius, 0.0, _DIRECTION, ACCENT)
     _angle(axes, centre, 0.6 * radius, 0.0, _PHASE, _FLEXSPLINE)
-    left, right = -1.75 * radius, 1.75 * radius
+    left, right = -0.15 * radius, 0.15 * radius
     pointed = 0.6 * radius * np.exp(0.5j * _PHASE) + centre
     layer = "neutral layer of the flexspline,\nflexspline_teeth on it, first at\n"
     layer += f"arc_offset; deformed {_DEFORMED:g} times"
-    labels: tuple[tuple[str, complex, float, float, str], ...] = (
-        ("neutral_curve.semi_major", centre + 0.75 * (ends[0] - centre), right, 0.85, _FLEXSPLINE),
-        ("wave_generator_phase: the long axis\nat input angle 0", pointed, right, 0.3, _FLEXSPLINE),
-        ("direction 0, at slot 0", 1.6 * radius, right, -0.1, INK),
-        ("eccentricity.direction", 0.2 * radius * np.exp(0.5j * _DIRECTION), right, -0.5, ACCENT),
-        ("eccentricity.magnitude:\nfixed in the housing", 0.5 * fixed, right, -1.0, ACCENT),
+    major_axis, minor_axis = (centre + 0.75 * (end - centre) for end in ends)
+    on_layer, on_spline = centre - major * np.exp(1j * (_PHASE + 0.15)), 1.45 * radius * np.exp(2.2j)
+    at_arc = 0.2 * radius * np.exp(0.5j * _DIRECTION)
+    # Text, what it is of, on which side, at which height, and from where of the text a line leads there.
+    labels: tuple[tuple[str, complex, float, float, tuple[float, float], str], ...] = (
+        ("neutral_curve.semi_minor", minor_axis, left, 2.4, (1.0, 0.0), _FLEXSPLINE),
         (
             "circular spline, in the housing:\ncircular_spline_teeth",
-            -1.45j * radius * 1j**1.6,
+            on_spline,
             left,
-            1.15,
+            1.95,
+            (0.5, 0.0),
             _CIRCULAR_SPLINE,
         ),
-        ("neutral_curve.semi_minor", centre + 0.7 * (ends[1] - centre), left, 0.6, _FLEXSPLINE),
+        (
+            "wave_generator_phase: the\nlong axis at input angle 0",
+            pointed,
+            right,
+            2.45,
+            (1.0, 0.0),
+            _FLEXSPLINE,
+        ),
+        ("neutral_curve.semi_major", major_axis, right, 2.1, (1.0, 0.0), _FLEXSPLINE),
+        ("direction 0, at slot 0", 1.6 * radius, right, 1.8, (1.0, 0.0), INK),
+        (layer, on_layer, left, -1.85, (0.5, 1.0), _FLEXSPLINE),
         (
             "runout.magnitude and .direction:\nturns with the wave generator",
             0.5 * (fixed + centre),
             left,
-            0.0,
+            -2.4,
+            (1.0, 1.0),
             EXTENDED,
         ),
+        ("eccentricity.direction", at_arc, right + 0.45 * radius, -1.8, (0.0, 1.0), ACCENT),
         (
-            layer,
-            centre - major * np.exp(1j * (_PHASE + 0.15)),
-            left,
-            -0.75,
-            _FLEXSPLINE,
+            "eccentricity.magnitude:\nfixed in the housing",
+            0.5 * fixed,
+            right,
+            -2.25,
+            (0.0, 1.0),
+            ACCENT,
         ),
     )
-    for text, point, side, height, colour in labels:
+    for text, point, side, height, begin, colour in labels:
         axes.annotate(
             text,
             (complex(point).real, complex(point).imag),
@@ -111,10 +125,17 @@ def _assembly(axes: Axes, geometry: Geometry) -> None:
             color=colour,
             ha="left" if side > 0.0 else "right",
             va="center",
-            arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.5, "shrinkA": 1.0, "shrinkB": 0.0},
+            arrowprops={
+                "arrowstyle": "-",
+                "color": colour,
+                "lw": 0.5,
+                "shrinkA": 1.0,
+                "shrinkB": 0.0,
+                "relpos": begin,
+            },
             **_SMALL,
         )
-    axes.set(xlim=(-3.4 * radius, 3.4 * radius), ylim=(-1.55 * radius, 1.55 * radius), aspect="equal")
+    axes.set(xlim=(-2.2 * radius, 2.2 * radius), ylim=(-2.7 * radius, 2.6 * radius), aspect="equal")
 
 
 def _pair(axes: Axes, geometry: Geometry) -> None:
@@ -130,30 +151,32 @@ def _pair(axes: Axes, geometry: Geometry) -> None:
         axes.plot(-own.imag, own.real, color=_FLEXSPLINE, lw=1.2)
         wall = slot * np.exp(1j * number[k] * geometry.slot_pitch) * _MM
         axes.plot(-wall.imag, wall.real, color=_CIRCULAR_SPLINE, lw=1.2)
-    wide, a = 1.7 * geometry.tooth_pitch * geometry.curve.radius * _MM, geometry.semi_major
+    wide, a = 1.5 * geometry.tooth_pitch * geometry.curve.radius * _MM, geometry.semi_major
     marks = (
-        ("neutral_curve.semi_major", a, _FLEXSPLINE, -1.0),
-        ("+ flexspline_tooth.root", a + geometry.flexspline_root, _FLEXSPLINE, -1.0),
-        ("+ flexspline_tooth.tip", a + geometry.flexspline_tip, _FLEXSPLINE, -1.0),
-        ("circular_spline_datum", datum, _CIRCULAR_SPLINE, 1.0),
-        ("circular_spline_tip_radius", tip, _CIRCULAR_SPLINE, 1.0),
+        ("neutral_curve.semi_major, ", a, _FLEXSPLINE, 0.0),
+        ("+ flexspline_tooth.root\n", a + geometry.flexspline_root, _FLEXSPLINE, -1.0),
+        ("+ flexspline_tooth.tip\n", a + geometry.flexspline_tip, _FLEXSPLINE, -1.0),
+        ("circular_spline_datum, ", datum, _CIRCULAR_SPLINE, 0.0),
+        ("circular_spline_tip_radius\n", tip, _CIRCULAR_SPLINE, 1.0),
     )
+    sides = {-1.0: ("right", "center", 4.5), 0.0: ("center", "bottom", 1.0), 1.0: ("left", "center", 0.0)}
     for name, radius, colour, side in marks:
         axes.plot([-wide, wide], [radius * _MM] * 2, color=colour, lw=0.6, ls="--")
+        across, along, up = sides[side]
         axes.annotate(
-            f"{name}, {radius * _MM:.4f} mm",
+            f"{name}{radius * _MM:.4f} mm",
             (side * wide, radius * _MM),
-            (4.0 * side, 0.0),
-            ha="left" if side > 0.0 else "right",
-            va="center",
+            (4.0 * side, up),
+            ha=across,
+            va=along,
             color=colour,
             **_BESIDE,
         )
     module = geometry.module * _MM
     axes.set_title(
-        "Teeth in their slots at the long axis: radii from the circular spline's axis", fontsize=7.5
+        "Teeth in their slots at the long axis:\nradii from the circular spline's axis", fontsize=7.5
     )
-    axes.set(xlim=(-11.0 * module, 11.0 * module), aspect="equal")
+    axes.set(xlim=(-13.2 * module, 13.2 * module), aspect="equal")
 
 
 def _profile(axes: Axes, geometry: Geometry, name: str) -> None:
