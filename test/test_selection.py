@@ -2,18 +2,20 @@
 
 import dataclasses
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
-from benches import EFFECTS, POINT, Part, bench, of, swinging
+from benches import CONFIGURED, EFFECTS, POINT, Part, bench, of, swinging
 from joint_records import ARCSEC
 from joint_records import NOISE as NOISE_OF_RECORD
 
+from hd_diag.diagnosis import diagnosis
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.fit_parameters import COMPLIANCE, CUP
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
+from hd_diag.diagnosis.fit.refit import Refit, refit
 from hd_diag.diagnosis.search.causes import Search, causes, doubted, motor_deviations, parameters_of
 from hd_diag.diagnosis.search.kept_parameters import kept_parameters
 from hd_diag.diagnosis.search.ranking import candidates, family_size
@@ -110,6 +112,19 @@ def test_search_returns_the_cause_and_no_other() -> None:
     assert np.array([*cause.coefficients, *cause.nonlinear]) == pytest.approx([*values.values()], rel=0.3)
     assert 0.5 < cause.gain_low < cause.gain < min(cause.gain_high, 1.0)
     assert cause.p_value < 1e-12
+
+
+@pytest.mark.slow  # a whole diagnosis
+def test_parameters_are_ambiguous_only_if_they_are_beside_all_causes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the causes several sets may fit alike: a refit beside them decides."""
+
+    def doubtful(*given: Any, **named: Any) -> Refit:
+        return dataclasses.replace(refit(*given, **named), trustworthy=False)
+
+    monkeypatch.setattr(diagnosis, "refit", doubtful)
+    found = diagnosis.diagnose(swinging(8.0), CONFIGURED, np.random.default_rng(0))
+    assert found.refitted is not None
+    assert found.refitted.trustworthy
 
 
 def test_what_a_motor_needs_itself_is_no_cause() -> None:
