@@ -37,8 +37,9 @@ def torque_outliers(torque: Floats, bag: Integers) -> Rows:
         low, high = np.percentile(torque, (1.0, 99.0))
         least = max(_OUTLYING_TORQUE * (high - low), _ROUNDING * np.abs(torque).max())
         number = numbered((np.diff(torque) != 0.0) | (np.diff(bag) != 0))
-        first = np.unique(number, return_index=True)[1]
-        held = outliers(torque[first], bag[first], least)[number]
+        _, first, count = np.unique(number, return_index=True, return_counts=True)
+        short = count <= 2.0 * np.median(count)  # a pause without torque is none
+        held = (short & outliers(torque[first], bag[first], least))[number]
         found[finite] = held | outliers(torque, bag, least)
     return found
 
