@@ -25,6 +25,7 @@ from hd_diag.__main__ import main
 from hd_diag.cli import cli
 from hd_diag.cli.options import Source, Target
 from hd_diag.cli.verbs import VERBS
+from hd_diag.cli.verbs import main as run_verbs
 from hd_diag.config.configuration import dump, resolve
 from hd_diag.ros.stop_signals import Stopped, signalled
 
@@ -78,6 +79,19 @@ def test_help_and_completion_import_nothing_that_is_slow() -> None:
     )
     run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, timeout=60)
     assert run.stdout == f"{len(VERBS) + 2} []\n"
+
+
+def test_matrices_are_multiplied_in_one_thread_unless_the_user_says_otherwise(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Threads of BLAS took a quarter of the CPU time of a diagnosis to wait for each other."""
+    monkeypatch.setattr("hd_diag.cli.verbs.cli", lambda: None)
+    for given, wanted in ((None, "1"), ("3", "3")):
+        monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+        if given:
+            monkeypatch.setenv("OPENBLAS_NUM_THREADS", given)
+        run_verbs()
+        assert os.environ["OPENBLAS_NUM_THREADS"] == wanted
 
 
 def test_bash_completes_verbs_options_choices_and_files(tmp_path: Path) -> None:

@@ -316,6 +316,15 @@ def test_what_is_made_up_for_after_a_report_was_not_lost(life: Life) -> None:
     assert feed(life, START + np.append(np.arange(2000, 2500), np.arange(2503, 3000)) * MS) == 3
 
 
+def test_a_pause_or_a_clock_that_was_set_ahead_is_no_loss(life: Life) -> None:
+    """A step of an hour counted 3.6 million samples as missed."""
+    before = START + np.arange(1000) * MS
+    assert feed(life, np.append(before, before + 3_600_000 * MS)) == 0
+    assert (
+        feed(life, START + 3_600_000 * MS + np.append(np.arange(1000, 1500), np.arange(1503, 2000)) * MS) == 3
+    )
+
+
 def test_rejected_samples_are_not_told_as_missed_too(life: Life) -> None:
     for row in range(1000):
         angle = np.nan if row % 10 == 5 else 0.0

@@ -56,9 +56,10 @@ class Rms:
 
     @property
     def misfit(self) -> Misfit:
-        """What is left over the noise, with the fit's signals or causal ones: noise of these is no misfit."""
-        left = min(self.extended, self.offline)
-        value, low, high = (left / max(one, 1e-300) for one in (self.noise, self.noise_high, self.noise_low))
+        """What is left over the noise."""
+        value, low, high = (
+            self.extended / max(one, 1e-300) for one in (self.noise, self.noise_high, self.noise_low)
+        )
         return Misfit(value, low, high)
 
 

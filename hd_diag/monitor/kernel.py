@@ -10,6 +10,7 @@ import numpy as np
 from hd_diag.arrays import Floats, Integers, Times
 from hd_diag.model.kernel.compiler import entry_point, part
 from hd_diag.model.kernel.interpolation import interpolate_at
+from hd_diag.streams.rules import CLOCK_JUMP
 
 _STEPS_TOGETHER = 32
 _KEPT = 0.02  # by which the steps of a sender that keeps its period differ [-]
@@ -82,10 +83,11 @@ def lost(stamps: Times, known: float) -> tuple[float, float, float, int]:
     """Period of a sender [ns] whose stamps [ns] (n,) are looked at, and what is missing among them.
 
     `known` is the period so far. Missing are at most as many as the long steps say, and as the whole time
-    says, which short steps make up for: their number is the last.
+    says, which short steps make up for: their number is the last. A step of `CLOCK_JUMP` or more is a pause
+    of the sender or a clock that was set: nothing is known to be missing there.
     """
     steps = np.diff(stamps).astype(np.float64)
-    steps = steps[steps > 0.0]  # a clock that was set back
+    steps = steps[(steps > 0.0) & (steps < CLOCK_JUMP)]  # no clock that was set, no pause of the sender
     usual = _known_step(steps, known)
     if usual == 0.0:
         usual = _usual_step(steps)
