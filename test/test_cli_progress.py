@@ -4,11 +4,14 @@ import fcntl
 import os
 import pty
 import re
+import select
 import signal
 import subprocess
 import sys
 import termios
 import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -89,7 +92,7 @@ def test_a_signal_ends_work_at_its_next_call(number: signal.Signals) -> None:
 def test_ctrl_c_at_a_terminal(tmp_path: Path) -> None:
     """130 and no traceback; the terminal has its cursor and its settings back. NO_COLOR is heeded."""
     here, there = pty.openpty()
-    before, shown = termios.tcgetattr(there), b""
+    before = termios.tcgetattr(there)
     words = f"-m hd_diag simulate --duration 3600 --out {tmp_path / 'joint.mcap'}"
     environment = {**os.environ, "TERM": "xterm-256color", "NO_COLOR": "1"}
     with subprocess.Popen(
@@ -101,14 +104,24 @@ def test_ctrl_c_at_a_terminal(tmp_path: Path) -> None:
         start_new_session=True,
         preexec_fn=lambda: fcntl.ioctl(there, termios.TIOCSCTTY, 0),
     ) as process:
-        while b"\x1b[?25l" not in shown:  # the bar is there, the cursor is not
-            shown += os.read(here, 4096)
+        shown = read(here, lambda so_far: b"\x1b[?25l" in so_far)  # the bar is there, the cursor is not
         os.write(here, b"\x03")
-        while b"interrupted" not in shown.rpartition(b"\x1b[?25h")[2]:
-            shown += os.read(here, 4096)
-        assert process.wait(60.0) == 130
+        shown += read(here, lambda _: process.poll() is not None)
+        assert process.returncode == 130, shown
+    shown += read(here, lambda _: not select.select([here], [], [], 0.0)[0])
+    assert b"interrupted" in shown
+    assert shown.rindex(b"\x1b[?25h") > shown.rindex(b"\x1b[?25l")
     assert termios.tcgetattr(there) == before
     assert b"Traceback" not in shown
     assert not re.search(rb"\x1b\[[34]8;", shown)
     os.close(here)
     os.close(there)
+
+
+def read(terminal: int, is_enough: Callable[[bytes], bool]) -> bytes:
+    """What a terminal shows until it is enough, for at most a minute."""
+    shown, end = b"", time.monotonic() + 60.0
+    while not is_enough(shown) and time.monotonic() < end:
+        if select.select([terminal], [], [], 0.05)[0]:
+            shown += os.read(terminal, 4096)
+    return shown

@@ -96,7 +96,7 @@ def showing() -> Iterator[Part]:
 @contextmanager
 def working() -> Iterator[Part]:
     """The same for work that must end at a call: there `Stopped` is raised where a signal has come."""
-    with showing() as shown, noted_signals() as came:
+    with noted_signals() as came, showing() as shown:
 
         def part(what: str, unit: str = "") -> Advance:
             show = shown(what, unit)
@@ -149,14 +149,18 @@ def _bars() -> Iterator[Callable[[_Work], None]]:
         BarColumn(),
         TextColumn("{task.fields[work]}"),
     ]
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
+    console = Console(stderr=True)
+    try:
+        with Progress(*columns, console=console, transient=True) as bars:
 
-        def show(work: _Work) -> None:
-            if work not in tasks:
-                tasks[work] = bars.add_task("", total=None, work=work)
-            bars.update(tasks[work], completed=work.done, total=work.total or None)
+            def show(work: _Work) -> None:
+                if work not in tasks:
+                    tasks[work] = bars.add_task("", total=None, work=work)
+                bars.update(tasks[work], completed=work.done, total=work.total or None)
 
-        yield show
+            yield show
+    finally:
+        console.show_cursor()  # a signal may come before the bars are there, when the cursor is not
 
 
 def interrupted(error: KeyboardInterrupt, out: Path, kept: bool, content: str = "") -> NoReturn:
