@@ -13,6 +13,7 @@ import yaml
 from challenge.design import OTHERS, Design
 from cli_runner import assert_one_line_error, config_file, hd_diag
 from numpy.testing import assert_allclose
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -350,7 +351,10 @@ def test_a_page_is_set_while_a_node_runs() -> None:
     applied: list[Config] = []
 
     def put(*values: tuple[str, float]) -> Any:
-        return node.set_parameters_atomically([Parameter(f"joint_1.{n}", value=v) for n, v in values])
+        try:
+            return node.set_parameters_atomically([Parameter(f"joint_1.{n}", value=v) for n, v in values])
+        except ConfigError as error:  # which the node's services tell
+            return SetParametersResult(successful=False, reason=str(error))
 
     try:
         server = ParameterServer(node, lambda joint, path: "")

@@ -150,7 +150,8 @@ def test_make_works_on_a_copy_of_a_tree_that_is_read_only() -> None:
         other = {"user": 65534} if os.geteuid() == 0 else {}
 
         def lines() -> list[str]:
-            environment = {**os.environ, "XDG_CACHE_HOME": str(cache)}
+            kept = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
+            environment = {**kept, "XDG_CACHE_HOME": str(cache)}
             command = ["make", "help"]
             run = subprocess.run(
                 command, cwd=tree, env=environment, capture_output=True, text=True, timeout=60, **other
