@@ -18,9 +18,9 @@ from hd_diag.bag.errors import BagError
 from hd_diag.bag.reader import BagReader
 from hd_diag.messages.field_path import DTYPES, TEXT, holds_texts, is_array
 from hd_diag.messages.fields import FieldReader
-from hd_diag.messages.joint_states import JOINT_STATE, Rejection
+from hd_diag.messages.joint_states import Rejection
 from hd_diag.messages.publications import OWN_OUTPUTS
-from hd_diag.messages.schemas import deserialize, jazzy
+from hd_diag.messages.schemas import deserialize
 from hd_diag.streams.signals import Signal, Unit
 
 _MOST_MESSAGES = 50_000  # of a topic that are looked at: its first minute at 1 kHz
@@ -90,7 +90,7 @@ def numbers(reader: BagReader, topic: Topic) -> tuple[list[Number], str]:
     if not fields:
         return [], ""
     signals = {f: Signal(topic.name, topic.type_name, f, "", Unit(1.0)) for f in fields}
-    source = FieldReader(_types(reader, topic), topic.type_name, signals)
+    source = FieldReader(reader.given_types(topic), topic.type_name, signals)
     found: dict[str, list[tuple[Any, Floats]]] = {f: [] for f in fields}
     seen, refused = 0, list[Rejection]()
     for batch in reader.batches([topic.name], grouped=True):
@@ -143,18 +143,13 @@ def _fields(reader: BagReader, topic: Topic) -> dict[str, str]:
     """Paths of a topic's numbers with their types, from its first message that can be read."""
     if topic.name.endswith(OWN_OUTPUTS) or not topic.count:
         return {}
-    store = _types(reader, topic)
+    store = reader.given_types(topic)
     for batch in reader.batches([topic.name]):
         for data in batch.messages() if batch.topic is topic else ():
             with suppress(ValueError):
                 found = dict(_leaves(store, topic.type_name, deserialize(store, data, topic.type_name)))
                 return found if len(found) <= _MOST_NUMBERS else {}
     raise BagError(reader.path, f"{topic.name}: no message can be read")
-
-
-def _types(reader: BagReader, topic: Topic) -> Typestore:
-    """Types of a topic's messages as the reader gives them: joint states always as Jazzy's."""
-    return jazzy() if topic.type_name == JOINT_STATE else reader.types(topic)
 
 
 def _leaves(store: Typestore, type_name: str, message: Any, prefix: str = "") -> Iterator[tuple[str, str]]:

@@ -239,13 +239,10 @@ def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]
 def _degrees(data: bytes, streams: Alignment) -> float:
     """Temperature in a message [degree Celsius]; one that cannot be is refused, and nan."""
     try:
-        value = read_temperature(data)
+        return read_temperature(data)
     except ValueError as error:
-        streams.reject(0, f"a Temperature message cannot be read: {error}")
+        streams.reject(0, str(error))
         return nan
-    if not abs(value) <= LARGEST_TEMPERATURE:
-        streams.reject(0, f"temperature is {value}")
-    return value
 
 
 def _temperature(time: Times, value: Floats, at: Times) -> Floats:

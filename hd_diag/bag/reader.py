@@ -157,9 +157,13 @@ class BagReader(AbstractContextManager["BagReader"]):
             if found.get(name, 0) != count and line not in self.problems:
                 self.problems.append(line)
 
+    def given_types(self, topic: Topic) -> Typestore:
+        """Types of a topic's messages as `batches` gives them: joint states always as Jazzy's."""
+        return jazzy() if topic.type_name == JOINT_STATE else self.types(topic)
+
     def deserialize(self, batch: Batch) -> tuple[list[tuple[int, Any]], list[Rejection]]:
         """Message objects with their positions, and what could not be decoded; BagError for unknown types."""
-        store = jazzy() if batch.topic.type_name == JOINT_STATE else self.types(batch.topic)
+        store = self.given_types(batch.topic)
         messages, rejected = [], []
         for index, data in enumerate(batch.messages()):
             try:

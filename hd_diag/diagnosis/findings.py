@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -77,10 +78,11 @@ def check_ramp(record: Record, ratio: float) -> Finding | None:
     reach = float(np.ptp(centered(record.input_angle / ratio, record.run)))
     if not record.has_torque or reach < _LEAST_REACH:
         return None
-    ramps, deviation, hidden, leaning, bent = _ramps(record.thinned(_MOST_ROWS), ratio)
-    mean = float(ramps.mean())
-    spread = max(float(ramps.std(ddof=1)) / np.sqrt(ramps.size), deviation)
-    if not bent and abs(mean) > max(_RAMP_MISS, _RAMP_ERROR / reach, 6.0 * spread, _PLAIN * hidden, leaning):
+    found = _ramps(record.thinned(_MOST_ROWS), ratio)
+    mean = float(found.slopes.mean())
+    spread = max(float(found.slopes.std(ddof=1)) / np.sqrt(found.slopes.size), found.deviation)
+    least = max(_RAMP_MISS, _RAMP_ERROR / reach, 6.0 * spread, _PLAIN * found.hidden, found.leaning)
+    if abs(mean) > least and not found.bent:
         return wrong_ratio(ratio / (1.0 + mean), ratio)
     return None
 
@@ -120,16 +122,24 @@ def _usual_slope(record: Record) -> float:
     return float(slope[order][min(int(half), order.size - 1)])
 
 
-def _ramps(record: Record, ratio: float) -> tuple[Floats, float, float, float, bool]:
-    """Error per output angle in each part of a record, shape (_PARTS,) [-], and their mean's deviation.
+class _Ramps(NamedTuple):
+    """Error per output angle [-], fitted in each part of a record, and what could be mistaken for it.
 
-    Then the mean at which what only ramps explain is as large as the rest, and that of a ramp as large as the
-    torsion, as far as the torque goes with the angle: over part of a turn gravity's does [-].
-
-    And whether a wave twice per output turn in place of the ramps leaves less.
-
-    The deviation allows for a residual that is correlated within `_CLUSTERS` stretches.
+    slopes : (_PARTS,) of the parts
+    deviation : of their mean; the residual may be correlated within `_CLUSTERS` stretches
+    hidden : mean at which what only the ramps explain is as large as the residual
+    leaning : mean of a ramp as large as the part of the torsion that goes with the angle, as gravity's may
+    bent : whether a wave twice per output turn in place of the ramps leaves less
     """
+
+    slopes: Floats
+    deviation: float
+    hidden: float
+    leaning: float
+    bent: bool
+
+
+def _ramps(record: Record, ratio: float) -> _Ramps:
     ideal = record.input_angle / ratio
     load = record.torque / max(float(np.max(np.abs(record.torque))), 1e-9)
     waves = [wave for order in _INPUT_ORDERS for wave in _waves(order * record.input_angle)]
@@ -159,9 +169,10 @@ def _ramps(record: Record, ratio: float) -> tuple[Floats, float, float, float, b
     torsion = float(np.std(loads @ found[_PARTS : _PARTS + 3]))
     alike = float(np.var(loads @ np.linalg.lstsq(loads, along, rcond=None)[0]) / max(np.var(along), 1e-300))
     leaning = alike * torsion / max(float(np.std(along)), 1e-300)
-    ramps, deviation = np.asarray(found[:_PARTS] / scale[:_PARTS]), float(np.sqrt(np.sum(cluster**2)))
+    deviation = float(np.sqrt(np.sum(cluster**2)))
     left = error - waved @ (np.linalg.pinv(waved, rcond=1e-6) @ error)
-    return ramps, deviation, hidden, leaning, bool(np.linalg.norm(left) < _LESS * np.linalg.norm(rest))
+    bent = bool(np.linalg.norm(left) < _LESS * np.linalg.norm(rest))
+    return _Ramps(found[:_PARTS] / scale[:_PARTS], deviation, hidden, leaning, bent)
 
 
 def _waves(angle: Floats) -> tuple[Floats, Floats]:

@@ -16,6 +16,7 @@ from hd_diag.messages.joint_states import JOINT_STATE as JOINT_STATE
 from hd_diag.messages.markers import MARKERS, drawing, marker_array
 from hd_diag.messages.schemas import deserialize, jazzy, serialize
 from hd_diag.monitor.publications import Angles, Drawings, Publication, Report, ToothArrays
+from hd_diag.streams.columns import LARGEST_TEMPERATURE
 
 MULTI_ARRAY = "std_msgs/msg/Float64MultiArray"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
@@ -92,8 +93,14 @@ def read_string(data: bytes) -> str:
 
 
 def read_temperature(data: bytes) -> float:
-    """Temperature of a sensor_msgs/Temperature in CDR [degree Celsius]."""
-    return float(deserialize(jazzy(), data, TEMPERATURE).temperature)
+    """Temperature of a sensor_msgs/Temperature in CDR [degree Celsius]; ValueError for one that cannot be."""
+    try:
+        value = float(deserialize(jazzy(), data, TEMPERATURE).temperature)
+    except ValueError as error:
+        raise ValueError(f"a Temperature message cannot be read: {error}") from error
+    if not abs(value) <= LARGEST_TEMPERATURE:
+        raise ValueError(f"temperature is {value}")
+    return value
 
 
 def parameter_event(node: str, stamp: int, values: Mapping[str, Any], new: bool) -> bytes:

@@ -142,7 +142,7 @@ class Session:
         try:
             value = read_temperature(data)
         except ValueError as error:
-            self.monitor.joints[joint].reject(f"a Temperature message cannot be read: {error}")
+            self.monitor.joints[joint].reject(str(error))
         else:
             self.monitor.temperature(joint, value)
 

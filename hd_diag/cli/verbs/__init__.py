@@ -140,9 +140,8 @@ def cli(context: click.Context) -> None:
 
 def main() -> None:
     """Entry point of the ``hd-diag`` command."""
-    os.environ.setdefault(
-        "OPENBLAS_NUM_THREADS", "1"
-    )  # small matrices: more threads only wait for each other
+    # Matrices are small: more threads only wait for each other.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     cli()
 
 

@@ -131,6 +131,11 @@ class LinearisedFit:
         """Of the fitted rows."""
         return self.effects.signals
 
+    @property
+    def _all_held(self) -> list[int]:
+        """Parameters held by this fit or by all fits of the record."""
+        return [*self.held, *self.data.held]
+
     @cached_property
     def residual(self) -> Floats:
         """Measured less predicted error and what present effects are beyond their columns [rad], (n,)."""
@@ -140,7 +145,7 @@ class LinearisedFit:
     def jacobian(self) -> Floats:
         """Derivatives by the parameters, zero for those that are held, (n, 7)."""
         found = self.effects.jacobian.copy()
-        found[:, [*self.held, *self.data.held]] = 0.0
+        found[:, self._all_held] = 0.0
         return found
 
     def always(self) -> Floats:
@@ -256,8 +261,7 @@ class LinearisedFit:
         precision, pull = np.zeros((2, places[-1].stop if places else self.always_white.shape[1]))
         precision[: fit_parameters.COUNT] = width**-2.0
         pull[: fit_parameters.COUNT] = center - self.parameters
-        held = [*self.held, *self.data.held]
-        precision[held], pull[held] = _HELD, 0.0
+        precision[self._all_held], pull[self._all_held] = _HELD, 0.0
         for (effect, _), place in zip(chosen, places, strict=True):
             if effect.given or effect.of_teeth:
                 precision[place] = (effect.usual * (1.0 if effect.given else _TEETH)) ** -2.0
