@@ -1,7 +1,10 @@
 """Torsion of a mesh over angle and torque, and what a mesh refuses."""
 
 import math
+import subprocess
+import sys
 from dataclasses import replace
+from functools import partial
 
 import drives
 import numpy as np
@@ -283,3 +286,15 @@ def test_a_cache_that_cannot_be_written_is_done_without(monkeypatch: pytest.Monk
 
     monkeypatch.setattr(numba, "njit", refuse)
     assert entry_point(lambda x: x + 1)(2) == 3
+
+
+def test_machine_code_of_two_processes_shares_no_names() -> None:
+    """What one compiled as sort and another as argsort is loaded by a third, which ran the first for both."""
+    code = """
+import os, hd_diag.model.kernel.compiler, numba.core.bytecode as bytecode
+if forked := os.fork():
+    os.waitpid(forked, 0)
+print(bytecode.FunctionIdentity.from_function(lambda: 0).unique_id, flush=True)
+"""
+    run = partial(subprocess.check_output, [sys.executable, "-c", code], text=True, timeout=60)
+    assert len(set((run() + run()).split())) == 4

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import importlib
+import itertools
+import os
+import secrets
 import sys
 import zlib
 from collections.abc import Callable
@@ -10,6 +13,21 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core.bytecode import FunctionIdentity
+
+
+def _name_apart() -> None:
+    """Count functions, by which numba tells their machine code apart, from a place that no other process has.
+
+    From 1 on, as by itself, numba gives what two processes compile and keep the same names: of an argsort and
+    a sort (closures of one name and type) whichever was loaded first then ran for both.
+    """
+    identity: Any = FunctionIdentity
+    identity._unique_ids = itertools.count(secrets.randbits(48))
+
+
+_name_apart()
+os.register_at_fork(after_in_child=_name_apart)
 
 
 def _import_arrays() -> None:
