@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+import tracemalloc
 from pathlib import Path
 from unittest import mock
 
@@ -124,6 +125,22 @@ def test_splits(tmp_path, many, name):
     else:
         assert names[:3] == ["b.mcap", "b_1.mcap", "b_2.mcap"]
         assert all(40_000 <= p.stat().st_size < 60_000 for p in writer.paths[:-1])
+
+
+@pytest.mark.parametrize("resumed", [False, True])
+def test_files_that_are_finished_take_no_memory(tmp_path, resumed):
+    """Neither those of a split nor those that a full disk ended: a log may have thousands."""
+    data, sizes = string_cdr("x" * 50_000), []
+    with BagWriter(tmp_path / "bag", max_duration=0.0 if resumed else 1e-9) as writer:
+        tracemalloc.start()
+        for number in range(1, 20):
+            writer.write("/x", STRING, data, number)
+            if resumed:
+                writer.resume()
+            sizes.append(tracemalloc.get_traced_memory()[0])
+        tracemalloc.stop()
+    assert len(writer.paths) >= 19
+    assert sizes[-1] - sizes[4] < 14 * 10_000
 
 
 def test_metadata_yaml_of_a_folder(tmp_path):

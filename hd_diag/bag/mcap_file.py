@@ -17,7 +17,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import lz4.frame
 import numpy as np
@@ -55,20 +55,27 @@ class Stream:
     count: int = 0
 
 
+class Written(NamedTuple):
+    """A file, and what has reached the operating system of it: all that is kept of one that is finished."""
+
+    path: Path
+    statistics: records.Statistics
+
+
 class McapFile:
     """An MCAP file with profile ``ros2``, locked for as long as it is written.
 
     Chunks are closed at an uncompressed `chunk_size` [byte], compressed and written in a thread; what goes
     wrong there is raised by one of the next calls.
 
-    `written` are the statistics of what has reached the operating system, `size` is that of the file [byte],
-    `start` the log time of the first message [ns], `is_whole` says whether it has its end.
+    `size` is that of the file [byte], `start` the log time of the first message [ns], `is_whole` says whether
+    it has its end.
     """
 
     def __init__(self, path: Path, compression: str, chunk_size: int, overwrite: bool) -> None:
         self.path, self.size = path, 0
         self.start: int | None = None
-        self.written = records.Statistics(0, 0, {}, 0, 0, 0, _UNKNOWN, 1, 0)
+        self.written = Written(path, records.Statistics(0, 0, {}, 0, 0, 0, _UNKNOWN, 1, 0))
         self._compression, self._chunk_size = compression, chunk_size
         self._rooms: deque[bytearray] = deque()  # of chunks that are written
         self._chunk = self._begun()
@@ -156,7 +163,7 @@ class McapFile:
 
     def finish(self, metadata: Mapping[str, str]) -> None:
         """Write rosbag2's metadata and the summary behind the chunks; the thread must have stopped."""
-        written = self.written
+        written = self.written.statistics
         written.message_start_time = min(written.message_start_time, written.message_end_time)
         written.schema_count, written.channel_count = len(self._schemas), len(self._channels)
         kept = _packed(records.Metadata("rosbag2", dict(metadata)))
@@ -218,7 +225,7 @@ class McapFile:
             raise
         sizes = len(stored), chunk.last, len(index), places, first, len(data)
         self._indexes += _packed(records.ChunkIndex(len(record), start, name, *sizes))
-        written = self.written
+        written = self.written.statistics
         written.chunk_count += 1
         written.message_start_time = min(written.message_start_time, chunk.first)
         written.message_end_time = max(written.message_end_time, chunk.last)

@@ -11,7 +11,7 @@ from mcap.records import Statistics
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
-from hd_diag.bag.mcap_file import McapFile, Stream
+from hd_diag.bag.mcap_file import Stream, Written
 
 _NO_START = 2**63 - 1  # rosbag2 starts from the largest time and lowers it with each message [ns]
 # rmw's infinite duration; rosbag2 writes it where a deadline, lifespan or lease is not set.
@@ -57,12 +57,12 @@ def _plain(offer: Qos) -> Qos:
     return offer._replace(depth=int(offer.depth), **plain)
 
 
-def written(files: Iterable[McapFile], stream: Stream) -> int:
+def written(files: Iterable[Written], stream: Stream) -> int:
     """Messages of a topic that have reached the files."""
-    return sum(file.written.channel_message_counts.get(stream.channel.id, 0) for file in files)
+    return sum(file.statistics.channel_message_counts.get(stream.channel.id, 0) for file in files)
 
 
-def metadata(files: Sequence[McapFile], streams: Iterable[Stream]) -> dict[str, Any]:
+def metadata(files: Sequence[Written], streams: Iterable[Stream]) -> dict[str, Any]:
     """The mapping that rosbag2 puts below ``rosbag2_bagfile_information``, of files with what is in them."""
     topics = [
         {
@@ -80,12 +80,12 @@ def metadata(files: Sequence[McapFile], streams: Iterable[Stream]) -> dict[str, 
     return {
         "version": 9,
         "storage_identifier": "mcap",
-        **_extent([file.written for file in files]),
+        **_extent([file.statistics for file in files]),
         "topics_with_message_count": topics,
         "compression_format": "",
         "compression_mode": "",
         "relative_file_paths": [file.path.name for file in files],
-        "files": [{"path": file.path.name, **_extent([file.written])} for file in files],
+        "files": [{"path": file.path.name, **_extent([file.statistics])} for file in files],
         "custom_data": None,
         "ros_distro": "jazzy",
     }

@@ -16,7 +16,7 @@ from rosbags.interfaces import Qos
 
 from hd_diag.arrays import Bytes, Times
 from hd_diag.bag.errors import BagError
-from hd_diag.bag.mcap_file import COMPRESSIONS, McapFile, Stream
+from hd_diag.bag.mcap_file import COMPRESSIONS, McapFile, Stream, Written
 from hd_diag.bag.place import Disk, Place
 from hd_diag.bag.rosbag2 import RELIABLE, dump_offers, dump_yaml, metadata, parse_offers, written
 from hd_diag.messages.schemas import Definition, definition
@@ -90,7 +90,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self._compression, self._flush_period = compression, flush_period
         self._max_size, self._max_duration = max_size, int(max_duration * 1e9)
         self._chunk_size, self._overwrite = chunk_size, overwrite
-        self._files: list[McapFile] = []
+        self._files: list[Written] = []  # the last one is that of `_file`
         self._streams: dict[tuple[str, str], Stream] = {}
         self._schemas: dict[str, Schema] = {}
         self._closed = False
@@ -271,10 +271,6 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             if kind is None:
                 raise
 
-    @property
-    def _file(self) -> McapFile:
-        return self._files[-1]
-
     def _check_open(self) -> None:
         if self.error is not None:
             raise BagError(self.error.path, self.error.cause)
@@ -330,13 +326,16 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     def _begin(self, number: int) -> None:
         """Open a file and name it in the metadata, so that a crash leaves it findable."""
         size = min(self._chunk_size, self._max_size or self._chunk_size)
-        self._files.append(McapFile(self._place.name(number), self._compression, size, self._overwrite))
+        file = McapFile(self._place.name(number), self._compression, size, self._overwrite)
+        self._files.append(file.written)
         try:
             self._place.save(metadata(self._files, self._streams.values()))
-            self._place.began(self._file)
+            self._place.began(file)
         except BaseException:
-            self._files.pop().discard()
+            self._files.pop()
+            file.discard()
             raise
+        self._file = file
 
     def _finish(self) -> None:
         """Write the end of the file, whose messages are all written."""
