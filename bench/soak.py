@@ -147,10 +147,11 @@ class Run:
             self._answer()
             if now >= due["look"]:
                 due["look"] = now + LOOK
-                self.seen.memory.append((now, memory(self.process.pid)))
+                self.seen.take(now, self.process.pid)
                 self.seen.cpu = cpu(self.process) - used
                 self.seen.waited = waiting(self.process) - waited
-                self._read_files(spare=2)
+                if self._asked is None:  # else the answer would have to wait
+                    self._read_files(spare=2)
                 yield now
             if now >= due["free"]:
                 due["free"] = float("inf")
@@ -169,8 +170,7 @@ class Run:
                 steps += 1
                 self.seen.counts[what] += 1
                 if what == "publisher restarted":
-                    self._publishers[-1].end()
-                    self._start_publisher()
+                    self._restart_publisher()
                 elif what == "disk full":
                     self._limit(1)
                     due["free"] = now + 0.5 * step
@@ -209,6 +209,13 @@ class Run:
 
     def _start_publisher(self) -> None:
         self._publishers.append(Publisher(self._folder, len(self._publishers) + 1, self._options))
+
+    def _restart_publisher(self) -> None:
+        self._publishers[-1].process.terminate()
+        while self._publishers[-1].process.poll() is None:
+            self._spin()
+            self._answer()
+        self._start_publisher()
 
     def _limit(self, size: int) -> None:
         """Let the node's files be no larger than this [byte]."""
@@ -258,12 +265,6 @@ def waiting(process: subprocess.Popen[bytes]) -> float:
     return int(Path(f"/proc/{process.pid}/schedstat").read_text().split()[1]) * 1e-9
 
 
-def memory(process: int) -> float:
-    """Resident memory of a process [MB]."""
-    found = re.search(r"VmRSS:\s+(\d+)", Path(f"/proc/{process}/status").read_text())
-    return int(found[1]) / 1024.0 if found else float("nan")
-
-
 def soak(options: argparse.Namespace, folder: Path) -> int:
     console = Console(stderr=True)
     run, took, interrupted, told = Run(folder, options), 0.0, False, 0.0
@@ -296,6 +297,8 @@ def soak(options: argparse.Namespace, folder: Path) -> int:
             "run": title,
             "rows": found,
             "memory": run.seen.memory,
+            "threads": run.seen.threads,
+            "open_files": run.seen.open_files,
             "joints": run.seen.values,
         }
         options.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

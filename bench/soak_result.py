@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,6 +28,8 @@ class Seen:
     refused: list[str] = field(default_factory=list)
     answers: list[float] = field(default_factory=list)
     memory: list[tuple[float, float]] = field(default_factory=list)
+    threads: list[tuple[float, float]] = field(default_factory=list)
+    open_files: list[tuple[float, float]] = field(default_factory=list)
     full: list[list[int]] = field(default_factory=list)
     failures: int = 0
     returns: int = 0
@@ -37,6 +40,14 @@ class Seen:
     cpu: float = 0.0
     waited: float = 0.0
     code: int | None = None
+
+    def take(self, now: float, process: int) -> None:
+        """Note resident memory [MB], threads and open files of a process at a time [s]."""
+        status = Path(f"/proc/{process}/status").read_text()
+        size, threads = (int(re.findall(rf"{name}:\s+(\d+)", status)[0]) for name in ("VmRSS", "Threads"))
+        self.memory.append((now, size / 1024.0))
+        self.threads.append((now, threads))
+        self.open_files.append((now, len(os.listdir(f"/proc/{process}/fd"))))
 
 
 def missing(sent: np.ndarray, logged: np.ndarray, full: Sequence[Sequence[int]]) -> tuple[int, int]:
@@ -54,11 +65,21 @@ def missing(sent: np.ndarray, logged: np.ndarray, full: Sequence[Sequence[int]])
     return int(absent.sum()) - excused, excused
 
 
+def tenths(seen: Sequence[tuple[float, float]], seconds: float) -> tuple[list[float], list[float]]:
+    """What was seen in the second tenth of the time, and in the last."""
+    early = [value for at, value in seen if 0.1 * seconds <= at < 0.2 * seconds]
+    return early, [value for at, value in seen if at >= 0.9 * seconds]
+
+
 def growth(memory: Sequence[tuple[float, float]], seconds: float) -> float:
     """Median memory of the last tenth over that of the second, less one; nan where there is too little."""
-    early = [size for at, size in memory if 0.1 * seconds <= at < 0.2 * seconds]
-    late = [size for at, size in memory if at >= 0.9 * seconds]
+    early, late = tenths(memory, seconds)
     return float(np.median(late) / np.median(early) - 1.0) if early and late else float("nan")
+
+
+def least(seen: Sequence[tuple[float, float]], seconds: float) -> list[float]:
+    """Least of the second tenth and of the last: threads that build maps and files that end come on top."""
+    return [min(part, default=float("nan")) for part in tenths(seen, seconds)]
 
 
 Row = tuple[str, str, str, bool]
@@ -113,6 +134,13 @@ def result(seen: Seen, sent: np.ndarray, took: float) -> list[Row]:
             f"within {100.0 * GROWTH:g} %",
             f"{100.0 * grown:+.1f} %, {sizes[-1] if sizes else 0.0:.0f} MB",
             grown <= GROWTH,
+        ),
+        *(
+            (f"{name}, least of the second tenth and of the last", "no more", f"{a:g}, {b:g}", b <= a)
+            for name, (a, b) in (
+                ("threads", least(seen.threads, took)),
+                ("open files", least(seen.open_files, took)),
+            )
         ),
         ("CPU of the node, of one core", "", f"{100.0 * seen.cpu / took:.0f} %" if took else "", True),
         (

@@ -1,6 +1,8 @@
 """How `make soak` counts: what is lost, what a full disk excuses, what memory does."""
 
+import os
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -42,3 +44,21 @@ def test_memory_is_compared_between_the_second_tenth_and_the_last() -> None:
     grown = [(at, size + 5.0 * (at > 80)) for at, size in flat]
     assert soak.growth(grown, 100.0) == pytest.approx(0.05)
     assert np.isnan(soak.growth(flat[:5], 100.0))
+
+
+def test_threads_and_open_files_are_compared_by_their_least() -> None:
+    flat = [(float(at), 20.0 + at % 3) for at in range(100)]
+    assert soak.least(flat, 100.0) == [20.0, 20.0]
+    assert soak.least([(at, value + (at > 50)) for at, value in flat], 100.0) == [20.0, 21.0]
+
+
+def test_memory_threads_and_open_files_are_those_of_the_process(tmp_path: Path) -> None:
+    seen = soak.Seen()
+    seen.take(0.0, os.getpid())
+    with (tmp_path / "a").open("w"), ThreadPoolExecutor(1) as pool:
+        block = pool.submit(np.ones, 4_000_000).result()
+        seen.take(1.0, os.getpid())
+    (_, before), (_, after) = seen.memory
+    assert 0.9 * block.nbytes < (after - before) * 2.0**20 < 1.5 * block.nbytes
+    assert seen.threads[1][1] - seen.threads[0][1] == 1
+    assert seen.open_files[1][1] - seen.open_files[0][1] == 1
