@@ -16,6 +16,7 @@ import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from live import sample
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
@@ -85,7 +86,7 @@ class Rig:
         self._executor.add_node(self.node)
         self.client = AsyncParameterClient(self.node, f"{process.namespace}/hd_diag")
         self.reports: list[DiagnosticArray] = []
-        self.hear("diagnostics", DiagnosticArray, self.reports)
+        self._subscribe("diagnostics", DiagnosticArray, self.reports)
         self.until(lambda: self.reports, "first report", START_LIMIT)
 
     def until(self, condition: Callable[[], Any], what: str, limit: float = LIMIT) -> Any:
@@ -114,11 +115,29 @@ class Rig:
         self.until(lambda: made.get_subscription_count() > 0, f"subscription to {topic}")
         return made
 
+    def acknowledged(self, publisher: Any) -> None:
+        """Wait until the node has all that was published: from then on DDS tells it what it loses.
+
+        Of a publisher that it has just found it counts nothing as lost.
+        """
+        assert publisher.wait_for_all_acked(Duration(seconds=LIMIT))
+
     def hear(self, topic: str, kind: Any, into: list[Any]) -> list[Any]:
-        """Subscribe to something that the node publishes; once heard, everything comes into the list."""
-        heard = self.node.create_subscription(kind, topic, into.append, QoSProfile(depth=5000))
+        """Subscribe to something that the node publishes: everything from now on comes into the list.
+
+        A publisher that is known here may not know of the subscription yet. The node learns of subscriptions
+        in their order: the first report that a later one gets shows that it knows of all before.
+        """
+        heard = self._subscribe(topic, kind, into)
         self.until(lambda: heard.get_publisher_count() > 0, f"publisher of {topic}")
+        later: list[DiagnosticArray] = []
+        probe = self._subscribe("diagnostics", DiagnosticArray, later)
+        self.until(lambda: later, "report to a later subscription")
+        self.node.destroy_subscription(probe)
         return into
+
+    def _subscribe(self, topic: str, kind: Any, into: list[Any]) -> Any:
+        return self.node.create_subscription(kind, topic, into.append, QoSProfile(depth=5000))
 
     def status(self, joint: str, condition: Condition = lambda values: True) -> DiagnosticStatus:
         """The first report from now on that fulfils a condition."""

@@ -240,7 +240,7 @@ def test_a_killed_node_loses_less_than_a_second(tmp_path: Path, seed: int) -> No
     """What others have received of it a second before its end is in the log, and all that came before."""
     log = tmp_path / "log"
     chance = random.Random(seed)
-    with running(tmp_path, parameters("a", "b", log__path=str(log))) as rig:
+    with running(tmp_path, parameters("a", "b", log__path=str(log), diagnostics_rate=20.0)) as rig:
         errors: list[JointState] = []
         rig.hear("hd_diag/transmission_error", JointState, errors)
         publisher, stamps = rig.publisher(), itertools.count(START, 2 * MS)
