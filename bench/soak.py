@@ -50,6 +50,7 @@ START_LIMIT, END_LIMIT = 300.0, 60.0  # [s]
 AHEAD, BACK = 3600.0, -1800.0  # of the publisher's clock [s]
 LEAST_STEP = 8.0  # between these [s]
 CHANGE = 2.0  # between changes of a parameter [s]
+QUIET = 3.0  # without another sample in the reports, after which the node has taken all [s]
 LOOK = 1.0  # between looks at memory [s]
 PAUSE = 60.0  # between lines where there is no terminal [s]
 
@@ -185,9 +186,11 @@ class Run:
         for one in self._publishers:
             if one.process.poll() is None:
                 one.end()
-        until = time.monotonic() + 3.0
+        until, taken = time.monotonic() + QUIET, -1
         while time.monotonic() < until and self.process.poll() is None:
             rclpy.spin_once(self._node, timeout_sec=0.05)
+            if self.seen.used != taken:  # a busy machine's node may be behind
+                until, taken = time.monotonic() + QUIET, self.seen.used
         self.process.send_signal(signal.SIGTERM)
         self.seen.code = self.process.wait(END_LIMIT)
         self._read_files(spare=0)

@@ -41,6 +41,11 @@ class Seen:
     waited: float = 0.0
     code: int | None = None
 
+    @property
+    def used(self) -> int:
+        """Samples used or rejected, least of all joints."""
+        return min((int(v["samples"]) + int(v["samples_rejected"]) for v in self.values), default=0)
+
     def take(self, now: float, process: int) -> None:
         """Note resident memory [MB], threads and open files of a process at a time [s]."""
         status = Path(f"/proc/{process}/status").read_text()
@@ -92,7 +97,6 @@ def result(seen: Seen, sent: np.ndarray, took: float) -> list[Row]:
     strange = int((~np.isin(logged, sent[:, 0])).sum())
     twice = logged.size - np.unique(logged).size
     grown, sizes = growth(seen.memory, took), [size for _, size in seen.memory]
-    used = [int(v["samples"]) + int(v["samples_rejected"]) for v in seen.values]
     slowest = max(seen.answers, default=float("nan"))
     full = seen.counts["disk full"]
     return [
@@ -107,8 +111,8 @@ def result(seen: Seen, sent: np.ndarray, took: float) -> list[Row]:
         (
             "samples used or rejected, least of all joints",
             f"{len(sent):,}",
-            f"{min(used, default=0):,}",
-            min(used, default=0) == len(sent),
+            f"{seen.used:,}",
+            seen.used == len(sent),
         ),
         (
             "times that the full disk was told, and the log went on",
