@@ -74,8 +74,12 @@ def test_ends_below_the_torque_at_which_torsion_jumps(astray: TorsionMap, gap: T
         assert (step.max() > 20 * np.median(step)) == jumps
 
 
+def steps_of(table: TorsionMap) -> int:
+    return table.repeats * (table.torque.shape[0] - 1)
+
+
 def test_exact_at_its_own_angles(table: TorsionMap) -> None:
-    steps = table.torque.shape[0] - 1
+    steps = steps_of(table)
     angle = 2 * np.pi / steps * np.arange(0, steps, 97)
     for torque in (-0.9 * table.torque_limit, -0.01, 0.3, table.torque_limit):
         load = np.full(angle.size, torque)
@@ -110,24 +114,25 @@ def test_nan_beyond_the_limit(table: TorsionMap) -> None:
 
 def plain(table: TorsionMap, turn: float, torque: float) -> float:
     """The map's value by plain interpolation: at both angles beside, then between them."""
-    steps = table.torque.shape[0] - 1
+    steps = steps_of(table)
     place = turn % (2 * np.pi) * (steps / (2 * np.pi))
-    row = min(int(place), steps - 1)
+    whole = min(int(place), steps - 1)
+    row = whole % (steps // table.repeats)
     low, high = (
         # Where a gap's ends stand above each other, the mean of what is beside them.
         0.5 * (np.interp(torque, x, y) - np.interp(-torque, -x[::-1], -y[::-1]))
         for x, y in zip(table.torque[row : row + 2], table.torsion[row : row + 2], strict=True)
     )
-    return float(low + (place - row) * (high - low))
+    return float(low + (place - whole) * (high - low))
 
 
 def places(table: TorsionMap) -> tuple[Array, Array]:
     """Random places of a map, its own nodes and ends, zero torque."""
     random, n, limit = np.random.default_rng(10), 3000, table.torque_limit
     turn, torque = random.uniform(-50, 50, n), random.uniform(-1, 1, n) * limit
-    steps, width = table.torque.shape[0] - 1, table.torque.shape[1]
-    row = random.integers(0, steps, 500)
-    turn[:500] = 2 * np.pi / steps * row
+    period, width = table.torque.shape[0] - 1, table.torque.shape[1]
+    row = random.integers(0, period, 500)
+    turn[:500] = 2 * np.pi / steps_of(table) * row
     torque[:500] = np.clip(table.torque[row, random.integers(0, width, 500)], -limit, limit)
     special = [0.0, -0.0, 1e-300, -1e-300, limit, -limit]
     angles = [0.0, -0.0, -1e-20, 1e-300, 2 * np.pi, -2 * np.pi, np.nextafter(2 * np.pi, 0), 1e9]
@@ -180,7 +185,7 @@ def test_can_be_given_up(several: int) -> None:
         ({"arc_offset": 3e-6}, 1),
     ],
 )
-def test_what_repeats_within_a_turn_is_solved_once(
+def test_what_repeats_within_a_turn_is_solved_and_kept_once(
     displaced: dict[str, Any], repeats: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     solved, curves = [], kernel.entry.curves
@@ -191,10 +196,22 @@ def test_what_repeats_within_a_turn_is_solved_once(
 
     monkeypatch.setattr(kernel.entry, "curves", counted)
     table = build(drives.mesh(**displaced), 20.0)
-    assert sum(solved) * repeats == table.torque.shape[0] - 1 == 202 * 64
+    assert table.repeats == repeats
+    assert sum(solved) == table.torque.shape[0] - 1 == 202 * 64 / repeats
     assert table.error_bound <= 4 * TOLERANCE
     angle, torque = points(table, 2000, 5)
     assert np.abs(table(angle, torque) - torsion(table.mesh, angle, torque)).max() <= table.error_bound
+
+
+@pytest.mark.parametrize("drive", ["100/102", "160/162", "320/322"])
+def test_size_follows_the_error(drive: str) -> None:
+    """A turn of a drive of any ratio takes about as much, for the error that is aimed at."""
+    displaced = {"eccentricity": (4e-6, -7e-6), "runout": (3e-6, 1e-6)}
+    table = build(drives.mesh(drives.DRIVES[drive], **displaced), 20.0)
+    assert 8e6 < table.torque.nbytes + table.torsion.nbytes < 16e6
+    angle, torque = points(table, 500, 6)
+    error = np.abs(table(angle, torque) - torsion(table.mesh, angle, torque))
+    assert error.max() <= min(table.error_bound, TOLERANCE)
 
 
 def test_several_threads_build_the_same_map() -> None:

@@ -28,8 +28,8 @@ TOLERANCE = 0.01 * ARCSEC
 """Error that a map aims at [rad]."""
 
 # Wave generator angles per tooth passing. The torsion's slope breaks where a pair comes into load; with fewer
-# teeth each pair brings more of the stiffness and moves further per angle, so the steps per tooth grow as
-# 1 / Z_G^2. 64 keep a gear of ratio 100 within TOLERANCE.
+# teeth each pair brings more of the stiffness and moves further per angle, so the steps per tooth go as
+# 1 / Z_G^2. 64 keep a gear of ratio 100 within TOLERANCE, and so do 250 one of ratio 50 and 25 one of 160.
 STEPS_PER_TOOTH = 64
 _FINE_TEETH = 202
 _CHECKED_ANGLES = 512
@@ -52,8 +52,11 @@ class TorsionMap:
     mesh : Mesh
         What it was built for.
     torque, torsion : ndarray of float32, shape (n + 1, breakpoints)
-        The piecewise-linear curve of every angle, rising; the last angle repeats the first [N m], [rad].
-        Single precision takes half the memory, and rounds by a thousandth of the error that is aimed at.
+        The piecewise-linear curve of every angle of a period, rising; the last angle repeats the first [N m],
+        [rad]. Single precision takes half the memory, and rounds by a thousandth of the error that is aimed
+        at.
+    repeats : int
+        Periods in a turn of the wave generator.
     torque_limit : float
         Greatest |M| that it answers for [N m].
     error_bound : float
@@ -63,6 +66,7 @@ class TorsionMap:
     mesh: Mesh
     torque: Table
     torsion: Table
+    repeats: int
     torque_limit: float
     error_bound: float
 
@@ -72,16 +76,16 @@ class TorsionMap:
         return float(self.torque[0, -1])
 
     @cached_property
-    def place(self) -> tuple[int, int, int, int, int, float]:
-        """Where the table lies, for kernels: addresses of breakpoints, torsions and index, size, limit."""
-        *arrays, limit = self._table
-        return *(array.ctypes.data for array in arrays), *self.torque.shape, limit
+    def place(self) -> tuple[int, int, int, int, int, int, float]:
+        """Where the table lies, for kernels: breakpoints, torsions, index; size, periods, limit."""
+        *arrays, repeats, limit = self._table
+        return *(array.ctypes.data for array in arrays), *self.torque.shape, repeats, limit
 
     @cached_property
-    def _table(self) -> tuple[Table, Table, Any, float]:
+    def _table(self) -> tuple[Table, Table, Any, int, float]:
         """As kernels read it, index included."""
         torque, torsion = (np.require(each, np.float32, ["C", "W"]) for each in (self.torque, self.torsion))
-        return torque, torsion, kernel.entry.columns(torque), float(self.torque_limit)
+        return torque, torsion, kernel.entry.columns(torque), self.repeats, float(self.torque_limit)
 
     def __call__(self, wave_generator_angle: Floats, torque: Floats) -> Floats:
         """Torsion (n,) [rad] at wave generator angles (n,) [rad] and torques on the cup (n,) [N m].
@@ -129,17 +133,11 @@ def build(
         If `wanted` returned False.
     """
     teeth = mesh.geometry.circular_spline_teeth
-    steps = teeth * round(steps_per_tooth * max(1.0, (_FINE_TEETH / teeth) ** 2))
+    steps = teeth * round(steps_per_tooth * (_FINE_TEETH / teeth) ** 2)
     repeats = math.gcd(_repeats(mesh), steps)
     angle = 2.0 * np.pi / steps * np.arange(steps // repeats, dtype=np.float64)
     limit = float(np.float32(torque_limit))
-    torque, beta = _curves(mesh, angle, repeats, limit, wanted, threads)
-    if not np.isfinite(torque).all():
-        raise ValueError(f"the teeth cannot bear {torque_limit:g} N m at every wave generator angle")
-    used = np.flatnonzero((torque > -limit).any(axis=0) & (torque < limit).any(axis=0))
-    columns = slice(used[0] - 1, used[-1] + 2)
-    kept = [np.ascontiguousarray(each[:, columns]) for each in (torque, beta)]
-    table = TorsionMap(mesh, kept[0], kept[1], limit, np.inf)
+    table = TorsionMap(mesh, *_curves(mesh, angle, limit, wanted, threads), repeats, limit, np.inf)
     return _checked(table, 2.0 * TOLERANCE * (STEPS_PER_TOOTH / steps_per_tooth) ** 2)
 
 
@@ -157,21 +155,16 @@ def _repeats(mesh: Mesh) -> int:
 
 
 def _curves(
-    mesh: Mesh,
-    angle: Floats,
-    repeats: int,
-    torque_limit: float,
-    wanted: Callable[[float], bool],
-    threads: int,
+    mesh: Mesh, angle: Floats, torque_limit: float, wanted: Callable[[float], bool], threads: int
 ) -> tuple[Table, Table]:
-    """Exact piecewise-linear curves of a turn, rising, shape (repeats of the angles + 1, breakpoints).
+    """Exact piecewise-linear curves of a period, rising, shape (angles + 1, breakpoints).
 
     The last angle repeats the first; a true gap has two breakpoints at zero torque. Rows with fewer
-    breakpoints end with more of the limit; nan where no flank can bear it.
+    breakpoints end with more of the limit. ValueError where no flank can bear it.
     """
     turn, center, _ = moments(mesh, angle)
-    begins, found = range(0, angle.size, _CHUNK), []
-    parts = [slice(begin, min(begin + _CHUNK, angle.size)) for begin in begins]
+    parts = [slice(begin, min(begin + _CHUNK, angle.size)) for begin in range(0, angle.size, _CHUNK)]
+    found: list[list[Table]] = []
 
     def curves(part: slice) -> list[Table]:
         exact = kernel.entry.curves(mesh.data, turn[part], center[part], torque_limit)
@@ -184,21 +177,24 @@ def _curves(
                 pool.shutdown(cancel_futures=True)
                 raise BuildCancelled
             found.append(next(solved))
-    shape = repeats * angle.size + 1, max(own.shape[1] for own, _ in found)
-    torque, torsion = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    for part, both in zip(parts, found, strict=True):
-        for whole, own in zip((torque, torsion), both, strict=True):
-            whole[part, : own.shape[1]] = own
-            whole[part, own.shape[1] :] = own[:, -1:]
-    for whole in (torque, torsion):
-        whole[angle.size : -1].reshape(repeats - 1, angle.size, shape[1])[:] = whole[: angle.size]
+    if not all(np.isfinite(own).all() for own, _ in found):
+        raise ValueError(f"the teeth cannot bear {torque_limit:g} N m at every wave generator angle")
+    inside = [np.flatnonzero((np.abs(own) < torque_limit).any(axis=0)) for own, _ in found]
+    used = np.unique(np.concatenate(inside))
+    first, last = int(used[0]) - 1, int(used[-1]) + 1
+    both = [np.empty((angle.size + 1, last + 1 - first), np.float32) for _ in range(2)]
+    for part in parts:
+        for whole, own in zip(both, found.pop(0), strict=True):  # no second copy is kept of what is large
+            whole[part] = own[:, -1:]
+            whole[part, : own.shape[1] - first] = own[:, first : last + 1]
+    for whole in both:
         whole[-1] = whole[0]
-    return torque, torsion
+    return both[0], both[1]
 
 
 def _checked(built: TorsionMap, jump: float) -> TorsionMap:
     """Measure the error between the angles; end the map below the torque where the torsion jumps [rad]."""
-    steps = built.torque.shape[0] - 1
+    steps = built.repeats * (built.torque.shape[0] - 1)
     count = np.arange(_CHECKED_ANGLES)
     # Golden-section sequences meet every tooth passing and every phase of the cells evenly.
     cell = np.floor(steps * ((count * 0.6180339887498949) % 1.0))

@@ -16,7 +16,7 @@ from hd_diag.model.transmission_error import Frame
 from hd_diag.monitor.joint import Joint
 from hd_diag.streams.alignment import Aligned
 
-_PLACE = ("breakpoints", "values", "near", "rows", "columns")
+_PLACE = ("breakpoints", "values", "near", "rows", "columns", "repeats")
 _DRIVE = np.dtype(
     [
         *((each.name, np.float64) for each in fields(Frame)),

@@ -207,7 +207,7 @@ def warm_up(gradient: bool) -> None:
     contacts(mesh, row, center, 0.0)
     mesh_state(mesh, row, center, row, np.empty((3, 0, 2, 0)), np.empty((3, 0)), 0, 0)
     table = rows.astype(np.float32)
-    interpolate(table, table, columns(table), 0.0, row, row, row, 0, 0)
+    interpolate(table, table, columns(table), 1, 0.0, row, row, row, 0, 0)
     if gradient:
         torsion_of_flanks(flat, flat, row)
         shares(flat, flat, rows[:0])

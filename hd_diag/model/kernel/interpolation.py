@@ -67,9 +67,9 @@ _array: Any = numba.carray  # type: ignore[attr-defined]
 
 
 class Cells(NamedTuple):
-    """Places of a block's samples: rows counted with fractions, row (-1: no answer), about which column."""
+    """Places of a block's samples: row (-1: no answer), share of the way to the next, about which column."""
 
-    place: Floats
+    share: Floats
     row: Integers
     column: Integers
 
@@ -100,6 +100,7 @@ def locate(
     breakpoints: Table,
     values: Table,
     near: Columns,
+    repeats: int,
     limit: float,
     turn: Floats,
     torque: Floats,
@@ -108,15 +109,17 @@ def locate(
     cells: Cells,
 ) -> None:
     """Set the places of the samples from ``begin`` to before ``end``, and have what is there fetched."""
-    steps, lowest = breakpoints.shape[0] - 1, breakpoints[0, 0]
+    period, lowest = breakpoints.shape[0] - 1, breakpoints[0, 0]
+    steps = repeats * period
     scale, bins = steps / _TURN, _BINS / (breakpoints[0, -1] - lowest)
     for i in range(begin, end):
         place, k = _within_turn(turn[i]) * scale, i - begin
         cells.row[k] = -1
         if abs(torque[i]) <= limit and not math.isnan(place):
-            row, share = min(int(place), steps - 1), (torque[i] - lowest) * bins
-            cells.place[k], cells.row[k] = place, row
-            column = near[row // _ROWS, int(min(share, _BINS - 1.0)) if share > 0.0 else 0]
+            whole, above = min(int(place), steps - 1), (torque[i] - lowest) * bins
+            row = whole % period
+            cells.share[k], cells.row[k] = place - whole, row
+            column = near[row // _ROWS, int(min(above, _BINS - 1.0)) if above > 0.0 else 0]
             cells.column[k] = column
             for r in range(row, row + 2):
                 fetch(breakpoints, r, column)
@@ -155,7 +158,7 @@ def read(
                 while c > 0 and x[r, c] > _BELOW_ZERO:
                     c -= 1
                 high = 0.5 * (high + _line(x[r, c], x[r, c + 1], y[r, c], y[r, c + 1], load))
-        beta[i] = low + (cells.place[i - begin] - row) * (high - low)
+        beta[i] = low + cells.share[i - begin] * (high - low)
 
 
 @inline
@@ -169,6 +172,7 @@ def interpolate(
     breakpoints: Table,
     values: Table,
     near: Columns,
+    repeats: int,
     limit: float,
     turn: Floats,
     torque: Floats,
@@ -180,7 +184,7 @@ def interpolate(
     found = cells()
     for begin in range(first, last, BLOCK):
         end = min(begin + BLOCK, last)
-        locate(breakpoints, values, near, limit, turn, torque, begin, end, found)
+        locate(breakpoints, values, near, repeats, limit, turn, torque, begin, end, found)
         read(breakpoints, values, torque, begin, end, found, beta)
 
 
@@ -191,4 +195,4 @@ def interpolate_at(place: Any, turn: Floats, torque: Floats, beta: Floats, count
     breakpoints = _array(_at(place.breakpoints), shape, np.float32)
     values = _array(_at(place.values), shape, np.float32)
     near = _array(_at(place.near), (1 + (place.rows - 1) // _ROWS, _BINS), np.int16)
-    interpolate(breakpoints, values, near, place.limit, turn, torque, beta, 0, count)
+    interpolate(breakpoints, values, near, place.repeats, place.limit, turn, torque, beta, 0, count)
