@@ -579,3 +579,21 @@ def test_a_signal_while_it_starts_ends_it_with_code_0(number: int, delay: float)
         _, stderr = process.communicate(timeout=LIMIT)
     assert process.returncode == 0, stderr
     assert "Traceback" not in stderr
+
+
+COMPILING = """
+import os, signal, time
+from hd_diag.ros import footprint, node, stop_signals
+node._warm_up = lambda config: time.sleep(1e9) if os.getpid() != own else print("compiles itself")
+own, noted = os.getpid(), stop_signals.note_signals()
+import hd_diag.model.kernel.compiler as compiler
+compiler.is_kept = lambda kernel: os.kill(own, signal.SIGTERM)
+print(node.main(["node"], noted))
+"""
+
+
+def test_a_signal_while_it_compiles_ends_it_at_once() -> None:
+    """The process that compiles is ended, and the node does not do the same itself."""
+    command = [sys.executable, "-c", COMPILING]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT, check=True)
+    assert run.stdout.split() == ["0"], run.stdout

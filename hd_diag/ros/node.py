@@ -312,6 +312,8 @@ def _run(arguments: list[str], stopped: Sequence[int]) -> int:
     try:
         sections = check_arguments(arguments)
         footprint.compile_apart(lambda: _warm_up(resolve({})), stopped)
+        if stopped:
+            return 0
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         set_logger_level("rcl", LoggingSeverity.UNSET)
         node = DiagnosticNode([file.parent for file in parameter_files(arguments)])
