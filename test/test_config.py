@@ -4,7 +4,6 @@ import contextlib
 import math
 import os
 import socket
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,6 @@ from hypothesis import strategies as st
 from rclpy.node import Node
 
 from hd_diag.config.configuration import ConfigError, dump, load, resolve
-from hd_diag.config.kept import kept
 from hd_diag.config.parameter_file import read
 from hd_diag.config.parameters import parameters
 
@@ -360,32 +358,6 @@ def test_junk_in_a_file_is_refused_or_taken(scratch: Path, junk: Any) -> None:
     written(scratch, yaml.dump({"hd_diag": {"ros__parameters": junk}}))
     with contextlib.suppress(ConfigError):
         load(scratch)
-
-
-# What is kept on disk ---
-
-
-def test_what_the_model_says_of_a_drive_is_computed_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """By any process; anew where the file is damaged, where none can be written, and for another drive."""
-    asked = []
-
-    def compute(*given: object) -> dict[str, Any]:
-        asked.append(given)
-        return {"sum": 0.1 + 0.2, "none": [math.nan]}
-
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    drive = resolve({}).joints[0].drive
-    found = [kept(compute, drive, 1.0) for _ in range(2)]
-    assert (str(found[0]), len(asked)) == (str(found[1]), 1)
-    kept(compute, replace(drive, rated_torque=55.0), 1.0)
-    assert len(asked) == 2
-    for file in (tmp_path / "hd_diag").iterdir():
-        file.write_bytes(file.read_bytes()[:-9])
-    assert (str(kept(compute, drive, 1.0)), len(asked)) == (str(found[0]), 3)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "hd_diag" / file.name))
-    assert (str(kept(compute, drive, 1.0)), len(asked)) == (str(found[0]), 4)
 
 
 ARM = [f"j{number}" for number in range(7)]

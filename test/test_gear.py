@@ -28,10 +28,10 @@ from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.scaling import of_drive
 from hd_diag.extended_model import ExtendedModel, Range, Ranges, Term
-from hd_diag.gear.characteristics import ToothLoads, characteristics, tooth_loads
+from hd_diag.gear.characteristics import Teeth, ToothLoads, characteristics, tooth_loads
 from hd_diag.gear.similarity import least_backlash
 from hd_diag.model.load_sharing import mesh_state
-from hd_diag.model.torsion import torsion
+from hd_diag.model.torsion import torsion, torsion_table
 from hd_diag.report.teeth import teeth_over_turn
 from hd_diag.ros.parameter_server import ParameterServer
 from hd_diag.tolerance import assembly
@@ -228,6 +228,26 @@ def test_characteristics_are_those_of_the_torsion() -> None:
     state = mesh_state(drive.mesh, angle, np.zeros(angle.size))
     assert found.lost_motion == pytest.approx(state.lost_motion.max(), rel=1e-3)
     assert found.overlap == pytest.approx(state.overlap.max(), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    "errors", [{}, {"eccentricity": 5e-6 - 9e-6j, "runout": 2e-6}], ids=["centred", "eccentric"]
+)
+@pytest.mark.parametrize("name", ["8/50", "32/120", "25/101"])
+def test_teeth_without_compiled_code_are_the_compiled_ones(name: str, errors: dict[str, complex]) -> None:
+    drive = of_page(name).joints[0].drive
+    mesh = dataclasses.replace(drive.mesh, **errors)
+    angle, torque = np.linspace(0.0, 6.0, 41), drive.rated_torque * np.array([1.0, -0.3, 0.0, 1e-6])
+    found = Teeth(mesh, angle)
+    assert_allclose(found.torsion(torque), torsion_table(mesh, angle, torque), rtol=1e-9, atol=1e-15)
+    idle, loaded = (mesh_state(mesh, angle, np.full(angle.size, each)) for each in (0.0, torque[0]))
+    expected = [
+        idle.lost_motion.max(), idle.minimum_backlash.min(), idle.overlap.max(),
+        idle.peak_load.max(), loaded.peak_load.max(),
+    ]  # fmt: skip
+    peaks = [found.peak_load(each) for each in (0.0, torque[0])]
+    numbers = [found.lost_motion(), found.least_backlash(), found.overlap(), *peaks]
+    assert_allclose(numbers, expected, rtol=1e-9)
 
 
 def test_eccentricity_shows_at_rest_and_is_no_warning(tmp_path: Path) -> None:

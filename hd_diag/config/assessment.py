@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
-
-import numpy as np
 
 from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.config.configured_drive import number
 from hd_diag.config.defaults import EXAMPLE, Page, page_of
-from hd_diag.config.kept import kept
 from hd_diag.config.parameters import JOINT_PARAMETERS
 from hd_diag.drive import Drive
 from hd_diag.gear.characteristics import Characteristics, characteristics, slot_shift
@@ -53,24 +50,14 @@ def assess(config: Config, joint: JointConfig) -> Assessment:
     own = {p.name: config.flat[f"{joint.name}.{p.name}"] for p in JOINT_PARAMETERS}
     page, drive = page_of(own), joint.configured
     steps = (page.t1, page.t2) if page else (number(own, "gear.t1"), number(own, "gear.t2"))
-    found = _characteristics(drive, *steps)
+    found = characteristics(drive, *steps)
     mesh = drive.mesh
     perfect = found
     if mesh.eccentricity or mesh.runout:
-        perfect = _characteristics(replace(drive, mesh=replace(mesh, eccentricity=0.0, runout=0.0)), *steps)
+        perfect = characteristics(replace(drive, mesh=replace(mesh, eccentricity=0.0, runout=0.0)), *steps)
     warnings = [*_overlap(perfect, joint), *_stiffness(perfect, page), *_load(perfect, drive, joint)]
     warnings += _dissimilar(drive) if page else []
     return Assessment(found, page, warnings)
-
-
-def _characteristics(drive: Drive, t1: float, t2: float) -> Characteristics:
-    found = kept(_numbers, drive, t1, t2)
-    return Characteristics(**found | {"stiffness": np.array(found["stiffness"])})
-
-
-def _numbers(drive: Drive, t1: float, t2: float) -> dict[str, Any]:
-    found = characteristics(drive, t1, t2)
-    return asdict(found) | {"stiffness": found.stiffness.tolist()}
 
 
 def _overlap(found: Characteristics, joint: JointConfig) -> list[str]:

@@ -13,11 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from hd_diag.config.configured_drive import drive_from, number
-from hd_diag.config.kept import kept
 from hd_diag.config.parameters import JOINT_PARAMETERS, LIMITS, Value
 from hd_diag.drive import Drive
 from hd_diag.formatting import rounded
 from hd_diag.gear.characteristics import T1_SHARE, T2_SHARE
+from hd_diag.gear.similarity import compliances, similar
 from hd_diag.model.geometry import Geometry
 from hd_diag.model.mesh import Mesh
 from hd_diag.model.tooth_profile import DoubleArc
@@ -94,12 +94,6 @@ def page_of(given: Mapping[str, Value]) -> Page | None:
 @lru_cache(maxsize=256)
 def resolved(page: Page) -> dict[str, Value]:
     """Parameters of the drive of a page; raises ValueError saying why there is none."""
-    return kept(_similar_drive, page)
-
-
-def _similar_drive(page: Page) -> dict[str, Value]:
-    from hd_diag.gear.similarity import compliances, similar  # scipy.optimize, and most have no page
-
     flexspline = page.output == "flexspline"
     slots = 2.0 * abs(page.ratio) + (2.0 if flexspline else 0.0)
     if slots % 2.0:

@@ -19,8 +19,8 @@ import numpy as np
 from hd_diag.arrays import Complexes, Floats, Integers
 from hd_diag.drive import Drive
 from hd_diag.effects.kept import Kept
-from hd_diag.model.contact import Contact, contacts
-from hd_diag.model.load_sharing import FLANKS, flank_stiffness, shares, torsion_of_flanks
+from hd_diag.model.contact import FLANKS, Contact, contacts
+from hd_diag.model.load_sharing import flank_stiffness, shares, torsion_of_flanks
 from hd_diag.model.torsion import torsion_table
 from hd_diag.model.torsion_map import TorsionMap, build
 

@@ -11,10 +11,10 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.drive import Drive
+from hd_diag.model.contact import FLANKS, contacts
 from hd_diag.model.geometry import Geometry
-from hd_diag.model.load_sharing import mesh_state
+from hd_diag.model.load_sharing import FlankTorsion, flank_stiffness
 from hd_diag.model.mesh import Mesh, largest_displacement
-from hd_diag.model.torsion import torsion, torsion_table
 
 T1_SHARE, T2_SHARE = 0.25, 0.86
 """Torques T1 and T2 over the rated torque where no page gives them [-]."""
@@ -27,7 +27,7 @@ ECCENTRICITY = 10e-6
 
 _PHASES = 16  # in a slot pitch
 _MOMENTS = 128  # of a turn
-_ERROR_MOMENTS = 1009  # of a turn, a prime: no order of the teeth looks like order 2
+_ERROR_MOMENTS = 251  # of a turn, a prime: no order of the teeth looks like order 2
 
 
 @dataclass(frozen=True)
@@ -83,48 +83,70 @@ class ToothLoads(NamedTuple):
     rated: float
 
 
+class Teeth:
+    """The teeth of a mesh at some wave generator angles [rad], as far as a whole turn is judged by them."""
+
+    def __init__(self, mesh: Mesh, angle: Floats) -> None:
+        found = contacts(mesh, angle)
+        self._rotation, self._radius, self._compliance = found.rotation, found.radius, mesh.tooth_compliance
+        self._stiffness = flank_stiffness(found, mesh.tooth_compliance)
+        self.torsion = FlankTorsion(self._rotation, self._stiffness)
+
+    def peak_load(self, torque: float) -> float:
+        """Largest force on a flank [N]; nan: the torque cannot be borne."""
+        beta = self.torsion(np.array([torque]))[:, :, None]
+        overlap = np.fmax(FLANKS * beta - self._rotation, 0.0)
+        peak = float((overlap * np.sqrt(self._stiffness / self._compliance)).max())
+        return peak if torque == 0.0 or np.isfinite(beta).all() else math.nan
+
+    def lost_motion(self) -> float:
+        """Greatest gap without torque [rad]."""
+        return max(float(self.torsion.gap.max()), 0.0)
+
+    def least_backlash(self) -> float:
+        """Of all teeth without torque [m]."""
+        return float(np.nanmin(self._rotation * self._radius))
+
+    def overlap(self) -> float:
+        """By which both lobes press against each other without torque [m]; negative: clearance."""
+        radius = np.where(np.isnan(self._rotation), np.nan, self._radius)
+        return float((-self.torsion.gap * np.nanmean(radius, axis=(1, 2))).max())
+
+
 @lru_cache(maxsize=512)
 def tooth_loads(drive: Drive) -> ToothLoads:
     """What the teeth of a drive bear."""
-    angle = _turn(_MOMENTS)
-    idle = mesh_state(drive.mesh, angle, np.zeros(angle.size))
-    rated = mesh_state(drive.mesh, angle, np.full(angle.size, drive.rated_torque))
-    return ToothLoads(
-        float(idle.overlap.max()),
-        float(idle.peak_load.max()),
-        float(rated.peak_load.max()) if np.isfinite(rated.torsion).all() else math.nan,
-    )
+    return _loads(drive, Teeth(drive.mesh, _turn(_MOMENTS)))
+
+
+def _loads(drive: Drive, teeth: Teeth) -> ToothLoads:
+    return ToothLoads(teeth.overlap(), teeth.peak_load(0.0), teeth.peak_load(drive.rated_torque))
 
 
 def characteristics(drive: Drive, t1: float = 0.0, t2: float = 0.0) -> Characteristics:
     """Characteristics of a drive; T1 and T2 [N m] are shares of the rated torque where they are zero."""
     t1, t2 = t1 or T1_SHARE * drive.rated_torque, t2 or T2_SHARE * drive.rated_torque
-    mesh, angle = drive.mesh, _turn(_MOMENTS)
-    idle, found = mesh_state(mesh, angle, np.zeros(angle.size)), tooth_loads(drive)
+    teeth = Teeth(drive.mesh, _turn(_MOMENTS))
+    torque = stiffness_steps(t1, t2)
+    beta = teeth.torsion(torque).mean(axis=0) + drive.cup_compliance * torque
+    loads = _loads(drive, teeth)
     return Characteristics(
-        mesh.geometry.module,
+        drive.mesh.geometry.module,
         t1,
         t2,
-        secant_stiffness(mesh, drive.cup_compliance, t1, t2, angle),
-        float(idle.lost_motion.max()),
-        float(idle.minimum_backlash.min()),
-        found.overlap,
-        found.idle,
-        found.rated,
+        np.asarray(np.diff(torque) / np.diff(beta), dtype=np.float64),
+        teeth.lost_motion(),
+        teeth.least_backlash(),
+        loads.overlap,
+        loads.idle,
+        loads.rated,
         _error_per_eccentricity(drive),
     )
 
 
-def secant_stiffness(mesh: Mesh, cup: float, t1: float, t2: float, angle: Floats | None = None) -> Floats:
-    """K1, K2, K3 (3,) [N m/rad]: secants of the torsion, its mean over wave generator angles [rad].
-
-    The cup's compliance [rad/(N m)] is added to the teeth's. Angles are by default those of a slot pitch,
-    over which all repeats without eccentricity.
-    """
-    torque = np.array([SMALLEST_SHARE * t1, t1, t2, 2.0 * t2])
-    turn = slot_phases(mesh.geometry) if angle is None else angle
-    beta = torsion_table(mesh, turn, torque).mean(axis=0) + cup * torque
-    return np.asarray(np.diff(torque) / np.diff(beta), dtype=np.float64)
+def stiffness_steps(t1: float, t2: float) -> Floats:
+    """Torques (4,) between which K1, K2 and K3 are secants of the torsion [N m]."""
+    return np.array([SMALLEST_SHARE * t1, t1, t2, 2.0 * t2])
 
 
 def slot_shift(known: Geometry, geometry: Geometry) -> float:
@@ -148,5 +170,5 @@ def _error_per_eccentricity(drive: Drive) -> float:
     size = min(ECCENTRICITY, 0.5 * largest_displacement(drive.mesh.geometry)[0])
     mesh = replace(drive.mesh, eccentricity=size, runout=0.0)
     angle = 2.0 * np.pi * np.arange(_ERROR_MOMENTS) / _ERROR_MOMENTS
-    beta = torsion(mesh, angle, 0.5 * drive.rated_torque)
+    beta = Teeth(mesh, angle).torsion(np.array([0.5 * drive.rated_torque]))[:, 0]
     return float(2.0 * abs(np.mean(beta * np.exp(-2j * angle))) / size)

@@ -10,14 +10,14 @@ teeth, the eccentricity of the first interference, forces on teeth.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Callable
+from functools import cache
 
 import numpy as np
-from scipy.optimize import brentq, least_squares
 
 from hd_diag.arrays import Floats
 from hd_diag.formatting import rounded
-from hd_diag.gear.characteristics import secant_stiffness, slot_phases
+from hd_diag.gear.characteristics import Teeth, slot_phases, stiffness_steps
 from hd_diag.model.contact import contacts
 from hd_diag.model.geometry import Geometry
 from hd_diag.model.mesh import Mesh
@@ -33,6 +33,9 @@ _SHIFTS = (
 )  # of the slots, of a drive with the known one's module; beyond, teeth are others [m]
 _DIGITS = 10  # decimals of a length: a tenth of a nanometre, so that every machine has the same numbers [m]
 _DIGITS_KEPT = 4  # significant, of a compliance
+_SOFTER = 10.0  # logarithm of how much softer or stiffer teeth may be than where the search begins [-]
+_SOFTEST_CUP = 0.95  # of 1 / K1: as soft as all of it would leave nothing to the teeth [-]
+_TRIALS, _CLOSE = 17, 1e-7  # compliances beside each other; of their logarithm, and of the cup's share [-]
 
 
 def module_scale(known: Geometry, scale: float, teeth: int) -> float:
@@ -69,7 +72,7 @@ def similar(known: Geometry, scale: float, teeth: int) -> Geometry:
 
     low, high = (k * shift for shift in _SHIFTS)
     try:
-        shift = round(float(brentq(excess, low, high, xtol=1e-11)), _DIGITS)
+        shift = round(_root(excess, low, high, 1e-11), _DIGITS)
     except ValueError as error:
         raise ValueError(
             f"no place of the slots between {low * 1e6:.0f} and {high * 1e6:.0f} µm from where the module "
@@ -98,17 +101,37 @@ def compliances(mesh: Mesh, t1: float, t2: float, wanted: Floats) -> tuple[float
 
     Notes
     -----
-    Least squares of the logarithms of reached over wanted stiffness.
+    Least squares of the logarithms of reached over wanted stiffness. Teeth that are softer by a factor
+    turn as far at a torque as these do at that factor times it.
     """
+    teeth, steps, share = Teeth(mesh, slot_phases(mesh.geometry)), stiffness_steps(t1, t2), wanted / wanted[0]
+    low, high = -_SOFTER, _SOFTER
+    while high - low > _CLOSE:
+        trial = np.linspace(low, high, _TRIALS)
+        beta = teeth.torsion(np.outer(np.exp(trial), steps).ravel()).mean(axis=0).reshape(_TRIALS, -1)
+        reached = np.diff(beta) / np.diff(steps) * wanted
+        cup = _cup_shares(reached, share)
+        miss = (np.log(reached + cup[:, None] * share) ** 2).sum(axis=1)
+        best = int(np.argmin(miss))
+        low, high = trial[max(best - 1, 0)], trial[min(best + 1, _TRIALS - 1)]
+    tooth, softness = mesh.tooth_compliance * math.exp(trial[best]), float(cup[best])
+    return rounded(tooth, _DIGITS_KEPT), rounded(
+        softness / wanted[0], _DIGITS_KEPT
+    ) if softness > 1e-6 else 0.0
 
-    def misses(point: Floats) -> Floats:
-        trial = replace(mesh, tooth_compliance=mesh.tooth_compliance * math.exp(point[0]))
-        return np.log(secant_stiffness(trial, point[1] / wanted[0], t1, t2) / wanted)
 
-    # A cup as soft as all of K1 would leave nothing to the teeth.
-    found = least_squares(misses, (0.0, 0.05), bounds=((-20.0, 0.0), (20.0, 0.95)), x_scale=(1.0, 0.1))
-    tooth, cup = mesh.tooth_compliance * math.exp(found.x[0]), found.x[1] / wanted[0]
-    return rounded(tooth, _DIGITS_KEPT), rounded(cup, _DIGITS_KEPT) if found.x[1] > 1e-6 else 0.0
+def _cup_shares(reached: Floats, share: Floats) -> Floats:
+    """The cup's best compliance times K1 beside each of some teeth (trials,), by bisection.
+
+    `reached` (trials, 3) are the teeth's compliances and `share` (3,) that of such a cup, over those wanted.
+    """
+    low, high = np.zeros(len(reached)), np.full(len(reached), _SOFTEST_CUP)
+    while np.max(high - low) > _CLOSE:
+        middle = 0.5 * (low + high)
+        whole = reached + middle[:, None] * share
+        falling = (np.log(whole) * share / whole).sum(axis=1) < 0.0
+        low, high = np.where(falling, middle, low), np.where(falling, high, middle)
+    return low
 
 
 def _shifted(known: Geometry, scale: float, teeth: int, shift: float) -> Geometry:
@@ -117,7 +140,7 @@ def _shifted(known: Geometry, scale: float, teeth: int, shift: float) -> Geometr
     major = radius + k * (known.semi_major - known.curve.radius)
     # The sum of the semi-axes hardly differs from twice the radius.
     least = 2.0 * radius - major - (major - radius)
-    minor = brentq(lambda b: neutral_curve(major, b).radius - radius, least, radius, xtol=1e-13)
+    minor = _root(lambda b: neutral_curve(major, b).radius - radius, least, radius, 1e-13)
     datum, tip = known.circular_spline_datum, known.circular_spline_tip_radius
 
     def placed(place: float) -> float:
@@ -135,6 +158,28 @@ def _shifted(known: Geometry, scale: float, teeth: int, shift: float) -> Geometr
         placed(datum),
         placed(tip),
     )
+
+
+def _root(function: Callable[[float], float], low: float, high: float, precision: float) -> float:
+    """Where a function changes its sign, by the Illinois form of regula falsi; ValueError: it does not.
+
+    Steps are no smaller than the precision, which soon encloses the place.
+    """
+    function = cache(function)
+    at_low, at_high = function(low), function(high)
+    if not at_low * at_high <= 0.0:
+        raise ValueError("no change of sign")
+    while at_high != 0.0 and abs(high - low) > precision:
+        least = min(0.9 * precision / abs(high - low), 0.5)
+        share = min(max(at_high / (at_high - at_low), least), 1.0 - least)
+        new = high - share * (high - low)
+        at_new = function(new)
+        if at_new * at_high <= 0.0:
+            low, at_low = high, at_high
+        else:
+            at_low *= 0.5
+        high, at_high = new, at_new
+    return min(low, high, key=lambda place: abs(function(place)))
 
 
 def _scaled(flank: DoubleArc, k: float) -> DoubleArc:

@@ -3,10 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 
 from hd_diag.arrays import Floats, Integers
-from hd_diag.model import kernel
-from hd_diag.model.mesh import Mesh, contiguous
+from hd_diag.model.kernel.contact import close
+from hd_diag.model.kernel.mesh_data import reach, width
+from hd_diag.model.mesh import Mesh
+from hd_diag.model.neutral_curve import tooth_axes
+
+FLANKS = np.array([1.0, -1.0])[:, None]
+"""Sign of the torsion that loads the flanks +, -; for arrays (..., 2, teeth)."""
+
+_BLOCK = 128  # moments at a time: their numbers stay near the core
 
 
 @dataclass(frozen=True)
@@ -51,7 +61,32 @@ def contacts(mesh: Mesh, wave_generator_angle: Floats) -> Contact:
     Contact
         Columns are the teeth that can reach the slots at any angle; all others cannot touch.
     """
-    turn = contiguous(wave_generator_angle)
-    farthest = abs(mesh.eccentricity) + abs(mesh.runout)
-    indices, values = kernel.entry.contacts(mesh.data, turn, mesh.displacement(turn), farthest)
-    return Contact(*indices, *values)
+    turn = np.asarray(wave_generator_angle, dtype=np.float64)
+    blocks = [_contacts(mesh, turn[first : first + _BLOCK]) for first in range(0, max(turn.size, 1), _BLOCK)]
+    return Contact(*map(np.concatenate, zip(*blocks, strict=True)))
+
+
+def _contacts(mesh: Mesh, turn: Floats) -> tuple[Any, ...]:
+    """What `Contact` holds. Poses are those of :mod:`hd_diag.model.kernel.poses`, without its shortcuts."""
+    c, farthest = mesh.data.constants, abs(mesh.eccentricity) + abs(mesh.runout)
+    near, turned = reach(mesh.data, farthest), turn[:, None]
+    columns, start = width(c, near), mesh.arc_offset / c.curve_radius - turned * c.turn_ratio
+    first = np.ceil((np.array([0.0, np.pi]) - near - start) / c.tooth_pitch)
+    number = np.repeat(first, columns, axis=1) + np.tile(np.arange(columns), 2)
+    axis, height, offset = tooth_axes(mesh.geometry.curve, start + number * c.tooth_pitch)
+    axis = axis + turned
+    center = mesh.displacement(turned) * np.exp(-1j * axis)
+    height, offset = height + center.real, offset + center.imag
+    slot = np.rint((axis + np.arctan(offset / (height + c.pitch_height))) / c.slot_pitch)[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        touch: Any = close(c, height[:, None], FLANKS * offset[:, None])
+    push = touch.x * touch.normal_x + touch.y * touch.normal_y
+    lever = touch.x * touch.normal_y - touch.y * touch.normal_x
+    return (
+        np.mod(number, c.flexspline_teeth).astype(np.int64),
+        np.mod(slot[:, 0], c.circular_spline_teeth).astype(np.int64),
+        np.arcsin(touch.sine) - FLANKS * (axis[:, None] - slot * c.slot_pitch),
+        np.hypot(touch.x, touch.y),
+        np.arctan2(push, lever),
+        slot * c.slot_pitch + FLANKS * np.arctan2(touch.y, touch.x),
+    )

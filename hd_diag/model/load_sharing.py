@@ -15,12 +15,11 @@ import numpy.typing as npt
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.model import kernel
-from hd_diag.model.contact import Contact
+from hd_diag.model.contact import FLANKS, Contact
 from hd_diag.model.mesh import Mesh, contiguous, moments
 from hd_diag.model.threads import MOMENTS, spread
 
-FLANKS = np.array([1.0, -1.0])[:, None]
-"""Sign of the torsion that loads the flanks +, -; for arrays (..., 2, teeth)."""
+_NONE = 1e-9  # of the stiffness of all flanks: what rounding leaves where none bears [-]
 
 
 @dataclass(frozen=True)
@@ -120,6 +119,40 @@ def torsion_of_flanks(rotation: Floats, stiffness: Floats, torque: Floats) -> Fl
     """
     found: Floats = kernel.entry.torsion_of_flanks(*map(contiguous, (rotation, stiffness, torque)))
     return found
+
+
+class FlankTorsion:
+    """As :func:`torsion_of_flanks`, for torques in any order, without compiled code: what starts need.
+
+    Flanks are sorted by the torsion at which they begin to bear (+) or cease to (-): between two of them
+    ``M = K beta - Q`` holds with sums K and Q over those that bear.
+    """
+
+    def __init__(self, rotation: Floats, stiffness: Floats) -> None:
+        count, touching = rotation.shape[0], np.isfinite(rotation)
+        start = np.where(touching, FLANKS * rotation, np.nan).reshape(count, -1)
+        gain = np.where(touching, FLANKS * stiffness, 0.0).reshape(count, -1)
+        order = np.argsort(start, axis=1)  # nan is last
+        start, gain = (np.take_along_axis(each, order, axis=1) for each in (start, gain))
+
+        def summed(change: Floats) -> Floats:
+            """Sums over the flanks that bear, before each start and after the last."""
+            lowest = -np.where(gain < 0.0, change, 0.0).sum(axis=1)
+            return np.cumsum(np.column_stack((lowest, change)), axis=1)
+
+        self._stiffness, self._moment = summed(gain), summed(np.nan_to_num(gain * start))
+        self._begin = self._stiffness[:, 1:] * start - self._moment[:, 1:]
+        self._stiffness[self._stiffness <= _NONE * np.abs(gain).sum(axis=1, keepdims=True)] = np.nan
+        ends = np.fmin.reduce(rotation, axis=2, initial=np.inf)  # of the free range
+        self.gap = ends[:, 0] + ends[:, 1]
+        self._middle = np.where(np.isfinite(self.gap), 0.5 * (ends[:, 0] - ends[:, 1]), np.nan)
+
+    def __call__(self, torque: Floats) -> Floats:
+        """Torsion (moments, torques) at torques (torques,)."""
+        piece = np.count_nonzero(self._begin[:, :, None] < torque, axis=1)
+        bearing, rest = (np.take_along_axis(each, piece, axis=1) for each in (self._stiffness, self._moment))
+        idle = (torque == 0.0) & (self.gap > 0.0)[:, None]
+        return np.where(idle, self._middle[:, None], (torque + rest) / bearing)
 
 
 def shares(rotation: Floats, stiffness: Floats, torsion: Floats) -> Floats:

@@ -8,10 +8,20 @@ import numpy as np
 
 from hd_diag.arrays import Complexes, Floats
 from hd_diag.model.kernel.compiler import entry_point, part
-from hd_diag.model.kernel.contact import arms, find
-from hd_diag.model.kernel.load_sharing import Flanks, Scratch, Side, balance, bearing, both, flanks, scratch
-from hd_diag.model.kernel.mesh_data import MeshData
-from hd_diag.model.kernel.poses import Teeth, place, reach
+from hd_diag.model.kernel.load_sharing import (
+    Flanks,
+    Scratch,
+    Side,
+    arms,
+    balance,
+    bearing,
+    both,
+    find,
+    flanks,
+    scratch,
+)
+from hd_diag.model.kernel.mesh_data import MeshData, reach
+from hd_diag.model.kernel.poses import Teeth, place
 
 
 @entry_point

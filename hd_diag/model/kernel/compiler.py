@@ -14,6 +14,10 @@ from typing import Any, TypeVar, cast
 
 import numba
 from numba.core.bytecode import FunctionIdentity
+from numba.extending import overload, register_jitable
+
+import hd_diag.model.kernel.contact  # noqa: F401  (has all formulas)
+from hd_diag.model.kernel import formula
 
 
 def _name_apart() -> None:
@@ -73,6 +77,22 @@ def part(function: Kernel) -> Kernel:
     return cast(Kernel, numba.njit(nogil=True, error_model="numpy")(function))
 
 
+_INLINE: Any = {"nogil": True, "error_model": "numpy", "forceinline": True}
+
+
 def inline(function: Kernel) -> Kernel:
     """Compile as part of a loop over flanks, which the compiler can vectorise only if it sees it whole."""
-    return cast(Kernel, numba.njit(nogil=True, error_model="numpy", forceinline=True)(function))
+    return cast(Kernel, numba.njit(**_INLINE)(function))
+
+
+def _one(condition: Any, yes: Any, no: Any) -> Any:
+    return yes if condition else no
+
+
+def _choose(condition: Any, yes: Any, no: Any) -> Any:
+    return _one
+
+
+overload(formula.choose, jit_options=_INLINE)(_choose)
+for _each in formula.FORMULAS:
+    register_jitable(**_INLINE)(_each)

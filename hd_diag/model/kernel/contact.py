@@ -23,27 +23,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hd_diag.arrays import Floats
-from hd_diag.model.kernel.compiler import inline, part
+from hd_diag.model.kernel.formula import choose, formula, larger, smaller
 from hd_diag.model.kernel.mesh_data import Arc, Constants, Line
-from hd_diag.model.kernel.poses import Teeth
-
-# Sines up to here become angles by the arcsine's series to x^15, exact to rounding [-].
-_SMALL_SINE = 0.125
-
-
-class Contacts(NamedTuple):
-    """First contacts of both flanks of some teeth, each (2, teeth).
-
-    nan where a tooth does not reach the slots. Sine of the angle by which the tooth axis then leads the
-    slot's; contact point [m] and unit normal in the slot frame about the axis.
-    """
-
-    sine: Floats
-    x: Floats
-    y: Floats
-    normal_x: Floats
-    normal_y: Floats
 
 
 class Point(NamedTuple):
@@ -73,20 +54,20 @@ class Touch(NamedTuple):
     datum: float
 
 
-@inline
+@formula
 def _point(x: float, y: float) -> Point:
-    radius = math.sqrt(x * x + y * y)
+    radius = np.sqrt(x * x + y * y)
     return Point(x, y, radius, 1.0 / radius)
 
 
-@inline
+@formula
 def _lens(p: float, inverse: float, q: float, distance: float, side: float) -> tuple[float, float]:
     """Cosine and (signed) sine of the angle between points at radii p and q that are so far apart."""
     half = (distance - p + q) * (distance + p - q) * inverse * (0.25 / q)
-    return 1.0 - 2.0 * half, 2.0 * side * math.sqrt(half * (1.0 - half))
+    return 1.0 - 2.0 * half, 2.0 * side * np.sqrt(half * (1.0 - half))
 
 
-@inline
+@formula
 def _arcs(moving: Point, x: float, y: float, q: float, distance: float, side: float, reach: float) -> Touch:
     """A point of the tooth comes to lie ``distance`` from the wall's centre (x, y) at radius q."""
     cosine, sine = _lens(moving.radius, moving.inverse, q, distance, side)
@@ -107,11 +88,11 @@ def _arcs(moving: Point, x: float, y: float, q: float, distance: float, side: fl
     )
 
 
-@inline
+@formula
 def _arc_on_line(moving: Point, line: Line, radius: float) -> Touch:
     """A point of the tooth comes to lie ``radius`` before the wall's line."""
     near = line.distance - radius
-    lever = math.sqrt(moving.radius * moving.radius - near * near)
+    lever = np.sqrt(moving.radius * moving.radius - near * near)
     x, y = line.normal_x * near + line.normal_y * lever, line.normal_y * near - line.normal_x * lever
     return Touch(
         (y * moving.x - x * moving.y) * (moving.inverse * moving.inverse),
@@ -126,11 +107,11 @@ def _arc_on_line(moving: Point, line: Line, radius: float) -> Touch:
     )
 
 
-@inline
+@formula
 def _line_on_arc(line: Line, distance: float, wall: Arc) -> Touch:
     """The tooth's line, ``distance`` from the axis, touches the wall's convex arc."""
     beyond, unit = distance + wall.radius, 1.0 / (wall.distance * wall.distance)
-    lever = math.sqrt(wall.distance * wall.distance - beyond * beyond)
+    lever = np.sqrt(wall.distance * wall.distance - beyond * beyond)
     normal_x = unit * (beyond * wall.x - lever * wall.y)
     normal_y = unit * (beyond * wall.y + lever * wall.x)
     return Touch(
@@ -146,44 +127,39 @@ def _line_on_arc(line: Line, distance: float, wall: Arc) -> Touch:
     )
 
 
-@inline
+@formula
 def _tooth_tip(c: Constants, tip: Point) -> Touch:
     """The flexspline's tip corner against the wall: arc, line or hollow arc, by its radius."""
     inner, outer = tip.radius <= c.wall_line.inner_radius, tip.radius >= c.wall_line.outer_radius
-    x = c.wall_dedendum.x if inner else c.wall_addendum.x
-    y = c.wall_dedendum.y if inner else c.wall_addendum.y
-    q = c.wall_dedendum.distance if inner else c.wall_addendum.distance
-    radius = c.wall_dedendum.radius if inner else c.wall_addendum.radius
-    side = -1.0 if inner else 1.0
+    x, y, q, radius = choose(inner, c.wall_dedendum, c.wall_addendum)
+    side = choose(inner, -1.0, 1.0)
     on_arc, on_line = _arcs(tip, x, y, q, radius, side, side * radius), _arc_on_line(tip, c.wall_line, 0.0)
-    return on_arc if inner | outer else on_line
+    return choose(inner | outer, on_arc, on_line)
 
 
-@inline
+@formula
 def _slot_tip(
     c: Constants, addendum: Point, dedendum: Point, distance: float, inner: bool, outer: bool
 ) -> Touch:
     """The circular spline's tip corner against the tooth's flank."""
-    p = dedendum.radius if inner else addendum.radius
-    x, y = dedendum.x if inner else addendum.x, dedendum.y if inner else addendum.y
-    inverse = dedendum.inverse if inner else addendum.inverse
-    radius = c.tooth_dedendum.radius if inner else c.tooth_addendum.radius
-    side = -1.0 if inner else 1.0
+    x, y, p, inverse = choose(inner, dedendum, addendum)
+    radius = choose(inner, c.tooth_dedendum.radius, c.tooth_addendum.radius)
+    side = choose(inner, -1.0, 1.0)
     lens_cos, lens_sin = _lens(p, inverse, c.wall_tip, radius, side)
     unit, line = 1.0 / c.wall_tip, c.tooth_line
     curved = inner | outer
     # Place of that radius on the flank, tooth axis at angle zero: unit vector.
-    lever = math.sqrt(c.wall_tip * c.wall_tip - distance * distance)
+    lever = np.sqrt(c.wall_tip * c.wall_tip - distance * distance)
     on_line_x = unit * (line.normal_x * distance + line.normal_y * lever)
     on_line_y = unit * (line.normal_y * distance - line.normal_x * lever)
-    on_x = inverse * (x * lens_cos - y * lens_sin) if curved else on_line_x
-    on_y = inverse * (y * lens_cos + x * lens_sin) if curved else on_line_y
+    on_x = choose(curved, inverse * (x * lens_cos - y * lens_sin), on_line_x)
+    on_y = choose(curved, inverse * (y * lens_cos + x * lens_sin), on_line_y)
     tip_x, tip_y = unit * c.wall_tip_x, unit * c.wall_tip_y
     sine, cosine = tip_y * on_x - tip_x * on_y, tip_x * on_x + tip_y * on_y
     scale = side / radius
     arc_x = scale * (c.wall_tip * on_x - x)
     arc_y = scale * (c.wall_tip * on_y - y)
-    normal_x, normal_y = arc_x if curved else line.normal_x, arc_y if curved else line.normal_y
+    normal_x, normal_y = choose(curved, arc_x, line.normal_x), choose(curved, arc_y, line.normal_y)
     normal_x, normal_y = normal_x * cosine - normal_y * sine, normal_x * sine + normal_y * cosine
     share = 0.5 + 0.5 * (c.wall_tip * c.wall_tip - p * p) * (scale * scale)
     return Touch(
@@ -192,22 +168,22 @@ def _slot_tip(
         c.wall_tip_y,
         normal_x,
         normal_y,
-        share * x if curved else -distance * line.normal_x,
-        share * y if curved else -distance * line.normal_y,
+        choose(curved, share * x, -distance * line.normal_x),
+        choose(curved, share * y, -distance * line.normal_y),
         0.0,
         c.wall_tip_datum * (c.wall_tip_x * normal_y - c.wall_tip_y * normal_x),
     )
 
 
-@inline
+@formula
 def _nearer(best: Touch, new: Touch, low: float, high: float) -> Touch:
     """The new contact if it closes first and lies between these radii [m], its normal the right way."""
     square = new.x * new.x + new.y * new.y
     valid = (square >= low * low) & (square <= high * high) & (new.x * new.normal_y > new.y * new.normal_x)
-    return new if valid & (new.sine < best.sine) else best
+    return choose(valid & (new.sine < best.sine), new, best)
 
 
-@inline
+@formula
 def close(c: Constants, height: float, offset: float) -> Touch:
     """First contact of one flank; nan if the tooth does not reach the slots."""
     line = c.tooth_line
@@ -215,64 +191,27 @@ def close(c: Constants, height: float, offset: float) -> Touch:
     dedendum = _point(c.tooth_dedendum.x + height, c.tooth_dedendum.y + offset)
     tip = _point(c.tip_x + height, c.tip_y + offset)
     distance = line.normal_x * (line.outer_x + height) + line.normal_y * (line.outer_y + offset)
-    outer = math.sqrt((line.outer_x + height) ** 2 + (line.outer_y + offset) ** 2)
-    inner = math.sqrt((line.inner_x + height) ** 2 + (line.inner_y + offset) ** 2)
+    outer = np.sqrt((line.outer_x + height) ** 2 + (line.outer_y + offset) ** 2)
+    inner = np.sqrt((line.inner_x + height) ** 2 + (line.inner_y + offset) ** 2)
     wall_a, wall_d, low, high = c.wall_addendum, c.wall_dedendum, c.wall_tip, tip.radius
     wall_outer, wall_inner = c.wall_line.outer_radius, c.wall_line.inner_radius
     a, d, slack = c.tooth_addendum.radius, c.tooth_dedendum.radius, c.slack
-    start = math.inf if high > low else math.nan
+    start = choose(high > low, math.inf, math.nan)
     nan = math.nan
     best = Touch(start, nan, nan, nan, nan, nan, nan, nan, nan)
     touch = _arcs(addendum, wall_a.x, wall_a.y, wall_a.distance, wall_a.radius - a, 1.0, wall_a.radius)
-    best = _nearer(best, touch, max(low, max(outer, wall_outer) - slack), high)
+    best = _nearer(best, touch, larger(low, larger(outer, wall_outer) - slack), high)
     touch = _arcs(addendum, wall_d.x, wall_d.y, wall_d.distance, a + wall_d.radius, -1.0, -wall_d.radius)
-    best = _nearer(best, touch, max(low, outer - slack), min(high, wall_inner + slack))
+    best = _nearer(best, touch, larger(low, outer - slack), smaller(high, wall_inner + slack))
     touch = _arcs(dedendum, wall_d.x, wall_d.y, wall_d.distance, d - wall_d.radius, 1.0, -wall_d.radius)
-    best = _nearer(best, touch, low, min(high, min(inner, wall_inner) + slack))
+    best = _nearer(best, touch, low, smaller(high, smaller(inner, wall_inner) + slack))
     touch = _arc_on_line(addendum, c.wall_line, a)
-    best = _nearer(best, touch, max(low, max(outer, wall_inner) - slack), min(high, wall_outer + slack))
+    best = _nearer(
+        best, touch, larger(low, larger(outer, wall_inner) - slack), smaller(high, wall_outer + slack)
+    )
     touch = _line_on_arc(line, distance, wall_d)
-    best = _nearer(best, touch, max(low, inner - slack), min(high, min(outer, wall_inner) + slack))
+    best = _nearer(best, touch, larger(low, inner - slack), smaller(high, smaller(outer, wall_inner) + slack))
     touch = _tooth_tip(c, tip)
-    best = touch if touch.sine < best.sine else best
+    best = choose(touch.sine < best.sine, touch, best)
     touch = _slot_tip(c, addendum, dedendum, distance, low <= inner, low >= outer)
-    return touch if touch.sine < best.sine else best
-
-
-@part
-def contacts_room(c: Constants) -> Contacts:
-    """Contacts that are not yet found, for all teeth."""
-    shape = (2, c.flexspline_teeth)
-    return Contacts(np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape))
-
-
-@part
-def find(c: Constants, teeth: Teeth, count: int, found: Contacts) -> None:
-    """Set the contacts of the first teeth, so many of them; the compiler does several at once."""
-    height, offset = teeth.height, teeth.offset
-    for flank in range(2):
-        sine, x, y = found.sine[flank], found.x[flank], found.y[flank]
-        normal_x, normal_y = found.normal_x[flank], found.normal_y[flank]
-        side = 1.0 - 2.0 * flank
-        for j in range(count):
-            touch = close(c, height[j], side * offset[j])
-            sine[j], x[j], y[j] = touch.sine, touch.x, touch.y
-            normal_x[j], normal_y[j] = touch.normal_x, touch.normal_y
-
-
-@inline
-def arms(found: Contacts, flank: int, j: int) -> tuple[float, float, float]:
-    """Distance of a contact from the axis, and its components along the normal and across it (lever) [m]."""
-    x, y = found.x[flank, j], found.y[flank, j]
-    normal_x, normal_y = found.normal_x[flank, j], found.normal_y[flank, j]
-    return math.sqrt(x * x + y * y), x * normal_x + y * normal_y, x * normal_y - y * normal_x
-
-
-@inline
-def closing_angle(sine: float) -> float:
-    """Arcsine, mostly by its series [rad]."""
-    if abs(sine) > _SMALL_SINE:
-        return math.asin(sine)
-    x = sine * sine
-    low = 1 / 6 + x * (3 / 40 + x * (5 / 112 + x * 35 / 1152))
-    return sine + sine * x * (low + x * x * x * x * (63 / 2816 + x * (231 / 13312 + x * 143 / 10240)))
+    return choose(touch.sine < best.sine, touch, best)

@@ -13,9 +13,9 @@ import numpy as np
 
 from hd_diag.arrays import Complexes, Floats, Integers
 from hd_diag.model.kernel.compiler import entry_point
-from hd_diag.model.kernel.contact import arms, closing_angle, contacts_room, find
 from hd_diag.model.kernel.interpolation import columns, interpolate
 from hd_diag.model.kernel.load_sharing import (
+    arms,
     balance,
     balance_all,
     both,
@@ -26,7 +26,6 @@ from hd_diag.model.kernel.load_sharing import (
     side_room,
 )
 from hd_diag.model.kernel.mesh_data import MeshData, blank
-from hd_diag.model.kernel.poses import place, reach, room, width
 from hd_diag.model.kernel.sensitivity import PARAMETERS, add, fill, fill_pieces, pieces_room
 
 
@@ -171,32 +170,6 @@ def mesh_state(
         whole[2, i] = total / touching if touching else math.nan
 
 
-@entry_point
-def contacts(
-    mesh: MeshData, turn: Floats, eccentricity: Complexes, farthest: float
-) -> tuple[Integers, Floats]:
-    """Indices (2, n, teeth): teeth, slots; values (4, n, 2, teeth): b, r, alpha, position."""
-    c, angle = mesh.constants, reach(mesh, farthest)
-    teeth, seen = room(c), contacts_room(c)
-    indices = np.empty((2, turn.size, 2 * width(c, angle)), dtype=np.int64)
-    values = np.empty((4, turn.size, 2, indices.shape[2]))
-    for i in range(turn.size):
-        center = eccentricity[i] * complex(math.cos(turn[i]), -math.sin(turn[i]))
-        count = place(mesh, turn[i], center, angle, teeth)
-        find(c, teeth, count, seen)
-        for j in range(count):
-            indices[0, i, j] = int(teeth.number[j]) % c.flexspline_teeth
-            indices[1, i, j] = int(teeth.slot[j]) % c.circular_spline_teeth
-            for flank in range(2):
-                side = 1.0 - 2.0 * flank
-                radius, push, lever = arms(seen, flank, j)
-                values[0, i, flank, j] = closing_angle(seen.sine[flank, j]) - side * teeth.lead[j]
-                values[1, i, flank, j], values[2, i, flank, j] = radius, math.atan2(push, lever)
-                position = side * math.atan2(seen.y[flank, j], seen.x[flank, j])
-                values[3, i, flank, j] = teeth.slot[j] * c.slot_pitch + position
-    return indices, values
-
-
 def warm_up(gradient: bool) -> None:
     """Compile now, or read from the disk, what predictions and maps need; with `gradient` also fits."""
     mesh, row, rows, flat = blank(), np.empty(0), np.zeros((2, 2)), np.zeros((0, 2, 0))
@@ -204,7 +177,6 @@ def warm_up(gradient: bool) -> None:
     torsion(mesh, row, center, row, row, 0, 0)
     torsion_table(mesh, row, center, row)
     curves(mesh, row, center, 0.0)
-    contacts(mesh, row, center, 0.0)
     mesh_state(mesh, row, center, row, np.empty((3, 0, 2, 0)), np.empty((3, 0)), 0, 0)
     table = rows.astype(np.float32)
     interpolate(table, table, columns(table), 1, 0.0, row, row, row, 0, 0)

@@ -14,14 +14,31 @@ from typing import NamedTuple
 import numpy as np
 
 from hd_diag.arrays import Floats, Integers
-from hd_diag.model.kernel.compiler import part
-from hd_diag.model.kernel.contact import Contacts, arms, closing_angle, contacts_room, find
-from hd_diag.model.kernel.mesh_data import Constants, MeshData
-from hd_diag.model.kernel.poses import Teeth, place, reach, room
+from hd_diag.model.kernel.compiler import inline, part
+from hd_diag.model.kernel.contact import close
+from hd_diag.model.kernel.mesh_data import Constants, MeshData, reach
+from hd_diag.model.kernel.poses import Teeth, place, room
 
 # A torsion is found when an iteration moves it by less than this share of itself [-], or of this one [rad].
 _ROUNDING = 1e-15
 _SMALL_TORSION = 1e-3
+
+# Sines up to here become angles by the arcsine's series to x^15, exact to rounding [-].
+_SMALL_SINE = 0.125
+
+
+class Contacts(NamedTuple):
+    """First contacts of both flanks of some teeth, each (2, teeth).
+
+    nan where a tooth does not reach the slots. Sine of the angle by which the tooth axis then leads the
+    slot's; contact point [m] and unit normal in the slot frame about the axis.
+    """
+
+    sine: Floats
+    x: Floats
+    y: Floats
+    normal_x: Floats
+    normal_y: Floats
 
 
 class Side(NamedTuple):
@@ -61,6 +78,45 @@ def scratch(c: Constants) -> Scratch:
 def side_room(count: int) -> Side:
     """Room for so many flanks of one side."""
     return Side(np.empty(count), np.empty(count), np.empty(count, dtype=np.int64))
+
+
+@part
+def contacts_room(c: Constants) -> Contacts:
+    """Contacts that are not yet found, for all teeth."""
+    shape = (2, c.flexspline_teeth)
+    return Contacts(np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape))
+
+
+@part
+def find(c: Constants, teeth: Teeth, count: int, found: Contacts) -> None:
+    """Set the contacts of the first teeth, so many of them; the compiler does several at once."""
+    height, offset = teeth.height, teeth.offset
+    for flank in range(2):
+        sine, x, y = found.sine[flank], found.x[flank], found.y[flank]
+        normal_x, normal_y = found.normal_x[flank], found.normal_y[flank]
+        side = 1.0 - 2.0 * flank
+        for j in range(count):
+            touch = close(c, height[j], side * offset[j])
+            sine[j], x[j], y[j] = touch.sine, touch.x, touch.y
+            normal_x[j], normal_y[j] = touch.normal_x, touch.normal_y
+
+
+@inline
+def arms(found: Contacts, flank: int, j: int) -> tuple[float, float, float]:
+    """Distance of a contact from the axis, and its components along the normal and across it (lever) [m]."""
+    x, y = found.x[flank, j], found.y[flank, j]
+    normal_x, normal_y = found.normal_x[flank, j], found.normal_y[flank, j]
+    return math.sqrt(x * x + y * y), x * normal_x + y * normal_y, x * normal_y - y * normal_x
+
+
+@inline
+def closing_angle(sine: float) -> float:
+    """Arcsine, mostly by its series [rad]."""
+    if abs(sine) > _SMALL_SINE:
+        return math.asin(sine)
+    x = sine * sine
+    low = 1 / 6 + x * (3 / 40 + x * (5 / 112 + x * 35 / 1152))
+    return sine + sine * x * (low + x * x * x * x * (63 / 2816 + x * (231 / 13312 + x * 143 / 10240)))
 
 
 @part

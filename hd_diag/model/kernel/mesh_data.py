@@ -11,6 +11,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.model.geometry import Geometry
+from hd_diag.model.kernel.formula import formula
 from hd_diag.model.neutral_curve import tooth_axes
 from hd_diag.model.tooth_profile import DoubleArc
 
@@ -96,6 +97,21 @@ class MeshData(NamedTuple):
     tables: Tables
     compliance: float
     arc_offset: float
+
+
+@formula
+def reach(mesh: MeshData, eccentricity: float) -> float:
+    """Greatest angle from a lobe at which a tooth's tip can lie beyond the slots' tip radius [rad]."""
+    radius, k = mesh.tables.reach_radius, 0
+    while k < radius.size - 1 and not radius[k] + eccentricity < mesh.constants.wall_tip:
+        k += 1
+    return float(mesh.tables.reach_angle[k])
+
+
+@formula
+def width(c: Constants, angle: float) -> int:
+    """Number of teeth at each lobe within an angle of reach."""
+    return min(int(2.0 * angle / c.tooth_pitch) + 1, c.flexspline_teeth // 2)
 
 
 def blank() -> MeshData:

@@ -14,7 +14,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.model.kernel.compiler import inline, part
-from hd_diag.model.kernel.mesh_data import Constants, MeshData
+from hd_diag.model.kernel.mesh_data import Constants, MeshData, width
 
 
 class Teeth(NamedTuple):
@@ -46,21 +46,6 @@ def room(c: Constants) -> Teeth:
         np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n),
         np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(n),
     )  # fmt: skip
-
-
-@part
-def reach(mesh: MeshData, eccentricity: float) -> float:
-    """Greatest angle from a lobe at which a tooth's tip can lie beyond the slots' tip radius [rad]."""
-    radius, k = mesh.tables.reach_radius, 0
-    while k < radius.size - 1 and not radius[k] + eccentricity < mesh.constants.wall_tip:
-        k += 1
-    return float(mesh.tables.reach_angle[k])
-
-
-@part
-def width(c: Constants, angle: float) -> int:
-    """Number of teeth at each lobe within an angle of reach."""
-    return min(int(2.0 * angle / c.tooth_pitch) + 1, c.flexspline_teeth // 2)
 
 
 @part
