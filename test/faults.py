@@ -325,6 +325,12 @@ EVENTS: list[tuple[str, str, str, str]] = [
         "test_node.py::test_a_publisher_that_dies_and_comes_back",
     ),
     (
+        "a second publisher of a joint",
+        "node",
+        "a warning until one goes",
+        "test_node.py::test_a_second_publisher_of_a_joint_is_a_warning_until_it_goes",
+    ),
+    (
         "a publisher of best effort",
         "node",
         "heard likewise",

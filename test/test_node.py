@@ -129,6 +129,21 @@ def test_diagnostics(arm: Rig, publisher: Any) -> None:
     assert {s.name for s in arm.reports[-1].status} == {"hd_diag: shoulder", "hd_diag: elbow"}
 
 
+def test_a_second_publisher_of_a_joint_is_a_warning_until_it_goes(arm: Rig, publisher: Any) -> None:
+    other = arm.publisher()
+
+    def warned() -> bool:
+        for each in (publisher, other):
+            each.publish(sample(next(stamps), 0.0, 0.0, 0.0, "elbow"))
+        return "INPUT_INVALID" in values_of(arm.reports[-1].status[1])["fault_codes"]
+
+    arm.until(warned, "warning")
+    said = arm.values("elbow")["warning"]
+    assert "/joint_states has more than one publisher of elbow, elbow_motor; on it publish /" in said
+    arm.node.destroy_publisher(other)
+    arm.values("elbow", lambda values: values["warning"] == "")
+
+
 def test_names_in_any_order_and_strangers_among_them(arm: Rig, publisher: Any) -> None:
     errors = heard(arm, "transmission_error")
     named = {"elbow_motor": 0.4, "elbow": 0.0, "wheel": 9.0, "x": np.nan}
@@ -524,8 +539,9 @@ def test_signals_while_messages_wait(tmp_path: Path) -> None:
 
     Signals that come again while it ends change nothing.
     """
-    with running(tmp_path, parameters(log__path=str(tmp_path / "log.mcap"))) as rig:
-        source = rig.publisher()
+    with running(tmp_path, parameters(log__path=str(tmp_path / "log.mcap"), **QUICK)) as rig:
+        source, _ = rig.publisher(), rig.publisher()
+        rig.until(lambda: source.get_subscription_count() > 1, "look at two publishers")
         errors = heard(rig, "transmission_error")
         for i in range(4000):
             source.publish(sample(START + i * MS, 0.01 * i, 0.0, 1.0))

@@ -40,6 +40,7 @@ from hd_diag.ros.arguments import check_arguments, parameter_files, reason
 from hd_diag.ros.log_writer import LogWriter
 from hd_diag.ros.message_types import definition_of
 from hd_diag.ros.parameter_server import ParameterServer
+from hd_diag.ros.publishers import Publishers
 from hd_diag.ros.publishing import Publishing
 from hd_diag.ros.stop_signals import ignore_signals, note_signals
 from hd_diag.ros.subscriptions import (
@@ -103,6 +104,7 @@ class DiagnosticNode(Node):
             SignalInput(self, source, partial(self._waiting.put, source, source.reader()))
             for source in self._sources
         ]
+        self._seen = Publishers(self, self._inputs)
         self._told_lost, self._busy, self._drained, self._paced = 0, 0.0, 0.0, 0.0
         for joint in config.joints:
             if joint.signals.temperature is None:
@@ -129,6 +131,7 @@ class DiagnosticNode(Node):
             self._pace(now)
             for each in self._inputs:
                 each.follow_publishers()
+            self._survive("a look at publishers failed", self._seen.look)
             self._show_log_state()
             if now >= self._next_report:
                 period = 1.0 / self._session.config.diagnostics_rate
@@ -170,6 +173,7 @@ class DiagnosticNode(Node):
         """Report once more and finish the log."""
         with contextlib.suppress(Exception):
             self._report()
+        self._seen.close()
         self._builder.close()
         self._log.close()
 
@@ -230,7 +234,7 @@ class DiagnosticNode(Node):
     def _arrivals(self) -> dict[str, str]:
         """What the reports tell of how messages arrive."""
         lost = self._waiting.dropped + sum(each.lost for each in self._inputs)
-        faults = [fault for each in self._inputs for fault in each.faults()]
+        faults = self._seen.faults(self._session.config.joints)
         if lost > self._told_lost:
             faults.append(f"{lost - self._told_lost} messages were lost since the last report")
         self._told_lost = lost

@@ -92,6 +92,9 @@ class SignalInput:
 
     Attributes
     ----------
+    source : Source
+    depth : int
+        Messages that may wait in DDS.
     lost : int
         Messages that DDS says were lost.
     """
@@ -99,11 +102,11 @@ class SignalInput:
     def __init__(self, node: Node, source: Source, take: Callable[[bytes], None]) -> None:
         self.lost = 0
         self._node = node
-        self._source = source
+        self.source = source
         self._take = take
         self._class = message_class(source.type_name)
         self._wanted = self._offered = ReliabilityPolicy.RELIABLE
-        self._depth, self._largest = INPUT_DEPTH, 1
+        self.depth, self._largest = INPUT_DEPTH, 1
         self._subscription = self._subscribe()
 
     def follow_publishers(self) -> None:
@@ -113,25 +116,19 @@ class SignalInput:
         so large that those that wait would fill the memory.
         """
         depth = max(1, min(INPUT_DEPTH, MOST_BYTES // self._largest))
-        if self._wanted == self._offered and 2 * depth > self._depth:
+        if self._wanted == self._offered and 2 * depth > self.depth:
             return
         if self._wanted != self._offered:
             what = "is published with best effort: subscribed likewise"
         else:
             what = f"has messages of {self._largest} bytes: at most {depth} wait"
-        self._wanted, self._depth = self._offered, depth
+        self._wanted, self.depth = self._offered, depth
         self._node.destroy_subscription(self._subscription)
         self._subscription = self._subscribe()
-        self._node.get_logger().info(f"{self._source.topic} {what}")
-
-    def faults(self) -> list[str]:
-        """What the graph says is wrong with the publishers."""
-        wanted, topic = self._source.type_name, self._source.topic
-        found = {each.topic_type for each in self._node.get_publishers_info_by_topic(topic)} - {wanted}
-        return [f"{topic} is also published as {kind}, not as {wanted}" for kind in sorted(found)]
+        self._node.get_logger().info(f"{self.source.topic} {what}")
 
     def _subscribe(self) -> Any:
-        profile = QoSProfile(depth=self._depth, reliability=self._wanted)
+        profile = QoSProfile(depth=self.depth, reliability=self._wanted)
         told = {"incompatible_qos": self._on_incompatible_qos}
         try:
             return self._create(profile, {**told, "message_lost": self._on_lost})
@@ -140,7 +137,7 @@ class SignalInput:
 
     def _create(self, profile: QoSProfile, told: dict[str, Any]) -> Any:
         events = SubscriptionEventCallbacks(**told)
-        own = self._class, self._source.topic, self._on_message, profile
+        own = self._class, self.source.topic, self._on_message, profile
         return self._node.create_subscription(*own, event_callbacks=events, raw=True)
 
     def _on_message(self, data: bytes) -> None:

@@ -1,0 +1,175 @@
+"""Who publishes what the node takes: another type on a topic, more than one publisher of a joint."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import rclpy
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+from hd_diag.monitor.settings import JointConfig
+from hd_diag.ros.message_types import message_class
+from hd_diag.ros.subscriptions import SignalInput
+
+_LENGTH = 1.0  # of a look [s]
+_REST = 10.0  # from one look to the next [s]
+_DEPTH = 50  # messages that wait between two steps of a look, as long as they are small
+_RECEIVED = np.zeros(1, np.int64)  # stands for a time that is not used
+# Beside it a node has a service that describes types, which nothing here would answer.
+_NO_SERVICE = [Parameter("start_type_description_service", value=False)]
+
+
+class Numbers:
+    """What has more than one publisher, by the numbers that publishers give their messages.
+
+    A publisher counts its messages, and they come in order, as far as they come. So if the numbers of those
+    that carry a name do not rise, it has two publishers. Two whose messages alternate cannot rise together:
+    after a1 < b1 the next of the first is a1 + 1, which is not above b1.
+
+    Attributes
+    ----------
+    doubled : set of str
+    """
+
+    def __init__(self) -> None:
+        self.doubled: set[str] = set()
+        self._last: dict[str, int] = {}
+
+    def take(self, number: int, names: set[str]) -> None:
+        """Take a message by its number and the names that it carries."""
+        self.doubled |= {name for name in names if number <= self._last.get(name, -1)}
+        self._last |= dict.fromkeys(names, number)
+
+
+class Look:
+    """A second subscription to a topic for a short time, which gets the numbers of its messages.
+
+    It belongs to a node of its own, which no executor serves: the events executor gives no numbers.
+    """
+
+    def __init__(self, beside: Node, taken: SignalInput, names: set[str]) -> None:
+        self.numbers = Numbers()
+        source = taken.source
+        self._names = names | source.signals.keys()
+        self._reader = source.reader()
+        self._node = rclpy.create_node(
+            "_hd_diag_look",
+            context=beside.context,
+            namespace=beside.get_namespace(),
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+            parameter_overrides=_NO_SERVICE,
+        )
+        profile = QoSProfile(depth=min(_DEPTH, taken.depth), reliability=ReliabilityPolicy.BEST_EFFORT)
+        own = message_class(source.type_name), source.topic, lambda _: None, profile
+        self._subscription = self._node.create_subscription(*own, raw=True)
+
+    def take(self) -> None:
+        """Take what has come since the last time."""
+        for _ in range(_DEPTH):
+            with self._subscription.handle:
+                taken = self._subscription.handle.take_message(self._subscription.msg_type, True)
+            if taken is None:
+                return
+            number = taken[1]["publication_sequence_number"]
+            if number is not None:  # some implementations give none
+                self.numbers.take(number, self._carried(taken[0]))
+
+    def close(self) -> None:
+        """Leave nothing behind."""
+        self._node.destroy_node()
+
+    def _carried(self, data: bytes) -> set[str]:
+        try:
+            states = self._reader.one(data, _RECEIVED)
+        except ValueError:  # the node itself tells it
+            return set()
+        return self._names & {*states.names, *states.keys}
+
+
+@dataclass
+class _Topic:
+    """A topic with the publishers that the graph knew last, and what the last look found doubled."""
+
+    taken: SignalInput
+    gids: frozenset[bytes] = frozenset()
+    nodes: tuple[str, ...] = ()
+    doubled: tuple[str, ...] = ()
+    due: float = math.inf
+    pause: float = _REST
+
+
+class Publishers:
+    """What is wrong with the publishers of a node's topics.
+
+    A topic with several publishers is looked at when they change, then after 10, 20, 40, ... s: one may begin
+    long after it is made. Length of a look and time from one to the next are in seconds.
+    """
+
+    def __init__(
+        self, node: Node, inputs: Sequence[SignalInput], length: float = _LENGTH, rest: float = _REST
+    ) -> None:
+        self._node, self._length, self._rest = node, length, rest
+        self._topics = [_Topic(each, pause=rest) for each in inputs]
+        self._names: set[str] = set()
+        self._rested = 0.0
+        self._look: tuple[Look, _Topic, frozenset[bytes], float] | None = None
+
+    def faults(self, joints: Sequence[JointConfig]) -> list[str]:
+        """What the graph says now, and what the last looks found; the next ones are for these joints."""
+        self._names = {name for joint in joints for name in (joint.input_joint, joint.output_joint)}
+        found = []
+        for topic in self._topics:
+            name, wanted = topic.taken.source.topic, topic.taken.source.type_name
+            others = self._update(topic) - {wanted}
+            found += [f"{name} is also published as {kind}, not as {wanted}" for kind in sorted(others)]
+            if topic.doubled:
+                doubled, nodes = ", ".join(topic.doubled), ", ".join(topic.nodes)
+                found.append(f"{name} has more than one publisher of {doubled}; on it publish {nodes}")
+        return found
+
+    def look(self) -> None:
+        """Begin, continue or end a look."""
+        now = time.monotonic()
+        if self._look is not None:
+            look, topic, gids, end = self._look
+            look.take()
+            if now >= end:
+                self.close()
+                self._update(topic)
+                if topic.gids == gids:  # else one may have followed another
+                    topic.doubled = tuple(sorted(look.numbers.doubled))
+                    topic.due, topic.pause = now + topic.pause, 2.0 * topic.pause
+        elif now >= self._rested:
+            topic = min(self._topics, key=lambda each: each.due)
+            if topic.due <= now:
+                self._rested = now + self._rest  # whatever goes wrong
+                look = Look(self._node, topic.taken, self._names)
+                self._look = look, topic, topic.gids, now + self._length
+
+    def close(self) -> None:
+        """End a look that is under way."""
+        if self._look is not None:
+            self._look[0].close()
+        self._look = None
+
+    def _update(self, topic: _Topic) -> set[str]:
+        """Take a topic's publishers from the graph; give the types that they have."""
+        source = topic.taken.source
+        infos = self._node.get_publishers_info_by_topic(source.topic)
+        right = [each for each in infos if each.topic_type == source.type_name]
+        gids = frozenset(bytes(each.endpoint_gid) for each in right)
+        if gids != topic.gids:
+            topic.gids, topic.pause = gids, self._rest
+            topic.due = 0.0 if len(gids) > 1 else math.inf
+            if len(gids) < 2:
+                topic.doubled = ()
+        topic.nodes = tuple(sorted({f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in right}))
+        return {each.topic_type for each in infos}
