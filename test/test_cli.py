@@ -100,7 +100,7 @@ def test_bash_completes_verbs_options_choices_and_files(tmp_path: Path) -> None:
     call = "import sys; sys.argv[0] = 'hd-diag'; from hd_diag.__main__ import main; main()"
     command.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -c "{call}" "$@"\n')
     command.chmod(0o755)
-    typed = ("re", "mesh --to", "gear --output f", "check con")
+    typed = ("re", "mesh --to", "gear --output f", "gear --output = f", "mesh --config = con", "check con")
     asked = [
         f"COMPREPLY=(); COMP_WORDS=(hd-diag {words}); COMP_CWORD={len(words.split())}\n"
         '_hd_diag_completion hd-diag; echo "${COMPREPLY[@]}"'
@@ -119,7 +119,8 @@ def test_bash_completes_verbs_options_choices_and_files(tmp_path: Path) -> None:
         text=True,
         timeout=60,
     )
-    told = ["recover replay report", "--torque", "flexspline", "compopt -o default", ""]
+    file = ["compopt -o default", ""]
+    told = ["recover replay report", "--torque", "flexspline", "flexspline", *file, *file]
     assert (run.stdout.splitlines(), run.stderr) == (told, "")
 
 

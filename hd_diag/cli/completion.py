@@ -3,9 +3,18 @@
 from __future__ import annotations
 
 import click
-from click.shell_completion import get_completion_class
+from click.shell_completion import BashComplete, add_completion_class, get_completion_class
 
 _NAME = "hd-diag"
+
+
+@add_completion_class
+class _Bash(BashComplete):
+    """bash gives the "=" of ``--config=name`` as a word of its own, which click would take for the value."""
+
+    def get_completion_args(self) -> tuple[list[str], str]:
+        words, incomplete = super().get_completion_args()
+        return [word for word in words if word != "="], incomplete
 
 
 def completion(shell: str) -> None:

@@ -142,6 +142,8 @@ def main() -> None:
     """Entry point of the ``hd-diag`` command."""
     # Matrices are small: more threads only wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if "_HD_DIAG_COMPLETE" in os.environ:
+        import_module("hd_diag.cli.completion")  # how bash asks
     cli()
 
 
