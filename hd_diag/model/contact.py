@@ -16,7 +16,7 @@ from hd_diag.model.neutral_curve import tooth_axes
 FLANKS = np.array([1.0, -1.0])[:, None]
 """Sign of the torsion that loads the flanks +, -; for arrays (..., 2, teeth)."""
 
-_BLOCK = 128  # moments at a time: their numbers stay near the core
+_BLOCK = 32  # moments at a time: their numbers stay near the core
 
 
 @dataclass(frozen=True)

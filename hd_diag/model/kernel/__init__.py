@@ -3,7 +3,7 @@
 In the order in which a moment is solved: ``mesh_data`` numbers of a mesh · ``poses`` of the teeth near both
 lobes · ``contact`` of a flank with the slot's wall, in closed form · ``load_sharing`` one torsion for all
 teeth · ``sensitivity`` derivatives of the torsion · ``interpolation`` in a torsion map · ``entry`` what
-Python calls, for many moments at once.
+Python calls, for many moments at once. What is a ``formula`` also runs on arrays as it stands.
 
 numba is imported with ``entry``, when something is first computed: 0.3 s. The machine code is kept on disk,
 for compiling it takes half a minute.
