@@ -1,6 +1,7 @@
 """Messages and bags for the tests of the bag edge."""
 
 import struct
+import tracemalloc
 import zlib
 from pathlib import Path
 
@@ -158,3 +159,12 @@ def damaged(data, chance):
         if not data:
             data = bytearray(b"\0")
     return bytes(data)
+
+
+def peak_of(action):
+    """What the action gives, and the memory that it takes beyond what there was [byte]."""
+    tracemalloc.start()
+    try:
+        return action(), tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()

@@ -20,6 +20,7 @@ from bag_samples import (
     consume,
     corpus,
     damaged,
+    peak_of,
     rosbag2_folder,
     string_cdr,
 )
@@ -298,15 +299,6 @@ def test_hostile_files_in_little_memory(tmp_path):
 
 
 # Small files that claim much ---
-
-
-def peak_of(action):
-    """What the action gives, and the memory that it takes beyond what there was [byte]."""
-    tracemalloc.start()
-    try:
-        return action(), tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
 
 
 @pytest.mark.parametrize("finished", [True, False])

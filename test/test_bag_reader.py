@@ -3,6 +3,7 @@ import re
 import shutil
 import sqlite3
 import tempfile
+import zlib
 from contextlib import closing, suppress
 from types import SimpleNamespace
 from unittest import mock
@@ -18,6 +19,7 @@ from bag_samples import (
     STRING,
     cut_end,
     joint_state_cdr,
+    peak_of,
     rosbag2_folder,
     rows,
     string_cdr,
@@ -26,9 +28,10 @@ from bag_samples import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer
+from numpy.testing import assert_array_equal
 from rosbags.rosbag2 import StoragePlugin
 
-from hd_diag.bag import BagError, BagReader, BagWriter
+from hd_diag.bag import BagError, BagReader, BagWriter, recover
 from hd_diag.bag.block import Block
 from hd_diag.bag.mcap_storage import _ordered
 from hd_diag.messages.schemas import definition
@@ -57,10 +60,16 @@ def read(path, *args, **keywords):
         ]
 
 
+def taken_at_once(patch, size):
+    """Have content loaded and released in pieces of a size."""
+    for name in ("mcap_chunk.PIECE", "mcap_storage.PIECE", "mcap_scan.LARGE"):
+        patch.setattr(f"hd_diag.bag.{name}", size)
+
+
 @pytest.fixture(params=[1 << 20, 700])
 def stretch(request, monkeypatch):
     """Sizes at which content is loaded and released: small ones exercise the merge on small bags."""
-    monkeypatch.setattr("hd_diag.bag.mcap_storage._AT_ONCE", request.param)
+    taken_at_once(monkeypatch, request.param)
 
 
 @pytest.mark.usefixtures("stretch")
@@ -117,7 +126,8 @@ def test_order_is_that_of_a_stable_sort(tmp_path_factory, times, chunk_size, ind
     path = tmp_path_factory.mktemp("order") / "a.mcap"
     write_with_mcap(path, messages, chunk_size=chunk_size, indexes=indexes, chunked=chunked)
     assert read(path) == in_order(messages)
-    with mock.patch("hd_diag.bag.mcap_storage._AT_ONCE", 1):
+    with pytest.MonkeyPatch.context() as patch:
+        taken_at_once(patch, 1)
         assert read(path) == in_order(messages)
 
 
@@ -435,7 +445,7 @@ def test_what_is_held_back_for_sorting_is_bounded(tmp_path, monkeypatch):
             writer.write_many("/j", JOINT_STATE, block[i : i + 20], times[i : i + 20])
     expected = stamps.tolist()
     assert [m[1] for m in read(tmp_path / "a.mcap")] == expected
-    monkeypatch.setattr("hd_diag.bag.mcap_storage._AT_ONCE", 1)
+    taken_at_once(monkeypatch, 1)
     assert [m[1] for m in read(tmp_path / "a.mcap")] == expected
     monkeypatch.setattr("hd_diag.bag.mcap_storage._MAX_HELD", 100_000)
     with pytest.raises(BagError, match="too disordered"):
@@ -451,7 +461,7 @@ def test_stragglers_do_not_keep_their_chunks_in_memory(tmp_path, monkeypatch):
         for i in range(0, 2000, 20):
             writer.write_many("/j", JOINT_STATE, block[i : i + 20], times[i : i + 20])
             writer.flush()
-    monkeypatch.setattr("hd_diag.bag.mcap_storage._AT_ONCE", 1)
+    taken_at_once(monkeypatch, 1)
     monkeypatch.setattr("hd_diag.bag.mcap_storage._MAX_HELD", 40_000)
     assert [m[1] for m in read(tmp_path / "a.mcap")] == sorted(times.tolist())
 
@@ -469,7 +479,7 @@ def test_chunks_that_declare_wrong_times_are_noticed():
     """Old writers gave a chunk the time of its first message, not the least."""
 
     def section(*times):
-        return [SimpleNamespace(start=times[0], size=1, content_size=1, times=times)]
+        return [SimpleNamespace(start=times[0], size=1, content_size=1, part=None, times=times)]
 
     def load(stretch):
         times = np.array(stretch[0].times)
@@ -480,3 +490,90 @@ def test_chunks_that_declare_wrong_times_are_noticed():
     assert [b.log_time.tolist() for b in blocks] == [[5], [6, 7, 9]]
     with pytest.raises(ValueError, match="before its declared start"):
         list(_ordered([section(5, 6), section(7, 4)], load))
+
+
+# Large chunks ---
+
+
+def digest(path):
+    """Checksums of the topics, times and contents of a bag, in the order in which they are read."""
+    topics = times = contents = 0
+    with BagReader(path) as reader:
+        for batch in reader.batches():
+            topics = zlib.crc32(batch.topic.name.encode() * len(batch), topics)
+            times = zlib.crc32(batch.log_time.tobytes(), times)
+            contents = zlib.crc32(b"".join(batch.payload), contents)
+    return topics, times, contents
+
+
+def write_large(path, chunk_size, compression="zstd"):
+    """5,000 messages of 4 kB and one of 6 MB among them."""
+    block = np.random.default_rng(3).integers(0, 256, (5000, 4000), np.uint8)
+    times = np.arange(5000)
+    with BagWriter(path, chunk_size=chunk_size, flush_period=1e9, compression=compression) as writer:
+        writer.write_many("/n", STRING, block[:2000], times[:2000])
+        writer.write("/large", STRING, bytes(6_000_000), 2000)
+        writer.write_many("/n", STRING, block[2000:], times[2000:])
+    return path
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
+def test_a_large_chunk_is_read_in_parts(tmp_path, compression):
+    """What is read is what several chunks hold, whether the file is finished or not."""
+    one = write_large(tmp_path / "one.mcap", 1 << 30, compression)
+    expected = digest(write_large(tmp_path / "many.mcap", 1 << 20))
+    assert digest(one) == expected
+    assert digest(cut_end(one, tmp_path / "cut.mcap")) == expected
+    assert recover(one, tmp_path / "again.mcap").complete
+    assert digest(tmp_path / "again.mcap") == expected
+
+
+def test_a_large_chunk_takes_the_memory_of_its_parts(tmp_path):
+    """Whole it would be there three times: stored, decompressed in pieces, and these joined."""
+    block = np.random.default_rng(3).integers(0, 256, (10_000, 4000), np.uint8)
+    with BagWriter(tmp_path / "a.mcap", chunk_size=1 << 30, flush_period=1e9) as writer:
+        writer.write_many("/n", STRING, block, np.arange(10_000))
+    with BagReader(tmp_path / "a.mcap") as reader:
+        _, peak = peak_of(lambda: [None for _ in reader.batches()])
+    assert peak < 0.8 * block.size
+
+
+def test_a_large_chunk_that_is_cut_off_gives_what_is_there(tmp_path):
+    one = write_large(tmp_path / "one.mcap", 1 << 30, "none")
+    cut_end(one, tmp_path / "cut.mcap", keep=20_000_000)
+    counts = recover(tmp_path / "cut.mcap", tmp_path / "again.mcap").counts
+    assert counts["/large"] == 1
+    assert counts["/n"] == (20_000_000 - 6_001_000) // 4031  # but the schemas and the other message
+
+
+def test_damage_in_a_large_chunk_is_found_before_any_of_it_is_used(tmp_path):
+    one = write_large(tmp_path / "one.mcap", 13 << 20, "none")
+    content = bytearray(one.read_bytes())
+    content[-3_000_000] ^= 1
+    one.write_bytes(content)
+    report = recover(one, tmp_path / "again.mcap")
+    assert "its checksum is wrong" in report.files[0].problems[0]
+    assert sum(report.counts.values()) > 2000
+    with BagReader(one) as reader:
+        batches, read = reader.batches(), 0
+        while read < 1500:
+            read += len(next(batches))
+        with pytest.raises(BagError, match="its checksum is wrong"):
+            list(batches)
+
+
+def test_a_large_chunk_in_which_times_go_back_is_sorted(tmp_path):
+    block = np.random.default_rng(3).integers(0, 256, (4000, 4000), np.uint8)
+    with BagWriter(tmp_path / "a.mcap", chunk_size=1 << 30, flush_period=1e9) as writer:
+        writer.write_many("/n", STRING, block, np.arange(4000)[::-1])
+    with BagReader(tmp_path / "a.mcap") as reader:
+        read = np.concatenate([batch.payload for batch in reader.batches()])
+    assert_array_equal(read, block[::-1])
+
+
+def test_large_messages_of_a_database_are_read_a_few_at_a_time(tmp_path):
+    folder = rosbag2_folder(tmp_path / "bag", [("/large", STRING, bytes(2_000_000), i) for i in range(20)])
+    with BagReader(folder) as reader:
+        sizes, peak = peak_of(lambda: [len(batch) for batch in reader.batches()])
+    assert sum(sizes) == 20
+    assert peak < 20e6

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import struct
+import zlib
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import lz4.frame
 import numpy as np
@@ -19,8 +21,12 @@ MESSAGE = struct.Struct("<BQHIQQ")
 RECORD = struct.Struct("<BQ")
 """Head of any record: opcode and length."""
 MAX_CHUNK = 256 << 20
-"""A chunk, or a message outside of one, above this is refused: recorders close a chunk after some megabytes,
-and what is made of a chunk takes up to five times its memory [byte]."""
+"""A chunk, or a message outside of one, above this is refused: recorders close a chunk after some megabytes
+[byte]."""
+PIECE = 4 << 20
+"""How much content is taken at once [byte]: small chunks together, large ones in parts, any message whole."""
+LARGE = 10 << 20
+"""Above this a chunk is read twice, to check it and then in parts [byte]; an image's chunk is not."""
 COMPRESSIONS = ("", "lz4", "zstd")
 # A chunk that claims both more than this [byte] and more than so many times what is stored of it is refused
 # unread: recordings seldom reach 100, and a file of some kilobytes could keep the reader busy for minutes.
@@ -29,7 +35,7 @@ _HEAD = np.dtype("u1, <u8, <u2, <u4, <u8, <u8")
 _HEAD.names = ("opcode", "length", "channel", "sequence", "log_time", "publish_time")
 # A chunk with more records is refused: an honest one of some megabytes has a hundredth of them.
 _MAX_RECORDS = 1_000_000
-_AT_ONCE = 1 << 17  # size that is decompressed at a time [byte]
+_AT_ONCE = 1 << 18  # size that is decompressed at a time [byte]
 
 
 def believable(stored: int) -> int:
@@ -46,43 +52,84 @@ def check_claim(claimed: int, stored: int) -> None:
         raise ValueError(f"it claims {claimed} bytes, more than {most}")
 
 
-def decompressed(compression: str, stored: bytes, limit: int, *, lenient: bool = False) -> bytes:
-    """No more than `limit` bytes of what is stored, decompressed; with `lenient` those before a damage."""
+def decompressed(compression: str, stored: Any) -> Iterator[bytes]:
+    """What the ``read`` of `stored` gives, decompressed bit by bit."""
     if compression not in COMPRESSIONS:
         raise ValueError(f"compression {compression!r} is not known")
-    if not compression:
-        return stored
-    if compression == "lz4":
-        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(stored, max_length=limit))
-    parts = []
-    reader = zstandard.ZstdDecompressor().stream_reader(stored)
-    try:
-        while part := reader.read(min(limit, _AT_ONCE)):
-            parts.append(part)
-            limit -= len(part)
-    except zstandard.ZstdError:
-        if not lenient:
-            raise
-    return b"".join(parts)
+    if compression == "zstd":
+        yield from zstandard.ZstdDecompressor().read_to_iter(stored, _AT_ONCE, _AT_ONCE)
+        return
+    lz4_frame = lz4.frame.LZ4FrameDecompressor()
+    while not lz4_frame.eof and (part := stored.read(_AT_ONCE)):
+        yield lz4_frame.decompress(part, _AT_ONCE) if compression else part
+        while compression and not (lz4_frame.needs_input or lz4_frame.eof):
+            yield lz4_frame.decompress(b"", _AT_ONCE)
 
 
-def parse(content: bytes, keep: Callable[[bytes], None]) -> Block:
-    """Messages among the records in `content`; schemas and channels are handed to `keep`.
+class Content:
+    """Content of a chunk up to a limit [byte], read from its beginning on.
 
-    Raises ValueError where the records do not fit together.
+    `place` is how much was taken [byte], `checksum` that of what was read; None where nobody needs it.
+    """
+
+    def __init__(self, parts: Iterator[bytes], limit: int, checksum: int | None = 0) -> None:
+        self.place, self.checksum = 0, checksum
+        self._parts, self._limit, self._rest = parts, limit, b""
+
+    def take(self, size: int) -> bytes:
+        """The next bytes, fewer at the end."""
+        size, read = min(size, self._limit - self.place), [self._rest]
+        left = size - len(self._rest)
+        while left > 0 and (part := next(self._parts, None)) is not None:
+            if self.checksum is not None:
+                self.checksum = zlib.crc32(part, self.checksum)
+            left -= len(part)
+            read.append(part)
+        both = b"".join(read)
+        self._rest = both[size:]
+        self.place += min(size, len(both))
+        return both[:size]
+
+    def skip(self, place: int) -> None:
+        """Go on to a place."""
+        while self.place < place and self.take(min(_AT_ONCE, place - self.place)):
+            pass
+
+
+def pieces(content: Content, keep: Callable[[bytes], None]) -> Iterator[tuple[int, int, Block]]:
+    """Place and size [byte] of pieces of whole records, one after the other, and the messages in them.
+
+    Raises ValueError as `parse`, and where a record at the end is not whole.
+    """
+    place, size, rest = 0, PIECE, b""
+    while more := content.take(size - len(rest)):
+        rest += more
+        block, stop = parse(rest, keep)
+        if stop:
+            yield place, stop, block
+        place, rest = place + stop, rest[stop:]
+        length = RECORD.unpack_from(rest)[1] if len(rest) >= RECORD.size else 0
+        size = max(PIECE, RECORD.size + min(length, MAX_CHUNK))
+    check_end(rest, 0)
+
+
+def parse(content: bytes, keep: Callable[[bytes], None]) -> tuple[Block, int]:
+    """Messages among the whole records at the beginning of `content`, and where these end.
+
+    Schemas and channels are handed to `keep`. Raises ValueError where a record cannot be.
     """
     first, more, position, ignored = np.empty(0, np.int64), array("q"), 0, 0
     end, head_at, message = len(content), RECORD.unpack_from, int(Opcode.MESSAGE)
-    while position < end:
+    while position + RECORD.size <= end:
         opcode, length = head_at(content, position)
-        stop = position + 9 + length
+        stop = position + RECORD.size + length
+        if stop > end or opcode == 0:
+            break
         if opcode != message:
             ignored += 1
-            if opcode == 0:
-                raise ValueError("it holds bytes that are not records")
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 keep(content[position:stop])
-        elif more or len(first) or stop > end:
+        elif more or len(first):
             more.append(position)
         else:
             first = _equal_records(content, position, stop - position)
@@ -90,9 +137,14 @@ def parse(content: bytes, keep: Callable[[bytes], None]) -> Block:
         position = stop
         if len(first) + len(more) + ignored > _MAX_RECORDS:
             raise ValueError(f"it holds more than {_MAX_RECORDS} records")
-    if position != end:
-        raise ValueError("a record is longer than the chunk")
-    return _messages_at(content, np.concatenate([first, np.array(more, np.int64)]))
+    return _messages_at(content, np.concatenate([first, np.array(more, np.int64)])), position
+
+
+def check_end(content: bytes, stop: int) -> None:
+    """Raise ValueError where whole records do not reach the end."""
+    if stop != len(content):
+        longer = "a record is longer than the chunk"
+        raise ValueError(longer if content[stop] else "it holds bytes that are not records")
 
 
 def _equal_records(content: bytes, start: int, step: int) -> Integers:

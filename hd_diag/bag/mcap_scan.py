@@ -9,10 +9,11 @@ from __future__ import annotations
 import os
 import re
 import struct
+import threading
 import zlib
-from collections.abc import Sequence
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
 from io import BufferedReader, BytesIO
 from pathlib import Path
 
@@ -27,13 +28,17 @@ from hd_diag.bag.block import Block, Topic
 from hd_diag.bag.errors import BagError
 from hd_diag.bag.mcap_chunk import (
     COMPRESSIONS,
+    LARGE,
     MAX_CHUNK,
     MESSAGE,
     RECORD,
+    Content,
     believable,
     check_claim,
+    check_end,
     decompressed,
     parse,
+    pieces,
 )
 from hd_diag.messages.schemas import Definition
 
@@ -44,6 +49,7 @@ _MAYBE_CHUNK = re.compile(rb"(?=\x06[\s\S]{6}\0\0)")
 _WINDOW, _PEEKED = 16 << 20, 1 << 14
 _MAX_RECORD = 16 << 20  # of other kinds [byte]
 _RUN = 1 << 20  # messages outside of chunks are taken together up to about this size [byte]
+_MOST_OPEN = 4  # large chunks that are read at once: those beside each other in time
 
 
 # What the libraries raise on damaged content.
@@ -58,7 +64,8 @@ class DamagedChunk(BagError):
 class Section:
     """A chunk, or messages outside of chunks that follow one another: place [byte] and log times [ns].
 
-    Sizes, times and checksum (0 for none) are those that the chunk declares.
+    Sizes, times and checksum (0 for none) are those that the chunk declares. Of a part of a large chunk
+    `part` is the place in its content and the size [byte]; the times are those of its messages then.
     """
 
     offset: int
@@ -69,6 +76,7 @@ class Section:
     content_size: int = 0
     checksum: int = 0
     is_chunk: bool = True
+    part: tuple[int, int] | None = None
 
 
 class Scan:
@@ -88,6 +96,8 @@ class Scan:
         self.profile = self.problem = ""
         self._path, self._file = path, file
         self._begin, self._ahead = 0, b""
+        self._open: dict[int, Content] = {}
+        self._lock = threading.Lock()
         if self.read(0, len(MAGIC)) != MAGIC:
             raise BagError(path, "is not an MCAP file" if self.size else "is empty")
         self.walk()
@@ -196,50 +206,85 @@ class Scan:
                         return place
         return None
 
+    def parts(self, section: Section) -> list[Section]:
+        """The section, or the parts of a large chunk: less of it is in memory then; DamagedChunk as `load`.
+
+        It stays whole where times go back in it, for its messages would have to be sorted.
+        """
+        if not section.is_chunk or section.content_size <= LARGE or section.part is not None:
+            return [section]
+        found = []
+        with self._damage(f"chunk at byte {section.offset}"):
+            content = self._unpacked(section)
+            for place, size, block in pieces(content, self.keep):
+                if len(block):
+                    times = int(block.log_time.min()), int(block.log_time.max())
+                    found.append(replace(section, start=times[0], end=times[1], part=(place, size)))
+            _check_whole(section, content)
+        starts = [part.start for part in found]
+        return found if starts == sorted(starts) else [section]
+
     def load(self, sections: Sequence[Section]) -> Block:
         """Messages of some sections; schemas and channels among them are kept.
 
         Safe beside other readers of the same file; DamagedChunk where a section cannot be used.
         """
+        contents = []
+        for section in sections:
+            with self._damage(f"chunk at byte {section.offset}"):
+                contents.append(self._content(section))
+        with self._damage(f"chunk at or after byte {sections[0].offset}"):
+            content = contents[0] if len(contents) == 1 else b"".join(contents)
+            block, stop = parse(content, self.keep)
+            check_end(content, stop)
+            return block
+
+    def load_part(self, offset: int, end: int) -> Iterator[Block]:
+        """Messages at the beginning of a chunk of which the file has the bytes from `offset` to `end`.
+
+        Compression works in blocks, so that the blocks before a cut can be read.
+        """
+        with suppress(*_DAMAGE, IndexError):
+            if self.read(offset, 1)[0] == Opcode.CHUNK:
+                section = self.chunk_at(offset, (1 << 64) - 1)
+                section.size = min(section.size, max(0, end - section.offset), MAX_CHUNK)
+                section.content_size = min(section.content_size, believable(section.size))
+                for *_, block in pieces(self._unpacked(section), self.keep):
+                    if len(block):
+                        yield block
+
+    @contextmanager
+    def _damage(self, where: str) -> Iterator[None]:
         try:
-            contents = []
-            for section in sections:
-                where = f"chunk at byte {section.offset}"
-                check_claim(section.content_size, section.size)
-                stored = self.read(section.offset, section.size)
-                content = decompressed(section.compression, stored, section.content_size + 1)
-                if len(content) != section.content_size:
-                    raise ValueError(f"it holds {len(content)} bytes instead of {section.content_size}")
-                if section.checksum and zlib.crc32(content) != section.checksum:
-                    raise ValueError("its checksum is wrong")
-                contents.append(content)
-            where = f"chunk at or after byte {sections[0].offset}"
-            return parse(contents[0] if len(contents) == 1 else b"".join(contents), self.keep)
+            yield
         except _DAMAGE as exc:
             raise DamagedChunk(self._path, f"{where} is damaged: {exc}") from exc
 
-    def load_part(self, offset: int, end: int) -> Block | None:
-        """Messages at the beginning of a chunk of which the file has the bytes from `offset` to `end`.
+    def _unpacked(self, section: Section, checksum: int | None = 0) -> Content:
+        """The content of a chunk, one byte more than it claims if there is."""
+        check_claim(section.content_size, section.size)
+        stored = _Stored(self, section.offset, section.offset + section.size)
+        return Content(decompressed(section.compression, stored), section.content_size + 1, checksum)
 
-        Compression works in blocks, so that the blocks before a cut can be read. None where nothing can.
-        """
-        try:
-            if self.read(offset, 1)[0] != Opcode.CHUNK:
-                return None
-            section = self.chunk_at(offset, (1 << 64) - 1)
-            stored = self.read(section.offset, min(section.size, max(0, end - section.offset), MAX_CHUNK))
-            limit = min(section.content_size, believable(len(stored)))
-            content = decompressed(section.compression, stored, limit, lenient=True)
-            stop = following = 0
-            while following <= len(content):
-                stop = following
-                if stop + RECORD.size > len(content) or not content[stop]:
-                    break
-                following += RECORD.size + RECORD.unpack_from(content, stop)[1]
-            block = parse(content[:stop], self.keep)
-            return block if len(block) else None
-        except (*_DAMAGE, IndexError):
-            return None
+    def _content(self, section: Section) -> bytes:
+        """Of a section or a part; a chunk whose parts are read is kept open, for they follow one another."""
+        if section.part is None:
+            content = self._unpacked(section)
+            found = content.take(section.content_size + 1)
+            _check_whole(section, content)
+            return found
+        place, size = section.part
+        with self._lock:
+            known = self._open.pop(section.offset, None)
+            if known is None or known.place > place:
+                known = self._unpacked(section, None)
+            known.skip(place)
+            found = known.take(size)
+            if known.place < section.content_size:
+                self._open[section.offset] = known
+            if len(self._open) > _MOST_OPEN:
+                del self._open[next(iter(self._open))]
+        return found
 
     def _take(self, opcode: int, length: int) -> None:
         """Take the record at `end`."""
@@ -262,3 +307,24 @@ class Scan:
             self.sections.append(last)
         last.size = last.content_size = last.size + RECORD.size + length
         last.start, last.end = min(last.start, log_time), max(last.end, log_time)
+
+
+class _Stored:
+    """What stands in the file from a place on, up to an end [byte]."""
+
+    def __init__(self, scan: Scan, place: int, end: int) -> None:
+        self._scan, self._place, self._end = scan, place, end
+
+    def read(self, size: int = -1, /) -> bytes:
+        left = self._end - self._place
+        found = self._scan.read(self._place, min(size, left) if size >= 0 else left)
+        self._place += len(found)
+        return found
+
+
+def _check_whole(section: Section, content: Content) -> None:
+    """Raise ValueError where a chunk does not hold what it declares; all of it must have been taken."""
+    if content.place != section.content_size:
+        raise ValueError(f"it holds {content.place} bytes instead of {section.content_size}")
+    if section.checksum and content.checksum != section.checksum:
+        raise ValueError("its checksum is wrong")

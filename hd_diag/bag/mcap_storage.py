@@ -12,10 +12,9 @@ import numpy as np
 
 from hd_diag.bag.block import Block, joined
 from hd_diag.bag.errors import BagError, is_locked
+from hd_diag.bag.mcap_chunk import PIECE
 from hd_diag.bag.mcap_scan import DamagedChunk, Scan, Section
 
-# Size of content that is loaded at once: a log flushed often has many small chunks [byte].
-_AT_ONCE = 4 << 20
 # What is read ahead takes no more memory than this [byte].
 _AHEAD = 12 << 20
 # More than this is never held back for sorting [byte].
@@ -32,7 +31,7 @@ class McapStorage:
     def __init__(self, path: Path, stack: ExitStack) -> None:
         self.path = path
         self._file = stack.enter_context(path.open("rb"))
-        self._scan = Scan(path, self._file)
+        self._scan, self._is_split = Scan(path, self._file), False
         self.problem = self._scan.problem
         if self.problem and is_locked(self._file.fileno()):
             self.problem = "is being written by another process"
@@ -54,7 +53,7 @@ class McapStorage:
             return block if len(numbers) == len(self.topics) else block[np.isin(block.channel, numbers)]
 
         try:
-            for block in _ordered(_stretches_of(self._scan.sections), chosen):
+            for block in _ordered(_stretches_of(self._sections()), chosen):
                 self._check_declared(set(np.unique(block.channel).tolist()) - self.topics.keys())
                 if int(block.log_time[0]) < 0 or int(block.publish_time.min()) < 0:
                     raise ValueError("a message has a time beyond the year 2262")
@@ -63,6 +62,18 @@ class McapStorage:
             if self._file.closed:
                 raise BagError(self.path, "the bag was closed") from exc
             raise exc if isinstance(exc, BagError) else BagError(self.path, exc) from exc
+
+    def _sections(self) -> list[Section]:
+        """Sections, or parts of large ones; one that is damaged is an error when it is its turn."""
+        if not self._is_split:
+            found: list[Section] = []
+            for section in self._scan.sections:
+                try:
+                    found += self._scan.parts(section)
+                except DamagedChunk:
+                    found.append(section)
+            self._scan.sections, self._is_split = found, True
+        return self._scan.sections
 
     def _check_declared(self, unknown: Sequence[int] | set[int]) -> None:
         if unknown:
@@ -79,7 +90,7 @@ class McapStorage:
             return dict(known.channel_message_counts), None
         counts: Counter[int] = Counter()
         error: DamagedChunk | None = None
-        for section in found.sections:
+        for section in self._sections():
             try:
                 block = found.load([section])
             except DamagedChunk as exc:
@@ -95,16 +106,16 @@ class McapStorage:
 
 def _size(sections: Sequence[Section]) -> int:
     """What sections take in memory [byte]."""
-    return sum(max(section.content_size, section.size) for section in sections)
+    return sum(s.part[1] if s.part else max(s.content_size, s.size) for s in sections)
 
 
 def _stretches_of(sections: Sequence[Section]) -> list[list[Section]]:
-    """Sections in the order of the file, small ones taken together."""
+    """Sections in the order of the file, small ones taken together: a log flushed often has many."""
     stretches: list[list[Section]] = []
     size = 0
     for section in sections:
         size += _size([section])
-        if not stretches or size > _AT_ONCE:
+        if not stretches or size > PIECE:
             stretches.append([])
             size = _size([section])
         stretches[-1].append(section)

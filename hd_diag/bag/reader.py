@@ -24,7 +24,7 @@ from hd_diag.messages.joint_states import JOINT_STATE, Rejection, decode_joint_s
 from hd_diag.messages.schemas import deserialize, jazzy
 from hd_diag.streams.columns import JointStates
 
-_AT_ONCE = 1 << 16  # messages in a batch
+_AT_ONCE = 1 << 14  # messages in a batch
 
 
 @dataclass(frozen=True)

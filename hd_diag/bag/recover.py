@@ -260,23 +260,24 @@ def _salvage_mcap(path: Path, report: FileRecovery, stack: ExitStack) -> Iterato
         found.walk()
     for section in found.sections:
         try:
-            block = found.load([section])
+            for part in found.parts(section):
+                block = found.load([part])
+                read += len(block)
+                report.unverified += 0 if section.checksum else len(block)
+                yield found.topics(), block, section.offset + section.size
         except BagError as exc:
             report.problems.append(exc.cause)
             report.unread += section.size
-        else:
-            read += len(block)
-            report.unverified += 0 if section.checksum else len(block)
-            yield found.topics(), block, section.offset + section.size
     for begin, end in gaps:
         report.unread += end - begin
-        part = found.load_part(begin, end)
-        if part is not None:
-            read += len(part)
-            report.unverified += len(part)
-            what = f"{len(part)} messages were read from a chunk that is cut off at byte {end}"
+        before = read
+        for block in found.load_part(begin, end):
+            read += len(block)
+            report.unverified += len(block)
+            yield found.topics(), block, end
+        if read > before:
+            what = f"{read - before} messages were read from a chunk that is cut off at byte {end}"
             report.problems.append(what)
-            yield found.topics(), part, end
     if found.statistics is not None:
         report.lost += max(0, found.statistics.message_count - read)
 

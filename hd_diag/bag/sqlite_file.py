@@ -20,7 +20,7 @@ from hd_diag.messages.schemas import Definition
 # A damaged or hostile database can keep a query busy for ever; an honest row takes less than 200 steps.
 _STEPS_PER_BYTE = 100
 _STEPS_PER_TURN = 10_000
-_ROWS = 4096  # that are read at a time
+_ROWS, _BYTES = 4096, 4 << 20  # that are read at a time
 _DAMAGE = (sqlite3.Error, TypeError, ValueError, OverflowError)
 _COUNT = """
     SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp),
@@ -79,7 +79,7 @@ class SqliteFile:
         try:
             with closing(self._open()) as db:
                 cursor = db.execute(query)
-                while rows := cursor.fetchmany(_ROWS):
+                while rows := _some(cursor):
                     block = _block_of(rows)
                     read += len(block.data) + len(block)
                     if read > self._size:
@@ -146,6 +146,17 @@ def _topics(db: sqlite3.Connection) -> dict[int, Topic]:
         for number, name, kind, form, profiles in topics
         if form == "cdr"
     }
+
+
+def _some(cursor: sqlite3.Cursor) -> list[tuple[int, int, bytes]]:
+    """The next rows, not too many at once and no more than a few megabytes."""
+    rows, size = [], 0
+    for row in cursor:
+        rows.append(row)
+        size += len(row[2])
+        if len(rows) == _ROWS or size > _BYTES:
+            break
+    return rows
 
 
 def _block_of(rows: list[tuple[int, int, bytes]]) -> Block:
