@@ -24,7 +24,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 LIMIT = 60.0  # for discovery and answers, on a machine that does much else [s]
-START_LIMIT = 300.0  # for the first node on a machine, which compiles the model [s]
+START_LIMIT = 500.0  # for the first node on a machine, which compiles the model [s]
 PUBLISHER_DEPTH = 5000
 Condition = Callable[[dict[str, str]], bool]
 _numbers = itertools.count()
@@ -139,12 +139,18 @@ class Rig:
     def _subscribe(self, topic: str, kind: Any, into: list[Any]) -> Any:
         return self.node.create_subscription(kind, topic, into.append, QoSProfile(depth=5000))
 
-    def status(self, joint: str, condition: Condition = lambda values: True) -> DiagnosticStatus:
-        """The first report from now on that fulfils a condition."""
+    def status(
+        self,
+        joint: str,
+        condition: Condition = lambda values: True,
+        meanwhile: Callable[[], None] = lambda: None,
+    ) -> DiagnosticStatus:
+        """The first report from now on that fulfils a condition; something is done meanwhile, each time."""
         self.drain()
         seen = len(self.reports)
 
         def fulfilled() -> DiagnosticStatus | None:
+            meanwhile()
             for array in self.reports[seen:]:
                 for status in array.status:
                     if status.name == f"hd_diag: {joint}" and condition(values_of(status)):
@@ -154,8 +160,8 @@ class Rig:
         found: DiagnosticStatus = self.until(fulfilled, f"such report of {joint}")
         return found
 
-    def values(self, joint: str, condition: Condition = lambda values: True) -> dict[str, str]:
-        return values_of(self.status(joint, condition))
+    def values(self, joint: str, *conditions: Any) -> dict[str, str]:
+        return values_of(self.status(joint, *conditions))
 
     def set(self, atomically: bool = False, **given: Any) -> list[SetParametersResult]:
         """Set parameters as another process does; ``__`` stands for a dot."""

@@ -83,7 +83,11 @@ def test_prediction_and_backlash_move_with_the_eccentricity(run: dict[str, Any])
 
 
 def test_residual_is_least_at_the_true_eccentricity(run: dict[str, Any]) -> None:
-    residual = {step["eccentricity_um"]: step["residual_rms_arcsec"] for step in run["summary"]["steps"]}
+    found = {step["eccentricity_um"]: step["residual_rms_arcsec"] for step in run["summary"]["steps"]}
+    residual = {
+        um: rms for um, rms in found.items() if rms is not None
+    }  # of a step too short for a busy machine
+    assert len(residual) > 1
     assert min(residual, key=residual.__getitem__) == 18.0
     assert residual[18.0] == pytest.approx(1.0, abs=0.3)  # the noise of the simulated encoder
 
@@ -166,7 +170,7 @@ def test_processes_that_do_not_see_each_other(tmp_path: Path) -> None:
     process = demo(tmp_path / "out", ROS_AUTOMATIC_DISCOVERY_RANGE="OFF")
     _, err = process.communicate(timeout=120)
     assert process.returncode == 2
-    assert err.startswith("hd-diag: node and joint run but were not discovered over DDS within 10 s: ")
+    assert err.startswith("hd-diag: node and joint run but were not discovered over DDS within 20 s: ")
     assert len(err.splitlines()) == 1
     assert processes_of(tmp_path) == []
 

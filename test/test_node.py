@@ -68,6 +68,11 @@ def stamp_of(message: Any) -> int:
     return int(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
 
 
+def since(begin: int, messages: list[Any]) -> list[Any]:
+    """Those with stamps from one on [ns]: what came of samples of before may arrive late."""
+    return [message for message in messages if stamp_of(message) >= begin]
+
+
 def exact(configured: Config, joint: str, angle: float, torque: float) -> float:
     drive = next(j for j in configured.joints if j.name == joint).drive
     return float(transmission_error(drive, np.array([angle]), np.array([torque]))[0])
@@ -168,8 +173,8 @@ def test_input_and_output_in_messages_of_their_own(arm: Rig, publisher: Any) -> 
             publisher.publish(message(stamp, {"elbow_motor": 0.1 * i}))
         else:
             other.publish(message(stamp, {"elbow": 0.004 * i}, {"elbow": 1.5}))
-    arm.until(lambda: len(measured) == 10, "pair of every output angle")
-    for i, found in zip(range(1, 21, 2), measured, strict=True):
+    arm.until(lambda: len(since(times[0], measured)) == 10, "pair of every output angle")
+    for i, found in zip(range(1, 21, 2), since(times[0], measured), strict=True):
         assert stamp_of(found) == times[i]
         assert found.position[0] == pytest.approx(0.004 * i - 0.1 * i / RATIO, abs=1e-12)
     arm.node.destroy_publisher(other)
@@ -200,7 +205,8 @@ def test_maps_come_into_force(arm: Rig) -> None:
 
 def test_is_light(arm: Rig) -> None:
     """With its maps, before much has come; LLVM alone takes 110 MB, an empty rclpy node 70."""
-    arm.values("shoulder", lambda values: values["prediction"] == "map")
+    for joint in JOINTS:
+        arm.values(joint, lambda values: values["prediction"] == "map")
     status = Path(f"/proc/{arm.process.popen.pid}/status").read_text()
     assert int(status.partition("VmRSS:")[2].split()[0]) < 250_000  # [kB]
 
@@ -231,13 +237,13 @@ def test_repeated_and_foreign_messages_are_counted(arm: Rig, publisher: Any) -> 
 
 def test_a_publisher_that_dies_and_comes_back(arm: Rig, publisher: Any) -> None:
     mortal = arm.publisher()
-    feed(mortal, stamps, 20, joint="elbow")
-    assert "STALE" not in arm.values("elbow", lambda v: float(v["silence_s"]) < 0.3)["fault_codes"]
+    heard = lambda v: "STALE" not in v["fault_codes"]  # noqa: E731
+    alive = arm.values("elbow", heard, lambda: feed(mortal, stamps, 1, joint="elbow"))
+    assert float(alive["silence_s"]) <= 0.5
     arm.node.destroy_publisher(mortal)
     stale = arm.status("elbow", lambda v: "STALE" in v["fault_codes"])
     assert float(values_of(stale)["silence_s"]) > 0.5
-    feed(publisher, stamps, 20, joint="elbow")
-    arm.values("elbow", lambda v: "STALE" not in v["fault_codes"])
+    arm.values("elbow", heard, lambda: feed(publisher, stamps, 1, joint="elbow"))
 
 
 def test_another_type_on_the_topic_is_a_warning_and_lag_is_told(arm: Rig, publisher: Any) -> None:
@@ -358,10 +364,11 @@ def test_what_belongs_together_is_set_together(arm: Rig, publisher: Any) -> None
     assert not arm.set(elbow__ratio=RATIO + 1.0)[0].successful
     assert arm.set(atomically=True, **both)[0].successful
     errors = heard(arm, "transmission_error")
-    publisher.publish(sample(next(stamps), 0.4, 0.0, 2.0, "elbow"))
-    arm.until(lambda: errors, "prediction")
+    begin = next(stamps)
+    publisher.publish(sample(begin, 0.4, 0.0, 2.0, "elbow"))
+    (error,) = arm.until(lambda: since(begin, errors), "prediction")
     expected = exact(config(*JOINTS, **both), "elbow", 0.4, 2.0)
-    assert errors[0].position[0] == pytest.approx(expected, abs=BOUND)
+    assert error.position[0] == pytest.approx(expected, abs=BOUND)
     back = {"elbow__output": "flexspline", "elbow__ratio": RATIO}
     assert not arm.set(atomically=True, **(back | {"array_rate": -1.0}))[0].successful
     assert arm.get("elbow.output")[0].string_value == "circular_spline"
@@ -373,39 +380,53 @@ def test_a_change_acts_on_the_next_sample_and_none_is_lost_while_the_map_is_buil
 ) -> None:
     arm.values("elbow", lambda values: values["prediction"] == "map")
     errors = heard(arm, "transmission_error")
+    begin = next(stamps) + MS
     feed(publisher, stamps, 500, joint="elbow")
     changed = {"elbow__eccentricity__magnitude": 3e-6, "elbow__eccentricity__direction": 1.0}
     future = arm.client.set_parameters_atomically(
         [Parameter(name.replace("__", "."), value=value) for name, value in changed.items()]
     )
-    feed(publisher, stamps, 1500, joint="elbow")
-    arm.until(lambda: future.done() and len(errors) == 2000, "prediction of every sample")
-    times = [stamp_of(m) for m in errors]
-    assert times == list(range(times[0], times[0] + 2000 * MS, MS))
-    found = np.array([m.position[0] for m in errors])
+    parts = [500]
+
+    def answered() -> bool:
+        feed(publisher, stamps, 1, joint="elbow")
+        parts.append(1)
+        return bool(future.done())
+
+    arm.until(answered, "answer")
+    count = sum(parts)
+    feed(publisher, stamps, 1000, joint="elbow")
+    parts.append(1000)
+    arm.until(lambda: len(since(begin, errors)) == count + 1000, "prediction of every sample")
+    assert [stamp_of(m) for m in since(begin, errors)] == list(range(begin, next(stamps), MS))
+    found = np.array([m.position[0] for m in since(begin, errors)])
     before, after = config(*JOINTS), config(*JOINTS, **changed)
-    angle = 0.01 * np.concatenate((np.arange(500), np.arange(1500)))
-    torque = np.ones(2000)
+    angle = 0.01 * np.concatenate([np.arange(part) for part in parts])
+    torque = np.ones(angle.size)
     old, new = (transmission_error(c.joints[1].drive, angle, torque) for c in (before, after))
     apart = np.flatnonzero(np.abs(old - new) > 3.0 * BOUND)
-    assert apart.size > 1000
+    assert apart.size > 0.5 * angle.size
     is_new = np.abs(found - new) < BOUND
     is_old = np.abs(found - old) < BOUND
     assert np.all(is_new | is_old)
     assert not is_new[apart[apart < 500]].any()
     switched = apart[np.argmax(is_new[apart])]
-    assert 500 <= switched < 1500
+    assert 500 <= switched <= apart[apart >= count][0]
     assert is_new[apart[apart >= switched]].all()
     arm.values("elbow", lambda values: values["prediction"] == "map" and values["eccentricity_um"] == "3")
     arm.set(elbow__eccentricity__magnitude=0.0, elbow__eccentricity__direction=0.0)
 
 
 def test_rates_act_at_once(arm: Rig) -> None:
+    """Of 100 reports a second some come late on a busy machine; of 20 not half come within 30 ms."""
+
+    def quick() -> bool:
+        times = [stamp_of(report) for report in arm.reports[-20:]]
+        return bool(np.median(np.diff(times)) < 30 * MS)
+
+    arm.until(lambda: not quick(), "reports at the old rate")
     assert arm.set(diagnostics_rate=100.0)[0].successful
-    count = len(arm.reports)
-    begin = time.monotonic()
-    arm.until(lambda: len(arm.reports) >= count + 50, "fifty reports")
-    assert time.monotonic() - begin < 2.0
+    arm.until(quick, "reports at the new rate")
     assert arm.set(diagnostics_rate=20.0)[0].successful
 
 
@@ -418,7 +439,7 @@ def test_an_order_that_repeats_is_named_while_it_runs(arm: Rig, publisher: Any) 
     predicted = transmission_error(config(*JOINTS).joints[0].drive, angle, np.full(angle.size, 14.0))
     wave = 20.0 * ARCSEC * np.cos(2.0 * angle)
     assert arm.set(mesh_rate=0.0)[0].successful  # the rig would take long over so many drawings
-    before = int(arm.values("elbow")["samples"])
+    before, seen = int(arm.values("elbow")["samples"]), len(arm.reports)
     for i, turned in enumerate(angle.tolist()):
         stamp = next(itertools.islice(stamps, 9, None))
         output = turned / RATIO + predicted[i]
@@ -440,7 +461,9 @@ def test_an_order_that_repeats_is_named_while_it_runs(arm: Rig, publisher: Any) 
     )
     assert "RESIDUAL" in values["fault_codes"].split()
     assert status.message.startswith("residual repeats twice per input turn with 20.")
-    assert float(values["residual_rms_arcsec"]) < 31.0
+    reported = [values_of(each) for array in arm.reports[seen:] for each in array.status]
+    rms = [float(v["residual_rms_arcsec"]) for v in reported if v["residual_order"] == "input 2"]
+    assert np.nanmin(rms) < 31.0  # nan where no sample came since the report before
     other = arm.values("shoulder")
     assert (other["fault_codes"], other["residual_order_repeats"]) == ("OK", "false")
     assert arm.set(elbow__eccentricity__magnitude=1e-6)[0].successful
@@ -600,7 +623,7 @@ def test_a_signal_while_it_starts_ends_it_with_code_0(number: int, delay: float)
 COMPILING = """
 import os, signal, time
 from hd_diag.ros import footprint, node, stop_signals
-node._warm_up = lambda config: time.sleep(1e9) if os.getpid() != own else print("compiles itself")
+node.prepare = lambda config: time.sleep(1e9) if os.getpid() != own else print("compiles itself")
 own, noted = os.getpid(), stop_signals.note_signals()
 import hd_diag.model.kernel.compiler as compiler
 compiler.is_kept = lambda kernel: os.kill(own, signal.SIGTERM)

@@ -96,7 +96,7 @@ def test_a_disk_that_does_not_answer_holds_up_no_samples(tmp_path: Path) -> None
     for reason in ("that takes longer than 0.25 s", *["the file before is still being read"] * 20):
         with pytest.raises(ConfigError, match=reason):
             node.set_parameters_atomically(wanted)
-    assert time.monotonic() - begin < 1.0
+    assert time.monotonic() - begin < 4.0  # were each waited for, 21 times 0.25 s
     assert (len(asked), server.config.joints[0].model, applied) == (1, None, [])
     answers.set()
     server._reading.join()

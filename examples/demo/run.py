@@ -24,7 +24,7 @@ from demo.process import Child, DemoError
 from demo.steps import Step, table
 from hd_diag.config.configuration import dump, resolve
 from hd_diag.messages.publications import published_topics, resolved
-from hd_diag.monitor.all_joints import warm_up
+from hd_diag.ros.node import prepare
 from hd_diag.ros.stop_signals import noted_signals
 
 __all__ = ["DemoError", "run"]
@@ -41,8 +41,8 @@ _MAGNITUDE = f"{_JOINT}.eccentricity.magnitude"
 _REFUSED = (f"{_JOINT}.circular_spline_teeth", 203)  # an odd difference: no ellipse can mesh there
 _RATE = 250.0  # of the joint [Hz]: leaves a slow machine time for the rest
 _REPORTS = 4.0  # diagnostics per second [Hz]
-_START_LIMIT = 60.0  # for the processes to start, which a busy machine can make long [s]
-_DISCOVERY_LIMIT = 10.0  # for them to be discovered over DDS and the first samples to arrive [s]
+_START_LIMIT = 300.0  # for the processes to start, which a busy machine can make long [s]
+_DISCOVERY_LIMIT = 20.0  # for them to be discovered over DDS and the first samples to arrive [s]
 _LINE_PERIOD = 1.0  # between lines that show a report [s]
 _VERB_LIMIT = 300.0  # for a verb of the command line to end, on a busy machine [s]
 _DEAF = (
@@ -74,7 +74,7 @@ def run(folder: Path | None, seconds: float) -> dict[str, Any]:
     """
     folder = _prepared(folder)
     _say("Preparing the model; the first time it is compiled, which can take a minute")
-    warm_up(resolve({}))  # before both processes need it at the same time
+    prepare(resolve({}))  # before both processes need it at the same time
     _say(f"Starting the node and a simulated joint, each a process of its own; what they leave: {folder}")
     steps: list[Step] = []
     refusals: list[str] = []

@@ -97,7 +97,7 @@ class DiagnosticNode(Node):
         for joint in config.joints:
             self._builder.request(joint)
         self._next_report = self._next_look = time.monotonic()
-        _warm_up(config)
+        prepare(config)
         give_back()
         self._waiting = Waiting()
         self._inputs = [
@@ -291,7 +291,7 @@ class DiagnosticNode(Node):
         self._next_report = min(self._next_report, time.monotonic() + 1.0 / config.diagnostics_rate)
 
 
-def _warm_up(config: Config) -> None:
+def prepare(config: Config) -> None:
     """Compute once what samples would have to wait for: constants, imports, machine code of maps too."""
     warm_up(config)
     torsion.warm_up()
@@ -315,7 +315,7 @@ def _run(arguments: list[str], stopped: Sequence[int]) -> int:
     set_logger_level("rcl", LoggingSeverity.FATAL)  # what it says of a faulty file is said below, better
     try:
         sections = check_arguments(arguments)
-        footprint.compile_apart(lambda: _warm_up(resolve({})), stopped)
+        footprint.compile_apart(lambda: prepare(resolve({})), stopped)
         if stopped:
             return 0
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
