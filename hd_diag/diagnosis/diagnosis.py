@@ -13,6 +13,7 @@ from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
+from hd_diag.diagnosis.fit.motor_torque import less_motor
 from hd_diag.diagnosis.fit.refit import Refit, refit, usable
 from hd_diag.diagnosis.gain import Gain, Misfit, Rms, Rows, held_out, measured_gain, renumbered
 from hd_diag.diagnosis.noise import ORDER
@@ -148,15 +149,14 @@ def diagnose(
     record, misleading = without_misleading_torque(record, configured, test, rng)
     findings = (*findings, *([misleading] if misleading else []))
     work.tell(0.02, "fitting the model's own parameters")
-    first = refit(renumbered(record.select(~test)), configured, rng)
+    if record.by_current:
+        begun, first = less_motor(record, configured, ~test, rng, catalogue, work)
+    else:
+        first = refit(renumbered(record.select(~test)), configured, rng)
+        begun = linearise(record, configured, first.parameters, rows=~test, catalogue=catalogue, work=work)
     work.tell(0.12, "looking for causes")
-    begun = linearise(record, configured, first.parameters, rows=~test, catalogue=catalogue, work=work)
-    if given := begun.data.given:
-        beside = settle(begun, given)
-        first = refit(beside.data.record, configured, rng, beside.joined(given), beside.parameters)
-        begun = begun.moved(first.parameters)
-    plain = settle(begun, ())
-    found = search(begun if given else plain, rng, first.parameters)
+    plain = settle(begun, begun.data.given)
+    found = search(plain, rng, first.parameters)
     work.tell(0.78, "measuring the gain")
     best = _predicting(record, test, which, plain, found, rng)
     kept, rms, gain = best.kept, best.rms, best.gain
@@ -213,15 +213,17 @@ def _predicting(
 
     def tried(fit: LinearisedFit, kept: Kept, found: Search) -> _Tried:
         before, found = plain if found.chosen else fit, refitted(fit, found)
-        every = found.fit.on(usable(record, found.torque_shift))
+        every = found.fit.on(usable(found.fit.data.source, found.torque_shift))
         return _Tried(found, kept, every, *measured_gain(record, test, which, before, found, every, rng))
 
     fit, kept = found.fit, Kept({})
     with fit.work.until(_KEPT, "testing which parameters may be as configured"):
         fit, kept = kept_parameters(fit, found.chosen)
     best = tried(fit, kept, found)
-    lines = tuple(item for item in found.chosen if isinstance(item[0], OutputLine))
-    if found.chosen != lines and best.rms.extended > _WORSE * min(best.rms.refit, best.rms.nominal):
+    lines = tuple(item for item in found.chosen if item[0].given or isinstance(item[0], OutputLine))
+    # As it runs, a motor's friction begins late: that speaks against no cause.
+    left = best.rms.offline if record.by_current else best.rms.extended
+    if found.chosen != lines and left > _WORSE * min(best.rms.refit, best.rms.nominal):
         found = Search(settle(plain, lines) if lines else plain, (), lines)
         best = tried(*kept_parameters(found.fit, lines), found)
     if best.rms.extended > _WORSE * best.rms.nominal:

@@ -120,7 +120,11 @@ def measured_gain(
 ) -> tuple[Rms, Gain]:
     """Residuals of held-out rows; `every` fits all rows, so that its effects remember what came before."""
     plain = replace(plain, whiten=found.fit.whiten)  # one noise model, that of the whole model, for both
-    configured, fitted = every.data.configured, every.data.mask
+    configured, fitted, beside = (
+        every.data.configured,
+        every.data.mask,
+        tuple(one for one, _ in plain.present),
+    )
 
     def unseen(residual: Floats) -> Floats:
         """Held-out rows, less what each recording's encoders are off in the others, or in these; or drift."""
@@ -152,7 +156,7 @@ def measured_gain(
     number = slices(rest.time, rest.run, _SLICE)
     rms = Rms(
         nominal=_rms(nominal),
-        refit=_rms(of_fit(_residual_of(every.moved(plain.parameters), plain, ()))),
+        refit=_rms(of_fit(_residual_of(every.moved(plain.parameters), plain, beside))),
         named=_rms(extended),
         extended=_rms(extended),
         offline=_rms(of_fit(_residual_of(every, found.fit, found.chosen))),

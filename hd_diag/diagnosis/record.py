@@ -79,6 +79,8 @@ class Record:
         Whether the input angle is the integral of a velocity, whose drift is free.
     stamps : Stamps
         What became of samples before.
+    taken : ndarray, shape (n,), or None
+        What the torque is more than the current's, as far as it is known what the motor takes of it [N m].
     """
 
     time: Floats
@@ -100,6 +102,7 @@ class Record:
     by_current: bool = False
     by_velocity: bool = False
     stamps: Stamps = UNTOLD
+    taken: Floats | None = None
 
     @property
     def size(self) -> int:
@@ -115,6 +118,15 @@ class Record:
     def way(self) -> Floats:
         """Direction of the motion, -1 to 1 through rest as friction turns, shape (n,)."""
         return np.asarray(np.tanh(self.speed / (_SLOW * self.top_speed)))
+
+    def less_motor(self, taken: Floats) -> Record:
+        """The record with the torque that is left where a motor takes something of its current's, (n,)."""
+        return replace(self, torque=self.by_sensor + taken, taken=taken)
+
+    @property
+    def by_sensor(self) -> Floats:
+        """Torque as reported, smoothed [N m], shape (n,)."""
+        return self.torque if self.taken is None else self.torque - self.taken
 
     def select(self, rows: Rows | Integers) -> Record:
         """The record of some rows; their run numbers stay."""

@@ -267,12 +267,15 @@ class ContactWeights:
 
 
 def contact_weights(
-    drive: Drive, wave_generator_angle: Floats, torque: Floats, torsion: Floats | None = None
+    drive: Drive,
+    wave_generator_angle: Floats,
+    torque: Floats,
+    torsion: Floats | None = None,
+    least: float = 0.0,
 ) -> ContactWeights:
-    """Weights of a drive at samples, up to the greatest torque among them; see :class:`ContactWeights`."""
-    return ContactWeights(
-        contact_table(drive, greatest_torque(drive, torque)), wave_generator_angle, torque, torsion
-    )
+    """Weights of a drive at samples, up to the greatest torque or a least limit [N m]."""
+    limit = max(greatest_torque(drive, torque), least)
+    return ContactWeights(contact_table(drive, limit), wave_generator_angle, torque, torsion)
 
 
 def greatest_torque(drive: Drive, torque: Floats) -> float:

@@ -40,8 +40,8 @@ SCALES = (
 """The fitted parameters, in units near the precision that matters to a gear of size 25, ratio 100."""
 
 COUNT = len(SCALES)
-COMPLIANCE, CUP = 5, 6
-"""Numbers of the two compliances."""
+DATUM, COMPLIANCE, CUP = 4, 5, 6
+"""Numbers of the datum and of the two compliances."""
 
 _MOST_SHIFTED = (45.0, 20.0)  # eccentricity and runout
 _DATUM = (-40.0, 45.0)  # from the configured one
@@ -159,13 +159,6 @@ def _datums(geometry: Geometry, unit: float) -> tuple[float, float]:
 
     low, high = (geometry.circular_spline_datum + last(end) * unit for end in _DATUM)
     return low, high
-
-
-def as_compliant(parameters: Floats, configured: Drive) -> Floats:
-    """The same error by the configured tooth compliance, under a torque that is in inverse proportion."""
-    found = parameters.copy()
-    found[[COMPLIANCE, CUP]] *= vector(configured, configured)[COMPLIANCE] / parameters[COMPLIANCE]
-    return found
 
 
 def common_factor(configured: Drive) -> float:

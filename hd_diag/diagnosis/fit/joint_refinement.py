@@ -12,6 +12,7 @@ from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.effects.effect import Effect, Stage
 
 _ROUNDS = 8
+_PART = 0.3  # of a step, that is tried after it
 _SHORTER = 3  # halvings of a step that makes the fit worse
 _LINEAR = 1.0  # standard deviations; the model is linear over such steps
 _SETTLED = 0.05  # deviance; what a further round could gain
@@ -41,9 +42,30 @@ def settle(fit: LinearisedFit, chosen: Chosen, rounds: int = 3, learn: bool = Tr
         # The fit itself still adds a step this small, linearly.
         if np.max(np.abs(step) / np.sqrt(np.diag(covariance)[: fit_parameters.COUNT] + 1e-12)) < _LINEAR:
             break
+        if fit.data.given:
+            before, fit = fit, _down(fit, chosen, beta)
+            if fit is before:
+                return fit
+            continue
         moved = fit_parameters.admissible(fit.parameters + step, fit.data.configured)
         fit = fit.moved(moved).beside(fit.sized(chosen, beta)).corrected(chosen)
     return fit.corrected(chosen)
+
+
+def _down(fit: LinearisedFit, chosen: Chosen, beta: Floats) -> LinearisedFit:
+    """After the longest part of a step to coefficients that lowers the cost; the same where none does.
+
+    What a motor takes and the parameters move each other: a whole step may lead far away.
+    """
+    before, start, share = fit.cost(chosen), fit.at_present(chosen, beta), 1.0
+    for _ in range(_SHORTER):
+        part = start + share * (beta - start)
+        moved = fit_parameters.admissible(fit.parameters + part[: fit_parameters.COUNT], fit.data.configured)
+        trial = fit.moved(moved).beside(fit.sized(chosen, part))
+        if trial.cost(chosen) < before:
+            return trial
+        share *= _PART
+    return fit
 
 
 def polished(fit: LinearisedFit, chosen: Chosen, rounds: int = _ROUNDS) -> tuple[LinearisedFit, Chosen]:
@@ -120,7 +142,7 @@ def covariance(fit: LinearisedFit, chosen: Chosen) -> tuple[Floats, list[npt.NDA
 
 
 def _wider(fit: LinearisedFit, beta: Floats, spread: Floats, built: Design) -> Floats:
-    """Deviations by scatter (sandwich estimate) over those of the noise model, at least 1.
+    """Deviations by scatter (sandwich estimate) over those of the noise model, at least the misfit.
 
     The scatter of blocks, or that of recordings, which are alike within: the greater of both.
     """
@@ -132,7 +154,8 @@ def _wider(fit: LinearisedFit, beta: Floats, spread: Floats, built: Design) -> F
         np.sum(parts**2, axis=0) * len(parts) / max(len(parts) - 1, 1) for parts in (scatter, together)
     ]
     variance = np.maximum(*variances) if bags.size > 1 else variances[0]
-    return np.asarray(np.sqrt(np.maximum(variance / np.maximum(np.diag(spread), 1e-300), 1.0)))
+    least = fit.misfit**2
+    return np.asarray(np.sqrt(np.maximum(variance / np.maximum(np.diag(spread), 1e-300), least)))
 
 
 def free(effect: Effect) -> list[int]:

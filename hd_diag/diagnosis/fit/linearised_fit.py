@@ -58,6 +58,9 @@ class LinearisedFit:
         the residual, and effects of later stages carry what earlier ones add.
     held : tuple of int
         Numbers of parameters that stay where they are, beside those that the record cannot tell.
+    misfit : float
+        What the chosen effects leave over the noise, by a motor's current: so much more its priors weigh, for
+        what is not noise says nothing about what the motor takes.
     """
 
     data: FittedRows
@@ -65,25 +68,35 @@ class LinearisedFit:
     whiten: Whitening = _WHITE
     present: Sized = ()
     held: tuple[int, ...] = ()
+    misfit: float = 1.0
 
     def moved(self, parameters: Floats) -> LinearisedFit:
-        """The same rows and noise, linearised elsewhere beside nothing."""
-        return replace(self, parameters=parameters, present=())
+        """The same rows and noise, linearised elsewhere, beside a motor alone."""
+        return replace(self, parameters=parameters, present=self._motor)
 
     def clear_of(self, shift: Floats) -> LinearisedFit:
-        """Exclude rows where reported torque plus a shift [N m] of all rows is near zero; beside nothing."""
+        """Exclude rows where the torque plus a shift [N m] of all rows is near zero; as :meth:`moved`."""
         data = self.data.on(self.data.mask & usable(self.data.source, shift))
-        return self if data is self.data else replace(self, data=data, present=())
+        return self if data is self.data else replace(self, data=data, present=self._motor)
 
     def on(self, rows: npt.NDArray[np.bool_]) -> LinearisedFit:
-        """On other rows (n,) of the record, their noise not known yet; beside nothing."""
-        return replace(self, data=self.data.on(rows), whiten=_WHITE, present=())
+        """On other rows (n,) of the record, their noise not known yet; as :meth:`moved`."""
+        return replace(self, data=self.data.on(rows), whiten=_WHITE, misfit=1.0, present=self._motor)
+
+    @property
+    def _motor(self) -> Sized:
+        """What is given of the present effects."""
+        return tuple(one for one in self.present if one[0][0].given)
 
     def with_noise(self, chosen: Chosen) -> LinearisedFit:
         """Whitened by the residual of a model rich enough to leave only noise."""
         parts = (self.always(), self.joined(chosen), self.flexible())
         rest = self.residual - projection(np.concatenate(parts, axis=1), self.residual)
-        return replace(self, whiten=self.data.whitening_of(rest))
+        misfit = 1.0
+        if self.data.given:
+            left = self.residual - projection(np.concatenate(parts[:2], axis=1), self.residual)
+            misfit = float(np.std(left) / max(float(np.std(rest)), 1e-300))
+        return replace(self, whiten=self.data.whitening_of(rest), misfit=misfit)
 
     def flexible(self) -> Floats:
         """Columns by which any cause leaves hardly more than noise, (n, k)."""
@@ -101,6 +114,16 @@ class LinearisedFit:
     def beside(self, sized: Sized) -> LinearisedFit:
         """Linearised beside effects of given coefficients."""
         return replace(self, present=sized)
+
+    def recentred(self) -> LinearisedFit:
+        """The same about the torque that a present motor leaves for the link."""
+        data = self.data
+        torques = mesh_torques(data.model, self.parameters, self._motor)
+        if not torques.causes or torques.near:
+            return self
+        source = data.source.less_motor(data.source.torque + torques.more - data.source.by_sensor)
+        model = RecordModel(source, data.configured, data.model.work)
+        return replace(self, data=FittedRows(model, data.mask, data.catalogue))
 
     def sized(self, chosen: Chosen, beta: Floats) -> Sized:
         """The chosen effects with their coefficients out of a fit's."""
@@ -200,8 +223,8 @@ class LinearisedFit:
         Of another torque, along the whole record: most of it is near zero torque, which no fit uses.
         """
         if isinstance(effect, MeshTorque):
-            alone = mesh_torques(self.data.model, self.parameters, [((effect, nonlinear), coefficients)])
-            return float(np.std(alone.error))
+            beside = mesh_torques(self.data.model, self.parameters, self._motor)
+            return float(np.std(beside.beside(effect, nonlinear, coefficients)))
         return float(np.std(self.effects.full_size(effect, nonlinear, coefficients)))
 
     def fit(self, chosen: Chosen, more: Floats | None = None) -> tuple[Floats, Floats, Design]:
@@ -219,6 +242,22 @@ class LinearisedFit:
         """
         beta, _, built, held = self._fit(chosen, more)
         return built.holding(held, beta[held])
+
+    def cost(self, chosen: Chosen) -> float:
+        """Deviance where it is linearised, with the chosen effects as they are present; zeros are free."""
+        beta, _, built, _ = self._fit(chosen)
+        values = self.at_present(chosen, beta)
+        numbers = np.delete(np.arange(beta.size), np.r_[fit_parameters.COUNT : self.always_white.shape[1]])
+        own = built.precision[numbers] @ (values - built.pull)[numbers] ** 2
+        return built.holding(numbers, values[numbers]).deviance() + float(own)
+
+    def at_present(self, chosen: Chosen, beta: Floats) -> Floats:
+        """Coefficients (k,) where it is linearised: no steps, effects as present; zeros as in others (k,)."""
+        values, known = beta.copy(), dict(self.present)
+        values[: fit_parameters.COUNT] = 0.0
+        for item, place in zip(chosen, self.places(chosen), strict=True):
+            values[place] = known.get(item, 0.0)
+        return values
 
     def on_bounds(self, chosen: Chosen) -> tuple[Integers, Floats]:
         """Numbers of the parameters that a fit puts on a bound, and its steps to there."""
@@ -265,7 +304,7 @@ class LinearisedFit:
         for (effect, _), place in zip(chosen, places, strict=True):
             if effect.given or effect.of_teeth:
                 precision[place] = (effect.usual * (1.0 if effect.given else _TEETH)) ** -2.0
-        return precision, pull
+        return precision * self.misfit**2, pull
 
 
 def linearise(

@@ -18,6 +18,7 @@ from hd_diag.effects.signals import Signals
 
 _STEEPEST = 1e-2  # [rad/(N m)], of a rated torque of 56 N m; no joint that bears is a hundredth as soft
 _TOLD_APART = 5e-3  # of the rated torque: changes of it within which derivatives are not told apart
+_NEAR = 0.02  # of the rated torque, the same of what a motor takes of its current's
 _STEP = 4e-3  # of the rated torque, by which the compliance is taken: a change of flanks is a step
 
 # Causes with their nonlinear values and coefficients.
@@ -34,16 +35,20 @@ class MeshTorques:
     parameters : ndarray, shape (7,)
         Of the model, in units of `fit_parameters.SCALES`.
     causes : tuple
+    as_taken : bool
+        Whether a motor takes what the record's torque is less by already, beside the causes.
     """
 
     model: RecordModel
     parameters: Floats
     causes: Torques
+    as_taken: bool = False
 
     @cached_property
     def more(self) -> Floats:
-        """Real less reported torque [N m], shape (n,)."""
-        total = np.zeros(self.model.record.size)
+        """Real less the record's torque [N m], shape (n,)."""
+        taken = self.model.record.taken
+        total = np.zeros(self.model.record.size) if taken is None or self.as_taken else -taken
         for (effect, nonlinear), coefficients in self.causes:
             total += effect.more(self.model.torque(effect, nonlinear), coefficients)
         return total
@@ -51,36 +56,54 @@ class MeshTorques:
     @cached_property
     def error(self) -> Floats:
         """What the model does under it beside its own error [rad], shape (n,)."""
-        return self._under(self.more) if self.causes else np.zeros(self.model.record.size)
+        if self._none:
+            return np.zeros(self.model.record.size)
+        return self.model.kept.get((self.parameters.tobytes(), "error", self.key), self._error)
 
     @cached_property
     def slope(self) -> Floats:
         """The model's derivative by the torque under it [rad/(N m)], shape (n,)."""
-        whole = self._whole
+        whole, nearby = self._whole, self._nearby
 
         def slope() -> Floats:
             step = _STEP * whole.rated_torque
-            return (self._under(self.more + step) - self._under(self.more - step)) / (2.0 * step)
+            return (self._under(nearby.more + step) - self._under(nearby.more - step)) / (2.0 * step)
 
-        if not self.causes:
+        if nearby._none:
             steep = whole.predicted_torque_slope  # without end in the gap between the flanks
             most = _STEEPEST * unit_scales(self.model.configured)["rad/(N m)"]
             return np.where(np.abs(steep) < most, steep, 0.0)
-        return self.model.kept.get((self.parameters.tobytes(), "slope", self.key), slope)
+        return self.model.kept.get((self.parameters.tobytes(), "slope", nearby.key), slope)
+
+    @property
+    def slope_key(self) -> Hashable:
+        """What the derivative by the torque depends on."""
+        return self._nearby.key
 
     @cached_property
     def rounded(self) -> MeshTorques:
         """The same causes at sizes that hardly change the model's derivatives: these are costly."""
         step, found = _TOLD_APART * self.model.configured.rated_torque, []
         for (effect, nonlinear), coefficients in self.causes:
+            if effect.given and self.near:
+                continue
             reach = self.model.greatest_torque(effect, nonlinear)
             found.append(((effect, nonlinear), np.rint(coefficients * reach / step) * step / reach))
-        return replace(self, causes=tuple(found))
+        return replace(self, causes=tuple(found), as_taken=self.near)
+
+    @cached_property
+    def near(self) -> bool:
+        """Whether a motor takes about what the record's torque is less by."""
+        if self.model.record.taken is None:
+            return False
+        motor = replace(self, causes=tuple(one for one in self.causes if one[0][0].given))
+        return float(np.std(motor.more)) < _NEAR * self.model.configured.rated_torque
 
     @property
     def key(self) -> Hashable:
         """Which causes, at which sizes."""
-        return tuple((effect.name, nonlinear, one.tobytes()) for (effect, nonlinear), one in self.causes)
+        own = tuple((effect.name, nonlinear, one.tobytes()) for (effect, nonlinear), one in self.causes)
+        return (self.as_taken, *own)
 
     def derivatives(self) -> Floats:
         """Of the model by its parameters under it, shape (n, 7)."""
@@ -102,7 +125,7 @@ class MeshTorques:
 
     def signals(self) -> Signals:
         """The record as what comes behind sees it: the mesh bears it, with the model's own error under it."""
-        if not self.causes:
+        if self._none:
             return self._whole
         error = self._whole.predicted + self.error
         seen = self._whole.bearing(self._whole.torque + self.more)
@@ -111,6 +134,18 @@ class MeshTorques:
     @property
     def _whole(self) -> Signals:
         return self.model.at(self.parameters).signals
+
+    @property
+    def _nearby(self) -> MeshTorques:
+        """Where the derivative is taken: with a motor's current nearby, for every fit moves its friction."""
+        return self if self.model.record.taken is None else self.rounded
+
+    @property
+    def _none(self) -> bool:
+        return not self.causes and (self.as_taken or self.model.record.taken is None)
+
+    def _error(self) -> Floats:
+        return self._under(self.more)
 
     def _under(self, more: Floats) -> Floats:
         return np.nan_to_num(self._whole.contact.under_more_torque(more))

@@ -122,7 +122,7 @@ class PresentEffects:
     def _borne_roughly(self) -> Signals:
         """The same without its prediction, for columns: costly, and hardly changed by small torques."""
         causes = self._torques.rounded
-        return self.whole.bearing(self.whole.torque + causes.more) if causes.causes else self.whole
+        return self.whole.bearing(self.whole.torque + causes.more) if causes.more.any() else self.whole
 
     def _there(self, effect: Effect, borne: Signals) -> Signals:
         """Of the fitted rows what an effect sees: what no stage has sees the record as it is reported."""
@@ -147,9 +147,9 @@ class PresentEffects:
 
     def context(self, effect: Effect, nonlinear: Values) -> tuple[Hashable, ...]:
         """What the columns of an effect depend on, beside the parameters."""
-        torque = tuple(one for one in self._before if one[0][0].stage == Stage.TORQUE)
+        own = tuple(one for one in self._before if one[0] == (effect, nonlinear))
         seen: dict[Stage, Hashable] = {
-            Stage.TORQUE: _key(torque + self._later),
+            Stage.TORQUE: (self._torques.slope_key, _key(own + self._later)),
             Stage.GEAR: (self._torques.rounded.key, _key(self._later)),
             Stage.SPRING: _key(self._before + self._later),
             Stage.STREAM: _key(self._before),

@@ -75,7 +75,8 @@ class RecordModel:
         def torque() -> Floats:
             record, width = self.record, self.record.torque_window
             if not (effect.reported and width):
-                return np.nan_to_num(effect.torque(self.motion, nonlinear))
+                seen = self.motion if record.taken is None else self.motion.bearing(record.by_sensor)
+                return np.nan_to_num(effect.torque(seen, nonlinear))
             columns = np.nan_to_num(effect.torque(self.motion.bearing(record.reported_torque), nonlinear))
             return smooth(columns, record.run, float(np.median(np.diff(record.time))), width)
 
@@ -112,6 +113,7 @@ class RecordModel:
             drive, self.configured, record.input_angle, record.torque
         )
         angle = drive.frame.wave_generator_angle(record.input_angle)
+        reported = 0.0 if record.taken is None else float(np.max(np.abs(record.by_sensor)))
         torsion = -drive.frame.torque_sign * (error + drive.cup_compliance * record.torque)
         signals = Signals(
             time=record.time,
@@ -124,6 +126,6 @@ class RecordModel:
             predicted=error,
             predicted_torque_slope=slope,
             predicted_rate=self.rate(error),
-            contact=contact_weights(drive, angle, record.torque, torsion),
+            contact=contact_weights(drive, angle, record.torque, torsion, reported),
         )
         return AtParameters(signals, derivatives)

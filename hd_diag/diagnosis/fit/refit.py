@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -10,9 +11,10 @@ from scipy.ndimage import binary_erosion
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit import fit_parameters
-from hd_diag.diagnosis.fit.fit_parameters import COUNT, MIRRORED
+from hd_diag.diagnosis.fit.fit_parameters import COMPLIANCE, COUNT, DATUM, MIRRORED
 from hd_diag.diagnosis.record import Record
 from hd_diag.drive import Drive
+from hd_diag.effects.mesh_torque import MeshTorque
 
 # Rounds of the search: samples, steps of a fit, starts that go on to the next round. Each round can only
 # mistake starts that are as good as equal, and a fit of all rows follows.
@@ -23,8 +25,10 @@ _FIRST_NOISE, _LEAST_NOISE = 2e-5, 1e-6  # of the residual [rad]; each round tak
 _STILL, _STEADY = 0.02, 0.02  # of the usual top speed, and of the torque's range: a rest
 _SETTLING = 0.05  # [s] of a rest that count
 _OFFSET = 0.03  # prior width of the torque's zero, of the rated torque
-_MOST_OFFSET = 3.0  # prior widths
+_MOST_OFF = 3.0  # prior widths
 _DAMPINGS = 6  # tried before a fit gives up
+_HELD = 1e-6  # prior width of what is not fitted
+_DATUMS = (-6.0, 3.0, 12.0)  # from the configured one, to begin with beside a friction
 _SETTLED = 0.1  # deviance; smaller steps are left to the fit of all rows
 _NEAR = np.array([1.0, 1.0, 1.0, 1.0, 3.0, 0.5, 0.7])  # by which parameters of the same drive may differ
 
@@ -51,12 +55,22 @@ class Refit:
         From the fit on independent samples; the final one is by `diagnosis`.
     trustworthy : bool
         Whether no other minimum fits about as well.
+    taken : ndarray, shape (k,)
+        Coefficients of what a motor takes of its torque.
     """
 
     drive: Drive
     parameters: Floats
     covariance: Floats
     trustworthy: bool
+    taken: Floats = field(default_factory=lambda: np.zeros(0))
+
+
+class Motor(NamedTuple):
+    """What a motor takes of its current's torque: the effect, and its torque at the record's rows (n, k)."""
+
+    effect: MeshTorque
+    torque: Floats
 
 
 def nuisance(record: Record, ratio: float) -> Floats:
@@ -91,8 +105,11 @@ def refit(
     extra: Floats | None = None,
     start: Floats | None = None,
     starts: Starts = STARTS,
+    motor: Motor | None = None,
 ) -> Refit:
     """Fit the model's parameters from many starts, a wrong zero of the torque beside them.
+
+    By a current the teeth's compliance stays as configured: only its product with the constant shows.
 
     Parameters
     ----------
@@ -106,6 +123,8 @@ def refit(
         One more start, where the fit is now: once all that is hopeful leads back to it, the search ends.
     starts : sequence of (float, float)
         Eccentricities to begin with: magnitude [um], direction [pi rad].
+    motor : Motor, optional
+        What is fitted of the torque itself.
 
     Returns
     -------
@@ -115,10 +134,12 @@ def refit(
     if extra is not None:
         free = np.concatenate((free, extra), axis=1)
     points, noise = _starts(configured, start, starts), _FIRST_NOISE
+    if motor is not None:
+        points = _of_motor(points, record, motor)
     rows = np.flatnonzero(usable(record))
     for samples, steps, kept in _ROUNDS:
         some = np.sort(rng.choice(rows, min(samples, rows.size), replace=False))
-        problem = _Problem(record, configured, free, some, noise)
+        problem = _Problem(record, configured, free, some, noise, motor)
         trials = sorted((_levenberg(problem, point, steps) for point in points), key=lambda trial: trial[1])
         hopeful = [point for point, value in trials if value < _HOPELESS * trials[0][1]]
         points = distinct(hopeful)[:kept]
@@ -127,11 +148,10 @@ def refit(
             break
     covariance = problem.covariance(trials[0][0])
     (point, deviance), *others = [(found[:COUNT], value) for found, value in trials]
-    if record.by_current:
-        point = fit_parameters.as_compliant(point, configured)
     rivals = distinct([point, *(other for other, value in others if value - deviance < _DISTINCT)])[1:]
     ambiguous = any(_apart(point, rival, covariance) > _DISTINCT for rival in rivals)
-    return Refit(fit_parameters.drive_of(point, configured), point, covariance, not ambiguous)
+    taken = trials[0][0][COUNT + 1 :]
+    return Refit(fit_parameters.drive_of(point, configured), point, covariance, not ambiguous, taken)
 
 
 def usable(record: Record, shift: Floats | float = 0.0) -> npt.NDArray[np.bool_]:
@@ -178,34 +198,70 @@ def _starts(configured: Drive, start: Floats | None, starts: Starts) -> list[Flo
     return [*points, *again, *([] if start is None else [start])]
 
 
+def _of_motor(points: list[Floats], record: Record, motor: Motor) -> list[Floats]:
+    """Starts with friction as the current has it both ways through the same place, and with other datums."""
+    place, taken = record.output_angle, motor.torque[:, 1:]
+    waves = [f(order * place) for order in (1.0, 2.0) for f in (np.cos, np.sin)]
+    columns = np.column_stack((taken, *waves, np.ones(record.size)))
+    known = np.append(0.0, -np.linalg.lstsq(columns, record.torque, rcond=None)[0][: taken.shape[1]])
+    known = np.clip(known, -_MOST_OFF * motor.effect.usual, _MOST_OFF * motor.effect.usual)
+    found = []
+    for datum in _DATUMS:
+        for point in points:
+            begun = np.concatenate((point, [0.0], known))
+            begun[DATUM] += datum
+            found.append(begun)
+    return found
+
+
 class _Problem:
     """Least squares of the transmission error on some rows, free columns projected out, prior included."""
 
     def __init__(
-        self, record: Record, configured: Drive, free: Floats, rows: npt.NDArray[np.int64], noise: float
+        self,
+        record: Record,
+        configured: Drive,
+        free: Floats,
+        rows: npt.NDArray[np.int64],
+        noise: float,
+        motor: Motor | None,
     ) -> None:
         self.configured = configured
+        self.motor = None if motor is None else motor._replace(torque=motor.torque[rows])
+        own = np.zeros(0) if motor is None else motor.effect.usual
         self.input_angle, self.torque = record.input_angle[rows], record.torque[rows]
         self.measured = record.output_angle[rows] - self.input_angle / configured.kinematics.ratio
         self.free = np.linalg.qr(free[rows])[0]
         center, width = fit_parameters.prior(configured)
-        self.center = np.append(center, 0.0)
-        self.width = np.append(width, 1.0 if record.has_torque else 1e-6)
+        if record.by_current:
+            width[COMPLIANCE] = _HELD
+        self.center = np.concatenate((center, [0.0], np.zeros(own.size)))
+        self.width = np.concatenate((width, [1.0 if record.has_torque else _HELD], own))
         self.offset = _OFFSET * configured.rated_torque
         self.noise = noise
 
     def admissible(self, point: Floats) -> Floats:
-        """Parameters that a drive can have, and the torque's offset in widths of its prior; shape (8,)."""
-        offset = float(np.clip(point[-1], -_MOST_OFFSET, _MOST_OFFSET)) if point.size > COUNT else 0.0
-        return np.append(fit_parameters.admissible(point[:COUNT], self.configured), offset)
+        """What a drive can have; the torque's offset in widths of its prior; what a motor takes."""
+        found = np.zeros(self.center.size)
+        found[: point.size] = point
+        found[:COUNT] = fit_parameters.admissible(point[:COUNT], self.configured)
+        most = _MOST_OFF * self.width[COUNT : COUNT + 2]  # the torque's zero, and the gain of a current
+        found[COUNT : COUNT + 2] = np.clip(found[COUNT : COUNT + 2], -most, most)
+        return found
 
     def residual_and_jacobian(self, point: Floats) -> tuple[Floats, Floats]:
+        point = self.admissible(point)
         drive = fit_parameters.drive_of(point[:COUNT], self.configured)
-        torque = self.torque + float(point[-1]) * self.offset
+        torque = self.torque + float(point[COUNT]) * self.offset
+        by_torque = [np.full_like(self.torque, self.offset)]
+        if self.motor is not None:
+            effect, own = self.motor
+            torque = torque + effect.more(own, point[COUNT + 1 :])
+            by_torque += list(effect.changes(own, point[COUNT + 1 :]).T)
         error, jacobian, slope = fit_parameters.along(
             drive, self.configured, self.input_angle, torque, _STEPS_PER_TOOTH
         )
-        columns = np.concatenate((jacobian, self.offset * slope[:, None]), axis=1)
+        columns = np.concatenate((jacobian, slope[:, None] * np.stack(by_torque, axis=1)), axis=1)
         return self._projected(self.measured - error), self._projected(columns)
 
     def _projected(self, columns: Floats) -> Floats:

@@ -97,7 +97,7 @@ class Search:
 
     @property
     def torque_shift(self) -> Floats:
-        """Real less reported torque by the causes at all rows of the record [N m]."""
+        """Real torque by the causes less that of the record that is fitted, at all its rows [N m]."""
         return self.fit.effects.torque(self.fit.sized(self.chosen, self.fit.fit(self.chosen)[0]))
 
 

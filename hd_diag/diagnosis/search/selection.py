@@ -67,6 +67,7 @@ def search(
         for now in _rounds(fit, chosen, p_values, rivals, rng, begun):
             fit, chosen = now
     work.tell(_LAST, "refining what was found")
+    fit = fit.recentred()
     chosen = needed(fit, chosen)
     fit, chosen = _finished_in_time(settle(fit, chosen), chosen)
     if (fewer := needed(fit, chosen)) != chosen:
@@ -93,6 +94,7 @@ def _rounds(
     family = family_size(fit)
     for number in range(_MOST_CAUSES + _MOST_TERMS + len(OUTPUT_LINES)):
         fit.work.tell(_LAST - (_LAST - _FIRST) * _ROUND**number, f"looking for cause {len(chosen) + 1}")
+        fit = fit.recentred()
         best = candidates(fit, chosen) if _named(chosen) < _MOST_CAUSES else []
         if not chosen and speed_dependent(fit):
             fit, best = _begun_slowly(fit, best, rng)

@@ -1,0 +1,97 @@
+"""Torque by a motor's current: what the motor takes of it is fitted with the parameters, then left out."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from benches import CONFIGURED, POINT, swinging
+from joint_records import ARCSEC
+from numpy.testing import assert_allclose
+
+from hd_diag.diagnosis.fit.fit_parameters import DATUM
+from hd_diag.diagnosis.fit.joint_refinement import settle
+from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
+from hd_diag.diagnosis.fit.motor_torque import less_motor
+from hd_diag.diagnosis.fit.refit import Refit
+from hd_diag.diagnosis.record import Record
+from hd_diag.diagnosis.work import Work
+from hd_diag.effects import CATALOGUE
+
+MEASURED = swinging()
+
+
+def by_current() -> Record:
+    """Amperes by a constant that is 15 % too small, with dry, loaded and viscous friction and inertia."""
+    speed = np.gradient(MEASURED.input_angle, MEASURED.time)
+    dry = (5.0 + 0.08 * np.abs(MEASURED.torque)) * np.tanh(speed / 0.6)
+    drag = 4.0 * np.sign(speed) * np.abs(speed / 100.0) ** 0.8
+    moved = 2.0 * np.gradient(speed, MEASURED.time) / 100.0
+    needed = (MEASURED.torque + dry + drag + moved) / 1.15
+    return dataclasses.replace(MEASURED, torque=needed, reported_torque=needed, by_current=True)
+
+
+@pytest.fixture(scope="module")
+def found() -> tuple[LinearisedFit, Refit]:
+    record = by_current()
+    rows = np.ones(record.size, dtype=np.bool_)
+    return less_motor(record, CONFIGURED, rows, np.random.default_rng(0), CATALOGUE, Work())
+
+
+def off(torque: np.ndarray) -> float:
+    """Rms by which a torque is not in proportion to the link's, which the stiffness leaves open [N m]."""
+    link = MEASURED.torque
+    return float(np.std(torque - link * (link @ torque) / (link @ link)))
+
+
+def test_the_torque_that_is_left_is_the_link_s(found: tuple[LinearisedFit, Refit]) -> None:
+    fit, first = found
+    source = fit.data.source
+    assert off(source.by_sensor) > 3.0
+    assert off(source.torque) < 0.3
+    assert first.trustworthy
+    near = min(
+        (first.parameters, first.parameters * [-1, -1, -1, -1, 1, 1, 1]), key=lambda p: abs(p - POINT)[0]
+    )
+    assert np.abs(near - POINT)[:4].max() < 1.5
+    assert near[DATUM] == pytest.approx(POINT[DATUM], abs=1.5)
+
+
+def test_the_same_model_about_either_torque(found: tuple[LinearisedFit, Refit]) -> None:
+    """What the motor takes is off the record's torque, or a present effect: the error is the same."""
+    fit, _ = found
+    source = fit.data.source
+    reported = dataclasses.replace(source, torque=source.by_sensor, taken=None)
+    model = dataclasses.replace(fit.data.model, record=reported)
+    other = dataclasses.replace(fit, data=dataclasses.replace(fit.data, model=model))
+    given = fit.data.given
+    both = [one.data.source.torque + one.effects.torque(one.present) for one in (fit, other)]
+    assert_allclose(*both, atol=1e-9)
+    rest = [one.effects.uncorrected - one.effects.together(one.present) for one in (fit, other)]
+    assert np.std(rest[0] - rest[1]) < 0.05 * ARCSEC
+    assert other.recentred().data.source.torque == pytest.approx(source.torque, abs=1e-9)
+    assert fit.recentred() is fit
+    assert fit.with_noise(given).cost(given) == pytest.approx(other.with_noise(given).cost(given), rel=0.05)
+
+
+def test_a_step_that_leads_away_is_not_taken(found: tuple[LinearisedFit, Refit]) -> None:
+    """From far off, whole steps of parameters and friction together would only meet by chance."""
+    fit, _ = found
+    given = fit.data.given
+    far = fit.moved(fit.parameters + np.array([6.0, -6.0, 0.0, 3.0, 14.0, 0.0, 0.0])).with_noise(given)
+    costs = [far.cost(given)]
+    for _ in range(4):
+        far = settle(far, given, rounds=1, learn=False)
+        costs.append(far.cost(given))
+    assert costs[-1] < 0.1 * costs[0]
+    assert (np.diff(costs) <= 1e-3 * costs[-1]).all()
+
+
+def test_contacts_are_known_up_to_the_reported_torque(found: tuple[LinearisedFit, Refit]) -> None:
+    """Causes try torques up to it: each sample beyond the table would be solved anew."""
+    fit, _ = found
+    source = fit.data.source
+    small = dataclasses.replace(
+        source, torque=0.1 * source.torque, taken=0.1 * source.torque - source.by_sensor
+    )
+    model = dataclasses.replace(fit.data.model, record=small)
+    assert model.at(fit.parameters).signals.contact.table.torque_limit >= np.abs(source.by_sensor).max()
