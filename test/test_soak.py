@@ -38,18 +38,11 @@ def test_a_full_disk_excuses_one_run_of_messages_about_its_time(
     assert soak.missing(SENT, SENT[there, 0], windows) == found
 
 
-def test_memory_is_compared_between_the_second_tenth_and_the_last() -> None:
+def test_the_second_tenth_is_compared_with_the_last() -> None:
     flat = [(float(at), 100.0 + 50.0 * (at < 10)) for at in range(100)]
-    assert soak.growth(flat, 100.0) == 0.0
-    grown = [(at, size + 5.0 * (at > 80)) for at, size in flat]
-    assert soak.growth(grown, 100.0) == pytest.approx(0.05)
-    assert np.isnan(soak.growth(flat[:5], 100.0))
-
-
-def test_threads_and_open_files_are_compared_by_their_least() -> None:
-    flat = [(float(at), 20.0 + at % 3) for at in range(100)]
-    assert soak.least(flat, 100.0) == [20.0, 20.0]
-    assert soak.least([(at, value + (at > 50)) for at, value in flat], 100.0) == [20.0, 21.0]
+    assert soak.medians(flat, 100.0) == (100.0, 100.0)
+    assert soak.medians([(at, size + 5.0 * (at > 80)) for at, size in flat], 100.0) == (100.0, 105.0)
+    assert np.isnan(soak.medians(flat[:5], 100.0)).all()
 
 
 def test_memory_threads_and_open_files_are_those_of_the_process(tmp_path: Path) -> None:
