@@ -7,6 +7,7 @@ import pytest
 from benches import CONFIGURED, EFFECTS, POINT, TRUE, bench, of, swinging
 from joint_records import ARCSEC, NOISE, RATIO, prepared
 
+from hd_diag.diagnosis.fit.design import projection
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.search.acceptance import (
@@ -80,6 +81,17 @@ def test_the_shape_of_a_torsion_that_goes_with_position_is_no_runout() -> None:
     assert passing(bent, (), [best], 50) is None
     off_centre = bench(of(RUNOUT, amplitude=20.0 * ARCSEC, direction=0.3), record=arm)
     assert passing(off_centre, (), ranked(off_centre, (), [RUNOUT]), 50) is not None
+
+
+def test_zeros_of_the_encoders_have_no_shape_to_be_wrong() -> None:
+    """Each recording's zero takes most of a drift by temperature; what they leave is the drift's own."""
+    record = swinging()
+    heat = 25.0 + 0.2 * record.time + 0.001 * record.time**2
+    warm = dataclasses.replace(record, temperature=heat, bag=(record.time // 5.0).astype(np.int64))
+    drifting = bench(of(EFFECTS["thermal_drift"], drift=2e-5, lag=0.0), record=warm)
+    own = drifting.columns(EFFECTS["thermal_drift"], (1.0,))[:, 0]
+    assert np.std(own) > 3.0 * np.std(own - projection(drifting.data.offsets, own))
+    assert passing(drifting, (), ranked(drifting, (), [EFFECTS["thermal_drift"]]), 50) is not None
 
 
 def test_noise_does_not_pass(plain: LinearisedFit) -> None:

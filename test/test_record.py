@@ -195,6 +195,17 @@ def test_bags_are_runs_and_rows_keep_theirs(given: dict[str, np.ndarray]) -> Non
     assert (part.size, set(part.run), part.temperature) == (1500, {1}, None)
 
 
+def test_what_remembers_goes_on_from_a_recording_to_one_that_follows_at_once(
+    given: dict[str, np.ndarray],
+) -> None:
+    """A gear that warms up does not begin anew; an angle that is the integral of a velocity does."""
+    bag = np.arange(given["time"].size) // 1500
+    assert not prepared(given, bag).stretch.any()
+    assert_array_equal(prepared(given, bag, by_velocity=True).stretch, bag)
+    later = given | {"time": given["time"] + 60.0 * bag}
+    assert_array_equal(prepared(later, bag).stretch, bag)
+
+
 @pytest.mark.parametrize(
     ("name", "rows", "factor", "said"),
     [

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hd_diag.diagnosis import blocks
-from hd_diag.diagnosis.smoothing import best_width, rate, settled, smooth
+from hd_diag.diagnosis.smoothing import best_width, best_widths, rate, settled, smooth
 
 STEP = 2e-3
 TIME = STEP * np.arange(20_000)
@@ -72,3 +72,16 @@ def test_a_small_swing_above_the_noise_stays():
     width = best_width(values, WHOLE, STEP)
     smoothed = smooth(values, WHOLE, STEP, width)
     np.testing.assert_array_equal(settled(values, smoothed, STEP, width), smoothed)
+
+
+def test_a_quick_stretch_has_a_narrower_window_of_its_own():
+    """A joint that creeps for half a minute and once hurries: one window for all would bend it there."""
+    true = torque(0.05) + 20.0 * np.sin(2 * np.pi * np.clip((TIME - 20.0) / 0.4, 0.0, 1.0))
+    values = true + 0.15 * np.random.default_rng(4).standard_normal(TIME.size)
+    quick = np.abs(TIME - 20.2) < 0.25
+    widths = best_widths(values, WHOLE, STEP)
+    found, before = (smooth(values, WHOLE, STEP, one) - true for one in (widths, widths.max()))
+    assert np.std(found[quick]) < 0.5 * np.std(before[quick])
+    assert np.mean(widths < widths.max()) < 0.03
+    pair = smooth(np.stack((values, -values), axis=1), WHOLE, STEP, widths)
+    np.testing.assert_allclose(pair, np.stack((found + true, -found - true), axis=1), atol=1e-9)

@@ -43,7 +43,24 @@ def moved(runs: int = 6, seed: int = 0, bags: int = 1, rows: int = ROWS) -> Reco
     bag = np.arange(rows) * bags // rows
     stretch, whole = bag, extent(time, angle, run)
     return Record(
-        *(time, angle, angle / 100.0, torque, speed, None, run, True, 3, 5, bag, torque, None, stretch, whole)
+        *(
+            time,
+            angle,
+            angle / 100.0,
+            torque,
+            speed,
+            None,
+            run,
+            True,
+            3,
+            5,
+            bag,
+            torque,
+            None,
+            stretch,
+            whole,
+        ),
+        torque_window=np.zeros(rows),
     )
 
 

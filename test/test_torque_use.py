@@ -35,6 +35,17 @@ def test_a_torque_of_another_joint_is_left_out() -> None:
     assert finding is None
 
 
+def test_an_input_encoder_far_off_its_centre_is_no_wrong_torque() -> None:
+    """Fitted without it, the parameters of torsion imitate it and predict badly."""
+    record = swinging(40.0)
+    test, _ = held_out(record)
+    read = 12e-3 * np.cos(record.input_angle - 2.0) + 4e-3 * np.cos(2.0 * record.input_angle + 1.0)
+    off = dataclasses.replace(record, input_angle=record.input_angle + read)
+    for seed in range(2):
+        _, finding = without_misleading_torque(off, CONFIGURED, test, np.random.default_rng(seed))
+        assert finding is None
+
+
 def test_a_record_without_torque_is_judged_in_the_gap_between_the_flanks() -> None:
     """At no torque the model has no compliance: nothing may overflow, and the misfit is said."""
     record = prepared({name: column for name, column in columns(seconds=6.0).items() if name != "torque"})

@@ -8,6 +8,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.search.causes import Search
 from hd_diag.drive import Drive
@@ -70,9 +71,8 @@ def running_residual(
     ndarray, shape (n,)
         [rad]
     """
-    edges = [0, *(np.flatnonzero(np.diff(record.bag)) + 1).tolist(), record.size]
     predicted = np.empty(record.size)
-    for rows in itertools.starmap(slice, itertools.pairwise(edges)):
+    for rows in itertools.starmap(slice, bounds(record.stretch)):
         speed, heat = (None if c is None else c[rows] for c in (record.reported_speed, record.temperature))
         signals = record.time[rows], record.input_angle[rows], speed, torque[rows], heat
         predicted[rows], _ = model.step(model.start(), *signals, table)

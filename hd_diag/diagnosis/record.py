@@ -11,7 +11,7 @@ from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.noise import bounds, numbered, spans
 from hd_diag.diagnosis.outliers import Rows, outliers, torque_outliers
-from hd_diag.diagnosis.smoothing import best_width, rate, settled, smooth
+from hd_diag.diagnosis.smoothing import best_widths, rate, settled, smooth
 from hd_diag.diagnosis.stamps import UNTOLD, Stamps, by_clock
 
 # Columns of one length by name; None for those that were not recorded.
@@ -68,10 +68,11 @@ class Record:
     reported_speed : ndarray, shape (n,), or None
         Input speed as the joint itself reports it [rad/s]; nan where it does not.
     stretch : ndarray of int64, shape (n,)
-        Number of the stretch without a long gap: causes with memory go on through pauses between runs.
+        Number of the stretch without a long gap: causes with memory go on through pauses between runs, and
+        from a recording to one that follows at once.
     extent : Extent
         What the record covers; of the whole, where rows were left out.
-    torque_window : float
+    torque_window : ndarray, shape (n,)
         Of the smoothing of the torque [s]; 0: none.
     by_current : bool
         Whether the torque is a motor's current times a constant.
@@ -98,7 +99,7 @@ class Record:
     reported_speed: Floats | None
     stretch: Integers
     extent: Extent
-    torque_window: float = 0.0
+    torque_window: Floats
     by_current: bool = False
     by_velocity: bool = False
     stamps: Stamps = UNTOLD
@@ -214,12 +215,12 @@ def prepare(
     step = float(np.median(np.diff(time)))
     speed = rate(columns["input_angle"], segment, step, _SPEED_WINDOW)
     run = _runs(time, speed, segment)
-    raw = np.full(time.shape, assumed_torque) if load is None else load
-    width = 0.0 if load is None else best_width(load, segment, step)
+    raw, bag = np.full(time.shape, assumed_torque) if load is None else load, columns["bag"]
+    width = np.zeros(raw.size) if load is None else best_widths(load, segment, step)
     return Record(
         **columns,
         time=time,
-        torque=raw if load is None else settled(raw, smooth(raw, segment, step, width), step, width),
+        torque=raw if load is None else settled(raw, smooth(raw, segment, step, width), step, width.max()),
         speed=speed,
         temperature=None if heat is None else smooth(heat, segment, step, _HEAT_WINDOW),
         run=run,
@@ -227,7 +228,7 @@ def prepare(
         outliers=outlying + keep.size - int(np.count_nonzero(keep)),
         dropped=dropped + refused,
         reported_torque=raw,
-        stretch=segments(time, columns["bag"], _LONG_GAP_STEPS),
+        stretch=segments(time, bag if by_velocity else np.zeros_like(bag), _LONG_GAP_STEPS),
         extent=extent(time, columns["input_angle"], run),
         torque_window=width,
         by_current=by_current and load is not None,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import oaconvolve, savgol_coeffs, savgol_filter
 
 from hd_diag.arrays import Floats, Integers
@@ -13,12 +14,13 @@ from hd_diag.diagnosis.noise import bounds
 
 _ORDER = 2
 _WINDOWS = 0.01 * 1.35 ** np.arange(12)  # to choose from [s]
+_NARROWER, _BENT = (3.0, 9.0), 5.0  # by which a window is cut; times the noise's variance that shows a bend
 _STILL = 4.0  # times the variance of smoothed noise, up to which smoothed values count as constant
 _ZERO = 16.0  # times the variance of a mean, up to which it counts as zero
 _JUDGED = 100_000  # samples by which a window is chosen
 
 
-def smooth(values: Floats, segment: Integers, step: float, width: float) -> Floats:
+def smooth(values: Floats, segment: Integers, step: float, width: float | Floats) -> Floats:
     """Values smoothed by a local quadratic, applied twice.
 
     Applied once it leaves noise at high frequencies, which whitening would amplify.
@@ -30,14 +32,24 @@ def smooth(values: Floats, segment: Integers, step: float, width: float) -> Floa
         Number of the stretch without a gap that a sample belongs to, ascending.
     step : float
         Between samples [s].
-    width : float
-        Of the window [s].
+    width : float, or ndarray, shape (n,)
+        Of the window [s], of all values or each.
 
     Returns
     -------
     ndarray
         Same shape.
     """
+    result = np.empty_like(values)
+    for one in np.unique(width).tolist():
+        whole = _smoothed(values, segment, step, one)
+        own = np.broadcast_to(width == one, segment.shape)
+        result[own] = whole[own]
+    return result
+
+
+def _smoothed(values: Floats, segment: Integers, step: float, width: float) -> Floats:
+    """The same with one window for all."""
     result = np.empty_like(values)
     _by_segment(result, segment, lambda rows: _twice(values[rows], step, width), step, 2.0 * width)
     return result
@@ -55,6 +67,27 @@ def best_width(values: Floats, segment: Integers, step: float) -> float:
     part = values[max(begin, middle - _JUDGED // 2) : min(end, middle + _JUDGED // 2)]
     scores = [_prediction_error(part, step, width) for width in _WINDOWS]
     return float(_WINDOWS[int(np.argmin(scores))])
+
+
+def best_widths(values: Floats, segment: Integers, step: float) -> Floats:
+    """Window of every value [s], shape (n,): the best of all, cut where it bends what values do there.
+
+    A robot that rests, creeps and hurries has no window for all: where a narrower one differs from it by more
+    than noise, that one holds (Lepski, Theory Probab. Appl. 35, 1991). Arguments as of :func:`smooth`.
+    """
+    best = best_width(values, segment, step)
+    found, broad = np.full(values.size, best), smooth(values, segment, step, best)
+    for narrower in (best / one for one in _NARROWER):
+        if _window(values.size, step, narrower) <= _ORDER + 1:
+            break
+        fine = smooth(values, segment, step, narrower)
+        rows = _window(values.size, step, best)
+        differs = uniform_filter1d((broad - fine) ** 2, rows)
+        bent = (differs > _BENT * float(np.median(differs))) & (found == found.min())
+        if not bent.any():
+            break
+        found[bent], broad = narrower, fine
+    return found
 
 
 def settled(values: Floats, smoothed: Floats, step: float, width: float) -> Floats:

@@ -10,12 +10,12 @@ import numpy.typing as npt
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.fit import fit_parameters
-from hd_diag.diagnosis.fit.design import lower_bound
-from hd_diag.diagnosis.fit.refit import refit
+from hd_diag.diagnosis.fit.design import lower_bound, projection
+from hd_diag.diagnosis.fit.refit import nuisance, refit
 from hd_diag.diagnosis.record import Record
-from hd_diag.diagnosis.regression import centered
 from hd_diag.diagnosis.signal_findings import twisting
 from hd_diag.drive import Drive
+from hd_diag.effects.quantity import turning
 from hd_diag.formatting import ARCSEC
 
 TORQUE_MISLEADS = "torque_misleads"
@@ -68,12 +68,19 @@ def _predicted(
     record: Record, configured: Drive, test: npt.NDArray[np.bool_], rng: np.random.Generator
 ) -> Floats:
     """The same of a drive that was fitted to all others."""
-    return _left(record, refit(record.select(~test), configured, rng).drive, test)
+    train = record.select(~test)
+    return _left(record, refit(train, configured, rng, _of_encoders(train)).drive, test)
 
 
 def _left(record: Record, drive: Drive, test: npt.NDArray[np.bool_]) -> Floats:
-    """Residual of a drive on some held-out rows less each recording's mean [rad]."""
+    """Residual of a drive on some held-out rows less what any fit carries along [rad]."""
     some = record.select(test).thinned(_MOST_ROWS)
     error, _, _ = fit_parameters.along(drive, drive, some.input_angle, some.torque)
     rest = some.output_angle - some.input_angle / drive.kinematics.ratio - np.nan_to_num(error)
-    return centered(rest, some.bag)
+    free = np.concatenate((nuisance(some, drive.kinematics.ratio), _of_encoders(some)), axis=1)
+    return np.asarray(rest - projection(free, rest))
+
+
+def _of_encoders(record: Record) -> Floats:
+    """Once and twice per input turn, (n, 4): fitted without them, parameters of the torque imitate them."""
+    return np.concatenate([turning(order * record.input_angle) for order in (1, 2)], axis=1)

@@ -14,6 +14,8 @@ from hd_diag.effects.effect import Effect, Stage
 _ROUNDS = 8
 _PART = 0.3  # of a step, that is tried after it
 _SHORTER = 3  # halvings of a step that makes the fit worse
+_SHARES = (1.0, 0.3, 0.1)  # of a step, tried in turn until one makes the fit no worse
+_WORSE = 1.05  # times the deviance before, that a step may leave on its way
 _LINEAR = 1.0  # standard deviations; the model is linear over such steps
 _SETTLED = 0.05  # deviance; what a further round could gain
 
@@ -37,8 +39,8 @@ def settle(fit: LinearisedFit, chosen: Chosen, rounds: int = 3, learn: bool = Tr
     if learn:
         fit = fit.with_noise(chosen)
     for _ in range(rounds):
-        beta, covariance, _ = fit.fit(chosen)
-        step = beta[: fit_parameters.COUNT]
+        beta, covariance, built = fit.fit(chosen)
+        step, least = beta[: fit_parameters.COUNT], built.deviance()
         # The fit itself still adds a step this small, linearly.
         if np.max(np.abs(step) / np.sqrt(np.diag(covariance)[: fit_parameters.COUNT] + 1e-12)) < _LINEAR:
             break
@@ -47,8 +49,16 @@ def settle(fit: LinearisedFit, chosen: Chosen, rounds: int = 3, learn: bool = Tr
             if fit is before:
                 return fit
             continue
-        moved = fit_parameters.admissible(fit.parameters + step, fit.data.configured)
-        fit = fit.moved(moved).beside(fit.sized(chosen, beta)).corrected(chosen)
+        for share in _SHARES:
+            moved = fit_parameters.admissible(fit.parameters + share * step, fit.data.configured)
+            trial = fit.moved(moved).beside(fit.sized(chosen, beta)).corrected(chosen)
+            if (left := trial.design(chosen).deviance()) > _WORSE * least:
+                least = max(least, fit.corrected(chosen).design(chosen).deviance())  # not by its lines alone
+            if left <= _WORSE * least:
+                break
+        else:
+            break
+        fit = trial
     return fit.corrected(chosen)
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.diagnosis.fit.design import f_test, holds, solve
+from hd_diag.diagnosis.fit.design import f_test, holds, projection, solve
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.noise import numbered
 from hd_diag.diagnosis.search.ranking import Candidate
@@ -65,9 +65,13 @@ def of_shapes(fit: LinearisedFit, chosen: Chosen, effect: Effect) -> float:
 def imitated(fit: LinearisedFit, chosen: Chosen, effect: Effect, nonlinear: tuple[float, ...]) -> float:
     """Size up to which an effect may only be the shape of what imitates it beside it [rad rms].
 
-    Over part of a turn, gravity on a soft cup is a runout but for some per cent: the torsion's own shape.
+    Over part of a turn, gravity on a soft cup is a runout but for some per cent: the torsion's own shape. The
+    encoders' zeros have no shape that could be wrong.
     """
-    return _SHAPE * float(np.std(_part(fit, chosen, effect, nonlinear))) if smooth(effect) else 0.0
+    if not smooth(effect):
+        return 0.0
+    part = _part(fit, chosen, effect, nonlinear)
+    return _SHAPE * float(np.std(part - projection(fit.data.offsets, part)))
 
 
 def smooth(effect: Effect) -> bool:

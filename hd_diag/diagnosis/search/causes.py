@@ -234,16 +234,21 @@ def _alike(fit: LinearisedFit, chosen: Chosen, index: int, rivals: Collection[st
 
     One that is worse in some blocks and better in others cannot be told from it either: where the model
     leaves more than noise, sums alone say nothing. All start from the same fit without the cause, itself
-    included: what settling everything beside it brought is no merit of its own.
+    included: what settling everything beside it brought is no merit of its own. Where others grow so much
+    there that it does not lead back, all start beside the others at their size.
     """
     effect, others = chosen[index][0], chosen[:index] + chosen[index + 1 :]
     named = {e.name for e, _ in chosen}
     found = [name for name in effect.always_confused if name not in named]
+    again, whole = (*others, chosen[index]), fit.design(chosen).deviance()
     without = fit.corrected(others)
-    far = without.design(others).deviance() - fit.design(chosen).deviance()
-    far = _FAR * far if far > _CERTAIN else 0.0
-    again = (*others, chosen[index])
     itself = without.corrected(again)
+    if itself.design(again).deviance() > whole + CLASS_DEVIANCE:
+        sized = fit.sized(chosen, fit.fit(chosen)[0])
+        without = fit.beside(sized[:index] + sized[index + 1 :])
+        itself = without.corrected(again)
+    far = without.design(others).deviance() - whole
+    far = _FAR * far if far > _CERTAIN else 0.0
     for candidate in ranked(without, others, by_name(fit, {*rivals, *effect.confused_with})):
         if candidate.effect.name in named or candidate.effect.name in found or candidate.gain < far:
             continue

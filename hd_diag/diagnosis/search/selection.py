@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from hd_diag.arrays import Floats
+from hd_diag.diagnosis.fit.fit_parameters import at_bound
 from hd_diag.diagnosis.fit.joint_refinement import free, polished, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.refit import FEW_STARTS, Refit, distinct, refit
@@ -98,9 +99,7 @@ def _rounds(
         best = candidates(fit, chosen) if _named(chosen) < _MOST_CAUSES else []
         if not chosen and speed_dependent(fit):
             fit, best = _begun_slowly(fit, best, rng)
-        if not chosen and begun is not None and best and distinct([fit.parameters, begun])[1:]:
-            fit, best = _less_misled(fit, begun, best)
-        best = _settled_first(fit, chosen, best)
+        fit, best = _settled_first(fit, chosen, best, rng, begun)
         rivals |= {candidate.effect.name for candidate in best[:_RIVALS]}
         found = _next(fit, chosen, family, best)
         if found is None:
@@ -161,36 +160,31 @@ def _margin(term: Candidate, cause: Candidate) -> float:
     return -_RESOLVED if isinstance(term.effect, OutputLine) and of_any_order else _PLAINLY
 
 
-def _less_misled(
-    fit: LinearisedFit, begun: Floats, best: list[Candidate]
+def _settled_first(
+    fit: LinearisedFit, chosen: Chosen, best: list[Candidate], rng: np.random.Generator, begun: Floats | None
 ) -> tuple[LinearisedFit, list[Candidate]]:
-    """The fit at the parameters that it began with, and its candidates, if one of these explains more there.
+    """The candidates, the best few in the order of what they leave when all is settled beside them.
 
-    Fitted without a large cause, the parameters imitate it: no cause stands out beside what they then are.
+    Beside a large cause the model's parameters are wrong: what little any leaves there says nothing. Fitted
+    without one they imitate it, away from where they began or at a bound: then they are searched for again.
     """
-    other = fit.moved(begun)
-    there = next(iter(ranked(other, (), [one.effect for one in best[:_LEADING]])), None)
-    here = fit.design(((best[0].effect, best[0].nonlinear),)).deviance()
-    if there is None or other.design(((there.effect, there.nonlinear),)).deviance() > here - _RESTART_GAIN:
-        return fit, best
-    return other, candidates(other, ())
-
-
-def _settled_first(fit: LinearisedFit, chosen: Chosen, best: list[Candidate]) -> list[Candidate]:
-    """The candidates, those that explain about as much as the best in the order of what they leave, settled.
-
-    Beside a large cause the model's parameters are wrong: what little either leaves there says nothing.
-    """
-    close = [one for one in best[:_RIVALS] if one.gain > _AS_MUCH * best[0].gain]
     rows = int(np.count_nonzero(fit.residual_white))
-    if len(close) < 2 or fit.design(chosen).deviance() - max(one.gain for one in close) < _FAR * rows:
-        return best
+    far = fit.design(chosen).deviance() - max((one.gain for one in best), default=0.0) > _FAR * rows
+    moved = begun is not None and bool(distinct([fit.parameters, begun])[1:])
+    misled = not chosen and (far or moved or bool(at_bound(fit.parameters, fit.data.configured)))
+    close = best[:_LEADING]
+    if not misled:
+        close = [one for one in best[:_RIVALS] if one.gain > _AS_MUCH * best[0].gain] if far else []
 
-    def left(candidate: Candidate) -> float:
+    def settled(candidate: Candidate) -> tuple[LinearisedFit, float]:
         trial = (*chosen, (candidate.effect, candidate.nonlinear))
-        return _deviance(settle(fit.corrected(trial), trial, rounds=2, learn=False), trial)
+        again = _refitted(fit, trial, rng).parameters if misled else fit.parameters
+        other = fit.moved(again) if distinct([fit.parameters, again])[1:] else fit
+        return other, _deviance(settle(other.corrected(trial), trial, rounds=2, learn=False), trial)
 
-    return [*sorted(close, key=left), *(one for one in best if one not in close)]
+    trials = sorted(((*settled(one), one) for one in close), key=lambda trial: trial[1])
+    first = [one for _, _, one in trials]
+    return trials[0][0] if trials else fit, [*first, *(one for one in best if one not in close)]
 
 
 def _between(fit: LinearisedFit, chosen: Chosen, candidate: Candidate) -> Candidate:
