@@ -13,7 +13,7 @@ from hd_diag.diagnosis.fit.fit_parameters import at_bound
 from hd_diag.diagnosis.fit.joint_refinement import free, polished, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.refit import FEW_STARTS, Refit, distinct, refit
-from hd_diag.diagnosis.search.acceptance import needed, passing
+from hd_diag.diagnosis.search.acceptance import FAMILY_ERROR, needed, passing
 from hd_diag.diagnosis.search.causes import CLASS_DEVIANCE, Search, causes
 from hd_diag.diagnosis.search.ranking import Candidate, Projector, by_name, candidates, family_size, ranked
 from hd_diag.diagnosis.search.unmodelled_terms import (
@@ -172,9 +172,10 @@ def _settled_first(
     far = fit.design(chosen).deviance() - max((one.gain for one in best), default=0.0) > _FAR * rows
     moved = begun is not None and bool(distinct([fit.parameters, begun])[1:])
     misled = not chosen and (far or moved or bool(at_bound(fit.parameters, fit.data.configured)))
-    close = best[:_LEADING]
-    if not misled:
-        close = [one for one in best[:_RIVALS] if one.gain > _AS_MUCH * best[0].gain] if far else []
+    close = [one for one in best[:_RIVALS] if far and one.gain > _AS_MUCH * best[0].gain]
+    if misled:
+        most = FAMILY_ERROR / family_size(fit)
+        close = [one for one in best[:_LEADING] if one.p_value <= most]
 
     def settled(candidate: Candidate) -> tuple[LinearisedFit, float]:
         trial = (*chosen, (candidate.effect, candidate.nonlinear))
