@@ -13,7 +13,7 @@ from hd_diag.diagnosis.fit.fit_parameters import at_bound
 from hd_diag.diagnosis.fit.joint_refinement import free, polished, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.refit import FEW_STARTS, Refit, distinct, refit
-from hd_diag.diagnosis.search.acceptance import FAMILY_ERROR, needed, passing
+from hd_diag.diagnosis.search.acceptance import needed, passing
 from hd_diag.diagnosis.search.causes import CLASS_DEVIANCE, Search, causes
 from hd_diag.diagnosis.search.ranking import Candidate, Projector, by_name, candidates, family_size, ranked
 from hd_diag.diagnosis.search.unmodelled_terms import (
@@ -30,11 +30,11 @@ FURTHER_CAUSES = "looking for further causes"
 _MOST_CAUSES = 4
 _SLOW = 0.34  # share of the samples that count as slow
 _MOST_TERMS = 3  # unmodelled, beside lines of the output's turn
-_LEADING = 3  # best candidates that are tried at other parameters
 _RIVALS = 6  # best candidates of a round that are tried later in place of others
 _UNEVEN = 1.3  # ratio of the residual at high and low speed from which both are fitted apart
 _AS_MUCH = 0.9  # of the best candidate's gain, that its rivals have
 _FAR = 2.0  # times the noise's deviance, that is left where parameters are wrong still
+_LARGE = 0.1  # of the noise's deviance, that a cause explains which parameters may imitate
 _RESTARTS = 3  # causes found, up to which each lets the model's parameters be searched for again
 _PLAINLY = 10.0  # surprise by which an unmodelled term must beat all causes to come before them
 _RESOLVED = 5.0  # surprise by which a wave of any order must beat a whole number per output turn
@@ -171,11 +171,9 @@ def _settled_first(
     rows = int(np.count_nonzero(fit.residual_white))
     far = fit.design(chosen).deviance() - max((one.gain for one in best), default=0.0) > _FAR * rows
     moved = begun is not None and bool(distinct([fit.parameters, begun])[1:])
-    misled = not chosen and (far or moved or bool(at_bound(fit.parameters, fit.data.configured)))
-    close = [one for one in best[:_RIVALS] if far and one.gain > _AS_MUCH * best[0].gain]
-    if misled:
-        most = FAMILY_ERROR / family_size(fit)
-        close = [one for one in best[:_LEADING] if one.p_value <= most]
+    large = bool(best) and best[0].gain > _LARGE * rows
+    misled = not chosen and large and (far or moved or bool(at_bound(fit.parameters, fit.data.configured)))
+    close = [one for one in best[:_RIVALS] if (far or misled) and one.gain > _AS_MUCH * best[0].gain]
 
     def settled(candidate: Candidate) -> tuple[LinearisedFit, float]:
         trial = (*chosen, (candidate.effect, candidate.nonlinear))
