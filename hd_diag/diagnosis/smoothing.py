@@ -77,11 +77,11 @@ def best_widths(values: Floats, segment: Integers, step: float) -> Floats:
     """
     best = best_width(values, segment, step)
     found, broad = np.full(values.size, best), smooth(values, segment, step, best)
+    rows = _window(values.size, step, best)
     for narrower in (best / one for one in _NARROWER):
         if _window(values.size, step, narrower) <= _ORDER + 1:
             break
         fine = smooth(values, segment, step, narrower)
-        rows = _window(values.size, step, best)
         differs = uniform_filter1d((broad - fine) ** 2, rows)
         bent = (differs > _BENT * float(np.median(differs))) & (found == found.min())
         if not bent.any():

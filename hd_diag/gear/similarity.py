@@ -115,9 +115,8 @@ def compliances(mesh: Mesh, t1: float, t2: float, wanted: Floats) -> tuple[float
         best = int(np.argmin(miss))
         low, high = trial[max(best - 1, 0)], trial[min(best + 1, _TRIALS - 1)]
     tooth, softness = mesh.tooth_compliance * math.exp(trial[best]), float(cup[best])
-    return rounded(tooth, _DIGITS_KEPT), rounded(
-        softness / wanted[0], _DIGITS_KEPT
-    ) if softness > 1e-6 else 0.0
+    of_cup = rounded(softness / wanted[0], _DIGITS_KEPT) if softness > 1e-6 else 0.0
+    return rounded(tooth, _DIGITS_KEPT), of_cup
 
 
 def _cup_shares(reached: Floats, share: Floats) -> Floats:

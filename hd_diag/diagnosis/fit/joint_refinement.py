@@ -40,7 +40,7 @@ def settle(fit: LinearisedFit, chosen: Chosen, rounds: int = 3, learn: bool = Tr
         fit = fit.with_noise(chosen)
     for _ in range(rounds):
         beta, covariance, built = fit.fit(chosen)
-        step, least = beta[: fit_parameters.COUNT], built.deviance()
+        step = beta[: fit_parameters.COUNT]
         # The fit itself still adds a step this small, linearly.
         if np.max(np.abs(step) / np.sqrt(np.diag(covariance)[: fit_parameters.COUNT] + 1e-12)) < _LINEAR:
             break
@@ -49,6 +49,7 @@ def settle(fit: LinearisedFit, chosen: Chosen, rounds: int = 3, learn: bool = Tr
             if fit is before:
                 return fit
             continue
+        least = built.deviance()
         for share in _SHARES:
             moved = fit_parameters.admissible(fit.parameters + share * step, fit.data.configured)
             trial = fit.moved(moved).beside(fit.sized(chosen, beta)).corrected(chosen)
