@@ -19,7 +19,7 @@ Values = tuple[float, ...]
 Kind = Literal["kinematic", "torsion", "friction", "sensor"]
 Frame = Literal["input", "output", "housing", "time", "torque"]
 
-# Transmission error of an effect [rad], shape (n,), and its state after the last sample.
+# What an effect gives at n samples, and its state after the last one.
 Stepped = tuple[Floats, Any]
 
 _KNOTS = 12  # along a record, between which the amplitude and phase of a wandering effect go straight
@@ -52,8 +52,8 @@ class Starts(NamedTuple):
 class Effect:
     """A physical cause of transmission error that the model leaves out.
 
-    An effect without memory writes `columns`; one that depends on earlier samples, or is not proportional to
-    its coefficients, writes `step` as well. Everything else that a fit needs to know is data.
+    An effect without memory writes `columns`, one that depends on earlier samples `advance`; one that is not
+    proportional to its coefficients writes `step` as well. Everything else that a fit needs to know is data.
 
     Parameters
     ----------
@@ -142,15 +142,20 @@ class Effect:
         ndarray, shape (n, size)
             [rad] per unit of the coefficient; every run from its start.
         """
-        raise NotImplementedError
+        return by_run(signals, lambda run: self.advance(self.start(nonlinear), run, nonlinear)[0])
 
     def start(self, nonlinear: Values) -> Any:
         """State before the first sample of a run."""
         return None
 
+    def advance(self, state: Any, signals: Signals, nonlinear: Values) -> Stepped:
+        """Columns at the next samples of a run, shape (n, size), and the state after them."""
+        return self.columns(signals, nonlinear), state
+
     def step(self, state: Any, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
         """Transmission error at the next samples of a run [rad], shape (n,), and the state after them."""
-        return np.asarray(self.columns(signals, nonlinear) @ coefficients), state
+        columns, state = self.advance(state, signals, nonlinear)
+        return np.asarray(columns @ coefficients), state
 
     def slopes(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
         """Columns that hold at a size, where they change with it (`own_slopes`)."""

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from typing import Protocol
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -15,12 +14,8 @@ from hd_diag.effects.signals import Signals
 Verdict = tuple[bool, str]
 
 
-class Check(Protocol):
-    """What an effect asks of a record's motion; arguments beside the signals are bound by `partial`."""
-
-    def __call__(self, signals: Signals, /) -> Verdict:
-        """Judge a record."""
-
+# What an effect asks of a record's motion; arguments beside the signals are bound by `partial`.
+Check = Callable[[Signals], Verdict]
 
 TURN = 2.0 * math.pi
 

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Starts, Stepped, Values, by_run
+from hd_diag.effects.effect import Effect, Starts, Stepped, Values
 from hd_diag.effects.excitation import torque_reverses
 from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.recursions import bend, slip
@@ -33,18 +33,22 @@ class Hysteresis(Effect):
     has it. a < 0: it lags more while the torque grows, as friction behind the torque's measurement has it.
     """
 
-    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """Both; see :meth:`Effect.columns`."""
-        return by_run(signals, lambda run: _moved(self.start(nonlinear), run, nonlinear)[0])
-
     def start(self, nonlinear: Values) -> State:
         """No torque yet; all is relaxed."""
         return None, 0.0, (0.0,) * _ELEMENTS.size
 
-    def step(self, state: State, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
-        """Let both follow the torque; see :meth:`Effect.step`."""
-        columns, state = _moved(state, signals, nonlinear)
-        return np.asarray(columns @ coefficients), state
+    def advance(self, state: State, signals: Signals, nonlinear: Values) -> Stepped:
+        """Let the bend and the elements, whose mean counts, follow; see :meth:`Effect.advance`."""
+        torque = signals.torque
+        if not torque.size:
+            return np.empty((0, 2)), state
+        bending, sharpness, slipping, spread = nonlinear
+        change = np.diff(torque, prepend=torque[0] if state[0] is None else state[0])
+        bent = bend(state[1], change / bending, sharpness)
+        reaches = slipping * spread**_ELEMENTS
+        every = [slip(z, change / reach) for z, reach in zip(state[2], reaches, strict=True)]
+        last = float(torque[-1]), float(bent[-1]), tuple(float(z[-1]) for z in every)
+        return np.stack((bent, sum(every) / len(every)), axis=1), last
 
     def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
         """Torques over which they stick [N m]."""
@@ -54,20 +58,6 @@ class Hysteresis(Effect):
             for one in _BENDING
             for two, sharpness, spread in zip(_SLIPPING, (1.0, 2.0, 1.5), (1.2, 3.0, 2.0), strict=True)
         )
-
-
-def _moved(state: State, signals: Signals, nonlinear: Values) -> tuple[Floats, State]:
-    """The bend and the elements' mean after every sample, shape (n, 2), and the state at the end."""
-    torque = signals.torque
-    if not torque.size:
-        return np.empty((0, 2)), state
-    bending, sharpness, slipping, spread = nonlinear
-    change = np.diff(torque, prepend=torque[0] if state[0] is None else state[0])
-    bent = bend(state[1], change / bending, sharpness)
-    reaches = slipping * spread**_ELEMENTS
-    every = [slip(z, change / reach) for z, reach in zip(state[2], reaches, strict=True)]
-    last = float(torque[-1]), float(bent[-1]), tuple(float(z[-1]) for z in every)
-    return np.stack((bent, sum(every) / len(every)), axis=1), last
 
 
 EFFECT = Hysteresis(

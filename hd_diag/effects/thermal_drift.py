@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Stepped, Values, by_run
+from hd_diag.effects.effect import Effect, Stepped, Values
 from hd_diag.effects.excitation import temperature_varies
 from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.recursions import lag
@@ -27,28 +26,18 @@ State = tuple[float, float] | None
 class ThermalDrift(Effect):
     """``g (y - 20 degC)``, ``tau dy/dt = Theta - y``, settled at first; nothing without a temperature."""
 
-    def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """Temperature of what turns above the reference; see :meth:`Effect.columns`."""
-        return by_run(signals, lambda run: _lagging(None, run, nonlinear)[0])
-
-    def step(self, state: State, signals: Signals, coefficients: Floats, nonlinear: Values) -> Stepped:
-        """Let it follow; see :meth:`Effect.step`."""
-        columns, state = _lagging(state, signals, nonlinear)
-        return np.asarray(columns @ coefficients), state
-
-
-def _lagging(state: State, signals: Signals, nonlinear: Values) -> tuple[Floats, State]:
-    """Column, zero where no temperature is known, and the state at the end."""
-    heat, time = signals.temperature, signals.time
-    known = np.zeros(signals.size, dtype=np.bool_) if heat is None else np.isfinite(heat)
-    if heat is None or not known.any():
-        return np.zeros((signals.size, 1)), state
-    last, y = (float(time[0]), float(heat[known][0])) if state is None else state
-    left = np.exp(-np.diff(time, prepend=last) / max(nonlinear[0], _AT_ONCE))
-    kept = np.where(known, left, 1.0)
-    added = np.where(known, (1.0 - left) * np.where(known, heat, 0.0), 0.0)
-    follows = lag(y, kept, added)
-    return np.where(known, follows - REFERENCE, 0.0)[:, None], (float(time[-1]), float(follows[-1]))
+    def advance(self, state: State, signals: Signals, nonlinear: Values) -> Stepped:
+        """Let it follow; zero where no temperature is known. See :meth:`Effect.advance`."""
+        heat, time = signals.temperature, signals.time
+        known = np.zeros(signals.size, dtype=np.bool_) if heat is None else np.isfinite(heat)
+        if heat is None or not known.any():
+            return np.zeros((signals.size, 1)), state
+        last, y = (float(time[0]), float(heat[known][0])) if state is None else state
+        left = np.exp(-np.diff(time, prepend=last) / max(nonlinear[0], _AT_ONCE))
+        kept = np.where(known, left, 1.0)
+        added = np.where(known, (1.0 - left) * np.where(known, heat, 0.0), 0.0)
+        follows = lag(y, kept, added)
+        return np.where(known, follows - REFERENCE, 0.0)[:, None], (float(time[-1]), float(follows[-1]))
 
 
 EFFECT = ThermalDrift(
