@@ -86,6 +86,7 @@ class Rig:
         self._executor.add_node(self.node)
         self.client = AsyncParameterClient(self.node, f"{process.namespace}/hd_diag")
         self.reports: list[DiagnosticArray] = []
+        self._heard: list[Any] = []
         self._subscribe("diagnostics", DiagnosticArray, self.reports)
         self.until(lambda: self.reports, "first report", START_LIMIT)
 
@@ -122,19 +123,25 @@ class Rig:
         """
         assert publisher.wait_for_all_acked(Duration(seconds=LIMIT))
 
-    def hear(self, topic: str, kind: Any, into: list[Any]) -> list[Any]:
-        """Subscribe to something that the node publishes: everything from now on comes into the list.
+    def hear(self, kinds: Mapping[str, Any]) -> dict[str, list[Any]]:
+        """Subscribe to topics of the node, by their types: everything from now on comes into a list of each.
 
+        What was heard before is left: who goes on taking large messages has time for little else.
         A publisher that is known here may not know of the subscription yet. The node learns of subscriptions
         in their order: the first report that a later one gets shows that it knows of all before.
         """
-        heard = self._subscribe(topic, kind, into)
-        self.until(lambda: heard.get_publisher_count() > 0, f"publisher of {topic}")
+        while self._heard:
+            self.node.destroy_subscription(self._heard.pop())
+        found: dict[str, list[Any]] = {topic: [] for topic in kinds}
+        self._heard = [self._subscribe(topic, kind, found[topic]) for topic, kind in kinds.items()]
+        self.until(
+            lambda: all(each.get_publisher_count() for each in self._heard), f"publishers of {[*kinds]}"
+        )
         later: list[DiagnosticArray] = []
         probe = self._subscribe("diagnostics", DiagnosticArray, later)
         self.until(lambda: later, "report to a later subscription")
         self.node.destroy_subscription(probe)
-        return into
+        return found
 
     def _subscribe(self, topic: str, kind: Any, into: list[Any]) -> Any:
         return self.node.create_subscription(kind, topic, into.append, QoSProfile(depth=5000))
@@ -150,9 +157,11 @@ class Rig:
         seen = len(self.reports)
 
         def fulfilled() -> DiagnosticStatus | None:
+            nonlocal seen
             meanwhile()
-            for array in self.reports[seen:]:
-                for status in array.status:
+            while seen < len(self.reports):
+                seen += 1
+                for status in self.reports[seen - 1].status:
                     if status.name == f"hd_diag: {joint}" and condition(values_of(status)):
                         return status
             return None

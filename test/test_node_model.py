@@ -42,7 +42,7 @@ def test_the_node_predicts_by_the_model_and_its_log_replays(tmp_path: Path) -> N
         assert values["model_effects"] == ", ".join(EFFECTS)
         assert float(values["eccentricity_um"]) == pytest.approx(9.0)
         publisher = rig.publisher()
-        errors: list[JointState] = rig.hear("hd_diag/transmission_error", JointState, [])
+        (errors,) = rig.hear({"hd_diag/transmission_error": JointState}).values()
         _, angle, torque, _ = motion(COUNT)
         stamps = itertools.count(START, MS)
         for i in range(COUNT):

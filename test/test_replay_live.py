@@ -241,8 +241,7 @@ def test_a_killed_node_loses_less_than_a_second(tmp_path: Path, seed: int) -> No
     log = tmp_path / "log"
     chance = random.Random(seed)
     with running(tmp_path, parameters("a", "b", log__path=str(log), diagnostics_rate=20.0)) as rig:
-        errors: list[JointState] = []
-        rig.hear("hd_diag/transmission_error", JointState, errors)
+        (errors,) = rig.hear({"hd_diag/transmission_error": JointState}).values()
         publisher, stamps = rig.publisher(), itertools.count(START, 2 * MS)
         acknowledged: list[tuple[float, int]] = []
         seconds = chance.uniform(1.5, 3.0)
