@@ -13,7 +13,7 @@ _TURN = 2.0 * math.pi
 _DIGITS = 3  # of a number without a spread
 _MOST_DECIMALS = 6
 
-_SCALES = {
+SCALES = {
     "m": (1e-6, "µm"),
     "rad": (ARCSEC, "arcsec"),
     "rad/(N m)": (ARCSEC, "arcsec/(N m)"),
@@ -24,6 +24,7 @@ _SCALES = {
     "N m": (1.0, "N m"),
     "-": (1.0, ""),
 }
+"""Size and name of the unit that people read, by the unit inside."""
 
 
 def number(value: float, spread: float = math.nan, digits: int = _DIGITS) -> str:
@@ -75,8 +76,13 @@ def spread_number(value: float, spread: float, unit: str) -> str:
 
 def si(value: float, spread: float, unit: str) -> str:
     """A value in SI, in the unit that people use for it."""
-    scale, shown = _SCALES.get(unit, (1.0, unit))
+    scale, shown = SCALES.get(unit, (1.0, unit))
     return spread_number(value / scale, spread / scale, shown)
+
+
+def size(value: float, unit: str) -> str:
+    """The same of a value that has no standard deviation."""
+    return si(value, math.nan, unit)
 
 
 def direction(value: float, spread: float, period: float) -> str:

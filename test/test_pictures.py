@@ -8,6 +8,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from browser import contrast
+from eccentric_drive import _least_backlash, drive_picture
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from report_samples import HOSTILE
@@ -17,7 +18,6 @@ from hd_diag.diagnosis.gain import Rms
 from hd_diag.report.ladder import Rung
 from hd_diag.report.pictures import canvas
 from hd_diag.report.pictures.comparison import model_ladder
-from hd_diag.report.pictures.eccentric_drive import _least_backlash, drive_picture
 from hd_diag.report.pictures.markup import inline_svg
 
 SVG = "{http://www.w3.org/2000/svg}"

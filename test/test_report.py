@@ -38,7 +38,7 @@ from hd_diag.report import captions
 from hd_diag.report.advice import cards
 from hd_diag.report.facts import Fact, JointReport, Judgement, quality_of, settings
 from hd_diag.report.glossary import TERMS, Links, used
-from hd_diag.report.limits import STATES, Gauge, worst
+from hd_diag.report.limits import COLOURS, Gauge, worst
 from hd_diag.report.page import page
 from hd_diag.report.torsion import k_shown
 
@@ -163,16 +163,16 @@ def test_the_first_line_is_how_bad_the_joint_is() -> None:
     assert re.fullmatch(r"The joint is within its accuracy \(\d+ of 90 arcsec peak to peak\)\.", found.first)
     assert letters(found.first + found.rest) == letters(report.verdict)
     (gauge,) = found.gauges
-    assert (gauge.state, found.state) == ("within", "good")
+    assert (gauge.state, found.state) == ("within", "green")
     assert gauge.share == pytest.approx(float(re.findall(r"\d+", found.first)[0]) / 90.0, abs=0.01)
 
 
 def test_a_page_begins_with_the_worst_of_error_and_eccentricity() -> None:
     """Beyond goes before near, near before within; what cannot be told counts only alone."""
-    states = {name: Gauge("", name, "", 1.0) for name in STATES}
-    for one, other, colour in (("within", "near", "warn"), ("beyond", "near", "bad")):
+    states = {name: Gauge("", name, "", 1.0) for name in COLOURS}
+    for one, other, colour in (("within", "near", "amber"), ("beyond", "near", "red")):
         assert worst([states[one], states[other]]) == colour
-    assert [worst([states["open"]]), worst([states["open"], states["within"]])] == ["unknown", "good"]
+    assert [worst([states["open"]]), worst([states["open"], states["within"]])] == ["not_judged", "green"]
     for state, gauge in states.items():  # a meter is yellow where it lies between its marks
         assert (gauge.low < gauge.share < gauge.high) == (state in ("near", "open"))
 

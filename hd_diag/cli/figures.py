@@ -11,7 +11,6 @@ from hd_diag.cli.joints import configured
 from hd_diag.cli.options import check_files
 from hd_diag.cli.targets import Problem, writing
 from hd_diag.report.pictures.canvas import save
-from hd_diag.report.pictures.eccentric_drive import drive_picture
 
 _CAPTIONS = "figures.md"
 
@@ -35,7 +34,7 @@ def figures(out: Path, config_file: str | None, format: str) -> None:
         captions.append(f"## {title}\n\n![{title}]({file.name})\n\n{listed}")
         click.echo(f"{file}: {title}\n{listed}")
     with writing(drawing) as place:
-        save(drive_picture(joint.drive), place)
+        save(load_example("eccentric_drive").drive_picture(joint.drive), place)
     click.echo(f"{drawing}: what is eccentric to what, positive directions, interference")
     with writing(out / _CAPTIONS) as place:
         place.write_text("\n\n".join(captions) + "\n", encoding="utf-8")

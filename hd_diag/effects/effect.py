@@ -272,7 +272,9 @@ class Effect:
         for size, turned in self._pairs():
             cosine, sine = values[size.name], values[turned.name]
             values[size.name] = math.hypot(cosine, sine) ** (1.0 / size.power)
-            values[turned.name] = _direction(math.atan2(sine, cosine), turned)
+            period = turned.periodic or 2.0 * math.pi
+            place = (math.atan2(sine, cosine) * period / (2.0 * math.pi)) % period
+            values[turned.name] = place if place < period else 0.0
         values |= zip((quantity.name for quantity in self.nonlinear), map(float, nonlinear), strict=True)
         return {quantity.name: (values[quantity.name], quantity.unit) for quantity in self.quantities}
 
@@ -284,7 +286,16 @@ class Effect:
         ValueError
             Naming a quantity that is missing, unknown or outside its limits.
         """
-        self._check(values)
+        names = [quantity.name for quantity in self.quantities]
+        if wrong := sorted(set(names) ^ set(values)):
+            raise ValueError(f"{self.name}: {wrong[0]} is missing or unknown; it takes {', '.join(names)}")
+        for quantity in self.quantities:
+            value = values[quantity.name]
+            if not (math.isfinite(value) if quantity.periodic else quantity.allows(value)):
+                raise ValueError(
+                    f"{self.name}: {quantity.name} must be from {quantity.low:g} to {quantity.high:g} "
+                    f"{quantity.unit}, not {value:g}"
+                )
         found = {quantity.name: float(values[quantity.name]) for quantity in self.quantities}
         for size, turned in self._pairs():
             phase = found[turned.name] * 2.0 * math.pi / (turned.periodic or 1.0)
@@ -328,27 +339,8 @@ class Effect:
         linear = self.linear
         return [(linear[i - 1], q) for i, q in enumerate(linear) if q.periodic is not None]
 
-    def _check(self, values: Mapping[str, float]) -> None:
-        known = {quantity.name for quantity in self.quantities}
-        if wrong := sorted(known ^ set(values)):
-            expected = ", ".join(quantity.name for quantity in self.quantities)
-            raise ValueError(f"{self.name}: {wrong[0]} is missing or unknown; it takes {expected}")
-        for quantity in self.quantities:
-            value = values[quantity.name]
-            if not (math.isfinite(value) if quantity.periodic else quantity.allows(value)):
-                raise ValueError(
-                    f"{self.name}: {quantity.name} must be from {quantity.low:g} to {quantity.high:g} "
-                    f"{quantity.unit}, not {value:g}"
-                )
-
 
 def by_run(signals: Signals, evaluate: Callable[[Signals], Floats]) -> Floats:
     """Values of a whole record, every run evaluated from its own start."""
     runs = signals.runs() or [slice(0, 0)]
     return np.concatenate([evaluate(signals.part(run)) for run in runs])
-
-
-def _direction(phase: float, quantity: Quantity) -> float:
-    period = quantity.periodic or 2.0 * math.pi
-    found = (phase * period / (2.0 * math.pi)) % period
-    return found if found < period else 0.0

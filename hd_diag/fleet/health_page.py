@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import NamedTuple
@@ -12,10 +13,11 @@ from urllib.parse import quote
 
 from hd_diag.fleet.rows import PAGE, readable
 from hd_diag.fleet.series import ECCENTRICITY, ERROR
-from hd_diag.fleet.standing import GREEN, STATES, Health, Limited, Standing, attention, natural, size
-from hd_diag.fleet.summary import LABELS, day, headline, notes, recorded, statement
-from hd_diag.formatting import si, words
+from hd_diag.fleet.standing import Health, Limited, Standing, attention, natural
+from hd_diag.fleet.summary import day, headline, notes, recorded, statement
+from hd_diag.formatting import si, size, words
 from hd_diag.report.facts import Fact, versions
+from hd_diag.report.limits import GREEN, STATES
 
 SIGNS = {"red": "✕", "amber": "!", "green": "✓", "not_judged": "?"}
 _STALE = 8.0 * 86400.0  # behind the newest recording of the fleet, from which a row says so [s]
@@ -74,10 +76,10 @@ class Line:
     def since(self) -> str:
         """Since when it has its state, in words."""
         one = self.standing
-        if one.since is None:
+        if math.isnan(one.since):
             return ""
         times = f"{one.count} recording{'s' * (one.count > 1)}"
-        before = f", before that {LABELS[one.before]}" if one.before else ""
+        before = f", before that {words(one.before)}" if one.before else ""
         return f"since {day(one.since)[:10]} ({times}{before})"
 
 
@@ -87,7 +89,7 @@ def health_page(found: Health, facts: Sequence[Fact]) -> str:
 
     rows, colours, standings = found.rows, found.colours, found.standings
     robots = sorted({one.robot for one in standings}, key=natural)
-    times = [time for one in standings for time, _ in one.history if time is not None]
+    times = [time for one in standings for time, _ in one.history if not math.isnan(time)]
     ends = (min(times), max(times)) if times else None
     lines = [_line(one, robots.index(one.robot), ends) for one in standings]
     present, past = attention(rows, colours)
@@ -106,11 +108,11 @@ def health_page(found: Health, facts: Sequence[Fact]) -> str:
         past=[(rows[n], colours[n]) for n in past],
         lines=lines,
         robots=[
-            (name, [line for line in by_name(lines) if line.robot == n]) for n, name in enumerate(robots)
+            (name, sorted((one for one in lines if one.robot == n), key=lambda o: natural(o.standing.joint)))
+            for n, name in enumerate(robots)
         ],
         counts=[(state, counts[state]) for state in STATES if counts[state]],
         changed=sum(bool(one.changes) for one in standings),
-        labels=LABELS,
         signs=SIGNS,
         statement=statement,
         recorded=recorded,
@@ -129,14 +131,8 @@ def _prefix(joints: set[str]) -> str:
     return "" if prefix in joints else prefix
 
 
-def by_name(lines: Iterable[Line]) -> list[Line]:
-    """Lines by their joints' names."""
-    return sorted(lines, key=lambda line: natural(line.standing.joint))
-
-
 def _line(one: Standing, robot: int, ends: tuple[float, float] | None) -> Line:
-    last = one.history[-1][0]
-    behind = ends[1] - last if ends and last is not None else 0.0
+    behind = ends[1] - one.history[-1][0] if ends else 0.0
     age = f"{behind / 86400.0:.0f} days before the newest recording" if behind > _STALE else ""
     link = one.row.get(PAGE)
     return Line(one, robot, _small(one, ends), quote(link) if link else None, age)
@@ -171,8 +167,7 @@ def _small(one: Standing, ends: tuple[float, float] | None) -> Small | None:
     )
     about = (
         f"{words(series.quantity)}, {len(dots)} recordings, {day(series.time[0])} to {day(series.time[-1])}: "
-        f"{si(float(series.value[0]), float('nan'), series.unit)} to "
-        f"{si(float(series.value[-1]), float('nan'), series.unit)}"
+        f"{size(float(series.value[0]), series.unit)} to {size(float(series.value[-1]), series.unit)}"
         + (f"; the limit is {size(nearest.limit, nearest.unit)}" if nearest else "")
     )
     line = " ".join(f"{dot.x},{dot.y}" for dot in dots)

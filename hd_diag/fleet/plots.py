@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
 
-from hd_diag.fleet.summary import SHOWN
 from hd_diag.fleet.trend import Trend
+from hd_diag.formatting import SCALES, words
 
 MOST = 24
 """Panels in a picture; of more series those with the clearest changes are drawn."""
@@ -47,16 +47,14 @@ def _clearness(trend: Trend) -> float:
 
 
 def _panel(axes: Axes, trend: Trend) -> None:
-    series, (scale, unit) = trend.series, SHOWN[trend.series.unit]
+    series, (scale, unit) = trend.series, SCALES[trend.series.unit]
     spread = np.where(np.isfinite(series.std), series.std, 0.0) / scale
     axes.errorbar(_dates(series.time), series.value / scale, spread, fmt=".", color="C0", elinewidth=0.8)
     _fit(axes, trend, scale)
     if series.limit <= _LIMIT_NEAR * series.value.max():
         axes.axhline(series.limit / scale, color="C3", linestyle=":")
     name = f"{series.robot} {series.joint}".strip()
-    axes.set_title(
-        f"{name}: {series.quantity.replace('_', ' ')}: {trend.form}", fontsize="small", parse_math=False
-    )
+    axes.set_title(f"{name}: {words(series.quantity)}: {trend.form}", fontsize="small", parse_math=False)
     axes.set_ylabel(f"[{unit}]")
     locator = AutoDateLocator(minticks=2, maxticks=6)
     axes.xaxis.set_major_locator(locator)

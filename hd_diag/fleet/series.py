@@ -22,6 +22,9 @@ RIPPLE = "ripple_"
 _SIGMAS_95 = 2.0 * 1.959964  # width of a 95 % interval in standard deviations
 _UNSEEN = 0.5  # of the least size found: what may be there unseen lies within two such deviations
 
+Limits = Mapping[tuple[str, str], float]
+"""By joint and quantity, in SI."""
+
 Point = tuple[float, float, float]  # time [s], value, standard deviation
 
 
@@ -43,7 +46,7 @@ class Series:
     limit: float = math.nan
 
 
-def series_of(rows: Sequence[Row], limits: Mapping[tuple[str, str], float]) -> list[Series]:
+def series_of(rows: Sequence[Row], limits: Limits) -> list[Series]:
     """Series of every joint of every robot that has been diagnosed; limits by joint and quantity.
 
     Eccentricity where the refit is trustworthy [m]; transmission error without torsion, peak to peak [rad];
@@ -63,18 +66,17 @@ def series_of(rows: Sequence[Row], limits: Mapping[tuple[str, str], float]) -> l
     ]
 
 
-def _series(
-    robot: str,
-    joint: str,
-    quantity: str,
-    points: list[Point],
-    limits: Mapping[tuple[str, str], float],
-) -> Series:
+def _series(robot: str, joint: str, quantity: str, points: list[Point], limits: Limits) -> Series:
     time, value, std = np.array(points).reshape(-1, 3).T
     unit = "m" if quantity == ECCENTRICITY else "N m" if quantity.startswith(RIPPLE) else "rad"
-    names = quantity.split(" or ")
-    limit = min((limits[joint, name] for name in names if (joint, name) in limits), default=math.nan)
-    return Series(robot, joint, quantity, unit, time, value, std, limit)
+    return Series(robot, joint, quantity, unit, time, value, std, limit_of(limits, joint, quantity))
+
+
+def limit_of(limits: Limits, joint: str, quantity: str) -> float:
+    """The least limit of a joint's quantity, which may be one of several causes; nan where it has none."""
+    own = (limits.get((joint, name), math.inf) for name in quantity.split(" or "))
+    least = min(own)
+    return least if least < math.inf else math.nan
 
 
 def _judged(row: Row) -> bool:
@@ -97,18 +99,18 @@ def _ripples(rows: list[Row]) -> dict[str, list[Point]]:
             strict=True,
         ):
             name = f"{RIPPLE}{order:g}{'_reversing' * reverses}"
-            found[name].append((_time(row), size, _known(std)))
+            found[name].append((began(row), size, _known(std)))
             seen |= {name} if there else set()
     return {name: points for name, points in found.items() if name in seen}
 
 
 def _of_errors(rows: list[Row]) -> dict[str, list[Point]]:
     compared = [row for row in rows if row.get("error_rad") is not None]
-    errors = [(_time(row), row["error_rad"], _known(row["error_std_rad"])) for row in compared]
+    errors = [(began(row), row["error_rad"], _known(row["error_std_rad"])) for row in compared]
     found = {ERROR: errors} if errors else {}
     found |= {
         ECCENTRICITY: [
-            (_time(row), row["eccentricity_m"], _known(row["eccentricity_std_m"]))
+            (began(row), row["eccentricity_m"], _known(row["eccentricity_std_m"]))
             for row in rows
             if row.get("trustworthy") and row.get("eccentricity_m") is not None
         ],
@@ -137,24 +139,25 @@ def _amplitude(row: Row, names: frozenset[str]) -> Point | None:
         row["causes"], row["cause_amplitudes_rad"], row["cause_amplitude_stds_rad"], strict=True
     ):
         if name in names:
-            return None if size is None else (_time(row), size, _known(std))
+            return None if size is None else (began(row), size, _known(std))
     least = [
         size
         for name, size in zip(row["tested"], row["tested_least_rad"], strict=True)
         if name in names and size is not None
     ]
-    return (_time(row), 0.0, _UNSEEN * min(least)) if least else None
+    return (began(row), 0.0, _UNSEEN * min(least)) if least else None
 
 
 def _residual(row: Row, rms: float) -> Point:
     """A residual, its deviation in proportion to that of the noise floor."""
     noise, low, high = (row[f"noise_floor{end}_rad"] for end in ("", "_low", "_high"))
     known = None not in (noise, low, high) and noise > 0.0
-    return _time(row), rms, (high - low) / _SIGMAS_95 / noise * rms if known else math.nan
+    return began(row), rms, (high - low) / _SIGMAS_95 / noise * rms if known else math.nan
 
 
-def _time(row: Row) -> float:
-    return float(row["start"]) * 1e-9
+def began(row: Row) -> float:
+    """When a row's recording began [s since 1970]; nan where it is not known."""
+    return math.nan if row.get("start") is None else float(row["start"]) * 1e-9
 
 
 def _known(value: float | None) -> float:

@@ -18,22 +18,19 @@ import itertools
 import math
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import PurePath
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from hd_diag.diagnosis.judgement import Beside, beside
 from hd_diag.fleet.rows import Row
-from hd_diag.fleet.series import ECCENTRICITY, ERROR, Series
+from hd_diag.fleet.series import ECCENTRICITY, ERROR, Limits, Series, began, limit_of
 from hd_diag.fleet.trend import CHANGED, Trend
-from hd_diag.formatting import si, words
-
-RED, GREY, AMBER, GREEN = STATES = ("red", "not_judged", "amber", "green")
-"""The worst first: what is not known is worse than what is nearly too much."""
-
-Limits = Mapping[tuple[str, str], float]
-"""By joint and quantity, in SI."""
+from hd_diag.formatting import si, size, words
+from hd_diag.report.limits import AMBER, GREEN, GREY, RED, STATES
 
 _COVERED = 0.5  # of a bag, that a joint's samples must cover: drivers may start late, or stop early
 _REFUSED = 0.05  # of the samples, up to which the verdict alone tells that they were refused
@@ -68,19 +65,19 @@ class Colour(NamedTuple):
 class Standing:
     """A joint of a robot.
 
-    Its last recording as a row of the table with its colour; since when [s since 1970] and in how many
-    recordings it has had that state without another between (those not judged aside), and the state before;
-    all recordings in time order with their states; its trends.
+    Its last recording as a row of the table with its colour; since when [s since 1970, nan: not known] and in
+    how many recordings it has had that state without another between (those not judged aside), and the state
+    before; all recordings in time order with their states; its trends.
     """
 
     robot: str
     joint: str
     row: Row
     colour: Colour
-    since: float | None
+    since: float
     count: int
     before: str | None
-    history: tuple[tuple[float | None, str], ...]
+    history: tuple[tuple[float, str], ...]
     trends: tuple[Trend, ...]
 
     @property
@@ -114,26 +111,23 @@ def coloured(rows: Sequence[Row], trends: Sequence[Trend], limits: Limits) -> li
 
 
 def _colour(row: Row, series: Sequence[Series], limits: Limits) -> Colour:
-    cut = (*missing(row), *left_out(row))
-    if row.get("error"):
-        return Colour(GREY, (row["error"], *cut), ())
-    if row.get("judgement") == "not_judged":
-        return Colour(GREY, (row["verdict"], *cut), ())
-    limited = tuple(one for each in series if (one := _limited(row, each, limits)))
-    places = {one.place for one in limited}
+    unjudged = row.get("error") or (row.get("judgement") == "not_judged" and row["verdict"])
+    limited = () if unjudged else tuple(one for each in series if (one := _limited(row, each, limits)))
+    cut, places = (*missing(row), *left_out(row)), {one.place for one in limited}
     reasons = [phrase(one) for one in limited if one.place in ("beyond", "near")]
-    skipped = "tooth_skip" in (row.get("causes") or [])
-    reasons += ["teeth or counts were skipped"] * skipped
+    skipped, rippled = "tooth_skip" in (row.get("causes") or []), bool(row.get("ripple_orders"))
     known = any(one.quantity == ERROR and one.place != "open" for one in limited)
-    if skipped or "beyond" in places:
-        return Colour(RED, (*reasons, *cut), limited)
-    if row.get("ripple_orders") and not limited:
-        return Colour(GREY, (_ONE_ANGLE, *cut), limited)
-    if "near" in places:
-        return Colour(AMBER, (*reasons, *cut), limited)
-    if not known and not row.get("ripple_orders"):
-        return Colour(GREY, (_NO_TORQUE, *cut), limited)
-    return Colour(AMBER if cut else GREEN, cut, limited)
+    rules: tuple[tuple[Any, str, list[str]], ...] = (  # the first that holds
+        (unjudged, GREY, [unjudged or ""]),
+        (skipped or "beyond" in places, RED, [*reasons, *["teeth or counts were skipped"] * skipped]),
+        (rippled and not limited, GREY, [_ONE_ANGLE]),
+        ("near" in places, AMBER, reasons),
+        (not (known or rippled), GREY, [_NO_TORQUE]),
+        (cut, AMBER, []),
+        (True, GREEN, []),
+    )
+    state, why = next((state, why) for holds, state, why in rules if holds)
+    return Colour(state, (*why, *cut), limited)
 
 
 def missing(row: Row) -> list[str]:
@@ -156,10 +150,8 @@ def left_out(row: Row) -> list[str]:
 
 def _limited(row: Row, series: Series, limits: Limits) -> Limited | None:
     """A series' value in a row beside its limit; None where it has none."""
-    names = series.quantity.split(" or ")
-    limit = min((limits[series.joint, n] for n in names if (series.joint, n) in limits), default=math.nan)
-    at = [n for n, time in enumerate(series.time) if row.get("start") and time == float(row["start"]) * 1e-9]
-    if math.isnan(limit) or not at:
+    limit, at = limit_of(limits, series.joint, series.quantity), np.flatnonzero(series.time == began(row))
+    if math.isnan(limit) or not at.size:
         return None
     # A deviation of a model that does not describe the record says nothing of the gear.
     unsure = series.quantity == ECCENTRICITY and row.get("judgement") == "misfit"
@@ -179,11 +171,6 @@ def phrase(one: Limited) -> str:
     return f"{words(one.quantity)} {si(one.value, one.std, one.unit)}, {limit}"
 
 
-def size(value: float, unit: str) -> str:
-    """A limit in the unit that people use."""
-    return si(value, math.nan, unit)
-
-
 # Joints ---
 
 
@@ -201,7 +188,7 @@ def standings(rows: Sequence[Row], colours: Sequence[Colour], trends: Sequence[T
 
 
 def _standing(robot: str, joint: str, own: Sequence[tuple[Row, Colour]], trends: Sequence[Trend]) -> Standing:
-    history = tuple((moment_of(row), colour.state) for row, colour in own)
+    history = tuple((began(row), colour.state) for row, colour in own)
     row, colour = own[-1]
     told = [one for one in history if colour.state == GREY or one[1] != GREY]
     count = next((n for n, (_, state) in enumerate(reversed(told)) if state != colour.state), len(told))
@@ -245,11 +232,6 @@ def health(rows: Sequence[Row], trends: Sequence[Trend], limits: Limits) -> Heal
     colours = coloured(rows, trends, limits)
     told = [{**row, "state": colour.state} for row, colour in zip(rows, colours, strict=True)]
     return Health(told, colours, trends, standings(told, colours, trends))
-
-
-def moment_of(row: Row) -> float | None:
-    """When a row's recording began [s since 1970]; None where it is not known."""
-    return None if row.get("start") is None else float(row["start"]) * 1e-9
 
 
 def _order(one: Standing) -> tuple[int, bool, float, list[object], list[object]]:

@@ -14,34 +14,17 @@ from rich.text import Text
 
 from hd_diag.bag import BagError
 from hd_diag.fleet.rows import PAGE, SCHEMA, Row, readable
-from hd_diag.fleet.series import ECCENTRICITY, ERROR
-from hd_diag.fleet.standing import (
-    GREEN,
-    GREY,
-    STATES,
-    Colour,
-    Health,
-    Standing,
-    attention,
-    left_out,
-    missing,
-    moment_of,
-)
+from hd_diag.fleet.series import ECCENTRICITY, ERROR, began
+from hd_diag.fleet.standing import Colour, Health, Standing, attention, left_out, missing
 from hd_diag.fleet.steps import FALSE_ALARM, Change
 from hd_diag.fleet.trend import CHANGED, Trend
-from hd_diag.formatting import ARCSEC, json_ready, number, words
-
-SHOWN = {"m": (1e-6, "µm"), "rad": (ARCSEC, "arcsec"), "N m": (1.0, "N m")}
-"""Size and name of the unit that people read, by the unit inside."""
+from hd_diag.formatting import SCALES, json_ready, number, words
+from hd_diag.report.limits import GREEN, GREY, STATES
 
 _LINES = 24
 """Joints of a table for a terminal; those that are not green are never left out."""
 
 _MONTH = 30.0 * 86400.0  # [s]
-
-
-LABELS = {"red": "red", "amber": "amber", "green": "green", "not_judged": "not judged"}
-"""States of joints in words."""
 
 
 def as_json(out: str, found: Health) -> dict[str, Any]:
@@ -72,18 +55,17 @@ def as_json(out: str, found: Health) -> dict[str, Any]:
 
 
 def _joint(one: Standing) -> dict[str, Any]:
-    recorded = moment_of(one.row)
     return {
         "robot": one.robot or None,
         "joint": one.joint,
         "state": one.colour.state,
-        "since": None if one.since is None else moment(one.since),
+        "since": moment(one.since),
         "recordings": one.count,
         "before": one.before,
         "reasons": one.colour.reasons,
         "limits": [{**each._asdict(), "place": each.place} for each in one.colour.limited],
         "changes": [words(trend.series.quantity) for trend in one.changes],
-        "recorded": None if recorded is None else moment(recorded),
+        "recorded": moment(began(one.row)),
         "bag": readable(one.row["bag"]),
         "page": one.row.get(PAGE),
     }
@@ -155,7 +137,7 @@ def statement(trend: Trend) -> str:
 
 
 def _step(trend: Trend, change: Change) -> str:
-    scale, unit = SHOWN[trend.series.unit]
+    scale, unit = SCALES[trend.series.unit]
     size, low, high = (value / scale for value in (change.size, change.size_low, change.size_high))
     return (
         f"by {size:+.3g} {unit} ({low:.3g} to {high:.3g}) between {day(change.before)} and "
@@ -164,7 +146,7 @@ def _step(trend: Trend, change: Change) -> str:
 
 
 def _drift(trend: Trend) -> str:
-    slope, (scale, unit) = trend.slope, SHOWN[trend.series.unit]
+    slope, (scale, unit) = trend.slope, SCALES[trend.series.unit]
     assert slope is not None
     rate, low, high = (value * _MONTH / scale for value in (slope.value, slope.low, slope.high))
     text = (
@@ -193,7 +175,7 @@ def headline(found: Health) -> str:
     if not standings:
         return "No joint was found in any recording."
     counts = Counter(one.colour.state for one in standings)
-    told = [f"{counts[state]} {LABELS[state]}" for state in STATES if counts[state]]
+    told = [f"{counts[state]} {words(state)}" for state in STATES if counts[state]]
     total = f"{len(standings)} joint{'s' * (len(standings) > 1)}"
     text = f"Of {total}: {', '.join(told)}. {_changed(found)}."
     lost = {
@@ -228,8 +210,7 @@ def notes(found: Health) -> list[str]:
 
 def recorded(row: Row) -> str:
     """When a row's recording began, in words."""
-    time = moment_of(row)
-    return "date unknown" if time is None else f"recorded {day(time)}"
+    return "date unknown" if row.get("start") is None else f"recorded {day(began(row))}"
 
 
 def table(found: Health) -> Table:
@@ -251,7 +232,7 @@ def table(found: Health) -> Table:
         cells = [
             one.robot,
             one.joint,
-            LABELS[one.colour.state],
+            words(one.colour.state),
             recorded(one.row).removeprefix("recorded ")[:10],
         ]
         cells += [_last(one, ERROR), _last(one, ECCENTRICITY)]
@@ -263,9 +244,9 @@ def table(found: Health) -> Table:
 def _last(one: Standing, quantity: str) -> str:
     """The last recording's value, and its limit if it has one, without the unit."""
     for trend in one.trends:
-        series, at = trend.series, moment_of(one.row)
+        series, at = trend.series, began(one.row)
         if series.quantity == quantity and at in series.time:
-            scale = SHOWN[series.unit][0]
+            scale = SCALES[series.unit][0]
             limits = [each.limit for each in one.colour.limited if each.quantity == quantity]
             return " of ".join(number(value / scale) for value in (float(series.value[-1]), *limits))
     return "-"

@@ -11,9 +11,9 @@ from pathlib import Path
 from hd_diag.bag import BagError, BagReader
 from hd_diag.bag.joint_topics import joint_state_topics, joints_in
 from hd_diag.replay.versions import Versions, running
+from hd_diag.report.sources import sha256
 
 SUFFIXES = (".mcap", ".db3")
-_PART = 1 << 20  # read at a time [byte]
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def survey(path: str) -> Survey:
             topics = frozenset(topic.name for topic in reader.topics)
             messages = sum(topic.count for topic in reader.topics if topic.name in measured or not measured)
             start = reader.start if reader.message_count else None
-            digest = _digest(reader.paths)
+            digest = hashlib.sha256(b"".join(map(sha256, reader.paths))).hexdigest()
             duration = reader.duration
             names = joints_in(reader)
             problems = tuple(reader.problems)  # with what reading showed
@@ -84,14 +84,3 @@ def survey(path: str) -> Survey:
     except OSError as error:
         return Survey(path, error=str(BagError(path, error)))
     return Survey(path, digest, start, messages, names, problems, topics=topics, duration=duration)
-
-
-def _digest(files: Iterable[Path]) -> str:
-    total = hashlib.sha256()
-    for file in files:
-        own = hashlib.sha256()
-        with file.open("rb") as opened:
-            while part := opened.read(_PART):
-                own.update(part)
-        total.update(own.digest())
-    return total.hexdigest()

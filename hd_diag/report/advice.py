@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from hd_diag.diagnosis.judgement import Answer
@@ -13,16 +13,15 @@ from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.effect import Effect
 from hd_diag.effects.quantity import Quantity
-from hd_diag.formatting import arcsec, direction, si, spread_number, words
+from hd_diag.formatting import arcsec, direction, si, size, spread_number, words
 
 _OWN = {effect.name: effect for effect in CATALOGUE}
 
 _SIGMAS = 2.0
 """Standard deviations from nothing, or from the configured value, from which a number is on a card."""
 
-_Entry = dict[str, Any]  # value, std, unit, configured
+_Entries = Mapping[str, Mapping[str, Any]]  # value, std, unit and configured of parameters
 _Measures = tuple[tuple[str, str], ...]
-_Text = tuple[str, str, _Measures, str]  # title, cause, what to measure, how to inspect
 
 
 @dataclass(frozen=True)
@@ -105,19 +104,19 @@ def _of_parameters(answer: Answer) -> list[Card]:
     assert diagnosis.refitted is not None
     found: dict[str, Card] = {}
     for change in answer.changes:
-        text, setting = _TEXTS[change.name]
-        title, cause, measures, inspect = text(diagnosis.parameters, diagnosis.refitted.drive)
-        found.setdefault(title, Card(title, change.explains, cause, measures, inspect, setting=setting))
+        card = _OF_PARAMETER[change.name](diagnosis.parameters, diagnosis.refitted.drive)
+        found.setdefault(card.title, replace(card, size=change.explains))
     return list(found.values())
 
 
-def _eccentricity(values: dict[str, _Entry], drive: Drive) -> _Text:
+def _eccentricity(values: _Entries, drive: Drive) -> Card:
     magnitude, turned = values["eccentricity.magnitude"], values["eccentricity.direction"]
     # Where the input stands when the long axis points along the eccentricity.
     rate = drive.frame.turning
     angle, period = (turned["value"] - drive.frame.phase) / rate, math.pi / abs(rate)
-    return (
+    return Card(
         "Eccentricity of the wave generator in the housing",
+        math.nan,
         "The wave generator's axis stands beside the circular spline's: flange, seat or bearing is off "
         "centre.",
         (
@@ -134,10 +133,11 @@ def _eccentricity(values: dict[str, _Entry], drive: Drive) -> _Text:
     )
 
 
-def _runout(values: dict[str, _Entry], _: Drive) -> _Text:
+def _runout(values: _Entries, _: Drive) -> Card:
     magnitude, turned = values["runout.magnitude"], values["runout.direction"]
-    return (
+    return Card(
         "Runout of the wave generator on its shaft",
+        math.nan,
         "The wave generator's plug turns off centre: its bore, the key or the shaft.",
         (
             *_displacement("runout", magnitude),
@@ -149,51 +149,52 @@ def _runout(values: dict[str, _Entry], _: Drive) -> _Text:
     )
 
 
-def _datum(values: dict[str, _Entry], _: Drive) -> _Text:
+def _datum(values: _Entries, _: Drive) -> Card:
     entry = values["circular_spline_datum"]
     change = entry["value"] - entry["configured"]
     more, out = ("more", "farther out") if change > 0.0 else ("less", "farther in")
-    return (
+    return Card(
         f"The teeth have {more} clearance than configured",
-        f"The circular spline's slots stand {si(abs(change), math.nan, 'm')} {out} than configured.",
+        math.nan,
+        f"The circular spline's slots stand {size(abs(change), 'm')} {out} than configured.",
         (("datum radius", _beside(entry)),),
         _OWN["wear_backlash"].inspect,
+        setting=True,
     )
 
 
-def _compliance(values: dict[str, _Entry], _: Drive) -> _Text:
-    return (
+def _compliance(values: _Entries, _: Drive) -> Card:
+    both = {name: values[name] for name in ("tooth_compliance", "cup_compliance")}
+    return Card(
         "Torsional stiffness",
+        math.nan,
         "The torsion under load is not as configured.",
         tuple(
             (words(name), _beside(entry))
-            for name in ("tooth_compliance", "cup_compliance")
-            for entry in (values[name],)
+            for name, entry in both.items()
             if not abs(entry["value"] - entry["configured"]) < _SIGMAS * entry["std"]
         ),
         _OWN["torsional_hardening"].inspect,
+        setting=True,
     )
 
 
-def _beside(entry: _Entry) -> str:
+def _beside(entry: Mapping[str, Any]) -> str:
     """A fitted value beside the configured one."""
     unit = entry["unit"]
-    return f"{si(entry['value'], entry['std'], unit)} (configured: {si(entry['configured'], math.nan, unit)})"
+    return f"{si(entry['value'], entry['std'], unit)} (configured: {size(entry['configured'], unit)})"
 
 
-def _displacement(name: str, entry: _Entry) -> _Measures:
+def _displacement(name: str, entry: Mapping[str, Any]) -> _Measures:
     """A displacement, and what a dial gauge shows of it over a turn."""
-    return (name, _beside(entry)), (
-        "dial gauge, total travel",
-        si(2.0 * entry["value"], 2.0 * entry["std"], "m"),
-    )
+    travel = si(2.0 * entry["value"], 2.0 * entry["std"], "m")
+    return (name, _beside(entry)), ("dial gauge, total travel", travel)
 
 
-# What each change of a parameter says, and whether it is a setting.
-_TEXTS: dict[str, tuple[Callable[[dict[str, _Entry], Drive], _Text], bool]] = {
-    "eccentricity": (_eccentricity, False),
-    "runout": (_runout, False),
-    "circular_spline_datum": (_datum, True),
-    "tooth_compliance": (_compliance, True),
-    "cup_compliance": (_compliance, True),
+_OF_PARAMETER: dict[str, Callable[[_Entries, Drive], Card]] = {
+    "eccentricity": _eccentricity,
+    "runout": _runout,
+    "circular_spline_datum": _datum,
+    "tooth_compliance": _compliance,
+    "cup_compliance": _compliance,
 }

@@ -11,7 +11,7 @@ from hd_diag.arrays import Floats
 from hd_diag.diagnosis.ripple.ripple import Ripple
 from hd_diag.diagnosis.search.detectability import Testability
 from hd_diag.diagnosis.search.unexplained import Unexplained
-from hd_diag.formatting import ARCSEC, arcsec, direction, number, percent, percents, rounded, si, words
+from hd_diag.formatting import ARCSEC, arcsec, direction, number, percent, percents, rounded, si, size, words
 from hd_diag.report.binned import HIGH, LOW
 from hd_diag.report.facts import Fact, JointReport, Judgement
 from hd_diag.report.ladder import Rung
@@ -148,7 +148,7 @@ def parameter(name: str, value: float, std: float, unit: str, configured: float)
     if name.endswith("direction"):
         period = math.pi if name.startswith("eccentricity") else math.tau
         return title, direction(value, std, period), direction(configured, math.nan, math.tau)
-    return title, si(value, std, unit), si(configured, math.nan, unit)
+    return title, si(value, std, unit), size(configured, unit)
 
 
 def torsion(report: JointReport) -> str:
@@ -196,7 +196,7 @@ def maps(report: JointReport) -> str:
     where = f"The record was at {percent(seen, 0)} of the angles; the others are marked under the maps."
     return (
         f"Teeth of the {report.best} drive over a turn of the input, the load at {number(found.torque)} N "
-        f"m, which the record hardly exceeds: least backlash {_length(np.nanmin(found.backlash))}, "
+        f"m, which the record hardly exceeds: least backlash {size(np.nanmin(found.backlash), 'm')}, "
         f"greatest load {number(float(found.load.max()))} N. "
         f"{'The record was at every angle.' if seen == 1.0 else where}"
     )
@@ -204,18 +204,14 @@ def maps(report: JointReport) -> str:
 
 def extremes(found: Extremes) -> list[Fact]:
     """What the record's own moments did to the teeth."""
-    overlap = Fact("Greatest overlap of the lobes", _length(found.overlap))
-    free = Fact("Least clearance of the lobes", _length(-found.overlap))
+    overlap = Fact("Greatest overlap of the lobes", size(found.overlap, "m"))
+    free = Fact("Least clearance of the lobes", size(-found.overlap, "m"))
     return [
-        Fact("Least backlash of a tooth", _length(found.least_backlash)),
+        Fact("Least backlash of a tooth", size(found.least_backlash, "m")),
         Fact("Greatest force on a tooth", f"{number(found.greatest_load)} N"),
         Fact("Loaded flanks", f"{found.fewest_pairs} to {found.most_pairs}"),
         overlap if found.overlap > 0.0 else free,
     ]
-
-
-def _length(length: float) -> str:
-    return si(float(length), math.nan, "m")
 
 
 def around(found: TeethOverTurn) -> str:
@@ -224,7 +220,7 @@ def around(found: TeethOverTurn) -> str:
     tooth = int(np.argmax(load))
     angle, where = np.degrees((found.input_angle[found.moment], found.tooth_direction[tooth]))
     displaced = (
-        f"The arrow is the wave generator's displacement, {_length(found.displacement)} at "
+        f"The arrow is the wave generator's displacement, {size(found.displacement, 'm')} at "
         f"{round(math.degrees(found.eccentricity)) % 360}°. "
         if found.displacement > 0.0
         else "The wave generator is not displaced. "

@@ -27,7 +27,7 @@ from hd_diag.replay.versions import running
 from hd_diag.report import stages, torsion
 from hd_diag.report.advice import Card, cards
 from hd_diag.report.ladder import Rung, benches, ladder
-from hd_diag.report.limits import Gauge, gauges, worst
+from hd_diag.report.limits import AMBER, Gauge, gauges, worst
 from hd_diag.report.stages import Comparison, OverTime, Stages
 from hd_diag.report.teeth import TeethOverTurn, teeth_over_turn
 
@@ -210,7 +210,7 @@ def _judgement(
     return Judgement(
         replace(diagnosis, found=None),
         *_first_and_rest(answer),
-        worst(found_gauges) if answer.judgement != "misfit" else "warn",
+        worst(found_gauges) if answer.judgement != "misfit" else AMBER,
         found_gauges,
         answer.judgement,
         tuple(cause.alike for cause in diagnosis.causes if len(cause.alike) > 1),

@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from hd_diag.diagnosis.judgement import Answer, Beside, beside
-from hd_diag.formatting import si, words
+from hd_diag.formatting import si, size, words
 
-STATES: dict[Beside, str] = {"within": "good", "near": "warn", "beyond": "bad", "open": "unknown"}
-"""Colour of a value beside its limit, the worst but for the unknown last."""
+RED, GREY, AMBER, GREEN = STATES = ("red", "not_judged", "amber", "green")
+"""Of joints, the worst first: what is not known is worse than what is nearly too much."""
+
+COLOURS: dict[Beside, str] = {"within": GREEN, "near": AMBER, "beyond": RED, "open": GREY}
 
 _TOLD: dict[Beside, str] = {
     "within": "within",
@@ -52,13 +54,12 @@ def gauges(answer: Answer) -> tuple[Gauge, ...]:
 
 
 def worst(found: Sequence[Gauge]) -> str:
-    """Colour of a joint with these gauges."""
-    order = list(STATES)
-    known = [gauge.state for gauge in found if gauge.state != "open"]
-    return STATES[max(known, key=order.index) if known else "open"]
+    """Colour of a joint with these gauges, as far as they are known."""
+    known = [COLOURS[gauge.state] for gauge in found if gauge.state != "open"]
+    return min(known, key=STATES.index, default=GREY)
 
 
 def _gauge(name: str, limit: str, value: float, std: float, most: float, unit: str) -> Gauge:
     state = beside(value, std, most)
-    told = f"{si(value, std, unit)}; {limit} {si(most, float('nan'), unit)}: {_TOLD[state]}"
+    told = f"{si(value, std, unit)}; {limit} {size(most, unit)}: {_TOLD[state]}"
     return Gauge(name, state, told, value / most)

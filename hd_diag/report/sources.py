@@ -22,12 +22,14 @@ def sources(bags: Sequence[Path]) -> list[Fact]:
 
 def digests(path: Path) -> dict[str, str]:
     """SHA-256 of a file, or of every file of a folder, by name."""
-    found = {}
-    for file in sorted(path.iterdir()) if path.is_dir() else [path]:
-        if file.is_file():
-            digest = hashlib.sha256()
-            with file.open("rb") as opened:
-                while part := opened.read(_PART):
-                    digest.update(part)
-            found[file.name] = digest.hexdigest()
-    return found
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    return {file.name: sha256(file).hex() for file in files if file.is_file()}
+
+
+def sha256(file: Path) -> bytes:
+    """SHA-256 of a file."""
+    digest = hashlib.sha256()
+    with file.open("rb") as opened:
+        while part := opened.read(_PART):
+            digest.update(part)
+    return digest.digest()

@@ -72,7 +72,7 @@ def stages(diagnosis: Diagnosis, plain: LinearisedFit | None) -> Stages:
     rows = usable(diagnosis.record)
     record, configured = diagnosis.record.select(rows), diagnosis.configured
     error = record.output_angle - record.input_angle / configured.kinematics.ratio
-    first = error - simulated_error(configured, record)
+    first = error - fit_parameters.along(configured, configured, record.input_angle, record.torque)[0]
     offset = float(first.mean()) if diagnosis.model is None else diagnosis.model.offset
     residual = {NOMINAL: first - first.mean()}
     if plain is not None:
@@ -83,11 +83,6 @@ def stages(diagnosis: Diagnosis, plain: LinearisedFit | None) -> Stages:
     drive = diagnosis.refitted.drive if diagnosis.refitted else configured
     angle = drive.frame.wave_generator_angle(record.input_angle)
     return Stages(record, angle, error - offset, residual, drive)
-
-
-def simulated_error(drive: Drive, record: Record) -> Floats:
-    """Transmission error of a drive along a record [rad]."""
-    return fit_parameters.along(drive, drive, record.input_angle, record.torque)[0]
 
 
 def mean_error(drive: Drive, torque: Floats) -> tuple[Floats, Floats, Floats]:
