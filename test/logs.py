@@ -41,6 +41,6 @@ def content(bag: Path) -> dict[str, list[tuple[int, bytes]]]:
     """Log time [ns] and CDR of every message of a bag, by topic, in order."""
     found: dict[str, list[tuple[int, bytes]]] = defaultdict(list)
     with BagReader(bag) as reader:
-        for batch in reader.batches():
+        for batch in reader.batches(grouped=True):
             found[batch.topic.name] += zip(batch.log_time.tolist(), map(bytes, batch.messages()), strict=True)
     return dict(found)

@@ -33,7 +33,7 @@ from hd_diag.streams.columns import JointStates
 AGREEMENT = 1e-9  # [rad]
 NAMES = ("joint_1_motor", "joint_1")
 EFFECTS = tuple(name for name in VALUES if name != "thermal_drift")
-COUNT = 800
+COUNT = 400
 FACTS = {"log_state": "off"}
 
 
@@ -197,9 +197,10 @@ def test_another_model_comes_into_force_at_once(modelled: Config, tmp_path: Path
 
 def play(log: Log, session: Session, count: int, first: int = 0) -> None:
     _, angle, torque, _ = motion(COUNT)
+    stamp = stamps().tolist()
     for i in range(first, count):
         position = {NAMES[0]: angle[i], NAMES[1]: angle[i] / RATIO + OFFSET}
-        log.receive(session, message(int(stamps()[i]), position, {NAMES[1]: torque[i]}))
+        log.receive(session, message(stamp[i], position, {NAMES[1]: torque[i]}))
 
 
 def residuals(path: Path) -> np.ndarray:

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 from geometry_msgs.msg import WrenchStamped
+from logs import content
 from running import running
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from hd_diag.bag import BagReader
 from hd_diag.bag.typestore import store_of
 from hd_diag.config.configuration import ConfigError, resolve
 from hd_diag.messages.schemas import jazzy
@@ -77,14 +77,6 @@ def test_signals_of_other_types_live_and_in_the_log(tmp_path: Path) -> None:
     live, again = (content(tmp_path / name) for name in ("log.mcap", "again.mcap"))
     assert live == again
     assert len(live[f"{rig.process.namespace}/states"]) == sent + 1
-
-
-def content(path: Path) -> dict[str, list[bytes]]:
-    found: dict[str, list[bytes]] = {}
-    with BagReader(path) as reader:
-        for batch in reader.batches():
-            found.setdefault(batch.topic.name, []).extend(bytes(data) for data in batch.messages())
-    return found
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import pytest
 import robot_messages as robots
 from cli_runner import assert_one_line_error, hd_diag
 from joint_records import RATIO, columns, joint, prepared
+from logs import content
 from numpy.testing import assert_allclose, assert_array_equal
 from robot_messages import DYNAMIC, FRANKA, KUKA, Messages
 from test_recording import NAMES, states, whole, write
@@ -197,10 +198,10 @@ def test_a_replay_predicts_from_other_messages_as_from_joint_states(
         out = tmp_path / f"{number}.mcap"
         result = replay(path, out, resolve(own))
         assert result.joints == ("joint_1",)
-        outputs.append(robots_content(out))
+        outputs.append(content(out))
         again = tmp_path / f"again{number}.mcap"
         replay(out, again)
-        assert robots_content(again) == outputs[-1]
+        assert content(again) == outputs[-1]
     for topic in ("/hd_diag/transmission_error", "/hd_diag/residual", "/hd_diag/joint_1/load"):
         assert outputs[0][topic] == outputs[1][topic]
         assert outputs[0][topic]
@@ -223,14 +224,6 @@ def test_a_temperature_in_the_messages_is_reported_as_it_changes(
         for status in message.status
     ]
     assert [float(text) for text in told[:11]] == [20, 20, 21, 21, 22, 22, 23, 23, 24, 24, 25]
-
-
-def robots_content(path: Path) -> dict[str, list[bytes]]:
-    found: dict[str, list[bytes]] = {}
-    with BagReader(path) as reader:
-        for batch in reader.batches():
-            found.setdefault(batch.topic.name, []).extend(bytes(data) for data in batch.messages())
-    return found
 
 
 def decoded(path: Path, topic: str) -> list[Any]:
