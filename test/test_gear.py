@@ -230,6 +230,16 @@ def test_characteristics_are_those_of_the_torsion() -> None:
     assert found.overlap == pytest.approx(state.overlap.max(), rel=1e-3)
 
 
+@pytest.mark.parametrize("name", ["8/50", "32/120", "65/160"])
+def test_the_error_of_an_eccentricity_is_its_order_2_over_a_turn(name: str) -> None:
+    drive = of_page(name).joints[0].drive
+    mesh = dataclasses.replace(drive.mesh, eccentricity=1e-5)
+    angle = 2.0 * np.pi * np.arange(4001) / 4001
+    order_2 = np.mean(torsion(mesh, angle, 0.5 * drive.rated_torque) * np.exp(-2j * angle))
+    found = characteristics(drive).error_per_eccentricity
+    assert found == pytest.approx(2.0 * abs(order_2) / 1e-5, rel=2e-3)
+
+
 @pytest.mark.parametrize(
     "errors", [{}, {"eccentricity": 5e-6 - 9e-6j, "runout": 2e-6}], ids=["centred", "eccentric"]
 )

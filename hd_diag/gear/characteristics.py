@@ -25,9 +25,12 @@ SMALLEST_SHARE = 1.0 / 14.0
 ECCENTRICITY = 10e-6
 """At which the error per eccentricity is taken [m]."""
 
-_PHASES = 16  # in a slot pitch
+PHASES = 16
+"""Wave generator angles in a slot pitch, where each is like the others."""
+
 _MOMENTS = 128  # of a turn
-_ERROR_MOMENTS = 251  # of a turn, a prime: no order of the teeth looks like order 2
+# Over half a turn, which is a period of the error, and over a slot pitch at each: orders of teeth cancel.
+_ERROR_MOMENTS, _ERROR_PHASES = 11, 4
 
 
 @dataclass(frozen=True)
@@ -116,7 +119,7 @@ class Teeth:
 @lru_cache(maxsize=512)
 def tooth_loads(drive: Drive) -> ToothLoads:
     """What the teeth of a drive bear."""
-    return _loads(drive, Teeth(drive.mesh, _turn(_MOMENTS)))
+    return _loads(drive, Teeth(drive.mesh, _turn(drive.mesh)))
 
 
 def _loads(drive: Drive, teeth: Teeth) -> ToothLoads:
@@ -126,7 +129,7 @@ def _loads(drive: Drive, teeth: Teeth) -> ToothLoads:
 def characteristics(drive: Drive, t1: float = 0.0, t2: float = 0.0) -> Characteristics:
     """Characteristics of a drive; T1 and T2 [N m] are shares of the rated torque where they are zero."""
     t1, t2 = t1 or T1_SHARE * drive.rated_torque, t2 or T2_SHARE * drive.rated_torque
-    teeth = Teeth(drive.mesh, _turn(_MOMENTS))
+    teeth = Teeth(drive.mesh, _turn(drive.mesh))
     torque = stiffness_steps(t1, t2)
     beta = teeth.torsion(torque).mean(axis=0) + drive.cup_compliance * torque
     loads = _loads(drive, teeth)
@@ -155,20 +158,26 @@ def slot_shift(known: Geometry, geometry: Geometry) -> float:
     return geometry.circular_spline_datum - (geometry.semi_major - deep)
 
 
-def slot_phases(geometry: Geometry) -> Floats:
+def slot_phases(geometry: Geometry, count: int = PHASES) -> Floats:
     """Wave generator angles [rad] in a slot pitch of the circular spline."""
-    return geometry.slot_pitch / _PHASES * np.arange(_PHASES, dtype=np.float64)
+    return geometry.slot_pitch / count * np.arange(count, dtype=np.float64)
 
 
-def _turn(count: int) -> Floats:
-    """Angles of a turn [rad] by golden section: they meet every phase of the teeth evenly."""
-    share: Floats = 0.6180339887498949 * np.arange(count, dtype=np.float64) % 1.0
+def _turn(mesh: Mesh) -> Floats:
+    """Angles that show all of a turn [rad]: a centred mesh is the same again after a slot pitch.
+
+    Of others by golden section, which meets every phase of the teeth evenly.
+    """
+    if not (mesh.eccentricity or mesh.runout):
+        return slot_phases(mesh.geometry)
+    share: Floats = 0.6180339887498949 * np.arange(_MOMENTS, dtype=np.float64) % 1.0
     return 2.0 * np.pi * share
 
 
 def _error_per_eccentricity(drive: Drive) -> float:
     size = min(ECCENTRICITY, 0.5 * largest_displacement(drive.mesh.geometry)[0])
     mesh = replace(drive.mesh, eccentricity=size, runout=0.0)
-    angle = 2.0 * np.pi * np.arange(_ERROR_MOMENTS) / _ERROR_MOMENTS
+    coarse, fine = np.arange(_ERROR_MOMENTS), slot_phases(mesh.geometry, _ERROR_PHASES)
+    angle = np.add.outer(np.pi / _ERROR_MOMENTS * coarse, fine).ravel()
     beta = Teeth(mesh, angle).torsion(np.array([0.5 * drive.rated_torque]))[:, 0]
     return float(2.0 * abs(np.mean(beta * np.exp(-2j * angle))) / size)

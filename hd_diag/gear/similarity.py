@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cache
+from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.formatting import rounded
-from hd_diag.gear.characteristics import Teeth, slot_phases, stiffness_steps
+from hd_diag.gear.characteristics import PHASES, Teeth, slot_phases, stiffness_steps
 from hd_diag.model.contact import contacts
 from hd_diag.model.geometry import Geometry
 from hd_diag.model.mesh import Mesh
@@ -64,26 +65,30 @@ def similar(known: Geometry, scale: float, teeth: int) -> Geometry:
             f"{teeth} teeth of the flexspline are fewer than {LEAST_TEETH} (ratio {LEAST_TEETH // 2}): such "
             "gears have another profile and deformation, which similarity does not tell: give them all"
         )
-    k = module_scale(known, scale, teeth)
+    k, start = module_scale(known, scale, teeth), _by_module(known, scale, teeth)
     wanted = k * least_backlash(known)
 
     def excess(shift: float) -> float:
-        return least_backlash(_shifted(known, scale, teeth, shift)) - wanted
+        return least_backlash(_shifted(start, shift)) - wanted
 
     low, high = (k * shift for shift in _SHIFTS)
     try:
-        shift = round(_root(excess, low, high, 1e-11), _DIGITS)
+        shift = round(_root(excess, low, high, 0.5 * 10.0**-_DIGITS), _DIGITS)
     except ValueError as error:
         raise ValueError(
             f"no place of the slots between {low * 1e6:.0f} and {high * 1e6:.0f} µm from where the module "
             f"has them gives {teeth} teeth their clearance: no similar profile; give all the geometry"
         ) from error
-    return _shifted(known, scale, teeth, shift)
+    return _shifted(start, shift)
 
 
+@lru_cache(maxsize=64)  # that of the known one stays
 def least_backlash(geometry: Geometry) -> float:
-    """Least backlash of all teeth without eccentricity and torque, over a slot pitch [m]."""
-    found = contacts(Mesh(geometry), slot_phases(geometry))
+    """Least backlash of all teeth without eccentricity and torque, over a slot pitch [m].
+
+    Over half of one: what - flanks do there, + flanks do in the other half.
+    """
+    found = contacts(Mesh(geometry), slot_phases(geometry)[: PHASES // 2 + 1])
     return float(np.nanmin(found.rotation * found.radius))
 
 
@@ -133,18 +138,13 @@ def _cup_shares(reached: Floats, share: Floats) -> Floats:
     return low
 
 
-def _shifted(known: Geometry, scale: float, teeth: int, shift: float) -> Geometry:
-    """Geometry by similarity with the slots further out [m]."""
+def _by_module(known: Geometry, scale: float, teeth: int) -> Geometry:
+    """Geometry by similarity, with the slots where the module has them."""
     k, radius = module_scale(known, scale, teeth), scale * known.curve.radius
     major = radius + k * (known.semi_major - known.curve.radius)
     # The sum of the semi-axes hardly differs from twice the radius.
     least = 2.0 * radius - major - (major - radius)
     minor = _root(lambda b: neutral_curve(major, b).radius - radius, least, radius, 1e-13)
-    datum, tip = known.circular_spline_datum, known.circular_spline_tip_radius
-
-    def placed(place: float) -> float:
-        return round(major + k * (place - known.semi_major) + shift, _DIGITS)
-
     return Geometry(
         teeth,
         teeth + known.circular_spline_teeth - known.flexspline_teeth,
@@ -154,31 +154,36 @@ def _shifted(known: Geometry, scale: float, teeth: int, shift: float) -> Geometr
         round(k * known.flexspline_root, _DIGITS),
         round(k * known.flexspline_tip, _DIGITS),
         _scaled(known.circular_spline_slot, k),
-        placed(datum),
-        placed(tip),
+        major + k * (known.circular_spline_datum - known.semi_major),
+        major + k * (known.circular_spline_tip_radius - known.semi_major),
     )
+
+
+def _shifted(geometry: Geometry, shift: float) -> Geometry:
+    """Geometry with the slots further out [m]."""
+    places = (geometry.circular_spline_datum, geometry.circular_spline_tip_radius)
+    datum, tip = (round(place + shift, _DIGITS) for place in places)
+    return replace(geometry, circular_spline_datum=datum, circular_spline_tip_radius=tip)
 
 
 def _root(function: Callable[[float], float], low: float, high: float, precision: float) -> float:
     """Where a function changes its sign, by the Illinois form of regula falsi; ValueError: it does not.
 
-    Steps are no smaller than the precision, which soon encloses the place.
+    It ends with the first step no longer than the precision.
     """
-    function = cache(function)
     at_low, at_high = function(low), function(high)
     if not at_low * at_high <= 0.0:
         raise ValueError("no change of sign")
-    while at_high != 0.0 and abs(high - low) > precision:
-        least = min(0.9 * precision / abs(high - low), 0.5)
-        share = min(max(at_high / (at_high - at_low), least), 1.0 - least)
-        new = high - share * (high - low)
+    while True:
+        new = high - at_high / (at_high - at_low) * (high - low) if at_high else high
+        if abs(new - high) <= precision:
+            return new
         at_new = function(new)
         if at_new * at_high <= 0.0:
             low, at_low = high, at_high
         else:
             at_low *= 0.5
         high, at_high = new, at_new
-    return min(low, high, key=lambda place: abs(function(place)))
 
 
 def _scaled(flank: DoubleArc, k: float) -> DoubleArc:
