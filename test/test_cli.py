@@ -7,6 +7,7 @@ import os
 import re
 import resource
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -94,12 +95,19 @@ def test_matrices_are_multiplied_in_one_thread_unless_the_user_says_otherwise(
         assert os.environ["OPENBLAS_NUM_THREADS"] == wanted
 
 
-def test_bash_completes_verbs_options_choices_and_files(tmp_path: Path) -> None:
-    """As bash asks: the script of the verb, sourced, its function called for the words typed so far."""
+@pytest.fixture
+def shells(tmp_path: Path) -> dict[str, str]:
+    """Environment in which shells find the command."""
     command = tmp_path / "hd-diag"
     call = "import sys; sys.argv[0] = 'hd-diag'; from hd_diag.__main__ import main; main()"
     command.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -c "{call}" "$@"\n')
     command.chmod(0o755)
+    path = f"{tmp_path}:{os.environ['PATH']}"
+    return {**os.environ, "PATH": path, "HOME": str(tmp_path), "PYTHONPATH": os.pathsep.join(sys.path)}
+
+
+def test_bash_completes_verbs_options_choices_and_files(shells: dict[str, str]) -> None:
+    """As bash asks: the script of the verb, sourced, its function called for the words typed so far."""
     typed = ("re", "mesh --to", "gear --output f", "gear --output = f", "mesh --config = con", "check con")
     asked = [
         f"COMPREPLY=(); COMP_WORDS=(hd-diag {words}); COMP_CWORD={len(words.split())}\n"
@@ -109,18 +117,31 @@ def test_bash_completes_verbs_options_choices_and_files(tmp_path: Path) -> None:
     # compopt works in an interactive shell only.
     script = ['compopt() { echo "compopt $@"; }', "source <(hd-diag completion bash)", *asked]
     run = subprocess.run(
-        ["bash", "-c", "\n".join(script)],
-        env={
-            **os.environ,
-            "PATH": f"{tmp_path}:{os.environ['PATH']}",
-            "PYTHONPATH": os.pathsep.join(sys.path),
-        },
-        capture_output=True,
-        text=True,
-        timeout=60,
+        ["bash", "-c", "\n".join(script)], env=shells, capture_output=True, text=True, timeout=60
     )
     file = ["compopt -o default", ""]
     told = ["recover replay report", "--torque", "flexspline", "flexspline", *file, *file]
+    assert (run.stdout.splitlines(), run.stderr) == (told, "")
+
+
+def test_zsh_and_fish_complete_the_value_of_an_option_with_an_equals_sign(
+    shells: dict[str, str], tmp_path: Path
+) -> None:
+    """zsh completes in a terminal only: of its script it is seen that the option's name stays."""
+    script = hd_diag("completion", "zsh").output
+    assert "compset -P '--*='" in script
+    assert "compadd -U" not in script
+    assert "| string replace -r '^' -- (string match -r '^--[^=]*=' " in hd_diag("completion", "fish").output
+    if not shutil.which("fish"):
+        return
+    (tmp_path / "joint.yaml").touch()
+    typed = ("mesh --config=jo", "gear --output=f", "gear --output f", "mesh --to")
+    asked = [f"complete -C 'hd-diag {words}' | string replace -r '\\t.*' ''" for words in typed]
+    run = subprocess.run(
+        ["fish", "-c", "\n".join(["hd-diag completion fish | source", *asked])],
+        cwd=tmp_path, env=shells, capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    told = ["--config=joint.yaml", "--output=flexspline", "flexspline", "--torque"]
     assert (run.stdout.splitlines(), run.stderr) == (told, "")
 
 

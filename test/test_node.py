@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import os
 import re
 import signal
 import subprocess
@@ -34,6 +35,7 @@ from hd_diag.config.configuration import Config
 from hd_diag.drive import mesh_state, transmission_error
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.replay.replay import replay
+from hd_diag.ros.node import main
 
 pytestmark = pytest.mark.usefixtures("ros")
 
@@ -605,6 +607,20 @@ def test_a_faulty_start_ends_with_one_line_and_code_2(tmp_path: Path) -> None:
     for line, (_, _, words) in zip(run.stderr.strip().splitlines(), STARTS.values(), strict=True):
         assert line.startswith("hd_diag: ")
         assert all(word in line for word in words), line
+
+
+@pytest.mark.parametrize(("name", "value"), [("NO_COLOR", "1"), ("TERM", "dumb")])
+def test_ros_leaves_its_lines_without_colour_where_the_user_wants_none(
+    monkeypatch: pytest.MonkeyPatch, name: str, value: str
+) -> None:
+    monkeypatch.setattr("hd_diag.ros.node.ignore_signals", lambda: None)
+    for each, usual in {"NO_COLOR": "", "TERM": "xterm", "RCUTILS_COLORIZED_OUTPUT": ""}.items():
+        monkeypatch.setenv(each, usual)
+    monkeypatch.delenv("RCUTILS_COLORIZED_OUTPUT")
+    for wanted in (None, "0"):
+        assert main(["node", "no_argument"], []) == 2
+        assert os.environ.get("RCUTILS_COLORIZED_OUTPUT") == wanted
+        monkeypatch.setenv(name, value)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import click
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
@@ -22,6 +21,7 @@ from demo.log import Log, read_log
 from demo.observer import ANSWER_LIMIT, Observer
 from demo.process import Child, DemoError
 from demo.steps import Step, table
+from hd_diag.cli.lines import tell
 from hd_diag.config.configuration import dump, resolve
 from hd_diag.messages.publications import published_topics, resolved
 from hd_diag.ros.node import prepare
@@ -30,10 +30,10 @@ from hd_diag.ros.stop_signals import noted_signals
 __all__ = ["DemoError", "run"]
 
 ECCENTRICITIES = (0.0, 5.0, 10.0, 18.0, 23.0)
-"""What the node's model is given, one after the other [um]."""
+"""What the node's model is given, one after the other [µm]."""
 
 TRUE_ECCENTRICITY = 18.0
-"""Of the simulated joint [um]."""
+"""Of the simulated joint [µm]."""
 
 _JOINT = "joint_1"
 _NODE = "hd_diag"
@@ -196,7 +196,7 @@ def _change_eccentricity(
             _say(f"set {_REFUSED[0]} = {_REFUSED[1]}: refused: {refusals[0]}")
         if reason := observer.set_parameter(_MAGNITUDE, eccentricity * 1e-6):
             raise DemoError(f"the node refuses {_MAGNITUDE} = {eccentricity}e-6: {reason}")
-        _say(f"set {_MAGNITUDE} = {eccentricity:g} um: in force")
+        _say(f"set {_MAGNITUDE} = {eccentricity:g} µm: in force")
         steps.append(Step(eccentricity))
         end = begin + seconds * number / len(ECCENTRICITIES)
         last = time.monotonic() + ANSWER_LIMIT  # at least one report of each step is waited for
@@ -282,8 +282,8 @@ def _conclude(summary: Mapping[str, Any]) -> None:
     if residuals:
         least, eccentricity = min(residuals)
         _say(
-            f"Measured and predicted error differ least, by {least:.1f} arcsec rms, with {eccentricity:g} um "
-            f"in the model; the simulated joint has {TRUE_ECCENTRICITY:g} um."
+            f"Measured and predicted error differ least, by {least:.1f} arcsec rms, with {eccentricity:g} µm "
+            f"in the model; the simulated joint has {TRUE_ECCENTRICITY:g} µm."
         )
     _say("", "messages  topic in the log                       type")
     _say(*(f"{e['count']:8}  {e['topic']:37}  {e['type']}" for e in summary["topics"]), "")
@@ -313,4 +313,4 @@ def _command() -> str:
 
 def _say(*lines: str) -> None:
     for line in lines:
-        click.echo(line)
+        tell(line)

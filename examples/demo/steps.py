@@ -26,7 +26,7 @@ _EXTREMES = {"minimum_backlash_um": min, "peak_tooth_load_N": max}
 
 @dataclass
 class Step:
-    """The time during which the model has one eccentricity [um], and the reports of that time."""
+    """The time during which the model has one eccentricity [µm], and the reports of that time."""
 
     eccentricity: float
     reports: list[JointView] = field(default_factory=list)

@@ -10,7 +10,7 @@ from hd_diag.bag import BagError
 from hd_diag.bag.mcap_scan import DamagedChunk
 from hd_diag.bag.recover import recover as recover_bag
 from hd_diag.cli.joints import configured
-from hd_diag.cli.options import tell
+from hd_diag.cli.lines import tell
 from hd_diag.cli.progress import interrupted, working
 from hd_diag.cli.targets import Problem, write_json
 from hd_diag.replay.replay import Replay

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hd_diag.cli.joints import configured
-from hd_diag.cli.options import tell
+from hd_diag.cli.lines import tell
 from hd_diag.cli.targets import Problem, write_json
 from hd_diag.config.assessment import Assessment, assess
 from hd_diag.config.configuration import JointConfig

@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 import click
-from click.shell_completion import BashComplete, add_completion_class, get_completion_class
+from click.shell_completion import (
+    BashComplete,
+    FishComplete,
+    ZshComplete,
+    add_completion_class,
+    get_completion_class,
+)
 
 _NAME = "hd-diag"
 
@@ -15,6 +21,27 @@ class _Bash(BashComplete):
     def get_completion_args(self) -> tuple[list[str], str]:
         words, incomplete = super().get_completion_args()
         return [word for word in words if word != "="], incomplete
+
+
+@add_completion_class
+class _Zsh(ZshComplete):
+    """zsh completes the whole of ``--config=name``: what the option is called stays before the value."""
+
+    source_template = ZshComplete.source_template.replace(
+        "    local -a completions\n", "    compset -P '--*='\n    local -a completions\n", 1
+    ).replace("compadd -U ", "compadd ")
+
+
+@add_completion_class
+class _Fish(FishComplete):
+    """fish takes what begins with the whole of ``--config=name``."""
+
+    source_template = FishComplete.source_template.replace(
+        "\n    end;\nend;\n",
+        "\n    end | string replace -r '^' -- (string match -r '^--[^=]*=' -- (commandline -t); or echo '')"
+        ";\nend;\n",
+        1,
+    )
 
 
 def completion(shell: str) -> None:

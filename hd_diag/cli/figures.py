@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import click
-
 from hd_diag.cli.examples import load_example
 from hd_diag.cli.joints import configured
+from hd_diag.cli.lines import tell
 from hd_diag.cli.options import check_files
 from hd_diag.cli.targets import Problem, writing
 from hd_diag.report.pictures.canvas import save
@@ -28,14 +27,15 @@ def figures(out: Path, config_file: str | None, format: str) -> None:
     captions = [f"Drive of {joint.name}; claims are those of Dong et al. (2019), sections 4.2, 4.3 and 5."]
     for name, title, figure, claims in entries:
         file, wrong = out / f"{name}.{format}", " **This does not agree.**"
-        listed = "\n".join(f"* ({c.letter}) {c.text}{'' if c.holds else wrong}" for c in claims)
+        listed = [f"* ({c.letter}) {c.text}{'' if c.holds else wrong}" for c in claims]
         with writing(file) as place:
             save(figure, place)
-        captions.append(f"## {title}\n\n![{title}]({file.name})\n\n{listed}")
-        click.echo(f"{file}: {title}\n{listed}")
+        captions.append("\n".join([f"## {title}\n\n![{title}]({file.name})\n", *listed]))
+        for line in (f"{file}: {title}", *listed):
+            tell(line)
     with writing(drawing) as place:
         save(load_example("eccentric_drive").drive_picture(joint.drive), place)
-    click.echo(f"{drawing}: what is eccentric to what, positive directions, interference")
+    tell(f"{drawing}: what is eccentric to what, positive directions, interference")
     with writing(out / _CAPTIONS) as place:
         place.write_text("\n\n".join(captions) + "\n", encoding="utf-8")
-    click.echo(f"{out / _CAPTIONS}: captions")
+    tell(f"{out / _CAPTIONS}: captions")

@@ -12,11 +12,11 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-import click
 import numpy as np
 
 from hd_diag.cli.joints import chosen_joints, configured
-from hd_diag.cli.options import check_files, show_table, tell
+from hd_diag.cli.lines import show_table, tell
+from hd_diag.cli.options import check_files
 from hd_diag.cli.progress import Advance, showing
 from hd_diag.cli.targets import Problem, write_json, writing
 from hd_diag.config.catalogue import load
@@ -128,7 +128,7 @@ def _run(
                 return health(rows, found, own)
         except KeyboardInterrupt as error:
             text = f"{len(journal.results)} results are in {path}; the same command goes on"
-            click.echo(f"hd-diag: interrupted: {text}", err=True)
+            tell(f"hd-diag: interrupted: {text}", err=True)
             sys.exit(signalled(error))
 
 
@@ -185,28 +185,25 @@ def _show(found: Health, given: dict[str, Any]) -> None:
     if found.standings:
         show_table(table(found))
     for line in sentences(found.trends):
-        click.echo(line)
+        tell(line)
     present, past = attention(found.rows, found.colours)
     lines = [line for n in (*present, *past) for line in attention_lines(found.rows[n], found.colours[n])]
     for line in lines[:_ERRORS_SHOWN]:
-        click.echo(line, err=True)
+        tell(line, err=True)
     if len(lines) > _ERRORS_SHOWN:
         more = f"{len(lines) - _ERRORS_SHOWN} more"
-        click.echo(f"not judged or cut off: {more}; see the columns error and problems", err=True)
+        tell(f"not judged or cut off: {more}; see the columns error and problems", err=True)
     for note in notes(found):
         tell(note, err=True)
-    click.echo(headline(found))
-    click.echo(
-        f"{len(found.rows)} rows of {len({row['bag'] for row in found.rows})} bags in "
-        f"{click.format_filename(given['out'])}"
-    )
+    tell(headline(found))
+    tell(f"{len(found.rows)} rows of {len({row['bag'] for row in found.rows})} bags in {given['out']}")
     if given["report"]:
-        click.echo(f"report written: {click.format_filename(given['report'])}")
+        tell(f"report written: {given['report']}")
 
 
 def _code(found: Health, given: dict[str, Any]) -> int:
     if all(row.get("error") for row in found.rows):
-        click.echo("hd-diag: no bag could be judged", err=True)
+        tell("hd-diag: no bag could be judged", err=True)
         return 2
     caused = any(row.get("causes") or row.get("unexplained_orders") for row in found.rows)
     changed = any(trend.form in CHANGED for trend in found.trends)

@@ -8,8 +8,8 @@ from typing import Any
 
 from rich.table import Table
 
-from hd_diag.cli import options
 from hd_diag.cli.check import describe
+from hd_diag.cli.lines import show_table, tell
 from hd_diag.cli.targets import write_json, writing
 from hd_diag.config import gear_file
 from hd_diag.config.assessment import Assessment, assess
@@ -45,7 +45,7 @@ def gear(
         write_json(json_file, content | {"joints": {joint: assessed.content()}})
     if json_file != "-":
         _show(config, found, assessed, table)
-        options.tell(f"{out}: written")
+        tell(f"{out}: written")
 
 
 def _command(own: dict[str, Any], joint: str) -> str:
@@ -59,15 +59,15 @@ def _command(own: dict[str, Any], joint: str) -> str:
 
 
 def _show(config: Config, joint: JointConfig, assessed: Assessment, table: bool) -> None:
-    options.tell(f"Assumed: {gear_file.assumed(joint)}.")
+    tell(f"Assumed: {gear_file.assumed(joint)}.")
     describe(joint, assessed)
     for line in gear_file.reached(assessed):
-        options.tell(f"  {line}")
+        tell(f"  {line}")
     note = _usual_ratio(joint)
     if note:
-        options.tell(f"  note: {note}")
+        tell(f"  note: {note}")
     if table and assessed.page:
-        options.show_table(_table(config, joint, assessed.page))
+        show_table(_table(config, joint, assessed.page))
 
 
 def _usual_ratio(joint: JointConfig) -> str:

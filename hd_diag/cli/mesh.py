@@ -9,7 +9,7 @@ from rich.table import Table
 
 from hd_diag.arrays import Floats
 from hd_diag.cli.joints import chosen_joint, configured
-from hd_diag.cli.options import show_table, tell
+from hd_diag.cli.lines import show_table, tell
 from hd_diag.cli.targets import Problem, write_json
 from hd_diag.config.configuration import JointConfig
 from hd_diag.drive import mesh_state, transmission_error

@@ -6,45 +6,18 @@ Nothing here or in :mod:`hd_diag.cli.verbs` imports more than click: help and co
 from __future__ import annotations
 
 import functools
-import shutil
-import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import click
 
-from hd_diag.cli.targets import LONGEST_LINE, Problem, check_targets
+from hd_diag.cli.targets import Problem, check_targets
 from hd_diag.cli.verbs import VERBS
-from hd_diag.formatting import visible
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
-
-_WIDEST = 1000  # characters of a table in a pipe: rich wraps what is wider
-
-
-def tell(line: str, *, err: bool = False) -> None:
-    """Print one line of which some may come from a file; on a terminal it breaks between words."""
-    line, stream = visible(line, LONGEST_LINE), sys.stderr if err else sys.stdout
-    if stream.isatty():
-        indent = " " * (len(line) - len(line.lstrip()))
-        line = click.wrap_text(line.strip(), shutil.get_terminal_size().columns, indent, f"{indent}  ")
-    click.echo(line, err=err)
-
-
-def show_table(table: Table) -> None:
-    """Print a table: without markup, in a pipe as wide as it needs."""
-    from rich.console import Console
-
-    console = Console(width=None if sys.stdout.isatty() else _WIDEST, highlight=False, markup=False)
-    with console.capture() as text:  # rich would end the program, with 1, where nobody reads
-        console.print(table)
-    click.echo(text.get(), nl=False)
 
 
 class Source(click.Path):
@@ -103,7 +76,8 @@ def verb(example: str, **settings: Any) -> Callable[[Callable[..., Any]], click.
             except ValueError as error:
                 raise _problem(error, "overwrite" in given) from error
 
-        return click.command(epilog=f"\b\nExample: hd-diag {example}", context_settings=settings)(run)
+        text = f"\b\nExample: hd-diag {example}"
+        return click.command(epilog=text, short_help=VERBS[stub.__name__][1], context_settings=settings)(run)
 
     return made
 

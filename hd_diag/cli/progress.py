@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NoReturn, Protocol
 
 from hd_diag.bag import BagReader
-from hd_diag.cli.options import tell
+from hd_diag.cli.lines import tell
 from hd_diag.ros.stop_signals import Stopped, noted_signals, signalled
 
 _PERIOD = 10.0  # of lines in a pipe [s]

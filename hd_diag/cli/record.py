@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import click
 import numpy as np
 
 from hd_diag.bag.joint_record import InputRecord, nothing, read_bags, read_motion
 from hd_diag.bag.tables import Table, read_table_motion, read_tables
 from hd_diag.cli.joints import chosen_joints, configured
+from hd_diag.cli.lines import tell
 from hd_diag.cli.progress import Advance
 from hd_diag.cli.targets import Problem, write_json, writing
 from hd_diag.config.catalogue import load
@@ -131,16 +131,16 @@ def judge_each(
         except RecordError as error:
             if len(records.joints) == 1:
                 raise Problem(f"{joint.name}: {error}") from error
-            click.echo(f"hd-diag: {joint.name}: not judged: {' '.join(str(error).split())}", err=True)
+            tell(f"hd-diag: {joint.name}: not judged: {' '.join(str(error).split())}", err=True)
             content, lines, page, complete = not_judged(joint.name, error), [], None, False
         complete &= content.get("judgement") != "not_judged"  # its signals are wrong: the lines say how
         contents.append(content)
         pages += [page] if page is not None else []
         for line in lines if json_file != "-" else ():
-            click.echo(f"{joint.name}: {line}")
+            tell(f"{joint.name}: {line}")
     if page_file is not None and pages:
         _write_page(page_file, pages, records.bags)
-        click.echo(f"report written: {page_file}", err=json_file == "-")
+        tell(f"report written: {page_file}", err=json_file == "-")
     if json_file:
         several = {"schema": "hd_diag/diagnoses/1", "joints": contents}
         write_json(json_file, contents[0] if len(contents) == 1 else several)

@@ -6,7 +6,7 @@ import sys
 
 from rich.table import Table
 
-from hd_diag.cli.options import show_table
+from hd_diag.cli.lines import show_table
 from hd_diag.cli.progress import showing
 from hd_diag.cli.record import Judged, Records, judge_each, on_records
 from hd_diag.cli.targets import Problem

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from hd_diag.cli import options
 from hd_diag.cli.joints import chosen_joints, configured
+from hd_diag.cli.lines import tell
 from hd_diag.cli.progress import interrupted, working
 from hd_diag.cli.targets import Problem, write_json
 from hd_diag.config.configuration import Config, ConfigError, resolve
@@ -88,7 +88,7 @@ def simulate(
         }
         write_json(json_file, truth)
     if json_file != "-":
-        options.tell(f"{out}: {samples} samples, {motion.duration:g} s, joints {', '.join(joints)}")
+        tell(f"{out}: {samples} samples, {motion.duration:g} s, joints {', '.join(joints)}")
 
 
 def _true_configuration(file: str | None, names: tuple[str, ...], given: dict[str, Any]) -> Config:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import json
 import os
-import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,25 +12,14 @@ from typing import Any
 
 import click
 
-from hd_diag.formatting import json_ready, visible
+from hd_diag.formatting import json_ready
 from hd_diag.whole_file import whole_file
-
-LONGEST_LINE = 2000
-"""Characters of a line for people, of which some may come from a file."""
 
 
 class Problem(click.ClickException):
     """Bad input: one line on stderr, exit code 2."""
 
     exit_code = 2
-
-    def format_message(self) -> str:
-        """The message as one line that a terminal can show."""
-        return visible(" ".join(self.message.split()), LONGEST_LINE)
-
-    def show(self, file: Any = None) -> None:
-        """Print the line."""
-        click.echo(f"hd-diag: {self.format_message()}", file=file or sys.stderr)
 
 
 def check_targets(targets: Iterable[str | Path | None], *inputs: Path) -> None:

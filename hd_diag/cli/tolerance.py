@@ -12,7 +12,7 @@ import numpy as np
 from rich.table import Table
 
 from hd_diag.cli.joints import chosen_joint, configured
-from hd_diag.cli.options import show_table, tell
+from hd_diag.cli.lines import show_table, tell
 from hd_diag.cli.progress import showing
 from hd_diag.cli.targets import Problem, write_json, writing
 from hd_diag.config.configuration import Config, JointConfig

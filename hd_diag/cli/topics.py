@@ -12,7 +12,7 @@ import numpy as np
 from hd_diag.bag.block import Topic
 from hd_diag.bag.contents import Number, Pair, beside, numbers, pairs
 from hd_diag.bag.reader import BagReader
-from hd_diag.cli.options import tell
+from hd_diag.cli.lines import tell
 from hd_diag.cli.targets import write_json
 from hd_diag.config.parameter_file import text
 from hd_diag.config.parameters import Value

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import os
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -312,6 +313,8 @@ def main(args: Sequence[str] | None = None, stopped: Sequence[int] | None = None
 
 
 def _run(arguments: list[str], stopped: Sequence[int]) -> int:
+    if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
+        os.environ.setdefault("RCUTILS_COLORIZED_OUTPUT", "0")  # ROS asks neither
     set_logger_level("rcl", LoggingSeverity.FATAL)  # what it says of a faulty file is said below, better
     try:
         sections = check_arguments(arguments)

@@ -17,6 +17,7 @@ from typing import Any
 import click
 
 import hd_diag
+from hd_diag.cli.lines import tell
 from hd_diag.ros.stop_signals import signalled
 
 # Module of each verb, and its line in the list of all.
@@ -78,7 +79,7 @@ class _Verbs(click.Group):
             code = super().main(*args, **kwargs | {"standalone_mode": False})
         except Exception as error:
             code, text = _ended(error)
-            click.echo(f"hd-diag: {text}", err=True)
+            tell(f"hd-diag: {text}", err=True)
         sys.exit(code if isinstance(code, int) else 0)
 
 

@@ -1,0 +1,36 @@
+"""What verbs print: lines and tables for people."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from typing import TYPE_CHECKING
+
+import click
+
+from hd_diag.formatting import visible
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+_LONGEST = 2000  # characters of a line, of which some may come from a file
+_WIDEST = 1000  # characters of a table in a pipe: rich wraps what is wider
+
+
+def tell(line: str, *, err: bool = False) -> None:
+    """Print one line of which some may come from a file; on a terminal it breaks between words."""
+    line, stream = visible(line, _LONGEST), sys.stderr if err else sys.stdout
+    if stream.isatty():
+        indent = " " * (len(line) - len(line.lstrip()))
+        line = click.wrap_text(line.strip(), shutil.get_terminal_size().columns, indent, f"{indent}  ")
+    click.echo(line, err=err)
+
+
+def show_table(table: Table) -> None:
+    """Print a table: without markup, in a pipe as wide as it needs."""
+    from rich.console import Console
+
+    console = Console(width=None if sys.stdout.isatty() else _WIDEST, highlight=False, markup=False)
+    with console.capture() as text:  # rich would end the program, with 1, where nobody reads
+        console.print(table)
+    click.echo(text.get(), nl=False)
