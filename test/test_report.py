@@ -17,6 +17,7 @@ from report_samples import (
     HOSTILE,
     configured,
     diagnosis,
+    drawn_by_diagnose,
     hostile_page,
     joint_report,
     known_to_the_command_line,
@@ -385,21 +386,17 @@ def test_a_bag_without_output_gets_the_model_s_side(tmp_path: Path) -> None:
 
 def test_both_verbs_draw_what_they_say(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Of a bag or a table, which give the same record; both write the same JSON."""
+    lines, told, drawn, from_bag = drawn_by_diagnose()
+    assert (lines[0], lines[-1]) == (f"joint_1: {told['verdict']}", "report written: a.html")
+    assert letters(told["verdict"]) in letters(Reader(drawn).text)
     asked = known_to_the_command_line(monkeypatch, "output_runout")
-    bag, table, first, second = (tmp_path / name for name in ("j.mcap", "bench.csv", "a.html", "b.html"))
-    records.write_bag(made("output_runout"), bag)
+    table, out = tmp_path / "bench.csv", tmp_path / "b.html"
     records.write_csv(made("output_runout"), table)
-    drawn = hd_diag("diagnose", bag, "--report", first, "--json", tmp_path / "a.json")
-    assert (drawn.exit_code, drawn.stderr) == (0, "")
-    told = json.loads((tmp_path / "a.json").read_text())
-    lines = drawn.stdout.splitlines()
-    assert (lines[0], lines[-1]) == (f"joint_1: {told['verdict']}", f"report written: {first}")
-    assert letters(told["verdict"]) in letters(Reader(first.read_text(encoding="utf-8")).text)
     names = ("--columns", "time=time,input=input,output=output,torque=torque,temperature=temperature")
-    result = hd_diag("report", table, *names, "--out", second, "--json", "-")
-    assert (result.exit_code, result.stderr) == (0, f"report written: {second}\n")
+    result = hd_diag("report", table, *names, "--out", out, "--json", "-")
+    assert (result.exit_code, result.stderr) == (0, f"report written: {out}\n")
     assert json.loads(result.stdout) == told
-    from_bag, from_table = (record for record, _ in asked)
+    ((from_table, _),) = asked
     assert from_bag.size == made("output_runout").time.size
     assert_allclose(from_bag.input_angle, from_table.input_angle)
     assert_allclose(from_bag.torque, from_table.torque)

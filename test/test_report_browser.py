@@ -1,7 +1,6 @@
 """The report's page in Chromium: what a reader on a phone, at a desk or with a printer gets."""
 
 import base64
-import json
 import re
 from pathlib import Path
 from typing import Any
@@ -9,9 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from browser import opened, page_faults, requested
-from challenge import records
-from cli_runner import hd_diag
-from report_samples import configured, hostile_page, joint_report, known_to_the_command_line, letters, made
+from report_samples import configured, drawn_by_diagnose, hostile_page, joint_report, letters
 
 from hd_diag.diagnosis.gain import Rms
 from hd_diag.formatting import ARCSEC, arcsec
@@ -113,15 +110,10 @@ def test_it_prints(browser: Any, hostile: str) -> None:
     assert 6 <= pages <= 30
 
 
-def test_what_the_command_draws_is_what_it_says(
-    browser: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_what_the_command_draws_is_what_it_says(browser: Any, tmp_path: Path) -> None:
     """Numbers seen in the page are those of the JSON of the same run."""
-    known_to_the_command_line(monkeypatch, "output_runout")
-    bag, out, told_file = (tmp_path / name for name in ("joint.mcap", "page.html", "told.json"))
-    records.write_bag(made("output_runout"), bag)
-    assert hd_diag("diagnose", bag, "--report", out, "--json", told_file).exit_code == 0
-    told = json.loads(told_file.read_text())
+    told, out = drawn_by_diagnose().told, tmp_path / "page.html"
+    out.write_text(drawn_by_diagnose().page, encoding="utf-8")
     opened(browser, out.as_uri())
     verdict, gain, cards, ladder = (
         browser.find_element("css selector", selector).text
