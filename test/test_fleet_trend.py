@@ -193,9 +193,8 @@ def test_a_drift_is_reported_with_its_slope_and_the_day_of_the_limit() -> None:
     for seed in range(count):
         found = trend_of(slope * np.arange(30) + noise(seed, 30), limit=slope * 50)
         assert (found.form, found.changes) == ("drift", ())
-        assert found.slope is not None
         assert found.crossing is not None
-        slopes += found.slope.low * DAY < slope < found.slope.high * DAY
+        slopes += found.line.low_slope * DAY < slope < found.line.high_slope * DAY
         when, low, high = ((time - START) / DAY for time in found.crossing)
         assert low < when < high
         days += low < 50 < high

@@ -29,7 +29,7 @@ from hd_diag.fleet.journal import JOURNAL_SUFFIX, Journal
 from hd_diag.fleet.rows import PAGE
 from hd_diag.fleet.run import Fleet, Progress, diagnose_fleet
 from hd_diag.fleet.series import ECCENTRICITY, ERROR, NOMINAL, REFIT, RIPPLE, series_of
-from hd_diag.fleet.standing import Health, attention, health, limits_of
+from hd_diag.fleet.standing import Health, health, limits_of
 from hd_diag.fleet.summary import as_json, attention_lines, headline, notes, sentences, table
 from hd_diag.fleet.survey import find_bags
 from hd_diag.fleet.trend import CHANGED, trends
@@ -186,7 +186,7 @@ def _show(found: Health, given: dict[str, Any]) -> None:
         show_table(table(found))
     for line in sentences(found.trends):
         tell(line)
-    present, past = attention(found.rows, found.colours)
+    present, past = found.attention
     lines = [line for n in (*present, *past) for line in attention_lines(found.rows[n], found.colours[n])]
     for line in lines[:_ERRORS_SHOWN]:
         tell(line, err=True)

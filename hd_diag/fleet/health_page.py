@@ -13,7 +13,7 @@ from urllib.parse import quote
 
 from hd_diag.fleet.rows import PAGE, readable
 from hd_diag.fleet.series import ECCENTRICITY, ERROR
-from hd_diag.fleet.standing import Health, Limited, Standing, attention, natural
+from hd_diag.fleet.standing import Health, Limited, Standing, natural
 from hd_diag.fleet.summary import day, headline, notes, recorded, statement
 from hd_diag.formatting import si, size, words
 from hd_diag.report.facts import Fact, versions
@@ -26,18 +26,10 @@ _TOP = 2.0  # of its axis, in limits; what is larger is drawn there
 _LEAST_TOP = 1.25
 
 
-class Dot(NamedTuple):
-    """A recording in a small trend."""
-
-    x: float
-    y: float
-    state: str
-
-
 class Small(NamedTuple):
-    """A small trend: dots, the line through them, the height of the limit if any, and what it shows."""
+    """A small trend: dots with their states, the line through them, the limit if any, and what it shows."""
 
-    dots: tuple[Dot, ...]
+    dots: list[tuple[float, float, str]]
     line: str
     limit: float | None
     about: str
@@ -92,7 +84,7 @@ def health_page(found: Health, facts: Sequence[Fact]) -> str:
     times = [time for one in standings for time, _ in one.history if not math.isnan(time)]
     ends = (min(times), max(times)) if times else None
     lines = [_line(one, robots.index(one.robot), ends) for one in standings]
-    present, past = attention(rows, colours)
+    present, past = found.attention
     counts = Counter(one.colour.state for one in standings)
     style = (files("hd_diag.report") / "templates/fleet.css").read_text(encoding="utf-8")
     return rendered(
@@ -161,16 +153,16 @@ def _small(one: Standing, ends: tuple[float, float] | None) -> Small | None:
     def y(value: float) -> float:
         return _HEIGHT - _EDGE - (_HEIGHT - 2.0 * _EDGE) * min(value, top) / top
 
-    dots = tuple(
-        Dot(round(x(time), 1), round(y(value), 1), states.get(time, GREEN))
+    dots = [
+        (round(x(time), 1), round(y(value), 1), states.get(time, GREEN))
         for time, value in zip(series.time.tolist(), share.tolist(), strict=True)
-    )
+    ]
     about = (
         f"{words(series.quantity)}, {len(dots)} recordings, {day(series.time[0])} to {day(series.time[-1])}: "
         f"{size(float(series.value[0]), series.unit)} to {size(float(series.value[-1]), series.unit)}"
         + (f"; the limit is {size(nearest.limit, nearest.unit)}" if nearest else "")
     )
-    line = " ".join(f"{dot.x},{dot.y}" for dot in dots)
+    line = " ".join(f"{x},{y}" for x, y, _ in dots)
     return Small(dots, line, round(y(1.0), 1) if nearest else None, about)
 
 

@@ -63,10 +63,10 @@ def _panel(axes: Axes, trend: Trend) -> None:
 
 def _fit(axes: Axes, trend: Trend, scale: float) -> None:
     series = trend.series
-    if trend.form == "drift" and trend.slope is not None:
+    if trend.form == "drift":
         ends = series.time[[0, -1]]
-        line = trend.slope.start + trend.slope.value * (ends - series.time[0])
-        axes.plot(_dates(ends), line / scale, color="C1")
+        values = trend.line.intercept + trend.line.slope * (ends - series.time[0])
+        axes.plot(_dates(ends), values / scale, color="C1")
     if trend.form == "steps":
         edges = np.searchsorted(series.time, [change.after for change in trend.changes])
         for rows in np.split(np.arange(series.time.size), edges):

@@ -142,23 +142,17 @@ def _page(task: Task, report: JointReport) -> str:
 def _not_judged(task: Task, reason: str) -> Row:
     """Columns where the angles cannot be judged: the ripple of the torque, or an ``error``."""
     motion = read_motion([task.bag], task.joint)
-    found = _ripple(motion, task.joint)
-    row = {"error": reason} if motion is None or found is None else _rippled(motion, found)
-    row |= {} if motion is None else _refused(motion.stamps.told)
-    if task.drawn and motion is not None:
-        row[PAGE] = _page(task, of_motion(motion, task.joint, task.flat, reason, found))
-    return row
-
-
-def _ripple(motion: InputRecord | None, joint: JointConfig) -> Ripple | None:
-    """Lines of a torque; None where there are none to be judged."""
     if motion is None:
-        return None
+        return {"error": reason}
     columns = motion.time, motion.input_angle, motion.torque, motion.bag
     try:
-        return ripple(*columns, joint.configured.kinematics)
+        found = ripple(*columns, task.joint.configured.kinematics)
     except RecordError:
-        return None
+        found = None
+    row = _refused(motion.stamps.told) | (_rippled(motion, found) if found else {"error": reason})
+    if task.drawn:
+        row[PAGE] = _page(task, of_motion(motion, task.joint, task.flat, reason, found))
+    return row
 
 
 def _rippled(motion: InputRecord, found: Ripple) -> Row:

@@ -211,7 +211,26 @@ class Health:
         if least == RED:
             return any(one.colour.state == RED for one in self.standings)
         bad = any(one.colour.state != GREEN for one in self.standings)
-        return bad or bool(attention(self.rows, self.colours)[0])
+        return bad or bool(self.attention[0])
+
+    @property
+    def attention(self) -> tuple[list[int], list[int]]:
+        """Indices of rows that could not be judged or are not whole: those that still matter, and older ones.
+
+        Older ones are followed by a recording of the same joint, or, where a bag has no usable joint, of the
+        same robot.
+        """
+        last: dict[tuple[str | None, str | None], int] = {}
+        for row in self.rows:
+            for joint in (row.get("joint"), None) if row.get("joint") else ():
+                key = row.get("robot"), joint
+                last[key] = max(last.get(key, 0), row.get("start") or 0)
+        found: tuple[list[int], list[int]] = [], []
+        for place, (row, colour) in enumerate(zip(self.rows, self.colours, strict=True)):
+            if colour.state == GREY or missing(row) or left_out(row):
+                start, newest = row.get("start"), last.get((row.get("robot"), row.get("joint")), 0)
+                found[start is not None and start < newest].append(place)
+        return found
 
     @property
     def overlapping(self) -> list[tuple[Row, Row]]:
@@ -242,23 +261,3 @@ def _order(one: Standing) -> tuple[int, bool, float, list[object], list[object]]
 def natural(name: str) -> list[object]:
     """A key that sorts robot_2 before robot_10."""
     return [(0, int(part), "") if part.isdigit() else (1, 0, part) for part in re.split(r"(\d+)", name)]
-
-
-def attention(rows: Sequence[Row], colours: Sequence[Colour]) -> tuple[list[int], list[int]]:
-    """Indices of rows that could not be judged or are not whole: those that still matter, and older ones.
-
-    Older ones are followed by a recording of the same joint, or, where a bag has no usable joint, of the same
-    robot.
-    """
-    last: dict[tuple[str | None, str | None], int] = {}
-    for row in rows:
-        for joint in (row.get("joint"), None) if row.get("joint") else ():
-            key = row.get("robot"), joint
-            last[key] = max(last.get(key, 0), row.get("start") or 0)
-    present: list[int] = []
-    past: list[int] = []
-    for place, (row, colour) in enumerate(zip(rows, colours, strict=True)):
-        if colour.state == GREY or missing(row) or left_out(row):
-            start, newest = row.get("start"), last.get((row.get("robot"), row.get("joint")), 0)
-            (past if start is not None and start < newest else present).append(place)
-    return present, past

@@ -15,7 +15,7 @@ from rich.text import Text
 from hd_diag.bag import BagError
 from hd_diag.fleet.rows import PAGE, SCHEMA, Row, readable
 from hd_diag.fleet.series import ECCENTRICITY, ERROR, began
-from hd_diag.fleet.standing import Colour, Health, Standing, attention, left_out, missing
+from hd_diag.fleet.standing import Colour, Health, Standing, left_out, missing
 from hd_diag.fleet.steps import FALSE_ALARM, Change
 from hd_diag.fleet.trend import CHANGED, Trend
 from hd_diag.formatting import SCALES, json_ready, number, words
@@ -72,7 +72,7 @@ def _joint(one: Standing) -> dict[str, Any]:
 
 
 def _trend(trend: Trend) -> dict[str, Any]:
-    series, slope = trend.series, trend.slope
+    series, line = trend.series, trend.line
     last = None
     if series.value.size:
         last = {"time": moment(series.time[-1]), "value": series.value[-1], "std": series.std[-1]}
@@ -88,8 +88,13 @@ def _trend(trend: Trend) -> dict[str, Any]:
         "steps": {"p_value": trend.step_p, "q_value": trend.step_q},
         "drift": {"p_value": trend.drift_p, "q_value": trend.drift_q},
         "changes": [_change(change) for change in trend.changes],
-        "slope": slope
-        and {"value": slope.value, "low": slope.low, "high": slope.high, "unit": f"{series.unit}/s"},
+        "slope": line
+        and {
+            "value": line.slope,
+            "low": line.low_slope,
+            "high": line.high_slope,
+            "unit": f"{series.unit}/s",
+        },
         "limit": _limit(trend),
         "statement": statement(trend),
     }
@@ -146,9 +151,8 @@ def _step(trend: Trend, change: Change) -> str:
 
 
 def _drift(trend: Trend) -> str:
-    slope, (scale, unit) = trend.slope, SCALES[trend.series.unit]
-    assert slope is not None
-    rate, low, high = (value * _MONTH / scale for value in (slope.value, slope.low, slope.high))
+    line, (scale, unit) = trend.line, SCALES[trend.series.unit]
+    rate, low, high = (v * _MONTH / scale for v in (line.slope, line.low_slope, line.high_slope))
     text = (
         f"drifts by {rate:+.3g} {unit} ({low:.3g} to {high:.3g}) in 30 days, "
         f"p = {trend.drift_q:.2g} with all series"
@@ -171,7 +175,7 @@ def day(time: float) -> str:
 
 def headline(found: Health) -> str:
     """How many joints have which state, and what is missing."""
-    standings, rows = found.standings, [found.rows[n] for n in attention(found.rows, found.colours)[0]]
+    standings, rows = found.standings, [found.rows[n] for n in found.attention[0]]
     if not standings:
         return "No joint was found in any recording."
     counts = Counter(one.colour.state for one in standings)

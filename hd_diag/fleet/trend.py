@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -40,16 +41,6 @@ CHANGED = ("steps", "drift")
 
 
 @dataclass(frozen=True)
-class Slope:
-    """Theil–Sen slope with its 95 % interval [unit/s], and the line's value at the first time."""
-
-    value: float
-    low: float
-    high: float
-    start: float
-
-
-@dataclass(frozen=True)
 class Trend:
     """What a series shows.
 
@@ -59,6 +50,8 @@ class Trend:
         Values from which on the clearest step possible would be reported; of each the series has a weight.
     step_p, drift_p, step_q, drift_q : float
         p-values against a constant, alone and corrected for all series; nan with too few values.
+    line : scipy.stats result or None
+        Theil and Sen's [unit/s, unit], of times from the first on; None with too few values.
     form : str
         ``unknown`` (too few values), ``constant``, ``steps`` (changes) or ``drift``.
     crossing : tuple of float or None
@@ -75,7 +68,7 @@ class Trend:
     drift_q: float = math.nan
     form: str = "unknown"
     changes: tuple[Change, ...] = ()
-    slope: Slope | None = None
+    line: Any = None
     crossing: tuple[float, float, float] | None = None
 
 
@@ -117,15 +110,16 @@ def _trend(
 ) -> Trend:
     (step_p, drift_p, penalty), (step_q, drift_q) = tested, corrected
     edges = edges_of(series.value, weight, penalty) if step_q <= FALSE_ALARM else []
-    slope, form = _slope(series), "steps" if edges else "constant"
+    form = "steps" if edges else "constant"
+    line = stats.theilslopes(series.value, series.time - series.time[0], 0.95)
     changes: tuple[Change, ...] = ()
     crossing = None
     if drift_q <= FALSE_ALARM and (not edges or _line_is_better(series, weight, edges)):
-        form, crossing = "drift", _crossing(series, slope, rng)
+        form, crossing = "drift", _crossing(series, line, rng)
     elif edges:
         parts = [0, *edges, series.value.size]
         changes = tuple(change_at(series, weight, parts[i : i + 3], rng) for i in range(len(edges)))
-    return Trend(series, needed, weight, step_p, drift_p, step_q, drift_q, form, changes, slope, crossing)
+    return Trend(series, needed, weight, step_p, drift_p, step_q, drift_q, form, changes, line, crossing)
 
 
 def least_values(tests: int) -> int:
@@ -148,11 +142,6 @@ def _drift_p(series: Series) -> float:
     return p_value if math.isfinite(p_value) else 1.0
 
 
-def _slope(series: Series) -> Slope:
-    value, start, low, high = map(float, stats.theilslopes(series.value, series.time - series.time[0], 0.95))
-    return Slope(value, low, high, start)
-
-
 def _line_is_better(series: Series, weight: Floats, edges: list[int]) -> bool:
     """Whether one line describes a series better than its steps do, by Schwarz's criterion (1978)."""
     time, count = series.time - series.time.mean(), series.value.size
@@ -166,18 +155,18 @@ def _line_is_better(series: Series, weight: Floats, edges: list[int]) -> bool:
     return criterion(np.asarray(line, np.float64), 2) < steps
 
 
-def _crossing(series: Series, slope: Slope, rng: np.random.Generator) -> tuple[float, float, float] | None:
+def _crossing(series: Series, line: Any, rng: np.random.Generator) -> tuple[float, float, float] | None:
     """When the line reaches the limit, with its interval by bootstrap of the residuals.
 
     Those of so few values are too small, and their quantiles too near: both are widened as Student's t asks.
     """
-    if not (np.isfinite(series.limit) and slope.value > 0.0):
+    if not (np.isfinite(series.limit) and line.slope > 0.0):
         return None
     time = series.time - series.time[0]
-    when = (series.limit - slope.start) / slope.value
+    when = (series.limit - line.intercept) / line.slope
     if when > (1.0 + _HORIZON) * time[-1]:
         return None
-    fitted = slope.start + slope.value * time
+    fitted = line.intercept + line.slope * time
     freedom = time.size - 2
     wider = math.sqrt(time.size / freedom) * float(stats.t.ppf(0.975, freedom) / stats.norm.ppf(0.975))
     residual = wider * (series.value - fitted)

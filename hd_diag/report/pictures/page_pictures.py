@@ -28,18 +28,10 @@ def _drawings(report: JointReport) -> Iterator[_Drawing]:
     if report.judgement is not None:
         yield from _comparisons(report.judgement)
     if report.ripple is not None:
-        yield (
-            "ripple",
-            "Ripple of the torque",
-            comparison.ripple(report.ripple),
-            captions.ripple(report.ripple),
-        )
-    yield (
-        "torsion",
-        "Torsion curve",
-        comparison.torsion_curve(report.torsion, judged),
-        captions.torsion(report),
-    )
+        lines = report.ripple
+        yield "ripple", "Ripple of the torque", comparison.ripple(lines), captions.ripple(lines)
+    curve = comparison.torsion_curve(report.torsion, judged)
+    yield "torsion", "Torsion curve", curve, captions.torsion(report)
     yield "maps", "Backlash and load of every tooth", tooth_maps(teeth), captions.maps(report)
     yield "around", "Around the gear", around_the_gear(teeth), captions.around(teeth)
 
@@ -54,9 +46,5 @@ def _comparisons(found: Judgement) -> Iterator[_Drawing]:
     if found.ladder and found.diagnosis.rms is not None:
         drawn = comparison.model_ladder(found.ladder, found.diagnosis.rms)
         yield "ladder", "Ladder of models", drawn, captions.ladder(found)
-    yield (
-        "time",
-        "The record over time",
-        comparison.over_time(found.over_time),
-        captions.over_time(found.over_time),
-    )
+    drawn = comparison.over_time(found.over_time)
+    yield "time", "The record over time", drawn, captions.over_time(found.over_time)

@@ -25,10 +25,7 @@ _MM = 1e3
 _POINTS = 200
 _DEFORMED = 12.0  # by which the deformation is drawn larger [-]
 _ECCENTRIC, _RUNOUT = 0.25, 0.17  # of the radius, at which they are drawn
-_DIRECTION, _PHASE = (
-    math.radians(-50.0),
-    math.radians(25.0),
-)  # of the eccentricity and the long axis, as drawn
+_DIRECTION, _PHASE = math.radians(-50.0), math.radians(25.0)  # of the eccentricity and the long axis, drawn
 _SMALL: Any = {"fontsize": 7.0}
 _BESIDE: Any = {"textcoords": "offset points", **_SMALL}
 _FLEXSPLINE, _CIRCULAR_SPLINE = REFIT, NOMINAL
@@ -51,9 +48,8 @@ def tooth_pair_picture(geometry: Geometry) -> Figure:
 def _assembly(axes: Axes, geometry: Geometry) -> None:
     """Neutral curve, its axes and where the wave generator stands; deformation and displacement enlarged."""
     radius = geometry.curve.radius * _MM
-    major, minor = (
-        radius + _DEFORMED * (axis * _MM - radius) for axis in (geometry.semi_major, geometry.semi_minor)
-    )
+    axes_of_curve = geometry.semi_major, geometry.semi_minor
+    major, minor = (radius + _DEFORMED * (axis * _MM - radius) for axis in axes_of_curve)
     turn = np.linspace(0.0, 2.0 * np.pi, _POINTS)
     fixed = _ECCENTRIC * radius * np.exp(1j * _DIRECTION)
     centre = fixed + _RUNOUT * radius * np.exp(1j * (_PHASE + 0.08 * np.pi))
@@ -77,63 +73,28 @@ def _assembly(axes: Axes, geometry: Geometry) -> None:
     major_axis, minor_axis = (centre + 0.75 * (end - centre) for end in ends)
     on_layer, on_spline = centre - major * np.exp(1j * (_PHASE + 0.15)), 1.45 * radius * np.exp(2.2j)
     at_arc = 0.2 * radius * np.exp(0.5j * _DIRECTION)
+    spline = "circular spline, in the housing:\ncircular_spline_teeth"
+    phase = "wave_generator_phase: the\nlong axis at input angle 0"
+    runout = "runout.magnitude and .direction:\nturns with the wave generator"
+    magnitude, between = "eccentricity.magnitude:\nfixed in the housing", 0.5 * (fixed + centre)
     # Text, what it is of, on which side, at which height, and from where of the text a line leads there.
     labels: tuple[tuple[str, complex, float, float, tuple[float, float], str], ...] = (
         ("neutral_curve.semi_minor", minor_axis, left, 2.4, (1.0, 0.0), _FLEXSPLINE),
-        (
-            "circular spline, in the housing:\ncircular_spline_teeth",
-            on_spline,
-            left,
-            1.95,
-            (0.5, 0.0),
-            _CIRCULAR_SPLINE,
-        ),
-        (
-            "wave_generator_phase: the\nlong axis at input angle 0",
-            pointed,
-            right,
-            2.45,
-            (1.0, 0.0),
-            _FLEXSPLINE,
-        ),
+        (spline, on_spline, left, 1.95, (0.5, 0.0), _CIRCULAR_SPLINE),
+        (phase, pointed, right, 2.45, (1.0, 0.0), _FLEXSPLINE),
         ("neutral_curve.semi_major", major_axis, right, 2.1, (1.0, 0.0), _FLEXSPLINE),
         ("direction 0, at slot 0", 1.6 * radius, right, 1.8, (1.0, 0.0), INK),
         (layer, on_layer, left, -1.85, (0.5, 1.0), _FLEXSPLINE),
-        (
-            "runout.magnitude and .direction:\nturns with the wave generator",
-            0.5 * (fixed + centre),
-            left,
-            -2.4,
-            (1.0, 1.0),
-            EXTENDED,
-        ),
+        (runout, between, left, -2.4, (1.0, 1.0), EXTENDED),
         ("eccentricity.direction", at_arc, right + 0.45 * radius, -1.8, (0.0, 1.0), ACCENT),
-        (
-            "eccentricity.magnitude:\nfixed in the housing",
-            0.5 * fixed,
-            right,
-            -2.25,
-            (0.0, 1.0),
-            ACCENT,
-        ),
+        (magnitude, 0.5 * fixed, right, -2.25, (0.0, 1.0), ACCENT),
     )
     for text, point, side, height, begin, colour in labels:
+        line = {"arrowstyle": "-", "color": colour, "lw": 0.5, "shrinkA": 1.0, "shrinkB": 0.0}
+        place = complex(point).real, complex(point).imag
+        way: Any = {"color": colour, "ha": "left" if side > 0.0 else "right", "va": "center"}
         axes.annotate(
-            text,
-            (complex(point).real, complex(point).imag),
-            (side, height * radius),
-            color=colour,
-            ha="left" if side > 0.0 else "right",
-            va="center",
-            arrowprops={
-                "arrowstyle": "-",
-                "color": colour,
-                "lw": 0.5,
-                "shrinkA": 1.0,
-                "shrinkB": 0.0,
-                "relpos": begin,
-            },
-            **_SMALL,
+            text, place, (side, height * radius), arrowprops={**line, "relpos": begin}, **way, **_SMALL
         )
     axes.set(xlim=(-2.2 * radius, 2.2 * radius), ylim=(-2.7 * radius, 2.6 * radius), aspect="equal")
 
@@ -163,15 +124,8 @@ def _pair(axes: Axes, geometry: Geometry) -> None:
     for name, radius, colour, side in marks:
         axes.plot([-wide, wide], [radius * _MM] * 2, color=colour, lw=0.6, ls="--")
         across, along, up = sides[side]
-        axes.annotate(
-            f"{name}{radius * _MM:.4f} mm",
-            (side * wide, radius * _MM),
-            (4.0 * side, up),
-            ha=across,
-            va=along,
-            color=colour,
-            **_BESIDE,
-        )
+        text, place = f"{name}{radius * _MM:.4f} mm", (side * wide, radius * _MM)
+        axes.annotate(text, place, (4.0 * side, up), ha=across, va=along, color=colour, **_BESIDE)
     module = geometry.module * _MM
     axes.set_title(
         "Teeth in their slots at the long axis:\nradii from the circular spline's axis", fontsize=7.5
@@ -202,17 +156,9 @@ def _profile(axes: Axes, geometry: Geometry, name: str) -> None:
         axes.add_patch(Arc((y, x), size, size, color=ink, lw=0.6, ls=":"))
         axes.plot(y, x, "+", color=ink)
         _arrow(axes, complex(y, x), complex(joint[1], joint[0]) * _MM, ink)
-        up = 1.0 if part == "addendum" else -1.0
+        up, along = (1.0, "bottom") if part == "addendum" else (-1.0, "top")
         for text, away in ((f"{part}_center", 6.0), (f"{part}_radius", 15.0)):
-            axes.annotate(
-                text,
-                (y, x),
-                (0.0, up * away),
-                ha="center",
-                va="bottom" if up > 0.0 else "top",
-                color=ink,
-                **_BESIDE,
-            )
+            axes.annotate(text, (y, x), (0.0, up * away), ha="center", va=along, color=ink, **_BESIDE)
     far = 1.4 * flank.dedendum_center[1] * _MM
     near = -0.8 * far
     for end, value in (ends | {f"{zero}, x = 0": 0.0}).items():
