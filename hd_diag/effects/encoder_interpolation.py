@@ -45,7 +45,9 @@ class EncoderInterpolation(Harmonic):
 
     def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
         """Strongest whole orders of a residual over the angle; without one the usual line numbers."""
-        least, highest = self._lowest(signals), self.highest(signals)
+        least, highest = self.least, self.highest(signals)
+        if self.angle == "input_angle" and not torque_known(signals)[0]:
+            least = _ABOVE_MESH  # under a load that is not known, the gear's own orders look like lines
         trials = max(1, highest - least + 1)
         if residual is None:
             return Starts([(float(lines),) for lines in _USUAL if least <= lines <= highest], trials)
@@ -75,17 +77,12 @@ class EncoderInterpolation(Harmonic):
             divided &= _ROUND % np.maximum(number, 1) == 0
         return np.asarray(divided, np.bool_)
 
-    def slow_enough(self, signals: Signals) -> Verdict:
-        """Whether the least number of lines does not alias."""
-        limit = np.pi / (self.least * sample_interval(signals)) * self._gear(signals)
-        slow = self.highest(signals) >= self.least
-        text = f"the input is too fast for the sampling: repeat the motion below {limit:.3g} rad/s"
-        return slow, "" if slow else text
-
     def testable(self, signals: Signals) -> Verdict:
-        """As other effects, and whether lines are not passed too fast."""
-        slow = self.slow_enough(signals)
-        return super().testable(signals) if slow[0] else slow
+        """As other effects, and whether the least number of lines does not alias."""
+        if self.highest(signals) >= self.least:
+            return super().testable(signals)
+        limit = np.pi / (self.least * sample_interval(signals)) * self._gear(signals)
+        return False, f"the input is too fast for the sampling: repeat the motion below {limit:.3g} rad/s"
 
     def highest(self, signals: Signals) -> int:
         """Greatest order of the angle that does not alias in the slower part of the record."""
@@ -95,11 +92,6 @@ class EncoderInterpolation(Harmonic):
             return 0
         step = float(np.quantile(moving, _SLOW)) * sample_interval(signals)
         return int(min(self.most, np.pi / step)) if step > 0.0 else self.most
-
-    def _lowest(self, signals: Signals) -> int:
-        """Under a load that is not known, the gear's own orders look like lines."""
-        of_mesh = _ABOVE_MESH * self._gear(signals)
-        return self.least if torque_known(signals)[0] or self.angle != "input_angle" else int(of_mesh)
 
     def _gear(self, signals: Signals) -> float:
         """Speed of the input over that of the angle [-]."""

@@ -93,24 +93,23 @@ def loaded(signals: Signals) -> Verdict:
 
 def torque_beyond(signals: Signals, fraction: float) -> Verdict:
     """Whether the torque goes beyond a fraction of the rated one in both directions."""
-    low, high = _torque_ends(signals)
     torque = fraction * signals.rated_torque
-    return _verdict(
-        low <= -torque and high >= torque,
-        f"the torque reaches from {_signed(low)} to {_signed(high)} N m: load the joint once up to "
-        f"{torque:.3g} N m in each direction",
-    )
+    return _reaches(signals, torque, f"load the joint once up to {torque:.3g} N m in each direction")
 
 
 def torque_through_zero(signals: Signals) -> Verdict:
     """Whether the torque is well on both sides of zero."""
-    low, high = _torque_ends(signals)
     wanted = 0.05 * signals.rated_torque
-    return _verdict(
-        low <= -wanted and high >= wanted,
-        f"the torque reaches from {_signed(low)} to {_signed(high)} N m: lead it slowly through zero, "
-        f"from {_signed(-wanted)} to {_signed(wanted)} N m",
-    )
+    ends = f"from {_signed(-wanted)} to {_signed(wanted)} N m"
+    return _reaches(signals, wanted, f"lead it slowly through zero, {ends}")
+
+
+def _reaches(signals: Signals, torque: float, extra: str) -> Verdict:
+    """Whether the torque goes that far in both directions [N m]."""
+    every = signals.torque if signals.size else np.zeros(1)
+    low, high = float(every.min()), float(every.max())
+    reached = f"the torque reaches from {_signed(low)} to {_signed(high)} N m"
+    return _verdict(low <= -torque and high >= torque, f"{reached}: {extra}")
 
 
 def torque_known(signals: Signals) -> Verdict:
@@ -186,12 +185,6 @@ def sample_interval(signals: Signals) -> float:
     steps = [np.diff(signals.time[run]) for run in signals.runs()]
     every = np.concatenate(steps) if steps else np.empty(0)
     return float(np.median(every)) if every.size else math.inf
-
-
-def _torque_ends(signals: Signals) -> tuple[float, float]:
-    if not signals.size:
-        return 0.0, 0.0
-    return float(np.min(signals.torque)), float(np.max(signals.torque))
 
 
 def _turning_points(torque: Floats, swing: float) -> Floats:

@@ -119,7 +119,7 @@ def _close(
     count, inverse = gram[0, 0], _inverse(gram)
     for order in range(3):
         if _is_known(inverse, count, 3 + order, 6 + order):
-            x, y = _product(inverse, 3 + order, moment), _product(inverse, 6 + order, moment)
+            x, y = np.sum(inverse[3 + order] * moment), np.sum(inverse[6 + order] * moment)
             wave = waves[side, order]
             for k, value in enumerate((1.0, 1.0, x, y, x * x + y * y)):
                 wave[k] += value
@@ -134,33 +134,8 @@ def _close(
 @part
 def _inverse(gram: Floats) -> Floats:
     """Inverse of normal equations, whose lower triangle and first number, the samples, are given."""
-    size, divisor = gram.shape[0], max(gram[0, 0], 1.0)
-    left, found = np.empty((size, size)), np.zeros((size, size))
-    for j in range(size):
-        for k in range(size):
-            left[j, k] = gram[max(j, k), min(j, k)] / divisor
-        left[j, j] += _RIDGE
-        found[j, j] = 1.0 / divisor
-    for j in range(size):  # positive definite: no pivots are sought
-        scale = 1.0 / left[j, j]
-        for k in range(size):
-            left[j, k] *= scale
-            found[j, k] *= scale
-        for i in range(size):
-            factor = left[i, j] if i != j else 0.0
-            for k in range(size if factor != 0.0 else 0):
-                left[i, k] -= factor * left[j, k]
-                found[i, k] -= factor * found[j, k]
-    return found
-
-
-@part
-def _product(matrix: Floats, row: int, vector: Floats) -> float:
-    """A row times a vector."""
-    total = 0.0
-    for k in range(vector.size):
-        total += matrix[row, k] * vector[k]
-    return total
+    ridge = _RIDGE * max(gram[0, 0], 1.0) * np.eye(gram.shape[0])
+    return np.linalg.inv(np.tril(gram) + np.tril(gram, -1).T + ridge)
 
 
 @part
@@ -196,5 +171,5 @@ def _look(waves: Floats, output: Floats, means: Floats, found: Floats) -> None:
                 known[2] = math.sqrt(0.5 * variance)
     count, inverse = output[0, 0], _inverse(output)
     if count >= _FEWEST_SAMPLES and _is_known(inverse, count, 1, 2):
-        x, y = _product(inverse, 1, means), _product(inverse, 2, means)
+        x, y = np.sum(inverse[1] * means), np.sum(inverse[2] * means)
         found[3, 0], found[3, 1] = math.hypot(x, y), math.atan2(y, x)

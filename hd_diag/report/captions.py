@@ -161,26 +161,13 @@ def torsion(report: JointReport) -> str:
     )
 
 
-def stiffness_titles(report: JointReport) -> tuple[str, ...]:
-    """What stands over the columns of :func:`stiffness`."""
-    return ("Range", "Measured", "Fitted", "Configured") if report.judgement else ("Range", "Simulated")
-
-
 def stiffness(report: JointReport) -> list[tuple[str, ...]]:
-    """K1, K2 and K3 with their ranges [10⁴ N m/rad]: fitted, configured and measured with its interval.
-
-    Without a judgement as simulated alone.
-    """
-    judged = report.judgement is not None
-    return [
-        (
-            f"{entry.name}, {rounded(entry.low):g} to {rounded(entry.high):g} N m",
-            *((_measured(entry),) if judged else ()),
-            k_shown(entry.fitted),
-            *((k_shown(entry.configured),) if judged else ()),
-        )
-        for entry in report.torsion.stiffness
-    ]
+    """Titles, then K1, K2 and K3 [10⁴ N m/rad] with their ranges; without a judgement as simulated alone."""
+    rows = [("Range", "Measured", "Fitted" if report.judgement else "Simulated", "Configured")]
+    for entry in report.torsion.stiffness:
+        name = f"{entry.name}, {rounded(entry.low):g} to {rounded(entry.high):g} N m"
+        rows.append((name, _measured(entry), k_shown(entry.fitted), k_shown(entry.configured)))
+    return [row if report.judgement else (row[0], row[2]) for row in rows]
 
 
 def _measured(entry: Stiffness) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from importlib.resources import files
 from typing import Any
 
@@ -23,25 +23,21 @@ def page(reports: Sequence[JointReport], sources: Sequence[Fact]) -> str:
         {"report": report, "pictures": pictures(report, number), "id": f"joint{number}"}
         for number, report in enumerate(reports, start=1)
     ]
-    captioned = [picture["caption"] for joint in joints for picture in joint["pictures"].values()]
+    told = [picture["caption"] for joint in joints for picture in joint["pictures"].values()]
+    told += [report.verdict for report in reports]
+    cards = [card for report in reports if report.judgement for card in report.judgement.cards]
+    told += [text for card in cards for text in (card.title, card.cause, card.inspect)]
     return rendered(
         "report.html.jinja",
         title=f"Harmonic drive report: {', '.join(report.name for report in reports)}",
         sources=sources,
         versions=versions(),
         joints=joints,
-        terms=glossary.used(" ".join([*captioned, *(text for report in reports for text in _told(report))])),
+        terms=glossary.used(" ".join(told)),
         linked=glossary.Links(),
         captions=captions,
         ripple=ripple,
     )
-
-
-def _told(report: JointReport) -> Iterator[str]:
-    """What a page says of a joint before its pictures."""
-    yield report.verdict
-    for card in report.judgement.cards if report.judgement else ():
-        yield from (card.title, card.cause, card.inspect)
 
 
 def rendered(template: str, styles: str = "", **content: Any) -> str:
