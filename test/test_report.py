@@ -289,7 +289,7 @@ def test_a_record_without_torque_has_no_measured_stiffness() -> None:
     assert not [entry for entry in report.torsion.stiffness if np.isfinite(entry.measured)]
     assert report.torsion.measured == ()
     assert dict(report.quality)["Torque"] == "not measured"
-    assert [row[1] for row in captions.stiffness(report)] == ["not measured"] * 3
+    assert [row[1] for row in captions.stiffness(report)] == ["Measured", *["not measured"] * 3]
     text = Reader(page([report], SOURCES)).text
     assert "a part that wanders forwards" in text
     assert "2.50 per output turn" in text

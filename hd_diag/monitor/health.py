@@ -49,6 +49,7 @@ _TYPICAL = {
     "output 1": "typical of an output encoder off centre or of a link that runs out",
 }
 _TIMES = {1: "once", 2: "twice"}
+_CRITICISE = "run 'hd-diag diagnose' on a log"
 
 Fault = tuple[str, int, str]
 
@@ -70,11 +71,14 @@ class _Mesh(NamedTuple):
     """The teeth at a joint's last sample, and the predicted error over a turn at its torque, in SI."""
 
     minimum_backlash: float
-    loaded_pairs: int
+    loaded_pairs: float
     peak_load: float
     load_concentration: float
     lost_motion: float
     predicted_span: float
+
+
+_NO_MESH = _Mesh(*[math.nan] * 6)
 
 
 def reports(joint: Joint, windows: Sequence[Window], around: Sequence[Around]) -> list[Status]:
@@ -106,7 +110,7 @@ def _status(
         "input_angle_rad": _number(angle),
         "torque_Nm": _number(torque),
         **fixed[1],
-        **_mesh_values(mesh),
+        **_mesh_values(mesh or _NO_MESH),
         **fixed[2],
         "residual_rms_arcsec": _number(residual / ARCSEC),
         "residual_mean_arcsec": _number(mean / ARCSEC),
@@ -154,7 +158,8 @@ def _faults(joint: Joint, window: Window, around: Around, residual: float, mesh:
             ("LOAD_CONCENTRATION", "peak_tooth_load", peak, f"peak tooth load {peak:.1f} N"),
             ("LOAD_CONCENTRATION", "load_concentration", ratio, concentrated),
         ]
-    judged.append(("RESIDUAL", "residual_rms", residual, _rms_told(residual)))
+    rest = f"residual {residual / ARCSEC:.1f} arcsec rms; the measured error is not the predicted one"
+    judged.append(("RESIDUAL", "residual_rms", residual, f"{rest}; {_CRITICISE}"))
     found = [(code, limits[name].level(value), text) for code, name, value, text in judged]
     if warning := around.facts.get("warning"):
         found.append(("INPUT_INVALID", 1, warning))
@@ -197,20 +202,13 @@ def _order_faults(joint: Joint, orders: Sequence[Order]) -> list[Fault]:
     ]
 
 
-def _rms_told(residual: float) -> str:
-    return (
-        f"residual {residual / ARCSEC:.1f} arcsec rms; the measured error is not the predicted one; "
-        "run 'hd-diag diagnose' on a log"
-    )
-
-
 def _told(order: Order, has_model: bool) -> str:
     """An order in words."""
     times = _TIMES.get(order.number, f"{order.number} times")
     grown = " has grown since the model was fitted: it" if has_model else ""
     return (
         f"residual{grown} repeats {times} per {order.frame} turn with {order.amplitude / ARCSEC:.1f} arcsec "
-        f"({order.name}); {_TYPICAL[order.name]}; run 'hd-diag diagnose' on a log"
+        f"({order.name}); {_TYPICAL[order.name]}; {_CRITICISE}"
     )
 
 
@@ -219,38 +217,27 @@ def _model_faults(joint: Joint, window: Window) -> list[Fault]:
     model = joint.config.model
     if model is None:
         return []
-    ranges = model.ranges
-    return [
-        ("OUT_OF_RANGE", 1, f"outside the model's valid range: {text}")
-        for text in (
-            _outside("torque", window.torque, ranges.torque, _margin(ranges.torque), "N m"),
-            _outside("speed", window.speed, ranges.speed, _margin(ranges.speed), "rad/s"),
-            _temperature_outside(joint, ranges.temperature, "temperature" in model.needs),
-        )
-        if text
+    ranges, heat = model.ranges, np.array([joint.temperature])
+    texts = [
+        _outside("torque", window.torque, ranges.torque, "N m"),
+        _outside("speed", window.speed, ranges.speed, "rad/s"),
+        _outside("temperature", heat, ranges.temperature, "degC", _KELVIN),
     ]
+    if math.isnan(joint.temperature) and "temperature" in model.needs:
+        texts.append("temperature is not reported")
+    return [("OUT_OF_RANGE", 1, f"outside the model's valid range: {text}") for text in texts if text]
 
 
-def _margin(limits: Range) -> float:
-    return _MARGIN * max(limits.high - limits.low, abs(limits.low), abs(limits.high))
-
-
-def _outside(name: str, values: Floats, limits: Range, margin: float, unit: str) -> str:
+def _outside(name: str, values: Floats, limits: Range | None, unit: str, margin: float = 0.0) -> str:
     """How a quantity left its range since the last report; single samples are noise. Empty if it did not."""
     values = values[np.isfinite(values)]
-    if not values.size:
+    if limits is None or not values.size:
         return ""
+    margin = margin or _MARGIN * max(limits.high - limits.low, abs(limits.low), abs(limits.high))
     low, high = np.quantile(values, (_RARE, 1.0 - _RARE))
     worst = low if limits.low - low > high - limits.high else high
     inside = limits.low - margin <= worst <= limits.high + margin
     return "" if inside else f"{name} {worst:.3g}, not {limits.low:.3g} to {limits.high:.3g} {unit}"
-
-
-def _temperature_outside(joint: Joint, limits: Range | None, needed: bool) -> str:
-    if np.isnan(joint.temperature):
-        return "temperature is not reported" if needed else ""
-    now = np.array([joint.temperature])
-    return _outside("temperature", now, limits, _KELVIN, "degC") if limits else ""
 
 
 def _model_values(joint: Joint) -> dict[str, str]:
@@ -304,10 +291,7 @@ def _at_rest_values(joint: Joint) -> dict[str, str]:
     }
 
 
-def _mesh_values(mesh: _Mesh | None) -> dict[str, str]:
-    if mesh is None:
-        keys = "minimum_backlash_um loaded_pairs peak_tooth_load_N load_concentration"
-        return dict.fromkeys([*keys.split(), "lost_motion_arcmin", "predicted_te_pp_arcsec"], "nan")
+def _mesh_values(mesh: _Mesh) -> dict[str, str]:
     return {
         "minimum_backlash_um": _number(mesh.minimum_backlash * 1e6),
         "loaded_pairs": str(mesh.loaded_pairs),
