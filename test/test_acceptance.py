@@ -18,6 +18,7 @@ from hd_diag.diagnosis.search.acceptance import (
     least_size,
     needed,
     of_shapes,
+    only_mends,
     passing,
     size,
 )
@@ -78,9 +79,11 @@ def test_the_shape_of_a_torsion_that_goes_with_position_is_no_runout() -> None:
     (best,) = ranked(bent, (), [RUNOUT])
     assert best.p_value < FAMILY_ERROR / 50
     assert LEAST_SIZE < size(bent, (), RUNOUT, ()) < imitated(bent, (), RUNOUT, ())
-    assert passing(bent, (), [best], 50) is None
+    chosen = ((RUNOUT, ()),)
+    assert only_mends(bent.corrected(chosen), chosen, 0)
     off_centre = bench(of(RUNOUT, amplitude=20.0 * ARCSEC, direction=0.3), record=arm)
     assert passing(off_centre, (), ranked(off_centre, (), [RUNOUT]), 50) is not None
+    assert not only_mends(off_centre.corrected(chosen), chosen, 0)
 
 
 def test_zeros_of_the_encoders_have_no_shape_to_be_wrong() -> None:

@@ -66,6 +66,23 @@ def test_gaps_of_the_reported_and_the_real_torque_are_left_out() -> None:
     assert np.all(np.abs(left_out + 4.0) < 1.0)
 
 
+def test_a_torque_whose_noise_hides_its_sign_is_left_out() -> None:
+    """On a joint that bears next to nothing noise decides the flank: what is left there is no noise."""
+    record, _ = generated(3)
+    noise = 0.3 * np.random.default_rng(0).standard_normal(record.size)
+    light = 0.01 * record.torque
+    quiet, noisy = (
+        dataclasses.replace(record, torque=light, reported_torque=light + one, torque_window=window)
+        for one, window in ((0.0 * noise, record.torque_window), (noise, np.full(record.size, 0.11)))
+    )
+    assert quiet.torque_deviation.max() == 0.0
+    assert noisy.torque_deviation == pytest.approx(np.full(record.size, 0.3 * np.sqrt(1.75 / 11)), rel=0.05)
+    left = usable(quiet) & ~usable(noisy)
+    assert left.mean() > 0.1
+    assert np.abs(light[left]).max() < 3.0 * noisy.torque_deviation[0]
+    assert np.abs(light[usable(noisy)]).min() >= 3.0 * noisy.torque_deviation[0]
+
+
 def test_a_rest_is_left_out_unless_the_torque_goes_on() -> None:
     """An encoder repeats one count there: hundreds of samples that are one."""
     record, _ = generated(3)

@@ -6,22 +6,25 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from benches import CONFIGURED, EFFECTS, POINT, Part, bench, of, swinging
-from joint_records import ARCSEC
+from benches import CONFIGURED, EFFECTS, POINT, TRUE, Part, bench, of, swinging
+from joint_records import ARCSEC, RATIO
 from joint_records import NOISE as NOISE_OF_RECORD
 
 from hd_diag.diagnosis import diagnosis
+from hd_diag.diagnosis.diagnosis import _predicting
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.fit_parameters import COMPLIANCE, CUP
 from hd_diag.diagnosis.fit.joint_refinement import settle
-from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
+from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.fit.refit import Refit, refit
+from hd_diag.diagnosis.gain import held_out
 from hd_diag.diagnosis.search.causes import Search, causes, doubted, motor_deviations, parameters_of
 from hd_diag.diagnosis.search.kept_parameters import kept_parameters
 from hd_diag.diagnosis.search.ranking import candidates, family_size
 from hd_diag.diagnosis.search.selection import _next, _settled_first, search, speed_dependent
 from hd_diag.diagnosis.search.unexplained import with_table
 from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS
+from hd_diag.drive import transmission_error
 from hd_diag.effects.signals import Signals
 
 NOISE = np.random.default_rng(0).normal(0.0, ARCSEC, 6000)
@@ -176,6 +179,35 @@ def test_friction_under_load_by_a_current_has_these_derivatives() -> None:
         (effect.more(columns, size + step) - effect.more(columns, size - step)) / 2e-7 for step in steps
     ]
     assert effect.changes(columns, size) == pytest.approx(np.stack(slopes, axis=1), abs=1e-5)
+
+
+def test_what_is_tried_in_a_cause_s_place_starts_where_the_cause_does() -> None:
+    """Where the fit has not settled, its deviance says nothing: anything settled would beat the cause."""
+    rubbing = EFFECTS["viscous_windup"]
+    chosen = ((rubbing, (1.0,)),)
+    fit = settle(bench(of(rubbing, friction=1.5, exponent=1.0)), chosen)
+    (size,) = fit.fit(chosen)[0][fit.places(chosen)[0]]
+    away = fit.beside(((chosen[0], np.array([3.0 * size])),))
+    named = Search(away, causes(fit, chosen, {}, (), np.random.default_rng(0)))
+    assert away.design(chosen).deviance() > fit.design(chosen).deviance() + 100.0
+    assert [cause.doubtful for cause in doubted(named).causes] == [False]
+
+
+def test_parameters_that_held_out_rows_speak_against_are_not_kept() -> None:
+    """What little the fitted rows say of a cup, under little torque, others under more torque bear out."""
+    record = swinging(60.0)
+    test, which = held_out(record)
+    load = np.where(test, 20.0, 0.5) * np.sin(2.0 * np.pi * record.time / 1.7)
+    soft = dataclasses.replace(TRUE, cup_compliance=TRUE.cup_compliance + 0.3 * ARCSEC)
+    error = transmission_error(soft, record.input_angle, load)
+    noise = NOISE_OF_RECORD * np.random.default_rng(0).standard_normal(record.size)
+    output = record.input_angle / RATIO + error + noise
+    record = dataclasses.replace(record, torque=load, reported_torque=load, output_angle=output)
+    fit = settle(linearise(record, CONFIGURED, POINT, rows=~test), ())
+    assert "cup_compliance" in kept_parameters(fit, ())[1].bounds
+    best = _predicting(record, test, which, fit, Search(fit, ()), np.random.default_rng(0))
+    assert best.kept.bounds == {}
+    assert not best.rms.misfit.plain
 
 
 def test_a_cause_that_a_shape_of_no_cause_beats_is_doubtful() -> None:

@@ -2,7 +2,8 @@
 
 The flow: ``record`` (cleaned, split into runs) -> ``findings`` (a wrong ratio, skipped teeth) ->
 ``subsampling`` (of long records) -> ``fit`` (the model's own parameters, globally; ``noise``) -> ``search``
-(causes from the catalogue, one by one: ``ranking`` of the candidates, ``acceptance`` of the best, ``causes``
-with their numbers; ``unexplained`` parts, ``detectability`` of the others) -> ``diagnosis`` (all of it, with
-the gain on data that no fit saw) -> ``verdict``.
+(causes from the catalogue, one by one: ``ranking`` of the candidates, ``acceptance`` of the best,
+``exchange`` of those chosen for better ones, ``causes`` with their numbers; ``unexplained`` parts,
+``detectability`` of the others) -> ``diagnosis`` (all of it, with the gain on data that no fit saw) ->
+``verdict``.
 """

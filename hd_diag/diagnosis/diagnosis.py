@@ -220,6 +220,9 @@ def _predicting(
     with fit.work.until(_KEPT, "testing which parameters may be as configured"):
         fit, kept = kept_parameters(fit, found.chosen)
     best = tried(fit, kept, found)
+    if kept.bounds and best.rms.misfit.plain:
+        free = tried(found.fit, Kept({}), found)
+        best = free if free.rms.extended < best.rms.extended else best
     lines = tuple(item for item in found.chosen if item[0].given or isinstance(item[0], OutputLine))
     # As it runs, a motor's friction begins late: that speaks against no cause.
     left = best.rms.offline if record.by_current else best.rms.extended

@@ -11,7 +11,7 @@ from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.noise import bounds, numbered, spans
 from hd_diag.diagnosis.outliers import Rows, outliers, torque_outliers
-from hd_diag.diagnosis.smoothing import best_widths, rate, settled, smooth
+from hd_diag.diagnosis.smoothing import best_widths, deviation, rate, settled, smooth
 from hd_diag.diagnosis.stamps import UNTOLD, Stamps, by_clock
 
 # Columns of one length by name; None for those that were not recorded.
@@ -128,6 +128,14 @@ class Record:
     def by_sensor(self) -> Floats:
         """Torque as reported, smoothed [N m], shape (n,)."""
         return self.torque if self.taken is None else self.torque - self.taken
+
+    @property
+    def torque_deviation(self) -> Floats:
+        """Standard deviation of the torque by its noise [N m], shape (n,); a constant one has none."""
+        if np.ptp(self.by_sensor) == 0.0 or not self.torque_window.any():
+            return np.zeros(self.size)
+        step = float(np.median(np.diff(self.time)))
+        return deviation(self.reported_torque, self.by_sensor, step, self.torque_window)
 
     def select(self, rows: Rows | Integers) -> Record:
         """The record of some rows; their run numbers stay."""

@@ -101,12 +101,24 @@ def settled(values: Floats, smoothed: Floats, step: float, width: float) -> Floa
     step, width : float
         Arguments of :func:`smooth` that gave `smoothed` [s].
     """
-    kernel = savgol_coeffs(_window(values.size, step, width), _ORDER)
     noise = float(np.var(values - smoothed))
-    if np.var(smoothed) > _STILL * noise * np.sum(np.convolve(kernel, kernel) ** 2):
+    if np.var(smoothed) > _STILL * noise * _passed(values.size, step, width):
         return smoothed
     mean = float(np.mean(values))
     return np.full(values.size, mean if mean**2 > _ZERO * noise / values.size else 0.0)
+
+
+def deviation(values: Floats, smoothed: Floats, step: float, width: Floats) -> Floats:
+    """Standard deviation of each smoothed value by what noise passes; arguments as of :func:`settled`."""
+    windows, number = np.unique(width, return_inverse=True)
+    passed = np.array([_passed(values.size, step, one) for one in windows.tolist()])
+    return np.asarray(float(np.std(values - smoothed)) * np.sqrt(passed)[number])
+
+
+def _passed(size: int, step: float, width: float) -> float:
+    """Share of the variance of noise that smoothing leaves."""
+    kernel = savgol_coeffs(_window(size, step, width), _ORDER)
+    return float(np.sum(np.convolve(kernel, kernel) ** 2))
 
 
 def rate(values: Floats, segment: Integers, step: float, width: float) -> Floats:

@@ -24,6 +24,8 @@ _STEPS_PER_TOOTH = 1  # nodes of the model: to 0.1 arcsec rms
 _FIRST_NOISE, _LEAST_NOISE = 2e-5, 1e-6  # of the residual [rad]; each round takes that of the one before
 _STILL, _STEADY = 0.02, 0.02  # of the usual top speed, and of the torque's range: a rest
 _SETTLING = 0.05  # [s] of a rest that count
+_GAP = 0.01  # of the usual greatest torque, under which it may be within the gap
+_CERTAIN = 3.0  # standard deviations of a torque, beyond which it is known on which flank it acts
 _OFFSET = 0.03  # prior width of the torque's zero, of the rated torque
 _MOST_OFF = 3.0  # prior widths
 _DAMPINGS = 6  # tried before a fit gives up
@@ -157,7 +159,7 @@ def refit(
 def usable(record: Record, shift: Floats | float = 0.0) -> npt.NDArray[np.bool_]:
     """Samples where the model's error is well defined and new: moving, or under a torque that changes.
 
-    In a true gap, noise decides the flank. At rest an encoder repeats one count: many samples are one.
+    Near zero torque its noise decides the flank. At rest an encoder repeats one count: many samples are one.
 
     Parameters
     ----------
@@ -171,7 +173,9 @@ def usable(record: Record, shift: Floats | float = 0.0) -> npt.NDArray[np.bool_]
     """
     found = ~_resting(record)
     if record.has_torque:
-        least = 0.01 * np.percentile(np.abs(record.torque), 99)
+        least = np.maximum(
+            _GAP * np.percentile(np.abs(record.torque), 99), _CERTAIN * record.torque_deviation
+        )
         found &= np.minimum(np.abs(record.torque), np.abs(record.torque + shift)) >= least
     return found
 

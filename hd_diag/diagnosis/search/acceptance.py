@@ -40,12 +40,20 @@ def passing(fit: LinearisedFit, chosen: Chosen, ranked: list[Candidate], family:
         if p > FAMILY_ERROR:
             return None
         effect, nonlinear = candidate.effect, candidate.nonlinear
-        least = max(LEAST_SIZE, of_shapes(fit, chosen, effect), imitated(fit, chosen, effect, nonlinear))
-        if size(fit, chosen, effect, nonlinear) < least:
-            continue
-        if _confirmed(fit, chosen, effect, nonlinear):
+        large = size(fit, chosen, effect, nonlinear) >= LEAST_SIZE
+        if large and _confirmed(fit, chosen, effect, nonlinear):
             return replace(candidate, p_value=p)
     return None
+
+
+def only_mends(fit: LinearisedFit, chosen: Chosen, index: int) -> bool:
+    """Whether one of the chosen effects is no more than the others' shape, or that of what imitates it.
+
+    It belongs to the fit all the same: left out, what is nearest to it would be named for it.
+    """
+    (effect, nonlinear), others = chosen[index], chosen[:index] + chosen[index + 1 :]
+    least = max(of_shapes(fit, others, effect), imitated(fit, others, effect, nonlinear))
+    return least > 0.0 and size(fit, others, effect, nonlinear) < least
 
 
 def of_shapes(fit: LinearisedFit, chosen: Chosen, effect: Effect) -> float:
@@ -95,8 +103,8 @@ def needed(fit: LinearisedFit, chosen: Chosen) -> Chosen:
             continue
         rest = chosen[:index] + chosen[index + 1 :]
         blind = isinstance(effect, UnmodelledTerm) and not effect.predictive
-        least = max(least_size(fit, effect), imitated(fit, rest, effect, nonlinear))
-        small = size(fit, rest, effect, nonlinear) < (_CERTAIN_SIZE if blind else least)
+        least = _CERTAIN_SIZE if blind else least_size(fit, effect)
+        small = size(fit, rest, effect, nonlinear) < least
         if blind and not small:
             continue
         if small or not holds(*held_out_gain(fit, chosen, index)):

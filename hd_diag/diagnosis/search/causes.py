@@ -13,7 +13,7 @@ from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import interval, lower_bound
 from hd_diag.diagnosis.fit.joint_refinement import covariance
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
-from hd_diag.diagnosis.search.acceptance import block_deviances, held_out_gain, smooth, wanders
+from hd_diag.diagnosis.search.acceptance import block_deviances, held_out_gain, only_mends, smooth, wanders
 from hd_diag.diagnosis.search.order_table import OrderRow, refitted_rows
 from hd_diag.diagnosis.search.ranking import by_name, ranked
 from hd_diag.diagnosis.search.remainder import Remainder
@@ -53,7 +53,8 @@ class Cause:
     gain, gain_low, gain_high : float
         Share of the held-out deviance that it explains, with its interval.
     doubtful : bool
-        Whether a shape of no known cause explains plainly more in its place.
+        Whether it may only mend the shape of something else, or a shape of no known cause explains plainly
+        more in its place.
     """
 
     effect: Effect
@@ -138,20 +139,40 @@ def causes(
 
 
 def doubted(found: Search) -> Search:
-    """The same, with smooth causes doubtful that an unmodelled term beats in their place."""
+    """The same, with smooth causes doubtful that only mend a shape, or that an unmodelled term beats."""
     fit, chosen, judged = found.fit, found.chosen, []
-    terms = [term for term in UNMODELLED_TERMS if term.predictive]
     for index, cause in enumerate(found.causes):
-        others = chosen[:index] + chosen[index + 1 :]
-        without = fit.corrected(others) if smooth(cause.effect) else None
-        best = next(iter(ranked(without, others, terms)), None) if without else None
-        if without is not None and best is not None:
-            trial, now = (*others, (best.effect, best.nonlinear)), fit.design(chosen).deviance()
-            least = max(2.0 * CLASS_DEVIANCE, _PLAINLY * (without.design(others).deviance() - now))
-            better = without.corrected(trial).design(trial).deviance() < now - least
-            cause = replace(cause, doubtful=better)
-        judged.append(cause)
+        doubtful = smooth(cause.effect) and (only_mends(fit, chosen, index) or _beaten(fit, chosen, index))
+        judged.append(replace(cause, doubtful=doubtful))
     return replace(found, causes=tuple(judged))
+
+
+def _beaten(fit: LinearisedFit, chosen: Chosen, index: int) -> bool:
+    """Whether an unmodelled term explains plainly more in place of one of the chosen effects."""
+    without, itself, others = left_out(fit, chosen, index)
+    terms = ranked(without, others, [term for term in UNMODELLED_TERMS if term.predictive])
+    if not terms:
+        return False
+    trial, now = (*others, (terms[0].effect, terms[0].nonlinear)), _deviance(itself, (*others, chosen[index]))
+    least = max(2.0 * CLASS_DEVIANCE, _PLAINLY * (_deviance(without, others) - now))
+    return _deviance(without.corrected(trial), trial) < now - least
+
+
+def left_out(fit: LinearisedFit, chosen: Chosen, index: int) -> tuple[LinearisedFit, LinearisedFit, Chosen]:
+    """The fit without one of the chosen effects, from there beside it again, at the end, and the others.
+
+    Whatever is tried in its place starts there, as it does itself: what settling everything beside it brought
+    is no merit of its own. Where others grow so much there that it does not lead back, all start beside the
+    others at their size.
+    """
+    others = chosen[:index] + chosen[index + 1 :]
+    again, without = (*others, chosen[index]), fit.corrected(others)
+    itself = without.corrected(again)
+    if _deviance(itself, again) > _deviance(fit, chosen) + CLASS_DEVIANCE:
+        sized = fit.sized(chosen, fit.fit(chosen)[0])
+        without = fit.beside(sized[:index] + sized[index + 1 :])
+        itself = without.corrected(again)
+    return without, itself, others
 
 
 def refitted(fit: LinearisedFit, found: Search) -> Search:
@@ -233,21 +254,13 @@ def _alike(fit: LinearisedFit, chosen: Chosen, index: int, rivals: Collection[st
     """Effects that would do as well in place of one, whether or not the motion can prove them.
 
     One that is worse in some blocks and better in others cannot be told from it either: where the model
-    leaves more than noise, sums alone say nothing. All start from the same fit without the cause, itself
-    included: what settling everything beside it brought is no merit of its own. Where others grow so much
-    there that it does not lead back, all start beside the others at their size.
+    leaves more than noise, sums alone say nothing.
     """
-    effect, others = chosen[index][0], chosen[:index] + chosen[index + 1 :]
-    named = {e.name for e, _ in chosen}
+    effect, named = chosen[index][0], {e.name for e, _ in chosen}
     found = [name for name in effect.always_confused if name not in named]
-    again, whole = (*others, chosen[index]), fit.design(chosen).deviance()
-    without = fit.corrected(others)
-    itself = without.corrected(again)
-    if itself.design(again).deviance() > whole + CLASS_DEVIANCE:
-        sized = fit.sized(chosen, fit.fit(chosen)[0])
-        without = fit.beside(sized[:index] + sized[index + 1 :])
-        itself = without.corrected(again)
-    far = without.design(others).deviance() - whole
+    without, itself, others = left_out(fit, chosen, index)
+    again = (*others, chosen[index])
+    far = _deviance(without, others) - _deviance(fit, chosen)
     far = _FAR * far if far > _CERTAIN else 0.0
     for candidate in ranked(without, others, by_name(fit, {*rivals, *effect.confused_with})):
         if candidate.effect.name in named or candidate.effect.name in found or candidate.gain < far:
@@ -257,6 +270,10 @@ def _alike(fit: LinearisedFit, chosen: Chosen, index: int, rivals: Collection[st
         if not _told_apart(_deviances(there, trial, blind) - _deviances(itself, again, blind)):
             found.append(candidate.effect.name)
     return found
+
+
+def _deviance(fit: LinearisedFit, chosen: Chosen) -> float:
+    return fit.design(chosen).deviance()
 
 
 def _told_apart(worse: Floats) -> bool:

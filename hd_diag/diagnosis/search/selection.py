@@ -6,23 +6,29 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import minimize
 
 from hd_diag.arrays import Floats
-from hd_diag.diagnosis.fit.fit_parameters import at_bound
+from hd_diag.diagnosis.fit.fit_parameters import COUNT, at_bound
 from hd_diag.diagnosis.fit.joint_refinement import free, polished, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.refit import FEW_STARTS, Refit, distinct, refit
 from hd_diag.diagnosis.search.acceptance import needed, passing
-from hd_diag.diagnosis.search.causes import CLASS_DEVIANCE, Search, causes
-from hd_diag.diagnosis.search.ranking import Candidate, Projector, by_name, candidates, family_size, ranked
+from hd_diag.diagnosis.search.causes import Search, causes
+from hd_diag.diagnosis.search.exchange import (
+    best_nonlinear,
+    clear,
+    deviance_of,
+    finished_in_time,
+    refined,
+    swapped,
+)
+from hd_diag.diagnosis.search.ranking import Candidate, candidates, family_size, ranked
 from hd_diag.diagnosis.search.unmodelled_terms import (
     OUTPUT_LINES,
     UNMODELLED_TERMS,
     OutputLine,
     UnmodelledTerm,
 )
-from hd_diag.effects.effect import Effect, Stage
 
 FURTHER_CAUSES = "looking for further causes"
 """What is left out where the search has no more time."""
@@ -32,15 +38,15 @@ _SLOW = 0.34  # share of the samples that count as slow
 _MOST_TERMS = 3  # unmodelled, beside lines of the output's turn
 _RIVALS = 6  # best candidates of a round that are tried later in place of others
 _UNEVEN = 1.3  # ratio of the residual at high and low speed from which both are fitted apart
-_AS_MUCH = 0.9  # of the best candidate's gain, that its rivals have
+_AS_MUCH, _HALF = 0.9, 0.5  # of the best candidate's gain, that its rivals have; where they move the drive
+_ALONG_A_VALLEY = 8  # rounds in which parameters reach another drive
 _FAR = 2.0  # times the noise's deviance, that is left where parameters are wrong still
 _LARGE = 0.1  # of the noise's deviance, that a cause explains which parameters may imitate
 _RESTARTS = 3  # causes found, up to which each lets the model's parameters be searched for again
 _PLAINLY = 10.0  # surprise by which an unmodelled term must beat all causes to come before them
 _RESOLVED = 5.0  # surprise by which a wave of any order must beat a whole number per output turn
-_FIRST_MOVE = 0.5  # of a grid step, by which a refinement begins
 _RESTART_GAIN = 12.0  # deviance by which another minimum must beat the present one
-_SEARCHED, _REFINED = 0.45, 0.55  # of the time that a diagnosis may take, by which these must end
+_SEARCHED = 0.45  # of the time that a diagnosis may take, by which it must end
 _FIRST, _LAST = 0.15, 0.75  # of the time it takes, that are gone when the search begins and ends
 _ROUND = 0.45  # of what is left of the search, after each round
 
@@ -70,9 +76,9 @@ def search(
     work.tell(_LAST, "refining what was found")
     fit = fit.recentred()
     chosen = needed(fit, chosen)
-    fit, chosen = _finished_in_time(settle(fit, chosen), chosen)
+    fit, chosen = finished_in_time(settle(fit, chosen), chosen)
     if (fewer := needed(fit, chosen)) != chosen:
-        fit, chosen = _finished_in_time(settle(fit, fewer), fewer)
+        fit, chosen = finished_in_time(settle(fit, fewer), fewer)
     unmodelled = tuple(item for item in chosen if item[0].given or isinstance(item[0], UnmodelledTerm))
     return Search(fit, causes(fit, chosen, p_values, rivals, rng), unmodelled)
 
@@ -106,14 +112,14 @@ def _rounds(
             break
         p_values[found.effect.name] = found.p_value
         chosen = (*chosen, (found.effect, found.nonlinear))
-        fit, chosen = _refined(fit, chosen)
-        fit, chosen = _clear(fit, chosen)
+        fit, chosen = refined(fit, chosen)
+        fit, chosen = clear(fit, chosen)
         if isinstance(found.effect, UnmodelledTerm):  # a cause that was only the nearest to it may go
             chosen = needed(fit, chosen)
             yield fit, chosen
             continue
         yield fit, chosen
-        fit, chosen = _swapped(fit, chosen, rivals)
+        fit, chosen = swapped(fit, chosen, rivals)
         if len(chosen) <= _RESTARTS:
             fit = _restarted(fit, chosen, rng)
         yield fit, chosen
@@ -167,29 +173,44 @@ def _settled_first(
 
     Beside a large cause the model's parameters are wrong: what little any leaves there says nothing. Fitted
     without one they imitate it, away from where they began or at a bound: then they are searched for again.
+    Nor does what one leaves that the parameters imitate, until they have moved.
     """
     rows = int(np.count_nonzero(fit.residual_white))
     far = fit.design(chosen).deviance() - max((one.gain for one in best), default=0.0) > _FAR * rows
     moved = begun is not None and bool(distinct([fit.parameters, begun])[1:])
     large = bool(best) and best[0].gain > _LARGE * rows
     misled = not chosen and large and (far or moved or bool(at_bound(fit.parameters, fit.data.configured)))
-    close = [one for one in best[:_RIVALS] if (far or misled) and one.gain > _AS_MUCH * best[0].gain]
+    share = _AS_MUCH if far or misled else _HALF
+
+    def competing(one: Candidate) -> bool:
+        near = one.surprise > _PLAINLY and one.gain > share * best[0].gain
+        return near and (far or misled or one is best[0] or _moving(fit, chosen, one))
+
+    close = [one for one in best[:_RIVALS] if competing(one)]
+    close = close if misled or close[1:] else []
 
     def settled(candidate: Candidate) -> tuple[LinearisedFit, float]:
         trial = (*chosen, (candidate.effect, candidate.nonlinear))
         again = _refitted(fit, trial, rng).parameters if misled else fit.parameters
         other = fit.moved(again) if distinct([fit.parameters, again])[1:] else fit
-        return other, _deviance(settle(other.corrected(trial), trial, rounds=2, learn=False), trial)
+        rounds = 2 if far or misled else _ALONG_A_VALLEY
+        return other, deviance_of(settle(other.corrected(trial), trial, rounds, learn=False), trial)
 
     trials = sorted(((*settled(one), one) for one in close), key=lambda trial: trial[1])
     first = [one for _, _, one in trials]
     return trials[0][0] if trials else fit, [*first, *(one for one in best if one not in close)]
 
 
+def _moving(fit: LinearisedFit, chosen: Chosen, candidate: Candidate) -> bool:
+    """Whether beside a candidate the parameters are those of another drive."""
+    step = fit.fit((*chosen, (candidate.effect, candidate.nonlinear)))[0][:COUNT]
+    return bool(distinct([fit.parameters, fit.parameters + step])[1:])
+
+
 def _between(fit: LinearisedFit, chosen: Chosen, candidate: Candidate) -> Candidate:
     """A candidate between grid points, with the chance of the grid's best."""
     effect = candidate.effect
-    return replace(candidate, nonlinear=_best_nonlinear(fit, chosen, effect, candidate.nonlinear))
+    return replace(candidate, nonlinear=best_nonlinear(fit, chosen, effect, candidate.nonlinear))
 
 
 def _named(chosen: Chosen) -> int:
@@ -213,79 +234,6 @@ def _begun_slowly(
         for each, found in trials
     )
     return trials[there < here - _RESTART_GAIN]
-
-
-def _refined(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
-    """The newest effect's nonlinear values and all parameters, brought to their best."""
-    fit = settle(fit, chosen, rounds=2)
-    effect, nonlinear = chosen[-1]
-    if free(effect):
-        chosen = (*chosen[:-1], (effect, _best_nonlinear(fit, chosen[:-1], effect, nonlinear)))
-        fit = settle(fit, chosen, rounds=1)
-    return _of_kind(fit, chosen, len(chosen) - 1)
-
-
-def _clear(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
-    """On the rows that can be used if the effects change the torque."""
-    clear = fit.clear_of(fit.effects.torque(fit.sized(chosen, fit.fit(chosen)[0])))
-    return (fit, chosen) if clear is fit else _refined(clear, chosen)
-
-
-def _of_kind(fit: LinearisedFit, chosen: Chosen, index: int) -> tuple[LinearisedFit, Chosen]:
-    """An effect that carries others, at its best discrete values with everything else settled beside it."""
-    effect, nonlinear = chosen[index]
-    if effect.stage <= Stage.GEAR:
-        return fit, chosen
-    best, found, least = fit, chosen, _deviance(fit, chosen)
-    for other in effect.neighbours(fit.signals, nonlinear):
-        trial = (*chosen[:index], (effect, other), *chosen[index + 1 :])
-        moved = settle(fit.moved(fit.parameters), trial, rounds=2, learn=False)
-        moved, trial = polished(moved, trial, rounds=2)
-        if (deviance := _deviance(moved, trial)) < least:
-            best, found, least = moved, trial, deviance
-    return best, found
-
-
-def _best_nonlinear(
-    fit: LinearisedFit, others: Chosen, effect: Effect, start: tuple[float, ...]
-) -> tuple[float, ...]:
-    """Nonlinear values of least residual within the effect's bounds, starting at a grid point."""
-    projector = Projector(fit, others)
-    quantities, moving = effect.nonlinear, free(effect)
-    low, high = np.array([q.low for q in quantities]), np.array([q.high for q in quantities])
-    width = fit.data.grid_step(effect, start)
-
-    def moved(move: Floats) -> tuple[float, ...]:
-        values = np.array(start)
-        values[moving] += move * width[moving]
-        return tuple(np.clip(values, low, high).tolist())
-
-    def loss(move: Floats) -> float:
-        return -projector.gain(fit.white(effect, moved(move), keep=False))
-
-    corners = np.vstack((np.zeros(len(moving)), _FIRST_MOVE * np.eye(len(moving))))
-    options = {"maxfev": 40, "xatol": 1e-3, "fatol": 0.1, "initial_simplex": corners}
-    best = minimize(loss, corners[0], method="Nelder-Mead", options=options)
-    return moved(best.x)
-
-
-def _swapped(fit: LinearisedFit, chosen: Chosen, rivals: set[str]) -> tuple[LinearisedFit, Chosen]:
-    """Exchange chosen effects for better ones, or for themselves at a better grid point."""
-    for index, (effect, _) in enumerate(chosen[:-1]):
-        if effect.stage > Stage.GEAR:
-            fit, chosen = _of_kind(fit, chosen, index)
-    for index, (effect, nonlinear) in enumerate(chosen):
-        if effect.given:
-            continue
-        others = chosen[:index] + chosen[index + 1 :]
-        now = fit.design(chosen).deviance()
-        without = fit.corrected(others)
-        best = next(iter(ranked(without, others, by_name(fit, rivals))), None)
-        if best is not None and (best.effect, best.nonlinear) != (effect, nonlinear):
-            trial = (*others, (best.effect, best.nonlinear))
-            if _deviance(without, trial) < now - CLASS_DEVIANCE:
-                fit, chosen = _refined(without.corrected(trial), trial)
-    return fit, chosen
 
 
 def _restarted(fit: LinearisedFit, chosen: Chosen, rng: np.random.Generator) -> LinearisedFit:
@@ -314,29 +262,3 @@ def _refitted(fit: LinearisedFit, chosen: Chosen, rng: np.random.Generator) -> R
     """The model's parameters searched for globally, the chosen effects beside them."""
     own, extra = fit.data, fit.joined(chosen)
     return refit(own.record, own.configured, rng, extra=extra, start=fit.parameters, starts=FEW_STARTS)
-
-
-def _finished_in_time(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
-    """As `_finished`; as they are where there is no time."""
-    with fit.work.until(_REFINED, "refining the causes' numbers"):
-        fit, chosen = _finished(fit, chosen)
-    return fit, chosen
-
-
-def _finished(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
-    """Everything at its best; then discrete values are tried once more beside all others."""
-    fit, chosen = polished(fit, chosen)
-    again = chosen
-    for index, (effect, nonlinear) in enumerate(chosen):
-        for other in effect.neighbours(fit.signals, nonlinear):
-            trial = (*again[:index], (effect, other), *again[index + 1 :])
-            if _deviance(fit, trial) < _deviance(fit, again):
-                again = trial
-    if again == chosen:
-        return fit, chosen
-    return polished(settle(fit.corrected(again), again, learn=False), again)
-
-
-def _deviance(fit: LinearisedFit, chosen: Chosen) -> float:
-    """With the effects at the size that fits."""
-    return fit.corrected(chosen).design(chosen).deviance()

@@ -1,0 +1,137 @@
+"""Chosen causes brought to their best: refined with all parameters free, exchanged for better ones."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.optimize import minimize
+
+from hd_diag.arrays import Floats
+from hd_diag.diagnosis.fit.joint_refinement import free, polished, settle
+from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
+from hd_diag.diagnosis.search.causes import CLASS_DEVIANCE, left_out
+from hd_diag.diagnosis.search.ranking import Candidate, Projector, by_name, ranked
+from hd_diag.effects.effect import Effect, Stage
+
+_FLEXIBLE = 8  # coefficients from which a shape may imitate two causes
+_FIRST_MOVE = 0.5  # of a grid step, by which a refinement begins
+_REFINED = 0.55  # of the time that a diagnosis may take, by which it must end
+
+
+def refined(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
+    """The newest effect's nonlinear values and all parameters, brought to their best."""
+    fit = settle(fit, chosen, rounds=2)
+    effect, nonlinear = chosen[-1]
+    if free(effect):
+        chosen = (*chosen[:-1], (effect, best_nonlinear(fit, chosen[:-1], effect, nonlinear)))
+        fit = settle(fit, chosen, rounds=1)
+    return _of_kind(fit, chosen, len(chosen) - 1)
+
+
+def clear(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
+    """On the rows that can be used if the effects change the torque."""
+    certain = fit.clear_of(fit.effects.torque(fit.sized(chosen, fit.fit(chosen)[0])))
+    return (fit, chosen) if certain is fit else refined(certain, chosen)
+
+
+def swapped(fit: LinearisedFit, chosen: Chosen, rivals: set[str]) -> tuple[LinearisedFit, Chosen]:
+    """Exchange chosen effects for better ones, or for themselves at a better grid point.
+
+    A shape of many coefficients is exchanged for two causes of few as well: greedily chosen, it takes both.
+    """
+    for index, (effect, _) in enumerate(chosen[:-1]):
+        if effect.stage > Stage.GEAR:
+            fit, chosen = _of_kind(fit, chosen, index)
+    for index in range(len(chosen)):
+        effect, nonlinear = chosen[index]
+        if effect.given:
+            continue
+        without, itself, others = left_out(fit, chosen, index)
+        again = (*others, (effect, nonlinear))
+        least = min(fit.design(chosen).deviance(), itself.design(again).deviance()) - CLASS_DEVIANCE
+        found = ranked(without, others, by_name(fit, rivals))
+        if not found:
+            continue
+        trial, there = (*others, (found[0].effect, found[0].nonlinear)), without
+        if effect.size >= _FLEXIBLE and found[0].effect.name == effect.name:
+            there, trial = _divided(without, others, found[1:], rivals - {effect.name})
+        if trial != again and deviance_of(there, trial) < least:
+            fit, chosen = refined(there.corrected(trial), trial)
+    return fit, chosen
+
+
+def _divided(
+    fit: LinearisedFit, others: Chosen, found: list[Candidate], rivals: set[str]
+) -> tuple[LinearisedFit, Chosen]:
+    """The fit beside the two best causes in place of a shape that may imitate both."""
+    for _ in range(2):
+        few = [one for one in found if one.effect.size < _FLEXIBLE]
+        if not few:
+            break
+        others = (*others, (few[0].effect, few[0].nonlinear))
+        fit = settle(fit.corrected(others), others, rounds=2, learn=False)
+        found = ranked(fit, others, by_name(fit, rivals))
+    return fit, others
+
+
+def finished_in_time(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
+    """Everything at its best; as it is where there is no time."""
+    with fit.work.until(_REFINED, "refining the causes' numbers"):
+        fit, chosen = _finished(fit, chosen)
+    return fit, chosen
+
+
+def _finished(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
+    """Everything at its best; discrete values are tried once more beside all others."""
+    fit, chosen = polished(fit, chosen)
+    again = chosen
+    for index, (effect, nonlinear) in enumerate(chosen):
+        for other in effect.neighbours(fit.signals, nonlinear):
+            trial = (*again[:index], (effect, other), *again[index + 1 :])
+            if deviance_of(fit, trial) < deviance_of(fit, again):
+                again = trial
+    if again == chosen:
+        return fit, chosen
+    return polished(settle(fit.corrected(again), again, learn=False), again)
+
+
+def _of_kind(fit: LinearisedFit, chosen: Chosen, index: int) -> tuple[LinearisedFit, Chosen]:
+    """An effect that carries others, at its best discrete values with everything else settled beside it."""
+    effect, nonlinear = chosen[index]
+    if effect.stage <= Stage.GEAR:
+        return fit, chosen
+    best, found, least = fit, chosen, deviance_of(fit, chosen)
+    for other in effect.neighbours(fit.signals, nonlinear):
+        trial = (*chosen[:index], (effect, other), *chosen[index + 1 :])
+        moved = settle(fit.moved(fit.parameters), trial, rounds=2, learn=False)
+        moved, trial = polished(moved, trial, rounds=2)
+        if (deviance := deviance_of(moved, trial)) < least:
+            best, found, least = moved, trial, deviance
+    return best, found
+
+
+def best_nonlinear(
+    fit: LinearisedFit, others: Chosen, effect: Effect, start: tuple[float, ...]
+) -> tuple[float, ...]:
+    """Nonlinear values of least residual within the effect's bounds, starting at a grid point."""
+    projector = Projector(fit, others)
+    quantities, moving = effect.nonlinear, free(effect)
+    low, high = np.array([q.low for q in quantities]), np.array([q.high for q in quantities])
+    width = fit.data.grid_step(effect, start)
+
+    def moved(move: Floats) -> tuple[float, ...]:
+        values = np.array(start)
+        values[moving] += move * width[moving]
+        return tuple(np.clip(values, low, high).tolist())
+
+    def loss(move: Floats) -> float:
+        return -projector.gain(fit.white(effect, moved(move), keep=False))
+
+    corners = np.vstack((np.zeros(len(moving)), _FIRST_MOVE * np.eye(len(moving))))
+    options = {"maxfev": 40, "xatol": 1e-3, "fatol": 0.1, "initial_simplex": corners}
+    best = minimize(loss, corners[0], method="Nelder-Mead", options=options)
+    return moved(best.x)
+
+
+def deviance_of(fit: LinearisedFit, chosen: Chosen) -> float:
+    """With the effects at the size that fits."""
+    return fit.corrected(chosen).design(chosen).deviance()

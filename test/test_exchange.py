@@ -1,0 +1,20 @@
+"""Chosen causes exchanged for better ones."""
+
+import numpy as np
+import pytest
+from benches import EFFECTS, bench, of
+
+from hd_diag.diagnosis.fit.joint_refinement import settle
+from hd_diag.diagnosis.search.exchange import deviance_of, swapped
+
+
+def test_a_shape_of_many_coefficients_gives_way_to_the_two_causes_that_it_imitates() -> None:
+    """Harmonics of a pitch error explain more than either an oval spline or a wrong zero of the torque."""
+    form, zero = EFFECTS["circular_spline_form"], EFFECTS["torque_offset"]
+    sizes = np.array([0.0, 0.0, 1.44e-6, 1.08e-6, 0.0, 0.0])
+    chosen = ((EFFECTS["circular_spline_pitch"], ()),)
+    fit = settle(bench(lambda signals: form.response(signals, sizes, (1.0,)), of(zero, offset=-1.5)), chosen)
+    found, two = swapped(fit, chosen, {"circular_spline_pitch", form.name, zero.name})
+    assert [effect.name for effect, _ in two] == [form.name, zero.name]
+    assert deviance_of(found, two) < deviance_of(fit, chosen) - 1000.0
+    assert found.fit(two)[0][found.places(two)[1]] == pytest.approx(np.array([-1.5]), abs=0.03)
