@@ -237,7 +237,7 @@ def test_what_a_joint_s_lines_say() -> None:
     text = drawn(watched(message(level=2, text="the lobes overlap", fault_code="INTERFERENCE")))
     keys = ("eccentricity_um", "minimum_backlash_um", "peak_tooth_load_N", "predicted_te_pp_arcsec")
     numbers = (*(f" {float(REAL[key]):.1f}" for key in keys), f" {float(REAL['lost_motion_arcmin']):.2f}")
-    words = ("joint_1", "INTERFERENCE the lobes overlap", "1 samples", "latency 812 us", "1 with a fault")
+    words = ("joint_1", "INTERFERENCE the lobes overlap", "1 samples", "latency 812 µs", "1 with a fault")
     wanted = (*numbers, f" {REAL['loaded_pairs']} ", *words, "log writing log.mcap")
     assert [part for part in wanted if part not in text] == []
     view = message(level=2, text="t", fault_code="STALE", fault_codes="STALE RESIDUAL INTERFERENCE")
@@ -390,7 +390,7 @@ def test_another_fault_is_shown_at_once_with_everything_else() -> None:
         display.show(watch, 1.05, is_last=True)
     shown = stream.getvalue().splitlines()
     assert [line.split(": ")[1].split()[0].strip(";") for line in shown] == ["OK", "RESIDUAL", "OK", "STALE"]
-    words = ("18.0 µm at 0 deg", "lost motion", "tooth pairs", "arcsec peak to peak", "arcsec rms", "812 us")
+    words = ("18.0 µm at 0 deg", "lost motion", "tooth pairs", "arcsec peak to peak", "arcsec rms", "812 µs")
     assert [part for part in words if part not in shown[0]] == []
     assert shown[0].endswith("log writing log.mcap")
 

@@ -209,7 +209,7 @@ def _order(view: JointView) -> list[str]:
 
 def _bookkeeping(view: JointView) -> list[str]:
     samples, latency = (shown_number(view.number(key), 0) for key in ("samples", "latency_p99_us"))
-    return [f"{samples} samples", f"latency {latency} us", f"log {view.text('log_state', '-')}"]
+    return [f"{samples} samples", f"latency {latency} µs", f"log {view.text('log_state', '-')}"]
 
 
 def _shown_name(view: JointView) -> str:
