@@ -119,22 +119,29 @@ class Teeth:
 @lru_cache(maxsize=512)
 def tooth_loads(drive: Drive) -> ToothLoads:
     """What the teeth of a drive bear."""
-    return _loads(drive, Teeth(drive.mesh, _turn(drive.mesh)))
+    return _loads(Teeth(drive.mesh, _turn(drive.mesh)), drive.rated_torque)
 
 
-def _loads(drive: Drive, teeth: Teeth) -> ToothLoads:
-    return ToothLoads(teeth.overlap(), teeth.peak_load(0.0), teeth.peak_load(drive.rated_torque))
+def _loads(teeth: Teeth, rated_torque: float) -> ToothLoads:
+    return ToothLoads(teeth.overlap(), teeth.peak_load(0.0), teeth.peak_load(rated_torque))
 
 
 def characteristics(drive: Drive, t1: float = 0.0, t2: float = 0.0) -> Characteristics:
     """Characteristics of a drive; T1 and T2 [N m] are shares of the rated torque where they are zero."""
     t1, t2 = t1 or T1_SHARE * drive.rated_torque, t2 or T2_SHARE * drive.rated_torque
-    teeth = Teeth(drive.mesh, _turn(drive.mesh))
-    torque = stiffness_steps(t1, t2)
-    beta = teeth.torsion(torque).mean(axis=0) + drive.cup_compliance * torque
-    loads = _loads(drive, teeth)
+    return _characteristics(drive.mesh, drive.rated_torque, drive.cup_compliance, t1, t2)
+
+
+@lru_cache(maxsize=64)  # joints of an arm are alike
+def _characteristics(
+    mesh: Mesh, rated_torque: float, cup_compliance: float, t1: float, t2: float
+) -> Characteristics:
+    teeth, torque = Teeth(mesh, _turn(mesh)), stiffness_steps(t1, t2)
+    beta = teeth.torsion(torque).mean(axis=0) + cup_compliance * torque
+    loads = _loads(teeth, rated_torque)
+    size = min(ECCENTRICITY, 0.5 * largest_displacement(mesh.geometry)[0])
     return Characteristics(
-        drive.mesh.geometry.module,
+        mesh.geometry.module,
         t1,
         t2,
         np.asarray(np.diff(torque) / np.diff(beta), dtype=np.float64),
@@ -143,7 +150,7 @@ def characteristics(drive: Drive, t1: float = 0.0, t2: float = 0.0) -> Character
         loads.overlap,
         loads.idle,
         loads.rated,
-        _error_per_eccentricity(drive),
+        _order_2(replace(mesh, eccentricity=size, runout=0.0), 0.5 * rated_torque) / size,
     )
 
 
@@ -174,10 +181,10 @@ def _turn(mesh: Mesh) -> Floats:
     return 2.0 * np.pi * share
 
 
-def _error_per_eccentricity(drive: Drive) -> float:
-    size = min(ECCENTRICITY, 0.5 * largest_displacement(drive.mesh.geometry)[0])
-    mesh = replace(drive.mesh, eccentricity=size, runout=0.0)
+@lru_cache(maxsize=64)
+def _order_2(mesh: Mesh, torque: float) -> float:
+    """Amplitude of order 2 of the wave generator in the torsion of an eccentric mesh [rad]."""
     coarse, fine = np.arange(_ERROR_MOMENTS), slot_phases(mesh.geometry, _ERROR_PHASES)
     angle = np.add.outer(np.pi / _ERROR_MOMENTS * coarse, fine).ravel()
-    beta = Teeth(mesh, angle).torsion(np.array([0.5 * drive.rated_torque]))[:, 0]
-    return float(2.0 * abs(np.mean(beta * np.exp(-2j * angle))) / size)
+    beta = Teeth(mesh, angle).torsion(np.array([torque]))[:, 0]
+    return float(2.0 * abs(np.mean(beta * np.exp(-2j * angle))))
