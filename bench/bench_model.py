@@ -1,22 +1,15 @@
-"""Speed of the mesh model.
-
-    python bench/bench_model.py [--moments N] [--torques Q] [--json FILE]
+"""Speed of the mesh model, for bench/suite.py.
 
 Median of repeated calls on one core, on the paper's drive, eccentric by 23 um. A map is built to twice the
 rated torque of 56 N m, and checked, once.
 """
 
-# ruff: noqa: D103, T201
+# ruff: noqa: D103
 
-import argparse
 import contextlib
-import importlib
-import itertools
-import json
 import os
 import statistics
 import time
-from pathlib import Path
 
 import numpy as np
 
@@ -25,7 +18,7 @@ from hd_diag.model.geometry import Geometry
 from hd_diag.model.load_sharing import mesh_state
 from hd_diag.model.mesh import Mesh
 from hd_diag.model.tooth_profile import DoubleArc
-from hd_diag.model.torsion import torsion, torsion_and_gradient, torsion_table, warm_up
+from hd_diag.model.torsion import torsion, torsion_and_gradient, torsion_table
 from hd_diag.model.torsion_map import build
 
 DRIVE = Geometry(
@@ -99,33 +92,3 @@ def maps():
         turn = step * np.arange(SAMPLES)
         yield f"map: each of {SAMPLES}, {name}", seconds(table, turn, torque) / SAMPLES
     yield "map: one, one call", seconds(table, turn[:1], torque[:1])
-
-
-def first_call():
-    """Import of numba and first torsion in this process: compiled, or read from the cache."""
-    start = time.perf_counter()
-    importlib.import_module("numba")
-    imported = time.perf_counter()
-    torsion(MESH, np.zeros(1), np.ones(1))
-    return {"import": imported - start, "first torsion": time.perf_counter() - imported}
-
-
-def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--moments", type=int, default=1000)
-    parser.add_argument("--torques", type=int, default=64)
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
-    start = first_call()
-    print(f"import of numba {start['import']:.2f} s, first torsion {start['first torsion']:.2f} s")
-    warm_up(gradient=True)
-    times = {}
-    for case, took in itertools.chain(moments(options.moments, options.torques), maps()):
-        times[case] = took
-        print(f"{case:<50}{took * 1e6:>12.3f} us")
-    if options.json:
-        options.json.write_text(json.dumps({"start [s]": start, "times [s]": times}, indent=2) + "\n")
-
-
-if __name__ == "__main__":
-    main()

@@ -258,7 +258,7 @@ def test_progress_has_a_rate_and_the_time_left(
 
 
 def test_whatever_a_bag_holds_the_answer_is_proper(tmp_path: Path) -> None:
-    """A short campaign; a longer one is in bench/fuzz_replay.py."""
+    """A short campaign; a longer one is in bench/fuzz.py."""
     fuzz = Fuzz(tmp_path, seed=20)
     for _ in range(40):
         fuzz.turn()

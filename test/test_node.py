@@ -153,37 +153,6 @@ def test_a_second_publisher_of_a_joint_is_a_warning_until_it_goes(arm: Rig, publ
     arm.values("elbow", lambda values: values["warning"] == "")
 
 
-def test_names_in_any_order_and_strangers_among_them(arm: Rig, publisher: Any) -> None:
-    errors = heard(arm, "transmission_error")
-    named = {"elbow_motor": 0.4, "elbow": 0.0, "wheel": 9.0, "x": np.nan}
-    orders = list(itertools.permutations(named.items()))
-    times = [next(stamps) for _ in orders]
-    for stamp, order in zip(times, orders, strict=True):
-        publisher.publish(message(stamp, dict(order), {"elbow": 2.0, "wheel": 50.0}))
-    arm.until(lambda: {stamp_of(m) for m in errors} >= set(times), "prediction of every message")
-    values = {(m.name[0], m.position[0], m.effort[0]) for m in errors if stamp_of(m) in times}
-    assert len(values) <= 2  # exact, and by the map once it is there
-    for name, position, effort in values:
-        assert (name, effort) == ("elbow", 2.0)
-        assert position == pytest.approx(exact(config(*JOINTS), "elbow", 0.4, 2.0), abs=BOUND)
-
-
-def test_input_and_output_in_messages_of_their_own(arm: Rig, publisher: Any) -> None:
-    measured = heard(arm, "measured_transmission_error")
-    times = [next(stamps) for _ in range(21)]
-    other = arm.publisher()
-    for i, stamp in enumerate(times):
-        if i % 2 == 0:
-            publisher.publish(message(stamp, {"elbow_motor": 0.1 * i}))
-        else:
-            other.publish(message(stamp, {"elbow": 0.004 * i}, {"elbow": 1.5}))
-    arm.until(lambda: len(since(times[0], measured)) == 10, "pair of every output angle")
-    for i, found in zip(range(1, 21, 2), since(times[0], measured), strict=True):
-        assert stamp_of(found) == times[i]
-        assert found.position[0] == pytest.approx(0.004 * i - 0.1 * i / RATIO, abs=1e-12)
-    arm.node.destroy_publisher(other)
-
-
 def test_temperature_is_reported_and_one_that_is_unreadable_concerns_its_own_joint(
     arm: Rig, publisher: Any
 ) -> None:

@@ -309,20 +309,6 @@ def test_a_table_with_a_decimal_comma_and_units_in_its_header(
         assert_allclose(getattr(record, name), getattr(expected, name), rtol=0, atol=1e-9, err_msg=name)
 
 
-@pytest.mark.parametrize(("counts", "size"), [(512, 2**16), (4096, 4096)])
-def test_a_table_of_counts_that_run_over(
-    given: dict[str, np.ndarray], tmp_path: Path, counts: int, size: int
-) -> None:
-    """A counter of 16 bits over many turns, and one that begins anew each turn; no time but a rate."""
-    angle = np.rint(given["input"] / (2 * np.pi) * counts) + 100.0
-    columns = np.mod(angle, size), given["output"]
-    path = write_lines(tmp_path / "a.csv", "m,l", columns, ",")
-    record = read_tables([path], Table({"input": f"m[counts/{counts}]", "output": "l"}, rate=200.0), joint())
-    assert_allclose(np.diff(record.time), 0.005, rtol=0, atol=1e-12)
-    turned = record.input_angle - record.input_angle[0]
-    assert_allclose(turned, 2 * np.pi / counts * (angle - angle[0]), rtol=0, atol=1e-9)
-
-
 @pytest.mark.parametrize(
     ("counts", "bits", "offset"),
     [(512, 16, 100.0), (512, 16, -32000.0), (4096, 16, 65000.0), (2**20, 32, 2.0**31), (4096, 12, 3.0)],
@@ -330,14 +316,16 @@ def test_a_table_of_counts_that_run_over(
 def test_a_counter_that_runs_over_is_the_same_in_tables_and_bags(
     given: dict[str, np.ndarray], tmp_path: Path, counts: int, bits: int, offset: float
 ) -> None:
-    """Of 16 bits with and without a sign, of 32 bits, and one that begins anew each turn."""
+    """Of 16 bits with and without a sign, of 32 bits, one that begins anew each turn; by times, by a rate."""
     whole = np.rint(given["input"] / (2 * np.pi) * counts) + offset
     told = np.mod(whole + 2.0**15, 2.0**16) - 2.0**15 if offset < 0 else np.mod(whole, 2.0**bits)
     lines = write_lines(tmp_path / "a.csv", "t,m,l", (given["time"], told, given["output"]), ",")
-    columns = {"time": "t", "input": f"m[counts/{counts}]", "output": "l"}
+    columns = {"input": f"m[counts/{counts}]", "output": "l"}
+    tables = Table(columns | {"time": "t"}), Table(columns, rate=200.0)
     own = joint(input__field="position", input__unit=f"counts/{counts}")
     bag = write(tmp_path / "a.mcap", states(given["time"], NAMES, (told, given["output"])))
-    for record in (read_tables([lines], Table(columns), joint()), read_bags([bag], own)):
+    for record in (*(read_tables([lines], table, joint()) for table in tables), read_bags([bag], own)):
+        assert_allclose(record.time, given["time"], rtol=0, atol=1e-9)
         turned = record.input_angle - record.input_angle[0]
         assert_allclose(turned, 2 * np.pi / counts * (whole - whole[0]), rtol=0, atol=1e-6)
 
