@@ -99,17 +99,7 @@ class EncoderInterpolation(Harmonic):
 
 
 def line_quantities(usual: float, least: int, most: int, at: str) -> tuple[Quantity, ...]:
-    """Amplitudes and directions of both orders, and the number of lines.
-
-    Parameters
-    ----------
-    usual : float
-        Amplitude [rad].
-    least, most : int
-        Lines per turn.
-    at : str
-        "input" or "output".
-    """
+    """Amplitudes, usually so large [rad], directions and lines per turn, at an encoder."""
     return (
         amplitude("amplitude", "rad", 0.1, usual, f"a, reading error at the {at}"),
         direction("phase", f"of the error at {at} angle zero"),

@@ -15,19 +15,9 @@ _BINS_PER_PERIOD = 8  # of the highest order
 
 
 def spectrum(angle: Floats, residual: Floats, highest: float) -> tuple[Floats, Floats]:
-    """Strength of every order up to the highest.
+    """Orders up to the highest, closer than the record resolves, and the magnitude of the Fourier sum [rad].
 
-    Parameters
-    ----------
-    angle, residual : ndarray, shape (n,)
-        [rad]; the angle is continuous over the turns and may run back and forth.
-    highest : float
-        Greatest order [-].
-
-    Returns
-    -------
-    order, strength : ndarray, shape (k,)
-        Orders, closer than the record resolves, and the magnitude of the Fourier sum [rad].
+    The angle [rad] (n,) is continuous over the turns and may run back and forth; both results are (k,).
     """
     first, span = float(np.min(angle)), max(float(np.ptp(angle)), 2.0 * math.pi)
     per_turn = min(_BINS_PER_PERIOD * highest, _MOST_BINS / (_OVERSAMPLING * span / (2.0 * math.pi)))
@@ -59,19 +49,10 @@ def integer_orders(angle: Floats, residual: Floats, highest: int) -> Floats:
 
 
 def line_width(angle: Floats, leak: float) -> float:
-    """How far from a line its side lobes reach, for where the samples are.
+    """How far from a line its side lobes reach, for where the samples are [order].
 
-    Parameters
-    ----------
-    angle : ndarray, shape (n,)
-        [rad], continuous over the turns.
-    leak : float
-        Share of the line's strength that counts as reached.
-
-    Returns
-    -------
-    float
-        Order [-]; of a record that dwells in parts of its way, more than one over the turns.
+    Of a record that dwells in parts of its way that is more than one over the turns. The angle [rad] (n,) is
+    continuous over the turns; the leak is the share of the line's strength that counts as reached.
     """
     turn = np.floor((angle - np.min(angle)) / (2.0 * math.pi)).astype(np.int64)
     count = np.bincount(turn, travelled(angle))

@@ -20,19 +20,7 @@ def warm_up() -> None:
 
 
 def slip(state: float, change: Floats) -> Floats:
-    """Maxwell slip element ``z <- clip(z + change, -1, 1)``.
-
-    Parameters
-    ----------
-    state : float
-        z before the first change.
-    change : ndarray, shape (n,)
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        z after every change.
-    """
+    """Maxwell slip element ``z <- clip(z + change, -1, 1)``: z after every change (n,), from a z before."""
     found: Floats = _compiled(_slip)(float(state), np.ascontiguousarray(change))
     return found
 
@@ -40,38 +28,16 @@ def slip(state: float, change: Floats) -> Floats:
 def bend(state: float, change: Floats, sharpness: float) -> Floats:
     """Bouc and Wen's ``dz = dx (1 - |z|^n)`` while x goes on the way z is bent, ``dz = dx`` back.
 
-    Parameters
-    ----------
-    state : float
-        z before the first change.
-    change : ndarray, shape (n,)
-        Of x.
-    sharpness : float
-        n
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        z after every change.
+    Gives z after every change of x (n,), from a z before; the sharpness is n.
     """
     found: Floats = _compiled(_bend)(float(state), np.ascontiguousarray(change), float(sharpness))
     return found
 
 
 def relax(state: Complexes, decay: Complexes, added: Complexes) -> Complexes:
-    """First-order recursion ``q <- decay q + added`` of several columns.
+    """First-order recursion ``q <- decay q + added`` of k columns: q after every step (n, k).
 
-    Parameters
-    ----------
-    state : ndarray of complex, shape (k,)
-        q before the first step.
-    decay : ndarray of complex, shape (n,) or (1,)
-    added : ndarray of complex, shape (n, k)
-
-    Returns
-    -------
-    ndarray of complex, shape (n, k)
-        q after every step.
+    From a q before (k,), decays (n,) or (1,) and what is added (n, k).
     """
     every = np.array(np.broadcast_to(decay, added.shape[0]))
     found: Complexes = _compiled(_relax)(np.array(state), every, np.ascontiguousarray(added))

@@ -17,19 +17,8 @@ def seen_at(
 ) -> Signals:
     """Signals for the effects of a stage: the spring carries errors of the teeth, a late stream shows all.
 
-    Parameters
-    ----------
-    stage : Stage
-    signals : Signals
-        With the base model's own prediction.
-    parts : sequence of (Effect, ndarray of shape (n,))
-        What effects add [rad]; those of the same and later stages do not count.
-    rate : callable
-        Derivative by time of values at the samples.
-
-    Returns
-    -------
-    Signals
+    From those with the base model's own prediction and what effects add [rad] (n,) each, of which those of
+    the same and later stages do not count; the rate is the derivative by time of values at the samples.
     """
     before = [(effect, part) for effect, part in parts if Stage.GEAR <= effect.stage < stage]
     if stage == Stage.SPRING:

@@ -32,19 +32,7 @@ _FOLLOWED = 256  # samples that are taken into the residual's orders at once: a 
 
 
 class Monitor:
-    """Monitor of all joints of a configuration.
-
-    Parameters
-    ----------
-    config : MonitorConfig
-
-    Attributes
-    ----------
-    streams : Alignment
-    joints : dict of str to Joint
-    share : float
-        Of the per-tooth arrays and drawings, that is published.
-    """
+    """Monitor of all joints of a configuration; `share` of the per-tooth arrays and drawings is published."""
 
     def __init__(self, config: MonitorConfig) -> None:
         self.config = config

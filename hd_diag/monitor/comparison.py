@@ -49,10 +49,7 @@ class Errors(NamedTuple):
 class Comparison:
     """Errors of samples of k joints, by their models, else by their drives.
 
-    Attributes
-    ----------
-    count, followed : int
-        Samples kept, and how many of them the orders of the residual hold.
+    `count` samples are kept, `followed` of them the orders of the residual hold.
     """
 
     def __init__(self) -> None:

@@ -55,26 +55,10 @@ class Window(NamedTuple):
 
 
 class Joint:
-    """State of one joint.
+    """State of one joint, by its number in the alignment of all.
 
-    Parameters
-    ----------
-    config : JointConfig
-    streams : Alignment
-        Of all joints.
-    number : int
-        Of this joint.
-
-    Attributes
-    ----------
-    table : TorsionMap or None
-        Map in force.
-    temperature : float
-        Last reported [degree Celsius].
-    lost : LostSamples
-    orders : ResidualOrders
-    runs : tuple of ModelRun, or empty
-        Of the inputs, and of outputs that come apart.
+    `table` is the map in force, `temperature` the last reported [degree Celsius], `runs` are those of its
+    model, of the inputs and of outputs that come apart; empty without one.
     """
 
     def __init__(self, config: JointConfig, streams: Alignment, number: int) -> None:

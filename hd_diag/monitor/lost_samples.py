@@ -12,11 +12,7 @@ _JUDGED_AT_LEAST = 8  # stamps, for their usual step
 class LostSamples:
     """Count of a joint's lost samples: jitter adds and takes away steps, a loss only adds.
 
-    Attributes
-    ----------
-    count : int
-    usual_step : float
-        Period of the sender [ns]; 0 while it is not known.
+    `usual_step` is the period of the sender [ns]; 0 while it is not known.
     """
 
     def __init__(self) -> None:
@@ -25,15 +21,10 @@ class LostSamples:
         self.unjudged: Times = np.empty(0, np.int64)
 
     def judge(self, stamps: Times, rejected: int) -> None:
-        """Count what is missing among further samples.
+        """Count what is missing among further samples, by their stamps (n,) [ns].
 
-        Parameters
-        ----------
-        stamps : ndarray of int64, shape (n,)
-            Of the samples since the last call [ns]; they are judged from the last stamp before on, and once
-            there are enough of them. What a sender makes up for after a call was not lost: it is taken back.
-        rejected : int
-            Samples that came and could not be used: they are not lost.
+        They are judged from the last stamp before on, and once there are enough of them. What a sender makes
+        up for after a call was not lost: it is taken back. Neither is what came and was `rejected`.
         """
         self.unjudged = np.concatenate((self.unjudged, stamps))
         if self.unjudged.size < _JUDGED_AT_LEAST:

@@ -13,12 +13,7 @@ from hd_diag.streams.alignment import Aligned
 
 
 class ModelRun:
-    """State of a model; it begins anew with every stretch of samples.
-
-    Parameters
-    ----------
-    model : ExtendedModel
-    """
+    """State of a model; it begins anew with every stretch of samples."""
 
     def __init__(self, model: ExtendedModel) -> None:
         self._model = model
@@ -52,13 +47,7 @@ class ModelRun:
         return [self._stretch, self._first, _plain(self._state)]
 
     def carry_on(self, carried: Any) -> None:
-        """Go on from `carried`.
-
-        Raises
-        ------
-        Exception
-            Of any kind, where it is of no run of this model.
-        """
+        """Go on from `carried`; raises an Exception of any kind where it is of no run of this model."""
         stretch, first, plain = carried
         state = State(*_state(plain))
         nothing = np.zeros(1)

@@ -37,20 +37,8 @@ class ToothArrays(NamedTuple):
 class Drawings(NamedTuple):
     """Gears to draw: topic, time of the cause [ns] (n,), and what a drawing shows.
 
-    Attributes
-    ----------
-    stamp : ndarray of int64, shape (n,)
-        [ns]
-    joint : str
-    drive : Drive
-    input_angle : ndarray, shape (n,)
-        As reported [rad].
-    load : ndarray, shape (n, 2, Z_R)
-        Forces on the flanks [N].
-    torsion : ndarray, shape (n,)
-        [rad]
-    full_scale : float
-        Force that has the last colour [N].
+    Stamps [ns] and input angles as reported [rad], (n,); forces on the flanks (n, 2, Z_R) [N]; torsion (n,)
+    [rad]; the force that has the last colour [N].
     """
 
     topic: str

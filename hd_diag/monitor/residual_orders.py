@@ -40,14 +40,9 @@ class Order(NamedTuple):
 
 
 class ResidualOrders:
-    """Orders of a joint's residual.
+    """Orders of a joint's residual; `state` are arrays as `kernel_orders.follow` has them.
 
     What comes of samples depends on their sequence alone, to the last bit, however many come at once.
-
-    Attributes
-    ----------
-    state : tuple of ndarray
-        As `kernel_orders.follow` has it.
     """
 
     def __init__(self) -> None:
@@ -66,23 +61,8 @@ class ResidualOrders:
     ) -> list[list[Order]]:
         """Take samples; those at rest and those without a residual are left out.
 
-        Parameters
-        ----------
-        stamp : ndarray of int64, shape (n,)
-            [ns]
-        input_angle, output_angle : ndarray, shape (n,)
-            As reported [rad].
-        torque : ndarray, shape (n,)
-            [N m]
-        residual : ndarray, shape (n,)
-            [rad]
-        ends : ndarray of int64, shape (l,)
-            Rising numbers of samples after which the orders are asked for.
-
-        Returns
-        -------
-        list of l lists of Order
-            Those that the motion shows apart from the others.
+        Stamps [ns], angles as reported [rad], torques [N m] and residuals [rad] are (n,). After each of the
+        rising numbers of samples `ends` (l,) it gives the orders that the motion shows apart from others.
         """
         from hd_diag.monitor.kernel_orders import follow  # late: it imports numba
 
