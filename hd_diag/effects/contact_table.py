@@ -122,12 +122,9 @@ class ContactTable:
 
     @cached_property
     def mean_slot(self) -> Floats:
-        """Of slot 0, in the mean over all slots, which an eccentric wave generator makes differ.
+        """Of slot 0, in the mean over all slots, which an eccentric wave generator makes differ [rad/m].
 
-        Returns
-        -------
-        ndarray, shape (2, torques, angles - 1)
-            As `one_slot`, without the last angle [rad/m].
+        As `one_slot`, without the last angle: shape (2, torques, angles - 1).
         """
         count = self.drive.mesh.geometry.circular_spline_teeth
         row = np.arange(self.steps)[:, None] - _STEPS_PER_SLOT * self.contact.slots[:-1]
@@ -153,20 +150,15 @@ class ContactTable:
     def displaced(self, errors: Floats) -> Floats:
         """Turn of the cup when the slots have errors of full size [rad], shape (torques, angles).
 
-        Parameters
-        ----------
-        errors : ndarray, shape (4, Z_G)
-            Circumferential, radial, clearance of the + and of the - flank [m].
+        Errors (4, Z_G) are circumferential, radial, clearance of the + and of the - flank [m].
         """
         return self._kept.get(errors.tobytes(), lambda: self._displaced(*errors))
 
     def teeth_beyond(self, displacement: Displacement, coefficients: tuple[float, ...]) -> Floats:
-        """What errors of the flexspline's teeth do at their size beyond their first order.
+        """What errors of the flexspline's teeth do at their size beyond their first order [rad].
 
-        Returns
-        -------
-        ndarray, shape (PHASES, torques, angles)
-            [rad], at phases ``pi n / PHASES`` by which the flexspline has turned under the wave generator.
+        Shape (PHASES, torques, angles): at phases ``pi n / PHASES`` by which the flexspline has turned under
+        the wave generator.
         """
         return self._kept.get(
             (displacement, coefficients), lambda: self._teeth_beyond(displacement, np.array(coefficients))

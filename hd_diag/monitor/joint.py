@@ -22,21 +22,10 @@ _TOTALS = ("angle", "load", "samples", "rejected", "unpaired", "clock_jumps")
 class Window(NamedTuple):
     """What happened to a joint between two reports, and how the second found it.
 
-    Attributes
-    ----------
-    stamps : ndarray of int64
-        Of the inputs [ns].
-    residual : ndarray
-        Where an output angle was reported [rad].
-    torque, speed : ndarray
-        Of all samples that a model predicted [N m], [rad/s].
-    accepted, rejected : int
-    last : tuple of float, or None
-        Input angle [rad] and torque [N m] of the last sample; None before the first.
-    samples, all_rejected, unpaired, clock_jumps, missed : int
-        Since the beginning.
-    orders : sequence of Order
-        Of the residual, those that the motion shows.
+    Stamps of the inputs [ns]; residuals where an output angle was reported [rad]; torques [N m] and speeds
+    [rad/s] of all samples that a model predicted; how many were accepted and rejected; input angle [rad] and
+    torque [N m] of the last sample, None before the first; counts since the beginning; orders of the
+    residual, those that the motion shows.
     """
 
     stamps: Times
