@@ -16,9 +16,8 @@ PYTHON ?=
 ARGS ?=
 PYTEST_ARGS ?=
 SELECTED = -m 'not slow'
-# Test processes at once, one more than two cores: live tests wait. A file's tests stay in one, in conftest.py's order.
-JOBS = 3
-SPREAD = -n $(JOBS) --no-loadscope-reorder
+# Test processes at once, one more than two cores: live tests wait, numerical ones do not. A file's tests stay in one.
+SPREAD = --no-loadscope-reorder -n $(1)
 SHELL = /bin/sh
 
 # The environments bring their own ROS; nothing of a sourced one may mix in.
@@ -91,7 +90,7 @@ pytest pytest-ubuntu: export OPENBLAS_NUM_THREADS = 1
 
 pytest: install
 	@echo "== Tests, newest numpy (5 minutes)"
-	@$(call IN,test) pytest $(SPREAD) --durations=10 $(SELECTED) $(PYTEST_ARGS)
+	@$(call IN,test) pytest $(call SPREAD,3) --durations=10 $(SELECTED) $(PYTEST_ARGS)
 
 # Arithmetic of model, drive, effects, streams, monitor and diagnosis; what else there is does not depend on numpy.
 NUMERICAL = acceptance alignment contact design drive effects extended_model fit_parameters joint_refinement \
@@ -105,7 +104,7 @@ pytest-ubuntu:
 	else \
 	    $(ENVIRONMENT) ubuntu "$$python" && \
 	    echo "== Numerical tests, numpy 1.26 and scipy 1.11 as in Ubuntu 24.04 (1 minute)" && \
-	    $(call IN,ubuntu) pytest $(SPREAD) $(SELECTED) $(PYTEST_ARGS) $(NUMERICAL:%=test/test_%.py); \
+	    $(call IN,ubuntu) pytest $(call SPREAD,2) $(SELECTED) $(PYTEST_ARGS) $(NUMERICAL:%=test/test_%.py); \
 	fi
 
 challenge:

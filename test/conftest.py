@@ -6,6 +6,8 @@ import shutil
 import socket
 import subprocess
 import sys
+import time
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -51,12 +53,28 @@ def stale_modules() -> list[str]:
     return sorted({str(name) for name in names} - set(same))
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--slowest", metavar="FILE", help="write the ten slowest tests as a table")
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    if (file := config.getoption("slowest")) is None:
+        return
+    seconds: Counter[str] = Counter()
+    for report in terminalreporter.getreports("passed") + terminalreporter.getreports(""):
+        seconds[report.nodeid] += report.duration
+    rows = [f"| `{name}` | {each:.1f} |" for name, each in seconds.most_common(10)]
+    took = time.monotonic() - config.began
+    told = f"{len(seconds)} tests in {took:.0f} s on {os.cpu_count()} cores. The slowest, waiting included:"
+    Path(file).write_text("\n".join([told, "", "| test | s |", "| --- | ---: |", *rows, ""]))
+
+
 def pytest_configure(config: pytest.Config) -> None:
     if stale := stale_modules():
         raise pytest.UsageError(
             f"the installed hd_diag is not this tree's ({', '.join(stale)}): run `make install`"
         )
-    config.ros_domain = claim_domain()
+    config.began, config.ros_domain = time.monotonic(), claim_domain()
     os.environ["ROS_DOMAIN_ID"] = str(config.ros_domain[1])
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     # The wheels of ROS do not say where they are; a sourced ROS does.

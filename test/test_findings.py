@@ -76,7 +76,9 @@ def test_an_encoder_disc_off_centre_is_no_ramp(record: Record, phase: float) -> 
     assert check_ramp(scaled(disc, 1.001), RATIO) is not None
 
 
-@pytest.mark.parametrize(("family", "seed"), [("robot_pair", 4001), ("robot_single", 716)])
+@pytest.mark.parametrize(
+    ("family", "seed"), [("robot_single", 716), pytest.param("robot_pair", 4001, marks=pytest.mark.slow)]
+)
 def test_torsion_that_goes_with_position_is_no_ramp(family: str, seed: int) -> None:
     """A robot's arm over half a turn: what its spring's law leaves leans like a ramp."""
     made = families.made(family, seed)

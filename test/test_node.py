@@ -459,12 +459,14 @@ def test_log_holds_everything_and_replays(arm: Rig, tmp_path: Path) -> None:
 
 
 def test_a_best_effort_publisher_that_appears_later(tmp_path: Path) -> None:
-    """Under a remapped name; files that hold nothing for the node are named."""
-    other, empty = tmp_path / "other.yaml", tmp_path / "empty.yaml"
+    """Under remapped names, which its log has too; files that hold nothing for the node are named."""
+    other, empty, log = (tmp_path / name for name in ("other.yaml", "empty.yaml", "log.mcap"))
     other.write_text("hd_dag: {ros__parameters: {}}")
     empty.touch()
-    more = ("-r", "joint_states:=robot/js", "--params-file", str(other), "--params-file", str(empty))
-    with running(tmp_path, parameters(**QUICK), *more) as rig:
+    names = ("joint_states:=robot/js", "joint_1/temperature:=/warmth", "~/residual:=left")
+    more = [word for name in names for word in ("-r", name)]
+    more += ["--params-file", str(other), "--params-file", str(empty)]
+    with running(tmp_path, parameters(**QUICK, log__path=str(log)), *more) as rig:
         errors = heard(rig, "transmission_error")
         times = itertools.count(START, MS)
         feed(rig.publisher("robot/js"), times, 20)
@@ -481,6 +483,9 @@ def test_a_best_effort_publisher_that_appears_later(tmp_path: Path) -> None:
         assert "best effort" in said
         assert "other.yaml has no section for hd_diag, but hd_dag" in said
         assert "empty.yaml has no section for hd_diag, but nothing" in said
+    replay(log, tmp_path / "again.mcap")
+    assert content(tmp_path / "again.mcap") == content(log)
+    assert {f"{rig.process.namespace}/{name}" for name in ("robot/js", "left")} <= content(log).keys()
 
 
 def test_simulated_time_that_jumps_back(tmp_path: Path) -> None:
