@@ -115,6 +115,7 @@ COMMANDS: dict[str, dict[str, str]] = {
         "recover a.mcap --out hard.mcap": "same file as the input",
         "recover a.mcap --out bag/bag_0.mcap": "exists already: --overwrite replaces it",
         "replay a.mcap --config two.yaml --out bag": "exists already: --overwrite replaces it",
+        "simulate --out bag": "exists already: --overwrite replaces it",
     },
 }
 

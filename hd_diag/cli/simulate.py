@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from hd_diag.bag import BagError
 from hd_diag.cli.joints import chosen_joints, configured
 from hd_diag.cli.lines import tell
 from hd_diag.cli.progress import interrupted, working
@@ -66,6 +67,8 @@ def simulate(
             )
     except KeyboardInterrupt as error:
         interrupted(error, out, kept)
+    except BagError:
+        raise
     except ValueError as error:
         raise Problem(str(error)) from error
     if json_file:
