@@ -13,8 +13,7 @@ from live import MS, RATIO, START, config, message
 
 from hd_diag.bag import BagError, BagReader, BagWriter
 from hd_diag.bag.joint_record import read_bags
-from hd_diag.cli.verbs.recover import recover
-from hd_diag.cli.verbs.replay import replay
+from hd_diag.cli.verbs.bags import recover, replay
 from hd_diag.diagnosis.record import RecordError
 from hd_diag.messages.publications import STRING, Encoded, read_string, resolved, string
 from hd_diag.replay.recorded_monitor import EVENTS, Session

@@ -25,7 +25,6 @@ from reference import published
 from hd_diag.__main__ import main
 from hd_diag.cli import cli
 from hd_diag.cli.options import Source, Target
-from hd_diag.cli.verbs import VERBS
 from hd_diag.cli.verbs import main as run_verbs
 from hd_diag.config.configuration import dump, resolve
 from hd_diag.ros.stop_signals import Stopped, signalled
@@ -40,9 +39,9 @@ def mesh(*arguments: object) -> dict[str, Any]:
 # Help and usage ---
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", cli.commands)
 def test_every_verb_has_help_and_an_example_that_its_parser_takes(verb: str) -> None:
-    command, told = cli.get_command(click.Context(cli), verb), hd_diag(verb, "--help", terminal_width=80)
+    command, told = cli.commands[verb], hd_diag(verb, "--help", terminal_width=80)
     assert (told.exit_code, told.output) == (0, hd_diag(verb, "-h", terminal_width=80).output)
     assert told.output.startswith(f"Usage: cli {verb} ")
     assert command.help.splitlines()[0].split(":")[0] in " ".join(told.output.split())
@@ -55,14 +54,14 @@ def test_every_verb_has_help_and_an_example_that_its_parser_takes(verb: str) -> 
 
 def test_help_and_readme_list_the_verbs_of_the_contract() -> None:
     contract = "demo check mesh simulate replay diagnose report tolerance recover figures fleet watch node"
-    assert set(contract.split()) <= set(VERBS)
+    assert set(contract.split()) <= set(cli.commands)
     assert (hd_diag().exit_code, hd_diag().output) == (0, hd_diag("--help").output)
     told = hd_diag("--help", terminal_width=80).output.partition("Commands:")[2]
-    assert re.findall(r"(?m)^  (\w+)", told) == list(VERBS) == sorted(VERBS)
+    assert re.findall(r"(?m)^  (\w+)", told) == sorted(cli.commands)
     assert not [line for line in told.splitlines() if line.endswith("...") or len(line) > 80]
     readme = (Path(__file__).resolve().parent.parent / "README.md").read_text()
     told = readme.partition("| task | verbs |")[2].partition("\n\n")[0]
-    assert sorted(set(re.findall(r"`([a-z]+)`", told)) & set(VERBS)) == sorted(VERBS)
+    assert sorted(set(re.findall(r"`([a-z]+)`", told)) & set(cli.commands)) == sorted(cli.commands)
     assert hd_diag("--version").output == "hd-diag, version 0.1.0\n"
 
 
@@ -70,16 +69,17 @@ def test_help_and_completion_import_nothing_that_is_slow() -> None:
     """Of all verbs in one process: what comes in a tenth of a second, with numpy alone twice that."""
     code = (
         "import contextlib, io, sys\n"
-        "from hd_diag.cli import cli\nfrom hd_diag.cli.verbs import VERBS\n"
+        "from hd_diag.cli import cli\n"
         "with contextlib.redirect_stdout(io.StringIO()) as told:\n"
-        "    for words in ([], ['--help'], *([verb, '--help'] for verb in VERBS), ['completion', 'zsh']):\n"
+        "    verbs = ([verb, '--help'] for verb in cli.commands)\n"
+        "    for words in ([], ['--help'], *verbs, ['completion', 'zsh']):\n"
         "        with contextlib.suppress(SystemExit):\n"
         "            cli(words, prog_name='hd-diag')\n"
         "slow = 'numba numpy scipy matplotlib rclpy rich yaml mcap rosbags'.split()\n"
         "print(told.getvalue().count('Usage: hd-diag '), [name for name in slow if name in sys.modules])"
     )
     run = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, timeout=60)
-    assert run.stdout == f"{len(VERBS) + 2} []\n"
+    assert run.stdout == f"{len(cli.commands) + 2} []\n"
 
 
 def test_matrices_are_multiplied_in_one_thread_unless_the_user_says_otherwise(
@@ -225,8 +225,8 @@ def pairs_of_files() -> list[tuple[str, click.Parameter, click.Parameter]]:
     """Each option of a verb that names a file to write, with each that names one to read."""
     return [
         (verb, target, source)
-        for verb in VERBS
-        for params in [cli.get_command(click.Context(cli), verb).params]
+        for verb in cli.commands
+        for params in [cli.commands[verb].params]
         for target in params
         for source in params
         if isinstance(target.type, Target) and (isinstance(source.type, Source) or source.name == "bags")
@@ -256,7 +256,7 @@ def test_no_verb_writes_over_what_it_reads(link: Any, tmp_path: Path) -> None:
         (place := read if link is None else folder / f"link{ending}")
         if link:
             link(read, place)
-        params = cli.get_command(click.Context(cli), verb).params
+        params = cli.commands[verb].params
         needed = {"bags": "a.mcap", "bag": "a.mcap", "out": f"out{'.parquet' * (verb == 'fleet')}"}
         given = {p.name: (p, folder / needed[p.name]) for p in params if p.required and p.name in needed}
         given |= {source.name: (source, read), target.name: (target, place)}

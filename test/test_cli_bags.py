@@ -23,8 +23,7 @@ from rich.console import Console
 
 from hd_diag.bag import BagReader, BagWriter
 from hd_diag.cli import progress as cli_progress
-from hd_diag.cli.verbs.recover import recover
-from hd_diag.cli.verbs.replay import replay
+from hd_diag.cli.verbs.bags import recover, replay
 from hd_diag.config.parameters import nested
 from hd_diag.messages.encoding import encode_joint_states
 

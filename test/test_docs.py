@@ -22,7 +22,6 @@ from live import config
 from numpy.testing import assert_allclose
 
 from hd_diag.cli import cli
-from hd_diag.cli.verbs import VERBS
 from hd_diag.config.configuration import resolve
 from hd_diag.config.parameters import JOINT_PARAMETERS, NODE_PARAMETERS
 from hd_diag.effects import CATALOGUE
@@ -86,7 +85,7 @@ def test_commands_are_found_and_judged_and_every_verb_is_shown_at_work() -> None
     assert [faults(words) for words in calls(text)] == [[], ["no verb mash"], ["mesh: no option --tork"]]
     assert len(calls((DOCS / "tour.md").read_text(encoding="utf-8"))) >= 6
     whole = "\n".join(path.read_text(encoding="utf-8") for path in PAGES)
-    assert [verb for verb in VERBS if not re.search(rf"hd-diag {verb}\b", whole)] == []
+    assert [verb for verb in cli.commands if not re.search(rf"hd-diag {verb}\b", whole)] == []
 
 
 @pytest.mark.parametrize("page", ["tour.md", "runtime.md"])
@@ -242,7 +241,7 @@ def test_pages_need_no_network_and_name_no_place_of_a_machine(
 
 def test_every_verb_and_parameter_is_there(pages: dict[str, Page]) -> None:
     page, text = pages["command_line.html"], pages["parameters.html"].text
-    for verb in VERBS:
+    for verb in cli.commands:
         assert f"verb-{verb}" in page.places
         options = cli.get_command(click.Context(cli), verb).params  # type: ignore[union-attr]
         names = [name for option in options if isinstance(option, click.Option) for name in option.opts]

@@ -8,13 +8,13 @@ from typing import Any
 import click
 
 from hd_diag.cli import cli
-from hd_diag.cli.verbs import VERBS
 
 
 def content(folder: Path) -> dict[str, Any]:
     """What command_line.md is filled with."""
     context = click.Context(cli)
-    return {"about": cli.help or "", "verbs": [_verb(name, cli.get_command(context, name)) for name in VERBS]}
+    names = cli.list_commands(context)
+    return {"about": cli.help or "", "verbs": [_verb(name, cli.commands[name]) for name in names]}
 
 
 def _verb(name: str, command: click.Command) -> dict[str, Any]:

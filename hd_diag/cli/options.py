@@ -1,6 +1,6 @@
 """What the verbs of the command line share: options, kinds of files, one-line errors.
 
-Nothing here or in :mod:`hd_diag.cli.verbs` imports more than click: help and completion come at once.
+Neither this nor :mod:`hd_diag.cli.verbs` imports more than click: help and completion come at once.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from typing import Any, TypeVar
 import click
 
 from hd_diag.cli.targets import Problem, check_targets
-from hd_diag.cli.verbs import VERBS
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -58,26 +57,28 @@ def _is_special(path: Path) -> bool:
     return path.exists() and not path.is_file()
 
 
-def verb(example: str, **settings: Any) -> Callable[[Callable[..., Any]], click.Command]:
+def verb(example: str, module: str = "", **settings: Any) -> Callable[[Callable[..., Any]], click.Command]:
     """A function without a body as a verb: its name, its help, and the options that decorate it.
 
-    The function of the same name in the module that `VERBS` names does the work. That module is imported when
-    the verb is called, its files are compared before. Bad input is one line; settings are of click's context.
+    The function of the same name does the work, in the module of its own name or of that given. It is
+    imported when the verb is called, its files are compared before. Bad input is one line; settings are of
+    click's context. The list of verbs shows the first line of the help.
     """
 
     def made(stub: Callable[..., Any]) -> click.Command:
+        name, line = stub.__name__, (stub.__doc__ or "").partition("\n")[0]
+
         @functools.wraps(stub)
         def run(**given: Any) -> Any:
             check_files()
-            name = stub.__name__
-            function = getattr(import_module(f"hd_diag.cli.{VERBS[name][0]}"), name)
+            function = getattr(import_module(f"hd_diag.cli.{module or name}"), name)
             try:
                 return function(**given)
             except ValueError as error:
                 raise _problem(error, "overwrite" in given) from error
 
         text = f"\b\nExample: hd-diag {example}"
-        return click.command(epilog=text, short_help=VERBS[stub.__name__][1], context_settings=settings)(run)
+        return click.command(epilog=text, short_help=line, context_settings=settings)(run)
 
     return made
 
@@ -118,6 +119,15 @@ def shown(flag: str, default: Any, text: str, **more: Any) -> Callable[[_Command
     return click.option(flag, default=default, show_default=True, help=text, **more)
 
 
+def together(*options: Callable[[Any], Any]) -> Callable[[_Command], _Command]:
+    """Several options as one, in their order."""
+
+    def decorated(stub: Any) -> Any:
+        return functools.reduce(lambda found, option: option(found), reversed(options), stub)
+
+    return decorated
+
+
 def json_option(what: str) -> Callable[[_Command], _Command]:
     """Option ``--json`` for a verb that writes this there."""
     kind = Target(stdout=True)
@@ -137,9 +147,10 @@ CONFIG = click.option(
     type=Source(dir_okay=False),
     help="ROS parameter file. [default: the example drive]",
 )
+BAG = click.argument("bag", type=Source(path_type=Path))
 JOINT = click.option("--joint", help="Joint. [default: the first configured]")
 JOINTS = click.option("--joint", "names", multiple=True, help="Joint; repeatable. [default: all configured]")
-BAG = click.option("--out", required=True, type=BagTarget(), help="*.mcap or a rosbag2 folder.")
+OUT_BAG = click.option("--out", required=True, type=BagTarget(), help="*.mcap or a rosbag2 folder.")
 OVERWRITE = click.option("--overwrite", is_flag=True, help="Replace an existing output.")
 JOBS = click.option(
     "--jobs", type=click.IntRange(1), help="Processes on this machine. [default: one per core that is free]"
@@ -158,7 +169,7 @@ TIME_LIMIT = click.option(
     "gain and the unexplained rest are never left out.",
 )
 
-_RECORDS = (
+records = together(
     click.argument("bags", nargs=-1, required=True, type=Source(path_type=Path)),
     CONFIG,
     JOINTS,
@@ -191,13 +202,7 @@ _RECORDS = (
         help="Python file with further effects, as EFFECT or EFFECTS; repeatable. The file is executed.",
     ),
 )
-
-
-def records(stub: _Command) -> _Command:
-    """The options that say which records a verb looks at."""
-    for option in reversed(_RECORDS):
-        stub = option(stub)
-    return stub
+"""Which records a verb looks at."""
 
 
 @contextmanager

@@ -1,6 +1,7 @@
-"""The verbs of the command line, each in a module of its own that is imported when the verb is called.
+"""The verbs of the command line: what each takes, and its help.
 
-Exit codes: 0 done, 1 a finding to fail on, 2 bad usage or input, 130 after Ctrl-C.
+The work of a verb is in a module of its own that is imported when the verb is called. Exit codes: 0 done, 1 a
+finding to fail on, 2 bad usage or input, 130 after Ctrl-C.
 """
 
 from __future__ import annotations
@@ -17,54 +18,23 @@ from typing import Any
 import click
 
 import hd_diag
+from hd_diag.cli import options
 from hd_diag.cli.lines import tell
+from hd_diag.cli.targets import Problem
+from hd_diag.cli.verbs import bags, drives, records, ros
 from hd_diag.ros.stop_signals import signalled
-
-# Module of each verb, and its line in the list of all.
-VERBS = {
-    "check": ("check", "Check a configuration without ROS and describe its drives."),
-    "completion": ("completion", "Print a completion script for bash, zsh or fish."),
-    "demo": ("demo", "Run the node beside a simulated joint, then replay and diagnose its log."),
-    "diagnose": ("diagnose", "Find what the model gets wrong in a bag, and the physical cause."),
-    "figures": ("figures", "Draw the model's counterparts of the paper's Figs. 5 to 7."),
-    "fleet": ("fleet", "Diagnose every joint of many bags and show what changes over time."),
-    "gear": ("gear", "Write a parameter file for a drive from its catalogue page."),
-    "mesh": ("mesh", "Show backlash and load of every tooth at one input angle and torque."),
-    "node": ("node", "Run the ROS node."),
-    "recover": ("bags", "Save what can be read of an unfinished or damaged bag."),
-    "replay": ("bags", "Run the model over a bag and write what the node would publish."),
-    "report": ("report", "Diagnose a bag and write one HTML page."),
-    "ripple": ("ripple", "Find periodic torque ripple of robots that report one angle for each joint."),
-    "simulate": ("simulate", "Write a bag of a simulated joint."),
-    "tolerance": ("tolerance", "Compute how much eccentricity an assembly may have."),
-    "topics": ("topics", "List what is in a bag and propose the configuration of its joints."),
-    "watch": ("watch", "Show the values and faults of a running node in the terminal."),
-}
 
 
 class _Verbs(click.Group):
-    """Verbs found by their names; what is wrong is one line on stderr."""
-
-    def list_commands(self, context: click.Context) -> list[str]:
-        return list(VERBS)
-
-    def get_command(self, context: click.Context, name: str) -> click.Command | None:
-        if name not in VERBS:
-            return None
-        command: click.Command = getattr(import_module(f"{__name__}.{name}"), name)
-        return command
+    """What is wrong is one line on stderr."""
 
     def resolve_command(self, context: click.Context, words: list[str]) -> Any:
         try:
             return super().resolve_command(context, words)
         except click.UsageError as error:
-            near = difflib.get_close_matches(words[0], VERBS, 1)
+            near = difflib.get_close_matches(words[0], self.commands, 1)
             advice = f"Did you mean '{near[0]}'?" if near else "'hd-diag --help' lists them."
             raise click.UsageError(f"{error.message} {advice}", context) from error
-
-    def format_commands(self, context: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, line) for name, (_, line) in VERBS.items()])
 
     def make_context(self, *args: Any, **kwargs: Any) -> click.Context:
         with _read_or_not():
@@ -98,11 +68,7 @@ def _read_or_not() -> Iterator[None]:
         if error.errno != errno.ENOSPC or error.filename is not None:
             raise
         _print_no_more()
-        raise _Full(f"the output cannot be written: {error.strerror}") from error
-
-
-class _Full(click.ClickException):
-    exit_code = 2
+        raise Problem(f"the output cannot be written: {error.strerror}") from error
 
 
 def _print_no_more() -> None:
@@ -137,6 +103,22 @@ def cli(context: click.Context) -> None:
     """
     if context.invoked_subcommand is None:
         click.echo(context.get_help())
+
+
+@options.verb("completion bash")
+@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
+def completion() -> None:
+    """Print a completion script for bash, zsh or fish.
+
+    With it the shell completes commands, options and files. Write it where the shell looks. bash (4.4 or
+    newer): ~/.local/share/bash-completion/completions/hd-diag; zsh: a file _hd-diag in a folder of $fpath;
+    fish: ~/.config/fish/completions/hd-diag.fish. A new shell reads it.
+    """
+
+
+for found in (completion, *(each for room in (bags, drives, records, ros) for each in vars(room).values())):
+    if isinstance(found, click.Command):
+        cli.add_command(found)
 
 
 def main() -> None:

@@ -1,10 +1,39 @@
-"""What ``hd-diag watch`` takes, and its help."""
+"""What verbs with a running node take, and their help."""
 
 from __future__ import annotations
 
 import click
 
 from hd_diag.cli import options
+
+
+@options.verb("demo --out demo")
+@click.option(
+    "--out",
+    "folder",
+    type=click.Path(file_okay=False),
+    help="Folder for log, replay and report. [default: a new one among the temporary files]",
+)
+@options.shown("--seconds", 24.0, "How long node and joint run [s].", type=click.FloatRange(5.0, 600.0))
+@options.JSON
+def demo() -> None:
+    """Run the node beside a simulated joint, then replay and diagnose its log.
+
+    Starts both as separate processes that meet over DDS, changes the eccentricity while they run, shows the
+    diagnostics, replays the log, diagnoses it and writes the report. Needs ROS 2 Jazzy. Exit codes: 0 every
+    step gave the expected result, 1 a step did not, 130 after Ctrl-C.
+    """
+
+
+@options.verb("node --config arm.yaml -- --ros-args -r joint_states:=/js", ignore_unknown_options=True)
+@options.CONFIG
+@click.argument("ros_arguments", nargs=-1, type=click.UNPROCESSED)
+def node() -> None:
+    """Run the ROS node.
+
+    Joint states in, diagnostics, tooth arrays and transmission error out. Needs ROS 2 Jazzy. Arguments after
+    -- go to ROS. Ends with code 0 on SIGINT and SIGTERM.
+    """
 
 
 @options.verb("watch --once --joint joint_1 --fail-on-fault")

@@ -1,4 +1,4 @@
-"""What ``hd-diag fleet`` takes, and its help."""
+"""What verbs about measured joints take, and their help."""
 
 from __future__ import annotations
 
@@ -7,6 +7,37 @@ from pathlib import Path
 import click
 
 from hd_diag.cli import options
+
+
+@options.verb("diagnose joint.mcap --config arm.yaml --report joint.html")
+@options.records
+@options.TIME_LIMIT
+@options.FAIL_ON_CAUSE
+@click.option(
+    "--orders-only",
+    is_flag=True,
+    help="Describe the error by its orders alone, for a gear of unknown geometry. Only names, ratio, rated "
+    "torque and accuracy of the configuration are used.",
+)
+@click.option(
+    "--model",
+    "model_file",
+    type=options.Target(),
+    help="Write the extended model here, for the parameter <joint>.model_file. With several joints each gets "
+    "its own file with _<joint> in the name.",
+)
+@click.option("--report", "report_file", type=options.PAGE, help="Write the HTML report here.")
+@options.JSON
+def diagnose() -> None:
+    """Find what the model gets wrong in a bag, and the physical cause.
+
+    First the model's own parameters are fitted. Then the catalogue is searched for causes. A cause is named
+    only where it also predicts the part of the record that was not used in the fit. "None of the known
+    causes" and "this record cannot tell these apart" are possible answers. Several bags are runs of the same
+    joint. Of a very long record every sample is checked for a wrong ratio, steps and outliers, and stretches
+    from all over it are fitted. If a joint's signals are wrong or too few, stderr says so, the other joints
+    are diagnosed, and the exit code is 2.
+    """
 
 
 @options.verb("fleet bags/ --config arm.yaml --out arm.parquet")
@@ -69,7 +100,7 @@ from hd_diag.cli import options
 )
 @options.JSON
 def fleet() -> None:
-    """Diagnose every joint of many bags in parallel and show what changes over time.
+    """Diagnose every joint of many bags and show what changes over time.
 
     Folders are searched for bags; a folder with a metadata.yaml is one bag. The table has one row for each
     bag and joint, with the result of ``hd-diag diagnose``; a joint that cannot be judged has a row with the
@@ -81,4 +112,38 @@ def fleet() -> None:
     whole run. The colour of a joint comes from its last recording: its transmission error is compared with
     its accuracy, its eccentricity with what the assembly may have. Amber means that the limit is within the
     95 % interval, or that the bag is cut off. Exit code 2 if no bag could be judged, 130 after Ctrl-C.
+    """
+
+
+@options.verb("report joint.mcap --config arm.yaml --out joint.html")
+@options.records
+@options.TIME_LIMIT
+@click.option(
+    "--out",
+    type=options.PAGE,
+    help="Write the page here. [default: the first bag's name with .html]",
+)
+@options.JSON
+def report() -> None:
+    """Diagnose a bag and write one HTML page.
+
+    It shows the verdict, what to inspect, measured beside simulated, and the teeth. The diagnosis and its
+    JSON are those of `hd-diag diagnose`. The page is one file that needs nothing else. If a bag has no output
+    angle, or its record cannot be judged, the page says so and shows what the model predicts for the motion;
+    the JSON then has the reason as "error". Several bags are runs of the same joint. If nothing of a joint
+    can be shown, stderr says so, the other joints are shown, and the exit code is 2.
+    """
+
+
+@options.verb("ripple joint.mcap --config arm.yaml")
+@options.records
+@options.JSON
+def ripple() -> None:
+    """Find periodic torque ripple at the gear's orders, for robots that report one angle for each joint.
+
+    With one angle and a torque or a current, neither the transmission error nor an eccentricity can be
+    measured; a periodic ripple of the torque can. Friction, gravity and inertia are removed as smooth parts.
+    A line is reported only if it has the same phase in all stretches of the motion and is larger than the
+    orders beside it. Several bags are recordings of the same joint. If a joint cannot be judged, stderr says
+    so, the other joints are judged, and the exit code is 2.
     """

@@ -1,0 +1,151 @@
+"""What verbs about a drive take, and their help."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from hd_diag.cli import options
+
+
+@options.verb("check config/example_drive.yaml")
+@click.argument("config_file", metavar="CONFIG", type=options.Source(dir_okay=False))
+@options.JSON
+def check() -> None:
+    """Check a configuration without ROS and describe its drives.
+
+    Every value is checked alone, and the geometry as a whole. An unknown key is an error; the message names
+    the nearest known key. For each joint the torsional stiffness, the lost motion, the clearance without
+    torque and the effect of an eccentricity are printed. A warning says where no gear can have such a value,
+    or where it differs from the gear's catalogue page.
+    """
+
+
+@options.verb("figures --out figures --format png")
+@click.option(
+    "--out", required=True, type=click.Path(file_okay=False, path_type=Path), help="Folder for the files."
+)
+@options.CONFIG
+@options.shown("--format", "svg", "Of the figures.", type=click.Choice(["svg", "png", "pdf"]))
+def figures() -> None:
+    """Draw the model's counterparts of the paper's Figs. 5 to 7.
+
+    For the first configured joint: the neutral layer's motion, backlash and load over the teeth, one tooth
+    over time, for eccentricities from none to 23 µm. figures.md gets captions with the numbers that the
+    paper's claims come to. Beside them drive.*: what is eccentric to what, positive directions, where teeth
+    interfere.
+    """
+
+
+_PAGE = {
+    "size": "Size on the page: pitch diameter in tenths of an inch.",
+    "pitch_diameter": "Pitch diameter [m], in place of the size.",
+    "ratio": "Input angle over output angle as the joint reports them, signed.",
+    "rated_torque": "Rated torque [N m].",
+    "k1": "Torsional stiffness up to T1 [N m/rad].",
+    "k2": "Torsional stiffness from T1 to T2 [N m/rad].",
+    "k3": "Torsional stiffness from T2 on [N m/rad].",
+    "t1": "T1 [N m]. [default: a quarter of the rated torque]",
+    "t2": "T2 [N m]. [default: 0.86 of the rated torque]",
+}
+_REQUIRED = ("ratio", "rated_torque", "k1", "k2", "k3")
+
+
+@options.verb(
+    "gear --size 20 --ratio 160 --rated-torque 40 --k1 16e3 --k2 25e3 --k3 29e3 --t1 7 --t2 25 --out f.yaml"
+)
+@options.together(
+    *(
+        click.option(f"--{name.replace('_', '-')}", type=float, required=name in _REQUIRED, help=text)
+        for name, text in _PAGE.items()
+    )
+)
+@click.option("--accuracy", type=float, help="Transmission accuracy [arcmin]. [default: 1.5]")
+@options.shown(
+    "--output",
+    "flexspline",
+    "Member that drives the link; the other is fixed.",
+    type=click.Choice(["flexspline", "circular_spline"]),
+)
+@options.shown("--joint", "joint_1", "Name of the joint.")
+@click.option("--out", required=True, type=options.Target(), help="The file.")
+@click.option("--table", is_flag=True, help="Print the drive's parameters, limits and tolerances.")
+@options.figure_option("the tooth pair")
+@options.JSON
+def gear() -> None:
+    """Write a parameter file for a drive from its catalogue page.
+
+    Teeth, neutral curve and clearance are scaled from the example drive; the compliances are fitted to K1, K2
+    and K3; limits and tolerances are scaled. The file says what was given, what is assumed and how well K1,
+    K2 and K3 are met. A catalogue gives the ratio with the circular spline fixed, for example 100; if the
+    output is the circular spline, the joint's ratio is 101.
+    """
+
+
+@options.verb("mesh --config arm.yaml --joint elbow --torque 14")
+@options.CONFIG
+@options.JOINT
+@options.shown("--input-angle", 0.0, "Reported input angle [rad].")
+@options.shown("--torque", 0.0, "Torque M [N m].")
+@options.JSON
+def mesh() -> None:
+    """Show backlash and load of every tooth at one input angle and torque.
+
+    Torsion and transmission error are shown, too. Torsion and loads are those of a torque M that turns the
+    cup counter-clockwise (M > 0 bears on + flanks). The transmission error is the drive's when it exerts M on
+    the link, whose reaction on the cup is -M for an output at the flexspline; "as_driven" holds torsion and
+    loads of that state, which the node publishes.
+    """
+
+
+_SHARE = click.FloatRange(0.0, 1.0)
+_LIMITS = {
+    "interference_um": (click.FLOAT, "the overlap of teeth at one lobe [µm]"),
+    "overlap_um": (click.FLOAT, "the overlap of both lobes, no torque [µm]"),
+    "peak_load": (click.FloatRange(0.0), "the force on a flank [N]"),
+    "load_concentration": (click.FloatRange(1.0), "largest over mean force [-]"),
+    "stiffness_loss": (_SHARE, "the share of torsional stiffness lost [-]"),
+    "te_arcsec": (click.FloatRange(0.0), "the error, peak to peak [arcsec]"),
+}
+
+
+@options.verb("tolerance --config arm.yaml --joint elbow --te-arcsec 20")
+@options.CONFIG
+@options.JOINT
+@click.option(
+    "--torque",
+    "torques",
+    type=float,
+    multiple=True,
+    help="On the link [N m]; repeatable. [default: the rated torque]",
+)
+@options.together(
+    *(
+        click.option(f"--{name.replace('_', '-')}", type=kind, help=f"Limit on {what}.")
+        for name, (kind, what) in _LIMITS.items()
+    )
+)
+@click.option(
+    "--largest-um", type=float, help="Look for limits up to here [µm]. [default: a fifth of the module]"
+)
+@options.shown("--samples", 500, "Assemblies to draw; 0 = none.", type=click.IntRange(0, 1_000_000))
+@options.shown(
+    "--sensitivity-samples",
+    128,
+    "For the Sobol indices, a power of two; 0 = none.",
+    type=click.IntRange(0, 1 << 20),
+)
+@options.shown("--seed", 0, "Of the random assemblies.", type=click.IntRange(0))
+@options.shown("--target", 0.95, "Share of assemblies that shall be good [-].", type=_SHARE)
+@options.JOBS
+@options.JSON
+@options.figure_option("the result")
+def tolerance() -> None:
+    """Compute how much eccentricity an assembly may have.
+
+    For every criterion: the smallest eccentricity that exceeds its limit, over all directions and input
+    angles. Then random assemblies are drawn from the configured tolerances: the share of good ones over the
+    tolerance of the eccentricity, and which tolerance matters most. Limits and tolerances are in the section
+    "tolerance" of the configuration; an option replaces a limit.
+    """
