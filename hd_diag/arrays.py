@@ -9,4 +9,6 @@ Integers = npt.NDArray[np.int64]
 Times = npt.NDArray[np.int64]
 """[ns]"""
 Bytes = npt.NDArray[np.uint8]
-Table = npt.NDArray[np.float32]
+Steps = npt.NDArray[np.int16]
+"""Whole steps of a quantity: the tables of a torsion map."""
+Singles = npt.NDArray[np.float32]

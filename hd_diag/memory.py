@@ -5,9 +5,12 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import gc
+import re
+from collections.abc import Iterator
 from pathlib import Path
 
 _DONT_NEED = 4  # MADV_DONTNEED
+_LLVM = re.compile(r"^(\w+)-(\w+) r-.p .*libllvmlite\.so\n(?:[A-Z]\w+:.*\n)*?Anonymous: +0 kB$", re.MULTILINE)
 
 
 def give_back() -> None:
@@ -16,8 +19,11 @@ def give_back() -> None:
     with contextlib.suppress(AttributeError, OSError):  # another libc than GNU's, or no /proc
         libc = ctypes.CDLL(None)
         libc.malloc_trim(0)
-        for line in Path("/proc/self/maps").read_text().splitlines():
-            place, rights, *rest = line.split()
-            if rights == "r-xp" and rest[-1].endswith("libllvmlite.so"):
-                begin, end = (int(address, 16) for address in place.split("-"))
-                libc.madvise(ctypes.c_void_p(begin), ctypes.c_size_t(end - begin), _DONT_NEED)
+        for begin, end in _unchanged():
+            libc.madvise(ctypes.c_void_p(begin), ctypes.c_size_t(end - begin), _DONT_NEED)
+
+
+def _unchanged() -> Iterator[tuple[int, int]]:
+    """Where code and constants of LLVM lie that are as in its file; tables of addresses there are not."""
+    for found in _LLVM.finditer(Path("/proc/self/smaps").read_text()):
+        yield int(found[1], 16), int(found[2], 16)

@@ -445,11 +445,13 @@ def test_what_is_held_back_for_sorting_is_bounded(tmp_path, monkeypatch):
             writer.write_many("/j", JOINT_STATE, block[i : i + 20], times[i : i + 20])
     expected = stamps.tolist()
     assert [m[1] for m in read(tmp_path / "a.mcap")] == expected
+    taken_at_once(monkeypatch, 4000)
+    with monkeypatch.context() as little:
+        little.setattr("hd_diag.bag.mcap_storage._MAX_HELD", 100_000)
+        with pytest.raises(BagError, match="too disordered"):
+            read(tmp_path / "a.mcap")
     taken_at_once(monkeypatch, 1)
     assert [m[1] for m in read(tmp_path / "a.mcap")] == expected
-    monkeypatch.setattr("hd_diag.bag.mcap_storage._MAX_HELD", 100_000)
-    with pytest.raises(BagError, match="too disordered"):
-        read(tmp_path / "a.mcap")
 
 
 def test_stragglers_do_not_keep_their_chunks_in_memory(tmp_path, monkeypatch):
@@ -536,6 +538,27 @@ def test_a_large_chunk_takes_the_memory_of_its_parts(tmp_path):
     with BagReader(tmp_path / "a.mcap") as reader:
         _, peak = peak_of(lambda: [None for _ in reader.batches()])
     assert peak < 0.8 * block.size
+
+
+def test_a_large_chunk_of_one_topic_after_the_other_takes_no_more(tmp_path, monkeypatch):
+    """It is unpacked on the disk, for its parts are not read in the order in which they stand."""
+    block = np.random.default_rng(3).integers(0, 256, (10_000, 4000), np.uint8)
+    with BagWriter(tmp_path / "a.mcap", chunk_size=1 << 30, flush_period=1e9) as writer:
+        for topic, times in (("/a", np.arange(0, 10_000, 2)), ("/b", np.arange(1, 10_000, 2))):
+            writer.write_many(topic, STRING, block[times], times)
+
+    def times_and_heads():
+        with BagReader(tmp_path / "a.mcap") as reader:
+            return [(b.log_time, b.payload[:, :8].copy()) for b in reader.batches(grouped=True)]
+
+    found, peak = peak_of(times_and_heads)
+    times, heads = map(np.concatenate, zip(*found, strict=True))
+    assert np.array_equal(heads[np.argsort(times)], block[:, :8])
+    assert peak < 0.8 * block.size
+    full = mock.Mock(side_effect=OSError(28, "no space"))
+    monkeypatch.setattr("hd_diag.bag.mcap_chunk.TemporaryFile", full)
+    with pytest.raises(BagError, match=r"cannot be sorted in .* no space"):
+        times_and_heads()
 
 
 def test_a_large_chunk_that_is_cut_off_gives_what_is_there(tmp_path):

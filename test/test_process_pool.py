@@ -11,7 +11,6 @@ from pathlib import Path
 import pool_tasks
 import pytest
 
-from hd_diag.memory import give_back
 from hd_diag.process_pool import ATTEMPTS, Failure, ProcessPool, run
 
 
@@ -126,8 +125,3 @@ def test_workers_of_a_killed_parent_end(noted: Path) -> None:
         parent.kill()
     worker = pool_tasks.calls(noted)[0][1]
     pool_tasks.wait_for(lambda: not pool_tasks.alive(worker))
-
-
-def test_another_libc_gives_no_memory_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hd_diag.memory.ctypes.CDLL", lambda name: object())
-    give_back()

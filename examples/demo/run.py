@@ -24,7 +24,7 @@ from demo.steps import Step, table
 from hd_diag.cli.lines import tell
 from hd_diag.config.configuration import dump, resolve
 from hd_diag.messages.publications import published_topics, resolved
-from hd_diag.ros.node import prepare
+from hd_diag.replay.preparation import prepare
 from hd_diag.ros.stop_signals import noted_signals
 
 __all__ = ["DemoError", "run"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,16 +49,23 @@ class Block:
         """Contents of the messages: an array of shape (n, size) where they have one size."""
         if len(self) and (self.size == self.size[0]).all():
             return gather(self.data, self.offset, int(self.size[0]))
+        return [*self.messages()]
+
+    def messages(self) -> Iterator[memoryview]:
+        """Contents of the messages one by one."""
         view = memoryview(self.data)
-        return [view[o : o + s] for o, s in zip(self.offset.tolist(), self.size.tolist(), strict=True)]
+        for offset, size in zip(self.offset.tolist(), self.size.tolist(), strict=True):
+            yield view[offset : offset + size]
 
     def compact(self) -> Block:
         """The same messages without the rest of their buffer, where that is most of it."""
-        if 4 * int(self.size.sum()) > len(self.data):
-            return self
-        parts = [np.frombuffer(message, np.uint8) for message in self.payload()]
-        data = np.concatenate([*parts, self.data[:0]])
-        return Block(data, np.cumsum(self.size) - self.size, *self._columns()[1:])
+        return self if 4 * int(self.size.sum()) > len(self.data) else self.holding([*self.messages()])
+
+    def holding(self, contents: Sequence[bytes | memoryview]) -> Block:
+        """The messages with other contents."""
+        size = np.array([len(content) for content in contents], np.int64)
+        data = np.frombuffer(b"".join(contents), np.uint8)
+        return Block(data, np.cumsum(size) - size, size, *self._columns()[2:])
 
     def _columns(self) -> tuple[Integers, ...]:
         return self.offset, self.size, self.channel, self.log_time, self.publish_time

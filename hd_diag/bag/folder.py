@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import re
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
-from typing import Any
 
 import zstandard
 
+from hd_diag.bag.block import Block
 from hd_diag.bag.errors import BagError
-from hd_diag.bag.mcap_chunk import believable
+from hd_diag.bag.mcap_chunk import PIECE, believable
 from hd_diag.bag.rosbag2 import UNREADABLE, load_yaml
 
 _STORED = (".mcap", ".db3")
@@ -131,15 +131,23 @@ def unpack(path: Path, stack: ExitStack, files: int = 1) -> tuple[Path, str]:
     return out, ""  # a cut is told by what was in the file, which misses its end
 
 
-def unpacked(path: Path, messages: Iterable[Any]) -> list[memoryview]:
-    """Messages that rosbag2 compressed one by one; BagError where one is damaged or unpacks to too much."""
-    found, zstd = [], zstandard.ZstdDecompressor()
+def unpacked(path: Path, block: Block) -> Iterator[Block]:
+    """Messages that rosbag2 compressed one by one, a few megabytes at once; BagError as `decompressed`."""
+    first, found, size = 0, list[bytes](), 0
+    for row, message in enumerate(block.messages(), start=1):
+        found.append(decompressed(path, message))
+        size += len(found[-1])
+        if size >= PIECE or row == len(block):
+            yield block[first:row].holding(found)
+            first, found, size = row, [], 0
+
+
+def decompressed(path: Path, message: memoryview) -> bytes:
+    """A message that rosbag2 compressed; BagError where it is damaged or unpacks to too much."""
     try:
-        for message in map(bytes, messages):
-            size, limit = zstandard.get_frame_parameters(message).content_size, believable(len(message))
-            if size != zstandard.CONTENTSIZE_UNKNOWN and size > limit:
-                raise ValueError(f"it unpacks to {size} bytes, more than {limit}")
-            found.append(memoryview(zstd.decompress(message, max_output_size=limit)))
+        size, limit = zstandard.get_frame_parameters(message).content_size, believable(len(message))
+        if size != zstandard.CONTENTSIZE_UNKNOWN and size > limit:
+            raise ValueError(f"it unpacks to {size} bytes, more than {limit}")
+        return zstandard.ZstdDecompressor().decompress(message, max_output_size=limit)
     except (ValueError, zstandard.ZstdError, MemoryError) as exc:
         raise BagError(path, f"a compressed message is damaged: {exc}") from exc
-    return found

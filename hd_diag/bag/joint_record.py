@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hd_diag.arrays import Floats, Integers, Times
-from hd_diag.bag.joint_topics import JointTopics, offered
+from hd_diag.bag.joint_topics import JointTopics, offered, place
 from hd_diag.bag.reader import BagReader
 from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.blocks import unwrapped
@@ -23,7 +23,7 @@ from hd_diag.messages.publications import TEMPERATURE, read_temperature
 from hd_diag.streams.alignment import Aligned, Alignment
 from hd_diag.streams.columns import LARGEST_TEMPERATURE
 from hd_diag.streams.interpolation import torque_between
-from hd_diag.streams.signals import Signal, temperatures
+from hd_diag.streams.signals import temperatures
 
 _REMEMBERED = 1 << 14  # samples over which topics of one bag may lag behind each other
 _STAMPS, _VALUES = ("stamp", "torque_stamp", "stretch"), ("input_angle", "output_angle", "torque", "speed")
@@ -89,18 +89,6 @@ def nothing(paths: Sequence[str | Path], joint: JointConfig, stamps: Stamps | No
     if stamps is not None and stamps.why:
         return text + stamps.why
     return f"{text}; {offered(paths[0])}"
-
-
-def no_input(path: str | Path, joint: JointConfig) -> str:
-    """That a bag has no input angle of a joint, and what it has."""
-    return f"no input angle ({place(joint.signals.input, joint.input_joint)}) in {path}; {offered(path)}"
-
-
-def place(signal: Signal | None, name: str) -> str:
-    """Where a signal is looked for, for an error; by default under a name in joint states."""
-    if signal is None:
-        return repr(name)
-    return f"{signal.field} of {signal.topic or 'joint states'}, {signal.name!r}"
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from pathlib import Path
 from hd_diag.bag.block import Topic
 from hd_diag.bag.errors import BagError
 from hd_diag.bag.reader import BagReader, Batch, Mixed
+from hd_diag.config.configuration import JointConfig
 from hd_diag.formatting import listed, visible
 from hd_diag.messages.fields import FieldReader
 from hd_diag.messages.joint_states import JOINT_STATE, JointStateReader, Rejection
@@ -174,3 +175,15 @@ def offered(path: str | Path) -> str:
     joints = f"joint states there hold {listed(names, _SHOWN) or 'no joint'}"
     more = f"what could serve, and the mapping to paste: hd-diag topics {path}"
     return f"{joints}; its topics are {listed(topics, _SHOWN) or 'none'}; {more}"
+
+
+def no_input(path: str | Path, joint: JointConfig) -> str:
+    """That a bag has no input angle of a joint, and what it has."""
+    return f"no input angle ({place(joint.signals.input, joint.input_joint)}) in {path}; {offered(path)}"
+
+
+def place(signal: Signal | None, name: str) -> str:
+    """Where a signal is looked for, for an error; by default under a name in joint states."""
+    if signal is None:
+        return repr(name)
+    return f"{signal.field} of {signal.topic or 'joint states'}, {signal.name!r}"

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import zlib
 from array import array
 from collections.abc import Callable, Iterator
+from tempfile import TemporaryFile
 from typing import Any
 
 import lz4.frame
@@ -23,7 +25,7 @@ RECORD = struct.Struct("<BQ")
 MAX_CHUNK = 256 << 20
 """A chunk, or a message outside of one, above this is refused: recorders close a chunk after some megabytes
 [byte]."""
-PIECE = 4 << 20
+PIECE = 2 << 20
 """How much content is taken at once [byte]: small chunks together, large ones in parts, any message whole."""
 LARGE = 10 << 20
 """Above this a chunk is read twice, to check it and then in parts [byte]; an image's chunk is not."""
@@ -94,6 +96,26 @@ class Content:
         """Go on to a place."""
         while self.place < place and self.take(min(_AT_ONCE, place - self.place)):
             pass
+
+
+class OnDisk:
+    """Content of a chunk in a temporary file, taken from any place."""
+
+    place = 0
+
+    def __init__(self, content: Content) -> None:
+        self._file, self._next = TemporaryFile(prefix="hd_diag-"), 0  # noqa: SIM115 (open as long as this is)
+        while part := content.take(_AT_ONCE):
+            self._file.write(part)
+        self._file.flush()
+
+    def skip(self, place: int) -> None:
+        """Go on to a place."""
+        self._next = place
+
+    def take(self, size: int) -> bytes:
+        """The bytes there."""
+        return os.pread(self._file.fileno(), size, self._next)
 
 
 def pieces(content: Content, keep: Callable[[bytes], None]) -> Iterator[tuple[int, int, Block]]:

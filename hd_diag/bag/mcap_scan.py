@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import re
 import struct
+import tempfile
 import threading
 import zlib
 from collections.abc import Iterator, Sequence
@@ -33,6 +34,7 @@ from hd_diag.bag.mcap_chunk import (
     MESSAGE,
     RECORD,
     Content,
+    OnDisk,
     believable,
     check_claim,
     check_end,
@@ -96,7 +98,7 @@ class Scan:
         self.profile = self.problem = ""
         self._path, self._file = path, file
         self._begin, self._ahead = 0, b""
-        self._open: dict[int, Content] = {}
+        self._open: dict[int, Content | OnDisk] = {}
         self._lock = threading.Lock()
         if self.read(0, len(MAGIC)) != MAGIC:
             raise BagError(path, "is not an MCAP file" if self.size else "is empty")
@@ -207,10 +209,7 @@ class Scan:
         return None
 
     def parts(self, section: Section) -> list[Section]:
-        """The section, or the parts of a large chunk: less of it is in memory then; DamagedChunk as `load`.
-
-        It stays whole where times go back in it, for its messages would have to be sorted.
-        """
+        """The section, or the parts of a large chunk, which take less memory; DamagedChunk as `load`."""
         if not section.is_chunk or section.content_size <= LARGE or section.part is not None:
             return [section]
         found = []
@@ -221,8 +220,7 @@ class Scan:
                     times = int(block.log_time.min()), int(block.log_time.max())
                     found.append(replace(section, start=times[0], end=times[1], part=(place, size)))
             _check_whole(section, content)
-        starts = [part.start for part in found]
-        return found if starts == sorted(starts) else [section]
+        return found
 
     def load(self, sections: Sequence[Section]) -> Block:
         """Messages of some sections; schemas and channels among them are kept.
@@ -267,7 +265,10 @@ class Scan:
         return Content(decompressed(section.compression, stored), section.content_size + 1, checksum)
 
     def _content(self, section: Section) -> bytes:
-        """Of a section or a part; a chunk whose parts are read is kept open, for they follow one another."""
+        """Of a section or a part; a chunk whose parts are read is kept open, for they follow one another.
+
+        Where they do not, for times go back in it, it is unpacked on the disk.
+        """
         if section.part is None:
             content = self._unpacked(section)
             found = content.take(section.content_size + 1)
@@ -276,8 +277,10 @@ class Scan:
         place, size = section.part
         with self._lock:
             known = self._open.pop(section.offset, None)
-            if known is None or known.place > place:
+            if known is None:
                 known = self._unpacked(section, None)
+            elif known.place > place:
+                known = self._on_disk(section)
             known.skip(place)
             found = known.take(size)
             if known.place < section.content_size:
@@ -285,6 +288,13 @@ class Scan:
             if len(self._open) > _MOST_OPEN:
                 del self._open[next(iter(self._open))]
         return found
+
+    def _on_disk(self, section: Section) -> OnDisk:
+        try:
+            return OnDisk(self._unpacked(section, None))
+        except OSError as exc:
+            where = f"{tempfile.gettempdir()} (TMPDIR)"
+            raise BagError(self._path, f"cannot be sorted in {where}: {exc.strerror or exc}") from exc
 
     def _take(self, opcode: int, length: int) -> None:
         """Take the record at `end`."""

@@ -16,9 +16,9 @@ from hd_diag.bag.mcap_chunk import PIECE
 from hd_diag.bag.mcap_scan import DamagedChunk, Scan, Section
 
 # What is read ahead takes no more memory than this [byte].
-_AHEAD = 12 << 20
+_AHEAD = 6 << 20
 # More than this is never held back for sorting [byte].
-_MAX_HELD = 1 << 30
+_MAX_HELD = 32 << 20
 
 
 class McapStorage:
@@ -127,8 +127,8 @@ def _ordered(
 ) -> Iterator[Block]:
     """Blocks whose log times never decrease; messages of equal time keep the order of the file.
 
-    Raises ValueError where times are so disordered that sorting takes more than 1 GiB, or where a chunk holds
-    messages from before the time that it declares.
+    Raises ValueError where times are so disordered that sorting takes more than 32 MiB, or where a chunk
+    holds messages from before the time that it declares.
     """
     starts = [min(section.start for section in stretch) for stretch in stretches]
     turns = sorted(range(len(stretches)), key=lambda number: (starts[number], number))
@@ -147,7 +147,9 @@ def _ordered(
             held[number] = block[late].compact()
         held = {number: block for number, block in held.items() if len(block)}
         if sum(len(block.data) for block in held.values()) > _MAX_HELD:
-            raise ValueError("log times are too disordered: sorting them takes more than 1 GiB")
+            raise ValueError(
+                "log times are too disordered: sorting takes more than 32 MiB; `mcap sort` sorts it"
+            )
         ready = joined([block for block in early if len(block)] or early)
         if len(ready):
             released = int(ready.log_time[-1])

@@ -140,8 +140,9 @@ class BagReader(AbstractContextManager["BagReader"]):
             try:
                 for block in storage.blocks(numbers) if numbers else ():
                     read.update(dict(zip(*np.unique(block.channel, return_counts=True), strict=True)))
-                    for part in _runs(block, alternating):
-                        yield self._mixed(path, known, part)
+                    for plain in unpacked(path, block) if self._message_compression else (block,):
+                        for part in _runs(plain, alternating):
+                            yield self._mixed(known, part)
             except BagError as exc:
                 raise type(exc)(path, exc.cause) from exc
             if not storage.problem:
@@ -212,15 +213,13 @@ class BagReader(AbstractContextManager["BagReader"]):
         except ValueError as exc:
             raise BagError(self.path, f"{topic.name}: {exc}") from exc
 
-    def _mixed(self, path: Path, topics: dict[int, Topic], part: Block) -> Mixed:
+    def _mixed(self, topics: dict[int, Topic], part: Block) -> Mixed:
         channels, first = np.unique(part.channel, return_index=True)
         batches = []
         for channel in channels[np.argsort(first)]:
             rows = np.flatnonzero(part.channel == channel)
             own, topic = part[rows] if len(channels) > 1 else part, topics[int(channel)]
             payload = own.payload()
-            if self._message_compression:
-                payload = unpacked(path, payload)
             if topic.type_name == JOINT_STATE and self.types(topic) is not jazzy():
                 payload = [standard_joint_state(data, self.types(topic)) for data in payload]
             batches.append((rows, Batch(topic, own.log_time, own.publish_time, payload)))

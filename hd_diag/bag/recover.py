@@ -16,7 +16,7 @@ import numpy as np
 
 from hd_diag.bag.block import Block, Topic
 from hd_diag.bag.errors import BagError, check_output, replaced
-from hd_diag.bag.folder import find_files, unpack, unpacked
+from hd_diag.bag.folder import decompressed, find_files, unpack
 from hd_diag.bag.mcap_scan import MAGIC, Scan
 from hd_diag.bag.sqlite_file import SqliteFile, is_sqlite
 from hd_diag.bag.typestore import store_of
@@ -158,7 +158,7 @@ class _Tally:
         self.digest = 0
         self.start, self.end = 2**63 - 1, 0
 
-    def add(self, topic: str, data: memoryview, log_time: int) -> None:
+    def add(self, topic: str, data: bytes | memoryview, log_time: int) -> None:
         self.counts[topic] += 1
         self.start, self.end = min(self.start, log_time), max(self.end, log_time)
         self.digest += zlib.crc32(data, zlib.crc32(topic.encode(), log_time & 0xFFFFFFFF))
@@ -188,7 +188,7 @@ def _copy(
             lost["messages belong to no topic with a known definition"] += 1
         else:
             try:
-                message = unpacked(report.path, [data])[0] if packed else data
+                message = decompressed(report.path, data) if packed else data
             except BagError:
                 lost["compressed messages are damaged"] += 1
                 continue

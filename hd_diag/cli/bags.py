@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 from hd_diag.bag import BagError
@@ -13,8 +14,10 @@ from hd_diag.cli.joints import configured
 from hd_diag.cli.lines import tell
 from hd_diag.cli.progress import interrupted, working
 from hd_diag.cli.targets import Problem, write_json
+from hd_diag.replay.preparation import compile_apart
 from hd_diag.replay.replay import Replay
 from hd_diag.replay.replay import replay as replay_bag
+from hd_diag.ros.stop_signals import Stopped, noted_signals
 
 
 def replay(
@@ -29,6 +32,10 @@ def replay(
     config = configured(config_file) if config_file else None
     begin, kept, done = time.monotonic(), out.exists(), 0
     try:
+        with noted_signals() as came:
+            compile_apart(came, partial(tell, err=True))
+        if came:
+            raise Stopped(came[0])
         with working() as part:
             advance = part("replay", "messages")
 

@@ -4,6 +4,9 @@ With exact tooth numbers the mesh repeats with one turn of the wave generator, s
 a cylinder (theta_W, M). In torque it is piecewise linear and the table keeps its own breakpoints, so that
 only the step from one wave generator angle to the next is interpolated. Where a true gap makes the torsion
 jump at zero torque, the table holds both ends and gives the middle.
+
+Torques and torsions are whole steps of 16 bits: of the torque's root, and of what the curve departs from a
+line. Breakpoints are moved along the curve to the nearest step, so that only the torsion's rounding counts.
 """
 
 from __future__ import annotations
@@ -17,9 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from hd_diag.arrays import Floats, Table
+from hd_diag.arrays import Floats, Singles, Steps
 from hd_diag.formatting import ARCSEC as ARCSEC  # effects of others import it from here
 from hd_diag.model import kernel
+from hd_diag.model.kernel import STEPS
 from hd_diag.model.mesh import Mesh, contiguous, moments
 from hd_diag.model.threads import spread
 from hd_diag.model.torsion import torsion_table
@@ -36,6 +40,7 @@ _CHECKED_ANGLES = 512
 _CHECKED_TORQUES = 64
 _MISSED = 2.0  # checks rarely meet a cell's worst place, but half of the greatest error they do [-]
 _SAMPLES = 10_000  # that a thread takes at a time
+_LEAST_STEP = 1e-30  # of torsion, where a curve is a line [rad]
 _CHUNK = 128  # angles per call, so that a build can be given up and lets other threads run
 
 
@@ -51,41 +56,46 @@ class TorsionMap:
     ----------
     mesh : Mesh
         What it was built for.
-    torque, torsion : ndarray of float32, shape (n + 1, breakpoints)
-        The piecewise-linear curve of every angle of a period, rising; the last angle repeats the first [N m],
-        [rad]. Single precision takes half the memory, and rounds by a thousandth of the error that is aimed
-        at.
+    torque, torsion : ndarray of int16, shape (n + 1, breakpoints)
+        The piecewise-linear curve of every angle of a period, rising; the last angle repeats the first. In
+        steps: `STEPS` of the torque's root, with its sign, are that of the requested limit.
+    lines : ndarray of float32, shape (n + 1, 3)
+        What each angle's torsions are counted from: torsion at no torque [rad], slope [rad/(N m)]; and their
+        step [rad].
     repeats : int
         Periods in a turn of the wave generator.
+    requested_limit : float
+        What it was built for [N m].
     torque_limit : float
-        Greatest |M| that it answers for [N m].
+        Greatest |M| that it answers for [N m]; it ends before the other where the torsion jumps.
     error_bound : float
         Twice the greatest difference from the exact solution that was found between the angles [rad].
     """
 
     mesh: Mesh
-    torque: Table
-    torsion: Table
+    torque: Steps
+    torsion: Steps
+    lines: Singles
     repeats: int
+    requested_limit: float
     torque_limit: float
     error_bound: float
 
-    @property
-    def requested_limit(self) -> float:
-        """What the table was built for [N m]; `torque_limit` ends before it where the torsion jumps."""
-        return float(self.torque[0, -1])
+    @cached_property
+    def place(self) -> tuple[float, ...]:
+        """Where the table lies, for kernels: breakpoints, torsions, lines, index; size, periods, limits."""
+        *arrays, repeats, limit, greatest = self._table
+        return *(array.ctypes.data for array in arrays), *self.torque.shape, repeats, limit, greatest
 
     @cached_property
-    def place(self) -> tuple[int, int, int, int, int, int, float]:
-        """Where the table lies, for kernels: breakpoints, torsions, index; size, periods, limit."""
-        *arrays, repeats, limit = self._table
-        return *(array.ctypes.data for array in arrays), *self.torque.shape, repeats, limit
-
-    @cached_property
-    def _table(self) -> tuple[Table, Table, Any, int, float]:
+    def _table(self) -> tuple[Any, ...]:
         """As kernels read it, index included."""
-        torque, torsion = (np.require(each, np.float32, ["C", "W"]) for each in (self.torque, self.torsion))
-        return torque, torsion, kernel.entry.columns(torque), self.repeats, float(self.torque_limit)
+        torque, torsion = (np.require(each, np.int16, ["C", "W"]) for each in (self.torque, self.torsion))
+        lines, limits = (
+            np.require(self.lines, np.float32, ["C", "W"]),
+            (self.torque_limit, self.requested_limit),
+        )
+        return torque, torsion, lines, kernel.entry.columns(torque), self.repeats, *limits
 
     def __call__(self, wave_generator_angle: Floats, torque: Floats) -> Floats:
         """Torsion (n,) [rad] at wave generator angles (n,) [rad] and torques on the cup (n,) [N m].
@@ -114,7 +124,7 @@ def build(
     ----------
     mesh : Mesh
     torque_limit : float
-        Greatest |M| to hold [N m], rounded as the table is. Where pairs enter by their tip corners under load
+        Greatest |M| to hold [N m]. Where pairs enter by their tip corners under load
         the torsion jumps and no table can follow: the map then answers only below that torque.
     wanted : callable
         Called with the fraction done; returning False gives the build up.
@@ -136,8 +146,8 @@ def build(
     steps = teeth * round(steps_per_tooth * (_FINE_TEETH / teeth) ** 2)
     repeats = math.gcd(_repeats(mesh), steps)
     angle = 2.0 * np.pi / steps * np.arange(steps // repeats, dtype=np.float64)
-    limit = float(np.float32(torque_limit))
-    table = TorsionMap(mesh, *_curves(mesh, angle, limit, wanted, threads), repeats, limit, np.inf)
+    limit = float(torque_limit)
+    table = TorsionMap(mesh, *_curves(mesh, angle, limit, wanted, threads), repeats, limit, limit, np.inf)
     return _checked(table, 2.0 * TOLERANCE * (STEPS_PER_TOOTH / steps_per_tooth) ** 2)
 
 
@@ -156,19 +166,19 @@ def _repeats(mesh: Mesh) -> int:
 
 def _curves(
     mesh: Mesh, angle: Floats, torque_limit: float, wanted: Callable[[float], bool], threads: int
-) -> tuple[Table, Table]:
-    """Exact piecewise-linear curves of a period, rising, shape (angles + 1, breakpoints).
+) -> tuple[Steps, Steps, Singles]:
+    """Piecewise-linear curves of a period, rising, shape (angles + 1, breakpoints), and their lines.
 
     The last angle repeats the first; a true gap has two breakpoints at zero torque. Rows with fewer
     breakpoints end with more of the limit. ValueError where no flank can bear it.
     """
     turn, center, _ = moments(mesh, angle)
     parts = [slice(begin, min(begin + _CHUNK, angle.size)) for begin in range(0, angle.size, _CHUNK)]
-    found: list[list[Table]] = []
+    found: list[tuple[Any, ...]] = []
 
-    def curves(part: slice) -> list[Table]:
-        exact = kernel.entry.curves(mesh.data, turn[part], center[part], torque_limit)
-        return [each.astype(np.float32) for each in exact]
+    def curves(part: slice) -> tuple[Any, ...]:
+        torque, torsion = kernel.entry.curves(mesh.data, turn[part], center[part], torque_limit)
+        return _in_steps(torque, torsion, torque_limit)
 
     with ThreadPoolExecutor(threads, thread_name_prefix="torsion map") as pool:
         solved = pool.map(curves, parts)
@@ -177,19 +187,37 @@ def _curves(
                 pool.shutdown(cancel_futures=True)
                 raise BuildCancelled
             found.append(next(solved))
-    if not all(np.isfinite(own).all() for own, _ in found):
+    if not all(np.isfinite(lines).all() for *_, lines in found):
         raise ValueError(f"the teeth cannot bear {torque_limit:g} N m at every wave generator angle")
-    inside = [np.flatnonzero((np.abs(own) < torque_limit).any(axis=0)) for own, _ in found]
+    inside = [np.flatnonzero((np.abs(own) < STEPS).any(axis=0)) for own, *_ in found]
     used = np.unique(np.concatenate(inside))
     first, last = int(used[0]) - 1, int(used[-1]) + 1
-    both = [np.empty((angle.size + 1, last + 1 - first), np.float32) for _ in range(2)]
+    both = [np.empty((angle.size + 1, last + 1 - first), np.int16) for _ in range(2)]
+    lines = np.concatenate([*(lines for *_, lines in found), found[0][-1][:1]])
     for part in parts:
-        for whole, own in zip(both, found.pop(0), strict=True):  # no second copy is kept of what is large
+        for whole, own in zip(both, found.pop(0), strict=False):  # no second copy is kept of what is large
             whole[part] = own[:, -1:]
             whole[part, : own.shape[1] - first] = own[:, first : last + 1]
     for whole in both:
         whole[-1] = whole[0]
-    return both[0], both[1]
+    return both[0], both[1], lines
+
+
+def _in_steps(torque: Floats, torsion: Floats, limit: float) -> tuple[Steps, Steps, Singles]:
+    """Curves (n, k) [N m], [rad] as a map holds them; breakpoints move along the piece that they go to."""
+    slope = (torsion[:, -1:] - torsion[:, :1]) / (2.0 * limit)
+    place = np.copysign(np.rint(STEPS * np.sqrt(np.abs(torque) / limit)), torque)
+    moved = place * np.abs(place) * (limit / STEPS**2) - torque
+    with np.errstate(all="ignore"):  # of no length, or nan where no flank can bear the limit
+        rise = np.diff(torsion) / np.diff(torque)
+    rise = np.where(np.isfinite(rise), rise, slope)
+    along = np.where(moved > 0.0, np.hstack((rise, slope)), np.hstack((slope, rise)))
+    rest = torsion + along * moved - slope * (torque + moved)
+    low, high = rest.min(axis=1, keepdims=True), rest.max(axis=1, keepdims=True)
+    lines = np.hstack((0.5 * (low + high), slope, np.maximum((high - low) / (2 * STEPS), _LEAST_STEP)))
+    with np.errstate(invalid="ignore"):
+        steps = np.rint((rest - lines[:, :1]) / lines[:, 2:])
+        return place.astype(np.int16), steps.astype(np.int16), lines.astype(np.float32)
 
 
 def _checked(built: TorsionMap, jump: float) -> TorsionMap:

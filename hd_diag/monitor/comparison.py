@@ -16,15 +16,16 @@ from hd_diag.model.transmission_error import Frame
 from hd_diag.monitor.joint import Joint
 from hd_diag.streams.alignment import Aligned
 
-_PLACE = ("breakpoints", "values", "near", "rows", "columns", "repeats")
+_PLACE = ("breakpoints", "values", "lines", "near", "rows", "columns", "repeats")
+_LIMITS = ("limit", "greatest")
 _DRIVE = np.dtype(
     [
         *((each.name, np.float64) for each in fields(Frame)),
         *((name, np.int64) for name in _PLACE),
-        ("limit", np.float64),
+        *((name, np.float64) for name in _LIMITS),
     ]
 )
-_NO_MAP = (0,) * len(_PLACE) + (0.0,)
+_NO_MAP = (0,) * len(_PLACE) + (0.0,) * len(_LIMITS)
 _SAMPLE = np.dtype(
     [
         *((name, np.int64) for name in ("joint", "stamp", "paired")),

@@ -42,7 +42,7 @@ class MapBuilder:
     def __init__(self) -> None:
         self.finished: queue.SimpleQueue[tuple[str, TorsionMap | Exception]] = queue.SimpleQueue()
         self._wanted: dict[str, tuple[Mesh, float]] = {}
-        # Joints of the same drive share a map, which takes up to 20 MB.
+        # Joints of the same drive share a map, which takes up to 10 MB.
         self._built: WeakValueDictionary[tuple[Mesh, float], TorsionMap] = WeakValueDictionary()
         self._changed = threading.Condition()
         self._closed = False

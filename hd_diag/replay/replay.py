@@ -11,7 +11,7 @@ import numpy as np
 
 from hd_diag.arrays import Integers, Times
 from hd_diag.bag import BagError, BagWriter, check_output, replaced
-from hd_diag.bag.joint_record import no_input
+from hd_diag.bag.joint_topics import no_input
 from hd_diag.bag.reader import BagReader, Mixed
 from hd_diag.config.configuration import Config, ConfigError, JointConfig, resolve
 from hd_diag.config.parameters import shown
@@ -22,6 +22,7 @@ from hd_diag.monitor.publications import Due
 from hd_diag.replay import versions
 from hd_diag.replay.events import CarriedOn, ClockSetBack, Configured, Event, MapUsed, Paced, Reported
 from hd_diag.replay.map_builder import build_at_once, map_limit
+from hd_diag.replay.preparation import prepare
 from hd_diag.replay.recorded_monitor import Session
 from hd_diag.replay.sources import Sources, event_of, models_of, sources_of
 from hd_diag.streams.columns import JointStates
@@ -116,6 +117,7 @@ def replay(
     # Whatever numbers a bag holds, what they give is in the outputs: no warnings beside them.
     with BagReader(bag) as reader, np.errstate(all="ignore"):
         sources = sources_of(reader, config, topics)
+        prepare(config or resolve({}))
         total = sum(topic.count for topic in reader.topics if topic.name in sources.every)
         with replaced(out, overwrite=overwrite) as place, BagWriter(place, overwrite=overwrite) as writer:
             run = _Run(reader, writer, sources)
@@ -139,7 +141,6 @@ class _Run:
         # Some maps are kept for a parameter that is set back; nothing else is to be done before one is there.
         self._build = lru_cache(_MAPS_KEPT)(build_at_once)
         self._problems: list[str] = []
-        self._versions_compared = False
         self._outputs: list[Encoded] | None = None  # of messages that are being taken
         for topic in reader.topics:
             if sources.topics.types.get(topic.name) == (kind := topic.type_name):
@@ -320,10 +321,9 @@ class _Run:
 
     def _compare(self, recorded: versions.Versions) -> None:
         """Note once which software may change the last bits."""
-        if (other := versions.differences(recorded)) and not self._versions_compared:
-            self._versions_compared = True
+        if other := versions.differences(recorded):
             what = f"was recorded with {other}: outputs may differ by rounding"
-            self._problems.append(str(BagError(self._reader.path, what)))
+            self._problems = [*dict.fromkeys([*self._problems, str(BagError(self._reader.path, what))])]
 
     def _map(self, joint: JointConfig, torque_limit: float | None = None) -> TorsionMap:
         """Map of a joint as it is configured now."""

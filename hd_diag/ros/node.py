@@ -19,24 +19,21 @@ from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.logging_severity import LoggingSeverity
-from rclpy.logging import set_logger_level
+from rclpy.logging import get_logger, set_logger_level
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import ok, try_shutdown
 
 from hd_diag.bag import RELIABLE
-from hd_diag.config.configuration import Config, resolve
+from hd_diag.config.configuration import Config
 from hd_diag.config.json_shape import reader
 from hd_diag.formatting import visible
 from hd_diag.memory import give_back
-from hd_diag.messages import encoding
 from hd_diag.messages.publications import TEMPERATURE, temperature_topic
-from hd_diag.model import torsion
 from hd_diag.model.torsion_map import ARCSEC
-from hd_diag.monitor.all_joints import warm_up
 from hd_diag.replay.map_builder import MapBuilder
+from hd_diag.replay.preparation import compile_apart, prepare
 from hd_diag.replay.recorded_monitor import Session
-from hd_diag.ros import footprint
 from hd_diag.ros.arguments import check_arguments, parameter_files, reason
 from hd_diag.ros.log_writer import LogWriter
 from hd_diag.ros.message_types import definition_of
@@ -94,12 +91,11 @@ class DiagnosticNode(Node):
             config, self._publishing.emit, self.get_fully_qualified_name(), dict(self._names)
         )
         self._session.start(self._now())
+        prepare(config)
         self._builder = MapBuilder()
         for joint in config.joints:
             self._builder.request(joint)
         self._next_report = self._next_look = time.monotonic()
-        prepare(config)
-        give_back()
         self._waiting = Waiting()
         self._inputs = [
             SignalInput(self, source, partial(self._waiting.put, source, source.reader()))
@@ -292,13 +288,6 @@ class DiagnosticNode(Node):
         self._next_report = min(self._next_report, time.monotonic() + 1.0 / config.diagnostics_rate)
 
 
-def prepare(config: Config) -> None:
-    """Compute once what samples would have to wait for: constants, imports, machine code of maps too."""
-    warm_up(config)
-    torsion.warm_up()
-    encoding.warm_up()
-
-
 def main(args: Sequence[str] | None = None, stopped: Sequence[int] | None = None) -> int:
     """Run the node until SIGINT or SIGTERM, with a command line as that of the process.
 
@@ -318,7 +307,7 @@ def _run(arguments: list[str], stopped: Sequence[int]) -> int:
     set_logger_level("rcl", LoggingSeverity.FATAL)  # what it says of a faulty file is said below, better
     try:
         sections = check_arguments(arguments)
-        footprint.compile_apart(lambda: prepare(resolve({})), stopped)
+        compile_apart(stopped, get_logger("hd_diag").info)
         if stopped:
             return 0
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)

@@ -14,6 +14,9 @@ from __future__ import annotations
 import importlib
 from types import ModuleType
 
+STEPS = 32767
+"""Steps from zero to the greatest number in the table of a torsion map."""
+
 
 def __getattr__(name: str) -> ModuleType:
     """Import ``entry`` when it is first used; from then on it is an attribute like any other."""

@@ -178,8 +178,8 @@ def warm_up(gradient: bool) -> None:
     torsion_table(mesh, row, center, row)
     curves(mesh, row, center, 0.0)
     mesh_state(mesh, row, center, row, np.empty((3, 0, 2, 0)), np.empty((3, 0)), 0, 0)
-    table = rows.astype(np.float32)
-    interpolate(table, table, columns(table), 1, 0.0, row, row, row, 0, 0)
+    table, lines = rows.astype(np.int16), rows.astype(np.float32)
+    interpolate(table, table, lines, columns(table), 1, 0.0, 0.0, row, row, row, 0, 0)
     if gradient:
         torsion_of_flanks(flat, flat, row)
         shares(flat, flat, rows[:0])

@@ -3,6 +3,10 @@
 A map takes far more memory than a core has near it, so that samples anywhere in it wait for their rows. Hence
 an index, small enough to stay near, tells about where in a row a torque is; and the places of a whole block
 of samples are found and asked for before any is read.
+
+Tables hold whole steps. Of torque they are those of its root, `STEPS` up to the greatest one, for breakpoints
+stand close to each other near zero. Torsions are counted from a line, of which each row has the torsion at no
+torque [rad] and the slope [rad/(N m)], and the step [rad].
 """
 
 from __future__ import annotations
@@ -12,22 +16,20 @@ from typing import Any, NamedTuple
 
 import numba
 import numpy as np
-import numpy.typing as npt
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
-from hd_diag.arrays import Floats, Integers, Table
+from hd_diag.arrays import Floats, Integers, Singles, Steps
+from hd_diag.model.kernel import STEPS
 from hd_diag.model.kernel.compiler import entry_point, inline, part
-
-Columns = npt.NDArray[np.int16]
-Single = np.float32
 
 BLOCK = 32
 """Samples whose places are found at once."""
 
 _TURN = 2.0 * math.pi
-_BELOW_ZERO = -5e-324  # the float before zero
+_BELOW_END = np.nextafter(float(STEPS**2), 0.0)  # [squared steps of torque]
+_LINE = 3  # numbers of a line
 _ROWS = 64  # from one row of the index to the next; breakpoints move by a few columns meanwhile
 _BINS = 256  # of torque in the index
 _READ, _KEEP, _DATA = 0, 3, 1  # as LLVM's prefetch has them: for reading, in all caches, not instructions
@@ -81,27 +83,34 @@ def cells() -> Cells:
 
 
 @entry_point
-def columns(breakpoints: Table) -> Columns:
+def columns(breakpoints: Steps) -> Steps:
     """The index that a table needs: about which column holds each bin of torque, for every so many rows."""
     rows, last = breakpoints.shape[0], breakpoints.shape[1] - 2
     found = np.empty((1 + (rows - 1) // _ROWS, _BINS), dtype=np.int16)
-    lowest, step = breakpoints[0, 0], (breakpoints[0, -1] - breakpoints[0, 0]) / _BINS
+    step = 2.0 * STEPS**2 / _BINS
     for i in range(found.shape[0]):
         row, column = min(i * _ROWS + _ROWS // 2, rows - 1), 0
         for k in range(_BINS):
-            while column < last and breakpoints[row, column + 1] <= lowest + (k + 0.5) * step:
+            while column < last and _squared(breakpoints[row, column + 1]) <= (k + 0.5) * step - STEPS**2:
                 column += 1
             found[i, k] = column
     return found
 
 
+@inline
+def _squared(step: int) -> float:
+    """Torque as tables have it, with its sign."""
+    return float(step) * abs(step)
+
+
 @part
 def locate(
-    breakpoints: Table,
-    values: Table,
-    near: Columns,
+    breakpoints: Steps,
+    values: Steps,
+    near: Steps,
     repeats: int,
     limit: float,
+    greatest: float,
     turn: Floats,
     torque: Floats,
     begin: int,
@@ -109,14 +118,14 @@ def locate(
     cells: Cells,
 ) -> None:
     """Set the places of the samples from ``begin`` to before ``end``, and have what is there fetched."""
-    period, lowest = breakpoints.shape[0] - 1, breakpoints[0, 0]
+    period = breakpoints.shape[0] - 1
     steps = repeats * period
-    scale, bins = steps / _TURN, _BINS / (breakpoints[0, -1] - lowest)
+    scale, bins = steps / _TURN, 0.5 * _BINS / greatest
     for i in range(begin, end):
         place, k = _within_turn(turn[i]) * scale, i - begin
         cells.row[k] = -1
         if abs(torque[i]) <= limit and not math.isnan(place):
-            whole, above = min(int(place), steps - 1), (torque[i] - lowest) * bins
+            whole, above = min(int(place), steps - 1), (torque[i] + greatest) * bins
             row = whole % period
             cells.share[k], cells.row[k] = place - whole, row
             column = near[row // _ROWS, int(min(above, _BINS - 1.0)) if above > 0.0 else 0]
@@ -134,7 +143,15 @@ def _within_turn(turn: float) -> float:
 
 @part
 def read(
-    breakpoints: Table, values: Table, torque: Floats, begin: int, end: int, cells: Cells, beta: Floats
+    breakpoints: Steps,
+    values: Steps,
+    lines: Singles,
+    greatest: float,
+    torque: Floats,
+    begin: int,
+    end: int,
+    cells: Cells,
+    beta: Floats,
 ) -> None:
     """Set the torsions of the samples from ``begin`` to before ``end``.
 
@@ -142,57 +159,61 @@ def read(
     rows are read in place: numba counts a reference for every array that a function is given, and for one
     sample that takes as long as the rest.
     """
-    x, y, last = breakpoints, values, breakpoints.shape[1] - 2
-    below_end = np.nextafter(np.float64(breakpoints[0, -1]), 0.0)
+    x, y, last, scale = breakpoints, values, breakpoints.shape[1] - 2, STEPS**2 / greatest
     for i in range(begin, end):
-        row, column, load = cells.row[i - begin], cells.column[i - begin], torque[i]
-        value, low, high = min(load, below_end), math.nan, math.nan
+        row, column, load = cells.row[i - begin], cells.column[i - begin], torque[i] * scale
+        value, low, high = min(load, _BELOW_END), math.nan, math.nan
         for r in range(row, row + 2 if row >= 0 else row):
-            while column > 0 and x[r, column] > value:
+            while column > 0 and _squared(x[r, column]) > value:
                 column -= 1
-            while column < last and x[r, column + 1] <= value:
+            while column < last and _squared(x[r, column + 1]) <= value:
                 column += 1
-            low, high = high, _line(x[r, column], x[r, column + 1], y[r, column], y[r, column + 1], load)
+            above = _line(x[r, column], x[r, column + 1], y[r, column], y[r, column + 1], load)
             if load == 0.0:  # the middle of a true gap
                 c = column
-                while c > 0 and x[r, c] > _BELOW_ZERO:
+                while c > 0 and x[r, c] >= 0:
                     c -= 1
-                high = 0.5 * (high + _line(x[r, c], x[r, c + 1], y[r, c], y[r, c + 1], load))
+                above = 0.5 * (above + _line(x[r, c], x[r, c + 1], y[r, c], y[r, c + 1], load))
+            low, high = high, lines[r, 0] + np.float64(lines[r, 1]) * torque[i] + lines[r, 2] * above
         beta[i] = low + cells.share[i - begin] * (high - low)
 
 
 @inline
-def _line(start: Single, end: Single, beta: Single, end_beta: Single, torque: float) -> float:
-    slope = (np.float64(end_beta) - beta) / (np.float64(end) - start)
-    return beta + slope * (torque - start)
+def _line(start: int, end: int, first: int, second: int, place: float) -> float:
+    begin = _squared(start)
+    return first + (place - begin) * (float(second - first) / (_squared(end) - begin))
 
 
 @entry_point
 def interpolate(
-    breakpoints: Table,
-    values: Table,
-    near: Columns,
+    breakpoints: Steps,
+    values: Steps,
+    lines: Singles,
+    near: Steps,
     repeats: int,
     limit: float,
+    greatest: float,
     turn: Floats,
     torque: Floats,
     beta: Floats,
     first: int,
     last: int,
 ) -> None:
-    """Torsion (n,) by a table; nan beyond its limit."""
+    """Torsion (n,) by a table up to its greatest torque; nan beyond the limit."""
     found = cells()
     for begin in range(first, last, BLOCK):
         end = min(begin + BLOCK, last)
-        locate(breakpoints, values, near, repeats, limit, turn, torque, begin, end, found)
-        read(breakpoints, values, torque, begin, end, found, beta)
+        locate(breakpoints, values, near, repeats, limit, greatest, turn, torque, begin, end, found)
+        read(breakpoints, values, lines, greatest, torque, begin, end, found, beta)
 
 
 @part
 def interpolate_at(place: Any, turn: Floats, torque: Floats, beta: Floats, count: int) -> None:
     """As `interpolate` for the first of the samples, by a table whose place and size a record has."""
     shape = place.rows, place.columns
-    breakpoints = _array(_at(place.breakpoints), shape, np.float32)
-    values = _array(_at(place.values), shape, np.float32)
+    breakpoints = _array(_at(place.breakpoints), shape, np.int16)
+    values = _array(_at(place.values), shape, np.int16)
+    lines = _array(_at(place.lines), (place.rows, _LINE), np.float32)
     near = _array(_at(place.near), (1 + (place.rows - 1) // _ROWS, _BINS), np.int16)
-    interpolate(breakpoints, values, near, place.repeats, place.limit, turn, torque, beta, 0, count)
+    given = place.repeats, place.limit, place.greatest
+    interpolate(breakpoints, values, lines, near, *given, turn, torque, beta, 0, count)

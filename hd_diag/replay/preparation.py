@@ -1,0 +1,48 @@
+"""What a monitor needs before its first sample, in little memory."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable, Sequence
+
+from hd_diag.config.configuration import Config, resolve
+from hd_diag.memory import give_back
+from hd_diag.messages import encoding
+from hd_diag.model import torsion
+from hd_diag.monitor.all_joints import warm_up
+
+_PATIENCE = 0.05  # between looks at the process that compiles [s]
+
+
+def prepare(config: Config) -> None:
+    """Compute once what samples would have to wait for: constants, imports, machine code of maps too."""
+    warm_up(config)
+    torsion.warm_up()
+    encoding.warm_up()
+    give_back()
+
+
+def compile_apart(stopped: Sequence[int], tell: Callable[[str], object]) -> None:
+    """Have machine code that is not on the disk yet made by a process of its own.
+
+    Compiling takes 400 MB, which numba and LLVM keep. The process ends when a signal has come, which
+    `stopped` then holds.
+    """
+    from hd_diag.messages.kernel import read  # it imports numba; compiled last
+    from hd_diag.model.kernel.compiler import is_kept
+
+    if is_kept(read):
+        return
+    tell("preparing the model: the first time on a machine this takes half a minute")
+    child = os.fork()
+    if not child:
+        try:
+            prepare(resolve({}))
+        finally:
+            os._exit(0)
+    while not os.waitpid(child, os.WNOHANG)[0]:
+        if stopped:
+            os.kill(child, signal.SIGKILL)
+        time.sleep(_PATIENCE)

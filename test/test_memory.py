@@ -1,0 +1,105 @@
+"""What the node and a replay may take: 250 and 300 MB, of which small cases take a known part."""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from bag_samples import JOINT_STATE, rows
+from running import START_LIMIT, Process
+
+from hd_diag.bag import BagWriter
+from hd_diag.config.configuration import dump, resolve
+from hd_diag.memory import give_back
+
+SEVEN: dict[str, Any] = {
+    "joints": [f"joint_{k}" for k in range(1, 8)],
+    **{f"joint_{k}.eccentricity.magnitude": 1e-6 * k for k in range(1, 8)},
+    **{f"joint_{k}.runout.magnitude": 4e-6 for k in range(1, 8)},
+}
+"""Seven drives whose maps repeat nowhere and that share none."""
+
+
+REPLAY = """
+import sys
+from pathlib import Path
+from hd_diag.cli import cli
+try:
+    cli(sys.argv[1:])
+except SystemExit as end:
+    assert not end.code, end.code
+print(*{"scipy.optimize", "hd_diag.diagnosis"} & {*sys.modules})
+print(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0])
+"""
+
+
+def replay(folder: Path, seconds: int, given: dict[str, Any]) -> float:
+    """Most memory that a replay of joints at 1 kHz takes [MB]; it imports no fits."""
+    config, size = resolve(given), 1000 * seconds
+    names = [name for joint in config.joints for name in (joint.input_joint, joint.output_joint)]
+    block, stamps = rows(size, names=names)
+    with BagWriter(folder / "a.mcap", chunk_size=64 << 20, flush_period=1e9) as writer:
+        writer.write_many("/joint_states", JOINT_STATE, block, stamps)
+    (folder / "a.yaml").write_text(dump(config))
+    given_files = [str(folder / name) for name in ("a.mcap", "a.yaml", "out.mcap")]
+    verb = [sys.executable, "-c", REPLAY, "replay", given_files[0], "--config", given_files[1], "--out"]
+    run = subprocess.run([*verb, given_files[2]], capture_output=True, text=True, check=True)
+    *_, imported, found = run.stdout.splitlines()
+    assert not imported
+    return int(found) * 1.024e-3
+
+
+def test_replay_of_a_joint(tmp_path: Path) -> None:
+    assert replay(tmp_path, 60, {}) < 230
+
+
+@pytest.mark.slow  # 10 s: seven maps, and blocks of all their columns
+def test_replay_of_seven_drives_that_share_no_map(tmp_path: Path) -> None:
+    assert replay(tmp_path, 60, SEVEN) < 300
+
+
+@pytest.mark.slow  # 6 s: seven maps
+def test_a_node_with_seven_drives_that_share_no_map(tmp_path: Path) -> None:
+    parameters: dict[str, Any] = {"joints": SEVEN["joints"]}
+    for name, value in SEVEN.items():
+        if "." in name:
+            joint, group, key = name.split(".")
+            parameters.setdefault(joint, {})[group] = {key: value}
+    with Process(tmp_path, parameters) as node:
+        end = time.monotonic() + START_LIMIT
+        while node.output().count("map in force") < 7:
+            assert time.monotonic() < end, node.output()
+            time.sleep(0.1)
+        status = Path(f"/proc/{node.popen.pid}/status").read_text()
+        assert int(status.partition("VmHWM:")[2].split()[0]) * 1.024e-3 < 250
+
+
+GIVEN_BACK = """
+import re, numba
+from pathlib import Path
+from hd_diag.memory import give_back
+
+def resident():
+    maps = re.split(r"(?m)^(?=[0-9a-f]+-[0-9a-f]+ )", Path("/proc/self/smaps").read_text())
+    return sum(int(re.search(r"Rss: +([0-9]+)", m)[1]) for m in maps if "libllvmlite.so" in m)
+
+numba.njit(lambda x: x + 1)(1)
+before = resident()
+give_back()
+print(before, resident())
+print(numba.njit(lambda x: x + 2)(1))
+"""
+
+
+def test_what_llvm_reads_from_its_file_is_given_back() -> None:
+    """All but its tables of addresses, which are not as in the file; it works on."""
+    run = subprocess.run([sys.executable, "-c", GIVEN_BACK], capture_output=True, text=True, check=True)
+    before, after, result = map(int, run.stdout.split())
+    assert (before > 20_000, after < 4_000, result) == (True, True, 3)  # [kB]
+
+
+def test_another_libc_gives_no_memory_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hd_diag.memory.ctypes.CDLL", lambda name: object())
+    give_back()
