@@ -36,7 +36,7 @@ def bags(options):
     note = f"from {seconds:g} s"
     with tempfile.TemporaryDirectory() as folder:
         bag, out = Path(folder) / "bag.mcap", Path(folder) / "out.mcap"
-        bench_replay.simulated(bag, seconds, RATE, False)
+        bench_replay.simulated(bag, seconds, RATE)
         rosbags = bench_replay.cpu_time(lambda: bench_replay.read_rosbags(bag), 1)
         columns = bench_replay.cpu_time(lambda: bench_replay.read_columns(bag))
         config = resolve({})

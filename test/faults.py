@@ -258,152 +258,61 @@ STARTS: dict[str, tuple[str, list[str], tuple[str, ...]]] = {
 
 # What happens to machine, network and processes: what comes of it, and the test that shows it ---
 
-EVENTS: list[tuple[str, str, str, str]] = [
-    (
-        "disk full",
-        "any verb",
-        "code 2, one line; what was there before stays",
-        "test_cli.py::test_a_target_is_replaced_only_when_it_is_whole",
-    ),
-    (
-        "disk full",
-        "fleet",
-        "code 2, one line; with room again the same command goes on",
-        "test_cli_fleet.py::test_a_full_disk_under_the_journal_ends_a_run_that_then_goes_on",
-    ),
-    (
-        "disk full",
-        "node",
-        "LOG_FAILED; samples go on; with room again the log, in a new file",
-        "test_node_log.py::test_it_goes_on_in_a_new_file_when_writing_works_again",
-    ),
-    (
-        "a bit of the journal flipped",
-        "fleet",
-        "told; that result is judged again",
-        "test_fleet_journal.py::test_a_result_that_has_changed_is_none",
-    ),
-    (
-        "a worker killed by its bag",
-        "fleet",
-        "an error in that row; the others go on",
-        "test_cli_fleet.py::test_a_bag_that_ends_its_worker_is_reported_and_tried_again_by_the_next_run",
-    ),
-    (
-        "a FIFO, a socket or a device for a bag",
-        "fleet",
-        "an error in that row; not opened",
-        "test_cli_fleet.py::test_what_is_no_file_is_reported_and_not_opened",
-    ),
-    (
-        "an address that is no scheduler's",
-        "fleet",
-        "code 2, one line",
-        "test_fleet_cluster.py::test_no_scheduler",
-    ),
-    (
-        "Ctrl-C",
-        "replay, recover",
-        "code 130; the bag is whole as far as it goes",
-        "test_cli_bags.py::test_ctrl_c_leaves_a_whole_bag_and_says_what_there_is",
-    ),
-    (
-        "Ctrl-C",
-        "fleet",
-        "code 130; the same command goes on",
-        "test_cli_fleet.py::test_an_interrupted_run_goes_on",
-    ),
-    (
-        "SIGINT, SIGTERM",
-        "node",
-        "code 0; what was taken is answered and logged",
-        "test_node.py::test_signals_while_messages_wait",
-    ),
-    (
-        "a publisher that dies",
-        "node",
-        "STALE until another comes",
-        "test_node.py::test_a_publisher_that_dies_and_comes_back",
-    ),
-    (
-        "a second publisher of a joint",
-        "node",
-        "a warning until one goes",
-        "test_node.py::test_a_second_publisher_of_a_joint_is_a_warning_until_it_goes",
-    ),
-    (
-        "a publisher of best effort",
-        "node",
-        "heard likewise",
-        "test_node.py::test_a_best_effort_publisher_that_appears_later",
-    ),
-    ("a clock set back", "node", "state begins anew", "test_node.py::test_simulated_time_that_jumps_back"),
-    (
-        "requests that make no sense",
-        "node",
-        "answered or dropped; samples go on",
-        "test_node.py::test_requests_that_make_no_sense_are_survived",
-    ),
-    (
-        "metadata that miscounts",
-        "verbs on bags",
-        "told",
-        "test_incomplete.py::test_counts_of_the_metadata_are_compared",
-    ),
-    (
-        "a database that hides rows",
-        "verbs on bags",
-        "told",
-        "test_incomplete.py::test_a_database_that_hides_rows_is_damaged",
-    ),
-    (
-        "another process that sets where the log is written",
-        "node",
-        "refused",
-        "test_node_log.py::test_no_other_process_chooses_where_it_writes",
-    ),
-    (
-        "a recording that is cut off",
-        "diagnose",
-        "code 0; text, verdict and JSON say that it is not whole",
-        "test_incomplete.py::test_text_verdict_and_json_tell_it",
-    ),
-    (
-        "bytes behind a message's last field",
-        "verbs on bags",
-        "read; nothing is refused",
-        "test_recording.py::test_a_bag_of_what_rclpy_serializes",
-    ),
-    (
-        "a torque far off its neighbours",
-        "verbs on bags",
-        "taken out, counted among the outliers",
-        "test_record.py::test_a_torque_far_off_is_taken_out",
-    ),
-    (
-        "a count of the file's own that is far too large",
-        "verbs on bags",
-        "told; takes no memory",
-        "test_incomplete.py::test_a_count_is_but_a_hint",
-    ),
-    (
-        "a bit of the summary flipped",
-        "verbs on bags",
-        "told; the chunks are read",
-        "test_bag_recover.py::test_a_damaged_summary_is_told",
-    ),
-    (
-        "disk full under what is printed",
-        "any verb",
-        "code 2, one line",
-        "test_cli.py::test_a_full_disk_under_what_is_printed_is_one_line",
-    ),
-    (
-        "disk full",
-        "watch --json",
-        "code 2, one line",
-        "test_watch_live.py::test_a_full_disk_under_its_lines_is_one_line",
-    ),
+_EVENTS = """\
+disk full | any verb | code 2, one line; what was there before stays
+    test_cli.py::test_a_target_is_replaced_only_when_it_is_whole
+disk full | fleet | code 2, one line; with room again the same command goes on
+    test_cli_fleet.py::test_a_full_disk_under_the_journal_ends_a_run_that_then_goes_on
+disk full | node | LOG_FAILED; samples go on; with room again the log, in a new file
+    test_node_log.py::test_it_goes_on_in_a_new_file_when_writing_works_again
+a bit of the journal flipped | fleet | told; that result is judged again
+    test_fleet_journal.py::test_a_result_that_has_changed_is_none
+a worker killed by its bag | fleet | an error in that row; the others go on
+    test_cli_fleet.py::test_a_bag_that_ends_its_worker_is_reported_and_tried_again_by_the_next_run
+a FIFO, a socket or a device for a bag | fleet | an error in that row; not opened
+    test_cli_fleet.py::test_what_is_no_file_is_reported_and_not_opened
+an address that is no scheduler's | fleet | code 2, one line
+    test_fleet_cluster.py::test_no_scheduler
+Ctrl-C | replay, recover | code 130; the bag is whole as far as it goes
+    test_cli_bags.py::test_ctrl_c_leaves_a_whole_bag_and_says_what_there_is
+Ctrl-C | fleet | code 130; the same command goes on
+    test_cli_fleet.py::test_an_interrupted_run_goes_on
+SIGINT, SIGTERM | node | code 0; what was taken is answered and logged
+    test_node.py::test_signals_while_messages_wait
+a publisher that dies | node | STALE until another comes
+    test_node.py::test_a_publisher_that_dies_and_comes_back
+a second publisher of a joint | node | a warning until one goes
+    test_node.py::test_a_second_publisher_of_a_joint_is_a_warning_until_it_goes
+a publisher of best effort | node | heard likewise
+    test_node.py::test_a_best_effort_publisher_that_appears_later
+a clock set back | node | state begins anew
+    test_node.py::test_simulated_time_that_jumps_back
+requests that make no sense | node | answered or dropped; samples go on
+    test_node.py::test_requests_that_make_no_sense_are_survived
+metadata that miscounts | verbs on bags | told
+    test_incomplete.py::test_counts_of_the_metadata_are_compared
+a database that hides rows | verbs on bags | told
+    test_incomplete.py::test_a_database_that_hides_rows_is_damaged
+another process that sets where the log is written | node | refused
+    test_node_log.py::test_no_other_process_chooses_where_it_writes
+a recording that is cut off | diagnose | code 0; text, verdict and JSON say that it is not whole
+    test_incomplete.py::test_text_verdict_and_json_tell_it
+bytes behind a message's last field | verbs on bags | read; nothing is refused
+    test_recording.py::test_a_bag_of_what_rclpy_serializes
+a torque far off its neighbours | verbs on bags | taken out, counted among the outliers
+    test_record.py::test_a_torque_far_off_is_taken_out
+a count of the file's own that is far too large | verbs on bags | told; takes no memory
+    test_incomplete.py::test_a_count_is_but_a_hint
+a bit of the summary flipped | verbs on bags | told; the chunks are read
+    test_bag_recover.py::test_a_damaged_summary_is_told
+disk full under what is printed | any verb | code 2, one line
+    test_cli.py::test_a_full_disk_under_what_is_printed_is_one_line
+disk full | watch --json | code 2, one line
+    test_watch_live.py::test_a_full_disk_under_its_lines_is_one_line
+"""
+EVENTS = [
+    (*map(str.strip, told.split("|")), proof.strip())
+    for told, proof in zip(_EVENTS.splitlines()[::2], _EVENTS.splitlines()[1::2], strict=True)
 ]
 
 

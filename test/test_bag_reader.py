@@ -409,20 +409,6 @@ def test_types_come_from_the_file(tmp_path):
     assert (columns.position.tolist(), columns.effort.tolist()) == ([[1.5]], [[2.5]])
 
 
-def test_things_that_are_no_bags(tmp_path):
-    (tmp_path / "empty.mcap").touch()
-    (tmp_path / "text.mcap").write_text("not a bag")
-    (tmp_path / "folder").mkdir()
-    (tmp_path / "bad").mkdir()
-    (tmp_path / "bad" / "metadata.yaml").write_text("{")
-    os.mkfifo(tmp_path / "pipe.mcap")
-    for name in ("empty.mcap", "text.mcap", "folder", "bad", "none", "pipe.mcap"):
-        with pytest.raises(BagError) as caught:
-            BagReader(tmp_path / name)
-        assert re.fullmatch(r"[^\n]+: [^\n]+", str(caught.value))
-        assert name in str(caught.value)
-
-
 def test_views_in_a_database_are_not_queried(tmp_path):
     db = sqlite3.connect(tmp_path / "a.db3")
     db.execute("CREATE TABLE topics(id, name, type, serialization_format)")

@@ -251,18 +251,6 @@ def test_offers_times_and_unknown_types_are_kept(tmp_path):
     assert yaml.safe_load(topic.offers) == [old | new]
 
 
-def test_what_cannot_be_recovered(tmp_path):
-    path = write_with_mcap(tmp_path / "a.mcap", messages(3))
-    with pytest.raises(BagError, match="input"):
-        recover(path, path, overwrite=True)
-    with pytest.raises(BagError, match="does not exist"):
-        recover(tmp_path / "none.mcap", tmp_path / "b.mcap")
-    (tmp_path / "b.mcap").touch()
-    with pytest.raises(BagError, match="exists already"):
-        recover(path, tmp_path / "b.mcap")
-    assert read(path) == expected(messages(3))
-
-
 @pytest.mark.parametrize("name", ["c.mcap", "c"])
 @pytest.mark.parametrize("keep", [0, 5, 60])
 def test_where_nothing_can_be_saved_nothing_is_left(tmp_path, name, keep):

@@ -203,14 +203,6 @@ def test_several_joints(given: dict[str, np.ndarray], tmp_path: Path) -> None:
     assert_array_equal(second.output_angle, other["output"])
 
 
-def test_own_outputs_in_a_log_are_not_read(given: dict[str, np.ndarray], tmp_path: Path) -> None:
-    """The node's log holds its predictions under the joints' names too."""
-    zero = np.zeros_like(given["time"])
-    predicted = states(given["time"], NAMES[1:], (zero,), (zero,), topic="/hd_diag/transmission_error")
-    record = read(write(tmp_path / "log.mcap", whole(given), predicted))
-    assert_array_equal(record.output_angle, given["output"])
-
-
 def test_no_torque_and_an_effort_of_nan(given: dict[str, np.ndarray], tmp_path: Path) -> None:
     nothing = {**given, "torque": np.full_like(given["torque"], np.nan)}
     for number, messages in enumerate((whole(given, torque=False), whole(nothing))):
