@@ -9,7 +9,7 @@ from test_verdict import ENDED, LINE, SKIP, WRONG_RATIO, cause, diagnosis, refit
 
 from hd_diag.diagnosis.diagnosis import Allowed
 from hd_diag.diagnosis.gain import Rms
-from hd_diag.diagnosis.judgement import Answer, beside, normal
+from hd_diag.diagnosis.judgement import Answer, Limited, normal
 from hd_diag.diagnosis.verdict import as_json, sentence
 
 ARCSEC = np.pi / 648000.0
@@ -84,7 +84,7 @@ def test_the_error_is_compared_with_the_catalogue(amplitude: float) -> None:
     output = record.input_angle / 100.0 + torsion + wave + noise
     found = normal(dataclasses.replace(made, record=dataclasses.replace(record, output_angle=output)))
     assert found is not None
-    assert found.measured / ARCSEC == pytest.approx(2.0 * amplitude, rel=0.1)
+    assert found.value / ARCSEC == pytest.approx(2.0 * amplitude, rel=0.1)
     assert found.within == (amplitude < 45.0)
 
 
@@ -101,7 +101,7 @@ def test_how_well_the_error_is_known_is_how_much_it_scatters_between_records() -
         found.append(
             normal(dataclasses.replace(made, record=dataclasses.replace(record, output_angle=output)))
         )
-    scatter = np.std([one.measured for one in found if one])
+    scatter = np.std([one.value for one in found if one])
     assert np.median([one.std for one in found if one]) == pytest.approx(scatter, rel=0.25)
 
 
@@ -119,8 +119,7 @@ def test_how_well_the_error_is_known_is_how_much_it_scatters_between_records() -
 )
 def test_a_value_beside_its_limit(value: float, std: float, place: str) -> None:
     """Near is where the 95 % interval holds the limit of 10."""
-    assert beside(value, std, 10.0) == place
-    assert beside(value, std, np.nan) == "open"
+    assert [Limited("", value, std, limit, "m").place for limit in (10.0, np.nan)] == [place, "open"]
 
 
 def test_the_eccentricity_of_a_misfit_has_no_known_deviation() -> None:

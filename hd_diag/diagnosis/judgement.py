@@ -32,18 +32,35 @@ TWO_SIDED = 1.96
 """Standard deviations to either side of a value that make its 95 % interval."""
 
 
-def beside(value: float, std: float, limit: float) -> Beside:
-    """A value with its standard deviation beside a limit; ``near`` where its 95 % interval holds the limit.
+class Limited(NamedTuple):
+    """A quantity with its standard deviation beside its limit, all in `unit`."""
 
-    With an unknown deviation (nan) a value under the limit says nothing, one over it no more than ``near``.
-    """
-    if math.isnan(value) or math.isnan(limit):
-        return "open"
-    if math.isnan(std):
-        return "near" if value > limit else "open"
-    if value + TWO_SIDED * std <= limit:
-        return "within"
-    return "beyond" if value - TWO_SIDED * std > limit else "near"
+    quantity: str
+    value: float
+    std: float
+    limit: float
+    unit: str
+
+    @property
+    def within(self) -> bool:
+        """Whether the value itself is no more than the limit."""
+        return self.value <= self.limit
+
+    @property
+    def place(self) -> Beside:
+        """Where its 95 % interval is; ``near`` where that holds the limit.
+
+        With an unknown deviation (nan) a value under the limit says nothing, one over it no more than
+        ``near``.
+        """
+        value, limit = self.value, self.limit
+        if math.isnan(value) or math.isnan(limit):
+            return "open"
+        if math.isnan(self.std):
+            return "near" if value > limit else "open"
+        if value + TWO_SIDED * self.std <= limit:
+            return "within"
+        return "beyond" if value - TWO_SIDED * self.std > limit else "near"
 
 
 class Change(NamedTuple):
@@ -55,33 +72,6 @@ class Change(NamedTuple):
     configured: float
     unit: str
     explains: float
-
-
-class Normal(NamedTuple):
-    """Transmission error without torsion, peak to peak, beside what the catalogue allows [rad]."""
-
-    accuracy: float
-    measured: float
-    std: float
-
-    @property
-    def within(self) -> bool:
-        """Whether the joint is as good as its catalogue says."""
-        return self.measured <= self.accuracy
-
-
-class Tolerance(NamedTuple):
-    """Eccentricity that is told beside what the assembly may have [m], and the criterion that this is by."""
-
-    eccentricity: float
-    std: float
-    allowed: float
-    criterion: str
-
-    @property
-    def within(self) -> bool:
-        """Whether the assembly is as good as it must be."""
-        return self.eccentricity <= self.allowed
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,16 +133,17 @@ class Answer:
         return changed[0] if changed else abs(found.configured.mesh.eccentricity)
 
     @property
-    def tolerance(self) -> Tolerance | None:
+    def tolerance(self) -> Limited | None:
         """The eccentricity beside its limit; None without a limit. In a misfit its deviation is unknown."""
         most = self.diagnosis.allowed
         if most is None:
             return None
-        std = self.diagnosis.parameters["eccentricity.magnitude"]["std"]
-        return Tolerance(self.eccentricity, math.nan if self.judgement == "misfit" else std, *most)
+        known = self.judgement != "misfit"
+        std = self.diagnosis.parameters["eccentricity.magnitude"]["std"] if known else math.nan
+        return Limited("eccentricity", self.eccentricity, std, most.eccentricity, "m")
 
     @cached_property
-    def normal(self) -> Normal | None:
+    def normal(self) -> Limited | None:
         """The joint beside its catalogue; None where nothing can be said."""
         return normal(self.diagnosis)
 
@@ -190,7 +181,7 @@ def parameter_sizes(diagnosis: Diagnosis) -> dict[str, float]:
     return sizes
 
 
-def normal(diagnosis: Diagnosis) -> Normal | None:
+def normal(diagnosis: Diagnosis) -> Limited | None:
     """Whether the joint's error is what its catalogue allows; None where it cannot be said.
 
     Notes
@@ -214,7 +205,8 @@ def normal(diagnosis: Diagnosis) -> Normal | None:
     spread = math.hypot(float(np.std(stretches, ddof=1)) / math.sqrt(_STRETCHES), noise_spread)
     # d sqrt(x) = dx / (2 sqrt(x)), and no more than sqrt(dx) where x vanishes.
     std = min(spread / (2.0 * math.sqrt(own)), math.sqrt(spread)) if own > 0.0 else math.sqrt(spread)
-    found = Normal(diagnosis.configured.accuracy, _PEAK_TO_PEAK * math.sqrt(own), _PEAK_TO_PEAK * std)
+    size, std, most = _PEAK_TO_PEAK * math.sqrt(own), _PEAK_TO_PEAK * std, diagnosis.configured.accuracy
+    found = Limited("transmission_error", size, std, most, "rad")
     return found if record.has_torque or found.within else None
 
 

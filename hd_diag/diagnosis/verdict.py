@@ -54,7 +54,8 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
     rms, gain, record = diagnosis.rms or _NO_RMS, diagnosis.gain or _NO_GAIN, diagnosis.record
     counts = {"has_torque": record.has_torque, "outliers": record.outliers, "dropped": record.dropped}
     trustworthy = diagnosis.refitted is not None and diagnosis.refitted.trustworthy
-    answer = Answer(diagnosis)
+    answer, most = Answer(diagnosis), diagnosis.allowed
+    usual, assembly = answer.normal, answer.tolerance
     content = {
         "schema": "hd_diag/diagnosis/1",
         "joint": joint,
@@ -85,8 +86,17 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
         "judgement": answer.judgement,
         "evidence": answer.evidence,
         "described": [_row(row) for row in diagnosis.order_table],
-        "normal": answer.normal and {**answer.normal._asdict(), "within": answer.normal.within},
-        "tolerance": answer.tolerance and {**answer.tolerance._asdict(), "within": answer.tolerance.within},
+        "normal": usual
+        and {"accuracy": usual.limit, "measured": usual.value, "std": usual.std, "within": usual.within},
+        "tolerance": assembly
+        and most
+        and {
+            "eccentricity": assembly.value,
+            "std": assembly.std,
+            "allowed": assembly.limit,
+            "criterion": most.criterion,
+            "within": assembly.within,
+        },
         "encoder_zeros": _zeros(diagnosis),
         "motor_current": _motor(diagnosis),
         "left_out": diagnosis.left_out,

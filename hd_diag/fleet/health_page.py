@@ -11,9 +11,10 @@ from importlib.resources import files
 from typing import NamedTuple
 from urllib.parse import quote
 
+from hd_diag.diagnosis.judgement import Limited
 from hd_diag.fleet.rows import PAGE, readable
 from hd_diag.fleet.series import ECCENTRICITY, ERROR
-from hd_diag.fleet.standing import Health, Limited, Standing, natural
+from hd_diag.fleet.standing import Health, Standing, natural
 from hd_diag.fleet.summary import day, headline, notes, recorded, statement
 from hd_diag.formatting import si, size, words
 from hd_diag.report.facts import Fact, versions

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hd_diag.diagnosis.judgement import Beside, beside
+from hd_diag.diagnosis.judgement import Limited
 from hd_diag.fleet.rows import Row
 from hd_diag.fleet.series import ECCENTRICITY, ERROR, Limits, Series, began, limit_of
 from hd_diag.fleet.trend import CHANGED, Trend
@@ -36,21 +36,6 @@ _COVERED = 0.5  # of a bag, that a joint's samples must cover: drivers may start
 _REFUSED = 0.05  # of the samples, up to which the verdict alone tells that they were refused
 _NO_TORQUE = "its torque is not measured, so its error may be torsion and is not held against the accuracy"
 _ONE_ANGLE = "one angle alone: no transmission error, only lines of the torque"
-
-
-class Limited(NamedTuple):
-    """A quantity of a recording beside its limit, in `unit`."""
-
-    quantity: str
-    value: float
-    std: float
-    limit: float
-    unit: str
-
-    @property
-    def place(self) -> Beside:
-        """Where it is."""
-        return beside(self.value, self.std, self.limit)
 
 
 class Colour(NamedTuple):

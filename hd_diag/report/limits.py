@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from hd_diag.diagnosis.judgement import Answer, Beside, beside
+from hd_diag.diagnosis.judgement import Answer, Beside, Limited
 from hd_diag.formatting import si, size, words
 
 RED, GREY, AMBER, GREEN = STATES = ("red", "not_judged", "amber", "green")
@@ -42,14 +42,12 @@ class Gauge(NamedTuple):
 
 def gauges(answer: Answer) -> tuple[Gauge, ...]:
     """Error and eccentricity beside their limits, as far as there is something to tell."""
-    found, usual, assembly = [], answer.normal, answer.tolerance
-    if usual is not None:
+    found, allowed = [], answer.diagnosis.allowed
+    if answer.normal is not None:
         name = "Transmission error without torsion, peak to peak"
-        found.append(_gauge(name, "accuracy", usual.measured, usual.std, usual.accuracy, "rad"))
-    if assembly is not None:
-        limit = f"limit by {words(assembly.criterion)}"
-        own = (assembly.eccentricity, assembly.std, assembly.allowed)
-        found.append(_gauge("Eccentricity", limit, *own, "m"))
+        found.append(_gauge(name, "accuracy", answer.normal))
+    if answer.tolerance is not None and allowed is not None:
+        found.append(_gauge("Eccentricity", f"limit by {words(allowed.criterion)}", answer.tolerance))
     return tuple(found)
 
 
@@ -59,7 +57,6 @@ def worst(found: Sequence[Gauge]) -> str:
     return min(known, key=STATES.index, default=GREY)
 
 
-def _gauge(name: str, limit: str, value: float, std: float, most: float, unit: str) -> Gauge:
-    state = beside(value, std, most)
-    told = f"{si(value, std, unit)}; {limit} {size(most, unit)}: {_TOLD[state]}"
-    return Gauge(name, state, told, value / most)
+def _gauge(name: str, limit: str, one: Limited) -> Gauge:
+    value, most = si(one.value, one.std, one.unit), size(one.limit, one.unit)
+    return Gauge(name, one.place, f"{value}; {limit} {most}: {_TOLD[one.place]}", one.value / one.limit)
