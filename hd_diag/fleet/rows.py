@@ -48,15 +48,20 @@ since 1970."""
 
 _CONTENT = "3"  # of rows: results that a journal holds with another are made anew
 
-_FITTED = {
-    "eccentricity.magnitude": "eccentricity{}_m",
-    "eccentricity.direction": "eccentricity_direction{}_rad",
-    "runout.magnitude": "runout{}_m",
-    "runout.direction": "runout_direction{}_rad",
-    "circular_spline_datum": "circular_spline_datum{}_m",
-    "tooth_compliance": "tooth_compliance{}_m_per_N",
-    "cup_compliance": "cup_compliance{}_rad_per_Nm",
+FITTED = {
+    "eccentricity.magnitude": ("eccentricity{}_m", "m", "eccentricity, refitted"),
+    "eccentricity.direction": (
+        "eccentricity_direction{}_rad",
+        "rad",
+        "its direction in the housing, modulo pi",
+    ),
+    "runout.magnitude": ("runout{}_m", "m", "part that turns with the wave generator, refitted"),
+    "runout.direction": ("runout_direction{}_rad", "rad", "its direction"),
+    "circular_spline_datum": ("circular_spline_datum{}_m", "m", "datum radius, refitted"),
+    "tooth_compliance": ("tooth_compliance{}_m_per_N", "m/N", "K1 + K2 of a tooth pair, refitted"),
+    "cup_compliance": ("cup_compliance{}_rad_per_Nm", "rad/(N m)", "compliance of the cup, refitted"),
 }
+"""Columns of fitted parameters and, with ``_std`` for the braces, of their deviations; unit, what it is."""
 
 
 @dataclass(frozen=True)
@@ -191,7 +196,7 @@ def judged(found: Diagnosis, joint: str) -> Row:
         **_refused(record),
         **{
             column.format(end): fitted[name][key]
-            for name, column in _FITTED.items()
+            for name, (column, *_) in FITTED.items()
             if name in fitted
             for end, key in (("", "value"), ("_std", "std"))
         },

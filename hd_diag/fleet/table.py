@@ -8,7 +8,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from hd_diag.fleet.rows import SCHEMA, Row, readable
+from hd_diag.fleet.rows import FITTED, SCHEMA, Row, readable
 
 _TEXT, _NUMBER, _COUNT, _FLAG = pa.string(), pa.float64(), pa.int64(), pa.bool_()
 _TEXTS, _NUMBERS = pa.list_(_TEXT), pa.list_(_NUMBER)
@@ -18,14 +18,6 @@ _RMS = "rad rms at the output"
 
 def _column(name: str, kind: pa.DataType, unit: str, about: str) -> pa.Field:
     return pa.field(name, kind, metadata={"unit": unit, "about": about})
-
-
-def _fitted(name: str, unit: str, about: str) -> tuple[pa.Field, pa.Field]:
-    """A fitted number and its standard deviation; `{}` in the name stands before the unit."""
-    return (
-        _column(name.format(""), _NUMBER, unit, about),
-        _column(name.format("_std"), _NUMBER, unit, f"its standard deviation: {about}"),
-    )
 
 
 COLUMNS = pa.schema(
@@ -40,13 +32,11 @@ COLUMNS = pa.schema(
         _column("last_refusal", _TEXT, "", "why the last of them was left out"),
         _column("runs", _COUNT, "1", "runs in the bag"),
         _column("input_turns", _NUMBER, "1", "turns of the input, both directions counted"),
-        *_fitted("eccentricity{}_m", "m", "eccentricity, refitted"),
-        *_fitted("eccentricity_direction{}_rad", "rad", "its direction in the housing, modulo pi"),
-        *_fitted("runout{}_m", "m", "part that turns with the wave generator, refitted"),
-        *_fitted("runout_direction{}_rad", "rad", "its direction"),
-        *_fitted("circular_spline_datum{}_m", "m", "datum radius, refitted"),
-        *_fitted("tooth_compliance{}_m_per_N", "m/N", "K1 + K2 of a tooth pair, refitted"),
-        *_fitted("cup_compliance{}_rad_per_Nm", "rad/(N m)", "compliance of the cup, refitted"),
+        *(
+            _column(name.format(end), _NUMBER, unit, f"{whose}{about}")
+            for name, unit, about in FITTED.values()
+            for end, whose in (("", ""), ("_std", "its standard deviation: "))
+        ),
         _column("trustworthy", _FLAG, "", "whether one set of refitted parameters is clearly the best"),
         _column("causes", _TEXTS, "", "causes found, most explaining first"),
         _column("cause_classes", pa.list_(_TEXTS), "", "names that the record cannot tell from each cause"),
