@@ -29,13 +29,8 @@ _SLOW = 0.25  # share of the moving samples that must be slow enough
 class EncoderInterpolation(Harmonic):
     """The encoder reads ``a cos(L theta - d) + b cos(2 L theta - e)`` too far.
 
-    Parameters
-    ----------
-    least, most : int
-        Lines per turn.
-    multiple : int
-        What a number of lines is divisible by; if not 1, it has no other prime factors than 2, 3 and 5, as
-        circles are divided.
+    It has from `least` to `most` lines per turn, a `multiple` of some number; if that is not 1, without other
+    prime factors than 2, 3 and 5, as circles are divided.
     """
 
     least: int

@@ -23,13 +23,9 @@ def _nothing(signals: Signals, nonlinear: Values) -> Floats:
 class MeshTorque(Effect):
     """The mesh bears the reported torque and ``sum c_k shape_k``; several such causes add up in one torque.
 
-    Parameters
-    ----------
-    reported : bool
-        Whether it is the reported torque that is wrong: what smooths that smooths it as well.
-    shape : callable
-        Signals and nonlinear values to torque [N m per unit of the coefficients], shape (n, size). What
-        depends on earlier samples overrides `torque_step` instead.
+    Where it is the `reported` torque that is wrong, what smooths that smooths it as well. The `shape` makes
+    torque [N m per unit of the coefficients], shape (n, size), of signals and nonlinear values; what depends
+    on earlier samples overrides `torque_step` instead.
     """
 
     stage: Stage = Stage.TORQUE

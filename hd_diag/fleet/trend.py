@@ -42,21 +42,13 @@ CHANGED = ("steps", "drift")
 
 @dataclass(frozen=True)
 class Trend:
-    """What a series shows.
+    """What a series shows: ``unknown`` (too few values), ``constant``, ``steps`` (changes) or ``drift``.
 
-    Attributes
-    ----------
-    needed : int
-        Values from which on the clearest step possible would be reported; of each the series has a weight.
-    step_p, drift_p, step_q, drift_q : float
-        p-values against a constant, alone and corrected for all series; nan with too few values.
-    line : scipy.stats result or None
-        Theil and Sen's [unit/s, unit], of times from the first on; None with too few values.
-    form : str
-        ``unknown`` (too few values), ``constant``, ``steps`` (changes) or ``drift``.
-    crossing : tuple of float or None
-        When the limit is reached [s since 1970] and its 95 % interval, inf where that has no end; None where
-        no drift leads there.
+    From so many values `needed` on the clearest step possible would be reported; of each the series has a
+    weight. The p-values are against a constant, alone (p) and corrected for all series (q); nan with too few
+    values. `line` is Theil and Sen's as scipy has it [unit/s, unit], of times from the first on. `crossing`
+    is when the limit is reached [s since 1970] with its 95 % interval, inf where that has no end; None where
+    no drift leads there.
     """
 
     series: Series

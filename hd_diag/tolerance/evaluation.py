@@ -19,22 +19,12 @@ _PHASES = 32  # tooth phases over which the reference stiffness is the mean
 class Evaluation:
     """Quantities of n moments, those under load at q torques.
 
-    Attributes
-    ----------
-    interference : ndarray, shape (n,)
-        How far the teeth at lobe 0 overlap with the slots, circumferential [m]: the least backlash of their
-        flanks with the opposite sign, the tooth at the lobe held on the axis (see :func:`evaluate`).
-    overlap : ndarray, shape (n,)
-        How far both lobes press against each other at zero torque, circumferential [m]; negative: clearance.
-        Above zero no rotation of the cup frees all teeth.
-    torsion : ndarray, shape (n, q)
-        beta [rad].
-    stiffness : ndarray, shape (n, q)
-        dM/dbeta of the teeth [N m/rad].
-    peak_load : ndarray, shape (n, q)
-        Largest normal force on a flank [N].
-    load_concentration : ndarray, shape (n, q)
-        Largest over mean force of the loaded flanks [-]; 1 where none is.
+    `interference` (n,): how far the teeth at lobe 0 overlap with the slots, circumferential [m], the least
+    backlash of their flanks with the opposite sign, the tooth at the lobe held on the axis (see
+    :func:`evaluate`). `overlap` (n,): how far both lobes press against each other at zero torque,
+    circumferential [m]; negative: clearance; above zero no rotation of the cup frees all teeth. With shape
+    (n, q): torsion beta [rad], stiffness dM/dbeta of the teeth [N m/rad], largest force on a flank [N],
+    largest over mean force of the loaded flanks [-], 1 where none is.
     """
 
     interference: Floats
