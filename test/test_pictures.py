@@ -74,12 +74,6 @@ def test_it_needs_no_style_takes_the_page_s_ink_and_is_told_to_those_who_cannot_
     assert told[root.get("aria-describedby")] == "1.5 µm & more"
 
 
-@pytest.mark.parametrize("name", ["", "1st", 'a" onload="x', "a b"])
-def test_a_name_that_begins_no_id_is_refused(name: str) -> None:
-    with pytest.raises(ValueError, match="name of a picture"):
-        inline_svg(labelled("a"), name, "", "")
-
-
 @pytest.mark.parametrize("page", ["#ffffff", "#15181d"])
 def test_every_colour_stands_out_of_a_light_and_a_dark_page(page: str) -> None:
     """WCAG 2.1, success criterion 1.4.11: 3 to 1 for graphics."""

@@ -1,7 +1,6 @@
 """Sobol indices: closed forms of toy functions, through the code that the assemblies go through."""
 
 import numpy as np
-import pytest
 from numpy.testing import assert_allclose
 
 from hd_diag.tolerance.sensitivity import Indices, evaluations, indices
@@ -58,9 +57,3 @@ def test_the_seed_decides() -> None:
     same, again, other = (told(indices(linear, 4, 64, np.random.default_rng(seed))) for seed in (1, 1, 2))
     np.testing.assert_array_equal(same, again)
     assert np.abs(same - other).max() > 1e-4
-
-
-@pytest.mark.parametrize("samples", [0, 1, 3, 100])
-def test_samples_that_are_no_power_of_two(samples: int) -> None:
-    with pytest.raises(ValueError, match="power of two"):
-        indices(linear, 4, samples, np.random.default_rng(0))

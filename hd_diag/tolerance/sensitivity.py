@@ -49,14 +49,11 @@ def indices(
 ) -> Indices:
     """Sobol indices of a model of independent numbers between 0 and 1.
 
-    The model takes numbers (n, factors) and gives outputs (n, outputs); samples are a power of two, else
-    ValueError.
+    The model takes numbers (n, factors) and gives outputs (n, outputs); samples are a power of two.
 
     Saltelli et al., "Variance based sensitivity analysis of model output", Computer Physics Communications
     181, 2010, in scipy.stats.sobol_indices; intervals are percentiles over samples drawn again.
     """
-    if samples < 2 or samples & (samples - 1):
-        raise ValueError(f"samples of the sensitivity must be a power of two, not {samples}")
     points = qmc.Sobol(2 * factors, **{_GENERATOR: rng}).random(samples)
     first, second = points[:, :factors], points[:, factors:]
     mixed = np.repeat(first[None], factors, axis=0)

@@ -27,16 +27,9 @@ Xml.register_namespace("xlink", _XLINK)
 def inline_svg(figure: Figure, name: str, title: str, description: str) -> str:
     """SVG element for a page, without styles, so that it may forbid them; ink is the page's text colour.
 
-    The name, of letters, digits and hyphens, stands before every id, so that pictures of one page share none.
-    The description says what the picture shows, with its numbers, to those who cannot see it.
-
-    Raises
-    ------
-    ValueError
-        If the name is none that can begin an id.
+    The name stands before every id, so that pictures of one page share none: a letter, then letters, digits
+    and hyphens. The description says what the picture shows, with its numbers, to those who cannot see it.
     """
-    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9-]*", name):
-        raise ValueError(f"name of a picture: letters, digits and hyphens, not {name!r}")
     buffer = io.BytesIO()
     with styled():
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
