@@ -1,5 +1,6 @@
 """Backlash of all tooth pairs: against the brute-force reference, published values and laws."""
 
+import dataclasses
 from typing import NamedTuple
 
 import drives
@@ -11,6 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from reference import polyline
 
 from hd_diag.model.contact import contacts
+from hd_diag.model.load_sharing import flank_stiffness
 from hd_diag.model.mesh import Mesh
 
 Array = polyline.Array
@@ -113,6 +115,25 @@ def test_pairs_that_cannot_touch_are_nan(moment: Moment) -> None:
     for found in (rotation, radius, pressure):
         assert_array_equal(~np.isnan(found), reaching)
     assert np.nanmin(radius) >= geometry.circular_spline_tip_radius - 1e-15
+
+
+def test_slots_that_move_outward_open_the_flanks_and_soften_them() -> None:
+    """Also by compiled code, as differences of meshes with other datums have it."""
+    mesh, angle, step = drives.mesh(eccentricity=(6e-6, 8e-6)), np.linspace(0.0, 6.0, 40), 5e-9
+    datum = mesh.geometry.circular_spline_datum
+    moved = [dataclasses.replace(mesh.geometry, circular_spline_datum=datum + d) for d in (-step, step)]
+    inner, outer = (contacts(dataclasses.replace(mesh, geometry=one), angle) for one in moved)
+    found = contacts(mesh, angle, compiled=True)
+    assert_allclose(found.rotation, contacts(mesh, angle).rotation, rtol=0, atol=1e-15)
+    with np.errstate(divide="ignore"):  # where a flank cannot touch
+        stiffness = [np.log(flank_stiffness(one, mesh.tooth_compliance)) for one in (inner, outer)]
+    for slope, low, high in (
+        (found.opening, inner.rotation, outer.rotation),
+        (found.softening, *stiffness),
+    ):
+        with np.errstate(invalid="ignore"):
+            away = np.abs(slope - (high - low) / (2.0 * step))
+        assert np.nanquantile(away, 0.99) < 1e-4 * np.nanmax(np.abs(slope))  # but where the contact jumps
 
 
 def test_tips_of_the_circular_spline_touch() -> None:

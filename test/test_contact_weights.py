@@ -15,8 +15,8 @@ from reference import polyline
 from hd_diag.drive import Drive
 from hd_diag.effects.contact_table import ContactTable, contact_table
 from hd_diag.effects.contact_weights import ContactWeights
-from hd_diag.model.contact import contacts
-from hd_diag.model.load_sharing import flank_stiffness, shares
+from hd_diag.model.contact import FLANKS, contacts
+from hd_diag.model.load_sharing import flank_stiffness
 from hd_diag.model.torsion import torsion
 from hd_diag.model.transmission_error import Kinematics
 
@@ -141,9 +141,9 @@ def exact(angle: Array, torque: Array) -> tuple[Array, Array, Array, Array]:
     """Shares and radii of the flanks, slots and teeth."""
     contact = contacts(DRIVE.mesh, angle)
     beta = torsion(DRIVE.mesh, angle, DRIVE.frame.cup_torque(torque))
-    share = shares(contact.rotation, flank_stiffness(contact, DRIVE.mesh.tooth_compliance), beta[:, None])[
-        :, 0
-    ]
+    loaded = FLANKS * beta[:, None, None] > contact.rotation
+    share = np.where(loaded, FLANKS * flank_stiffness(contact, DRIVE.mesh.tooth_compliance), 0.0)
+    share /= np.abs(share).sum(axis=(1, 2), keepdims=True)
     return share, np.where(np.isnan(contact.rotation), 1.0, contact.radius), contact.slots, contact.teeth
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from reference import polyline
 
 from hd_diag.model import load_sharing
@@ -17,7 +17,6 @@ from hd_diag.model.load_sharing import (
     FlankTorsion,
     MeshState,
     flank_stiffness,
-    shares,
     torsion_of_flanks,
 )
 from hd_diag.model.mesh import Mesh
@@ -56,33 +55,6 @@ def test_reference(drive: polyline.Drive) -> None:
         assert_allclose(found.load[0], polyline.loads(expected, beta, drive), rtol=2e-3, atol=0.01)
         assert_allclose(found.backlash[0], expected.backlash, rtol=0, atol=1e-9)
         assert_allclose(found.pressure_angle[0], expected.pressure_angle, rtol=0, atol=2e-3)
-
-
-@each_mesh
-def test_shares_of_a_common_shift(mesh: Mesh) -> None:
-    """Slots turned by d, all b+ grow and all b- shrink by it: the cup turns by d."""
-    rotation, stiffness = flanks_of(mesh)
-    beta = state(mesh, -13.0).torsion
-    found = shares(rotation, stiffness, beta[:, None])[:, 0]
-    assert_allclose((FLANKS * found).sum(axis=(1, 2)), 1, rtol=1e-13)
-    assert np.all(FLANKS * found >= 0)
-    assert_array_equal(found != 0, FLANKS * beta[:, None, None] > rotation)
-
-
-@pytest.mark.parametrize("torque", [0.0, 30.0])
-def test_shares_are_the_derivatives_by_each_rotation(torque: float) -> None:
-    rotation, stiffness = flanks_of(MESHES["23 um"], np.array([0.4]))
-    beta = torsion_of_flanks(rotation, stiffness, np.array([torque]))[:, 0]
-    found = shares(rotation, stiffness, beta[:, None])[0, 0]
-    step = 1e-10  # [rad], 3 nm; a flank within that of contact is in doubt
-    side, column = np.nonzero(np.abs(FLANKS * beta[0] - rotation[0]) > 10 * step)
-    every, both = np.arange(side.size), []
-    for shift in (step, -step):
-        moved = np.repeat(rotation, side.size, axis=0)
-        moved[every, side, column] += shift
-        same = np.repeat(stiffness, side.size, axis=0)
-        both.append(torsion_of_flanks(moved, same, np.array([torque]))[:, 0])
-    assert_allclose(found[side, column], (both[0] - both[1]) / (2 * step), rtol=1e-4, atol=1e-7)
 
 
 def test_the_middle_of_a_true_gap_at_zero_torque(paper_mesh: Mesh) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -42,9 +43,9 @@ def smooth(values: Floats, segment: Integers, step: float, width: float | Floats
     """
     result = np.empty_like(values)
     for one in np.unique(width).tolist():
-        whole = _smoothed(values, segment, step, one)
         own = np.broadcast_to(width == one, segment.shape)
-        result[own] = whole[own]
+        around = np.isin(segment, segment[own])
+        result[own] = _smoothed(values[around], segment[around], step, one)[own[around]]
     return result
 
 
@@ -148,13 +149,19 @@ def _filtered(values: Floats, window: int) -> Floats:
 
     By FFT, which is many times as fast for windows of a second.
     """
-    kernel = savgol_coeffs(window, _ORDER).reshape(-1, *[1] * (values.ndim - 1))
-    half, ends = window // 2, np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, window), _ORDER + 1))[0]
-    result = np.empty_like(values)
+    (kernel, ends), half, result = _quadratic(window), window // 2, np.empty_like(values)
+    kernel = kernel.reshape(-1, *[1] * (values.ndim - 1))
     result[half : values.shape[0] - half] = oaconvolve(values, kernel, "valid", axes=0)
     result[:half] = ends[:half] @ (ends.T @ values[:window])
     result[values.shape[0] - half :] = ends[-half:] @ (ends.T @ values[-window:])
     return result
+
+
+@lru_cache(maxsize=16)
+def _quadratic(window: int) -> tuple[Floats, Floats]:
+    """Weights of the middle (window,), and a basis (window, 3) of local quadratics."""
+    basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, window), _ORDER + 1))[0]
+    return savgol_coeffs(window, _ORDER), basis
 
 
 def _prediction_error(values: Floats, step: float, width: float) -> float:

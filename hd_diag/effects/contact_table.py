@@ -20,7 +20,7 @@ from hd_diag.arrays import Complexes, Floats, Integers
 from hd_diag.drive import Drive
 from hd_diag.effects.kept import Kept
 from hd_diag.model.contact import FLANKS, Contact, contacts
-from hd_diag.model.load_sharing import flank_stiffness, shares, torsion_of_flanks
+from hd_diag.model.load_sharing import flank_stiffness, torsion_of_flanks
 from hd_diag.model.torsion import torsion_table
 from hd_diag.model.torsion_map import TorsionMap, build
 
@@ -32,6 +32,7 @@ Displacement = Callable[[Floats, Floats], Floats]
 Error = Literal["slot", "tooth", "radial", "clearance"]
 
 Openings = tuple[float, float]
+Neighbours = tuple[tuple[Integers, Floats], tuple[Integers, Floats]]
 NO_OPENING: Openings = (0.0, 0.0)
 
 TORQUES = 24
@@ -47,7 +48,7 @@ _MOST_KEPT = 24 << 20  # bytes
 _BEYOND = 1.2  # of the torque limit
 _MEAN_TORQUES, _MEAN_ANGLES = 401, 101
 _MAP_STEPS = 16  # per tooth passing: 0.005 arcsec rms
-_STEP = 5e-9  # [m]; radial step of the central difference: far above rounding, far below a fillet
+_FEW_SLOTS = 16  # around the gear, that stand for all
 
 
 class ContactTable:
@@ -98,7 +99,7 @@ class ContactTable:
     @cached_property
     def contact(self) -> Contact:
         """At every angle of the grid."""
-        return contacts(self.drive.mesh, self._angle)
+        return contacts(self.drive.mesh, self._angle, compiled=True)
 
     @cached_property
     def torque_nodes(self) -> Floats:
@@ -116,22 +117,15 @@ class ContactTable:
         return beta
 
     @cached_property
-    def share(self) -> Floats:
-        """D beta / d b of every flank [-], negative for - flanks; shape (angles, torques, 2, pairs)."""
-        return shares(self.contact.rotation, self._stiffness, self.torsion.T)
-
-    @cached_property
     def mean_slot(self) -> Floats:
-        """Of slot 0, in the mean over all slots, which an eccentric wave generator makes differ [rad/m].
+        """Of slot 0, in the mean over slots all around, which an eccentricity makes differ [rad/m].
 
         As `one_slot`, without the last angle: shape (2, torques, angles - 1).
         """
         count = self.drive.mesh.geometry.circular_spline_teeth
-        row = np.arange(self.steps)[:, None] - _STEPS_PER_SLOT * self.contact.slots[:-1]
-        row = np.mod(row, self.steps).ravel()
-        response = (self.share[:-1] / self._radius[:-1, None] / count).transpose(2, 1, 0, 3)
-        response = response.reshape(2, -1, row.size)
-        return np.array([[np.bincount(row, one, self.steps) for one in flank] for flank in response])
+        slots = np.linspace(0, count, _FEW_SLOTS, endpoint=False).astype(np.int64)
+        turned = [np.roll(self.one_slot(s)[:, :-1], -_STEPS_PER_SLOT * s, axis=1) for s in slots.tolist()]
+        return np.asarray(np.mean(turned, axis=0).transpose(2, 0, 1))
 
     def harmonics(self, error: Error, orders: tuple[int, ...]) -> Complexes:
         """Responses to ``Re(A exp(i k phi))`` over ``A exp(i k theta)`` [rad/m], (torques, angles, orders).
@@ -165,16 +159,22 @@ class ContactTable:
         )
 
     def one_tooth(
-        self, torque_row: Integers, angle_row: Integers, tooth: Integers, opening: Openings = NO_OPENING
+        self, torque_rows: Neighbours, angle_rows: Neighbours, tooth: Integers, opening: Openings = NO_OPENING
     ) -> Floats:
-        """As `one_slot`, for teeth of the flexspline [rad/m], at rows of the grid, shape (n,); (2, n)."""
+        """As `one_slot`, for teeth (n,) of the flexspline at places between rows of the grid; (2, n)."""
         teeth, half = self.contact.teeth, self.contact.teeth.shape[1] // 2
-        count = self.drive.mesh.geometry.flexspline_teeth
-        first, second = (np.mod(tooth - teeth[angle_row, lobe], count) for lobe in (0, half))
-        column = np.where(first < half, first, half + np.minimum(second, half - 1))
-        near = (first < half) | (second < half)
-        slopes = [self._slope(torque_row, angle_row, f, column, opening[f]) for f in (0, 1)]
-        return np.where(near, np.stack(slopes), 0.0)
+        count, found = self.drive.mesh.geometry.flexspline_teeth, np.zeros((2, tooth.size))
+        for angle_row, angle_share in angle_rows:
+            first, second = (np.mod(tooth - teeth[:, lobe].take(angle_row), count) for lobe in (0, half))
+            near = np.flatnonzero((first < half) | (second < half))  # at a lobe: elsewhere it does nothing
+            column = np.where(first[near] < half, first[near], half + second[near])
+            angle, share = angle_row[near], angle_share[near]
+            for torque_row, torque_share in torque_rows:
+                torque, part = torque_row[near], share * torque_share[near]
+                for flank in (0, 1):
+                    slope = self._slope(torque, angle, flank, column, opening[flank])
+                    found[flank, near] += part * slope
+        return found
 
     def _one_slot(self, slot: int, opening: Openings) -> Floats:
         angle, pair = np.nonzero(self.contact.slots == slot)
@@ -191,20 +191,20 @@ class ContactTable:
         The pair parts where the opening has used up its overlap: there the others bear all of the load, and
         the cup turns no further.
         """
-        pairs = self.share.shape[3]
-        radius = self._radius.take((angle_row * 2 + flank) * pairs + pair)
+        rotation, stiffness, radius = self._rotation, self._stiffness, self._radius
+        at = (angle_row * 2 + flank) * rotation.shape[2] + pair  # one index is several times as fast
         if isinstance(torque_row, slice):
-            share = self.share[angle_row, torque_row, flank, pair].T
-        else:  # by one index, which is several times as fast
-            row = angle_row * self.torque_nodes.size + torque_row
-            share = self.share.take((row * 2 + flank) * pairs + pair)
+            torsion, bearing = self.torsion[torque_row, angle_row], self._bearing[torque_row, angle_row]
+        else:
+            node = torque_row * (self.steps + 1) + angle_row
+            torsion, bearing = self.torsion.take(node), self._bearing.take(node)
+        overlap = np.maximum(FLANKS[flank, 0] * torsion - rotation.take(at), 0.0)
+        share = np.where(overlap > 0.0, FLANKS[flank, 0] * stiffness.take(at), 0.0) / bearing
+        slope = np.asarray(share / radius.take(at))
         if opening <= 0.0:
-            return np.asarray(share / radius)
-        overlap = FLANKS[flank, 0] * self.torsion[torque_row, angle_row] - np.nan_to_num(
-            self.contact.rotation[angle_row, flank, pair], nan=np.inf
-        )
-        parted = np.maximum(overlap, 0.0) / np.maximum(1.0 - np.abs(share), 1e-6) * radius
-        return np.asarray(share / radius * np.minimum(1.0, parted / opening))
+            return slope
+        parted = overlap / np.maximum(1.0 - np.abs(share), 1e-6) * radius.take(at)
+        return np.asarray(slope * np.minimum(1.0, parted / opening))
 
     def _harmonics(self, error: Error, orders: Integers) -> Complexes:
         """As `harmonics`.
@@ -213,21 +213,45 @@ class ContactTable:
         they are (dk): ``K d beta`` is the sum of ``k db - overlap dk`` over the loaded flanks.
         """
         angle = self._tooth_angle if error == "tooth" else self._slot_angle
-        turning = np.exp(1j * orders * angle[:, None, :, None])
         if error == "radial":
-            opening, softening = self._radial_slopes
-            fixed = np.nan_to_num(opening + self.contact.rotation * softening)
-            softer = self._summed(FLANKS * np.nan_to_num(softening), turning)
-            return np.asarray(self._summed(fixed, turning) - self.torsion[..., None] * softer)
-        sign = {"slot": FLANKS, "tooth": -FLANKS, "clearance": np.ones((2, 1))}[error]
-        return self._summed(sign / self._radius, turning)
+            softening = np.nan_to_num(self.contact.softening)
+            fixed = FLANKS * np.nan_to_num(self.contact.opening + self.contact.rotation * softening)
+            softer = self._summed(softening, angle, orders)
+            return np.asarray(self._summed(fixed, angle, orders) - self.torsion[..., None] * softer)
+        sign = {"slot": np.ones((2, 1)), "tooth": -np.ones((2, 1)), "clearance": FLANKS}[error]
+        return self._summed(sign / self._radius, angle, orders)
 
-    def _summed(self, weight: Floats, turning: Complexes) -> Complexes:
-        """Shares times weights (angles, 2, pairs) of all flanks and waves (angles, 1, pairs, k), summed."""
-        angles, torques = self.share.shape[:2]
-        columns = (weight[..., None] * turning).reshape(angles, -1, turning.shape[-1]).view(np.float64)
-        found = self.share.reshape(angles, torques, -1) @ columns
-        return np.ascontiguousarray(found.view(np.complex128).transpose(1, 0, 2))
+    def _summed(self, weight: Floats, angle: Floats, orders: Integers) -> Complexes:
+        """Shares of all flanks times weights (angles, 2, pairs) and waves, summed; (torques, angles, k)."""
+        found = np.empty((*self.torsion.shape, orders.size), dtype=np.complex128)
+        for index, turned in enumerate(orders[:, None, None, None] * angle[:, None, :]):
+            found[..., index].real = self._borne(weight * np.cos(turned))
+            found[..., index].imag = self._borne(weight * np.sin(turned))
+        return np.asarray(found / self._bearing[..., None])
+
+    def _borne(self, weight: Floats) -> Floats:
+        """Stiffness times weight (angles, 2, pairs), summed over the flanks that bear; (torques, angles)."""
+        cells, nodes = self._begin
+        sums = np.bincount(cells, (self._stiffness * weight).ravel(), 2 * nodes * self._angle.size)
+        rising, falling = sums.reshape(2, nodes, -1).cumsum(axis=1)
+        return np.asarray(rising[:-1] + falling[-2::-1])
+
+    @cached_property
+    def _begin(self) -> tuple[Integers, int]:
+        """Torque node from which each flank bears as the torque rises (+) or falls (-), and their number.
+
+        One number for side, node and angle, flank after flank; one node more is of flanks that never bear.
+        """
+        nodes, angles = self.torque_nodes.size + 1, self._angle.size
+        turned = [side * self.torsion[..., None] for side in (1.0, -1.0)]
+        idle = [np.count_nonzero(beta <= self._rotation[:, f], axis=0) for f, beta in enumerate(turned)]
+        cells = (np.arange(2)[:, None] * nodes + np.stack(idle, axis=1)) * angles
+        return (cells + np.arange(angles)[:, None, None]).ravel(), nodes
+
+    @cached_property
+    def _bearing(self) -> Floats:
+        """Stiffness of all flanks that bear [N m/rad], (torques, angles)."""
+        return self._borne(np.ones(self._stiffness.shape))
 
     def _displaced(self, circumferential: Floats, radial: Floats, *clearance: Floats) -> Floats:
         slots = self.contact.slots
@@ -235,21 +259,19 @@ class ContactTable:
         around = around + np.array(clearance)[:, slots].transpose(1, 0, 2)
         rotation, stiffness = self.contact.rotation + around / self._radius, self._stiffness
         if radial.any():
-            opening, softening = self._radial_slopes
             outward = radial[slots][:, None, :]
-            rotation = rotation + opening * outward
-            stiffness = stiffness * np.exp(np.clip(np.nan_to_num(softening) * outward, -1.0, 1.0))
+            rotation = rotation + self.contact.opening * outward
+            softer = np.nan_to_num(self.contact.softening) * outward
+            stiffness = stiffness * np.exp(np.clip(softer, -1.0, 1.0))
         return self._torsion(rotation, stiffness) - self.torsion
 
     def _teeth_beyond(self, displacement: Displacement, coefficients: Floats) -> Floats:
         every = slice(None, None, _SPARSE)
-        rest, stiffness, share = self.contact.rotation[every], self._stiffness[every], self.share[every]
-        found = []
+        rest, stiffness, found = self.contact.rotation[every], self._stiffness[every], []
         for phase in np.pi / PHASES * np.arange(PHASES):
-            moved = displacement(coefficients, self._tooth_angle[every] + phase)
-            turned = -FLANKS * moved[:, None, :] / self._radius[every]
-            first = np.einsum("atfp,afp->ta", share, turned)
-            found.append(self._torsion(rest + turned, stiffness) - self.torsion[:, every] - first)
+            opened = displacement(coefficients, self._tooth_angle + phase)[:, None, :] / self._radius
+            first = self.torsion - self._borne(opened) / self._bearing
+            found.append(self._torsion(rest - FLANKS * opened[every], stiffness) - first[:, every])
         place = np.arange(self.steps + 1) / _SPARSE
         low = np.minimum(place.astype(np.int64), found[0].shape[1] - 2)
         table = np.nan_to_num(np.stack(found))
@@ -262,6 +284,11 @@ class ContactTable:
     @cached_property
     def _stiffness(self) -> Floats:
         return flank_stiffness(self.contact, self.drive.mesh.tooth_compliance)
+
+    @cached_property
+    def _rotation(self) -> Floats:
+        """As of the contact; infinite where a flank cannot touch."""
+        return np.nan_to_num(self.contact.rotation, nan=np.inf)
 
     @cached_property
     def _radius(self) -> Floats:
@@ -283,20 +310,8 @@ class ContactTable:
         turned = self._angle * (1.0 + 1.0 / geometry.reduction)
         return self.contact.teeth * geometry.tooth_pitch - turned[:, None]
 
-    @cached_property
-    def _radial_slopes(self) -> tuple[Floats, Floats]:
-        """Closing rotation and logarithm of the stiffness by the radial displacement [rad/m], [1/m]."""
-        mesh = self.drive.mesh
-        datum = mesh.geometry.circular_spline_datum
-        geometries = [replace(mesh.geometry, circular_spline_datum=datum + step) for step in (-_STEP, _STEP)]
-        moved = [contacts(replace(mesh, geometry=geometry), self._angle) for geometry in geometries]
-        low, high = (flank_stiffness(one, mesh.tooth_compliance) for one in moved)
-        opening = (moved[1].rotation - moved[0].rotation) / (2.0 * _STEP)
-        stiffness = np.where(self._stiffness > 0.0, self._stiffness, 1.0)
-        return opening, (high - low) / (2.0 * _STEP * stiffness)
 
-
-@lru_cache(maxsize=2)  # 50 MB each
+@lru_cache(maxsize=2)  # 20 MB each
 def contact_table(drive: Drive, torque_limit: float) -> ContactTable:
     """Table of a drive up to a torque [N m], the latest kept."""
     return ContactTable(drive, torque_limit)

@@ -19,12 +19,12 @@ from hd_diag.effects.contact_table import (
     ContactTable,
     Displacement,
     Error,
+    Neighbours,
     Openings,
     contact_table,
 )
 from hd_diag.model.torsion import torsion
 
-Neighbours = tuple[tuple[Integers, Floats], tuple[Integers, Floats]]
 Values = TypeVar("Values", Floats, Complexes)
 Rows = slice | npt.NDArray[np.bool_] | Integers
 
@@ -121,10 +121,7 @@ class ContactWeights:
         turn = np.floor(self.wave_generator_angle / (2.0 * np.pi)).astype(np.int64)
         ahead = geometry.circular_spline_teeth - geometry.flexspline_teeth
         tooth = np.mod(round(position / geometry.tooth_pitch) - ahead * turn, geometry.flexspline_teeth)
-        result = np.zeros((2, self.torque.size))
-        for torque_row, angle_row, share in self._cells():
-            result += share * self.table.one_tooth(torque_row, angle_row, tooth, opening)
-        return self._sign * result.T
+        return self._sign * self.table.one_tooth(self.torque_rows, self.angle_rows, tooth, opening).T
 
     def under_more_torque(self, torque: Floats) -> Floats:
         """Change of TE if the drive exerted more torque on the link, the cup's compliance included.

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from hd_diag.arrays import Floats, Integers
-from hd_diag.model.kernel.contact import close
-from hd_diag.model.kernel.mesh_data import reach, width
+from hd_diag.model import kernel
+from hd_diag.model.kernel.contact import Touch, close
+from hd_diag.model.kernel.mesh_data import Constants, reach, width
 from hd_diag.model.mesh import Mesh
 from hd_diag.model.neutral_curve import tooth_axes
 
@@ -37,6 +40,8 @@ class Contact:
         alpha [rad].
     position : ndarray
         Polar angle of the contact in the housing [rad].
+    opening, softening : ndarray
+        Change of b and of the stiffness' logarithm where the slot moves outward [rad/m], [1/m].
     """
 
     teeth: Integers
@@ -45,9 +50,11 @@ class Contact:
     radius: Floats
     pressure_angle: Floats
     position: Floats
+    opening: Floats
+    softening: Floats
 
 
-def contacts(mesh: Mesh, wave_generator_angle: Floats) -> Contact:
+def contacts(mesh: Mesh, wave_generator_angle: Floats, compiled: bool = False) -> Contact:
     """Contacts of the tooth pairs near both lobes, at any number of moments.
 
     Parameters
@@ -55,6 +62,8 @@ def contacts(mesh: Mesh, wave_generator_angle: Floats) -> Contact:
     mesh : Mesh
     wave_generator_angle : ndarray, shape (moments,)
         theta_W [rad].
+    compiled : bool
+        Whether by compiled code: many times as fast, once it is there.
 
     Returns
     -------
@@ -62,11 +71,13 @@ def contacts(mesh: Mesh, wave_generator_angle: Floats) -> Contact:
         Columns are the teeth that can reach the slots at any angle; all others cannot touch.
     """
     turn = np.asarray(wave_generator_angle, dtype=np.float64)
-    blocks = [_contacts(mesh, turn[first : first + _BLOCK]) for first in range(0, max(turn.size, 1), _BLOCK)]
+    solve: Any = partial(_compiled if compiled else close, mesh.data.constants)
+    firsts = range(0, max(turn.size, 1), _BLOCK)
+    blocks = [_contacts(mesh, turn[first : first + _BLOCK], solve) for first in firsts]
     return Contact(*map(np.concatenate, zip(*blocks, strict=True)))
 
 
-def _contacts(mesh: Mesh, turn: Floats) -> tuple[Any, ...]:
+def _contacts(mesh: Mesh, turn: Floats, solve: Callable[[Floats, Floats], Any]) -> tuple[Any, ...]:
     """What `Contact` holds. Poses are those of :mod:`hd_diag.model.kernel.poses`, without its shortcuts."""
     c, farthest = mesh.data.constants, abs(mesh.eccentricity) + abs(mesh.runout)
     near, turned = reach(mesh.data, farthest), turn[:, None]
@@ -79,7 +90,7 @@ def _contacts(mesh: Mesh, turn: Floats) -> tuple[Any, ...]:
     height, offset = height + center.real, offset + center.imag
     slot = np.rint((axis + np.arctan(offset / (height + c.pitch_height))) / c.slot_pitch)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
-        touch: Any = close(c, height[:, None], FLANKS * offset[:, None])
+        touch = solve(height[:, None], FLANKS * offset[:, None])
     push = touch.x * touch.normal_x + touch.y * touch.normal_y
     lever = touch.x * touch.normal_y - touch.y * touch.normal_x
     return (
@@ -89,4 +100,13 @@ def _contacts(mesh: Mesh, turn: Floats) -> tuple[Any, ...]:
         np.hypot(touch.x, touch.y),
         np.arctan2(push, lever),
         slot * c.slot_pitch + FLANKS * np.arctan2(touch.y, touch.x),
+        touch.datum / lever,
+        2.0 * touch.lever_datum / lever**2,
     )
+
+
+def _compiled(c: Constants, height: Floats, offset: Floats) -> Touch:
+    """As :func:`close`."""
+    rows = np.broadcast_arrays(height, offset)
+    found = kernel.entry.touches(c, *(np.ascontiguousarray(row).ravel() for row in rows))
+    return Touch(*found.reshape(-1, *rows[0].shape))

@@ -153,13 +153,3 @@ class FlankTorsion:
         bearing, rest = (np.take_along_axis(each, piece, axis=1) for each in (self._stiffness, self._moment))
         idle = (torque == 0.0) & (self.gap > 0.0)[:, None]
         return np.where(idle, self._middle[:, None], (torque + rest) / bearing)
-
-
-def shares(rotation: Floats, stiffness: Floats, torsion: Floats) -> Floats:
-    """Derivatives of torsions (moments, torques) by each flank's rotation; (moments, torques, 2, teeth) [-].
-
-    Rotations and stiffnesses as of :func:`torsion_of_flanks`. ``d beta / d b = +-k / sum k`` of loaded
-    flanks, negative for - flanks; zero of others.
-    """
-    found: Floats = kernel.entry.shares(*map(contiguous, (rotation, stiffness, torsion)))
-    return found

@@ -36,7 +36,7 @@ def passing(fit: LinearisedFit, chosen: Chosen, ranked: list[Candidate], family:
     Its p value is corrected for the number of hypotheses of the family.
     """
     for candidate in ranked:
-        p = min(1.0, candidate.p_value * family)
+        p = by_chance(candidate, family)
         if p > FAMILY_ERROR:
             return None
         effect, nonlinear = candidate.effect, candidate.nonlinear
@@ -54,6 +54,11 @@ def only_mends(fit: LinearisedFit, chosen: Chosen, index: int) -> bool:
     (effect, nonlinear), others = chosen[index], chosen[:index] + chosen[index + 1 :]
     least = max(of_shapes(fit, others, effect), imitated(fit, others, effect, nonlinear))
     return least > 0.0 and size(fit, others, effect, nonlinear) < least
+
+
+def by_chance(candidate: Candidate, family: int) -> float:
+    """Chance that noise makes any of so many hypotheses gain as much."""
+    return min(1.0, candidate.p_value * family)
 
 
 def of_shapes(fit: LinearisedFit, chosen: Chosen, effect: Effect) -> float:

@@ -13,7 +13,9 @@ from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.effects.effect import Effect, Stage
 
 _LOOKED_AT = 5.0  # surprise from which a candidate is looked at, at its size
+_NEAR = 0.1  # of the best candidate's gain, from which another may be the better one at its size
 _SECANTS = 3  # steps to the size of an effect that is not proportional to it
+_SAME = 0.02  # share of a size, within which a step leads to the same
 
 
 @dataclass(frozen=True)
@@ -107,11 +109,13 @@ def ranked(fit: LinearisedFit, chosen: Chosen, effects: Sequence[Effect]) -> lis
                 gain = float(moment @ coefficients)
                 points.append(_candidate(fit, projector, effect, nonlinear, gain))
         if points:
-            best = max(points, key=lambda point: point.surprise)
-            gain = _gain_at_size(fit, projector, best) if best.surprise > _LOOKED_AT else 0.0
-            if gain > best.gain:
-                best = _candidate(fit, projector, effect, best.nonlinear, gain)
-            found.append(best)
+            found.append(max(points, key=lambda point: point.surprise))
+    near = _NEAR * max((one.gain for one in found), default=0.0)
+    for index, one in enumerate(found):
+        if one.surprise > _LOOKED_AT and one.gain > near:
+            gain = _gain_at_size(fit, projector, one)
+            if gain > one.gain:
+                found[index] = _candidate(fit, projector, one.effect, one.nonlinear, gain)
     return sorted(found, key=lambda candidate: -candidate.surprise)
 
 
@@ -144,8 +148,11 @@ def _gain_at_size(fit: LinearisedFit, projector: Projector, candidate: Candidate
         at = fit.beside((*fit.present, ((effect, nonlinear), coefficients)))
         beyond = fit.residual - at.residual
         white = fit.whiten(np.column_stack((at.columns(effect, nonlinear), beyond)), fit.data.run)
+        before = coefficients
         coefficients, gain = projector.fit_beyond(white[:, :-1], white[:, -1])
         best = max(best, gain)
+        if np.linalg.norm(coefficients - before) < _SAME * np.linalg.norm(before):
+            break
     return best
 
 

@@ -12,7 +12,7 @@ from hd_diag.diagnosis.fit.fit_parameters import COUNT, at_bound
 from hd_diag.diagnosis.fit.joint_refinement import free, polished, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.refit import FEW_STARTS, Refit, distinct, refit
-from hd_diag.diagnosis.search.acceptance import needed, passing
+from hd_diag.diagnosis.search.acceptance import FAMILY_ERROR, by_chance, needed, passing
 from hd_diag.diagnosis.search.causes import Search, causes
 from hd_diag.diagnosis.search.exchange import (
     best_nonlinear,
@@ -140,12 +140,13 @@ def _next(fit: LinearisedFit, chosen: Chosen, family: int, best: list[Candidate]
     last: a constant for every run imitates friction and drift together.
     """
     terms = ranked(fit, chosen, _unmodelled(chosen))[:2]
+    likely = [one for one in best[:1] if by_chance(one, family) <= FAMILY_ERROR]
     leading = [one for one in terms[:1] if isinstance(one.effect, UnmodelledTerm) and one.effect.predictive]
     ahead = bool(best and leading) and leading[0].surprise > best[0].surprise + _margin(leading[0], best[0])
     return (
         (passing(fit, chosen, leading, family) if ahead else None)
         or passing(fit, chosen, best[:3], family)
-        or passing(fit, chosen, [_between(fit, chosen, one) for one in best[:1] if free(one.effect)], family)
+        or passing(fit, chosen, [_between(fit, chosen, one) for one in likely if free(one.effect)], family)
         or passing(fit, chosen, terms, family)
     )
 
@@ -227,6 +228,8 @@ def _begun_slowly(
     """
     speed = np.abs(fit.data.record.speed)
     slow = refit(fit.data.record.select(speed <= np.quantile(speed, _SLOW)), fit.data.configured, rng)
+    if not distinct([fit.parameters, slow.parameters])[1:]:
+        return fit, best
     other = fit.moved(slow.parameters)
     trials = ((fit, best), (other, candidates(other, ())))
     here, there = (

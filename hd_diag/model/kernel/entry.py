@@ -13,6 +13,7 @@ import numpy as np
 
 from hd_diag.arrays import Complexes, Floats, Integers
 from hd_diag.model.kernel.compiler import entry_point
+from hd_diag.model.kernel.contact import close
 from hd_diag.model.kernel.interpolation import columns, interpolate
 from hd_diag.model.kernel.load_sharing import (
     arms,
@@ -25,7 +26,7 @@ from hd_diag.model.kernel.load_sharing import (
     scratch,
     side_room,
 )
-from hd_diag.model.kernel.mesh_data import MeshData, blank
+from hd_diag.model.kernel.mesh_data import Constants, MeshData, blank
 from hd_diag.model.kernel.sensitivity import PARAMETERS, add, fill, fill_pieces, pieces_room
 
 
@@ -60,19 +61,14 @@ def torsion_of_flanks(rotation: Floats, stiffness: Floats, torque: Floats) -> Fl
 
 
 @entry_point
-def shares(rotation: Floats, stiffness: Floats, torsion: Floats) -> Floats:
-    """Shares (n, q, 2, flanks) in the stiffness at torsions (n, q) of such flanks, negative for - flanks."""
-    share = np.empty((*torsion.shape, 2, rotation.shape[2]))
-    for i in range(torsion.shape[0]):
-        for j in range(torsion.shape[1]):
-            beta, here, total = torsion[i, j], share[i, j], 0.0
-            for k in range(rotation.shape[2]):
-                here[0, k] = stiffness[i, 0, k] if beta > rotation[i, 0, k] else 0.0
-                here[1, k] = -stiffness[i, 1, k] if -beta > rotation[i, 1, k] else 0.0
-                total += here[0, k] - here[1, k]
-            if total > 0.0:
-                here /= total
-    return share
+def touches(c: Constants, height: Floats, offset: Floats) -> Floats:
+    """First contacts (9, n), as of a `Touch`, of + flanks of teeth at heights and offsets (n,) [m]."""
+    found = np.empty((9, height.size))
+    for i in range(height.size):
+        touch = close(c, height[i], offset[i])
+        for k in range(9):
+            found[k, i] = touch[k]
+    return found
 
 
 @entry_point
@@ -97,7 +93,7 @@ def torsion_and_gradient(
         if i == 0 or turn[i] != turn[i - 1] or eccentricity[i] != eccentricity[i - 1]:
             found = flanks(mesh, turn[i], eccentricity[i], work)
         beta[i] = balance(found, torque[i])
-        fill(mesh, work.teeth, found, torque[i], beta[i], gradient[i])
+        fill(work, mesh.compliance, found, torque[i], beta[i], gradient[i])
         housing = complex(gradient[i, 0], gradient[i, 1]) * complex(math.cos(turn[i]), math.sin(turn[i]))
         gradient[i, 0], gradient[i, 1] = housing.real, housing.imag
     return beta, gradient
@@ -123,7 +119,7 @@ def torsion_along(
             after += 1
         if after > before:
             found = flanks(mesh, turn[node], eccentricity[node], work)
-            size = fill_pieces(mesh, work.teeth, found, limit, room)
+            size = fill_pieces(work, mesh.compliance, found, limit, room)
             turned = complex(math.cos(turn[node]), math.sin(turn[node]))
             for i in range(before, after):
                 here[:] = 0.0 if size else math.nan
@@ -182,6 +178,6 @@ def warm_up(gradient: bool) -> None:
     interpolate(table, table, lines, columns(table), 1, 0.0, 0.0, row, row, row, 0, 0)
     if gradient:
         torsion_of_flanks(flat, flat, row)
-        shares(flat, flat, rows[:0])
+        touches(mesh.constants, row, row)
         torsion_and_gradient(mesh, row, center, row)
         torsion_along(mesh, row, center, 0.0, row.astype(np.int64), row, row)

@@ -30,8 +30,7 @@ _SMALL_SINE = 0.125
 class Contacts(NamedTuple):
     """First contacts of both flanks of some teeth, each (2, teeth).
 
-    nan where a tooth does not reach the slots. Sine of the angle by which the tooth axis then leads the
-    slot's; contact point [m] and unit normal in the slot frame about the axis.
+    nan where a tooth does not reach the slots. As of a :class:`hd_diag.model.kernel.contact.Touch`.
     """
 
     sine: Floats
@@ -39,6 +38,10 @@ class Contacts(NamedTuple):
     y: Floats
     normal_x: Floats
     normal_y: Floats
+    lever_height: Floats
+    lever_offset: Floats
+    lever_datum: Floats
+    datum: Floats
 
 
 class Side(NamedTuple):
@@ -84,7 +87,17 @@ def side_room(count: int) -> Side:
 def contacts_room(c: Constants) -> Contacts:
     """Contacts that are not yet found, for all teeth."""
     shape = (2, c.flexspline_teeth)
-    return Contacts(np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape), np.empty(shape))
+    return Contacts(
+        np.empty(shape),
+        np.empty(shape),
+        np.empty(shape),
+        np.empty(shape),
+        np.empty(shape),
+        np.empty(shape),
+        np.empty(shape),
+        np.empty(shape),
+        np.empty(shape),
+    )
 
 
 @part
@@ -94,11 +107,15 @@ def find(c: Constants, teeth: Teeth, count: int, found: Contacts) -> None:
     for flank in range(2):
         sine, x, y = found.sine[flank], found.x[flank], found.y[flank]
         normal_x, normal_y = found.normal_x[flank], found.normal_y[flank]
+        lever_height, lever_offset = found.lever_height[flank], found.lever_offset[flank]
+        lever_datum, datum = found.lever_datum[flank], found.datum[flank]
         side = 1.0 - 2.0 * flank
         for j in range(count):
             touch = close(c, height[j], side * offset[j])
             sine[j], x[j], y[j] = touch.sine, touch.x, touch.y
             normal_x[j], normal_y[j] = touch.normal_x, touch.normal_y
+            lever_height[j], lever_offset[j] = touch.lever_height, touch.lever_offset
+            lever_datum[j], datum[j] = touch.lever_datum, touch.datum
 
 
 @inline

@@ -16,34 +16,29 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.model.kernel.compiler import inline, part
-from hd_diag.model.kernel.contact import close
-from hd_diag.model.kernel.load_sharing import Flanks, Side, balance
-from hd_diag.model.kernel.mesh_data import Constants, MeshData
-from hd_diag.model.kernel.poses import Teeth
+from hd_diag.model.kernel.load_sharing import Flanks, Scratch, Side, arms, balance
 
 PARAMETERS = 3
 """E_x and E_y in the wave generator's frame, r_0; of the others the derivatives follow from dbeta/dM."""
 
 
 @inline
-def _slopes(
-    c: Constants, teeth: Teeth, i: int, side: float, weight: float, release: float
-) -> tuple[float, float, float]:
-    """What a flank adds to K d beta by the parameters.
+def _slopes(work: Scratch, flank: int, i: int, weight: float, release: float) -> tuple[float, float, float]:
+    """What a flank (0: +, 1: -) of a tooth adds to K d beta by the parameters.
 
     That is ``weight`` times db/dp, less ``release`` times the change of half the squared lever arm.
     """
-    touch = close(c, teeth.height[i], side * teeth.offset[i])
-    lever = touch.x * touch.normal_y - touch.y * touch.normal_x
-    sine, cosine = touch.sine, math.sqrt(1.0 - touch.sine * touch.sine)
-    along = -(touch.normal_x * cosine + touch.normal_y * sine) / lever
-    across = -(touch.normal_y * cosine - touch.normal_x * sine) / lever
-    height = side * (weight * along - release * touch.lever_height)
-    offset = weight * across - release * touch.lever_offset
+    touch, teeth, side = work.contacts, work.teeth, 1.0 - 2.0 * flank
+    normal_x, normal_y, sine = touch.normal_x[flank, i], touch.normal_y[flank, i], touch.sine[flank, i]
+    _, _, lever = arms(touch, flank, i)
+    share, cosine = weight / lever, math.sqrt(1.0 - sine * sine)
+    height = -share * (normal_x * cosine + normal_y * sine) - release * touch.lever_height[flank, i]
+    offset = -share * (normal_y * cosine - normal_x * sine) - release * touch.lever_offset[flank, i]
+    height *= side
     return (
         height * teeth.cosine[i] - offset * teeth.sine[i],
         height * teeth.sine[i] + offset * teeth.cosine[i],
-        side * (weight * touch.datum / lever - release * touch.lever_datum),
+        side * (share * touch.datum[flank, i] - release * touch.lever_datum[flank, i]),
     )
 
 
@@ -58,41 +53,43 @@ def _add(gradient: Floats, slopes: tuple[float, float, float]) -> None:
 
 
 @part
-def fill(mesh: MeshData, teeth: Teeth, flanks: Flanks, torque: float, beta: float, gradient: Floats) -> None:
+def fill(
+    work: Scratch, compliance: float, flanks: Flanks, torque: float, beta: float, gradient: Floats
+) -> None:
     """Set the derivatives of one moment by `PARAMETERS` and by M (4,)."""
     gradient[:] = 0.0 if math.isfinite(beta) else math.nan
     if torque == 0.0 and flanks.high > flanks.low:
-        _add_edge(mesh, teeth, flanks.plus, flanks.high, 1.0, gradient)
-        _add_edge(mesh, teeth, flanks.minus, flanks.low, -1.0, gradient)
+        _add_edge(work, flanks.plus, flanks.high, 0, gradient)
+        _add_edge(work, flanks.minus, flanks.low, 1, gradient)
         gradient[PARAMETERS] = math.inf
     else:
-        stiffness = _add_side(mesh, teeth, flanks.plus, beta, 1.0, gradient)
-        stiffness += _add_side(mesh, teeth, flanks.minus, beta, -1.0, gradient)
+        stiffness = _add_side(work, compliance, flanks.plus, beta, 0, gradient)
+        stiffness += _add_side(work, compliance, flanks.minus, beta, 1, gradient)
         gradient /= stiffness
         gradient[PARAMETERS] = 1.0 / stiffness
 
 
 @part
 def _add_side(
-    mesh: MeshData, teeth: Teeth, flanks: Side, beta: float, side: float, gradient: Floats
+    work: Scratch, compliance: float, flanks: Side, beta: float, flank: int, gradient: Floats
 ) -> float:
     """Add the flanks of one side that bear, and give their stiffness."""
     stiffness = 0.0
     for j in range(flanks.start.size):
-        overlap = side * (beta - flanks.start[j])
+        overlap = (1.0 - 2.0 * flank) * (beta - flanks.start[j])
         if overlap > 0.0:
-            release = 2.0 * overlap / mesh.compliance
-            _add(gradient, _slopes(mesh.constants, teeth, flanks.column[j], side, flanks.gain[j], release))
+            release = 2.0 * overlap / compliance
+            _add(gradient, _slopes(work, flank, flanks.column[j], flanks.gain[j], release))
             stiffness += flanks.gain[j]
     return stiffness
 
 
 @part
-def _add_edge(mesh: MeshData, teeth: Teeth, flanks: Side, edge: float, side: float, gradient: Floats) -> None:
+def _add_edge(work: Scratch, flanks: Side, edge: float, flank: int, gradient: Floats) -> None:
     """Add one end of a true gap, whose middle is the torsion."""
     for j in range(flanks.start.size):
         if flanks.start[j] == edge:
-            _add(gradient, _slopes(mesh.constants, teeth, flanks.column[j], side, 0.5, 0.0))
+            _add(gradient, _slopes(work, flank, flanks.column[j], 0.5, 0.0))
             return
 
 
@@ -123,13 +120,13 @@ def pieces_room(flexspline_teeth: int) -> Pieces:
 
 
 @part
-def fill_pieces(mesh: MeshData, teeth: Teeth, flanks: Flanks, limit: float, room: Pieces) -> int:
+def fill_pieces(work: Scratch, compliance: float, flanks: Flanks, limit: float, room: Pieces) -> int:
     """Set the pieces from -limit to limit and give their number; none where the teeth cannot bear it."""
     lowest, highest = balance(flanks, -limit), balance(flanks, limit)
     if not (math.isfinite(lowest) and math.isfinite(highest)):
         return 0
-    _set_flanks(mesh, teeth, flanks.plus, 1.0, highest, 0, room)
-    _set_flanks(mesh, teeth, flanks.minus, -1.0, lowest, flanks.plus.start.size, room)
+    _set_flanks(work, 2.0 / compliance, flanks.plus, 0, highest, 0, room)
+    _set_flanks(work, 2.0 / compliance, flanks.minus, 1, lowest, flanks.plus.start.size, room)
     if flanks.high > flanks.low:
         size = _append(flanks, lowest, flanks.low, -limit, 0, room)
         return _append(flanks, flanks.high, highest, 0.0, size, room)
@@ -161,21 +158,21 @@ def _add_piece(sums: Floats, torque: float, weight: float, found: Floats) -> Non
 
 @part
 def _set_flanks(
-    mesh: MeshData, teeth: Teeth, flanks: Side, side: float, farthest: float, first: int, room: Pieces
+    work: Scratch, softening: float, flanks: Side, flank: int, farthest: float, first: int, room: Pieces
 ) -> None:
     """Set what a side's flanks have of their own, where they begin before the farthest torsion."""
-    softening = 2.0 / mesh.compliance
+    side = 1.0 - 2.0 * flank
     for j in range(flanks.start.size):
         start, i, own = flanks.start[j], flanks.column[j], room.flank[first + j]
         room.start[first + j] = start
         if side * start > side * farthest:
             continue
-        at_rest = _slopes(mesh.constants, teeth, i, side, flanks.gain[j], 0.0)
-        released = _slopes(mesh.constants, teeth, i, side, 0.0, softening)
+        at_rest = _slopes(work, flank, i, flanks.gain[j], 0.0)
+        released = _slopes(work, flank, i, 0.0, softening)
         own[0], own[1] = flanks.gain[j], flanks.gain[j] * start
-        own[5], own[6], own[7] = side * released[0], side * released[1], side * released[2]
-        own[2], own[3] = at_rest[0] - start * own[5], at_rest[1] - start * own[6]
-        own[4] = at_rest[2] - start * own[7]
+        for k in range(PARAMETERS):
+            own[2 + PARAMETERS + k] = side * released[k]
+            own[2 + k] = at_rest[k] - start * own[2 + PARAMETERS + k]
 
 
 @part
