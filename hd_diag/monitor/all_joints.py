@@ -94,25 +94,11 @@ class Monitor:
         heard: Times | None = None,
         due: Sequence[Due] = (),
     ) -> list[Publication]:
-        """What messages of several layouts give.
+        """What messages of several layouts give that arrived at times (n,) [ns]; reports are its end.
 
-        Parameters
-        ----------
-        received : ndarray of int64, shape (n,)
-            When each arrived [ns].
-        shapes : sequence of JointStates
-            The messages of each layout; their `row` are positions in `received`.
-        refused : sequence of (int, str), optional
-            Messages that cannot be read: position, and what they are.
-        heard : ndarray of int64, shape (n,), optional
-            When each arrived by the clock that is asked for silence [ns]; the same by default.
-        due : sequence of Due, optional
-            Reports between the messages, by row.
-
-        Returns
-        -------
-        list of Publication
-            The reports are its end.
+        The rows of the messages of each layout are positions among these, as are those of messages that are
+        refused, with what they are, and of reports that are due between them. `heard` is when each arrived by
+        the clock that is asked for silence (n,) [ns]; the same by default.
         """
         heard, published = received if heard is None else heard, []
         if due:

@@ -44,23 +44,10 @@ Alteration = Callable[[Samples], Samples]
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of the sensors.
+    """Noise of the sensors; raises ValueError naming the value that cannot be.
 
-    Parameters
-    ----------
-    white : float
-        Of the output angle, independent from sample to sample [rad rms].
-    drift : float
-        Of the output angle, first-order autoregressive [rad rms].
-    drift_correlation : float
-        Correlation of the drift from one sample to the next [-].
-    torque : float
-        Of the reported torque, white [N m rms].
-
-    Raises
-    ------
-    ValueError
-        Naming the value that cannot be.
+    Of the output angle, independent from sample to sample (`white`) and first-order autoregressive (`drift`,
+    with its correlation from one sample to the next) [rad rms]; of the reported torque, white [N m rms].
     """
 
     white: float = 0.0
@@ -81,16 +68,8 @@ class Noise:
 class SimulatedJoint:
     """What a joint really is.
 
-    Parameters
-    ----------
-    drive : Drive
-    noise : Noise
-    offset : float
-        Of the output encoder's zero [rad].
-    alter : Alteration
-        Departure from the drive's model; it comes before the noise. None by default.
-    torque_share : float
-        Of a motion's torques that the joint is put under [-].
+    A drive with noise, the `offset` of the output encoder's zero [rad], a departure from the drive's model,
+    which comes before the noise, and the share of a motion's torques that the joint is put under [-].
     """
 
     drive: Drive

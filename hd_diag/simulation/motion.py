@@ -27,29 +27,13 @@ class Setpoints(NamedTuple):
 class Motion:
     """Runs at constant speed and torque from rest to rest, one for every direction, speed and torque.
 
-    All runs of one direction come first, so that the output travels far.
+    The duration [s] is shared evenly by the runs. Speeds are of the input [rad/s], positive; torques are
+    those that the drive exerts on the link [N m]. All runs of one direction come first, so that the output
+    travels far; unless it is one way only, all are repeated backwards. Of a run, `ramp_share` is the part in
+    which speed and torque rise with minimum jerk, and again in which they fall, `rest_share` that at rest and
+    free of torque before it starts, and again after it has ended [-].
 
-    Parameters
-    ----------
-    duration : float
-        [s]; shared evenly by the runs.
-    sample_rate : float
-        [Hz]
-    speeds : tuple of float
-        Of the input [rad/s], positive.
-    torques : tuple of float
-        That the drive exerts on the link [N m].
-    both_directions : bool
-        Whether all runs are repeated backwards.
-    ramp_share : float
-        Part of a run in which speed and torque rise with minimum jerk, and again in which they fall [-].
-    rest_share : float
-        Part of a run at rest and free of torque before it starts, and again after it has ended [-].
-
-    Raises
-    ------
-    ValueError
-        Naming the value that cannot be.
+    Raises ValueError naming the value that cannot be.
     """
 
     duration: float = 60.0
@@ -98,17 +82,7 @@ class Motion:
         return start + elapsed
 
     def at(self, time: Floats) -> Setpoints:
-        """What the motion asks for.
-
-        Parameters
-        ----------
-        time : ndarray, shape (n,)
-            Since the start [s]; before it and after the end the joint is at rest.
-
-        Returns
-        -------
-        Setpoints
-        """
+        """What the motion asks for at times since its start (n,) [s]; outside the joint is at rest."""
         velocity, torque = np.array(self.runs).T
         length = self.duration / velocity.size
         travelled = (1.0 - 2.0 * self.rest_share - self.ramp_share) * length * velocity
