@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import fleet_tasks
 import numpy as np
 
 from hd_diag.fleet.rows import Row
@@ -24,9 +25,9 @@ CAUSED: Row = {
 def row(arcsec: float = 40.0, microns: float = 5.0, **more: Any) -> Row:
     """A joint whose error and eccentricity these are, to 1 % of the limit."""
     return {
+        **fleet_tasks.row(1.0 * ARCSEC),
         "bag": "bags/a.mcap",
         "robot": None,
-        "joint": "joint_1",
         "bag_sha256": "a",
         "start": BEGIN,
         "problems": [],
@@ -35,22 +36,15 @@ def row(arcsec: float = 40.0, microns: float = 5.0, **more: Any) -> Row:
         "error_rad": arcsec * ARCSEC,
         "error_std_rad": 0.01 * ACCURACY,
         "accuracy_rad": ACCURACY,
-        "trustworthy": True,
         "eccentricity_m": microns * 1e-6,
         "eccentricity_std_m": 0.01 * ALLOWED,
         "eccentricity_allowed_m": ALLOWED,
         "eccentricity_criterion": "overlap",
-        **{name: [] for name in CAUSED},
         "tested": [],
         "tested_least_rad": [],
         "inspect": [
             "Eccentricity of the wave generator in the housing: Hold a dial gauge on the motor shaft."
         ],
-        "rms_nominal_rad": 8.0 * ARCSEC,
-        "rms_refit_rad": 1.0 * ARCSEC,
-        "noise_floor_rad": 1.0 * ARCSEC,
-        "noise_floor_low_rad": 0.98 * ARCSEC,
-        "noise_floor_high_rad": 1.02 * ARCSEC,
         "verdict": "the joint is within its accuracy; no other cause is needed.",
         **more,
     }
