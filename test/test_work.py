@@ -86,17 +86,23 @@ def test_a_diagnosis_without_time_measures_the_fit_and_the_misfit_and_says_what_
     assert sorted(shares) == shares
 
 
-def test_the_command_line_s_limit(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    limits: list[float] = []
+def test_the_command_line_s_limit_begins_when_all_is_compiled(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, clock: list[float]
+) -> None:
+    limits: list[tuple[float, float]] = []
+
+    def compile_for_long() -> None:
+        clock[0] += 100.0
 
     def judge(record: object, configured: object, rng: object, limited: Work, catalogue: object) -> None:
-        limits.append(limited.seconds)
+        limits.append((limited.seconds, limited.spent))
         raise RecordError("enough")
 
     monkeypatch.setattr("hd_diag.cli.record.diagnose", judge)
+    monkeypatch.setattr("hd_diag.cli.record.warm_up", compile_for_long)
     rows, path = columns(4.0), tmp_path / "joint.csv"
     np.savetxt(path, np.stack([*rows.values()], axis=1), delimiter=",", header=",".join(rows), comments="")
     given = ("diagnose", path, "--columns", "time=time,input=input,output=output,torque=torque")
     for more in ((), ("--time-limit", "5")):
         assert "enough" in hd_diag(*given, *more).stderr
-    assert limits == [60.0, 5.0]
+    assert limits == [(60.0, 0.0), (5.0, 0.0)]

@@ -20,6 +20,7 @@ from hd_diag.cli.targets import Problem, write_json, writing
 from hd_diag.config.catalogue import load
 from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
+from hd_diag.diagnosis.fit.fit_parameters import warm_up
 from hd_diag.diagnosis.orders_only import orders_only
 from hd_diag.diagnosis.record import Record, RecordError
 from hd_diag.diagnosis.ripple.ripple import Ripple, ripple
@@ -46,13 +47,15 @@ class Records:
 
     def diagnosed(self, joint: JointConfig, advance: Advance) -> Diagnosis:
         """Diagnosis of a joint; BagError and RecordError where there is nothing that can be judged."""
-        work = Work(self.time_limit, lambda share, text: advance(share, 1.0, text))
-        work.tell(0.0, "reading")
+        advance(0.0, 1.0, "reading")
         # No name for the record: it goes as soon as it was looked through.
         looked = screened(self._record(joint), joint.configured, teeth=not self.orders_only)
         rng = np.random.default_rng(0)
         if self.orders_only:
             return orders_only(looked, joint.configured, rng)
+        advance(0.0, 1.0, "preparing the model (a minute, the first time on a machine)")
+        warm_up()  # compiling takes nothing from the time limit
+        work = Work(self.time_limit, lambda share, text: advance(share, 1.0, text))
         found = diagnose(looked, joint.configured, rng, work, self.catalogue)
         return with_allowed(found, limits_and_spreads(self.config.flat, joint.name)[0])
 
