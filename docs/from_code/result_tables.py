@@ -10,7 +10,7 @@ COMMANDS = {
     "suite": "make bench ARGS='--markdown docs/tables/suite.md'",
     "faults": "python test/faults.py",
     "soak": "make soak",
-    "tests": "make pytest PYTEST_ARGS='--slowest docs/tables/tests.md'",
+    "tests": "make pytest PYTEST_ARGS='--slowest=docs/tables/tests.md'",
 }
 
 
