@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from hd_diag.config.configuration import Config, JointConfig
-from hd_diag.config.configured_drive import number
 from hd_diag.config.defaults import EXAMPLE, Page, page_of
 from hd_diag.config.parameters import JOINT_PARAMETERS
 from hd_diag.drive import Drive
@@ -49,7 +48,7 @@ def assess(config: Config, joint: JointConfig) -> Assessment:
     """Assessment of one of a configuration's joints as it is configured."""
     own = {p.name: config.flat[f"{joint.name}.{p.name}"] for p in JOINT_PARAMETERS}
     page, drive = page_of(own), joint.configured
-    steps = (page.t1, page.t2) if page else (number(own, "gear.t1"), number(own, "gear.t2"))
+    steps = (page.t1, page.t2) if page else (own["gear.t1"], own["gear.t2"])
     found = characteristics(drive, *steps)
     mesh = drive.mesh
     perfect = found

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hd_diag.config import parameter_file
-from hd_diag.config.configured_drive import drive_from, number
+from hd_diag.config.configured_drive import drive_from
 from hd_diag.config.configured_signals import signals_from, spelled_out
 from hd_diag.config.defaults import joint_values
 from hd_diag.config.json_shape import reader
@@ -98,13 +98,13 @@ def resolve(
     flat, kept, joints = _completed(given)
     configured = tuple(_joint(name, flat, model_text, catalogue) for name in joints)
     _check_names(configured)
-    _check_rates(configured, number(flat, "array_rate"), number(flat, "mesh_rate"))
-    log = LogConfig(**{p.name[4:]: flat[p.name] for p in NODE_PARAMETERS if p.name.startswith("log.")})  # type: ignore[arg-type]
+    _check_rates(configured, flat["array_rate"], flat["mesh_rate"])
+    log = LogConfig(**{p.name[4:]: flat[p.name] for p in NODE_PARAMETERS if p.name.startswith("log.")})
     return Config(
         configured,
-        number(flat, "array_rate"),
-        number(flat, "mesh_rate"),
-        number(flat, "diagnostics_rate"),
+        flat["array_rate"],
+        flat["mesh_rate"],
+        flat["diagnostics_rate"],
         log,
         flat,
         kept,
@@ -164,7 +164,7 @@ def _joint_values(name: str, found: Mapping[str, Value]) -> tuple[dict[str, Valu
 
 def _unshared(value: Value) -> Value:
     """A value that no other parameter shares."""
-    return list(value) if isinstance(value, list) else value  # type: ignore[return-value]
+    return list(value) if isinstance(value, list) else value
 
 
 def _own(joint: str, flat: Mapping[str, Value]) -> dict[str, Value]:
@@ -176,9 +176,7 @@ def _joint(
     name: str, flat: Mapping[str, Value], model_text: ModelText | None, catalogue: Catalogue | None
 ) -> JointConfig:
     own = _own(name, flat)
-    limits = {
-        key: Limit(number(own, f"limits.{key}.warn"), number(own, f"limits.{key}.error")) for key in LIMITS
-    }
+    limits = {key: Limit(own[f"limits.{key}.warn"], own[f"limits.{key}.error"]) for key in LIMITS}
     for key, limit in limits.items():
         if limit.error < limit.warn:
             raise ConfigError(
@@ -188,17 +186,17 @@ def _joint(
     model, text = _model(name, own, model_text, catalogue)
     return JointConfig(
         name,
-        str(own["input_joint"]) or f"{name}_motor",
-        str(own["output_joint"]) or name,
+        own["input_joint"] or f"{name}_motor",
+        own["output_joint"] or name,
         model.drive if model else drive,
-        number(own, "torque"),
+        own["torque"],
         limits,
         drive,
-        str(own["model_file"]),
+        own["model_file"],
         model,
         text,
         signals_from(name, own),
-        bool(own["input_divided"]),
+        own["input_divided"],
     )
 
 
@@ -206,7 +204,7 @@ def _model(
     name: str, own: Mapping[str, Value], model_text: ModelText | None, catalogue: Catalogue | None
 ) -> tuple[ExtendedModel | None, str]:
     """Extended model of a joint and the text of its file; None and nothing where it has none."""
-    path = str(own["model_file"])
+    path = own["model_file"]
     if not path:
         return None, ""
     from hd_diag.config.model_file import model_for  # with all effects, and most have no model

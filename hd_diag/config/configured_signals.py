@@ -44,7 +44,7 @@ def signals_from(joint: str, own: Mapping[str, Value]) -> Signals:
 
 def _signal(joint: str, role: str, owner: str, own: Mapping[str, Value]) -> Signal | None:
     keys = ("topic", "type", "field", "name", "unit")
-    topic, kind, field, name, text = (str(own[f"{owner}.{key}"]) for key in keys)
+    topic, kind, field, name, text = (own[f"{owner}.{key}"] for key in keys)
     scale, sign = own[f"{owner}.scale"], own[f"{owner}.sign"]
     if (topic, kind, field, name, text, scale, sign) == ("", "", "", "", "", 1.0, 1):
         return None
@@ -58,10 +58,7 @@ def _signal(joint: str, role: str, owner: str, own: Mapping[str, Value]) -> Sign
         raise ConfigError(f"{joint}.{owner}.field: the field of {type_name} must be named")
     is_velocity = role == "input" and type_name == JOINT_STATE and field.startswith(_VELOCITY)
     at_motor = role == "input" and not (is_velocity and own["input_divided"])
-    joint_name = (
-        str(own["input_joint"]) or f"{joint}_motor" if at_motor else str(own["output_joint"]) or joint
-    )
-    name = name or joint_name
+    name = name or (own["input_joint"] or f"{joint}_motor" if at_motor else own["output_joint"] or joint)
     if sign not in (1, -1):
         raise ConfigError(f"{joint}.{owner}.sign: expected 1 or -1, not {shown(sign)}")
     try:

@@ -12,15 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hd_diag.config.configured_drive import drive_from, number
+from hd_diag.config.configured_drive import drive_from, geometry_parameters
 from hd_diag.config.parameters import JOINT_PARAMETERS, LIMITS, Value
 from hd_diag.drive import Drive
 from hd_diag.formatting import rounded
 from hd_diag.gear.characteristics import T1_SHARE, T2_SHARE
 from hd_diag.gear.similarity import compliances, similar
-from hd_diag.model.geometry import Geometry
 from hd_diag.model.mesh import Mesh
-from hd_diag.model.tooth_profile import DoubleArc
 
 DEFAULTS: Mapping[str, Value] = {p.name: p.default for p in JOINT_PARAMETERS}
 EXAMPLE = drive_from(DEFAULTS)
@@ -64,7 +62,7 @@ def joint_values(given: Mapping[str, Value]) -> tuple[dict[str, Value], dict[str
     values |= scaled(drive_from({**values, **given}))
     for name in LIMITS:  # where an error alone is given, its warning is not above it
         warn, error = f"limits.{name}.warn", f"limits.{name}.error"
-        values[warn] = min(number(values, warn), number({**values, **given}, error))
+        values[warn] = min(values[warn], {**values, **given}[error])
     kept = {name: value for name, value in given.items() if not page or values[name] != value}
     return {**values, **given}, kept
 
@@ -72,12 +70,12 @@ def joint_values(given: Mapping[str, Value]) -> tuple[dict[str, Value], dict[str
 def page_of(given: Mapping[str, Value]) -> Page | None:
     """The page in the section ``gear``, None where there is none; raises ValueError naming what it lacks."""
     values = {**DEFAULTS, **given}
-    if not any(number(values, f"gear.{name}") for name in ("size", *Page._fields[:-1])):
+    if not any(values[f"gear.{name}"] for name in ("size", *Page._fields[:-1])):
         return None
-    size, diameter = number(values, "gear.size"), number(values, "gear.pitch_diameter")
-    found = {name: number(values, f"gear.{name}") for name in Page._fields[:-1]}
+    size, diameter = values["gear.size"], values["gear.pitch_diameter"]
+    found = {name: values[f"gear.{name}"] for name in Page._fields[:-1]}
     for name in ("ratio", "rated_torque"):
-        found[name] = found[name] or (number(given, name) if name in given else 0.0)
+        found[name] = found[name] or given.get(name, 0.0)
     found["t1"] = found["t1"] or T1_SHARE * found["rated_torque"]
     found["t2"] = found["t2"] or T2_SHARE * found["rated_torque"]
     found["pitch_diameter"] = diameter or size / 25.0 * _EXAMPLE_PITCH_DIAMETER
@@ -108,13 +106,13 @@ def resolved(page: Page) -> dict[str, Value]:
     mesh = Mesh(found, EXAMPLE.mesh.tooth_compliance)
     tooth, cup = compliances(mesh, page.t1, page.t2, np.array([page.k1, page.k2, page.k3]))
     own: dict[str, Value] = {"ratio": page.ratio, "rated_torque": page.rated_torque}
-    return {**own, **_of_geometry(found), "tooth_compliance": tooth, "cup_compliance": cup}
+    return {**own, **geometry_parameters(found), "tooth_compliance": tooth, "cup_compliance": cup}
 
 
 def scaled(drive: Drive) -> dict[str, Value]:
     """Limits and tolerances that suit a drive: the example drive's, which go with its size and torque."""
     factors = _factors(drive)
-    own = {p.name: (number(DEFAULTS, p.name), factors[p.scale]) for p in JOINT_PARAMETERS if p.scale}
+    own = {p.name: (DEFAULTS[p.name], factors[p.scale]) for p in JOINT_PARAMETERS if p.scale}
     return {name: value if k == 1.0 else rounded(value * k) for name, (value, k) in own.items()}
 
 
@@ -144,7 +142,7 @@ def _factors(drive: Drive) -> dict[str, float]:
         "force": force,
         "preload": force * compliance,
         "accuracy": accuracy,
-        "error": max(accuracy, _model_error(drive) / number(DEFAULTS, "limits.residual_order.warn")),
+        "error": max(accuracy, _model_error(drive) / DEFAULTS["limits.residual_order.warn"]),
         "compliance": of_teeth + drive.cup_compliance / _COMPLIANCE,
     }
 
@@ -153,27 +151,3 @@ def _model_error(drive: Drive) -> float:
     """Amplitude [rad] of what the configured eccentricity may be wrong by."""
     share = abs(drive.mesh.eccentricity) / drive.mesh.geometry.curve.radius
     return _MODEL_SHARE * _ERROR_OF_ECCENTRICITY * share
-
-
-def _of_geometry(geometry: Geometry) -> dict[str, Value]:
-    return {
-        "flexspline_teeth": geometry.flexspline_teeth,
-        "circular_spline_teeth": geometry.circular_spline_teeth,
-        "neutral_curve.semi_major": geometry.semi_major,
-        "neutral_curve.semi_minor": geometry.semi_minor,
-        **_of_flank("flexspline_tooth", geometry.flexspline_tooth),
-        "flexspline_tooth.root": geometry.flexspline_root,
-        "flexspline_tooth.tip": geometry.flexspline_tip,
-        **_of_flank("circular_spline_slot", geometry.circular_spline_slot),
-        "circular_spline_datum": geometry.circular_spline_datum,
-        "circular_spline_tip_radius": geometry.circular_spline_tip_radius,
-    }
-
-
-def _of_flank(name: str, flank: DoubleArc) -> dict[str, Value]:
-    return {
-        f"{name}.addendum_radius": flank.addendum_radius,
-        f"{name}.dedendum_radius": flank.dedendum_radius,
-        f"{name}.addendum_center": list(flank.addendum_center),
-        f"{name}.dedendum_center": list(flank.dedendum_center),
-    }

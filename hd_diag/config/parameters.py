@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-Value = bool | int | float | str | list[float] | list[str]
+Value = Any
+"""bool, int, float, str, or a list of numbers or texts: once checked, in its parameter's own type."""
 
 
 class ConfigError(ValueError):

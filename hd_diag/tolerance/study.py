@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.config.configured_drive import number
 from hd_diag.config.parameters import Value
 from hd_diag.drive import Drive
 from hd_diag.process_pool import ProcessPool
@@ -32,11 +31,10 @@ def limits_and_spreads(flat: Mapping[str, Value], joint: str) -> tuple[dict[str,
     """Limits by the names of the criteria, spreads by those of the quantities, of a configured joint."""
     start, limit = f"{joint}.tolerance.", f"{joint}.tolerance.limits."
     own = {name: value for name, value in flat.items() if name.startswith(start)}
-    limits = {name.removeprefix(limit): number(own, name) for name in own if name.startswith(limit)}
+    limits = {name.removeprefix(limit): own[name] for name in own if name.startswith(limit)}
     quantities = [name.removeprefix(start).removesuffix(".size") for name in own if name.endswith(".size")]
     spreads = {
-        name: Spread(str(own[f"{start}{name}.distribution"]), number(own, f"{start}{name}.size"))
-        for name in quantities
+        name: Spread(own[f"{start}{name}.distribution"], own[f"{start}{name}.size"]) for name in quantities
     }
     return limits, spreads
 
