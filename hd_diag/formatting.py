@@ -47,19 +47,16 @@ def number(value: float, spread: float = math.nan, digits: int = _DIGITS) -> str
         return "–"
     if not (math.isfinite(spread) and spread > 0.0):
         spread = abs(value) and 2.0 * 10.0 ** (math.floor(math.log10(abs(value))) + 1 - digits)
-    decimals = _decimals(spread) if spread > 0.0 else 0
+    decimals = 0
+    if spread > 0.0:
+        exponent = math.floor(math.log10(spread))
+        decimals = (1 if spread < 2.0 * 10.0**exponent else 0) - exponent
     return _signed(f"{value:.{min(max(decimals, 0), _MOST_DECIMALS)}f}")
 
 
 def rounded(value: float, digits: int = _DIGITS) -> float:
     """A number with so many significant digits."""
     return float(f"{value:.{digits}g}")
-
-
-def _decimals(spread: float) -> int:
-    """Places after the point that a spread's own digits reach."""
-    exponent = math.floor(math.log10(spread))
-    return (1 if spread < 2.0 * 10.0**exponent else 0) - exponent
 
 
 def _signed(text: str) -> str:

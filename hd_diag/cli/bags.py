@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from functools import partial
 from pathlib import Path
@@ -27,7 +26,7 @@ def replay(
     topics: tuple[str, ...],
     overwrite: bool,
     json_file: str | None,
-) -> None:
+) -> int:
     """Do what ``hd-diag replay`` is asked for."""
     config = configured(config_file) if config_file else None
     begin, kept, done = time.monotonic(), out.exists(), 0
@@ -56,7 +55,7 @@ def replay(
         write_json(json_file, _replay_json(result, out, took))
     if json_file != "-":
         _tell_replay(result, out, took)
-    sys.exit(Problem.exit_code if result.absent else 0)
+    return Problem.exit_code if result.absent else 0
 
 
 def _replay_json(result: Replay, out: Path, took: float) -> dict[str, object]:
@@ -115,4 +114,3 @@ def recover(bag: Path, out: Path, overwrite: bool, json_file: str | None) -> Non
     if json_file != "-":
         for line in report.statement():
             tell(line)
-    sys.exit(0)

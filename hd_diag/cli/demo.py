@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 from hd_diag.cli.examples import load_example
@@ -11,7 +10,7 @@ from hd_diag.cli.targets import Problem, write_json
 from hd_diag.ros.stop_signals import SIGNALLED
 
 
-def demo(folder: str | None, seconds: float, json_file: str | None) -> None:
+def demo(folder: str | None, seconds: float, json_file: str | None) -> int:
     """Do what ``hd-diag demo`` is asked for."""
     with needing_ros("the demo"):
         demo_run = load_example("demo.run")
@@ -22,5 +21,5 @@ def demo(folder: str | None, seconds: float, json_file: str | None) -> None:
     if json_file:
         write_json(json_file, summary)
     if summary["signal"] is not None:
-        sys.exit(SIGNALLED + summary["signal"])
-    sys.exit(0 if summary["complete"] else 1)
+        return SIGNALLED + int(summary["signal"])
+    return 0 if summary["complete"] else 1

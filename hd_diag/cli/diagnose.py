@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -34,7 +33,7 @@ def diagnose(
     model_file: Path | None,
     report_file: Path | None,
     json_file: str | None,
-) -> None:
+) -> int:
     """Do what ``hd-diag diagnose`` is asked for."""
     models = _model_files(model_file, records.joints)
     check_files((*models.values(), report_file, json_file))
@@ -56,11 +55,9 @@ def diagnose(
             page = of_diagnosis(found, joint, records.config.flat, np.random.default_rng(0))
         return as_json(found, joint.name, written), lines, page
 
-    results, complete = judge_each(records, judge, report_file, json_file)
+    results, code = judge_each(records, judge, report_file, json_file)
     named = any(result.get("causes") or result.get("unexplained") for result in results)
-    if fail_on_cause and named:
-        sys.exit(1)
-    sys.exit(0 if complete else Problem.exit_code)
+    return 1 if fail_on_cause and named else code
 
 
 def _model_files(file: Path | None, joints: Sequence[JointConfig]) -> dict[str, Path]:

@@ -43,7 +43,7 @@ _MEMORY_SHARE = 0.9  # of the machine's, for all workers together
 _ERRORS_SHOWN = 20
 
 
-def fleet(bags: tuple[Path, ...], config_file: str | None, names: tuple[str, ...], **given: Any) -> None:
+def fleet(bags: tuple[Path, ...], config_file: str | None, names: tuple[str, ...], **given: Any) -> int:
     """Do what ``hd-diag fleet`` is asked for."""
     config = configured(config_file)
     joints = tuple(chosen_joints(config, names))
@@ -55,7 +55,7 @@ def fleet(bags: tuple[Path, ...], config_file: str | None, names: tuple[str, ...
         raise Problem(str(error)) from error
     if given["json_file"] != "-":
         _show(health, given)
-    sys.exit(_code(health, given))
+    return _code(health, given)
 
 
 def _fleet(

@@ -33,7 +33,8 @@ class Target(click.Path):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """The path, or a Problem where its name is not that of such a file."""
         path = Path(value)
-        if self._endings and path.suffix.lower() not in self._endings and not _is_special(path):
+        is_special = path.exists() and not path.is_file()  # a device or a pipe, whose name says nothing
+        if self._endings and path.suffix.lower() not in self._endings and not is_special:
             raise Problem(f"{value}: the name must end with {' or '.join(self._endings)}")
         return super().convert(value, param, ctx)
 
@@ -52,17 +53,12 @@ class BagTarget(Target):
         return super().convert(value, param, ctx)
 
 
-def _is_special(path: Path) -> bool:
-    """Whether it is a device or a pipe, whose name says nothing."""
-    return path.exists() and not path.is_file()
-
-
 def verb(example: str, module: str = "", **settings: Any) -> Callable[[Callable[..., Any]], click.Command]:
     """A function without a body as a verb: its name, its help, and the options that decorate it.
 
-    The function of the same name does the work, in the module of its own name or of that given. It is
-    imported when the verb is called, its files are compared before. Bad input is one line; settings are of
-    click's context. The list of verbs shows the first line of the help.
+    The function of the same name does the work, in the module of its own name or of that given, and gives the
+    exit code (None: 0). The module is imported when the verb is called; its files are compared before. Bad
+    input is one line. Settings are of click's context. The list of verbs shows the first line of the help.
     """
 
     def made(stub: Callable[..., Any]) -> click.Command:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -90,7 +90,7 @@ def table_of(columns: str, divided: bool, rate: float, delimiter: str) -> Table:
     return Table(names, divided, rate, {"tab": "\t"}.get(delimiter, delimiter))
 
 
-def on_records(function: Callable[..., None]) -> Callable[..., None]:
+def on_records(function: Callable[..., int]) -> Callable[..., int]:
     """A verb's function that gets the options that say which records as :class:`Records`."""
 
     @functools.wraps(function)
@@ -105,12 +105,12 @@ def on_records(function: Callable[..., None]) -> Callable[..., None]:
         effect_files: tuple[Path, ...],
         time_limit: float = math.inf,
         **own: Any,
-    ) -> None:
+    ) -> int:
         catalogue = load(effect_files)
         config = configured(config_file, catalogue)
         joints = chosen_joints(config, names)
         table = None if columns is None else table_of(columns, divided, rate or 0.0, delimiter)
-        function(Records(bags, config, joints, table, catalogue, time_limit), **own)
+        return function(Records(bags, config, joints, table, catalogue, time_limit), **own)
 
     return run
 
@@ -121,8 +121,8 @@ Judged = tuple[dict[str, Any], list[str], JointReport | None]
 
 def judge_each(
     records: Records, judge: Callable[[JointConfig], Judged], page_file: Path | None, json_file: str | None
-) -> tuple[list[dict[str, Any]], bool]:
-    """Judge all joints; show the lines, write page and JSON; the joints' JSON, and whether all were judged.
+) -> tuple[list[dict[str, Any]], int]:
+    """Judge all joints; show the lines, write page and JSON; the joints' JSON, and the exit code.
 
     A joint that cannot be judged is reported on stderr and in the JSON, and the others go on; the only one is
     a Problem.
@@ -142,21 +142,17 @@ def judge_each(
         for line in lines if json_file != "-" else ():
             tell(f"{joint.name}: {line}")
     if page_file is not None and pages:
-        _write_page(page_file, pages, records.bags)
+        from hd_diag.report.page import page as drawn  # here, because matplotlib takes its time
+
+        with writing(page_file) as place:
+            place.write_text(drawn(pages, sources(records.bags)), encoding="utf-8")
         tell(f"report written: {page_file}", err=json_file == "-")
     if json_file:
         several = {"schema": "hd_diag/diagnoses/1", "joints": contents}
         write_json(json_file, contents[0] if len(contents) == 1 else several)
-    return contents, complete
+    return contents, 0 if complete else Problem.exit_code
 
 
 def not_judged(joint: str, error: Exception) -> dict[str, Any]:
     """JSON of a joint whose record cannot be judged."""
     return {"schema": "hd_diag/not_judged/1", "joint": joint, "error": str(error)}
-
-
-def _write_page(target: Path, reports: Sequence[JointReport], bags: Sequence[Path]) -> None:
-    from hd_diag.report.page import page  # here, because matplotlib takes its time
-
-    with writing(target) as place:
-        place.write_text(page(reports, sources(bags)), encoding="utf-8")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,6 @@ from hd_diag.bag.joint_record import InputRecord
 from hd_diag.cli.options import check_files
 from hd_diag.cli.progress import showing
 from hd_diag.cli.record import Judged, Records, judge_each, not_judged, on_records
-from hd_diag.cli.targets import Problem
 from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.record import RecordError
 from hd_diag.diagnosis.ripple.ripple import Ripple
@@ -21,7 +19,7 @@ from hd_diag.report.facts import of_diagnosis, of_motion
 
 
 @on_records
-def report(records: Records, out: Path | None, json_file: str | None) -> None:
+def report(records: Records, out: Path | None, json_file: str | None) -> int:
     """Do what ``hd-diag report`` is asked for."""
     target = out or Path(f"{records.bags[0].stem}.html")
     check_files((target, json_file))
@@ -44,8 +42,7 @@ def report(records: Records, out: Path | None, json_file: str | None) -> None:
             page = of_diagnosis(found, joint, flat, np.random.default_rng(0))
             return as_json(found, joint.name), [page.verdict], page
 
-    _, complete = judge_each(records, judge, target, json_file)
-    sys.exit(0 if complete else Problem.exit_code)
+    return judge_each(records, judge, target, json_file)[1]
 
 
 def _motion(records: Records, joint: JointConfig) -> tuple[InputRecord | None, Ripple | None]:

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import sys
-
 from rich.table import Table
 
 from hd_diag.cli.lines import show_table
 from hd_diag.cli.progress import showing
 from hd_diag.cli.record import Judged, Records, judge_each, on_records
-from hd_diag.cli.targets import Problem
 from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.ripple.ripple import Ripple
 from hd_diag.diagnosis.ripple.verdict import TITLES, as_json, row, sentence
@@ -17,7 +14,7 @@ from hd_diag.diagnosis.stamps import UNTOLD
 
 
 @on_records
-def ripple(records: Records, json_file: str | None) -> None:
+def ripple(records: Records, json_file: str | None) -> int:
     """Do what ``hd-diag ripple`` is asked for."""
     tables: dict[str, Ripple] = {}
 
@@ -29,10 +26,10 @@ def ripple(records: Records, json_file: str | None) -> None:
         tables[joint.name], stamps = found, motion.stamps if motion else UNTOLD
         return as_json(found, joint.name) | stamps.told, [*stamps.lines, sentence(found)], None
 
-    _, complete = judge_each(records, judge, None, json_file)
+    _, code = judge_each(records, judge, None, json_file)
     for name, found in tables.items() if json_file != "-" else ():
         show_table(_table(name, found))
-    sys.exit(0 if complete else Problem.exit_code)
+    return code
 
 
 def _table(name: str, found: Ripple) -> Table:

@@ -14,6 +14,7 @@ from hd_diag.cli.joints import chosen_joints, configured
 from hd_diag.cli.lines import tell
 from hd_diag.cli.progress import interrupted, working
 from hd_diag.cli.targets import Problem, write_json
+from hd_diag.cli.verbs.bags import SHORT
 from hd_diag.config.configuration import Config, ConfigError, resolve
 from hd_diag.config.parameter_file import parse_value
 from hd_diag.config.parameters import JOINT_PARAMETERS
@@ -26,15 +27,6 @@ _SECOND = 1_000_000_000  # [ns]
 _MOTION = Motion()
 
 _RATED = 56.0  # torque of the drive that the motion's own torques are meant for [N m]
-
-# Short options for the values most asked for: parameter, and its unit in the option's unit.
-_SHORT = {
-    "eccentricity_um": ("eccentricity.magnitude", 1e-6),
-    "direction_deg": ("eccentricity.direction", math.pi / 180.0),
-    "runout_um": ("runout.magnitude", 1e-6),
-    "runout_direction_deg": ("runout.direction", math.pi / 180.0),
-    "datum_mm": ("circular_spline_datum", 1e-3),
-}
 
 
 def simulate(
@@ -102,7 +94,7 @@ def _true_configuration(file: str | None, names: tuple[str, ...], given: dict[st
         chosen_joints(config, names)
         flat = dict(config.given)
     for joint in names or flat["joints"]:
-        for option, (parameter, unit) in _SHORT.items():
+        for option, (parameter, unit, _) in SHORT.items():
             if given[option] is not None:
                 flat[f"{joint}.{parameter}"] = given[option] * unit
     return resolve(flat | dict(map(_assignment, given["assignments"])))

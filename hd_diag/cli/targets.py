@@ -27,7 +27,8 @@ def check_targets(targets: Iterable[str | Path | None], *inputs: Path) -> None:
     wanted = [Path(target) for target in targets if target not in (None, "-")]
     for one, other in itertools.permutations(wanted, 2):
         own, within = (Path(os.path.realpath(path)) for path in (one, other))
-        if own == within or own in within.parents or _is_same(one, other):
+        is_same = one.is_file() and other.is_file() and one.samefile(other)  # also by hard links
+        if own == within or own in within.parents or is_same:
             raise Problem(f"{one} and {other} must be different files")
     for target in wanted:
         folder = target.absolute().parent
@@ -44,11 +45,6 @@ def check_targets(targets: Iterable[str | Path | None], *inputs: Path) -> None:
                 check_output(target, *there)
             except BagError as error:
                 raise Problem(str(error)) from error
-
-
-def _is_same(one: Path, other: Path) -> bool:
-    """Whether both are names of one file that exists, hard links included."""
-    return one.is_file() and other.is_file() and os.path.samefile(one, other)
 
 
 @contextmanager

@@ -15,8 +15,9 @@ from hd_diag.cli.joints import chosen_joint, configured
 from hd_diag.cli.lines import show_table, tell
 from hd_diag.cli.progress import showing
 from hd_diag.cli.targets import Problem, write_json, writing
+from hd_diag.cli.verbs.drives import LIMITS
 from hd_diag.config.configuration import Config, JointConfig
-from hd_diag.formatting import ARCSEC, words
+from hd_diag.formatting import words
 from hd_diag.model.threads import cores
 from hd_diag.process_pool import ProcessPool
 from hd_diag.tolerance import limit
@@ -24,17 +25,6 @@ from hd_diag.tolerance.assembly import FACTORS
 from hd_diag.tolerance.criteria import CRITERIA
 from hd_diag.tolerance.document import document, yielded
 from hd_diag.tolerance.study import Question, Study, limits_and_spreads, study
-
-_UM = 1e-6
-# Options that take the place of configured limits: criterion, and the option's unit in SI.
-_LIMITS = {
-    "interference_um": ("interference", _UM),
-    "overlap_um": ("overlap", _UM),
-    "peak_load": ("peak_tooth_load", 1.0),
-    "load_concentration": ("load_concentration", 1.0),
-    "stiffness_loss": ("stiffness_loss", 1.0),
-    "te_arcsec": ("transmission_error", ARCSEC),
-}
 
 
 def tolerance(
@@ -71,7 +61,7 @@ def _question(config: Config, joint: JointConfig, given: dict[str, Any]) -> Ques
     if samples & (samples - 1) or samples == 1:
         raise Problem(f"--sensitivity-samples must be a power of two from 2 on, not {samples}")
     limits, spreads = limits_and_spreads(config.flat, joint.name)
-    for option, (name, unit) in _LIMITS.items():
+    for option, (name, unit, *_) in LIMITS.items():
         if given[option] is not None:
             limits[name] = given[option] * unit
             if not math.isfinite(limits[name]):
@@ -81,7 +71,7 @@ def _question(config: Config, joint: JointConfig, given: dict[str, Any]) -> Ques
         np.array(given["torques"] or (joint.drive.rated_torque,), dtype=np.float64),
         limits,
         spreads,
-        limit.largest_eccentricity(joint.drive) if largest is None else largest * _UM,
+        limit.largest_eccentricity(joint.drive) if largest is None else largest * 1e-6,
         given["samples"],
         samples,
         given["seed"],

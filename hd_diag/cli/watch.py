@@ -35,7 +35,7 @@ def watch(
     timeout: float,
     fail_on_fault: bool,
     json_file: str | None,
-) -> None:
+) -> int:
     """Do what ``hd-diag watch`` is asked for."""
     with needing_ros("watch"):
         from hd_diag.watch.listener import listening
@@ -57,7 +57,7 @@ def watch(
             came.clear()
         except OSError as error:
             raise Problem(f"{json_file}: cannot be written: {error.strerror}") from error
-    sys.exit(SIGNALLED + came[0] if came else int(fail_on_fault and is_faulty))
+    return SIGNALLED + came[0] if came else int(fail_on_fault and is_faulty)
 
 
 def _wait_for_all(state: Watch, listener: Listener, came: Sequence[int], timeout: float) -> None:

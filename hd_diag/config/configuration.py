@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from copy import copy
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -158,13 +159,8 @@ def _joint_values(name: str, found: Mapping[str, Value]) -> tuple[dict[str, Valu
         values = joint_values({names[full]: value for full, value in found.items() if full in names})
     except ValueError as error:
         raise ConfigError(f"{name}: {error}") from error
-    every, beside = ({f"{name}.{own}": _unshared(value) for own, value in part.items()} for part in values)
+    every, beside = ({f"{name}.{own}": copy(value) for own, value in part.items()} for part in values)
     return every, beside
-
-
-def _unshared(value: Value) -> Value:
-    """A value that no other parameter shares."""
-    return list(value) if isinstance(value, list) else value
 
 
 def _own(joint: str, flat: Mapping[str, Value]) -> dict[str, Value]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from hd_diag.config.parameters import ConfigError, Value, shown
-from hd_diag.streams.signals import ROLES, Signal, Signals, Unit, unit
+from hd_diag.streams.signals import ROLES, Signal, Signals, unit
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 TEMPERATURE = "sensor_msgs/msg/Temperature"
@@ -65,13 +65,8 @@ def _signal(joint: str, role: str, owner: str, own: Mapping[str, Value]) -> Sign
         known = unit(role, text or ("rad/s" if is_velocity else usual_unit))
     except ValueError as error:
         raise ConfigError(f"{joint}.{owner}.unit: {error}") from error
-    return Signal(
-        topic, type_name, (field or usual_field).replace("{name}", name), name, _scaled(known, scale, sign)
-    )
-
-
-def _scaled(known: Unit, scale: Any, sign: Any) -> Unit:
-    return known._replace(factor=known.factor * float(scale) * int(sign))
+    known = known._replace(factor=known.factor * scale * sign)
+    return Signal(topic, type_name, (field or usual_field).replace("{name}", name), name, known)
 
 
 def _type(parameter: str, text: str) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import click
 
 from hd_diag.cli import options
@@ -52,6 +54,22 @@ def replay() -> None:
     """
 
 
+_DEGREE = math.pi / 180.0
+
+SHORT = {
+    "eccentricity_um": ("eccentricity.magnitude", 1e-6, "Eccentricity, fixed in the housing [µm]."),
+    "direction_deg": ("eccentricity.direction", _DEGREE, "Its direction [degrees]."),
+    "runout_um": ("runout.magnitude", 1e-6, "Runout, which turns with the wave generator [µm]."),
+    "runout_direction_deg": (
+        "runout.direction",
+        math.pi / 180.0,
+        "Its direction at input angle 0 [degrees].",
+    ),
+    "datum_mm": ("circular_spline_datum", 1e-3, "Datum radius of the circular spline's slots [mm]."),
+}
+"""Options for the values most asked for: parameter, unit in SI, and help."""
+
+
 @options.verb("simulate --out joint.mcap --eccentricity-um 18")
 @options.OUT_BAG
 @options.CONFIG
@@ -66,11 +84,12 @@ def replay() -> None:
     help="Torque on the link [N m]; repeatable. [default: -71, -25, 25, 71 % of the rated torque]",
 )
 @click.option("--one-way", is_flag=True, help="Turn forwards only.")
-@click.option("--eccentricity-um", type=float, help="Eccentricity, fixed in the housing [µm].")
-@click.option("--direction-deg", type=float, help="Its direction [degrees].")
-@click.option("--runout-um", type=float, help="Runout, which turns with the wave generator [µm].")
-@click.option("--runout-direction-deg", type=float, help="Its direction at input angle 0 [degrees].")
-@click.option("--datum-mm", type=float, help="Datum radius of the circular spline's slots [mm].")
+@options.together(
+    *(
+        click.option(f"--{name.replace('_', '-')}", type=float, help=text)
+        for name, (_, _, text) in SHORT.items()
+    )
+)
 @click.option(
     "--set",
     "assignments",

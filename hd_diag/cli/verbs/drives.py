@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from hd_diag.cli import options
+from hd_diag.formatting import ARCSEC
 
 
 @options.verb("check config/example_drive.yaml")
@@ -100,14 +101,15 @@ def mesh() -> None:
 
 
 _SHARE = click.FloatRange(0.0, 1.0)
-_LIMITS = {
-    "interference_um": (click.FLOAT, "the overlap of teeth at one lobe [µm]"),
-    "overlap_um": (click.FLOAT, "the overlap of both lobes, no torque [µm]"),
-    "peak_load": (click.FloatRange(0.0), "the force on a flank [N]"),
-    "load_concentration": (click.FloatRange(1.0), "largest over mean force [-]"),
-    "stiffness_loss": (_SHARE, "the share of torsional stiffness lost [-]"),
-    "te_arcsec": (click.FloatRange(0.0), "the error, peak to peak [arcsec]"),
+LIMITS = {
+    "interference_um": ("interference", 1e-6, click.FLOAT, "the overlap of teeth at one lobe [µm]"),
+    "overlap_um": ("overlap", 1e-6, click.FLOAT, "the overlap of both lobes, no torque [µm]"),
+    "peak_load": ("peak_tooth_load", 1.0, click.FloatRange(0.0), "the force on a flank [N]"),
+    "load_concentration": ("load_concentration", 1.0, click.FloatRange(1.0), "largest over mean force [-]"),
+    "stiffness_loss": ("stiffness_loss", 1.0, _SHARE, "the share of torsional stiffness lost [-]"),
+    "te_arcsec": ("transmission_error", ARCSEC, click.FloatRange(0.0), "the error, peak to peak [arcsec]"),
 }
+"""Options that take the place of configured limits: criterion, unit in SI, and what the option takes."""
 
 
 @options.verb("tolerance --config arm.yaml --joint elbow --te-arcsec 20")
@@ -123,7 +125,7 @@ _LIMITS = {
 @options.together(
     *(
         click.option(f"--{name.replace('_', '-')}", type=kind, help=f"Limit on {what}.")
-        for name, (kind, what) in _LIMITS.items()
+        for name, (*_, kind, what) in LIMITS.items()
     )
 )
 @click.option(
