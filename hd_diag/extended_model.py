@@ -10,13 +10,13 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.drive import Drive, transmission_error
-from hd_diag.effects.contact_table import ContactTable
+from hd_diag.effects.contact_table import MAP_STEPS, ContactTable
 from hd_diag.effects.contact_weights import ContactWeights, greatest_torque
 from hd_diag.effects.effect import Effect, Stage, Values
 from hd_diag.effects.mesh_torque import MeshTorque
 from hd_diag.effects.signals import Signals
 from hd_diag.effects.stages import seen_at
-from hd_diag.model.torsion_map import TorsionMap, build
+from hd_diag.model.torsion_map import STEPS_PER_TOOTH, TorsionMap, build
 
 TORQUE_RANGE = 2.0
 """Torque that the map of a running joint reaches, over the rated torque [-]; beyond, it is exact."""
@@ -175,8 +175,16 @@ class ExtendedModel:
     @cached_property
     def torsion_map(self) -> TorsionMap | None:
         """The map by which a node predicts; None where the mesh has none: there the prediction is exact."""
+        return self._map(STEPS_PER_TOOTH)
+
+    @cached_property
+    def coarse_map(self) -> TorsionMap | None:
+        """The same to run along a record, built in a quarter of the time."""
+        return self._map(MAP_STEPS)
+
+    def _map(self, steps: int) -> TorsionMap | None:
         try:
-            return build(self.drive.mesh, TORQUE_RANGE * self.drive.rated_torque)
+            return build(self.drive.mesh, TORQUE_RANGE * self.drive.rated_torque, steps_per_tooth=steps)
         except ValueError:
             return None
 

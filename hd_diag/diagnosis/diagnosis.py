@@ -157,10 +157,10 @@ def diagnose(
     work.tell(0.12, "looking for causes")
     plain = settle(begun, begun.data.given)
     found = search(plain, rng, first.parameters)
-    work.tell(0.78, "measuring the gain")
+    work.tell(0.73, "measuring the gain")
     best = _predicting(record, test, which, plain, found, rng)
     kept, rms, gain = best.kept, best.rms, best.gain
-    work.tell(0.88, "using all data")
+    work.tell(0.86, "using all data")
     whole = doubted(refitted(settle(replace(best.every, held=kept.held), best.found.chosen), best.found))
     del begun, plain, found, best  # some hundred columns each
     parameters, covariance = parameters_of(whole)
@@ -168,7 +168,7 @@ def diagnose(
     certain = first.trustworthy or "eccentricity" in kept.bounds or alone(whole.fit, whole.chosen, rng)
     trustworthy = certain and not fit_parameters.at_bound(parameters, configured)
     drive = fit_parameters.drive_of(parameters, configured)
-    work.tell(0.94, "looking at what no cause explains")
+    work.tell(0.92, "looking at what no cause explains")
     left, testable = _described(record, unexplained(whole), rms), list[Testability]()
     with work.until(_TESTED, "testing what this motion could have shown"):
         testable = testability(whole)

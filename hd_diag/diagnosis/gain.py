@@ -146,7 +146,7 @@ def measured_gain(
     nominal = unseen(_nominal_residual(record, configured))
     model = extended_model(found, configured, record.select(~test))
     extended, live = (
-        unseen(running_residual(model, record, torque, model.torsion_map))
+        unseen(running_residual(model, record, torque, model.coarse_map))
         for torque in (record.torque, record.reported_torque)
     )
     seen = found.fit.signals

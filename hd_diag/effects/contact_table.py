@@ -38,6 +38,9 @@ NO_OPENING: Openings = (0.0, 0.0)
 TORQUES = 24
 """Torques of the grid on each side of zero, closer near zero where few pairs bear."""
 
+MAP_STEPS = 16
+"""Of a map along a record, per tooth passing: 0.005 arcsec rms."""
+
 PHASES = 16
 """Phases of the flexspline under the wave generator, over half a turn."""
 
@@ -47,7 +50,6 @@ _SPARSE = 4  # angles of the grid at which teeth are displaced: what is beyond t
 _MOST_KEPT = 24 << 20  # bytes
 _BEYOND = 1.2  # of the torque limit
 _MEAN_TORQUES, _MEAN_ANGLES = 401, 101
-_MAP_STEPS = 16  # per tooth passing: 0.005 arcsec rms
 _FEW_SLOTS = 16  # around the gear, that stand for all
 
 
@@ -85,7 +87,7 @@ class ContactTable:
 
         Where teeth enter by their corners the torsion jumps at some angle: here it does so within a step.
         """
-        found = build(self.drive.mesh, _BEYOND * self.torque_limit, steps_per_tooth=_MAP_STEPS)
+        found = build(self.drive.mesh, _BEYOND * self.torque_limit, steps_per_tooth=MAP_STEPS)
         return replace(found, torque_limit=found.requested_limit)
 
     @cached_property

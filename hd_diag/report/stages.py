@@ -79,7 +79,7 @@ def stages(diagnosis: Diagnosis, plain: LinearisedFit | None) -> Stages:
         residual[REFIT] = plain.remainder(())
     if diagnosis.model is not None and (diagnosis.causes or diagnosis.hints):
         whole, model = diagnosis.record, diagnosis.model
-        residual[EXTENDED] = running_residual(model, whole, whole.torque, model.torsion_map)[rows]
+        residual[EXTENDED] = running_residual(model, whole, whole.torque, model.coarse_map)[rows]
     drive = diagnosis.refitted.drive if diagnosis.refitted else configured
     angle = drive.frame.wave_generator_angle(record.input_angle)
     return Stages(record, angle, error - offset, residual, drive)

@@ -78,7 +78,9 @@ class RecordModel:
                 seen = self.motion if record.taken is None else self.motion.bearing(record.by_sensor)
                 return np.nan_to_num(effect.torque(seen, nonlinear))
             columns = np.nan_to_num(effect.torque(self.motion.bearing(record.reported_torque), nonlinear))
-            return smooth(columns, record.run, float(np.median(np.diff(record.time))), width)
+            used, step = np.flatnonzero(columns.any(axis=0)), float(np.median(np.diff(record.time)))
+            columns[:, used] = smooth(columns[:, used], record.run, step, width)
+            return columns
 
         return self.kept.get(("torque", effect.name, nonlinear), torque)
 

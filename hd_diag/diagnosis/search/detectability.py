@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy import optimize, stats
@@ -70,6 +71,7 @@ def _usual(effect: Effect, columns: Floats) -> float:
     return _LARGE * float(np.max((rms * scales)[used], initial=0.0))
 
 
+@lru_cache(maxsize=64)
 def _noncentrality(width: int, family: int) -> float:
     """Noncentrality at which a chi-square test at the family's level has the power wanted."""
     threshold = stats.chi2.isf(FAMILY_ERROR / family, width)

@@ -47,7 +47,7 @@ _PLAINLY = 10.0  # surprise by which an unmodelled term must beat all causes to 
 _RESOLVED = 5.0  # surprise by which a wave of any order must beat a whole number per output turn
 _RESTART_GAIN = 12.0  # deviance by which another minimum must beat the present one
 _SEARCHED = 0.45  # of the time that a diagnosis may take, by which it must end
-_FIRST, _LAST = 0.15, 0.75  # of the time it takes, that are gone when the search begins and ends
+_FIRST, _LAST = 0.15, 0.63  # of the time it takes, that are gone when the search begins and ends
 _ROUND = 0.45  # of what is left of the search, after each round
 
 
