@@ -99,7 +99,7 @@ def _colour(row: Row, series: Sequence[Series], limits: Limits) -> Colour:
     unjudged = row.get("error") or (row.get("judgement") == "not_judged" and row["verdict"])
     limited = () if unjudged else tuple(one for each in series if (one := _limited(row, each, limits)))
     cut, places = (*missing(row), *left_out(row)), {one.place for one in limited}
-    reasons = [phrase(one) for one in limited if one.place in ("beyond", "near")]
+    reasons = [_excess(one) for one in limited if one.place in ("beyond", "near")]
     skipped, rippled = "tooth_skip" in (row.get("causes") or []), bool(row.get("ripple_orders"))
     known = any(one.quantity == ERROR and one.place != "open" for one in limited)
     rules: tuple[tuple[Any, str, list[str]], ...] = (  # the first that holds
@@ -144,16 +144,11 @@ def _limited(row: Row, series: Series, limits: Limits) -> Limited | None:
     return Limited(series.quantity, float(series.value[at[-1]]), std, limit, series.unit)
 
 
-def phrase(one: Limited) -> str:
-    """A quantity beside its limit in words."""
-    where = {
-        "within": "within its limit of {}",
-        "near": "too near to its limit of {} to judge",
-        "beyond": "beyond its limit of {}",
-        "open": "not known well enough beside its limit of {}",
-    }[one.place]
-    limit = where.format(size(one.limit, one.unit))
-    return f"{words(one.quantity)} {si(one.value, one.std, one.unit)}, {limit}"
+def _excess(one: Limited) -> str:
+    """A quantity that is not within its limit, in words."""
+    limit = f"its limit of {size(one.limit, one.unit)}"
+    where = f"beyond {limit}" if one.place == "beyond" else f"too near to {limit} to judge"
+    return f"{words(one.quantity)} {si(one.value, one.std, one.unit)}, {where}"
 
 
 # Joints ---
