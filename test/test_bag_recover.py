@@ -290,15 +290,16 @@ def test_messages_without_a_declared_topic_are_counted(tmp_path):
 
 
 def test_a_bag_that_does_not_read_back_is_an_error(tmp_path, monkeypatch):
-    """The result is compared with what was saved, content and all."""
     path = write_with_mcap(tmp_path / "a.mcap", messages(20))
-    original = BagWriter.write
+    original, calls = BagWriter.write, []
 
-    def careless(self, topic, kind, data, *times):
-        original(self, topic, kind, bytes(reversed(bytes(data))), *times)
+    def careless(self, *message):
+        calls.append(message)
+        if len(calls) != 7:
+            original(self, *message)
 
     monkeypatch.setattr(BagWriter, "write", careless)
-    with pytest.raises(BagError, match="does not read back"):
+    with pytest.raises(BagError, match="holds 19 messages instead of 20"):
         recover(path, tmp_path / "b.mcap")
     with BagReader(tmp_path / "b.mcap") as reader:
         assert reader.problems  # it does not pass for whole either

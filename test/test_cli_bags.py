@@ -159,7 +159,7 @@ def interrupting(
 
 
 STOPPED = {
-    recover: ("hd_diag.bag.recover._lines", ""),
+    recover: ("hd_diag.bag.recover._copy", ""),
     replay: ("hd_diag.replay.replay.temperature_changes", "what "),
 }
 
@@ -189,7 +189,7 @@ def test_ctrl_c_leaves_a_whole_bag_and_says_what_there_is(
 def test_ctrl_c_while_the_result_is_read_back(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    interrupting(monkeypatch, "hd_diag.bag.recover._read_back", 1)
+    interrupting(monkeypatch, "hd_diag.bag.recover._verify", 1)
     assert run(recover, folder / "long.mcap", "--out", tmp_path / "out.mcap").exit_code == 130
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import functools
 import os
-import zlib
-from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -49,8 +47,8 @@ class FileRecovery:
 class RecoveryReport:
     """What was saved and what was lost.
 
-    `out` are the files written and found equal to what was saved, `counts` the messages saved of each topic,
-    `start` and `end` their least and greatest log time [ns], `problems` what is wrong with the folder,
+    `out` are the files written and read back, `counts` the messages saved of each topic, `start` and
+    `end` their least and greatest log time [ns], `problems` what is wrong with the folder,
     `unknown` topics whose types the bag does not define in a way that can be understood.
     """
 
@@ -66,6 +64,12 @@ class RecoveryReport:
     def complete(self) -> bool:
         """Whether nothing was lost that is known of."""
         return not self.problems and not any(f.problems or f.lost for f in self.files)
+
+    def add(self, topic: str, log_time: int) -> None:
+        """Count a message of a topic at a time [ns]."""
+        self.counts[topic] = self.counts.get(topic, 0) + 1
+        self.start = log_time if self.start is None else min(self.start, log_time)
+        self.end = log_time if self.end is None else max(self.end, log_time)
 
     def statement(self) -> list[str]:
         """What was saved and lost, in lines for people."""
@@ -127,77 +131,64 @@ def recover(
     found = find_files(Path(bag), lenient=True)
     files = [FileRecovery(path, path.stat().st_size) for path in found.paths]
     total, before = sum(file.size for file in files), 0
-    report, saved = RecoveryReport([], files, problems=found.problems), _Tally()
+    report, topics = RecoveryReport([], files, problems=found.problems), dict[tuple[str, str], Topic]()
     with replaced(out, overwrite=overwrite) as place:
         with ExitStack() as stack:
             begin = functools.cache(lambda: stack.enter_context(BagWriter(place, overwrite=overwrite)))
             for file in files:
                 size = file.size
-                for topics, block, reached in _salvage(file):
-                    _copy(begin, topics, block, file, saved, packed=found.message_compression)
+                for known, block, reached in _salvage(file):
+                    topics |= _copy(begin, known, block, report, file, packed=found.message_compression)
                     progress(min(before + reached, total), total)
                 before += size
             if report.complete:
                 begin()  # a whole bag that is empty stays one
             paths = begin().paths if begin.cache_info().currsize else []
         if paths:
-            _verify(paths, saved, lambda: progress(total, total))
+            _verify(paths, sum(file.messages for file in files), lambda: progress(total, total))
             report.out = [Path(out) / path.relative_to(place) for path in paths]
-    if saved.counts:
-        report.counts, report.start, report.end = dict(saved.counts), saved.start, saved.end
-    report.unknown = sorted(topic.name for topic in saved.topics.values() if not _is_understood(topic))
+    report.unknown = sorted({topic.name for topic in topics.values() if not _is_understood(topic)})
     return report
-
-
-class _Tally:
-    """Counts, times [ns] and an order-independent digest of messages."""
-
-    def __init__(self) -> None:
-        self.counts: Counter[str] = Counter()
-        self.topics: dict[tuple[str, str], Topic] = {}
-        self.digest = 0
-        self.start, self.end = 2**63 - 1, 0
-
-    def add(self, topic: str, data: bytes | memoryview, log_time: int) -> None:
-        self.counts[topic] += 1
-        self.start, self.end = min(self.start, log_time), max(self.end, log_time)
-        self.digest += zlib.crc32(data, zlib.crc32(topic.encode(), log_time & 0xFFFFFFFF))
 
 
 def _copy(
     begin: Callable[[], BagWriter],
     topics: dict[int, Topic],
     block: Block,
-    report: FileRecovery,
-    saved: _Tally,
+    report: RecoveryReport,
+    file: FileRecovery,
     *,
     packed: bool,
-) -> None:
-    """Write the messages whose topics are known and whose times can be; the first begins the bag."""
-    lost: Counter[str] = Counter()
+) -> dict[tuple[str, str], Topic]:
+    """Write the messages whose times can be and whose topics are known; these are given by name and type."""
     here = set(np.unique(block.channel).tolist())
     known = {number: topic for number, topic in topics.items() if number in here and _is_defined(topic)}
     for topic in known.values():
         text = topic.definition if topic.definition is not None and topic.definition.text else None
         begin().add_topic(topic.name, topic.type_name, topic.offers, text)
-        saved.topics[topic.name, topic.type_name] = topic
-    for channel, data, log_time, publish_time in _lines(block):
-        if log_time < 0 or publish_time < 0:
-            lost["messages have a time beyond the year 2262"] += 1
-        elif channel not in known:
-            lost["messages belong to no topic with a known definition"] += 1
-        else:
+    is_late, is_known = (block.log_time < 0) | (block.publish_time < 0), np.isin(block.channel, [*known])
+    lost = {
+        "messages have a time beyond the year 2262": int(is_late.sum()),
+        "messages belong to no topic with a known definition": int((~is_late & ~is_known).sum()),
+        "compressed messages are damaged": 0,
+    }
+    good = block[~is_late & is_known]
+    for first in range(0, len(good), _AT_ONCE):
+        part = good[first : first + _AT_ONCE]
+        columns = (column.tolist() for column in (part.channel, part.log_time, part.publish_time))
+        for data, channel, *times in zip(part.messages(), *columns, strict=True):
             try:
-                message = decompressed(report.path, data) if packed else data
+                message = decompressed(file.path, data) if packed else data
             except BagError:
                 lost["compressed messages are damaged"] += 1
                 continue
             topic = known[channel]
-            begin().write(topic.name, topic.type_name, message, log_time, publish_time)
-            saved.add(topic.name, message, log_time)
-    report.problems += [f"{count} {what}" for what, count in lost.items()]
-    report.lost += sum(lost.values())
-    report.messages += len(block) - sum(lost.values())
+            begin().write(topic.name, topic.type_name, message, *times)
+            report.add(topic.name, times[0])
+    file.problems += [f"{count} {what}" for what, count in lost.items() if count]
+    file.lost += sum(lost.values())
+    file.messages += len(block) - sum(lost.values())
+    return {(topic.name, topic.type_name): topic for topic in known.values()}
 
 
 def _is_defined(topic: Topic) -> bool:
@@ -212,16 +203,6 @@ def _is_understood(topic: Topic) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _lines(block: Block) -> Iterator[tuple[int, memoryview, int, int]]:
-    """Channel, content, log time and publish time [ns] of the messages, one by one."""
-    view = memoryview(block.data)
-    for first in range(0, len(block), _AT_ONCE):
-        part = block[first : first + _AT_ONCE]
-        columns = (part.channel, part.offset, part.size, part.log_time, part.publish_time)
-        for channel, offset, size, *times in zip(*(column.tolist() for column in columns), strict=True):
-            yield channel, view[offset : offset + size], *times
 
 
 def _salvage(report: FileRecovery) -> Iterator[_Piece]:
@@ -282,26 +263,20 @@ def _salvage_mcap(path: Path, report: FileRecovery, stack: ExitStack) -> Iterato
         report.lost += max(0, found.statistics.message_count - read)
 
 
-def _verify(paths: list[Path], saved: _Tally, progress: Callable[[], None]) -> None:
-    """Read the result and compare it with what was saved; a result that is wrong loses its end."""
+def _verify(paths: list[Path], count: int, progress: Callable[[], None]) -> None:
+    """Read the result, whose checksums must hold, and count it; a result that is wrong loses its end."""
     try:
-        again = _read_back(paths, progress)
-        if (again.counts, again.digest) != (saved.counts, saved.digest):
-            raise BagError(paths[0], "does not read back as it was written")
+        found = 0
+        for path in paths:
+            again = FileRecovery(path, path.stat().st_size)
+            for _, block, _ in _salvage(again):  # in the order of the file: nothing is held for sorting
+                found += len(block)
+                progress()
+            if again.problems:
+                raise BagError(path, f"was written but {again.problems[0]}")
+        if found != count:
+            raise BagError(paths[0], f"was written but holds {found} messages instead of {count}")
     except BagError:
         for path in paths:
             os.truncate(path, max(0, path.stat().st_size - len(MAGIC)))
         raise
-
-
-def _read_back(paths: list[Path], progress: Callable[[], None]) -> _Tally:
-    again = _Tally()
-    for path in paths:
-        report = FileRecovery(path, path.stat().st_size)
-        for topics, block, _ in _salvage(report):  # in the order of the file: nothing is held for sorting
-            for channel, data, log_time, _ in _lines(block):
-                again.add(topics[channel].name, data, log_time)
-            progress()
-        if report.problems:
-            raise BagError(path, f"was written but {report.problems[0]}")
-    return again
