@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import functools
 import itertools
-import struct
 from collections.abc import Mapping, Sequence
 from types import ModuleType
 from typing import NamedTuple
@@ -18,6 +17,7 @@ import numpy as np
 
 from hd_diag.arrays import Bytes, Integers, Times
 from hd_diag.config.configured_signals import JOINT_STATE as JOINT_STATE
+from hd_diag.messages.cdr import Walk, aligned, bad_stamp, by_size
 from hd_diag.messages.field_path import path_in
 from hd_diag.messages.schemas import jazzy
 from hd_diag.streams.columns import JointStates
@@ -27,6 +27,7 @@ from hd_diag.streams.signals import Signal
 _REMEMBERED = 64
 # A batch with more layouts than this is decoded message by message.
 _MAX_LAYOUTS = 16
+_FRAME = 12  # place of the frame's name, behind the stamp
 _FIRST = np.zeros(1, np.int64)
 
 
@@ -61,29 +62,26 @@ def layout_of(data: bytes) -> Layout:
     ValueError
         Where it is malformed; the message says how.
     """
-    if len(data) < 16 or data[0] != 0 or data[1] > 1:
-        raise ValueError("is not a CDR message")
-    walk = _Walk(data, "<" if data[1] else ">")
-    frame_id = walk.string()
-    count = walk.uint32()
-    if count > walk.left // 4:
-        raise ValueError(f"claims {count} names")
-    names = tuple(walk.string() for _ in range(count))
-    fixed, places, begin = [(0, 4)], [], 12
+    walk = Walk(data, jazzy())
+    fields, _ = walk.message(JOINT_STATE, 4)  # what follows is padding, as of rclpy: readers ignore it
+    frame_id, _ = _text(walk, _FRAME)
+    _, count, begin = walk.elements(*fields["name"])
+    names = []
+    for _ in range(count):
+        name, begin = _text(walk, begin)
+        names.append(name)
+    fixed, places, begin = [(0, 4)], [], _FRAME
     for what in ("position", "velocity", "effort"):
-        length = walk.uint32()
-        if length > walk.left // 8:
-            raise ValueError(f"is cut off: claims {length} values of {what}")
+        _, length, start = walk.elements(*fields[what])
         if length not in (0, count):
             raise ValueError(f"has {length} values of {what} for {count} names")
-        fixed.append((begin, walk.position))
-        places.append(walk.doubles(length))
-        begin = walk.position
-    # What follows is padding, as rclpy adds where the last array is empty: readers ignore it.
+        fixed.append((begin, start))
+        places.append(aligned(start, 8) if length else 0)
+        begin = places[-1] + 8 * length if length else start
     present, template = tuple(map(bool, places)), np.frombuffer(data, np.uint8)
     return Layout(
-        walk.order,
-        names,
+        "<" if data[1] else ">",
+        tuple(names),
         frame_id,
         present,
         np.array([*filter(None, places)], np.int64),
@@ -92,47 +90,15 @@ def layout_of(data: bytes) -> Layout:
     )
 
 
-class _Walk:
-    """Reads CDR from a message; positions count from its first byte, alignment from the end of its header."""
-
-    def __init__(self, data: bytes, order: str) -> None:
-        self.data, self.order, self.position = data, order, 12
-        self._uint32 = struct.Struct(order + "I").unpack_from
-
-    @property
-    def left(self) -> int:
-        return len(self.data) - self.position
-
-    def uint32(self) -> int:
-        self.position = (self.position + 3) & -4
-        if self.left < 4:
-            raise ValueError("is cut off")
-        (value,) = self._uint32(self.data, self.position)
-        self.position += 4
-        return int(value)
-
-    def string(self) -> str:
-        size = self.uint32()
-        if size > self.left:
-            raise ValueError(f"is cut off: claims a string of {size} bytes")
-        text = self.data[self.position : self.position + size]
-        self.position += size
-        if size and text[-1]:
-            raise ValueError("has a string without a terminator")
-        try:
-            return text[:-1].decode() if size else ""
-        except UnicodeDecodeError as exc:
-            raise ValueError("has a name that is not UTF-8") from exc
-
-    def doubles(self, length: int) -> int:
-        """Place of `length` doubles; 0 where there are none, which are not aligned either."""
-        if not length:
-            return 0
-        self.position = start = (self.position + 3) // 8 * 8 + 4
-        if self.left < 8 * length:
-            raise ValueError("is cut off")
-        self.position += 8 * length
-        return start
+def _text(walk: Walk, begin: int) -> tuple[str, int]:
+    """A text, and its end."""
+    begin, end = walk.text(begin)
+    if begin < end and walk.data[end - 1]:
+        raise ValueError("has a string without a terminator")
+    try:
+        return walk.data[begin:end][:-1].decode(), end
+    except UnicodeDecodeError as exc:
+        raise ValueError("has a name that is not UTF-8") from exc
 
 
 class JointStateDecoder:
@@ -156,16 +122,8 @@ class JointStateDecoder:
         """Columns of messages, as `decode_joint_states`."""
         columns: list[JointStates] = []
         rejected: list[Rejection] = []
-        if isinstance(payload, np.ndarray):
-            self._rows(payload, np.arange(len(payload)), columns, rejected)
-            return columns, sorted(rejected)
-        sizes: dict[int, list[int]] = {}
-        for index, data in enumerate(payload):
-            sizes.setdefault(len(data), []).append(index)
-        for same in sizes.values():
-            joined = bytes(payload[same[0]]) if len(same) == 1 else b"".join(payload[i] for i in same)
-            rows = np.frombuffer(joined, np.uint8).reshape(len(same), -1)
-            self._rows(rows, np.array(same), columns, rejected)
+        for rows, index in by_size(payload):
+            self._rows(rows, index, columns, rejected)
         return sorted(columns, key=_first_row) if len(columns) > 1 else columns, sorted(rejected)
 
     def _rows(self, rows: Bytes, index: Times, columns: list[JointStates], rejected: list[Rejection]) -> None:
@@ -278,8 +236,7 @@ def _take(
     known = layout.template, layout.fixed, layout.places, layout.order == ">"
     if kernel().read(np.ascontiguousarray(rows), *known, stamp, values, fate):
         for row in np.flatnonzero(fate == kernel().BAD_STAMP).tolist():
-            text = f"has a stamp with {stamp[row]} nanoseconds, 1e9 or more"
-            rejected.append(Rejection(int(index[row]), text))
+            rejected.append(Rejection(int(index[row]), bad_stamp(stamp[row])))
         is_read, is_other = fate == kernel().READ, fate == kernel().OTHER
         rest = rows[is_other], index[is_other]
         stamp, values, index = stamp[is_read], values[is_read], index[is_read]
