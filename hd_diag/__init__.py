@@ -23,6 +23,7 @@ diagnosis           what the model gets wrong in a record, and why
 config              parameters and files of them, as checked joints
 messages            ROS messages as bytes, without ROS
 bag                 reading, writing and recovering recordings
+records             what bags and CSV files hold of joints
 replay              events of a log, and the monitor over a bag
 simulation          simulated joints, and bags of them
 ros                 the node

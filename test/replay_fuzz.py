@@ -12,10 +12,10 @@ from click.testing import Result
 from live import MS, RATIO, START, config, message
 
 from hd_diag.bag import BagError, BagReader, BagWriter
-from hd_diag.bag.joint_record import read_bags
 from hd_diag.cli.verbs.bags import recover, replay
 from hd_diag.diagnosis.record import RecordError
 from hd_diag.messages.publications import STRING, Encoded, read_string, resolved, string
+from hd_diag.records.joint_record import read_bags
 from hd_diag.replay.recorded_monitor import EVENTS, Session
 
 JOINT_STATE = "sensor_msgs/msg/JointState"

@@ -14,8 +14,8 @@ from numpy.testing import assert_allclose
 from robot_messages import DYNAMIC, FRANKA, KUKA, START, Messages
 from test_recording import NAMES, states, write
 
-from hd_diag.bag.joint_record import read_bags
 from hd_diag.config.configuration import load
+from hd_diag.records.joint_record import read_bags
 
 
 @pytest.fixture(scope="module")

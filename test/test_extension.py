@@ -10,11 +10,11 @@ from live import MS, RATIO, START, message
 from models import model, term
 
 from hd_diag.bag import BagReader, BagWriter
-from hd_diag.bag.joint_record import read_bags
 from hd_diag.config.configuration import JointConfig, load
 from hd_diag.diagnosis.extension import running_residual
 from hd_diag.diagnosis.record import Record
 from hd_diag.extended_model import ExtendedModel
+from hd_diag.records.joint_record import read_bags
 
 DELAY = 2e-4  # [s]; 25 arcsec at 60 rad/s of the input
 STEP = 4  # [ms]

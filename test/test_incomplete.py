@@ -15,13 +15,13 @@ from test_bag_reader import NOTES, notes_folder
 from test_recording import COLUMNS, Message, read, states, temperatures, whole, write, write_table
 
 from hd_diag.bag import BagReader
-from hd_diag.bag.joint_record import read_bags, read_motion
-from hd_diag.bag.tables import Table, read_tables
 from hd_diag.diagnosis.record import RecordError
 from hd_diag.diagnosis.screening import screened
 from hd_diag.diagnosis.stamps import Stamps
 from hd_diag.fleet.rows import judge, tasks
 from hd_diag.fleet.survey import survey
+from hd_diag.records.joint_record import read_bags, read_motion
+from hd_diag.records.tables import Table, read_tables
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,6 @@ from models import OFFSET, RANGES, VALUES, motion, write_model
 from numpy.testing import assert_allclose
 
 from hd_diag.bag import BagReader
-from hd_diag.bag.joint_record import read_bags
 from hd_diag.config.configuration import Config, ConfigError
 from hd_diag.diagnosis.extension import running_residual
 from hd_diag.drive import transmission_error
@@ -25,6 +24,7 @@ from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor.all_joints import Monitor
 from hd_diag.monitor.publications import Angles
 from hd_diag.monitor.residual_orders import ORDERS
+from hd_diag.records.joint_record import read_bags
 from hd_diag.replay.map_builder import map_of
 from hd_diag.replay.recorded_monitor import Session
 from hd_diag.replay.replay import replay

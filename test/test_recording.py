@@ -11,15 +11,15 @@ from joint_records import RATIO, columns, joint, prepared
 from numpy.testing import assert_allclose, assert_array_equal
 
 from hd_diag.bag import BagError, BagReader
-from hd_diag.bag.contents import numbers
-from hd_diag.bag.joint_record import read_bags, read_motion
-from hd_diag.bag.joint_topics import joints_in
-from hd_diag.bag.tables import Table, read_table_motion, read_tables
 from hd_diag.config.configuration import resolve
 from hd_diag.diagnosis.diagnosis import diagnose
 from hd_diag.diagnosis.record import Record, RecordError
 from hd_diag.messages.encoding import encode_joint_states
 from hd_diag.messages.schemas import jazzy, serialize
+from hd_diag.records.contents import numbers
+from hd_diag.records.joint_record import read_bags, read_motion
+from hd_diag.records.joint_topics import joints_in
+from hd_diag.records.tables import Table, read_table_motion, read_tables
 
 START = 1_760_000_000 * 10**9  # [ns]
 TEMPERATURE = "sensor_msgs/msg/Temperature"

@@ -16,13 +16,13 @@ from robot_messages import DYNAMIC, FRANKA, KUKA, Messages
 from test_recording import NAMES, states, whole, write
 
 from hd_diag.bag import BagError, BagReader
-from hd_diag.bag.joint_record import read_bags, read_motion
-from hd_diag.bag.joint_topics import JointTopics
 from hd_diag.bag.typestore import store_of
 from hd_diag.config.configuration import ConfigError, load, resolve
 from hd_diag.config.parameter_file import read
 from hd_diag.diagnosis.record import RecordError
 from hd_diag.messages.fields import FieldReader
+from hd_diag.records.joint_record import read_bags, read_motion
+from hd_diag.records.joint_topics import JointTopics
 from hd_diag.replay.replay import replay
 from hd_diag.streams.signals import Signal, Unit, unit
 

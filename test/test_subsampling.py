@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from joint_records import ARCSEC, columns, joint, prepared
 from report_samples import generated
 
-from hd_diag.bag.joint_record import read_bags
 from hd_diag.config.configuration import resolve
 from hd_diag.diagnosis import blocks, subsampling
 from hd_diag.diagnosis.diagnosis import Diagnosis, diagnose
@@ -24,6 +23,7 @@ from hd_diag.diagnosis.screening import screened
 from hd_diag.diagnosis.subsampling import LIMIT, subsample
 from hd_diag.diagnosis.verdict import as_json, sentence
 from hd_diag.effects.recursions import slip
+from hd_diag.records.joint_record import read_bags
 from hd_diag.simulation import Motion, Noise, SimulatedJoint, write_bag
 
 ROWS = 60_000

@@ -12,7 +12,6 @@ from report_samples import generated
 from scipy.signal import lfilter
 from test_recording import Message, states, write
 
-from hd_diag.bag.joint_record import read_bags
 from hd_diag.config.configuration import resolve
 from hd_diag.diagnosis.diagnosis import diagnose
 from hd_diag.diagnosis.drift import check_velocity, drift_columns, without_drift
@@ -20,6 +19,7 @@ from hd_diag.diagnosis.record import Record, prepare
 from hd_diag.diagnosis.screening import screened
 from hd_diag.monitor.all_joints import Monitor
 from hd_diag.monitor.settings import MonitorConfig
+from hd_diag.records.joint_record import read_bags
 from hd_diag.streams.alignment import Aligned, Alignment, Names
 from hd_diag.streams.columns import JointStates
 

@@ -11,8 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from hd_diag.bag.joint_record import InputRecord, nothing, read_bags, read_motion
-from hd_diag.bag.tables import Table, read_table_motion, read_tables
 from hd_diag.cli.joints import chosen_joints, configured
 from hd_diag.cli.lines import tell
 from hd_diag.cli.progress import Advance
@@ -27,6 +25,8 @@ from hd_diag.diagnosis.ripple.ripple import Ripple, ripple
 from hd_diag.diagnosis.screening import screened
 from hd_diag.diagnosis.work import Work
 from hd_diag.effects import Catalogue
+from hd_diag.records.joint_record import InputRecord, nothing, read_bags, read_motion
+from hd_diag.records.tables import Table, read_table_motion, read_tables
 from hd_diag.report.facts import JointReport
 from hd_diag.report.sources import sources
 from hd_diag.tolerance.severity import with_allowed

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from hd_diag.bag.joint_record import InputRecord
 from hd_diag.cli.options import check_files
 from hd_diag.cli.progress import showing
 from hd_diag.cli.record import Judged, Records, judge_each, not_judged, on_records
@@ -15,6 +14,7 @@ from hd_diag.diagnosis.record import RecordError
 from hd_diag.diagnosis.ripple.ripple import Ripple
 from hd_diag.diagnosis.ripple.verdict import as_json as ripple_json
 from hd_diag.diagnosis.verdict import as_json
+from hd_diag.records.joint_record import InputRecord
 from hd_diag.report.facts import of_diagnosis, of_motion
 
 

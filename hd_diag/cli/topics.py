@@ -10,7 +10,6 @@ import click
 import numpy as np
 
 from hd_diag.bag.block import Topic
-from hd_diag.bag.contents import Number, Pair, beside, numbers, pairs
 from hd_diag.bag.reader import BagReader
 from hd_diag.cli.lines import tell
 from hd_diag.cli.targets import write_json
@@ -18,6 +17,7 @@ from hd_diag.config.parameter_file import text
 from hd_diag.config.parameters import Value
 from hd_diag.formatting import number as figure
 from hd_diag.messages.joint_states import JOINT_STATE
+from hd_diag.records.contents import Number, Pair, beside, numbers, pairs
 
 _SHOWN = 40  # numbers of a topic
 _TORQUES = "torque", "current"

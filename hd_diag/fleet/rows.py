@@ -14,7 +14,6 @@ import numpy as np
 
 from hd_diag import __version__
 from hd_diag.bag import BagError
-from hd_diag.bag.joint_record import InputRecord, read_bags, read_motion
 from hd_diag.config.catalogue import load
 from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.config.parameters import JOINT_PARAMETERS, Value
@@ -30,6 +29,7 @@ from hd_diag.diagnosis.verdict import as_json
 from hd_diag.effects import CATALOGUE
 from hd_diag.fleet.survey import Survey
 from hd_diag.formatting import json_ready
+from hd_diag.records.joint_record import InputRecord, read_bags, read_motion
 from hd_diag.replay.versions import running
 from hd_diag.report.advice import cards
 from hd_diag.report.facts import JointReport, of_diagnosis, of_motion

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from hd_diag.bag import BagError, BagReader
-from hd_diag.bag.joint_topics import joint_state_topics, joints_in
+from hd_diag.records.joint_topics import joint_state_topics, joints_in
 from hd_diag.replay.versions import Versions, running
 from hd_diag.report.sources import sha256
 

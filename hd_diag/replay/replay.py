@@ -11,7 +11,6 @@ import numpy as np
 
 from hd_diag.arrays import Integers, Times
 from hd_diag.bag import BagError, BagWriter, check_output, replaced
-from hd_diag.bag.joint_topics import no_input
 from hd_diag.bag.reader import BagReader, Mixed
 from hd_diag.config.configuration import Config, ConfigError, JointConfig, resolve
 from hd_diag.config.parameters import shown
@@ -19,6 +18,7 @@ from hd_diag.messages.publications import LAST_TIME, Encoded, resolved
 from hd_diag.messages.schemas import jazzy
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.monitor.publications import Due
+from hd_diag.records.joint_topics import no_input
 from hd_diag.replay import versions
 from hd_diag.replay.events import CarriedOn, ClockSetBack, Configured, Event, MapUsed, Paced, Reported
 from hd_diag.replay.map_builder import build_at_once, map_limit

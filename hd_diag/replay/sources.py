@@ -8,9 +8,9 @@ from functools import cached_property
 from pathlib import Path
 
 from hd_diag.bag import BagError, BagReader
-from hd_diag.bag.joint_topics import JointTopics, held
 from hd_diag.config.configuration import Config, ConfigError, JointConfig, ModelText, recorded_signals
 from hd_diag.messages.publications import INPUT, JOINT_STATE, STRING, temperature_topic
+from hd_diag.records.joint_topics import JointTopics, held
 from hd_diag.replay.events import Configured, Event, read_event
 from hd_diag.replay.recorded_monitor import EVENTS
 

@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 
 from hd_diag.arrays import Floats, Integers
-from hd_diag.bag.joint_record import InputRecord
 from hd_diag.config.configuration import JointConfig
 from hd_diag.config.parameters import JOINT_PARAMETERS, SIGNALS, Value
 from hd_diag.diagnosis.diagnosis import Diagnosis
@@ -23,6 +22,7 @@ from hd_diag.diagnosis.severity import first_words
 from hd_diag.diagnosis.verdict import sentence
 from hd_diag.effects.order_spectrum import line_width, spectrum
 from hd_diag.formatting import number, percent, words
+from hd_diag.records.joint_record import InputRecord
 from hd_diag.replay.versions import running
 from hd_diag.report import stages, torsion
 from hd_diag.report.advice import Card, cards

@@ -14,13 +14,13 @@ from typing import TextIO
 import numpy as np
 
 from hd_diag.arrays import Floats, Integers
-from hd_diag.bag.joint_record import InputRecord
 from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.blocks import unwrapped
 from hd_diag.diagnosis.noise import bounds
 from hd_diag.diagnosis.outliers import torque_outliers
 from hd_diag.diagnosis.record import Record, RecordError, prepare
 from hd_diag.diagnosis.stamps import Stamps
+from hd_diag.records.joint_record import InputRecord
 from hd_diag.streams.alignment import ELSEWHERE, Alignment, Names
 from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TEMPERATURE, LARGEST_TORQUE, JointStates
 from hd_diag.streams.rules import unseen

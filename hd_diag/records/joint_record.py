@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hd_diag.arrays import Floats, Integers, Times
-from hd_diag.bag.joint_topics import JointTopics, offered, place
 from hd_diag.bag.reader import BagReader
 from hd_diag.config.configuration import JointConfig
 from hd_diag.diagnosis.blocks import unwrapped
@@ -20,6 +19,7 @@ from hd_diag.diagnosis.outliers import torque_outliers
 from hd_diag.diagnosis.record import Record, RecordError, prepare
 from hd_diag.diagnosis.stamps import UNTOLD, Stamps
 from hd_diag.messages.publications import TEMPERATURE, read_temperature
+from hd_diag.records.joint_topics import JointTopics, offered, place
 from hd_diag.streams.alignment import Aligned, Alignment
 from hd_diag.streams.columns import LARGEST_TEMPERATURE
 from hd_diag.streams.interpolation import torque_between
