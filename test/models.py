@@ -10,7 +10,7 @@ from live import config
 from hd_diag.config.configuration import Config
 from hd_diag.config.configured_drive import drive_from
 from hd_diag.config.model_file import document, drive_parameters
-from hd_diag.config.parameters import JOINT_PARAMETERS
+from hd_diag.config.parameters import of_joint
 from hd_diag.effects import CATALOGUE
 from hd_diag.extended_model import ExtendedModel, Range, Ranges, Term
 
@@ -70,8 +70,7 @@ def term(name: str, values: dict[str, float] | None = None) -> Term:
 
 def own(joint: str = "joint_1", given: Config | None = None) -> dict[str, Any]:
     """Parameters of a joint by their names within it."""
-    flat = (given or config(joint)).flat
-    return {p.name: flat[f"{joint}.{p.name}"] for p in JOINT_PARAMETERS}
+    return of_joint((given or config(joint)).flat, joint)
 
 
 def model(*names: str, **refit: float) -> ExtendedModel:

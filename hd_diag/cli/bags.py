@@ -51,9 +51,7 @@ def replay(
             raise
         raise Problem(f"{error}; hd-diag recover saves the rest of the bag") from error
     took = time.monotonic() - begin
-    if json_file:
-        write_json(json_file, _replay_json(result, out, took))
-    if json_file != "-":
+    if write_json(json_file, _replay_json(result, out, took)):
         _tell_replay(result, out, took)
     return Problem.exit_code if result.absent else 0
 
@@ -109,8 +107,6 @@ def recover(bag: Path, out: Path, overwrite: bool, json_file: str | None) -> Non
         interrupted(error, out, kept)
     if not any(report.counts.values()) and not report.complete:
         raise Problem(f"{bag}: nothing can be saved: {report.statement()[1]}")
-    if json_file:
-        write_json(json_file, {"schema": "hd_diag/recovery/1", **report.as_dict()})
-    if json_file != "-":
+    if write_json(json_file, {"schema": "hd_diag/recovery/1", **report.as_dict()}):
         for line in report.statement():
             tell(line)

@@ -17,10 +17,8 @@ def check(config_file: str, json_file: str | None) -> None:
     for joint in config.joints:
         check_fields(joint)
     found = {joint.name: assess(config, joint) for joint in config.joints}
-    if json_file:
-        content = {"schema": "hd_diag/check/1", "valid": True, "parameters": dict(config.flat)}
-        write_json(json_file, content | {"joints": {name: each.content() for name, each in found.items()}})
-    if json_file != "-":
+    content = {"schema": "hd_diag/check/1", "valid": True, "parameters": dict(config.flat)}
+    if write_json(json_file, content | {"joints": {name: each.content() for name, each in found.items()}}):
         for joint in config.joints:
             describe(joint, found[joint.name])
         tell(f"{config_file}: valid")

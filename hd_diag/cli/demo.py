@@ -18,8 +18,7 @@ def demo(folder: str | None, seconds: float, json_file: str | None) -> int:
         summary = demo_run.run(Path(folder) if folder else None, seconds)
     except demo_run.DemoError as error:
         raise Problem(str(error)) from error
-    if json_file:
-        write_json(json_file, summary)
+    write_json(json_file, summary)
     if summary["signal"] is not None:
         return SIGNALLED + int(summary["signal"])
     return 0 if summary["complete"] else 1

@@ -16,7 +16,7 @@ from hd_diag.cli.record import Judged, Records, judge_each, on_records
 from hd_diag.cli.targets import Problem
 from hd_diag.config.configuration import JointConfig
 from hd_diag.config.model_file import document, write
-from hd_diag.config.parameters import JOINT_PARAMETERS
+from hd_diag.config.parameters import of_joint
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.verdict import as_json, summary
 from hd_diag.effects.order_line import ORDER_LINE
@@ -73,7 +73,7 @@ def model_document(found: Diagnosis, joint: str, records: Records) -> dict[str, 
     """What `hd-diag diagnose --model` writes of a diagnosis with a model."""
     assert found.model is not None
     assert found.found is not None
-    own = {p.name: records.config.flat[f"{joint}.{p.name}"] for p in JOINT_PARAMETERS}
+    own = of_joint(records.config.flat, joint)
     spreads = {name: value["std"] for name, value in found.parameters.items()}
     effects = [
         (cause.effect.standard_deviations(cause.coefficients, cause.nonlinear, cause.covariance), cause.alike)

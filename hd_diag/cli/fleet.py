@@ -163,8 +163,7 @@ def _write(found: Health, given: dict[str, Any]) -> None:
 
     with writing(given["out"]) as place:
         write_table(place, found.rows)
-    if given["json_file"]:
-        write_json(given["json_file"], as_json(str(given["out"]), found))
+    write_json(given["json_file"], as_json(str(given["out"]), found))
     if given["figure"]:
         with writing(given["figure"]) as place:
             draw(found.trends, place)

@@ -40,10 +40,8 @@ def gear(
 
         with writing(figure) as place:
             save(tooth_pair_picture(found.configured.mesh.geometry), place)
-    if json_file:
-        content = {"schema": "hd_diag/gear/1", "file": str(out), "parameters": dict(config.flat)}
-        write_json(json_file, content | {"joints": {joint: assessed.content()}})
-    if json_file != "-":
+    content = {"schema": "hd_diag/gear/1", "file": str(out), "parameters": dict(config.flat)}
+    if write_json(json_file, content | {"joints": {joint: assessed.content()}}):
         _show(config, found, assessed, table)
         tell(f"{out}: written")
 

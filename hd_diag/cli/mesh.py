@@ -26,9 +26,7 @@ def mesh(
         if not abs(value) <= largest:
             raise Problem(f"--{name} must be a number of at most {largest:g}, not {value:g}")
     result = moment(chosen_joint(configured(config_file), joint), input_angle, torque)
-    if json_file:
-        write_json(json_file, result)
-    if json_file != "-":
+    if write_json(json_file, result):
         _show(result)
 
 

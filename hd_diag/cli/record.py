@@ -147,9 +147,8 @@ def judge_each(
         with writing(page_file) as place:
             place.write_text(drawn(pages, sources(records.bags)), encoding="utf-8")
         tell(f"report written: {page_file}", err=json_file == "-")
-    if json_file:
-        several = {"schema": "hd_diag/diagnoses/1", "joints": contents}
-        write_json(json_file, contents[0] if len(contents) == 1 else several)
+    several = {"schema": "hd_diag/diagnoses/1", "joints": contents}
+    write_json(json_file, contents[0] if len(contents) == 1 else several)
     return contents, 0 if complete else Problem.exit_code
 
 

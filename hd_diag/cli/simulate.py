@@ -17,7 +17,7 @@ from hd_diag.cli.targets import Problem, write_json
 from hd_diag.cli.verbs.bags import SHORT
 from hd_diag.config.configuration import Config, ConfigError, resolve
 from hd_diag.config.parameter_file import parse_value
-from hd_diag.config.parameters import JOINT_PARAMETERS
+from hd_diag.config.parameters import of_joint
 from hd_diag.drive import Drive
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.simulation import Motion, Noise, SimulatedJoint, write_bag
@@ -63,26 +63,24 @@ def simulate(
         raise
     except ValueError as error:
         raise Problem(str(error)) from error
-    if json_file:
-        truth = {
-            "schema": "hd_diag/simulation/1",
-            "bag": str(out),
-            "samples": samples,
-            "duration": motion.duration,
-            "sample_rate": motion.sample_rate,
-            "start": start,
-            "seed": given["seed"],
-            "joints": {
-                name: {
-                    "parameters": {p.name: config.flat[f"{name}.{p.name}"] for p in JOINT_PARAMETERS},
-                    "offset": joint.offset,
-                    "noise": dataclasses.asdict(joint.noise),
-                }
-                for name, joint in joints.items()
-            },
-        }
-        write_json(json_file, truth)
-    if json_file != "-":
+    truth = {
+        "schema": "hd_diag/simulation/1",
+        "bag": str(out),
+        "samples": samples,
+        "duration": motion.duration,
+        "sample_rate": motion.sample_rate,
+        "start": start,
+        "seed": given["seed"],
+        "joints": {
+            name: {
+                "parameters": of_joint(config.flat, name),
+                "offset": joint.offset,
+                "noise": dataclasses.asdict(joint.noise),
+            }
+            for name, joint in joints.items()
+        },
+    }
+    if write_json(json_file, truth):
         tell(f"{out}: {samples} samples, {motion.duration:g} s, joints {', '.join(joints)}")
 
 

@@ -57,11 +57,16 @@ def writing(path: str | Path) -> Iterator[Path]:
         raise Problem(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
-def write_json(path: str, result: Any) -> None:
-    """Write a result as JSON; numbers that are not finite become null."""
-    text = json.dumps(json_ready(result), indent=1, allow_nan=False)
-    if path == "-":
-        click.echo(text)
-        return
-    with writing(path) as place:
-        place.write_text(text + "\n", encoding="utf-8")
+def write_json(path: str | None, result: Any) -> bool:
+    """Write a result as JSON where a path is given; whether stdout is free to show it to people.
+
+    Numbers that are not finite become null.
+    """
+    if path:
+        text = json.dumps(json_ready(result), indent=1, allow_nan=False)
+        if path == "-":
+            click.echo(text)
+            return False
+        with writing(path) as place:
+            place.write_text(text + "\n", encoding="utf-8")
+    return True

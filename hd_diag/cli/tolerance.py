@@ -45,14 +45,12 @@ def tolerance(
             found = study(question, pool, counted)
     except ValueError as error:
         raise Problem(f"{chosen.name}: {error}") from error
-    if json_file:
-        write_json(json_file, document(chosen.name, found))
     if figure:
         from hd_diag.report.pictures.tolerance import save, tolerance_picture  # matplotlib takes its time
 
         with writing(figure) as place:
             save(tolerance_picture(found), place)
-    if json_file != "-":
+    if write_json(json_file, document(chosen.name, found)):
         _show(chosen.name, found)
 
 

@@ -35,9 +35,7 @@ def topics(bag: Path, json_file: str | None) -> None:
             every += found
             seen.append((topic, found, problem))
         result = _result(reader, seen, every)
-    if json_file:
-        write_json(json_file, result)
-    if json_file != "-":
+    if write_json(json_file, result):
         _tell(result)
 
 

@@ -78,10 +78,8 @@ def _wait_for_all(state: Watch, listener: Listener, came: Sequence[int], timeout
 def _show_once(state: Watch, timeout: float, json_file: str | None) -> bool:
     """Show every joint that was reported; whether one has a fault."""
     now = time.monotonic()
-    if json_file:
-        write_json(json_file, as_json(state, now))
     views = state.view(now)
-    if json_file != "-" and views:
+    if write_json(json_file, as_json(state, now)) and views:
         with Display() as display:
             display.show(state, now, is_last=True)
     if not views or (state.joints and state.missing()):

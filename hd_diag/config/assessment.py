@@ -8,7 +8,7 @@ from typing import Any
 
 from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.config.defaults import EXAMPLE, Page, page_of
-from hd_diag.config.parameters import JOINT_PARAMETERS
+from hd_diag.config.parameters import of_joint
 from hd_diag.drive import Drive
 from hd_diag.gear.characteristics import Characteristics, characteristics, slot_shift
 
@@ -46,7 +46,7 @@ class Assessment:
 
 def assess(config: Config, joint: JointConfig) -> Assessment:
     """Assessment of one of a configuration's joints as it is configured."""
-    own = {p.name: config.flat[f"{joint.name}.{p.name}"] for p in JOINT_PARAMETERS}
+    own = of_joint(config.flat, joint.name)
     page, drive = page_of(own), joint.configured
     steps = (page.t1, page.t2) if page else (own["gear.t1"], own["gear.t2"])
     found = characteristics(drive, *steps)

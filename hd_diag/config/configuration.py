@@ -25,6 +25,7 @@ from hd_diag.config.parameters import (
     check_known,
     checked,
     joint_names,
+    of_joint,
     parameters,
     shown,
 )
@@ -115,7 +116,7 @@ def resolve(
 def recorded_signals(given: Mapping[str, Any]) -> dict[str, Signals]:
     """Signals of each joint of flat parameters; raises ConfigError as `resolve` does."""
     flat, _, joints = _completed({**given, "joints": given.get("joints")})
-    return {name: signals_from(name, _own(name, flat)) for name in joints}
+    return {name: signals_from(name, of_joint(flat, name)) for name in joints}
 
 
 def load(path: str | Path, catalogue: Catalogue | None = None) -> Config:
@@ -163,15 +164,10 @@ def _joint_values(name: str, found: Mapping[str, Value]) -> tuple[dict[str, Valu
     return every, beside
 
 
-def _own(joint: str, flat: Mapping[str, Value]) -> dict[str, Value]:
-    """Parameters of a joint by their names within it."""
-    return {p.name: flat[f"{joint}.{p.name}"] for p in JOINT_PARAMETERS}
-
-
 def _joint(
     name: str, flat: Mapping[str, Value], model_text: ModelText | None, catalogue: Catalogue | None
 ) -> JointConfig:
-    own = _own(name, flat)
+    own = of_joint(flat, name)
     limits = {key: Limit(own[f"limits.{key}.warn"], own[f"limits.{key}.error"]) for key in LIMITS}
     for key, limit in limits.items():
         if limit.error < limit.warn:

@@ -99,6 +99,11 @@ def parameters(joints: Sequence[str]) -> dict[str, Parameter]:
     return known
 
 
+def of_joint(flat: Mapping[str, Value], joint: str) -> dict[str, Value]:
+    """Parameters of a joint by their names within it."""
+    return {p.name: flat[f"{joint}.{p.name}"] for p in JOINT_PARAMETERS}
+
+
 def flatten(section: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Full parameter names and values of a nested mapping."""
     for key, value in section.items():

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.config.parameters import Value
+from hd_diag.config.parameters import Value, nested, of_joint
 from hd_diag.drive import Drive
 from hd_diag.process_pool import ProcessPool
 from hd_diag.tolerance import assembly, sensitivity
@@ -29,14 +29,9 @@ _ALL_TEETH = 0.0  # [m]; overlap from which no rotation frees all teeth
 
 def limits_and_spreads(flat: Mapping[str, Value], joint: str) -> tuple[dict[str, float], dict[str, Spread]]:
     """Limits by the names of the criteria, spreads by those of the quantities, of a configured joint."""
-    start, limit = f"{joint}.tolerance.", f"{joint}.tolerance.limits."
-    own = {name: value for name, value in flat.items() if name.startswith(start)}
-    limits = {name.removeprefix(limit): own[name] for name in own if name.startswith(limit)}
-    quantities = [name.removeprefix(start).removesuffix(".size") for name in own if name.endswith(".size")]
-    spreads = {
-        name: Spread(own[f"{start}{name}.distribution"], own[f"{start}{name}.size"]) for name in quantities
-    }
-    return limits, spreads
+    own = nested(of_joint(flat, joint))["tolerance"]
+    limits = own.pop("limits")
+    return limits, {name: Spread(**each) for name, each in own.items()}
 
 
 @dataclass(frozen=True)
