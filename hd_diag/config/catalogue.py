@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import functools
 import importlib.util
 import sys
-from collections.abc import Sequence
-from importlib.metadata import EntryPoint, entry_points
+from collections.abc import Callable, Sequence
+from functools import cache, partial
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -25,28 +25,18 @@ def load(files: Sequence[str | Path] = ()) -> Catalogue:
     or package whose effects cannot be used, and why.
     """
     found = _installed()
-    for path in files:
-        found = _with(found, _of_file(Path(path)), str(path))
+    for path in map(Path, files):
+        found = _with(found, str(path), partial(_of_file, path))
     return found
 
 
-@functools.cache
+@cache
 def _installed() -> Catalogue:
     found = CATALOGUE
     for entry in entry_points(group=GROUP):
-        found = _with(found, _of_entry(entry), _name(entry))
+        package = entry.dist.name if entry.dist else "installed package"
+        found = _with(found, f"{package}: {entry.name}", entry.load)
     return found
-
-
-def _name(entry: EntryPoint) -> str:
-    return f"{entry.dist.name if entry.dist else 'installed package'}: {entry.name}"
-
-
-def _of_entry(entry: EntryPoint) -> Any:
-    try:
-        return entry.load()
-    except Exception as error:  # whatever a package of others does when it is imported
-        raise ConfigError(f"{_name(entry)}: cannot be loaded: {_one_line(error)}") from error
 
 
 def _of_file(path: Path) -> Any:
@@ -58,17 +48,24 @@ def _of_file(path: Path) -> Any:
     sys.modules[name] = module  # dataclasses look there for the names in their annotations
     try:
         spec.loader.exec_module(module)
-    except Exception as error:  # whatever a file of others does when it is run
+    except Exception:
         del sys.modules[name]
-        raise ConfigError(f"{path}: cannot be loaded: {_one_line(error)}") from error
+        raise
     found = getattr(module, "EFFECTS", getattr(module, "EFFECT", None))
     if found is None:
         raise ConfigError(f"{path}: defines neither EFFECT nor EFFECTS")
     return found
 
 
-def _with(catalogue: Catalogue, given: Any, where: str) -> Catalogue:
+def _with(catalogue: Catalogue, where: str, source: Callable[[], Any]) -> Catalogue:
     """The catalogue with an effect, or several, that something else defines."""
+    try:
+        given = source()
+    except ConfigError:
+        raise
+    except Exception as error:  # whatever a file or package of others does
+        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        raise ConfigError(f"{where}: cannot be loaded: {reason}") from error
     for effect in given if isinstance(given, (list, tuple)) else (given,):
         if not isinstance(effect, Effect):
             raise ConfigError(f"{where}: expected an effect, not {shown(effect)}")
@@ -76,7 +73,3 @@ def _with(catalogue: Catalogue, given: Any, where: str) -> Catalogue:
             raise ConfigError(f"{where}: the catalogue has an effect '{effect.name}' already")
         catalogue = (*catalogue, effect)
     return catalogue
-
-
-def _one_line(error: Exception) -> str:
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"
