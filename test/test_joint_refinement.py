@@ -45,6 +45,18 @@ def test_nonlinear_values_are_returned(case: Case) -> None:
     assert np.all(np.abs(moved) < 4.0 * np.sqrt(np.diag(spread))[: fit_parameters.COUNT])
 
 
+def test_a_fit_reaches_the_end_of_a_valley() -> None:
+    """A pitch error's harmonics imitate an eccentricity: each step of either is but a share of the way."""
+    effect, size = EFFECTS["circular_spline_pitch"], np.zeros(16)
+    size[[0, 2, 3]] = 3e-6, -3e-6, 1e-6
+    chosen = ((effect, ()),)
+    away = POINT + np.array([0.0, 0.0, 0.0, 0.0, 6.0, 0.0, 0.0])
+    fit = bench(lambda signals: effect.response(signals, size, ())).moved(away).corrected(chosen)
+    found = settle(fit, chosen, rounds=8, learn=False)
+    # Where it ends, what the columns say is what the effect does at its size.
+    assert found.corrected(chosen).cost(chosen) - found.design(chosen).deviance() < 20.0
+
+
 @pytest.mark.parametrize("away", [(0.0, 0.0, 0.0), (12.0, -9.0, 0.0), (-20.0, 10.0, 20.0)])
 def test_a_step_that_makes_a_fit_worse_is_shortened_or_left(away: tuple[float, float, float]) -> None:
     """Beside what is not the cause the model is not linear over steps of many deviations."""

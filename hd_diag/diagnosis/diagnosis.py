@@ -15,7 +15,7 @@ from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.fit.motor_torque import less_motor
 from hd_diag.diagnosis.fit.refit import Refit, refit, usable
-from hd_diag.diagnosis.gain import Gain, Misfit, Rms, Rows, held_out, measured_gain, renumbered
+from hd_diag.diagnosis.gain import MISFIT, Gain, Misfit, Rms, Rows, held_out, measured_gain, renumbered
 from hd_diag.diagnosis.noise import ORDER
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.screening import Screened, screened
@@ -93,13 +93,12 @@ class Diagnosis:
         return self.found.causes if self.found else ()
 
     def _told(self, cause: Cause) -> bool:
-        """Not if too many do as well, beside ambiguous parameters, or if it explains less than is left.
+        """Not if too many do as well, beside ambiguous parameters, in a misfit, or if more than it is left.
 
-        Beside a misfit chance is no measure: what else is wrong may well look like the cause, so that it has
-        to explain more than all of that.
+        Where more than noise is left chance is no measure: what else is wrong may well look like the cause.
         """
-        sure = self.refitted is None or self.refitted.trustworthy
-        ahead = self.misfit is None or not self.misfit.plain or cause.gain > _HALF
+        sure, left = self.refitted is None or self.refitted.trustworthy, self.misfit
+        ahead = left is None or not left.plain or (left.value <= MISFIT and cause.gain > _HALF)
         return sure and ahead and len(cause.alike) <= _MOST_ALIKE and not cause.doubtful
 
     @property

@@ -209,7 +209,7 @@ def _causes(answer: Answer) -> list[str]:
     told, nearest = answer.diagnosis.causes, answer.diagnosis.hints
     if answer.judgement == "misfit":
         told, nearest = (), (*told, *nearest)
-    parts = {"beside that": told, "nearest to it, though they do not explain it": nearest}
+    parts = {"beside that": told, "nearest to it, though not to be named for it": nearest}
     return [f"{how}: {'; '.join(map(_cause_in_words, some))}" for how, some in parts.items() if some]
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 
@@ -16,6 +18,7 @@ _PART = 0.3  # of a step, that is tried after it
 _SHORTER = 3  # halvings of a step that makes the fit worse
 _SHARES = (1.0, 0.3, 0.1)  # of a step, tried in turn until one makes the fit no worse
 _WORSE = 1.05  # times the deviance before, that a step may leave on its way
+_LONGEST, _CLEARLY = 8.0, 1.3  # times a step, that it may fall short; from where a longer one is tried
 _LINEAR = 1.0  # standard deviations; the model is linear over such steps
 _SETTLED = 0.05  # deviance; what a further round could gain
 
@@ -38,11 +41,15 @@ def settle(fit: LinearisedFit, chosen: Chosen, rounds: int = 3, learn: bool = Tr
     """
     if learn:
         fit = fit.with_noise(chosen)
+    last, taken = np.zeros(fit_parameters.COUNT), 1.0
     for _ in range(rounds):
         beta, covariance, built = fit.fit(chosen)
         step = beta[: fit_parameters.COUNT]
+        away = step / np.sqrt(np.diag(covariance)[: fit_parameters.COUNT] + 1e-12)
+        longer = _longer(away, last, taken) if last.any() and not fit.data.given else fit.longer
+        last = away
         # The fit itself still adds a step this small, linearly.
-        if np.max(np.abs(step) / np.sqrt(np.diag(covariance)[: fit_parameters.COUNT] + 1e-12)) < _LINEAR:
+        if longer * np.max(np.abs(away)) < _LINEAR:
             break
         if fit.data.given:
             before, fit = fit, _down(fit, chosen, beta)
@@ -50,17 +57,29 @@ def settle(fit: LinearisedFit, chosen: Chosen, rounds: int = 3, learn: bool = Tr
                 return fit
             continue
         least = built.deviance()
-        for share in _SHARES:
+        for share in (longer, *_SHARES) if longer > _CLEARLY else _SHARES:
             moved = fit_parameters.admissible(fit.parameters + share * step, fit.data.configured)
-            trial = fit.moved(moved).beside(fit.sized(chosen, beta)).corrected(chosen)
-            if (left := trial.design(chosen).deviance()) > _WORSE * least:
+            there = replace(fit.moved(moved), longer=longer)
+            trial = there.beside(fit.sized(chosen, beta)).corrected(chosen)
+            left, most = trial.design(chosen).deviance(), 1.0 if share > 1.0 else _WORSE
+            if left > most * least and share <= 1.0:
                 least = max(least, fit.corrected(chosen).design(chosen).deviance())  # not by its lines alone
-            if left <= _WORSE * least:
+            if left <= most * least:
                 break
         else:
             break
-        fit = trial
+        fit, taken = trial, share
     return fit.corrected(chosen)
+
+
+def _longer(step: Floats, before: Floats, taken: float) -> float:
+    """By how much a step falls short, from how little the one before, so many times as long, made it shorter.
+
+    What causes are at full size changes with the parameters, which no column knows: where both imitate each
+    other each step is a share of the way (Aitken's acceleration of a series that converges linearly).
+    """
+    left = float(step @ before) / float(before @ before)
+    return float(np.clip(taken / max(1.0 - left, 1e-9), 1.0, _LONGEST))
 
 
 def _down(fit: LinearisedFit, chosen: Chosen, beta: Floats) -> LinearisedFit:
@@ -97,7 +116,7 @@ def polished(fit: LinearisedFit, chosen: Chosen, rounds: int = _ROUNDS) -> tuple
     for _ in range(rounds):
         before = fit.design(chosen).deviance()
         fit, chosen = _stepped(fit, chosen, before)
-        fit = settle(fit, chosen, rounds=1, learn=False)
+        fit = settle(fit, chosen, learn=False)
         if fit.design(chosen).deviance() > before - _SETTLED:
             break
     return fit, chosen

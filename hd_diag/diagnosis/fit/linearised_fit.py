@@ -61,6 +61,8 @@ class LinearisedFit:
     misfit : float
         What the chosen effects leave over the noise, by a motor's current: so much more its priors weigh, for
         what is not noise says nothing about what the motor takes.
+    longer : float
+        How many times a step of the parameters falls short, as the last ones showed.
     """
 
     data: FittedRows
@@ -69,6 +71,7 @@ class LinearisedFit:
     present: Sized = ()
     held: tuple[int, ...] = ()
     misfit: float = 1.0
+    longer: float = 1.0
 
     def moved(self, parameters: Floats) -> LinearisedFit:
         """The same rows and noise, linearised elsewhere, beside a motor alone."""
