@@ -57,7 +57,7 @@ test-all: SELECTED =
 environments:
 	@python=$$(sh scripts/find_python.sh '$(PYTHON)') && \
 	if "$$python" -c 'import sys; sys.exit(sys.version_info >= (3, 13))'; then \
-	    mkdir -p .venv && { $(ENVIRONMENT) ubuntu "$$python" >/dev/null 2>&1 & } && $(ENVIRONMENT) test "$$python"; \
+	    mkdir -p .venv && { $(ENVIRONMENT) ubuntu "$$python" 2>/dev/null & } && $(ENVIRONMENT) test "$$python"; \
 	    ended=$$?; wait; exit $$ended; \
 	fi
 
