@@ -21,7 +21,13 @@ from hd_diag.diagnosis.gain import held_out
 from hd_diag.diagnosis.search.causes import Search, causes, doubted, motor_deviations, parameters_of
 from hd_diag.diagnosis.search.kept_parameters import kept_parameters
 from hd_diag.diagnosis.search.ranking import candidates, family_size
-from hd_diag.diagnosis.search.selection import _next, _settled_first, search, speed_dependent
+from hd_diag.diagnosis.search.selection import (
+    _next,
+    _on_the_other_flank,
+    _settled_first,
+    search,
+    speed_dependent,
+)
 from hd_diag.diagnosis.search.unexplained import with_table
 from hd_diag.diagnosis.search.unmodelled_terms import UNMODELLED_TERMS
 from hd_diag.drive import transmission_error
@@ -179,6 +185,25 @@ def test_friction_under_load_by_a_current_has_these_derivatives() -> None:
         (effect.more(columns, size + step) - effect.more(columns, size - step)) / 2e-7 for step in steps
     ]
     assert effect.changes(columns, size) == pytest.approx(np.stack(slopes, axis=1), abs=1e-5)
+
+
+@pytest.mark.parametrize(("zero", "led"), [(-2.6, True), (-0.02, False)])
+def test_a_zero_that_puts_torques_on_the_other_flank_is_tried_at_its_size(zero: float, led: bool) -> None:
+    """A joint that bears next to nothing, whose sensor is off by more than it bears."""
+    record = swinging()
+    real = 0.4 * np.sin(2.0 * np.pi * record.time / 5.3) - 0.3
+    output = record.input_angle / RATIO + transmission_error(TRUE, record.input_angle, real)
+    output += NOISE_OF_RECORD * np.random.default_rng(0).standard_normal(record.size)
+    shown = real - zero
+    light = dataclasses.replace(record, torque=shown, reported_torque=shown, output_angle=output)
+    fit = settle(linearise(light, CONFIGURED, POINT), ())
+    begun = Refit(TRUE, POINT, np.eye(7), True, torque_zero=zero)
+    found = _on_the_other_flank(fit, candidates(fit, ()), begun)
+    assert (found is not None) is led
+    if found is not None:
+        assert found[1][0].effect.name == "torque_offset"
+        assert found[1][0].p_value < 1e-6
+        assert np.abs(found[0].parameters - POINT).max() < 1.0
 
 
 def test_what_is_tried_in_a_cause_s_place_starts_where_the_cause_does() -> None:

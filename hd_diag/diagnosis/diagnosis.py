@@ -155,13 +155,14 @@ def diagnose(
         begun = linearise(record, configured, first.parameters, rows=~test, catalogue=catalogue, work=work)
     work.tell(0.12, "looking for causes")
     plain = settle(begun, begun.data.given)
-    found = search(plain, rng, first.parameters)
+    found = search(plain, rng, first)
     work.tell(0.73, "measuring the gain")
     best = _predicting(record, test, which, plain, found, rng)
     kept, rms, gain = best.kept, best.rms, best.gain
     work.tell(0.86, "using all data")
-    whole = doubted(refitted(settle(replace(best.every, held=kept.held), best.found.chosen), best.found))
-    del begun, plain, found, best  # some hundred columns each
+    every = replace(best.every, held=kept.held).beside(best.found.fit.present)
+    whole = doubted(refitted(settle(every, best.found.chosen), best.found))
+    del begun, plain, found, best, every  # some hundred columns each
     parameters, covariance = parameters_of(whole)
     # Minima beside a drive without displacement are no rivals of it; nor those that only a cause made alike.
     certain = first.trustworthy or "eccentricity" in kept.bounds or alone(whole.fit, whole.chosen, rng)

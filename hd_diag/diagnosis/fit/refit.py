@@ -59,6 +59,8 @@ class Refit:
         Whether no other minimum fits about as well.
     taken : ndarray, shape (k,)
         Coefficients of what a motor takes of its torque.
+    torque_zero : float
+        Real less reported torque, fitted beside [N m].
     """
 
     drive: Drive
@@ -66,6 +68,7 @@ class Refit:
     covariance: Floats
     trustworthy: bool
     taken: Floats = field(default_factory=lambda: np.zeros(0))
+    torque_zero: float = 0.0
 
 
 class Motor(NamedTuple):
@@ -152,8 +155,9 @@ def refit(
     (point, deviance), *others = [(found[:COUNT], value) for found, value in trials]
     rivals = distinct([point, *(other for other, value in others if value - deviance < _DISTINCT)])[1:]
     ambiguous = any(_apart(point, rival, covariance) > _DISTINCT for rival in rivals)
-    taken = trials[0][0][COUNT + 1 :]
-    return Refit(fit_parameters.drive_of(point, configured), point, covariance, not ambiguous, taken)
+    zero, *taken = trials[0][0][COUNT:].tolist()
+    drive = fit_parameters.drive_of(point, configured)
+    return Refit(drive, point, covariance, not ambiguous, np.array(taken), zero * problem.offset)
 
 
 def usable(record: Record, shift: Floats | float = 0.0) -> npt.NDArray[np.bool_]:

@@ -29,8 +29,9 @@ def refined(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
 
 def clear(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
     """On the rows that can be used if the effects change the torque."""
-    certain = fit.clear_of(fit.effects.torque(fit.sized(chosen, fit.fit(chosen)[0])))
-    return (fit, chosen) if certain is fit else refined(certain, chosen)
+    sized = fit.sized(chosen, fit.fit(chosen)[0])
+    certain = fit.clear_of(fit.effects.torque(sized))
+    return (fit, chosen) if certain is fit else refined(certain.beside(sized), chosen)
 
 
 def swapped(fit: LinearisedFit, chosen: Chosen, rivals: set[str]) -> tuple[LinearisedFit, Chosen]:

@@ -186,7 +186,8 @@ def _start(fit: LinearisedFit, names: list[str]) -> tuple[Floats, list[int]]:
 def _trial(fit: LinearisedFit, chosen: Chosen, names: list[str]) -> tuple[LinearisedFit, Floats]:
     """The fit with groups held, and what held-out blocks lose by it."""
     start, held = _start(fit, names)
-    trial = settle(replace(fit.moved(start), held=tuple(held)), chosen, rounds=2, learn=False)
+    there = replace(fit.moved(start), held=tuple(held)).beside(fit.present)
+    trial = settle(there, chosen, rounds=2, learn=False)
     return trial, trial.design(chosen).held_out() - fit.design(chosen).held_out()
 
 

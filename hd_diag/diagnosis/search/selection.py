@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from hd_diag.arrays import Floats
+from hd_diag.diagnosis.fit.design import f_test, surprise
 from hd_diag.diagnosis.fit.fit_parameters import COUNT, at_bound
 from hd_diag.diagnosis.fit.joint_refinement import free, polished, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
@@ -22,7 +23,7 @@ from hd_diag.diagnosis.search.exchange import (
     refined,
     swapped,
 )
-from hd_diag.diagnosis.search.ranking import Candidate, candidates, family_size, ranked
+from hd_diag.diagnosis.search.ranking import Candidate, by_name, candidates, family_size, ranked
 from hd_diag.diagnosis.search.unmodelled_terms import (
     OUTPUT_LINES,
     UNMODELLED_TERMS,
@@ -43,6 +44,7 @@ _ALONG_A_VALLEY = 8  # rounds in which parameters reach another drive
 _FAR = 2.0  # times the noise's deviance, that is left where parameters are wrong still
 _LARGE = 0.1  # of the noise's deviance, that a cause explains which parameters may imitate
 _RESTARTS = 3  # causes found, up to which each lets the model's parameters be searched for again
+_ZERO, _TURNED = "torque_offset", 0.1  # share of the torques, that it puts on the other flank
 _PLAINLY = 10.0  # surprise by which an unmodelled term must beat all causes to come before them
 _RESOLVED = 5.0  # surprise by which a wave of any order must beat a whole number per output turn
 _RESTART_GAIN = 12.0  # deviance by which another minimum must beat the present one
@@ -54,7 +56,7 @@ _ROUND = 0.45  # of what is left of the search, after each round
 def search(
     fit: LinearisedFit,
     rng: np.random.Generator,
-    begun: Floats | None = None,
+    begun: Refit | None = None,
 ) -> Search:
     """Find the causes of the refitted model's residual, as far as there is time.
 
@@ -64,8 +66,8 @@ def search(
         At the refitted parameters.
     rng : numpy.random.Generator
         For intervals.
-    begun : ndarray, shape (7,), optional
-        Parameters that were fitted beside terms for whatever a cause may be, as `refit` does.
+    begun : Refit, optional
+        What was fitted beside terms for whatever a cause may be.
     """
     work, chosen = fit.work, fit.data.given
     p_values, rivals = dict[str, float](), set[str]()
@@ -89,7 +91,7 @@ def _rounds(
     p_values: dict[str, float],
     rivals: set[str],
     rng: np.random.Generator,
-    begun: Floats | None,
+    begun: Refit | None,
 ) -> Iterator[tuple[LinearisedFit, Chosen]]:
     """The fit beside one effect more in every round; what is given at any time can be the last.
 
@@ -103,9 +105,12 @@ def _rounds(
         fit.work.tell(_LAST - (_LAST - _FIRST) * _ROUND**number, f"looking for cause {len(chosen) + 1}")
         fit = fit.recentred()
         best = candidates(fit, chosen) if _named(chosen) < _MOST_CAUSES else []
-        if not chosen and speed_dependent(fit):
-            fit, best = _begun_slowly(fit, best, rng)
-        fit, best = _settled_first(fit, chosen, best, rng, begun)
+        if not chosen and begun and (turned := _on_the_other_flank(fit, best, begun)):
+            fit, best = turned
+        else:
+            if not chosen and speed_dependent(fit):
+                fit, best = _begun_slowly(fit, best, rng)
+            fit, best = _settled_first(fit, chosen, best, rng, begun.parameters if begun else None)
         rivals |= {candidate.effect.name for candidate in best[:_RIVALS]}
         found = _next(fit, chosen, family, best)
         if found is None:
@@ -200,6 +205,27 @@ def _settled_first(
     trials = sorted(((*settled(one), one) for one in close), key=lambda trial: trial[1])
     first = [one for _, _, one in trials]
     return trials[0][0] if trials else fit, [*first, *(one for one in best if one not in close)]
+
+
+def _on_the_other_flank(
+    fit: LinearisedFit, best: list[Candidate], begun: Refit
+) -> tuple[LinearisedFit, list[Candidate]] | None:
+    """Candidates led by a wrong zero of the torque that puts many torques on the other flank.
+
+    No step from the reported torque leads there; the fit from many starts has found it, if it explains most.
+    """
+    torque, effects = fit.data.record.torque, by_name(fit, (_ZERO,))
+    if not effects or np.mean((torque > 0.0) != (torque + begun.torque_zero > 0.0)) < _TURNED:
+        return None
+    item = effects[0], ()
+    there = fit.moved(begun.parameters).beside(((item, np.array([begun.torque_zero])),))
+    there = settle(there, (item,), learn=False)
+    before, after = fit.design(()).deviance(), there.design((item,)).deviance()
+    if before - after < max((one.gain for one in best), default=0.0):
+        return None
+    gain, rows = before - after, int(np.count_nonzero(there.residual_white))
+    chance, size = f_test(before, after, 1, rows, COUNT + 1), surprise(gain * rows / after, 1)
+    return there, [Candidate(*item, gain, chance, size), *best]
 
 
 def _moving(fit: LinearisedFit, chosen: Chosen, candidate: Candidate) -> bool:
