@@ -155,14 +155,13 @@ FAIL_ON_CAUSE = click.option(
     "--fail-on-cause", is_flag=True, help="Exit with code 1 if a cause or something unexplained is found."
 )
 JSON = json_option("the result")
-TIME_LIMIT = click.option(
+TIME_LIMIT = shown(
     "--time-limit",
+    60.0,
+    "Limit of the computing time for each joint. The result says what was left out; the fit, the "
+    "gain and the unexplained rest are never left out.",
     metavar="SECONDS",
     type=click.FloatRange(0.0),
-    default=60.0,
-    show_default=True,
-    help="Limit of the computing time for each joint. The result says what was left out; the fit, the "
-    "gain and the unexplained rest are never left out.",
 )
 
 records = together(
