@@ -130,13 +130,13 @@ def run_time(options):
     before = config("joint_1")
     monitor, stamp = Monitor(before), 1_700_000_000_000_000_000
     first = sample(stamp)
-    monitor.joint_states(np.array([stamp]), first)
+    monitor.mixed_states(np.array([stamp]), (first,))
     changed = config("joint_1", joint_1__eccentricity__magnitude=17e-6)
     builder, start = MapBuilder(), time.perf_counter()
     try:
         monitor.configure(changed)
         builder.request(changed.joints[0])
-        published = monitor.joint_states(np.array([stamp + 1_000_000]), sample(stamp + 1_000_000))
+        published = monitor.mixed_states(np.array([stamp + 1_000_000]), (sample(stamp + 1_000_000),))
         in_force = time.perf_counter() - start
         check_in_force(published, changed.joints[0].drive)
         name, table = builder.finished.get(timeout=60.0)
@@ -198,7 +198,7 @@ def by_joints():
 
         def step(monitor=monitor, messages=messages):
             message = next(messages)
-            monitor.joint_states(message.stamp, message)
+            monitor.mixed_states(message.stamp, (message,))
 
         step()
         each = cpu_time(lambda step=step: [step() for _ in range(2000)])[1] / 2000

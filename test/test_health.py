@@ -45,7 +45,7 @@ class Life:
             value = np.nan if i < broken else angle(i)
             output = angle(i) / RATIO + wobble * (-1) ** i
             made = states(NAMES, [self.now], [[value, output]], [[0.0, torque]])
-            self.monitor.joint_states(np.array([self.now]), made)
+            self.monitor.mixed_states(np.array([self.now]), (made,))
 
     def report(self, after: int = MS, **facts: str) -> Status:
         self.now += after
@@ -173,7 +173,7 @@ def test_a_joint_whose_input_stopped_is_stale_though_its_output_goes_on(life: Li
     for _ in range(1000):
         life.now += MS
         made = states(("joint_1",), [life.now], [[0.0]], [[1.0]])
-        life.monitor.joint_states(np.array([life.now]), made)
+        life.monitor.mixed_states(np.array([life.now]), (made,))
     assert code(life.report()) == ("STALE", 1)
 
 
@@ -244,7 +244,7 @@ def test_residual_is_about_its_mean_for_the_encoders_zero_is_nobodys_fault(life:
             angle / RATIO + transmission_error(drive, angle, torque) + offset + wave * np.cos(np.pi * i / 50)
         )
         made = states(NAMES, [life.now], [[angle[0], output[0]]], [[0.0, 1.0]])
-        life.monitor.joint_states(np.array([life.now]), made)
+        life.monitor.mixed_states(np.array([life.now]), (made,))
     values = life.report().values
     assert_allclose(float(values["residual_rms_arcsec"]) * ARCSEC, wave / np.sqrt(2.0), rtol=1e-4)
     assert_allclose(float(values["residual_mean_arcsec"]) * ARCSEC, offset, rtol=1e-4)
@@ -303,7 +303,7 @@ def test_a_sender_that_is_held_up_and_catches_up_has_lost_nothing(life: Life, lo
     assert np.median(np.diff(stamps)) < MS / 2
     for stamp in np.delete(stamps, list(lost)).tolist():
         made = states(NAMES, [stamp], [[0.0, 0.0]], [[0.0, 0.0]])
-        life.monitor.joint_states(np.array([stamp]), made)
+        life.monitor.mixed_states(np.array([stamp]), (made,))
     missed = int(life.report().values["samples_missed"])
     assert 0.8 * len(lost) <= missed <= len(lost)
 
@@ -329,7 +329,7 @@ def test_rejected_samples_are_not_told_as_missed_too(life: Life) -> None:
     for row in range(1000):
         angle = np.nan if row % 10 == 5 else 0.0
         made = states(NAMES, [START + row * MS], [[angle, 0.0]], [[0.0, 0.0]])
-        life.monitor.joint_states(np.array([START + row * MS]), made)
+        life.monitor.mixed_states(np.array([START + row * MS]), (made,))
     values = life.report().values
     assert (values["samples_rejected"], values["samples_missed"]) == ("100", "0")
 
@@ -338,7 +338,7 @@ def feed(life: Life, stamps: np.ndarray) -> int:
     """Samples at stamps; what the report then says was missed."""
     for stamp in stamps.tolist():
         made = states(NAMES, [stamp], [[0.0, 0.0]], [[0.0, 0.0]])
-        life.monitor.joint_states(np.array([stamp]), made)
+        life.monitor.mixed_states(np.array([stamp]), (made,))
     return int(life.report().values["samples_missed"])
 
 

@@ -23,7 +23,7 @@ EVERYTHING = ("a_motor", "a", "b_motor", "b")
 
 
 def run(monitor: Monitor, states_: JointStates, first: int = START) -> list[Publication]:
-    return monitor.joint_states(first + np.arange(states_.stamp.size), states_)
+    return monitor.mixed_states(first + np.arange(states_.stamp.size), (states_,))
 
 
 def found(publications: list[Publication], topic: str) -> list[Any]:

@@ -87,7 +87,7 @@ def errors(monitor: Monitor, messages: JointStates, cuts: list[int], topic: str)
     found = []
     for low, high in itertools.pairwise([0, *cuts, messages.stamp.size]):
         part = rows(messages, slice(low, high))
-        for publication in monitor.joint_states(part.stamp + 5, part):
+        for publication in monitor.mixed_states(part.stamp + 5, (part,)):
             if isinstance(publication, Angles) and publication.topic == topic:
                 found.append(publication.position[:, 0])
     return np.concatenate(found)
@@ -163,10 +163,9 @@ def test_outputs_that_come_apart_have_a_stream_of_their_own(modelled: Config) ->
     for i in range(0, 400, 2):
         if i:
             middle = states(NAMES[1:], [stamp[i - 1]], [[angle[i - 1] / RATIO]], [[torque[i - 1]]])
-            monitor.joint_states(stamp[i - 1 : i], middle)
-        for publication in monitor.joint_states(
-            stamp[i : i + 1], states(NAMES[:1], [stamp[i]], [[angle[i]]])
-        ):
+            monitor.mixed_states(stamp[i - 1 : i], (middle,))
+        given = (states(NAMES[:1], [stamp[i]], [[angle[i]]]),)
+        for publication in monitor.mixed_states(stamp[i : i + 1], given):
             if publication.topic == "~/residual":
                 found.append(publication)
             if publication.topic == "~/transmission_error":
@@ -283,7 +282,7 @@ def test_a_log_without_its_model_is_refused(modelled: Config, model_path: Path, 
 
 
 def told(monitor: Monitor, messages: JointStates) -> Any:
-    monitor.joint_states(messages.stamp + 5, messages)
+    monitor.mixed_states(messages.stamp + 5, (messages,))
     return monitor.tick(int(messages.stamp[-1]) + 6, START, FACTS).statuses[0]
 
 

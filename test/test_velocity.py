@@ -150,7 +150,7 @@ def test_the_monitor_measures_the_error_of_the_gear(bags: dict[str, Path]) -> No
     position, effort, velocity = given
     signals = velocity, tuple(JOINT.mapped)
     states = JointStates(np.arange(300), stamp[rows], ("joint_1",), "", position, None, effort, *signals)
-    published = monitor.joint_states(stamp[rows], states)
+    published = monitor.mixed_states(stamp[rows], (states,))
     (errors,) = [each for each in published if each.topic.endswith("/measured_transmission_error")]
     line = LINE * np.cos(200.0 * made.angle[rows])
     found = np.polyfit(line - line.mean(), errors.position[:, 0], 1)[0]

@@ -79,13 +79,6 @@ class Monitor:
         for number in range(len(self.joints)):
             self.streams.reject(number, reason)
 
-    def joint_states(self, received: Times, states: JointStates) -> list[Publication]:
-        """What messages of one layout give that arrived at times (n,) [ns].
-
-        One at a time or many at once give the same, to the last bit.
-        """
-        return self.mixed_states(received, (states,))
-
     def mixed_states(
         self,
         received: Times,
@@ -98,7 +91,8 @@ class Monitor:
 
         The rows of the messages of each layout are positions among these, as are those of messages that are
         refused, with what they are, and of reports that are due between them. `heard` is when each arrived by
-        the clock that is asked for silence (n,) [ns]; the same by default.
+        the clock that is asked for silence (n,) [ns]; the same by default. One message at a time or many at
+        once give the same, to the last bit.
         """
         heard, published = received if heard is None else heard, []
         if due:
@@ -268,5 +262,5 @@ def warm_up(config: MonitorConfig) -> None:
     keys = tuple(name for joint in config.joints for name in joint.mapped)
     signals = np.zeros((1, len(keys))) if keys else None
     states = JointStates(time, time, flat, "", nothing, nothing, nothing, signals, keys)
-    monitor.joint_states(time, states)
+    monitor.mixed_states(time, (states,))
     monitor.tick(0, 0, {})
