@@ -35,14 +35,16 @@ from hd_diag.bag.mcap_scan import MAGIC
 _COMPRESS = {
     "zstd": zstandard.ZstdCompressor(level=1).compress,
     "lz4": lz4.frame.compress,
-    "none": bytes,
+    "none": memoryview,
 }
 COMPRESSIONS = tuple(_COMPRESS)
 # Chunks that may wait to be written: they bound the memory, and what a crash costs.
 _MOST_WAITING = 4
+_LARGE = 4 << 20  # above this a chunk is waited for, as are those before it [byte]
 _ROOM = 1 << 20  # that a chunk has from the beginning [byte]
 _FIXED = MESSAGE.size - RECORD.size  # of a message, in the length of its record [byte]
 _HEAD, _INDEX, _ENTRY = struct.Struct("<BQH"), struct.Struct("<BQHI"), struct.Struct("<QQ")
+_LENGTH = struct.Struct("<Q")
 _UNKNOWN = 2**64 - 1  # least time of no messages [ns]
 
 
@@ -106,13 +108,14 @@ class McapFile:
             self._channels[stream.channel.id] = stream.channel
             self._chunk.append(_packed(stream.channel))
 
-    def add(self, stream: Stream, log_time: int, publish_time: int, data: bytes) -> None:
+    def add(self, stream: Stream, log_time: int, publish_time: int, data: bytes | memoryview) -> None:
         """Append a message; the chunk is closed when it is full."""
         self.declare(stream)
         chunk, number, count = self._chunk, stream.channel.id, stream.count & 0xFFFFFFFF
         entry = _ENTRY.pack(log_time, chunk.size)
         head = MESSAGE.pack(Opcode.MESSAGE, _FIXED + len(data), number, count, log_time, publish_time)
-        chunk.append(head + data)
+        chunk.append(head)
+        chunk.append(data)
         self._added(stream, 1, log_time, log_time, entry)
 
     def add_rows(self, stream: Stream, times: Times, publish_times: Times, rows: Bytes) -> int:
@@ -149,7 +152,7 @@ class McapFile:
         if self._chunk.size:
             chunk, self._chunk = self._chunk, self._begun()
             self._waiting.append(self._pool.submit(self._store, chunk))
-        self.wait(_MOST_WAITING)
+            self.wait(_MOST_WAITING if chunk.size <= _LARGE else 0)
 
     def wait(self, most: int = 0) -> None:
         """Until no more than so many chunks wait for the operating system; raises what first went wrong."""
@@ -213,18 +216,20 @@ class McapFile:
         data, start = memoryview(chunk.data)[: chunk.size], self.size
         first, name = (0 if chunk.opened is None else chunk.first), self._compression.replace("none", "")
         stored = _COMPRESS[self._compression](data)
-        record = _packed(records.Chunk(name, stored, chunk.last, first, zlib.crc32(data), len(data)))
+        record = bytearray(_packed(records.Chunk(name, b"", chunk.last, first, zlib.crc32(data), len(data))))
+        _LENGTH.pack_into(record, 1, len(record) - RECORD.size + len(stored))
+        _LENGTH.pack_into(record, len(record) - _LENGTH.size, len(stored))  # of what is copied nowhere
         places, index = {}, b""
         for channel, entries in chunk.index.items():
-            places[channel] = start + len(record) + len(index)
+            places[channel] = start + len(record) + len(stored) + len(index)
             index += _INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)) + entries
         try:
-            self._put(record + index)
+            self._put(record, stored, index)
         except (BagError, OSError):
             self._failed = True
             raise
         sizes = len(stored), chunk.last, len(index), places, first, len(data)
-        self._indexes += _packed(records.ChunkIndex(len(record), start, name, *sizes))
+        self._indexes += _packed(records.ChunkIndex(len(record) + len(stored), start, name, *sizes))
         written = self.written.statistics
         written.chunk_count += 1
         written.message_start_time = min(written.message_start_time, chunk.first)
@@ -251,18 +256,20 @@ class McapFile:
         if not is_there:
             raise BagError(self.path, "was deleted or moved while it was written")
 
-    def _put(self, data: bytes) -> None:
-        """Write all of `data`, or nothing: a record that does not fit is cut off again."""
+    def _put(self, *parts: bytes | bytearray | memoryview) -> None:
+        """Write all parts, or nothing: a record that does not fit is cut off again."""
         self._check()
-        view, done = memoryview(data), 0
+        size = sum(map(len, parts))
         try:
-            while done < len(view):
-                done += os.write(self._fd, view[done:])
+            for part in parts if size > _LARGE else [b"".join(parts)]:
+                view = memoryview(part)
+                while len(view):
+                    view = view[os.write(self._fd, view) :]
         except BaseException:
             os.ftruncate(self._fd, self.size)
             os.lseek(self._fd, self.size, os.SEEK_SET)
             raise
-        self.size += len(data)
+        self.size += size
 
 
 class _Chunk:
@@ -280,10 +287,9 @@ class _Chunk:
         if self.size > len(self.data):
             self.data += bytes(self.size - len(self.data))
 
-    def append(self, record: bytes) -> None:
+    def append(self, record: bytes | memoryview) -> None:
         """Add bytes."""
-        begin = self.size
-        self.grow(len(record))
+        begin, self.size = self.size, self.size + len(record)
         self.data[begin : self.size] = record
 
 
