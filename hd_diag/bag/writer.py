@@ -170,7 +170,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             raise BagError(self.path, what)
         try:  # a context manager would take as long as the rest
             self._split_if_due(log_time)
-            self._file.add(self._streams[topic, type_name], log_time, publish, data)
+            plain = data if isinstance(data, bytes | memoryview) else bytes(data)  # a row may have gaps
+            self._file.add(self._streams[topic, type_name], log_time, publish, plain)
             self._close_old_chunk(time.monotonic())
         except (BagError, OSError) as exc:
             raise self._failure(exc) from exc
