@@ -81,6 +81,8 @@ def test_a_torque_whose_noise_hides_its_sign_is_left_out() -> None:
     assert left.mean() > 0.1
     assert np.abs(light[left]).max() < 3.0 * noisy.torque_deviation[0]
     assert np.abs(light[usable(noisy)]).min() >= 3.0 * noisy.torque_deviation[0]
+    nothing_but_noise = dataclasses.replace(noisy, torque=0.1 * light)
+    assert usable(nothing_but_noise).mean() > 0.5
 
 
 def test_a_rest_is_left_out_unless_the_torque_goes_on() -> None:
@@ -143,7 +145,8 @@ def test_trust_is_lost_to_another_minimum_as_good(
 ) -> None:
 
     def fit(problem: module._Problem, point: np.ndarray, steps: int) -> tuple[np.ndarray, float]:
-        return (other, 1000.0 + worse) if point[1] > 1.0 else (POINT, 1000.0)
+        reached, deviance = (other, 1000.0 + worse) if point[1] > 1.0 else (POINT, 1000.0)
+        return np.append(reached, 0.0), deviance
 
     monkeypatch.setattr(module, "_levenberg", fit)
     found = refit(short, CONFIGURED, RNG)

@@ -26,6 +26,7 @@ _STILL, _STEADY = 0.02, 0.02  # of the usual top speed, and of the torque's rang
 _SETTLING = 0.05  # [s] of a rest that count
 _GAP = 0.01  # of the usual greatest torque, under which it may be within the gap
 _CERTAIN = 3.0  # standard deviations of a torque, beyond which it is known on which flank it acts
+_ENOUGH = 0.1  # of the samples, that must be certain
 _OFFSET = 0.03  # prior width of the torque's zero, of the rated torque
 _MOST_OFF = 3.0  # prior widths
 _DAMPINGS = 6  # tried before a fit gives up
@@ -163,7 +164,8 @@ def refit(
 def usable(record: Record, shift: Floats | float = 0.0) -> npt.NDArray[np.bool_]:
     """Samples where the model's error is well defined and new: moving, or under a torque that changes.
 
-    Near zero torque its noise decides the flank. At rest an encoder repeats one count: many samples are one.
+    Near zero torque its noise decides the flank; where it does nearly everywhere, those samples stay. At rest
+    an encoder repeats one count: many samples are one.
 
     Parameters
     ----------
@@ -177,10 +179,11 @@ def usable(record: Record, shift: Floats | float = 0.0) -> npt.NDArray[np.bool_]
     """
     found = ~_resting(record)
     if record.has_torque:
-        least = np.maximum(
-            _GAP * np.percentile(np.abs(record.torque), 99), _CERTAIN * record.torque_deviation
-        )
-        found &= np.minimum(np.abs(record.torque), np.abs(record.torque + shift)) >= least
+        load = np.minimum(np.abs(record.torque), np.abs(record.torque + shift))
+        found &= load >= _GAP * np.percentile(np.abs(record.torque), 99)
+        certain = found & (load >= _CERTAIN * record.torque_deviation)
+        if np.count_nonzero(certain) >= _ENOUGH * np.count_nonzero(found):
+            return certain
     return found
 
 
