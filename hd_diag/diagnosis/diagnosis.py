@@ -92,14 +92,25 @@ class Diagnosis:
     def _explaining(self) -> tuple[Cause, ...]:
         return self.found.causes if self.found else ()
 
+    @property
+    def predicting(self) -> bool:
+        """Whether held-out rows are predicted better with the causes than by the parameters alone.
+
+        As the model runs, a motor's friction begins late: that speaks against no cause.
+        """
+        rms = self.rms
+        return rms is None or (rms.offline if self.record.by_current else rms.named) < rms.refit
+
     def _told(self, cause: Cause) -> bool:
         """Not if too many do as well, beside ambiguous parameters, in a misfit, or if more than it is left.
 
         Where more than noise is left chance is no measure: what else is wrong may well look like the cause.
+        Nor if held-out rows are predicted no better with the causes.
         """
         sure, left = self.refitted is None or self.refitted.trustworthy, self.misfit
         ahead = left is None or not left.plain or (left.value <= MISFIT and cause.gain > _HALF)
-        return sure and ahead and len(cause.alike) <= _MOST_ALIKE and not cause.doubtful
+        told = sure and ahead and self.predicting and len(cause.alike) <= _MOST_ALIKE
+        return told and not cause.doubtful
 
     @property
     def order_table(self) -> tuple[OrderRow, ...]:
@@ -222,7 +233,7 @@ def _predicting(
     best = tried(fit, kept, found)
     if kept.bounds and best.rms.misfit.plain:
         free = tried(found.fit, Kept({}), found)
-        best = free if free.rms.extended < best.rms.extended else best
+        best = best if free.rms.misfit.plain else free
     lines = tuple(item for item in found.chosen if item[0].given or isinstance(item[0], OutputLine))
     # As it runs, a motor's friction begins late: that speaks against no cause.
     left = best.rms.offline if record.by_current else best.rms.extended

@@ -190,11 +190,10 @@ def sentence(answer: Answer) -> str:
     if rows := [row for row in diagnosis.order_table if row.repeats]:
         parts.append(f"described, not explained: {', '.join(map(_row_in_words, rows))}")
     rms, record = diagnosis.rms, diagnosis.record
-    if rms is not None and diagnosis.causes and not rms.extended < rms.refit:
+    if rms is not None and diagnosis.hints and not diagnosis.predicting:
         parts.append(
-            "but held-out data are predicted no better with it than by the model's "
-            f"parameters alone ({rms.extended / ARCSEC:.2f} against {arcsec(rms.refit)}): take it for a "
-            "hint, and record more"
+            "held-out data are predicted no better with it than by the model's "
+            f"parameters alone ({rms.named / ARCSEC:.2f} against {arcsec(rms.refit)}): record more"
         )
     if record.size < record.extent.samples:
         samples = f"{record.size} of {record.extent.samples} samples"

@@ -23,7 +23,7 @@ from hd_diag.diagnosis.search.exchange import (
     refined,
     swapped,
 )
-from hd_diag.diagnosis.search.ranking import Candidate, by_name, candidates, family_size, ranked
+from hd_diag.diagnosis.search.ranking import Candidate, Projector, by_name, candidates, family_size, ranked
 from hd_diag.diagnosis.search.unmodelled_terms import (
     OUTPUT_LINES,
     UNMODELLED_TERMS,
@@ -40,6 +40,7 @@ _MOST_TERMS = 3  # unmodelled, beside lines of the output's turn
 _RIVALS = 6  # best candidates of a round that are tried later in place of others
 _UNEVEN = 1.3  # ratio of the residual at high and low speed from which both are fitted apart
 _AS_MUCH, _HALF = 0.9, 0.5  # of the best candidate's gain, that its rivals have; where they move the drive
+_HIDDEN = 0.05  # of a cause's columns, that parameters leave of what they imitate nearly whole
 _ALONG_A_VALLEY = 8  # rounds in which parameters reach another drive
 _FAR = 2.0  # times the noise's deviance, that is left where parameters are wrong still
 _LARGE = 0.1  # of the noise's deviance, that a cause explains which parameters may imitate
@@ -179,7 +180,8 @@ def _settled_first(
 
     Beside a large cause the model's parameters are wrong: what little any leaves there says nothing. Fitted
     without one they imitate it, away from where they began or at a bound: then they are searched for again.
-    Nor does what one leaves that the parameters imitate, until they have moved.
+    Nor does what one leaves that the parameters imitate, until they have moved: beside what explains little
+    each of those is tried that the parameters imitate nearly whole.
     """
     rows = int(np.count_nonzero(fit.residual_white))
     far = fit.design(chosen).deviance() - max((one.gain for one in best), default=0.0) > _FAR * rows
@@ -187,12 +189,19 @@ def _settled_first(
     large = bool(best) and best[0].gain > _LARGE * rows
     misled = not chosen and large and (far or moved or bool(at_bound(fit.parameters, fit.data.configured)))
     share = _AS_MUCH if far or misled else _HALF
+    projector = Projector(fit, chosen)
+
+    def hidden(one: Candidate) -> bool:
+        columns = fit.white(one.effect, one.nonlinear)
+        beside = projector.off(columns)[: len(columns)]
+        return not large and float(np.sum(beside**2)) < _HIDDEN * float(np.sum(columns**2))
 
     def competing(one: Candidate) -> bool:
         near = one.surprise > _PLAINLY and one.gain > share * best[0].gain
-        return near and (far or misled or one is best[0] or _moving(fit, chosen, one))
+        near = near and (far or misled or one is best[0] or _moving(fit, chosen, one))
+        return near or (one.surprise > _PLAINLY and hidden(one))
 
-    close = [one for one in best[:_RIVALS] if competing(one)]
+    close = [one for one in best if competing(one)]
     close = close if misled or close[1:] else []
 
     def settled(candidate: Candidate) -> tuple[LinearisedFit, float]:
@@ -200,7 +209,8 @@ def _settled_first(
         again = _refitted(fit, trial, rng).parameters if misled else fit.parameters
         other = fit.moved(again) if distinct([fit.parameters, again])[1:] else fit
         rounds = 2 if far or misled else _ALONG_A_VALLEY
-        return other, deviance_of(settle(other.corrected(trial), trial, rounds, learn=False), trial)
+        there = settle(other.corrected(trial), trial, rounds, learn=False)
+        return there if hidden(candidate) else other, deviance_of(there, trial)
 
     trials = sorted(((*settled(one), one) for one in close), key=lambda trial: trial[1])
     first = [one for _, _, one in trials]
