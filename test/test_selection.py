@@ -13,7 +13,7 @@ from joint_records import NOISE as NOISE_OF_RECORD
 from hd_diag.diagnosis import diagnosis
 from hd_diag.diagnosis.diagnosis import _predicting
 from hd_diag.diagnosis.fit import fit_parameters
-from hd_diag.diagnosis.fit.fit_parameters import COMPLIANCE, CUP
+from hd_diag.diagnosis.fit.fit_parameters import COMPLIANCE, CUP, DATUM
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.fit.refit import Refit, refit
@@ -249,3 +249,14 @@ def test_a_cause_that_a_shape_of_no_cause_beats_is_doubtful() -> None:
         fit = settle(bench(part, record=record), chosen)
         named = Search(fit, causes(fit, chosen, {}, (), np.random.default_rng(0)))
         assert [cause.doubtful for cause in doubted(named).causes] == [doubtful]
+
+
+def test_what_parameters_imitate_nearly_whole_is_tried_settled_beside_a_small_cause() -> None:
+    """Worn teeth are a datum farther out but for little; a pitch error takes more of that little at first."""
+    plain = settle(bench(of(EFFECTS["wear_backlash"], clearance=8e-6), record=swinging(40.0)), (), rounds=8)
+    best = candidates(plain, ())
+    fit, led = _settled_first(plain, (), best, np.random.default_rng(0), plain.parameters)
+    assert max(best, key=lambda one: one.gain).effect.name == "circular_spline_pitch"
+    assert led[0].effect.name == "wear_backlash"
+    assert abs(plain.parameters[DATUM] - POINT[DATUM]) > 20.0
+    assert abs(fit.parameters[DATUM] - POINT[DATUM]) < 4.0
