@@ -133,21 +133,24 @@ def unpack(path: Path, stack: ExitStack, files: int = 1) -> tuple[Path, str]:
 
 def unpacked(path: Path, block: Block) -> Iterator[Block]:
     """Messages that rosbag2 compressed one by one, a few megabytes at once; BagError as `decompressed`."""
-    first, found, size = 0, list[bytes](), 0
+    first, found, size, zstd = 0, list[bytes](), 0, zstandard.ZstdDecompressor()
     for row, message in enumerate(block.messages(), start=1):
-        found.append(decompressed(path, message))
+        found.append(decompressed(path, message, zstd))
         size += len(found[-1])
         if size >= PIECE or row == len(block):
             yield block[first:row].holding(found)
             first, found, size = row, [], 0
 
 
-def decompressed(path: Path, message: memoryview) -> bytes:
-    """A message that rosbag2 compressed; BagError where it is damaged or unpacks to too much."""
+def decompressed(path: Path, message: memoryview, zstd: zstandard.ZstdDecompressor) -> bytes:
+    """A message that rosbag2 compressed; BagError where it is damaged or unpacks to too much.
+
+    Making a decompressor takes longer than most messages: one serves many.
+    """
     try:
         size, limit = zstandard.get_frame_parameters(message).content_size, believable(len(message))
         if size != zstandard.CONTENTSIZE_UNKNOWN and size > limit:
             raise ValueError(f"it unpacks to {size} bytes, more than {limit}")
-        return zstandard.ZstdDecompressor().decompress(message, max_output_size=limit)
+        return zstd.decompress(message, max_output_size=limit)
     except (ValueError, zstandard.ZstdError, MemoryError) as exc:
         raise BagError(path, f"a compressed message is damaged: {exc}") from exc

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import zstandard
 
 from hd_diag.bag.block import Block, Topic
 from hd_diag.bag.errors import BagError, check_output, replaced
@@ -172,13 +173,13 @@ def _copy(
         "messages belong to no topic with a known definition": int((~is_late & ~is_known).sum()),
         "compressed messages are damaged": 0,
     }
-    good = block[~is_late & is_known]
+    good, zstd = block[~is_late & is_known], zstandard.ZstdDecompressor()
     for first in range(0, len(good), _AT_ONCE):
         part = good[first : first + _AT_ONCE]
         columns = (column.tolist() for column in (part.channel, part.log_time, part.publish_time))
         for data, channel, *times in zip(part.messages(), *columns, strict=True):
             try:
-                message = decompressed(file.path, data) if packed else data
+                message = decompressed(file.path, data, zstd) if packed else data
             except BagError:
                 lost["compressed messages are damaged"] += 1
                 continue
