@@ -94,12 +94,8 @@ class Diagnosis:
 
     @property
     def predicting(self) -> bool:
-        """Whether held-out rows are predicted better with the causes than by the parameters alone.
-
-        As the model runs, a motor's friction begins late: that speaks against no cause.
-        """
-        rms = self.rms
-        return rms is None or (rms.offline if self.record.by_current else rms.named) < rms.refit
+        """Whether held-out rows are predicted better with the causes than by the parameters alone."""
+        return self.rms is None or self.rms.by_causes(self.record.by_current) < self.rms.refit
 
     def _told(self, cause: Cause) -> bool:
         """Not if too many do as well, beside ambiguous parameters, in a misfit, or if more than it is left.
@@ -235,8 +231,7 @@ def _predicting(
         free = tried(found.fit, Kept({}), found)
         best = best if free.rms.misfit.plain else free
     lines = tuple(item for item in found.chosen if item[0].given or isinstance(item[0], OutputLine))
-    # As it runs, a motor's friction begins late: that speaks against no cause.
-    left = best.rms.offline if record.by_current else best.rms.extended
+    left = best.rms.by_causes(record.by_current)
     if found.chosen != lines and left > _WORSE * min(best.rms.refit, best.rms.nominal):
         found = Search(settle(plain, lines) if lines else plain, (), lines)
         best = tried(*kept_parameters(found.fit, lines), found)

@@ -54,6 +54,13 @@ class Rms:
     noise_high: float
     repeated: bool = field(default=True, kw_only=True)
 
+    def by_causes(self, by_current: bool) -> float:
+        """Residual beside causes, which must be less than without them.
+
+        By a current as fitted: as the model runs, a motor's friction begins late, which speaks against none.
+        """
+        return self.offline if by_current else self.named
+
     @property
     def misfit(self) -> Misfit:
         """What is left over the noise."""

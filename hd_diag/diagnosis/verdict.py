@@ -191,9 +191,10 @@ def sentence(answer: Answer) -> str:
         parts.append(f"described, not explained: {', '.join(map(_row_in_words, rows))}")
     rms, record = diagnosis.rms, diagnosis.record
     if rms is not None and diagnosis.hints and not diagnosis.predicting:
+        left = rms.by_causes(record.by_current) / ARCSEC
         parts.append(
             "held-out data are predicted no better with it than by the model's "
-            f"parameters alone ({rms.named / ARCSEC:.2f} against {arcsec(rms.refit)}): record more"
+            f"parameters alone ({left:.2f} against {arcsec(rms.refit)}): record more"
         )
     if record.size < record.extent.samples:
         samples = f"{record.size} of {record.extent.samples} samples"
@@ -206,8 +207,6 @@ def sentence(answer: Answer) -> str:
 def _causes(answer: Answer) -> list[str]:
     """Those that can be told, then those that are nearest to what is left."""
     told, nearest = answer.diagnosis.causes, answer.diagnosis.hints
-    if answer.judgement == "misfit":
-        told, nearest = (), (*told, *nearest)
     parts = {"beside that": told, "nearest to it, though not to be named for it": nearest}
     return [f"{how}: {'; '.join(map(_cause_in_words, some))}" for how, some in parts.items() if some]
 

@@ -142,6 +142,8 @@ class Effect:
         ndarray, shape (n, size)
             [rad] per unit of the coefficient; every run from its start.
         """
+        if not self.remembers:
+            raise NotImplementedError
         return by_run(signals, lambda run: self.advance(self.start(nonlinear), run, nonlinear)[0])
 
     def start(self, nonlinear: Values) -> Any:

@@ -60,11 +60,7 @@ SHORT = {
     "eccentricity_um": ("eccentricity.magnitude", 1e-6, "Eccentricity, fixed in the housing [µm]."),
     "direction_deg": ("eccentricity.direction", _DEGREE, "Its direction [degrees]."),
     "runout_um": ("runout.magnitude", 1e-6, "Runout, which turns with the wave generator [µm]."),
-    "runout_direction_deg": (
-        "runout.direction",
-        math.pi / 180.0,
-        "Its direction at input angle 0 [degrees].",
-    ),
+    "runout_direction_deg": ("runout.direction", _DEGREE, "Its direction at input angle 0 [degrees]."),
     "datum_mm": ("circular_spline_datum", 1e-3, "Datum radius of the circular spline's slots [mm]."),
 }
 """Options for the values most asked for: parameter, unit in SI, and help."""

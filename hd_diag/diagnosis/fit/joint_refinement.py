@@ -56,20 +56,27 @@ def settle(fit: LinearisedFit, chosen: Chosen, rounds: int = 3, learn: bool = Tr
             if fit is before:
                 return fit
             continue
-        least = built.deviance()
-        for share in (longer, *_SHARES) if longer > _CLEARLY else _SHARES:
-            moved = fit_parameters.admissible(fit.parameters + share * step, fit.data.configured)
-            there = replace(fit.moved(moved), longer=longer)
-            trial = there.beside(fit.sized(chosen, beta)).corrected(chosen)
-            left, most = trial.design(chosen).deviance(), 1.0 if share > 1.0 else _WORSE
-            if left > most * least and share <= 1.0:
-                least = max(least, fit.corrected(chosen).design(chosen).deviance())  # not by its lines alone
-            if left <= most * least:
-                break
-        else:
+        trial, share = _stepped_by(fit, chosen, beta, longer, built.deviance())
+        if trial is fit:
             break
         fit, taken = trial, share
     return fit.corrected(chosen)
+
+
+def _stepped_by(
+    fit: LinearisedFit, chosen: Chosen, beta: Floats, longer: float, least: float
+) -> tuple[LinearisedFit, float]:
+    """After the longest share of a step that makes the fit no worse, and that share; else the same."""
+    step, sized = beta[: fit_parameters.COUNT], fit.sized(chosen, beta)
+    for share in (longer, *_SHARES) if longer > _CLEARLY else _SHARES:
+        moved = fit_parameters.admissible(fit.parameters + share * step, fit.data.configured)
+        trial = replace(fit.moved(moved), longer=longer).beside(sized).corrected(chosen)
+        left, most = trial.deviance(chosen), 1.0 if share > 1.0 else _WORSE
+        if left > most * least and share == 1.0:
+            least = max(least, fit.corrected(chosen).deviance(chosen))  # not by its lines alone
+        if left <= most * least:
+            return trial, share
+    return fit, 0.0
 
 
 def _longer(step: Floats, before: Floats, taken: float) -> float:
@@ -114,10 +121,10 @@ def polished(fit: LinearisedFit, chosen: Chosen, rounds: int = _ROUNDS) -> tuple
         At the best values near those given.
     """
     for _ in range(rounds):
-        before = fit.design(chosen).deviance()
+        before = fit.deviance(chosen)
         fit, chosen = _stepped(fit, chosen, before)
         fit = settle(fit, chosen, learn=False)
-        if fit.design(chosen).deviance() > before - _SETTLED:
+        if fit.deviance(chosen) > before - _SETTLED:
             break
     return fit, chosen
 
@@ -202,7 +209,7 @@ def _stepped(fit: LinearisedFit, chosen: Chosen, before: float) -> tuple[Lineari
     for _ in range(_SHORTER):
         trial = _moved_all(fit, chosen, step)
         tried = fit.corrected(trial)
-        if tried.design(trial).deviance() < before:
+        if tried.deviance(trial) < before:
             return tried, trial
         step = 0.5 * step
     return fit, chosen

@@ -246,6 +246,10 @@ class LinearisedFit:
         beta, _, built, held = self._fit(chosen, more)
         return built.holding(held, beta[held])
 
+    def deviance(self, chosen: Chosen, more: Floats | None = None) -> float:
+        """What a fit of the same leaves, in units of the noise."""
+        return self.design(chosen, more).deviance()
+
     def cost(self, chosen: Chosen) -> float:
         """Deviance where it is linearised, with the chosen effects as they are present; zeros are free."""
         beta, _, built, _ = self._fit(chosen)

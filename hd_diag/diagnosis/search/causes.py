@@ -153,9 +153,9 @@ def _beaten(fit: LinearisedFit, chosen: Chosen, index: int) -> bool:
     terms = ranked(without, others, [term for term in UNMODELLED_TERMS if term.predictive])
     if not terms:
         return False
-    trial, now = (*others, (terms[0].effect, terms[0].nonlinear)), _deviance(itself, (*others, chosen[index]))
-    least = max(2.0 * CLASS_DEVIANCE, _PLAINLY * (_deviance(without, others) - now))
-    return _deviance(without.corrected(trial), trial) < now - least
+    trial, now = (*others, (terms[0].effect, terms[0].nonlinear)), itself.deviance((*others, chosen[index]))
+    least = max(2.0 * CLASS_DEVIANCE, _PLAINLY * (without.deviance(others) - now))
+    return without.corrected(trial).deviance(trial) < now - least
 
 
 def left_out(fit: LinearisedFit, chosen: Chosen, index: int) -> tuple[LinearisedFit, LinearisedFit, Chosen]:
@@ -168,7 +168,7 @@ def left_out(fit: LinearisedFit, chosen: Chosen, index: int) -> tuple[Linearised
     others = chosen[:index] + chosen[index + 1 :]
     again, without = (*others, chosen[index]), fit.corrected(others)
     itself = without.corrected(again)
-    if _deviance(itself, again) > _deviance(fit, chosen) + CLASS_DEVIANCE:
+    if itself.deviance(again) > fit.deviance(chosen) + CLASS_DEVIANCE:
         sized = fit.sized(chosen, fit.fit(chosen)[0])
         without = fit.beside(sized[:index] + sized[index + 1 :])
         itself = without.corrected(again)
@@ -260,7 +260,7 @@ def _alike(fit: LinearisedFit, chosen: Chosen, index: int, rivals: Collection[st
     found = [name for name in effect.always_confused if name not in named]
     without, itself, others = left_out(fit, chosen, index)
     again = (*others, chosen[index])
-    far = _deviance(without, others) - _deviance(fit, chosen)
+    far = without.deviance(others) - fit.deviance(chosen)
     far = _FAR * far if far > _CERTAIN else 0.0
     for candidate in ranked(without, others, by_name(fit, {*rivals, *effect.confused_with})):
         if candidate.effect.name in named or candidate.effect.name in found or candidate.gain < far:
@@ -270,10 +270,6 @@ def _alike(fit: LinearisedFit, chosen: Chosen, index: int, rivals: Collection[st
         if not _told_apart(_deviances(there, trial, blind) - _deviances(itself, again, blind)):
             found.append(candidate.effect.name)
     return found
-
-
-def _deviance(fit: LinearisedFit, chosen: Chosen) -> float:
-    return fit.design(chosen).deviance()
 
 
 def _told_apart(worse: Floats) -> bool:

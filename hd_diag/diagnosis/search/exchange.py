@@ -48,7 +48,7 @@ def swapped(fit: LinearisedFit, chosen: Chosen, rivals: set[str]) -> tuple[Linea
             continue
         without, itself, others = left_out(fit, chosen, index)
         again = (*others, (effect, nonlinear))
-        least = min(fit.design(chosen).deviance(), itself.design(again).deviance()) - CLASS_DEVIANCE
+        least = min(fit.deviance(chosen), itself.deviance(again)) - CLASS_DEVIANCE
         found = ranked(without, others, by_name(fit, rivals))
         if not found:
             continue
@@ -135,4 +135,4 @@ def best_nonlinear(
 
 def deviance_of(fit: LinearisedFit, chosen: Chosen) -> float:
     """With the effects at the size that fits."""
-    return fit.corrected(chosen).design(chosen).deviance()
+    return fit.corrected(chosen).deviance(chosen)

@@ -122,13 +122,13 @@ def _undisplaced(fit: LinearisedFit, chosen: Chosen) -> LinearisedFit:
     away, spread = _away(fit, chosen)
     if _certainty(away, spread, "eccentricity") > _PLAIN:
         return fit
-    least, best = fit.design(chosen).deviance(), fit
+    least, best = fit.deviance(chosen), fit
     for datum in _DATUMS:
         start = fit_parameters.vector(fit.data.configured, fit.data.configured)
         start[GROUPS["circular_spline_datum"][0]] += datum
         start = fit_parameters.admissible(start, fit.data.configured)
         trial = settle(fit.moved(start), chosen, rounds=5, learn=False)
-        if (deviance := trial.design(chosen).deviance()) < least:
+        if (deviance := trial.deviance(chosen)) < least:
             least, best = deviance, trial
     return best
 
@@ -163,7 +163,7 @@ def _held(fit: LinearisedFit, chosen: Chosen, names: list[str]) -> LinearisedFit
     if fall > _PLAINLY * noise and _pays(fall, gain):
         return None
     trial, gain = _trial(fit, chosen, names)
-    fall = trial.design(chosen).deviance() - free.deviance()
+    fall = trial.deviance(chosen) - free.deviance()
     return None if fall > noise and _pays(fall, gain) else trial
 
 

@@ -184,24 +184,19 @@ def _settled_first(
     each of those is tried that the parameters imitate nearly whole.
     """
     rows = int(np.count_nonzero(fit.residual_white))
-    far = fit.design(chosen).deviance() - max((one.gain for one in best), default=0.0) > _FAR * rows
+    far = fit.deviance(chosen) - max((one.gain for one in best), default=0.0) > _FAR * rows
     moved = begun is not None and bool(distinct([fit.parameters, begun])[1:])
     large = bool(best) and best[0].gain > _LARGE * rows
     misled = not chosen and large and (far or moved or bool(at_bound(fit.parameters, fit.data.configured)))
     share = _AS_MUCH if far or misled else _HALF
-    projector = Projector(fit, chosen)
-
-    def hidden(one: Candidate) -> bool:
-        columns = fit.white(one.effect, one.nonlinear)
-        beside = projector.off(columns)[: len(columns)]
-        return not large and float(np.sum(beside**2)) < _HIDDEN * float(np.sum(columns**2))
+    plain = [one for one in best if one.surprise > _PLAINLY]
+    hidden = [] if large else _hidden(fit, chosen, plain)
 
     def competing(one: Candidate) -> bool:
-        near = one.surprise > _PLAINLY and one.gain > share * best[0].gain
-        near = near and (far or misled or one is best[0] or _moving(fit, chosen, one))
-        return near or (one.surprise > _PLAINLY and hidden(one))
+        as_much = one.gain > share * best[0].gain
+        return as_much and (far or misled or one is best[0] or _moving(fit, chosen, one))
 
-    close = [one for one in best if competing(one)]
+    close = [one for one in plain if one in hidden or competing(one)]
     close = close if misled or close[1:] else []
 
     def settled(candidate: Candidate) -> tuple[LinearisedFit, float]:
@@ -210,7 +205,7 @@ def _settled_first(
         other = fit.moved(again) if distinct([fit.parameters, again])[1:] else fit
         rounds = 2 if far or misled else _ALONG_A_VALLEY
         there = settle(other.corrected(trial), trial, rounds, learn=False)
-        return there if hidden(candidate) else other, deviance_of(there, trial)
+        return there if candidate in hidden else other, deviance_of(there, trial)
 
     trials = sorted(((*settled(one), one) for one in close), key=lambda trial: trial[1])
     first = [one for _, _, one in trials]
@@ -230,12 +225,25 @@ def _on_the_other_flank(
     item = effects[0], ()
     there = fit.moved(begun.parameters).beside(((item, np.array([begun.torque_zero])),))
     there = settle(there, (item,), learn=False)
-    before, after = fit.design(()).deviance(), there.design((item,)).deviance()
+    before, after = fit.deviance(()), there.deviance((item,))
     if before - after < max((one.gain for one in best), default=0.0):
         return None
     gain, rows = before - after, int(np.count_nonzero(there.residual_white))
     chance, size = f_test(before, after, 1, rows, COUNT + 1), surprise(gain * rows / after, 1)
     return there, [Candidate(*item, gain, chance, size), *best]
+
+
+def _hidden(fit: LinearisedFit, chosen: Chosen, plain: list[Candidate]) -> list[Candidate]:
+    """Those whose columns the parameters and what is chosen imitate nearly whole."""
+    if not plain:
+        return []
+    projector, found = Projector(fit, chosen), []
+    for one in plain:
+        columns = fit.white(one.effect, one.nonlinear)
+        beside = projector.off(columns)[: len(columns)]
+        if float(np.sum(beside**2)) < _HIDDEN * float(np.sum(columns**2)):
+            found.append(one)
+    return found
 
 
 def _moving(fit: LinearisedFit, chosen: Chosen, candidate: Candidate) -> bool:
@@ -269,8 +277,7 @@ def _begun_slowly(
     other = fit.moved(slow.parameters)
     trials = ((fit, best), (other, candidates(other, ())))
     here, there = (
-        each.design(tuple((one.effect, one.nonlinear) for one in found[:1])).deviance()
-        for each, found in trials
+        each.deviance(tuple((one.effect, one.nonlinear) for one in found[:1])) for each, found in trials
     )
     return trials[there < here - _RESTART_GAIN]
 
@@ -281,14 +288,14 @@ def _restarted(fit: LinearisedFit, chosen: Chosen, rng: np.random.Generator) -> 
     Where even flexible columns explain no more than noise gives them, no other minimum can.
     """
     more = fit.flexible()
-    here = fit.design(chosen).deviance()
-    if here - fit.design(chosen, more).deviance() < more.shape[1] + _RESTART_GAIN:
+    here = fit.deviance(chosen)
+    if here - fit.deviance(chosen, more) < more.shape[1] + _RESTART_GAIN:
         return fit
     again = _refitted(fit, chosen, rng)
     if not distinct([fit.parameters, again.parameters])[1:]:
         return fit
     other = settle(fit.moved(again.parameters), chosen, rounds=2)
-    deviance = replace(other, whiten=fit.whiten).design(chosen).deviance()  # with one noise model
+    deviance = replace(other, whiten=fit.whiten).deviance(chosen)  # with one noise model
     return other if deviance < here - _RESTART_GAIN else fit
 
 
