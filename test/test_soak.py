@@ -1,8 +1,7 @@
 """How `make soak` counts: what is lost, what a full disk excuses, what memory does."""
 
-import os
+import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -45,13 +44,20 @@ def test_the_second_tenth_is_compared_with_the_last() -> None:
     assert np.isnan(soak.medians(flat[:5], 100.0)).all()
 
 
-def test_memory_threads_and_open_files_are_those_of_the_process(tmp_path: Path) -> None:
+def test_memory_threads_and_open_files_are_those_of_the_process() -> None:
+    code = "input(); kept = b'1' * 40_000_000; opened = open('/dev/null'); Thread(target=input).start()"
+    code = f"from threading import Thread; print(flush=True); {code}; print(flush=True)"
+    command = [sys.executable, "-c", code]
     seen = soak.Seen()
-    seen.take(0.0, os.getpid())
-    with (tmp_path / "a").open("w"), ThreadPoolExecutor(1) as pool:
-        block = pool.submit(np.ones, 4_000_000).result()
-        seen.take(1.0, os.getpid())
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        for at in (0.0, 1.0):
+            assert process.stdout.readline() == b"\n"
+            seen.take(at, process.pid)
+            process.stdin.write(b"\n")
+            process.stdin.flush()
     (_, before), (_, after) = seen.memory
-    assert 0.9 * block.nbytes < (after - before) * 2.0**20 < 1.5 * block.nbytes
+    assert 0.9 * 40e6 < (after - before) * 2.0**20 < 1.5 * 40e6
     assert seen.threads[1][1] - seen.threads[0][1] == 1
     assert seen.open_files[1][1] - seen.open_files[0][1] == 1
