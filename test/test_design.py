@@ -39,6 +39,20 @@ def test_sums_are_those_of_fits_with_and_without_each_block() -> None:
     assert_allclose(design(x, y, block).held_out(), expected, rtol=1e-10)
 
 
+def test_columns_that_wander_are_fitted_anew_in_a_block_that_is_held_out() -> None:
+    """Fitted to the other blocks, in which they hardly are, they would be anything there."""
+    x, y, block = problem()
+    ramp = np.where(block == 3, 1.0, np.where(block == 4, 1e-3, 0.0)) * np.linspace(0.5, 1.5, ROWS)
+    built = design(np.column_stack((x, ramp)), y + 50.0 * (block == 4), block, wandering=np.array([5]))
+    inside = [block == b for b in range(BLOCKS)]
+    x, y = x.copy(), y + 50.0 * (block == 4)
+    for rows in (inside[3], inside[4]):
+        x[rows], y[rows] = left(ramp[rows, None], x[rows]), left(ramp[rows, None], y[rows])
+    assert_allclose(built.held_out(), design(x, y, block).held_out(), rtol=1e-9)
+    gains = built.held_out_gain(slice(0, 1))
+    assert_allclose(gains, design(x, y, block).held_out_gain(slice(0, 1)), rtol=1e-8)
+
+
 def test_a_column_of_zeros_beside_others_solves_to_nothing() -> None:
     x, y, _ = problem(columns=12)
     x[:, 5] = 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -30,6 +30,8 @@ class Design:
         ``y_b^T y_b``.
     precision, pull : ndarray, shape (k,)
         Of the prior of every coefficient, and where it is centred: what blocks cannot tell stays there.
+    wandering : ndarray of int64, shape (m,)
+        Columns of which other blocks say nothing: a block that is held out fits them anew.
     """
 
     gram: Floats
@@ -37,6 +39,7 @@ class Design:
     square: Floats
     precision: Floats
     pull: Floats
+    wandering: Integers
 
     def deviance(self) -> float:
         """Residual sum of squares of the fit to all blocks, with that of the prior."""
@@ -53,7 +56,22 @@ class Design:
         gram[:, numbers], gram[:, :, numbers], moment[:, numbers] = 0.0, 0.0, 0.0
         precision = self.precision.copy()
         precision[numbers] = 0.0
-        return Design(gram, moment, square, precision, self.pull)
+        return replace(self, gram=gram, moment=moment, square=square, precision=precision)
+
+    def without_wandering(self) -> Design:
+        """The same with every block less what its own fit of the wandering columns explains."""
+        numbers = self.wandering
+        if not numbers.size:
+            return self
+        gram, moment, square = self.gram.copy(), self.moment.copy(), self.square.copy()
+        for block, (g, m) in enumerate(zip(self.gram, self.moment, strict=True)):
+            inside = g[numbers]
+            own = inverse(inside[:, numbers])
+            gram[block] -= inside.T @ own @ inside
+            moment[block] -= inside.T @ own @ m[numbers]
+            square[block] -= m[numbers] @ own @ m[numbers]
+        rest = replace(self, gram=gram, moment=moment, square=square)
+        return rest.holding(numbers, np.zeros(numbers.size))
 
     @property
     def whole(self) -> tuple[Floats, Floats]:
@@ -63,10 +81,11 @@ class Design:
 
     def held_out(self) -> Floats:
         """Sum of squares of each block, predicted by a fit to all others; shape (blocks,)."""
-        result = np.empty(self.square.size)
-        for block, (g, m, others, towards) in enumerate(self._held_out()):
+        known = self.without_wandering()
+        result = known.square.copy()
+        for block, (g, m, others, towards) in enumerate(known._blocks()):
             beta = solve(others, towards)
-            result[block] = self.square[block] - 2.0 * beta @ m + beta @ g @ beta
+            result[block] += beta @ g @ beta - 2.0 * beta @ m
         return result
 
     def held_out_gain(self, dropped: slice) -> tuple[Floats, Floats]:
@@ -87,7 +106,7 @@ class Design:
         count = self.moment.shape[1]
         rest = np.delete(np.arange(count), np.r_[dropped])
         gain, predicted = np.empty((2, self.square.size))
-        for block, (g, m, others, towards) in enumerate(self._held_out()):
+        for block, (g, m, others, towards) in enumerate(self.without_wandering()._blocks()):
             beta, fewer = solve(others, towards), np.zeros(count)
             fewer[rest] = solve(others[np.ix_(rest, rest)], towards[rest])
             change = beta - fewer
@@ -95,7 +114,7 @@ class Design:
             predicted[block] = change @ g @ change
         return gain, predicted
 
-    def _held_out(self) -> Iterator[tuple[Floats, Floats, Floats, Floats]]:
+    def _blocks(self) -> Iterator[tuple[Floats, Floats, Floats, Floats]]:
         """Normal equations of every block and of all others.
 
         A column that lives in the block alone leaves only rounding behind: it is set to zero.
@@ -129,6 +148,7 @@ def design(
     block: Integers,
     precision: Floats | None = None,
     pull: Floats | None = None,
+    wandering: Integers | None = None,
 ) -> Design:
     """Normal equations of whitened columns.
 
@@ -140,6 +160,8 @@ def design(
         Contiguous stretches numbered from zero.
     precision, pull : ndarray, shape (k,), optional
         Of the prior; none without.
+    wandering : ndarray of int64, shape (m,), optional
+        Columns of which one block says nothing about another.
 
     Returns
     -------
@@ -150,7 +172,9 @@ def design(
     edges = np.flatnonzero(np.diff(block)) + 1
     parts = [(columns[first:last], target[first:last]) for first, last in pairwise([0, *edges, block.size])]
     gram, moment = np.stack([x.T @ x for x, _ in parts]), np.stack([x.T @ y for x, y in parts])
-    return Design(gram, moment, np.array([float(y @ y) for _, y in parts]), precision, pull)
+    square = np.array([float(y @ y) for _, y in parts])
+    alone = np.empty(0, np.int64) if wandering is None else wandering
+    return Design(gram, moment, square, precision, pull, alone)
 
 
 def orthonormal(columns: Floats) -> Floats:

@@ -289,13 +289,22 @@ class LinearisedFit:
         precision, pull = np.zeros((2, columns.shape[1]))
         prior = self.prior(chosen)
         precision[: prior[0].size], pull[: prior[1].size] = prior
-        built = design(columns, self.residual_white, self.data.block, precision, pull)
+        block, alone = self.data.block, self._wandering(chosen)
+        built = design(columns, self.residual_white, block, precision, pull, alone)
         gram, moment = built.whole
         covariance = inverse(gram)
         beta, held = fit_parameters.bounded(
             covariance @ moment, covariance, self.parameters, self.data.configured
         )
         return beta, covariance, built, held
+
+    def _wandering(self, chosen: Chosen) -> Integers:
+        """Numbers of the columns by which chosen effects wander."""
+        found = [np.empty(0, np.int64)]
+        for (effect, nonlinear), place in zip(chosen, self.places(chosen), strict=True):
+            if effect.wanders(nonlinear):
+                found.append(np.arange(place.start + effect.size, place.stop))
+        return np.concatenate(found)
 
     def prior(self, chosen: Chosen) -> tuple[Floats, Floats]:
         """Precision of the coefficients of [model, offset, effects], and where they are drawn to; (k,) each.

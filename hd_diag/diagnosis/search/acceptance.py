@@ -124,7 +124,7 @@ def held_out_gain(fit: LinearisedFit, chosen: Chosen, index: int) -> tuple[Float
     many columns by chance.
     """
     place = fit.places(chosen)[index]
-    if wanders(fit, chosen[index : index + 1]):
+    if wanders(chosen[index : index + 1]):
         others = (*chosen[:index], *chosen[index + 1 :])
         without, beside = (block_deviances(fit, some) for some in (others, chosen))
         gain = without - beside - _CHANCE_SHARE * (place.stop - place.start) / without.size
@@ -132,13 +132,9 @@ def held_out_gain(fit: LinearisedFit, chosen: Chosen, index: int) -> tuple[Float
     return fit.design(chosen).held_out_gain(place)
 
 
-def wanders(fit: LinearisedFit, chosen: Chosen) -> bool:
+def wanders(chosen: Chosen) -> bool:
     """Whether amplitude and phase of one of the effects may wander over the record."""
-    return any(
-        fit.columns(effect, nonlinear).shape[1] > effect.size
-        for effect, nonlinear in chosen
-        if not isinstance(effect, UnmodelledTerm)
-    )
+    return any(effect.wanders(nonlinear) for effect, nonlinear in chosen)
 
 
 def block_deviances(fit: LinearisedFit, chosen: Chosen) -> Floats:

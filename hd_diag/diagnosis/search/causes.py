@@ -266,7 +266,7 @@ def _alike(fit: LinearisedFit, chosen: Chosen, index: int, rivals: Collection[st
         if candidate.effect.name in named or candidate.effect.name in found or candidate.gain < far:
             continue
         trial = (*others, (candidate.effect, candidate.nonlinear))
-        there, blind = without.corrected(trial), wanders(fit, chosen) or wanders(fit, trial)
+        there, blind = without.corrected(trial), wanders(chosen) or wanders(trial)
         if not _told_apart(_deviances(there, trial, blind) - _deviances(itself, again, blind)):
             found.append(candidate.effect.name)
     return found
