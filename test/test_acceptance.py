@@ -113,6 +113,14 @@ def test_what_is_surprising_and_too_small_makes_room_for_the_next(made: Linearis
     assert found.effect is RUBBED
 
 
+def test_what_may_be_chance_makes_room_for_the_next(made: LinearisedFit) -> None:
+    """It may stand first by what it leaves when everything is settled beside it."""
+    true = ranked(made, (), [RUBBED])[0]
+    weak = dataclasses.replace(true, p_value=0.02)
+    assert passing(made, (), [weak], 1) is None
+    assert passing(made, (), [weak, true], 1) == true
+
+
 def test_size_is_that_of_what_nothing_else_imitates(made: LinearisedFit) -> None:
     part, fixed = FRICTION(made.signals), made.always()
     scaled = fixed / np.linalg.norm(fixed, axis=0)

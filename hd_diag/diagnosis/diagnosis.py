@@ -19,7 +19,7 @@ from hd_diag.diagnosis.gain import MISFIT, Gain, Misfit, Rms, Rows, held_out, me
 from hd_diag.diagnosis.noise import ORDER
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.screening import Screened, screened
-from hd_diag.diagnosis.search.causes import Cause, Search, doubted, motor_deviations, parameters_of, refitted
+from hd_diag.diagnosis.search.causes import Cause, Search, doubted, motor_deviations, refitted
 from hd_diag.diagnosis.search.detectability import Testability, testability
 from hd_diag.diagnosis.search.kept_parameters import Kept, all_kept, kept_parameters
 from hd_diag.diagnosis.search.order_table import OrderRow
@@ -170,7 +170,7 @@ def diagnose(
     every = replace(best.every, held=kept.held).beside(best.found.fit.present)
     whole = doubted(refitted(settle(every, best.found.chosen), best.found))
     del begun, plain, found, best, every  # some hundred columns each
-    parameters, covariance = parameters_of(whole)
+    parameters, spread = kept.spread(whole)
     # Minima beside a drive without displacement are no rivals of it; nor those that only a cause made alike.
     certain = first.trustworthy or "eccentricity" in kept.bounds or alone(whole.fit, whole.chosen, rng)
     trustworthy = certain and not fit_parameters.at_bound(parameters, configured)
@@ -183,7 +183,7 @@ def diagnose(
         record,
         configured,
         findings,
-        Refit(drive, parameters, kept.spread(covariance), trustworthy),
+        Refit(drive, parameters, spread, trustworthy),
         whole,
         rms,
         gain,

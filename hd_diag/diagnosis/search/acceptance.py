@@ -37,8 +37,8 @@ def passing(fit: LinearisedFit, chosen: Chosen, ranked: list[Candidate], family:
     """
     for candidate in ranked:
         p = by_chance(candidate, family)
-        if p > FAMILY_ERROR:
-            return None
+        if p > FAMILY_ERROR:  # the order may be that of what they leave once all is settled
+            continue
         effect, nonlinear = candidate.effect, candidate.nonlinear
         large = size(fit, chosen, effect, nonlinear) >= LEAST_SIZE
         if large and _confirmed(fit, chosen, effect, nonlinear):

@@ -20,6 +20,7 @@ _POWER = 0.99
 _OWN = 1e-3  # least share of an effect that the model's own parameters cannot imitate
 _LARGE = 3.0  # times the usual size
 _TOO_SMALL = "what is usual would not stand out here: record more of it, or more slowly"
+_NO_START = "none of its lines would stand apart from others here: let the wave generator turn further"
 _IMITATED = "the model's own parameters imitate it: this record cannot tell them apart"
 
 
@@ -38,19 +39,24 @@ def testability(found: Search) -> list[Testability]:
     fit = found.fit
     named = {effect.name for effect, _ in found.chosen}
     beside, family = Projector(fit, found.chosen), max(family_size(fit), 1)
+    rest = fit.remainder(found.chosen)
     return [
         Testability(effect.name, True, LEAST_SIZE, "found")
         if effect.name in named
-        else _tested(fit, effect, beside, family)
+        else _tested(fit, effect, beside, rest, family)
         for effect in fit.data.searched
     ]
 
 
-def _tested(fit: LinearisedFit, effect: Effect, beside: Projector, family: int) -> Testability:
+def _tested(
+    fit: LinearisedFit, effect: Effect, beside: Projector, rest: Floats, family: int
+) -> Testability:
     """By what the record determines with everything else free; the motion says what it lacks, in words."""
     lacking = fit.data.testable(effect)[1]
     if not competes(fit, effect):
         return Testability(effect.name, False, math.nan, lacking)
+    if not effect.starts(fit.signals, rest).points:
+        return Testability(effect.name, False, math.nan, lacking or _NO_START)
     nonlinear = fit.data.grid(effect)[len(fit.data.grid(effect)) // 2]
     columns, white = fit.columns(effect, nonlinear), fit.white(effect, nonlinear)
     own = float(np.sum(beside.off(white) ** 2))

@@ -12,6 +12,7 @@ from hd_diag.diagnosis.fit.design import lower_bound
 from hd_diag.diagnosis.fit.fit_parameters import COUNT, MIRRORED
 from hd_diag.diagnosis.fit.joint_refinement import covariance, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
+from hd_diag.diagnosis.search.causes import Search, parameters_of
 from hd_diag.drive import Drive
 
 GROUPS: dict[str, tuple[int, ...]] = {
@@ -41,12 +42,12 @@ class Kept:
     ----------
     bounds : dict
         By the group's name, in units of :func:`fit_parameters.units`.
-    moved : ndarray, shape (7,)
-        How far the others are from where they would be, were these fitted too, in the same units.
+    free : ndarray, shape (7,)
+        Where the parameters would be, were these fitted too, in the same units; without any, nothing.
     """
 
     bounds: dict[str, float]
-    moved: Floats = field(default_factory=lambda: np.zeros(COUNT))
+    free: Floats = field(default_factory=lambda: np.empty(0))
 
     @property
     def held(self) -> tuple[int, ...]:
@@ -59,19 +60,25 @@ class Kept:
         units[5] *= configured.mesh.tooth_compliance
         return {name: bound * float(units[GROUPS[name][0]]) for name, bound in self.bounds.items()}
 
-    def spread(self, free: Floats) -> Floats:
-        """Covariance of all parameters, shape (7, 7).
+    def spread(self, whole: Search) -> tuple[Floats, Floats]:
+        """Parameters of a fit with these groups held, shape (7,), and their covariance, shape (7, 7).
 
-        Intervals reach as far as the bounds; those of the others are as much longer as these moved them.
+        Intervals reach as far as the bounds; those of the others as far as with nothing held.
         """
-        deviation = np.sqrt(np.maximum(np.diag(free), 1e-300))
-        longer = 1.0 + self.moved / _TWO_SIDED / deviation
-        found = free * np.multiply.outer(longer, longer)
+        found, own = parameters_of(whole)
+        if not self.bounds:
+            return found, own
+        free = settle(replace(whole.fit.moved(self.free), held=()), whole.chosen, learn=False)
+        other, beside = parameters_of(replace(whole, fit=free))
+        away = min((np.abs(one - found) for one in (other, other * MIRRORED)), key=_displaced)
+        plain, reach = (_TWO_SIDED * np.sqrt(np.diagonal(one)) for one in (own, beside))
+        longer = np.maximum(1.0, (away + reach) / np.maximum(plain, 1e-150))
+        spread = own * np.multiply.outer(longer, longer)
         for name, bound in self.bounds.items():
             for number in GROUPS[name]:
-                found[number], found[:, number] = 0.0, 0.0
-                found[number, number] = (bound / _TWO_SIDED) ** 2
-        return found
+                spread[number], spread[:, number] = 0.0, 0.0
+                spread[number, number] = (bound / _TWO_SIDED) ** 2
+        return found, spread
 
 
 def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Kept]:
@@ -95,7 +102,7 @@ def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, 
     certain = {name: _certainty(away, spread, name) for name in GROUPS if name not in untold}
     doubtful = [name for name in certain if certain[name] < _PLAIN]
     if not doubtful:
-        return fit, Kept(_bounds(fit, chosen, untold))
+        return fit, Kept(_bounds(fit, chosen, untold), _fitted(fit, chosen))
     best, held = fit, list[str]()
     if (trial := _held(fit, chosen, doubtful)) is not None:
         best, held = trial, doubtful
@@ -103,15 +110,16 @@ def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, 
         for name in sorted(doubtful, key=certain.__getitem__):
             if (trial := _held(best, chosen, [*held, name])) is not None:
                 best, held = trial, [*held, name]
-    moved = _fitted(best, chosen), _fitted(best, chosen) * MIRRORED
-    nearest = min((np.abs(one - _fitted(fit, chosen)) for one in moved), key=lambda x: float(np.sum(x[:4])))
-    return best, Kept(_bounds(fit, chosen, [*untold, *held]), nearest)
+    bounds = _bounds(fit, chosen, [*untold, *held])
+    if {"eccentricity", "runout"} <= bounds.keys():  # beside none a runout is free to be anything
+        bounds["runout"] = _bound(replace(best, held=()), chosen, "runout")
+    return best, Kept(bounds, _fitted(fit, chosen))
 
 
 def all_kept(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Kept]:
     """All groups held at their configured values; see :func:`kept_parameters`."""
     trial, _ = _trial(fit, chosen, [*GROUPS])
-    return trial, Kept(_bounds(fit, chosen, list(GROUPS)))
+    return trial, Kept(_bounds(fit, chosen, list(GROUPS)), _fitted(fit, chosen))
 
 
 def _undisplaced(fit: LinearisedFit, chosen: Chosen) -> LinearisedFit:
@@ -137,7 +145,7 @@ def _away(fit: LinearisedFit, chosen: Chosen) -> tuple[Floats, Floats]:
     """How far the parameters are from the configured ones, lobes swapped if that is nearer; covariance."""
     configured = fit_parameters.vector(fit.data.configured, fit.data.configured)
     found, own = _fitted(fit, chosen), slice(COUNT)
-    away = min((found - configured, found * MIRRORED - configured), key=lambda x: float(np.sum(x[:4] ** 2)))
+    away = min((found - configured, found * MIRRORED - configured), key=_displaced)
     open_ = fit_parameters.scaling(found, fit.data.held, fit.data.configured)
     return away, covariance(fit, chosen)[0][own, own] + open_
 
@@ -145,6 +153,11 @@ def _away(fit: LinearisedFit, chosen: Chosen) -> tuple[Floats, Floats]:
 def _fitted(fit: LinearisedFit, chosen: Chosen) -> Floats:
     """Parameters where a fit has them, shape (7,)."""
     return np.asarray(fit.parameters + fit.fit(chosen)[0][:COUNT])
+
+
+def _displaced(away: Floats) -> float:
+    """How far from none the displacements are."""
+    return float(np.sum(away[:4] ** 2))
 
 
 def _certainty(away: Floats, spread: Floats, name: str) -> float:
@@ -178,7 +191,7 @@ def _start(fit: LinearisedFit, names: list[str]) -> tuple[Floats, list[int]]:
     numbers = [number for name in names for number in GROUPS[name]]
     configured = fit_parameters.vector(fit.data.configured, fit.data.configured)
     points = (fit.parameters, fit.parameters * MIRRORED)
-    start = min(points, key=lambda x: float(np.sum((x - configured)[:4] ** 2))).copy()
+    start = min(points, key=lambda x: _displaced(x - configured)).copy()
     start[numbers] = configured[numbers]
     return start, numbers
 
