@@ -195,6 +195,37 @@ def test_a_second_smooth_law_has_to_be_more_than_the_first_one_s_shape(made: Lin
     assert of_shapes(settled, chosen, EFFECTS["input_encoder_eccentricity"]) == 0.0
 
 
+def test_what_stays_beside_the_first_law_s_other_shapes_is_none_of_them() -> None:
+    """No loop has a wrong zero of the torque in it; a friction that goes by another power is its own law."""
+    offset, viscous, dry = (EFFECTS[name] for name in ("torque_offset", "viscous_windup", "coulomb_windup"))
+    looped = bench(FRICTION, lambda signals: 0.4 * signals.predicted_torque_slope)
+    both = RUBBING, (offset, ())
+    looped = looped.corrected(both)
+    assert LEAST_SIZE < size(looped, both[:1], offset, ()) < of_shapes(looped, both[:1], offset)
+    assert not only_mends(looped, both, 1)
+
+    def greased(signals: Signals) -> np.ndarray:
+        return (
+            3.0
+            * signals.predicted_torque_slope
+            * np.sign(signals.speed)
+            * np.abs(signals.speed / 50.0) ** 0.85
+        )
+
+    slow = bench(greased)
+    (second, *_) = ranked(slow, ((viscous, (1.0,)),), [dry])
+    both = (viscous, (1.0,)), (dry, second.nonlinear)
+    slow = slow.corrected(both)
+    assert size(slow, both[:1], *both[1]) > LEAST_SIZE
+    assert only_mends(slow, both, 1)
+
+
+def test_another_law_of_torsion_is_no_shape_of_it(made: LinearisedFit) -> None:
+    """It is what hardening is."""
+    hardening = EFFECTS["torsional_hardening"]
+    assert imitated(made, (), hardening, (14.0, 48.0, 0.01)) == 0.0
+
+
 def test_a_loop_has_to_be_more_than_torsion_whose_torque_is_a_little_late(made: LinearisedFit) -> None:
     """It may come to the fit all the same: another cause may then show beside it, and take its place."""
     loop, torsion = EFFECTS["hysteresis"], float(np.std(made.signals.predicted))

@@ -9,11 +9,14 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.design import f_test, holds, projection, solve
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
+from hd_diag.diagnosis.fit.present_effects import Item
 from hd_diag.diagnosis.noise import numbered
 from hd_diag.diagnosis.search.ranking import Candidate
 from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
 from hd_diag.effects.effect import Effect, Stage
 from hd_diag.model.torsion_map import ARCSEC
+
+_TORSION = "torsional_hardening"
 
 FAMILY_ERROR = 0.01
 """Chance of any false name by noise, over all candidates and grid points."""
@@ -22,6 +25,7 @@ LEAST_SIZE = 0.25 * ARCSEC
 """A cause smaller than this beside the refitted model is of no practical size [rad rms]."""
 
 _SHAPE = 0.08  # of a smooth law's size, to which its shape is known
+_SHAPES, _STAYING = 8, 0.8  # other ones of a law; share of what is told from it, that they may not take over
 _LOOP = 0.01  # of the model's torsion, that its loops are right to
 _LATE = 0.002  # the same of a delay
 _CERTAIN_SIZE = 0.5 * ARCSEC  # of a shape that nothing held out can prove [rad rms]
@@ -49,11 +53,25 @@ def passing(fit: LinearisedFit, chosen: Chosen, ranked: list[Candidate], family:
 def only_mends(fit: LinearisedFit, chosen: Chosen, index: int) -> bool:
     """Whether one of the chosen effects is no more than the others' shape, or that of what imitates it.
 
-    It belongs to the fit all the same: left out, what is nearest to it would be named for it.
+    It belongs to the fit all the same: left out, what is nearest to it would be named for it. What stays
+    beside the other shapes that the others can have is none of theirs.
     """
     (effect, nonlinear), others = chosen[index], chosen[:index] + chosen[index + 1 :]
-    least = max(of_shapes(fit, others, effect), imitated(fit, others, effect, nonlinear))
-    return least > 0.0 and size(fit, others, effect, nonlinear) < least
+    own = size(fit, others, effect, nonlinear)
+    if own < imitated(fit, others, effect, nonlinear):
+        return True
+    richer = (*others, *_other_shapes(fit, others))
+    return own < of_shapes(fit, others, effect) and size(fit, richer, effect, nonlinear) < _STAYING * own
+
+
+def _other_shapes(fit: LinearisedFit, chosen: Chosen) -> Chosen:
+    """The smooth laws among the chosen effects at other points of their grids."""
+    found: list[Item] = []
+    for effect, nonlinear in chosen:
+        if smooth(effect) and not effect.given:
+            points = [point for point in fit.data.grid(effect) if point != nonlinear]
+            found += [(effect, point) for point in points[:: -(-len(points) // _SHAPES) or 1]]
+    return tuple(found)
 
 
 def by_chance(candidate: Candidate, family: int) -> float:
@@ -79,9 +97,9 @@ def imitated(fit: LinearisedFit, chosen: Chosen, effect: Effect, nonlinear: tupl
     """Size up to which an effect may only be the shape of what imitates it beside it [rad rms].
 
     Over part of a turn, gravity on a soft cup is a runout but for some per cent: the torsion's own shape. The
-    encoders' zeros have no shape that could be wrong.
+    encoders' zeros have no shape that could be wrong; another law of torsion by torque is a shape itself.
     """
-    if not smooth(effect):
+    if not smooth(effect) or effect.name == _TORSION:
         return 0.0
     part = _part(fit, chosen, effect, nonlinear)
     return _SHAPE * float(np.std(part - projection(fit.data.offsets, part)))

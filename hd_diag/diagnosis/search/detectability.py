@@ -48,9 +48,7 @@ def testability(found: Search) -> list[Testability]:
     ]
 
 
-def _tested(
-    fit: LinearisedFit, effect: Effect, beside: Projector, rest: Floats, family: int
-) -> Testability:
+def _tested(fit: LinearisedFit, effect: Effect, beside: Projector, rest: Floats, family: int) -> Testability:
     """By what the record determines with everything else free; the motion says what it lacks, in words."""
     lacking = fit.data.testable(effect)[1]
     if not competes(fit, effect):

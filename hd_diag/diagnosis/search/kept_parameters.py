@@ -69,6 +69,8 @@ class Kept:
         if not self.bounds:
             return found, own
         free = settle(replace(whole.fit.moved(self.free), held=()), whole.chosen, learn=False)
+        if free.deviance(whole.chosen) > whole.fit.deviance(whole.chosen):  # no better with more to fit
+            free = replace(whole.fit, held=())
         other, beside = parameters_of(replace(whole, fit=free))
         away = min((np.abs(one - found) for one in (other, other * MIRRORED)), key=_displaced)
         plain, reach = (_TWO_SIDED * np.sqrt(np.diagonal(one)) for one in (own, beside))
@@ -96,13 +98,13 @@ def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, 
         The same with these groups held.
     kept : Kept
     """
-    fit = _undisplaced(fit, chosen)
+    begun, fit = _fitted(fit, chosen), _undisplaced(fit, chosen)
     away, spread = _away(fit, chosen)
     untold = [name for name, numbers in GROUPS.items() if set(numbers) <= set(fit.data.held)]
     certain = {name: _certainty(away, spread, name) for name in GROUPS if name not in untold}
     doubtful = [name for name in certain if certain[name] < _PLAIN]
     if not doubtful:
-        return fit, Kept(_bounds(fit, chosen, untold), _fitted(fit, chosen))
+        return fit, Kept(_bounds(fit, chosen, untold), begun)
     best, held = fit, list[str]()
     if (trial := _held(fit, chosen, doubtful)) is not None:
         best, held = trial, doubtful
@@ -113,7 +115,7 @@ def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, 
     bounds = _bounds(fit, chosen, [*untold, *held])
     if {"eccentricity", "runout"} <= bounds.keys():  # beside none a runout is free to be anything
         bounds["runout"] = _bound(replace(best, held=()), chosen, "runout")
-    return best, Kept(bounds, _fitted(fit, chosen))
+    return best, Kept(bounds, begun)
 
 
 def all_kept(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Kept]:
