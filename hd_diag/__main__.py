@@ -9,6 +9,7 @@ atexit.register(gc.freeze)  # at the end nobody looks through all objects once m
 
 def main() -> None:
     """Entry point of the ``hd-diag`` command."""
+    gc.disable()  # until a verb works: imports leave no garbage, and looking for it is a sixth of a start
     try:
         from hd_diag.ros.stop_signals import raise_signals
 
@@ -16,11 +17,14 @@ def main() -> None:
         from hd_diag.cli import main as run
 
         run()
-    except KeyboardInterrupt as error:
-        from hd_diag.ros.stop_signals import signalled
+    except (Exception, KeyboardInterrupt) as error:
+        from hd_diag.ros.stop_signals import ignore_signals, signalled
 
+        if not (code := signalled(error)):
+            raise
+        ignore_signals()
         print("hd-diag: interrupted", file=sys.stderr)  # noqa: T201
-        sys.exit(signalled(error))
+        sys.exit(code)
 
 
 def node() -> None:

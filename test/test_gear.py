@@ -133,7 +133,7 @@ def test_a_page_becomes_a_drive_that_has_its_stiffness_and_clearance(name: str) 
     drive = config.joints[0].drive
     scale = drive.mesh.geometry.module / 0.3e-3
     assert drive.kinematics.ratio == PAGES[name][1]
-    assert least_backlash(drive.mesh.geometry) == pytest.approx(scale * LEAST_BACKLASH, rel=0.01)
+    assert least_backlash(drive.mesh.geometry)[0] == pytest.approx(scale * LEAST_BACKLASH, rel=0.01)
     found = assess(config, config.joints[0])
     assert found.found.stiffness == pytest.approx(1e3 * np.array(PAGES[name][3:6]), rel=0.06)
     assert found.found.overlap < 0.0

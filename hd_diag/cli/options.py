@@ -6,6 +6,7 @@ Neither this nor :mod:`hd_diag.cli.verbs` imports more than click: help and comp
 from __future__ import annotations
 
 import functools
+import gc
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -68,6 +69,7 @@ def verb(example: str, module: str = "", **settings: Any) -> Callable[[Callable[
         def run(**given: Any) -> Any:
             check_files()
             function = getattr(import_module(f"hd_diag.cli.{module or name}"), name)
+            gc.enable()
             try:
                 return function(**given)
             except ValueError as error:

@@ -51,11 +51,12 @@ _LONGEST_TEXT = 80  # of a name or value that an error names
 _WORDS = {bool: "true or false", str: "a text"}
 
 
-def _table(owner: str) -> tuple[Parameter, ...]:
-    """Parameters of the node or of each joint, from the table beside this module."""
+def _tables() -> dict[str, tuple[Parameter, ...]]:
+    """Parameters of the node and of each joint, from the table beside this module."""
+    found: dict[str, tuple[Parameter, ...]] = {"node": (), "joint": ()}
     with Path(__file__).with_name("parameters.csv").open(encoding="utf-8", newline="") as file:
-        return tuple(
-            Parameter(
+        for row in csv.DictReader(file):
+            parameter = Parameter(
                 row["name"],
                 _default(row["default"]),
                 row["unit"],
@@ -65,9 +66,8 @@ def _table(owner: str) -> tuple[Parameter, ...]:
                 tuple(row["choices"].split()),
                 row["scale"] or "",
             )
-            for row in csv.DictReader(file)
-            if row["owner"] == owner
-        )
+            found[row["owner"]] += (parameter,)
+    return found
 
 
 def _default(text: str) -> Value:
@@ -78,8 +78,7 @@ def _default(text: str) -> Value:
     return text
 
 
-NODE_PARAMETERS = _table("node")
-JOINT_PARAMETERS = _table("joint")
+NODE_PARAMETERS, JOINT_PARAMETERS = _tables().values()
 
 LIMITS = tuple(p.name.split(".")[1] for p in JOINT_PARAMETERS if re.fullmatch(r"limits\.\w+\.warn", p.name))
 """Quantities with thresholds ``limits.<quantity>.warn`` and ``.error``."""

@@ -10,7 +10,6 @@ teeth, the eccentricity of the first interference, forces on teeth.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 
@@ -22,7 +21,7 @@ from hd_diag.gear.characteristics import PHASES, Teeth, slot_phases, stiffness_s
 from hd_diag.model.contact import contacts
 from hd_diag.model.geometry import Geometry
 from hd_diag.model.mesh import Mesh
-from hd_diag.model.neutral_curve import neutral_curve
+from hd_diag.model.neutral_curve import mean_radius
 from hd_diag.model.tooth_profile import DoubleArc
 
 LEAST_TEETH = 60
@@ -36,7 +35,8 @@ _DIGITS = 10  # decimals of a length: a tenth of a nanometre, so that every mach
 _DIGITS_KEPT = 4  # significant, of a compliance
 _SOFTER = 10.0  # logarithm of how much softer or stiffer teeth may be than where the search begins [-]
 _SOFTEST_CUP = 0.95  # of 1 / K1: as soft as all of it would leave nothing to the teeth [-]
-_TRIALS, _CLOSE = 17, 1e-7  # compliances beside each other; of their logarithm, and of the cup's share [-]
+_STEPS, _LAST_STEP = 12, 2e-9  # of a solution; each leaves a fiftieth of the error, or less [m]
+_TRIALS, _CLOSE = 65, 1e-6  # compliances beside each other; of their logarithm, and of the cup's share [-]
 
 
 def module_scale(known: Geometry, scale: float, teeth: int) -> float:
@@ -66,30 +66,33 @@ def similar(known: Geometry, scale: float, teeth: int) -> Geometry:
             "gears have another profile and deformation, which similarity does not tell: give them all"
         )
     k, start = module_scale(known, scale, teeth), _by_module(known, scale, teeth)
-    wanted = k * least_backlash(known)
-
-    def excess(shift: float) -> float:
-        return least_backlash(_shifted(start, shift)) - wanted
-
+    wanted = k * least_backlash(known)[0]
     low, high = (k * shift for shift in _SHIFTS)
-    try:
-        shift = round(_root(excess, low, high, 0.5 * 10.0**-_DIGITS), _DIGITS)
-    except ValueError as error:
-        raise ValueError(
-            f"no place of the slots between {low * 1e6:.0f} and {high * 1e6:.0f} µm from where the module "
-            f"has them gives {teeth} teeth their clearance: no similar profile; give all the geometry"
-        ) from error
-    return _shifted(start, shift)
+    shift = 0.0
+    for _ in range(_STEPS):  # Newton
+        backlash, slope = least_backlash(_shifted(start, shift))
+        step = (wanted - backlash) / slope
+        shift += step
+        if not low <= shift <= high:
+            break
+        if abs(step) < _LAST_STEP:
+            return _shifted(start, shift, _DIGITS)
+    raise ValueError(
+        f"no place of the slots between {low * 1e6:.0f} and {high * 1e6:.0f} µm from where the module "
+        f"has them gives {teeth} teeth their clearance: no similar profile; give all the geometry"
+    )
 
 
 @lru_cache(maxsize=64)  # that of the known one stays
-def least_backlash(geometry: Geometry) -> float:
-    """Least backlash of all teeth without eccentricity and torque, over a slot pitch [m].
+def least_backlash(geometry: Geometry) -> tuple[float, float]:
+    """Least backlash of all teeth without eccentricity and torque [m], and its change with the slots' [-].
 
-    Over half of one: what - flanks do there, + flanks do in the other half.
+    Teeth are even in number. Over half a slot pitch: what - flanks do there, + flanks do in the other half.
     """
-    found = contacts(Mesh(geometry), slot_phases(geometry)[: PHASES // 2 + 1])
-    return float(np.nanmin(found.rotation * found.radius))
+    found = contacts(Mesh(geometry), slot_phases(geometry)[: PHASES // 2 + 1], lobes=1)
+    backlash = found.rotation * found.radius
+    least = np.nanargmin(backlash)
+    return float(backlash.flat[least]), float(found.opening.flat[least] * found.radius.flat[least])
 
 
 def compliances(mesh: Mesh, t1: float, t2: float, wanted: Floats) -> tuple[float, float]:
@@ -142,14 +145,14 @@ def _by_module(known: Geometry, scale: float, teeth: int) -> Geometry:
     """Geometry by similarity, with the slots where the module has them."""
     k, radius = module_scale(known, scale, teeth), scale * known.curve.radius
     major = radius + k * (known.semi_major - known.curve.radius)
-    # The sum of the semi-axes hardly differs from twice the radius.
-    least = 2.0 * radius - major - (major - radius)
-    minor = _root(lambda b: neutral_curve(major, b).radius - radius, least, radius, 1e-13)
+    minor = 2.0 * radius - major
+    for _ in range(_STEPS):  # the perimeter hardly differs from that of a circle of the semi-axes' mean
+        minor += 2.0 * (radius - mean_radius(major, minor))
     return Geometry(
         teeth,
         teeth + known.circular_spline_teeth - known.flexspline_teeth,
         round(major, _DIGITS),
-        round(float(minor), _DIGITS),
+        round(minor, _DIGITS),
         _scaled(known.flexspline_tooth, k),
         round(k * known.flexspline_root, _DIGITS),
         round(k * known.flexspline_tip, _DIGITS),
@@ -159,31 +162,11 @@ def _by_module(known: Geometry, scale: float, teeth: int) -> Geometry:
     )
 
 
-def _shifted(geometry: Geometry, shift: float) -> Geometry:
-    """Geometry with the slots further out [m]."""
+def _shifted(geometry: Geometry, shift: float, digits: int = 17) -> Geometry:
+    """Geometry with the slots further out [m], to so many decimals."""
     places = (geometry.circular_spline_datum, geometry.circular_spline_tip_radius)
-    datum, tip = (round(place + shift, _DIGITS) for place in places)
+    datum, tip = (round(place + shift, digits) for place in places)
     return replace(geometry, circular_spline_datum=datum, circular_spline_tip_radius=tip)
-
-
-def _root(function: Callable[[float], float], low: float, high: float, precision: float) -> float:
-    """Where a function changes its sign, by the Illinois form of regula falsi; ValueError: it does not.
-
-    It ends with the first step no longer than the precision.
-    """
-    at_low, at_high = function(low), function(high)
-    if not at_low * at_high <= 0.0:
-        raise ValueError("no change of sign")
-    while True:
-        new = high - at_high / (at_high - at_low) * (high - low) if at_high else high
-        if abs(new - high) <= precision:
-            return new
-        at_new = function(new)
-        if at_new * at_high <= 0.0:
-            low, at_low = high, at_high
-        else:
-            at_low *= 0.5
-        high, at_high = new, at_new
 
 
 def _scaled(flank: DoubleArc, k: float) -> DoubleArc:

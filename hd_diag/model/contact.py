@@ -54,7 +54,7 @@ class Contact:
     softening: Floats
 
 
-def contacts(mesh: Mesh, wave_generator_angle: Floats, compiled: bool = False) -> Contact:
+def contacts(mesh: Mesh, wave_generator_angle: Floats, compiled: bool = False, lobes: int = 2) -> Contact:
     """Contacts of the tooth pairs near both lobes, at any number of moments.
 
     Parameters
@@ -64,6 +64,8 @@ def contacts(mesh: Mesh, wave_generator_angle: Floats, compiled: bool = False) -
         theta_W [rad].
     compiled : bool
         Whether by compiled code: many times as fast, once it is there.
+    lobes : int
+        1: the first alone. The other is the same in a centred mesh with an even number of teeth.
 
     Returns
     -------
@@ -73,17 +75,19 @@ def contacts(mesh: Mesh, wave_generator_angle: Floats, compiled: bool = False) -
     turn = np.asarray(wave_generator_angle, dtype=np.float64)
     solve: Any = partial(_compiled if compiled else close, mesh.data.constants)
     firsts = range(0, max(turn.size, 1), _BLOCK)
-    blocks = [_contacts(mesh, turn[first : first + _BLOCK], solve) for first in firsts]
+    blocks = [_contacts(mesh, turn[first : first + _BLOCK], solve, lobes) for first in firsts]
     return Contact(*map(np.concatenate, zip(*blocks, strict=True)))
 
 
-def _contacts(mesh: Mesh, turn: Floats, solve: Callable[[Floats, Floats], Any]) -> tuple[Any, ...]:
+def _contacts(
+    mesh: Mesh, turn: Floats, solve: Callable[[Floats, Floats], Any], lobes: int
+) -> tuple[Any, ...]:
     """What `Contact` holds. Poses are those of :mod:`hd_diag.model.kernel.poses`, without its shortcuts."""
     c, farthest = mesh.data.constants, abs(mesh.eccentricity) + abs(mesh.runout)
     near, turned = reach(mesh.data, farthest), turn[:, None]
     columns, start = width(c, near), mesh.arc_offset / c.curve_radius - turned * c.turn_ratio
-    first = np.ceil((np.array([0.0, np.pi]) - near - start) / c.tooth_pitch)
-    number = np.repeat(first, columns, axis=1) + np.tile(np.arange(columns), 2)
+    first = np.ceil((np.pi * np.arange(lobes) - near - start) / c.tooth_pitch)
+    number = np.repeat(first, columns, axis=1) + np.tile(np.arange(columns), lobes)
     axis, height, offset = tooth_axes(mesh.geometry.curve, start + number * c.tooth_pitch)
     axis = axis + turned
     center = mesh.displacement(turned) * np.exp(-1j * axis)

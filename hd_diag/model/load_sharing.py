@@ -149,7 +149,7 @@ class FlankTorsion:
 
     def __call__(self, torque: Floats) -> Floats:
         """Torsion (moments, torques) at torques (torques,)."""
-        piece = np.count_nonzero(self._begin[:, :, None] < torque, axis=1)
+        piece = np.stack([np.searchsorted(begin, torque) for begin in self._begin])
         bearing, rest = (np.take_along_axis(each, piece, axis=1) for each in (self._stiffness, self._moment))
         idle = (torque == 0.0) & (self.gap > 0.0)[:, None]
         return np.where(idle, self._middle[:, None], (torque + rest) / bearing)

@@ -12,6 +12,7 @@ from hd_diag.arrays import Floats
 # Series over a turn converge like (1 - b / a)^k or faster; 64 samples leave them at rounding error for
 # semi-axes up to 20 % apart, far more than a flexspline bears.
 _SAMPLES = 64
+_U = np.pi * np.arange(_SAMPLES) / _SAMPLES
 _STEPS = 6  # each squares an error that begins below 0.06 rad
 _ROUNDING = 2e-16  # [rad]; smaller harmonics are rounding error of the transform
 
@@ -52,20 +53,30 @@ def neutral_curve(semi_major: float, semi_minor: float) -> NeutralCurve:
             f"neutral curve: semi_major ({semi_major:.6g} m) must be at least semi_minor "
             f"({semi_minor:.6g} m), and by no more than 20 %"
         )
-    u = np.pi * np.arange(_SAMPLES) / _SAMPLES
     multiples = 2.0 * np.arange(1, _SAMPLES // 2)
-    speed = np.fft.rfft(np.hypot(semi_major * np.sin(u), semi_minor * np.cos(u))).real / _SAMPLES
+    speed = _speed(semi_major, semi_minor)
     radius = float(speed[0])
     arcs = 2.0 * speed[1:-1] / (radius * multiples)  # of the arc length over R_b: t + sum arcs sin 2kt
-    t = u.copy()
+    t = _U.copy()
     for _ in range(_STEPS):  # Newton
         angles = np.multiply.outer(t, multiples)
-        t -= (t - u + np.sin(angles) @ arcs) / (1.0 + np.cos(angles) @ (multiples * arcs))
-    spectrum = -np.fft.rfft(t - u).imag[1:] * 2.0 / _SAMPLES
+        t -= (t - _U + np.sin(angles) @ arcs) / (1.0 + np.cos(angles) @ (multiples * arcs))
+    spectrum = -np.fft.rfft(t - _U).imag[1:] * 2.0 / _SAMPLES
     kept = int(np.max(np.nonzero(np.abs(spectrum) > _ROUNDING)[0], initial=0)) + 1
     harmonics = spectrum[:kept].copy()
     harmonics.flags.writeable = False
     return NeutralCurve(semi_major, semi_minor, radius, harmonics)
+
+
+def mean_radius(semi_major: float, semi_minor: float) -> float:
+    """R_b of an ellipse [m], as in its `NeutralCurve`."""
+    return float(_speed(semi_major, semi_minor)[0])
+
+
+def _speed(semi_major: float, semi_minor: float) -> Floats:
+    """Harmonics of the arc length's change with the ellipse's parameter [m]; the first is its mean."""
+    speed = np.hypot(semi_major * np.sin(_U), semi_minor * np.cos(_U))
+    return np.asarray(np.fft.rfft(speed).real / _SAMPLES)
 
 
 def tooth_axes(curve: NeutralCurve, u: Floats) -> tuple[Floats, Floats, Floats]:

@@ -14,6 +14,7 @@ from typing import Any
 
 _STOPPING = (signal.SIGINT, signal.SIGTERM)
 _SOON = 0.02  # [s]
+_raised: list[tuple[threading.Event, int]] = []  # signals: who has seen one, and its number
 
 SIGNALLED = 128
 """Plus the number of a signal: exit code of what it has ended, as shells have it."""
@@ -25,7 +26,6 @@ class Stopped(KeyboardInterrupt):
     def __init__(self, number: int = signal.SIGINT) -> None:
         super().__init__(number)
         self.number = number
-        self.seen = threading.Event()  # by who ends the program for it
 
 
 def raise_signals() -> None:
@@ -43,17 +43,19 @@ def raise_signals() -> None:
 def signalled(error: BaseException | None) -> int:
     """Exit code of what a signal has ended, as shells have it; 0 where none has.
 
-    Others make their own errors of a KeyboardInterrupt: click, numba's compiled code, imports.
+    Others make their own errors of a KeyboardInterrupt: click, numba's compiled code, imports. Some of these
+    do not say what they come from: an error soon after a signal that nobody has seen is the signal's.
     """
     passed: list[BaseException] = []
+    came = next((number for seen, number in _raised if not seen.is_set()), 0)
     while error is not None and error not in passed:  # one that was raised again may be its own context
-        if isinstance(error, Stopped):
-            error.seen.set()
         if isinstance(error, KeyboardInterrupt):
-            return SIGNALLED + int(getattr(error, "number", signal.SIGINT))
+            came = getattr(error, "number", signal.SIGINT)
         passed.append(error)
         error = error.__cause__ or error.__context__
-    return 0
+    for seen, _ in _raised:
+        seen.set()
+    return SIGNALLED + came if came else 0
 
 
 def _raise(number: int, frame: FrameType | None) -> None:
@@ -61,9 +63,10 @@ def _raise(number: int, frame: FrameType | None) -> None:
 
 
 def _watched(error: Stopped) -> Stopped:
-    watch = weakref.ref(error), error.seen, error.number
+    seen = threading.Event()  # by who ends the program for it
+    _raised.append((seen, error.number))
     with contextlib.suppress(RuntimeError):  # the interpreter ends
-        threading.Thread(target=_raise_again, args=watch, daemon=True).start()
+        threading.Thread(target=_raise_again, args=(weakref.ref(error), *_raised[-1]), daemon=True).start()
     return error
 
 
