@@ -84,7 +84,9 @@ def size(value: float, unit: str) -> str:
 
 def direction(value: float, spread: float, period: float) -> str:
     """A direction [rad] in degrees, with the turn after which it is the same again."""
-    text = spread_number(math.degrees(value % period), math.degrees(spread), "°").replace(" °", "°")
+    angle, turn, std = (math.degrees(each) for each in (value % period, period, spread))
+    shown = 0.0 if number(angle, std) == number(turn, std) else angle  # 180.00 modulo 180 is none
+    text = spread_number(shown, std, "°").replace(" °", "°")
     return f"{text} (modulo {math.degrees(period):.0f}°)" if period < 6.28 else text
 
 

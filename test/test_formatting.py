@@ -50,6 +50,10 @@ def test_quantities_come_in_the_units_of_people() -> None:
 
 def test_a_direction_is_told_with_the_turn_after_which_it_is_the_same() -> None:
     assert formatting.direction(math.radians(271.0), math.radians(2.0), math.pi) == "91 ± 2° (modulo 180°)"
+    assert (
+        formatting.direction(math.radians(-0.004), math.radians(0.03), math.pi)
+        == "0.00 ± 0.03° (modulo 180°)"
+    )
     assert formatting.direction(math.radians(271.0), math.radians(2.0), 2 * math.pi) == "271 ± 2°"
 
 

@@ -85,16 +85,18 @@ class Display:
 
 
 class JointTable:
-    """All joints as rich renders them: a line of numbers and some of words each, none of which wraps.
+    """All joints as rich renders them: a line of numbers and some of words each.
 
-    Where not all fit the terminal's height [lines], the worst are shown.
+    A terminal too narrow for the numbers' columns has them in words. Where not all joints fit the terminal's
+    height [lines], the worst are shown.
     """
 
     def __init__(self, watch: Watch, now: float, height: float = math.inf) -> None:
         self._watch, self._views, self._height = watch, watch.view(now), height
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        self._width = min(options.max_width, _WIDEST)
+        self._console, self._width = console, min(options.max_width, _WIDEST)
+        self._is_narrow = self._width < NUMBERS_WIDTH + _LEAST_NAME
         self._name_width = max(_LEAST_NAME, self._width - NUMBERS_WIDTH)
         self._is_ascii = options.ascii_only
         self._overflow: OverflowMethod = "crop" if self._is_ascii else "ellipsis"
@@ -111,7 +113,12 @@ class JointTable:
         labels = (label.ljust(self._name_width) for label in ("", "", "joint"))
         above = [Text(label + line, _GREY) for label, line in zip(labels, heading(), strict=True)]
         shown = [line for index in kept for line in blocks[index]]
-        return [self._title(), *above, *shown, *self._remarks(len(blocks) - len(kept))]
+        remarks = self._wrapped(self._remarks(len(blocks) - len(kept)))
+        return [*self._wrapped([self._title()]), *([] if self._is_narrow else above), *shown, *remarks]
+
+    def _wrapped(self, lines: Sequence[Text]) -> list[Text]:
+        """Lines broken between words where they are longer than the table is wide."""
+        return [part for line in lines for part in line.wrap(self._console, self._width)]
 
     def _fitting(self, blocks: Sequence[Sequence[Text]]) -> list[int]:
         """Which joints are shown: all, or the worst for which there is room, in their order."""
@@ -133,19 +140,19 @@ class JointTable:
     def _joint(self, view: JointView, is_shared: bool) -> list[Text]:
         """Numbers; what is wrong, a line a statement; bookkeeping with the curve.
 
-        Where nothing is wrong the last two are one.
-
-        Where the joint's name is shared, the bookkeeping begins with its node.
+        Where nothing is wrong the last two are one. Where the joint's name is shared, the bookkeeping begins
+        with its node.
         """
+        if self._is_narrow:
+            return self._wrapped([Text(plain_line(view), _style(view))])
         line = Text().append(shown_text(_shown_name(view)), "bold")
         line.truncate(self._name_width, overflow=self._overflow, pad=True)
         line.append(row(view.number), _GREY if view.is_stale else "")
         if view.is_silent:
             line.stylize(_GREY)
-        style = _GREY if view.is_silent else _STYLES[min(view.level, len(_STYLES) - 1)]
         first, *rest = view.status.message.split("; ", _MOST_STATEMENTS - 1)
         told = [shown_text(text) for text in (_verdict(view, first), *rest)]
-        verdict, *why = (Text("  ").append(text, style) for text in told)
+        verdict, *why = (Text("  ").append(text, _style(view)) for text in told)
         more = [_node(view)] * is_shared + _order(view) + _bookkeeping(view)
         details = Text("  ").append(", ".join(map(shown_text, more)), _GREY)
         is_wrong = view.level or view.is_silent
@@ -154,7 +161,7 @@ class JointTable:
         if room >= _SHORTEST_CURVE:
             curve = spark(view.residuals, room, self._is_ascii)
             words[-1].append("  ").append(curve, _GREY if view.is_stale else "cyan")
-        return [line, *words]
+        return [line, *self._wrapped(words)]
 
     def _remarks(self, hidden: int) -> list[Text]:
         found = []
@@ -165,6 +172,10 @@ class JointTable:
         if shared := sorted({view.name for view in self._views if len(view.nodes) > 1}):
             found.append(f"several nodes report {', '.join(shared)} on one topic and cannot be distinguished")
         return [Text(shown_text(remark), "yellow") for remark in found]
+
+
+def _style(view: JointView) -> str:
+    return _GREY if view.is_silent else _STYLES[min(view.level, len(_STYLES) - 1)]
 
 
 def _encodable(text: str, encoding: str) -> str:
