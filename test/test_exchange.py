@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from benches import EFFECTS, bench, of
+from benches import EFFECTS, POINT, bench, of
 
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.search.exchange import deviance_of, swapped
@@ -18,3 +18,14 @@ def test_a_shape_of_many_coefficients_gives_way_to_the_two_causes_that_it_imitat
     assert [effect.name for effect, _ in two] == [form.name, zero.name]
     assert deviance_of(found, two) < deviance_of(fit, chosen) - 1000.0
     assert found.fit(two)[0][found.places(two)[1]] == pytest.approx(np.array([-1.5]), abs=0.03)
+
+
+def test_a_cause_is_not_given_up_before_it_is_settled() -> None:
+    """Beside parameters that are on their way still, harmonics of a pitch error explain more for now."""
+    rubbing = EFFECTS["viscous_windup"]
+    chosen = ((rubbing, (1.0,)),)
+    away = POINT - np.array([5.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    fit = bench(of(rubbing, friction=0.5, exponent=1.0)).moved(away).corrected(chosen)
+    found, same = swapped(fit, chosen, {rubbing.name, "circular_spline_pitch"})
+    assert same == chosen
+    assert np.abs(found.parameters - POINT).max() < 1.0

@@ -11,13 +11,13 @@ from joint_records import ARCSEC, RATIO
 from joint_records import NOISE as NOISE_OF_RECORD
 
 from hd_diag.diagnosis import diagnosis
-from hd_diag.diagnosis.diagnosis import _predicting
+from hd_diag.diagnosis.diagnosis import _described, _predicting
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.fit_parameters import COMPLIANCE, CUP, DATUM
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.fit.refit import Refit, refit
-from hd_diag.diagnosis.gain import held_out
+from hd_diag.diagnosis.gain import MISFIT, held_out
 from hd_diag.diagnosis.search.causes import Search, causes, doubted, motor_deviations, parameters_of
 from hd_diag.diagnosis.search.kept_parameters import kept_parameters
 from hd_diag.diagnosis.search.ranking import candidates, family_size
@@ -233,6 +233,29 @@ def test_parameters_that_held_out_rows_speak_against_are_not_kept() -> None:
     best = _predicting(record, test, which, fit, Search(fit, ()), np.random.default_rng(0))
     assert best.kept.bounds == {}
     assert not best.rms.misfit.plain
+
+
+def test_a_ball_whose_phase_wanders_is_no_misfit_though_nothing_foretells_it() -> None:
+    """A model that runs knows the mean of its phase, as it knows no encoder's zero of the next record."""
+    ball, record = EFFECTS["bearing_passage"], swinging(40.0)
+    test, which = held_out(record)
+
+    def slipping(signals: Signals) -> np.ndarray:
+        angle = signals.wave_generator_angle
+        way = np.cumsum(np.abs(np.diff(angle, prepend=angle[0])))
+        return 5.0 * ARCSEC * np.cos(10.25 * angle + 2.5 * np.sin(4.0 * way / way[-1]))
+
+    added = slipping(linearise(record, CONFIGURED, POINT).whole)
+    record = dataclasses.replace(record, output_angle=record.output_angle + added)
+    chosen = ((ball, (10.25, 1.0)),)
+    fit = settle(linearise(record, CONFIGURED, POINT, rows=~test), chosen)
+    found = Search(fit, causes(fit, chosen, {}, (), np.random.default_rng(0)))
+    best = _predicting(record, test, which, settle(fit, ()), found, np.random.default_rng(0))
+    assert [cause.effect.name for cause in best.found.causes] == ["bearing_passage"]
+    assert best.rms.extended > MISFIT * best.rms.noise
+    assert best.rms.misfit.value == pytest.approx(1.0, abs=0.1)
+    (said,) = _described(record, [], best.rms)
+    assert "wanders" in said.description
 
 
 def test_a_cause_that_a_shape_of_no_cause_beats_is_doubtful() -> None:

@@ -43,7 +43,7 @@ KEYS = {
 MORE = {
     "": "findings hints evidence tolerance encoder_zeros motor_current left_out",
     "record": "has_torque outliers dropped refused unpaired clock_set_back last_refusal problems",
-    "extended": "rms_named rms_offline rms_live",
+    "extended": "rms_named rms_offline rms_live rms_wandering",
 }
 
 

@@ -35,6 +35,7 @@ from hd_diag.extended_model import ExtendedModel
 _MOST_ALIKE = 5  # causes that a class may hold and still say something
 _HALF = 0.5  # of what is left without a cause, that it explains beside a misfit
 _KEPT, _TESTED = 0.7, 0.9  # of the time that a diagnosis may take, by which these must end
+_NO_LAWS = ("no law was found", "no law was found")
 _WORSE = 1.02  # times the residual of a simpler model: then data speak against the richer one
 
 
@@ -248,6 +249,9 @@ def _predicting(
 
 def _described(record: Record, lines: list[Unexplained], rms: Rms) -> tuple[Unexplained, ...]:
     """What no cause explains: never nothing where more than noise is left."""
+    if rms.wandering and rms.extended > MISFIT * rms.noise and not rms.misfit.plain:
+        what = "wanders in phase or amplitude, which the fit follows and a model that runs cannot"
+        lines = [*lines, Unexplained(0.0, "input", math.sqrt(2.0) * rms.wandering, *_NO_LAWS, what)]
     if lines or not rms.misfit.plain:
         return tuple(lines)
     what = "is left, in no shape that was tried"
@@ -255,4 +259,4 @@ def _described(record: Record, lines: list[Unexplained], rms: Rms) -> tuple[Unex
         means = "drive the same motion twice" if record.has_torque else "record the torque"
         what += f": {means}, and noise can be separated from it"
     amplitude = math.sqrt(2.0 * max(rms.extended**2 - rms.noise**2, 0.0))
-    return (Unexplained(0.0, "input", amplitude, "no law was found", "no law was found", what),)
+    return (Unexplained(0.0, "input", amplitude, *_NO_LAWS, what),)

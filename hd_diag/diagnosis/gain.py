@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -17,7 +18,7 @@ from hd_diag.diagnosis.noise import numbered, slices
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.search.causes import Search
 from hd_diag.diagnosis.search.order_table import part
-from hd_diag.diagnosis.search.remainder import Remainder
+from hd_diag.diagnosis.search.remainder import Remainder, fitted_part
 from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
 from hd_diag.drive import Drive
 
@@ -39,8 +40,10 @@ class Rms:
 
     `extended` is that of the model as it runs, with causal signals, along the record; `named` the same
     without its order table; `offline` that of the fit's own signals; `live` that of the model as it runs with
-    the torque as reported, not smoothed. The noise is `repeated` if it is from states that were passed again;
-    else it is a lower bound, from differences between neighbours.
+    the torque as reported, not smoothed. Of all but the first two `wandering` is what amplitude and phase of
+    causes took by wandering, as a fit to the same rows follows it: nothing foretells it. The noise is
+    `repeated` if it is from states that were passed again; else it is a lower bound, from differences between
+    neighbours.
     """
 
     nominal: float
@@ -53,21 +56,24 @@ class Rms:
     noise_low: float
     noise_high: float
     repeated: bool = field(default=True, kw_only=True)
+    wandering: float = field(default=0.0, kw_only=True)
 
     def by_causes(self, by_current: bool) -> float:
-        """Residual beside causes, which must be less than without them.
+        """Residual beside causes that are followed, which must be less than without them.
 
         By a current as fitted: as the model runs, a motor's friction begins late, which speaks against none.
         """
-        return self.offline if by_current else self.named
+        return self._followed(self.offline if by_current else self.named)
 
     @property
     def misfit(self) -> Misfit:
-        """What is left over the noise."""
-        value, low, high = (
-            self.extended / max(one, 1e-300) for one in (self.noise, self.noise_high, self.noise_low)
-        )
+        """What is left over the noise where causes that wander are followed."""
+        left = self._followed(self.extended)
+        value, low, high = (left / max(one, 1e-300) for one in (self.noise, self.noise_high, self.noise_low))
         return Misfit(value, low, high)
+
+    def _followed(self, rms: float) -> float:
+        return math.sqrt(max(rms**2 - self.wandering**2, 0.0))
 
 
 @dataclass(frozen=True)
@@ -159,6 +165,8 @@ def measured_gain(
     seen = found.fit.signals
     described = part(found.table, seen.input_angle, seen.torque, configured.rated_torque)
     noise = found.fit.data.noise_of(Remainder.of(found.fit, found.chosen).residual - described)
+    parts = [effect.wandering(every.whole, nonlinear) for effect, nonlinear in found.chosen]
+    wandering = np.concatenate([np.empty((record.size, 0)), *parts], axis=1)[fitted & test]
     rest = renumbered(record.select(fitted & test))
     number = slices(rest.time, rest.run, _SLICE)
     rms = Rms(
@@ -172,6 +180,7 @@ def measured_gain(
         noise_low=noise.low,
         noise_high=noise.high,
         repeated=noise.repeated,
+        wandering=_rms(fitted_part(wandering, extended)),
     )
     return rms, explained(nominal, extended, number, which, rng)
 

@@ -71,6 +71,7 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
             "rms_named": rms.named,
             "rms_offline": rms.offline,
             "rms_live": rms.live,
+            "rms_wandering": rms.wandering,
         },
         "noise_floor": {"rms": rms.noise, "low": rms.noise_low, "high": rms.noise_high},
         "gain": {

@@ -14,6 +14,7 @@ from hd_diag.effects.effect import Effect, Stage
 
 _FLEXIBLE = 8  # coefficients from which a shape may imitate two causes
 _FIRST_MOVE = 0.5  # of a grid step, by which a refinement begins
+_TO_THE_END = 8  # rounds
 _REFINED = 0.55  # of the time that a diagnosis may take, by which it must end
 
 
@@ -56,8 +57,15 @@ def swapped(fit: LinearisedFit, chosen: Chosen, rivals: set[str]) -> tuple[Linea
         if effect.size >= _FLEXIBLE and found[0].effect.name == effect.name:
             there, trial = _divided(without, others, found[1:], rivals - {effect.name})
         if trial != again and deviance_of(there, trial) < least:
-            fit, chosen = refined(there.corrected(trial), trial)
+            fit, there = _settled(fit, chosen), _settled(there.corrected(trial), trial)
+            if there.deviance(trial) < fit.deviance(chosen) - CLASS_DEVIANCE:
+                fit, chosen = refined(there, trial)
     return fit, chosen
+
+
+def _settled(fit: LinearisedFit, chosen: Chosen) -> LinearisedFit:
+    """At the end of its way: one that has not come as far says nothing against another."""
+    return settle(fit, chosen, _TO_THE_END, learn=False)
 
 
 def _divided(
