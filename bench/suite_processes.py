@@ -1,5 +1,7 @@
 """Sections of bench/suite.py that start processes: bags from reading to diagnosis, and the node."""
 
+# ruff: noqa: D103
+
 from __future__ import annotations
 
 import importlib.util
@@ -11,10 +13,13 @@ import tempfile
 import time
 from pathlib import Path
 
-import bench_replay
-from bench_model import one_core
+import numpy as np
+from rosbags.highlevel import AnyReader
+from timing import median_time, one_core
 
+from hd_diag.bag import BagReader, BagWriter
 from hd_diag.config.configuration import resolve
+from hd_diag.messages.encoding import encode_joint_states
 from hd_diag.replay.replay import replay
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -28,6 +33,8 @@ HOUR = 3600.0  # [s]
 RATE = 1000.0  # [Hz]
 DIAGNOSED = 120.0  # [s]
 DIAGNOSED_RATE = 500.0  # [Hz]
+JOINT_STATE = "sensor_msgs/msg/JointState"
+START = 1_700_000_000_000_000_000  # [ns]
 
 
 def bags(options):
@@ -36,11 +43,11 @@ def bags(options):
     note = f"from {seconds:g} s"
     with tempfile.TemporaryDirectory() as folder:
         bag, out = Path(folder) / "bag.mcap", Path(folder) / "out.mcap"
-        bench_replay.simulated(bag, seconds, RATE)
-        rosbags = bench_replay.cpu_time(lambda: bench_replay.read_rosbags(bag), 1)
-        columns = bench_replay.cpu_time(lambda: bench_replay.read_columns(bag))
+        simulated(bag, seconds, RATE)
+        rosbags = median_time(read_rosbags, bag)
+        columns = median_time(read_columns, bag)
         config = resolve({})
-        whole = bench_replay.cpu_time(lambda: replay(bag, out, config, overwrite=True))
+        whole = median_time(lambda: replay(bag, out, config, overwrite=True))
         per_hour = HOUR / seconds
         yield {
             "what": "reading with rosbags, per hour",
@@ -59,6 +66,31 @@ def bags(options):
             "note": note,
         }
         yield from diagnosis(Path(folder))
+
+
+def simulated(path, seconds, rate):
+    """A joint that turns to and fro."""
+    count = int(seconds * rate)
+    stamps = START + np.round(1e9 / rate * np.arange(count)).astype(np.int64)
+    time_, noise = np.arange(count) / rate, np.random.default_rng(0).normal(0.0, 1e-6, count)
+    angle, torque = 40.0 * np.sin(0.3 * time_), 30.0 * np.sin(0.07 * time_)
+    output = angle / 100.0 + 2e-5 * np.sin(2.0 * angle) + noise
+    values = np.column_stack((angle, output)), None, np.column_stack((np.full(count, np.nan), torque))
+    with BagWriter(path) as writer:
+        rows = encode_joint_states(("joint_1_motor", "joint_1"), stamps, *values)
+        writer.write_many("/joint_states", JOINT_STATE, rows, stamps)
+
+
+def read_rosbags(path):
+    with AnyReader([path]) as reader:
+        for connection, _, data in reader.messages():
+            reader.deserialize(data, connection.msgtype)
+
+
+def read_columns(path):
+    with BagReader(path) as reader:
+        for batch in reader.batches():
+            reader.joint_states(batch)
 
 
 def diagnosis(folder):

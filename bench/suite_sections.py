@@ -7,7 +7,6 @@ from __future__ import annotations
 import dataclasses
 import time
 
-import bench_model
 import drives
 import models
 import numpy as np
@@ -26,6 +25,8 @@ from hd_diag.monitor.all_joints import Monitor
 from hd_diag.replay.map_builder import MapBuilder
 
 AGREEMENT = 1e-9  # [rad]
+ECCENTRICITY = 23e-6j  # [m]
+MAP_TORQUE = 112.0  # [N m], twice the rated torque of the paper's drive
 TURNS = (0.3, 7.7, -4.1)  # moments at which both methods are compared and timed
 TORQUE = 56.0  # [N m]
 BATCH = 2000  # moments
@@ -43,7 +44,7 @@ EFFECTS = (
 
 
 def mesh() -> Mesh:
-    return bench_model.MESH
+    return drives.mesh(eccentricity=(0.0, ECCENTRICITY.imag))
 
 
 def moment(options):
@@ -51,7 +52,7 @@ def moment(options):
     gear, own = paper_method.Gear(), Drive(mesh(), Kinematics(-100.0), TORQUE)
 
     def plainly():
-        return [paper_method.one_moment(gear, turn, bench_model.ECCENTRICITY, TORQUE)[0] for turn in TURNS]
+        return [paper_method.one_moment(gear, turn, ECCENTRICITY, TORQUE)[0] for turn in TURNS]
 
     turns, load = np.array(TURNS), np.full(len(TURNS), TORQUE)
     state = mesh_state(own, turns, load)
@@ -95,7 +96,7 @@ def all_cores():
 
 def maps(options):
     """Building the map of the transmission error, and predictions by it."""
-    table, took = cpu_time(build, mesh(), bench_model.MAP_TORQUE)
+    table, took = cpu_time(build, mesh(), MAP_TORQUE)
     yield {"what": "build and check, +-112 N m", "value": took, "unit": "s", "aim": 1, "aim_unit": "s"}
     rng = np.random.default_rng(0)
     torque = 50.0 * np.sin(1e-3 * np.arange(SAMPLES))
@@ -191,7 +192,7 @@ def by_joints():
         names = [f"joint_{k}" for k in range(1, joints + 1)]
         settings, clock = config(*names, array_rate=0.0), [1_700_000_000_000_000_000]
         monitor = Monitor(settings)
-        table = build(settings.joints[0].drive.mesh, bench_model.MAP_TORQUE)
+        table = build(settings.joints[0].drive.mesh, MAP_TORQUE)
         for name in names:
             monitor.use_map(name, table)
         messages = iter([sample(clock[0] + k * 1_000_000, joints) for k in range(3000)])
@@ -210,7 +211,7 @@ def by_joints():
 
 
 def by_samples():
-    table = build(mesh(), bench_model.MAP_TORQUE)
+    table = build(mesh(), MAP_TORQUE)
     rng, first = np.random.default_rng(0), None
     for count in (1, 100, 10_000, 1_000_000):
         turn, torque = rng.uniform(0.0, 6.0, count), rng.uniform(-50.0, 50.0, count)
@@ -225,7 +226,7 @@ def by_samples():
 def by_effects():
     names, count, first = EFFECTS, 2000, None
     time_, angle, torque, temperature = models.motion(count)
-    table = build(models.model().drive.mesh, bench_model.MAP_TORQUE)
+    table = build(models.model().drive.mesh, MAP_TORQUE)
     for number in (0, 1, 2, 4, len(names)):
         whole: ExtendedModel = models.model(*names[:number])
 
@@ -238,12 +239,6 @@ def by_effects():
             "what": f"extended model, {number} effects, each of {count} samples",
             **{"value": each * US, "unit": "us", "ratio": each / first, "against": "none"},
         }
-
-
-def kernels(options):
-    """What the compiled kernels take: exact solutions, and predictions by a map."""
-    for what, took in (*bench_model.moments(1000, 64), *bench_model.maps()):
-        yield {"what": what, "value": took * US, "unit": "us"}
 
 
 def tolerance(options):
@@ -268,6 +263,5 @@ SECTIONS = {
     "maps": maps,
     "run_time": run_time,
     "growth": growth,
-    "kernels": kernels,
     "tolerance": tolerance,
 }

@@ -4,10 +4,21 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import statistics
 import time
 
-from bench_model import one_core
+
+@contextlib.contextmanager
+def one_core():
+    """Keep this thread, and those that it starts, on one core."""
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(before)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
 
 
 def cpu_time(function, *arguments) -> tuple[object, float]:
