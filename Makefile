@@ -92,8 +92,8 @@ pytest: install
 	@echo "== Tests, newest numpy (5 minutes)"
 	@$(call IN,test) pytest $(call SPREAD,3) --durations=10 $(SELECTED) $(PYTEST_ARGS)
 
-# Arithmetic of model, drive, effects, streams, monitor and diagnosis; what else there is does not depend on numpy.
-NUMERICAL = acceptance alignment contact design drive effects extended_model fit_parameters joint_refinement \
+# Arithmetic of model, drive, effects, monitor (with its streams) and diagnosis; what else there is does not depend on numpy.
+NUMERICAL = acceptance contact design drive effects extended_model fit_parameters joint_refinement \
        linearised_fit load_sharing monitor noise recursions refit smoothing torsion torsion_map \
        transmission_error
 pytest-ubuntu:

@@ -64,7 +64,7 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
     seconds: Counter[str] = Counter()
     for report in terminalreporter.getreports("passed") + terminalreporter.getreports(""):
         seconds[report.nodeid] += report.duration
-    rows = [f"| `{name}` | {each:.1f} |" for name, each in seconds.most_common(10)]
+    rows = [f"| `{name.removeprefix('test/')}` | {each:.1f} |" for name, each in seconds.most_common(10)]
     took = time.monotonic() - config.began
     told = f"{len(seconds)} tests in {took:.0f} s on {os.cpu_count()} cores. The slowest, waiting included:"
     Path(file).write_text("\n".join([told, "", "| test | s |", "| --- | ---: |", *rows, ""]))
@@ -82,8 +82,9 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
 
 
-# Files that begin first, the longest first, so that the processes end together.
-LONGEST = ("demo", "diagnose", "watch_live", "node", "docs", "cli_fleet", "replay_live", "monitor_model")
+# Files that begin first, so that the processes end together. Those with live nodes mostly wait; two at once
+# would leave a core idle. One begins, another comes after what computes, `replay_live` is late by its name.
+LONGEST = ("watch_live", "diagnose", "docs", "demo", "cli_fleet", "node", "monitor_model")
 # They share diagnosed records (report_samples), which one process then computes once.
 DIAGNOSED = ("diagnose", "report", "report_browser")
 
@@ -101,13 +102,13 @@ def pytest_collection_finish() -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
-    """A file stays in one process: what its module fixtures build is built once."""
+    """A file stays in one process: what its module fixtures build is built once. Live nodes come in turn."""
     from xdist.scheduler import LoadScopeScheduling
 
     class ByFile(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
             name = Path(nodeid.partition("::")[0]).stem.removeprefix("test_")
-            return "diagnosed" if name in DIAGNOSED else name
+            return "diagnosed" if name in DIAGNOSED else "nodes" if name.startswith("node_") else name
 
     return ByFile(config, log)
 

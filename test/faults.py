@@ -2,8 +2,8 @@
 
     python test/faults.py
 
-writes docs/tables/faults.md. `test_faults.py` runs commands, files, messages and values through verbs,
-`test_node.py` messages and values through a running node; what needs a test of its own is named with it.
+writes docs/tables/faults.md. `test_faults.py` runs commands, files and values through verbs, `test_node.py`
+messages and values through a running node; what needs a test of its own is named with it.
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ COMMANDS: dict[str, dict[str, str]] = {
         f"{FLEET} --out f.csv": "f.csv: the name must end with .parquet",
         f"{FLEET} --scheduler tcp://127.0.0.1:9": "with --scheduler its workers set them",
         "report a.mcap --columns time=t": "needs input, output",
+        "replay a.mcap --out out.mcap": "is no log of the node, so a configuration is needed (--config)",
     },
     "Values": {
         "mesh --torque nan": "--torque must be a number of at most 1e+06",
@@ -75,10 +76,12 @@ COMMANDS: dict[str, dict[str, str]] = {
     },
     "Files that are not there, or no place for a file": {
         "check none.yaml": "none.yaml: cannot be read: No such file or directory",
+        "check empty": "File 'empty' is a directory",
         "mesh --config none.yaml": "none.yaml: cannot be read: No such file or directory",
         "node --config none.yaml": "none.yaml: cannot be read: No such file or directory",
         f"{QUICK} --config none.yaml": "none.yaml: cannot be read: No such file or directory",
         "report none.mcap": "none.mcap",
+        "diagnose none.mcap": "none.mcap",
         "fleet none.mcap --out f.parquet": "none.mcap: does not exist",
         "fleet empty --out f.parquet": "no bag in empty",
         "replay circle --out out.mcap": "circle",

@@ -138,17 +138,6 @@ def test_padding_behind_the_last_field_is_ignored(arrays, padding):
     assert by_row([JointStateDecoder().decode(padded)]) == {0: from_rosbags(data)}
 
 
-def test_what_rclpy_writes_is_read():
-    serialization = pytest.importorskip("rclpy.serialization")
-    message = pytest.importorskip("sensor_msgs.msg").JointState(name=["a", "bcd"], position=[1.0, 2.0])
-    for velocity, effort in (([], []), ([3.0, 4.0], []), ([], [5.0, 6.0])):
-        message.velocity, message.effort = velocity, effort
-        (columns,), rejected = decode_joint_states([serialization.serialize_message(message)])
-        assert rejected == []
-        assert columns.position.tolist() == [[1.0, 2.0]]
-        assert (columns.velocity is None, columns.effort is None) == (not velocity, not effort)
-
-
 @given(st.data())
 def test_damaged_messages_are_decoded_alike_or_refused(data):
     """What is not refused is what rosbags makes of it; padding may hold anything."""

@@ -147,11 +147,6 @@ def test_rosbag2_folders(tmp_path, plugin, version, metadata):
     assert states[0].names == NAMES
 
 
-def test_message_compression_of_rosbag2(tmp_path):
-    rosbag2_folder(tmp_path / "bag", sample(20), compression="message")
-    assert read(tmp_path / "bag") == in_order(sample(20))
-
-
 NOTES = [("/n", i * MS, string_cdr(f"n{i}" * 100)) for i in range(300)]
 
 

@@ -244,11 +244,6 @@ def test_file_that_cannot_be(content: str | bytes, reason: str, tmp_path: Path) 
     assert file_refusal(path).removeprefix(f"{path}: ").startswith(reason)
 
 
-def test_missing_file_and_folder(tmp_path: Path) -> None:
-    assert file_refusal(tmp_path / "none.yaml").endswith("cannot be read: No such file or directory")
-    assert file_refusal(tmp_path).endswith("cannot be read: Is a directory")
-
-
 @pytest.mark.parametrize(
     ("text", "value"), [("1e-3", 1e-3), ("1E2", 100.0), ("09", 9.0), ("+.5", 0.5), ("2.", 2.0), ("0", 0.0)]
 )

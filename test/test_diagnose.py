@@ -170,18 +170,3 @@ def test_bad_input_is_told_in_one_line(
     given = columns(seconds=6.0)
     whole = {name: np.full_like(given[name], value) for name, value in changes.items()}
     assert_one_line_error(diagnosed_by(table(tmp_path / "a.csv", **whole), *arguments), said)
-
-
-def test_files_that_are_not_there() -> None:
-    named = ("--columns", COLUMNS)
-    assert_one_line_error(diagnosed_by("none.mcap"), "none.mcap")
-    assert_one_line_error(diagnosed_by("none.csv", *named), "none.csv: cannot be read")
-
-
-def test_a_short_bag(tmp_path: Path) -> None:
-    made = generated("wrong_parameters", 3, run=2.0)
-    cut = {name: getattr(made, name)[:150] for name in ("time", "input_angle", "output_angle", "torque")}
-    records.write_bag(dataclasses.replace(made, temperature=None, **cut), tmp_path / "short.mcap")
-    assert_one_line_error(
-        diagnosed_by(tmp_path / "short.mcap"), "too short: 150 usable samples, at least 200"
-    )

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_runner import assert_one_line_error, hd_diag
+from cli_runner import hd_diag
 from live import MS, RATIO, START, message
 from models import model, term
 
@@ -114,8 +114,3 @@ def test_a_diagnosis_with_the_model_in_force_is_of_the_configured_joint(joint: J
     """The parameters before the fit, not those that the model already has."""
     assert abs(joint.configured.mesh.eccentricity) == 0.0
     assert abs(joint.drive.mesh.eccentricity) == pytest.approx(9e-6, rel=0.05)
-
-
-def test_a_model_that_cannot_be_written_is_one_line(folder: Path) -> None:
-    result = hd_diag("diagnose", folder / "bag.mcap", "--model", folder / "none" / "m.json")
-    assert_one_line_error(result, "m.json: cannot be written: no such folder")

@@ -8,11 +8,9 @@ from pathlib import Path
 import faults
 import pytest
 from cli_runner import assert_one_line_error, hd_diag
-from faults import COMMANDS, EVENTS, FILES, MESSAGES, PAGE, VALUES, VERBS
-from live import MS, START, sample
+from faults import COMMANDS, EVENTS, FILES, PAGE, VALUES, VERBS
 from models import write_model
 
-from hd_diag.bag import BagWriter
 from hd_diag.config.configuration import dump, resolve
 
 ALL = {words: said for part in COMMANDS.values() for words, said in part.items()}
@@ -64,24 +62,6 @@ def test_what_is_wrong_with_a_recording_is_told(
         assert_one_line_error(result, said)
     elif not said:
         assert "damaged" not in result.stdout + result.stderr
-
-
-@pytest.mark.parametrize("what", MESSAGES)
-def test_a_bad_message_is_rejected_by_a_replay(what: str, tmp_path: Path) -> None:
-    """The node: test_node.py."""
-    made, said = MESSAGES[what]
-    (tmp_path / "c.yaml").write_text(dump(resolve({"joints": ["elbow"], "array_rate": 0.0})))
-    rows = [sample(START + i * MS, 0.0, 0.0, 0.0, "elbow") for i in range(3)]
-    rows += [made(START + 3 * MS), sample(START + 4 * MS, 0.0, 0.0, 0.0, "elbow")]
-    with BagWriter(tmp_path / "a.mcap") as writer:
-        for i, row in enumerate(rows):
-            writer.write("/joint_states", faults.JOINT_STATE, row, START + i * MS)
-    result = hd_diag(
-        "replay", tmp_path / "a.mcap", "--config", tmp_path / "c.yaml", "--out", tmp_path / "b.mcap"
-    )
-    assert result.exit_code == 0
-    assert "elbow: 1 rejected, the last because: " in result.stdout
-    assert said in result.stdout
 
 
 @pytest.mark.parametrize(("given", "reason"), VALUES, ids=[reason for _, reason in VALUES])

@@ -16,11 +16,9 @@ from test_recording import COLUMNS, Message, read, states, temperatures, whole, 
 
 from hd_diag.bag import BagReader
 from hd_diag.diagnosis.record import RecordError
-from hd_diag.diagnosis.screening import screened
 from hd_diag.diagnosis.stamps import Stamps
 from hd_diag.fleet.rows import judge, tasks
 from hd_diag.fleet.survey import survey
-from hd_diag.records.joint_record import read_bags, read_motion
 from hd_diag.records.tables import Table, read_tables
 
 
@@ -31,18 +29,6 @@ def cut(tmp_path_factory: pytest.TempPathFactory) -> Path:
     bag = write(folder / "whole.mcap", whole(columns(seconds=20.0)))
     (folder / "cut.mcap").write_bytes(bag.read_bytes()[: bag.stat().st_size * 4 // 5])
     return folder / "cut.mcap"
-
-
-def test_a_bag_that_is_cut_off_is_a_finding(cut: Path) -> None:
-    record = read_bags([cut], joint())
-    (problem,) = record.stamps.problems
-    assert problem.startswith("cut.mcap: ")
-    (finding,) = (f for f in screened(record, joint().drive).findings if f.name == "incomplete")
-    assert problem in finding.text
-    assert not finding.fatal
-    motion = read_motion([cut], joint())
-    assert motion is not None
-    assert motion.stamps.problems == (problem,)
 
 
 def test_text_verdict_and_json_tell_it(cut: Path, tmp_path: Path) -> None:
@@ -78,17 +64,6 @@ def test_counts_of_the_metadata_are_compared(tmp_path: Path) -> None:
     file.write_text(yaml.safe_dump(content))
     with BagReader(bag) as reader:
         assert reader.problems == [f"metadata.yaml: counts {count + 7} messages of {name}, there are {count}"]
-
-
-def test_a_file_s_own_counts_are_compared_with_what_is_read(tmp_path: Path) -> None:
-    bag = write(tmp_path / "a.mcap", whole(columns(seconds=2.0)))
-    data = bag.read_bytes()
-    own, other = struct.pack("<HQ", 1, 400), struct.pack("<HQ", 1, 408)
-    assert data.count(own) == 1
-    bag.write_bytes(sealed(data.replace(own, other)))
-    with BagReader(bag) as reader:
-        assert sum(map(len, reader.batches())) == 400
-        assert reader.problems == ["a.mcap: counts 408 messages of /joint_states, there are 400"]
 
 
 def test_a_count_is_but_a_hint(tmp_path: Path) -> None:
@@ -153,20 +128,6 @@ def test_a_page_of_the_motion_tells_them(tmp_path: Path) -> None:
     assert LOST in result.stdout
     assert LOST in (tmp_path / "a.html").read_text()
     assert json.loads((tmp_path / "a.json").read_text())["refused"] == 3
-
-
-def test_a_refusal_tells_what_is_not_whole(one_angle: Path, tmp_path: Path) -> None:
-    """One angle is not enough, and 5 s turn too little for a ripple."""
-    short = write(tmp_path / "a.mcap", whole(columns(seconds=5.0)))
-    for verb, bag in (("ripple", short), ("diagnose", one_angle)):
-        result = hd_diag(verb, cut_off(bag))
-        assert (result.exit_code, result.stdout) == (2, "")
-        assert "the recording is not whole (" in result.stderr
-
-
-def cut_off(bag: Path) -> Path:
-    bag.with_name("cut.mcap").write_bytes(bag.read_bytes()[:-2000])
-    return bag.with_name("cut.mcap")
 
 
 def test_topics_tells_messages_that_cannot_be_read(one_angle: Path, tmp_path: Path) -> None:

@@ -121,20 +121,6 @@ def test_predictions_are_the_models(modelled: Config, velocity: bool) -> None:
     assert np.std(found - own) > 10.0 * ARCSEC
 
 
-@pytest.mark.parametrize("velocity", [False, True], ids=["angles", "velocity"])
-def test_many_at_once_is_one_at_a_time(modelled: Config, velocity: bool) -> None:
-    """To the last bit, the diagnostics too."""
-    messages, found, told = columns(300, velocity), [], []
-    table = map_of(modelled.joints[0])
-    for cuts in ([], [7, 8, 150], list(range(1, 300))):
-        monitor = Monitor(modelled)
-        assert monitor.use_map("joint_1", table)
-        found.append(errors(monitor, messages, cuts, "~/residual").tobytes())
-        told.append(monitor.tick(START + 10**9, START, FACTS))
-    assert found[0] == found[1] == found[2]
-    assert told[0] == told[1] == told[2]
-
-
 def test_the_map_is_of_the_refitted_mesh(modelled: Config) -> None:
     monitor = Monitor(modelled)
     assert not monitor.use_map("joint_1", map_of(config().joints[0]))

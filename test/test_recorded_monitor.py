@@ -16,8 +16,6 @@ from rosbags.typesys import Stores, get_typestore
 from hd_diag.config.configuration import resolve
 from hd_diag.messages.publications import (
     JOINT_STATE,
-    PARAMETER_EVENT,
-    STRING,
     TEMPERATURE,
     Encoded,
     read_string,
@@ -31,17 +29,6 @@ from hd_diag.replay.versions import running
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 FACTS = {"log_state": "writing x", "latency_p99_us": "12.0"}
-TYPES = {
-    "~/transmission_error": "sensor_msgs/msg/JointState",
-    "~/measured_transmission_error": "sensor_msgs/msg/JointState",
-    "~/residual": "sensor_msgs/msg/JointState",
-    "~/joint_1/backlash": "std_msgs/msg/Float64MultiArray",
-    "~/joint_1/load": "std_msgs/msg/Float64MultiArray",
-    "~/joint_1/mesh": "visualization_msgs/msg/MarkerArray",
-    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
-    EVENTS: STRING,
-    PARAMETER_EVENTS: PARAMETER_EVENT,
-}
 
 
 def read(encoded: Encoded) -> list[Any]:
@@ -64,29 +51,6 @@ def recording() -> Recording:
 @pytest.fixture
 def session(recording: Recording) -> Session:
     return Session(config(mesh_rate=50.0), recording, "/robot/hd_diag", {"~/residual": "/elsewhere"})
-
-
-def test_everything_that_leaves_can_be_read(session: Session, recording: Recording) -> None:
-    session.start(START)
-    session.joint_state(START + 1, sample(START, 0.3, 0.01, 20.0))
-    session.tick(START + 2, START - 7, FACTS)
-    assert {encoded.topic: encoded.type_name for encoded in recording.all} == TYPES
-    (error,) = messages(recording, "~/transmission_error")
-    assert (error.name, error.effort.tolist(), error.velocity.size) == (["joint_1"], [20.0], 0)
-    assert error.header.stamp.sec * 10**9 + error.header.stamp.nanosec == START
-    (measured,) = messages(recording, "~/measured_transmission_error")
-    (residual,) = messages(recording, "~/residual")
-    np.testing.assert_array_equal(residual.position, measured.position - error.position)
-    np.testing.assert_allclose(measured.position, 0.01 - 0.3 / RATIO, rtol=1e-13)
-    (load,) = messages(recording, "~/joint_1/load")
-    assert [(d.label, d.size, d.stride) for d in load.layout.dim] == [("flank", 2, 400), ("tooth", 200, 200)]
-    assert np.isfinite(load.data).all()
-    assert load.data.max() > 0.0
-    (drawing,) = messages(recording, "~/joint_1/mesh")
-    assert {(m.header.frame_id, m.header.stamp.sec) for m in drawing.markers} == {("joint_1", START // 10**9)}
-    assert any(m.ns == "teeth" for m in drawing.markers)
-    (array,) = messages(recording, "/diagnostics")
-    assert [(s.name, s.hardware_id) for s in array.status] == [("hd_diag: joint_1", "/robot/hd_diag/joint_1")]
 
 
 # Events ---
@@ -130,56 +94,13 @@ def test_a_change_is_recorded_and_says_whose_map_is_outdated(recording: Recordin
     assert session.configure(START, larger) == ["a"]
 
 
-def test_maps_in_force_are_recorded_and_outdated_ones_are_not(session: Session, recording: Recording) -> None:
-    table = map_of(session.config.joints[0])
-    assert session.use_map(START, "joint_1", table)
-    session.configure(START, config(mesh_rate=50.0, joint_1__eccentricity__magnitude=1e-6))
-    assert not session.use_map(START, "joint_1", table)
-    assert [e for e in events(recording) if e["event"] == "map"] == [
-        {"event": "map", "joint": "joint_1", "torque_limit": 112.0}
-    ]
-
-
-def test_a_report_is_recorded_with_its_facts(session: Session, recording: Recording) -> None:
-    session.tick(START, 77, FACTS)
-    silence = {"joint_1": 0.0}
-    assert events(recording) == [{"event": "report", "stamp": 77, "facts": FACTS, "silence": silence}]
-
-
 # What cannot be used ---
-
-
-@pytest.mark.parametrize(
-    ("data", "reason"),
-    [
-        (b"", "is not a CDR message"),
-        (b"\0\1\0\0", "is not a CDR message"),
-        (sample(START, 0.1, 0.2, 0.3)[:-20], "is cut off"),
-    ],
-)
-def test_messages_that_cannot_be_read_are_counted(session: Session, data: bytes, reason: str) -> None:
-    session.joint_state(START, data)
-    joint = session.monitor.joints["joint_1"]
-    assert joint.last_rejection.startswith(f"a message {reason}")
-    assert joint.rejected == 1
-    session.joint_state(START, sample(START, 0.1, 0.2, 0.3))
-    assert joint.samples == 1
 
 
 def temperature(value: float) -> bytes:
     types = STORE.types
     header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](1, 2), "")
     return bytes(STORE.serialize_cdr(types[TEMPERATURE](header, value, 0.0), TEMPERATURE))
-
-
-def test_temperature_is_noted_and_a_broken_one_counted_at_its_own_joint() -> None:
-    session = Session(config("a", "b"), Recording())
-    session.temperature("a", temperature(41.5))
-    session.temperature("a", temperature(41.5)[:9])
-    joints = session.monitor.joints.values()
-    assert [joint.rejected for joint in joints] == [1, 0]
-    assert session.monitor.joints["a"].temperature == 41.5
-    assert "Temperature message cannot be read" in session.monitor.joints["a"].last_rejection
 
 
 # Replay ---

@@ -12,7 +12,6 @@ import pytest
 from bag_samples import cut_end, write_with_mcap
 from live import MS, RATIO, START, config, message, parameters
 from logs import content
-from mcap_ros2.reader import read_ros2_messages
 from numpy.testing import assert_array_equal
 from player import angles
 from rosbags.highlevel import AnyReader
@@ -180,22 +179,6 @@ def test_a_replay_of_a_replay_is_the_same(tmp_path: Path, log: Path) -> None:
     assert content(tmp_path / "again.mcap") == content(log)
 
 
-def test_output_is_read_with_its_types(log: Path) -> None:
-    seen: dict[str, int] = {}
-    with AnyReader([log]) as reader:
-        for connection, _, data in reader.messages():
-            reader.deserialize(data, connection.msgtype)
-            seen[connection.topic] = seen.get(connection.topic, 0) + 1
-    (file,) = log.glob("*.mcap")
-    again: dict[str, int] = {}
-    for entry in read_ros2_messages(str(file)):
-        again[entry.channel.topic] = again.get(entry.channel.topic, 0) + 1
-        if entry.channel.topic == "/diagnostics":
-            assert entry.ros_msg.status[0].name == "hd_diag: a"
-    assert seen == again
-    assert seen["/hd_diag/residual"] == COUNT
-
-
 def test_a_nodes_outputs_are_no_input(tmp_path: Path, log: Path) -> None:
     """Under whatever name the node ran: its outputs have the joints' own names."""
     messages = samples()
@@ -263,13 +246,6 @@ def test_times_that_ros_does_not_have_are_refused(tmp_path: Path) -> None:
 
 
 # Errors and interruptions ---
-
-
-def test_a_bag_that_is_no_log_needs_a_configuration(tmp_path: Path) -> None:
-    bag = write_with_mcap(tmp_path / "b.mcap", samples()[:5])
-    with pytest.raises(BagError, match=r"is no log of the node, so a configuration is needed \(--config\)"):
-        replay(bag, tmp_path / "out.mcap")
-    assert not (tmp_path / "out.mcap").exists()
 
 
 def test_a_bag_without_joint_states_is_refused(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cli_runner import assert_one_line_error, hd_diag
+from cli_runner import hd_diag
 from click.testing import Result
 from hypothesis import given
 from hypothesis import strategies as st
@@ -327,15 +327,6 @@ def test_the_command_takes_a_configuration_and_some_of_its_joints(tmp_path: Path
     assert names == ["m2", "elbow"]
     assert (np.diff(position[:, 0]) >= 0.0).all()
     assert position[-1, 0] == pytest.approx(-100.0 * position[-1, 1], abs=0.1)
-
-
-def test_the_command_replaces_a_bag_only_when_told(tmp_path: Path) -> None:
-    out = tmp_path / "out.mcap"
-    out.write_text("precious")
-    assert_one_line_error(invoke("--out", out, "--duration", 0.1), "exists already")
-    assert out.read_text() == "precious"
-    assert invoke("--out", out, "--duration", 0.1, "--overwrite").exit_code == 0
-    assert joint_states(out)[0] == ["joint_1_motor", "joint_1"]
 
 
 def test_json_on_stdout_is_alone_there(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -24,6 +23,7 @@ JOINTS = ("shoulder", "elbow")
 COMMAND = [sys.executable, "-m", "hd_diag", "watch"]
 SET_PARAMETERS = Path(__file__).resolve().parent.parent / "docs/examples/set_parameters.py"
 LIMIT = 60.0  # on a busy machine [s]
+TIMEOUT = 15  # of what waits for what does not come, beside the other tests [s]
 REPORTS = 10.0  # [Hz]
 PATIENT = {f"{joint}__limits__silence__{level}": 1e6 for joint in JOINTS for level in ("warn", "error")}
 
@@ -46,16 +46,30 @@ def watch(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 @contextlib.contextmanager
-def following(*arguments: str) -> Iterator[subprocess.Popen[str]]:
-    process = subprocess.Popen(
-        [*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1
-    )
+def started(*command: str) -> Iterator[subprocess.Popen[str]]:
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, bufsize=1)
     try:
         yield process
     finally:
         if process.poll() is None:
             process.kill()
         process.communicate(timeout=LIMIT)
+
+
+def following(*arguments: str) -> contextlib.AbstractContextManager[subprocess.Popen[str]]:
+    return started(*COMMAND, *arguments)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def waiting(ros: None, arm: Rig) -> Iterator[list[subprocess.Popen[str]]]:
+    """What waits for a joint that nobody has, for a namespace without a node, and for such a node."""
+    once, here = ("--once", "--timeout", str(TIMEOUT), "--namespace"), arm.process.namespace
+    with (
+        following(*once, here, "--joint", "elbow", "--joint", "elbow_9") as joint,
+        following(*once, "/nowhere") as nowhere,
+        started(sys.executable, str(SET_PARAMETERS), "/nobody/hd_diag", "elbow.torque=1.0") as nobody,
+    ):
+        yield [joint, nowhere, nobody]
 
 
 def line_with(process: subprocess.Popen[str], words: str) -> str:
@@ -114,20 +128,16 @@ def test_a_fault_appears_and_can_be_failed_on(arm: Rig) -> None:
 
 
 def test_the_tour_s_way_to_set_parameters(arm: Rig) -> None:
-    def set_them(node: str, *values: str) -> tuple[int, str]:
-        command = [sys.executable, SET_PARAMETERS, node, *values]
+    def set_them(*values: str) -> tuple[int, str]:
+        command = [sys.executable, SET_PARAMETERS, f"{arm.process.namespace}/hd_diag", *values]
         run = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT)
         return run.returncode, run.stdout + run.stderr
 
-    node = f"{arm.process.namespace}/hd_diag"
     values = ("shoulder.eccentricity.magnitude=7e-6", "shoulder.torque=1.0")
-    with ThreadPoolExecutor() as waiting:
-        nobody = waiting.submit(set_them, "/nobody/hd_diag", *values)  # which takes its time
-        assert set_them(node, *values) == (0, "in force\n")
-        arm.values("shoulder", lambda values: values["eccentricity_um"] == "7")
-        code, said = set_them(node, "shoulder.eccentricity.magnitude=0.0", "shoulder.ratio=3.0")
-        assert (code, said[:9]) == (1, "refused: ")
-        assert nobody.result() == (1, "no node /nobody/hd_diag\n")
+    assert set_them(*values) == (0, "in force\n")
+    arm.values("shoulder", lambda values: values["eccentricity_um"] == "7")
+    code, said = set_them("shoulder.eccentricity.magnitude=0.0", "shoulder.ratio=3.0")
+    assert (code, said[:9]) == (1, "refused: ")
     assert arm.values("shoulder")["eccentricity_um"] == "7"
 
 
@@ -139,22 +149,6 @@ def test_several_nodes_are_told_apart(arm: Rig, tmp_path: Path) -> None:
         found = {(joint["nodes"][0], joint["joint"]) for joint in json.loads(run.stdout)["joints"]}
         here, there = f"{arm.process.namespace}/hd_diag", f"{process.namespace}/hd_diag"
         assert found == {(here, "elbow"), (here, "shoulder"), (there, "elbow"), (there, "wrist")}
-
-
-def test_what_does_not_come_within_the_time_is_said_in_one_line_with_what_is_there(arm: Rig) -> None:
-    """Of a joint that nobody has, but the others are shown; of a namespace without a node."""
-    once, here = ("--once", "--timeout", "10", "--namespace"), arm.process.namespace
-    with (
-        following(*once, here, "--joint", "elbow", "--joint", "elbow_9") as joint,
-        following(*once, "/nowhere") as nowhere,
-    ):
-        (shown, said), (nothing, why) = (each.communicate(timeout=LIMIT) for each in (joint, nowhere))
-    assert (joint.returncode, nowhere.returncode, shown.count("\n"), nothing) == (2, 2, 1, "")
-    assert "no report of elbow_9 within 10 s" in said
-    assert "joints reported: elbow, shoulder" in said
-    assert why.startswith("hd-diag: no report of an hd_diag node within 10 s: ")
-    assert f"no hd_diag node in /nowhere; there is {here}/hd_diag" in why
-    assert why.count("\n") == 1
 
 
 def test_a_reader_that_has_enough(arm: Rig) -> None:
@@ -186,6 +180,20 @@ def test_a_full_disk_under_its_lines_is_one_line(arm: Rig) -> None:
     run = watch("--namespace", arm.process.namespace, "--json", "/dev/full")
     told = "hd-diag: /dev/full: cannot be written: No space left on device\n"
     assert (run.returncode, run.stderr) == (2, told)
+
+
+def test_what_does_not_come_within_the_time_is_said_in_one_line_with_what_is_there(
+    arm: Rig, waiting: list[subprocess.Popen[str]]
+) -> None:
+    """What is there is shown all the same."""
+    (shown, said), (nothing, why), (_, nobody) = (each.communicate(timeout=LIMIT) for each in waiting)
+    assert [each.returncode for each in waiting] == [2, 2, 1]
+    assert (shown.count("\n"), nothing, nobody) == (1, "", "no node /nobody/hd_diag\n")
+    assert f"no report of elbow_9 within {TIMEOUT} s" in said
+    assert "joints reported: elbow, shoulder" in said
+    assert why.startswith(f"hd-diag: no report of an hd_diag node within {TIMEOUT} s: ")
+    assert f"no hd_diag node in /nowhere; there is {arm.process.namespace}/hd_diag" in why
+    assert why.count("\n") == 1
 
 
 def test_hostile_diagnostics_do_no_harm() -> None:

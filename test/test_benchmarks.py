@@ -1,0 +1,131 @@
+"""The benchmarks: the paper's method gives what the model gives; each script measures, and tells it.
+
+Their own speeds are not judged.
+"""
+
+import importlib.util
+import json
+import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from types import ModuleType
+
+import drives
+import numpy as np
+import pytest
+from challenge import truth
+from challenge.contact import Gear
+from challenge.design import OTHERS, SIZE_25, Design
+from numpy.testing import assert_allclose
+
+from hd_diag.drive import Drive, mesh_state, transmission_error
+from hd_diag.formatting import ARCSEC
+from hd_diag.model.transmission_error import Kinematics
+
+BENCH = Path(__file__).resolve().parent.parent / "bench"
+sys.path.append(str(BENCH))
+import paper_method  # noqa: E402
+import scoring  # noqa: E402
+
+Script = Callable[..., str]
+
+
+def loaded(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """A script as a module; what it sets for its whole process is set back."""
+    for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+        monkeypatch.setenv(threads, "1")
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    spec = importlib.util.spec_from_file_location(f"bench_{name}", BENCH / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, spec.name, module)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Script:
+    """Runs a script with these words; gives what it prints."""
+
+    def run(script: ModuleType, *words: object) -> str:
+        monkeypatch.setattr(sys, "argv", [script.__name__, *map(str, words)])
+        assert script.main() == 0
+        return capsys.readouterr().out
+
+    return run
+
+
+GEAR = paper_method.Gear()
+MOMENTS = [
+    (0.0, 0.0, 56.0),
+    (0.3, 23e-6j, -56.0),
+    (7.7, 9e-6 + 4e-6j, 5.0),
+    (-4.1, -30e-6 + 1e-6j, -20.0),
+]
+
+
+@pytest.mark.parametrize(("turn", "eccentricity", "torque"), MOMENTS)
+def test_torsion_backlash_and_force(turn: float, eccentricity: complex, torque: float) -> None:
+    beta, backlash, force = paper_method.one_moment(GEAR, turn, complex(eccentricity), torque)
+    mesh = drives.mesh(eccentricity=(complex(eccentricity).real, complex(eccentricity).imag))
+    state = mesh_state(Drive(mesh, Kinematics(-100.0), 56.0), np.array([turn]), np.array([torque]))
+    assert_allclose(beta, state.torsion[0], rtol=0, atol=1e-9)
+    found = np.full((2, 2, 200), np.nan)
+    found[1] = 0.0
+    for k, values in enumerate((backlash, force)):
+        for (tooth, side), value in values.items():
+            found[k, 0 if side > 0 else 1, tooth] = value
+    assert_allclose(found[0] / 30.6e-3, state.backlash[0] / 30.6e-3, rtol=0, atol=1e-9)
+    assert_allclose(found[1], state.load[0], rtol=0, atol=1e-4)
+    assert np.isfinite(found[0]).sum() > 100
+
+
+@pytest.mark.parametrize("design", [SIZE_25, *OTHERS], ids=lambda design: design.name)
+def test_both_sides_mean_the_same_drive(design: Design) -> None:
+    rng = np.random.default_rng(3)
+    base = truth.drawn(rng, design)
+    angle, torque = rng.uniform(-200, 200, 100), rng.uniform(-0.9, 0.9, 100) * design.rated
+    forced = Gear(base).torsion(-angle, -torque) - base.cup * torque
+    assert_allclose(transmission_error(scoring.drive(base), angle, torque), forced, atol=0.05 * ARCSEC)
+
+
+def test_suite_measures_and_tells(run: Script, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """One short section: its table on stdout, its figures as JSON; what meets an aim."""
+    suite, file = loaded("suite", monkeypatch), tmp_path / "results.json"
+    told = run(suite, "--only", "tolerance", "--json", file)
+    found = json.loads(file.read_text())
+    assert (found["schema"], found["skipped"]) == ("hd_diag/bench/1", {})
+    assert [row["section"] for row in found["rows"]] == ["tolerance"] * 2
+    for row in found["rows"]:
+        assert row["value"] > 0.0
+        assert row["what"] in told
+    for ratio, value, aim, unit, met in (
+        (600.0, 1.0, 500.0, "x", True),
+        (400.0, 1.0, 500.0, "x", False),
+        (None, 1.0, 2.0, "s", True),
+        (None, 3.0, 2.0, "s", False),
+        (9.0, 1.0, None, "", None),
+    ):
+        assert suite.Row("section", "what", value, "s", ratio, aim=aim, aim_unit=unit).met is met
+
+
+def test_one_record(run: Script, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A spectrum's peaks beside it; the other methods where they are installed."""
+    challenge, tables, figures = loaded("challenge", monkeypatch), tmp_path / "f.md", tmp_path / "f.json"
+    monkeypatch.setattr(challenge, "ProcessPoolExecutor", lambda *_: ThreadPoolExecutor(1))
+    one = ("--seeds", 1, "--families", "short", "--jobs", 1, "--first", 1)
+    told = run(challenge, *one, "--json", figures, "--markdown", tables)
+    assert tables.read_text() == told
+    assert told.startswith("1 of 1 records, development seeds from 1 on.")
+    rows = [line.split(" | ") for line in told.splitlines() if line.startswith("| short")]
+    assert {"hd_diag", "FFT peaks"} <= {row[1] for row in rows}
+    assert len({len(row) for row in rows if row[1] == "hd_diag"}) == 2
+    written = json.loads(figures.read_text())
+    assert written["schema"] == "hd_diag/challenge/1"
+    own = next(each for each in written["records"] if each["method"] == "hd_diag")
+    assert (own["family"], own["seed"], own["hidden"]) == ("short", 1, ["output_runout"])
+    assert own["seconds"] > 0.0
+    assert run(challenge, "--again", figures) == told
+    assert "| poor motions: records with a false name [%] | at most 0 | 0 | yes |" in told
