@@ -321,20 +321,6 @@ def shape_of(row: int, stamp: int, given: dict[str, float]) -> JointStates:
     return JointStates(np.array([row]), np.array([stamp]), names, "", *columns)
 
 
-def test_an_encoder_that_wraps_is_followed_the_short_way() -> None:
-    for begin in (0.0, -np.pi):
-        streams, turns = Alignment([Names("m", "l")]), np.arange(0.0, 30.0, 0.5)
-        wrapped = begin + np.mod(turns - begin, 2.0 * np.pi)
-        found = []
-        for i, angle in enumerate(wrapped):
-            states = [shape_of(0, START + 2 * i * MS, {"input": angle})]
-            states.append(shape_of(1, START + (2 * i - 1) * MS, {"output": 0.0}))
-            found += streams.take(np.zeros(2, np.int64), states).input_angle.tolist()
-        between = np.array(found)[2::2]
-        first = found[0] - turns[0]
-        np.testing.assert_allclose(between - first, turns[1:] - 0.25, rtol=0, atol=1e-9)
-
-
 def test_an_input_that_is_divided_and_wraps() -> None:
     """Reported at the output's side, at which it wraps: a hundred times as far at the wave generator's."""
     streams, turns = Alignment([Names("m", "l", input_factor=100.0)]), np.linspace(0.0, 9.0, 40)
@@ -354,14 +340,6 @@ def test_a_name_that_stands_twice_moves_no_other_column() -> None:
     states = JointStates(np.array([0]), np.array([START]), ("m", "m", "l"), "", position, None, effort)
     found = Alignment([Names("m", "l")]).take(np.zeros(1, np.int64), [states])
     assert (found.input_angle[0], found.output_angle[0], found.torque[0]) == (2.0, 3.0, 6.0)
-
-
-def test_an_angle_that_goes_beyond_a_turn_counts_by_itself() -> None:
-    """A jump near the start was a fast motor's: from where that is seen on the angle is as it is reported."""
-    streams, reported = Alignment([Names("m", "l")]), [0.0, 3.5, 5.0, 8.0, 4.0]
-    states = [shape_of(row, START + row * MS, {"input": angle}) for row, angle in enumerate(reported)]
-    found = streams.take(np.zeros(5, np.int64), states).input_angle
-    np.testing.assert_array_equal(found[3:], reported[3:])
 
 
 # A log ---

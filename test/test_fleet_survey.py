@@ -6,7 +6,6 @@ from pathlib import Path
 
 import fleet_tasks
 import pytest
-from bag_samples import cut_end
 
 from hd_diag.config.configuration import resolve
 from hd_diag.fleet.rows import tasks
@@ -41,30 +40,6 @@ def test_a_survey(tmp_path: Path) -> None:
     assert seen.start == fleet_tasks.BEGIN + 3 * fleet_tasks.DAY
     own = hashlib.sha256((tmp_path / "a.mcap").read_bytes()).digest()
     assert seen.digest == hashlib.sha256(own).hexdigest()
-
-
-def test_an_unfinished_bag_is_read_and_said_to_be(tmp_path: Path) -> None:
-    whole = fleet_tasks.small_bag(tmp_path / "a.mcap")
-    seen = survey(str(cut_end(whole, tmp_path / "cut.mcap")))
-    assert (seen.messages, len(seen.problems), seen.error) == (12, 1, "")
-
-
-def test_an_unfinished_bag_of_which_nothing_can_be_read_is_said_to_be_cut_off(tmp_path: Path) -> None:
-    path = fleet_tasks.small_bag(tmp_path / "a.mcap")
-    path.write_bytes(path.read_bytes()[:100])
-    seen = survey(str(path))
-    assert seen.error == f"{path}: holds no topic that can be read"
-    assert ["cut off" in problem for problem in seen.problems] == [True]
-
-
-@pytest.mark.parametrize("content", [b"", b"garbage", b"\x89MCAP0\r\n" + bytes(100)])
-def test_what_is_no_bag(content: bytes, tmp_path: Path) -> None:
-    path = tmp_path / "a\n\x1b[31m.mcap"
-    path.write_bytes(content)
-    seen = survey(str(path))
-    assert seen.error
-    assert seen.error.isprintable()
-    assert "does not exist" in survey(str(tmp_path / "none.mcap")).error
 
 
 def test_tasks_are_the_joints_that_a_bag_holds(tmp_path: Path) -> None:

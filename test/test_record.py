@@ -161,20 +161,6 @@ def test_a_gap_in_a_continuous_angle_is_no_wrap(given: dict[str, np.ndarray]) ->
     assert_array_equal(prepared(kept).input_angle, kept["input"])
 
 
-def test_duplicate_stamps_are_dropped(given: dict[str, np.ndarray]) -> None:
-    twice = {name: np.repeat(column, 2) for name, column in columns(seconds=10.0).items()}
-    record = prepared(twice)
-    assert record.dropped == record.size == 2000
-    assert np.all(np.diff(record.time) > 0.0)
-
-
-def test_a_clock_that_goes_back_begins_a_run(given: dict[str, np.ndarray]) -> None:
-    given["time"][2000:] -= given["time"][2000]
-    record = prepared(given)
-    assert record.extent.runs == 2
-    assert all(np.all(np.diff(record.time[record.run == run]) > 0.0) for run in range(2))
-
-
 def test_pauses_make_runs() -> None:
     given = columns(seconds=20.0)
     rest = np.clip(given["time"] - 10.0, 0.0, 1.0)  # one second at rest after ten
