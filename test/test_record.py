@@ -206,3 +206,9 @@ def test_records_that_cannot_be_judged(
     given[name][rows] *= factor
     with pytest.raises(RecordError, match=said):
         prepared(given)
+
+
+def test_swapped_angles_are_said_where_the_input_hardly_moves(given: dict[str, np.ndarray]) -> None:
+    given["input"], given["output"] = given["output"], given["input"]
+    with pytest.raises(RecordError, match=r"no motion: .*: are input and output swapped"):
+        prepared(given)

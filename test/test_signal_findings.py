@@ -13,6 +13,7 @@ from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.screening import screened
 from hd_diag.drive import transmission_error
+from hd_diag.simulation import Motion, SimulatedJoint, simulate
 
 CONFIGURED = joint().drive
 
@@ -73,6 +74,24 @@ def test_other_units(column: str, factor: float, said: str) -> None:
     assert said in found.text
 
 
+def test_both_angles_in_degrees() -> None:
+    """At the configured ratio, and moving so fast and between such torques that steps were seen before."""
+    made = simulate(SimulatedJoint(CONFIGURED), Motion(24.0, 100.0), np.random.default_rng(0))
+    degrees = np.degrees(made.input_angle), np.degrees(made.output_angle)
+    given = {"time": made.stamp * 1e-9, "input": degrees[0], "output": degrees[1], "torque": made.torque}
+    found = only(prepared(given))
+    assert (found.name, found.fatal) == ("unit", True)
+    assert "both angles are in degrees" in found.text
+    both = dict.fromkeys(("input", "output"), np.degrees)
+    assert "both angles are in degrees" in only(moves(2.0, **both)).text
+
+
+def test_a_torque_that_no_gear_bears() -> None:
+    found = only(moves(torque=lambda torque: 1e3 * torque))
+    assert (found.name, found.fatal) == ("unit", True)
+    assert "times the rated torque: in which unit is it?" in found.text
+
+
 def test_degrees_that_wrap() -> None:
     found = only(moves(20.0, output=lambda angle: np.mod(np.degrees(angle), 360.0)))
     assert (found.name, found.fatal) == ("unit", True)
@@ -101,6 +120,14 @@ def test_angles_out_of_step(record: Record, late: float) -> None:
     found = only(dataclasses.replace(record, output_angle=moved))
     assert (found.name, found.fatal) == ("out_of_step", True)
     assert found.value == pytest.approx(late, rel=0.1)
+
+
+def test_a_ratio_of_the_wrong_sign_is_not_taken_for_a_late_output() -> None:
+    """A motion to and fro, mirrored, is itself at another time."""
+    made = simulate(SimulatedJoint(CONFIGURED), Motion(24.0, 100.0), np.random.default_rng(0))
+    given = {"time": made.stamp * 1e-9, "input": -made.input_angle, "output": made.output_angle}
+    found = only(prepared(given | {"torque": made.torque}))
+    assert (found.name, found.value) == ("ratio_error", pytest.approx(-RATIO, rel=1e-2))
 
 
 def test_a_clock_set_back_begins_a_recording_and_is_said() -> None:

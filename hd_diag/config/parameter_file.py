@@ -80,7 +80,17 @@ def _document(path: str | Path) -> Any:
     try:
         return yaml.load(text, _Loader)
     except Exception as error:  # beside YAMLError, PyYAML lets several kinds through on wrong tags and depth
-        raise ConfigError(f"not YAML: {' '.join(str(error).split()) or type(error).__name__}") from error
+        raise ConfigError(f"not YAML: {_reason(error)}") from error
+
+
+def _reason(error: Exception) -> str:
+    """What an error of PyYAML says, in one line without the text that it quotes."""
+    mark = getattr(error, "problem_mark", None)
+    if mark is None:
+        return " ".join(str(error).split()) or type(error).__name__
+    context = getattr(error, "context", None)
+    where = f"line {mark.line + 1}, column {mark.column + 1}: {getattr(error, 'problem', '')}"
+    return f"{where}, {context}" if context else where
 
 
 def text(flat: Mapping[str, Value]) -> str:

@@ -210,10 +210,11 @@ def prepare(
     bag, output = columns["bag"], _unwrapped(columns["output_angle"], columns["bag"])
     segment = segments(columns["time"], bag, GAP_STEPS)
     angle = _with_turns(columns["input_angle"], output, bag, segment, ratio)
-    if float(np.ptp(angle)) < np.pi:
-        raise RecordError(
-            f"no motion: the input turns by {float(np.ptp(angle)):.3g} rad, at least half a turn is needed"
-        )
+    turned, followed = float(np.ptp(angle)), float(np.ptp(output))
+    if turned < np.pi:
+        text = f"no motion: the input turns by {turned:.3g} rad, at least half a turn is needed"
+        swapped = f"; the output turns by {followed:.3g} rad: are input and output swapped?"
+        raise RecordError(text + swapped * (abs(ratio) > 1.0 and followed > np.pi))
     keep = ~outliers(output - angle / ratio, bag)
     if columns["torque"] is not None:
         keep &= ~torque_outliers(columns["torque"], bag)

@@ -12,6 +12,7 @@ from hd_diag.diagnosis.signal_findings import (
     check_degrees,
     check_one_sensor,
     check_partner,
+    check_sizes,
     check_stamps,
     check_step,
     check_torque,
@@ -53,6 +54,8 @@ def screened(
     if not record.by_velocity:  # whose slow part is free
         wrong = wrong or check_ratio(record, ratio)
     wrong = wrong or check_partner(record, configured)
+    if teeth:
+        wrong = wrong or check_sizes(record, configured)
     stamps = check_stamps(record)
     if wrong is not None:
         return Screened(subsample(record, limit), (wrong, *stamps))

@@ -32,6 +32,9 @@ _WRONG_SIGN = -0.3  # of the configured torsion
 _LEAST_REACH, _REACH_WITHOUT_TORQUE = 0.3, 1.5  # of the output [rad]
 _PARTNER_MISS = 0.15  # of the slope between a ratio and its partner
 _FULL_TURN = 360.0
+_DEGREES, _DEGREES_MISS = 180.0 / math.pi, 0.3  # times the configured torsion; a share of that
+_LEAST_IN_DEGREES = 0.01  # [rad], between least and greatest error: beyond what gears have
+_MOST_TORQUE = 50.0  # of the rated torque: teeth skip at a fifth of it, or a half
 
 
 def check_one_sensor(record: Record, ratio: float) -> Finding | None:
@@ -53,6 +56,22 @@ def check_degrees(record: Record) -> Finding | None:
         if np.any(np.abs(step - 1.0) < 0.02) and float(np.median(step)) < 0.1:
             text = f"the {name} angle jumps by 360: it is in degrees; angles must be in radians"
             return Finding("unit", text, _FULL_TURN, "-", True)
+    return None
+
+
+def check_sizes(record: Record, configured: Drive) -> Finding | None:
+    """A finding where no gear could bear the torque, or twist as far by it: they are in other units."""
+    most = float(np.percentile(np.abs(record.torque), 99.0))
+    if record.has_torque and most > _MOST_TORQUE * configured.rated_torque:
+        share = most / configured.rated_torque
+        text = f"the torque reaches {most:.3g} N m, {share:.0f} times the rated torque: in which unit is it?"
+        return Finding("unit", text, share, "-", True)
+    error = record.output_angle - record.input_angle / configured.kinematics.ratio
+    if twisting(record, configured) and float(np.ptp(centered(error, record.bag))) > _LEAST_IN_DEGREES:
+        factor, spread = _twist(record, configured)
+        if abs(factor / _DEGREES - 1.0) < _DEGREES_MISS and factor > _SIGMAS * spread:
+            text = f"the joint twists {factor:.0f} times as much as configured: both angles are in degrees"
+            return Finding("unit", f"{text}; angles must be in radians", factor, "-", True)
     return None
 
 
@@ -126,7 +145,9 @@ def check_step(record: Record, ratio: float) -> Finding | None:
     output = some.input_angle / ratio
     others = [output, np.sign(some.speed), some.torque, some.torque * np.abs(some.torque)]
     error = some.output_angle - output
-    if not follows(record, 1.0 / ratio, _MATCHED) and math.isfinite(late := _late(record, ratio)):
+    # A motion to and fro, mirrored by a ratio of the wrong sign, is itself at another time.
+    is_late = not any(follows(record, sign / ratio, _MATCHED) for sign in (1.0, -1.0))
+    if is_late and math.isfinite(late := _late(record, ratio)):
         return _out_of_step(late)
     found = regression([some.speed / ratio, *others], error, some.bag)
     early, slope = float(found.value[0]), float(found.value[1])
@@ -172,13 +193,7 @@ def check_torque(record: Record, configured: Drive) -> Finding | None:
     """A finding where the torsion is not that of the torque: of the other sign, or many times as much."""
     if not twisting(record, configured):
         return None
-    some = record.thinned(_MOST_ROWS)
-    output = some.input_angle / configured.kinematics.ratio
-    torsion, _, _ = fit_parameters.along(configured, configured, some.input_angle, some.torque)
-    waves = np.cos(output), np.sin(output)
-    columns = [np.nan_to_num(torsion), some.speed, np.sign(some.speed), *waves]
-    found = regression(columns, some.output_angle - output, some.bag)
-    factor, spread = float(found.value[0]), float(found.deviation[0])
+    factor, spread = _twist(record, configured)
     if factor < min(_WRONG_SIGN, -_SIGMAS * spread):
         text = (
             "the link leads where the torque is positive, and no gear does that: the torque has the other "
@@ -192,3 +207,14 @@ def check_torque(record: Record, configured: Drive) -> Finding | None:
         )
         return Finding("torque_unit", text, factor, "-", False)
     return None
+
+
+def _twist(record: Record, configured: Drive) -> tuple[float, float]:
+    """Torsion over the configured one at the same torque, with its standard deviation [-]."""
+    some = record.thinned(_MOST_ROWS)
+    output = some.input_angle / configured.kinematics.ratio
+    torsion, _, _ = fit_parameters.along(configured, configured, some.input_angle, some.torque)
+    waves = np.cos(output), np.sin(output)
+    columns = [np.nan_to_num(torsion), some.speed, np.sign(some.speed), *waves]
+    found = regression(columns, some.output_angle - output, some.bag)
+    return float(found.value[0]), float(found.deviation[0])

@@ -190,7 +190,7 @@ def judged(found: Diagnosis, joint: str) -> Row:
         "error_std_rad": normal.get("std"),
         "eccentricity_allowed_m": tolerance.get("allowed"),
         "eccentricity_criterion": tolerance.get("criterion"),
-        "inspect": [f"{card.title}: {card.inspect or card.cause}" for card in cards(Answer(found))],
+        "inspect": [f"{card.title}: {card.inspect}" for card in cards(Answer(found)) if card.inspect],
         "duration_s": record["duration"],
         **{name: record[name] for name in ("samples", "runs", "input_turns")},
         **_refused(record),
