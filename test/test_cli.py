@@ -214,8 +214,10 @@ def test_mesh_table_lists_the_teeth_that_can_touch(tmp_path: Path) -> None:
     assert result.exit_code == 0
     backlash = json.loads((tmp_path / "mesh.json").read_text())["backlash"]
     pairs = enumerate(zip(backlash["+"], backlash["-"], strict=True))
-    rows = [line.split("│")[1].strip() for line in result.output.splitlines() if line.startswith("│")]
+    rows = re.findall(r"(?m)^(\d+)  +[-.\d]+ ", result.output)
     assert rows == [str(tooth) for tooth, pair in pairs if pair != (None, None)]
+    assert "backlash +       -  load +" in result.output
+    assert "tooth        [µm]    [µm]     [N]" in result.output
     assert "70 loaded flanks, largest force 39.755 N" in " ".join(result.output.split())
 
 

@@ -26,11 +26,23 @@ def tell(line: str, *, err: bool = False) -> None:
     click.echo(line, err=err)
 
 
+def number_table(*columns: str, title: str | None = None) -> Table:
+    """A table with the first column to the left and numbers to the right; such tables fit 80 columns."""
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for k, column in enumerate(columns):
+        table.add_column(column, justify="right" if k else "left", no_wrap=True)
+    return table
+
+
 def show_table(table: Table) -> None:
-    """Print a table: without markup, in a pipe as wide as it needs."""
+    """Print a table: without markup, in a pipe as wide as it needs, and no number of it cut off."""
     from rich.console import Console
 
     console = Console(width=None if sys.stdout.isatty() else _WIDEST, highlight=False, markup=False)
+    wide = console.options.update(max_width=_WIDEST)
+    console.width = max(console.width, console.measure(table, options=wide).minimum)
     with console.capture() as text:  # rich would end the program, with 1, where nobody reads
         console.print(table)
     click.echo(text.get(), nl=False)

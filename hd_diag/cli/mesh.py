@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from rich.table import Table
 
 from hd_diag.arrays import Floats
 from hd_diag.cli.joints import chosen_joint, configured
-from hd_diag.cli.lines import show_table, tell
+from hd_diag.cli.lines import number_table, show_table, tell
 from hd_diag.cli.targets import Problem, write_json
 from hd_diag.config.configuration import JointConfig
 from hd_diag.drive import mesh_state, transmission_error
@@ -68,8 +67,8 @@ def _flanks(values: Floats) -> dict[str, Floats]:
 
 
 def _show(result: dict[str, Any]) -> None:
-    def scaled(value: float | None, scale: float) -> str:
-        return "-" if value is None else f"{value * scale:.3f}"
+    def scaled(value: float | None, scale: float, decimals: int = 3) -> str:
+        return "-" if value is None else f"{value * scale:.{decimals}f}"
 
     tell(f"{result['joint']} at input angle {result['input_angle']:g} rad, torque {result['torque']:g} N m")
     tell(
@@ -77,17 +76,18 @@ def _show(result: dict[str, Any]) -> None:
         f"torsion {scaled(result['torsion'], 1 / ARCSEC)} arcsec, "
         f"lost motion {scaled(result['lost_motion'], 1 / ARCSEC / 60)} arcmin"
     )
+    overlap = result["overlap"] or 0.0
     tell(
         f"{result['loaded_pairs']} loaded flanks, largest force {scaled(result['peak_tooth_load'], 1)} N, "
         f"{scaled(result['load_concentration'], 1)} times the mean; "
         f"interference: {'yes' if result['interference'] else 'no'} "
-        f"(overlap {scaled(result['overlap'], 1e6)} µm)"
+        f"({'overlap' if overlap > 0.0 else 'clearance'} {scaled(abs(overlap), 1e6)} µm)"
     )
-    table = Table("tooth", "backlash + [µm]", "backlash - [µm]", "load + [N]", "load - [N]")
+    table = number_table("tooth", "backlash +\n[µm]", "-\n[µm]", "load +\n[N]", "-\n[N]")
     for tooth in range(len(result["backlash"]["+"])):
         cells = [result[what][sign][tooth] for what in ("backlash", "load") for sign in "+-"]
         if cells[0] is not None or cells[1] is not None:
             scales = (1e6, 1e6, 1.0, 1.0)
-            table.add_row(str(tooth), *(scaled(c, s) for c, s in zip(cells, scales, strict=True)))
+            table.add_row(str(tooth), *(scaled(c, s, 2) for c, s in zip(cells, scales, strict=True)))
     show_table(table)
     tell("Teeth that are not listed cannot touch.")

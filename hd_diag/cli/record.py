@@ -32,6 +32,8 @@ from hd_diag.report.sources import sources
 from hd_diag.tolerance.severity import with_allowed
 from hd_diag.tolerance.study import limits_and_spreads
 
+_TABLES = (".csv", ".tsv", ".txt")
+
 
 @dataclass(frozen=True)
 class Records:
@@ -106,6 +108,9 @@ def on_records(function: Callable[..., int]) -> Callable[..., int]:
         time_limit: float = math.inf,
         **own: Any,
     ) -> int:
+        for path in bags if columns is None else ():
+            if path.suffix.lower() in _TABLES:
+                raise Problem(f"{path}: a table needs --columns time=...,input=...,output=...")
         catalogue = load(effect_files)
         config = configured(config_file, catalogue)
         joints = chosen_joints(config, names)

@@ -12,7 +12,7 @@ import numpy as np
 from rich.table import Table
 
 from hd_diag.cli.joints import chosen_joint, configured
-from hd_diag.cli.lines import show_table, tell
+from hd_diag.cli.lines import number_table, show_table, tell
 from hd_diag.cli.progress import showing
 from hd_diag.cli.targets import Problem, write_json, writing
 from hd_diag.cli.verbs.drives import LIMITS
@@ -112,17 +112,9 @@ def _um(eccentricity: float, question: Question) -> str:
     return f"more than {question.largest * 1e6:.3g} µm"
 
 
-def _table(title: str, *columns: str) -> Table:
-    """The first column to the left, numbers to the right; fits 80 columns."""
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for k, column in enumerate(columns):
-        table.add_column(column, justify="right" if k else "left", no_wrap=True)
-    return table
-
-
 def _limit_table(found: Study, torque: float, row: list[limit.EccentricityLimit]) -> Table:
     columns = ("limit", "without", "at\n[µm]", "direction\n[rad]", "\n[deg]", "input\n[rad]")
-    table = _table(f"Limits at {torque:g} N m", "criterion", *columns)
+    table = number_table("criterion", *columns, title=f"Limits at {torque:g} N m")
     for criterion, each in zip(CRITERIA, row, strict=True):
         values = (f"{value * criterion.scale:.4g}" for value in (each.limit, each.without))
         place: tuple[str, ...] = f"> {found.question.largest * 1e6:.4g}", "not reached"
@@ -139,7 +131,8 @@ def _show_assemblies(found: Study) -> None:
     drawn, question = found.assemblies, found.question
     assert drawn is not None
     columns = ("all (95 %)", *(criterion.brief for criterion in CRITERIA))
-    table = _table(f"Share of {question.samples} assemblies within the limits [%]", "to [µm]", *columns)
+    title = f"Share of {question.samples} assemblies within the limits [%]"
+    table = number_table("to [µm]", *columns, title=title)
     for k, value in enumerate(drawn.tolerances):
         t = drawn.together
         together = f"{100 * t.share[k]:.1f} ({100 * t.low[k]:.1f}-{100 * t.high[k]:.1f})"
@@ -152,7 +145,7 @@ def _sensitivity_table(found: Study) -> Table:
     assert found.sensitivity is not None
     first, total = found.sensitivity.first.value, found.sensitivity.total.value
     title = "What matters at the configured tolerances: total (first) Sobol index [%]"
-    table = _table(title, "spread of", *(criterion.brief for criterion in CRITERIA))
+    table = number_table("spread of", *(criterion.brief for criterion in CRITERIA), title=title)
     for i in np.argsort(-np.nan_to_num(total).mean(axis=0), kind="stable"):
         pairs = zip(total[:, i], first[:, i], strict=True)
         table.add_row(words(FACTORS[i]), *(f"{100 * t:.0f} ({100 * f:.0f})" for t, f in pairs))
