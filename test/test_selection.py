@@ -24,6 +24,7 @@ from hd_diag.diagnosis.search.ranking import candidates, family_size
 from hd_diag.diagnosis.search.selection import (
     _next,
     _on_the_other_flank,
+    _refitted,
     _settled_first,
     search,
     speed_dependent,
@@ -55,6 +56,20 @@ def test_what_grows_or_falls_with_speed_asks_for_a_slow_start(growth: float, exp
 def test_speeds_that_are_alike_have_no_slow_part() -> None:
     rest = NOISE * (1.0 + (np.abs(SPEED) > 30.0))
     assert not speed_dependent(left(np.sign(SPEED) * (25.0 + 0.25 * np.abs(SPEED)), rest))
+
+
+def test_parameters_are_searched_for_again_under_the_torque_that_friction_leaves() -> None:
+    """6 N m move the torque at which the flanks change, which no columns at wrong parameters know."""
+    record, dry = swinging(), EFFECTS["coulomb_windup"]
+    torque = record.torque + 6.0 * np.tanh(record.speed / 2.0)
+    output = record.input_angle / RATIO + transmission_error(TRUE, record.input_angle, torque)
+    output += NOISE_OF_RECORD * np.random.default_rng(1).standard_normal(record.size)
+    rubbing = dataclasses.replace(record, output_angle=output)
+    fit = linearise(rubbing, CONFIGURED, fit_parameters.vector(CONFIGURED, CONFIGURED)).with_noise(())
+    chosen = ((dry, (0.003, 1.0, 0.5, 3.0)),)
+    found = _refitted(fit, chosen, np.random.default_rng(0))
+    assert found.parameters[DATUM] == pytest.approx(POINT[DATUM], abs=2.0)
+    assert found.parameters[:2] == pytest.approx(POINT[:2], abs=0.3)
 
 
 def test_a_delay_is_seen_and_noise_is_not() -> None:

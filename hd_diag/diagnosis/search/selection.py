@@ -305,6 +305,11 @@ def alone(fit: LinearisedFit, chosen: Chosen, rng: np.random.Generator) -> bool:
 
 
 def _refitted(fit: LinearisedFit, chosen: Chosen, rng: np.random.Generator) -> Refit:
-    """The model's parameters searched for globally, the chosen effects beside them."""
+    """The model's parameters searched for globally, under the torque that the chosen effects leave.
+
+    What else these are takes part freely, and so does what their torque may be off by.
+    """
     own, extra = fit.data, fit.joined(chosen)
-    return refit(own.record, own.configured, rng, extra=extra, start=fit.parameters, starts=FEW_STARTS)
+    more = fit.effects.torque(fit.sized(chosen, fit.fit(chosen)[0]))[own.at]
+    record = replace(own.record, torque=own.record.torque + more)
+    return refit(record, own.configured, rng, extra=extra, start=fit.parameters, starts=FEW_STARTS)
