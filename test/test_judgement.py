@@ -15,6 +15,7 @@ from hd_diag.diagnosis.verdict import as_json, sentence
 ARCSEC = np.pi / 648000.0
 MISFIT = Rms(*(ARCSEC * v for v in (20.0, 19.5, 19.0, 19.0, 19.0, 19.0, 1.0, 0.9, 1.1)))
 NEAR = Rms(*(ARCSEC * v for v in (20.0, 19.5, 1.25, 1.25, 1.25, 1.25, 1.0, 0.89, 1.07)))
+LATE = dataclasses.replace(MISFIT, offline=1.01 * ARCSEC)
 AS_CONFIGURED = refitted(eccentricity=0.1 + 0.0j)
 
 
@@ -26,6 +27,7 @@ AS_CONFIGURED = refitted(eccentricity=0.1 + 0.0j)
         ({"unexplained": (LINE,)}, "described"),
         ({"findings": (SKIP,)}, "causes"),
         ({"rms": MISFIT}, "misfit"),
+        ({"rms": LATE}, "parameters"),  # as it runs its signals are late
         ({"findings": (WRONG_RATIO,), **ENDED}, "not_judged"),
     ],
 )

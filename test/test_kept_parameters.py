@@ -1,5 +1,7 @@
 """Parameters that a record does not move stay as configured, and say how far off they may be."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from benches import CONFIGURED, POINT, bench, swinging
@@ -11,7 +13,7 @@ from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.record import Record, prepare
 from hd_diag.diagnosis.search.causes import Search, parameters_of
-from hd_diag.diagnosis.search.kept_parameters import GROUPS, all_kept, kept_parameters
+from hd_diag.diagnosis.search.kept_parameters import GROUPS, Kept, all_kept, kept_parameters
 
 AS_CONFIGURED = fit_parameters.vector(CONFIGURED, CONFIGURED)
 
@@ -81,6 +83,18 @@ def test_beside_no_eccentricity_a_runout_may_be_anything() -> None:
     _, kept = kept_parameters(refitted(faultless(0)), ())
     assert {"eccentricity", "runout"} <= set(kept.bounds)
     assert kept.bounds["runout"] > 10.0
+
+
+def test_intervals_reach_the_minima_that_do_as_well() -> None:
+    """Under torque of one sign two datums 12 um apart leave the same of a drive without displacement."""
+    made = families.made("faultless", 4005)
+    columns = (made.time, made.input_angle, made.output_angle, made.torque, made.temperature, made.part)
+    fit = linearise(prepare(*columns, RATIO), CONFIGURED, AS_CONFIGURED).with_noise(())
+    far = AS_CONFIGURED + np.array([0.0, 0.0, 0.0, 0.0, -14.0, 0.0, 0.0])
+    beside = settle(dataclasses.replace(fit, held=(0, 1, 2, 3)).moved(far), (), rounds=5, learn=False)
+    found, spread = Kept({"eccentricity": 1.0, "runout": 8.0}).spread(Search(beside, ()))
+    away, alone = abs(found[4] - 1e6 * made.base.datum), parameters_of(Search(beside, ()))[1]
+    assert 3.0 * 1.96 * np.sqrt(alone[4, 4]) < away < 1.96 * np.sqrt(spread[4, 4])
 
 
 def test_all_may_be_held() -> None:

@@ -67,8 +67,11 @@ class Rms:
 
     @property
     def misfit(self) -> Misfit:
-        """What is left over the noise where causes that wander are followed."""
-        left = self._followed(self.extended)
+        """What is left over the noise where causes that wander are followed, as fitted or as the model runs.
+
+        Its signals are late where it runs, which speaks against no cause; as fitted it has no order table.
+        """
+        left = self._followed(min(self.extended, self.offline))
         value, low, high = (left / max(one, 1e-300) for one in (self.noise, self.noise_high, self.noise_low))
         return Misfit(value, low, high)
 

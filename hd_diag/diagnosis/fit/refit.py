@@ -41,7 +41,8 @@ FEW_STARTS: Starts = ((0.0, 0.0), *((10.0, turn) for turn in _TURNS))
 STARTS: Starts = ((0.0, 0.0), *((size, turn) for size in (6.0, 16.0) for turn in _TURNS))
 """Eccentricities that a search begins with: magnitude [um], direction [pi rad]."""
 
-_DISTINCT = 12.0  # difference of deviance that tells two minima apart
+DISTINCT = 12.0
+"""Difference of deviance that tells two minima apart."""
 
 
 @dataclass(frozen=True)
@@ -154,8 +155,8 @@ def refit(
             break
     covariance = problem.covariance(trials[0][0])
     (point, deviance), *others = [(found[:COUNT], value) for found, value in trials]
-    rivals = distinct([point, *(other for other, value in others if value - deviance < _DISTINCT)])[1:]
-    ambiguous = any(_apart(point, rival, covariance) > _DISTINCT for rival in rivals)
+    rivals = distinct([point, *(other for other, value in others if value - deviance < DISTINCT)])[1:]
+    ambiguous = any(_apart(point, rival, covariance) > DISTINCT for rival in rivals)
     zero, *taken = trials[0][0][COUNT:].tolist()
     drive = fit_parameters.drive_of(point, configured)
     return Refit(drive, point, covariance, not ambiguous, np.array(taken), zero * problem.offset)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,16 +10,17 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import lower_bound
-from hd_diag.diagnosis.fit.fit_parameters import COUNT, MIRRORED
+from hd_diag.diagnosis.fit.fit_parameters import COUNT, DATUM, MIRRORED
 from hd_diag.diagnosis.fit.joint_refinement import covariance, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
+from hd_diag.diagnosis.fit.refit import DISTINCT, distinct
 from hd_diag.diagnosis.search.causes import Search, parameters_of
 from hd_diag.drive import Drive
 
 GROUPS: dict[str, tuple[int, ...]] = {
     "eccentricity": (0, 1),
     "runout": (2, 3),
-    "circular_spline_datum": (4,),
+    "circular_spline_datum": (DATUM,),
     "tooth_compliance": (5,),
     "cup_compliance": (6,),
 }
@@ -31,6 +33,7 @@ _PLAINLY = 8.0  # times that fall by the linear model, four times the true one a
 _PREDICTED = 0.5  # of that fall, in blocks held out
 _AGREEING = 0.5  # of the gain, that may be lost in some blocks
 _DATUMS = (-8.0, 0.0, 8.0)  # from the configured one, with which other minima are looked for
+_ONE_SIGN = 0.05  # of the rows, that torque of the other sign has at most
 _TWO_SIDED = 1.96  # standard deviations of a 95 % interval
 
 
@@ -42,12 +45,12 @@ class Kept:
     ----------
     bounds : dict
         By the group's name, in units of :func:`fit_parameters.units`.
-    free : ndarray, shape (7,)
-        Where the parameters would be, were these fitted too, in the same units; without any, nothing.
+    rivals : list of ndarray, shape (7,)
+        Where the parameters would be, were these fitted too, and other minima that do as well.
     """
 
     bounds: dict[str, float]
-    free: Floats = field(default_factory=lambda: np.empty(0))
+    rivals: list[Floats] = field(default_factory=list)
 
     @property
     def held(self) -> tuple[int, ...]:
@@ -63,24 +66,34 @@ class Kept:
     def spread(self, whole: Search) -> tuple[Floats, Floats]:
         """Parameters of a fit with these groups held, shape (7,), and their covariance, shape (7, 7).
 
-        Intervals reach as far as the bounds; those of the others as far as with nothing held.
+        Intervals reach as far as the bounds; those of the others as far as those of every rival that all
+        rows leave one.
         """
-        found, own = parameters_of(whole)
-        if not self.bounds:
-            return found, own
-        free = settle(replace(whole.fit.moved(self.free), held=()), whole.chosen, learn=False)
-        if free.deviance(whole.chosen) > whole.fit.deviance(whole.chosen):  # no better with more to fit
-            free = replace(whole.fit, held=())
-        other, beside = parameters_of(replace(whole, fit=free))
-        away = min((np.abs(one - found) for one in (other, other * MIRRORED)), key=_displaced)
-        plain, reach = (_TWO_SIDED * np.sqrt(np.diagonal(one)) for one in (own, beside))
-        longer = np.maximum(1.0, (away + reach) / np.maximum(plain, 1e-150))
-        spread = own * np.multiply.outer(longer, longer)
+        found, spread = parameters_of(whole)
+        plain, worst = _reach(spread), whole.fit.deviance(whole.chosen) + DISTINCT
+        reach = plain.copy()
+        for there in self._rivals(whole):
+            if there.deviance(whole.chosen) < worst:
+                other, own = parameters_of(replace(whole, fit=there))
+                away = min((np.abs(one - found) for one in (other, other * MIRRORED)), key=_displaced)
+                reach = np.maximum(reach, away + _reach(own))
+        longer = reach / np.maximum(plain, 1e-150)
+        spread = spread * np.multiply.outer(longer, longer)
         for name, bound in self.bounds.items():
             for number in GROUPS[name]:
                 spread[number], spread[:, number] = 0.0, 0.0
                 spread[number, number] = (bound / _TWO_SIDED) ** 2
         return found, spread
+
+    def _rivals(self, whole: Search) -> Iterator[LinearisedFit]:
+        """Fits to all rows with nothing held, and with other datums: torque of one sign hardly tells them."""
+        fit, chosen = whole.fit, whole.chosen
+        for rival in self.rivals:
+            yield settle(replace(fit.moved(rival), held=()), chosen, learn=False)
+        pulled = float(np.mean(fit.signals.torque > 0.0))
+        if "eccentricity" in self.bounds and DATUM not in self.held and min(pulled, 1.0 - pulled) < _ONE_SIGN:
+            for start in _datums(fit.data.configured):
+                yield settle(fit.moved(start), chosen, 5, learn=False)
 
 
 def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Kept]:
@@ -98,13 +111,13 @@ def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, 
         The same with these groups held.
     kept : Kept
     """
-    begun, fit = _fitted(fit, chosen), _undisplaced(fit, chosen)
+    fit, rivals = _undisplaced(fit, chosen)
     away, spread = _away(fit, chosen)
     untold = [name for name, numbers in GROUPS.items() if set(numbers) <= set(fit.data.held)]
     certain = {name: _certainty(away, spread, name) for name in GROUPS if name not in untold}
     doubtful = [name for name in certain if certain[name] < _PLAIN]
     if not doubtful:
-        return fit, Kept(_bounds(fit, chosen, untold), begun)
+        return fit, Kept(_bounds(fit, chosen, untold), rivals[1:])
     best, held = fit, list[str]()
     if (trial := _held(fit, chosen, doubtful)) is not None:
         best, held = trial, doubtful
@@ -115,32 +128,36 @@ def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, 
     bounds = _bounds(fit, chosen, [*untold, *held])
     if {"eccentricity", "runout"} <= bounds.keys():  # beside none a runout is free to be anything
         bounds["runout"] = _bound(replace(best, held=()), chosen, "runout")
-    return best, Kept(bounds, begun)
+    return best, Kept(bounds, rivals if held else rivals[1:])
 
 
 def all_kept(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Kept]:
     """All groups held at their configured values; see :func:`kept_parameters`."""
     trial, _ = _trial(fit, chosen, [*GROUPS])
-    return trial, Kept(_bounds(fit, chosen, list(GROUPS)), _fitted(fit, chosen))
+    return trial, Kept(_bounds(fit, chosen, list(GROUPS)))
 
 
-def _undisplaced(fit: LinearisedFit, chosen: Chosen) -> LinearisedFit:
-    """Another minimum near the configured displacements, if it is better: noise makes minima beside them.
+def _undisplaced(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, list[Floats]]:
+    """Another minimum near the configured displacements, if it is better, and the minima that do as well.
 
-    There a datum that one direction of torque hardly moves has minima of its own.
+    Noise makes minima beside them. There a datum that one direction of torque hardly moves has minima of its
+    own.
     """
     away, spread = _away(fit, chosen)
-    if _certainty(away, spread, "eccentricity") > _PLAIN:
-        return fit
-    least, best = fit.deviance(chosen), fit
-    for datum in _DATUMS:
-        start = fit_parameters.vector(fit.data.configured, fit.data.configured)
-        start[GROUPS["circular_spline_datum"][0]] += datum
-        start = fit_parameters.admissible(start, fit.data.configured)
-        trial = settle(fit.moved(start), chosen, rounds=5, learn=False)
-        if (deviance := trial.deviance(chosen)) < least:
-            least, best = deviance, trial
-    return best
+    fits = [fit]
+    if _certainty(away, spread, "eccentricity") <= _PLAIN:
+        starts = _datums(fit.data.configured)
+        fits += [settle(fit.moved(start), chosen, rounds=5, learn=False) for start in starts]
+    fits.sort(key=lambda one: one.deviance(chosen))
+    worst = fits[0].deviance(chosen) + DISTINCT
+    return fits[0], distinct([_fitted(one, chosen) for one in fits if one.deviance(chosen) < worst])
+
+
+def _datums(configured: Drive) -> list[Floats]:
+    """The configured drive's parameters with other datums."""
+    found = np.tile(fit_parameters.vector(configured, configured), (len(_DATUMS), 1))
+    found[:, DATUM] += _DATUMS
+    return [fit_parameters.admissible(one, configured) for one in found]
 
 
 def _away(fit: LinearisedFit, chosen: Chosen) -> tuple[Floats, Floats]:
@@ -160,6 +177,11 @@ def _fitted(fit: LinearisedFit, chosen: Chosen) -> Floats:
 def _displaced(away: Floats) -> float:
     """How far from none the displacements are."""
     return float(np.sum(away[:4] ** 2))
+
+
+def _reach(spread: Floats) -> Floats:
+    """Of 95 % intervals, shape (7,)."""
+    return np.asarray(_TWO_SIDED * np.sqrt(np.diag(spread)))
 
 
 def _certainty(away: Floats, spread: Floats, name: str) -> float:
