@@ -9,6 +9,7 @@ from typing import Any
 from rich.table import Table
 
 from hd_diag.cli.check import describe
+from hd_diag.cli.examples import load_example
 from hd_diag.cli.lines import show_table, tell
 from hd_diag.cli.targets import write_json, writing
 from hd_diag.config import gear_file
@@ -36,10 +37,11 @@ def gear(
     with writing(out) as place:
         place.write_text(written, encoding="utf-8")
     if figure:
-        from hd_diag.report.pictures.tooth_pair import save, tooth_pair_picture  # matplotlib takes its time
+        from hd_diag.report.pictures.canvas import save  # matplotlib takes its time
 
+        drawn = load_example("tooth_pair").tooth_pair_picture(found.configured.mesh.geometry)
         with writing(figure) as place:
-            save(tooth_pair_picture(found.configured.mesh.geometry), place)
+            save(drawn, place)
     content = {"schema": "hd_diag/gear/1", "file": str(out), "parameters": dict(config.flat)}
     if write_json(json_file, content | {"joints": {joint: assessed.content()}}):
         _show(config, found, assessed, table)

@@ -15,9 +15,7 @@ from hd_diag.model.geometry import Geometry
 from hd_diag.model.neutral_curve import tooth_axes
 from hd_diag.model.tooth_profile import DoubleArc
 from hd_diag.report.pictures import canvas
-from hd_diag.report.pictures.canvas import ACCENT, EXTENDED, GRID, INK, NOMINAL, REFIT, drawn, save, sheet
-
-__all__ = ["save", "tooth_pair_picture"]
+from hd_diag.report.pictures.canvas import ACCENT, EXTENDED, GRID, INK, NOMINAL, REFIT, drawn, sheet
 
 _WIDTH = 4.4  # [inch]; letters are read on a phone, too
 _PANELS = (5.2, 1.8, 3.0, 3.6)  # heights [inch]
