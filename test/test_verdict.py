@@ -18,6 +18,7 @@ from hd_diag.diagnosis.gain import Gain, Rms
 from hd_diag.diagnosis.judgement import Answer
 from hd_diag.diagnosis.search import detectability
 from hd_diag.diagnosis.search.causes import Cause
+from hd_diag.diagnosis.search.order_table import OrderRow
 from hd_diag.diagnosis.search.unexplained import Unexplained
 from hd_diag.diagnosis.verdict import as_json, sentence, summary
 from hd_diag.effects import CATALOGUE
@@ -64,6 +65,7 @@ def refitted(trustworthy: bool = True, eccentricity: complex = 18.2 * np.exp(1.2
 
 
 LINE = Unexplained(3.37, "input", 2.0 * ARCSEC, "independent of torque", "the same in both directions")
+ROW = OrderRow(3.372, "input", (3.372, 0.0), np.array([2.0 * ARCSEC, 0.0]), np.eye(2) * 1e-14, True, ())
 TESTS = (
     detectability.Testability("resonance", False, float("nan"), "one speed only"),
     detectability.Testability("hysteresis", True, 0.3 * ARCSEC, "tested"),
@@ -188,6 +190,11 @@ ALIKE = cause("output_runout", 2.5 * ARCSEC, ("output_encoder_eccentricity",))
         (
             diagnosis(unexplained=(SIDED,)),
             "unexplained: 3.37 per input turn under positive torque, 2.00 arcsec.",
+        ),
+        (  # what the table of orders describes is not told twice
+            diagnosis(found=SimpleNamespace(causes=(), table=(ROW,)), unexplained=(LINE, TIME_LINE)),
+            "unexplained: 7.30 Hz, 2.00 arcsec; described, not explained: "
+            "3.372 per input turn (2.00 arcsec).",
         ),
         (DIAGNOSES["wrong ratio"], "First of all: the output follows at 101."),
         (

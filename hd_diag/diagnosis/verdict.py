@@ -33,6 +33,7 @@ _HOW_TO_FIND = (
     "counter-clockwise from where the wave generator's long axis stands at input angle zero "
     "(wave_generator_phase); an axis points to either side, so 180° more is the same"
 )
+_SAME_ORDER = 0.02  # of an order, by which two estimates of it may differ
 _PER = {"input": "per input turn", "output": "per output turn", "time": "Hz"}
 
 
@@ -186,9 +187,10 @@ def sentence(answer: Answer) -> str:
         parts.append("no other cause is needed")
     else:
         parts.append("none of the known causes explains the rest")
-    if diagnosis.unexplained:
-        parts.append("unexplained: " + ", ".join(map(_line_in_words, diagnosis.unexplained)))
-    if rows := [row for row in diagnosis.order_table if row.repeats]:
+    rows = [row for row in diagnosis.order_table if row.repeats]
+    if lines := [one for one in diagnosis.unexplained if not any(_describes(row, one) for row in rows)]:
+        parts.append("unexplained: " + ", ".join(map(_line_in_words, lines)))
+    if rows:
         parts.append(f"described, not explained: {', '.join(map(_row_in_words, rows))}")
     rms, record = diagnosis.rms, diagnosis.record
     if rms is not None and diagnosis.hints and not diagnosis.predicting:
@@ -299,6 +301,12 @@ def _row_in_words(row: OrderRow) -> str:
     order = f"{row.order:.0f}" if row.order == round(row.order) else f"{row.order:.3f}"
     law = " at the rated torque" if row.nonlinear[1] else ""
     return f"{order} {_PER[row.frame]} ({arcsec(row.amplitude)}{law})"
+
+
+def _describes(row: OrderRow, line: Unexplained) -> bool:
+    """Whether a row is of the same wave, whose order it knows better."""
+    is_wave = not line.description and line.frame == row.frame
+    return is_wave and math.isclose(line.order, row.order, rel_tol=_SAME_ORDER)
 
 
 def _cause_in_words(cause: Cause) -> str:
