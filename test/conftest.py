@@ -121,6 +121,15 @@ def browser() -> Iterator[Any]:
 
 
 @pytest.fixture(scope="session", autouse=True)
+def kept_memory() -> Iterator[None]:
+    """Replays in the tests' own process give no memory back, which the next would read again in 30 ms."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in ("preparation", "map_builder"):
+            patch.setattr(f"hd_diag.replay.{module}.give_back", lambda: None, raising=False)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def elsewhere(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Run in a folder from which a process started by a test imports the installed package, not the tree.
 
