@@ -11,7 +11,6 @@ from hd_diag.messages.publications import Encoded
 from hd_diag.streams.columns import JointStates
 
 RATIO = 100.0
-TEETH = 200
 START = 1_700_000_000_000_000_000  # [ns]
 MS = 1_000_000  # [ns]
 

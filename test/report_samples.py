@@ -2,18 +2,14 @@
 
 import dataclasses
 import functools
-import json
 import re
-import tempfile
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from challenge import families, motion, records
 from challenge.records import Recording, simulate
 from challenge.truth import drawn
-from cli_runner import hd_diag
 from live import config
 
 from hd_diag.config.configuration import Config
@@ -92,27 +88,6 @@ def known_to_the_command_line(monkeypatch: pytest.MonkeyPatch, name: str) -> lis
     monkeypatch.setattr("hd_diag.cli.record.screened", lambda record, _, teeth: record)
     monkeypatch.setattr("hd_diag.cli.record.diagnose", known)
     return asked
-
-
-class Drawn(NamedTuple):
-    """What `hd-diag diagnose --report` of the record with an output runout gave, and what it had read."""
-
-    lines: list[str]
-    told: dict[str, Any]
-    page: str
-    record: Record
-
-
-@functools.cache
-def drawn_by_diagnose() -> Drawn:
-    with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
-        asked = known_to_the_command_line(patch, "output_runout")
-        bag, out, told = (Path(folder) / name for name in ("j.mcap", "a.html", "a.json"))
-        records.write_bag(made("output_runout"), bag)
-        result = hd_diag("diagnose", bag, "--report", out, "--json", told)
-        assert (result.exit_code, result.stderr) == (0, "")
-        lines = result.stdout.replace(str(out), "a.html").splitlines()
-        return Drawn(lines, json.loads(told.read_text()), out.read_text(encoding="utf-8"), asked[0][0])
 
 
 def letters(text: str) -> str:

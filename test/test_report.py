@@ -17,7 +17,6 @@ from report_samples import (
     HOSTILE,
     configured,
     diagnosis,
-    drawn_by_diagnose,
     hostile_page,
     joint_report,
     known_to_the_command_line,
@@ -386,17 +385,21 @@ def test_a_bag_without_output_gets_the_model_s_side(tmp_path: Path) -> None:
 
 def test_both_verbs_draw_what_they_say(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Of a bag or a table, which give the same record; both write the same JSON."""
-    lines, told, drawn, from_bag = drawn_by_diagnose()
-    assert (lines[0], lines[-1]) == (f"joint_1: {told['verdict']}", "report written: a.html")
-    assert letters(told["verdict"]) in letters(Reader(drawn).text)
     asked = known_to_the_command_line(monkeypatch, "output_runout")
-    table, out = tmp_path / "bench.csv", tmp_path / "b.html"
+    bag, table, out = (tmp_path / name for name in ("j.mcap", "bench.csv", "a.html"))
+    records.write_bag(made("output_runout"), bag)
     records.write_csv(made("output_runout"), table)
+    drawn = hd_diag("diagnose", bag, "--report", out, "--json", tmp_path / "a.json")
+    assert (drawn.exit_code, drawn.stderr) == (0, "")
+    told, lines = json.loads((tmp_path / "a.json").read_text()), drawn.stdout.splitlines()
+    assert (lines[0], lines[-1]) == (f"joint_1: {told['verdict']}", f"report written: {out}")
+    assert letters(told["verdict"]) in letters(Reader(out.read_text(encoding="utf-8")).text)
+    monkeypatch.setattr("hd_diag.report.page.page", lambda *_: "a page, which takes its time")
     names = ("--columns", "time=time,input=input,output=output,torque=torque,temperature=temperature")
     result = hd_diag("report", table, *names, "--out", out, "--json", "-")
     assert (result.exit_code, result.stderr) == (0, f"report written: {out}\n")
-    assert json.loads(result.stdout) == told
-    ((from_table, _),) = asked
+    assert (json.loads(result.stdout), out.read_text()) == (told, "a page, which takes its time")
+    (from_bag, _), (from_table, _) = asked
     assert from_bag.size == made("output_runout").time.size
     assert_allclose(from_bag.input_angle, from_table.input_angle)
     assert_allclose(from_bag.torque, from_table.torque)
