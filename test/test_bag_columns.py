@@ -145,6 +145,11 @@ def test_damaged_messages_are_decoded_alike_or_refused(data):
     for _ in range(data.draw(st.integers(1, 3))):
         message[data.draw(st.integers(0, len(message) - 1))] = data.draw(st.integers(0, 255))
     columns, _ = decode_joint_states([bytes(message)])
+    try:
+        alone = [JointStateDecoder().decode(bytes(message))]
+    except ValueError:
+        alone = []
+    assert len(alone) == len(columns)
     if columns:
         try:
             expected = from_rosbags(bytes(message))
