@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import oaconvolve, savgol_coeffs, savgol_filter
+from scipy.signal import savgol_coeffs, savgol_filter
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.blocks import filtered
@@ -145,15 +145,17 @@ def _twice(values: Floats, step: float, width: float) -> Floats:
 
 
 def _filtered(values: Floats, window: int) -> Floats:
-    """Savitzky-Golay filter of (n,) or (n, k); at either end one quadratic of half a window's rows.
+    """Savitzky-Golay filter of (n,) or (n, k); at either end one quadratic of half a window's rows."""
+    from hd_diag.diagnosis import kernel  # late: it imports numba
 
-    By FFT, which is many times as fast for windows of a second.
-    """
-    (kernel, ends), half, result = _quadratic(window), window // 2, np.empty_like(values)
-    kernel = kernel.reshape(-1, *[1] * (values.ndim - 1))
-    result[half : values.shape[0] - half] = oaconvolve(values, kernel, "valid", axes=0)
+    (taps, ends), half, size = _quadratic(window), window // 2, values.shape[0]
+    before = -window % 3  # taps, and rows, of zero
+    wide = np.concatenate((np.zeros((before, values[0].size)), values.reshape(size, -1)))
+    result = np.empty_like(values)
+    found = kernel.filtered(wide, np.append(taps, np.zeros(before)), np.array([0, size + before]))
+    result[half : size - half] = found[before + window - 1 :].reshape(-1, *values.shape[1:])
     result[:half] = ends[:half] @ (ends.T @ values[:window])
-    result[values.shape[0] - half :] = ends[-half:] @ (ends.T @ values[-window:])
+    result[size - half :] = ends[-half:] @ (ends.T @ values[-window:])
     return result
 
 

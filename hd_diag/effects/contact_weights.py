@@ -88,7 +88,7 @@ class ContactWeights:
             slot, or of the tooth along the flexspline, tooth 0 at zero.
         """
         turns = 1.0 + 1.0 / self.drive.mesh.geometry.reduction if error == "tooth" else 1.0
-        turned: Complexes = np.exp(1j * turns * np.multiply.outer(self.wave_generator_angle, orders))
+        turned: Complexes = np.power.outer(np.exp(1j * turns * self.wave_generator_angle), orders)
         return self._sign * self._interpolate(self.table.harmonics(error, orders)) * turned
 
     def clearance(self) -> Floats:
@@ -260,7 +260,12 @@ class ContactWeights:
     def _interpolate(self, table: Values) -> Values:
         """Of columns (torques, angles, k), shape (n, k)."""
         flat = table.reshape(-1, table.shape[-1])
-        return np.asarray(sum(share * flat.take(node, axis=0) for node, share in self._nodes))
+        found = np.zeros((self.torque.size, flat.shape[1]), flat.dtype)
+        for node, share in self._nodes:
+            part = flat.take(node, axis=0)
+            part *= share
+            found += part
+        return found
 
 
 def contact_weights(

@@ -267,18 +267,14 @@ def _in_units(
     """TE, Jacobian and slope from the torsion and its derivatives by E_x, E_y, r_0, K1 + K2 and M."""
     by_x, by_y, by_datum, by_compliance, by_torque = gradient.T
     cosine, sine = np.cos(angle), np.sin(angle)
-    columns = (
-        by_x,
-        by_y,
-        by_x * cosine + by_y * sine,
-        by_y * cosine - by_x * sine,
-        by_datum,
-        by_compliance * configured.mesh.tooth_compliance,
-    )
+    scale = -drive.frame.torque_sign * units(configured)
     jacobian = np.empty((angle.size, COUNT))
-    scales = units(configured)
-    jacobian[:, :6] = -drive.frame.torque_sign * np.stack(columns, axis=1) * scales[:6]
-    jacobian[:, 6] = -torque * scales[6]
+    jacobian[:, 0], jacobian[:, 1] = scale[0] * by_x, scale[1] * by_y
+    jacobian[:, 2] = scale[2] * (by_x * cosine + by_y * sine)
+    jacobian[:, 3] = scale[3] * (by_y * cosine - by_x * sine)
+    jacobian[:, DATUM] = scale[DATUM] * by_datum
+    jacobian[:, COMPLIANCE] = scale[COMPLIANCE] * configured.mesh.tooth_compliance * by_compliance
+    jacobian[:, CUP] = -np.abs(scale[CUP]) * torque
     return drive.frame.transmission_error(beta, torque), jacobian, -by_torque - drive.cup_compliance
 
 

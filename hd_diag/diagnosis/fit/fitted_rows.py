@@ -31,7 +31,7 @@ from hd_diag.effects.signals import Signals
 
 _BLOCKS = 24
 _MISFIT = 1.15  # times the measured noise, beyond which a residual does not say what the noise is like
-_MOST_KEPT = 96 << 20  # bytes
+_MOST_KEPT = 160 << 20  # bytes
 _KNOWN = 2  # parameters, for a search that goes back to them
 
 

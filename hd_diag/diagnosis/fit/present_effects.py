@@ -52,8 +52,8 @@ class PresentEffects:
         return self.data.signals(self.parameters)
 
     def kept(self, *key: Hashable, compute: Callable[[], Floats]) -> Floats:
-        """What was computed at these parameters, by names of its own."""
-        return self.data.kept.get((self.parameters.tobytes(), *key), compute)
+        """What was computed of the fitted rows, by names of its own."""
+        return self.data.kept.get(key, compute)
 
     def columns(self, effect: Effect, nonlinear: Values) -> Floats:
         """Columns of an effect, shape (n, k) [rad per unit]; of a present one those that hold at its size."""
@@ -75,7 +75,7 @@ class PresentEffects:
             first = [self.columns(*item) @ coefficients for item, coefficients in self.present]
             return np.asarray(self.uncorrected - self.together(self.present) + sum(first))
 
-        return self.kept("residual", _key(self.present), compute=corrected)
+        return self.kept("residual", self._at, _key(self.present), compute=corrected)
 
     @cached_property
     def jacobian(self) -> Floats:
@@ -85,7 +85,11 @@ class PresentEffects:
         def carried() -> Floats:
             return self._carried(rounded.derivatives(), Stage.GEAR, of_teeth=True).take(self.data.at, axis=0)
 
-        return self.kept("jacobian", rounded.key, _key(self._later), compute=carried)
+        return self.kept("jacobian", self._at, rounded.key, _key(self._later), compute=carried)
+
+    @cached_property
+    def _at(self) -> bytes:
+        return self.parameters.tobytes()
 
     def torque(self, sized: Sized) -> Floats:
         """What effects add to the torque in the mesh at all rows [N m]."""
@@ -146,7 +150,7 @@ class PresentEffects:
         return tuple(one for one in self.present if one[0][0].stage > Stage.GEAR)
 
     def context(self, effect: Effect, nonlinear: Values) -> tuple[Hashable, ...]:
-        """What the columns of an effect depend on, beside the parameters."""
+        """What the columns of an effect depend on: where the motion makes them, not on the parameters."""
         own = tuple(one for one in self._before if one[0] == (effect, nonlinear))
         seen: dict[Stage, Hashable] = {
             Stage.TORQUE: (self._torques.slope_key, _key(own + self._later)),
@@ -155,7 +159,14 @@ class PresentEffects:
             Stage.STREAM: _key(self._before),
         }
         size = self._size_of(effect, nonlinear)
-        return effect.name, nonlinear, seen.get(effect.stage), None if size is None else size.tobytes()
+        own_size = None if size is None else size.tobytes()
+        at = None if self._of_motion(effect) else self._at
+        return effect.name, nonlinear, at, seen.get(effect.stage), own_size
+
+    def _of_motion(self, effect: Effect) -> bool:
+        """Whether neither contact nor prediction is in its columns."""
+        apart = effect.stage in (Stage.NOWHERE, Stage.GEAR) and not (effect.of_teeth or self._later)
+        return apart and not any("predicted" in name for name in effect.needs)
 
     def _size_of(self, effect: Effect, nonlinear: Values) -> Floats | None:
         """Coefficients at which its columns are taken, if it is present and they depend on its size."""
@@ -184,7 +195,7 @@ class PresentEffects:
         if not self._sees_all(effect):
             return of(self._there(effect, self._borne_roughly))
         if effect.of_teeth and size is None:  # they see no effect but torque, what carries them varies
-            key = (self.parameters.tobytes(), "whole", effect.name, nonlinear, self._torques.rounded.key)
+            key = (self._at, "whole", effect.name, nonlinear, self._torques.rounded.key)
             columns = self.data.model.kept.get(key, whole)
         else:
             columns = whole()

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hd_diag.arrays import Floats
+from hd_diag.arrays import Floats, Integers
 from hd_diag.model.kernel.compiler import inline, part
 from hd_diag.model.kernel.load_sharing import Flanks, Scratch, Side, arms, balance
 
@@ -100,13 +100,15 @@ class Pieces(NamedTuple):
     """Pieces of the torsion over torque, rising: torque at which each begins, and what bears on it.
 
     The sums over its flanks are, in columns: stiffness; stiffness times start; K d beta by every parameter
-    at zero torsion; its change with the torsion. Flanks, + before -, have the same of their own.
+    at zero torsion; its change with the torsion. Flanks, + before -, have the same of their own; `order` are
+    their numbers by rising starts, nearly those of the moment before.
     """
 
     begin: Floats
     sums: Floats
     flank: Floats
     start: Floats
+    order: Integers
 
 
 @part
@@ -115,7 +117,11 @@ def pieces_room(flexspline_teeth: int) -> Pieces:
     flanks, columns = 2 * flexspline_teeth, 2 + 2 * PARAMETERS
     pieces = flanks + 4
     return Pieces(
-        np.empty(pieces), np.empty((pieces, columns)), np.empty((flanks, columns)), np.empty(flanks)
+        np.empty(pieces),
+        np.empty((pieces, columns)),
+        np.empty((flanks, columns)),
+        np.empty(flanks),
+        np.arange(flanks),
     )
 
 
@@ -126,7 +132,10 @@ def fill_pieces(work: Scratch, compliance: float, flanks: Flanks, limit: float, 
     if not (math.isfinite(lowest) and math.isfinite(highest)):
         return 0
     _set_flanks(work, 2.0 / compliance, flanks.plus, 0, highest, 0, room)
-    _set_flanks(work, 2.0 / compliance, flanks.minus, 1, lowest, flanks.plus.start.size, room)
+    plus = flanks.plus.start.size
+    _set_flanks(work, 2.0 / compliance, flanks.minus, 1, lowest, plus, room)
+    room.start[plus + flanks.minus.start.size :] = math.inf
+    _sort(room.order, room.start)
     if flanks.high > flanks.low:
         size = _append(flanks, lowest, flanks.low, -limit, 0, room)
         return _append(flanks, flanks.high, highest, 0.0, size, room)
@@ -181,23 +190,33 @@ def _append(flanks: Flanks, lowest: float, highest: float, torque: float, size: 
     plus = flanks.plus.start.size
     sums = room.sums[size]
     sums[:] = 0.0
-    changing, found = np.empty(plus + flanks.minus.start.size, dtype=np.int64), 0
-    for j in range(changing.size):
-        start = room.start[j]
-        if start <= lowest if j < plus else start >= lowest:
+    for j in range(plus + flanks.minus.start.size):
+        if room.start[j] <= lowest if j < plus else room.start[j] >= lowest:
             for k in range(sums.size):
                 sums[k] += room.flank[j, k]
-        if (lowest < start < highest) if j < plus else (lowest <= start < highest):
-            changing[found] = j
-            found += 1
     room.begin[size] = torque
-    order = np.argsort(room.start[changing[:found]])
-    for j in changing[order]:
+    for j in room.order:
+        start = room.start[j]
+        if start >= highest:
+            break
+        if start < lowest or (start == lowest and j < plus):
+            continue
         before, after = room.sums[size], room.sums[size + 1]
         # Rounding must not give a torque that falls.
-        room.begin[size + 1] = max(before[0] * room.start[j] - before[1], room.begin[size])
+        room.begin[size + 1] = max(before[0] * start - before[1], room.begin[size])
         sign = 1.0 if j < plus else -1.0
         for k in range(before.size):
             after[k] = before[k] + sign * room.flank[j, k]
         size += 1
     return size + 1
+
+
+@part
+def _sort(order: Integers, start: Floats) -> None:
+    """Sort numbers of flanks by their starts, by insertion: they nearly are."""
+    for i in range(1, order.size):
+        number, k = order[i], i
+        while k > 0 and start[order[k - 1]] > start[number]:
+            order[k] = order[k - 1]
+            k -= 1
+        order[k] = number
