@@ -224,3 +224,24 @@ def test_what_is_kept_changes_no_result(room: int, monkeypatch: pytest.MonkeyPat
         assert np.std(plain.columns(*chosen[0]) - plain.signals.predicted_torque_slope[:, None]) == 0.0
         assert np.std(made.columns(*chosen[0]) - plain.columns(*chosen[0])) > 0.0
     assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("name", [name for name, effect in EFFECTS.items() if effect.plain])
+def test_columns_that_the_motion_makes_are_those_at_other_parameters(plain: LinearisedFit, name: str) -> None:
+    effect = EFFECTS[name]
+    if not plain.data.testable(effect)[0]:
+        pytest.skip("this motion does not show it")
+    nonlinear = plain.data.grid(effect)[0]
+    known = plain.columns(effect, nonlinear)
+    elsewhere = plain.moved(plain.parameters + np.array([3.0, -2.0, 1.0, 1.0, 2.0, 0.5, 0.3]))
+    assert elsewhere.columns(effect, nonlinear) is known
+    assert_array_equal(elsewhere.effects.new_columns(effect, nonlinear), known)
+
+
+def test_beside_what_goes_with_its_coefficients_the_same_fit_holds(plain: LinearisedFit) -> None:
+    chosen = ((EFFECTS["output_runout"], ()), (HYSTERESIS, plain.data.grid(HYSTERESIS)[0]))
+    there = plain.corrected(chosen)
+    again = plain.beside(there.present)
+    assert there.fit(chosen)[0] is plain.fit(chosen)[0]
+    assert_allclose(there.fit(chosen)[0], again.fit(chosen)[0], rtol=1e-6, atol=1e-9)
+    assert there.deviance(chosen) == pytest.approx(again.deviance(chosen), rel=1e-9)

@@ -111,8 +111,15 @@ class LinearisedFit:
         return np.concatenate((self.data.smooth, *broadband), axis=1)
 
     def corrected(self, chosen: Chosen) -> LinearisedFit:
-        """Linearised beside the chosen effects at the size that fits here."""
-        return self.beside(self.sized(chosen, self.fit(chosen)[0]))
+        """Linearised beside the chosen effects at the size that fits here.
+
+        Where all go with their coefficients the same fit holds there.
+        """
+        solution = self._fit(chosen)
+        found = self.beside(self.sized(chosen, solution[0]))
+        if all(effect.plain for effect, _ in (*chosen, *(item for item, _ in self.present))):
+            found._solutions[_key(chosen)] = solution
+        return found
 
     def beside(self, sized: Sized) -> LinearisedFit:
         """Linearised beside effects of given coefficients."""
@@ -274,7 +281,7 @@ class LinearisedFit:
     def _fit(self, chosen: Chosen, more: Floats | None = None) -> _Solution:
         if more is not None and more.shape[1]:
             return self._solved(chosen, more)
-        key = tuple((effect.name, nonlinear) for effect, nonlinear in chosen)
+        key = _key(chosen)
         if key not in self._solutions:
             self._solutions[key] = self._solved(chosen, np.empty((self.data.at.size, 0)))
         return self._solutions[key]
@@ -321,6 +328,10 @@ class LinearisedFit:
             if effect.given or effect.of_teeth:
                 precision[place] = (effect.usual * (1.0 if effect.given else _TEETH)) ** -2.0
         return precision * self.misfit**2, pull
+
+
+def _key(chosen: Chosen) -> Hashable:
+    return tuple((effect.name, nonlinear) for effect, nonlinear in chosen)
 
 
 def linearise(
