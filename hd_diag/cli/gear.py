@@ -6,26 +6,20 @@ import math
 from pathlib import Path
 from typing import Any
 
-from rich.table import Table
-
 from hd_diag.cli.check import describe
 from hd_diag.cli.examples import load_example
-from hd_diag.cli.lines import show_table, tell
+from hd_diag.cli.lines import tell
 from hd_diag.cli.targets import write_json, writing
 from hd_diag.config import gear_file
 from hd_diag.config.assessment import Assessment, assess
-from hd_diag.config.configuration import Config, JointConfig, resolve
-from hd_diag.config.defaults import Page, resolved
-from hd_diag.config.parameters import JOINT_PARAMETERS
+from hd_diag.config.configuration import JointConfig, resolve
 
 _ARCMIN = math.pi / 10800.0  # [rad]
 # Pages name the ratio with the circular spline fixed; these are on them.
 _USUAL = (30, 50, 80, 100, 120, 160)
 
 
-def gear(
-    out: Path, joint: str, table: bool, figure: Path | None, json_file: str | None, **given: Any
-) -> None:
+def gear(out: Path, joint: str, figure: Path | None, json_file: str | None, **given: Any) -> None:
     """Do what ``hd-diag gear`` is asked for."""
     accuracy, output = given.pop("accuracy"), given.pop("output")
     own = {f"gear.{name}": value for name, value in given.items() if value is not None}
@@ -44,7 +38,7 @@ def gear(
             save(drawn, place)
     content = {"schema": "hd_diag/gear/1", "file": str(out), "parameters": dict(config.flat)}
     if write_json(json_file, content | {"joints": {joint: assessed.content()}}):
-        _show(config, found, assessed, table)
+        _show(found, assessed)
         tell(f"{out}: written")
 
 
@@ -58,7 +52,7 @@ def _command(own: dict[str, Any], joint: str) -> str:
     return " ".join(words)
 
 
-def _show(config: Config, joint: JointConfig, assessed: Assessment, table: bool) -> None:
+def _show(joint: JointConfig, assessed: Assessment) -> None:
     tell(f"Assumed: {gear_file.assumed(joint)}.")
     describe(joint, assessed)
     for line in gear_file.reached(assessed):
@@ -66,8 +60,6 @@ def _show(config: Config, joint: JointConfig, assessed: Assessment, table: bool)
     note = _usual_ratio(joint)
     if note:
         tell(f"  note: {note}")
-    if table and assessed.page:
-        show_table(_table(config, joint, assessed.page))
 
 
 def _usual_ratio(joint: JointConfig) -> str:
@@ -82,13 +74,3 @@ def _usual_ratio(joint: JointConfig) -> str:
     if kinematics.output == "flexspline" and ratio - 1 in _USUAL:
         return f"{teeth}. If the page's ratio is {ratio - 1}, the output is the circular spline: --output"
     return ""
-
-
-def _table(config: Config, joint: JointConfig, page: Page) -> Table:
-    table = Table("parameter", "value", "unit", box=None, pad_edge=False)  # fits 80 columns
-    drive = resolved(page)
-    for parameter in (p for p in JOINT_PARAMETERS if p.name in drive or p.scale):
-        value = config.flat[f"{joint.name}.{parameter.name}"]
-        shown = f"{value:.6g}" if isinstance(value, float) else str(value)
-        table.add_row(parameter.name, shown, parameter.unit)
-    return table

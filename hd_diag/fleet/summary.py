@@ -30,28 +30,25 @@ _MONTH = 30.0 * 86400.0  # [s]
 def as_json(out: str, found: Health) -> dict[str, Any]:
     """What `hd-diag fleet --json` writes, with the table's path: SI, times in ISO 8601 UTC."""
     rows = found.rows
-    errors = [row for row in rows if row.get("error")]
     content = {
         "schema": SCHEMA,
         "out": readable(out),
         "bags": len({row["bag"] for row in rows}),
         "rows": len(rows),
-        "errors": [{name: readable(row.get(name)) for name in ("bag", "joint", "error")} for row in errors],
-        "problems": [
-            {name: readable(row.get(name)) for name in ("bag", "joint", "problems")}
-            for row in rows
-            if row.get("problems")
-        ],
-        "refused": [
-            {name: readable(row.get(name)) for name in ("bag", "joint", "refused", "last_refusal")}
-            for row in rows
-            if row.get("refused")
-        ],
+        "errors": _with(rows, "error"),
+        "problems": _with(rows, "problems"),
+        "refused": _with(rows, "refused", "last_refusal"),
         "joints": [_joint(one) for one in found.standings],
         "false_alarm": FALSE_ALARM,
         "trends": [_trend(trend) for trend in found.trends],
     }
     return dict(json_ready(content))
+
+
+def _with(rows: Sequence[Row], *names: str) -> list[dict[str, Any]]:
+    """These columns of the rows that have the first of them, with bag and joint."""
+    shown = "bag", "joint", *names
+    return [{name: readable(row.get(name)) for name in shown} for row in rows if row.get(names[0])]
 
 
 def _joint(one: Standing) -> dict[str, Any]:

@@ -71,7 +71,6 @@ _REQUIRED = ("ratio", "rated_torque", "k1", "k2", "k3")
 )
 @options.shown("--joint", "joint_1", "Name of the joint.")
 @click.option("--out", required=True, type=options.Target(), help="The file.")
-@click.option("--table", is_flag=True, help="Print the drive's parameters, limits and tolerances.")
 @options.figure_option("the tooth pair")
 @options.JSON
 def gear() -> None:
