@@ -308,6 +308,14 @@ a count of the file's own that is far too large | verbs on bags | told; takes no
     test_incomplete.py::test_a_count_is_but_a_hint
 a bit of the summary flipped | verbs on bags | told; the chunks are read
     test_bag_recover.py::test_a_damaged_summary_is_told
+both angles in degrees | diagnose | code 2; says so first
+    test_signal_findings.py::test_both_angles_in_degrees
+a torque in another unit, such as N mm | diagnose | code 2; asks for its unit first
+    test_signal_findings.py::test_a_torque_that_no_gear_bears
+a ratio of the wrong sign | diagnose | code 2; tells the ratio that the angles have
+    test_signal_findings.py::test_a_ratio_of_the_wrong_sign_is_not_taken_for_a_late_output
+input and output swapped | diagnose | code 2; asks whether they are
+    test_record.py::test_swapped_angles_are_said_where_the_input_hardly_moves
 disk full under what is printed | any verb | code 2, one line
     test_cli.py::test_a_full_disk_under_what_is_printed_is_one_line
 disk full | watch --json | code 2, one line
