@@ -3,6 +3,7 @@ import json
 import os
 import sqlite3
 import struct
+import sys
 import tempfile
 from contextlib import closing
 
@@ -15,6 +16,7 @@ from bag_samples import (
     MS,
     STRING,
     cut_end,
+    peak_of,
     rosbag2_folder,
     rows,
     sealed,
@@ -394,3 +396,83 @@ def test_a_definition_that_cannot_be_understood_is_unverified(tmp_path):
         "/own: unverified: its definition cannot be understood",
         "nothing is known to be missing",
     ]
+
+
+def image_cdr(size):
+    """A String as long as an image, which nothing compresses to a thousandth."""
+    return string_cdr(np.random.default_rng(size).integers(32, 96, size, np.uint8).tobytes().decode())
+
+
+LONG = 28 << 20  # [byte]
+
+
+@pytest.fixture(scope="module")
+def long_message():
+    return image_cdr(LONG)
+
+
+def with_long_messages(long, path, storage):
+    """A bag with two long messages among small ones: the place, and what is in it."""
+    given = messages(300)
+    given[200:200] = [("/image", STRING, long, 199 * MS), ("/image", STRING, long, 200 * MS)]
+    if storage in ("sqlite", "message"):
+        compression = storage.replace("sqlite", "none")
+        rosbag2_folder(path, [(t, k, d, time) for t, k, d, time in given], compression=compression)
+        return path, given
+    chunk = 3 * LONG if storage == "together" else 4000
+    kind = storage if storage in ("lz4", "none") else "zstd"
+    options = {"compression": kind, "chunk_size": chunk, "chunked": storage != "no chunks"}
+    return write_with_mcap(path.with_suffix(".mcap"), given, **options), given
+
+
+@pytest.mark.parametrize("storage", ["zstd", "lz4", "none", "together", "no chunks", "sqlite", "message"])
+def test_long_messages_are_copied_bit_by_bit(tmp_path, long_message, storage):
+    """Nor are they held where another topic is read; `peak_of` sees all but what SQLite holds."""
+    path, given = with_long_messages(long_message, tmp_path / "bag", storage)
+    report, most = peak_of(lambda: recover(path, tmp_path / "saved.mcap"))
+    assert report.complete
+    assert read(tmp_path / "saved.mcap") == expected(given)
+    with BagReader(path) as reader:
+        found, peak = peak_of(lambda: sum(len(batch) for batch in reader.batches(["/j"])))
+        assert (found, reader.problems) == (300, [])
+    if hasattr(sqlite3.Connection, "blobopen") or "mcap" in path.suffix:  # Python 3.10 reads them whole
+        assert max(most, peak) < LONG / 2
+    with BagReader(tmp_path / "saved.mcap") as reader:
+        assert [bytes(d) for b in reader.batches(["/image"]) for d in b.messages()] == [long_message] * 2
+
+
+def test_a_long_message_in_a_chunk_that_is_cut_off(tmp_path, long_message):
+    """Its own compression decides: what is whole before the cut is saved, the rest is told."""
+    path, given = with_long_messages(long_message, tmp_path / "bag", "together")
+    keep = path.stat().st_size * 7 // 10
+    report = recover(cut_end(path, tmp_path / "b.mcap", keep=keep), tmp_path / "saved.mcap")
+    assert not report.complete
+    assert read(tmp_path / "saved.mcap") == expected(given)[:201]
+
+
+def test_a_disk_that_is_full_in_a_long_message(tmp_path, monkeypatch, long_message):
+    """Chunks of before stay, whole; what was begun is taken away."""
+    with BagWriter(tmp_path / "a.mcap", compression="none", chunk_size=1 << 20) as writer:
+        writer.write("/n", STRING, string_cdr("before"), 1)
+        writer.flush()
+        size, left = (tmp_path / "a.mcap").stat().st_size, [LONG // 2]
+
+        def write(fd, data, inner=os.write):
+            left[0] -= len(data)
+            if left[0] < 0:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            return inner(fd, data)
+
+        monkeypatch.setattr(os, "write", write)
+        with pytest.raises(BagError, match="No space left"):
+            writer.write("/n", STRING, long_message, 2)
+        monkeypatch.undo()
+        assert (tmp_path / "a.mcap").stat().st_size == size
+    assert recover(tmp_path / "a.mcap", tmp_path / "b.mcap").counts == {"/n": 1}
+
+
+def test_a_message_that_no_reader_would_take_is_lost_and_told(tmp_path, monkeypatch, long_message):
+    monkeypatch.setattr(sys.modules["hd_diag.bag.recover"], "MAX_MESSAGE", LONG)
+    path, _ = with_long_messages(long_message, tmp_path / "bag", "sqlite")
+    report = recover(path, tmp_path / "saved.mcap")
+    assert (report.complete, report.files[0].lost, report.counts) == (False, 2, {"/j": 300})

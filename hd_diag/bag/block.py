@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -26,10 +26,21 @@ class Topic:
 
 
 @dataclass(frozen=True)
+class LongMessage:
+    """A content that is not held: its size [byte], and what reads it bit by bit from its beginning."""
+
+    size: int
+    read: Callable[[], Iterator[bytes | memoryview]]
+
+    def __len__(self) -> int:
+        return self.size
+
+
+@dataclass(frozen=True)
 class Block:
     """Messages in one buffer `data`: place and size of each content there [byte], channel, times [ns], (n,).
 
-    Times that do not fit into 63 bits are negative.
+    Times that do not fit into 63 bits are negative. The content of one `long` message is not in the buffer.
     """
 
     data: Bytes
@@ -38,12 +49,13 @@ class Block:
     channel: Integers
     log_time: Times
     publish_time: Times
+    long: LongMessage | None = field(default=None, kw_only=True)
 
     def __len__(self) -> int:
         return len(self.offset)
 
     def __getitem__(self, rows: Any) -> Block:
-        return Block(self.data, *(column[rows] for column in self._columns()))
+        return Block(self.data, *(column[rows] for column in self._columns()), long=self.long)
 
     def payload(self) -> Payload:
         """Contents of the messages: an array of shape (n, size) where they have one size."""

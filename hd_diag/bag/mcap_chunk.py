@@ -25,10 +25,15 @@ RECORD = struct.Struct("<BQ")
 MAX_CHUNK = 256 << 20
 """A chunk, or a message outside of one, above this is refused: recorders close a chunk after some megabytes
 [byte]."""
+MAX_MESSAGE = MAX_CHUNK - MESSAGE.size
+"""Content of a message that fits into such a chunk [byte]."""
 PIECE = 2 << 20
 """How much content is taken at once [byte]: small chunks together, large ones in parts, any message whole."""
 LARGE = 10 << 20
-"""Above this a chunk is read twice, to check it and then in parts [byte]; an image's chunk is not."""
+"""Above this a chunk is read twice, to check it and then in parts, and a message is not held where nobody
+needs it [byte]; an image's chunk is not."""
+AT_ONCE = 1 << 18
+"""Size that is decompressed, or copied of what is long, at a time [byte]."""
 COMPRESSIONS = ("", "lz4", "zstd")
 # A chunk that claims both more than this [byte] and more than so many times what is stored of it is refused
 # unread: recordings seldom reach 100, and a file of some kilobytes could keep the reader busy for minutes.
@@ -37,7 +42,6 @@ _HEAD = np.dtype("u1, <u8, <u2, <u4, <u8, <u8")
 _HEAD.names = ("opcode", "length", "channel", "sequence", "log_time", "publish_time")
 # A chunk with more records is refused: an honest one of some megabytes has a hundredth of them.
 _MAX_RECORDS = 1_000_000
-_AT_ONCE = 1 << 18  # size that is decompressed at a time [byte]
 
 
 def believable(stored: int) -> int:
@@ -59,13 +63,13 @@ def decompressed(compression: str, stored: Any) -> Iterator[bytes]:
     if compression not in COMPRESSIONS:
         raise ValueError(f"compression {compression!r} is not known")
     if compression == "zstd":
-        yield from zstandard.ZstdDecompressor().read_to_iter(stored, _AT_ONCE, _AT_ONCE)
+        yield from zstandard.ZstdDecompressor().read_to_iter(stored, AT_ONCE, AT_ONCE)
         return
     lz4_frame = lz4.frame.LZ4FrameDecompressor()
-    while not lz4_frame.eof and (part := stored.read(_AT_ONCE)):
-        yield lz4_frame.decompress(part, _AT_ONCE) if compression else part
+    while not lz4_frame.eof and (part := stored.read(AT_ONCE)):
+        yield lz4_frame.decompress(part, AT_ONCE) if compression else part
         while compression and not (lz4_frame.needs_input or lz4_frame.eof):
-            yield lz4_frame.decompress(b"", _AT_ONCE)
+            yield lz4_frame.decompress(b"", AT_ONCE)
 
 
 class Content:
@@ -94,7 +98,7 @@ class Content:
 
     def skip(self, place: int) -> None:
         """Go on to a place."""
-        while self.place < place and self.take(min(_AT_ONCE, place - self.place)):
+        while self.place < place and self.take(min(AT_ONCE, place - self.place)):
             pass
 
 
@@ -105,7 +109,7 @@ class OnDisk:
 
     def __init__(self, content: Content) -> None:
         self._file, self._next = TemporaryFile(prefix="hd_diag-"), 0  # noqa: SIM115 (open as long as this is)
-        while part := content.take(_AT_ONCE):
+        while part := content.take(AT_ONCE):
             self._file.write(part)
         self._file.flush()
 
@@ -121,7 +125,8 @@ class OnDisk:
 def pieces(content: Content, keep: Callable[[bytes], None]) -> Iterator[tuple[int, int, Block]]:
     """Place and size [byte] of pieces of whole records, one after the other, and the messages in them.
 
-    Raises ValueError as `parse`, and where a record at the end is not whole.
+    A message above `LARGE` is a piece of its own, of which the block has the head alone. Raises ValueError as
+    `parse`, and where a record at the end is not whole.
     """
     place, size, rest = 0, PIECE, b""
     while more := content.take(size - len(rest)):
@@ -130,8 +135,19 @@ def pieces(content: Content, keep: Callable[[bytes], None]) -> Iterator[tuple[in
         if stop:
             yield place, stop, block
         place, rest = place + stop, rest[stop:]
-        length = RECORD.unpack_from(rest)[1] if len(rest) >= RECORD.size else 0
-        size = max(PIECE, RECORD.size + min(length, MAX_CHUNK))
+        opcode, length = RECORD.unpack_from(rest) if len(rest) >= RECORD.size else (0, 0)
+        if length > LARGE:
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                raise ValueError(f"{length} bytes are too many for such a record")
+            head = rest if len(rest) >= MESSAGE.size else rest + content.take(MESSAGE.size - len(rest))
+            end = place + RECORD.size + length
+            content.skip(end)
+            if content.place < end:
+                break
+            if opcode == Opcode.MESSAGE:
+                yield place, end - place, head_of(head)
+            place, length, rest = end, 0, b""
+        size = max(PIECE, RECORD.size + length)
     check_end(rest, 0)
 
 
@@ -160,6 +176,11 @@ def parse(content: bytes, keep: Callable[[bytes], None]) -> tuple[Block, int]:
         if len(first) + len(more) + ignored > _MAX_RECORDS:
             raise ValueError(f"it holds more than {_MAX_RECORDS} records")
     return _messages_at(content, np.concatenate([first, np.array(more, np.int64)])), position
+
+
+def head_of(content: bytes) -> Block:
+    """The message that begins here, of which the head alone is needed."""
+    return _messages_at(content[: MESSAGE.size], np.zeros(1, np.int64))
 
 
 def check_end(content: bytes, stop: int) -> None:

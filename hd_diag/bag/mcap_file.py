@@ -7,12 +7,13 @@ messages and their indexes, of which there are many, are laid out here, https://
 from __future__ import annotations
 
 import functools
+import itertools
 import os
 import struct
 import time
 import zlib
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
@@ -27,8 +28,9 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 
 from hd_diag.arrays import Bytes, Times
+from hd_diag.bag.block import LongMessage
 from hd_diag.bag.errors import BagError, lock
-from hd_diag.bag.mcap_chunk import MESSAGE, RECORD
+from hd_diag.bag.mcap_chunk import AT_ONCE, LARGE, MESSAGE, RECORD
 from hd_diag.bag.mcap_scan import MAGIC
 
 # Level 1: floats hardly compress better at higher levels, and the node writes while it works.
@@ -45,6 +47,7 @@ _ROOM = 1 << 20  # that a chunk has from the beginning [byte]
 _FIXED = MESSAGE.size - RECORD.size  # of a message, in the length of its record [byte]
 _HEAD, _INDEX, _ENTRY = struct.Struct("<BQH"), struct.Struct("<BQHI"), struct.Struct("<QQ")
 _LENGTH = struct.Struct("<Q")
+_CHUNK_HEAD = 49  # of a chunk's record, without the name of its compression [byte]
 _UNKNOWN = 2**64 - 1  # least time of no messages [ns]
 
 
@@ -108,14 +111,23 @@ class McapFile:
             self._channels[stream.channel.id] = stream.channel
             self._chunk.append(_packed(stream.channel))
 
-    def add(self, stream: Stream, log_time: int, publish_time: int, data: bytes | memoryview) -> None:
-        """Append a message; the chunk is closed when it is full."""
+    def add(
+        self, stream: Stream, log_time: int, publish_time: int, data: bytes | memoryview | LongMessage
+    ) -> None:
+        """Append a message; the chunk is closed when it is full, or where the message is a long one."""
         self.declare(stream)
+        if len(data) > LARGE:
+            self.close_chunk()
         chunk, number, count = self._chunk, stream.channel.id, stream.count & 0xFFFFFFFF
         entry = _ENTRY.pack(log_time, chunk.size)
         head = MESSAGE.pack(Opcode.MESSAGE, _FIXED + len(data), number, count, log_time, publish_time)
         chunk.append(head)
-        chunk.append(data)
+        if isinstance(data, LongMessage):
+            chunk.long = data
+        elif len(data) > LARGE:
+            chunk.long = LongMessage(len(data), functools.partial(_bits, memoryview(data)))
+        else:
+            chunk.append(data)
         self._added(stream, 1, log_time, log_time, entry)
 
     def add_rows(self, stream: Stream, times: Times, publish_times: Times, rows: Bytes) -> int:
@@ -144,7 +156,7 @@ class McapFile:
         chunk.opened = time.monotonic() if chunk.opened is None else chunk.opened
         chunk.first, chunk.last = min(chunk.first, first), max(chunk.last, last)
         chunk.index.setdefault(stream.channel.id, bytearray()).extend(entries)
-        if chunk.size >= self._chunk_size:
+        if chunk.size >= self._chunk_size or chunk.long is not None:
             self.close_chunk()
 
     def close_chunk(self) -> None:
@@ -152,7 +164,7 @@ class McapFile:
         if self._chunk.size:
             chunk, self._chunk = self._chunk, self._begun()
             self._waiting.append(self._pool.submit(self._store, chunk))
-            self.wait(_MOST_WAITING if chunk.size <= _LARGE else 0)
+            self.wait(_MOST_WAITING if chunk.size <= _LARGE and chunk.long is None else 0)
 
     def wait(self, most: int = 0) -> None:
         """Until no more than so many chunks wait for the operating system; raises what first went wrong."""
@@ -215,21 +227,33 @@ class McapFile:
             return
         data, start = memoryview(chunk.data)[: chunk.size], self.size
         first, name = (0 if chunk.opened is None else chunk.first), self._compression.replace("none", "")
-        stored = _COMPRESS[self._compression](data)
-        record = bytearray(_packed(records.Chunk(name, b"", chunk.last, first, zlib.crc32(data), len(data))))
-        _LENGTH.pack_into(record, 1, len(record) - RECORD.size + len(stored))
-        _LENGTH.pack_into(record, len(record) - _LENGTH.size, len(stored))  # of what is copied nowhere
-        places, index = {}, b""
-        for channel, entries in chunk.index.items():
-            places[channel] = start + len(record) + len(stored) + len(index)
-            index += _INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)) + entries
+        size, stored = len(data), b""
         try:
-            self._put(record, stored, index)
-        except (BagError, OSError):
+            if chunk.long is None:
+                stored = _COMPRESS[self._compression](data)
+                length, checksum = len(stored), zlib.crc32(data)
+            else:
+                size, name = size + chunk.long.size, name and "lz4"
+                length, checksum = self._put_long(name, data, chunk.long)
+            record = bytearray(_packed(records.Chunk(name, b"", chunk.last, first, checksum, size)))
+            _LENGTH.pack_into(record, 1, len(record) - RECORD.size + length)
+            _LENGTH.pack_into(record, len(record) - _LENGTH.size, length)  # of what is copied nowhere
+            places, index = {}, b""
+            for channel, entries in chunk.index.items():
+                places[channel] = start + len(record) + length + len(index)
+                index += _INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)) + entries
+            if chunk.long is None:
+                self._put(record, stored, index)
+            else:
+                self._put(index)
+                os.pwrite(self._fd, record, start)
+        except BaseException:
             self._failed = True
+            if chunk.long is not None and os.fstat(self._fd).st_size > start:
+                self._cut(start)
             raise
-        sizes = len(stored), chunk.last, len(index), places, first, len(data)
-        self._indexes += _packed(records.ChunkIndex(len(record) + len(stored), start, name, *sizes))
+        sizes = length, chunk.last, len(index), places, first, size
+        self._indexes += _packed(records.ChunkIndex(len(record) + length, start, name, *sizes))
         written = self.written.statistics
         written.chunk_count += 1
         written.message_start_time = min(written.message_start_time, chunk.first)
@@ -242,6 +266,22 @@ class McapFile:
         data.release()
         if len(chunk.data) <= 2 * self._chunk_size:
             self._rooms.append(chunk.data)
+
+    def _put_long(self, name: str, data: memoryview, long: LongMessage) -> tuple[int, int]:
+        """Write what a chunk with a long message holds behind room for its head: size and checksum.
+
+        By lz4, for zstd may shrink it by more than can be believed of an unknown file.
+        """
+        start, found, checksum = self.size, 0, 0
+        lz4_frame = lz4.frame.LZ4FrameCompressor()
+        self._put(bytes(_CHUNK_HEAD + len(name)), lz4_frame.begin() if name else b"")
+        for part in itertools.chain([data], long.read()):
+            found, checksum = found + len(part), zlib.crc32(part, checksum)
+            self._put(lz4_frame.compress(part) if name else part)
+        if found != len(data) + long.size:
+            raise BagError(self.path, f"a message has {found - len(data)} bytes instead of {long.size}")
+        self._put(lz4_frame.flush() if name else b"")
+        return self.size - start - _CHUNK_HEAD - len(name), checksum
 
     def _check(self) -> None:
         """Raise BagError where somebody else took the file away or changed its size: writing would go on."""
@@ -266,10 +306,15 @@ class McapFile:
                 while len(view):
                     view = view[os.write(self._fd, view) :]
         except BaseException:
-            os.ftruncate(self._fd, self.size)
-            os.lseek(self._fd, self.size, os.SEEK_SET)
+            self._cut(self.size)
             raise
         self.size += size
+
+    def _cut(self, size: int) -> None:
+        """Take away what is behind a place."""
+        self.size = size
+        os.ftruncate(self._fd, size)
+        os.lseek(self._fd, size, os.SEEK_SET)
 
 
 class _Chunk:
@@ -280,6 +325,7 @@ class _Chunk:
         self.opened: float | None = None
         self.first, self.last = _UNKNOWN, 0
         self.index: dict[int, bytearray] = {}
+        self.long: LongMessage | None = None  # content of the last message
 
     def grow(self, count: int) -> None:
         """Have room for so many bytes more, whose values are to be set."""
@@ -291,6 +337,11 @@ class _Chunk:
         """Add bytes."""
         begin, self.size = self.size, self.size + len(record)
         self.data[begin : self.size] = record
+
+
+def _bits(data: memoryview) -> Iterator[memoryview]:
+    """What is held, a little at a time."""
+    return (data[place : place + AT_ONCE] for place in range(0, len(data), AT_ONCE))
 
 
 @functools.lru_cache(maxsize=256)

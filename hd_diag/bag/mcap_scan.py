@@ -25,9 +25,10 @@ from mcap.records import Channel, Header, Schema, Statistics
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
 
-from hd_diag.bag.block import Block, Topic
+from hd_diag.bag.block import Block, LongMessage, Topic
 from hd_diag.bag.errors import BagError
 from hd_diag.bag.mcap_chunk import (
+    AT_ONCE,
     COMPRESSIONS,
     LARGE,
     MAX_CHUNK,
@@ -39,6 +40,7 @@ from hd_diag.bag.mcap_chunk import (
     check_claim,
     check_end,
     decompressed,
+    head_of,
     parse,
     pieces,
 )
@@ -67,7 +69,8 @@ class Section:
     """A chunk, or messages outside of chunks that follow one another: place [byte] and log times [ns].
 
     Sizes, times and checksum (0 for none) are those that the chunk declares. Of a part of a large chunk
-    `part` is the place in its content and the size [byte]; the times are those of its messages then.
+    `part` is the place in its content and the size [byte]; the times are those of its messages then. A
+    message above `LARGE` is a part, or a section, of its own with its `channel`.
     """
 
     offset: int
@@ -79,6 +82,7 @@ class Section:
     checksum: int = 0
     is_chunk: bool = True
     part: tuple[int, int] | None = None
+    channel: int | None = None
 
 
 class Scan:
@@ -217,8 +221,10 @@ class Scan:
             content = self._unpacked(section)
             for place, size, block in pieces(content, self.keep):
                 if len(block):
-                    times = int(block.log_time.min()), int(block.log_time.max())
-                    found.append(replace(section, start=times[0], end=times[1], part=(place, size)))
+                    channel = int(block.channel[0]) if size > LARGE else None
+                    part = replace(section, part=(place, size), channel=channel)
+                    part.start, part.end = int(block.log_time.min()), int(block.log_time.max())
+                    found.append(part)
             _check_whole(section, content)
         return found
 
@@ -237,6 +243,20 @@ class Scan:
             check_end(content, stop)
             return block
 
+    def long_message(self, section: Section) -> Block:
+        """The message that a section with a `channel` is, without its content; DamagedChunk as `load`."""
+        assert section.part is not None
+        place, size = section.part
+        size -= MESSAGE.size
+
+        def read() -> Iterator[bytes]:
+            with self._opened(section, place + MESSAGE.size) as content:
+                for done in range(0, size, AT_ONCE):
+                    yield content.take(min(AT_ONCE, size - done))
+
+        with self._damage(f"chunk at byte {section.offset}"), self._opened(section, place) as content:
+            return replace(head_of(content.take(MESSAGE.size)), long=LongMessage(size, read))
+
     def load_part(self, offset: int, end: int) -> Iterator[Block]:
         """Messages at the beginning of a chunk of which the file has the bytes from `offset` to `end`.
 
@@ -247,9 +267,10 @@ class Scan:
                 section = self.chunk_at(offset, (1 << 64) - 1)
                 section.size = min(section.size, max(0, end - section.offset), MAX_CHUNK)
                 section.content_size = min(section.content_size, believable(section.size))
-                for *_, block in pieces(self._unpacked(section), self.keep):
+                for place, size, block in pieces(self._unpacked(section), self.keep):
                     if len(block):
-                        yield block
+                        is_long = size > LARGE
+                        yield self.long_message(replace(section, part=(place, size))) if is_long else block
 
     @contextmanager
     def _damage(self, where: str) -> Iterator[None]:
@@ -265,29 +286,33 @@ class Scan:
         return Content(decompressed(section.compression, stored), section.content_size + 1, checksum)
 
     def _content(self, section: Section) -> bytes:
-        """Of a section or a part; a chunk whose parts are read is kept open, for they follow one another.
+        """Of a section or a part."""
+        if section.part is not None:
+            with self._opened(section, section.part[0]) as part:
+                return part.take(section.part[1])
+        content = self._unpacked(section)
+        found = content.take(section.content_size + 1)
+        _check_whole(section, content)
+        return found
+
+    @contextmanager
+    def _opened(self, section: Section, place: int) -> Iterator[Content | OnDisk]:
+        """The content of a section from a place on; it is kept open, for its parts follow one another.
 
         Where they do not, for times go back in it, it is unpacked on the disk.
         """
-        if section.part is None:
-            content = self._unpacked(section)
-            found = content.take(section.content_size + 1)
-            _check_whole(section, content)
-            return found
-        place, size = section.part
         with self._lock:
-            known = self._open.pop(section.offset, None)
+            known: Content | OnDisk | None = self._open.pop(section.offset, None)
             if known is None:
                 known = self._unpacked(section, None)
             elif known.place > place:
                 known = self._on_disk(section)
             known.skip(place)
-            found = known.take(size)
+            yield known
             if known.place < section.content_size:
                 self._open[section.offset] = known
             if len(self._open) > _MOST_OPEN:
                 del self._open[next(iter(self._open))]
-        return found
 
     def _on_disk(self, section: Section) -> OnDisk:
         try:
@@ -310,7 +335,12 @@ class Scan:
 
     def _add_message(self, length: int) -> None:
         """Add the message outside of chunks that stands at `end` to those right before it."""
-        log_time = MESSAGE.unpack(self._peek(MESSAGE.size))[4]
+        _, _, channel, _, log_time, _ = MESSAGE.unpack(self._peek(MESSAGE.size))
+        if length > LARGE:
+            size = RECORD.size + length
+            own = Section(self.end, size, log_time, log_time, "", size, is_chunk=False, part=(0, size))
+            self.sections.append(replace(own, channel=channel))
+            return
         last = self.sections[-1] if self.sections else None
         if last is None or last.is_chunk or last.offset + last.size != self.end or last.size > _RUN:
             last = Section(self.end, 0, log_time, log_time, is_chunk=False)

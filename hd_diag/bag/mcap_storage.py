@@ -53,7 +53,9 @@ class McapStorage:
             return block if len(numbers) == len(self.topics) else block[np.isin(block.channel, numbers)]
 
         try:
-            for block in _ordered(_stretches_of(self._sections()), chosen):
+            unneeded = self.topics.keys() - set(numbers)
+            sections = [section for section in self._sections() if section.channel not in unneeded]
+            for block in _ordered(_stretches_of(sections), chosen):
                 self._check_declared(set(np.unique(block.channel).tolist()) - self.topics.keys())
                 if int(block.log_time[0]) < 0 or int(block.publish_time.min()) < 0:
                     raise ValueError("a message has a time beyond the year 2262")
@@ -91,6 +93,9 @@ class McapStorage:
         counts: Counter[int] = Counter()
         error: DamagedChunk | None = None
         for section in self._sections():
+            if section.channel is not None:
+                counts[section.channel] += 1
+                continue
             try:
                 block = found.load([section])
             except DamagedChunk as exc:
@@ -148,7 +153,8 @@ def _ordered(
         held = {number: block for number, block in held.items() if len(block)}
         if sum(len(block.data) for block in held.values()) > _MAX_HELD:
             raise ValueError(
-                "log times are too disordered: sorting takes more than 32 MiB; `mcap sort` sorts it"
+                "log times are too disordered: sorting takes more than 32 MiB; fewer topics (--topic), "
+                "smaller chunks (hd-diag recover) or `mcap sort` make it less"
             )
         ready = joined([block for block in early if len(block)] or early)
         if len(ready):

@@ -16,6 +16,7 @@ import zstandard
 from hd_diag.bag.block import Block, Topic
 from hd_diag.bag.errors import BagError, check_output, replaced
 from hd_diag.bag.folder import decompressed, find_files, unpack
+from hd_diag.bag.mcap_chunk import MAX_MESSAGE
 from hd_diag.bag.mcap_scan import MAGIC, Scan
 from hd_diag.bag.sqlite_file import SqliteFile, is_sqlite
 from hd_diag.bag.typestore import store_of
@@ -24,6 +25,7 @@ from hd_diag.messages.schemas import jazzy
 
 # Messages copied at once: their columns as Python numbers take far more memory than they themselves.
 _AT_ONCE = 1 << 14
+_TOO_LONG = f"messages are longer than {MAX_MESSAGE} bytes"
 _Piece = tuple[dict[int, Topic], Block, int]  # topics, messages, place in the file [byte]
 
 
@@ -172,16 +174,21 @@ def _copy(
         "messages have a time beyond the year 2262": int(is_late.sum()),
         "messages belong to no topic with a known definition": int((~is_late & ~is_known).sum()),
         "compressed messages are damaged": 0,
+        _TOO_LONG: 0,
     }
     good, zstd = block[~is_late & is_known], zstandard.ZstdDecompressor()
     for first in range(0, len(good), _AT_ONCE):
         part = good[first : first + _AT_ONCE]
         columns = (column.tolist() for column in (part.channel, part.log_time, part.publish_time))
-        for data, channel, *times in zip(part.messages(), *columns, strict=True):
+        contents = part.messages() if part.long is None else [part.long]
+        for data, channel, *times in zip(contents, *columns, strict=True):
             try:
                 message = decompressed(file.path, data, zstd) if packed else data
             except BagError:
                 lost["compressed messages are damaged"] += 1
+                continue
+            if len(message) > MAX_MESSAGE:
+                lost[_TOO_LONG] += 1
                 continue
             topic = known[channel]
             begin().write(topic.name, topic.type_name, message, *times)
@@ -223,7 +230,7 @@ def _salvage_sqlite(path: Path, report: FileRecovery, stack: ExitStack) -> Itera
     """All messages, also those that belong to no topic; a damaged database is an error."""
     found, place = SqliteFile(path, stack), 0
     for block in found.blocks(None):
-        place += len(block.data)
+        place += int(block.size.sum())
         report.unverified += len(block)
         yield found.topics, block, min(place, report.size)
 
@@ -243,7 +250,7 @@ def _salvage_mcap(path: Path, report: FileRecovery, stack: ExitStack) -> Iterato
     for section in found.sections:
         try:
             for part in found.parts(section):
-                block = found.load([part])
+                block = found.load([part]) if part.channel is None else found.long_message(part)
                 read += len(block)
                 report.unverified += 0 if section.checksum else len(block)
                 yield found.topics(), block, section.offset + section.size

@@ -9,12 +9,14 @@ import sqlite3
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from hd_diag.bag.block import Block, Topic
+from hd_diag.bag.block import Block, LongMessage, Topic
 from hd_diag.bag.errors import BagError
+from hd_diag.bag.mcap_chunk import AT_ONCE, LARGE
 from hd_diag.messages.schemas import Definition
 
 # A damaged or hostile database can keep a query busy for ever; an honest row takes less than 200 steps.
@@ -72,21 +74,55 @@ class SqliteFile:
                 self.topics[number].count = count
 
     def blocks(self, numbers: Sequence[int] | None) -> Iterator[Block]:
-        """Messages of some topics, or all, in the order of time; BagError where the database is damaged."""
-        which = "" if numbers is None else f"WHERE topic_id IN ({','.join(map(str, numbers))})"
-        query = f"SELECT topic_id, timestamp, CAST(data AS BLOB) FROM messages {which} ORDER BY timestamp, id"
-        read = 0
+        """Messages of some topics, or all, in the order of time; BagError where the database is damaged.
+
+        Of all topics those above `LARGE` are given without their content, where Python can read that bit by
+        bit (3.11 and later).
+        """
+        which, content, read = "", "CAST(data AS BLOB)", 0
+        if numbers is not None:
+            which = f"WHERE topic_id IN ({','.join(map(str, numbers))})"
+        elif hasattr(sqlite3.Connection, "blobopen"):
+            content = f"CASE WHEN LENGTH(data) <= {LARGE} THEN {content} END"
+        query = f"SELECT topic_id, timestamp, {content}, id FROM messages {which} ORDER BY timestamp, id"
         try:
             with closing(self._open()) as db:
                 cursor = db.execute(query)
-                while rows := _some(cursor):
-                    block = _block_of(rows)
-                    read += len(block.data) + len(block)
+                for block in self._some(cursor):
+                    read += int(block.size.sum()) + len(block)
                     if read > self._size:
                         raise TypeError("more data than the file is large")
                     yield block
         except _DAMAGE as exc:
             raise self._error(exc) from exc
+
+    def _some(self, cursor: sqlite3.Cursor) -> Iterator[Block]:
+        """The rows of a query, not too many at once and no more than a few megabytes; a long one alone."""
+        rows, size = list[tuple[int, int, bytes]](), 0
+        for number, time, content, row in cursor:
+            if content is not None:
+                rows.append((number, time, content))
+                size += len(content)
+            if rows and (content is None or len(rows) == _ROWS or size > _BYTES):
+                yield _block_of(rows)
+                rows, size = [], 0
+            if content is None:
+                yield self._long_message(number, time, row)
+        if rows:
+            yield _block_of(rows)
+
+    def _long_message(self, number: int, time: int, row: int) -> Block:
+        """A message without its content."""
+
+        def read() -> Iterator[bytes]:
+            with closing(self._open()) as db, db.blobopen("messages", "data", row, readonly=True) as content:
+                while part := content.read(AT_ONCE):
+                    yield part
+
+        with closing(self._open()) as db, db.blobopen("messages", "data", row, readonly=True) as content:
+            size = len(content)
+        head = _block_of([(number, time, b"")])
+        return replace(head, size=np.array([size]), long=LongMessage(size, read))
 
     def _copy(self, beside: Sequence[Path], folder: Path) -> None:
         """Copy files that belong together: a writer may be at work."""
@@ -146,17 +182,6 @@ def _topics(db: sqlite3.Connection) -> dict[int, Topic]:
         for number, name, kind, form, profiles in topics
         if form == "cdr"
     }
-
-
-def _some(cursor: sqlite3.Cursor) -> list[tuple[int, int, bytes]]:
-    """The next rows, not too many at once and no more than a few megabytes."""
-    rows, size = [], 0
-    for row in cursor:
-        rows.append(row)
-        size += len(row[2])
-        if len(rows) == _ROWS or size > _BYTES:
-            break
-    return rows
 
 
 def _block_of(rows: list[tuple[int, int, bytes]]) -> Block:
