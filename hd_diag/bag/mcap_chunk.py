@@ -7,6 +7,7 @@ import struct
 import zlib
 from array import array
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from tempfile import TemporaryFile
 from typing import Any
 
@@ -42,6 +43,27 @@ _HEAD = np.dtype("u1, <u8, <u2, <u4, <u8, <u8")
 _HEAD.names = ("opcode", "length", "channel", "sequence", "log_time", "publish_time")
 # A chunk with more records is refused: an honest one of some megabytes has a hundredth of them.
 _MAX_RECORDS = 1_000_000
+
+
+@dataclass
+class Section:
+    """A chunk, or messages outside of chunks that follow one another: place [byte] and log times [ns].
+
+    Sizes, times and checksum (0 for none) are those that the chunk declares. Of a part of a large chunk
+    `part` is the place in its content and the size [byte]; the times are those of its messages then. A
+    message above `LARGE` is a part, or a section, of its own with its `channel`.
+    """
+
+    offset: int
+    size: int
+    start: int
+    end: int
+    compression: str = ""
+    content_size: int = 0
+    checksum: int = 0
+    is_chunk: bool = True
+    part: tuple[int, int] | None = None
+    channel: int | None = None
 
 
 def believable(stored: int) -> int:
@@ -100,6 +122,14 @@ class Content:
         """Go on to a place."""
         while self.place < place and self.take(min(AT_ONCE, place - self.place)):
             pass
+
+
+def check_whole(section: Section, content: Content) -> None:
+    """Raise ValueError where a chunk does not hold what it declares; all of it must have been taken."""
+    if content.place != section.content_size:
+        raise ValueError(f"it holds {content.place} bytes instead of {section.content_size}")
+    if section.checksum and content.checksum != section.checksum:
+        raise ValueError("its checksum is wrong")
 
 
 class OnDisk:

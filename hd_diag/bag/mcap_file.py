@@ -13,7 +13,7 @@ import struct
 import time
 import zlib
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
@@ -30,8 +30,9 @@ from mcap.opcode import Opcode
 from hd_diag.arrays import Bytes, Times
 from hd_diag.bag.block import LongMessage
 from hd_diag.bag.errors import BagError, lock
-from hd_diag.bag.mcap_chunk import AT_ONCE, LARGE, MESSAGE, RECORD
+from hd_diag.bag.mcap_chunk import LARGE, MESSAGE, RECORD
 from hd_diag.bag.mcap_scan import MAGIC
+from hd_diag.bag.open_chunk import ROOM, UNKNOWN, OpenChunk, bits
 
 # Level 1: floats hardly compress better at higher levels, and the node writes while it works.
 _COMPRESS = {
@@ -43,12 +44,10 @@ COMPRESSIONS = tuple(_COMPRESS)
 # Chunks that may wait to be written: they bound the memory, and what a crash costs.
 _MOST_WAITING = 4
 _LARGE = 4 << 20  # above this a chunk is waited for, as are those before it [byte]
-_ROOM = 1 << 20  # that a chunk has from the beginning [byte]
 _FIXED = MESSAGE.size - RECORD.size  # of a message, in the length of its record [byte]
 _HEAD, _INDEX, _ENTRY = struct.Struct("<BQH"), struct.Struct("<BQHI"), struct.Struct("<QQ")
 _LENGTH = struct.Struct("<Q")
 _CHUNK_HEAD = 49  # of a chunk's record, without the name of its compression [byte]
-_UNKNOWN = 2**64 - 1  # least time of no messages [ns]
 
 
 @dataclass
@@ -80,7 +79,7 @@ class McapFile:
     def __init__(self, path: Path, compression: str, chunk_size: int, overwrite: bool) -> None:
         self.path, self.size = path, 0
         self.start: int | None = None
-        self.written = Written(path, records.Statistics(0, 0, {}, 0, 0, 0, _UNKNOWN, 1, 0))
+        self.written = Written(path, records.Statistics(0, 0, {}, 0, 0, 0, UNKNOWN, 1, 0))
         self._compression, self._chunk_size = compression, chunk_size
         self._rooms: deque[bytearray] = deque()  # of chunks that are written
         self._chunk = self._begun()
@@ -125,7 +124,7 @@ class McapFile:
         if isinstance(data, LongMessage):
             chunk.long = data
         elif len(data) > LARGE:
-            chunk.long = LongMessage(len(data), functools.partial(_bits, memoryview(data)))
+            chunk.long = LongMessage(len(data), functools.partial(bits, memoryview(data)))
         else:
             chunk.append(data)
         self._added(stream, 1, log_time, log_time, entry)
@@ -217,11 +216,11 @@ class McapFile:
         """Another descriptor of the file, which stays locked until that is closed too."""
         return os.dup(self._fd)
 
-    def _begun(self) -> _Chunk:
+    def _begun(self) -> OpenChunk:
         """An empty chunk; in fresh memory it would take twice as long to fill."""
-        return _Chunk(self._rooms.popleft() if self._rooms else bytearray(min(self._chunk_size, _ROOM)))
+        return OpenChunk(self._rooms.popleft() if self._rooms else bytearray(min(self._chunk_size, ROOM)))
 
-    def _store(self, chunk: _Chunk) -> None:
+    def _store(self, chunk: OpenChunk) -> None:
         """Write a chunk; after one that could not be written none is."""
         if self._failed:
             return
@@ -315,33 +314,6 @@ class McapFile:
         self.size = size
         os.ftruncate(self._fd, size)
         os.lseek(self._fd, size, os.SEEK_SET)
-
-
-class _Chunk:
-    """Records of the chunk that is being filled, their times, and where the messages of each channel are."""
-
-    def __init__(self, room: bytearray) -> None:
-        self.data, self.size = room, 0
-        self.opened: float | None = None
-        self.first, self.last = _UNKNOWN, 0
-        self.index: dict[int, bytearray] = {}
-        self.long: LongMessage | None = None  # content of the last message
-
-    def grow(self, count: int) -> None:
-        """Have room for so many bytes more, whose values are to be set."""
-        self.size += count
-        if self.size > len(self.data):
-            self.data += bytes(self.size - len(self.data))
-
-    def append(self, record: bytes | memoryview) -> None:
-        """Add bytes."""
-        begin, self.size = self.size, self.size + len(record)
-        self.data[begin : self.size] = record
-
-
-def _bits(data: memoryview) -> Iterator[memoryview]:
-    """What is held, a little at a time."""
-    return (data[place : place + AT_ONCE] for place in range(0, len(data), AT_ONCE))
 
 
 @functools.lru_cache(maxsize=256)

@@ -14,7 +14,7 @@ import threading
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from io import BufferedReader, BytesIO
 from pathlib import Path
 
@@ -36,9 +36,11 @@ from hd_diag.bag.mcap_chunk import (
     RECORD,
     Content,
     OnDisk,
+    Section,
     believable,
     check_claim,
     check_end,
+    check_whole,
     decompressed,
     head_of,
     parse,
@@ -62,27 +64,6 @@ _DAMAGE = (ValueError, struct.error, zstandard.ZstdError, RuntimeError, McapErro
 
 class DamagedChunk(BagError):
     """A chunk cannot be used; what is before and behind it can be recovered."""
-
-
-@dataclass
-class Section:
-    """A chunk, or messages outside of chunks that follow one another: place [byte] and log times [ns].
-
-    Sizes, times and checksum (0 for none) are those that the chunk declares. Of a part of a large chunk
-    `part` is the place in its content and the size [byte]; the times are those of its messages then. A
-    message above `LARGE` is a part, or a section, of its own with its `channel`.
-    """
-
-    offset: int
-    size: int
-    start: int
-    end: int
-    compression: str = ""
-    content_size: int = 0
-    checksum: int = 0
-    is_chunk: bool = True
-    part: tuple[int, int] | None = None
-    channel: int | None = None
 
 
 class Scan:
@@ -225,7 +206,7 @@ class Scan:
                     part = replace(section, part=(place, size), channel=channel)
                     part.start, part.end = int(block.log_time.min()), int(block.log_time.max())
                     found.append(part)
-            _check_whole(section, content)
+            check_whole(section, content)
         return found
 
     def load(self, sections: Sequence[Section]) -> Block:
@@ -292,7 +273,7 @@ class Scan:
                 return part.take(section.part[1])
         content = self._unpacked(section)
         found = content.take(section.content_size + 1)
-        _check_whole(section, content)
+        check_whole(section, content)
         return found
 
     @contextmanager
@@ -360,11 +341,3 @@ class _Stored:
         found = self._scan.read(self._place, min(size, left) if size >= 0 else left)
         self._place += len(found)
         return found
-
-
-def _check_whole(section: Section, content: Content) -> None:
-    """Raise ValueError where a chunk does not hold what it declares; all of it must have been taken."""
-    if content.place != section.content_size:
-        raise ValueError(f"it holds {content.place} bytes instead of {section.content_size}")
-    if section.checksum and content.checksum != section.checksum:
-        raise ValueError("its checksum is wrong")

@@ -12,8 +12,8 @@ import numpy as np
 
 from hd_diag.bag.block import Block, joined
 from hd_diag.bag.errors import BagError, is_locked
-from hd_diag.bag.mcap_chunk import PIECE
-from hd_diag.bag.mcap_scan import DamagedChunk, Scan, Section
+from hd_diag.bag.mcap_chunk import PIECE, Section
+from hd_diag.bag.mcap_scan import DamagedChunk, Scan
 
 # What is read ahead takes no more memory than this [byte].
 _AHEAD = 6 << 20

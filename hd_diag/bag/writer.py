@@ -17,7 +17,6 @@ from rosbags.interfaces import Qos
 from hd_diag.arrays import Bytes, Times
 from hd_diag.bag.block import LongMessage
 from hd_diag.bag.errors import BagError
-from hd_diag.bag.mcap_chunk import MAX_MESSAGE
 from hd_diag.bag.mcap_file import COMPRESSIONS, McapFile, Stream, Written
 from hd_diag.bag.place import Disk, Place
 from hd_diag.bag.rosbag2 import RELIABLE, dump_offers, dump_yaml, metadata, parse_offers, written
@@ -170,12 +169,9 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         if not (0 <= log_time <= _LAST_TIME and 0 <= publish <= _LAST_TIME):
             what = f"{topic}: time {log_time} ns, published {publish} ns, is out of range"
             raise BagError(self.path, what)
-        if len(data) > MAX_MESSAGE:
-            raise BagError(self.path, f"{topic}: a message of {len(data)} bytes is above {MAX_MESSAGE}")
         try:  # a context manager would take as long as the rest
             self._split_if_due(log_time)
-            # a row may have gaps
-            plain = data if isinstance(data, bytes | memoryview | LongMessage) else bytes(data)
+            plain = bytes(data) if isinstance(data, np.ndarray) else data  # a row may have gaps
             self._file.add(self._streams[topic, type_name], log_time, publish, plain)
             self._close_old_chunk(time.monotonic())
         except (BagError, OSError) as exc:
