@@ -30,13 +30,13 @@ try:
     cli(sys.argv[1:])
 except SystemExit as end:
     assert not end.code, end.code
-print(*{"scipy.optimize", "hd_diag.diagnosis"} & {*sys.modules})
+print(*{"scipy.linalg", "scipy.optimize", "hd_diag.diagnosis"} & {*sys.modules})
 print(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0])
 """
 
 
 def replay(folder: Path, seconds: int, given: dict[str, Any]) -> float:
-    """Most memory that a replay of joints at 1 kHz takes [MB]; it imports no fits."""
+    """Most memory that a replay of joints at 1 kHz takes [MB]; it imports neither fits nor scipy.linalg."""
     config, size = resolve(given), 1000 * seconds
     names = [name for joint in config.joints for name in (joint.input_joint, joint.output_joint)]
     block, stamps = rows(size, names=names)

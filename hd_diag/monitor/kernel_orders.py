@@ -133,9 +133,22 @@ def _close(
 
 @part
 def _inverse(gram: Floats) -> Floats:
-    """Inverse of normal equations, whose lower triangle and first number, the samples, are given."""
-    ridge = _RIDGE * max(gram[0, 0], 1.0) * np.eye(gram.shape[0])
-    return np.linalg.inv(np.tril(gram) + np.tril(gram, -1).T + ridge)
+    """Inverse of normal equations, whose lower triangle and first number, the samples, are given.
+
+    By Gauss and Jordan: for numpy's inverse numba loads scipy.linalg, which takes 17 MB.
+    """
+    found = np.eye(gram.shape[0])
+    left = np.tril(gram) + np.tril(gram, -1).T + _RIDGE * max(gram[0, 0], 1.0) * found
+    for j in range(found.shape[0]):  # positive definite: no pivots are sought
+        pivot = left[j, j]
+        left[j] /= pivot
+        found[j] /= pivot
+        for i in range(found.shape[0]):
+            if i != j:
+                factor = left[i, j]
+                left[i] -= factor * left[j]
+                found[i] -= factor * found[j]
+    return found
 
 
 @part
