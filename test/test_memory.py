@@ -1,9 +1,11 @@
 """What the node and a replay may take: 250 and 300 MB, of which small cases take a known part."""
 
+import os
 import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -13,6 +15,7 @@ from running import START_LIMIT, Process
 from hd_diag.bag import BagWriter
 from hd_diag.config.configuration import dump, resolve
 from hd_diag.memory import give_back
+from hd_diag.replay.preparation import changed_since
 
 SEVEN: dict[str, Any] = {
     "joints": [f"joint_{k}" for k in range(1, 8)],
@@ -74,6 +77,17 @@ def test_a_node_with_seven_drives_that_share_no_map(tmp_path: Path) -> None:
             time.sleep(0.1)
         status = Path(f"/proc/{node.popen.pid}/status").read_text()
         assert int(status.partition("VmHWM:")[2].split()[0]) * 1.024e-3 < 250
+
+
+def test_a_kernel_that_changed_is_compiled_apart_too(tmp_path: Path) -> None:
+    """The node compiled it itself where an update left the one whose machine code is looked at."""
+    kernel = SimpleNamespace(
+        py_func=SimpleNamespace(__qualname__="read_1"), stats=SimpleNamespace(cache_path=str(tmp_path))
+    )
+    (tmp_path / "k.read_1-9.py312.nbi").touch()
+    assert not changed_since(kernel)
+    os.utime(tmp_path / "k.read_1-9.py312.nbi", (0.0, 0.0))
+    assert changed_since(kernel)
 
 
 GIVEN_BACK = """

@@ -6,7 +6,10 @@ import os
 import signal
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
 
+import hd_diag
 from hd_diag.config.configuration import Config, resolve
 from hd_diag.memory import give_back
 from hd_diag.messages import encoding
@@ -24,6 +27,18 @@ def prepare(config: Config) -> None:
     give_back()
 
 
+def changed_since(kernel: Any) -> bool:
+    """Whether a kernel has changed since the machine code of an entry point was kept."""
+    package = Path(hd_diag.__file__).parent
+    changed = max(file.stat().st_mtime for file in package.glob("*/kernel*.py"))
+    return any(file.stat().st_mtime < changed for file in _kept(kernel))
+
+
+def _kept(kernel: Any) -> list[Path]:
+    folder = kernel.stats.cache_path
+    return [] if folder is None else [*Path(folder).glob(f"*.{kernel.py_func.__qualname__}-*.nbi")]
+
+
 def compile_apart(stopped: Sequence[int], tell: Callable[[str], object]) -> None:
     """Have machine code that is not on the disk yet made by a process of its own.
 
@@ -33,13 +48,15 @@ def compile_apart(stopped: Sequence[int], tell: Callable[[str], object]) -> None
     from hd_diag.messages.kernel import read  # it imports numba; compiled last
     from hd_diag.model.kernel.compiler import is_kept
 
-    if is_kept(read):
+    if is_kept(read) and not changed_since(read):
         return
     tell("preparing the model: the first time on a machine this takes half a minute")
     child = os.fork()
     if not child:
         try:
             prepare(resolve({}))
+            for file in _kept(read):  # it may be older than another kernel, which was compiled now
+                file.touch()
         finally:
             os._exit(0)
     while not os.waitpid(child, os.WNOHANG)[0]:
