@@ -66,11 +66,11 @@ class Kept:
     def spread(self, whole: Search) -> tuple[Floats, Floats]:
         """Parameters of a fit with these groups held, shape (7,), and their covariance, shape (7, 7).
 
-        Intervals reach as far as the bounds; those of the others as far as those of every rival that all
-        rows leave one.
+        Intervals reach as far as the bounds; those of the others as far as those of every rival that
+        describes all rows as well.
         """
         found, spread = parameters_of(whole)
-        plain, worst = _reach(spread), whole.fit.deviance(whole.chosen) + DISTINCT
+        plain, worst = _reach(spread), _as_good(whole.fit, whole.chosen)
         reach = plain.copy()
         for there in self._rivals(whole):
             if there.deviance(whole.chosen) < worst:
@@ -149,8 +149,14 @@ def _undisplaced(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, lis
         starts = _datums(fit.data.configured)
         fits += [settle(fit.moved(start), chosen, rounds=5, learn=False) for start in starts]
     fits.sort(key=lambda one: one.deviance(chosen))
-    worst = fits[0].deviance(chosen) + DISTINCT
+    worst = _as_good(fits[0], chosen)
     return fits[0], distinct([_fitted(one, chosen) for one in fits if one.deviance(chosen) < worst])
+
+
+def _as_good(fit: LinearisedFit, chosen: Chosen) -> float:
+    """Deviance up to which another fit does as well; where more than noise is left, in units of that."""
+    left = fit.deviance(chosen)
+    return left + DISTINCT * max(left / np.count_nonzero(fit.residual_white), 1.0)
 
 
 def _datums(configured: Drive) -> list[Floats]:
