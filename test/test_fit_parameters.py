@@ -41,7 +41,7 @@ def test_derivatives_are_finite_differences(index: int) -> None:
     step = np.zeros(fit_parameters.COUNT)
     step[index] = 1e-3
     difference = (error(POINT + step) - error(POINT - step)) / 2e-3
-    value, jacobian, _ = fit_parameters.error_and_jacobian(DRIVE, CONFIGURED, ANGLE, TORQUE)
+    value, jacobian, _ = fit_parameters.along(DRIVE, CONFIGURED, ANGLE, TORQUE)
     assert_allclose(value, error(POINT), rtol=0, atol=1e-12)
     miss = np.abs(jacobian[:, index] - difference) / np.abs(difference).max()
     assert np.quantile(miss, 0.97) < 1e-5
@@ -50,7 +50,7 @@ def test_derivatives_are_finite_differences(index: int) -> None:
 
 def test_derivatives_along_a_long_record_are_the_exact_ones() -> None:
     """But for the step from node to node, in which pairs come into load."""
-    _, exact, slope = fit_parameters.error_and_jacobian(DRIVE, CONFIGURED, LONG_ANGLE, LONG_TORQUE)
+    _, exact, slope = fit_parameters.along(DRIVE, CONFIGURED, LONG_ANGLE, LONG_TORQUE, 10**6)
     _, found, found_slope = fit_parameters.along(DRIVE, CONFIGURED, LONG_ANGLE, LONG_TORQUE)
     for column, expected in zip((*found.T, found_slope), (*exact.T, slope), strict=True):
         assert np.std(column - expected) < 0.05 * np.std(expected)

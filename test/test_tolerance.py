@@ -80,7 +80,7 @@ def test_an_environment_compiles_the_kernels_of_model_and_tolerances() -> None:
         "import drives, numpy as np; from hd_diag.tolerance.evaluation import evaluate;"
         "evaluate(drives.mesh(), np.zeros(2), np.zeros(2, complex), np.array([56.0]));"
         "from hd_diag.config.configuration import resolve; own = resolve({}).joints[0].drive;"
-        "fit_parameters.error_and_jacobian(own, own, np.ones(2), np.ones(2)); contact_table(own, 20.0);"
+        "fit_parameters.along(own, own, np.ones(2), np.ones(2)); contact_table(own, 20.0);"
         "r.slip(0.5, np.ones(3)); r.relax(np.ones(2) + 0j, np.ones(1) + 0j, np.ones((3, 2)) + 0j)"
     )
     here = f"sys.path.insert(0, {str(ROOT / 'test')!r})"

@@ -216,25 +216,6 @@ def prior(configured: Drive) -> tuple[Floats, Floats]:
     return center, np.array([scale.prior for scale in SCALES])
 
 
-def error_and_jacobian(
-    drive: Drive, configured: Drive, input_angle: Floats, torque: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """Exact transmission error and its derivatives by the parameters.
-
-    Returns
-    -------
-    error : ndarray, shape (n,)
-        [rad]
-    jacobian : ndarray, shape (n, 7)
-        [rad] per unit, see :func:`units`.
-    slope : ndarray, shape (n,)
-        dTE/dT [rad/(N m)].
-    """
-    angle = drive.frame.wave_generator_angle(input_angle)
-    beta, gradient = torsion.torsion_and_gradient(drive.mesh, angle, drive.frame.cup_torque(torque))
-    return _in_units(drive, configured, angle, torque, beta, gradient)
-
-
 def along(
     drive: Drive,
     configured: Drive,
@@ -242,7 +223,9 @@ def along(
     torque: Floats,
     steps: int = _STEPS_PER_TOOTH,
 ) -> tuple[Floats, Floats, Floats]:
-    """The same along a record: of a long one solved at nodes of the wave generator's turn, straight between.
+    """Transmission error and its derivatives by the parameters, along a record.
+
+    They are exact where samples are few; else solved at nodes of the wave generator's turn, straight between.
 
     Returns
     -------
@@ -254,17 +237,10 @@ def along(
         dTE/dT [rad/(N m)].
     """
     nodes = steps * drive.mesh.geometry.circular_spline_teeth
-    if input_angle.size < _NODES_PAY * nodes:
-        return error_and_jacobian(drive, configured, input_angle, torque)
     angle = drive.frame.wave_generator_angle(input_angle)
-    beta, gradient = torsion.torsion_along(drive.mesh, angle, drive.frame.cup_torque(torque), nodes)
-    return _in_units(drive, configured, angle, torque, beta, gradient)
-
-
-def _in_units(
-    drive: Drive, configured: Drive, angle: Floats, torque: Floats, beta: Floats, gradient: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """TE, Jacobian and slope from the torsion and its derivatives by E_x, E_y, r_0, K1 + K2 and M."""
+    given = drive.mesh, angle, drive.frame.cup_torque(torque)
+    few = angle.size < _NODES_PAY * nodes
+    beta, gradient = torsion.torsion_and_gradient(*given) if few else torsion.torsion_along(*given, nodes)
     by_x, by_y, by_datum, by_compliance, by_torque = gradient.T
     cosine, sine = np.cos(angle), np.sin(angle)
     scale = -drive.frame.torque_sign * units(configured)
