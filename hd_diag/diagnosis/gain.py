@@ -13,12 +13,13 @@ from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.drift import without_drift
 from hd_diag.diagnosis.extension import extended_model, running_residual
 from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit.design import interval, projection
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.noise import numbered, slices
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.search.causes import Search
 from hd_diag.diagnosis.search.order_table import part
-from hd_diag.diagnosis.search.remainder import Remainder, fitted_part
+from hd_diag.diagnosis.search.remainder import Remainder
 from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
 from hd_diag.drive import Drive
 
@@ -27,7 +28,6 @@ Rows = npt.NDArray[np.bool_]
 _HELD_OUT = 4  # every fourth run, or stretch of a single run, is held out
 _STRETCHES = 12
 _SLICE = 1.0  # length of a block of the bootstrap [s]
-_DRAWS = 2000
 _MORE = 1.15  # what is left over the noise where it is more than noise for certain
 
 MISFIT = 1.3
@@ -183,7 +183,7 @@ def measured_gain(
         noise_low=noise.low,
         noise_high=noise.high,
         repeated=noise.repeated,
-        wandering=_rms(fitted_part(wandering, extended)),
+        wandering=_rms(projection(wandering, extended)),
     )
     return rms, explained(nominal, extended, number, which, rng)
 
@@ -191,8 +191,8 @@ def measured_gain(
 def explained(before: Floats, after: Floats, number: Integers, which: str, rng: np.random.Generator) -> Gain:
     """Share of a residual's mean square that another model explains, by a bootstrap of numbered stretches."""
     whole, rest = _sums(before**2, number), _sums(after**2, number)
-    high, low = (1.0 - _ratio_interval(rest, whole, rng)).tolist()
-    return Gain(1.0 - float(rest.sum() / whole.sum()), low, high, which)
+    low, high = interval(rest, rng, whole)
+    return Gain(1.0 - float(rest.sum() / whole.sum()), 1.0 - high, 1.0 - low, which)
 
 
 def _nominal_residual(record: Record, configured: Drive) -> Floats:
@@ -220,9 +220,3 @@ def _rms(values: Floats) -> float:
 
 def _sums(values: Floats, number: Integers) -> Floats:
     return np.asarray(np.bincount(number, values), np.float64)
-
-
-def _ratio_interval(top: Floats, bottom: Floats, rng: np.random.Generator) -> Floats:
-    """95 % interval of a ratio of sums by bootstrap of their parts, shape (2,)."""
-    draws = rng.integers(0, top.size, (_DRAWS, top.size))
-    return np.asarray(np.quantile(top[draws].sum(axis=1) / bottom[draws].sum(axis=1), (0.025, 0.975)))

@@ -11,6 +11,7 @@ from scipy import special, stats
 
 from hd_diag.arrays import Floats, Integers
 
+_DRAWS = 2000  # of a bootstrap
 _ONE_PER_CENT = 2.326  # standard deviations
 _ALONE = 1e-10  # share of a column outside a block that is nothing but rounding
 _DISAGREEING = 0.1  # share of what was predicted that may lie in blocks which it made worse
@@ -138,7 +139,7 @@ def inverse(gram: Floats) -> Floats:
     # Rounding must not blow up a column of zeros: divided by infinity it stays out of the way.
     scale = np.where(square > 0.0, np.sqrt(np.maximum(square, 1e-300)), np.inf)
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
-    kept = values > 1e-10 * values[-1]
+    kept = values > 1e-10 * values.max(initial=0.0)
     return np.asarray((vectors[:, kept] / values[kept]) @ vectors[:, kept].T / np.outer(scale, scale))
 
 
@@ -232,12 +233,12 @@ def surprise(gain: float, added: int) -> float:
     return half - (0.5 * added - 1.0) * float(np.log(half)) + float(special.gammaln(0.5 * added))
 
 
-def lower_bound(gains: Floats, level: float = 0.99) -> float:
-    """Lower confidence bound of a mean over blocks."""
+def lower_bound(gains: Floats) -> float:
+    """Lower 99 % confidence bound of a mean over blocks."""
     if gains.size < 2:
         return -np.inf
     spread = float(np.std(gains, ddof=1)) / np.sqrt(gains.size)
-    return float(np.mean(gains) - stats.t.ppf(level, gains.size - 1) * spread)
+    return float(np.mean(gains) - stats.t.ppf(0.99, gains.size - 1) * spread)
 
 
 def holds(gain: Floats, predicted: Floats) -> bool:
@@ -259,8 +260,9 @@ def holds(gain: Floats, predicted: Floats) -> bool:
     return lower_bound(gain) > 0.0 or (beyond_noise and agreeing)
 
 
-def interval(gains: Floats, rng: np.random.Generator, level: float = 0.95) -> tuple[float, float]:
-    """Bootstrap interval of a mean over blocks, which are as good as independent."""
-    draws = gains[rng.integers(0, gains.size, (2000, gains.size))].mean(axis=1)
-    low, high = np.quantile(draws, [(1.0 - level) / 2.0, (1.0 + level) / 2.0])
+def interval(gains: Floats, rng: np.random.Generator, over: Floats | None = None) -> tuple[float, float]:
+    """95 % interval of a mean over blocks, or of the ratio of two, by bootstrap: they are independent."""
+    over = np.ones(gains.size) if over is None else over
+    draws = rng.integers(0, gains.size, (_DRAWS, gains.size))
+    low, high = np.quantile(gains[draws].sum(axis=1) / over[draws].sum(axis=1), (0.025, 0.975))
     return float(low), float(high)

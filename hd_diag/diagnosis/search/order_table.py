@@ -9,8 +9,9 @@ from itertools import pairwise
 import numpy as np
 
 from hd_diag.arrays import Floats, Integers
+from hd_diag.diagnosis.fit.design import projection
 from hd_diag.diagnosis.noise import Whitening, bounds, whitening
-from hd_diag.diagnosis.search.remainder import Remainder, Wave, Weight, fitted_part
+from hd_diag.diagnosis.search.remainder import Remainder, Wave, Weight
 from hd_diag.effects.bearing_passage import CAGE
 from hd_diag.effects.effect import Values
 
@@ -80,11 +81,11 @@ def order_table(rest: Remainder, waves: list[Wave], rated_torque: float) -> tupl
     if not steady:
         return ()
     pairs = np.concatenate([rest.pair(wave) for wave in steady], axis=1)
-    whiten = whitening(rest.residual - fitted_part(pairs, rest.residual), rest.run)
+    whiten = whitening(rest.residual - projection(pairs, rest.residual), rest.run)
     named = []
     for index, wave in enumerate(steady):
         others = np.delete(pairs, (2 * index, 2 * index + 1), axis=1)
-        named.append(_whole(rest, wave, rest.residual - fitted_part(others, rest.residual), whiten))
+        named.append(_whole(rest, wave, rest.residual - projection(others, rest.residual), whiten))
     loaded = [float(wave.weight.values.min()) < 0.0 for wave in steady]
     values = [(in_input, float(one)) for (_, _, in_input), one in zip(named, loaded, strict=True)]
     rows = [(*name[:2], value) for name, value in zip(named, values, strict=True)]
@@ -110,7 +111,7 @@ def table_at(
     weights = [Weight(scale if value[1] else np.ones(scale.size)) for _, _, value in rows]
     waves = [Wave(value[0], "input", weight) for (_, _, value), weight in zip(rows, weights, strict=True)]
     pairs = np.concatenate([rest.pair(wave) for wave in waves], axis=1)
-    whiten = whitening(rest.residual - fitted_part(pairs, rest.residual), rest.run)
+    whiten = whitening(rest.residual - projection(pairs, rest.residual), rest.run)
     white, target = whiten(pairs, rest.run), whiten(rest.residual, rest.run)
     spread = np.asarray(np.linalg.pinv(white.T @ white), np.float64)
     beta = spread @ (white.T @ target)
@@ -149,7 +150,7 @@ def _whole(rest: Remainder, wave: Wave, residual: Floats, whiten: Whitening) -> 
 
     def deviance(order: float) -> float:
         columns = whiten(rest.pair(wave._replace(order=order)), rest.run)
-        return -float(np.sum(fitted_part(columns, target) ** 2))
+        return -float(np.sum(projection(columns, target) ** 2))
 
     best, ratio = deviance(wave.order), abs(rest.ratio)
     for step, frame in ((1.0, "input"), (1.0 / ratio, "output")):

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hd_diag.arrays import Floats, Integers
-from hd_diag.diagnosis.fit.design import f_test, holds, orthonormal
+from hd_diag.diagnosis.fit.design import f_test, holds, orthonormal, projection
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.noise import Whitening, whitening
 from hd_diag.diagnosis.search.acceptance import LEAST_SIZE
@@ -123,7 +123,7 @@ class Remainder:
     def without(self, wave: Wave) -> Remainder:
         """The same with a wave fitted and taken off."""
         pair = self.pair(wave)
-        rest = self.residual - fitted_part(pair, self.residual)
+        rest = self.residual - projection(pair, self.residual)
         beside = np.concatenate((self.beside, pair), axis=1)
         return replace(self, residual=rest, beside=beside)
 
@@ -144,13 +144,13 @@ def strongest(rest: Remainder) -> Wave | None:
     # Noise is learnt beside waves of this order in every part, or strong ones would count as noise.
     every = [Wave(order, frame, one) for one in rest.weights]
     pairs = [rest.pair(wave) for wave in every]
-    whiten = whitening(residual - fitted_part(np.concatenate(pairs, axis=1), residual), rest.run)
+    whiten = whitening(residual - projection(np.concatenate(pairs, axis=1), residual), rest.run)
     white = whiten(residual, rest.run)
-    gains = [float(np.sum(fitted_part(whiten(pair, rest.run), white) ** 2)) for pair in pairs]
+    gains = [float(np.sum(projection(whiten(pair, rest.run), white) ** 2)) for pair in pairs]
     best = int(np.argmax(gains))
     pair = pairs[best]
     tests = 4.0 * len(every) * _MOST_ORDERS * max(turns(rest.input_angle), 1.0)
-    small = float(np.std(fitted_part(pair, residual))) < LEAST_SIZE
+    small = float(np.std(projection(pair, residual))) < LEAST_SIZE
     if small or tests * _chance(rest, pair, whiten) > _CHANCE:
         return None
     gain, predicted = _block_gains(rest, pair, whiten)
@@ -170,7 +170,7 @@ def _chance(rest: Remainder, pair: Floats, whiten: Whitening) -> float:
     basis = orthonormal(white)
     before = residual - basis @ (basis.T @ residual)
     own = whiten(pair, rest.run)
-    after = before - fitted_part(own - basis @ (basis.T @ own), before)
+    after = before - projection(own - basis @ (basis.T @ own), before)
     rows = int(np.count_nonzero(residual))
     return f_test(float(before @ before), float(after @ after), 2, rows, basis.shape[1] + 2)
 
@@ -193,11 +193,6 @@ def _speeds(speed: Floats) -> list[tuple[Rows, str]]:
             if edges[1] < _UNLIKE * edges[2] and float(np.mean(inside)) > _LEAST_PART:
                 bands.append((inside, f"{way} at {low:.2g} to {high:.2g} turns/s of the input".strip()))
     return [*(one for one in found if one[1]), *bands]
-
-
-def fitted_part(columns: Floats, residual: Floats) -> Floats:
-    """Part of a residual that columns explain."""
-    return np.asarray(columns @ np.linalg.lstsq(columns, residual, rcond=None)[0])
 
 
 def _block_gains(rest: Remainder, pair: Floats, whiten: Whitening) -> tuple[Floats, Floats]:
