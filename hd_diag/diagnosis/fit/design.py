@@ -186,8 +186,7 @@ def orthonormal(columns: Floats) -> Floats:
 
 def projection(columns: Floats, target: Floats) -> Floats:
     """Part of a target that columns of any scale explain, shape (n,)."""
-    scaled = columns / np.sqrt(np.maximum(np.mean(columns**2, axis=0), 1e-300))
-    return np.asarray(scaled @ solve(scaled.T @ scaled, scaled.T @ target))
+    return np.asarray(columns @ solve(columns.T @ columns, columns.T @ target))
 
 
 def f_test(before: float, after: float, added: int, rows: int, fitted: int) -> float:
