@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.joint_refinement import polished, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit, linearise
+from hd_diag.diagnosis.fit.present_effects import plain as goes_along
 from hd_diag.diagnosis.fit.refit import refit, usable
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.search.ranking import Projector
@@ -226,7 +227,7 @@ def test_what_is_kept_changes_no_result(room: int, monkeypatch: pytest.MonkeyPat
     assert found[0] == found[1]
 
 
-@pytest.mark.parametrize("name", [name for name, effect in EFFECTS.items() if effect.plain])
+@pytest.mark.parametrize("name", [name for name, effect in EFFECTS.items() if goes_along(effect)])
 def test_columns_that_the_motion_makes_are_those_at_other_parameters(plain: LinearisedFit, name: str) -> None:
     effect = EFFECTS[name]
     if not plain.data.testable(effect)[0]:

@@ -249,11 +249,6 @@ class Effect:
         return len(self.linear)
 
     @property
-    def plain(self) -> bool:
-        """Whether it is its columns times its coefficients, at any size and beside all others that are."""
-        return self.proportional and not self.own_slopes and self.stage in (Stage.NOWHERE, Stage.GEAR)
-
-    @property
     def usual(self) -> Floats:
         """Usual size of every coefficient, shape (size,)."""
         linear = self.linear

@@ -15,7 +15,7 @@ from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import Design, design, inverse, projection
 from hd_diag.diagnosis.fit.fitted_rows import FittedRows
 from hd_diag.diagnosis.fit.mesh_torques import mesh_torques
-from hd_diag.diagnosis.fit.present_effects import Item, PresentEffects, Sized
+from hd_diag.diagnosis.fit.present_effects import Item, PresentEffects, Sized, names, plain
 from hd_diag.diagnosis.fit.record_model import RecordModel
 from hd_diag.diagnosis.fit.refit import usable
 from hd_diag.diagnosis.noise import ORDER, Whitening
@@ -111,14 +111,11 @@ class LinearisedFit:
         return np.concatenate((self.data.smooth, *broadband), axis=1)
 
     def corrected(self, chosen: Chosen) -> LinearisedFit:
-        """Linearised beside the chosen effects at the size that fits here.
-
-        Where all go with their coefficients the same fit holds there.
-        """
+        """Beside the chosen effects at the size that fits; the same fit holds there if all are plain."""
         solution = self._fit(chosen)
         found = self.beside(self.sized(chosen, solution[0]))
-        if all(effect.plain for effect, _ in (*chosen, *(item for item, _ in self.present))):
-            found._solutions[_key(chosen)] = solution
+        if all(plain(effect) for effect, _ in (*chosen, *(item for item, _ in self.present))):
+            found._solutions[names(chosen)] = solution
         return found
 
     def beside(self, sized: Sized) -> LinearisedFit:
@@ -281,7 +278,7 @@ class LinearisedFit:
     def _fit(self, chosen: Chosen, more: Floats | None = None) -> _Solution:
         if more is not None and more.shape[1]:
             return self._solved(chosen, more)
-        key = _key(chosen)
+        key = names(chosen)
         if key not in self._solutions:
             self._solutions[key] = self._solved(chosen, np.empty((self.data.at.size, 0)))
         return self._solutions[key]
@@ -328,10 +325,6 @@ class LinearisedFit:
             if effect.given or effect.of_teeth:
                 precision[place] = (effect.usual * (1.0 if effect.given else _TEETH)) ** -2.0
         return precision * self.misfit**2, pull
-
-
-def _key(chosen: Chosen) -> Hashable:
-    return tuple((effect.name, nonlinear) for effect, nonlinear in chosen)
 
 
 def linearise(

@@ -22,6 +22,16 @@ Item = tuple[Effect, Values]
 Sized = tuple[tuple[Item, Floats], ...]
 
 
+def plain(effect: Effect) -> bool:
+    """Whether it is its columns times its coefficients, at any size and beside all others that are."""
+    return effect.proportional and not effect.own_slopes and effect.stage in (Stage.NOWHERE, Stage.GEAR)
+
+
+def names(chosen: tuple[Item, ...]) -> Hashable:
+    """Effects by their names, with their nonlinear values."""
+    return tuple((effect.name, nonlinear) for effect, nonlinear in chosen)
+
+
 @dataclass(frozen=True, eq=False)
 class PresentEffects:
     """Effects of some size beside which a record is linearised.
