@@ -19,6 +19,7 @@ from challenge import (
 from challenge import mechanism_causes as mechanism
 from challenge import mesh_causes as mesh
 from challenge import sensor_causes as sensor
+from challenge.cause import Cause
 from challenge.contact import Flaws, Gear
 from challenge.design import OTHERS, SIZE_25, Design
 from challenge.truth import ARCSEC, Base
@@ -298,6 +299,15 @@ def test_families_hide_what_they_say() -> None:
 @pytest.fixture(scope="module")
 def short_record() -> records.Record:
     return families.made("short", 2)
+
+
+def test_by_current_nothing_is_hidden_in_the_reading_of_a_torque_sensor() -> None:
+    """Amperes are what the motor needs: no reading of the link's torque is in them."""
+    rng, row = np.random.default_rng(0), families.FAMILIES["robot_current"]
+    moves = row.motion(rng, SIZE_25)
+    made = [faults.sized(rng, fault, moves)[0] for fault in row.faults.values()]
+    assert {row.names(rng, seed)[0] for seed in range(len(made))} == set(row.faults)
+    assert all(type(one).torque_reading is Cause.torque_reading for one in made)
 
 
 def test_bag_holds_the_record(short_record: records.Record, tmp_path: Path) -> None:

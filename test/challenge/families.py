@@ -181,6 +181,9 @@ _ROUGH = Recording(dropouts=0.05, outliers=0.01, jitter=0.3e-3)
 _BENCH = functools.partial(Family, faults=MECHANISMS, findable=True)
 _ROBOT = functools.partial(_BENCH, motion=moves, recording=of_a_robot)
 
+_OF_TORQUE_SENSOR = ("torque_offset", "torque_sensor_ripple")  # a current passes none
+_BY_CURRENT = {name: fault for name, fault in MECHANISMS.items() if name not in _OF_TORQUE_SENSOR}
+
 FAMILIES: dict[str, Family] = {
     "wrong_parameters": Family(recording=noises_by_turns),
     "one_effect": Family(by_turns(NAMED)),
@@ -194,7 +197,7 @@ FAMILIES: dict[str, Family] = {
     "robot_single": _ROBOT(by_turns(list(MECHANISMS))),
     "robot_pair": _ROBOT(several(2, list(MECHANISMS))),
     "robot_gears": _ROBOT(by_turns(list(MECHANISMS)), designs=OTHERS),
-    "robot_current": _ROBOT(by_turns(list(MECHANISMS)), recording=of_a_motor),
+    "robot_current": _ROBOT(by_turns(list(_BY_CURRENT)), recording=of_a_motor, faults=_BY_CURRENT),
     "robot_lines": _ROBOT(by_turns(list(UNNAMED)), faults=UNNAMED),
     "bench_single": _BENCH(by_turns(list(MECHANISMS))),
     "bench_pair": _BENCH(several(2, list(MECHANISMS))),
