@@ -45,11 +45,11 @@ def test_text_verdict_and_json_tell_it(cut: Path, tmp_path: Path) -> None:
 def test_a_few_refused_samples_are_told_beside_the_verdict() -> None:
     told = Stamps(3, "a message is cut off")
     assert told.lines == ["3 samples are left out, the last because: a message is cut off"]
-    assert told.told["last_refusal"] == "a message is cut off"
+    assert told.reported["last_refusal"] == "a message is cut off"
     both = told.and_then(Stamps(problems=("a.mcap: is cut off",))).and_then(
         Stamps(problems=("a.mcap: is cut off",))
     )
-    assert both.told["problems"] == ["a.mcap: is cut off"]
+    assert both.reported["problems"] == ["a.mcap: is cut off"]
     assert len(both.lines) == 2
 
 

@@ -67,8 +67,8 @@ def refitted(trustworthy: bool = True, eccentricity: complex = 18.2 * np.exp(1.2
 LINE = Unexplained(3.37, "input", 2.0 * ARCSEC, "independent of torque", "the same in both directions")
 ROW = OrderRow(3.372, "input", (3.372, 0.0), np.array([2.0 * ARCSEC, 0.0]), np.eye(2) * 1e-14, True, ())
 TESTS = (
-    detectability.Testability("resonance", False, float("nan"), "one speed only"),
-    detectability.Testability("hysteresis", True, 0.3 * ARCSEC, "tested"),
+    detectability.Detectability("resonance", False, float("nan"), "one speed only"),
+    detectability.Detectability("hysteresis", True, 0.3 * ARCSEC, "tested"),
 )
 
 

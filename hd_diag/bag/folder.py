@@ -129,7 +129,7 @@ def unpack(path: Path, stack: ExitStack, files: int = 1) -> tuple[Path, str]:
     except OSError as exc:
         where = f"{tempfile.gettempdir()} (TMPDIR)"
         raise BagError(path, f"cannot be decompressed in {where}: {exc.strerror or exc}") from exc
-    return out, ""  # a cut is told by what was in the file, which misses its end
+    return out, ""  # a cut shows in the file itself: its end is missing
 
 
 def unpacked(path: Path, block: Block) -> Iterator[Block]:

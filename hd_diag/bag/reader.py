@@ -146,10 +146,10 @@ class BagReader(AbstractContextManager["BagReader"]):
             except BagError as exc:
                 raise type(exc)(path, exc.cause) from exc
             if not storage.problem:
-                told, there = (
+                stated, there = (
                     _by_name((known[n], int(each[n])) for n in numbers) for each in (counted, read)
                 )
-                self._compare(path.name, told, there)
+                self._compare(path.name, stated, there)
 
     def _compare(self, what: str, counted: Mapping[str, int], found: Mapping[str, int]) -> None:
         """Note topics of which there are not as many messages as counted."""

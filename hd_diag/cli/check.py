@@ -70,6 +70,6 @@ def describe(joint: JointConfig, assessed: Assessment) -> None:
 def _stiffness(assessed: Assessment) -> str:
     page = assessed.page
     given = (page.k1, page.k2, page.k3) if page else ()
-    told = ", ".join(f"K{i} {value:.3g}" for i, value in enumerate(assessed.found.stiffness, 1))
+    listed = ", ".join(f"K{i} {value:.3g}" for i, value in enumerate(assessed.found.stiffness, 1))
     beside = f"; the page gives {', '.join(f'{value:.3g}' for value in given)}" if page else ""
-    return f"{told} N m/rad{beside}"
+    return f"{listed} N m/rad{beside}"

@@ -119,9 +119,11 @@ def _run(
             lines = f"{journal.lost} of its lines are cut off or damaged; what they held is judged again"
             tell(f"hd-diag: {path}: {lines}", err=True)
         try:
-            with _watched() as (told, tick):
+            with _watched() as (report_step, tick):
                 with _pool(given) as pool:
-                    rows = diagnose_fleet(chosen, pool, journal, told, tick, given["bag_timeout"], pages)
+                    rows = diagnose_fleet(
+                        chosen, pool, journal, report_step, tick, given["bag_timeout"], pages
+                    )
                 own = limits_of(rows) | given_limits
                 alarms = {(joint.name, NOMINAL): joint.limits["residual_rms"].error for joint in joints}
                 found = trends(series_of(rows, alarms | own), np.random.default_rng(0), tick)
@@ -142,10 +144,10 @@ def _watched() -> Iterator[tuple[Progress, Callable[[], None]]]:
             if came:
                 raise Stopped(came[0])
 
-        def told(stage: str, done: int, total: int, tasks: int) -> None:
+        def report_step(stage: str, done: int, total: int, tasks: int) -> None:
             stages.setdefault(stage, part(stage))(done, total, f"{tasks} done")
 
-        yield told, tick
+        yield report_step, tick
 
 
 def _pool(given: dict[str, Any]) -> Any:

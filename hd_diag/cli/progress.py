@@ -36,7 +36,7 @@ class Part(Protocol):
 
 
 class _Work:
-    """A part of the work, told in words; its clock begins when it is first heard of."""
+    """A part of the work, named in words; its clock begins when it is first heard of."""
 
     def __init__(self, what: str, unit: str) -> None:
         self._what, self._unit, self._note = what, unit, ""

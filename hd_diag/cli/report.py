@@ -35,9 +35,9 @@ def report(records: Records, out: Path | None, json_file: str | None) -> int:
                 if motion is None:
                     raise
                 page = of_motion(motion, joint, flat, str(error), ripple)
-                told = {"ripple": ripple_json(ripple, joint.name)} if ripple else {}
-                told |= motion.stamps.told
-                return not_judged(joint.name, error) | told, [page.verdict], page
+                content = {"ripple": ripple_json(ripple, joint.name)} if ripple else {}
+                content |= motion.stamps.reported
+                return not_judged(joint.name, error) | content, [page.verdict], page
             advance(0, 0, "gathering the report's numbers")
             page = of_diagnosis(found, joint, flat, np.random.default_rng(0))
             return as_json(found, joint.name), [page.verdict], page

@@ -24,7 +24,7 @@ def ripple(records: Records, json_file: str | None) -> int:
             motion = records.motion(joint)
             found = records.ripple(joint, motion)
         tables[joint.name], stamps = found, motion.stamps if motion else UNTOLD
-        return as_json(found, joint.name) | stamps.told, [*stamps.lines, sentence(found)], None
+        return as_json(found, joint.name) | stamps.reported, [*stamps.lines, sentence(found)], None
 
     _, code = judge_each(records, judge, None, json_file)
     for name, found in tables.items() if json_file != "-" else ():

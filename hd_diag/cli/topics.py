@@ -140,12 +140,12 @@ def _tell(result: dict[str, Any]) -> None:
         tell(f"{topic['name']}: {topic['type']}, {topic['messages']} messages{rate}")
         if topic["problem"]:
             tell(f"  {topic['problem']}")
-        told = [n for n in topic["numbers"] if n["kind"]]
-        for n in told[:_SHOWN]:
+        known = [n for n in topic["numbers"] if n["kind"]]
+        for n in known[:_SHOWN]:
             span = f"{figure(n['least'])} to {figure(n['greatest'])} {n['unit']}"
             tell(f"  {n['field']}: {n['kind']}, {span}")
-        if len(told) > _SHOWN:
-            tell(f"  and {len(told) - _SHOWN} more")
+        if len(known) > _SHOWN:
+            tell(f"  and {len(known) - _SHOWN} more")
     if not result["joints"]:
         tell("no angle that moves: nothing can be a joint's input or output")
         return

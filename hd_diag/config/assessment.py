@@ -96,17 +96,17 @@ def _stiffness(found: Characteristics, page: Page | None) -> list[str]:
 
 def _load(found: Characteristics, drive: Drive, joint: JointConfig) -> list[str]:
     force, torque = joint.limits["peak_tooth_load"], joint.limits["torque"]
-    told = []
+    problems = []
     if math.isnan(found.rated_load):
-        told.append(f"the teeth cannot bear the rated torque, {drive.rated_torque:g} N m")
+        problems.append(f"the teeth cannot bear the rated torque, {drive.rated_torque:g} N m")
     elif force.level(found.rated_load):
-        told.append(
+        problems.append(
             f"the rated torque, {drive.rated_torque:g} N m, puts {found.rated_load:.3g} N on a tooth: more "
             f"than limits.peak_tooth_load.warn, {force.warn:g} N"
         )
     if torque.level(abs(joint.torque) / drive.rated_torque):
-        told.append(
+        problems.append(
             f"torque, {joint.torque:g} N m, is {abs(joint.torque) / drive.rated_torque:.2g} times the rated "
             f"torque: more than limits.torque.warn, {torque.warn:g}"
         )
-    return told
+    return problems

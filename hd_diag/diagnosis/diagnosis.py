@@ -20,7 +20,7 @@ from hd_diag.diagnosis.noise import ORDER
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.screening import Screened, screened
 from hd_diag.diagnosis.search.causes import Cause, Search, doubted, motor_deviations, refitted
-from hd_diag.diagnosis.search.detectability import Testability, testability
+from hd_diag.diagnosis.search.detectability import Detectability, testability
 from hd_diag.diagnosis.search.kept_parameters import Kept, all_kept, kept_parameters
 from hd_diag.diagnosis.search.order_table import OrderRow
 from hd_diag.diagnosis.search.selection import alone, search
@@ -65,7 +65,7 @@ class Diagnosis:
     gain: Gain | None
     kept: dict[str, float] = field(default_factory=dict)
     unexplained: tuple[Unexplained, ...] = ()
-    testable: tuple[Testability, ...] = ()
+    testable: tuple[Detectability, ...] = ()
     model: ExtendedModel | None = None
     catalogue: Catalogue = CATALOGUE
     orders: tuple[OrderRow, ...] = ()
@@ -82,12 +82,12 @@ class Diagnosis:
     @property
     def causes(self) -> tuple[Cause, ...]:
         """Causes found that the record can tell, most explaining first."""
-        return tuple(cause for cause in self._explaining if self._told(cause))
+        return tuple(cause for cause in self._explaining if self._is_named(cause))
 
     @property
     def hints(self) -> tuple[Cause, ...]:
         """The others: nearest to what the record shows, and in the model, but not to be named for it."""
-        return tuple(cause for cause in self._explaining if not self._told(cause))
+        return tuple(cause for cause in self._explaining if not self._is_named(cause))
 
     @property
     def _explaining(self) -> tuple[Cause, ...]:
@@ -98,7 +98,7 @@ class Diagnosis:
         """Whether held-out rows are predicted better with the causes than by the parameters alone."""
         return self.rms is None or self.rms.by_causes(self.record.by_current) < self.rms.refit
 
-    def _told(self, cause: Cause) -> bool:
+    def _is_named(self, cause: Cause) -> bool:
         """Not if too many do as well, beside ambiguous parameters, in a misfit, or if more than it is left.
 
         Where more than noise is left chance is no measure: what else is wrong may well look like the cause.
@@ -106,8 +106,8 @@ class Diagnosis:
         """
         sure, left = self.refitted is None or self.refitted.trustworthy, self.misfit
         ahead = left is None or not left.plain or (left.value <= MISFIT and cause.gain > _HALF)
-        told = sure and ahead and self.predicting and len(cause.alike) <= _MOST_ALIKE
-        return told and not cause.doubtful
+        named = sure and ahead and self.predicting and len(cause.alike) <= _MOST_ALIKE
+        return named and not cause.doubtful
 
     @property
     def order_table(self) -> tuple[OrderRow, ...]:
@@ -139,7 +139,7 @@ def diagnose(
     rng : numpy.random.Generator
         For bootstrap intervals.
     work : Work, optional
-        Is told how far this is. Where its time is too short the result says what was left out; the fit, the
+        Reports how far this is. Where its time is too short the result says what was left out; the fit, the
         gain and what no cause explains never are.
     catalogue : tuple of Effect
         Causes to search among.
@@ -177,7 +177,7 @@ def diagnose(
     trustworthy = certain and not fit_parameters.at_bound(parameters, configured)
     drive = fit_parameters.drive_of(parameters, configured)
     work.tell(0.92, "looking at what no cause explains")
-    left, testable = _described(record, unexplained(whole), rms), list[Testability]()
+    left, testable = _described(record, unexplained(whole), rms), list[Detectability]()
     with work.until(_TESTED, "testing what this motion could have shown"):
         testable = testability(whole)
     return Diagnosis(

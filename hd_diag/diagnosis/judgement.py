@@ -26,7 +26,7 @@ _PEAK_TO_PEAK = 2.0 * math.sqrt(2.0)  # of a wave, over its rms
 _STRETCHES = 12  # of a record, whose scatter tells how well its mean square is known
 
 Beside = Literal["within", "near", "beyond", "open"]
-"""A value beside its limit: under it, over it, too near to it to tell which, or not to be told."""
+"""A value beside its limit: under it, over it, too near to it to tell which, or unknown."""
 
 TWO_SIDED = 1.96
 """Standard deviations to either side of a value that make its 95 % interval."""
@@ -125,7 +125,7 @@ class Answer:
 
     @property
     def eccentricity(self) -> float:
-        """What is told of it, found or as configured [m]; nan where nothing is."""
+        """Its value, found or as configured [m]; nan where nothing is."""
         found = self.diagnosis
         if found.refitted is None or not found.refitted.trustworthy:
             return math.nan

@@ -29,7 +29,7 @@ _OWN = 0.06  # of it: slow noise that leading back takes for a difference of sta
 _DIFFERENCE = 6  # order of the difference that no smooth motion makes
 _QUICKEST = 0.25  # of their variance, that noise has at least in every wave
 _WHOLE = 0.02  # of a step, by which counts may be off whole numbers
-_MOST_STEPS = 1000.0  # between neighbours, for counts that can be told
+_MOST_STEPS = 1000.0  # between neighbours, for counts that can be recognised
 
 
 @dataclass(frozen=True)
@@ -211,7 +211,7 @@ def of_counts(record: Record, ratio: float) -> float:
 
 
 def _step(angle: Floats, run: Integers) -> float:
-    """Step of an encoder that counts [rad]; zero where none can be told."""
+    """Step of an encoder that counts [rad]; zero where none is found."""
     change = np.abs(np.diff(angle))[np.diff(run) == 0]
     moved = change[change > 1e-12]
     if moved.size < 0.01 * change.size or not moved.size:

@@ -15,25 +15,25 @@ def first_words(answer: Answer) -> str:
 def _misfit(answer: Answer) -> list[str]:
     if answer.judgement != "misfit":
         return []
-    left, told = answer.residual_over_noise, "the model does not describe this record"
+    left, text = answer.residual_over_noise, "the model does not describe this record"
     if not answer.diagnosis.record.has_torque:
-        told += ", whose torque is not measured, so that torsion by it counts as unexplained"
-    return [f"{told}: {left:.1f} times the noise is left"]
+        text += ", whose torque is not measured, so that torsion by it counts as unexplained"
+    return [f"{text}: {left:.1f} times the noise is left"]
 
 
 def _severity(answer: Answer) -> list[str]:
     """The joint beside its catalogue's accuracy, and its eccentricity beside what the assembly may have."""
-    told, usual, assembly = [], answer.normal, answer.tolerance
+    parts, usual, assembly = [], answer.normal, answer.tolerance
     if usual is not None:
         size, allowed = usual.value / ARCSEC, usual.limit / ARCSEC
         where = "within" if usual.within else "beyond"
         own = f"{size:.0f}" if size >= 0.5 else "none to be seen beside the noise,"
-        told.append(f"the joint is {where} its accuracy ({own} of {allowed:.0f} arcsec peak to peak)")
+        parts.append(f"the joint is {where} its accuracy ({own} of {allowed:.0f} arcsec peak to peak)")
     else:
-        told.append("whether the joint is within its accuracy cannot be judged without its torque")
+        parts.append("whether the joint is within its accuracy cannot be judged without its torque")
     if assembly is not None and answer.diagnosis.allowed is not None:
         where = "within" if assembly.within else "beyond"
         sizes = f"{assembly.value * 1e6:.1f} of {assembly.limit * 1e6:.1f} µm"
         by = words(answer.diagnosis.allowed.criterion)
-        told.append(f"its eccentricity is {where} the tolerance's limit ({sizes}, by {by})")
-    return [" and ".join(told)]
+        parts.append(f"its eccentricity is {where} the tolerance's limit ({sizes}, by {by})")
+    return [" and ".join(parts)]

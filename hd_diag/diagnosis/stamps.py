@@ -30,7 +30,7 @@ class Stamps(NamedTuple):
     problems: tuple[str, ...] = ()
 
     @property
-    def told(self) -> dict[str, Any]:
+    def reported(self) -> dict[str, Any]:
         """The same by names, for JSON."""
         names = "refused", "last_refusal", "unpaired", "clock_set_back", "problems"
         return dict(zip(names, (*self[:-1], list(self.problems)), strict=True))
@@ -73,14 +73,14 @@ UNTOLD = Stamps()
 
 
 def by_clock(time: Floats, bag: Integers, stamps: Stamps) -> tuple[Integers, Stamps]:
-    """Numbers of recordings, another one after each clock set back, and what is told of stamps.
+    """Numbers of recordings, another one after each clock set back, and what is reported of stamps.
 
     Parameters
     ----------
     time, bag : ndarray, shape (n,)
         [s], number of the recording.
     stamps : Stamps
-        What was told before.
+        What was reported before.
     """
     step = np.where(np.diff(bag) == 0, np.diff(time), np.nan)
     back = step < -CLOCK_JUMP * 1e-9

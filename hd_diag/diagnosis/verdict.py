@@ -60,7 +60,7 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
     content = {
         "schema": "hd_diag/diagnosis/1",
         "joint": joint,
-        "record": {**record.extent._asdict(), **counts, **record.stamps.told},
+        "record": {**record.extent._asdict(), **counts, **record.stamps.reported},
         "findings": [finding.__dict__ for finding in diagnosis.findings],
         "nominal": {"rms": rms.nominal},
         "refit": {"rms": rms.refit, "parameters": diagnosis.parameters, "trustworthy": trustworthy},
@@ -208,9 +208,9 @@ def sentence(answer: Answer) -> str:
 
 
 def _causes(answer: Answer) -> list[str]:
-    """Those that can be told, then those that are nearest to what is left."""
-    told, nearest = answer.diagnosis.causes, answer.diagnosis.hints
-    parts = {"beside that": told, "nearest to it, though not to be named for it": nearest}
+    """Those that can be named, then those that are nearest to what is left."""
+    named, nearest = answer.diagnosis.causes, answer.diagnosis.hints
+    parts = {"beside that": named, "nearest to it, though not to be named for it": nearest}
     return [f"{how}: {'; '.join(map(_cause_in_words, some))}" for how, some in parts.items() if some]
 
 
@@ -261,17 +261,17 @@ def _parameters(answer: Answer) -> str:
         return "the model's parameters are ambiguous: several sets fit about as well"
     if not changed:
         configured = diagnosis.parameters["eccentricity.magnitude"]["configured"]
-        told = f"the eccentricity is as configured ({configured * 1e6:.1f} µm)"
+        text = f"the eccentricity is as configured ({configured * 1e6:.1f} µm)"
         most = diagnosis.kept.get("eccentricity")
         if most is None:
-            return told
+            return text
         if answer.judgement == "misfit":  # a bound stands on a model that describes the record
-            return f"{told}, and how far off it may be cannot be told"
-        return f"{told}, as far as this record tells: no more than {most * 1e6:.1f} µm off"
-    told = ", ".join(_change_in_words(diagnosis, change) for change in changed)
+            return f"{text}, and how far off it may be cannot be determined"
+        return f"{text}, as far as this record tells: no more than {most * 1e6:.1f} µm off"
+    text = ", ".join(_change_in_words(diagnosis, change) for change in changed)
     if changed[0].name in ("eccentricity", "runout"):
-        return told
-    return f"the configured drive is not this gear: {told}"
+        return text
+    return f"the configured drive is not this gear: {text}"
 
 
 def _change_in_words(diagnosis: Diagnosis, change: Change) -> str:

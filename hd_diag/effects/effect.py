@@ -65,7 +65,8 @@ class Effect:
     frame : {"input", "output", "housing", "time", "torque"}
         What it is fixed to or follows.
     needs : tuple of str
-        Names of the signals that it is computed from.
+        Names of the signals that it is computed from. Where neither the prediction nor the contact
+        (`of_teeth`) is among them, a fit keeps its columns when the model's parameters change.
     quantities : tuple of Quantity
         Linear ones first.
     confused_with : tuple of str

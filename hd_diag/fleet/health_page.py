@@ -46,7 +46,7 @@ class Line:
     link: str | None
     age: str
 
-    def told(self, quantity: str) -> tuple[str, str] | None:
+    def value(self, quantity: str) -> tuple[str, str] | None:
         """A quantity's value and limit in words; None where it is not known."""
         for one in self.standing.colour.limited:
             if quantity in one.quantity.split(" or "):

@@ -154,7 +154,7 @@ def _not_judged(task: Task, reason: str) -> Row:
         found = ripple(*columns, task.joint.configured.kinematics)
     except RecordError:
         found = None
-    row = _refused(motion.stamps.told) | (_rippled(motion, found) if found else {"error": reason})
+    row = _refused(motion.stamps.reported) | (_rippled(motion, found) if found else {"error": reason})
     if task.drawn:
         row[PAGE] = _page(task, of_motion(motion, task.joint, task.flat, reason, found))
     return row

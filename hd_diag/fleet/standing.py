@@ -6,7 +6,7 @@ One rule, for a recording of a joint:
 * ``amber``: the interval of a quantity holds its limit, or the recording is cut off, lacks the joint for more
   than half of its time, or has more than a twentieth of its samples refused.
 * ``not_judged``: it could not be judged, or nothing tells whether the transmission error is within its limit.
-* ``green``: every quantity that could be told is within its limit with its whole interval, the transmission
+* ``green``: every quantity that is known is within its limit with its whole interval, the transmission
   error among them.
 
 Limits are the joint's accuracy, the eccentricity that its assembly may have, and those that a user gives.
@@ -118,11 +118,11 @@ def _colour(row: Row, series: Sequence[Series], limits: Limits) -> Colour:
 def missing(row: Row) -> list[str]:
     """What is unfinished about a row's bag or its joint in it, each as a sentence."""
     name, own = PurePath(row["bag"]).name, [problem.split(": ", 1) for problem in row.get("problems") or []]
-    told = [" ".join(("the bag" if parts[0] == name else parts[0], *parts[1:])) for parts in own]
+    reasons = [" ".join(("the bag" if parts[0] == name else parts[0], *parts[1:])) for parts in own]
     judged, whole = row.get("duration_s"), row.get("bag_duration_s") or 0.0
     if judged is not None and judged < _COVERED * whole:
-        told.append(f"only {judged:.0f} of the bag's {whole:.0f} s hold this joint")
-    return told
+        reasons.append(f"only {judged:.0f} of the bag's {whole:.0f} s hold this joint")
+    return reasons
 
 
 def left_out(row: Row) -> list[str]:
@@ -170,11 +170,11 @@ def standings(rows: Sequence[Row], colours: Sequence[Colour], trends: Sequence[T
 def _standing(robot: str, joint: str, own: Sequence[tuple[Row, Colour]], trends: Sequence[Trend]) -> Standing:
     history = tuple((began(row), colour.state) for row, colour in own)
     row, colour = own[-1]
-    told = [one for one in history if colour.state == GREY or one[1] != GREY]
-    count = next((n for n, (_, state) in enumerate(reversed(told)) if state != colour.state), len(told))
-    before = told[-count - 1][1] if count < len(told) else None
+    known = [one for one in history if colour.state == GREY or one[1] != GREY]
+    count = next((n for n, (_, state) in enumerate(reversed(known)) if state != colour.state), len(known))
+    before = known[-count - 1][1] if count < len(known) else None
     of_joint = tuple(t for t in trends if (t.series.robot, t.series.joint) == (robot, joint))
-    return Standing(robot, joint, row, colour, told[-count][0], count, before, history, of_joint)
+    return Standing(robot, joint, row, colour, known[-count][0], count, before, history, of_joint)
 
 
 @dataclass(frozen=True)
@@ -229,8 +229,8 @@ class Health:
 def health(rows: Sequence[Row], trends: Sequence[Trend], limits: Limits) -> Health:
     """Rows and trends of a run judged by limits; the rows get the column ``state``."""
     colours = coloured(rows, trends, limits)
-    told = [{**row, "state": colour.state} for row, colour in zip(rows, colours, strict=True)]
-    return Health(told, colours, trends, standings(told, colours, trends))
+    judged_rows = [{**row, "state": colour.state} for row, colour in zip(rows, colours, strict=True)]
+    return Health(judged_rows, colours, trends, standings(judged_rows, colours, trends))
 
 
 def _order(one: Standing) -> tuple[int, bool, float, list[object], list[object]]:

@@ -176,16 +176,16 @@ def headline(found: Health) -> str:
     if not standings:
         return "No joint was found in any recording."
     counts = Counter(one.colour.state for one in standings)
-    told = [f"{counts[state]} {words(state)}" for state in STATES if counts[state]]
+    parts = [f"{counts[state]} {words(state)}" for state in STATES if counts[state]]
     total = f"{len(standings)} joint{'s' * (len(standings) > 1)}"
-    text = f"Of {total}: {', '.join(told)}. {_changed(found)}."
+    text = f"Of {total}: {', '.join(parts)}. {_changed(found)}."
     lost = {
         "without a joint that could be judged": {row["bag"] for row in rows if not row.get("joint")},
         "cut off": {row["bag"] for row in rows if missing(row)},
         "with samples left out": {row["bag"] for row in rows if left_out(row)},
     }
-    told = [f"{len(bags)} {what}" for what, bags in lost.items() if bags]
-    return f"{text} Of the bags: {', '.join(told)}." if told else text
+    parts = [f"{len(bags)} {what}" for what, bags in lost.items() if bags]
+    return f"{text} Of the bags: {', '.join(parts)}." if parts else text
 
 
 def _changed(found: Health) -> str:
@@ -257,9 +257,9 @@ def _what(one: Standing, rows: Sequence[Row]) -> str:
     """Causes with the number of bags, and what changes."""
     counts = Counter(name for row in rows for name in row.get("causes") or [])
     most = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
-    told = [f"{words(name)} ({count})" for name, count in most]
-    told += [f"{words(trend.series.quantity)} changes" for trend in one.changes]
-    return ", ".join(told) or "-"
+    parts = [f"{words(name)} ({count})" for name, count in most]
+    parts += [f"{words(trend.series.quantity)} changes" for trend in one.changes]
+    return ", ".join(parts) or "-"
 
 
 def sentences(trends: Sequence[Trend]) -> list[str]:
@@ -276,7 +276,7 @@ def attention_lines(row: Row, colour: Colour) -> list[str]:
     """Why a row is not judged, and what is cut off, a line each, whatever its bag is called."""
     joint = f"{row['joint']}: " if row.get("joint") else ""
     date = f" ({recorded(row)})" if row.get("start") is not None else ""
-    told = [("cut off", problem) for problem in missing(row)] + [("refused", each) for each in left_out(row)]
+    parts = [("cut off", problem) for problem in missing(row)] + [("refused", each) for each in left_out(row)]
     if colour.state == GREY:
-        told.insert(0, ("not judged", colour.reasons[0]))
-    return [f"{what}: {BagError(row['bag'], f'{joint}{text}')}{date}" for what, text in told]
+        parts.insert(0, ("not judged", colour.reasons[0]))
+    return [f"{what}: {BagError(row['bag'], f'{joint}{text}')}{date}" for what, text in parts]

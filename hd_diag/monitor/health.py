@@ -196,13 +196,13 @@ def _order_faults(joint: Joint, orders: Sequence[Order]) -> list[Fault]:
     """
     limit, known = joint.config.limits["residual_order"], joint.config.model is not None
     return [
-        ("RESIDUAL", limit.level(order.amplitude), _told(order, known))
+        ("RESIDUAL", limit.level(order.amplitude), _order_in_words(order, known))
         for order in sorted(orders, key=lambda order: -order.amplitude)
         if order.repeats or (known and order.frame == "output")
     ]
 
 
-def _told(order: Order, has_model: bool) -> str:
+def _order_in_words(order: Order, has_model: bool) -> str:
     """An order in words."""
     times = _TIMES.get(order.number, f"{order.number} times")
     grown = " has grown since the model was fitted: it" if has_model else ""

@@ -155,8 +155,8 @@ def _read_all(paths: Sequence[str | Path], joint: JointConfig, wanted: Callable[
     """Samples of all bags that are wanted; `stretch` numbers what bags and clocks set back begin."""
     bags, stamps, begun = [], Stamps(), 0
     for path in paths:
-        columns, told = _read(path, joint, wanted)
-        stamps = stamps.and_then(told)
+        columns, reported = _read(path, joint, wanted)
+        stamps = stamps.and_then(reported)
         if columns[0].size > 1:
             columns[1] += begun - columns[1][0]
             begun = int(columns[1][-1]) + 1
@@ -220,8 +220,8 @@ def _read(path: str | Path, joint: JointConfig, wanted: Callable[[Aligned], Any]
     seen = streams.joints[0]
     unpaired = int(seen["unpaired"] + seen["waiting"])  # no input came for those that still wait
     counts = int(seen["rejected"]), streams.last_rejection(0), unpaired, int(seen["clock_jumps"])
-    told = Stamps(*counts, tuple(reader.problems))
-    return [stamp, stretch, given, own, torque, speed, warm], told
+    reported = Stamps(*counts, tuple(reader.problems))
+    return [stamp, stretch, given, own, torque, speed, warm], reported
 
 
 def _degrees(data: bytes, streams: Alignment) -> float:

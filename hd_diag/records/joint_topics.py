@@ -163,8 +163,8 @@ def joints_in(reader: BagReader) -> frozenset[str]:
 def held(reader: BagReader) -> str:
     """Topics of a bag with their types, what is wrong with it, and what tells more, for an error."""
     topics = [f"{visible(t.name, _LONGEST)} ({visible(t.type_name, _LONGEST)})" for t in reader.topics]
-    told = f"it has {listed(topics, _SHOWN)}; see hd-diag topics" if topics else "it has no topics"
-    return "; ".join([told, *reader.problems])
+    content = f"it has {listed(topics, _SHOWN)}; see hd-diag topics" if topics else "it has no topics"
+    return "; ".join([content, *reader.problems])
 
 
 def offered(path: str | Path) -> str:

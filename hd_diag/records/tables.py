@@ -140,8 +140,8 @@ def columns_of(
     files, stamps = [], Stamps()
     for path in paths:
         columns, units = _file(Path(path), table, usual)
-        columns, told = _possible(columns)
-        stamps = stamps.and_then(told)
+        columns, checked = _possible(columns)
+        stamps = stamps.and_then(checked)
         files.append((columns, units))
     number = np.repeat(np.arange(len(files)), [len(next(iter(columns.values()))) for columns, _ in files])
     found = {name: np.concatenate([columns[name] for columns, _ in files]) for name in files[0][0]}
@@ -270,9 +270,9 @@ def _column(path: Path, key: str, text: str, header: list[str], usual: Mapping[s
     if key == "record":
         return place, Unit(1.0)
     stated, scale = (given["unit"], given["scale"]) if given and name != text else (None, None)
-    told = _IN_HEADER.fullmatch(header[place])
+    matched = _IN_HEADER.fullmatch(header[place])
     try:
-        known = unit(key, stated or (told["unit"] if told else usual[key]))
+        known = unit(key, stated or (matched["unit"] if matched else usual[key]))
         factor = known.factor * float(scale or 1.0)
     except ValueError as error:
         raise RecordError(f"{path}: column {header[place]!r}: {error}") from error

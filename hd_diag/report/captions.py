@@ -9,7 +9,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.ripple.ripple import Ripple
-from hd_diag.diagnosis.search.detectability import Testability
+from hd_diag.diagnosis.search.detectability import Detectability
 from hd_diag.diagnosis.search.unexplained import Unexplained
 from hd_diag.formatting import ARCSEC, arcsec, direction, number, percent, percents, rounded, si, size, words
 from hd_diag.report.binned import HIGH, LOW
@@ -126,7 +126,7 @@ def gain(rung: Rung) -> str:
     return f"{percent(rung.gain)} ({interval})" if math.isfinite(rung.gain) else "–"
 
 
-def tested(tests: Sequence[Testability]) -> list[Fact]:
+def tested(tests: Sequence[Detectability]) -> list[Fact]:
     """Causes that were tested, with the least size that would have been found."""
     return [
         Fact(words(test.name), f"{arcsec(test.least_size)} rms{', found' * (test.reason == 'found')}")

@@ -33,7 +33,7 @@ TERMS = {
     "residual": "Measured less simulated transmission error.",
     "noise floor": "Scatter of the measurement itself: no model can be nearer to the data than that.",
 }
-"""What a term means, in the order in which they are told."""
+"""What a term means, in the order in which they are listed."""
 
 
 def used(text: str) -> dict[str, str]:

@@ -26,7 +26,7 @@ class Gauge(NamedTuple):
 
     name: str
     state: Beside
-    told: str
+    text: str
     share: float
 
     @property

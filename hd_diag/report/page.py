@@ -23,17 +23,17 @@ def page(reports: Sequence[JointReport], sources: Sequence[Fact]) -> str:
         {"report": report, "pictures": pictures(report, number), "id": f"joint{number}"}
         for number, report in enumerate(reports, start=1)
     ]
-    told = [picture["caption"] for joint in joints for picture in joint["pictures"].values()]
-    told += [report.verdict for report in reports]
+    texts = [picture["caption"] for joint in joints for picture in joint["pictures"].values()]
+    texts += [report.verdict for report in reports]
     cards = [card for report in reports if report.judgement for card in report.judgement.cards]
-    told += [text for card in cards for text in (card.title, card.cause, card.inspect)]
+    texts += [text for card in cards for text in (card.title, card.cause, card.inspect)]
     return rendered(
         "report.html.jinja",
         title=f"Harmonic drive report: {', '.join(report.name for report in reports)}",
         sources=sources,
         versions=versions(),
         joints=joints,
-        terms=glossary.used(" ".join(told)),
+        terms=glossary.used(" ".join(texts)),
         linked=glossary.Links(),
         captions=captions,
         ripple=ripple,

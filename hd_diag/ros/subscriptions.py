@@ -129,14 +129,14 @@ class SignalInput:
 
     def _subscribe(self) -> Any:
         profile = QoSProfile(depth=self.depth, reliability=self._wanted)
-        told = {"incompatible_qos": self._on_incompatible_qos}
+        callbacks = {"incompatible_qos": self._on_incompatible_qos}
         try:
-            return self._create(profile, {**told, "message_lost": self._on_lost})
+            return self._create(profile, {**callbacks, "message_lost": self._on_lost})
         except UnsupportedEventTypeError:  # some implementations do not tell losses
-            return self._create(profile, told)
+            return self._create(profile, callbacks)
 
-    def _create(self, profile: QoSProfile, told: dict[str, Any]) -> Any:
-        events = SubscriptionEventCallbacks(**told)
+    def _create(self, profile: QoSProfile, callbacks: dict[str, Any]) -> Any:
+        events = SubscriptionEventCallbacks(**callbacks)
         own = self._class, self.source.topic, self._on_message, profile
         return self._node.create_subscription(*own, event_callbacks=events, raw=True)
 

@@ -53,9 +53,9 @@ def align(
         looks = _look(row, count, joints, moments, seen, looks)
         for j in range(joints.size):
             if given[row, j]:
-                told = with_velocity(joints[j], int(given[row, j]), values[row, j])
+                completed = with_velocity(joints[j], int(given[row, j]), values[row, j])
                 before = joints[j].input_stamp
-                left = _checked(joints[j], row, stamp[row], told, values[row, j])
+                left = _checked(joints[j], row, stamp[row], completed, values[row, j])
                 _count_turns(joints[j], encoders[j], left, values[row, j])
                 if joints[j].velocity_ratio != 0.0:
                     left = integrate(joints[j], stamp[row], before, left, values[row, j])

@@ -17,7 +17,7 @@ from hd_diag.tolerance.limit import allowed, largest_eccentricity
 def with_allowed(found: Diagnosis, limits: Mapping[str, float]) -> Diagnosis:
     """The diagnosis with what the configured drive may have, as ``hd-diag tolerance`` says it.
 
-    At the rated torque, within limits by the names of the criteria. As it is where no eccentricity is told,
+    At the rated torque, within limits by the names of the criteria. As it is where no eccentricity is known,
     no limit is reached, or the teeth cannot bear the torque.
     """
     if not Answer(found).eccentricity > 0.0:

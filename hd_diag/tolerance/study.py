@@ -115,7 +115,7 @@ class Study:
 
 
 def study(question: Question, pool: ProcessPool, progress: Progress) -> Study:
-    """Answer a question; `progress` is told each part of the work and its number of steps.
+    """Answer a question; `progress` gets each part of the work and its number of steps.
 
     Raises ValueError if the teeth cannot bear a torque, or a drawn assembly cannot be assembled.
     """

@@ -151,8 +151,8 @@ class JointTable:
         if view.is_silent:
             line.stylize(_GREY)
         first, *rest = view.status.message.split("; ", _MOST_STATEMENTS - 1)
-        told = [shown_text(text) for text in (_verdict(view, first), *rest)]
-        verdict, *why = (Text("  ").append(text, _style(view)) for text in told)
+        lines = [shown_text(text) for text in (_verdict(view, first), *rest)]
+        verdict, *why = (Text("  ").append(text, _style(view)) for text in lines)
         more = [_node(view)] * is_shared + _order(view) + _bookkeeping(view)
         details = Text("  ").append(", ".join(map(shown_text, more)), _GREY)
         is_wrong = view.level or view.is_silent

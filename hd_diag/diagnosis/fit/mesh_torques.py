@@ -17,7 +17,7 @@ from hd_diag.effects.scaling import unit_scales
 from hd_diag.effects.signals import Signals
 
 _STEEPEST = 1e-2  # [rad/(N m)], of a rated torque of 56 N m; no joint that bears is a hundredth as soft
-_TOLD_APART = 5e-3  # of the rated torque: changes of it within which derivatives are not told apart
+_SEPARABLE = 5e-3  # of the rated torque: changes of it within which derivatives are not told apart
 _NEAR = 0.02  # of the rated torque, the same of what a motor takes of its current's
 _STEP = 4e-3  # of the rated torque, by which the compliance is taken: a change of flanks is a step
 
@@ -83,7 +83,7 @@ class MeshTorques:
     @cached_property
     def rounded(self) -> MeshTorques:
         """The same causes at sizes that hardly change the model's derivatives: these are costly."""
-        step, found = _TOLD_APART * self.model.configured.rated_torque, []
+        step, found = _SEPARABLE * self.model.configured.rated_torque, []
         for (effect, nonlinear), coefficients in self.causes:
             if effect.given and self.near:
                 continue

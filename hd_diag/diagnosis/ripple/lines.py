@@ -15,7 +15,7 @@ from hd_diag.diagnosis.ripple.windows import TURN, Windows
 FALSE_ALARM = 1e-3
 """Chance that a record without ripple shows any of one kind: the gear's, another."""
 
-_SAME = 9.0  # deviance that another order may cost and not be told from the best
+_SAME = 9.0  # deviance that another order may cost and still count as equal to the best
 _LEAST_RECORDS = 3  # that tell a deviation
 _POWER = 2.33  # standard deviations: found with 99 % chance
 _OTHER = 0.01  # chance below which parts differ

@@ -36,9 +36,9 @@ def as_json(found: Ripple, joint: str) -> dict[str, Any]:
 
 
 def _line(line: Line) -> dict[str, Any]:
-    told = {name: value for name, value in vars(line).items() if name not in ("alike", "records")}
+    content = {name: value for name, value in vars(line).items() if name not in ("alike", "records")}
     alike = [{"order": order, "reverses": reverses} for order, reverses in line.alike]
-    return {**told, "alike": alike, "records": [part._asdict() for part in line.records]}
+    return {**content, "alike": alike, "records": [part._asdict() for part in line.records]}
 
 
 def sentence(found: Ripple) -> str:

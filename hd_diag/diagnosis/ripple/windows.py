@@ -136,8 +136,8 @@ def _cells(
         np.bincount(index, speed * values, _CELLS) / np.maximum(np.bincount(index, speed, _CELLS), 1e-300)
         for values in (angle, torque - smooth)
     ]
-    told = np.count_nonzero(np.diff(angle)) / (_LEAST_SAMPLES * float(way.max()) / TURN)
-    return mean[0], mean[1], 2.0 * weight / weight.sum(), told
+    resolved = np.count_nonzero(np.diff(angle)) / (_LEAST_SAMPLES * float(way.max()) / TURN)
+    return mean[0], mean[1], 2.0 * weight / weight.sum(), resolved
 
 
 def _unit(values: Floats) -> Floats:

@@ -25,7 +25,10 @@ LEAST_SIZE = 0.25 * ARCSEC
 """A cause smaller than this beside the refitted model is of no practical size [rad rms]."""
 
 _SHAPE = 0.08  # of a smooth law's size, to which its shape is known
-_SHAPES, _STAYING = 8, 0.8  # other ones of a law; share of what is told from it, that they may not take over
+_SHAPES, _STAYING = (
+    8,
+    0.8,
+)  # other ones of a law; share of what is distinct from it, that they may not take over
 _LOOP = 0.01  # of the model's torsion, that its loops are right to
 _LATE = 0.002  # the same of a delay
 _CERTAIN_SIZE = 0.5 * ARCSEC  # of a shape that nothing held out can prove [rad rms]

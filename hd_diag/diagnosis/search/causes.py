@@ -26,7 +26,7 @@ CLASS_DEVIANCE = 10.0
 """Causes whose exchange changes the held-out deviance by less cannot be told apart."""
 
 _DISAGREEING = 0.2  # of what one cause gains on another, in blocks where it loses
-_FAR = 0.1  # of a cause's gain, up to which another is told from it without a fit of its own
+_FAR = 0.1  # of a cause's gain, up to which another is distinguished from it without a fit of its own
 _PLAINLY = 0.1  # of a cause's gain, by which an unmodelled term beats it
 _CERTAIN = 100.0  # gain of such a cause
 _CLASSED = 0.63  # of the time that a diagnosis may take, by which the classes of all are known
@@ -253,8 +253,8 @@ def _deviances(fit: LinearisedFit, chosen: Chosen, blind: bool) -> Floats:
 def _alike(fit: LinearisedFit, chosen: Chosen, index: int, rivals: Collection[str]) -> list[str]:
     """Effects that would do as well in place of one, whether or not the motion can prove them.
 
-    One that is worse in some blocks and better in others cannot be told from it either: where the model
-    leaves more than noise, sums alone say nothing.
+    One that is worse in some blocks and better in others cannot be distinguished from it either: where the
+    model leaves more than noise, sums alone say nothing.
     """
     effect, named = chosen[index][0], {e.name for e, _ in chosen}
     found = [name for name in effect.always_confused if name not in named]
@@ -267,11 +267,11 @@ def _alike(fit: LinearisedFit, chosen: Chosen, index: int, rivals: Collection[st
             continue
         trial = (*others, (candidate.effect, candidate.nonlinear))
         there, blind = without.corrected(trial), wanders(chosen) or wanders(trial)
-        if not _told_apart(_deviances(there, trial, blind) - _deviances(itself, again, blind)):
+        if not _separable(_deviances(there, trial, blind) - _deviances(itself, again, blind)):
             found.append(candidate.effect.name)
     return found
 
 
-def _told_apart(worse: Floats) -> bool:
+def _separable(worse: Floats) -> bool:
     lost, won = -float(worse[worse < 0.0].sum()), float(worse[worse > 0.0].sum())
     return won - lost > CLASS_DEVIANCE and (lower_bound(worse) > 0.0 or lost < _DISAGREEING * won)

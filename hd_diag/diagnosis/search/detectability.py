@@ -25,7 +25,7 @@ _IMITATED = "the model's own parameters imitate it: this record cannot tell them
 
 
 @dataclass(frozen=True)
-class Testability:
+class Detectability:
     """Whether an effect could be tested, the least size found with 99 % chance [rad rms], and why."""
 
     name: str
@@ -34,37 +34,39 @@ class Testability:
     reason: str
 
 
-def testability(found: Search) -> list[Testability]:
-    """Testability of every effect of the catalogue on a record."""
+def testability(found: Search) -> list[Detectability]:
+    """Detectability of every effect of the catalogue on a record."""
     fit = found.fit
     named = {effect.name for effect, _ in found.chosen}
     beside, family = Projector(fit, found.chosen), max(family_size(fit), 1)
     rest = fit.remainder(found.chosen)
     return [
-        Testability(effect.name, True, LEAST_SIZE, "found")
+        Detectability(effect.name, True, LEAST_SIZE, "found")
         if effect.name in named
         else _tested(fit, effect, beside, rest, family)
         for effect in fit.data.searched
     ]
 
 
-def _tested(fit: LinearisedFit, effect: Effect, beside: Projector, rest: Floats, family: int) -> Testability:
+def _tested(
+    fit: LinearisedFit, effect: Effect, beside: Projector, rest: Floats, family: int
+) -> Detectability:
     """By what the record determines with everything else free; the motion says what it lacks, in words."""
     lacking = fit.data.testable(effect)[1]
     if not competes(fit, effect):
-        return Testability(effect.name, False, math.nan, lacking)
+        return Detectability(effect.name, False, math.nan, lacking)
     if not effect.starts(fit.signals, rest).points:
-        return Testability(effect.name, False, math.nan, lacking or _NO_START)
+        return Detectability(effect.name, False, math.nan, lacking or _NO_START)
     nonlinear = fit.data.grid(effect)[len(fit.data.grid(effect)) // 2]
     columns, white = fit.columns(effect, nonlinear), fit.white(effect, nonlinear)
     own = float(np.sum(beside.off(white) ** 2))
     information = own / max(float(np.sum(np.mean(columns**2, axis=0))), 1e-300)
     size = math.sqrt(_noncentrality(columns.shape[1], family) / max(information, 1e-300))
     if own < _OWN * max(float(np.sum(white**2)), 1e-300):
-        return Testability(effect.name, False, size, lacking or _IMITATED)
+        return Detectability(effect.name, False, size, lacking or _IMITATED)
     if size > _usual(effect, columns):
-        return Testability(effect.name, False, size, lacking or _TOO_SMALL)
-    return Testability(effect.name, True, max(size, LEAST_SIZE), "tested")
+        return Detectability(effect.name, False, size, lacking or _TOO_SMALL)
+    return Detectability(effect.name, True, max(size, LEAST_SIZE), "tested")
 
 
 def _usual(effect: Effect, columns: Floats) -> float:
