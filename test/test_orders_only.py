@@ -10,6 +10,7 @@ from test_recording import COLUMNS, write_table
 from test_signal_findings import ARCSEC, moves
 
 SIZE = 8.0 * ARCSEC
+COLUMNS_GIVEN = ("--columns", ",".join(f"{key}={name}" for key, name in COLUMNS.items()))
 
 
 def table(folder: Path, seed: int, order: float = 128.0) -> Path:
@@ -26,8 +27,7 @@ def table(folder: Path, seed: int, order: float = 128.0) -> Path:
 
 def test_a_line_of_the_output_encoder_is_described(tmp_path: Path) -> None:
     bags, result = [table(tmp_path, seed) for seed in (1, 2)], tmp_path / "o.json"
-    columns = ",".join(f"{key}={name}" for key, name in COLUMNS.items())
-    done = hd_diag("diagnose", *bags, "--columns", columns, "--orders-only", "--json", result)
+    done = hd_diag("diagnose", *bags, *COLUMNS_GIVEN, "--orders-only", "--json", result)
     assert (done.exit_code, done.stderr) == (0, "")
     told = json.loads(result.read_text())
     (row,) = told["described"]
@@ -41,5 +41,6 @@ def test_a_line_of_the_output_encoder_is_described(tmp_path: Path) -> None:
 
 
 def test_it_writes_no_model(tmp_path: Path) -> None:
-    done = hd_diag("diagnose", table(tmp_path, 1), "--orders-only", "--model", tmp_path / "m.json")
+    options = (*COLUMNS_GIVEN, "--orders-only", "--model", tmp_path / "m.json")
+    done = hd_diag("diagnose", table(tmp_path, 1), *options)
     assert_one_line_error(done, "--orders-only")

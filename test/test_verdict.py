@@ -263,7 +263,7 @@ def test_a_bound_is_not_told_of_a_model_that_does_not_describe_the_record() -> N
     misfit = Rms(*(ARCSEC * v for v in (20.0, 20.0, 20.0, 20.0, 20.0, 20.0, 3.2, 3.1, 3.3)))
     assert "this record tells: no more than 3.0 µm off" in sentence(Answer(diagnosis(**kept)))
     told = sentence(Answer(diagnosis(**kept, rms=misfit)))
-    assert "as configured (0.0 µm), and how far off it may be cannot be told;" in told
+    assert "as configured (0.0 µm), and how far off it may be cannot be determined;" in told
     assert "no more than" not in told
 
 

@@ -113,11 +113,11 @@ def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, 
     """
     fit, rivals = _undisplaced(fit, chosen)
     away, spread = _away(fit, chosen)
-    untold = [name for name, numbers in GROUPS.items() if set(numbers) <= set(fit.data.held)]
-    certain = {name: _certainty(away, spread, name) for name in GROUPS if name not in untold}
+    undetermined = [name for name, numbers in GROUPS.items() if set(numbers) <= set(fit.data.held)]
+    certain = {name: _certainty(away, spread, name) for name in GROUPS if name not in undetermined}
     doubtful = [name for name in certain if certain[name] < _PLAIN]
     if not doubtful:
-        return fit, Kept(_bounds(fit, chosen, untold), rivals[1:])
+        return fit, Kept(_bounds(fit, chosen, undetermined), rivals[1:])
     best, held = fit, list[str]()
     if (trial := _held(fit, chosen, doubtful)) is not None:
         best, held = trial, doubtful
@@ -125,7 +125,7 @@ def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, 
         for name in sorted(doubtful, key=certain.__getitem__):
             if (trial := _held(best, chosen, [*held, name])) is not None:
                 best, held = trial, [*held, name]
-    bounds = _bounds(fit, chosen, [*untold, *held])
+    bounds = _bounds(fit, chosen, [*undetermined, *held])
     if {"eccentricity", "runout"} <= bounds.keys():  # beside none a runout is free to be anything
         bounds["runout"] = _bound(replace(best, held=()), chosen, "runout")
     return best, Kept(bounds, rivals if held else rivals[1:])
