@@ -1,4 +1,4 @@
-"""Memory that a process needed to start, given back."""
+"""Memory that a process needed for a while, given back."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 _DONT_NEED = 4  # MADV_DONTNEED
+_MMAP_THRESHOLD, _LARGE = -3, 1 << 15  # M_MMAP_THRESHOLD [byte]
 _LLVM = re.compile(r"^(\w+)-(\w+) r-.p .*libllvmlite\.so\n(?:[A-Z]\w+:.*\n)*?Anonymous: +0 kB$", re.MULTILINE)
 
 
@@ -21,6 +22,12 @@ def give_back() -> None:
         libc.malloc_trim(0)
         for begin, end in _unchanged():
             libc.madvise(ctypes.c_void_p(begin), ctypes.c_size_t(end - begin), _DONT_NEED)
+
+
+def map_large_arrays() -> None:
+    """Have arrays from 32 KiB on given back when they are freed: GNU's libc keeps such rooms once one was."""
+    with contextlib.suppress(AttributeError, OSError):
+        ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, _LARGE)
 
 
 def _unchanged() -> Iterator[tuple[int, int]]:

@@ -14,7 +14,7 @@ from running import START_LIMIT, Process
 
 from hd_diag.bag import BagWriter
 from hd_diag.config.configuration import dump, resolve
-from hd_diag.memory import give_back
+from hd_diag.memory import give_back, map_large_arrays
 from hd_diag.replay.preparation import changed_since
 
 SEVEN: dict[str, Any] = {
@@ -93,7 +93,7 @@ def test_a_kernel_that_changed_is_compiled_apart_too(tmp_path: Path) -> None:
 GIVEN_BACK = """
 import re, numba
 from pathlib import Path
-from hd_diag.memory import give_back
+from hd_diag.memory import give_back, map_large_arrays
 
 def resident():
     maps = re.split(r"(?m)^(?=[0-9a-f]+-[0-9a-f]+ )", Path("/proc/self/smaps").read_text())
@@ -117,3 +117,31 @@ def test_what_llvm_reads_from_its_file_is_given_back() -> None:
 def test_another_libc_gives_no_memory_back(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hd_diag.memory.ctypes.CDLL", lambda name: object())
     give_back()
+    map_large_arrays()
+
+
+FREED = """
+from pathlib import Path
+import numpy as np
+from hd_diag.memory import map_large_arrays
+
+def resident():
+    return int(Path("/proc/self/status").read_text().partition("VmRSS:")[2].split()[0])
+
+if {mapped}:
+    map_large_arrays()
+del (first := [np.ones(3 << 20)])[:]  # 24 MiB: from then on libc keeps rooms of that size
+before, many = resident(), [np.ones(1 << 20) for _ in range(8)]
+last = bytearray(100)
+del many[:7]
+print(resident() - before)
+"""
+
+
+def test_large_arrays_are_given_back_when_they_are_freed() -> None:
+    """Seven of eight of 8 MiB each; without, one that is in use behind them keeps all."""
+    left = []
+    for mapped in (True, False):
+        code = [sys.executable, "-c", FREED.format(mapped=mapped)]
+        left.append(int(subprocess.run(code, capture_output=True, text=True, check=True).stdout))
+    assert left[0] < 10_000 < 60_000 < left[1]  # [kB]

@@ -41,7 +41,7 @@ _CHECKED_TORQUES = 64
 _MISSED = 2.0  # checks rarely meet a cell's worst place, but half of the greatest error they do [-]
 _SAMPLES = 10_000  # that a thread takes at a time
 _LEAST_STEP = 1e-30  # of torsion, where a curve is a line [rad]
-_CHUNK = 128  # angles per call, so that a build can be given up and lets other threads run
+_CHUNK = 256  # angles per call, so that a build can be given up and lets other threads run
 
 
 class BuildCancelled(Exception):

@@ -22,7 +22,9 @@ _PATIENCE = 0.05  # between looks at the process that compiles [s]
 def prepare(config: Config) -> None:
     """Compute once what samples would have to wait for: constants, imports, machine code of maps too."""
     warm_up(config)
+    give_back()
     torsion.warm_up()
+    give_back()
     encoding.warm_up()
     give_back()
 
@@ -30,7 +32,8 @@ def prepare(config: Config) -> None:
 def changed_since(kernel: Any) -> bool:
     """Whether a kernel has changed since the machine code of an entry point was kept."""
     package = Path(hd_diag.__file__).parent
-    changed = max(file.stat().st_mtime for file in package.glob("*/kernel*.py"))
+    kernels = [*package.glob("*/kernel*.py"), *package.glob("*/kernel/*.py")]
+    changed = max(file.stat().st_mtime for file in kernels)
     return any(file.stat().st_mtime < changed for file in _kept(kernel))
 
 

@@ -28,7 +28,7 @@ from hd_diag.bag import RELIABLE
 from hd_diag.config.configuration import Config
 from hd_diag.config.json_shape import reader
 from hd_diag.formatting import visible
-from hd_diag.memory import give_back
+from hd_diag.memory import give_back, map_large_arrays
 from hd_diag.messages.publications import TEMPERATURE, temperature_topic
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.replay.map_builder import MapBuilder
@@ -307,6 +307,7 @@ def _run(arguments: list[str], stopped: Sequence[int]) -> int:
     set_logger_level("rcl", LoggingSeverity.FATAL)  # what it says of a faulty file is said below, better
     try:
         sections = check_arguments(arguments)
+        map_large_arrays()
         compile_apart(stopped, get_logger("hd_diag").info)
         if stopped:
             return 0
@@ -321,7 +322,7 @@ def _run(arguments: list[str], stopped: Sequence[int]) -> int:
     executor = EventsExecutor()
     executor.add_node(node)
     sys.setswitchinterval(_SWITCH_INTERVAL)
-    gc.collect()
+    give_back()
     gc.freeze()  # what lives as long as the node need not be looked at again
     with contextlib.suppress(ExternalShutdownException):
         while not stopped and ok():

@@ -254,7 +254,7 @@ def holds(gain: Floats, predicted: Floats) -> bool:
         If the mean over the blocks is beyond their scatter, or the sum is beyond what noise explains and
         comes from blocks that agree: a cause may show at few speeds or torques only.
     """
-    beyond_noise = float(gain.sum()) > 2.0 * _ONE_PER_CENT * float(np.sqrt(predicted.sum()))
+    beyond_noise = float(gain.sum()) > 2.0 * _ONE_PER_CENT * float(np.sqrt(max(predicted.sum(), 0.0)))
     agreeing = float(predicted[gain < 0.0].sum()) <= _DISAGREEING * float(predicted.sum())
     return lower_bound(gain) > 0.0 or (beyond_noise and agreeing)
 
