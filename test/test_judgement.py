@@ -65,6 +65,14 @@ def test_what_the_record_cannot_tell_is_a_hint(
     assert ("though not to be named for it: hysteresis" in content["verdict"]) is not told
 
 
+@pytest.mark.parametrize(("name", "named"), [("hysteresis", 0), ("resonance", 0), ("output_runout", 1)])
+def test_by_a_motor_s_current_no_cause_of_friction_or_torsion_is_named(name: str, named: int) -> None:
+    record = dataclasses.replace(diagnosis().record, by_current=True)
+    made = diagnosis(cause(name), record=record)
+    assert (len(made.causes), len(made.hints)) == (named, 1 - named)
+    assert len(diagnosis(cause(name)).causes) == 1
+
+
 def test_a_cause_that_explains_more_than_is_left_is_named_unless_that_is_a_misfit() -> None:
     large = dataclasses.replace(cause("hysteresis"), gain=0.7)
     assert NEAR.misfit.plain

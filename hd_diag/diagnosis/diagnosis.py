@@ -36,6 +36,7 @@ _MOST_ALIKE = 5  # causes that a class may hold and still say something
 _HALF = 0.5  # of what is left without a cause, that it explains beside a misfit
 _KEPT, _TESTED = 0.7, 0.9  # of the time that a diagnosis may take, by which these must end
 _NO_LAWS = ("no law was found", "no law was found")
+_BY_TORQUE = ("friction", "torsion")  # kinds of causes that a motor's own friction and constant imitate
 _WORSE = 1.02  # times the residual of a simpler model: then data speak against the richer one
 
 
@@ -102,12 +103,14 @@ class Diagnosis:
         """Not if too many do as well, beside ambiguous parameters, in a misfit, or if more than it is left.
 
         Where more than noise is left chance is no measure: what else is wrong may well look like the cause.
-        Nor if held-out rows are predicted no better with the causes.
+        Nor if held-out rows are predicted no better with the causes, nor of friction or torsion where the
+        torque is a motor's current: its own friction and constant, both fitted, are not known well enough.
         """
         sure, left = self.refitted is None or self.refitted.trustworthy, self.misfit
         ahead = left is None or not left.plain or (left.value <= MISFIT and cause.gain > _HALF)
         named = sure and ahead and self.predicting and len(cause.alike) <= _MOST_ALIKE
-        return named and not cause.doubtful
+        measured = not (self.record.by_current and cause.effect.kind in _BY_TORQUE)
+        return named and measured and not cause.doubtful
 
     @property
     def order_table(self) -> tuple[OrderRow, ...]:
