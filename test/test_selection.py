@@ -17,7 +17,7 @@ from hd_diag.diagnosis.fit.fit_parameters import COMPLIANCE, CUP, DATUM
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
 from hd_diag.diagnosis.fit.refit import Refit, refit
-from hd_diag.diagnosis.gain import MISFIT, held_out
+from hd_diag.diagnosis.gain import MISFIT, Rms, held_out
 from hd_diag.diagnosis.search.causes import Search, causes, doubted, motor_deviations, parameters_of
 from hd_diag.diagnosis.search.kept_parameters import kept_parameters
 from hd_diag.diagnosis.search.ranking import candidates, family_size
@@ -271,6 +271,15 @@ def test_a_ball_whose_phase_wanders_is_no_misfit_though_nothing_foretells_it() -
     assert best.rms.misfit.value == pytest.approx(1.0, abs=0.1)
     (said,) = _described(record, [], best.rms)
     assert "wanders" in said.description
+
+
+def test_what_is_left_only_as_the_model_runs_is_said() -> None:
+    rms = Rms(*(ARCSEC * value for value in (9.0, 5.0, 1.5, 1.5, 1.0, 1.5, 1.0, 0.9, 1.1)))
+    assert not rms.misfit.plain
+    (said,) = _described(swinging(), [], rms)
+    assert "only as the model runs" in said.description
+    assert said.amplitude == pytest.approx(np.sqrt(2.0 * (1.5**2 - 1.0)) * ARCSEC)
+    assert _described(swinging(), [], dataclasses.replace(rms, extended=1.2 * ARCSEC)) == ()
 
 
 def test_a_cause_that_a_shape_of_no_cause_beats_is_doubtful() -> None:

@@ -252,14 +252,17 @@ def _predicting(
 
 def _described(record: Record, lines: list[Unexplained], rms: Rms) -> tuple[Unexplained, ...]:
     """What no cause explains: never nothing where more than noise is left."""
-    if rms.wandering and rms.extended > MISFIT * rms.noise and not rms.misfit.plain:
-        what = "wanders in phase or amplitude, which the fit follows and a model that runs cannot"
-        lines = [*lines, Unexplained(0.0, "input", math.sqrt(2.0) * rms.wandering, *_NO_LAWS, what)]
+    beyond = math.sqrt(2.0 * max(rms.extended**2 - rms.noise**2, 0.0))
+    if rms.extended > MISFIT * rms.noise and not rms.misfit.plain:
+        what, amplitude = "is left only as the model runs: its signals are late", beyond
+        if rms.wandering:
+            what = "wanders in phase or amplitude, which the fit follows and a model that runs cannot"
+            amplitude = math.sqrt(2.0) * rms.wandering
+        lines = [*lines, Unexplained(0.0, "input", amplitude, *_NO_LAWS, what)]
     if lines or not rms.misfit.plain:
         return tuple(lines)
     what = "is left, in no shape that was tried"
     if not rms.repeated:
         means = "drive the same motion twice" if record.has_torque else "record the torque"
         what += f": {means}, and noise can be separated from it"
-    amplitude = math.sqrt(2.0 * max(rms.extended**2 - rms.noise**2, 0.0))
-    return (Unexplained(0.0, "input", amplitude, *_NO_LAWS, what),)
+    return (Unexplained(0.0, "input", beyond, *_NO_LAWS, what),)
