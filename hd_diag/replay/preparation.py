@@ -22,9 +22,7 @@ _PATIENCE = 0.05  # between looks at the process that compiles [s]
 def prepare(config: Config) -> None:
     """Compute once what samples would have to wait for: constants, imports, machine code of maps too."""
     warm_up(config)
-    give_back()
     torsion.warm_up()
-    give_back()
     encoding.warm_up()
     give_back()
 
