@@ -16,6 +16,7 @@ ARCSEC = np.pi / 648000.0
 MISFIT = Rms(*(ARCSEC * v for v in (20.0, 19.5, 19.0, 19.0, 19.0, 19.0, 1.0, 0.9, 1.1)))
 NEAR = Rms(*(ARCSEC * v for v in (20.0, 19.5, 1.25, 1.25, 1.25, 1.25, 1.0, 0.89, 1.07)))
 LATE = dataclasses.replace(MISFIT, offline=1.01 * ARCSEC)
+UNREPEATED = dataclasses.replace(MISFIT, noise_high=18.0 * ARCSEC, repeated=False)
 AS_CONFIGURED = refitted(eccentricity=0.1 + 0.0j)
 
 
@@ -28,6 +29,8 @@ AS_CONFIGURED = refitted(eccentricity=0.1 + 0.0j)
         ({"findings": (SKIP,)}, "causes"),
         ({"rms": MISFIT}, "misfit"),
         ({"rms": LATE}, "parameters"),  # as it runs its signals are late
+        ({"rms": UNREPEATED}, "parameters"),  # all that is left may be noise
+        ({"rms": dataclasses.replace(UNREPEATED, noise_high=14.0 * ARCSEC)}, "misfit"),
         ({"findings": (WRONG_RATIO,), **ENDED}, "not_judged"),
     ],
 )
@@ -73,9 +76,18 @@ def test_by_a_motor_s_current_no_cause_of_friction_or_torsion_is_named(name: str
     assert len(diagnosis(cause(name)).causes) == 1
 
 
+def test_where_no_motion_repeats_noise_may_be_all_that_is_left_and_nothing_is_named() -> None:
+    made = diagnosis(cause("hysteresis"), rms=UNREPEATED)
+    assert made.causes == ()
+    assert sentence(Answer(made)).startswith(
+        "whether the model describes this record cannot be determined: 1.1 to 19.0 times the noise is left, "
+        "and no motion repeats; "
+    )
+
+
 def test_a_cause_that_explains_more_than_is_left_is_named_unless_that_is_a_misfit() -> None:
     large = dataclasses.replace(cause("hysteresis"), gain=0.7)
-    assert NEAR.misfit.plain
+    assert NEAR.misfit.suspected
     assert diagnosis(large, rms=NEAR).causes == (large,)
     assert diagnosis(cause("hysteresis"), rms=NEAR).causes == ()
     assert diagnosis(large, rms=MISFIT).hints == (large,)

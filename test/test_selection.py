@@ -247,7 +247,7 @@ def test_parameters_that_held_out_rows_speak_against_are_not_kept() -> None:
     assert "cup_compliance" in kept_parameters(fit, ())[1].bounds
     best = _predicting(record, test, which, fit, Search(fit, ()), np.random.default_rng(0))
     assert best.kept.bounds == {}
-    assert not best.rms.misfit.plain
+    assert not best.rms.misfit.suspected
 
 
 def test_a_ball_whose_phase_wanders_is_no_misfit_though_nothing_foretells_it() -> None:
@@ -275,7 +275,7 @@ def test_a_ball_whose_phase_wanders_is_no_misfit_though_nothing_foretells_it() -
 
 def test_what_is_left_only_as_the_model_runs_is_said() -> None:
     rms = Rms(*(ARCSEC * value for value in (9.0, 5.0, 1.5, 1.5, 1.0, 1.5, 1.0, 0.9, 1.1)))
-    assert not rms.misfit.plain
+    assert not rms.misfit.suspected
     (said,) = _described(swinging(), [], rms)
     assert "only as the model runs" in said.description
     assert said.amplitude == pytest.approx(np.sqrt(2.0 * (1.5**2 - 1.0)) * ARCSEC)

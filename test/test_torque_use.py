@@ -53,5 +53,5 @@ def test_a_record_without_torque_is_judged_in_the_gap_between_the_flanks() -> No
         warnings.simplefilter("error")
         found = diagnose(record, CONFIGURED, np.random.default_rng(0))
     assert found.misfit is not None
-    assert found.misfit.plain
+    assert found.misfit.certain
     assert found.unexplained

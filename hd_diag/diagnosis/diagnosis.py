@@ -107,7 +107,7 @@ class Diagnosis:
         torque is a motor's current: its own friction and constant, both fitted, are not known well enough.
         """
         sure, left = self.refitted is None or self.refitted.trustworthy, self.misfit
-        ahead = left is None or not left.plain or (left.value <= MISFIT and cause.gain > _HALF)
+        ahead = left is None or not left.suspected or (left.value <= MISFIT and cause.gain > _HALF)
         named = sure and ahead and self.predicting and len(cause.alike) <= _MOST_ALIKE
         measured = not (self.record.by_current and cause.effect.kind in _BY_TORQUE)
         return named and measured and not cause.doubtful
@@ -231,9 +231,9 @@ def _predicting(
     with fit.work.until(_KEPT, "testing which parameters may be as configured"):
         fit, kept = kept_parameters(fit, found.chosen)
     best = tried(fit, kept, found)
-    if kept.bounds and best.rms.misfit.plain:
+    if kept.bounds and best.rms.misfit.suspected:
         free = tried(found.fit, Kept({}), found)
-        best = best if free.rms.misfit.plain else free
+        best = best if free.rms.misfit.suspected else free
     lines = tuple(item for item in found.chosen if item[0].given or isinstance(item[0], OutputLine))
     left = best.rms.by_causes(record.by_current)
     if found.chosen != lines and left > _WORSE * min(best.rms.refit, best.rms.nominal):
@@ -253,13 +253,13 @@ def _predicting(
 def _described(record: Record, lines: list[Unexplained], rms: Rms) -> tuple[Unexplained, ...]:
     """What no cause explains: never nothing where more than noise is left."""
     beyond = math.sqrt(2.0 * max(rms.extended**2 - rms.noise**2, 0.0))
-    if rms.extended > MISFIT * rms.noise and not rms.misfit.plain:
+    if rms.extended > MISFIT * rms.noise and not rms.misfit.suspected:
         what, amplitude = "is left only as the model runs: its signals are late", beyond
         if rms.wandering:
             what = "wanders in phase or amplitude, which the fit follows and a model that runs cannot"
             amplitude = math.sqrt(2.0) * rms.wandering
         lines = [*lines, Unexplained(0.0, "input", amplitude, *_NO_LAWS, what)]
-    if lines or not rms.misfit.plain:
+    if lines or not rms.misfit.suspected:
         return tuple(lines)
     what = "is left, in no shape that was tried"
     if not rms.repeated:

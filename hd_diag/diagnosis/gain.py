@@ -73,7 +73,7 @@ class Rms:
         """
         left = self._followed(min(self.extended, self.offline))
         value, low, high = (left / max(one, 1e-300) for one in (self.noise, self.noise_high, self.noise_low))
-        return Misfit(value, low, high)
+        return Misfit(value, low, high, self.repeated)
 
     def _followed(self, rms: float) -> float:
         return math.sqrt(max(rms**2 - self.wandering**2, 0.0))
@@ -90,16 +90,25 @@ class Gain:
 
 
 class Misfit(NamedTuple):
-    """Held-out rms of the extended model over the measured noise, and its interval [-]."""
+    """Held-out rms of the extended model over the noise, and its interval [-].
+
+    The noise is `measured` where states were passed again; else the value is the most that it may be.
+    """
 
     value: float
     low: float
     high: float
+    measured: bool = True
 
     @property
-    def plain(self) -> bool:
-        """Whether what is left is more than noise: then something is `unexplained`."""
+    def suspected(self) -> bool:
+        """Whether what is left may be more than noise: then something is `unexplained`, and nothing named."""
         return self.value > MISFIT or (self.low > _MORE and self.high > MISFIT)
+
+    @property
+    def certain(self) -> bool:
+        """Whether it is."""
+        return (self.value if self.measured else self.low) > MISFIT
 
 
 def held_out(record: Record) -> tuple[Rows, str]:

@@ -88,7 +88,7 @@ class Answer:
             return "not_judged"
         if found.refitted is None:
             return "described" if found.order_table else "not_judged"
-        if self.residual_over_noise > MISFIT:
+        if found.rms.misfit.certain:
             return "misfit"
         if found.causes or any(finding.name == "tooth_skip" for finding in found.findings):
             return "causes"

@@ -13,12 +13,18 @@ def first_words(answer: Answer) -> str:
 
 
 def _misfit(answer: Answer) -> list[str]:
-    if answer.judgement != "misfit":
+    left = answer.diagnosis.misfit
+    if left is None or not left.suspected or (left.measured and not left.certain):
         return []
-    left, text = answer.residual_over_noise, "the model does not describe this record"
+    if not left.certain:
+        return [
+            "whether the model describes this record cannot be determined: "
+            f"{left.low:.1f} to {left.value:.1f} times the noise is left, and no motion repeats"
+        ]
+    text = "the model does not describe this record"
     if not answer.diagnosis.record.has_torque:
         text += ", whose torque is not measured, so that torsion by it counts as unexplained"
-    return [f"{text}: {left:.1f} times the noise is left"]
+    return [f"{text}: {left.value:.1f} times the noise is left"]
 
 
 def _severity(answer: Answer) -> list[str]:
