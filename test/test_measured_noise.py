@@ -10,7 +10,14 @@ from joint_records import ARCSEC, RATIO
 from scipy.linalg import toeplitz
 
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
-from hd_diag.diagnosis.measured_noise import MeasuredNoise, Revisits, measured_covariance, of_counts
+from hd_diag.diagnosis.measured_noise import (
+    NEVER,
+    MeasuredNoise,
+    Revisits,
+    measured_covariance,
+    measured_noise,
+    of_counts,
+)
 
 
 @pytest.fixture(scope="module")
@@ -53,10 +60,10 @@ def test_counts_of_encoders(plain: LinearisedFit, output_bits: int, input_bits: 
 @pytest.mark.parametrize("family", noise.FAMILIES)
 def test_a_motion_that_never_comes_back_tells_bounds(family: str) -> None:
     """The lower one is white noise; slow misfit, as large as the noise, is not in the upper one."""
-    fit = linearise(swinging(3.0), CONFIGURED, POINT)
-    own = noise.FAMILIES[family](np.random.default_rng(0), fit.residual.size)
-    slow = float(own.std()) * np.sqrt(2.0) * np.cos(0.3 * np.pi * fit.data.record.time)
-    found: MeasuredNoise = fit.data.noise_of(own + slow)
+    time = np.arange(0.0, 60.0, 2e-3)
+    own = noise.FAMILIES[family](np.random.default_rng(0), time.size)
+    slow = float(own.std()) * np.sqrt(2.0) * np.cos(0.1 * np.pi * time)
+    found: MeasuredNoise = measured_noise(own + slow, time, np.zeros(time.size, np.int64), NEVER, 0.0)
     assert not found.repeated
     assert found.low < found.rms == pytest.approx(noise.WHITE, rel=0.2)
     assert found.high == pytest.approx(float(own.std()), rel=0.25)

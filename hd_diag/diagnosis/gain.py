@@ -176,7 +176,12 @@ def measured_gain(
     )
     seen = found.fit.signals
     described = part(found.table, seen.input_angle, seen.torque, configured.rated_torque)
-    noise = found.fit.data.noise_of(Remainder.of(found.fit, found.chosen).residual - described)
+    rows_fitted = Remainder.of(found.fit, found.chosen).residual - described
+    noise = found.fit.data.noise_of(rows_fitted)
+    most = noise.high
+    if not noise.repeated:  # stretches of one move differ by slow noise too; torsion unmeasured is no noise
+        beyond = max(_rms(extended) / max(_rms(rows_fitted), 1e-300), 1.0)
+        most = beyond * noise.high if record.has_torque else noise.rms
     parts = [effect.wandering(every.whole, nonlinear) for effect, nonlinear in found.chosen]
     wandering = np.concatenate([np.empty((record.size, 0)), *parts], axis=1)[fitted & test]
     rest = renumbered(record.select(fitted & test))
@@ -190,7 +195,7 @@ def measured_gain(
         live=_rms(live[np.isfinite(live)]),
         noise=noise.rms,
         noise_low=noise.low,
-        noise_high=noise.high,
+        noise_high=most,
         repeated=noise.repeated,
         wandering=_rms(projection(wandering, extended)),
     )

@@ -22,7 +22,7 @@ _WAY = 1.0  # [rad] of the input, in between: a rest is not passed again
 _NEAR = 8.0  # square of the distance [-] of states that count as the same
 _LAG = 0.2  # [s], over which the torque's rise tells the branch of a loop
 _LEAST_PAIRS, _LEAST_SLICES = 400, 8
-_SECOND = 1.0  # [s]: what is constant for so long is no noise of an encoder
+_SLOW = 3.0  # [s]: what is constant for so long is no noise of an encoder
 _SLICE = 0.5  # of the bootstrap [s]
 _VAGUE = 1.5  # ratio of the interval's ends from which nothing is extrapolated
 _DRAWS = 200
@@ -113,14 +113,12 @@ def measured_noise(
     Half the mean square difference of pairs (variogram), led back to states that are the same (its nugget:
     Matheron, Economic Geology 58, 1963) by a straight line in the squares of their distances. Without states
     that come back: sixth differences, which tell white noise alone: a lower bound. The upper one is then what
-    changes within a second.
+    changes within some seconds.
     """
     least = max(_of_short_differences(residual, run), counted)
     slice_ = slices(time, run, _SLICE)[passed.first]
     if passed.first.size < _LEAST_PAIRS or np.unique(slice_).size < _LEAST_SLICES:
-        return MeasuredNoise(
-            least, (1.0 - _OWN) * least, max(_within_a_second(residual, time, run), least), False
-        )
+        return MeasuredNoise(least, (1.0 - _OWN) * least, max(_quick(residual, time, run), least), False)
     half = 0.5 * (residual[passed.first] - residual[passed.second]) ** 2
     columns = np.column_stack((np.ones(half.size), passed.apart))
     columns /= np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-300)
@@ -208,9 +206,9 @@ def _of_short_differences(values: Floats, run: Integers) -> float:
     return float(np.sqrt(np.mean(found**2))) if found.size else 0.0
 
 
-def _within_a_second(values: Floats, time: Floats, run: Integers) -> float:
-    """Rms of values less the mean of each second [rad]."""
-    number = slices(time, run, _SECOND)
+def _quick(values: Floats, time: Floats, run: Integers) -> float:
+    """Rms of values less the mean of each few seconds [rad]."""
+    number = slices(time, run, _SLOW)
     count = np.bincount(number)
     rest = values - (np.bincount(number, values) / count)[number]
     return float(np.sqrt(rest @ rest / max(values.size - count.size, 1)))

@@ -17,6 +17,7 @@ from hd_diag.formatting import ARCSEC
 
 _BENDING, _SLIPPING = (0.06, 0.15, 0.4), (0.03, 0.09, 0.25)  # of the rated torque
 _ELEMENTS = np.linspace(-1.0, 1.0, 4)  # powers of the spread over the slip elements
+_AGAINST = 0.5  # of the larger amplitude, up to which the other may only bend the loop
 _SWING = 0.1  # of the rated torque, that must be reversed twice
 
 # Last torque [N m], None before the first sample; z of the bend and of the elements.
@@ -32,6 +33,12 @@ class Hysteresis(Effect):
     a > 0: the link lags less while the torque grows and more while it falls, as friction beside the spring
     has it. a < 0: it lags more while the torque grows, as friction behind the torque's measurement has it.
     """
+
+    def sensible(self, coefficients: Floats, nonlinear: Values) -> bool:
+        """Whether bend and elements make one loop: each other's opposite, they filter the torque's noise."""
+        first, second = coefficients.tolist()
+        less, more = sorted((abs(first), abs(second)))
+        return bool(first * second >= 0.0 or less < _AGAINST * more)
 
     def start(self, nonlinear: Values) -> State:
         """No torque yet; all is relaxed."""

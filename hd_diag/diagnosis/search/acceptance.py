@@ -48,7 +48,7 @@ def passing(fit: LinearisedFit, chosen: Chosen, ranked: list[Candidate], family:
             continue
         effect, nonlinear = candidate.effect, candidate.nonlinear
         large = size(fit, chosen, effect, nonlinear) >= LEAST_SIZE
-        if large and _confirmed(fit, chosen, effect, nonlinear):
+        if large and _sensible(fit, chosen, effect, nonlinear) and _confirmed(fit, chosen, effect, nonlinear):
             return replace(candidate, p_value=p)
     return None
 
@@ -133,7 +133,8 @@ def needed(fit: LinearisedFit, chosen: Chosen) -> Chosen:
         small = size(fit, rest, effect, nonlinear) < least
         if blind and not small:
             continue
-        if small or not holds(*held_out_gain(fit, chosen, index)):
+        another = not _sensible(fit, rest, effect, nonlinear)
+        if small or another or not holds(*held_out_gain(fit, chosen, index)):
             return needed(fit, rest)
     return chosen
 
@@ -172,6 +173,13 @@ def size(fit: LinearisedFit, chosen: Chosen, effect: Effect, nonlinear: tuple[fl
     moment = [one.T @ white for one in (fit.always_white, *(fit.white(*item) for item in chosen))]
     own = part - fixed @ solve(fit.design(chosen).whole[0], np.concatenate(moment))
     return float(np.std(own))
+
+
+def _sensible(fit: LinearisedFit, chosen: Chosen, effect: Effect, nonlinear: tuple[float, ...]) -> bool:
+    """Whether an effect is itself at the size that fits beside those chosen, not another cause's shape."""
+    beside = (*chosen, (effect, nonlinear))
+    own = fit.fit(beside)[0][fit.places(beside)[-1]]
+    return effect.sensible(own[: effect.size], nonlinear)
 
 
 def _part(fit: LinearisedFit, chosen: Chosen, effect: Effect, nonlinear: tuple[float, ...]) -> Floats:

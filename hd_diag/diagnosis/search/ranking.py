@@ -113,8 +113,11 @@ def ranked(fit: LinearisedFit, chosen: Chosen, effects: Sequence[Effect]) -> lis
     near = _NEAR * max((one.gain for one in found), default=0.0)
     for index, one in enumerate(found):
         if one.surprise > _LOOKED_AT and one.gain > near:
-            gain = _gain_at_size(fit, projector, one)
-            if gain > one.gain:
+            if one.effect.proportional and not one.effect.own_slopes:
+                gain = min(_gain_within_bounds(fit, chosen, one), one.gain)
+            else:
+                gain = max(_gain_at_size(fit, projector, one), one.gain)
+            if gain != one.gain:
                 found[index] = _candidate(fit, projector, one.effect, one.nonlinear, gain)
     return sorted(found, key=lambda candidate: -candidate.surprise)
 
@@ -137,11 +140,15 @@ def _candidate(
     return Candidate(effect, nonlinear, gain, p, surprise(gain / noise, width))
 
 
+def _gain_within_bounds(fit: LinearisedFit, chosen: Chosen, candidate: Candidate) -> float:
+    """Gain beside parameters within their bounds: beyond them they imitate what no drive does."""
+    trial = (*chosen, (candidate.effect, candidate.nonlinear))
+    return max(fit.deviance(chosen) - fit.deviance(trial), 0.0)
+
+
 def _gain_at_size(fit: LinearisedFit, projector: Projector, candidate: Candidate) -> float:
     """Gain at the size found, of an effect that is not its columns times its size."""
     effect, nonlinear = candidate.effect, candidate.nonlinear
-    if effect.proportional and not effect.own_slopes:
-        return 0.0
     coefficients, _ = projector.fit(fit.white(effect, nonlinear))
     best = 0.0
     for _ in range(_SECANTS):

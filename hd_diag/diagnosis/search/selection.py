@@ -183,8 +183,8 @@ def _settled_first(
     Nor does what one leaves that the parameters imitate, until they have moved: beside what explains little
     each of those is tried that the parameters imitate nearly whole.
     """
-    rows = int(np.count_nonzero(fit.residual_white))
-    far = fit.deviance(chosen) - max((one.gain for one in best), default=0.0) > _FAR * rows
+    rows, before = int(np.count_nonzero(fit.residual_white)), fit.deviance(chosen)
+    far = before - max((one.gain for one in best), default=0.0) > _FAR * rows
     moved = begun is not None and bool(distinct([fit.parameters, begun])[1:])
     large = bool(best) and best[0].gain > _LARGE * rows
     misled = not chosen and large and (far or moved or bool(at_bound(fit.parameters, fit.data.configured)))
@@ -199,17 +199,19 @@ def _settled_first(
     close = [one for one in plain if one in hidden or competing(one)]
     close = close if misled or close[1:] else []
 
-    def settled(candidate: Candidate) -> tuple[LinearisedFit, float]:
+    def settled(candidate: Candidate) -> tuple[float, LinearisedFit]:
         trial = (*chosen, (candidate.effect, candidate.nonlinear))
         again = _refitted(fit, trial, rng).parameters if misled else fit.parameters
         other = fit.moved(again) if distinct([fit.parameters, again])[1:] else fit
         rounds = 2 if far or misled else _ALONG_A_VALLEY
         there = settle(other.corrected(trial), trial, rounds, learn=False)
-        return there if candidate in hidden else other, deviance_of(there, trial)
+        left = deviance_of(there, trial)
+        more = 0.5 * rows * ((before - candidate.gain) / left - 1.0)
+        return candidate.surprise + more, there if candidate in hidden else other
 
-    trials = sorted(((*settled(one), one) for one in close), key=lambda trial: trial[1])
-    first = [one for _, _, one in trials]
-    return trials[0][0] if trials else fit, [*first, *(one for one in best if one not in close)]
+    trials = [(*settled(one), one) if one in close else (one.surprise, fit, one) for one in best]
+    trials.sort(key=lambda trial: -trial[0])
+    return trials[0][1] if trials else fit, [one for _, _, one in trials]
 
 
 def _on_the_other_flank(
