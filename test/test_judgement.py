@@ -68,12 +68,21 @@ def test_what_the_record_cannot_tell_is_a_hint(
     assert ("though not to be named for it: hysteresis" in content["verdict"]) is not told
 
 
-@pytest.mark.parametrize(("name", "named"), [("hysteresis", 0), ("resonance", 0), ("output_runout", 1)])
-def test_by_a_motor_s_current_no_cause_of_friction_or_torsion_is_named(name: str, named: int) -> None:
+@pytest.mark.parametrize(
+    ("alike", "named"),
+    [
+        (("hysteresis",), 0),
+        (("resonance",), 0),
+        (("torque_sensor_ripple",), 0),
+        (("output_runout", "torsional_hardening"), 0),
+        (("output_runout", "output_encoder_eccentricity"), 1),
+    ],
+)
+def test_by_a_motor_s_current_nothing_is_named_that_may_be_torque(alike: tuple[str, ...], named: int) -> None:
     record = dataclasses.replace(diagnosis().record, by_current=True)
-    made = diagnosis(cause(name), record=record)
+    made = diagnosis(cause(alike[0], alike=alike[1:]), record=record)
     assert (len(made.causes), len(made.hints)) == (named, 1 - named)
-    assert len(diagnosis(cause(name)).causes) == 1
+    assert len(diagnosis(cause(alike[0], alike=alike[1:])).causes) == 1
 
 
 def test_where_no_motion_repeats_noise_may_be_all_that_is_left_and_nothing_is_named() -> None:

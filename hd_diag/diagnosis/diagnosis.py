@@ -30,6 +30,7 @@ from hd_diag.diagnosis.torque_use import without_misleading_torque
 from hd_diag.diagnosis.work import Work
 from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE, Catalogue
+from hd_diag.effects.effect import Stage
 from hd_diag.extended_model import ExtendedModel
 
 _MOST_ALIKE = 5  # causes that a class may hold and still say something
@@ -103,14 +104,19 @@ class Diagnosis:
         """Not if too many do as well, beside ambiguous parameters, in a misfit, or if more than it is left.
 
         Where more than noise is left chance is no measure: what else is wrong may well look like the cause.
-        Nor if held-out rows are predicted no better with the causes, nor of friction or torsion where the
-        torque is a motor's current: its own friction and constant, both fitted, are not known well enough.
+        Nor if held-out rows are predicted no better with the causes, nor what may be friction, torsion or the
+        reading of a torque where that is a motor's current: its own friction and constant, both fitted, are
+        not known well enough.
         """
         sure, left = self.refitted is None or self.refitted.trustworthy, self.misfit
         ahead = left is None or not left.suspected or (left.value <= MISFIT and cause.gain > _HALF)
         named = sure and ahead and self.predicting and len(cause.alike) <= _MOST_ALIKE
-        measured = not (self.record.by_current and cause.effect.kind in _BY_TORQUE)
-        return named and measured and not cause.doubtful
+        by_torque = self.record.by_current and any(
+            effect.kind in _BY_TORQUE or effect.stage == Stage.TORQUE
+            for effect in self.catalogue
+            if effect.name in cause.alike
+        )
+        return named and not by_torque and not cause.doubtful
 
     @property
     def order_table(self) -> tuple[OrderRow, ...]:
