@@ -22,7 +22,7 @@ Figure = Callable[[list[Score]], Iterable[float | bool | None]]
 
 
 @dataclass(frozen=True)
-class Target:
+class Aim:
     """What is to be reached: by a share [%] or, of other figures, by the median."""
 
     name: str
@@ -50,53 +50,53 @@ def _false(scores: list[Score]) -> Iterable[bool]:
 
 
 TARGETS = (
-    Target("wrong parameters only: records with a false name [%]", KNOWN[:1], _false, 0.0, 0.4),
-    Target(
+    Aim("wrong parameters only: records with a false name [%]", KNOWN[:1], _false, 0.0, 0.4),
+    Aim(
         "wrong parameters only: within their 95 % interval [%]",
         KNOWN[:1],
         lambda s: (x.covered / PARAMETERS for x in s if x.covered is not None),
         *(93.0, 97.0),
     ),
-    Target("one effect: right up to class [%]", KNOWN[1:2], _right, 99.0, 100.0),
-    Target(
+    Aim("one effect: right up to class [%]", KNOWN[1:2], _right, 99.0, 100.0),
+    Aim(
         "one effect: amplitude error, median [%]",
         KNOWN[1:2],
         lambda s: (100.0 * e for x in s for e in x.amplitude_errors),
         *(0.0, 2.0, False),
     ),
-    Target("pairs: right up to class [%]", KNOWN[2:3], _right, 97.0, 100.0),
-    Target("triples: right up to class [%]", KNOWN[3:], _right, 93.0, 100.0),
-    Target("unknown effect: flagged [%]", ("unknown",), lambda s: (x.flagged for x in s), 99.0, 100.0),
-    Target("unknown effect: records with a false name [%]", ("unknown",), _false, 0.0, 2.0),
-    Target(
+    Aim("pairs: right up to class [%]", KNOWN[2:3], _right, 97.0, 100.0),
+    Aim("triples: right up to class [%]", KNOWN[3:], _right, 93.0, 100.0),
+    Aim("unknown effect: flagged [%]", ("unknown",), lambda s: (x.flagged for x in s), 99.0, 100.0),
+    Aim("unknown effect: records with a false name [%]", ("unknown",), _false, 0.0, 2.0),
+    Aim(
         "unknown effect: its order within 0.02 [%]",
         ("unknown",),
         lambda s: (x.order_right for x in s if x.order_right is not None),
         *(99.0, 100.0),
     ),
-    Target(
+    Aim(
         "held-out residual over noise, median", KNOWN, lambda s: (x.over_floor for x in s), 0.0, 1.005, False
     ),
-    Target("poor motions: records with a false name [%]", POOR, _false, 0.0, 0.0),
-    Target("dropouts, outliers, jitter: right up to class [%]", ("degraded",), _right, 97.0, 100.0),
-    Target(
+    Aim("poor motions: records with a false name [%]", POOR, _false, 0.0, 0.0),
+    Aim("dropouts, outliers, jitter: right up to class [%]", ("degraded",), _right, 97.0, 100.0),
+    Aim(
         "faultless: records with a name or an eccentricity [%]",
         ("faultless",),
         lambda s: (x.claimed or x.false_names > 0 for x in s),
         *(0.0, 0.4),
     ),
-    Target("robot, one mechanism: right up to class [%]", ("robot_single",), _right, 95.0, 100.0),
-    Target("robot, two mechanisms: right up to class [%]", ("robot_pair",), _right, 85.0, 100.0),
-    Target("robot: records with a false name [%]", ROBOT, _false, 0.0, 2.0),
-    Target("bench, one mechanism: right up to class [%]", ("bench_single",), _right, 95.0, 100.0),
-    Target("bench, two mechanisms: right up to class [%]", ("bench_pair",), _right, 85.0, 100.0),
-    Target(
+    Aim("robot, one mechanism: right up to class [%]", ("robot_single",), _right, 95.0, 100.0),
+    Aim("robot, two mechanisms: right up to class [%]", ("robot_pair",), _right, 85.0, 100.0),
+    Aim("robot: records with a false name [%]", ROBOT, _false, 0.0, 2.0),
+    Aim("bench, one mechanism: right up to class [%]", ("bench_single",), _right, 95.0, 100.0),
+    Aim("bench, two mechanisms: right up to class [%]", ("bench_pair",), _right, 85.0, 100.0),
+    Aim(
         "residual above 1.3 times the noise, and nothing said [%]",
         tuple(FAMILIES),
         lambda s: (x.passed_over for x in s if x.over_floor is not None),
         *(0.0, 0.0),
     ),
-    Target(
+    Aim(
         "CPU time of a record, median [s]", tuple(FAMILIES), lambda s: (x.seconds for x in s), 0.0, 5.0, False
     ),
 )

@@ -42,7 +42,7 @@ from rclpy.parameter_client import AsyncParameterClient
 from rclpy.signals import SignalHandlerOptions
 from rich.console import Console
 from rich.table import Table
-from soak_result import HEAD, STEPS, Seen, cells, heading, markdown, result
+from soak_result import HEAD, STEPS, Observed, cells, heading, markdown, result
 
 from hd_diag.bag import BagReader
 
@@ -82,7 +82,7 @@ class Run:
     """Node, publishers, and what happens to them."""
 
     def __init__(self, folder: Path, options: argparse.Namespace) -> None:
-        self.seen, self._folder, self._options = Seen(), folder, options
+        self.seen, self._folder, self._options = Observed(), folder, options
         self._log = folder / "log"
         joints = [f"joint_{k}" for k in range(1, options.joints + 1)]
         given = {

@@ -19,7 +19,7 @@ AROUND = 2_000_000_000  # of a full disk: what was not on it yet, and until it i
 
 
 @dataclass
-class Seen:
+class Observed:
     """What was seen of a run; times are the system's [ns]."""
 
     counts: dict[str, int] = field(
@@ -81,7 +81,7 @@ Row = tuple[str, str, str, bool]
 """What, what shall be, what was seen, whether it holds."""
 
 
-def result(seen: Seen, sent: np.ndarray, took: float) -> list[Row]:
+def result(seen: Observed, sent: np.ndarray, took: float) -> list[Row]:
     logged = np.concatenate([np.empty(0, np.int64), *seen.logged])
     lost, excused = missing(sent, logged, seen.full)
     strange = int((~np.isin(logged, sent[:, 0])).sum())
@@ -154,7 +154,7 @@ def machine() -> str:
     return f"{model}, {len(os.sched_getaffinity(0))} cores, load {os.getloadavg()[1]:.1f}"
 
 
-def heading(seen: Seen, sent: int, took: float, options: argparse.Namespace, interrupted: bool) -> str:
+def heading(seen: Observed, sent: int, took: float, options: argparse.Namespace, interrupted: bool) -> str:
     done = [f"{name} {count} times" for name, count in seen.counts.items()]
     end = f", interrupted (of {options.seconds:,.0f} s)" if interrupted else ""
     return (

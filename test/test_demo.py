@@ -20,7 +20,7 @@ from demo.steps import Step
 from mcap_ros2.reader import read_ros2_messages
 from rosbags.highlevel import AnyReader
 
-from hd_diag.watch import JointView, Status
+from hd_diag.watch import JointView, ReportedStatus
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 TOPICS = {
@@ -209,7 +209,7 @@ def test_damaged_log_is_a_problem(tmp_path: Path) -> None:
 
 def test_step_keeps_its_own_reports_only() -> None:
     def report(**values: str) -> JointView:
-        return JointView("joint_1", "", (), Status("hd_diag: joint_1", 0, "", values), 0.0, False, ())
+        return JointView("joint_1", "", (), ReportedStatus("hd_diag: joint_1", 0, "", values), 0.0, False, ())
 
     step = Step(5.0)
     assert not step.take(report(eccentricity_um="0"))

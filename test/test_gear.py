@@ -28,7 +28,7 @@ from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.scaling import of_drive
 from hd_diag.extended_model import ExtendedModel, Range, Ranges, Term
-from hd_diag.gear.characteristics import Teeth, ToothLoads, characteristics, tooth_loads
+from hd_diag.gear.characteristics import TeethOverTurn, ToothLoads, characteristics, tooth_loads
 from hd_diag.gear.similarity import least_backlash
 from hd_diag.model.load_sharing import mesh_state
 from hd_diag.model.torsion import torsion, torsion_table
@@ -248,7 +248,7 @@ def test_teeth_without_compiled_code_are_the_compiled_ones(name: str, errors: di
     drive = of_page(name).joints[0].drive
     mesh = dataclasses.replace(drive.mesh, **errors)
     angle, torque = np.linspace(0.0, 6.0, 41), drive.rated_torque * np.array([1.0, -0.3, 0.0, 1e-6])
-    found = Teeth(mesh, angle)
+    found = TeethOverTurn(mesh, angle)
     assert_allclose(found.torsion(torque), torsion_table(mesh, angle, torque), rtol=1e-9, atol=1e-15)
     idle, loaded = (mesh_state(mesh, angle, np.full(angle.size, each)) for each in (0.0, torque[0]))
     expected = [

@@ -16,7 +16,7 @@ from sensor_msgs.msg import JointState
 
 from hd_diag.config.configured_signals import JOINT_STATE
 from hd_diag.ros.publishers import Numbers, Publishers
-from hd_diag.ros.subscriptions import SignalInput, Source
+from hd_diag.ros.subscriptions import SignalInput, SignalTopic
 
 pytestmark = pytest.mark.usefixtures("ros")
 
@@ -47,7 +47,7 @@ class Bench:
 
     def __init__(self) -> None:
         self.node = rclpy.create_node("listener")
-        taken = SignalInput(self.node, Source("/bench/joint_states", JOINT_STATE), lambda _: None)
+        taken = SignalInput(self.node, SignalTopic("/bench/joint_states", JOINT_STATE), lambda _: None)
         self.seen = Publishers(self.node, [taken], length=0.2, rest=0.02)
         self.joints = config("elbow", "wrist").joints
         self.made: dict[str, tuple[Node, Any, tuple[str, ...]]] = {}

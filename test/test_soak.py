@@ -48,7 +48,7 @@ def test_memory_threads_and_open_files_are_those_of_the_process() -> None:
     code = "input(); kept = b'1' * 40_000_000; opened = open('/dev/null'); Thread(target=input).start()"
     code = f"from threading import Thread; print(flush=True); {code}; print(flush=True)"
     command = [sys.executable, "-c", code]
-    seen = soak.Seen()
+    seen = soak.Observed()
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdin is not None
         assert process.stdout is not None

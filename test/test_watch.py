@@ -18,7 +18,7 @@ from rich.console import Console
 from hd_diag.messages.publications import DIAGNOSTICS
 from hd_diag.messages.schemas import jazzy
 from hd_diag.replay.recorded_monitor import Session
-from hd_diag.watch import PREFIX, NodeSeen, Status, Watch, as_json
+from hd_diag.watch import PREFIX, NodeSeen, ReportedStatus, Watch, as_json
 from hd_diag.watch.display import Display, JointTable, plain_line
 from hd_diag.watch.numbers import shown_number, spark
 
@@ -44,13 +44,13 @@ REAL = reported()
 
 def message(
     joint: str = "joint_1", level: int = 0, text: str = "OK", node: str = "", **values: str
-) -> Status:
+) -> ReportedStatus:
     """A status, of a node or of one that does not say who it is."""
     said = {**REAL, "fault_code": "OK", "fault_codes": "OK", **values}
-    return Status(PREFIX + joint, level, text, said, f"{node}/{joint}" if node else "")
+    return ReportedStatus(PREFIX + joint, level, text, said, f"{node}/{joint}" if node else "")
 
 
-def watched(*statuses: Status, **asked: Any) -> Watch:
+def watched(*statuses: ReportedStatus, **asked: Any) -> Watch:
     watch = Watch(**asked)
     watch.take(TOPIC, statuses, 0.0)
     return watch
@@ -98,7 +98,7 @@ def test_joints_that_are_not_asked_for_and_other_statuses_are_left_out() -> None
     watch = watched(message("a"), message("b"), joints=("b", "c"))
     assert [view.name for view in watch.view(0.0)] == ["b"]
     assert watch.missing() == ["c"]
-    watch = watched(*[Status(f"camera {i % 100}", 0, "", {}) for i in range(200)])
+    watch = watched(*[ReportedStatus(f"camera {i % 100}", 0, "", {}) for i in range(200)])
     assert watch.view(0.0) == []
     assert watch.others == [f"camera {i}" for i in range(32)]
     assert "other diagnostics: camera 0, camera 1" in " ".join(watch.explanation())
@@ -198,7 +198,7 @@ def test_what_is_waited_for_and_what_was_seen_instead() -> None:
     watch.nodes = [NodeSeen("/hd_diag", TOPIC, frozenset({"b"}))]
     watch.take(TOPIC, [message("b")], 0.0)
     assert watch.explanation() == ["no hd_diag node in /arm; there is /hd_diag", "joints reported: b"]
-    assert lines(watched(Status("camera", 0, "", {}), joints=("a",))) == [
+    assert lines(watched(ReportedStatus("camera", 0, "", {}), joints=("a",))) == [
         "waiting for /diagnostics of a ...",
         "  no hd_diag node is in the ROS graph",
         "  other diagnostics: camera",

@@ -17,7 +17,7 @@ from hd_diag.config.parameter_file import text
 from hd_diag.config.parameters import Value
 from hd_diag.formatting import number as figure
 from hd_diag.messages.joint_states import JOINT_STATE
-from hd_diag.records.contents import Number, Pair, beside, numbers, pairs
+from hd_diag.records.contents import AnglePair, NumericField, beside, numbers, pairs
 
 _SHOWN = 40  # numbers of a topic
 _TORQUES = "torque", "current"
@@ -40,7 +40,7 @@ def topics(bag: Path, json_file: str | None) -> None:
 
 
 def _result(
-    reader: BagReader, seen: list[tuple[Topic, list[Number], str]], every: list[Number]
+    reader: BagReader, seen: list[tuple[Topic, list[NumericField], str]], every: list[NumericField]
 ) -> dict[str, Any]:
     found = pairs(every)
     alone = _alone(every, {id(n) for pair in found for n in pair[:2]})
@@ -59,7 +59,7 @@ def _result(
     }
 
 
-def _topic(duration: float, topic: Topic, found: list[Number], problem: str) -> dict[str, Any]:
+def _topic(duration: float, topic: Topic, found: list[NumericField], problem: str) -> dict[str, Any]:
     """Content of a topic; its rate by its stamps, or by the duration [s] of the bag."""
     longest = max((n.time for n in found), key=len, default=np.zeros(0))
     span, count = (longest[-1] - longest[0], longest.size) if longest.size > 1 else (duration, topic.count)
@@ -83,17 +83,17 @@ def _topic(duration: float, topic: Topic, found: list[Number], problem: str) -> 
     }
 
 
-def _alone(every: list[Number], paired: set[int]) -> list[Number]:
+def _alone(every: list[NumericField], paired: set[int]) -> list[NumericField]:
     """Angles of joints of which no second one is known; one for each joint."""
     joints = {n.tag for n in every if id(n) in paired}
-    found: dict[str, Number] = {}
+    found: dict[str, NumericField] = {}
     for n in every:
         if n.kind == "angle" and n.tag and n.tag not in joints and n.moves:
             found.setdefault(n.tag, n)
     return list(found.values())
 
 
-def _joint(output: Number, pair: Pair | None, every: list[Number]) -> dict[str, Any]:
+def _joint(output: NumericField, pair: AnglePair | None, every: list[NumericField]) -> dict[str, Any]:
     """A joint's name, mapping by names of parameters, and what is to say about it."""
     tag = output.tag
     name = re.sub(r"\W", "_", tag if not tag[:1].isdigit() else f"joint_{tag}", flags=re.ASCII) or "joint_1"
@@ -125,7 +125,7 @@ def _joint(output: Number, pair: Pair | None, every: list[Number]) -> dict[str, 
     return {"name": name, "said": said, "slope": slope, "mapping": mapping}
 
 
-def _signal(n: Number) -> dict[str, Value]:
+def _signal(n: NumericField) -> dict[str, Value]:
     unit = {} if n.unit in ("rad", "N m", "degC", "") else {"unit": n.unit}
     kind = {} if n.topic.type_name == JOINT_STATE else {"type": n.topic.type_name.replace("/msg/", "/")}
     return {"topic": n.topic.name, **kind, "field": n.field, **unit}

@@ -30,7 +30,7 @@ from hd_diag.config.parameters import (
     shown,
 )
 from hd_diag.monitor.settings import JointConfig, Limit, MonitorConfig
-from hd_diag.streams.signals import Signals
+from hd_diag.streams.signals import JointSignals
 
 if TYPE_CHECKING:
     from hd_diag.effects import Catalogue
@@ -113,7 +113,7 @@ def resolve(
     )
 
 
-def recorded_signals(given: Mapping[str, Any]) -> dict[str, Signals]:
+def recorded_signals(given: Mapping[str, Any]) -> dict[str, JointSignals]:
     """Signals of each joint of flat parameters; raises ConfigError as `resolve` does."""
     flat, _, joints = _completed({**given, "joints": given.get("joints")})
     return {name: signals_from(name, of_joint(flat, name)) for name in joints}

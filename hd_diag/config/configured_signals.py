@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from hd_diag.config.parameters import ConfigError, Value, shown
-from hd_diag.streams.signals import ROLES, Signal, Signals, unit
+from hd_diag.streams.signals import ROLES, JointSignals, Signal, unit
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 TEMPERATURE = "sensor_msgs/msg/Temperature"
@@ -37,9 +37,9 @@ def spelled_out(given: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def signals_from(joint: str, own: Mapping[str, Value]) -> Signals:
+def signals_from(joint: str, own: Mapping[str, Value]) -> JointSignals:
     """Signals of a joint from its parameters by their names within it; ConfigError naming what cannot be."""
-    return Signals(*(_signal(joint, role, owner, own) for role, owner in OWNERS.items()))
+    return JointSignals(*(_signal(joint, role, owner, own) for role, owner in OWNERS.items()))
 
 
 def _signal(joint: str, role: str, owner: str, own: Mapping[str, Value]) -> Signal | None:

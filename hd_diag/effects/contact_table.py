@@ -18,7 +18,7 @@ import numpy as np
 
 from hd_diag.arrays import Complexes, Floats, Integers
 from hd_diag.drive import Drive
-from hd_diag.effects.kept import Kept
+from hd_diag.effects.array_cache import ArrayCache
 from hd_diag.model.contact import FLANKS, Contact, contacts
 from hd_diag.model.load_sharing import flank_stiffness, torsion_of_flanks
 from hd_diag.model.torsion import torsion_table
@@ -79,7 +79,7 @@ class ContactTable:
         self.drive = drive
         self.torque_limit = torque_limit
         self.steps = _STEPS_PER_SLOT * drive.mesh.geometry.circular_spline_teeth
-        self._kept = Kept(_MOST_KEPT)
+        self._kept = ArrayCache(_MOST_KEPT)
 
     @cached_property
     def torsion_map(self) -> TorsionMap:

@@ -37,7 +37,7 @@ class Small(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Line:
+class PageRow:
     """A row of the page."""
 
     standing: Standing
@@ -124,11 +124,11 @@ def _prefix(joints: set[str]) -> str:
     return "" if prefix in joints else prefix
 
 
-def _line(one: Standing, robot: int, ends: tuple[float, float] | None) -> Line:
+def _line(one: Standing, robot: int, ends: tuple[float, float] | None) -> PageRow:
     behind = ends[1] - one.history[-1][0] if ends else 0.0
     age = f"{behind / 86400.0:.0f} days before the newest recording" if behind > _STALE else ""
     link = one.row.get(PAGE)
-    return Line(one, robot, _small(one, ends), quote(link) if link else None, age)
+    return PageRow(one, robot, _small(one, ends), quote(link) if link else None, age)
 
 
 def _small(one: Standing, ends: tuple[float, float] | None) -> Small | None:

@@ -27,7 +27,7 @@ _TOGETHER = 999  # permutations
 
 
 @dataclass(frozen=True)
-class Change:
+class MeanShift:
     """A step of the mean.
 
     Times of the last value before it and the first after it, and the 95 % interval of its own [s]; its size,
@@ -120,7 +120,7 @@ def means(value: Floats, weight: Floats, edges: list[int]) -> Floats:
     return np.concatenate([np.full(v.size, np.average(v, weights=w)) for v, w in parts])
 
 
-def change_at(series: Series, weights: Floats, part: list[int], rng: np.random.Generator) -> Change:
+def change_at(series: Series, weights: Floats, part: list[int], rng: np.random.Generator) -> MeanShift:
     """A step between two segments: its place by bootstrap of scaled residuals, its size by Student's t."""
     begin, edge, end = part
     time, value, weight = series.time[begin:end], series.value[begin:end], weights[begin:end]
@@ -136,4 +136,4 @@ def change_at(series: Series, weights: Floats, part: list[int], rng: np.random.G
     reach = float(stats.t.ppf(0.975, freedom)) * spread
     p_value, _ = permuted(value, weight, _TOGETHER, rng)
     before, after, first, last = time[[middle - 1, middle, low - 1, high]].tolist()
-    return Change(before, after, first, last, size, size - reach, size + reach, p_value)
+    return MeanShift(before, after, first, last, size, size - reach, size + reach, p_value)

@@ -16,7 +16,7 @@ from hd_diag.bag import BagError
 from hd_diag.fleet.rows import PAGE, SCHEMA, Row, readable
 from hd_diag.fleet.series import ECCENTRICITY, ERROR, began
 from hd_diag.fleet.standing import Colour, Health, Standing, left_out, missing
-from hd_diag.fleet.steps import FALSE_ALARM, Change
+from hd_diag.fleet.steps import FALSE_ALARM, MeanShift
 from hd_diag.fleet.trend import CHANGED, Trend
 from hd_diag.formatting import SCALES, json_ready, number, words
 from hd_diag.report.limits import GREEN, GREY, STATES
@@ -97,7 +97,7 @@ def _trend(trend: Trend) -> dict[str, Any]:
     }
 
 
-def _change(change: Change) -> dict[str, Any]:
+def _change(change: MeanShift) -> dict[str, Any]:
     return {
         "after": moment(change.before),
         "before": moment(change.after),
@@ -138,7 +138,7 @@ def statement(trend: Trend) -> str:
     return f"no step and no trend (p = {p:.2g})"
 
 
-def _step(trend: Trend, change: Change) -> str:
+def _step(trend: Trend, change: MeanShift) -> str:
     scale, unit = SCALES[trend.series.unit]
     size, low, high = (value / scale for value in (change.size, change.size_low, change.size_high))
     return (

@@ -24,7 +24,7 @@ from hd_diag.fleet.steps import (
     ENOUGH,
     FALSE_ALARM,
     LEAST,
-    Change,
+    MeanShift,
     change_at,
     edges_of,
     means,
@@ -59,7 +59,7 @@ class Trend:
     step_q: float = math.nan
     drift_q: float = math.nan
     form: str = "unknown"
-    changes: tuple[Change, ...] = ()
+    changes: tuple[MeanShift, ...] = ()
     line: Any = None
     crossing: tuple[float, float, float] | None = None
 
@@ -104,7 +104,7 @@ def _trend(
     edges = edges_of(series.value, weight, penalty) if step_q <= FALSE_ALARM else []
     form = "steps" if edges else "constant"
     line = stats.theilslopes(series.value, series.time - series.time[0], 0.95)
-    changes: tuple[Change, ...] = ()
+    changes: tuple[MeanShift, ...] = ()
     crossing = None
     if drift_q <= FALSE_ALARM and (not edges or _line_is_better(series, weight, edges)):
         form, crossing = "drift", _crossing(series, line, rng)

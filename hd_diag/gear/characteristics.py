@@ -86,7 +86,7 @@ class ToothLoads(NamedTuple):
     rated: float
 
 
-class Teeth:
+class TeethOverTurn:
     """The teeth of a mesh at some wave generator angles [rad], as far as a whole turn is judged by them."""
 
     def __init__(self, mesh: Mesh, angle: Floats) -> None:
@@ -140,10 +140,10 @@ def _flanks(mesh: Mesh, angle: tuple[float, ...]) -> _Flanks:
 @lru_cache(maxsize=512)
 def tooth_loads(drive: Drive) -> ToothLoads:
     """What the teeth of a drive bear."""
-    return _loads(Teeth(drive.mesh, _turn(drive.mesh)), drive.rated_torque)
+    return _loads(TeethOverTurn(drive.mesh, _turn(drive.mesh)), drive.rated_torque)
 
 
-def _loads(teeth: Teeth, rated_torque: float) -> ToothLoads:
+def _loads(teeth: TeethOverTurn, rated_torque: float) -> ToothLoads:
     return ToothLoads(teeth.overlap(), teeth.peak_load(0.0), teeth.peak_load(rated_torque))
 
 
@@ -157,7 +157,7 @@ def characteristics(drive: Drive, t1: float = 0.0, t2: float = 0.0) -> Character
 def _characteristics(
     mesh: Mesh, rated_torque: float, cup_compliance: float, t1: float, t2: float
 ) -> Characteristics:
-    teeth, torque = Teeth(mesh, _turn(mesh)), stiffness_steps(t1, t2)
+    teeth, torque = TeethOverTurn(mesh, _turn(mesh)), stiffness_steps(t1, t2)
     beta = teeth.torsion(torque).mean(axis=0) + cup_compliance * torque
     loads = _loads(teeth, rated_torque)
     size = min(ECCENTRICITY, 0.5 * largest_displacement(mesh.geometry)[0])
@@ -207,5 +207,5 @@ def _order_2(mesh: Mesh, torque: float) -> float:
     """Amplitude of order 2 of the wave generator in the torsion of an eccentric mesh [rad]."""
     coarse, fine = np.arange(_ERROR_MOMENTS), slot_phases(mesh.geometry, _ERROR_PHASES)
     angle = np.add.outer(np.pi / _ERROR_MOMENTS * coarse, fine).ravel()
-    beta = Teeth(mesh, angle).torsion(np.array([torque]))[:, 0]
+    beta = TeethOverTurn(mesh, angle).torsion(np.array([torque]))[:, 0]
     return float(2.0 * abs(np.mean(beta * np.exp(-2j * angle))))

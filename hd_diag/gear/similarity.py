@@ -17,7 +17,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.formatting import rounded
-from hd_diag.gear.characteristics import PHASES, Teeth, slot_phases, stiffness_steps
+from hd_diag.gear.characteristics import PHASES, TeethOverTurn, slot_phases, stiffness_steps
 from hd_diag.model.contact import contacts
 from hd_diag.model.geometry import Geometry
 from hd_diag.model.mesh import Mesh
@@ -112,7 +112,11 @@ def compliances(mesh: Mesh, t1: float, t2: float, wanted: Floats) -> tuple[float
     Least squares of the logarithms of reached over wanted stiffness. Teeth that are softer by a factor
     turn as far at a torque as these do at that factor times it.
     """
-    teeth, steps, share = Teeth(mesh, slot_phases(mesh.geometry)), stiffness_steps(t1, t2), wanted / wanted[0]
+    teeth, steps, share = (
+        TeethOverTurn(mesh, slot_phases(mesh.geometry)),
+        stiffness_steps(t1, t2),
+        wanted / wanted[0],
+    )
     low, high = -_SOFTER, _SOFTER
     while high - low > _CLOSE:
         trial = np.linspace(low, high, _TRIALS)

@@ -29,14 +29,14 @@ DTYPES = {
 """numpy's names of the numbers that fields can be."""
 
 
-class Step(NamedTuple):
+class PathStep(NamedTuple):
     """A field, and which element of it where it is an array."""
 
     field: str
     element: int | str | None = None
 
 
-Path = tuple[Step, ...]
+Path = tuple[PathStep, ...]
 
 
 def is_array(kind: Any) -> bool:
@@ -52,14 +52,14 @@ def holds_texts(description: Any) -> bool:
 
 def parsed(text: str) -> Path:
     """A path from its text; ValueError where it is none."""
-    steps: list[Step] = []
+    steps: list[PathStep] = []
     place = 0
     while place < len(text) or not steps:
         found = _STEP.match(text, place)
         if found is None:
             raise ValueError(f"{text!a} is not a path such as position[2] or states[joint_1].angle")
         index = found[2]
-        steps.append(Step(found[1], int(index) if index and index.isdecimal() else index))
+        steps.append(PathStep(found[1], int(index) if index and index.isdecimal() else index))
         place = found.end()
     return tuple(steps)
 
@@ -72,15 +72,15 @@ def path_in(store: Typestore, type_name: str, signal: Signal) -> Path:
     ValueError
         Where there is none; it names the nearest field that there is.
     """
-    path: list[Step] = []
+    path: list[PathStep] = []
     owner, steps = type_name, parsed(signal.field)
     for number, (field, given) in enumerate(steps, start=1):
         fields = dict(store.fielddefs[owner][1])
         if field not in fields:
             near = f"the nearest is {nearest(field, list(fields))!r}, of {', '.join(fields)}"
             raise ValueError(f"{owner} has no field {field!a}; {near}")
-        (kind, what), index = _element(store, owner, Step(field, given), signal.name)
-        path.append(Step(field, index))
+        (kind, what), index = _element(store, owner, PathStep(field, given), signal.name)
+        path.append(PathStep(field, index))
         is_last = number == len(steps)
         if kind == Nodetype.NAME and not is_last:
             owner = what
@@ -92,7 +92,7 @@ def path_in(store: Typestore, type_name: str, signal: Signal) -> Path:
     return tuple(path)
 
 
-def _element(store: Typestore, owner: str, step: Step, name: str) -> tuple[Any, int | str | None]:
+def _element(store: Typestore, owner: str, step: PathStep, name: str) -> tuple[Any, int | str | None]:
     """What a field is, or an element of it, and the index of that."""
     field, index = step
     fields = dict(store.fielddefs[owner][1])
@@ -118,5 +118,5 @@ def stamp_path(store: Typestore, type_name: str) -> Path | None:
     """Where the time of a message stands: in its header, or as a time of its own; None without."""
     for field, (kind, what) in store.fielddefs[type_name][1]:
         if kind == Nodetype.NAME and what in (_HEADER, _TIME):
-            return (Step(field), *([Step("stamp")] if what == _HEADER else []))
+            return (PathStep(field), *([PathStep("stamp")] if what == _HEADER else []))
     return None

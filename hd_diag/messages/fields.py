@@ -15,7 +15,7 @@ from rosbags.typesys.store import Typestore
 
 from hd_diag.arrays import Bytes, Integers, Times
 from hd_diag.messages.cdr import Walk, bad_stamp, by_size
-from hd_diag.messages.field_path import Step, path_in, stamp_path
+from hd_diag.messages.field_path import PathStep, path_in, stamp_path
 from hd_diag.messages.joint_states import Rejection
 from hd_diag.streams.columns import JointStates
 from hd_diag.streams.signals import Signal
@@ -126,7 +126,9 @@ class FieldReader:
         numbers = {key: place for key, place in found.items() if place is not None}
         stamp: tuple[int, ...] = ()
         if self._stamp is not None:
-            parts = [walk.place(self._type_name, (*self._stamp, Step(part))) for part in ("sec", "nanosec")]
+            parts = [
+                walk.place(self._type_name, (*self._stamp, PathStep(part))) for part in ("sec", "nanosec")
+            ]
             stamp = tuple(part[0] for part in parts if part is not None)
         fixed = np.unique(np.concatenate([np.arange(4), *(np.arange(*part) for part in walk.fixed)]))
         fixed, template = fixed.astype(np.int64), np.frombuffer(data, np.uint8)

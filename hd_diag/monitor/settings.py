@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from hd_diag.drive import Drive
 from hd_diag.streams.alignment import ELSEWHERE, Names
-from hd_diag.streams.signals import ROLES, USUAL, Signal, Signals, key
+from hd_diag.streams.signals import ROLES, USUAL, JointSignals, Signal, key
 
 if TYPE_CHECKING:
     from hd_diag.extended_model import ExtendedModel
@@ -45,7 +45,7 @@ class JointConfig:
     model_file: str = ""
     model: ExtendedModel | None = None
     model_text: str = field(default="", repr=False)
-    signals: Signals = USUAL
+    signals: JointSignals = USUAL
     input_divided: bool = False
 
     @property

@@ -46,7 +46,7 @@ _COUNTS, _MANY_COUNTS = "counts/?", 1000.0  # whole numbers over so many are no 
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Number:
+class NumericField:
     """A number in the messages of a topic: kind (one of `_KINDS` or empty), guessed unit, time [s], values.
 
     Its tag is the index or name by which it is found in an array, the same for all numbers of a joint.
@@ -66,11 +66,11 @@ class Number:
         return bool(np.ptp(self.values) > 0.0)
 
 
-class Pair(NamedTuple):
+class AnglePair(NamedTuple):
     """Angles of one joint: input, output, and the slope of the first over the second in rad, or counts."""
 
-    input: Number
-    output: Number
+    input: NumericField
+    output: NumericField
     slope: float
 
     @property
@@ -84,7 +84,7 @@ class Pair(NamedTuple):
         return self.input.unit == _COUNTS
 
 
-def numbers(reader: BagReader, topic: Topic) -> tuple[list[Number], str]:
+def numbers(reader: BagReader, topic: Topic) -> tuple[list[NumericField], str]:
     """Numbers of a topic that may be a joint's, and what cannot be read; BagError for an unknown type."""
     fields = _fields(reader, topic)
     if not fields:
@@ -110,16 +110,16 @@ def numbers(reader: BagReader, topic: Topic) -> tuple[list[Number], str]:
     return [_number(topic, f, fields[f], parts, reader.start) for f, parts in found.items() if parts], problem
 
 
-def pairs(angles: list[Number]) -> list[Pair]:
+def pairs(angles: list[NumericField]) -> list[AnglePair]:
     """Inputs with their outputs: they turn in proportion, by a gear's ratio or as two encoders of a side."""
     usable = [n for n in angles if n.kind == "angle" and n.moves and not _COMMANDED.search(n.field)]
-    found: dict[int, Pair] = {}
+    found: dict[int, AnglePair] = {}
     for one in usable:
         for other in usable:
             slope = None if one is other else _slope(one, other)
             if slope is None:
                 continue
-            pair = Pair(one, other, slope)
+            pair = AnglePair(one, other, slope)
             is_gear = not pair.counted and _RATIOS[0] <= abs(slope) <= _RATIOS[1]
             at_motor = _at_motor(one) and not _at_motor(other)
             is_counter = pair.counted and (at_motor or other.unit != _COUNTS)
@@ -130,7 +130,7 @@ def pairs(angles: list[Number]) -> list[Pair]:
     return list(found.values())
 
 
-def beside(every: list[Number], output: Number, *kinds: str) -> Number | None:
+def beside(every: list[NumericField], output: NumericField, *kinds: str) -> NumericField | None:
     """A number of the same joint, of the first of some kinds; in the same topic where there is one."""
     own = [n for n in every if n.tag == output.tag and n.kind in kinds and not _COMMANDED.search(n.field)]
     own = [n for n in own if n.topic is output.topic or not n.tag.isdecimal()]
@@ -182,7 +182,7 @@ def _labels(store: Typestore, element: Any, value: Any, texts: list[list[str]]) 
     return [str(i) for i in range(len(value))]
 
 
-def _number(topic: Topic, path: str, dtype: str, parts: list[tuple[Any, Floats]], start: int) -> Number:
+def _number(topic: Topic, path: str, dtype: str, parts: list[tuple[Any, Floats]], start: int) -> NumericField:
     stamp, values = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     good = np.isfinite(values)
     time, values = (stamp[good] - start) * 1e-9, values[good]
@@ -191,7 +191,7 @@ def _number(topic: Topic, path: str, dtype: str, parts: list[tuple[Any, Floats]]
     rest = path.replace(f"[{tag}]", "", 1).lower()
     kind = next((kind for kind, words in _KINDS.items() if re.search(words, rest)), "")
     values = values if values.size else np.zeros(1)
-    return Number(topic, path, tag, kind, _unit(kind, dtype, values), time, values)
+    return NumericField(topic, path, tag, kind, _unit(kind, dtype, values), time, values)
 
 
 def _unit(kind: str, dtype: str, values: Floats) -> str:
@@ -212,18 +212,18 @@ def _unit(kind: str, dtype: str, values: Floats) -> str:
     return _USUAL.get(kind, "")
 
 
-def _at_motor(number: Number) -> bool:
+def _at_motor(number: NumericField) -> bool:
     return bool(re.search(r"motor|theta|rotor", f"{number.topic.name} {number.field}".lower()))
 
 
-def _nearness(pair: Pair) -> tuple[bool, bool, bool, bool]:
+def _nearness(pair: AnglePair) -> tuple[bool, bool, bool, bool]:
     """How much speaks for a pair: a ratio by its slope, the same tag, a motor by its name, the same topic."""
     one, other = pair.input, pair.output
     alike = one.tag == other.tag or other.tag in one.tag
     return not pair.counted, alike, _at_motor(one) and not _at_motor(other), one.topic is other.topic
 
 
-def _slope(one: Number, other: Number) -> float | None:
+def _slope(one: NumericField, other: NumericField) -> float | None:
     """Slope of an angle over another in rad, where nothing else moves it."""
     begin, end = max(one.time[0], other.time[0]), min(one.time[-1], other.time[-1])
     if end <= begin:
@@ -237,7 +237,7 @@ def _slope(one: Number, other: Number) -> float | None:
     return slope if float(np.std(y - slope * x)) < _FIT * float(np.std(y)) else None
 
 
-def _continuous(number: Number) -> Floats:
+def _continuous(number: NumericField) -> Floats:
     """An angle [rad, or counts] without the jumps of an encoder that wraps or a counter that runs over."""
     if number.unit == _COUNTS:
         return np.unwrap(number.values, period=2.0 ** np.ceil(np.log2(max(np.ptp(number.values), 2.0))))

@@ -14,7 +14,7 @@ from hd_diag.messages.fields import FieldReader
 from hd_diag.messages.joint_states import JOINT_STATE, JointStateReader, Rejection
 from hd_diag.messages.publications import INPUT, OWN_OUTPUTS, TEMPERATURE, temperature_topic
 from hd_diag.streams.columns import JointStates
-from hd_diag.streams.signals import ROLES, Signal, Signals, key
+from hd_diag.streams.signals import ROLES, JointSignals, Signal, key
 
 _SHOWN = 12  # topics that an error names
 _LONGEST = 60  # of a name
@@ -52,7 +52,7 @@ class JointTopics:
     def __init__(
         self,
         reader: BagReader,
-        signals: Mapping[str, Signals],
+        signals: Mapping[str, JointSignals],
         usual: Iterable[str] | None = None,
         names: Mapping[str, str] | None = None,
     ) -> None:
@@ -116,7 +116,7 @@ class JointTopics:
             raise BagError(self._bag.path, text)
         return right[0]
 
-    def _usual(self, mapped: Iterable[str], signals: Mapping[str, Signals]) -> list[str]:
+    def _usual(self, mapped: Iterable[str], signals: Mapping[str, JointSignals]) -> list[str]:
         """Topics with joint states but those that are mapped, unless they are called as a node's input is."""
         every = [t for t in joint_state_topics(self._bag) if t not in mapped or t.endswith(f"/{INPUT}")]
         if not every and not any(signal for own in signals.values() for signal in own):

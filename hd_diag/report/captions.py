@@ -15,7 +15,7 @@ from hd_diag.formatting import ARCSEC, arcsec, direction, number, percent, perce
 from hd_diag.report.binned import HIGH, LOW
 from hd_diag.report.facts import Fact, JointReport, Judgement
 from hd_diag.report.ladder import Rung
-from hd_diag.report.stages import EXTENDED, Comparison, OverTime
+from hd_diag.report.stages import EXTENDED, BinnedResiduals, OverTime
 from hd_diag.report.teeth import Extremes, TeethOverTurn
 from hd_diag.report.torsion import Stiffness, k_shown
 
@@ -40,7 +40,7 @@ def held_out(found: Judgement) -> list[tuple[str, str]]:
     ]
 
 
-def over_angle(found: Comparison) -> str:
+def over_angle(found: BinnedResiduals) -> str:
     """Caption of the comparison over the wave generator's angle."""
     low, high = (number(torque) for torque in found.torques)
     ripple = _each({name: _ripple(mean) for name, mean in found.simulated.items()})
@@ -52,7 +52,7 @@ def over_angle(found: Comparison) -> str:
     )
 
 
-def over_torque(found: Comparison) -> str:
+def over_torque(found: BinnedResiduals) -> str:
     """Caption of the comparison over torque."""
     return (
         f"Over torque, all {found.samples} samples: means in {found.measured.center.size} bins, {_SPREAD}. "
@@ -73,7 +73,7 @@ def _ripple(mean: Floats) -> str:
     return arcsec(float(np.nanmax(mean) - np.nanmin(mean))) if np.isfinite(mean).any() else "–"
 
 
-def _worst(found: Comparison) -> str:
+def _worst(found: BinnedResiduals) -> str:
     means = {name: np.abs(band.mean[np.isfinite(band.mean)]) for name, band in found.residual.items()}
     return _each({name: arcsec(float(mean.max(initial=-math.inf))) for name, mean in means.items()})
 

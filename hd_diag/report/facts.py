@@ -28,7 +28,7 @@ from hd_diag.report import stages, torsion
 from hd_diag.report.advice import Card, cards
 from hd_diag.report.ladder import Rung, benches, ladder
 from hd_diag.report.limits import AMBER, Gauge, gauges, worst
-from hd_diag.report.stages import Comparison, OverTime, Stages
+from hd_diag.report.stages import BinnedResiduals, OverTime, Stages
 from hd_diag.report.teeth import TeethOverTurn, teeth_over_turn
 
 _LINE_SHARE = 0.2  # of a cause's mean square from which a peak of its spectrum is its order
@@ -73,8 +73,8 @@ class Judgement:
     kind: str
     classes: tuple[tuple[str, ...], ...]
     cards: tuple[Card, ...]
-    over_angle: Comparison
-    over_torque: Comparison
+    over_angle: BinnedResiduals
+    over_torque: BinnedResiduals
     over_time: OverTime
     orders: dict[str, tuple[Floats, Floats]]
     highest_order: float

@@ -45,7 +45,7 @@ class Stages:
     drive: Drive
 
 
-class Comparison(NamedTuple):
+class BinnedResiduals(NamedTuple):
     """Measured error and residuals in bins of an angle or a torque [rad]; the samples' torques [N m]."""
 
     measured: Band
@@ -93,7 +93,7 @@ def mean_error(drive: Drive, torque: Floats) -> tuple[Floats, Floats, Floats]:
     return np.asarray(table.mean(axis=0)), np.asarray(table.min(axis=0)), np.asarray(table.max(axis=0))
 
 
-def over_angle(found: Stages) -> Comparison:
+def over_angle(found: Stages) -> BinnedResiduals:
     """Errors over the wave generator's angle, less the drive's mean over a turn at the same torque.
 
     The ripple changes its sign with the torque: only torques of the stronger direction are taken, the middle
@@ -110,7 +110,7 @@ def over_angle(found: Stages) -> Comparison:
     return _compared(found, rows, np.mod(found.angle[rows], _TURN), edges, level)
 
 
-def over_torque(found: Stages) -> Comparison:
+def over_torque(found: Stages) -> BinnedResiduals:
     """Errors over the torque."""
     torque = found.record.torque
     edges = np.linspace(torque.min(), max(torque.max(), torque.min() + 1e-6), _TORQUE_BINS + 1)
@@ -119,9 +119,9 @@ def over_torque(found: Stages) -> Comparison:
 
 def _compared(
     found: Stages, rows: Integers, place: Floats, edges: Floats, level: Floats | float
-) -> Comparison:
+) -> BinnedResiduals:
     torque = found.record.torque[rows]
-    return Comparison(
+    return BinnedResiduals(
         band(place, found.measured[rows] - level, edges),
         {name: band(place, rest[rows], edges) for name, rest in found.residual.items()},
         (float(torque.min()), float(torque.max())),

@@ -45,7 +45,7 @@ from hd_diag.ros.subscriptions import (
     INPUT_DEPTH,
     Reader,
     SignalInput,
-    Source,
+    SignalTopic,
     Waiting,
     check_types,
     sources,
@@ -204,7 +204,7 @@ class DiagnosticNode(Node):
         if share != before or is_over:
             self._paced, self._busy = now, 0.0
 
-    def _on_signals(self, source: Source, reader: Reader, data: bytes) -> None:
+    def _on_signals(self, source: SignalTopic, reader: Reader, data: bytes) -> None:
         begin = time.perf_counter_ns()
         error = self._survive("a message was dropped", self._signals, source, reader, data)
         if error is not None:
@@ -212,7 +212,7 @@ class DiagnosticNode(Node):
         self._latencies.append(time.perf_counter_ns() - begin)
         self._busy += self._latencies[-1] * 1e-9
 
-    def _signals(self, source: Source, reader: Reader, data: bytes) -> None:
+    def _signals(self, source: SignalTopic, reader: Reader, data: bytes) -> None:
         now = self._now()
         self._log.write(source.topic, source.type_name, data, now, _QOS)
         self._session.joint_state(now, data, time.monotonic_ns(), reader)

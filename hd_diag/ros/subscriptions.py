@@ -35,7 +35,7 @@ Reader = JointStateReader | FieldReader
 
 
 @dataclass
-class Source:
+class SignalTopic:
     """A topic of which signals are taken: full name, type, and the signals by their keys."""
 
     topic: str
@@ -50,13 +50,13 @@ class Source:
         return FieldReader(store, self.type_name, self.signals)
 
 
-def sources(config: Config, full_name: Callable[[str], str]) -> list[Source]:
+def sources(config: Config, full_name: Callable[[str], str]) -> list[SignalTopic]:
     """Topics that a configuration needs; ConfigError where one is said to have two types."""
-    usual = Source(full_name(INPUT), JOINT_STATE)
+    usual = SignalTopic(full_name(INPUT), JOINT_STATE)
     found = {usual.topic: usual}
     for joint, role, signal in _signals(config):
         topic = full_name(signal.topic or INPUT)
-        source = found.setdefault(topic, Source(topic, signal.type_name))
+        source = found.setdefault(topic, SignalTopic(topic, signal.type_name))
         if source.type_name != signal.type_name:
             what = f"{topic} cannot have {signal.type_name} and {source.type_name}"
             raise ConfigError(f"{joint}.{OWNERS[role]}.type: {what}")
@@ -74,7 +74,7 @@ def check_types(config: Config) -> None:
         except ConfigError as error:
             raise ConfigError(f"{parameter}.type: {error}") from error
         try:
-            Source(signal.topic, signal.type_name, {"": signal}).reader()
+            SignalTopic(signal.topic, signal.type_name, {"": signal}).reader()
         except ValueError as error:
             raise ConfigError(f"{parameter}.field: {error}") from error
 
@@ -99,7 +99,7 @@ class SignalInput:
         Messages that DDS says were lost.
     """
 
-    def __init__(self, node: Node, source: Source, take: Callable[[bytes], None]) -> None:
+    def __init__(self, node: Node, source: SignalTopic, take: Callable[[bytes], None]) -> None:
         self.lost = 0
         self._node = node
         self.source = source
@@ -164,7 +164,7 @@ class Waiting:
 
     def __init__(self) -> None:
         self.taken = self.dropped = self._bytes = 0
-        self._messages: deque[tuple[float, tuple[Source, Reader, bytes]]] = deque()
+        self._messages: deque[tuple[float, tuple[SignalTopic, Reader, bytes]]] = deque()
 
     def __len__(self) -> int:
         return len(self._messages)
@@ -174,7 +174,7 @@ class Waiting:
         """How long the oldest has waited [s]."""
         return time.monotonic() - self._messages[0][0] if self._messages else 0.0
 
-    def put(self, source: Source, reader: Reader, data: bytes) -> None:
+    def put(self, source: SignalTopic, reader: Reader, data: bytes) -> None:
         """Have a message wait."""
         self.taken += 1
         self._bytes += len(data) + _OBJECTS
@@ -183,7 +183,7 @@ class Waiting:
             self.dropped += 1
             self.get()
 
-    def get(self) -> tuple[Source, Reader, bytes]:
+    def get(self) -> tuple[SignalTopic, Reader, bytes]:
         """The oldest."""
         _, message = self._messages.popleft()
         self._bytes -= len(message[-1]) + _OBJECTS

@@ -112,7 +112,7 @@ class Signal:
     unit: Unit
 
 
-class Signals(NamedTuple):
+class JointSignals(NamedTuple):
     """Signals of a joint; None for one that has its usual place."""
 
     input: Signal | None = None
@@ -131,7 +131,7 @@ class Signals(NamedTuple):
         return self.input is not None and self.input.unit.is_rate
 
 
-USUAL = Signals()
+USUAL = JointSignals()
 
 
 def key(joint: str, role: str) -> str:

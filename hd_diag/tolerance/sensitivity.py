@@ -19,7 +19,7 @@ _GENERATOR = "rng" if "rng" in inspect.signature(qmc.Sobol).parameters else "see
 
 
 @dataclass(frozen=True)
-class Estimate:
+class SobolEstimate:
     """Shares of the variance, and the bounds of their bootstrap intervals (95 %), each (outputs, factors).
 
     Zero where an output never changes; nan where it is not finite in some sample. Estimates of small shares
@@ -35,8 +35,8 @@ class Estimate:
 class Indices:
     """Sobol indices: first order, of the factor alone; total order, with its interactions."""
 
-    first: Estimate
-    total: Estimate
+    first: SobolEstimate
+    total: SobolEstimate
 
 
 def evaluations(samples: int, factors: int) -> int:
@@ -68,7 +68,7 @@ def indices(
     ends = 100.0 * np.array([0.5 * (1.0 - _CONFIDENCE), 0.5 * (1.0 + _CONFIDENCE)])
     low, high = np.percentile(again, ends, axis=0)
     first_order, total_order = np.where(finite[:, None], np.stack((estimate, low, high), axis=1), math.nan)
-    return Indices(Estimate(*first_order), Estimate(*total_order))
+    return Indices(SobolEstimate(*first_order), SobolEstimate(*total_order))
 
 
 def _estimate(blocks: Floats) -> Floats:

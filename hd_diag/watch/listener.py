@@ -18,7 +18,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
 from hd_diag.messages.publications import DIAGNOSTICS
-from hd_diag.watch.state import DEFAULT_TOPIC, NodeSeen, Status, Watch
+from hd_diag.watch.state import DEFAULT_TOPIC, NodeSeen, ReportedStatus, Watch
 
 _LOOK_PERIOD = 1.0  # between looks at the ROS graph [s]
 _DEPTH = 100  # reports that may wait
@@ -77,10 +77,10 @@ class Listener(Node):
         self._watch.take(topic, map(_status, array.status), time.monotonic())
 
 
-def _status(status: DiagnosticStatus) -> Status:
+def _status(status: DiagnosticStatus) -> ReportedStatus:
     values = {pair.key: pair.value for pair in status.values}
     level = int.from_bytes(status.level, "little")
-    return Status(status.name, level, status.message, values, status.hardware_id)
+    return ReportedStatus(status.name, level, status.message, values, status.hardware_id)
 
 
 @contextlib.contextmanager

@@ -32,7 +32,7 @@ _LONGEST_WHOLE = 16  # digits, and one, that every reader of JSON keeps
 _NAMES_SHOWN = 5
 
 
-class Status(NamedTuple):
+class ReportedStatus(NamedTuple):
     """A diagnostic_msgs/DiagnosticStatus: name, level, message, values, and whose it is."""
 
     name: str
@@ -52,10 +52,10 @@ class Status(NamedTuple):
         tail = f"/{self.joint}"
         return self.hardware_id.removesuffix(tail) if self.hardware_id.endswith(tail) else ""
 
-    def bounded(self) -> Status:
+    def bounded(self) -> ReportedStatus:
         """The same without what is too long or too much to keep."""
         values = {_cut(key): _cut(value) for key, value in list(self.values.items())[:_MOST_VALUES]}
-        return Status(_cut(self.name), self.level, _cut(self.message), values, _cut(self.hardware_id))
+        return ReportedStatus(_cut(self.name), self.level, _cut(self.message), values, _cut(self.hardware_id))
 
 
 class NodeSeen(NamedTuple):
@@ -80,7 +80,7 @@ class JointView(NamedTuple):
     name: str
     topic: str
     nodes: tuple[str, ...]
-    status: Status
+    status: ReportedStatus
     age: float
     is_silent: bool
     residuals: tuple[float, ...]
@@ -113,7 +113,7 @@ class JointView(NamedTuple):
 class _Reports:
     """What is carried of a joint from report to report."""
 
-    status: Status
+    status: ReportedStatus
     arrived: float
     periods: deque[float] = field(default_factory=lambda: deque(maxlen=_PERIODS))
     residuals: deque[float] = field(default_factory=lambda: deque(maxlen=_HISTORY))
@@ -138,7 +138,7 @@ class Watch:
     messages: int = 0
     _reports: dict[tuple[str, str, str], _Reports] = field(default_factory=dict)
 
-    def take(self, topic: str, statuses: Iterable[Status], now: float) -> None:
+    def take(self, topic: str, statuses: Iterable[ReportedStatus], now: float) -> None:
         """Take a DiagnosticArray that came on a topic at a time [s]."""
         self.messages += 1
         for status in statuses:
@@ -192,7 +192,7 @@ class Watch:
             found.append("no diagnostics at all")
         return found
 
-    def _take_joint(self, topic: str, status: Status, now: float) -> None:
+    def _take_joint(self, topic: str, status: ReportedStatus, now: float) -> None:
         key = topic, status.hardware_id, status.joint
         reports = self._reports.get(key)
         if reports is not None:
@@ -208,7 +208,7 @@ class Watch:
         below = [f"/{namespace.strip('/')}/".replace("//", "/") for namespace in self.namespaces]
         return not below or name.startswith(tuple(below))
 
-    def _senders(self, topic: str, status: Status) -> list[str]:
+    def _senders(self, topic: str, status: ReportedStatus) -> list[str]:
         """Names of the nodes that may have sent a status: the one it names, or all that the graph leaves."""
         if status.node:
             return [status.node]

@@ -25,8 +25,8 @@ from hd_diag.diagnosis.noise import Whitening, whitening, whitening_of
 from hd_diag.diagnosis.record import Record
 from hd_diag.drive import Drive
 from hd_diag.effects import Catalogue
+from hd_diag.effects.array_cache import ArrayCache
 from hd_diag.effects.effect import Effect, Values
-from hd_diag.effects.kept import Kept
 from hd_diag.effects.signals import Signals
 
 _BLOCKS = 24
@@ -123,9 +123,9 @@ class FittedRows:
         return (COMPLIANCE,) if self.source.by_current else ()
 
     @cached_property
-    def kept(self) -> Kept:
+    def kept(self) -> ArrayCache:
         """What was computed of these rows and may be needed again."""
-        return Kept(_MOST_KEPT)
+        return ArrayCache(_MOST_KEPT)
 
     @cached_property
     def revisits(self) -> Revisits:

@@ -15,9 +15,9 @@ from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.smoothing import smooth
 from hd_diag.diagnosis.work import Work
 from hd_diag.drive import Drive
+from hd_diag.effects.array_cache import ArrayCache
 from hd_diag.effects.contact_weights import contact_weights
 from hd_diag.effects.effect import Values
-from hd_diag.effects.kept import Kept
 from hd_diag.effects.mesh_torque import MeshTorque
 from hd_diag.effects.signals import Signals
 
@@ -51,9 +51,9 @@ class RecordModel:
     _known: dict[bytes, AtParameters] = field(default_factory=dict, init=False)
 
     @cached_property
-    def kept(self) -> Kept:
+    def kept(self) -> ArrayCache:
         """What was computed of all rows and may be needed again."""
-        return Kept(_MOST_KEPT)
+        return ArrayCache(_MOST_KEPT)
 
     def at(self, parameters: Floats) -> AtParameters:
         """The model at parameters in units of `fit_parameters.units`; the latest are kept."""

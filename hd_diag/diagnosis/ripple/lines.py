@@ -22,7 +22,7 @@ _OTHER = 0.01  # chance below which parts differ
 _STEADY = 0.8  # agreement from which phases count as the same all the same: sizes go with speed and load
 
 
-class Part(NamedTuple):
+class RecordedLine(NamedTuple):
     """A line in one recording: amplitude [N m], its standard deviation, phase [rad]."""
 
     amplitude: float
@@ -67,7 +67,7 @@ class Line:
     found: bool
     agreement: float
     repeats: bool | None
-    records: tuple[Part, ...]
+    records: tuple[RecordedLine, ...]
 
 
 class Multiple(NamedTuple):
@@ -130,7 +130,7 @@ class Multiple(NamedTuple):
             bool(found.p_values[at] <= self.threshold),
             _agreement([one for one, _ in runs]),
             _same(parts if len(parts) > 1 else runs, value, std),
-            tuple(Part(abs(one), spread, _phase(one)) for one, spread in parts),
+            tuple(RecordedLine(abs(one), spread, _phase(one)) for one, spread in parts),
         )
 
     def _alike(

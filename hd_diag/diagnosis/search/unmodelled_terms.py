@@ -64,7 +64,7 @@ class UnmodelledTerm(Effect):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Place(UnmodelledTerm):
+class LocalBump(UnmodelledTerm):
     """A bump at one place of the output's turn, twice as wide as its half width to 1/e."""
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
@@ -261,7 +261,7 @@ UNMODELLED_TERMS = (
         predictive=False,
         remembers=True,  # rows at rest, which are not fitted, say where it changes
     ),
-    Place(
+    LocalBump(
         name="place",
         cause="belongs to one place of the output's turn",
         frame="output",

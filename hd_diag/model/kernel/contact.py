@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hd_diag.model.kernel.formula import choose, formula, larger, smaller
-from hd_diag.model.kernel.mesh_data import Arc, Constants, Line
+from hd_diag.model.kernel.mesh_data import Arc, CommonTangent, Constants
 
 
 class Point(NamedTuple):
@@ -89,7 +89,7 @@ def _arcs(moving: Point, x: float, y: float, q: float, distance: float, side: fl
 
 
 @formula
-def _arc_on_line(moving: Point, line: Line, radius: float) -> Touch:
+def _arc_on_line(moving: Point, line: CommonTangent, radius: float) -> Touch:
     """A point of the tooth comes to lie ``radius`` before the wall's line."""
     near = line.distance - radius
     lever = np.sqrt(moving.radius * moving.radius - near * near)
@@ -108,7 +108,7 @@ def _arc_on_line(moving: Point, line: Line, radius: float) -> Touch:
 
 
 @formula
-def _line_on_arc(line: Line, distance: float, wall: Arc) -> Touch:
+def _line_on_arc(line: CommonTangent, distance: float, wall: Arc) -> Touch:
     """The tooth's line, ``distance`` from the axis, touches the wall's convex arc."""
     beyond, unit = distance + wall.radius, 1.0 / (wall.distance * wall.distance)
     lever = np.sqrt(wall.distance * wall.distance - beyond * beyond)

@@ -32,7 +32,7 @@ class Arc(NamedTuple):
     radius: float
 
 
-class Line(NamedTuple):
+class CommonTangent(NamedTuple):
     """Common tangent: unit normal, distance from the origin, end points and their distances from it [m]."""
 
     normal_x: float
@@ -64,10 +64,10 @@ class Constants(NamedTuple):
     tip_y: float
     tooth_addendum: Arc
     tooth_dedendum: Arc
-    tooth_line: Line
+    tooth_line: CommonTangent
     wall_addendum: Arc
     wall_dedendum: Arc
-    wall_line: Line
+    wall_line: CommonTangent
     wall_tip: float
     wall_tip_x: float
     wall_tip_y: float
@@ -116,7 +116,7 @@ def width(c: Constants, angle: float) -> int:
 
 def blank() -> MeshData:
     """Numbers of the right types that no gear has: enough to compile for."""
-    arc, line = Arc(*[1.0] * 4), Line(*[1.0] * 9)
+    arc, line = Arc(*[1.0] * 4), CommonTangent(*[1.0] * 9)
     constants = Constants._make([*[1.0] * 10, arc, arc, line, arc, arc, line, *[1.0] * 4, 0, 0])
     return MeshData(constants, Tables(*[np.ones(1)] * 5), 1.0, 0.0)
 
@@ -174,12 +174,12 @@ def _arc(center: tuple[float, float], radius: float, datum: float) -> Arc:
     return Arc(x, y, math.hypot(x, y), radius)
 
 
-def _line(flank: DoubleArc, datum: float) -> Line:
+def _line(flank: DoubleArc, datum: float) -> CommonTangent:
     (outer_x, outer_y), (inner_x, inner_y) = flank.addendum_joint, flank.dedendum_joint
     outer_x, inner_x = outer_x + datum, inner_x + datum
     distance = flank.normal[0] * outer_x + flank.normal[1] * outer_y
     outer, inner = (outer_x, outer_y), (inner_x, inner_y)
-    return Line(*flank.normal, distance, *outer, math.hypot(*outer), *inner, math.hypot(*inner))
+    return CommonTangent(*flank.normal, distance, *outer, math.hypot(*outer), *inner, math.hypot(*inner))
 
 
 def _wall_tip(dedendum: Arc, tip: float) -> complex:

@@ -18,7 +18,7 @@ from hd_diag.report.binned import Band
 from hd_diag.report.ladder import Rung
 from hd_diag.report.pictures import canvas
 from hd_diag.report.pictures.canvas import GRID, INK, REFIT, STAGES, drawn, sheet, titled, turn
-from hd_diag.report.stages import Comparison, OverTime
+from hd_diag.report.stages import BinnedResiduals, OverTime
 from hd_diag.report.torsion import Torsion, k_shown
 
 _TURN = 2.0 * np.pi
@@ -36,7 +36,7 @@ _ROOM = 1.9  # factor to the right of the largest for its number
 
 
 @drawn
-def over_angle(found: Comparison) -> Figure:
+def over_angle(found: BinnedResiduals) -> Figure:
     """Ripple over a turn of the wave generator above, residual below."""
     figure, axes = _compared(found, 180.0 / np.pi)
     turn(axes, "Wave generator angle [°]")
@@ -44,14 +44,14 @@ def over_angle(found: Comparison) -> Figure:
 
 
 @drawn
-def over_torque(found: Comparison) -> Figure:
+def over_torque(found: BinnedResiduals) -> Figure:
     """Error over torque above, residual below."""
     figure, axes = _compared(found, 1.0)
     axes.set_xlabel("Torque on the link [N m]")
     return figure
 
 
-def _compared(found: Comparison, scale: float) -> tuple[Figure, Axes]:
+def _compared(found: BinnedResiduals, scale: float) -> tuple[Figure, Axes]:
     figure, (top, bottom) = sheet(4.6, 2, sharex=True)
     place = scale * found.measured.center
     _spread(top, place, found.measured, INK)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 Array = TypeVar("Array", bound=npt.NDArray[Any])
 
 
-class Kept:
+class ArrayCache:
     """Arrays by what they were computed of; the latest used, up to a number of bytes."""
 
     def __init__(self, most: int) -> None:
