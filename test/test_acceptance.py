@@ -146,6 +146,14 @@ def test_idle_effects_are_dropped_and_needed_ones_kept(made: LinearisedFit, plai
     assert needed(plain, ((DRY, (0.2, 0.0, 0.5, 5.0)), RUBBING)) == ()
 
 
+def test_bend_and_elements_against_each_other_are_no_loop() -> None:
+    """They make a filter of the torque, which what its smoothing left of its noise needs."""
+    shape = {"bending_reach": 9.0, "sharpness": 1.6, "slipping_reach": 2.0, "spread": 1.5}
+    against = bench(of(RUBBED, bending_amplitude=1e-4, slipping_amplitude=-9e-5, **shape))
+    assert passing(against, (), ranked(against, (), (RUBBED,)), 1) is None
+    assert needed(against, (RUBBING,)) == ()
+
+
 def test_what_is_not_predictive_is_not_judged_by_blocks_held_out(plain: LinearisedFit) -> None:
     drifting = bench(lambda signals: 2e-5 * np.sin(0.9 * signals.time))
     assert needed(drifting, ((DRIFT, ()), (DRY, (0.2, 0.0, 0.5, 5.0)))) == ((DRIFT, ()),)

@@ -539,3 +539,19 @@ def test_lines_of_an_output_encoder_are_a_multiple_of_four(signals: Signals) -> 
 
     assert 128.0 in found(128.0)
     assert not found(337.0) & {332.0, 336.0, 340.0}
+
+
+@pytest.mark.parametrize(
+    ("name", "coefficients", "itself"),
+    [
+        ("hysteresis", (2e-5, 1e-5), True),
+        ("hysteresis", (2e-5, -3e-6), True),
+        ("hysteresis", (-1e-5, 2e-5), False),
+        ("torsional_hardening", (1e-6, -2e-6), True),
+        ("torsional_hardening", (1e-6, 1e20), False),  # the tail of a knee far beyond all torques
+    ],
+)
+def test_what_is_another_shape_than_the_effect_s_own(
+    name: str, coefficients: tuple[float, float], itself: bool
+) -> None:
+    assert by_name(name).sensible(np.array(coefficients), ()) is itself

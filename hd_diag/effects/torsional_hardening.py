@@ -16,6 +16,7 @@ from hd_diag.effects.signals import Signals
 _FIRST, _SECOND = (0.08, 0.18, 0.35), (0.5, 0.8)  # of the greatest torque
 _WIDTHS = (0.01, 0.5)  # of the knees
 _SHARP = 1e-6  # [N m]; no knee is sharper
+_MOST = 100.0  # times the usual compliance: no torque is near a knee of which so much is needed
 _LEAST = 0.25  # of the rated torque, that the record must reach
 
 
@@ -26,6 +27,10 @@ class TorsionalHardening(Effect):
     The ramps bend over a width of ``w T1`` and ``w T2`` around their knees: sharply where that is small, as a
     cubic where it is large; where a and b have other signs, a compliance that is spent.
     """
+
+    def sensible(self, coefficients: Floats, nonlinear: Values) -> bool:
+        """Whether the knees are where torques are; see :meth:`Effect.sensible`."""
+        return bool(np.all(np.abs(coefficients) < _MOST * self.usual))
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
         """Ramps from both knees; see :meth:`Effect.columns`."""

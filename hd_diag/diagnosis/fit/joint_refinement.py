@@ -195,6 +195,12 @@ def _wider(fit: LinearisedFit, beta: Floats, spread: Floats, built: Design) -> F
     return np.asarray(np.sqrt(np.maximum(variance / np.maximum(np.diag(spread), 1e-300), least)))
 
 
+def sensible(fit: LinearisedFit, chosen: Chosen) -> list[bool]:
+    """Of each effect whether it is itself at the size that fits, and not another cause's shape."""
+    sized = fit.sized(chosen, fit.fit(chosen)[0])
+    return [effect.sensible(own[: effect.size], nonlinear) for (effect, nonlinear), own in sized]
+
+
 def free(effect: Effect) -> list[int]:
     """Numbers of the nonlinear values that any real number may be."""
     return [index for index, quantity in enumerate(effect.nonlinear) if not quantity.discrete]
@@ -209,7 +215,7 @@ def _stepped(fit: LinearisedFit, chosen: Chosen, before: float) -> tuple[Lineari
     for _ in range(_SHORTER):
         trial = _moved_all(fit, chosen, step)
         tried = fit.corrected(trial)
-        if tried.deviance(trial) < before:
+        if tried.deviance(trial) < before and all(sensible(tried, trial)):
             return tried, trial
         step = 0.5 * step
     return fit, chosen

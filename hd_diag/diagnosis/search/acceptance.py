@@ -8,6 +8,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.design import f_test, holds, projection, solve
+from hd_diag.diagnosis.fit.joint_refinement import sensible
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.fit.present_effects import Item
 from hd_diag.diagnosis.noise import numbered
@@ -48,7 +49,8 @@ def passing(fit: LinearisedFit, chosen: Chosen, ranked: list[Candidate], family:
             continue
         effect, nonlinear = candidate.effect, candidate.nonlinear
         large = size(fit, chosen, effect, nonlinear) >= LEAST_SIZE
-        if large and _sensible(fit, chosen, effect, nonlinear) and _confirmed(fit, chosen, effect, nonlinear):
+        itself = sensible(fit, (*chosen, (effect, nonlinear)))[-1]
+        if large and itself and _confirmed(fit, chosen, effect, nonlinear):
             return replace(candidate, p_value=p)
     return None
 
@@ -133,8 +135,8 @@ def needed(fit: LinearisedFit, chosen: Chosen) -> Chosen:
         small = size(fit, rest, effect, nonlinear) < least
         if blind and not small:
             continue
-        another = not _sensible(fit, rest, effect, nonlinear)
-        if small or another or not holds(*held_out_gain(fit, chosen, index)):
+        itself = sensible(fit, chosen)[index]
+        if small or not itself or not holds(*held_out_gain(fit, chosen, index)):
             return needed(fit, rest)
     return chosen
 
@@ -173,13 +175,6 @@ def size(fit: LinearisedFit, chosen: Chosen, effect: Effect, nonlinear: tuple[fl
     moment = [one.T @ white for one in (fit.always_white, *(fit.white(*item) for item in chosen))]
     own = part - fixed @ solve(fit.design(chosen).whole[0], np.concatenate(moment))
     return float(np.std(own))
-
-
-def _sensible(fit: LinearisedFit, chosen: Chosen, effect: Effect, nonlinear: tuple[float, ...]) -> bool:
-    """Whether an effect is itself at the size that fits beside those chosen, not another cause's shape."""
-    beside = (*chosen, (effect, nonlinear))
-    own = fit.fit(beside)[0][fit.places(beside)[-1]]
-    return effect.sensible(own[: effect.size], nonlinear)
 
 
 def _part(fit: LinearisedFit, chosen: Chosen, effect: Effect, nonlinear: tuple[float, ...]) -> Floats:
