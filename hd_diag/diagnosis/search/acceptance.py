@@ -32,6 +32,7 @@ _SHAPES, _STAYING = (
 )  # other ones of a law; share of what is distinct from it, that they may not take over
 _LOOP = 0.01  # of the model's torsion, that its loops are right to
 _LATE = 0.002  # the same of a delay
+_OWN = 0.1  # of what an effect brings, that it must bring beside parameters free of their bounds, too
 _CERTAIN_SIZE = 0.5 * ARCSEC  # of a shape that nothing held out can prove [rad rms]
 _SECONDS = 2.5  # of a mean in which quick noise is gone
 _CHANCE_SHARE = 3.0  # times what noise alone gives to so many columns
@@ -135,10 +136,21 @@ def needed(fit: LinearisedFit, chosen: Chosen) -> Chosen:
         small = size(fit, rest, effect, nonlinear) < least
         if blind and not small:
             continue
-        itself = sensible(fit, chosen)[index]
-        if small or not itself or not holds(*held_out_gain(fit, chosen, index)):
+        gain, predicted = held_out_gain(fit, chosen, index)
+        itself = sensible(fit, chosen)[index] and not _beyond_bounds(fit, chosen, rest, gain)
+        if small or not itself or not holds(gain, predicted):
             return needed(fit, rest)
     return chosen
+
+
+def _beyond_bounds(fit: LinearisedFit, chosen: Chosen, rest: Chosen, gain: Floats) -> bool:
+    """Whether the parameters, were they free of bounds, would do nearly all that an effect brings.
+
+    Noise of a torque makes a joint look stiffer: a hardening from zero on is then a negative compliance.
+    """
+    if wanders(chosen):
+        return False
+    return float(gain.sum()) < _OWN * (fit.deviance(rest) - fit.deviance(chosen))
 
 
 def held_out_gain(fit: LinearisedFit, chosen: Chosen, index: int) -> tuple[Floats, Floats]:
