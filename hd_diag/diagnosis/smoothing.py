@@ -14,7 +14,7 @@ from hd_diag.diagnosis.blocks import filtered
 from hd_diag.diagnosis.noise import bounds
 
 _ORDER = 2
-_WINDOWS = 0.01 * 1.35 ** np.arange(12)  # to choose from [s]
+_WINDOWS = 0.01 * 1.35 ** np.arange(20)  # to choose from [s]
 _NARROWER, _BENT = (3.0, 9.0), 5.0  # by which a window is cut; times the noise's variance that shows a bend
 _STILL = 4.0  # times the variance of smoothed noise, up to which smoothed values count as constant
 _ZERO = 16.0  # times the variance of a mean, up to which it counts as zero
