@@ -1,7 +1,8 @@
-"""``hd-diag diagnose``: measured against simulated, the cause, the gain."""
+"""``hd-diag diagnose``, ``report`` and ``ripple``: what records of joints tell."""
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,18 +11,21 @@ from typing import Any
 import numpy as np
 
 from hd_diag import __version__
+from hd_diag.cli.lines import show_table
 from hd_diag.cli.options import check_files
 from hd_diag.cli.progress import showing
-from hd_diag.cli.record import Judged, Records, judge_each, on_records
+from hd_diag.cli.record import Judged, Records, judge_each, not_judged, on_records
 from hd_diag.cli.targets import Problem
 from hd_diag.config.configuration import JointConfig
 from hd_diag.config.model_file import document, write
 from hd_diag.config.parameters import of_joint
 from hd_diag.diagnosis.diagnosis import Diagnosis
+from hd_diag.diagnosis.record import RecordError
+from hd_diag.diagnosis.ripple import verdict as ripple_verdict
 from hd_diag.diagnosis.verdict import as_json, summary
 from hd_diag.effects.order_line import ORDER_LINE
 from hd_diag.formatting import json_ready
-from hd_diag.report.facts import of_diagnosis
+from hd_diag.report.facts import of_diagnosis, of_motion
 from hd_diag.report.sources import digests
 
 
@@ -89,3 +93,57 @@ def model_document(found: Diagnosis, joint: str, records: Records) -> dict[str, 
     evidence["trustworthy"] = content["refit"]["trustworthy"]
     evidence["bags"] = [{"path": str(path), "sha256": digests(path)} for path in records.bags]
     return dict(json_ready(document(joint, own, found.model, spreads, effects, evidence, __version__)))
+
+
+@on_records
+def report(records: Records, out: Path | None, json_file: str | None) -> int:
+    """Do what ``hd-diag report`` is asked for."""
+    target = out or Path(f"{records.bags[0].stem}.html")
+    check_files((target, json_file))
+
+    def judge(joint: JointConfig) -> Judged:
+        flat = records.config.flat
+        with showing() as part:
+            advance = part(joint.name)
+            try:
+                diagnosis = records.diagnosed(joint, advance)
+            except RecordError as error:
+                motion = found = None
+                with contextlib.suppress(RecordError):
+                    motion = records.motion(joint)
+                    found = records.ripple(joint, motion)
+                if motion is None:
+                    raise
+                page = of_motion(motion, joint, flat, str(error), found)
+                content = {"ripple": ripple_verdict.as_json(found, joint.name)} if found else {}
+                content |= motion.stamps.reported
+                return not_judged(joint.name, error) | content, [page.verdict], page
+            advance(0, 0, "gathering the report's numbers")
+            page = of_diagnosis(diagnosis, joint, flat, np.random.default_rng(0))
+            return as_json(diagnosis, joint.name), [page.verdict], page
+
+    return judge_each(records, judge, target, json_file)[1]
+
+
+@on_records
+def ripple(records: Records, json_file: str | None) -> int:
+    """Do what ``hd-diag ripple`` is asked for."""
+    from rich.table import Table
+
+    tables: list[Table] = []
+
+    def judge(joint: JointConfig) -> Judged:
+        with showing() as part:
+            part(joint.name)(0, 0, "looking at the torque")
+            motion = records.motion(joint)
+            found = records.ripple(joint, motion)
+        tables.append(Table(*ripple_verdict.TITLES, title=f"{joint.name}: torque over position"))
+        for line in (*found.lines, *found.others):
+            tables[-1].add_row(*ripple_verdict.row(line))
+        content = ripple_verdict.as_json(found, joint.name) | motion.stamps.reported
+        return content, [*motion.stamps.lines, ripple_verdict.sentence(found)], None
+
+    _, code = judge_each(records, judge, None, json_file)
+    for table in tables if json_file != "-" else ():
+        show_table(table)
+    return code

@@ -126,6 +126,18 @@ def together(*options: Callable[[Any], Any]) -> Callable[[_Command], _Command]:
     return decorated
 
 
+def numbers(
+    rows: Iterable[tuple[str, click.ParamType[Any], str]], required: Iterable[str] = ()
+) -> Callable[[_Command], _Command]:
+    """Options for numbers, one for each name with its type and help."""
+    return together(
+        *(
+            click.option(f"--{name.replace('_', '-')}", type=kind, required=name in required, help=text)
+            for name, kind, text in rows
+        )
+    )
+
+
 def json_option(what: str) -> Callable[[_Command], _Command]:
     """Option ``--json`` for a verb that writes this there."""
     kind = Target(stdout=True)

@@ -9,7 +9,7 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NoReturn, Protocol
@@ -77,8 +77,11 @@ def duration(seconds: float) -> str:
 
 
 @contextmanager
-def showing() -> Iterator[Part]:
-    """Parts of the work: each gives what is to be called meanwhile; shown from the first call on."""
+def showing(came: Sequence[int] = ()) -> Iterator[Part]:
+    """Parts of the work: each gives what is to be called meanwhile; shown from the first call on.
+
+    Such a call raises `Stopped` where a signal has `came`.
+    """
     with _bars() if _on_terminal() else _lines() as show:
 
         def part(what: str, unit: str = "") -> Advance:
@@ -87,6 +90,8 @@ def showing() -> Iterator[Part]:
             def advance(done: float, total: float, note: str = "") -> None:
                 work.advance(done, total, note)
                 show(work)
+                if came:
+                    raise Stopped(came[0])
 
             return advance
 
@@ -95,19 +100,8 @@ def showing() -> Iterator[Part]:
 
 @contextmanager
 def working() -> Iterator[Part]:
-    """The same for work that must end at a call: there `Stopped` is raised where a signal has come."""
-    with noted_signals() as came, showing() as shown:
-
-        def part(what: str, unit: str = "") -> Advance:
-            show = shown(what, unit)
-
-            def advance(done: float, total: float, note: str = "") -> None:
-                show(done, total, note)
-                if came:
-                    raise Stopped(came[0])
-
-            return advance
-
+    """The same for work that must end at a call after a signal."""
+    with noted_signals() as came, showing(came) as part:
         yield part
 
 

@@ -1,4 +1,4 @@
-"""What ``hd-diag diagnose`` and ``hd-diag report`` share: options, diagnosis of each joint, JSON, page."""
+"""What ``hd-diag diagnose``, ``report`` and ``ripple`` share: options, each joint's diagnosis, JSON, page."""
 
 from __future__ import annotations
 
@@ -30,7 +30,6 @@ from hd_diag.records.tables import Table, read_table_motion, read_tables
 from hd_diag.report.facts import JointReport
 from hd_diag.report.sources import sources
 from hd_diag.tolerance.severity import with_allowed
-from hd_diag.tolerance.study import limits_and_spreads
 
 _TABLES = (".csv", ".tsv", ".txt")
 
@@ -59,28 +58,30 @@ class Records:
         warm_up()  # compiling takes nothing from the time limit
         work = Work(self.time_limit, lambda share, text: advance(share, 1.0, text))
         found = diagnose(looked, joint.configured, rng, work, self.catalogue)
-        return with_allowed(found, limits_and_spreads(self.config.flat, joint.name)[0])
+        return with_allowed(found, self.config.flat, joint.name)
 
-    def ripple(self, joint: JointConfig, motion: InputRecord | None) -> Ripple:
-        """Lines of a joint's torque over a motion; RecordError where there is nothing that can be judged."""
-        if motion is None:
+    def motion(self, joint: JointConfig) -> InputRecord:
+        """A joint's motion and torque, by two angles or one; RecordError where there is none."""
+        if self.table is None:
+            found = read_motion(self.bags, joint)
+        else:
+            found = read_table_motion(self.bags, self.table, joint)
+        if found is None:
             raise RecordError(nothing(self.bags, joint))
+        return found
+
+    def ripple(self, joint: JointConfig, motion: InputRecord) -> Ripple:
+        """Lines of a joint's torque over a motion; RecordError where there is nothing that can be judged."""
         columns = motion.time, motion.input_angle, motion.torque, motion.bag
         try:
             return ripple(*columns, joint.configured.kinematics)
         except RecordError as error:
             raise RecordError(motion.stamps.after(str(error))) from error
 
-    def motion(self, joint: JointConfig) -> InputRecord | None:
-        """A joint's motion and torque, by two angles or one; None where there is none."""
-        if self.table is None:
-            return read_motion(self.bags, joint)
-        return read_table_motion(self.bags, self.table, joint)
-
     def _record(self, joint: JointConfig) -> Record:
-        return (
-            read_bags(self.bags, joint) if self.table is None else read_tables(self.bags, self.table, joint)
-        )
+        if self.table is None:
+            return read_bags(self.bags, joint)
+        return read_tables(self.bags, self.table, joint)
 
 
 def table_of(columns: str, divided: bool, rate: float, delimiter: str) -> Table:

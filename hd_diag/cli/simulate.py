@@ -18,12 +18,11 @@ from hd_diag.cli.verbs.bags import SHORT
 from hd_diag.config.configuration import Config, ConfigError, resolve
 from hd_diag.config.parameter_file import parse_value
 from hd_diag.config.parameters import of_joint
-from hd_diag.drive import Drive
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.simulation import Motion, Noise, SimulatedJoint, write_bag
+from hd_diag.simulation.motion import SECOND
 
 _TURN = 2.0 * math.pi
-_SECOND = 1_000_000_000  # [ns]
 _MOTION = Motion()
 
 _RATED = 56.0  # torque of the drive that the motion's own torques are meant for [N m]
@@ -42,7 +41,7 @@ def simulate(
         joints = _joints(config, names, given)
         if not 0.0 <= given["start_time"] < 2.0**31:
             raise ValueError(f"--start-time must be a Unix time within 32 bits, not {given['start_time']} s")
-        start = round(given["start_time"] * _SECOND)
+        start = round(given["start_time"] * SECOND)
         with working() as part:
             mapping = part("map")
             samples = write_bag(
@@ -112,11 +111,8 @@ def _joints(config: Config, names: tuple[str, ...], given: dict[str, Any]) -> di
     angles = ("angle_noise_arcsec", "angle_drift_arcsec", "offset_arcsec")
     white, drift, offset = (given[name] * ARCSEC for name in angles)
     noise = Noise(white=white, drift=drift, torque=given["torque_noise"])
-
-    def share(drive: Drive) -> float:
-        return 1.0 if given["torque_level"] else drive.rated_torque / _RATED
-
-    return {
-        joint.name: SimulatedJoint(joint.drive, noise, offset, torque_share=share(joint.drive))
-        for joint in chosen_joints(config, names)
-    }
+    found = {}
+    for joint in chosen_joints(config, names):
+        share = 1.0 if given["torque_level"] else joint.drive.rated_torque / _RATED
+        found[joint.name] = SimulatedJoint(joint.drive, noise, offset, torque_share=share)
+    return found

@@ -35,7 +35,6 @@ from hd_diag.report.advice import cards
 from hd_diag.report.facts import JointReport, of_diagnosis, of_motion
 from hd_diag.report.sources import sources
 from hd_diag.tolerance.severity import with_allowed
-from hd_diag.tolerance.study import limits_and_spreads
 
 SCHEMA = "hd_diag/fleet/1"
 
@@ -127,7 +126,7 @@ def judge(task: Task) -> Row:
         configured = task.joint.configured
         record = screened(read_bags([task.bag], task.joint), configured)
         found = diagnose(record, configured, np.random.default_rng(0), catalogue=load())
-        found = with_allowed(found, limits_and_spreads(task.flat, task.joint.name)[0])
+        found = with_allowed(found, task.flat, task.joint.name)
     except BagError as error:
         return {**fixed, "error": error.cause}
     except RecordError as error:

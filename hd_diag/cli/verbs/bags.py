@@ -80,12 +80,7 @@ SHORT = {
     help="Torque on the link [N m]; repeatable. [default: -71, -25, 25, 71 % of the rated torque]",
 )
 @click.option("--one-way", is_flag=True, help="Turn forwards only.")
-@options.together(
-    *(
-        click.option(f"--{name.replace('_', '-')}", type=float, help=text)
-        for name, (_, _, text) in SHORT.items()
-    )
-)
+@options.numbers((name, click.FLOAT, text) for name, (_, _, text) in SHORT.items())
 @click.option(
     "--set",
     "assignments",

@@ -56,12 +56,7 @@ _REQUIRED = ("ratio", "rated_torque", "k1", "k2", "k3")
 @options.verb(
     "gear --size 20 --ratio 160 --rated-torque 40 --k1 16e3 --k2 25e3 --k3 29e3 --t1 7 --t2 25 --out f.yaml"
 )
-@options.together(
-    *(
-        click.option(f"--{name.replace('_', '-')}", type=float, required=name in _REQUIRED, help=text)
-        for name, text in _PAGE.items()
-    )
-)
+@options.numbers(((name, click.FLOAT, text) for name, text in _PAGE.items()), _REQUIRED)
 @click.option("--accuracy", type=float, help="Transmission accuracy [arcmin]. [default: 1.5]")
 @options.shown(
     "--output",
@@ -121,12 +116,7 @@ LIMITS = {
     multiple=True,
     help="On the link [N m]; repeatable. [default: the rated torque]",
 )
-@options.together(
-    *(
-        click.option(f"--{name.replace('_', '-')}", type=kind, help=f"Limit on {what}.")
-        for name, (*_, kind, what) in LIMITS.items()
-    )
-)
+@options.numbers((name, kind, f"Limit on {what}.") for name, (*_, kind, what) in LIMITS.items())
 @click.option(
     "--largest-um", type=float, help="Look for limits up to here [µm]. [default: a fifth of the module]"
 )

@@ -115,7 +115,7 @@ def fleet() -> None:
     """
 
 
-@options.verb("report joint.mcap --config arm.yaml --out joint.html")
+@options.verb("report joint.mcap --config arm.yaml --out joint.html", "diagnose")
 @options.records
 @options.TIME_LIMIT
 @click.option(
@@ -135,7 +135,7 @@ def report() -> None:
     """
 
 
-@options.verb("ripple joint.mcap --config arm.yaml")
+@options.verb("ripple joint.mcap --config arm.yaml", "diagnose")
 @options.records
 @options.JSON
 def ripple() -> None:

@@ -7,7 +7,7 @@ import click
 from hd_diag.cli import options
 
 
-@options.verb("demo --out demo")
+@options.verb("demo --out demo", "ros")
 @click.option(
     "--out",
     "folder",
@@ -25,7 +25,7 @@ def demo() -> None:
     """
 
 
-@options.verb("node --config arm.yaml -- --ros-args -r joint_states:=/js", ignore_unknown_options=True)
+@options.verb("node --config arm.yaml -- --ros-args -r joint_states:=/js", "ros", ignore_unknown_options=True)
 @options.CONFIG
 @click.argument("ros_arguments", nargs=-1, type=click.UNPROCESSED)
 def node() -> None:

@@ -1,4 +1,4 @@
-"""``hd-diag demo``: the main job end to end on a simulated joint."""
+"""``hd-diag node`` and ``demo``: the ROS node, and the main job end to end on a simulated joint."""
 
 from __future__ import annotations
 
@@ -7,7 +7,18 @@ from pathlib import Path
 from hd_diag.cli.examples import load_example
 from hd_diag.cli.options import needing_ros
 from hd_diag.cli.targets import Problem, write_json
-from hd_diag.ros.stop_signals import SIGNALLED
+from hd_diag.config.configuration import load
+from hd_diag.ros.stop_signals import SIGNALLED, note_signals
+
+
+def node(config_file: str | None, ros_arguments: tuple[str, ...]) -> int:
+    """Do what ``hd-diag node`` is asked for."""
+    if config_file:
+        load(config_file)
+    with needing_ros("the node"):
+        from hd_diag.ros.node import main as run
+    parameter_file = ["--ros-args", "--params-file", config_file, "--"] if config_file else []
+    return run(["hd_diag_node", *parameter_file, *ros_arguments], note_signals())
 
 
 def demo(folder: str | None, seconds: float, json_file: str | None) -> int:
