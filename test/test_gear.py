@@ -28,7 +28,7 @@ from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.scaling import of_drive
 from hd_diag.extended_model import ExtendedModel, Range, Ranges, Term
-from hd_diag.gear.characteristics import TeethOverTurn, ToothLoads, characteristics, tooth_loads
+from hd_diag.gear.characteristics import MeshOverTurn, ToothLoads, characteristics, tooth_loads
 from hd_diag.gear.similarity import least_backlash
 from hd_diag.model.load_sharing import mesh_state
 from hd_diag.model.torsion import torsion, torsion_table
@@ -136,7 +136,7 @@ def test_a_page_becomes_a_drive_that_has_its_stiffness_and_clearance(name: str) 
     assert least_backlash(drive.mesh.geometry)[0] == pytest.approx(scale * LEAST_BACKLASH, rel=0.01)
     found = assess(config, config.joints[0])
     assert found.found.stiffness == pytest.approx(1e3 * np.array(PAGES[name][3:6]), rel=0.06)
-    assert found.found.overlap < 0.0
+    assert found.found.loads.overlap < 0.0
     assert found.warnings == []
 
 
@@ -172,7 +172,7 @@ def test_scaling_everything_with_the_size_would_not_do_away_from_ratio_100() -> 
     }
     config = resolve(dict(right) | wrong)
     told = assess(config, config.joints[0])
-    assert told.found.overlap > 20e-6
+    assert told.found.loads.overlap > 20e-6
     assert told.warnings[0].startswith("the lobes overlap by ")
     assert "without eccentricity" in told.warnings[0]
 
@@ -227,7 +227,7 @@ def test_characteristics_are_those_of_the_torsion() -> None:
     assert found.stiffness == pytest.approx(expected, rel=1e-3)
     state = mesh_state(drive.mesh, angle, np.zeros(angle.size))
     assert found.lost_motion == pytest.approx(state.lost_motion.max(), rel=1e-3)
-    assert found.overlap == pytest.approx(state.overlap.max(), rel=1e-3)
+    assert found.loads.overlap == pytest.approx(state.overlap.max(), rel=1e-3)
 
 
 @pytest.mark.parametrize("name", ["8/50", "32/120", "65/160"])
@@ -248,7 +248,7 @@ def test_teeth_without_compiled_code_are_the_compiled_ones(name: str, errors: di
     drive = of_page(name).joints[0].drive
     mesh = dataclasses.replace(drive.mesh, **errors)
     angle, torque = np.linspace(0.0, 6.0, 41), drive.rated_torque * np.array([1.0, -0.3, 0.0, 1e-6])
-    found = TeethOverTurn(mesh, angle)
+    found = MeshOverTurn(mesh, angle)
     assert_allclose(found.torsion(torque), torsion_table(mesh, angle, torque), rtol=1e-9, atol=1e-15)
     idle, loaded = (mesh_state(mesh, angle, np.full(angle.size, each)) for each in (0.0, torque[0]))
     expected = [
@@ -263,7 +263,7 @@ def test_teeth_without_compiled_code_are_the_compiled_ones(name: str, errors: di
 def test_eccentricity_shows_at_rest_and_is_no_warning(tmp_path: Path) -> None:
     config = load(config_file(tmp_path, eccentricity__magnitude=12e-6))
     told = assess(config, config.joints[0])
-    assert told.found.overlap > 20e-6
+    assert told.found.loads.overlap > 20e-6
     assert told.found.least_backlash < -10e-6
     assert told.warnings == []
 
@@ -274,7 +274,7 @@ def test_an_overlap_as_built_is_warned_of_where_it_does_harm(deeper: float, warn
     datum = resolve({}).flat["joint_1.circular_spline_datum"]
     config = resolve({"joint_1.circular_spline_datum": datum - deeper})
     told = assess(config, config.joints[0])
-    assert told.found.overlap > 0.0
+    assert told.found.loads.overlap > 0.0
     assert any("without eccentricity" in warning for warning in told.warnings) == warned
 
 
@@ -324,8 +324,8 @@ def test_a_perfect_assembly_is_within_its_limits(name: str) -> None:
     """Of the diagnostics and of hd-diag tolerance; forces are scaled by a law that is right within 10 %."""
     config = of_page(name)
     found = assess(config, config.joints[0]).found
-    assert found.rated_load < config.flat["joint_1.tolerance.limits.peak_tooth_load"]
-    assert found.rated_load < 0.5 * config.flat["joint_1.limits.peak_tooth_load.warn"]
+    assert found.loads.rated < config.flat["joint_1.tolerance.limits.peak_tooth_load"]
+    assert found.loads.rated < 0.5 * config.flat["joint_1.limits.peak_tooth_load.warn"]
 
 
 @pytest.mark.parametrize("name", PAGES)

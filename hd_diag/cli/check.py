@@ -53,10 +53,10 @@ def describe(joint: JointConfig, assessed: Assessment) -> None:
     radius = mesh.geometry.curve.radius
     tell(f"  module {found.module * 1e3:.4g} mm, radius of the neutral layer {radius * 1e3:.4g} mm")
     tell(f"  {_stiffness(assessed)} (T1 {found.t1:.3g}, T2 {found.t2:.3g} N m)")
-    gap = "overlap" if found.overlap > 0.0 else "clearance"
+    gap = "overlap" if found.loads.overlap > 0.0 else "clearance"
     tell(
         f"  at rest: lost motion {found.lost_motion / ARCSEC:.3g} arcsec, least backlash "
-        f"{found.least_backlash * 1e6:.3g} µm, {gap} of the lobes {abs(found.overlap) * 1e6:.3g} µm"
+        f"{found.least_backlash * 1e6:.3g} µm, {gap} of the lobes {abs(found.loads.overlap) * 1e6:.3g} µm"
     )
     error = found.error_per_eccentricity * ECCENTRICITY / ARCSEC
     tell(
@@ -69,7 +69,6 @@ def describe(joint: JointConfig, assessed: Assessment) -> None:
 
 def _stiffness(assessed: Assessment) -> str:
     page = assessed.page
-    given = (page.k1, page.k2, page.k3) if page else ()
     listed = ", ".join(f"K{i} {value:.3g}" for i, value in enumerate(assessed.found.stiffness, 1))
-    beside = f"; the page gives {', '.join(f'{value:.3g}' for value in given)}" if page else ""
+    beside = f"; the page gives {', '.join(f'{value:.3g}' for value in page.stiffness)}" if page else ""
     return f"{listed} N m/rad{beside}"

@@ -10,7 +10,7 @@ from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.config.defaults import EXAMPLE, Page, page_of
 from hd_diag.config.parameters import of_joint
 from hd_diag.drive import Drive
-from hd_diag.gear.characteristics import Characteristics, characteristics, slot_shift
+from hd_diag.gear.characteristics import Characteristics, ToothLoads, characteristics, slot_shift
 
 _FAR = 1.5  # reached over given stiffness, either way [-]
 _BY_ITSELF = 0.25  # of the overlap that is warned of, without any eccentricity [-]
@@ -36,10 +36,10 @@ class Assessment:
             "t2": found.t2,
             "lost_motion": found.lost_motion,
             "least_backlash": found.least_backlash,
-            "overlap": found.overlap,
+            "overlap": found.loads.overlap,
             "error_per_eccentricity": found.error_per_eccentricity,
-            "peak_tooth_load": {"idle": found.idle_load, "rated": found.rated_load},
-            "given": {name: getattr(self.page, name) for name in _STEPS} if self.page else None,
+            "peak_tooth_load": {"idle": found.loads.idle, "rated": found.loads.rated},
+            "given": dict(zip(_STEPS, self.page.stiffness, strict=True)) if self.page else None,
             "warnings": self.warnings,
         }
 
@@ -54,17 +54,21 @@ def assess(config: Config, joint: JointConfig) -> Assessment:
     perfect = found
     if mesh.eccentricity or mesh.runout:
         perfect = characteristics(replace(drive, mesh=replace(mesh, eccentricity=0.0, runout=0.0)), *steps)
-    warnings = [*_overlap(perfect, joint), *_stiffness(perfect, page), *_load(perfect, drive, joint)]
+    warnings = [
+        *_overlap(perfect.loads, joint),
+        *_stiffness(perfect, page),
+        *_load(perfect.loads.rated, drive, joint),
+    ]
     warnings += _dissimilar(drive) if page else []
     return Assessment(found, page, warnings)
 
 
-def _overlap(found: Characteristics, joint: JointConfig) -> list[str]:
+def _overlap(found: ToothLoads, joint: JointConfig) -> list[str]:
     if found.overlap <= max(0.0, _BY_ITSELF * joint.limits["overlap"].warn):
         return []
     return [
         f"the lobes overlap by {found.overlap * 1e6:.3g} µm without eccentricity, which presses a tooth with "
-        f"{found.idle_load:.3g} N without torque: neutral curve and slots do not fit each other"
+        f"{found.idle:.3g} N without torque: neutral curve and slots do not fit each other"
     ]
 
 
@@ -85,7 +89,7 @@ def _dissimilar(drive: Drive) -> list[str]:
 def _stiffness(found: Characteristics, page: Page | None) -> list[str]:
     if page is None:
         return []
-    pairs = zip(_STEPS, found.stiffness.tolist(), (page.k1, page.k2, page.k3), strict=True)
+    pairs = zip(_STEPS, found.stiffness.tolist(), page.stiffness, strict=True)
     return [
         f"{name.upper()} is {reached:.3g} N m/rad, {reached / given:.2g} times what gear.{name} gives "
         f"({given:.3g}): compliances or T1, T2 are not those of the page"
@@ -94,14 +98,14 @@ def _stiffness(found: Characteristics, page: Page | None) -> list[str]:
     ]
 
 
-def _load(found: Characteristics, drive: Drive, joint: JointConfig) -> list[str]:
+def _load(rated: float, drive: Drive, joint: JointConfig) -> list[str]:
     force, torque = joint.limits["peak_tooth_load"], joint.limits["torque"]
     problems = []
-    if math.isnan(found.rated_load):
+    if math.isnan(rated):
         problems.append(f"the teeth cannot bear the rated torque, {drive.rated_torque:g} N m")
-    elif force.level(found.rated_load):
+    elif force.level(rated):
         problems.append(
-            f"the rated torque, {drive.rated_torque:g} N m, puts {found.rated_load:.3g} N on a tooth: more "
+            f"the rated torque, {drive.rated_torque:g} N m, puts {rated:.3g} N on a tooth: more "
             f"than limits.peak_tooth_load.warn, {force.warn:g} N"
         )
     if torque.level(abs(joint.torque) / drive.rated_torque):

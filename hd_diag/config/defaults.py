@@ -50,6 +50,11 @@ class Page(NamedTuple):
     t2: float
     output: str
 
+    @property
+    def stiffness(self) -> tuple[float, float, float]:
+        """K1, K2, K3 [N m/rad]."""
+        return self.k1, self.k2, self.k3
+
 
 def joint_values(given: Mapping[str, Value]) -> tuple[dict[str, Value], dict[str, Value]]:
     """All parameters of a joint from those given, by their names within it; and those that were given.
@@ -104,7 +109,7 @@ def resolved(page: Page) -> dict[str, Value]:
     except ValueError as error:
         raise ValueError(f"gear: {error}") from error
     mesh = Mesh(found, EXAMPLE.mesh.tooth_compliance)
-    tooth, cup = compliances(mesh, page.t1, page.t2, np.array([page.k1, page.k2, page.k3]))
+    tooth, cup = compliances(mesh, page.t1, page.t2, np.array(page.stiffness))
     own: dict[str, Value] = {"ratio": page.ratio, "rated_torque": page.rated_torque}
     return {**own, **geometry_parameters(found), "tooth_compliance": tooth, "cup_compliance": cup}
 

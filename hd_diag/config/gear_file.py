@@ -55,9 +55,7 @@ def reached(assessed: Assessment) -> Iterator[str]:
     """K1, K2, K3 against the page, one line each."""
     page, found = assessed.page, assessed.found
     assert page is not None
-    for number, (value, given) in enumerate(
-        zip(found.stiffness, (page.k1, page.k2, page.k3), strict=True), 1
-    ):
+    for number, (value, given) in enumerate(zip(found.stiffness, page.stiffness, strict=True), 1):
         off = 100.0 * (value / given - 1.0)
         yield f"K{number} {value:.3g} N m/rad, {off:+.1f} % off the page's {given:.3g}"
 
@@ -84,7 +82,7 @@ def _head(assessed: Assessment, joint: JointConfig, command: str) -> Iterator[st
     yield from (f"Reached: {line}" for line in reached(assessed))
     yield (
         f"At rest: lost motion {found.lost_motion / ARCSEC / 60:.2g} arcmin, least backlash "
-        f"{found.least_backlash * 1e6:.2g} µm, clearance of the lobes {-found.overlap * 1e6:.2g} µm"
+        f"{found.least_backlash * 1e6:.2g} µm, clearance of the lobes {-found.loads.overlap * 1e6:.2g} µm"
     )
     yield from _wrapped(
         "Stiffness and the error of order 2 per eccentricity are fitted or follow. Backlash of single teeth, "

@@ -33,6 +33,22 @@ _MOMENTS = 128  # of a turn
 _ERROR_MOMENTS, _ERROR_PHASES = 8, 3
 
 
+class ToothLoads(NamedTuple):
+    """What teeth bear over a turn of the wave generator, and by what the lobes press against each other.
+
+    Attributes
+    ----------
+    overlap : float
+        Without torque [m]; negative: clearance.
+    idle, rated : float
+        Largest force on a flank without torque, and at the rated torque [N]; nan: cannot be borne.
+    """
+
+    overlap: float
+    idle: float
+    rated: float
+
+
 @dataclass(frozen=True)
 class Characteristics:
     """A drive as it is configured, over a turn of the wave generator.
@@ -50,10 +66,7 @@ class Characteristics:
         Greatest gap without torque [rad].
     least_backlash : float
         Of all teeth without torque, cup in the middle as built [m]; negative: interference at a lobe.
-    overlap : float
-        By which both lobes press against each other without torque [m]; negative: clearance.
-    idle_load, rated_load : float
-        Largest force on a flank without torque, and at the rated torque [N]; nan: cannot be borne.
+    loads : ToothLoads
     error_per_eccentricity : float
         Amplitude of order 2 of the wave generator at half the rated torque, over the eccentricity [rad/m].
     """
@@ -64,29 +77,11 @@ class Characteristics:
     stiffness: Floats
     lost_motion: float
     least_backlash: float
-    overlap: float
-    idle_load: float
-    rated_load: float
+    loads: ToothLoads
     error_per_eccentricity: float
 
 
-class ToothLoads(NamedTuple):
-    """What teeth bear over a turn of the wave generator, and by what the lobes press against each other.
-
-    Attributes
-    ----------
-    overlap : float
-        Without torque [m]; negative: clearance.
-    idle, rated : float
-        Largest force on a flank without torque, and at the rated torque [N]; nan: cannot be borne.
-    """
-
-    overlap: float
-    idle: float
-    rated: float
-
-
-class TeethOverTurn:
+class MeshOverTurn:
     """The teeth of a mesh at some wave generator angles [rad], as far as a whole turn is judged by them."""
 
     def __init__(self, mesh: Mesh, angle: Floats) -> None:
@@ -140,10 +135,10 @@ def _flanks(mesh: Mesh, angle: tuple[float, ...]) -> _Flanks:
 @lru_cache(maxsize=512)
 def tooth_loads(drive: Drive) -> ToothLoads:
     """What the teeth of a drive bear."""
-    return _loads(TeethOverTurn(drive.mesh, _turn(drive.mesh)), drive.rated_torque)
+    return _loads(MeshOverTurn(drive.mesh, _turn(drive.mesh)), drive.rated_torque)
 
 
-def _loads(teeth: TeethOverTurn, rated_torque: float) -> ToothLoads:
+def _loads(teeth: MeshOverTurn, rated_torque: float) -> ToothLoads:
     return ToothLoads(teeth.overlap(), teeth.peak_load(0.0), teeth.peak_load(rated_torque))
 
 
@@ -157,9 +152,8 @@ def characteristics(drive: Drive, t1: float = 0.0, t2: float = 0.0) -> Character
 def _characteristics(
     mesh: Mesh, rated_torque: float, cup_compliance: float, t1: float, t2: float
 ) -> Characteristics:
-    teeth, torque = TeethOverTurn(mesh, _turn(mesh)), stiffness_steps(t1, t2)
+    teeth, torque = MeshOverTurn(mesh, _turn(mesh)), stiffness_steps(t1, t2)
     beta = teeth.torsion(torque).mean(axis=0) + cup_compliance * torque
-    loads = _loads(teeth, rated_torque)
     size = min(ECCENTRICITY, 0.5 * largest_displacement(mesh.geometry)[0])
     return Characteristics(
         mesh.geometry.module,
@@ -168,9 +162,7 @@ def _characteristics(
         np.asarray(np.diff(torque) / np.diff(beta), dtype=np.float64),
         teeth.lost_motion(),
         teeth.least_backlash(),
-        loads.overlap,
-        loads.idle,
-        loads.rated,
+        _loads(teeth, rated_torque),
         _order_2(replace(mesh, eccentricity=size, runout=0.0), 0.5 * rated_torque) / size,
     )
 
@@ -207,5 +199,5 @@ def _order_2(mesh: Mesh, torque: float) -> float:
     """Amplitude of order 2 of the wave generator in the torsion of an eccentric mesh [rad]."""
     coarse, fine = np.arange(_ERROR_MOMENTS), slot_phases(mesh.geometry, _ERROR_PHASES)
     angle = np.add.outer(np.pi / _ERROR_MOMENTS * coarse, fine).ravel()
-    beta = TeethOverTurn(mesh, angle).torsion(np.array([torque]))[:, 0]
+    beta = MeshOverTurn(mesh, angle).torsion(np.array([torque]))[:, 0]
     return float(2.0 * abs(np.mean(beta * np.exp(-2j * angle))))

@@ -17,7 +17,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats
 from hd_diag.formatting import rounded
-from hd_diag.gear.characteristics import PHASES, TeethOverTurn, slot_phases, stiffness_steps
+from hd_diag.gear.characteristics import PHASES, MeshOverTurn, slot_phases, stiffness_steps
 from hd_diag.model.contact import contacts
 from hd_diag.model.geometry import Geometry
 from hd_diag.model.mesh import Mesh
@@ -113,7 +113,7 @@ def compliances(mesh: Mesh, t1: float, t2: float, wanted: Floats) -> tuple[float
     turn as far at a torque as these do at that factor times it.
     """
     teeth, steps, share = (
-        TeethOverTurn(mesh, slot_phases(mesh.geometry)),
+        MeshOverTurn(mesh, slot_phases(mesh.geometry)),
         stiffness_steps(t1, t2),
         wanted / wanted[0],
     )
