@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import sys
@@ -20,6 +19,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import JointState
 
+from hd_diag.cli.options import shown
 from hd_diag.config.configuration import JointConfig, load
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.ros.stop_signals import note_signals
@@ -62,60 +62,52 @@ def _wait_for_subscriber(publisher: Publisher, stopped: Sequence[int]) -> bool:
     return bool(publisher.get_subscription_count() or stopped)
 
 
-def _arguments(args: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="simulated_joint.py", description=__doc__)
-    parser.add_argument("--config", required=True, help="parameter file; its first joint is run")
-    parser.add_argument("--seconds", type=float, default=60.0, help="how long to run [s]")
-    parser.add_argument("--rate", type=float, default=500.0, help="messages per second [Hz]")
-    parser.add_argument("--speed", type=float, default=2.1, help="of the input [rev/s]")
-    parser.add_argument("--torque", type=float, default=14.0, help="that the drive exerts on the link [N m]")
-    parser.add_argument("--noise", type=float, default=1.0, help="of the output angle, white [arcsec rms]")
-    parser.add_argument("--seed", type=int, default=0, help="of the noise")
-    return parser.parse_args(args)
+@click.command()
+@click.option("--config", required=True, help="Parameter file; its first joint is run.")
+@shown("--seconds", 60.0, "How long to run [s].")
+@shown("--rate", 500.0, "Messages per second [Hz].")
+@shown("--speed", 2.1, "Of the input [rev/s].")
+@shown("--torque", 14.0, "That the drive exerts on the link [N m].")
+@shown("--noise", 1.0, "Of the output angle, white [arcsec rms].")
+@shown("--seed", 0, "Of the noise.")
+def main(
+    config: str, seconds: float, rate: float, speed: float, torque: float, noise: float, seed: int
+) -> None:
+    """Publish joint_states in real time as a robot's driver does, and print what was published as JSON.
 
-
-def main(args: Sequence[str] | None = None) -> int:
-    """Run a joint until its motion, SIGINT or SIGTERM ends it; print what was published as JSON.
-
-    Exit code: 0 done, 1 nobody listens, 2 values that cannot be.
+    The motion, SIGINT or SIGTERM ends it. Exit code: 0 done, 1 nobody listens, 2 values that cannot be.
     """
     stopped = note_signals()
-    given = _arguments(args)
     try:
-        return _run(given, stopped)
+        joint = load(config).joints[0]
+        motion = Motion(
+            duration=seconds,
+            sample_rate=rate,
+            speeds=(_TURN * speed,),
+            torques=(torque,),
+            both_directions=False,
+            ramp_share=min(0.1, 0.5 / seconds) if seconds else 0.1,
+            rest_share=0.0,
+        )
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        profile = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
+        publisher = Node("simulated_joint").create_publisher(JointState, "joint_states", profile)
+        # Computed before the wait: meanwhile the processes discover each other.
+        truth = SimulatedJoint(joint.drive, Noise(white=noise * ARCSEC))
+        samples = simulate(truth, motion, np.random.default_rng(seed))
+        click.echo("simulated_joint: ready")
+        if not _wait_for_subscriber(publisher, stopped):
+            click.echo(f"simulated_joint: nobody subscribed to joint_states within {_WAIT:g} s", err=True)
+            sys.exit(1)
+        sent = _publish(publisher, joint, samples, rate, stopped)
+        publisher.wait_for_all_acked(Duration(seconds=2))
+        click.echo(json.dumps({"published": sent}))
     except ValueError as error:
         click.echo(f"simulated_joint: {error}", err=True)
-        return 2
+        sys.exit(2)
     finally:
         try_shutdown()
 
 
-def _run(given: argparse.Namespace, stopped: Sequence[int]) -> int:
-    joint = load(given.config).joints[0]
-    motion = Motion(
-        duration=given.seconds,
-        sample_rate=given.rate,
-        speeds=(_TURN * given.speed,),
-        torques=(given.torque,),
-        both_directions=False,
-        ramp_share=min(0.1, 0.5 / given.seconds) if given.seconds else 0.1,
-        rest_share=0.0,
-    )
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    profile = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
-    publisher = Node("simulated_joint").create_publisher(JointState, "joint_states", profile)
-    # Computed before the wait: meanwhile the processes discover each other.
-    truth = SimulatedJoint(joint.drive, Noise(white=given.noise * ARCSEC))
-    samples = simulate(truth, motion, np.random.default_rng(given.seed))
-    click.echo("simulated_joint: ready")
-    if not _wait_for_subscriber(publisher, stopped):
-        click.echo(f"simulated_joint: nobody subscribed to joint_states within {_WAIT:g} s", err=True)
-        return 1
-    sent = _publish(publisher, joint, samples, given.rate, stopped)
-    publisher.wait_for_all_acked(Duration(seconds=2))
-    click.echo(json.dumps({"published": sent}))
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

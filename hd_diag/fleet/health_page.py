@@ -11,6 +11,8 @@ from importlib.resources import files
 from typing import NamedTuple
 from urllib.parse import quote
 
+import numpy as np
+
 from hd_diag.diagnosis.judgement import Limited
 from hd_diag.fleet.rows import PAGE, readable
 from hd_diag.fleet.series import ECCENTRICITY, ERROR
@@ -146,17 +148,12 @@ def _small(one: Standing, ends: tuple[float, float] | None) -> Small | None:
     share = series.value / limit
     top = min(max(1.1 * float(share.max()), _LEAST_TOP), _TOP)
     states = dict(one.history)
-
-    def x(time: float) -> float:
-        span = max(ends[1] - ends[0], 1.0)
-        return _EDGE + (_WIDTH - 2.0 * _EDGE) * (time - ends[0]) / span
-
-    def y(value: float) -> float:
-        return _HEIGHT - _EDGE - (_HEIGHT - 2.0 * _EDGE) * min(value, top) / top
-
+    across = (_WIDTH - 2.0 * _EDGE) * (series.time - ends[0]) / max(ends[1] - ends[0], 1.0)
+    up = (_HEIGHT - 2.0 * _EDGE) * np.minimum(share, top) / top
+    places = zip((_EDGE + across).tolist(), (_HEIGHT - _EDGE - up).tolist(), strict=True)
     dots = [
-        (round(x(time), 1), round(y(value), 1), states.get(time, GREEN))
-        for time, value in zip(series.time.tolist(), share.tolist(), strict=True)
+        (round(x, 1), round(y, 1), states.get(time, GREEN))
+        for (x, y), time in zip(places, series.time.tolist(), strict=True)
     ]
     about = (
         f"{words(series.quantity)}, {len(dots)} recordings, {day(series.time[0])} to {day(series.time[-1])}: "
@@ -164,7 +161,8 @@ def _small(one: Standing, ends: tuple[float, float] | None) -> Small | None:
         + (f"; the limit is {size(nearest.limit, nearest.unit)}" if nearest else "")
     )
     line = " ".join(f"{x},{y}" for x, y, _ in dots)
-    return Small(dots, line, round(y(1.0), 1) if nearest else None, about)
+    level = round(_HEIGHT - _EDGE - (_HEIGHT - 2.0 * _EDGE) / top, 1) if nearest else None
+    return Small(dots, line, level, about)
 
 
 def _filters(robots: int) -> str:

@@ -24,11 +24,6 @@ _LIMIT_NEAR = 3.0  # times the largest value; a limit farther off would press th
 
 def draw(trends: Sequence[Trend], path: Path) -> None:
     """Draw the series, the clearest changes first; raises OSError where the file cannot be written."""
-    picture(trends).savefig(path, dpi=120)
-
-
-def picture(trends: Sequence[Trend]) -> Figure:
-    """The figure; see `draw`."""
     there = [trend for trend in trends if trend.series.value.size]
     shown = sorted(there, key=_clearness)[:MOST]
     lines = max(-(-len(shown) // _COLUMNS), 1)
@@ -37,7 +32,7 @@ def picture(trends: Sequence[Trend]) -> Figure:
         _panel(figure.add_subplot(lines, _COLUMNS, place), trend)
     left_off = f"; {len(there) - len(shown)} more series are not drawn" if len(there) > len(shown) else ""
     figure.suptitle(f"{len(there)} series, 1 σ bars{left_off}", fontsize="medium")
-    return figure
+    figure.savefig(path, dpi=120)
 
 
 def _clearness(trend: Trend) -> float:

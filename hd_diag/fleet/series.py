@@ -57,7 +57,8 @@ def series_of(rows: Sequence[Row], limits: Limits) -> list[Series]:
     """
     joints: dict[tuple[str, str], list[Row]] = defaultdict(list)
     for row in sorted(rows, key=lambda row: (row.get("start") or 0, row["bag"])):
-        if row.get("start") is not None and _judged(row):
+        judged = row.get("rms_nominal_rad") is not None or row.get("ripple_orders")
+        if row.get("start") is not None and judged:
             joints[row.get("robot") or "", row["joint"]].append(row)
     return [
         _series(robot, joint, quantity, points, limits)
@@ -77,10 +78,6 @@ def limit_of(limits: Limits, joint: str, quantity: str) -> float:
     own = (limits.get((joint, name), math.inf) for name in quantity.split(" or "))
     least = min(own)
     return least if least < math.inf else math.nan
-
-
-def _judged(row: Row) -> bool:
-    return row.get("rms_nominal_rad") is not None or bool(row.get("ripple_orders"))
 
 
 def _quantities(rows: list[Row]) -> dict[str, list[Point]]:

@@ -80,7 +80,8 @@ def trends(
         tick()
         if one.value.size >= needed:
             step_p, penalty = permuted(one.value, weighted[number], most, rng)
-            tested[number] = step_p, _drift_p(one), penalty
+            drift_p = np.nan_to_num(stats.kendalltau(one.time, one.value).pvalue, nan=1.0)
+            tested[number] = step_p, float(drift_p), penalty
     p_values = np.array([[step_p, drift_p] for step_p, drift_p, _ in tested.values()])
     corrected = stats.false_discovery_control(p_values.ravel()).reshape(-1, 2) if tested else p_values
     q_values = dict(zip(tested, corrected.tolist(), strict=True))
@@ -127,11 +128,6 @@ def least_values(tests: int) -> int:
 
 
 # Drifts ---
-
-
-def _drift_p(series: Series) -> float:
-    p_value = float(stats.kendalltau(series.time, series.value).pvalue)
-    return p_value if math.isfinite(p_value) else 1.0
 
 
 def _line_is_better(series: Series, weight: Floats, edges: list[int]) -> bool:

@@ -13,7 +13,7 @@ from rich.live import Live
 from rich.text import Text
 
 from hd_diag.watch.numbers import NUMBERS_WIDTH, heading, row, sentence, shown_number, shown_text, spark
-from hd_diag.watch.state import JointView, Watch
+from hd_diag.watch.state import DEFAULT_TOPIC, JointView, Watch
 
 REFRESH_PERIOD = 0.25
 """Shortest time between two pictures in a terminal [s]."""
@@ -187,7 +187,7 @@ def _encodable(text: str, encoding: str) -> str:
 def waiting(watch: Watch) -> list[str]:
     """What is waited for and what was seen instead."""
     what = f" of {', '.join(watch.joints)}" if watch.joints else ""
-    topics = ", ".join(sorted({node.topic for node in watch.wanted_nodes()})) or "/diagnostics"
+    topics = ", ".join(sorted({node.topic for node in watch.wanted_nodes()})) or DEFAULT_TOPIC
     lines = [f"waiting for {topics}{what} ...", *(f"  {found}" for found in watch.explanation())]
     return [shown_text(line) for line in lines]
 
