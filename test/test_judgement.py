@@ -90,7 +90,7 @@ def test_where_no_motion_repeats_noise_may_be_all_that_is_left_and_nothing_is_na
     assert made.causes == ()
     assert sentence(Answer(made)).startswith(
         "whether the model describes this record cannot be determined: 1.1 to 19.0 times the noise is left, "
-        "and no motion repeats; "
+        "and too little of the motion repeats to tell; "
     )
 
 
