@@ -19,7 +19,8 @@ def _misfit(answer: Answer) -> list[str]:
     if not left.certain:
         return [
             "whether the model describes this record cannot be determined: "
-            f"{left.low:.1f} to {left.value:.1f} times the noise is left, and too little of the motion repeats to tell"
+            f"{left.low:.1f} to {left.value:.1f} times the noise is left, "
+            "and too little of the motion repeats to tell"
         ]
     text = "the model does not describe this record"
     if not answer.diagnosis.record.has_torque:
