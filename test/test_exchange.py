@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 from benches import EFFECTS, POINT, bench, of
+from joint_records import ARCSEC
 
 from hd_diag.diagnosis.fit.joint_refinement import settle
-from hd_diag.diagnosis.search.exchange import deviance_of, swapped
+from hd_diag.diagnosis.search.exchange import deviance_of, finished_in_time, swapped
 
 
 def test_a_shape_of_many_coefficients_gives_way_to_the_two_causes_that_it_imitates() -> None:
@@ -29,3 +30,14 @@ def test_a_cause_is_not_given_up_before_it_is_settled() -> None:
     found, same = swapped(fit, chosen, {rubbing.name, "circular_spline_pitch"})
     assert same == chosen
     assert np.abs(found.parameters - POINT).max() < 1.0
+
+
+def test_a_cause_is_dropped_that_the_parameters_replace_once_they_have_moved() -> None:
+    pitch, runout = (EFFECTS[name] for name in ("circular_spline_pitch", "output_runout"))
+    fit = bench(of(runout, amplitude=8.0 * ARCSEC, direction=0.3))
+    away = fit.parameters + np.array([3.0, -2.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    chosen = ((runout, ()), (pitch, ()))
+    there = fit.with_noise(chosen).moved(away).corrected(chosen)
+    fit, left = finished_in_time(there, chosen)
+    assert [effect.name for effect, _ in left] == ["output_runout"]
+    assert np.abs(fit.parameters - POINT)[:2] == pytest.approx(0.0, abs=0.5)

@@ -10,6 +10,7 @@ from hd_diag.diagnosis.fit.joint_refinement import free, polished, settle
 from hd_diag.diagnosis.fit.linearised_fit import Chosen, LinearisedFit
 from hd_diag.diagnosis.search.causes import CLASS_DEVIANCE, left_out
 from hd_diag.diagnosis.search.ranking import Candidate, Projector, by_name, ranked
+from hd_diag.diagnosis.search.unmodelled_terms import UnmodelledTerm
 from hd_diag.effects.effect import Effect, Stage
 
 _FLEXIBLE = 8  # coefficients from which a shape may imitate two causes
@@ -98,9 +99,21 @@ def _finished(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen
             trial = (*again[:index], (effect, other), *again[index + 1 :])
             if deviance_of(fit, trial) < deviance_of(fit, again):
                 again = trial
-    if again == chosen:
-        return fit, chosen
-    return polished(settle(fit.corrected(again), again, learn=False), again)
+    if again != chosen:
+        fit, chosen = polished(settle(fit.corrected(again), again, learn=False), again)
+    return _without_idle(fit, chosen)
+
+
+def _without_idle(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Chosen]:
+    """Less each cause that the parameters replace once they have moved: no single step leads there."""
+    for index, (effect, _) in enumerate(chosen):
+        if effect.given or isinstance(effect, UnmodelledTerm):
+            continue
+        rest = chosen[:index] + chosen[index + 1 :]
+        there = _settled(fit.corrected(rest), rest)
+        if there.deviance(rest) < fit.deviance(chosen) + CLASS_DEVIANCE + 2.0 * effect.size:
+            return _without_idle(there, rest)
+    return fit, chosen
 
 
 def _of_kind(fit: LinearisedFit, chosen: Chosen, index: int) -> tuple[LinearisedFit, Chosen]:

@@ -190,7 +190,7 @@ def _settled_first(
     misled = not chosen and large and (far or moved or bool(at_bound(fit.parameters, fit.data.configured)))
     share = _AS_MUCH if far or misled else _HALF
     plain = [one for one in best if one.surprise > _PLAINLY]
-    hidden = [] if large else _hidden(fit, chosen, plain)
+    hidden = _hidden(fit, chosen, plain)
 
     def competing(one: Candidate) -> bool:
         as_much = one.gain > share * best[0].gain
