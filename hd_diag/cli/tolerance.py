@@ -46,8 +46,7 @@ def tolerance(
     except ValueError as error:
         raise Problem(f"{chosen.name}: {error}") from error
     if figure:
-        from hd_diag.report.pictures.canvas import save  # matplotlib takes its time
-        from hd_diag.report.pictures.tolerance import tolerance_picture
+        from hd_diag.report.pictures.tolerance import save, tolerance_picture  # matplotlib takes its time
 
         with writing(figure) as place:
             save(tolerance_picture(found), place)

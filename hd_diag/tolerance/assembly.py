@@ -83,12 +83,13 @@ class Population:
     """What assemblies are drawn from and judged by.
 
     The drive as designed (its own eccentricity and runout do not count), spreads by the names of the
-    quantities, torques on the cup (q,) [N m].
+    quantities, torques on the cup (q,) [N m], wave generator angles of a turn.
     """
 
     drive: Drive
     spreads: Mapping[str, Spread]
     cup_torque: Floats
+    angles: int = ANGLES
 
     @functools.cached_property
     def reference(self) -> Floats:
@@ -152,9 +153,9 @@ def worst(population: Population, assembly: Assembly, tolerances: Floats) -> Flo
 
     The assembly's eccentricity is scaled by each tolerance (t,) [m].
     """
-    mesh, turns = assembly.drive.mesh, tolerances.size
-    turn = np.tile(2.0 * np.pi * np.arange(ANGLES, dtype=np.float64) / ANGLES, turns)
-    center = np.repeat(tolerances, ANGLES) * assembly.eccentricity + mesh.displacement(turn)
+    mesh, n, turns = assembly.drive.mesh, population.angles, tolerances.size
+    turn = np.tile(2.0 * np.pi * np.arange(n, dtype=np.float64) / n, turns)
+    center = np.repeat(tolerances, n) * assembly.eccentricity + mesh.displacement(turn)
     found = evaluate(mesh, turn, center, population.cup_torque, assembly.slot_angle)
     values = over_turns(found, turns, assembly.drive.cup_compliance, population.reference)
     return np.asarray(values.max(axis=2))
@@ -165,7 +166,7 @@ def judged(
     population: Population,
     numbers: Floats,
     tolerances: Floats,
-    done: Callable[[], None],
+    done: Callable[[], None] = lambda: None,
 ) -> Floats:
     """Worst of every criterion of many assemblies (samples, 6, t); `done` is called after every chunk.
 

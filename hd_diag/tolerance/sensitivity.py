@@ -64,8 +64,7 @@ def indices(
     finite = np.asarray(np.isfinite(blocks).all(axis=(0, 2)))
     blocks = np.where(finite[:, None], blocks, 0.0)
     estimate = _estimate(blocks)
-    drawn = (rng.integers(samples, size=samples) for _ in range(_RESAMPLES))
-    again = np.stack([_estimate(blocks[:, :, own]) for own in drawn])
+    again = _again(blocks, rng)
     ends = 100.0 * np.array([0.5 * (1.0 - _CONFIDENCE), 0.5 * (1.0 + _CONFIDENCE)])
     low, high = np.percentile(again, ends, axis=0)
     first_order, total_order = np.where(finite[:, None], np.stack((estimate, low, high), axis=1), math.nan)
@@ -77,3 +76,9 @@ def _estimate(blocks: Floats) -> Floats:
     found = sobol_indices(func={"f_A": blocks[0], "f_B": blocks[1], "f_AB": blocks[2:]}, n=blocks.shape[2])
     shape = blocks.shape[1], blocks.shape[0] - 2
     return np.stack((found.first_order.reshape(shape), found.total_order.reshape(shape)))
+
+
+def _again(blocks: Floats, rng: np.random.Generator) -> Floats:
+    """Estimates of samples drawn again, (resamples, 2, outputs, factors)."""
+    n = blocks.shape[2]
+    return np.stack([_estimate(blocks[:, :, rng.integers(n, size=n)]) for _ in range(_RESAMPLES)])

@@ -9,11 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hd_diag.formatting import words
-from hd_diag.report.pictures.canvas import ACCENT, DASHES, GRID, INK, SERIES, drawn, sheet
+from hd_diag.report.pictures.canvas import ACCENT, DASHES, GRID, INK, SERIES, drawn, save, sheet
 from hd_diag.tolerance.assembly import FACTORS
 from hd_diag.tolerance.criteria import CRITERIA
 from hd_diag.tolerance.sensitivity import Indices
 from hd_diag.tolerance.study import Study, Yield
+
+__all__ = ["save", "tolerance_picture"]
 
 _WIDTH, _PANEL = 5.6, 2.9  # of a panel with its legend [inch]
 _BAR = 0.26  # [inch]
