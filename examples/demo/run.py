@@ -199,12 +199,12 @@ def _change_eccentricity(
         _say(f"set {_MAGNITUDE} = {eccentricity:g} µm: in force")
         steps.append(Step(eccentricity))
         end = begin + seconds * number / len(ECCENTRICITIES)
-        last = time.monotonic() + ANSWER_LIMIT  # at least one report of each step is waited for
+        last = time.monotonic() + ANSWER_LIMIT  # what each step's residual needs is waited for
         for report in observer.reports(max(end, last) - time.monotonic()):
             if steps[-1].take(report) and time.monotonic() >= shown:
                 shown = time.monotonic() + _LINE_PERIOD
                 _say(table([Step(eccentricity, [report])])[-1])
-            if steps[-1].reports and time.monotonic() >= end:
+            if steps[-1].residuals and time.monotonic() >= end:
                 break
         for child in children:
             child.check_running()

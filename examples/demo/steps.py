@@ -39,16 +39,17 @@ class Step:
         return own
 
     def number(self, key: str) -> float:
-        """One number of all reports: least backlash, largest load, usual residual, else the last one.
-
-        The first of several residuals is left out: its window reaches back into the step before.
-        """
-        values = [report.number(key) for report in self.reports]
-        if not values:
-            return math.nan
+        """One number of all reports: least backlash, largest load, usual residual, else the last one."""
         if key == "residual_rms_arcsec":
-            return statistics.median(values[1:] or values)
-        return _EXTREMES.get(key, lambda every: every[-1])(values)
+            return statistics.median(self.residuals or [math.nan])
+        values = [report.number(key) for report in self.reports]
+        return _EXTREMES.get(key, lambda every: every[-1])(values or [math.nan])
+
+    @property
+    def residuals(self) -> list[float]:
+        """Residuals of the reports [arcsec] but for the first: its window reaches into the step before."""
+        values = [report.number("residual_rms_arcsec") for report in self.reports]
+        return [value for value in values if math.isfinite(value)][1:]
 
     def text(self, key: str) -> str | None:
         """The most frequent text of all reports."""
