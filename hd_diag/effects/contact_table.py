@@ -21,7 +21,7 @@ from hd_diag.drive import Drive
 from hd_diag.effects.array_cache import ArrayCache
 from hd_diag.model.contact import FLANKS, Contact, contacts
 from hd_diag.model.load_sharing import flank_stiffness, torsion_of_flanks
-from hd_diag.model.torsion import torsion_table
+from hd_diag.model.torsion import torsion, torsion_table
 from hd_diag.model.torsion_map import TorsionMap, build
 
 # Coefficients and angles along the flexspline [rad] to the teeth's displacement [m], alike after half a turn
@@ -49,6 +49,7 @@ _IDLE = 1e-9  # share of the torque limit that stands for the limit towards zero
 _SPARSE = 4  # angles of the grid at which teeth are displaced: what is beyond the first order is smooth
 _MOST_KEPT = 24 << 20  # bytes
 _BEYOND = 1.2  # of the torque limit
+_FAR_BEYOND = (3.6, 11.0)  # of it, that a cause beside the measured torque may reach while it is fitted
 _MEAN_TORQUES, _MEAN_ANGLES = 401, 101
 _FEW_SLOTS = 16  # around the gear, that stand for all
 
@@ -80,15 +81,34 @@ class ContactTable:
         self.torque_limit = torque_limit
         self.steps = _STEPS_PER_SLOT * drive.mesh.geometry.circular_spline_teeth
         self._kept = ArrayCache(_MOST_KEPT)
+        self._maps: dict[float, TorsionMap | None] = {}
 
-    @cached_property
-    def torsion_map(self) -> TorsionMap:
-        """Of the mesh without errors, for torques somewhat beyond the limit.
+    def torsion_under(self, wave_generator_angle: Floats, cup_torque: Floats) -> Floats:
+        """Of the mesh without errors (n,) [rad], by the map of the least reach for each torque (n,) [N m].
+
+        Torques beyond them all, or that the teeth cannot bear everywhere, are solved exactly.
+        """
+        beta, size = np.full(cup_torque.size, np.nan), np.abs(cup_torque) / self.torque_limit
+        for reach in (_BEYOND, *_FAR_BEYOND):
+            rows = np.flatnonzero(np.isnan(beta) & (size <= reach))
+            if rows.size and (table := self._torsion_map(reach)) is not None:
+                beta[rows] = table(wave_generator_angle[rows], cup_torque[rows])
+        rows = np.flatnonzero(np.isnan(beta))
+        beta[rows] = torsion(self.drive.mesh, wave_generator_angle[rows], cup_torque[rows])
+        return beta
+
+    def _torsion_map(self, reach: float) -> TorsionMap | None:
+        """Map for torques up to some limits, None where the teeth cannot bear that.
 
         Where teeth enter by their corners the torsion jumps at some angle: here it does so within a step.
         """
-        found = build(self.drive.mesh, _BEYOND * self.torque_limit, steps_per_tooth=MAP_STEPS)
-        return replace(found, torque_limit=found.requested_limit)
+        if reach not in self._maps:
+            try:
+                found = build(self.drive.mesh, reach * self.torque_limit, steps_per_tooth=MAP_STEPS)
+                self._maps[reach] = replace(found, torque_limit=found.requested_limit)
+            except ValueError:
+                self._maps[reach] = None
+        return self._maps[reach]
 
     @cached_property
     def mean_torsion(self) -> tuple[Floats, Floats]:

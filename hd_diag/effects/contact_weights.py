@@ -23,7 +23,6 @@ from hd_diag.effects.contact_table import (
     Openings,
     contact_table,
 )
-from hd_diag.model.torsion import torsion
 
 Values = TypeVar("Values", Floats, Complexes)
 Rows = slice | npt.NDArray[np.bool_] | Integers
@@ -251,11 +250,7 @@ class ContactWeights:
 
     def _torsion(self, torque: Floats) -> Floats:
         """Of the mesh [rad]."""
-        cup_torque = self.drive.frame.cup_torque(torque)
-        beta = self.table.torsion_map(self.wave_generator_angle, cup_torque)
-        beyond = np.isnan(beta)
-        beta[beyond] = torsion(self.drive.mesh, self.wave_generator_angle[beyond], cup_torque[beyond])
-        return beta
+        return self.table.torsion_under(self.wave_generator_angle, self.drive.frame.cup_torque(torque))
 
     def _interpolate(self, table: Values) -> Values:
         """Of columns (torques, angles, k), shape (n, k)."""
