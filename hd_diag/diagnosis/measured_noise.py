@@ -124,8 +124,8 @@ def measured_noise(
     columns /= np.maximum(np.sqrt(np.mean(columns**2, axis=0)), 1e-300)
     unit = max(float(half.mean()), 1e-300)
     grams, moments = _by_slice(columns, half / unit, slice_)
-    draws = np.random.default_rng(0).integers(0, len(grams), (_DRAWS, len(grams)))
-    drawn = _nuggets(grams[draws].sum(axis=1), moments[draws].sum(axis=1))
+    draws = np.random.default_rng(0).multinomial(len(grams), np.full(len(grams), 1.0 / len(grams)), _DRAWS)
+    drawn = _nuggets(np.tensordot(draws, grams, 1), draws @ moments)
     low, high = (np.sqrt(unit * np.quantile(drawn, (0.025, 0.975))) * (1.0 - _OWN, 1.0 + _OWN)).tolist()
     rms = math.sqrt(unit * _nuggets(grams.sum(axis=0)[None], moments.sum(axis=0)[None])[0])
     if high > _VAGUE * low:  # too few to lead them back

@@ -38,7 +38,7 @@ NO_OPENING: Openings = (0.0, 0.0)
 TORQUES = 24
 """Torques of the grid on each side of zero, closer near zero where few pairs bear."""
 
-MAP_STEPS = 16
+MAP_STEPS = 8
 """Of a map along a record, per tooth passing: 0.005 arcsec rms."""
 
 PHASES = 16

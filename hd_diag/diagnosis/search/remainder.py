@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.fft import next_fast_len
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.fit.design import f_test, holds, orthonormal, projection
@@ -198,14 +199,13 @@ def _speeds(speed: Floats) -> list[tuple[Rows, str]]:
 def _block_gains(rest: Remainder, pair: Floats, whiten: Whitening) -> tuple[Floats, Floats]:
     """Fall of the sum of squares in each block by a wave fitted to all others, and the fall predicted."""
     white = whiten(np.column_stack((pair, rest.residual)), rest.run)
-    gains, predicted = [], []
-    for block in range(int(rest.block[-1]) + 1):
-        inside = rest.block == block
-        found = np.linalg.lstsq(white[~inside, :2], white[~inside, 2], rcond=None)[0]
-        here, wave = white[inside, 2], white[inside, :2] @ found
-        gains.append(float(here @ here - np.sum((here - wave) ** 2)))
-        predicted.append(float(wave @ wave))
-    return np.array(gains), np.array(predicted)
+    parts = [white[rest.block == block] for block in range(int(rest.block[-1]) + 1)]
+    grams = np.stack([part.T @ part for part in parts])
+    own, products = grams[:, :2, :2], grams[:, :2, 2]
+    others = own.sum(axis=0) - own
+    found = np.linalg.pinv(others) @ (products.sum(axis=0) - products)[..., None]
+    predicted = (np.swapaxes(found, 1, 2) @ own @ found)[:, 0, 0]
+    return 2.0 * np.sum(products * found[..., 0], axis=1) - predicted, predicted
 
 
 def _peak(phase: Floats, residual: Floats) -> tuple[float, float] | None:
@@ -218,8 +218,9 @@ def _peak(phase: Floats, residual: Floats) -> tuple[float, float] | None:
     total = np.bincount(index, weights=residual, minlength=cells)
     count = np.bincount(index, minlength=cells)
     mean = np.where(count > 0, total / np.maximum(count, 1), 0.0)
-    power = np.abs(np.fft.rfft(mean, 2 * cells)) ** 2
-    orders = np.arange(power.size) * _PER_TURN / (2.0 * cells)
+    length = next_fast_len(2 * cells, real=True)
+    power = np.abs(np.fft.rfft(mean, length)) ** 2
+    orders = np.arange(power.size) * (_PER_TURN / length)
     use = (orders > max(_LEAST_ORDER, 2.0 / covered)) & (orders < _MOST_ORDERS)
     if use.sum() < 50:
         return None
@@ -245,6 +246,10 @@ def _refined(phase: Floats, residual: Floats, order: float) -> float:
     step = 0.5 / max(turns(phase), 1.0)
     for _ in range(3):
         trial = order + step * np.linspace(-1.0, 1.0, 9)
-        power = [float(np.abs(np.exp(1j * value * phase) @ residual) ** 2) for value in trial]
+        wave, next_one = residual * np.exp(1j * trial[0] * phase), np.exp(0.25j * step * phase)
+        power = []
+        for _ in trial:
+            power.append(abs(complex(wave.sum())))
+            wave *= next_one
         order, step = float(trial[int(np.argmax(power))]), step / 4.0
     return order
