@@ -179,7 +179,7 @@ class ExtendedModel:
 
     @cached_property
     def coarse_map(self) -> TorsionMap | None:
-        """The same to run along a record, built in a quarter of the time."""
+        """The same to run along a record, built in an eighth of the time."""
         return self._map(MAP_STEPS)
 
     def _map(self, steps: int) -> TorsionMap | None:
