@@ -79,6 +79,7 @@ def test_dropouts_of_more_than_five_samples_make_runs(given: dict[str, np.ndarra
     [
         ((), {row: 300.0 * (-1.0) ** row for row in range(100, 4000, 99)}),
         ((), {700: 900.0, 701: 300.0, 1500: -60.0}),  # beside each other
+        ((), {700: 900.0, 701: 880.0, 1500: -60.0, 1501: -75.0, 2500: 1900.0, 2501: 1640.0}),  # alike
         ((*range(1956, 1996), *range(2002, 2042)), {2000: 2000.0}),  # few between gaps
     ],
 )

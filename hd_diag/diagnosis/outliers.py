@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import median_filter
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.blocks import filtered
-from hd_diag.diagnosis.noise import bounds, numbered
+from hd_diag.diagnosis.noise import bounds
 
 Rows = npt.NDArray[np.bool_]
 
@@ -36,44 +38,49 @@ def torque_outliers(torque: Floats, bag: Integers) -> Rows:
         torque, bag = torque[finite], bag[finite]
         low, high = np.percentile(torque, (1.0, 99.0))
         least = max(_OUTLYING_TORQUE * (high - low), _ROUNDING * np.abs(torque).max())
-        number = numbered((np.diff(torque) != 0.0) | (np.diff(bag) != 0))
-        _, first, count = np.unique(number, return_index=True, return_counts=True)
+        change = (np.diff(torque) != 0.0) | (np.diff(bag) != 0)
+        first = np.concatenate(([0], np.flatnonzero(change) + 1))
+        count = np.diff(first, append=torque.size)
         short = count <= 2.0 * np.median(count)  # a pause without torque is none
-        held = (short & outliers(torque[first], bag[first], least))[number]
+        held = np.repeat(short & outliers(torque[first], bag[first], least), count)
         found[finite] = held | outliers(torque, bag, least)
     return found
 
 
-def outliers(error: Floats, bag: Integers, least: float = 0.0) -> Rows:
-    """Single samples far off both their neighbours; without them, others beside them may stand out.
+def outliers(error: Floats, bag: Integers, least: float = 0.0, together: int = 1) -> Rows:
+    """Samples, so many `together` at most, far off both neighbours; without them, others may stand out.
 
     Neighbours are those recorded before and after, even across a gap: between gaps there may be few samples.
     """
     found = np.zeros(error.size, dtype=bool)
     for begin, end in bounds(bag):
-        filtered(found, begin, end, lambda rows: _repeated(error[rows], least), 2 * _OUTLIER_WINDOW)
+        repeated = partial(_repeated, error, least, together)
+        filtered(found, begin, end, repeated, 2 * _OUTLIER_WINDOW)
     return found
 
 
-def _repeated(error: Floats, least: float) -> Rows:
+def _repeated(error: Floats, least: float, together: int, part: slice) -> Rows:
+    error = error[part]
     found = np.zeros(error.size, dtype=bool)
     rows = np.arange(error.size)
-    for _ in range(_OUTLIER_PASSES):
-        off = _spikes(error[rows], least)
+    for apart in (*[1] * _OUTLIER_PASSES, *range(2, together + 1)):
+        off = _spikes(error[rows], least, apart)
         found[rows[off]] = True
         rows = rows[~off]
     return found
 
 
-def _spikes(values: Floats, least: float) -> Rows:
+def _spikes(values: Floats, least: float, apart: int) -> Rows:
     """Samples beyond both neighbours, and by far, more than `least`, off the cubic through four of them.
 
-    The cubic follows the gear's ripple, which a running median would cut; flanks that change are a step,
-    beyond one neighbour only.
+    Neighbours are so many samples `apart` that others off together with one are between them. The cubic
+    follows the gear's ripple, which a running median would cut; flanks that change are a step, beyond one
+    neighbour only.
     """
-    if values.size < 9:
+    if values.size < 8 * apart + 1:
         return np.zeros(values.size, dtype=bool)
-    far, near, x, after, last = np.lib.stride_tricks.sliding_window_view(np.pad(values, 2, "reflect"), 5).T
+    padded = np.pad(values, 2 * apart, "reflect")
+    far, near, x, after, last = np.lib.stride_tricks.sliding_window_view(padded, 4 * apart + 1)[:, ::apart].T
     off = np.abs(x - (4.0 * (near + after) - far - last) / 6.0)
     before, behind = x - near, x - after
     single = ((before > 0.0) == (behind > 0.0)) & (np.minimum(np.abs(before), np.abs(behind)) > 0.5 * off)

@@ -215,7 +215,7 @@ def prepare(
         text = f"no motion: the input turns by {turned:.3g} rad, at least half a turn is needed"
         swapped = f"; the output turns by {followed:.3g} rad: are input and output swapped?"
         raise RecordError(text + swapped * (abs(ratio) > 1.0 and followed > np.pi))
-    keep = ~outliers(output - angle / ratio, bag)
+    keep = ~outliers(output - angle / ratio, bag, together=2)
     if columns["torque"] is not None:
         keep &= ~torque_outliers(columns["torque"], bag)
     columns |= {"input_angle": angle, "output_angle": output, "segment": segment}

@@ -200,7 +200,7 @@ def check_torque(record: Record, configured: Drive) -> Finding | None:
             "sign. It is turned here; turn it where it is recorded"
         )
         return Finding(TORQUE_SIGN, text, factor, "-", False)
-    if factor > max(_OTHER_UNIT, _SIGMAS * spread):
+    if factor - _SIGMAS * spread > _OTHER_UNIT:
         text = (
             f"the joint twists {factor:.0f} times as much as configured: is the torque in amperes or at the "
             "motor, or is this another gear?"
