@@ -83,7 +83,8 @@ def best_widths(values: Floats, segment: Integers, step: float) -> Floats:
         if _window(values.size, step, narrower) <= _ORDER + 1:
             break
         fine = smooth(values, segment, step, narrower)
-        differs = uniform_filter1d((broad - fine) ** 2, rows)
+        broad -= fine  # in place: of an hour each array takes 30 MB
+        differs = uniform_filter1d(np.square(broad, out=broad), rows, output=broad)
         bent = (differs > _BENT * float(np.median(differs))) & (found == found.min())
         if not bent.any():
             break
