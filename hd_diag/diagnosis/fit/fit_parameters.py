@@ -50,7 +50,7 @@ _HALVINGS = 12  # towards the last datum that makes a gear
 MIRRORED = np.array([-1.0, -1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
 """What the parameters of the same drive with its lobes swapped are multiplied with."""
 
-_STEPS_PER_TOOTH = 5  # nodes along a record
+_STEPS_PER_TOOTH = 8  # nodes along a record
 _NODES_PAY = 1.5  # samples per node from which they do
 
 
@@ -230,7 +230,7 @@ def along(
     Returns
     -------
     error : ndarray, shape (n,)
-        To 0.01 arcsec rms with five `steps` a tooth [rad].
+        To 0.01 arcsec rms with eight `steps` a tooth [rad].
     jacobian : ndarray, shape (n, 7)
         [rad] per unit, see :func:`units`.
     slope : ndarray, shape (n,)
