@@ -42,6 +42,7 @@ _REFUSED = (f"{_JOINT}.circular_spline_teeth", 203)  # an odd difference: no ell
 _RATE = 250.0  # of the joint [Hz]: leaves a slow machine time for the rest
 _REPORTS = 4.0  # diagnostics per second [Hz]
 _START_LIMIT = 300.0  # for the processes to start, which a busy machine can make long [s]
+_MAP_LIMIT = 30.0  # for the map of an eccentricity, which a busy machine builds late [s]
 _DISCOVERY_LIMIT = 20.0  # for them to be discovered over DDS and the first samples to arrive [s]
 _LINE_PERIOD = 1.0  # between lines that show a report [s]
 _VERB_LIMIT = 300.0  # for a verb of the command line to end, on a busy machine [s]
@@ -145,7 +146,7 @@ def _processes(folder: Path, seconds: float) -> Iterator[tuple[Child, Child]]:
     node.write_text(dump(resolve(of_node)), encoding="utf-8")
     of_joint = {"joints": [_JOINT], _MAGNITUDE: TRUE_ECCENTRICITY * 1e-6}
     joint.write_text(dump(resolve(of_joint)), encoding="utf-8")
-    length = str(seconds + len(ECCENTRICITIES) * ANSWER_LIMIT)
+    length = str(seconds + len(ECCENTRICITIES) * (ANSWER_LIMIT + _MAP_LIMIT))
     of_ros = ["-m", "hd_diag.ros.node", "--ros-args", "--params-file", str(node)]
     script = str(Path(__file__).resolve().with_name("simulated_joint.py"))
     of_motion = [script, "--config", str(joint), "--seconds", length, "--rate", str(_RATE)]
@@ -199,7 +200,7 @@ def _change_eccentricity(
         _say(f"set {_MAGNITUDE} = {eccentricity:g} µm: in force")
         steps.append(Step(eccentricity))
         end = begin + seconds * number / len(ECCENTRICITIES)
-        last = time.monotonic() + ANSWER_LIMIT  # what each step's residual needs is waited for
+        last = time.monotonic() + _MAP_LIMIT  # what each step's residual needs is waited for
         for report in observer.reports(max(end, last) - time.monotonic()):
             if steps[-1].take(report) and time.monotonic() >= shown:
                 shown = time.monotonic() + _LINE_PERIOD

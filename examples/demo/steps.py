@@ -47,8 +47,12 @@ class Step:
 
     @property
     def residuals(self) -> list[float]:
-        """Residuals of the reports [arcsec] but for the first: its window reaches into the step before."""
-        values = [report.number("residual_rms_arcsec") for report in self.reports]
+        """Residuals of the reports [arcsec] once the map is in force, without which a busy node comes late.
+
+        The first is left out: its window reaches into the time before.
+        """
+        settled = [report for report in self.reports if report.text("prediction") == "map"]
+        values = [report.number("residual_rms_arcsec") for report in settled]
         return [value for value in values if math.isfinite(value)][1:]
 
     def text(self, key: str) -> str | None:
