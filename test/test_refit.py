@@ -11,6 +11,7 @@ from challenge import families, motion
 from challenge.records import Recording, simulate
 from challenge.truth import Base, drawn
 from joint_records import columns, prepared
+from numpy.testing import assert_array_equal
 
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit import refit as module
@@ -83,6 +84,14 @@ def test_a_torque_whose_noise_hides_its_sign_is_left_out() -> None:
     assert np.abs(light[usable(noisy)]).min() >= 3.0 * noisy.torque_deviation[0]
     nothing_but_noise = dataclasses.replace(noisy, torque=0.1 * light)
     assert usable(nothing_but_noise).mean() > 0.5
+
+
+@pytest.mark.parametrize("shift", [-0.6, -0.599, 0.0, 5.0])
+def test_a_constant_torque_that_a_shift_takes_away_keeps_its_rows(shift: float) -> None:
+    """Near zero all along, nothing is left out: there would be nothing to fit."""
+    record, _ = generated(3)
+    constant = dataclasses.replace(record, torque=np.full(record.size, 0.6))
+    assert_array_equal(usable(constant, shift), usable(constant))
 
 
 def test_a_rest_is_left_out_unless_the_torque_goes_on() -> None:

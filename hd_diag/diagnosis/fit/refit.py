@@ -181,10 +181,10 @@ def usable(record: Record, shift: Floats | float = 0.0) -> npt.NDArray[np.bool_]
     found = ~_resting(record)
     if record.has_torque:
         load = np.minimum(np.abs(record.torque), np.abs(record.torque + shift))
-        found &= load >= _GAP * np.percentile(np.abs(record.torque), 99)
-        certain = found & (load >= _CERTAIN * record.torque_deviation)
-        if np.count_nonzero(certain) >= _ENOUGH * np.count_nonzero(found):
-            return certain
+        for least in (_GAP * np.percentile(np.abs(record.torque), 99), _CERTAIN * record.torque_deviation):
+            certain = found & (load >= least)
+            if np.count_nonzero(certain) >= _ENOUGH * np.count_nonzero(found):
+                found = certain
     return found
 
 
