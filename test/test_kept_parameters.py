@@ -8,6 +8,7 @@ from benches import CONFIGURED, POINT, bench, swinging
 from challenge import families
 from joint_records import ARCSEC, RATIO
 
+from hd_diag.diagnosis.diagnosis import diagnose
 from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.joint_refinement import settle
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit, linearise
@@ -83,6 +84,15 @@ def test_beside_no_eccentricity_a_runout_may_be_anything() -> None:
     _, kept = kept_parameters(refitted(faultless(0)), ())
     assert {"eccentricity", "runout"} <= set(kept.bounds)
     assert kept.bounds["runout"] > 10.0
+
+
+def test_beside_no_eccentricity_none_is_claimed() -> None:
+    """In eight seconds of a faultless joint under a noisy torque a runout alone predicts held-out data."""
+    made = families.made("faultless", 3300)
+    columns = (made.time, made.input_angle, made.output_angle, made.torque, made.temperature, made.part)
+    record = prepare(*columns, RATIO)
+    found = diagnose(record, CONFIGURED, np.random.default_rng(0))
+    assert {"eccentricity", "runout"} <= found.kept.keys()
 
 
 def test_intervals_reach_the_minima_that_do_as_well() -> None:

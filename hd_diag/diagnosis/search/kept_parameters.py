@@ -99,6 +99,8 @@ class Kept:
 def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, Kept]:
     """Hold at their configured values the groups without which held-out data is predicted as well.
 
+    A runout shows by its product with an eccentricity alone: beside none, what it explains is something else.
+
     Parameters
     ----------
     fit : LinearisedFit
@@ -125,6 +127,9 @@ def kept_parameters(fit: LinearisedFit, chosen: Chosen) -> tuple[LinearisedFit, 
         for name in sorted(doubtful, key=certain.__getitem__):
             if (trial := _held(best, chosen, [*held, name])) is not None:
                 best, held = trial, [*held, name]
+    if "eccentricity" in held and "runout" in certain.keys() - set(held) and not _eccentric(fit):
+        held = [*held, "runout"]
+        best, _ = _trial(best, chosen, held)
     bounds = _bounds(fit, chosen, [*undetermined, *held])
     if {"eccentricity", "runout"} <= bounds.keys():  # beside none a runout is free to be anything
         bounds["runout"] = _bound(replace(best, held=()), chosen, "runout")
@@ -247,7 +252,7 @@ def _bound(fit: LinearisedFit, chosen: Chosen, name: str) -> float:
     away, spread = _away(fit, chosen)
     numbers = list(GROUPS[name])
     size = float(np.hypot(*away[numbers])) if len(numbers) > 1 else abs(float(away[numbers[0]]))
-    if name != "eccentricity" or np.any(fit_parameters.vector(fit.data.configured, fit.data.configured)[:2]):
+    if name != "eccentricity" or _eccentric(fit):
         return size + _TWO_SIDED * _deviation(spread, numbers)
     start = max(size, 1.0)
     moved = fit.parameters.copy()
@@ -255,6 +260,11 @@ def _bound(fit: LinearisedFit, chosen: Chosen, name: str) -> float:
     there = fit.moved(moved).beside(fit.present)
     own = covariance(there, chosen)[0][:COUNT, :COUNT]
     return float(np.sqrt(size**2 + 2.0 * start * _TWO_SIDED * _deviation(own, numbers)))
+
+
+def _eccentric(fit: LinearisedFit) -> bool:
+    """Whether the drive is configured with an eccentricity."""
+    return bool(np.any(fit_parameters.vector(fit.data.configured, fit.data.configured)[:2]))
 
 
 def _deviation(spread: Floats, numbers: list[int]) -> float:
