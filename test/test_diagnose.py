@@ -14,10 +14,11 @@ import pytest
 from challenge import records
 from cli_runner import assert_one_line_error, hd_diag
 from click.testing import Result
-from joint_records import columns
+from joint_records import ARCSEC, columns, joint, prepared
 from numpy.testing import assert_allclose
 from report_samples import RUN, diagnosed, diagnosis, generated, known_to_the_command_line, made
 
+from hd_diag.diagnosis.diagnosis import diagnose
 from hd_diag.effects import CATALOGUE
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -52,6 +53,21 @@ def test_a_cause_is_named_with_its_size_and_no_other(name: str, seed: int | None
     assert found.causes[0].amplitude == pytest.approx(amplitude, rel=0.1)
     assert found.rms is not None
     assert found.rms.nominal > found.rms.refit > found.rms.offline
+
+
+def test_a_drift_of_every_recording_is_fitted_to_all_of_them() -> None:
+    """A shape without a cause has columns for each recording, also for the one that was held out."""
+    parts, rng = [columns(12.0, seed=seed) for seed in range(4)], np.random.default_rng(3)
+    for number, part in enumerate(parts):
+        bends = 8.0 * ARCSEC * rng.standard_normal(7)
+        part["output"] += np.interp(part["time"], np.linspace(0.0, 12.0, 7), bends)
+        part["time"] = part["time"] + 20.0 * number
+    bag = np.repeat(np.arange(4), parts[0]["time"].size)
+    record = prepared({name: np.concatenate([part[name] for part in parts]) for name in parts[0]}, bag)
+    found = diagnose(record, joint().drive, np.random.default_rng(0))
+    assert found.found is not None
+    assert [effect.name for effect, _ in found.found.unmodelled] == ["drift"]
+    assert not found.causes
 
 
 @pytest.mark.parametrize(

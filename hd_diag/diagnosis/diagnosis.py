@@ -25,7 +25,7 @@ from hd_diag.diagnosis.search.kept_parameters import Kept, all_kept, kept_parame
 from hd_diag.diagnosis.search.order_table import OrderRow
 from hd_diag.diagnosis.search.selection import alone, search
 from hd_diag.diagnosis.search.unexplained import Unexplained, unexplained, with_table
-from hd_diag.diagnosis.search.unmodelled_terms import OutputLine
+from hd_diag.diagnosis.search.unmodelled_terms import OutputLine, UnmodelledTerm
 from hd_diag.diagnosis.torque_use import without_misleading_torque
 from hd_diag.diagnosis.work import Work
 from hd_diag.drive import Drive
@@ -177,7 +177,9 @@ def diagnose(
     best = _predicting(record, test, which, plain, found, rng)
     kept, rms, gain = best.kept, best.rms, best.gain
     work.tell(0.86, "using all data")
-    every = replace(best.every, held=kept.held).beside(best.found.fit.present)
+    # A shape without a cause has columns of its rows, of which there may be more here.
+    present = (one for one in best.found.fit.present if not isinstance(one[0][0], UnmodelledTerm))
+    every = replace(best.every, held=kept.held).beside(tuple(present))
     whole = doubted(refitted(settle(every, best.found.chosen), best.found))
     del begun, plain, found, best, every  # some hundred columns each
     parameters, spread = kept.spread(whole)
