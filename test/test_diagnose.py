@@ -70,6 +70,17 @@ def test_a_drift_of_every_recording_is_fitted_to_all_of_them() -> None:
     assert not found.causes
 
 
+def test_what_lacks_is_said_of_every_cause_that_cannot_be_tested() -> None:
+    """Friction acts by a torque: without one the motion may be all it asks for, and it cannot be judged."""
+    given = columns(12.0)
+    del given["torque"]
+    found = diagnose(prepared(given), joint().drive, np.random.default_rng(0))
+    reasons = {one.name: one.reason for one in found.testable}
+    assert all(reasons.values())
+    for name in ("viscous_windup", "torsional_hardening", "circular_spline_form", "torque_offset"):
+        assert reasons[name].startswith("no torque is measured"), (name, reasons[name])
+
+
 @pytest.mark.parametrize(
     ("name", "seed", "frame", "order"),
     [("strange_order", 0, "input", 3.37), slow("floor_vibration", 6, "time", 7.3)],

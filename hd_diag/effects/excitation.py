@@ -74,6 +74,8 @@ def torque_varies(signals: Signals, fraction: float = 0.25) -> Verdict:
     """Whether the torque spans a fraction of the rated one."""
     span = float(np.ptp(signals.torque)) if signals.size else 0.0
     wanted = fraction * signals.rated_torque
+    if not (known := torque_known(signals))[0]:
+        return known
     return _verdict(
         span >= wanted,
         f"the torque spans {span:.3g} N m, {wanted:.3g} N m are needed: repeat the motion under another load",
@@ -108,6 +110,8 @@ def _reaches(signals: Signals, torque: float, extra: str) -> Verdict:
     """Whether the torque goes that far in both directions [N m]."""
     every = signals.torque if signals.size else np.zeros(1)
     low, high = float(every.min()), float(every.max())
+    if not (known := torque_known(signals))[0]:
+        return known
     reached = f"the torque reaches from {_signed(low)} to {_signed(high)} N m"
     return _verdict(low <= -torque and high >= torque, f"{reached}: {extra}")
 

@@ -15,6 +15,7 @@ from hd_diag.diagnosis.search.acceptance import FAMILY_ERROR, LEAST_SIZE
 from hd_diag.diagnosis.search.causes import Search
 from hd_diag.diagnosis.search.ranking import Projector, competes, family_size
 from hd_diag.effects.effect import Effect
+from hd_diag.effects.excitation import torque_known
 
 _POWER = 0.99
 _OWN = 1e-3  # least share of an effect that the model's own parameters cannot imitate
@@ -53,8 +54,8 @@ def _tested(
 ) -> Detectability:
     """By what the record determines with everything else free; the motion says what it lacks, in words."""
     lacking = fit.data.testable(effect)[1]
-    if not competes(fit, effect):
-        return Detectability(effect.name, False, math.nan, lacking)
+    if not competes(fit, effect):  # where the motion lacks nothing the torque is not known
+        return Detectability(effect.name, False, math.nan, lacking or torque_known(fit.signals)[1])
     if not effect.starts(fit.signals, rest).points:
         return Detectability(effect.name, False, math.nan, lacking or _NO_START)
     nonlinear = fit.data.grid(effect)[len(fit.data.grid(effect)) // 2]
