@@ -9,7 +9,7 @@ from test_verdict import ENDED, LINE, SKIP, WRONG_RATIO, cause, diagnosis, refit
 
 from hd_diag.diagnosis.diagnosis import Allowed
 from hd_diag.diagnosis.gain import Rms
-from hd_diag.diagnosis.judgement import Answer, Limited, normal
+from hd_diag.diagnosis.judgement import Answer, Limited
 from hd_diag.diagnosis.verdict import as_json, sentence
 
 ARCSEC = np.pi / 648000.0
@@ -117,7 +117,7 @@ def test_the_error_is_compared_with_the_catalogue(amplitude: float) -> None:
     noise = 3.2 * ARCSEC * np.random.default_rng(0).standard_normal(record.size)
     wave = amplitude * ARCSEC * np.cos(2.0 * record.input_angle)
     output = record.input_angle / 100.0 + torsion + wave + noise
-    found = normal(dataclasses.replace(made, record=dataclasses.replace(record, output_angle=output)))
+    found = Answer(dataclasses.replace(made, record=dataclasses.replace(record, output_angle=output))).normal
     assert found is not None
     assert found.value / ARCSEC == pytest.approx(2.0 * amplitude, rel=0.1)
     assert found.within == (amplitude < 45.0)
@@ -134,7 +134,7 @@ def test_how_well_the_error_is_known_is_how_much_it_scatters_between_records() -
         wave = amplitude * np.cos(2.0 * record.input_angle) + 3.2 * ARCSEC * rng.standard_normal(record.size)
         output = record.input_angle / 100.0 + wave
         found.append(
-            normal(dataclasses.replace(made, record=dataclasses.replace(record, output_angle=output)))
+            Answer(dataclasses.replace(made, record=dataclasses.replace(record, output_angle=output))).normal
         )
     scatter = np.std([one.value for one in found if one])
     assert np.median([one.std for one in found if one]) == pytest.approx(scatter, rel=0.25)
@@ -173,7 +173,7 @@ def test_torsion_by_a_torque_that_is_not_measured_is_not_held_against_the_joint(
     slow = 100.0 * ARCSEC * size * np.sin(np.arange(blind.size) / 10.0)
     blind = dataclasses.replace(blind, output_angle=blind.input_angle / 100.0 + slow)
     found = dataclasses.replace(made, record=blind)
-    assert (normal(found) is not None) == said
+    assert (Answer(found).normal is not None) == said
     assert "whose torque is not measured" in sentence(Answer(found))
 
 

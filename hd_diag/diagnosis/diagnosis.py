@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from itertools import filterfalse
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,7 +54,7 @@ class Diagnosis:
     """Result for one joint; `orders` is its order table where no tooth model was fitted.
 
     `kept` are the parameters that stay as configured, for held-out data are predicted no better with others,
-    and how far off each may be, at 95 % (SI). What is `allowed` is not found here: who knows it adds it.
+    and how far off each may be, at 95 % (SI). What is `allowed` is not found here: a caller adds it.
     `encoder_zeros` are those of the recordings [rad]; `motor_std` are the standard deviations of what a motor
     needs of its current, by name; `left_out` is what there was no time for, in words.
     """
@@ -61,10 +62,10 @@ class Diagnosis:
     record: Record
     configured: Drive
     findings: tuple[Finding, ...]
-    refitted: Refit | None
-    found: Search | None
-    rms: Rms | None
-    gain: Gain | None
+    refitted: Refit | None = None
+    found: Search | None = None
+    rms: Rms | None = None
+    gain: Gain | None = None
     kept: dict[str, float] = field(default_factory=dict)
     unexplained: tuple[Unexplained, ...] = ()
     testable: tuple[Detectability, ...] = ()
@@ -84,16 +85,12 @@ class Diagnosis:
     @property
     def causes(self) -> tuple[Cause, ...]:
         """Causes found that the record can tell, most explaining first."""
-        return tuple(cause for cause in self._explaining if self._is_named(cause))
+        return tuple(filter(self._is_named, self.found.causes if self.found else ()))
 
     @property
     def hints(self) -> tuple[Cause, ...]:
         """The others: nearest to what the record shows, and in the model, but not to be named for it."""
-        return tuple(cause for cause in self._explaining if not self._is_named(cause))
-
-    @property
-    def _explaining(self) -> tuple[Cause, ...]:
-        return self.found.causes if self.found else ()
+        return tuple(filterfalse(self._is_named, self.found.causes if self.found else ()))
 
     @property
     def predicting(self) -> bool:
@@ -137,27 +134,17 @@ def diagnose(
     work: Work | None = None,
     catalogue: Catalogue = CATALOGUE,
 ) -> Diagnosis:
-    """Compare the model with a record and find the causes of the difference.
+    """Compare the drive as configured with a record and find the causes of the difference in a catalogue.
 
-    Parameters
-    ----------
-    record : Record or Screened
-        A caller who screens a long record first need not keep it.
-    configured : Drive
-        The simulation as configured.
-    rng : numpy.random.Generator
-        For bootstrap intervals.
-    work : Work, optional
-        Reports how far this is. Where its time is too short the result says what was left out; the fit, the
-        gain and what no cause explains never are.
-    catalogue : tuple of Effect
-        Causes to search among.
+    A caller who screens a long record first need not keep it. The generator is for bootstrap intervals. Where
+    the time of the work is too short the result says what was left out; the fit, the gain and what no cause
+    explains never are.
     """
     work = work or Work()
     checked = record if isinstance(record, Screened) else screened(record, configured)
-    record, findings = checked.record, checked.findings
+    record, findings = checked
     if any(finding.fatal for finding in findings):
-        return Diagnosis(record, configured, findings, None, None, None, None, catalogue=catalogue)
+        return Diagnosis(record, configured, findings, catalogue=catalogue)
     test, which = held_out(record)
     record = renumbered(record)
     # Single rows of a long record weigh nothing in a fit, which must know of what came between.

@@ -28,18 +28,9 @@ def centered(values: Floats, group: Integers) -> Floats:
 
 
 def regression(columns: Sequence[Floats], values: Floats, group: Integers) -> Regression:
-    """Values by columns, each less the mean of its group.
+    """Values by columns, all of shape (n,) and less the mean of their group.
 
-    Parameters
-    ----------
-    columns : sequence of ndarray, shape (n,)
-    values : ndarray, shape (n,)
-    group : ndarray of int64, shape (n,)
-
-    Returns
-    -------
-    Regression
-        Deviations allow for a rest that is correlated within `_CLUSTERS` stretches.
+    Deviations allow for a rest that is correlated within `_CLUSTERS` stretches.
     """
     parts, target = [centered(column, group) for column in columns], centered(values, group)
     scale = np.array([max(float(np.linalg.norm(column)), 1e-300) for column in parts])

@@ -75,12 +75,7 @@ UNTOLD = Stamps()
 def by_clock(time: Floats, bag: Integers, stamps: Stamps) -> tuple[Integers, Stamps]:
     """Numbers of recordings, another one after each clock set back, and what is reported of stamps.
 
-    Parameters
-    ----------
-    time, bag : ndarray, shape (n,)
-        [s], number of the recording.
-    stamps : Stamps
-        What was reported before.
+    Times [s] and numbers of the recordings are of shape (n,); `stamps` is what was reported before.
     """
     step = np.where(np.diff(bag) == 0, np.diff(time), np.nan)
     back = step < -CLOCK_JUMP * 1e-9

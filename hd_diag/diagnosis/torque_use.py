@@ -13,7 +13,7 @@ from hd_diag.diagnosis.fit import fit_parameters
 from hd_diag.diagnosis.fit.design import lower_bound, projection
 from hd_diag.diagnosis.fit.refit import nuisance, refit
 from hd_diag.diagnosis.record import Record
-from hd_diag.diagnosis.signal_findings import twisting
+from hd_diag.diagnosis.screening import twisting
 from hd_diag.drive import Drive
 from hd_diag.effects.quantity import turning
 from hd_diag.formatting import ARCSEC
@@ -31,16 +31,8 @@ def without_misleading_torque(
     """The record without its torque where fits to other rows predict held-out ones far better without.
 
     A current is kept: what the motor itself needs of it, these fits do not know. So is a torque that hardly
-    changes: it twists nothing, and cannot mislead. Both fits have the same samples and starts.
-
-    Parameters
-    ----------
-    record : Record
-    configured : Drive
-    test : ndarray of bool, shape (n,)
-        Rows held out.
-    rng : numpy.random.Generator
-        Chooses the samples of the fits.
+    changes: it twists nothing, and cannot mislead. Both fits have the same samples and starts, chosen by the
+    generator; `test` (n,) are the rows held out.
     """
     if not twisting(record, configured) or record.by_current:
         return record, None
@@ -48,12 +40,13 @@ def without_misleading_torque(
     blind = replace(record, torque=unloaded, reported_torque=unloaded, has_torque=False)
     if np.std(_left(record, configured, test)) < np.std(_left(blind, configured, test)):
         return record, None  # as configured it helps already
-    seed = int(rng.integers(2**31))
-    known, unknown = (
-        _predicted(one, configured, test, np.random.default_rng(seed)) for one in (record, blind)
-    )
-    rms = [float(np.sqrt(np.mean(one**2))) for one in (known, unknown)]
-    parts = [np.array_split(one**2, _BLOCKS) for one in (known, unknown)]
+    seed, squares = int(rng.integers(2**31)), []
+    for one in (record, blind):
+        train = one.select(~test)
+        fit = refit(train, configured, np.random.default_rng(seed), _of_encoders(train))
+        squares.append(_left(one, fit.drive, test) ** 2)
+    rms = [float(np.sqrt(np.mean(one))) for one in squares]
+    parts = [np.array_split(one, _BLOCKS) for one in squares]
     worse = np.array([float(a.sum() - b.sum()) for a, b in zip(*parts, strict=True)])
     if rms[0] < _WORSE * rms[1] or lower_bound(worse) < 0.0:
         return record, None
@@ -62,14 +55,6 @@ def without_misleading_torque(
         f"it to {rms[1] / ARCSEC:.0f}: it is left out here; see whether it is this joint's, and in N m"
     )
     return blind, Finding(TORQUE_MISLEADS, text, rms[0] / rms[1], "-", False)
-
-
-def _predicted(
-    record: Record, configured: Drive, test: npt.NDArray[np.bool_], rng: np.random.Generator
-) -> Floats:
-    """The same of a drive that was fitted to all others."""
-    train = record.select(~test)
-    return _left(record, refit(train, configured, rng, _of_encoders(train)).drive, test)
 
 
 def _left(record: Record, drive: Drive, test: npt.NDArray[np.bool_]) -> Floats:

@@ -16,20 +16,10 @@ class OutOfTime(Exception):
 
 
 class Work:
-    """Computing time of this process, counted from here.
+    """Computing time of this process, counted from here, of which the work may take some `seconds`.
 
     On a free core it is no less than the time by the clock, and a busy machine does not change what is found.
-
-    Parameters
-    ----------
-    seconds : float
-        That all of the work may take [s].
-    progress : callable
-
-    Attributes
-    ----------
-    left_out : list of str
-        What there was no time for, in words.
+    What there was no time for is in `left_out`, in words.
     """
 
     def __init__(self, seconds: float = math.inf, progress: Progress = lambda share, text: None) -> None:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import stats
 
-from hd_diag.diagnosis.ripple.waves import Column, Estimate, Waves, estimate, possible, standing_out, waves_at
+from hd_diag.diagnosis.ripple.waves import Column, Waves, estimate, possible, standing_out, waves_at
 from hd_diag.diagnosis.ripple.windows import TURN, Windows
 
 FALSE_ALARM = 1e-3
@@ -42,18 +42,15 @@ class Line:
         Whether it changes its sign with the direction: friction, or a torque that is late, do.
     alike : tuple of (float, bool)
         Orders, and whether they reverse, that explain the record about as well.
-    amplitude, std, phase : float
-        [N m], [N m], [rad]. As found or not; the deviation is that of either part, cosine or sine.
-    least : float
-        Amplitude that would have been found with 99 % chance [N m].
+    amplitude, std, phase, least : float
+        [N m], [N m], [rad], as found or not; the deviation is that of cosine or sine; amplitude that would
+        have been found with 99 % chance [N m].
     p_value : float
         Of noise alone, of this one test.
-    found : bool
     agreement : float
         Length of the mean of the runs' phases, weighted by amplitude: 1 if all are the same.
     repeats : bool or None
         Whether it is the same in every recording, of one in every run; None where there is only one.
-    records : tuple of Part
     """
 
     order: float
@@ -70,82 +67,73 @@ class Line:
     records: tuple[RecordedLine, ...]
 
 
-class Multiple(NamedTuple):
-    """The search at one multiple of the wave generator's turn, of a ratio; also by recordings."""
+def lines_at(
+    whole: Windows, multiple: float, ratio: float, shifts: Sequence[float], tests: int
+) -> list[Line]:
+    """A line for each column that can be tested at a multiple of the wave generator's turn, found or not.
 
-    multiple: float
-    ratio: float
-    waves: Waves
-    records: list[Waves]
-    columns: list[Column]
-    threshold: float
+    Columns are shifts of the multiple, each the same in both directions and reversing; all of it is one of
+    so many `tests`.
+    """
+    waves = waves_at(multiple, whole)
+    columns = [Column(shift, reverses) for reverses in (False, True) for shift in shifts]
+    records = waves.parts(waves.at.record)
+    tests *= len(columns) * (1 if len(records) == 1 else 1 + len(records))
+    threshold = FALSE_ALARM / tests
+    chosen = standing_out(waves, columns, threshold)
+    single: set[Column] = set()
+    if not chosen and len(records) > 1:
+        single = {column for part in records for column in standing_out(part, columns, threshold)}
 
-    @staticmethod
-    def of(whole: Windows, multiple: float, ratio: float, shifts: Sequence[float], tests: int) -> Multiple:
-        """Columns of some shifts, each the same in both directions and reversing; so many times all of it."""
-        waves = waves_at(multiple, whole)
-        columns = [Column(shift, reverses) for reverses in (False, True) for shift in shifts]
-        records = [waves.select(waves.at.record == number) for number in np.unique(waves.at.record)]
-        tests *= len(columns) * (1 if len(records) == 1 else 1 + len(records))
-        return Multiple(multiple, ratio, waves, records, columns, FALSE_ALARM / tests)
+    def told(column: Column) -> tuple[float, bool]:
+        return ratio * (multiple + column.shift), column.reverses
 
-    def lines(self) -> list[Line]:
-        """A line for each column that can be tested, found or not."""
-        chosen = standing_out(self.waves, self.columns, self.threshold)
-        single: set[Column] = set()
-        if not chosen and len(self.records) > 1:
-            single = {
-                column for part in self.records for column in standing_out(part, self.columns, self.threshold)
-            }
-        lines = []
-        for column in self.columns:
-            together = chosen if column in chosen else [*chosen, column]
-            if possible(self.waves, together):
-                line = self._line(together, column)
-                lines.append(_apart(line) if column in single else line)
-        return lines
+    lines = []
+    for column in columns:
+        together = chosen if column in chosen else [*chosen, column]
+        if possible(waves, together):
+            alike = tuple(told(other) for other in _alike(waves, together, column, columns))
+            line = Line(*told(column), alike, *_found(waves, together, column, threshold))
+            lines.append(_apart(line) if column in single else line)
+    return lines
 
-    def _line(self, columns: list[Column], column: Column) -> Line:
-        """The line of one of the columns that are fitted together."""
-        waves, at, found = self.waves, columns.index(column), estimate(self.waves, columns)
-        value, others = complex(found.values[at]), found.values.copy()
-        others[at] = 0.0
-        left = waves.values - waves.design(columns) @ others / np.sqrt(waves.weight)
-        rest = waves._replace(values=left)
-        parts = [
-            _mean(rest.select(waves.at.record == number), column) for number in np.unique(waves.at.record)
-        ]
-        runs = [_mean(rest.select(waves.at.run == number), column) for number in np.unique(waves.at.run)]
-        std = max(float(found.stds[at]), _scatter(parts))
-        limit = float(np.sqrt(2.0 * stats.f.isf(self.threshold, 2, found.freedom)))
-        return Line(
-            self.ratio * (self.multiple + column.shift),
-            column.reverses,
-            self._alike(columns, column, found),
-            abs(value),
-            std,
-            _phase(value),
-            (limit + _POWER) * std,
-            float(found.p_values[at]),
-            bool(found.p_values[at] <= self.threshold),
-            _agreement([one for one, _ in runs]),
-            _same(parts if len(parts) > 1 else runs, value, std),
-            tuple(RecordedLine(abs(one), spread, _phase(one)) for one, spread in parts),
-        )
 
-    def _alike(
-        self, columns: list[Column], column: Column, found: Estimate
-    ) -> tuple[tuple[float, bool], ...]:
-        """Orders and laws that explain the windows about as well in the place of a column."""
-        alike = []
-        for other in self.columns:
-            trial = [other if one == column else one for one in columns]
-            if other in columns or not possible(self.waves, trial):
-                continue
-            more = estimate(self.waves, trial).deviance - found.deviance
+def _found(waves: Waves, columns: list[Column], column: Column, threshold: float) -> tuple[Any, ...]:
+    """What a line tells, from its amplitude on, of one of the columns that are fitted together."""
+    at, found = columns.index(column), estimate(waves, columns)
+    value, others = complex(found.values[at]), found.values.copy()
+    others[at] = 0.0
+    left = waves.values - waves.design(columns) @ others / np.sqrt(waves.weight)
+    rest = waves._replace(values=left)
+    parts, runs = (
+        [_mean(one, column) for one in rest.parts(number)] for number in (waves.at.record, waves.at.run)
+    )
+    std = max(float(found.stds[at]), _scatter(parts))
+    limit = float(np.sqrt(2.0 * stats.f.isf(threshold, 2, found.freedom)))
+    return (
+        abs(value),
+        std,
+        _phase(value),
+        (limit + _POWER) * std,
+        float(found.p_values[at]),
+        bool(found.p_values[at] <= threshold),
+        _agreement([one for one, _ in runs]),
+        _same(parts if len(parts) > 1 else runs, value, std),
+        tuple(RecordedLine(abs(one), spread, _phase(one)) for one, spread in parts),
+    )
+
+
+def _alike(
+    waves: Waves, columns: list[Column], column: Column, possibly: Sequence[Column]
+) -> Iterator[Column]:
+    """Columns that explain the windows about as well in the place of one."""
+    found = estimate(waves, columns)
+    for other in possibly:
+        trial = [other if one == column else one for one in columns]
+        if other not in columns and possible(waves, trial):
+            more = estimate(waves, trial).deviance - found.deviance
             if more < _SAME * found.deviance / found.freedom:
-                alike.append((self.ratio * (self.multiple + other.shift), other.reverses))
-        return tuple(alike)
+                yield other
 
 
 def _mean(waves: Waves, column: Column) -> tuple[complex, float]:

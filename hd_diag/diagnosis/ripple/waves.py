@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy import stats
 
-from hd_diag.arrays import Complexes, Floats
+from hd_diag.arrays import Complexes, Floats, Integers
 from hd_diag.diagnosis.ripple.windows import TURNS, Windows
 
 LEAST_WINDOWS = 5
@@ -38,9 +37,12 @@ class Waves(NamedTuple):
     beside: Complexes
     weight: Floats
 
-    def select(self, rows: npt.NDArray[np.bool_]) -> Waves:
-        """Those of some windows."""
-        return Waves(self.at.select(rows), self.values[rows], self.beside[rows], self.weight[rows])
+    def parts(self, number: Integers) -> list[Waves]:
+        """Those of the windows of each number (s,)."""
+        return [
+            Waves(self.at.select(rows), self.values[rows], self.beside[rows], self.weight[rows])
+            for rows in (number == one for one in np.unique(number))
+        ]
 
     def design(self, columns: Sequence[Column]) -> Complexes:
         """Shape (s, p), each row times the root of its weight."""
