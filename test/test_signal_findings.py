@@ -31,6 +31,13 @@ def moves(reach: float = 0.6, **changed: Any) -> Record:
     return prepared({**made, **{name: change(made[name]) for name, change in changed.items()}})
 
 
+def simulated(by: float = 1.0, sign: float = 1.0) -> Record:
+    """A joint that moves fast and between large torques, angles times a factor, the input with a sign."""
+    made = simulate(SimulatedJoint(CONFIGURED), Motion(24.0, 100.0), np.random.default_rng(0))
+    angles = {"input": sign * by * made.input_angle, "output": by * made.output_angle}
+    return prepared({"time": made.stamp * 1e-9, **angles, "torque": made.torque})
+
+
 def names(record: Record) -> list[str]:
     return [finding.name for finding in screened(record, CONFIGURED).findings]
 
@@ -61,26 +68,24 @@ def test_the_ratio_of_the_other_output_over_a_part_of_a_turn(partner: float, rea
 
 
 @pytest.mark.parametrize(
-    ("column", "factor", "said"),
+    ("reach", "column", "changed", "said"),
     [
-        ("input", np.degrees(1.0), "input angle is in degrees"),
-        ("output", np.degrees(1.0), "output angle is in degrees"),
-        ("input", 2.0**17 / (2.0 * np.pi), "input angle is in counts of 17 bits"),
-        ("output", 2.0**19 / (2.0 * np.pi), "output angle is in counts of 19 bits"),
+        (2.0, "input", np.degrees, "input angle is in degrees"),
+        (2.0, "output", np.degrees, "output angle is in degrees"),
+        (20.0, "output", lambda angle: np.mod(np.degrees(angle), 360.0), "jumps by 360: it is in degrees"),
+        (2.0, "input", lambda angle: 2.0**17 / (2.0 * np.pi) * angle, "input angle is in counts of 17 bits"),
+        (2.0, "output", lambda angle: 2.0**19 / (2.0 * np.pi) * angle, "output angle is in counts of 19 bit"),
     ],
 )
-def test_other_units(column: str, factor: float, said: str) -> None:
-    found = only(moves(2.0, **{column: lambda angle: factor * angle}))
+def test_other_units(reach: float, column: str, changed: Any, said: str) -> None:
+    found = only(moves(reach, **{column: changed}))
     assert found.fatal
     assert said in found.text
 
 
 def test_both_angles_in_degrees() -> None:
     """At the configured ratio, and moving so fast and between such torques that steps were seen before."""
-    made = simulate(SimulatedJoint(CONFIGURED), Motion(24.0, 100.0), np.random.default_rng(0))
-    degrees = np.degrees(made.input_angle), np.degrees(made.output_angle)
-    given = {"time": made.stamp * 1e-9, "input": degrees[0], "output": degrees[1], "torque": made.torque}
-    found = only(prepared(given))
+    found = only(simulated(by=float(np.degrees(1.0))))
     assert (found.name, found.fatal) == ("unit", True)
     assert "both angles are in degrees" in found.text
     both = dict.fromkeys(("input", "output"), np.degrees)
@@ -91,11 +96,6 @@ def test_a_torque_that_no_gear_bears() -> None:
     found = only(moves(torque=lambda torque: 1e3 * torque))
     assert (found.name, found.fatal) == ("unit", True)
     assert "times the rated torque: in which unit is it?" in found.text
-
-
-def test_degrees_that_wrap() -> None:
-    found = only(moves(20.0, output=lambda angle: np.mod(np.degrees(angle), 360.0)))
-    assert (found.name, found.fatal) == ("unit", True)
 
 
 def test_a_torque_of_the_other_sign_is_turned() -> None:
@@ -132,9 +132,7 @@ def test_angles_out_of_step(record: Record, late: float) -> None:
 
 def test_a_ratio_of_the_wrong_sign_is_not_taken_for_a_late_output() -> None:
     """A motion to and fro, mirrored, is itself at another time."""
-    made = simulate(SimulatedJoint(CONFIGURED), Motion(24.0, 100.0), np.random.default_rng(0))
-    given = {"time": made.stamp * 1e-9, "input": -made.input_angle, "output": made.output_angle}
-    found = only(prepared(given | {"torque": made.torque}))
+    found = only(simulated(sign=-1.0))
     assert (found.name, found.value) == ("ratio_error", pytest.approx(-RATIO, rel=1e-2))
 
 

@@ -15,9 +15,6 @@ from hd_diag.diagnosis.torque_use import TORQUE_MISLEADS, without_misleading_tor
 def test_a_torque_of_another_joint_is_left_out() -> None:
     record = swinging(40.0)
     test, _ = held_out(record)
-    same, finding = without_misleading_torque(record, CONFIGURED, test, np.random.default_rng(0))
-    assert finding is None
-    assert same is record
     other = 120.0 * np.sin(2.0 * np.pi * record.time / 2.3)
     unloaded = dataclasses.replace(record, output_angle=record.input_angle / 100.0, torque=other)
     blind, finding = without_misleading_torque(unloaded, CONFIGURED, test, np.random.default_rng(0))
@@ -25,14 +22,14 @@ def test_a_torque_of_another_joint_is_left_out() -> None:
     assert (finding.name, finding.fatal, blind.has_torque) == (TORQUE_MISLEADS, False, False)
     assert not blind.torque.any()
     assert finding.value > 1.3
-    hardly = dataclasses.replace(unloaded, torque=0.003 * other)  # it twists nothing
-    same, finding = without_misleading_torque(hardly, CONFIGURED, test, np.random.default_rng(0))
-    assert same is hardly
-    assert finding is None
-    current = dataclasses.replace(unloaded, by_current=True)  # most of it may be the motor's own friction
-    same, finding = without_misleading_torque(current, CONFIGURED, test, np.random.default_rng(0))
-    assert same is current
-    assert finding is None
+    for kept in (
+        record,
+        dataclasses.replace(unloaded, torque=0.003 * other),  # it twists nothing
+        dataclasses.replace(unloaded, by_current=True),  # most of it may be the motor's own friction
+    ):
+        same, finding = without_misleading_torque(kept, CONFIGURED, test, np.random.default_rng(0))
+        assert finding is None
+        assert same is kept
 
 
 def test_an_input_encoder_far_off_its_centre_is_no_wrong_torque() -> None:
