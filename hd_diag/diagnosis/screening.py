@@ -147,7 +147,7 @@ def _without_repeated_rows(record: Record) -> tuple[Record, Finding | None]:
         f"{100 * share:.0f} % of the samples in motion repeat the one before: they are published faster than "
         "measured; the repeated ones are left out"
     )
-    return record.select(~again), Finding("_without_repeated_rows", text, share, "-", False)
+    return record.select(~again), Finding("repeated_rows", text, share, "-", False)
 
 
 def _partner_ratio(record: Record, configured: Drive) -> Finding | None:
