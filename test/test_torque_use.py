@@ -9,7 +9,7 @@ from joint_records import columns, prepared
 
 from hd_diag.diagnosis.diagnosis import diagnose
 from hd_diag.diagnosis.gain import held_out
-from hd_diag.diagnosis.torque_use import TORQUE_MISLEADS, without_misleading_torque
+from hd_diag.diagnosis.screening import without_misleading_torque
 
 
 def test_a_torque_of_another_joint_is_left_out() -> None:
@@ -19,7 +19,7 @@ def test_a_torque_of_another_joint_is_left_out() -> None:
     unloaded = dataclasses.replace(record, output_angle=record.input_angle / 100.0, torque=other)
     blind, finding = without_misleading_torque(unloaded, CONFIGURED, test, np.random.default_rng(0))
     assert finding is not None
-    assert (finding.name, finding.fatal, blind.has_torque) == (TORQUE_MISLEADS, False, False)
+    assert (finding.name, finding.fatal, blind.has_torque) == ("torque_misleads", False, False)
     assert not blind.torque.any()
     assert finding.value > 1.3
     for kept in (

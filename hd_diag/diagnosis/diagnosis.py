@@ -19,7 +19,7 @@ from hd_diag.diagnosis.fit.refit import Refit, refit, usable
 from hd_diag.diagnosis.gain import MISFIT, Gain, Misfit, Rms, Rows, held_out, measured_gain, renumbered
 from hd_diag.diagnosis.noise import ORDER
 from hd_diag.diagnosis.record import Record
-from hd_diag.diagnosis.screening import Screened, screened
+from hd_diag.diagnosis.screening import Screened, screened, without_misleading_torque
 from hd_diag.diagnosis.search.causes import Cause, Search, doubted, motor_deviations, refitted
 from hd_diag.diagnosis.search.detectability import Detectability, testability
 from hd_diag.diagnosis.search.kept_parameters import Kept, all_kept, kept_parameters
@@ -27,7 +27,6 @@ from hd_diag.diagnosis.search.order_table import OrderRow
 from hd_diag.diagnosis.search.selection import alone, search
 from hd_diag.diagnosis.search.unexplained import Unexplained, unexplained, with_table
 from hd_diag.diagnosis.search.unmodelled_terms import OutputLine
-from hd_diag.diagnosis.torque_use import without_misleading_torque
 from hd_diag.diagnosis.work import Work
 from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE, Catalogue
@@ -98,12 +97,12 @@ class Diagnosis:
         return self.rms is None or self.rms.by_causes(self.record.by_current) < self.rms.refit
 
     def _is_named(self, cause: Cause) -> bool:
-        """Not if too many do as well, beside ambiguous parameters, in a misfit, or if more than it is left.
+        """Whether a cause is named; not if too many others explain as much, or the parameters are ambiguous.
 
-        Where more than noise is left chance is no measure: what else is wrong may well look like the cause.
-        Nor if held-out rows are predicted no better with the causes, nor what may be friction, torsion or the
-        reading of a torque where that is a motor's current: its own friction and constant, both fitted, are
-        not known well enough.
+        Nor in a misfit, or if more is left than it explains: what else is wrong may well look like it. Nor if
+        held-out rows are predicted no better with the causes. Where the torque is a motor's current nothing
+        is named that may be friction, torsion or the torque's reading: the motor's own friction and constant
+        are fitted too, and not known well enough.
         """
         sure, left = self.refitted is None or self.refitted.trustworthy, self.misfit
         ahead = left is None or not left.suspected or (left.value <= MISFIT and cause.gain > _HALF)
@@ -213,7 +212,7 @@ def _predicting(
     found: Search,
     rng: np.random.Generator,
 ) -> _Tried:
-    """The richest of models that held-out rows do not speak against: causes, parameters, as configured."""
+    """The model with most in it that predicts held-out rows no worse than simpler ones do."""
 
     def tried(fit: LinearisedFit, kept: Kept, found: Search) -> _Tried:
         before, found = plain if found.chosen else fit, refitted(fit, found)
@@ -244,7 +243,7 @@ def _predicting(
 
 
 def _described(record: Record, lines: list[Unexplained], rms: Rms) -> tuple[Unexplained, ...]:
-    """What no cause explains: never nothing where more than noise is left."""
+    """What no cause explains; where more than noise is left there is always an entry."""
     beyond = math.sqrt(2.0 * max(rms.extended**2 - rms.noise**2, 0.0))
     if rms.extended > MISFIT * rms.noise and not rms.misfit.suspected:
         what, amplitude = "is left only as the model runs: its signals are late", beyond

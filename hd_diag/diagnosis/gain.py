@@ -58,7 +58,7 @@ class Rms:
     wandering: float = field(default=0.0, kw_only=True)
 
     def by_causes(self, by_current: bool) -> float:
-        """Residual beside causes that are followed, which must be less than without them.
+        """Residual less the wandering of causes; with causes it must be smaller than without them.
 
         By a current as fitted: as the model runs, a motor's friction begins late, which speaks against none.
         """
@@ -66,7 +66,7 @@ class Rms:
 
     @property
     def misfit(self) -> Misfit:
-        """What is left over the noise where causes that wander are followed, as fitted or as the model runs.
+        """Residual less the wandering of causes over the noise, as fitted or as the model runs.
 
         Its signals are late where it runs, which speaks against no cause; as fitted it has no order table.
         """
@@ -106,7 +106,7 @@ class Misfit(NamedTuple):
 
     @property
     def certain(self) -> bool:
-        """Whether it is."""
+        """Whether what is left is certainly more than noise."""
         return (self.value if self.measured else self.low) > MISFIT
 
 
@@ -148,7 +148,7 @@ def measured_gain(
     beside = tuple(one for one, _ in plain.present)
 
     def unseen(residual: Floats) -> Floats:
-        """Held-out rows, less what each recording's encoders are off in the others, or in these; or drift."""
+        """Residual of held-out rows, less drift or the offset of its recording, of fitted rows if any."""
         if record.by_velocity:
             own = fitted & test
             return without_drift(residual[own], record.time[own], record.bag[own])

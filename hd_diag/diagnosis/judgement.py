@@ -83,7 +83,7 @@ class Answer:
 
     @cached_property
     def judgement(self) -> Judgement:
-        """Kind of the answer; that the model does not describe the record goes before all else."""
+        """Kind of the answer; ``misfit`` goes before all that was fitted."""
         found = self.diagnosis
         if found.rms is None:
             return "not_judged"
@@ -129,7 +129,7 @@ class Answer:
 
     @property
     def tolerance(self) -> Limited | None:
-        """The eccentricity beside its limit; None without a limit. In a misfit its deviation is unknown."""
+        """The eccentricity beside its limit; None without one. In a misfit its standard deviation is nan."""
         most = self.diagnosis.allowed
         if most is None:
             return None

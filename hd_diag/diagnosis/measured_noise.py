@@ -80,7 +80,7 @@ def revisits(signals: Signals) -> Revisits:
 def measured_noise(
     residual: Floats, time: Floats, run: Integers, passed: Revisits, counted: float
 ) -> MeasuredNoise:
-    """Noise of a residual (n,) [rad], whatever is wrong with the model: that is the same in the same state.
+    """Noise of a residual (n,) [rad]; an error of the model is the same in the same state and drops out.
 
     Times are in s, a run has no gap; what encoders that count leave is `counted` [rad], of :func:`of_counts`.
 
@@ -132,7 +132,7 @@ def measured_covariance(residual: Floats, run: Integers, passed: Revisits, noise
 
 
 def _states(signals: Signals) -> tuple[Floats, Integers]:
-    """Coordinates of every moment in units within which nothing changes much, and their kinds."""
+    """State of every moment, (n, k), in units within which nothing changes much; kinds of the coordinates."""
     load, speed = signals.torque, signals.forward_speed
     span = max(float(np.ptp(load)), 0.02 * signals.rated_torque)
     fast = max(float(np.percentile(np.abs(speed), 99)), 1e-9)
@@ -162,7 +162,7 @@ def _by_slice(columns: Floats, target: Floats, number: Integers) -> tuple[Floats
 
 
 def _nuggets(gram: Floats, moment: Floats) -> list[float]:
-    """First coefficients of n least squares without negative ones, of Gram matrices (n, k, k)."""
+    """First coefficient of each of n non-negative least squares, by Gram matrices (n, k, k)."""
     ridge = 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None]
     root = np.linalg.cholesky(gram + ridge * np.eye(gram.shape[-1]))
     target = np.linalg.solve(root, moment[..., None])[..., 0]
@@ -181,7 +181,7 @@ def _of_short_differences(values: Floats, run: Integers) -> float:
 
 
 def _quick(values: Floats, time: Floats, run: Integers) -> float:
-    """Rms of values less the mean of each few seconds [rad]."""
+    """Rms of values less their mean over each `_SLOW` seconds [rad]."""
     number = slices(time, run, _SLOW)
     count = np.bincount(number)
     rest = values - (np.bincount(number, values) / count)[number]
@@ -189,7 +189,7 @@ def _quick(values: Floats, time: Floats, run: Integers) -> float:
 
 
 def of_counts(record: Record, ratio: float) -> float:
-    """Rms of what encoders that count leave between their counts, at the output [rad]."""
+    """Rms of the rounding of both encoders to their counts, at the output [rad]."""
     steps = _step(record.output_angle, record.run), _step(record.input_angle, record.run) / abs(ratio)
     return math.hypot(*steps) / math.sqrt(12.0)
 

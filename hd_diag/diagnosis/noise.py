@@ -57,7 +57,7 @@ def _edges(run: Integers) -> Integers:
 
 
 def numbered(change: npt.NDArray[np.bool_]) -> Integers:
-    """Numbers, from zero, of the stretches that n - 1 changes from row to row divide; shape (n,)."""
+    """Number of the stretch of each of n rows, from zero; a new one begins where the row changes (n - 1,)."""
     return np.concatenate(([0], np.cumsum(change))).astype(np.int64)
 
 
@@ -68,7 +68,7 @@ def spans(rows: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def slices(time: Floats, run: Integers, seconds: float) -> Integers:
-    """Numbers, from zero without a gap, of stretches of about so many seconds within runs; shape (n,)."""
+    """Number of the stretch of each row, from zero; runs are divided into stretches of so many seconds."""
     edges = bounds(run)
     begun = np.repeat([time[begin] for begin, _ in edges], [end - begin for begin, end in edges])
     change = (np.diff((time - begun) // seconds) != 0) | (np.diff(run) != 0)

@@ -39,9 +39,10 @@ def torque_outliers(torque: Floats, bag: Integers) -> Rows:
 
 
 def outliers(error: Floats, bag: Integers, least: float = 0.0, together: int = 1) -> Rows:
-    """Samples, so many `together` at most, far off both neighbours; without them, others may stand out.
+    """Samples (n,), up to `together` in a row, far off both neighbours, by `least` or more.
 
     Neighbours are those recorded before and after, even across a gap: between gaps there may be few samples.
+    It is done again without those that were found: others may stand out then.
     """
 
     def repeated(part: slice) -> Rows:

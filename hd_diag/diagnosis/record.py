@@ -72,7 +72,7 @@ class Record:
     stamps : Stamps
         What became of samples before.
     taken : ndarray, or None
-        What the torque is more than the current's, as far as it is known what the motor takes of it [N m].
+        What was added to the torque by a current, because the motor itself takes some of it [N m].
     """
 
     time: Floats
@@ -108,11 +108,11 @@ class Record:
 
     @property
     def way(self) -> Floats:
-        """Direction of the motion, -1 to 1 through rest as friction turns, shape (n,)."""
+        """Direction of the motion, from -1 to 1, smooth through rest as friction is; shape (n,)."""
         return np.asarray(np.tanh(self.speed / (_SLOW * self.top_speed)))
 
     def less_motor(self, taken: Floats) -> Record:
-        """The record with the torque that is left where a motor takes something of its current's, (n,)."""
+        """The record with its torque plus `taken` (n,), the negative of what the motor itself takes [N m]."""
         return replace(self, torque=self.by_sensor + taken, taken=taken)
 
     @property
@@ -250,7 +250,7 @@ def _usable(columns: Columns, bag: Integers) -> Rows:
 
 
 def _kept(columns: Columns, rows: Rows) -> Columns:
-    """Some rows of all columns; all rows are no copy."""
+    """Some rows of all columns; without a copy where all are kept."""
     if rows.all():
         return columns
     return {name: None if column is None else column[rows] for name, column in columns.items()}

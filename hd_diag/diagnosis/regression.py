@@ -23,7 +23,7 @@ class Regression(NamedTuple):
 
 
 def centered(values: Floats, group: Integers) -> Floats:
-    """Values less the mean of their group: of a run, between which turns may be lost; of a recording."""
+    """Values less the mean of their group, a run or a recording; both of shape (n,)."""
     return np.asarray(values - (np.bincount(group, values) / np.maximum(np.bincount(group), 1))[group])
 
 
@@ -45,7 +45,7 @@ def regression(columns: Sequence[Floats], values: Floats, group: Integers) -> Re
 
 
 def usual_laws(record: Record, rated_torque: float) -> list[Floats]:
-    """What torsion and friction of any joint go with, each of order one, shape (n,)."""
+    """Regressors (n,) of order one for torsion and friction of any joint."""
     load = record.torque / rated_torque
     torsion = [load, load * np.abs(load), load**3, np.tanh(load / _NEAR_ZERO)]
     return [*torsion, record.speed / record.top_speed, record.way]

@@ -7,16 +7,22 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from scipy.signal import correlate
 
+from hd_diag.arrays import Floats
 from hd_diag.diagnosis.drift import check_velocity
 from hd_diag.diagnosis.findings import Finding, check_ramp, check_ratio, find_steps, follows, wrong_ratio
 from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit.design import lower_bound, projection
+from hd_diag.diagnosis.fit.refit import nuisance, refit
 from hd_diag.diagnosis.record import Record
 from hd_diag.diagnosis.regression import centered, regression
 from hd_diag.diagnosis.stamps import UNPAIRED
 from hd_diag.diagnosis.subsampling import LIMIT, subsample
 from hd_diag.drive import Drive
+from hd_diag.effects.quantity import turning
+from hd_diag.formatting import ARCSEC
 
 _TORQUE_SIGN = "torque_sign"  # name of the finding after which the torque's sign is turned
 _NO_ERROR = 1e-7  # [rad]; a tenth of what an encoder of 26 bits can tell
@@ -36,6 +42,8 @@ _PARTNER_MISS = 0.15  # of the slope between a ratio and its partner
 _FULL_TURN = 360.0
 _DEGREES, _DEGREES_MISS = 180.0 / math.pi, 0.3  # times the configured torsion; a share of that
 _LEAST_IN_DEGREES = 0.01  # [rad], between least and greatest error: beyond what gears have
+_WORSE = 1.3  # ratio of residuals from which a torque misleads
+_BLOCKS, _MOST_UNSEEN = 8, 2000  # of held-out rows; how many of them
 _MOST_TORQUE = 50.0  # of the rated torque: teeth skip at a fifth of it, or a half
 
 
@@ -106,7 +114,7 @@ def _other_units(record: Record, configured: Drive) -> Finding | None:
         text = f"the torque reaches {most:.3g} N m, {share:.0f} times the rated torque: in which unit is it?"
         return Finding("unit", text, share, "-", True)
     error = record.output_angle - record.input_angle / configured.kinematics.ratio
-    if twisting(record, configured) and float(np.ptp(centered(error, record.bag))) > _LEAST_IN_DEGREES:
+    if _twisting(record, configured) and float(np.ptp(centered(error, record.bag))) > _LEAST_IN_DEGREES:
         factor, spread = _twist(record, configured)
         if abs(factor / _DEGREES - 1.0) < _DEGREES_MISS and factor > _SIGMAS * spread:
             text = f"the joint twists {factor:.0f} times as much as configured: both angles are in degrees"
@@ -115,7 +123,7 @@ def _other_units(record: Record, configured: Drive) -> Finding | None:
 
 
 def _lost_samples(record: Record) -> list[Finding]:
-    """Findings of what stamps were found to be before samples came together: set back, refused, apart."""
+    """Findings of files that are not whole, clocks set back, samples refused or without a partner."""
     refused, _, unpaired, set_back, problems = record.stamps
     found = []
     if problems:
@@ -220,14 +228,14 @@ def _far_behind(record: Record, ratio: float) -> float | None:
     return shift * step if matched and abs(shift * step) > _OUT_OF_STEP else None
 
 
-def twisting(record: Record, configured: Drive) -> bool:
+def _twisting(record: Record, configured: Drive) -> bool:
     """Whether a torque is known and changes enough to twist the gear."""
     return record.has_torque and float(np.ptp(record.torque)) > _LEAST_TORSION * configured.rated_torque
 
 
 def _wrong_torque(record: Record, configured: Drive) -> Finding | None:
     """A finding where the torsion is not that of the torque: of the other sign, or many times as much."""
-    if not twisting(record, configured):
+    if not _twisting(record, configured):
         return None
     factor, spread = _twist(record, configured)
     if factor < min(_WRONG_SIGN, -_SIGMAS * spread):
@@ -254,3 +262,49 @@ def _twist(record: Record, configured: Drive) -> tuple[float, float]:
     columns = [np.nan_to_num(torsion), some.speed, np.sign(some.speed), *waves]
     found = regression(columns, some.output_angle - output, some.bag)
     return float(found.value[0]), float(found.deviation[0])
+
+
+def without_misleading_torque(
+    record: Record, configured: Drive, test: npt.NDArray[np.bool_], rng: np.random.Generator
+) -> tuple[Record, Finding | None]:
+    """The record without its torque where fits to other rows predict held-out ones far better without.
+
+    A current is kept: what the motor itself needs of it, these fits do not know. So is a torque that hardly
+    changes: it twists nothing, and cannot mislead. Both fits have the same samples and starts, chosen by the
+    generator; `test` (n,) are the rows held out.
+    """
+    if not _twisting(record, configured) or record.by_current:
+        return record, None
+    unloaded = np.zeros(record.size)
+    blind = replace(record, torque=unloaded, reported_torque=unloaded, has_torque=False)
+    if np.std(_left(record, configured, test)) < np.std(_left(blind, configured, test)):
+        return record, None  # as configured it helps already
+    seed, squares = int(rng.integers(2**31)), []
+    for one in (record, blind):
+        train = one.select(~test)
+        fit = refit(train, configured, np.random.default_rng(seed), _of_encoders(train))
+        squares.append(_left(one, fit.drive, test) ** 2)
+    rms = [float(np.sqrt(np.mean(one))) for one in squares]
+    parts = [np.array_split(one, _BLOCKS) for one in squares]
+    worse = np.array([float(a.sum() - b.sum()) for a, b in zip(*parts, strict=True)])
+    if rms[0] < _WORSE * rms[1] or lower_bound(worse) < 0.0:
+        return record, None
+    text = (
+        f"with the torque as measured, held-out data are predicted to {rms[0] / ARCSEC:.0f} arcsec, without "
+        f"it to {rms[1] / ARCSEC:.0f}: it is left out here; see whether it is this joint's, and in N m"
+    )
+    return blind, Finding("torque_misleads", text, rms[0] / rms[1], "-", False)
+
+
+def _left(record: Record, drive: Drive, test: npt.NDArray[np.bool_]) -> Floats:
+    """Residual of a drive on some held-out rows, less all that any fit carries along [rad]."""
+    some = record.select(test).thinned(_MOST_UNSEEN)
+    error, _, _ = fit_parameters.along(drive, drive, some.input_angle, some.torque)
+    rest = some.output_angle - some.input_angle / drive.kinematics.ratio - np.nan_to_num(error)
+    free = np.concatenate((nuisance(some, drive.kinematics.ratio), _of_encoders(some)), axis=1)
+    return np.asarray(rest - projection(free, rest))
+
+
+def _of_encoders(record: Record) -> Floats:
+    """Once and twice per input turn, (n, 4): fitted without them, parameters of the torque imitate them."""
+    return np.concatenate([turning(order * record.input_angle) for order in (1, 2)], axis=1)

@@ -60,7 +60,7 @@ def best_width(values: Floats, segment: Integers, step: float) -> float:
 
 
 def best_widths(values: Floats, segment: Integers, step: float) -> Floats:
-    """Window of every value [s], shape (n,): the best of all, cut where it bends what values do there.
+    """Window of every value [s], shape (n,): the best for all, or a narrower one where that would bend them.
 
     A robot that rests, creeps and hurries has no window for all: where a narrower one differs from it by more
     than noise, that one holds (Lepski, Theory Probab. Appl. 35, 1991). Arguments as of :func:`smooth`.
@@ -95,14 +95,14 @@ def settled(values: Floats, smoothed: Floats, step: float, width: float) -> Floa
 
 
 def deviation(values: Floats, smoothed: Floats, step: float, width: Floats) -> Floats:
-    """Standard deviation of each smoothed value by what noise passes; arguments as of :func:`settled`."""
+    """Standard deviation of each smoothed value by the noise left in it; arguments as of :func:`settled`."""
     windows, number = np.unique(width, return_inverse=True)
     passed = np.array([_passed(values.size, step, one) for one in windows.tolist()])
     return np.asarray(float(np.std(values - smoothed)) * np.sqrt(passed)[number])
 
 
 def _passed(size: int, step: float, width: float) -> float:
-    """Share of the variance of noise that smoothing leaves."""
+    """Share of the variance of white noise that is left by smoothing."""
     kernel = savgol_coeffs(_window(size, step, width), _ORDER)
     return float(np.sum(np.convolve(kernel, kernel) ** 2))
 

@@ -93,7 +93,7 @@ def _places(record: Record, cells: list[tuple[int, int]], length: int) -> list[i
 
 
 def _wanted(share: Floats) -> Floats:
-    """Shares moved half-way to equal ones: rare conditions tell the model's parameters apart best."""
+    """Shares half-way between those of the record and equal ones: rare conditions tell parameters apart."""
     parts = [(share[group], share[group] > _RARE) for group in _GROUPS]
     return np.concatenate([0.5 * part + 0.5 * some / max(int(some.sum()), 1) for part, some in parts])
 
@@ -130,7 +130,7 @@ def _between(record: Record, begin: int, end: int) -> Integers:
 
 
 def _reversals(torque: Floats, swing: float) -> list[int]:
-    """Rows of reversals that no later one exceeded: all that friction remembers at the end (Preisach)."""
+    """Rows of reversals of the torque that no later one exceeded: friction remembers these (Preisach)."""
     first, found = 0, list[int]()
     while first < torque.size and len(found) < _REVERSALS:
         rest = torque[first:][::-1]

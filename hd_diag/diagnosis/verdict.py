@@ -151,7 +151,7 @@ def _finding(finding: Finding) -> dict[str, Any]:
 
 
 def _unexplained(line: Unexplained) -> dict[str, Any]:
-    """What has no period is order 0, its law what it looks like."""
+    """A part without a period has order 0; its description stands before its torque law."""
     content = {**line.__dict__}
     if description := content.pop("description"):
         content["torque_law"] = f"{description}; {line.torque_law}"
@@ -209,7 +209,7 @@ def _ended(text: str) -> str:
 
 
 def _current(diagnosis: Diagnosis) -> list[str]:
-    """What it costs that the torque is a motor's current."""
+    """What cannot be determined because the torque is a motor's current."""
     values = _motor(diagnosis)
     if values is None:
         return []
@@ -285,7 +285,7 @@ def _row_in_words(row: OrderRow) -> str:
 
 
 def _describes(row: OrderRow, line: Unexplained) -> bool:
-    """Whether a row is of the same wave, whose order it knows better."""
+    """Whether a row of the order table describes the same wave."""
     is_wave = not line.description and line.frame == row.frame
     return is_wave and math.isclose(line.order, row.order, rel_tol=_SAME_ORDER)
 

@@ -32,7 +32,7 @@ class Work:
         return time.process_time() - self._begin
 
     def tell(self, share: float, text: str) -> None:
-        """Tell what is done now, and the share that is done: no less than of the time that it may take."""
+        """Report what is done now and the share that is done, at least that of the time that was spent."""
         least = self.spent / self.seconds if self.spent < self.seconds else 0.0
         self._share = max(self._share, share, least)
         self.progress(self._share, text)

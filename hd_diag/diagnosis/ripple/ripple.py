@@ -15,8 +15,7 @@ from scipy.ndimage import median_filter
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.record import RecordError
-from hd_diag.diagnosis.ripple.lines import Line, lines_at
-from hd_diag.diagnosis.ripple.waves import BESIDE, LEAST_WINDOWS
+from hd_diag.diagnosis.ripple.lines import BESIDE, LEAST_WINDOWS, Line, lines_at
 from hd_diag.diagnosis.ripple.windows import TURNS, Windows, windows
 from hd_diag.model.transmission_error import Kinematics
 
