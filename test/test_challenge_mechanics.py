@@ -25,11 +25,6 @@ def harmonic(x: np.ndarray, angle: np.ndarray, order: float) -> float:
 TURN = np.linspace(0, 2 * np.pi, 4096, endpoint=False)
 
 
-def test_universal_joint_errs_twice_a_turn() -> None:
-    error = mechanics.universal_joint(TURN, 0.06, 0.3) - TURN
-    assert harmonic(error, TURN, 2) == pytest.approx(np.tan(0.03) ** 2, rel=1e-6)
-
-
 def test_play_lags_by_half_its_width() -> None:
     there = np.linspace(0, 1, 1000)
     lag = mechanics.play(np.r_[there, there[::-1]], 0.1) - np.r_[there, there[::-1]]
@@ -72,9 +67,8 @@ def test_friction_has_the_sign_of_the_speed_and_springs_back_from_little() -> No
     assert_allclose(state[np.abs(speed) > 5], np.sign(speed[np.abs(speed) > 5]), atol=0.05)
     bristle = mechanics.elasto_plastic(np.cos(2 * time), 1e-3, stick=0.5)
     assert_allclose(bristle[np.abs(speed) > 5], np.sign(speed[np.abs(speed) > 5]), atol=0.01)
-    assert_allclose(
-        mechanics.elasto_plastic(4e-4 * np.sin(9 * time), 1e-3, 0.5), 0.4 * np.sin(9 * time), atol=1e-9
-    )
+    little = mechanics.elasto_plastic(4e-4 * np.sin(9 * time), 1e-3, 0.5)
+    assert_allclose(little, 0.4 * np.sin(9 * time), atol=1e-9)
 
 
 def test_a_lag_forgets_two_thirds_in_its_time() -> None:
@@ -99,29 +93,28 @@ def test_inertia_swings_as_its_transfer_function_says(frequency: float) -> None:
     assert swing == pytest.approx(expected, rel=0.03)  # straight between samples
 
 
-def test_disc_off_its_shaft() -> None:
-    error = sensor.off_centre(TURN, 0.02, 0.4) - TURN
-    assert harmonic(error, TURN, 1) == pytest.approx(0.02, rel=1e-3)
-    assert harmonic(error, TURN, 2) == pytest.approx(0.02**2 / 2, rel=1e-3)
-
-
-def test_uneven_quadrature() -> None:
-    assert harmonic(sensor.quadrature(TURN, 16, 0.03, 1.0) - TURN, TURN, 16) == pytest.approx(
-        0.03 / 16, rel=1e-3
-    )
-    assert harmonic(sensor.quadrature(TURN, 16, 0, 0, 0.04) - TURN, TURN, 32) == pytest.approx(
-        0.04 / 2 / 16, rel=0.03
-    )
+@pytest.mark.parametrize(
+    ("reading", "order", "expected"),
+    [
+        (mechanics.universal_joint(TURN, 0.06, 0.3), 2, pytest.approx(np.tan(0.03) ** 2, rel=1e-6)),
+        (sensor.off_centre(TURN, 0.02, 0.4), 1, pytest.approx(0.02, rel=1e-3)),
+        (sensor.off_centre(TURN, 0.02, 0.4), 2, pytest.approx(0.02**2 / 2, rel=1e-3)),
+        (sensor.quadrature(TURN, 16, 0.03, 1.0), 16, pytest.approx(0.03 / 16, rel=1e-3)),
+        (sensor.quadrature(TURN, 16, 0, 0, 0.04), 32, pytest.approx(0.04 / 2 / 16, rel=0.03)),
+    ],
+)
+def test_joints_discs_and_tracks_err_by_closed_forms(
+    reading: np.ndarray, order: int, expected: object
+) -> None:
+    assert harmonic(reading - TURN, TURN, order) == expected
 
 
 def test_ripple_of_a_torque_sensor_and_current_are_in_the_reading_only() -> None:
     seen = records.scene(ONE_RUN, ONE_RUN.times())
     ripple = sensor.TorqueSensorRipple(0.03, 0.2, (0.1, 0.2, 0.3, 0.4), once=0.2, fourfold=0.1)
     reading = ripple.torque_reading(seen.torque, seen)
-    assert (
-        harmonic(reading[seen.torque > 30] / seen.torque[seen.torque > 30], seen.motor[seen.torque > 30], 2)
-        > 0.02
-    )
+    high = seen.torque > 30
+    assert harmonic(reading[high] / seen.torque[high], seen.motor[high], 2) > 0.02
     motor = sensor.MotorCurrent(10.0, 3.0, 0.1, 5.0, 1.0)
     extra = 10 * motor.torque_reading(seen.torque, seen) - seen.torque
     assert np.abs(extra - seen.acceleration / 100).max() < 3.0 + 0.1 * 50 + 5.0
@@ -145,11 +138,9 @@ def test_runs_begin_and_end_at_rest(make: object) -> None:
 
 def test_standard_motion_has_the_speeds_both_ways() -> None:
     m = motion.standard(np.random.default_rng(0))
-    assert sorted(run.speed for run in m.runs) == sorted([*motion.SPEEDS, *(-v for v in motion.SPEEDS)])
+    assert sorted(run.speed for run in m.runs) == sorted(motion.BOTH_WAYS)
     torque = m.torque(m.times())
-    assert len(torque) == 60_000
-    assert torque.min() < -40
-    assert torque.max() > 40
+    assert torque.min() < -40 < 40 < torque.max()
 
 
 @pytest.mark.parametrize("seed", range(4))

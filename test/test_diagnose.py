@@ -186,6 +186,11 @@ def test_a_wrong_ratio_fails_on_request_at_once(tmp_path: Path) -> None:
         ({}, ["--columns", "time=time,input=input"], "--columns needs output"),
         ({}, [], "a.csv"),
         ({}, ["--columns", COLUMNS, "--joint", "elbow"], "no joint 'elbow' in the configuration"),
+        (
+            {},
+            ["--columns", COLUMNS, "--orders-only", "--model", "m.json"],
+            "--orders-only has no tooth model",
+        ),
         ({"input": 0.0}, ["--columns", COLUMNS], "joint_1: no motion: the input turns by 0 rad"),
         ({"output": np.nan}, ["--columns", COLUMNS], "joint_1: too short: 0 usable samples"),
         ({"time": 1.0}, ["--columns", COLUMNS], "joint_1: too short: 1 usable samples"),

@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_runner import hd_diag
-from live import MS, RATIO, START, message
+from live import RATIO
 from models import model, term
+from test_recording import START, whole, write
 
-from hd_diag.bag import BagReader, BagWriter
+from hd_diag.bag import BagReader
 from hd_diag.config.configuration import JointConfig, load
 from hd_diag.diagnosis.extension import running_residual
 from hd_diag.diagnosis.record import Record
@@ -43,14 +44,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("extension")
     angle, torque = runs(10)
     made, random = true_model(), np.random.default_rng(11)
-    time, stamps = np.arange(angle.size) * STEP * 1e-3, START + STEP * MS * np.arange(angle.size)
+    time = np.arange(angle.size) * STEP * 1e-3
     error, _ = made.step(made.start(), time, angle, None, torque, None, made.torsion_map)
     output = angle / RATIO + error + random.normal(0.0, NOISE, angle.size)
-    with BagWriter(path / "bag.mcap") as writer:
-        for i, stamp in enumerate(stamps.tolist()):
-            position = {"joint_1_motor": angle[i], "joint_1": output[i]}
-            data = message(stamp, position, {"joint_1": torque[i]})
-            writer.write("/joint_states", "sensor_msgs/msg/JointState", data, stamp)
+    write(path / "bag.mcap", whole({"time": time, "input": angle, "output": output, "torque": torque}))
     files = ("--model", path / "model.json", "--json", path / "verdict.json")
     result = hd_diag("diagnose", path / "bag.mcap", *files)
     assert result.exit_code == 0, result.output

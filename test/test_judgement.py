@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from test_verdict import ENDED, LINE, SKIP, WRONG_RATIO, cause, diagnosis, refitted
 
-from hd_diag.diagnosis.diagnosis import Allowed
+from hd_diag.diagnosis.diagnosis import Allowed, Diagnosis
 from hd_diag.diagnosis.gain import Rms
-from hd_diag.diagnosis.judgement import Answer, Limited, normal
+from hd_diag.diagnosis.judgement import Answer, Limited
 from hd_diag.diagnosis.verdict import as_json, sentence
 
 ARCSEC = np.pi / 648000.0
@@ -35,7 +35,9 @@ AS_CONFIGURED = refitted(eccentricity=0.1 + 0.0j)
     ],
 )
 def test_the_kind_of_answer(made: dict[str, Any], judged: str) -> None:
-    assert as_json(diagnosis(**made), "joint_1")["judgement"] == judged
+    told = as_json(diagnosis(**made), "joint_1")
+    assert told["judgement"] == judged
+    assert (told["normal"] is None) == (judged == "not_judged")
 
 
 def test_a_cause_beside_a_misfit_is_a_misfit_and_said_first() -> None:
@@ -108,16 +110,21 @@ def test_what_explains_most_is_said_first() -> None:
     assert first.name == "eccentricity"
 
 
+def waved(amplitude: Any, rng: np.random.Generator, more: Any = 0.0) -> Diagnosis:
+    """A diagnosis whose record has two waves a turn of an amplitude, noise, and something more [rad]."""
+    made = diagnosis()
+    record = made.record
+    wave = amplitude * np.cos(2.0 * record.input_angle)
+    output = record.input_angle / 100.0 + more + wave + 3.2 * ARCSEC * rng.standard_normal(record.size)
+    return dataclasses.replace(made, record=dataclasses.replace(record, output_angle=output))
+
+
 @pytest.mark.parametrize("amplitude", [20.0, 60.0])
 def test_the_error_is_compared_with_the_catalogue(amplitude: float) -> None:
     """A wave of 40 or 120 arcsec from peak to peak beside 90; torsion of much more is no part of it."""
-    made = diagnosis()
-    record = made.record
+    record = diagnosis().record
     torsion = -300.0 * ARCSEC * record.torque / 30.0
-    noise = 3.2 * ARCSEC * np.random.default_rng(0).standard_normal(record.size)
-    wave = amplitude * ARCSEC * np.cos(2.0 * record.input_angle)
-    output = record.input_angle / 100.0 + torsion + wave + noise
-    found = normal(dataclasses.replace(made, record=dataclasses.replace(record, output_angle=output)))
+    found = Answer(waved(amplitude * ARCSEC, np.random.default_rng(0), torsion)).normal
     assert found is not None
     assert found.value / ARCSEC == pytest.approx(2.0 * amplitude, rel=0.1)
     assert found.within == (amplitude < 45.0)
@@ -125,17 +132,10 @@ def test_the_error_is_compared_with_the_catalogue(amplitude: float) -> None:
 
 def test_how_well_the_error_is_known_is_how_much_it_scatters_between_records() -> None:
     """Waves whose amplitude differs from stretch to stretch: the deviation is that of many such records."""
-    made, rng = diagnosis(), np.random.default_rng(1)
-    record = made.record
-    stretch = np.arange(record.size) * 12 // record.size
-    found = []
-    for _ in range(200):
-        amplitude = ARCSEC * (30.0 + 10.0 * rng.standard_normal(12))[stretch]
-        wave = amplitude * np.cos(2.0 * record.input_angle) + 3.2 * ARCSEC * rng.standard_normal(record.size)
-        output = record.input_angle / 100.0 + wave
-        found.append(
-            normal(dataclasses.replace(made, record=dataclasses.replace(record, output_angle=output)))
-        )
+    rng, size = np.random.default_rng(1), diagnosis().record.size
+    stretch = np.arange(size) * 12 // size
+    amplitudes = (ARCSEC * (30.0 + 10.0 * rng.standard_normal(12))[stretch] for _ in range(200))
+    found = [Answer(waved(amplitude, rng)).normal for amplitude in amplitudes]
     scatter = np.std([one.value for one in found if one])
     assert np.median([one.std for one in found if one]) == pytest.approx(scatter, rel=0.25)
 
@@ -173,9 +173,5 @@ def test_torsion_by_a_torque_that_is_not_measured_is_not_held_against_the_joint(
     slow = 100.0 * ARCSEC * size * np.sin(np.arange(blind.size) / 10.0)
     blind = dataclasses.replace(blind, output_angle=blind.input_angle / 100.0 + slow)
     found = dataclasses.replace(made, record=blind)
-    assert (normal(found) is not None) == said
+    assert (Answer(found).normal is not None) == said
     assert "whose torque is not measured" in sentence(Answer(found))
-
-
-def test_a_joint_with_a_wrong_ratio_is_not_compared() -> None:
-    assert as_json(diagnosis(findings=(WRONG_RATIO,), **ENDED), "joint_1")["normal"] is None

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_runner import assert_one_line_error, hd_diag
+from cli_runner import hd_diag
 from test_recording import COLUMNS, write_table
 from test_signal_findings import ARCSEC, moves
 
@@ -38,9 +38,3 @@ def test_a_line_of_the_output_encoder_is_described(tmp_path: Path) -> None:
     assert (told["judgement"], told["causes"], told["refit"]["parameters"]) == ("described", [], {})
     assert told["gain"]["low"] > 0.5
     assert "128 per output turn (8.0" in told["verdict"]
-
-
-def test_it_writes_no_model(tmp_path: Path) -> None:
-    options = (*COLUMNS_GIVEN, "--orders-only", "--model", tmp_path / "m.json")
-    done = hd_diag("diagnose", table(tmp_path, 1), *options)
-    assert_one_line_error(done, "--orders-only")

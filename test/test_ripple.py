@@ -157,7 +157,7 @@ def test_the_verb_tells_lines_and_writes_them(one_angle: Path, hidden: Ripple, t
 
 def test_tables_and_mapped_signals_serve_as_well(one_angle: Path, tmp_path: Path) -> None:
     """A current in milliampere, an angle in degrees; the motor's angle times the ratio."""
-    made, told = record(3, [LOBES, BRAKE]), []
+    made, told = record(3, [LOBES, BRAKE]), list[str]()
     degrees = {"t": made.time, "q": np.degrees(made.angle), "i": made.torque / 11.2 * 1e3}
     motor = {"t": made.time, "m": RATIO * made.angle, "tau": made.torque}
     for given, columns in (
@@ -167,17 +167,11 @@ def test_tables_and_mapped_signals_serve_as_well(one_angle: Path, tmp_path: Path
         path = write_table(tmp_path / "r.csv", given)
         done = hd_diag("ripple", path, "--columns", columns, "--json", "-")
         assert (done.exit_code, done.stderr) == (0, "")
-        told.append({(x["order"], x["reverses"]): x["amplitude"] for x in json.loads(done.stdout)["lines"]})
+        told.append(done.stdout)
     config = config_file(tmp_path, output_signal__scale=-1.0, torque_signal__sign=-1)
-    told.append(
-        {
-            (x["order"], x["reverses"]): x["amplitude"]
-            for x in json.loads(hd_diag("ripple", one_angle, "--config", config, "--json", "-").stdout)[
-                "lines"
-            ]
-        }
-    )
-    for each in told:
+    told.append(hd_diag("ripple", one_angle, "--config", config, "--json", "-").stdout)
+    for text in told:
+        each = {(x["order"], x["reverses"]): x["amplitude"] for x in json.loads(text)["lines"]}
         assert each[200.0, False] == pytest.approx(LOBES.size, abs=0.03)
         assert each[100.0, True] == pytest.approx(BRAKE.size, abs=0.05)
 

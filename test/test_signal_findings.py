@@ -1,6 +1,7 @@
 """What is wrong with the signals themselves: each a finding in words, and none in a good record."""
 
 import dataclasses
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -10,9 +11,11 @@ from benches import swinging
 from challenge.families import made
 from joint_records import ARCSEC, RATIO, columns, joint, prepared
 
+from hd_diag.diagnosis.diagnosis import diagnose
 from hd_diag.diagnosis.findings import Finding
+from hd_diag.diagnosis.gain import held_out
 from hd_diag.diagnosis.record import Record, prepare
-from hd_diag.diagnosis.screening import screened
+from hd_diag.diagnosis.screening import screened, without_misleading_torque
 from hd_diag.drive import transmission_error
 from hd_diag.simulation import Motion, SimulatedJoint, simulate
 
@@ -29,6 +32,13 @@ def moves(reach: float = 0.6, **changed: Any) -> Record:
     error = transmission_error(CONFIGURED, angle, torque)
     made = {"time": time, "input": angle, "output": output + error + noise, "torque": torque}
     return prepared({**made, **{name: change(made[name]) for name, change in changed.items()}})
+
+
+def simulated(by: float = 1.0, sign: float = 1.0) -> Record:
+    """A joint that moves fast and between large torques, angles times a factor, the input with a sign."""
+    made = simulate(SimulatedJoint(CONFIGURED), Motion(24.0, 100.0), np.random.default_rng(0))
+    angles = {"input": sign * by * made.input_angle, "output": by * made.output_angle}
+    return prepared({"time": made.stamp * 1e-9, **angles, "torque": made.torque})
 
 
 def names(record: Record) -> list[str]:
@@ -61,26 +71,24 @@ def test_the_ratio_of_the_other_output_over_a_part_of_a_turn(partner: float, rea
 
 
 @pytest.mark.parametrize(
-    ("column", "factor", "said"),
+    ("reach", "column", "changed", "said"),
     [
-        ("input", np.degrees(1.0), "input angle is in degrees"),
-        ("output", np.degrees(1.0), "output angle is in degrees"),
-        ("input", 2.0**17 / (2.0 * np.pi), "input angle is in counts of 17 bits"),
-        ("output", 2.0**19 / (2.0 * np.pi), "output angle is in counts of 19 bits"),
+        (2.0, "input", np.degrees, "input angle is in degrees"),
+        (2.0, "output", np.degrees, "output angle is in degrees"),
+        (20.0, "output", lambda angle: np.mod(np.degrees(angle), 360.0), "jumps by 360: it is in degrees"),
+        (2.0, "input", lambda angle: 2.0**17 / (2.0 * np.pi) * angle, "input angle is in counts of 17 bits"),
+        (2.0, "output", lambda angle: 2.0**19 / (2.0 * np.pi) * angle, "output angle is in counts of 19 bit"),
     ],
 )
-def test_other_units(column: str, factor: float, said: str) -> None:
-    found = only(moves(2.0, **{column: lambda angle: factor * angle}))
+def test_other_units(reach: float, column: str, changed: Any, said: str) -> None:
+    found = only(moves(reach, **{column: changed}))
     assert found.fatal
     assert said in found.text
 
 
 def test_both_angles_in_degrees() -> None:
     """At the configured ratio, and moving so fast and between such torques that steps were seen before."""
-    made = simulate(SimulatedJoint(CONFIGURED), Motion(24.0, 100.0), np.random.default_rng(0))
-    degrees = np.degrees(made.input_angle), np.degrees(made.output_angle)
-    given = {"time": made.stamp * 1e-9, "input": degrees[0], "output": degrees[1], "torque": made.torque}
-    found = only(prepared(given))
+    found = only(simulated(by=float(np.degrees(1.0))))
     assert (found.name, found.fatal) == ("unit", True)
     assert "both angles are in degrees" in found.text
     both = dict.fromkeys(("input", "output"), np.degrees)
@@ -91,11 +99,6 @@ def test_a_torque_that_no_gear_bears() -> None:
     found = only(moves(torque=lambda torque: 1e3 * torque))
     assert (found.name, found.fatal) == ("unit", True)
     assert "times the rated torque: in which unit is it?" in found.text
-
-
-def test_degrees_that_wrap() -> None:
-    found = only(moves(20.0, output=lambda angle: np.mod(np.degrees(angle), 360.0)))
-    assert (found.name, found.fatal) == ("unit", True)
 
 
 def test_a_torque_of_the_other_sign_is_turned() -> None:
@@ -132,9 +135,7 @@ def test_angles_out_of_step(record: Record, late: float) -> None:
 
 def test_a_ratio_of_the_wrong_sign_is_not_taken_for_a_late_output() -> None:
     """A motion to and fro, mirrored, is itself at another time."""
-    made = simulate(SimulatedJoint(CONFIGURED), Motion(24.0, 100.0), np.random.default_rng(0))
-    given = {"time": made.stamp * 1e-9, "input": -made.input_angle, "output": made.output_angle}
-    found = only(prepared(given | {"torque": made.torque}))
+    found = only(simulated(sign=-1.0))
     assert (found.name, found.value) == ("ratio_error", pytest.approx(-RATIO, rel=1e-2))
 
 
@@ -162,3 +163,48 @@ def test_rows_that_repeat_are_left_out() -> None:
     found = screened(dataclasses.replace(record, **again), CONFIGURED)
     assert [one.name for one in found.findings] == ["repeated_rows"]
     assert found.record.size == pytest.approx(0.5 * record.size, rel=0.05)
+
+
+# A torque that is not this joint's is left out ---
+
+
+def test_a_torque_of_another_joint_is_left_out() -> None:
+    record = swinging(40.0)
+    test, _ = held_out(record)
+    other = 120.0 * np.sin(2.0 * np.pi * record.time / 2.3)
+    unloaded = dataclasses.replace(record, output_angle=record.input_angle / 100.0, torque=other)
+    blind, finding = without_misleading_torque(unloaded, CONFIGURED, test, np.random.default_rng(0))
+    assert finding is not None
+    assert (finding.name, finding.fatal, blind.has_torque) == ("torque_misleads", False, False)
+    assert not blind.torque.any()
+    assert finding.value > 1.3
+    for kept in (
+        record,
+        dataclasses.replace(unloaded, torque=0.003 * other),  # it twists nothing
+        dataclasses.replace(unloaded, by_current=True),  # most of it may be the motor's own friction
+    ):
+        same, finding = without_misleading_torque(kept, CONFIGURED, test, np.random.default_rng(0))
+        assert finding is None
+        assert same is kept
+
+
+def test_an_input_encoder_far_off_its_centre_is_no_wrong_torque() -> None:
+    """Fitted without it, the parameters of torsion imitate it and predict badly."""
+    record = swinging(40.0)
+    test, _ = held_out(record)
+    read = 12e-3 * np.cos(record.input_angle - 2.0) + 4e-3 * np.cos(2.0 * record.input_angle + 1.0)
+    off = dataclasses.replace(record, input_angle=record.input_angle + read)
+    for seed in range(2):
+        _, finding = without_misleading_torque(off, CONFIGURED, test, np.random.default_rng(seed))
+        assert finding is None
+
+
+def test_a_record_without_torque_is_judged_in_the_gap_between_the_flanks() -> None:
+    """At no torque the model has no compliance: nothing may overflow, and the misfit is said."""
+    record = prepared({name: column for name, column in columns(seconds=6.0).items() if name != "torque"})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = diagnose(record, CONFIGURED, np.random.default_rng(0))
+    assert found.misfit is not None
+    assert found.misfit.certain
+    assert found.unexplained

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from hd_diag.diagnosis import blocks
 from hd_diag.diagnosis.smoothing import best_width, best_widths, rate, settled, smooth
 
 STEP = 2e-3
@@ -47,14 +46,6 @@ def test_segments_do_not_mix_and_those_of_a_few_samples_stay():
     values = noisy(0.3)
     np.testing.assert_array_equal(smooth(values, segment, STEP, 0.1)[:6], values[:6])
     assert np.isfinite(rate(values, segment, STEP, 0.03)).all()
-
-
-def test_block_by_block_is_the_whole(monkeypatch):
-    values = noisy(0.3)
-    expected = smooth(values, WHOLE, STEP, 0.1), rate(values, WHOLE, STEP, 0.03)
-    monkeypatch.setattr(blocks, "BLOCK", 1_000)
-    np.testing.assert_allclose(smooth(values, WHOLE, STEP, 0.1), expected[0], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(rate(values, WHOLE, STEP, 0.03), expected[1], rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize(("mean", "expected"), [(0.0, 0.0), (2.0, 2.0)])

@@ -8,7 +8,8 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from hd_diag.arrays import Floats
+from hd_diag.arrays import Floats, Integers
+from hd_diag.diagnosis.noise import bounds
 
 Kind = TypeVar("Kind", bound=np.generic)
 
@@ -19,14 +20,8 @@ BLOCK = 1 << 18
 def blocks(begin: int, end: int, margin: int = 0) -> Iterator[tuple[slice, slice, slice]]:
     """Blocks of the rows from `begin` to before `end`.
 
-    Yields
-    ------
-    rows : slice
-        Of a block.
-    around : slice
-        The same with `margin` rows before and after, where there are any.
-    inner : slice
-        Where the block lies within them.
+    Yields the rows of a block, the same with `margin` rows before and after, where there are any, and where
+    the block lies within these.
     """
     for first in range(begin, end, BLOCK):
         last = min(first + BLOCK, end)
@@ -36,24 +31,17 @@ def blocks(begin: int, end: int, margin: int = 0) -> Iterator[tuple[slice, slice
 
 def filtered(
     result: npt.NDArray[Kind],
-    begin: int,
-    end: int,
+    segment: Integers,
     function: Callable[[slice], npt.NDArray[Kind]],
     margin: int,
 ) -> None:
-    """Fill rows from `begin` to before `end` of a column by a function of their neighbourhood, in blocks.
+    """Fill a column (n,) block by block by a function of rows in one segment, numbered (n,).
 
-    Parameters
-    ----------
-    result : ndarray, shape (n,)
-    begin, end : int
-    function : callable
-        Takes a slice of rows, gives their values.
-    margin : int
-        Rows on either side that a value depends on.
+    A value depends on `margin` rows on either side.
     """
-    for rows, around, inner in blocks(begin, end, margin):
-        result[rows] = function(around)[inner]
+    for begin, end in bounds(segment):
+        for rows, around, inner in blocks(begin, end, margin):
+            result[rows] = function(around)[inner]
 
 
 def unwrapped(angle: Floats) -> Floats:

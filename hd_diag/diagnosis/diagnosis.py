@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from itertools import filterfalse
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from hd_diag.diagnosis.fit.refit import Refit, refit, usable
 from hd_diag.diagnosis.gain import MISFIT, Gain, Misfit, Rms, Rows, held_out, measured_gain, renumbered
 from hd_diag.diagnosis.noise import ORDER
 from hd_diag.diagnosis.record import Record
-from hd_diag.diagnosis.screening import Screened, screened
+from hd_diag.diagnosis.screening import Screened, screened, without_misleading_torque
 from hd_diag.diagnosis.search.causes import Cause, Search, doubted, motor_deviations, refitted
 from hd_diag.diagnosis.search.detectability import Detectability, testability
 from hd_diag.diagnosis.search.kept_parameters import Kept, all_kept, kept_parameters
@@ -26,7 +27,6 @@ from hd_diag.diagnosis.search.order_table import OrderRow
 from hd_diag.diagnosis.search.selection import alone, search
 from hd_diag.diagnosis.search.unexplained import Unexplained, unexplained, with_table
 from hd_diag.diagnosis.search.unmodelled_terms import OutputLine, UnmodelledTerm
-from hd_diag.diagnosis.torque_use import without_misleading_torque
 from hd_diag.diagnosis.work import Work
 from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE, Catalogue
@@ -53,7 +53,7 @@ class Diagnosis:
     """Result for one joint; `orders` is its order table where no tooth model was fitted.
 
     `kept` are the parameters that stay as configured, for held-out data are predicted no better with others,
-    and how far off each may be, at 95 % (SI). What is `allowed` is not found here: who knows it adds it.
+    and how far off each may be, at 95 % (SI). What is `allowed` is not found here: a caller adds it.
     `encoder_zeros` are those of the recordings [rad]; `motor_std` are the standard deviations of what a motor
     needs of its current, by name; `left_out` is what there was no time for, in words.
     """
@@ -61,10 +61,10 @@ class Diagnosis:
     record: Record
     configured: Drive
     findings: tuple[Finding, ...]
-    refitted: Refit | None
-    found: Search | None
-    rms: Rms | None
-    gain: Gain | None
+    refitted: Refit | None = None
+    found: Search | None = None
+    rms: Rms | None = None
+    gain: Gain | None = None
     kept: dict[str, float] = field(default_factory=dict)
     unexplained: tuple[Unexplained, ...] = ()
     testable: tuple[Detectability, ...] = ()
@@ -84,16 +84,12 @@ class Diagnosis:
     @property
     def causes(self) -> tuple[Cause, ...]:
         """Causes found that the record can tell, most explaining first."""
-        return tuple(cause for cause in self._explaining if self._is_named(cause))
+        return tuple(filter(self._is_named, self.found.causes if self.found else ()))
 
     @property
     def hints(self) -> tuple[Cause, ...]:
         """The others: nearest to what the record shows, and in the model, but not to be named for it."""
-        return tuple(cause for cause in self._explaining if not self._is_named(cause))
-
-    @property
-    def _explaining(self) -> tuple[Cause, ...]:
-        return self.found.causes if self.found else ()
+        return tuple(filterfalse(self._is_named, self.found.causes if self.found else ()))
 
     @property
     def predicting(self) -> bool:
@@ -101,12 +97,12 @@ class Diagnosis:
         return self.rms is None or self.rms.by_causes(self.record.by_current) < self.rms.refit
 
     def _is_named(self, cause: Cause) -> bool:
-        """Not if too many do as well, beside ambiguous parameters, in a misfit, or if more than it is left.
+        """Whether a cause is named; not if too many others explain as much, or the parameters are ambiguous.
 
-        Where more than noise is left chance is no measure: what else is wrong may well look like the cause.
-        Nor if held-out rows are predicted no better with the causes, nor what may be friction, torsion or the
-        reading of a torque where that is a motor's current: its own friction and constant, both fitted, are
-        not known well enough.
+        Nor in a misfit, or if more is left than it explains: what else is wrong may well look like it. Nor if
+        held-out rows are predicted no better with the causes. Where the torque is a motor's current nothing
+        is named that may be friction, torsion or the torque's reading: the motor's own friction and constant
+        are fitted too, and not known well enough.
         """
         sure, left = self.refitted is None or self.refitted.trustworthy, self.misfit
         ahead = left is None or not left.suspected or (left.value <= MISFIT and cause.gain > _HALF)
@@ -137,27 +133,17 @@ def diagnose(
     work: Work | None = None,
     catalogue: Catalogue = CATALOGUE,
 ) -> Diagnosis:
-    """Compare the model with a record and find the causes of the difference.
+    """Compare the drive as configured with a record and find the causes of the difference in a catalogue.
 
-    Parameters
-    ----------
-    record : Record or Screened
-        A caller who screens a long record first need not keep it.
-    configured : Drive
-        The simulation as configured.
-    rng : numpy.random.Generator
-        For bootstrap intervals.
-    work : Work, optional
-        Reports how far this is. Where its time is too short the result says what was left out; the fit, the
-        gain and what no cause explains never are.
-    catalogue : tuple of Effect
-        Causes to search among.
+    A caller who screens a long record first need not keep it. The generator is for bootstrap intervals. Where
+    the time of the work is too short the result says what was left out; the fit, the gain and what no cause
+    explains never are.
     """
     work = work or Work()
     checked = record if isinstance(record, Screened) else screened(record, configured)
-    record, findings = checked.record, checked.findings
+    record, findings = checked
     if any(finding.fatal for finding in findings):
-        return Diagnosis(record, configured, findings, None, None, None, None, catalogue=catalogue)
+        return Diagnosis(record, configured, findings, catalogue=catalogue)
     test, which = held_out(record)
     record = renumbered(record)
     # Single rows of a long record weigh nothing in a fit, which must know of what came between.
@@ -228,7 +214,7 @@ def _predicting(
     found: Search,
     rng: np.random.Generator,
 ) -> _Tried:
-    """The richest of models that held-out rows do not speak against: causes, parameters, as configured."""
+    """The model with most in it that predicts held-out rows no worse than simpler ones do."""
 
     def tried(fit: LinearisedFit, kept: Kept, found: Search) -> _Tried:
         before, found = plain if found.chosen else fit, refitted(fit, found)
@@ -259,7 +245,7 @@ def _predicting(
 
 
 def _described(record: Record, lines: list[Unexplained], rms: Rms) -> tuple[Unexplained, ...]:
-    """What no cause explains: never nothing where more than noise is left."""
+    """What no cause explains; where more than noise is left there is always an entry."""
     beyond = math.sqrt(2.0 * max(rms.extended**2 - rms.noise**2, 0.0))
     if rms.extended > MISFIT * rms.noise and not rms.misfit.suspected:
         what, amplitude = "is left only as the model runs: its signals are late", beyond

@@ -26,12 +26,7 @@ _COHERENT = 0.5  # share of the integral's error that the output's own course ex
 def drift_columns(time: Floats, record: Integers) -> Floats:
     """Straight pieces between knots of each recording, which sum up to one; shape (n, k).
 
-    Parameters
-    ----------
-    time : ndarray, shape (n,)
-        [s]
-    record : ndarray of int64, shape (n,)
-        Number of the recording, ascending.
+    Times are in s; numbers of the recordings ascend; both of shape (n,).
     """
     edges = bounds(record)
     whole = sum(float(np.ptp(time[begin:end])) for begin, end in edges)
@@ -69,8 +64,8 @@ def check_velocity(record: Record, kinematics: Kinematics) -> Finding | None:
     inner = np.zeros(record.size, bool)
     for begin, end in bounds(record.stretch):
         inner[begin + lags[-1] : end] = True
-    columns = [np.roll(record.output_angle, lag) - record.output_angle for lag in lags]
-    columns.append(record.input_angle / kinematics.ratio - record.output_angle)
+    late = [np.roll(record.output_angle, lag) for lag in lags]
+    columns = [one - record.output_angle for one in (*late, record.input_angle / kinematics.ratio)]
     both = without_drift(np.stack(columns, axis=1)[inner], record.time[inner], record.bag[inner])
     # Quick parts tell the weights: of slow ones some is forgotten in the integral.
     small = np.asarray(np.linalg.qr(both - smooth(both, record.stretch[inner], step, _SLOW), mode="r"))
@@ -92,7 +87,5 @@ def check_velocity(record: Record, kinematics: Kinematics) -> Finding | None:
             f". It is that angle, filtered: {100 * explained:.0f} % of what its integral is off is the "
             f"output's own course, {1e3 * step * float(kernel @ lags):.0f} ms late"
         )
-    advice = (
-        "No transmission error can be had of it; the robot's driver would have to publish the motor encoder's"
-    )
-    return Finding("velocity_filtered", f"{text}. {advice} angle or velocity", explained, "-", True)
+    text += ". No transmission error can be had of it; the robot's driver would have to publish the motor"
+    return Finding("velocity_filtered", f"{text} encoder's angle or velocity", explained, "-", True)

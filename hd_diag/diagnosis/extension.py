@@ -21,16 +21,7 @@ from hd_diag.model.torsion_map import TorsionMap
 def extended_model(found: Search, configured: Drive, record: Record) -> ExtendedModel:
     """The refitted drive with its causes, the waves that repeat, and the encoders' offset.
 
-    Parameters
-    ----------
-    found : Search
-    configured : Drive
-    record : Record
-        What it was fitted to, for the valid range.
-
-    Returns
-    -------
-    ExtendedModel
+    It is valid in the range of the record that it was fitted to.
     """
     beta, _, _ = found.fit.fit(found.chosen)
     drive = fit_parameters.drive_of(found.fit.parameters + beta[: fit_parameters.COUNT], configured)
@@ -55,21 +46,10 @@ def encoder_zeros(found: Search) -> Floats:
 def running_residual(
     model: ExtendedModel, record: Record, torque: Floats, table: TorsionMap | None
 ) -> Floats:
-    """Measured less predicted error of a model that runs along a record, as the node runs it.
+    """Measured less predicted error (n,) [rad] of a model that runs along a record, as the node runs it.
 
-    Parameters
-    ----------
-    model : ExtendedModel
-    record : Record
-    torque : ndarray, shape (n,)
-        On the link [N m]: the record's, or as it was reported.
-    table : TorsionMap or None
-        Of the model; without it the prediction is exact.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        [rad]
+    The torque (n,) on the link [N m] is the record's, or as it was reported; without the model's torsion map
+    as `table` the prediction is exact.
     """
     predicted = np.empty(record.size)
     for rows in itertools.starmap(slice, bounds(record.stretch)):
@@ -93,11 +73,8 @@ def _term(effect: Effect, coefficients: Floats, nonlinear: tuple[float, ...]) ->
 def _ranges(record: Record) -> Ranges:
     """What the record covers; standing still is no other speed."""
     heat = record.temperature
-    return Ranges(
-        _range(record.torque),
-        Range(min(float(record.speed.min()), 0.0), max(float(record.speed.max()), 0.0)),
-        None if heat is None else _range(heat),
-    )
+    speed = _range(np.append(record.speed, 0.0))
+    return Ranges(_range(record.torque), speed, None if heat is None else _range(heat))
 
 
 def _range(values: Floats) -> Range:

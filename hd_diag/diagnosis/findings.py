@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -25,7 +24,8 @@ _PARTS = 6
 _CLUSTERS = 60
 _MOST_ROWS = 20_000  # of the fit of ramps
 _INPUT_ORDERS = (1, 2, 4)  # of waves that any gear may have
-_STEP = 0.25  # of a tooth pitch
+_STEP, _WIDTH = 0.25, 15  # of a tooth pitch, over so many rows
+_MOST_STEPS = 20  # after which no more are looked for
 _DEGREES = math.degrees(1.0)
 _BITS = range(10, 25)  # of encoders
 
@@ -45,18 +45,12 @@ def check_ratio(record: Record, ratio: float) -> Finding | None:
     """A finding where the output does not follow the input at the configured ratio [-], torsion aside."""
     slope = _usual_slope(record)
     if not follows(record, slope, _FOLLOWS):
-        return Finding(
-            "ratio_error",
-            "the output does not follow the input at any fixed ratio: are the joints' names swapped?",
-            float("nan"),
-            "-",
-            True,
-        )
+        text = "the output does not follow the input at any fixed ratio: are the joints' names swapped?"
+        return Finding("ratio_error", text, math.nan, "-", True)
     # The error itself may lean with the angle by as much as its own size over the range.
     reach = float(np.ptp(centered(record.output_angle, record.run)))
-    if abs(slope * ratio - 1.0) > max(_RATIO_MISS, 0.02 / max(reach, 1e-9)):
-        return wrong_ratio(1.0 / slope, ratio)
-    return None
+    off = abs(slope * ratio - 1.0) > max(_RATIO_MISS, 0.02 / max(reach, 1e-9))
+    return wrong_ratio(1.0 / slope, ratio) if off else None
 
 
 def follows(record: Record, slope: float, share: float) -> bool:
@@ -70,21 +64,15 @@ def check_ramp(record: Record, ratio: float) -> Finding | None:
 
     Notes
     -----
-    Torsion, friction, runout and the gear's ripple are fitted beside the ramps, one for each of `_PARTS`
-    parts. Without a measured torque, torsion looks like a ramp; over a small part of a turn, runout does, and
-    what is left of the ramp beside it must stand out of the rest: their laws are known to a share only. An
-    encoder's disc that is off centre bends twice per turn as well, and must explain less than the ramps.
+    In each of `_PARTS` parts a ramp is fitted, beside torsion, friction, runout and ripple. Without
+    a measured torque, torsion looks like a ramp; over a small part of a turn, runout does. A disc off its
+    centre, which bends twice per turn as well, must explain less than the ramps.
     """
     reach = float(np.ptp(centered(record.input_angle / ratio, record.run)))
     if not record.has_torque or reach < _LEAST_REACH:
         return None
-    found = _ramps(record.thinned(_MOST_ROWS), ratio)
-    mean = float(found.slopes.mean())
-    spread = max(float(found.slopes.std(ddof=1)) / np.sqrt(found.slopes.size), found.deviation)
-    least = max(_RAMP_MISS, _RAMP_ERROR / reach, 6.0 * spread, _PLAIN * found.hidden, found.leaning)
-    if abs(mean) > least and not found.bent:
-        return wrong_ratio(ratio / (1.0 + mean), ratio)
-    return None
+    mean, least = _ramp(record.thinned(_MOST_ROWS), ratio)
+    return wrong_ratio(ratio / (1.0 + mean), ratio) if abs(mean) > max(least, _RAMP_ERROR / reach) else None
 
 
 def wrong_ratio(found: float, configured: float) -> Finding:
@@ -122,24 +110,8 @@ def _usual_slope(record: Record) -> float:
     return float(slope[order][min(int(half), order.size - 1)])
 
 
-class _Ramps(NamedTuple):
-    """Error per output angle [-], fitted in each part of a record, and what could be mistaken for it.
-
-    slopes : (_PARTS,) of the parts
-    deviation : of their mean; the residual may be correlated within `_CLUSTERS` stretches
-    hidden : mean at which what only the ramps explain is as large as the residual
-    leaning : mean of a ramp as large as the part of the torsion that goes with the angle, as gravity's may
-    bent : whether a wave twice per output turn in place of the ramps leaves less
-    """
-
-    slopes: Floats
-    deviation: float
-    hidden: float
-    leaning: float
-    bent: bool
-
-
-def _ramps(record: Record, ratio: float) -> _Ramps:
+def _ramp(record: Record, ratio: float) -> tuple[float, float]:
+    """Mean error per output angle [-], and the least that stands out of what could be mistaken for it."""
     ideal = record.input_angle / ratio
     load = record.torque / max(float(np.max(np.abs(record.torque))), 1e-9)
     waves = [wave for order in _INPUT_ORDERS for wave in _waves(order * record.input_angle)]
@@ -162,17 +134,20 @@ def _ramps(record: Record, ratio: float) -> _Ramps:
     inverse = np.linalg.pinv(scaled, rcond=1e-6)
     found = inverse @ error
     weight = (inverse[:_PARTS] / scale[:_PARTS, None]).mean(axis=0)
-    rest = error - scaled @ found
-    cluster = np.bincount(rows * _CLUSTERS // record.size, weight * rest)
+    rest, slopes = error - scaled @ found, found[:_PARTS] / scale[:_PARTS]
+    left = error - waved @ (np.linalg.pinv(waved, rcond=1e-6) @ error)
+    if np.linalg.norm(left) < _LESS * np.linalg.norm(rest):  # a wave twice per output turn does as well
+        return 0.0, np.inf
+    cluster = np.bincount(rows * _CLUSTERS // record.size, weight * rest)  # within which it is correlated
+    spread = max(float(slopes.std(ddof=1)) / np.sqrt(_PARTS), float(np.sqrt(np.sum(cluster**2))))
+    # The mean at which what only the ramps explain is as large as the rest.
     hidden = float(np.linalg.norm(weight) * np.linalg.norm(rest))
+    # A ramp as large as the part of the torsion that goes with the angle, as gravity's may.
     loads = scaled[:, _PARTS : _PARTS + 3]
     torsion = float(np.std(loads @ found[_PARTS : _PARTS + 3]))
     alike = float(np.var(loads @ np.linalg.lstsq(loads, along, rcond=None)[0]) / max(np.var(along), 1e-300))
     leaning = alike * torsion / max(float(np.std(along)), 1e-300)
-    deviation = float(np.sqrt(np.sum(cluster**2)))
-    left = error - waved @ (np.linalg.pinv(waved, rcond=1e-6) @ error)
-    bent = bool(np.linalg.norm(left) < _LESS * np.linalg.norm(rest))
-    return _Ramps(found[:_PARTS] / scale[:_PARTS], deviation, hidden, leaning, bent)
+    return float(slopes.mean()), max(_RAMP_MISS, 6.0 * spread, _PLAIN * hidden, leaning)
 
 
 def _waves(angle: Floats) -> tuple[Floats, Floats]:
@@ -196,39 +171,33 @@ def find_steps(record: Record, ratio: float, tooth_pitch: float) -> tuple[Floats
     findings : list of Finding
     """
     error = record.output_angle - record.input_angle / ratio
-    correction = np.zeros(record.size)
-    findings = []
-    width = 15
+    correction, findings, least = np.zeros(record.size), list[Finding](), _STEP * tooth_pitch
     for begin, end in bounds(record.run):
         part = error[begin:end]
-        if part.size < 4 * width or _largest_jump(part, width) <= _STEP * tooth_pitch:
-            continue
-        jump = part[width:] - part[:-width]
-        while np.max(np.abs(jump)) > _STEP * tooth_pitch:
-            at = int(np.argmax(np.abs(jump))) + width
-            inner = part[max(at - width, 0) : at + 1]
-            place = max(at - width, 0) + int(np.argmax(np.abs(np.diff(inner)))) + 1
-            size = float(
-                np.median(part[place : place + width]) - np.median(part[max(place - width, 0) : place])
-            )
-            if abs(size) < _STEP * tooth_pitch:
+        while part.size >= 4 * _WIDTH and len(findings) <= _MOST_STEPS:
+            jump, at = _largest_jump(part)
+            if jump <= least:
+                break
+            inner = part[at - _WIDTH : at + 1]
+            place = at - _WIDTH + int(np.argmax(np.abs(np.diff(inner)))) + 1
+            before, after = part[max(place - _WIDTH, 0) : place], part[place : place + _WIDTH]
+            size = float(np.median(after) - np.median(before))
+            if abs(size) < least:
                 break
             correction[begin + place :] += size
             part[place:] -= size
             error[end:] -= size
             findings.append(_step(size, tooth_pitch, float(record.time[begin + place])))
-            jump = part[width:] - part[:-width]
-            if len(findings) > 20:
-                return correction, findings
     return correction, findings
 
 
-def _largest_jump(values: Floats, width: int) -> float:
-    """Largest change over so many rows."""
-    parts = [rows for rows, _, _ in blocks(width, values.size)]
-    return max(
-        float(np.max(np.abs(values[rows] - values[rows.start - width : rows.stop - width]))) for rows in parts
-    )
+def _largest_jump(values: Floats) -> tuple[float, int]:
+    """Largest change over `_WIDTH` rows, and the row that it ends at."""
+    found = []
+    for rows, _, _ in blocks(_WIDTH, values.size):
+        jump = np.abs(values[rows] - values[rows.start - _WIDTH : rows.stop - _WIDTH])
+        found.append((float(np.max(jump)), rows.start + int(np.argmax(jump))))
+    return max(found, key=lambda one: one[0])
 
 
 def _step(size: float, tooth_pitch: float, time: float) -> Finding:

@@ -40,10 +40,9 @@ class Rms:
 
     `extended` is that of the model as it runs, with causal signals, along the record; `named` the same
     without its order table; `offline` that of the fit's own signals; `live` that of the model as it runs with
-    the torque as reported, not smoothed. Of all but the first two `wandering` is what amplitude and phase of
-    causes took by wandering, as a fit to the same rows follows it: nothing foretells it. The noise is
-    `repeated` if it is from states that were passed again; else it is a lower bound, from differences between
-    neighbours.
+    the torque as reported, not smoothed. All but the first two contain `wandering`: how causes wander in
+    amplitude and phase, which nothing foretells. The noise is `repeated` if it is from states that were
+    passed again; else it is a lower bound, from differences between neighbours.
     """
 
     nominal: float
@@ -59,7 +58,7 @@ class Rms:
     wandering: float = field(default=0.0, kw_only=True)
 
     def by_causes(self, by_current: bool) -> float:
-        """Residual beside causes that are followed, which must be less than without them.
+        """Residual less the wandering of causes; with causes it must be smaller than without them.
 
         By a current as fitted: as the model runs, a motor's friction begins late, which speaks against none.
         """
@@ -67,7 +66,7 @@ class Rms:
 
     @property
     def misfit(self) -> Misfit:
-        """What is left over the noise where causes that wander are followed, as fitted or as the model runs.
+        """Residual less the wandering of causes over the noise, as fitted or as the model runs.
 
         Its signals are late where it runs, which speaks against no cause; as fitted it has no order table.
         """
@@ -107,7 +106,7 @@ class Misfit(NamedTuple):
 
     @property
     def certain(self) -> bool:
-        """Whether it is."""
+        """Whether what is left is certainly more than noise."""
         return (self.value if self.measured else self.low) > MISFIT
 
 
@@ -145,14 +144,11 @@ def measured_gain(
 ) -> tuple[Rms, Gain]:
     """Residuals of held-out rows; `every` fits all rows, so that its effects remember what came before."""
     plain = replace(plain, whiten=found.fit.whiten)  # one noise model, that of the whole model, for both
-    configured, fitted, beside = (
-        every.data.configured,
-        every.data.mask,
-        tuple(one for one, _ in plain.present),
-    )
+    configured, fitted = every.data.configured, every.data.mask
+    beside = tuple(one for one, _ in plain.present)
 
     def unseen(residual: Floats) -> Floats:
-        """Held-out rows, less what each recording's encoders are off in the others, or in these; or drift."""
+        """Residual of held-out rows, less drift or the offset of its recording, of fitted rows if any."""
         if record.by_velocity:
             own = fitted & test
             return without_drift(residual[own], record.time[own], record.bag[own])
@@ -204,7 +200,7 @@ def measured_gain(
 
 def explained(before: Floats, after: Floats, number: Integers, which: str, rng: np.random.Generator) -> Gain:
     """Share of a residual's mean square that another model explains, by a bootstrap of numbered stretches."""
-    whole, rest = _sums(before**2, number), _sums(after**2, number)
+    whole, rest = (np.asarray(np.bincount(number, one**2), np.float64) for one in (before, after))
     low, high = interval(rest, rng, whole)
     return Gain(1.0 - float(rest.sum() / whole.sum()), 1.0 - high, 1.0 - low, which)
 
@@ -230,7 +226,3 @@ def _residual_of(fit: LinearisedFit, trained: LinearisedFit, chosen: Chosen) -> 
 
 def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def _sums(values: Floats, number: Integers) -> Floats:
-    return np.asarray(np.bincount(number, values), np.float64)

@@ -1,4 +1,4 @@
-"""What a diagnosis comes to: what kind of answer it is, on what grounds, and whether the joint is normal."""
+"""What a diagnosis comes to: the kind of answer, its grounds, and how bad the joint is."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from hd_diag.diagnosis.fit.refit import usable
 from hd_diag.diagnosis.gain import MISFIT
 from hd_diag.diagnosis.regression import centered, usual_laws
 from hd_diag.diagnosis.search.kept_parameters import GROUPS
+from hd_diag.formatting import ARCSEC, words
 
 Judgement = Literal["as_configured", "parameters", "causes", "described", "misfit", "not_judged"]
 
@@ -82,7 +83,7 @@ class Answer:
 
     @cached_property
     def judgement(self) -> Judgement:
-        """Kind of the answer; that the model does not describe the record goes before all else."""
+        """Kind of the answer; ``misfit`` goes before all that was fitted."""
         found = self.diagnosis
         if found.rms is None:
             return "not_judged"
@@ -97,12 +98,6 @@ class Answer:
         return "parameters" if self.changes else "as_configured"
 
     @cached_property
-    def residual_over_noise(self) -> float:
-        """Of the extended model, on data that no fit saw [-]; nan where nothing was fitted."""
-        misfit = self.diagnosis.misfit
-        return misfit.value if misfit else math.nan
-
-    @cached_property
     def changes(self) -> list[Change]:
         """Parameters that are not as configured, the one that changes the error most first.
 
@@ -113,7 +108,7 @@ class Answer:
             return []
         least = _LEAST_SHARE * found.rms.noise if found.rms else 0.0
         changed = []
-        for name, explains in parameter_sizes(found).items():
+        for name, explains in _parameter_sizes(found).items():
             if found.record.by_current and name in _BY_TORQUE:
                 continue
             entry = found.parameters[name if name in found.parameters else f"{name}.magnitude"]
@@ -134,7 +129,7 @@ class Answer:
 
     @property
     def tolerance(self) -> Limited | None:
-        """The eccentricity beside its limit; None without a limit. In a misfit its deviation is unknown."""
+        """The eccentricity beside its limit; None without one. In a misfit its standard deviation is nan."""
         most = self.diagnosis.allowed
         if most is None:
             return None
@@ -144,15 +139,38 @@ class Answer:
 
     @cached_property
     def normal(self) -> Limited | None:
-        """The joint beside its catalogue; None where nothing can be said."""
-        return normal(self.diagnosis)
+        """The joint's error beside what its catalogue allows; None where nothing can be said.
+
+        Notes
+        -----
+        The catalogue measures without load. Here torsion, friction and an offset of every run are taken off
+        by a regression that knows no gear, and the noise's variance; the rest counts as one wave of that rms.
+        The scatter of its mean square over stretches of the record gives the standard deviation, with that
+        of the noise. Without a measured torque a rest that is too large may be torsion: nothing is said.
+        """
+        found, record = self.diagnosis, self.diagnosis.record
+        if any(finding.fatal for finding in found.findings):
+            return None
+        error = record.output_angle - record.input_angle / found.configured.kinematics.ratio
+        laws = [centered(law, record.run) for law in usual_laws(record, found.configured.rated_torque)]
+        matrix, target = np.stack(laws, axis=1), centered(error, record.run)
+        rest = target - matrix @ np.linalg.lstsq(matrix, target, rcond=None)[0]
+        noise, noise_spread = _noise(found)
+        own = max(float(np.mean(rest**2)) - noise, 0.0)
+        stretches = [float(np.mean(part**2)) for part in np.array_split(rest, _STRETCHES)]
+        spread = math.hypot(float(np.std(stretches, ddof=1)) / math.sqrt(_STRETCHES), noise_spread)
+        # d sqrt(x) = dx / (2 sqrt(x)), and no more than sqrt(dx) where x vanishes.
+        std = min(spread / (2.0 * math.sqrt(own)), math.sqrt(spread)) if own > 0.0 else math.sqrt(spread)
+        sizes = _PEAK_TO_PEAK * math.sqrt(own), _PEAK_TO_PEAK * std
+        limited = Limited("transmission_error", *sizes, found.configured.accuracy, "rad")
+        return limited if record.has_torque or limited.within else None
 
     @property
     def evidence(self) -> dict[str, Any]:
         """Numbers that the judgement stands on."""
         found = self.diagnosis
         return {
-            "residual_over_noise": self.residual_over_noise,
+            "residual_over_noise": found.misfit.value if found.misfit else math.nan,
             "misfit_above": MISFIT,
             "fraction_explained": found.gain.fraction if found.gain else math.nan,
             "changed": {change.name: change.explains for change in self.changes},
@@ -162,7 +180,7 @@ class Answer:
         }
 
 
-def parameter_sizes(diagnosis: Diagnosis) -> dict[str, float]:
+def _parameter_sizes(diagnosis: Diagnosis) -> dict[str, float]:
     """How much the refitted drive's error changes where a group of parameters is as configured [rad rms]."""
     configured, refitted = diagnosis.configured, diagnosis.refitted
     assert refitted is not None
@@ -181,38 +199,49 @@ def parameter_sizes(diagnosis: Diagnosis) -> dict[str, float]:
     return sizes
 
 
-def normal(diagnosis: Diagnosis) -> Limited | None:
-    """Whether the joint's error is what its catalogue allows; None where it cannot be said.
-
-    Notes
-    -----
-    The catalogue measures without load. Here torsion, friction and an offset of every run are taken off by
-    a regression that knows no gear, and the noise's variance; the rest counts as one wave of that rms. How
-    much its mean square differs between stretches of the record gives the standard deviation, with that of
-    the noise. Without a measured torque a rest that is too large may be torsion, and nothing is said.
-    """
-    record = diagnosis.record
-    if any(finding.fatal for finding in diagnosis.findings):
-        return None
-    ratio = diagnosis.configured.kinematics.ratio
-    error = record.output_angle - record.input_angle / ratio
-    laws = [centered(law, record.run) for law in usual_laws(record, diagnosis.configured.rated_torque)]
-    matrix, target = np.stack(laws, axis=1), centered(error, record.run)
-    rest = target - matrix @ np.linalg.lstsq(matrix, target, rcond=None)[0]
-    noise, noise_spread = _noise(diagnosis)
-    own = max(float(np.mean(rest**2)) - noise, 0.0)
-    stretches = [float(np.mean(part**2)) for part in np.array_split(rest, _STRETCHES)]
-    spread = math.hypot(float(np.std(stretches, ddof=1)) / math.sqrt(_STRETCHES), noise_spread)
-    # d sqrt(x) = dx / (2 sqrt(x)), and no more than sqrt(dx) where x vanishes.
-    std = min(spread / (2.0 * math.sqrt(own)), math.sqrt(spread)) if own > 0.0 else math.sqrt(spread)
-    size, std, most = _PEAK_TO_PEAK * math.sqrt(own), _PEAK_TO_PEAK * std, diagnosis.configured.accuracy
-    found = Limited("transmission_error", size, std, most, "rad")
-    return found if record.has_torque or found.within else None
-
-
 def _noise(diagnosis: Diagnosis) -> tuple[float, float]:
     """Mean square of the noise and its standard deviation [rad²]; zero where it is unknown."""
     if diagnosis.rms is None or not math.isfinite(diagnosis.rms.noise):
         return 0.0, 0.0
     low, high = diagnosis.rms.noise_low, diagnosis.rms.noise_high
     return diagnosis.rms.noise**2, float(np.nan_to_num((high**2 - low**2) / (2.0 * TWO_SIDED)))
+
+
+def first_words(answer: Answer) -> str:
+    """What the verdict begins with: whether the model describes the record, and how bad the joint is."""
+    fatal = [finding for finding in answer.diagnosis.findings if finding.fatal]
+    return f"First of all: {fatal[0].text}" if fatal else "; ".join([*_misfit(answer), *_severity(answer)])
+
+
+def _misfit(answer: Answer) -> list[str]:
+    left = answer.diagnosis.misfit
+    if left is None or not left.suspected or (left.measured and not left.certain):
+        return []
+    if not left.certain:
+        return [
+            "whether the model describes this record cannot be determined: "
+            f"{left.low:.1f} to {left.value:.1f} times the noise is left, "
+            "and too little of the motion repeats to tell"
+        ]
+    text = "the model does not describe this record"
+    if not answer.diagnosis.record.has_torque:
+        text += ", whose torque is not measured, so that torsion by it counts as unexplained"
+    return [f"{text}: {left.value:.1f} times the noise is left"]
+
+
+def _severity(answer: Answer) -> list[str]:
+    """The joint beside its catalogue's accuracy, and its eccentricity beside what the assembly may have."""
+    parts, usual, assembly = [], answer.normal, answer.tolerance
+    if usual is not None:
+        size, allowed = usual.value / ARCSEC, usual.limit / ARCSEC
+        where = "within" if usual.within else "beyond"
+        own = f"{size:.0f}" if size >= 0.5 else "none to be seen beside the noise,"
+        parts.append(f"the joint is {where} its accuracy ({own} of {allowed:.0f} arcsec peak to peak)")
+    else:
+        parts.append("whether the joint is within its accuracy cannot be judged without its torque")
+    if assembly is not None and answer.diagnosis.allowed is not None:
+        where = "within" if assembly.within else "beyond"
+        sizes = f"{assembly.value * 1e6:.1f} of {assembly.limit * 1e6:.1f} µm"
+        by = words(answer.diagnosis.allowed.criterion)
+        parts.append(f"its eccentricity is {where} the tolerance's limit ({sizes}, by {by})")
+    return [" and ".join(parts)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import toeplitz
@@ -33,8 +33,7 @@ _WHOLE = 0.02  # of a step, by which counts may be off whole numbers
 _MOST_STEPS = 1000.0  # between neighbours, for counts that can be recognised
 
 
-@dataclass(frozen=True)
-class MeasuredNoise:
+class MeasuredNoise(NamedTuple):
     """Noise of a record [rad rms], and its 95 % interval; `repeated` if states were passed again."""
 
     rms: float
@@ -43,16 +42,10 @@ class MeasuredNoise:
     repeated: bool
 
 
-@dataclass(frozen=True)
-class Revisits:
+class Revisits(NamedTuple):
     """Pairs of moments at which the drive is in nearly the same state, in passes of their own.
 
-    Attributes
-    ----------
-    first, second : ndarray of int64, shape (n,)
-        Their rows.
-    apart : ndarray, shape (n, k)
-        Squares of the distances of the states, kind by kind [-].
+    Their rows (n,), and the squares of the distances of the states, kind by kind, (n, k) [-].
     """
 
     first: Integers
@@ -65,13 +58,7 @@ NEVER = Revisits(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.em
 
 
 def revisits(signals: Signals) -> Revisits:
-    """Moments at which wave generator, output, torque and its rise, speed and direction come back.
-
-    Parameters
-    ----------
-    signals : Signals
-        Of a record, in time order.
-    """
+    """Moments at which wave generator, output, torque and its rise, speed and direction come back."""
     state, kinds = _states(signals)
     rng, size = np.random.default_rng(0), signals.size
     known = np.sort(rng.choice(size, min(_KNOWN, size), replace=False))
@@ -93,20 +80,9 @@ def revisits(signals: Signals) -> Revisits:
 def measured_noise(
     residual: Floats, time: Floats, run: Integers, passed: Revisits, counted: float
 ) -> MeasuredNoise:
-    """Noise of a residual, whatever is wrong with the model: that is the same in the same state.
+    """Noise of a residual (n,) [rad]; an error of the model is the same in the same state and drops out.
 
-    Parameters
-    ----------
-    residual : ndarray, shape (n,)
-        Of a model that need not fit [rad].
-    time : ndarray, shape (n,)
-        [s]
-    run : ndarray of int64, shape (n,)
-        Of rows that follow each other without a gap.
-    passed : Revisits
-        Of the same rows.
-    counted : float
-        See :func:`of_counts` [rad].
+    Times are in s, a run has no gap; what encoders that count leave is `counted` [rad], of :func:`of_counts`.
 
     Notes
     -----
@@ -130,9 +106,8 @@ def measured_noise(
     rms = math.sqrt(unit * _nuggets(grams.sum(axis=0)[None], moments.sum(axis=0)[None])[0])
     if high > _VAGUE * low:  # too few to lead them back
         rms = high = math.sqrt(float(half.mean()))
-    return MeasuredNoise(
-        max(rms, least), max(min(low, rms), (1.0 - _OWN) * least), max(high, rms, least), True
-    )
+    low = max(min(low, rms), (1.0 - _OWN) * least)
+    return MeasuredNoise(max(rms, least), low, max(high, rms, least), True)
 
 
 def measured_covariance(residual: Floats, run: Integers, passed: Revisits, noise: MeasuredNoise) -> Floats:
@@ -157,7 +132,7 @@ def measured_covariance(residual: Floats, run: Integers, passed: Revisits, noise
 
 
 def _states(signals: Signals) -> tuple[Floats, Integers]:
-    """Coordinates of every moment in units within which nothing changes much, and their kinds."""
+    """State of every moment, (n, k), in units within which nothing changes much; kinds of the coordinates."""
     load, speed = signals.torque, signals.forward_speed
     span = max(float(np.ptp(load)), 0.02 * signals.rated_torque)
     fast = max(float(np.percentile(np.abs(speed), 99)), 1e-9)
@@ -174,9 +149,8 @@ def _states(signals: Signals) -> tuple[Floats, Integers]:
         (5, np.tanh(speed / (0.02 * fast)) / 0.3),
         (6, signals.time / 40.0),
     )
-    return np.stack([values for _, values in coordinates], axis=1), np.array(
-        [kind for kind, _ in coordinates]
-    )
+    kinds, values = zip(*coordinates, strict=True)
+    return np.stack(values, axis=1), np.array(kinds)
 
 
 def _by_slice(columns: Floats, target: Floats, number: Integers) -> tuple[Floats, Floats]:
@@ -188,7 +162,7 @@ def _by_slice(columns: Floats, target: Floats, number: Integers) -> tuple[Floats
 
 
 def _nuggets(gram: Floats, moment: Floats) -> list[float]:
-    """First coefficients of n least squares without negative ones, of Gram matrices (n, k, k)."""
+    """First coefficient of each of n non-negative least squares, by Gram matrices (n, k, k)."""
     ridge = 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None]
     root = np.linalg.cholesky(gram + ridge * np.eye(gram.shape[-1]))
     target = np.linalg.solve(root, moment[..., None])[..., 0]
@@ -207,7 +181,7 @@ def _of_short_differences(values: Floats, run: Integers) -> float:
 
 
 def _quick(values: Floats, time: Floats, run: Integers) -> float:
-    """Rms of values less the mean of each few seconds [rad]."""
+    """Rms of values less their mean over each `_SLOW` seconds [rad]."""
     number = slices(time, run, _SLOW)
     count = np.bincount(number)
     rest = values - (np.bincount(number, values) / count)[number]
@@ -215,7 +189,7 @@ def _quick(values: Floats, time: Floats, run: Integers) -> float:
 
 
 def of_counts(record: Record, ratio: float) -> float:
-    """Rms of what encoders that count leave between their counts, at the output [rad]."""
+    """Rms of the rounding of both encoders to their counts, at the output [rad]."""
     steps = _step(record.output_angle, record.run), _step(record.input_angle, record.run) / abs(ratio)
     return math.hypot(*steps) / math.sqrt(12.0)
 

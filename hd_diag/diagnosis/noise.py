@@ -33,38 +33,31 @@ class Whitening:
     scale: float
 
     def __call__(self, columns: Floats, run: Integers) -> Floats:
-        """Whitened columns in units of the innovation.
+        """Whitened columns, (n,) or (n, k), in units of the innovation.
 
-        Parameters
-        ----------
-        columns : ndarray, shape (n,) or (n, k)
-        run : ndarray of int64, shape (n,)
-            The filter restarts where it changes; the first ORDER samples of a run become zero, because
-            their past is unknown.
-
-        Returns
-        -------
-        ndarray
-            Same shape.
+        The filter restarts where the run (n,) changes: the first ORDER samples of a run become zero, because
+        their past is unknown.
         """
         if not columns.size:
             return np.zeros_like(columns)
         from hd_diag.diagnosis import kernel  # late: it imports numba
 
         taps = np.concatenate(([1.0], -self.coefficients)) / self.scale
-        edges = np.concatenate(([0], np.flatnonzero(np.diff(run)) + 1, [run.size]))
         wide = np.ascontiguousarray(columns.reshape(run.size, -1))
-        return np.asarray(kernel.filtered(wide, taps, edges).reshape(columns.shape))
+        return np.asarray(kernel.filtered(wide, taps, _edges(run)).reshape(columns.shape))
 
 
 def bounds(run: Integers) -> list[tuple[int, int]]:
     """First row and end of every run."""
-    edges = np.concatenate(([0], np.flatnonzero(np.diff(run)) + 1, [run.size]))
-    return [(int(a), int(b)) for a, b in pairwise(edges.tolist())]
+    return list(pairwise(_edges(run).tolist()))
+
+
+def _edges(run: Integers) -> Integers:
+    return np.concatenate(([0], np.flatnonzero(np.diff(run)) + 1, [run.size]))
 
 
 def numbered(change: npt.NDArray[np.bool_]) -> Integers:
-    """Numbers, from zero, of the stretches that n - 1 changes from row to row divide; shape (n,)."""
+    """Number of the stretch of each of n rows, from zero; a new one begins where the row changes (n - 1,)."""
     return np.concatenate(([0], np.cumsum(change))).astype(np.int64)
 
 
@@ -75,7 +68,7 @@ def spans(rows: npt.NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def slices(time: Floats, run: Integers, seconds: float) -> Integers:
-    """Numbers, from zero without a gap, of stretches of about so many seconds within runs; shape (n,)."""
+    """Number of the stretch of each row, from zero; runs are divided into stretches of so many seconds."""
     edges = bounds(run)
     begun = np.repeat([time[begin] for begin, _ in edges], [end - begin for begin, end in edges])
     change = (np.diff((time - begun) // seconds) != 0) | (np.diff(run) != 0)
@@ -83,22 +76,7 @@ def slices(time: Floats, run: Integers, seconds: float) -> Integers:
 
 
 def whitening(residual: Floats, run: Integers) -> Whitening:
-    """Fit the noise model to a residual.
-
-    Parameters
-    ----------
-    residual : ndarray, shape (n,)
-        [rad]
-    run : ndarray of int64, shape (n,)
-
-    Returns
-    -------
-    Whitening
-
-    Notes
-    -----
-    Yule-Walker with covariances pooled over the runs.
-    """
+    """The noise model of a residual (n,) [rad]: Yule-Walker with covariances pooled over the runs (n,)."""
     covariance = np.zeros(ORDER + 1)
     count = 0
     for begin, end in bounds(run):

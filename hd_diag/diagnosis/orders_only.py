@@ -27,22 +27,12 @@ _SLICE = 1.0  # length of a block of the bootstrap [s]
 def orders_only(checked: Screened, configured: Drive, rng: np.random.Generator) -> Diagnosis:
     """Describe the error of a joint by lines over its turn, whatever gear it has.
 
-    Parameters
-    ----------
-    checked : Screened
-    configured : Drive
-        Its ratio, rated torque and accuracy are used, its geometry is not.
-    rng : numpy.random.Generator
-        For the gain's interval.
-
-    Returns
-    -------
-    Diagnosis
-        Without parameters and causes; "nominal" is the error less torsion and friction by a regression on
-        torque and speed, "extended" the same less the table's rows that repeat.
+    Of the drive, its ratio, rated torque and accuracy are used, its geometry is not; the generator is for the
+    gain's interval. The diagnosis has no parameters and causes: "nominal" is the error less torsion and
+    friction by a regression on torque and speed, "extended" the same less the table's rows that repeat.
     """
-    record, findings = checked.record, checked.findings
-    empty = Diagnosis(record, configured, findings, None, None, None, None)
+    record, findings = checked
+    empty = Diagnosis(record, configured, findings)
     if any(finding.fatal for finding in findings):
         return empty
     test, which = held_out(record)

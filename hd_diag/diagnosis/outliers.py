@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import median_filter
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.blocks import filtered
-from hd_diag.diagnosis.noise import bounds
 
 Rows = npt.NDArray[np.bool_]
 
@@ -22,16 +19,10 @@ _ROUNDING = 1e-9  # of the largest torque, within which it is constant
 
 
 def torque_outliers(torque: Floats, bag: Integers) -> Rows:
-    """Torques far off both their neighbours, by much of the range of all, shape (n,).
+    """Torques [N m] far off both their neighbours, by much of the range of all, shape (n,).
 
-    A torque that is reported less often than the angles stands in several rows.
-
-    Parameters
-    ----------
-    torque : ndarray, shape (n,)
-        [N m]; what is not finite is no outlier, and no neighbour.
-    bag : ndarray of int64, shape (n,)
-        Number of the recording, ascending.
+    A torque that is reported less often than the angles stands in several rows; what is not finite is no
+    outlier, and no neighbour. Numbers of the recordings (n,) ascend.
     """
     found, finite = np.zeros(torque.size, dtype=bool), np.flatnonzero(np.isfinite(torque))
     if finite.size:
@@ -48,25 +39,20 @@ def torque_outliers(torque: Floats, bag: Integers) -> Rows:
 
 
 def outliers(error: Floats, bag: Integers, least: float = 0.0, together: int = 1) -> Rows:
-    """Samples, so many `together` at most, far off both neighbours; without them, others may stand out.
+    """Samples (n,), up to `together` in a row, far off both neighbours, by `least` or more.
 
     Neighbours are those recorded before and after, even across a gap: between gaps there may be few samples.
+    It is done again without those that were found: others may stand out then.
     """
-    found = np.zeros(error.size, dtype=bool)
-    for begin, end in bounds(bag):
-        repeated = partial(_repeated, error, least, together)
-        filtered(found, begin, end, repeated, 2 * _OUTLIER_WINDOW)
-    return found
 
+    def repeated(part: slice) -> Rows:
+        left = np.arange(part.start, part.stop)
+        for apart in (*[1] * _OUTLIER_PASSES, *range(2, together + 1)):
+            left = left[~_spikes(error[left], least, apart)]
+        return ~np.isin(np.arange(part.start, part.stop), left)
 
-def _repeated(error: Floats, least: float, together: int, part: slice) -> Rows:
-    error = error[part]
     found = np.zeros(error.size, dtype=bool)
-    rows = np.arange(error.size)
-    for apart in (*[1] * _OUTLIER_PASSES, *range(2, together + 1)):
-        off = _spikes(error[rows], least, apart)
-        found[rows[off]] = True
-        rows = rows[~off]
+    filtered(found, bag, repeated, 2 * _OUTLIER_WINDOW)
     return found
 
 

@@ -47,41 +47,32 @@ class Extent(NamedTuple):
 
 @dataclass(frozen=True)
 class Record:
-    """Samples of one joint, in time order within each run.
+    """Samples of one joint, in time order within each run; columns of shape (n,).
 
     Attributes
     ----------
-    time, input_angle, output_angle, torque, speed : ndarray, shape (n,)
-        [s], [rad], [rad], [N m] on the link, input speed [rad/s].
-    temperature : ndarray, shape (n,), or None
-        [degree Celsius]
-    run : ndarray of int64, shape (n,)
-        Index of the run; a run ends with a pause, a gap or a bag.
-    has_torque : bool
-        Whether the torque was measured; else it is what the configuration assumes.
+    time, input_angle, output_angle, torque, speed, temperature
+        [s], [rad], [rad], [N m] on the link, input speed [rad/s], [degree Celsius] or None.
+    run, bag, stretch : ndarray of int64
+        Number of the run, which ends with a pause, a gap or a bag; of the recording; of the stretch without
+        a long gap: causes with memory go on through pauses between runs, and from a recording to one that
+        follows at once.
+    has_torque, by_current, by_velocity : bool
+        Whether the torque was measured, else it is what the configuration assumes; whether it is a motor's
+        current times a constant; whether the input angle is the integral of a velocity, whose drift is free.
     outliers, dropped : int
         Samples removed: far off their neighbours; not finite or out of order.
-    bag : ndarray of int64, shape (n,)
-        Index of the recording that each sample comes from.
-    reported_torque : ndarray, shape (n,)
-        Torque before smoothing, as a running model gets it [N m].
-    reported_speed : ndarray, shape (n,), or None
-        Input speed as the joint itself reports it [rad/s]; nan where it does not.
-    stretch : ndarray of int64, shape (n,)
-        Number of the stretch without a long gap: causes with memory go on through pauses between runs, and
-        from a recording to one that follows at once.
+    reported_torque, reported_speed : ndarray, or None
+        Torque before smoothing, as a running model gets it [N m]; input speed as the joint itself reports
+        it [rad/s], nan where it does not.
     extent : Extent
         What the record covers; of the whole, where rows were left out.
-    torque_window : ndarray, shape (n,)
+    torque_window : ndarray
         Of the smoothing of the torque [s]; 0: none.
-    by_current : bool
-        Whether the torque is a motor's current times a constant.
-    by_velocity : bool
-        Whether the input angle is the integral of a velocity, whose drift is free.
     stamps : Stamps
         What became of samples before.
-    taken : ndarray, shape (n,), or None
-        What the torque is more than the current's, as far as it is known what the motor takes of it [N m].
+    taken : ndarray, or None
+        What was added to the torque by a current, because the motor itself takes some of it [N m].
     """
 
     time: Floats
@@ -117,11 +108,11 @@ class Record:
 
     @property
     def way(self) -> Floats:
-        """Direction of the motion, -1 to 1 through rest as friction turns, shape (n,)."""
+        """Direction of the motion, from -1 to 1, smooth through rest as friction is; shape (n,)."""
         return np.asarray(np.tanh(self.speed / (_SLOW * self.top_speed)))
 
     def less_motor(self, taken: Floats) -> Record:
-        """The record with the torque that is left where a motor takes something of its current's, (n,)."""
+        """The record with its torque plus `taken` (n,), the negative of what the motor itself takes [N m]."""
         return replace(self, torque=self.by_sensor + taken, taken=taken)
 
     @property
@@ -139,12 +130,11 @@ class Record:
 
     def select(self, rows: Rows | Integers) -> Record:
         """The record of some rows; their run numbers stay."""
-        columns = {name: column for name, column in vars(self).items() if isinstance(column, np.ndarray)}
-        chosen: dict[str, Any] = {name: column[rows] for name, column in columns.items()}
-        return replace(self, **chosen)
+        columns: Columns = {name: c[rows] for name, c in vars(self).items() if isinstance(c, np.ndarray)}
+        return replace(self, **columns)
 
     def thinned(self, most: int) -> Record:
-        """Every so-manyth row: about so many, at most."""
+        """Rows at even distances, about `most` at most."""
         return self.select(np.arange(0, self.size, 1 + self.size // most))
 
 
@@ -172,12 +162,8 @@ def prepare(
         Reported input angle over reported output angle [-].
     assumed_torque : float
         Used where no torque was measured [N m].
-    by_current : bool
-        Whether the torque is a motor's current times a constant.
-    by_velocity : bool
-        Whether the input angle is the integral of a velocity, whose drift is free.
-    stamps : Stamps
-        What became of samples before. A clock that is set back within a recording begins another one here.
+    by_current, by_velocity, stamps
+        As in `Record`. A clock that is set back within a recording begins another one here.
 
     Raises
     ------
@@ -223,8 +209,8 @@ def prepare(
     time, load, heat, segment = (columns.pop(n) for n in ("time", "torque", "temperature", "segment"))
     step = float(np.median(np.diff(time)))
     speed = rate(columns["input_angle"], segment, step, _SPEED_WINDOW)
-    run = _runs(time, speed, segment)
-    raw, bag = np.full(time.shape, assumed_torque) if load is None else load, columns["bag"]
+    run, bag = _runs(time, speed, segment), columns["bag"]
+    raw = np.full(time.shape, assumed_torque) if load is None else load
     width = np.zeros(raw.size) if load is None else best_widths(load, segment, step)
     return Record(
         **columns,
@@ -264,7 +250,7 @@ def _usable(columns: Columns, bag: Integers) -> Rows:
 
 
 def _kept(columns: Columns, rows: Rows) -> Columns:
-    """Some rows of all columns; all rows are no copy."""
+    """Some rows of all columns; without a copy where all are kept."""
     if rows.all():
         return columns
     return {name: None if column is None else column[rows] for name, column in columns.items()}

@@ -23,23 +23,14 @@ class Regression(NamedTuple):
 
 
 def centered(values: Floats, group: Integers) -> Floats:
-    """Values less the mean of their group: of a run, between which turns may be lost; of a recording."""
+    """Values less the mean of their group, a run or a recording; both of shape (n,)."""
     return np.asarray(values - (np.bincount(group, values) / np.maximum(np.bincount(group), 1))[group])
 
 
 def regression(columns: Sequence[Floats], values: Floats, group: Integers) -> Regression:
-    """Values by columns, each less the mean of its group.
+    """Values by columns, all of shape (n,) and less the mean of their group.
 
-    Parameters
-    ----------
-    columns : sequence of ndarray, shape (n,)
-    values : ndarray, shape (n,)
-    group : ndarray of int64, shape (n,)
-
-    Returns
-    -------
-    Regression
-        Deviations allow for a rest that is correlated within `_CLUSTERS` stretches.
+    Deviations allow for a rest that is correlated within `_CLUSTERS` stretches.
     """
     parts, target = [centered(column, group) for column in columns], centered(values, group)
     scale = np.array([max(float(np.linalg.norm(column)), 1e-300) for column in parts])
@@ -54,7 +45,7 @@ def regression(columns: Sequence[Floats], values: Floats, group: Integers) -> Re
 
 
 def usual_laws(record: Record, rated_torque: float) -> list[Floats]:
-    """What torsion and friction of any joint go with, each of order one, shape (n,)."""
+    """Regressors (n,) of order one for torsion and friction of any joint."""
     load = record.torque / rated_torque
     torsion = [load, load * np.abs(load), load**3, np.tanh(load / _NEAR_ZERO)]
     return [*torsion, record.speed / record.top_speed, record.way]

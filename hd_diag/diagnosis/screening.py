@@ -1,73 +1,310 @@
-"""Checks of every row of a record, then the subset of rows that the fits get."""
+"""Checks of every row of a record before any fit, of the signals too; then the rows that the fits get."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import replace
+from typing import NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import correlate
+
+from hd_diag.arrays import Floats
 from hd_diag.diagnosis.drift import check_velocity
-from hd_diag.diagnosis.findings import Finding, check_ramp, check_ratio, find_steps
+from hd_diag.diagnosis.findings import Finding, check_ramp, check_ratio, find_steps, follows, wrong_ratio
+from hd_diag.diagnosis.fit import fit_parameters
+from hd_diag.diagnosis.fit.design import lower_bound, projection
+from hd_diag.diagnosis.fit.refit import nuisance, refit
 from hd_diag.diagnosis.record import Record
-from hd_diag.diagnosis.signal_findings import (
-    TORQUE_SIGN,
-    check_degrees,
-    check_one_sensor,
-    check_partner,
-    check_sizes,
-    check_stamps,
-    check_step,
-    check_torque,
-    repeated_rows,
-)
+from hd_diag.diagnosis.regression import centered, regression
+from hd_diag.diagnosis.stamps import UNPAIRED
 from hd_diag.diagnosis.subsampling import LIMIT, subsample
 from hd_diag.drive import Drive
+from hd_diag.effects.quantity import turning
+from hd_diag.formatting import ARCSEC
+
+_TORQUE_SIGN = "torque_sign"  # name of the finding after which the torque's sign is turned
+_NO_ERROR = 1e-7  # [rad]; a tenth of what an encoder of 26 bits can tell
+_REPEATED = 0.05  # share of the rows of a moving joint
+_OUT_OF_STEP = 0.01  # [s]; less is a cause of the catalogue
+_MOST_LEFT = 0.3  # of the error beside torque and angle, where the speed explains it
+_MOST_ROWS = 4000
+_GRID = 20_001  # moments of a recording
+_MATCHED = 0.1  # of the output's travel, that streams put in step may be apart
+_SIGMAS = 6.0
+_MUCH = 0.02  # of a slope over the angle, from which the ratio is wrong
+_LEAST_TORSION = 0.02  # of the rated torque, by which the torque has to vary
+_OTHER_UNIT = 4.0  # times the configured torsion, beyond what a wrong stiffness can be
+_WRONG_SIGN = -0.3  # of the configured torsion
+_LEAST_REACH, _REACH_WITHOUT_TORQUE = 0.3, 1.5  # of the output [rad]
+_PARTNER_MISS = 0.15  # of the slope between a ratio and its partner
+_FULL_TURN = 360.0
+_DEGREES, _DEGREES_MISS = 180.0 / math.pi, 0.3  # times the configured torsion; a share of that
+_LEAST_IN_DEGREES = 0.01  # [rad], between least and greatest error: beyond what gears have
+_WORSE = 1.3  # ratio of residuals from which a torque misleads
+_BLOCKS, _MOST_UNSEEN = 8, 2000  # of held-out rows; how many of them
+_MOST_TORQUE = 50.0  # of the rated torque: teeth skip at a fifth of it, or a half
 
 
-@dataclass(frozen=True)
-class Screened:
+class Screened(NamedTuple):
     """A record short enough to be fitted, without steps, and what was found in all rows."""
 
     record: Record
     findings: tuple[Finding, ...]
 
 
-def screened(
-    record: Record,
-    configured: Drive,
-    limit: int = LIMIT,
-    *,
-    teeth: bool = True,
-) -> Screened:
-    """Check the signals: sensors, units, signs, ratio and steps, in every row; then subsample.
+def screened(record: Record, configured: Drive, limit: int = LIMIT, *, teeth: bool = True) -> Screened:
+    """Check sensors, units, signs, ratio and steps in every row of a record; then keep `limit` rows at most.
 
-    Parameters
-    ----------
-    record : Record
-    configured : Drive
-    limit : int
-        Rows to keep, at most: a caller who keeps only the result frees a long record.
-    teeth : bool
-        Whether the configured geometry is that of the gear: else its torsion is not compared.
+    Without `teeth` the configured geometry is not that of the gear: its torsion is not compared.
     """
     ratio = configured.kinematics.ratio
-    wrong = check_one_sensor(record, ratio) or check_degrees(record)
-    wrong = wrong or check_velocity(record, configured.kinematics) or check_step(record, ratio)
+    wrong = _one_sensor(record, ratio) or _wrapped_degrees(record)
+    wrong = wrong or check_velocity(record, configured.kinematics) or _out_of_step(record, ratio)
     if not record.by_velocity:  # whose slow part is free
         wrong = wrong or check_ratio(record, ratio)
-    wrong = wrong or check_partner(record, configured)
+    wrong = wrong or _partner_ratio(record, configured)
     if teeth:
-        wrong = wrong or check_sizes(record, configured)
-    stamps = check_stamps(record)
+        wrong = wrong or _other_units(record, configured)
+    stamps = _lost_samples(record)
     if wrong is not None:
         return Screened(subsample(record, limit), (wrong, *stamps))
-    record, again = repeated_rows(record)
+    record, again = _without_repeated_rows(record)
     correction, steps = find_steps(record, ratio, configured.mesh.geometry.tooth_pitch)
     if steps:
         record = replace(record, output_angle=record.output_angle - correction)
-    del correction
+    del correction  # a column of an hour is 30 MB
     record = subsample(record, limit)
-    torque = check_torque(record, configured) if teeth else None
+    torque = _wrong_torque(record, configured) if teeth else None
     ramp = None if record.by_velocity else check_ramp(record, ratio)
     found = [one for one in (ramp, torque, *stamps, again, *steps) if one is not None]
-    if torque is not None and torque.name == TORQUE_SIGN:
+    if torque is not None and torque.name == _TORQUE_SIGN:
         record = replace(record, torque=-record.torque, reported_torque=-record.reported_torque)
     return Screened(record, tuple(found))
+
+
+def _one_sensor(record: Record, ratio: float) -> Finding | None:
+    """A finding where the output angle is the input angle over the ratio, digit by digit."""
+    error = record.output_angle - record.input_angle / ratio
+    if float(np.quantile(np.abs(centered(error, record.run)), 0.95)) > _NO_ERROR:
+        return None
+    text = (
+        "input and output angle are one sensor given twice: their difference is zero to the last digit. "
+        "Record the motor's own encoder and the link's"
+    )
+    return Finding("one_sensor", text, 0.0, "rad", True)
+
+
+def _wrapped_degrees(record: Record) -> Finding | None:
+    """A finding where an angle jumps by 360: it is in degrees."""
+    for name, angle in (("input", record.input_angle), ("output", record.output_angle)):
+        step = np.abs(np.diff(angle)) / _FULL_TURN
+        if np.any(np.abs(step - 1.0) < 0.02) and float(np.median(step)) < 0.1:
+            text = f"the {name} angle jumps by 360: it is in degrees; angles must be in radians"
+            return Finding("unit", text, _FULL_TURN, "-", True)
+    return None
+
+
+def _other_units(record: Record, configured: Drive) -> Finding | None:
+    """A finding where no gear could bear the torque, or twist as far by it: they are in other units."""
+    most = float(np.percentile(np.abs(record.torque), 99.0))
+    if record.has_torque and most > _MOST_TORQUE * configured.rated_torque:
+        share = most / configured.rated_torque
+        text = f"the torque reaches {most:.3g} N m, {share:.0f} times the rated torque: in which unit is it?"
+        return Finding("unit", text, share, "-", True)
+    error = record.output_angle - record.input_angle / configured.kinematics.ratio
+    if _twisting(record, configured) and float(np.ptp(centered(error, record.bag))) > _LEAST_IN_DEGREES:
+        factor, spread = _twist(record, configured)
+        if abs(factor / _DEGREES - 1.0) < _DEGREES_MISS and factor > _SIGMAS * spread:
+            text = f"the joint twists {factor:.0f} times as much as configured: both angles are in degrees"
+            return Finding("unit", f"{text}; angles must be in radians", factor, "-", True)
+    return None
+
+
+def _lost_samples(record: Record) -> list[Finding]:
+    """Findings of files that are not whole, clocks set back, samples refused or without a partner."""
+    refused, _, unpaired, set_back, problems = record.stamps
+    found = []
+    if problems:
+        found.append(Finding("incomplete", record.stamps.broken, float(len(problems)), "-", False))
+    if set_back:
+        times = "once" if set_back == 1 else f"{set_back} times"
+        text = f"the clock was set back {times} in the middle of a recording: what comes after counts as"
+        found.append(Finding("clock_set_back", f"{text} another recording", float(set_back), "-", False))
+    whole = record.extent.samples + record.dropped + unpaired
+    if refused > _REPEATED * whole:
+        found.append(Finding("refused_rows", record.stamps.lines[-1], refused / whole, "-", False))
+    if unpaired > _REPEATED * whole:
+        text = f"{100 * unpaired / whole:.0f} % of the output angles {UNPAIRED}"
+        found.append(Finding("unpaired_outputs", text, unpaired / whole, "-", False))
+    return found
+
+
+def _without_repeated_rows(record: Record) -> tuple[Record, Finding | None]:
+    """The record without rows that repeat the row before them, and a finding if there are many."""
+    same = np.diff(record.run) == 0
+    for column in (record.input_angle, record.output_angle, record.reported_torque):
+        same &= np.diff(column) == 0.0
+    moving = np.abs(record.speed[1:]) > 0.05 * float(np.percentile(np.abs(record.speed), 95))
+    share = float(np.mean(same[moving])) if moving.any() else 0.0
+    if share < _REPEATED:
+        return record, None
+    again = np.concatenate(([False], same))
+    text = (
+        f"{100 * share:.0f} % of the samples in motion repeat the one before: they are published faster than "
+        "measured; the repeated ones are left out"
+    )
+    return record.select(~again), Finding("repeated_rows", text, share, "-", False)
+
+
+def _partner_ratio(record: Record, configured: Drive) -> Finding | None:
+    """A finding where the ratio is that of the other output, one more or one less: 101 for 100.
+
+    Notes
+    -----
+    Over all runs of a recording together, for robots seldom turn far: over half a radian the ratios differ by
+    1000 arcsec. Where turns are lost between runs nothing is said.
+    """
+    ratio, least = configured.kinematics.ratio, _LEAST_REACH if record.has_torque else _REACH_WITHOUT_TORQUE
+    if float(np.ptp(record.input_angle / ratio)) < least:
+        return None
+    some = record.thinned(_MOST_ROWS)
+    output = some.input_angle / ratio
+    columns = [output, some.speed, np.sign(some.speed)]
+    if some.has_torque:
+        columns += [some.torque, some.torque * np.abs(some.torque)]
+    found = regression(columns, some.output_angle - output, some.bag)
+    slope, spread = float(found.value[0]), float(found.deviation[0])
+    for partner in (ratio + 1.0, ratio - 1.0):
+        expected = ratio / partner - 1.0
+        if abs(slope - expected) < _PARTNER_MISS * abs(expected) and abs(expected) > _SIGMAS * spread:
+            return wrong_ratio(partner, ratio)
+    return None
+
+
+def _out_of_step(record: Record, ratio: float) -> Finding | None:
+    """A finding where the output angle is late or early: a part of the error in proportion to the speed."""
+    late = _late(record, ratio)
+    if late is None:
+        return None
+    size = f"{abs(late) * 1e3:.0f} ms" if abs(late) < 1.0 else f"{abs(late):.2f} s"
+    where = "behind" if late > 0.0 else "ahead of"
+    text = f"the output angle is {size} {where} the input angle: stamp both where they are measured"
+    return Finding("out_of_step", text, late, "s", True)
+
+
+def _late(record: Record, ratio: float) -> float | None:
+    """By how much the output angle is late [s]; None where it is not, or cannot be told."""
+    some = record.thinned(_MOST_ROWS)
+    output = some.input_angle / ratio
+    others = [output, np.sign(some.speed), some.torque, some.torque * np.abs(some.torque)]
+    error = some.output_angle - output
+    # A motion to and fro, mirrored by a ratio of the wrong sign, is itself at another time.
+    is_late = not any(follows(record, sign / ratio, _MATCHED) for sign in (1.0, -1.0))
+    if is_late and (late := _far_behind(record, ratio)) is not None:
+        return late
+    found = regression([some.speed / ratio, *others], error, some.bag)
+    early, slope = float(found.value[0]), float(found.value[1])
+    if abs(early) < max(_OUT_OF_STEP, _SIGMAS * found.deviation[0]) or abs(slope) > _MUCH:
+        return None
+    # It has to be nearly all that the others leave: in a short record torque and speed go together.
+    return -early if found.rest <= _MOST_LEFT * regression(others, error, some.bag).rest else None
+
+
+def _far_behind(record: Record, ratio: float) -> float | None:
+    """By how much an output that does not follow the input at once comes after it [s]; None if it does not.
+
+    The peak of their rates' correlation over the longest recording, in step by which they have to match.
+    """
+    part = record.select(record.bag == np.argmax(np.bincount(record.bag)))
+    grid = np.linspace(part.time[0], part.time[-1], _GRID)
+    step = float(grid[1] - grid[0])
+    angle, output = (np.interp(grid, part.time, c) for c in (part.input_angle / ratio, part.output_angle))
+    match = correlate(np.gradient(output), np.gradient(angle), "same", "fft")
+    shift = int(np.argmax(match)) - _GRID // 2
+    away = output[max(shift, 0) : _GRID + min(shift, 0)] - angle[max(-shift, 0) : _GRID - max(shift, 0)]
+    matched = float(np.std(away)) < _MATCHED * float(np.std(output))
+    return shift * step if matched and abs(shift * step) > _OUT_OF_STEP else None
+
+
+def _twisting(record: Record, configured: Drive) -> bool:
+    """Whether a torque is known and changes enough to twist the gear."""
+    return record.has_torque and float(np.ptp(record.torque)) > _LEAST_TORSION * configured.rated_torque
+
+
+def _wrong_torque(record: Record, configured: Drive) -> Finding | None:
+    """A finding where the torsion is not that of the torque: of the other sign, or many times as much."""
+    if not _twisting(record, configured):
+        return None
+    factor, spread = _twist(record, configured)
+    if factor < min(_WRONG_SIGN, -_SIGMAS * spread):
+        text = (
+            "the link leads where the torque is positive, and no gear does that: the torque has the other "
+            "sign. It is turned here; turn it where it is recorded"
+        )
+        return Finding(_TORQUE_SIGN, text, factor, "-", False)
+    if factor - _SIGMAS * spread > _OTHER_UNIT:
+        text = (
+            f"the joint twists {factor:.0f} times as much as configured: is the torque in amperes or at the "
+            "motor, or is this another gear?"
+        )
+        return Finding("torque_unit", text, factor, "-", False)
+    return None
+
+
+def _twist(record: Record, configured: Drive) -> tuple[float, float]:
+    """Torsion over the configured one at the same torque, with its standard deviation [-]."""
+    some = record.thinned(_MOST_ROWS)
+    output = some.input_angle / configured.kinematics.ratio
+    torsion, _, _ = fit_parameters.along(configured, configured, some.input_angle, some.torque)
+    waves = np.cos(output), np.sin(output)
+    columns = [np.nan_to_num(torsion), some.speed, np.sign(some.speed), *waves]
+    found = regression(columns, some.output_angle - output, some.bag)
+    return float(found.value[0]), float(found.deviation[0])
+
+
+def without_misleading_torque(
+    record: Record, configured: Drive, test: npt.NDArray[np.bool_], rng: np.random.Generator
+) -> tuple[Record, Finding | None]:
+    """The record without its torque where fits to other rows predict held-out ones far better without.
+
+    A current is kept: what the motor itself needs of it, these fits do not know. So is a torque that hardly
+    changes: it twists nothing, and cannot mislead. Both fits have the same samples and starts, chosen by the
+    generator; `test` (n,) are the rows held out.
+    """
+    if not _twisting(record, configured) or record.by_current:
+        return record, None
+    unloaded = np.zeros(record.size)
+    blind = replace(record, torque=unloaded, reported_torque=unloaded, has_torque=False)
+    if np.std(_left(record, configured, test)) < np.std(_left(blind, configured, test)):
+        return record, None  # as configured it helps already
+    seed, squares = int(rng.integers(2**31)), []
+    for one in (record, blind):
+        train = one.select(~test)
+        fit = refit(train, configured, np.random.default_rng(seed), _of_encoders(train))
+        squares.append(_left(one, fit.drive, test) ** 2)
+    rms = [float(np.sqrt(np.mean(one))) for one in squares]
+    parts = [np.array_split(one, _BLOCKS) for one in squares]
+    worse = np.array([float(a.sum() - b.sum()) for a, b in zip(*parts, strict=True)])
+    if rms[0] < _WORSE * rms[1] or lower_bound(worse) < 0.0:
+        return record, None
+    text = (
+        f"with the torque as measured, held-out data are predicted to {rms[0] / ARCSEC:.0f} arcsec, without "
+        f"it to {rms[1] / ARCSEC:.0f}: it is left out here; see whether it is this joint's, and in N m"
+    )
+    return blind, Finding("torque_misleads", text, rms[0] / rms[1], "-", False)
+
+
+def _left(record: Record, drive: Drive, test: npt.NDArray[np.bool_]) -> Floats:
+    """Residual of a drive on some held-out rows, less all that any fit carries along [rad]."""
+    some = record.select(test).thinned(_MOST_UNSEEN)
+    error, _, _ = fit_parameters.along(drive, drive, some.input_angle, some.torque)
+    rest = some.output_angle - some.input_angle / drive.kinematics.ratio - np.nan_to_num(error)
+    free = np.concatenate((nuisance(some, drive.kinematics.ratio), _of_encoders(some)), axis=1)
+    return np.asarray(rest - projection(free, rest))
+
+
+def _of_encoders(record: Record) -> Floats:
+    """Once and twice per input turn, (n, 4): fitted without them, parameters of the torque imitate them."""
+    return np.concatenate([turning(order * record.input_angle) for order in (1, 2)], axis=1)

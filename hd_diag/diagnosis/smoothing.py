@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -35,24 +35,13 @@ def smooth(values: Floats, segment: Integers, step: float, width: float | Floats
         Between samples [s].
     width : float, or ndarray, shape (n,)
         Of the window [s], of all values or each.
-
-    Returns
-    -------
-    ndarray
-        Same shape.
     """
     result = np.empty_like(values)
     for one in np.unique(width).tolist():
         own = np.broadcast_to(width == one, segment.shape)
         around = np.isin(segment, segment[own])
-        result[own] = _smoothed(values[around], segment[around], step, one)[own[around]]
-    return result
-
-
-def _smoothed(values: Floats, segment: Integers, step: float, width: float) -> Floats:
-    """The same with one window for all."""
-    result = np.empty_like(values)
-    _by_segment(result, segment, lambda rows: _twice(values[rows], step, width), step, 2.0 * width)
+        local = partial(_twice, step=step, width=one)
+        result[own] = _by_segment(values[around], segment[around], local, step, 2.0 * one)[own[around]]
     return result
 
 
@@ -71,7 +60,7 @@ def best_width(values: Floats, segment: Integers, step: float) -> float:
 
 
 def best_widths(values: Floats, segment: Integers, step: float) -> Floats:
-    """Window of every value [s], shape (n,): the best of all, cut where it bends what values do there.
+    """Window of every value [s], shape (n,): the best for all, or a narrower one where that would bend them.
 
     A robot that rests, creeps and hurries has no window for all: where a narrower one differs from it by more
     than noise, that one holds (Lepski, Theory Probab. Appl. 35, 1991). Arguments as of :func:`smooth`.
@@ -93,15 +82,10 @@ def best_widths(values: Floats, segment: Integers, step: float) -> Floats:
 
 
 def settled(values: Floats, smoothed: Floats, step: float, width: float) -> Floats:
-    """The smoothed values; their mean, or zero, where they vary no more than smoothed noise does.
+    """The smoothed values (n,); their mean, or zero, where they vary no more than smoothed noise does.
 
-    Whether a torque is zero decides which teeth carry in a gap: noise must not decide it.
-
-    Parameters
-    ----------
-    values, smoothed : ndarray, shape (n,)
-    step, width : float
-        Arguments of :func:`smooth` that gave `smoothed` [s].
+    Whether a torque is zero decides which teeth carry in a gap: noise must not decide it. Step and width [s]
+    are those that :func:`smooth` was given.
     """
     noise = float(np.var(values - smoothed))
     if np.var(smoothed) > _STILL * noise * _passed(values.size, step, width):
@@ -111,14 +95,14 @@ def settled(values: Floats, smoothed: Floats, step: float, width: float) -> Floa
 
 
 def deviation(values: Floats, smoothed: Floats, step: float, width: Floats) -> Floats:
-    """Standard deviation of each smoothed value by what noise passes; arguments as of :func:`settled`."""
+    """Standard deviation of each smoothed value by the noise left in it; arguments as of :func:`settled`."""
     windows, number = np.unique(width, return_inverse=True)
     passed = np.array([_passed(values.size, step, one) for one in windows.tolist()])
     return np.asarray(float(np.std(values - smoothed)) * np.sqrt(passed)[number])
 
 
 def _passed(size: int, step: float, width: float) -> float:
-    """Share of the variance of noise that smoothing leaves."""
+    """Share of the variance of white noise that is left by smoothing."""
     kernel = savgol_coeffs(_window(size, step, width), _ORDER)
     return float(np.sum(np.convolve(kernel, kernel) ** 2))
 
@@ -126,16 +110,13 @@ def _passed(size: int, step: float, width: float) -> float:
 def rate(values: Floats, segment: Integers, step: float, width: float) -> Floats:
     """Rate of change by a local quadratic [1/s]; arguments as of :func:`smooth`."""
 
-    def local(rows: slice) -> Floats:
-        part = values[rows]
+    def local(part: Floats) -> Floats:
         window = _window(part.size, step, width)
         if window < 3:
             return np.gradient(part, step) if part.size > 1 else np.zeros_like(part)
         return np.asarray(savgol_filter(part, window, min(_ORDER, window - 1), deriv=1, delta=step))
 
-    result = np.empty_like(values)
-    _by_segment(result, segment, local, step, width)
-    return result
+    return _by_segment(values, segment, local, step, width)
 
 
 def _twice(values: Floats, step: float, width: float) -> Floats:
@@ -184,8 +165,9 @@ def _window(size: int, step: float, width: float) -> int:
 
 
 def _by_segment(
-    result: Floats, segment: Integers, function: Callable[[slice], Floats], step: float, width: float
-) -> None:
-    """Fill a result by a filter of a width [s] along every segment."""
-    for begin, end in bounds(segment):
-        filtered(result, begin, end, function, _window(segment.size, step, width))
+    values: Floats, segment: Integers, function: Callable[[Floats], Floats], step: float, width: float
+) -> Floats:
+    """Values after a filter of a width [s] along every segment."""
+    result = np.empty_like(values)
+    filtered(result, segment, lambda rows: function(values[rows]), _window(segment.size, step, width))
+    return result

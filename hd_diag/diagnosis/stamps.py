@@ -43,7 +43,7 @@ class Stamps(NamedTuple):
         return [*([self.broken] if self.problems else []), *([refused] if self.refused else [])]
 
     def after(self, text: str) -> str:
-        """A text, and behind it what is not whole where it does not say so."""
+        """A text, followed by what is not whole of the files unless it says so already."""
         return f"{text}; {self.broken}" if self.problems and self.broken not in text else text
 
     @property
@@ -62,7 +62,7 @@ class Stamps(NamedTuple):
         return self.after(refused if self.refused else "")
 
     def and_then(self, later: Stamps) -> Stamps:
-        """Of two recordings, one after the other."""
+        """Counts of this recording and a later one together."""
         counts = self.unpaired + later.unpaired, self.set_back + later.set_back
         problems = tuple(dict.fromkeys(self.problems + later.problems))
         return Stamps(self.refused + later.refused, later.reason or self.reason, *counts, problems)
@@ -75,12 +75,7 @@ UNTOLD = Stamps()
 def by_clock(time: Floats, bag: Integers, stamps: Stamps) -> tuple[Integers, Stamps]:
     """Numbers of recordings, another one after each clock set back, and what is reported of stamps.
 
-    Parameters
-    ----------
-    time, bag : ndarray, shape (n,)
-        [s], number of the recording.
-    stamps : Stamps
-        What was reported before.
+    Times [s] and numbers of the recordings are of shape (n,); `stamps` is what was reported before.
     """
     step = np.where(np.diff(bag) == 0, np.diff(time), np.nan)
     back = step < -CLOCK_JUMP * 1e-9

@@ -35,35 +35,23 @@ _PARTS = 8  # of a gap, in each of which the input's way is kept
 
 
 def subsample(record: Record, limit: int = LIMIT) -> Record:
-    """A record of at most so many rows.
+    """A record of at most `limit` rows: the same where it is short enough, with the extent of the whole.
 
-    Parameters
-    ----------
-    record : Record
-    limit : int
-
-    Returns
-    -------
-    Record
-        The same where it is short enough. Otherwise stretches, one in each of up to 48 cells that divide the
-        runs evenly, or the whole record where it has many runs. The place of a stretch in its cell is chosen
-        so that all torques, speeds, directions and places of the output's turn are covered. Between stretches
-        there are single rows at which torque or input reverse: friction remembers those. The
-        extent stays that of the whole record.
+    Otherwise stretches, one in each of up to 48 cells that divide the runs evenly, or the whole record where
+    it has many runs. The place of a stretch in its cell is chosen so that all torques, speeds, directions and
+    places of the output's turn are covered. Between stretches there are single rows at which torque or input
+    reverse: friction remembers those.
     """
     if record.size <= limit:
         return record
-    most = min(_STRETCHES, max(limit // _SHORTEST, 1))
-    cells = _cells(record, most)
+    cells = _cells(record, min(_STRETCHES, max(limit // _SHORTEST, 1)))
     length = max(limit // len(cells) - _REVERSALS - 2 * _PARTS, 1)
-    begins = _places(record, cells, length)
-    ends = [min(begin + length, end) for begin, (_, end) in zip(begins, cells, strict=True)]
     rows, last = [], 0
-    for begin, end in zip(begins, ends, strict=True):
+    for begin, (_, edge) in zip(_places(record, cells, length), cells, strict=True):
+        end = min(begin + length, edge)
         rows += [_between(record, last, begin), np.arange(begin, end)]
         last = end
-    chosen = np.concatenate(rows)
-    return record.select(chosen)
+    return record.select(np.concatenate(rows))
 
 
 def _cells(record: Record, most: int) -> list[tuple[int, int]]:
@@ -105,11 +93,9 @@ def _places(record: Record, cells: list[tuple[int, int]], length: int) -> list[i
 
 
 def _wanted(share: Floats) -> Floats:
-    """Shares moved half-way to equal ones: rare conditions tell the model's parameters apart best."""
-    parts = [share[group] for group in _GROUPS]
-    return np.concatenate(
-        [0.5 * part + 0.5 * (part > _RARE) / max(int(np.sum(part > _RARE)), 1) for part in parts]
-    )
+    """Shares half-way between those of the record and equal ones: rare conditions tell parameters apart."""
+    parts = [(share[group], share[group] > _RARE) for group in _GROUPS]
+    return np.concatenate([0.5 * part + 0.5 * some / max(int(some.sum()), 1) for part, some in parts])
 
 
 def _coverage(record: Record) -> Callable[[slice], Floats]:
@@ -144,7 +130,7 @@ def _between(record: Record, begin: int, end: int) -> Integers:
 
 
 def _reversals(torque: Floats, swing: float) -> list[int]:
-    """Rows of reversals that no later one exceeded: all that friction remembers at the end (Preisach)."""
+    """Rows of reversals of the torque that no later one exceeded: friction remembers these (Preisach)."""
     first, found = 0, list[int]()
     while first < torque.size and len(found) < _REVERSALS:
         rest = torque[first:][::-1]

@@ -7,15 +7,16 @@ from typing import Any
 
 import numpy as np
 
+from hd_diag.arrays import Floats
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.findings import Finding
 from hd_diag.diagnosis.gain import Gain, Rms
-from hd_diag.diagnosis.judgement import Answer, Change
+from hd_diag.diagnosis.judgement import Answer, Change, first_words
 from hd_diag.diagnosis.search.causes import Cause
 from hd_diag.diagnosis.search.order_table import OrderRow
 from hd_diag.diagnosis.search.selection import FURTHER_CAUSES
 from hd_diag.diagnosis.search.unexplained import Unexplained
-from hd_diag.diagnosis.severity import first_words
+from hd_diag.effects.effect import Effect
 from hd_diag.formatting import (
     ARCSEC,
     arcsec,
@@ -38,25 +39,17 @@ _PER = {"input": "per input turn", "output": "per output turn", "time": "Hz"}
 
 
 def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[str, Any]:
-    """What `hd-diag diagnose --json` writes.
+    """What `hd-diag diagnose --json` writes: schema ``hd_diag/diagnosis/1``; SI.
 
-    Parameters
-    ----------
-    diagnosis : Diagnosis
-    joint : str
-    model : str, optional
-        Where the extended model was written.
-
-    Returns
-    -------
-    dict
-        Schema ``hd_diag/diagnosis/1``; SI.
+    `model` is where the extended model was written.
     """
     rms, gain, record = diagnosis.rms or _NO_RMS, diagnosis.gain or _NO_GAIN, diagnosis.record
     counts = {"has_torque": record.has_torque, "outliers": record.outliers, "dropped": record.dropped}
     trustworthy = diagnosis.refitted is not None and diagnosis.refitted.trustworthy
     answer, most = Answer(diagnosis), diagnosis.allowed
     usual, assembly = answer.normal, answer.tolerance
+    effects = {effect.name for effect in diagnosis.catalogue}
+    named = [finding for finding in diagnosis.findings if finding.name in effects]
     content = {
         "schema": "hd_diag/diagnosis/1",
         "joint": joint,
@@ -64,7 +57,7 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
         "findings": [finding.__dict__ for finding in diagnosis.findings],
         "nominal": {"rms": rms.nominal},
         "refit": {"rms": rms.refit, "parameters": diagnosis.parameters, "trustworthy": trustworthy},
-        "causes": [*map(_finding, _named(diagnosis)), *map(_cause, diagnosis.causes)],
+        "causes": [*map(_finding, named), *map(_cause, diagnosis.causes)],
         "hints": [*map(_cause, diagnosis.hints)],
         "unexplained": [_unexplained(line) for line in diagnosis.unexplained],
         "extended": {
@@ -108,12 +101,6 @@ def as_json(diagnosis: Diagnosis, joint: str, model: str | None = None) -> dict[
     return dict(json_ready(content))
 
 
-def _named(diagnosis: Diagnosis) -> list[Finding]:
-    """Findings that are causes of the catalogue; others are about the signals."""
-    names = {effect.name for effect in diagnosis.catalogue}
-    return [finding for finding in diagnosis.findings if finding.name in names]
-
-
 def _row(row: OrderRow) -> dict[str, Any]:
     return {
         "order": row.order,
@@ -127,21 +114,26 @@ def _row(row: OrderRow) -> dict[str, Any]:
 
 
 def _cause(cause: Cause) -> dict[str, Any]:
-    effect = cause.effect
-    values = effect.to_physical(cause.coefficients, cause.nonlinear)
-    spread = effect.standard_deviations(cause.coefficients, cause.nonlinear, cause.covariance)
+    effect, sizes = cause.effect, (cause.coefficients, cause.nonlinear)
     return {
         "name": effect.name,
         "class": cause.alike,
-        "parameters": {
-            name: {"value": value, "std": spread.get(name, math.nan), "unit": unit}
-            for name, (value, unit) in values.items()
-        },
+        "parameters": _values(effect, *sizes, effect.standard_deviations(*sizes, cause.covariance)),
         "amplitude": cause.amplitude,
         "gain": {"value": cause.gain, "low": cause.gain_low, "high": cause.gain_high},
         "p_value": cause.p_value,
         "explanation": effect.cause,
         "inspect": effect.inspect,
+    }
+
+
+def _values(
+    effect: Effect, coefficients: Floats, nonlinear: tuple[float, ...], stds: dict[str, float]
+) -> dict[str, Any]:
+    """Physical quantities of an effect, with what is known of their standard deviations."""
+    return {
+        name: {"value": value, "std": stds.get(name, math.nan), "unit": unit}
+        for name, (value, unit) in effect.to_physical(coefficients, nonlinear).items()
     }
 
 
@@ -159,7 +151,7 @@ def _finding(finding: Finding) -> dict[str, Any]:
 
 
 def _unexplained(line: Unexplained) -> dict[str, Any]:
-    """What has no period is order 0, its law what it looks like."""
+    """A part without a period has order 0; its description stands before its torque law."""
     content = {**line.__dict__}
     if description := content.pop("description"):
         content["torque_law"] = f"{description}; {line.torque_law}"
@@ -177,16 +169,8 @@ def sentence(answer: Answer) -> str:
         return _ended("; ".join([first, *lost]))
     parts = [first, *(found | dict.fromkeys(lost))]
     parts += [_parameters(answer), *_current(diagnosis)]
-    if diagnosis.refitted is None:
-        pass
-    elif diagnosis.causes or diagnosis.hints:
+    if diagnosis.refitted is not None:
         parts += _causes(answer)
-    elif FURTHER_CAUSES in diagnosis.left_out:
-        parts.append("no cause was found within the time limit")
-    elif not diagnosis.unexplained and answer.judgement != "misfit":
-        parts.append("no other cause is needed")
-    else:
-        parts.append("none of the known causes explains the rest")
     rows = [row for row in diagnosis.order_table if row.repeats]
     if lines := [one for one in diagnosis.unexplained if not any(_describes(row, one) for row in rows)]:
         parts.append("unexplained: " + ", ".join(map(_line_in_words, lines)))
@@ -208,10 +192,16 @@ def sentence(answer: Answer) -> str:
 
 
 def _causes(answer: Answer) -> list[str]:
-    """Those that can be named, then those that are nearest to what is left."""
-    named, nearest = answer.diagnosis.causes, answer.diagnosis.hints
-    parts = {"beside that": named, "nearest to it, though not to be named for it": nearest}
-    return [f"{how}: {'; '.join(map(_cause_in_words, some))}" for how, some in parts.items() if some]
+    """Those that can be named, then those that are nearest to what is left; or why there are none."""
+    found = answer.diagnosis
+    parts = {"beside that": found.causes, "nearest to it, though not to be named for it": found.hints}
+    if said := [f"{how}: {'; '.join(map(_cause_in_words, some))}" for how, some in parts.items() if some]:
+        return said
+    if FURTHER_CAUSES in found.left_out:
+        return ["no cause was found within the time limit"]
+    if not found.unexplained and answer.judgement != "misfit":
+        return ["no other cause is needed"]
+    return ["none of the known causes explains the rest"]
 
 
 def _ended(text: str) -> str:
@@ -219,7 +209,7 @@ def _ended(text: str) -> str:
 
 
 def _current(diagnosis: Diagnosis) -> list[str]:
-    """What it costs that the torque is a motor's current."""
+    """What cannot be determined because the torque is a motor's current."""
     values = _motor(diagnosis)
     if values is None:
         return []
@@ -234,15 +224,9 @@ def _current(diagnosis: Diagnosis) -> list[str]:
 
 def _motor(diagnosis: Diagnosis) -> dict[str, Any] | None:
     """What a motor needs of its torque, as fitted; None where the torque is no current."""
-    terms = diagnosis.model.effects if diagnosis.model else ()
-    for effect, coefficients, nonlinear in ((t.effect, t.coefficients, t.nonlinear) for t in terms):
-        if effect.given:
-            values = effect.to_physical(np.array(coefficients), nonlinear)
-            stds = diagnosis.motor_std
-            return {
-                name: {"value": value, "std": stds.get(name, math.nan), "unit": unit}
-                for name, (value, unit) in values.items()
-            }
+    for term in diagnosis.model.effects if diagnosis.model else ():
+        if term.effect.given:
+            return _values(term.effect, np.array(term.coefficients), term.nonlinear, diagnosis.motor_std)
     return None
 
 
@@ -286,15 +270,12 @@ def _change_in_words(diagnosis: Diagnosis, change: Change) -> str:
         size = si(change.value, change.std, change.unit)
         return f"{what} is {size} at {towards} from the long axis, not {change.configured * 1e6:.1f} µm"
     name = {"circular_spline_datum": "datum"}.get(change.name, words(change.name))
+    more = change.value - change.configured
+    size = si(abs(more), change.std, change.unit)
     if change.name == "tooth_compliance":
         scale = 100.0 / change.configured
-        return f"{name} {_more((change.value - change.configured) * scale, change.std * scale, '%')}"
-    size = si(abs(change.value - change.configured), change.std, change.unit)
-    return f"{name} {'+' if change.value > change.configured else '−'}{size}"
-
-
-def _more(value: float, spread: float, unit: str) -> str:
-    return f"{'+' if value > 0.0 else '−'}{spread_number(abs(value), spread, unit)}"
+        size = spread_number(abs(more * scale), change.std * scale, "%")
+    return f"{name} {'+' if more > 0.0 else '−'}{size}"
 
 
 def _row_in_words(row: OrderRow) -> str:
@@ -304,7 +285,7 @@ def _row_in_words(row: OrderRow) -> str:
 
 
 def _describes(row: OrderRow, line: Unexplained) -> bool:
-    """Whether a row is of the same wave, whose order it knows better."""
+    """Whether a row of the order table describes the same wave."""
     is_wave = not line.description and line.frame == row.frame
     return is_wave and math.isclose(line.order, row.order, rel_tol=_SAME_ORDER)
 

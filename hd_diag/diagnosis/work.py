@@ -16,20 +16,10 @@ class OutOfTime(Exception):
 
 
 class Work:
-    """Computing time of this process, counted from here.
+    """Computing time of this process, counted from here, of which the work may take some `seconds`.
 
     On a free core it is no less than the time by the clock, and a busy machine does not change what is found.
-
-    Parameters
-    ----------
-    seconds : float
-        That all of the work may take [s].
-    progress : callable
-
-    Attributes
-    ----------
-    left_out : list of str
-        What there was no time for, in words.
+    What there was no time for is in `left_out`, in words.
     """
 
     def __init__(self, seconds: float = math.inf, progress: Progress = lambda share, text: None) -> None:
@@ -42,7 +32,7 @@ class Work:
         return time.process_time() - self._begin
 
     def tell(self, share: float, text: str) -> None:
-        """Tell what is done now, and the share that is done: no less than of the time that it may take."""
+        """Report what is done now and the share that is done, at least that of the time that was spent."""
         least = self.spent / self.seconds if self.spent < self.seconds else 0.0
         self._share = max(self._share, share, least)
         self.progress(self._share, text)

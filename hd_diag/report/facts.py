@@ -14,11 +14,10 @@ from hd_diag.config.configuration import JointConfig
 from hd_diag.config.parameters import JOINT_PARAMETERS, SIGNALS, Value
 from hd_diag.diagnosis.diagnosis import Diagnosis
 from hd_diag.diagnosis.fit.linearised_fit import LinearisedFit
-from hd_diag.diagnosis.judgement import Answer
+from hd_diag.diagnosis.judgement import Answer, first_words
 from hd_diag.diagnosis.record import GAP_STEPS
 from hd_diag.diagnosis.ripple.ripple import Ripple
 from hd_diag.diagnosis.ripple.verdict import sentence as ripple_sentence
-from hd_diag.diagnosis.severity import first_words
 from hd_diag.diagnosis.verdict import sentence
 from hd_diag.effects.order_spectrum import line_width, spectrum
 from hd_diag.formatting import number, percent, words

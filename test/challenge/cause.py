@@ -37,11 +37,17 @@ class Scene:
 
 @dataclass(frozen=True)
 class Cause:
-    """A fault; what it does not override stays as it is."""
+    """A fault by its name in a catalogue; what it does not override stays as it is.
+
+    It is as large as its first field says, or those that ``sizes`` names.
+    """
 
     name: ClassVar[str] = ""
-    size: ClassVar[str] = ""
+    sizes: ClassVar[tuple[str, ...]] = ()
     known: ClassVar[bool] = True
+
+    def __init_subclass__(cls, name: str = "", sizes: tuple[str, ...] = (), known: bool = True) -> None:
+        cls.name, cls.sizes, cls.known = name or cls.name, sizes, known
 
     def flaws(self, design: Design) -> Flaws | None:
         """Departures of teeth and slots."""
@@ -82,7 +88,8 @@ class Cause:
 
     def scaled(self, factor: float) -> Cause:
         """The same fault, larger or smaller."""
-        return dataclasses.replace(self, **{self.size: getattr(self, self.size) * factor})
+        sizes = self.sizes or (dataclasses.fields(self)[0].name,)
+        return dataclasses.replace(self, **{size: getattr(self, size) * factor for size in sizes})
 
     def as_dict(self) -> dict[str, float]:
         """Sizes by name [SI]."""

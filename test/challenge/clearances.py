@@ -74,7 +74,7 @@ def tip(design: Design, pose: Pose, dx: Array, dy: Array) -> Array:
     """Radius [m] of the tip corner of the + flank."""
     x, y = _tooth(design.shape)[:, -1]
     body = pose.origin + pose.axis * x + pose.along * y
-    return np.asarray(np.hypot(body[0] + dx, body[1] + dy), dtype=np.float64)
+    return np.hypot(body[0] + dx, body[1] + dy)
 
 
 def _tooth(shape: polyline.Drive) -> Array:
@@ -100,7 +100,7 @@ def _closing(radius: Array, angle: Array, wall: tuple[Array, Array]) -> Array:
     rows = np.arange(len(radius))
     r0, r1, a0, a1 = (v[rows, i] for v in (radius, angle) for i in (after - 1, after))
     corner = wall[1][1] - (a0 + (a1 - a0) * (first - r0) / (r1 - r0))
-    return np.asarray(np.where(radius[:, -1] > first, np.minimum(gap, corner), gap), dtype=np.float64)
+    return np.where(radius[:, -1] > first, np.minimum(gap, corner), gap)
 
 
 def calculated(design: Design) -> Array:
@@ -159,11 +159,19 @@ def table(design: Design) -> Array:
 
 def _cubic(t: Array) -> tuple[Array, Array]:
     """Lagrange weights (..., 4) of nodes -1, 0, 1, 2 at t, and their derivative."""
-    w = (-t * (t - 1) * (t - 2) / 6, (t + 1) * (t - 1) * (t - 2) / 2)
-    w += (-(t + 1) * t * (t - 2) / 2, (t + 1) * t * (t - 1) / 6)
     d = (-(3 * t**2 - 6 * t + 2) / 6, (3 * t**2 - 4 * t - 1) / 2)
     d += (-(3 * t**2 - 2 * t - 2) / 2, (3 * t**2 - 1) / 6)
-    return np.stack(w, axis=-1), np.stack(d, axis=-1)
+    return np.stack(weights(t), axis=-1), np.stack(d, axis=-1)
+
+
+def weights(t: Array) -> tuple[Array, Array, Array, Array]:
+    """The weights alone, one by one."""
+    return (
+        -t * (t - 1) * (t - 2) / 6,
+        (t + 1) * (t - 1) * (t - 2) / 2,
+        -(t + 1) * t * (t - 2) / 2,
+        (t + 1) * t * (t - 1) / 6,
+    )
 
 
 def _cell(x: Array, first: float, step: float, count: int) -> tuple[Array, Array]:

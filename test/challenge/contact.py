@@ -18,6 +18,7 @@ from challenge.clearances import (
     nodes,
     reach,
     tip,
+    weights,
 )
 from challenge.design import Array, Design
 from challenge.truth import Base
@@ -75,7 +76,7 @@ def _closed_by_moving_along(design: Design, pose: Pose, node: NDArray[np.intp], 
     lean = turn / design.ring_radius
     x = pose.along[0] + lean * pose.origin[1]
     y = pose.along[1] - lean * pose.origin[0]
-    return np.asarray(lean[node] - found.by_dx * x[node] - found.by_dy * y[node], dtype=np.float64)
+    return lean[node] - found.by_dx * x[node] - found.by_dy * y[node]
 
 
 class Gear:
@@ -90,9 +91,6 @@ class Gear:
         self.flaws = (flaws or Flaws()).of(base.design)
         place = np.arange(-reach(self.design), reach(self.design) + 1)
         lobe, place, flank = (g.ravel() for g in np.meshgrid([0, 1], place, [1, -1], indexing="ij"))
-        self._tabulate(lobe, place, flank)
-
-    def _tabulate(self, lobe: Array, place: Array, flank: Array) -> None:
         slot = np.arange(self.design.slots)[:, None, None] + place + lobe * (self.design.slots // 2)
         node = place * STEPS - _FRACTIONS[:, None]
         dx, dy = self._displacement(slot % self.design.slots, lobe, node)
@@ -117,9 +115,8 @@ class Gear:
     def _displacement(self, slot: NDArray[np.intp], lobe: Array, node: Array) -> tuple[Array, Array]:
         """Translation of the tooth in its slot's frame [m] that errors of assembly and the slot's give."""
         b, axis = self.base, slot * self.design.slot_pitch
-        ahead = (
-            -node / STEPS * self.design.slot_pitch + np.pi * lobe + b.runout_psi
-        )  # runout seen from the slot
+        # Of the runout, seen from the slot.
+        ahead = -node / STEPS * self.design.slot_pitch + np.pi * lobe + b.runout_psi
         dx = b.e * np.cos(b.psi - axis) + b.runout * np.cos(ahead) - self.flaws.slot_out[slot]
         dy = b.e * np.sin(b.psi - axis) + b.runout * np.sin(ahead) - self.flaws.slot_along[slot]
         return dx, dy
@@ -132,7 +129,7 @@ class Gear:
         cell = np.clip(np.floor(position).astype(int), 0, STEPS - 1)
         t = position - cell
         row = whole % self.design.slots
-        b = sum(w[:, None] * self._rotation[row, cell + i] for i, w in enumerate(_weights(t)))
+        b = sum(w[:, None] * self._rotation[row, cell + i] for i, w in enumerate(weights(t)))
         arm = self._linear(self._arm, row, cell, t)
         b = np.where(self._linear(self._reach, row, cell, t) > 0, b, NEVER)
         softness = self.flaws.slot_softness[(whole[:, None] + self._slot) % self.design.slots]
@@ -160,15 +157,6 @@ class Gear:
             part = slice(start, start + _CHUNK)
             beta[part] = balanced(*self.clearance(angle[part]), self.flank, torque[part])
         return beta
-
-
-def _weights(t: Array) -> tuple[Array, Array, Array, Array]:
-    return (
-        -t * (t - 1) * (t - 2) / 6,
-        (t + 1) * (t - 1) * (t - 2) / 2,
-        -(t + 1) * t * (t - 2) / 2,
-        (t + 1) * t * (t - 1) / 6,
-    )
 
 
 def balanced(b: Array, stiffness: Array, flank: Array, torque: Array) -> Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,14 +15,12 @@ COMPLIANCE = 4 * ARCSEC  # [rad/(N m)], mean of teeth and cup
 
 
 @dataclass(frozen=True)
-class CouplingMisalignment(Cause):
+class CouplingMisalignment(Cause, name="coupling_misalignment"):
     """Universal joint between motor and wave generator, bent [rad], with play on reversal [rad]."""
 
     bend: float
     direction: float
     play: float = 0.0
-    name = "coupling_misalignment"
-    size = "bend"
 
     def shaft(self, angle: Array) -> Array:
         driven = mechanics.universal_joint(angle, self.bend, self.direction)
@@ -31,7 +28,7 @@ class CouplingMisalignment(Cause):
 
 
 @dataclass(frozen=True)
-class BearingPassage(Cause):
+class BearingPassage(Cause, name="bearing_passage"):
     """One thick ball (``part`` "cage"), or a dent in a race ("outer", "inner"), of a bearing that slips.
 
     ``amplitude`` [rad] at the output; the cage turns ``cage`` times a turn of the wave generator, and creeps
@@ -45,46 +42,36 @@ class BearingPassage(Cause):
     balls: int = 23
     slip: float = 0.1
     seed: int = 0
-    name = "bearing_passage"
-    size = "amplitude"
-
-    @property
-    def order(self) -> float:
-        """Passages per turn of the wave generator."""
-        return {"cage": self.cage, "outer": self.balls * self.cage, "inner": self.balls * (1 - self.cage)}[
-            self.part
-        ]
 
     def added(self, scene: Scene) -> Array:
         way = np.r_[0, np.cumsum(np.abs(np.diff(scene.motor)))]
         knots = np.linspace(0, max(way[-1], 1e-9), 40)
         steps = np.random.default_rng(self.seed).standard_normal(40)
         creep = np.interp(way, knots, self.slip / np.sqrt(40) * np.cumsum(steps))
-        times = {"cage": 1, "outer": self.balls, "inner": -self.balls}[self.part]
-        angle = self.order * scene.motor + times * creep
-        return self.amplitude * np.cos(angle - self.phase)
+        # Passages per turn of the wave generator, and per turn of the cage's creep.
+        order, times = {
+            "cage": (self.cage, 1),
+            "outer": (self.balls * self.cage, self.balls),
+            "inner": (self.balls * (1 - self.cage), -self.balls),
+        }[self.part]
+        return self.amplitude * np.cos(order * scene.motor + times * creep - self.phase)
 
 
 @dataclass(frozen=True)
-class TorsionalHardening(Cause):
+class TorsionalHardening(Cause, name="torsional_hardening", sizes=("first", "second")):
     """Spring in series whose compliance [rad/(N m)] changes at two knees [N m]."""
 
     first: float
     second: float = 0.0
     knee_1: float = 14.0
     knee_2: float = 48.0
-    name = "torsional_hardening"
-    size = "first"
 
     def added(self, scene: Scene) -> Array:
         return -mechanics.spring(scene.torque, (self.knee_1, self.knee_2), (self.first, self.second))
 
-    def scaled(self, factor: float) -> Cause:
-        return dataclasses.replace(self, first=self.first * factor, second=self.second * factor)
-
 
 @dataclass(frozen=True)
-class Hysteresis(Cause):
+class Hysteresis(Cause, name="hysteresis"):
     """Slip elements beside a spring: half the width of the loop [rad], the torques [N m] that spend them.
 
     ``sense`` = 1: the elements hold the torsion back, as friction must; −1: the torque sensor lags by them,
@@ -94,8 +81,6 @@ class Hysteresis(Cause):
     half_width: float
     torques: tuple[float, ...] = (8.0,)
     sense: float = 1.0
-    name = "hysteresis"
-    size = "half_width"
 
     def added(self, scene: Scene) -> Array:
         out = np.zeros_like(scene.torque)
@@ -108,7 +93,7 @@ class Hysteresis(Cause):
 
 
 @dataclass(frozen=True)
-class CoulombWindup(Cause):
+class CoulombWindup(Cause, name="coulomb_windup"):
     """A seal's dry friction winds up the output [rad], more so when slow (Stribeck share, speed [rad/s]).
 
     It acts as the torque that does so at the drive's mean compliance.
@@ -117,8 +102,6 @@ class CoulombWindup(Cause):
     amplitude: float
     stribeck: float = 0.0
     stribeck_speed: float = 10.0
-    name = "coulomb_windup"
-    size = "amplitude"
 
     def load(self, scene: Scene) -> Array:
         bristle = mechanics.rubbing(scene.motor, scene.time, presliding=2e-3, relaxation=0.02)
@@ -127,31 +110,27 @@ class CoulombWindup(Cause):
 
 
 @dataclass(frozen=True)
-class ViscousWindup(Cause):
+class ViscousWindup(Cause, name="viscous_windup"):
     """Grease winds up the output, in proportion to the input's speed [rad per rad/s]."""
 
     slope: float
-    name = "viscous_windup"
-    size = "slope"
 
     def load(self, scene: Scene) -> Array:
         return self.slope / COMPLIANCE * scene.speed
 
 
 @dataclass(frozen=True)
-class ThermalDrift(Cause):
+class ThermalDrift(Cause, name="thermal_drift"):
     """The output turns with the housing's temperature [rad/K] above 25 °C."""
 
     slope: float
-    name = "thermal_drift"
-    size = "slope"
 
     def added(self, scene: Scene) -> Array:
         return self.slope * (scene.temperature - 25.0)
 
 
 @dataclass(frozen=True)
-class Resonance(Cause):
+class Resonance(Cause, name="resonance", sizes=("amplitude",)):
     """The link's inertia behind a spring, driven by the gear's ripple and one of its own [rad]."""
 
     frequency: float
@@ -159,10 +138,90 @@ class Resonance(Cause):
     amplitude: float
     order: int
     phase: float
-    name = "resonance"
-    size = "amplitude"
 
     def carried(self, scene: Scene, ripple: Array) -> Array:
         driven = ripple + self.amplitude * np.cos(self.order * scene.motor - self.phase)
         step = float(np.median(np.diff(scene.time)))
         return mechanics.beyond_spring(driven, step, self.frequency, self.damping) - ripple
+
+
+# The same mechanisms by other laws than a catalogue of simple shapes has ---
+
+
+@dataclass(frozen=True)
+class DryFriction(Cause, name="coulomb_windup"):
+    """Torque [N m] between mesh and torque sensor against the motion: elasto-plastic, Lorentzian when slow.
+
+    Hess and Soom, J. Tribology 112(1), 1990: the share ``stribeck`` more falls as 1/(1 + (v/v_s)²); speed
+    [rad/s] and presliding [rad] of the output.
+    """
+
+    torque: float
+    stribeck: float
+    stribeck_speed: float
+    presliding: float
+
+    def load(self, scene: Scene) -> Array:
+        slow = 1 + self.stribeck / (1 + (scene.speed / scene.design.ratio / self.stribeck_speed) ** 2)
+        return self.torque * slow * mechanics.elasto_plastic(scene.output, self.presliding, stick=0.5)
+
+
+@dataclass(frozen=True)
+class Grease(Cause, name="viscous_windup"):
+    """Viscous torque [N m] at 1 rad/s of the output, thinned by shear: Carreau's law, power p when fast.
+
+    Carreau, Trans. Soc. Rheology 16(1), 1972: c v (1 + (v/v_0)²)^((p − 1)/2).
+    """
+
+    torque: float
+    power: float
+    speed: float
+
+    def load(self, scene: Scene) -> Array:
+        def law(v: Array | float) -> Array | float:
+            return v * (1 + (v / self.speed) ** 2) ** ((self.power - 1) / 2)
+
+        return self.torque * law(scene.speed / scene.design.ratio) / law(1.0)
+
+
+@dataclass(frozen=True)
+class SmoothHysteresis(Cause, name="hysteresis"):
+    """Friction beside the spring holds the torsion back: Bouc-Wen, or a dozen slip elements.
+
+    Half the width of the loop [rad], the torque [N m] that spends it, Bouc-Wen's exponent (0: elements).
+    """
+
+    half_width: float
+    reach: float
+    sharpness: float = 0.0
+
+    def added(self, scene: Scene) -> Array:
+        if self.sharpness:
+            return self.half_width * mechanics.bouc_wen(scene.torque, self.reach, self.sharpness)
+        reaches = self.reach * np.geomspace(0.05, 1.0, 12)
+        weights = reaches**0.3 / np.sum(reaches**0.3)
+        return self.half_width * mechanics.slipping_elements(scene.torque, reaches, weights)
+
+
+@dataclass(frozen=True)
+class SmoothHardening(Cause, name="torsional_hardening"):
+    """Spring in series, compliance [rad/(N m)] at a torque [N m]: cubic (grows) or tanh (is spent)."""
+
+    compliance: float
+    torque: float
+    cubic: bool
+
+    def added(self, scene: Scene) -> Array:
+        x = scene.torque / self.torque
+        return -self.compliance * self.torque * (x**3 if self.cubic else np.tanh(x))
+
+
+@dataclass(frozen=True)
+class LaggingDrift(Cause, name="thermal_drift"):
+    """The output turns [rad/K] with a place that follows the housing's temperature with a lag [s]."""
+
+    slope: float
+    lag: float
+
+    def added(self, scene: Scene) -> Array:
+        return self.slope * (mechanics.lagging(scene.temperature, scene.time, self.lag) - 25.0)

@@ -14,13 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from challenge import findability
+from challenge import faults, findability
 from challenge import motion as motions
 from challenge.cause import Cause
 from challenge.design import OTHERS, SIZE_25, Design
-from challenge.faults import COMBINED, FAULTS, NAMED, TIMES_LEAST, UNKNOWN, Draw, Fault, sized
+from challenge.faults import Draw, Fault
 from challenge.faults import draw as draw
-from challenge.mechanisms import MECHANISMS, NEED_NO_NAME, OPTIONAL, UNNAMED, motor_current
 from challenge.motion import Motion
 from challenge.moves import point_to_point
 from challenge.noise import FAMILIES as NOISES
@@ -153,7 +152,7 @@ class Family:
     names: Names = none
     motion: Motions = _STANDARD
     recording: Callable[[Draw, int], Recording] = plain
-    faults: dict[str, Fault] = dataclasses.field(default_factory=lambda: FAULTS | UNKNOWN)
+    faults: dict[str, Fault] = dataclasses.field(default_factory=lambda: faults.FAULTS | faults.UNKNOWN)
     base: Callable[[Draw, Design], Base] = drawn
     designs: tuple[Design, ...] = (SIZE_25,)
     excused: bool = False
@@ -178,29 +177,29 @@ POOR = {
     ),
 }
 _ROUGH = Recording(dropouts=0.05, outliers=0.01, jitter=0.3e-3)
-_BENCH = functools.partial(Family, faults=MECHANISMS, findable=True)
+_BENCH = functools.partial(Family, faults=faults.MECHANISMS, findable=True)
 _ROBOT = functools.partial(_BENCH, motion=moves, recording=of_a_robot)
 
 _OF_TORQUE_SENSOR = ("torque_offset", "torque_sensor_ripple")  # a current passes none
-_BY_CURRENT = {name: fault for name, fault in MECHANISMS.items() if name not in _OF_TORQUE_SENSOR}
+_BY_CURRENT = {name: fault for name, fault in faults.MECHANISMS.items() if name not in _OF_TORQUE_SENSOR}
 
 FAMILIES: dict[str, Family] = {
     "wrong_parameters": Family(recording=noises_by_turns),
-    "one_effect": Family(by_turns(NAMED)),
-    "pair": Family(several(2, COMBINED)),
-    "triple": Family(several(3, COMBINED)),
-    "unknown": Family(by_turns(list(UNKNOWN))),
+    "one_effect": Family(by_turns(faults.NAMED)),
+    "pair": Family(several(2, faults.COMBINED)),
+    "triple": Family(several(3, faults.COMBINED)),
+    "unknown": Family(by_turns(list(faults.UNKNOWN))),
     **POOR,
-    "degraded": Family(by_turns(NAMED), recording=lambda _rng, _seed: _ROUGH),
+    "degraded": Family(by_turns(faults.NAMED), recording=lambda _rng, _seed: _ROUGH),
     "faultless": Family(motion=_of_any_length, recording=of_any_quality, base=faultless),
-    "robot_none": _ROBOT(sometimes(list(OPTIONAL)), faults=OPTIONAL, findable=False),
-    "robot_single": _ROBOT(by_turns(list(MECHANISMS))),
-    "robot_pair": _ROBOT(several(2, list(MECHANISMS))),
-    "robot_gears": _ROBOT(by_turns(list(MECHANISMS)), designs=OTHERS),
+    "robot_none": _ROBOT(sometimes(list(faults.OPTIONAL)), faults=faults.OPTIONAL, findable=False),
+    "robot_single": _ROBOT(by_turns(list(faults.MECHANISMS))),
+    "robot_pair": _ROBOT(several(2, list(faults.MECHANISMS))),
+    "robot_gears": _ROBOT(by_turns(list(faults.MECHANISMS)), designs=OTHERS),
     "robot_current": _ROBOT(by_turns(list(_BY_CURRENT)), recording=of_a_motor, faults=_BY_CURRENT),
-    "robot_lines": _ROBOT(by_turns(list(UNNAMED)), faults=UNNAMED),
-    "bench_single": _BENCH(by_turns(list(MECHANISMS))),
-    "bench_pair": _BENCH(several(2, list(MECHANISMS))),
+    "robot_lines": _ROBOT(by_turns(list(faults.UNNAMED)), faults=faults.UNNAMED),
+    "bench_single": _BENCH(by_turns(list(faults.MECHANISMS))),
+    "bench_pair": _BENCH(several(2, list(faults.MECHANISMS))),
 }
 
 
@@ -210,37 +209,37 @@ def made(family: str, seed: int) -> Record:
     design = row.designs[seed % len(row.designs)]
     names = row.names(rng, seed)
     motion = row.motion(rng, design)
-    found = [sized(rng, row.faults[name], motion) for name in names]
+    found = [faults.sized(rng, row.faults[name], motion) for name in names]
     base = row.base(rng, design)
     recording = row.recording(rng, seed)
     if row.findable:
         found = _enlarged(rng, row.faults, found, base, motion, recording)
     causes = [cause for cause, _ in found]
     if recording.torque_constant:
-        causes.append(motor_current(rng, recording.torque_constant, design))
-    return simulate(base, causes, motion, rng, recording, NEED_NO_NAME)
+        causes.append(faults.motor_current(rng, recording.torque_constant, design))
+    return simulate(base, causes, motion, rng, recording, faults.NEED_NO_NAME)
 
 
 def _enlarged(
     rng: Draw,
-    faults: dict[str, Fault],
+    kinds: dict[str, Fault],
     found: list[tuple[Cause, float]],
     base: Base,
     motion: Motion,
     recording: Recording,
 ) -> list[tuple[Cause, float]]:
     """Causes three times as large as this record can show; what the field has not so large is replaced."""
-    untried = [name for name in rng.permutation(list(faults)) if name not in {c.name for c, _ in found}]
+    untried = [name for name in rng.permutation(list(kinds)) if name not in {c.name for c, _ in found}]
     columns = findability.columns(base, motion, recording) if found else None
     while untried:
         causes = [cause for cause, _ in found]
         shares = findability.shares(base, causes, motion, recording, columns)
-        if min(shares, default=math.inf) >= TIMES_LEAST:
+        if min(shares, default=math.inf) >= faults.TIMES_LEAST:
             break
         for i, ((cause, room), share) in enumerate(zip(found, shares, strict=True)):
-            factor = 1.05 * TIMES_LEAST / share
+            factor = 1.05 * faults.TIMES_LEAST / share
             if 1.0 < factor <= room:
                 found[i] = cause.scaled(factor), room / factor
             elif factor > room:
-                found[i] = sized(rng, faults[untried.pop()], motion)
+                found[i] = faults.sized(rng, kinds[untried.pop()], motion)
     return found

@@ -38,7 +38,7 @@ def jacobian(base: Base, motion: Motion, time: Array) -> Array:
 def own(signal: Array, columns: Array) -> Array:
     """What is left of a signal (n,) beside columns (n, k)."""
     scale = np.linalg.norm(columns, axis=0)
-    return np.asarray(signal - columns / scale @ np.linalg.lstsq(columns / scale, signal, rcond=None)[0])
+    return signal - columns / scale @ np.linalg.lstsq(columns / scale, signal, rcond=None)[0]
 
 
 def least(recording: Recording, count: int, design: Design) -> float:

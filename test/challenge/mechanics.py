@@ -15,7 +15,7 @@ def universal_joint(angle: Array, bend: float, direction: float) -> Array:
     """Angle of the driven shaft [rad] of a universal joint whose shafts enclose an angle bend [rad]."""
     a = angle - direction
     driven = np.arctan2(np.sin(a) * np.cos(bend), np.cos(a))
-    return np.asarray(angle + np.angle(np.exp(1j * (driven - a))), dtype=np.float64)
+    return angle + np.angle(np.exp(1j * (driven - a)))
 
 
 def play(x: Array, width: float) -> Array:
@@ -77,7 +77,7 @@ def spring(torque: Array, knees: tuple[float, ...], compliances: tuple[float, ..
     step = np.searchsorted(knees, load, side="right")
     compliance = np.r_[0, np.cumsum(compliances)][step]
     deflection = cumulative_trapezoid(compliance, load, initial=0)
-    return np.asarray(np.sign(torque) * np.interp(np.abs(torque), load, deflection), dtype=np.float64)
+    return np.sign(torque) * np.interp(np.abs(torque), load, deflection)
 
 
 def beyond_spring(error: Array, step: float, frequency: float, damping: float) -> Array:
@@ -89,12 +89,12 @@ def beyond_spring(error: Array, step: float, frequency: float, damping: float) -
     numerator, denominator, _ = cont2discrete(
         ([2 * damping * w, w**2], [1, 2 * damping * w, w**2]), step, method="foh"
     )
-    return np.asarray(lfilter(numerator.ravel(), denominator, error - error[0]) + error[0], dtype=np.float64)
+    return lfilter(numerator.ravel(), denominator, error - error[0]) + error[0]
 
 
 def warming(time: Array, ambient: float, rise: float, constant: float) -> Array:
     """Temperature [°C] of a first-order body that starts at ambient and is heated evenly."""
-    return np.asarray(ambient + rise * -np.expm1(-time / constant), dtype=np.float64)
+    return ambient + rise * -np.expm1(-time / constant)
 
 
 def elasto_plastic(angle: Array, presliding: float, stick: float) -> Array:
@@ -151,4 +151,4 @@ def slipping_elements(torque: Array, reaches: Array, weights: Array) -> Array:
 def lagging(values: Array, time: Array, constant: float) -> Array:
     """First-order lag (n,) of values by a time constant [s], settled at the start."""
     keep = np.exp(-float(np.median(np.diff(time))) / constant)
-    return np.asarray(lfilter([1 - keep], [1, -keep], values - values[0]) + values[0], dtype=np.float64)
+    return lfilter([1 - keep], [1, -keep], values - values[0]) + values[0]

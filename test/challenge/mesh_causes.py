@@ -14,14 +14,12 @@ PITCH_POINT = 0.6193e-3  # [m] above the neutral layer, t + hf of the paper's Ta
 
 
 @dataclass(frozen=True)
-class CircularSplinePitch(Cause):
+class CircularSplinePitch(Cause, name="circular_spline_pitch"):
     """Slots displaced along the circumference [m], ``order`` waves around (cumulative pitch error)."""
 
     amplitude: float
     phase: float
     order: int = 2
-    name = "circular_spline_pitch"
-    size = "amplitude"
 
     def flaws(self, design: Design) -> Flaws:
         angle = np.arange(design.slots) * design.slot_pitch
@@ -29,14 +27,12 @@ class CircularSplinePitch(Cause):
 
 
 @dataclass(frozen=True)
-class FlexsplinePitch(Cause):
+class FlexsplinePitch(Cause, name="flexspline_pitch"):
     """Teeth displaced along the circumference [m], ``order`` waves around, measured at the pitch circle."""
 
     amplitude: float
     phase: float
     order: int = 2
-    name = "flexspline_pitch"
-    size = "amplitude"
 
     def flaws(self, design: Design) -> Flaws:
         angle = np.arange(design.teeth) * design.tooth_pitch
@@ -46,7 +42,7 @@ class FlexsplinePitch(Cause):
 
 
 @dataclass(frozen=True)
-class CircularSplineForm(Cause):
+class CircularSplineForm(Cause, name="circular_spline_form"):
     """Ring out of round, ``order`` lobes of a radial amplitude [m].
 
     ``bent`` = 1: squeezed in its seat, the circumference keeps its length and slots move along it, too;
@@ -57,8 +53,6 @@ class CircularSplineForm(Cause):
     phase: float
     order: int = 4
     bent: float = 1.0
-    name = "circular_spline_form"
-    size = "amplitude"
 
     def flaws(self, design: Design) -> Flaws:
         wave = self.order * np.arange(design.slots) * design.slot_pitch - self.phase
@@ -67,15 +61,13 @@ class CircularSplineForm(Cause):
 
 
 @dataclass(frozen=True)
-class ToothDamage(Cause):
+class ToothDamage(Cause, name="tooth_damage"):
     """One tooth (``member`` "flexspline") or slot ("circular_spline") worn by a depth [m] or softer."""
 
     depth: float
     index: int
     member: str = "circular_spline"
     softness: float = 0.0
-    name = "tooth_damage"
-    size = "depth"
 
     def flaws(self, design: Design) -> Flaws:
         kind, count = ("tooth", design.teeth) if self.member == "flexspline" else ("slot", design.slots)
@@ -86,25 +78,40 @@ class ToothDamage(Cause):
 
 
 @dataclass(frozen=True)
-class WearBacklash(Cause):
+class WearBacklash(Cause, name="wear_backlash"):
     """All flanks of the flexspline thinned by a thickness [m]."""
 
     thickness: float
-    name = "wear_backlash"
-    size = "thickness"
 
     def flaws(self, design: Design) -> Flaws:
         return Flaws(tooth_wear=self.thickness)
 
 
 @dataclass(frozen=True)
-class ToothSkip(Cause):
+class ToothSkip(Cause, name="tooth_skip", sizes=("sign",)):
     """The flexspline jumps by a whole tooth at a moment [s], the way the load pulls (sign)."""
 
     time: float
     sign: float
-    name = "tooth_skip"
-    size = "sign"
 
     def added(self, scene: Scene) -> Array:
         return self.sign * scene.design.tooth_pitch * (scene.time >= self.time)
+
+
+@dataclass(frozen=True)
+class UnevenSlots(Cause, name="circular_spline_pitch"):
+    """Cumulative pitch error of the circular spline as a machine makes it: twice around, and all others.
+
+    ``amplitude`` [m] of the second harmonic; the others up to 8 are ``rest`` of it, falling as 1/k.
+    """
+
+    amplitude: float
+    rest: float
+    seed: int
+
+    def flaws(self, design: Design) -> Flaws:
+        rng, angle = np.random.default_rng(self.seed), np.arange(design.slots) * design.slot_pitch
+        size = np.array([self.rest * 2 / k if k != 2 else 1.0 for k in range(1, 9)])
+        phase = rng.uniform(-np.pi, np.pi, 8)
+        waves = (a * np.cos(k * angle - p) for k, a, p in zip(range(1, 9), size, phase, strict=True))
+        return Flaws(slot_along=self.amplitude * sum(waves, np.zeros(design.slots)))

@@ -13,6 +13,7 @@ from challenge.design import SIZE_25, Array, Design
 REST = 0.15  # [s] at rest where a run begins and ends
 RAMP = 0.6  # [s] from rest to full speed
 SPEEDS = (1.3, 3.1, 6.2, 9.7, 14.3, 19.1)  # [1/s], turns of the input
+BOTH_WAYS = (*SPEEDS, *(-v for v in SPEEDS))
 RATE = 500.0  # [Hz]
 
 
@@ -35,7 +36,7 @@ class Run:
         """Share 0..1 of full speed and load, raised-cosine ramps."""
         t = self._moving(t)
         end = self.duration - 2 * REST
-        return np.asarray(np.sin(np.pi / 2 * np.clip(np.minimum(t, end - t) / self.ramp, 0, 1)) ** 2)
+        return np.sin(np.pi / 2 * np.clip(np.minimum(t, end - t) / self.ramp, 0, 1)) ** 2
 
     def way(self, t: Array) -> Array:
         """Angle [rad] since the run's start, the integral of the speed."""
@@ -44,7 +45,7 @@ class Run:
 
         def risen(x: Array) -> Array:
             x = np.clip(x, 0, ramp)
-            return np.asarray(x / 2 - ramp / (2 * np.pi) * np.sin(np.pi * x / ramp))
+            return x / 2 - ramp / (2 * np.pi) * np.sin(np.pi * x / ramp)
 
         even = np.clip(t - ramp, 0, end - 2 * ramp)
         seconds = risen(t) + even + risen(np.array(ramp)) - risen(end - t)
@@ -103,20 +104,17 @@ class Motion:
 
 def _loads(rng: np.random.Generator, count: int) -> list[dict[str, float]]:
     """Loads that cover the range: steady levels of both signs, slow swings, small ones, nested reversals."""
-    kinds: list[dict[str, float]] = []
+    loads: list[dict[str, float]] = []
     for i in range(count):
-        sign = 1.0 if i % 2 else -1.0
-        period = rng.uniform(2.2, 7.0)
-        kinds.append(
-            (
-                {"level": sign * rng.uniform(15, 75), "swing": 8.0, "period": period},
-                {"swing": sign * rng.uniform(50, 72), "period": period},
-                {"swing": sign * rng.uniform(40, 60), "nested": 15.0, "period": period},
-                {"swing": sign * 8.0, "period": period},
-            )[(0, 1, 2, 1, 0, 3, 1, 2, 0, 1, 1, 0)[i % 12]]
+        sign, period = 1.0 if i % 2 else -1.0, rng.uniform(2.2, 7.0)
+        kinds = (
+            {"level": sign * rng.uniform(15, 75), "swing": 8.0},
+            {"swing": sign * rng.uniform(50, 72)},
+            {"swing": sign * rng.uniform(40, 60), "nested": 15.0},
+            {"swing": sign * 8.0},
         )
-    order = rng.permutation(count)
-    return [kinds[i] for i in order]
+        loads.append({**kinds[(0, 1, 2, 1, 0, 3, 1, 2, 0, 1, 1, 0)[i % 12]], "period": period})
+    return [loads[i] for i in rng.permutation(count)]
 
 
 def _assembled(rng: np.random.Generator, speeds: Sequence[float], duration: float = 10.0) -> Motion:
@@ -127,7 +125,7 @@ def _assembled(rng: np.random.Generator, speeds: Sequence[float], duration: floa
 
 def standard(rng: np.random.Generator) -> Motion:
     """Twelve runs of 10 s: six speeds, each both ways."""
-    return _assembled(rng, rng.permutation([*SPEEDS, *(-v for v in SPEEDS)]).tolist())
+    return _assembled(rng, rng.permutation(BOTH_WAYS).tolist())
 
 
 def short(rng: np.random.Generator) -> Motion:
@@ -150,12 +148,10 @@ def one_speed(rng: np.random.Generator) -> Motion:
 
 def unloaded(rng: np.random.Generator) -> Motion:
     """The standard speeds without torque."""
-    speeds = rng.permutation([*SPEEDS, *(-v for v in SPEEDS)]).tolist()
-    return Motion(tuple(Run(v) for v in speeds))
+    return Motion(tuple(Run(v) for v in rng.permutation(BOTH_WAYS).tolist()))
 
 
 def constant_torque(rng: np.random.Generator) -> Motion:
     """The standard speeds at one torque (away from the ramps)."""
     level = rng.choice([-1, 1]) * rng.uniform(20, 60)
-    speeds = rng.permutation([*SPEEDS, *(-v for v in SPEEDS)]).tolist()
-    return Motion(tuple(Run(v, level=level) for v in speeds))
+    return Motion(tuple(Run(v, level=level) for v in rng.permutation(BOTH_WAYS).tolist()))

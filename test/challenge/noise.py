@@ -17,13 +17,13 @@ TORQUE_NOISE = 0.15  # [N m]
 def _first_order(innovations: Array) -> Array:
     """AR(1) of POLE with the rms of its unit-rms innovations."""
     scale = np.sqrt(1 - POLE**2)
-    return np.asarray(lfilter([scale], [1, -POLE], innovations), dtype=np.float64)
+    return lfilter([scale], [1, -POLE], innovations)
 
 
 def autoregressive(rng: np.random.Generator, n: int) -> Array:
     """AR(1) and white, normal [rad]."""
     slow = _first_order(rng.standard_normal(n + 500))[500:]  # settled
-    return np.asarray(DRIFTING * slow + WHITE * rng.standard_normal(n), dtype=np.float64)
+    return DRIFTING * slow + WHITE * rng.standard_normal(n)
 
 
 def pink(rng: np.random.Generator, n: int) -> Array:
@@ -32,13 +32,13 @@ def pink(rng: np.random.Generator, n: int) -> Array:
     spectrum = np.fft.rfft(rng.standard_normal(n)) / np.sqrt(np.maximum(frequency, 1e-4))
     spectrum[0] = 0
     coloured = np.fft.irfft(spectrum, n)
-    return np.asarray(DRIFTING * coloured / coloured.std() + WHITE * rng.standard_normal(n))
+    return DRIFTING * coloured / coloured.std() + WHITE * rng.standard_normal(n)
 
 
 def heavy(rng: np.random.Generator, n: int) -> Array:
     """AR(1) and white, the white part Student t with three degrees of freedom."""
     white = rng.standard_t(3, n) / np.sqrt(3)
-    return np.asarray(DRIFTING * _first_order(rng.standard_normal(n + 500))[500:] + WHITE * white)
+    return DRIFTING * _first_order(rng.standard_normal(n + 500))[500:] + WHITE * white
 
 
 FAMILIES: dict[str, Callable[[np.random.Generator, int], Array]] = {
@@ -65,7 +65,7 @@ def outliers(rng: np.random.Generator, n: int, share: float) -> Array:
 def jittered(rng: np.random.Generator, time: Array, spread: float = 0.3e-3) -> Array:
     """Moments [s] at which samples are really taken: unevenly, in order."""
     step = np.median(np.diff(time))
-    return np.asarray(time + np.clip(spread * rng.standard_normal(len(time)), -0.4 * step, 0.4 * step))
+    return time + np.clip(spread * rng.standard_normal(len(time)), -0.4 * step, 0.4 * step)
 
 
 def counted(angle: Array, bits: int) -> Array:

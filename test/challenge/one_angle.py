@@ -42,7 +42,7 @@ def friction(rng: np.random.Generator, speed: Array) -> Array:
     coulomb, stuck, viscous = rng.uniform(1, 4), rng.uniform(0, 1.5), rng.uniform(1, 6)
     settling = rng.uniform(0.01, 0.05)  # [rad/s]
     dry = (coulomb + stuck * np.exp(-((speed / settling) ** 2))) * np.tanh(speed / 1e-3)
-    return np.asarray(dry + viscous * np.sign(speed) * np.abs(speed) ** rng.uniform(0.7, 1))
+    return dry + viscous * np.sign(speed) * np.abs(speed) ** rng.uniform(0.7, 1)
 
 
 def noise(rng: np.random.Generator, n: int) -> Array:
@@ -50,7 +50,7 @@ def noise(rng: np.random.Generator, n: int) -> Array:
     slow = lfilter([np.sqrt(1 - 0.97**2)], [1, -0.97], rng.standard_normal(n))
     turn, damping = 2 * np.pi * RING / RATE, 0.97
     ring = lfilter([1], [1, -2 * damping * np.cos(turn), damping**2], rng.standard_normal(n))
-    return np.asarray(0.15 * rng.standard_normal(n) + 0.25 * slow + 0.1 * ring / ring.std())
+    return 0.15 * rng.standard_normal(n) + 0.25 * slow + 0.1 * ring / ring.std()
 
 
 def record(seed: int, lines: Sequence[Line] = (), duration: float = 60.0, stream: int = 0) -> OneAngle:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -123,7 +123,7 @@ def mean_torsion(mesh: Gear, cup_torque: Array) -> Array:
     angles = np.linspace(0, 2 * np.pi, 101, endpoint=False)
     grid = np.meshgrid(angles, levels)
     curve = mesh.torsion(grid[0].ravel(), grid[1].ravel()).reshape(grid[0].shape).mean(axis=1)
-    return np.asarray(np.interp(cup_torque, levels, curve), dtype=np.float64)
+    return np.interp(cup_torque, levels, curve)
 
 
 @functools.lru_cache(maxsize=4)
@@ -150,7 +150,7 @@ def output(base: Base, causes: Sequence[Cause], seen: Scene) -> Array:
     angle = shaft / base.design.ratio + error
     for cause in causes:
         angle = cause.output_reading(angle)
-    return np.asarray(angle, dtype=np.float64)
+    return angle
 
 
 def transmission_error(base: Base, causes: Sequence[Cause], motion: Motion, time: Array) -> Array:
@@ -260,58 +260,37 @@ def write_csv(record: Record, path: Path) -> None:
 
 def write_bag(record: Record, path: Path, joint: str = JOINT) -> None:
     """Write an MCAP bag: joint_states with input (``<joint>_motor``) and output, temperature at 1 Hz."""
+    streams = [("/joint_states", "sensor_msgs/msg/JointState", *_joint_states(record, joint))]
+    if record.temperature is not None:
+        seconds = np.arange(np.ceil(record.time[0]), np.floor(record.time[-1]) + 1)
+        degrees = np.interp(seconds, record.time, record.temperature).tolist()
+        fields = ({"temperature": value, "variance": 0.0} for value in degrees)
+        streams.append((f"/{joint}/temperature", "sensor_msgs/msg/Temperature", seconds, fields))
     store = get_typestore(Stores.ROS2_HUMBLE)
+    header, moment = (store.types[kind] for kind in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time"))
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start(profile="ros2", library="test")
-
-        def channel(topic: str, kind: str) -> int:
+        for topic, kind, time, messages in streams:
             text = store.generate_msgdef(kind, ros_version=2)[0]
-            schema = writer.register_schema(kind, "ros2msg", text.encode())
-            return writer.register_channel(topic, "cdr", schema)
-
-        names = channel("/joint_states", "sensor_msgs/msg/JointState")
-        for stamp, message in _joint_states(record, store, joint):
-            writer.add_message(names, stamp, store.serialize_cdr(message, message.__msgtype__), stamp)
-        if record.temperature is not None:
-            warm = channel(f"/{joint}/temperature", "sensor_msgs/msg/Temperature")
-            for stamp, message in _temperatures(record, store):
-                writer.add_message(warm, stamp, store.serialize_cdr(message, message.__msgtype__), stamp)
+            channel = writer.register_channel(
+                topic, "cdr", writer.register_schema(kind, "ros2msg", text.encode())
+            )
+            stamps = EPOCH * 10**9 + np.rint((time - min(time[0], 0.0)) * 1e9).astype(np.int64)
+            for stamp, fields in zip(stamps.tolist(), messages, strict=True):
+                stamped = header(stamp=moment(sec=stamp // 10**9, nanosec=stamp % 10**9), frame_id="")
+                data = store.serialize_cdr(store.types[kind](header=stamped, **fields), kind)
+                writer.add_message(channel, stamp, data, stamp)
         writer.finish()
 
 
-def _header(store: Any, stamp: int) -> Any:
-    types = store.types
-    time = types["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
-    return types["std_msgs/msg/Header"](stamp=time, frame_id="")
-
-
-def _stamps(time: Array) -> list[int]:
-    return (EPOCH * 10**9 + np.rint((time - min(time[0], 0.0)) * 1e9).astype(np.int64)).tolist()
-
-
-def _joint_states(record: Record, store: Any, joint: str) -> Any:
-    make = store.types["sensor_msgs/msg/JointState"]
-    torque = record.torque if record.torque is not None else np.full(len(record.time), np.nan)
-    effort = np.stack([np.zeros_like(torque), torque], axis=1)
+def _joint_states(record: Record, joint: str) -> tuple[Array, Iterator[dict[str, Any]]]:
+    """Stamps of messages, and their fields."""
+    names, nothing = [f"{joint}_motor", joint], np.zeros(0)
     position = np.stack([record.input_angle, record.output_angle], axis=1)
-    for i, stamp in enumerate(_stamps(record.time)):
-        yield (
-            stamp,
-            make(
-                header=_header(store, stamp),
-                name=[f"{joint}_motor", joint],
-                position=position[i],
-                velocity=np.zeros(0),
-                effort=effort[i] if record.torque is not None else np.zeros(0),
-            ),
-        )
-
-
-def _temperatures(record: Record, store: Any) -> Any:
-    make = store.types["sensor_msgs/msg/Temperature"]
-    assert record.temperature is not None
-    seconds = np.arange(np.ceil(record.time[0]), np.floor(record.time[-1]) + 1)
-    degrees = np.interp(seconds, record.time, record.temperature)
-    for stamp, value in zip(_stamps(seconds), degrees.tolist(), strict=True):
-        yield stamp, make(header=_header(store, stamp), temperature=value, variance=0.0)
+    torque = np.zeros(0) if record.torque is None else record.torque
+    effort = np.stack([np.zeros_like(torque), torque], axis=1) if torque.size else [nothing] * len(position)
+    return record.time, (
+        {"name": names, "position": angles, "velocity": nothing, "effort": efforts}
+        for angles, efforts in zip(position, effort, strict=True)
+    )

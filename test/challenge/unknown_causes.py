@@ -68,15 +68,12 @@ SHAPES: dict[str, Shape] = {
 
 
 @dataclass(frozen=True)
-class OutputLines(Cause):
+class OutputLines(Cause, name="output_lines", known=False, sizes=("amplitude",)):
     """Lines at odd numbers per output turn [rad], as of the rollers of an output bearing."""
 
     orders: tuple[int, ...]
     amplitude: float
     phase: float
-    name = "output_lines"
-    size = "amplitude"
-    known = False
 
     def added(self, scene: Scene) -> Array:
         waves = (np.cos(order * (scene.output - self.phase)) for order in self.orders)
@@ -84,14 +81,12 @@ class OutputLines(Cause):
 
 
 @dataclass(frozen=True)
-class Unknown(Cause):
+class Unknown(Cause, known=False, sizes=("amplitude",)):
     """A fault with a key of `SHAPES`, of an amplitude [rad] at the output."""
 
     shape: str
     amplitude: float
     phase: float
-    size = "amplitude"
-    known = False
 
     @property
     def name(self) -> str:

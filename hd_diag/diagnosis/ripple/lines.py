@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import stats
 
-from hd_diag.diagnosis.ripple.waves import Column, Estimate, Waves, estimate, possible, standing_out, waves_at
-from hd_diag.diagnosis.ripple.windows import TURN, Windows
+from hd_diag.arrays import Complexes, Floats, Integers
+from hd_diag.diagnosis.ripple.windows import TURN, TURNS, Windows
 
 FALSE_ALARM = 1e-3
 """Chance that a record without ripple shows any of one kind: the gear's, another."""
 
+LEAST_WINDOWS = 5
+"""Windows of motion that a line takes."""
+
+BESIDE = (2.0, 4.0)
+"""Least and greatest distance of the orders beside a line [periods in a window]."""
+
+_MOST_BESIDE = 12  # of them on either side
+_CONDITION = 30.0  # of columns that can be told apart
+_LEAST_RUNS = 6  # from which on runs, not windows, are what is independent
 _SAME = 9.0  # deviance that another order may cost and still count as equal to the best
 _LEAST_RECORDS = 3  # that tell a deviation
 _POWER = 2.33  # standard deviations: found with 99 % chance
@@ -42,18 +51,15 @@ class Line:
         Whether it changes its sign with the direction: friction, or a torque that is late, do.
     alike : tuple of (float, bool)
         Orders, and whether they reverse, that explain the record about as well.
-    amplitude, std, phase : float
-        [N m], [N m], [rad]. As found or not; the deviation is that of either part, cosine or sine.
-    least : float
-        Amplitude that would have been found with 99 % chance [N m].
+    amplitude, std, phase, least : float
+        [N m], [N m], [rad], as found or not; the deviation is that of cosine or sine; amplitude that would
+        have been found with 99 % chance [N m].
     p_value : float
         Of noise alone, of this one test.
-    found : bool
     agreement : float
         Length of the mean of the runs' phases, weighted by amplitude: 1 if all are the same.
     repeats : bool or None
         Whether it is the same in every recording, of one in every run; None where there is only one.
-    records : tuple of Part
     """
 
     order: float
@@ -70,85 +76,76 @@ class Line:
     records: tuple[RecordedLine, ...]
 
 
-class Multiple(NamedTuple):
-    """The search at one multiple of the wave generator's turn, of a ratio; also by recordings."""
+def lines_at(
+    whole: Windows, multiple: float, ratio: float, shifts: Sequence[float], tests: int
+) -> list[Line]:
+    """A line for each column that can be tested at a multiple of the wave generator's turn, found or not.
 
-    multiple: float
-    ratio: float
-    waves: Waves
-    records: list[Waves]
-    columns: list[Column]
-    threshold: float
+    Columns are shifts of the multiple, each the same in both directions and reversing; all of it is one of
+    so many `tests`.
+    """
+    waves = _waves_at(multiple, whole)
+    columns = [_Column(shift, reverses) for reverses in (False, True) for shift in shifts]
+    records = waves.parts(waves.at.record)
+    tests *= len(columns) * (1 if len(records) == 1 else 1 + len(records))
+    threshold = FALSE_ALARM / tests
+    chosen = _standing_out(waves, columns, threshold)
+    single: set[_Column] = set()
+    if not chosen and len(records) > 1:
+        single = {column for part in records for column in _standing_out(part, columns, threshold)}
 
-    @staticmethod
-    def of(whole: Windows, multiple: float, ratio: float, shifts: Sequence[float], tests: int) -> Multiple:
-        """Columns of some shifts, each the same in both directions and reversing; so many times all of it."""
-        waves = waves_at(multiple, whole)
-        columns = [Column(shift, reverses) for reverses in (False, True) for shift in shifts]
-        records = [waves.select(waves.at.record == number) for number in np.unique(waves.at.record)]
-        tests *= len(columns) * (1 if len(records) == 1 else 1 + len(records))
-        return Multiple(multiple, ratio, waves, records, columns, FALSE_ALARM / tests)
+    def told(column: _Column) -> tuple[float, bool]:
+        return ratio * (multiple + column.shift), column.reverses
 
-    def lines(self) -> list[Line]:
-        """A line for each column that can be tested, found or not."""
-        chosen = standing_out(self.waves, self.columns, self.threshold)
-        single: set[Column] = set()
-        if not chosen and len(self.records) > 1:
-            single = {
-                column for part in self.records for column in standing_out(part, self.columns, self.threshold)
-            }
-        lines = []
-        for column in self.columns:
-            together = chosen if column in chosen else [*chosen, column]
-            if possible(self.waves, together):
-                line = self._line(together, column)
-                lines.append(_apart(line) if column in single else line)
-        return lines
+    lines = []
+    for column in columns:
+        together = chosen if column in chosen else [*chosen, column]
+        if _possible(waves, together):
+            alike = tuple(told(other) for other in _alike(waves, together, column, columns))
+            line = Line(*told(column), alike, *_found(waves, together, column, threshold))
+            lines.append(_apart(line) if column in single else line)
+    return lines
 
-    def _line(self, columns: list[Column], column: Column) -> Line:
-        """The line of one of the columns that are fitted together."""
-        waves, at, found = self.waves, columns.index(column), estimate(self.waves, columns)
-        value, others = complex(found.values[at]), found.values.copy()
-        others[at] = 0.0
-        left = waves.values - waves.design(columns) @ others / np.sqrt(waves.weight)
-        rest = waves._replace(values=left)
-        parts = [
-            _mean(rest.select(waves.at.record == number), column) for number in np.unique(waves.at.record)
-        ]
-        runs = [_mean(rest.select(waves.at.run == number), column) for number in np.unique(waves.at.run)]
-        std = max(float(found.stds[at]), _scatter(parts))
-        limit = float(np.sqrt(2.0 * stats.f.isf(self.threshold, 2, found.freedom)))
-        return Line(
-            self.ratio * (self.multiple + column.shift),
-            column.reverses,
-            self._alike(columns, column, found),
-            abs(value),
-            std,
-            _phase(value),
-            (limit + _POWER) * std,
-            float(found.p_values[at]),
-            bool(found.p_values[at] <= self.threshold),
-            _agreement([one for one, _ in runs]),
-            _same(parts if len(parts) > 1 else runs, value, std),
-            tuple(RecordedLine(abs(one), spread, _phase(one)) for one, spread in parts),
-        )
 
-    def _alike(
-        self, columns: list[Column], column: Column, found: Estimate
-    ) -> tuple[tuple[float, bool], ...]:
-        """Orders and laws that explain the windows about as well in the place of a column."""
-        alike = []
-        for other in self.columns:
-            trial = [other if one == column else one for one in columns]
-            if other in columns or not possible(self.waves, trial):
-                continue
-            more = estimate(self.waves, trial).deviance - found.deviance
+def _found(waves: _Waves, columns: list[_Column], column: _Column, threshold: float) -> tuple[Any, ...]:
+    """Values of a `Line` from its amplitude on, for one of the columns that are fitted together."""
+    at, found = columns.index(column), _estimate(waves, columns)
+    value, others = complex(found.values[at]), found.values.copy()
+    others[at] = 0.0
+    left = waves.values - waves.design(columns) @ others / np.sqrt(waves.weight)
+    rest = waves._replace(values=left)
+    parts, runs = (
+        [_mean(one, column) for one in rest.parts(number)] for number in (waves.at.record, waves.at.run)
+    )
+    std = max(float(found.stds[at]), _scatter(parts))
+    limit = float(np.sqrt(2.0 * stats.f.isf(threshold, 2, found.freedom)))
+    return (
+        abs(value),
+        std,
+        _phase(value),
+        (limit + _POWER) * std,
+        float(found.p_values[at]),
+        bool(found.p_values[at] <= threshold),
+        _agreement([one for one, _ in runs]),
+        _same(parts if len(parts) > 1 else runs, value, std),
+        tuple(RecordedLine(abs(one), spread, _phase(one)) for one, spread in parts),
+    )
+
+
+def _alike(
+    waves: _Waves, columns: list[_Column], column: _Column, possibly: Sequence[_Column]
+) -> Iterator[_Column]:
+    """Columns that explain the windows about as well in the place of one."""
+    found = _estimate(waves, columns)
+    for other in possibly:
+        trial = [other if one == column else one for one in columns]
+        if other not in columns and _possible(waves, trial):
+            more = _estimate(waves, trial).deviance - found.deviance
             if more < _SAME * found.deviance / found.freedom:
-                alike.append((self.ratio * (self.multiple + other.shift), other.reverses))
-        return tuple(alike)
+                yield other
 
 
-def _mean(waves: Waves, column: Column) -> tuple[complex, float]:
+def _mean(waves: _Waves, column: _Column) -> tuple[complex, float]:
     """Amplitude of one column in some windows, with its deviation by the orders beside."""
     inverse = np.linalg.pinv(waves.design([column]))[0] * np.sqrt(waves.weight)
     spread = np.sqrt(0.5 * np.mean(np.abs(inverse @ waves.beside) ** 2))
@@ -178,7 +175,7 @@ def _agreement(values: Sequence[complex]) -> float:
 
 
 def _apart(line: Line) -> Line:
-    """A line that recordings have in phases of their own: its amplitude is that of each."""
+    """A line whose phase differs between recordings; its amplitude is the rms of theirs."""
     sizes, stds = (np.array([getattr(part, name) for part in line.records]) for name in ("amplitude", "std"))
     size, std = float(np.sqrt(np.mean(sizes**2))), float(np.sqrt(np.mean(stds**2) / sizes.size))
     return replace(line, amplitude=size, std=std, phase=np.nan, found=True, repeats=False)
@@ -187,3 +184,106 @@ def _apart(line: Line) -> Line:
 def _phase(value: complex) -> float:
     """Of ``cos(order angle - phase)`` [rad]."""
     return float(-np.angle(value) % TURN)
+
+
+# Waves, and which of them stand out ---
+
+
+class _Column(NamedTuple):
+    """What a wave's amplitudes in the windows go with: its order less the multiple; its sign's law."""
+
+    shift: float
+    reverses: bool
+
+
+class _Waves(NamedTuple):
+    """Amplitudes of windows (s,) at an order, and at those beside it (s, m), with the windows' weights."""
+
+    at: Windows
+    values: Complexes
+    beside: Complexes
+    weight: Floats
+
+    def parts(self, number: Integers) -> list[_Waves]:
+        """Those of the windows of each number (s,)."""
+        return [
+            _Waves(self.at.select(rows), self.values[rows], self.beside[rows], self.weight[rows])
+            for rows in (number == one for one in np.unique(number))
+        ]
+
+    def design(self, columns: Sequence[_Column]) -> Complexes:
+        """Shape (s, p), each row times the root of its weight."""
+        turned = [np.exp(1j * column.shift * self.at.middle) for column in columns]
+        signs = [self.at.direction if column.reverses else 1.0 for column in columns]
+        root = np.sqrt(self.weight)
+        return np.stack([root * sign * one for sign, one in zip(signs, turned, strict=True)], axis=1)
+
+
+class _Estimate(NamedTuple):
+    """Amplitudes (p,), their deviations, chances by noise alone, freedom, and the deviance that is left."""
+
+    values: Complexes
+    stds: Floats
+    p_values: Floats
+    freedom: int
+    deviance: float
+
+
+def _waves_at(order: float, at: Windows) -> _Waves:
+    """Waves at an order per turn of the input, of the windows whose samples tell it."""
+    at = at.select(at.highest >= order + BESIDE[1] / TURNS)
+    if not at.size:
+        return _Waves(at, np.empty(0, complex), np.empty((0, 0), complex), np.empty(0))
+    number = min(int((BESIDE[1] - BESIDE[0]) * at.reach / TURNS), _MOST_BESIDE - 1) + 1
+    away = np.linspace(*BESIDE, number) / TURNS
+    found = at.amplitudes(order + np.concatenate(([0.0], away, -away)))
+    noise = np.mean(np.abs(found[:, 1:]) ** 2, axis=1)
+    return _Waves(at, found[:, 0], found[:, 1:], 2.0 / np.maximum(noise + np.mean(noise), 1e-300))
+
+
+def _estimate(waves: _Waves, columns: Sequence[_Column]) -> _Estimate:
+    """Amplitudes of columns fitted together.
+
+    The variance is the greatest of three: by the scatter of the windows; of the runs, where there are enough
+    (what the runs' speeds or courses have in common is not independent in their windows); of the amplitudes
+    that the orders beside have. Each gives its own F-test.
+    """
+    design, root = waves.design(columns), np.sqrt(waves.weight)[:, None]
+    inverse = np.linalg.pinv(design)
+    values = inverse @ (root[:, 0] * waves.values)
+    rest = root[:, 0] * waves.values - design @ values
+    count, freedom = len(columns), 2 * (waves.at.size - len(columns))
+    deviance = float(np.sum(np.abs(rest) ** 2))
+    beside = 0.5 * np.mean(np.abs(inverse @ (root * waves.beside)) ** 2, axis=1)
+    tests = [(beside, 2 * waves.beside.shape[1])]
+    tests.append((np.sum(np.abs(inverse) ** 2, axis=1) * deviance / freedom, freedom))
+    names, run = np.unique(waves.at.run, return_inverse=True)
+    if names.size >= max(_LEAST_RUNS, count + 2):
+        pulls = np.zeros((count, names.size), complex)
+        np.add.at(pulls.T, run, (inverse * rest).T)
+        scale = names.size / (names.size - count)
+        tests.append((0.5 * scale * np.sum(np.abs(pulls) ** 2, axis=1), 2 * (names.size - count)))
+    power = 0.5 * np.abs(values) ** 2
+    chances = [stats.f.sf(power / np.maximum(variance, 1e-300), 2, free) for variance, free in tests]
+    stds = np.sqrt(np.max([variance for variance, _ in tests], axis=0))
+    return _Estimate(values, stds, np.max(chances, axis=0), min(free for _, free in tests), deviance)
+
+
+def _possible(waves: _Waves, columns: Sequence[_Column]) -> bool:
+    """Whether the windows are enough, and tell the columns apart."""
+    ways = min(np.count_nonzero(waves.at.direction == sign) for sign in (1.0, -1.0))
+    if waves.at.size < len(columns) + LEAST_WINDOWS - 1 or (ways < 2 and any(c.reverses for c in columns)):
+        return False
+    return bool(np.linalg.cond(waves.design(columns)) ** 2 < _CONDITION)
+
+
+def _standing_out(waves: _Waves, columns: Sequence[_Column], threshold: float) -> list[_Column]:
+    """Columns that stand out, chosen one by one: always the one that leaves least."""
+    chosen: list[_Column] = []
+    while True:
+        trials = [[*chosen, column] for column in columns if column not in chosen]
+        found = [(_estimate(waves, trial), trial) for trial in trials if _possible(waves, trial)]
+        best = min(found, key=lambda one: one[0].deviance, default=None)
+        if best is None or best[0].p_values[-1] > threshold:
+            return chosen
+        chosen = best[1]

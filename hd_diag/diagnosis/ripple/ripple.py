@@ -15,8 +15,7 @@ from scipy.ndimage import median_filter
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.record import RecordError
-from hd_diag.diagnosis.ripple.lines import Line, Multiple
-from hd_diag.diagnosis.ripple.waves import BESIDE, LEAST_WINDOWS
+from hd_diag.diagnosis.ripple.lines import BESIDE, LEAST_WINDOWS, Line, lines_at
 from hd_diag.diagnosis.ripple.windows import TURNS, Windows, windows
 from hd_diag.model.transmission_error import Kinematics
 
@@ -31,19 +30,14 @@ _WIDTH = 1.5  # of a line, in periods over the reach
 
 @dataclass(frozen=True)
 class Ripple:
-    """Lines of a joint's torque.
+    """Lines of a joint's torque, by a gear whose ratio has this magnitude.
 
     Attributes
     ----------
-    ratio : float
-        Magnitude [-].
-    lines : tuple of Line
-        At the gear's orders, found or not, by order.
-    others : tuple of Line
-        At orders that are none of the gear's, the strongest first.
+    lines, others : tuple of Line
+        At the gear's orders, found or not, by order; at others, the strongest first.
     orders, spectrum : ndarray, shape (k,)
         Per turn of the output; amplitude of the mean over the windows [N m].
-    windows, runs, records : int
     turns, reach : float
         Of the wave generator that the windows cover; of the output from end to end.
     """
@@ -100,7 +94,7 @@ def ripple(
     lines = []
     for multiple in MULTIPLES:
         shifts = (0.0, multiple * seen_from_output / size)
-        lines += Multiple.of(whole, multiple, size, shifts, len(MULTIPLES)).lines()
+        lines += lines_at(whole, multiple, size, shifts, len(MULTIPLES))
     if not lines:
         raise RecordError(
             f"the samples are too far apart to resolve waves of {size:g} per output turn: record faster, or "
@@ -144,8 +138,7 @@ def _others(
     while len(found) < _MOST_OTHERS and height.any():
         order = float(orders[int(np.argmax(height))])
         height[np.abs(orders - order) <= BESIDE[0] / TURNS] = 0.0
-        trial = Multiple.of(whole, order, ratio, (0.0,), tests)
-        seen = [line for line in trial.lines() if line.found]
+        seen = [line for line in lines_at(whole, order, ratio, (0.0,), tests) if line.found]
         if not seen:
             break
         found.append(max(seen, key=lambda line: line.amplitude))
