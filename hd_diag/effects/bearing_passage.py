@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -36,7 +35,6 @@ _LEADING = 0.8  # of the strongest line, that a line which slips must have
 _LEAK = 0.1  # of a line, that may still show beside it where a candidate is allowed
 
 
-@dataclass(frozen=True, kw_only=True)
 class BearingPassage(Harmonic):
     """``a cos(kappa theta_W - d)``; a fit lets the phase slip, as rolling bearings do."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -39,7 +38,6 @@ Before = tuple[tuple[float, float, float], tuple[complex, ...]]
 State = Before | None
 
 
-@dataclass(frozen=True, kw_only=True)
 class Resonance(Effect):
     """What a two-inertia oscillator makes of an order, ``Re a x``, and of the gear's own ripple.
 
