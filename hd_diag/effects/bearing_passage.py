@@ -86,15 +86,7 @@ EFFECT = BearingPassage(
     quantities=(
         amplitude("amplitude", "rad", 1e-3, 1.5 * ARCSEC, "amplitude at the output"),
         direction("phase", "of the order at wave generator angle zero"),
-        Quantity(
-            "order",
-            "-",
-            BANDS[0][0],
-            BANDS[-1][1],
-            0.02,
-            "kappa, periods per wave generator turn",
-            linear=False,
-        ),
+        Quantity("order", "-", CAGE[0], BANDS[-1][1], 0.02, "kappa, periods per wave generator turn", False),
         switch("slips", "1: the phase slips over the record, and its mean is all that a model can predict"),
     ),
     confused_with=("encoder_interpolation", "circular_spline_form"),

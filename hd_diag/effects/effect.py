@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.effects.excitation import Check, first_failure
+from hd_diag.effects.excitation import Check, Verdict
 from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.signals import Signals
 
@@ -130,18 +130,9 @@ class Effect:
     lasting: bool = True
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """Transmission error by each linear coefficient, at small size.
+        """Transmission error by each linear coefficient, at small size [rad per unit], shape (n, size).
 
-        Parameters
-        ----------
-        signals : Signals
-        nonlinear : tuple of float
-            Values of the nonlinear quantities.
-
-        Returns
-        -------
-        ndarray, shape (n, size)
-            [rad] per unit of the coefficient; every run from its start.
+        `nonlinear` are the values of the nonlinear quantities. Every run begins from its start.
         """
         if not self.remembers:
             raise NotImplementedError
@@ -167,17 +158,7 @@ class Effect:
     def carry(self, signals: Signals, added: Floats, coefficients: Floats, nonlinear: Values) -> Floats:
         """What it makes of what earlier stages add, beside that itself; nothing unless stated.
 
-        Parameters
-        ----------
-        signals : Signals
-        added : ndarray, shape (n, k)
-            Parts of the transmission error.
-        coefficients : ndarray, shape (size,)
-        nonlinear : tuple of float
-
-        Returns
-        -------
-        ndarray, shape (n, k)
+        `added` are parts of the transmission error, shape (n, k), and so is the result [rad].
         """
         return np.zeros_like(added)
 
@@ -194,9 +175,10 @@ class Effect:
             if choice != nonlinear[index]
         ]
 
-    def testable(self, signals: Signals) -> tuple[bool, str]:
+    def testable(self, signals: Signals) -> Verdict:
         """Whether the record's motion allows to find it; if not, the shortest extra motion that would."""
-        return first_failure(signals, self.excitation)
+        verdicts = (check(signals) for check in self.excitation)
+        return next((verdict for verdict in verdicts if not verdict[0]), (True, ""))
 
     def response(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
         """Transmission error of the effect at its size along a record [rad], shape (n,)."""
@@ -259,18 +241,7 @@ class Effect:
     def to_physical(
         self, coefficients: Sequence[float] | Floats, nonlinear: Values
     ) -> dict[str, tuple[float, str]]:
-        """Values as people read them.
-
-        Parameters
-        ----------
-        coefficients : sequence of float, length size
-        nonlinear : tuple of float
-
-        Returns
-        -------
-        dict
-            Name to (value, unit), in the order of the quantities.
-        """
+        """Values as people read them: name to (value, unit), in the order of the quantities."""
         values = dict(zip((quantity.name for quantity in self.linear), map(float, coefficients), strict=True))
         for size, turned in self._pairs():
             cosine, sine = values[size.name], values[turned.name]
@@ -310,18 +281,10 @@ class Effect:
     def standard_deviations(
         self, coefficients: Sequence[float] | Floats, nonlinear: Values, covariance: Floats
     ) -> dict[str, float]:
-        """Standard deviations of the quantities by propagation (delta method).
+        """Standard deviations of the quantities by name, by propagation (delta method).
 
-        Parameters
-        ----------
-        coefficients : sequence of float, length size
-        nonlinear : tuple of float
-        covariance : ndarray, shape (size, size) or with the nonlinear quantities after the coefficients
-
-        Returns
-        -------
-        dict
-            Name to standard deviation; zero for quantities that the covariance leaves out.
+        The covariance is that of the coefficients, or of these and the nonlinear quantities after them; of
+        quantities that it leaves out the deviation is zero.
         """
         known = covariance.shape[0]
         gradient = np.eye(len(self.quantities), known)

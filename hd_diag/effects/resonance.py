@@ -16,7 +16,7 @@ from hd_diag.effects.excitation import (
     several_speeds,
     torque_known,
 )
-from hd_diag.effects.quantity import Quantity, amplitude, direction
+from hd_diag.effects.quantity import Quantity, amplitude, choice, direction
 from hd_diag.effects.recursions import relax
 from hd_diag.effects.signals import Signals
 from hd_diag.formatting import ARCSEC
@@ -252,17 +252,7 @@ EFFECT = Resonance(
         amplitude("amplitude", "rad", 1e-2, 8.0 * ARCSEC, "a, of the exciting order well below resonance"),
         direction("phase", "of the exciting order at wave generator angle zero"),
         Quantity("carried", "-", -0.5, 1.5, 1.0, "c, share of the gear's own ripple that passes the spring"),
-        Quantity(
-            "order",
-            "-",
-            ORDERS[0],
-            ORDERS[-1],
-            1.0,
-            "n, exciting order of the wave generator's turn",
-            linear=False,
-            discrete=True,
-            choices=ORDERS,
-        ),
+        choice("order", "n, exciting order of the wave generator's turn", ORDERS, ORDERS),
         Quantity("natural_frequency", "rad/s", LOWEST, 1e4, 100.0, "omega_n, undamped", linear=False),
         Quantity("damping", "-", 2e-3, 0.5, 0.03, "zeta, share of the critical one", linear=False),
     ),
