@@ -67,12 +67,6 @@ def of_page(name: str, joint: str = "joint_1", **more: float) -> Config:
     return resolve({"joints": [joint], **given})
 
 
-def refusal(**values: Any) -> str:
-    with pytest.raises(ConfigError) as caught:
-        resolve({f"joint_1.{name.replace('__', '.')}": value for name, value in values.items()})
-    return str(caught.value)
-
-
 # Causes of a small and a large gear ---
 
 
