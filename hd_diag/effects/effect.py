@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any, Literal, NamedTuple
 
@@ -310,3 +310,21 @@ def by_run(signals: Signals, evaluate: Callable[[Signals], Floats]) -> Floats:
     """Values of a whole record, every run evaluated from its own start."""
     runs = signals.runs() or [slice(0, 0)]
     return np.concatenate([evaluate(signals.part(run)) for run in runs])
+
+
+def seen_at(
+    stage: Stage, signals: Signals, parts: Sequence[tuple[Effect, Floats]], rate: Callable[[Floats], Floats]
+) -> Signals:
+    """Signals for the effects of a stage: the spring carries errors of the teeth, a late stream shows all.
+
+    From those with the base model's own prediction and what effects add [rad] (n,) each, of which those of
+    the same and later stages do not count; the rate is the derivative by time of values at the samples.
+    """
+    before = [(effect, part) for effect, part in parts if Stage.GEAR <= effect.stage < stage]
+    if stage == Stage.SPRING:
+        teeth = [part for effect, part in before if effect.of_teeth]
+        return replace(signals, tooth_ripple=np.sum(teeth, axis=0)) if teeth else signals
+    if not before:
+        return signals
+    total: Floats = signals.predicted + np.sum([part for _, part in before], axis=0)
+    return replace(signals, predicted=total, predicted_rate=rate(total))
