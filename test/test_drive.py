@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from reference import published
 
 from hd_diag.drive import Drive, MeshState, mesh_state, transmission_error
-from hd_diag.model.contact import contacts
 from hd_diag.model.torsion import torsion
 from hd_diag.model.torsion_map import ARCSEC, TorsionMap, build
 from hd_diag.model.transmission_error import Kinematics, Output
@@ -59,24 +58,6 @@ def state(drive: Drive, torque: float, angle: float = 0.0) -> MeshState:
 def test_names_what_cannot_be(changes: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         dataclasses.replace(ALIGNED, **changes)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("drive", [ALIGNED, ASTRAY], ids=["aligned", "astray"])
-def test_teeth_stand_at_their_index(drive: Drive) -> None:
-    found = mesh_state(drive, ANGLES, np.full(ANGLES.size, 8.0))
-    contact = contacts(drive.mesh, drive.frame.wave_generator_angle(ANGLES))
-    moment, flank = np.arange(ANGLES.size)[:, None, None], np.arange(2)[:, None]
-    place = moment, flank, contact.teeth[:, None, :]
-    for dense, expected in (
-        (found.backlash, contact.radius * contact.rotation),
-        (found.pressure_angle, contact.pressure_angle),
-    ):
-        assert_allclose(dense[place], expected, rtol=0, atol=1e-12)  # [m], [rad]: compiled and not
-        assert np.isfinite(dense).sum() == np.isfinite(expected).sum()
-    assert found.load.shape == (ANGLES.size, 2, 200)
-    assert np.all(found.load[np.isnan(found.backlash)] == 0)
-    arm = np.nan_to_num(contact.radius * np.cos(contact.pressure_angle))
-    assert_allclose((found.load[place] * arm).sum(axis=2) @ [1, -1], 8.0, rtol=1e-12)
 
 
 def test_summaries_of_the_load() -> None:

@@ -122,9 +122,10 @@ def torque_reverses(signals: Signals, fraction: float) -> Verdict:
     for run in signals.runs():
         turns = np.sort(_turning_points(signals.torque[run], swing))
         found = max(found, int(np.count_nonzero(np.diff(turns) > 0.5 * swing)) + 1 if turns.size else 0)
+    number = {0: "no value", 1: "one value"}.get(found, f"{found} values")
     return _verdict(
         found >= 3,
-        f"the torque turns back at {_number(found)}, three are needed, {swing:.3g} N m apart or more: swing "
+        f"the torque turns back at {number}, three are needed, {swing:.3g} N m apart or more: swing "
         "the load up, half-way down and up again without a pause",
     )
 
@@ -152,10 +153,6 @@ def several_speeds(signals: Signals, number: int) -> Verdict:
 def _signed(value: float) -> str:
     """With the minus of print, and no more zero than zero."""
     return f"{value:.3g}".replace("-", "\N{MINUS SIGN}", 1) if abs(value) >= 5e-4 else "0"
-
-
-def _number(values: int) -> str:
-    return {0: "no value", 1: "one value"}.get(values, f"{values} values")
 
 
 def speed_beyond(signals: Signals, speed: float) -> Verdict:
