@@ -22,7 +22,7 @@ Frame = Literal["input", "output", "housing", "time", "torque"]
 # What an effect gives at n samples, and its state after the last one.
 Stepped = tuple[Floats, Any]
 
-_KNOTS = 12  # along a record, between which the amplitude and phase of a wandering effect go straight
+_KNOTS = 12  # of the piecewise linear amplitude and phase of an effect that wanders over a record
 
 
 class Stage(IntEnum):
@@ -100,7 +100,8 @@ class Effect:
     searched : bool
         Whether it is searched for in the residual; others are found before the fit.
     given : bool
-        Whether no cause but part of every fit, drawn to zero by the usual sizes, of a torque by current.
+        Whether it is part of every fit to a torque that comes from motor current, drawn to zero by its usual
+        sizes, and is never named as a cause.
     lasting : bool
         Whether a model that runs can hold it; not what happened once in a record.
     """
@@ -211,7 +212,7 @@ class Effect:
         return bool(self.wanders_by and nonlinear[names.index(self.wanders_by)])
 
     def sensible(self, coefficients: Floats, nonlinear: Values) -> bool:
-        """Whether a candidate may have these values: beyond strict limits, another cause is meant."""
+        """Whether all strict limits hold; a candidate beyond them is another cause."""
         strict = [quantity for quantity in self.quantities if quantity.strict]
         values = self.to_physical(coefficients, nonlinear) if strict else {}
         return all(quantity.allows(values[quantity.name][0]) for quantity in strict)

@@ -214,7 +214,10 @@ def _binned(signals: Signals, residual: Floats) -> tuple[Floats, Floats, Complex
 def _quasi_static(
     signals: Signals, bins: tuple[Floats, Floats, Complexes, Complexes], order: float, damping: float
 ) -> list[tuple[float, Values]]:
-    """Gain of every frequency, bin by bin of the speed: an order of its own, and what carries the ripple."""
+    """Squares that each natural frequency explains, as an order of its own and by the ripple that it passes.
+
+    Every bin of speeds is taken as a steady state.
+    """
     speed, count, rest, ripple = bins
     own = (np.array(ORDERS) == order)[:, None]
     frequencies = np.geomspace(*_passed(signals, order), _FINE)
