@@ -71,22 +71,10 @@ def mesh_state(drive: Drive, input_angle: Floats, cup_torque: Floats) -> MeshSta
 def transmission_error(
     drive: Drive, input_angle: Floats, torque: Floats, table: TorsionMap | None = None
 ) -> Floats:
-    """Predicted transmission error.
+    """Predicted transmission error ``theta_out - theta_in / ratio`` (n,) [rad].
 
-    Parameters
-    ----------
-    drive : Drive
-    input_angle : ndarray, shape (n,)
-        As reported [rad].
-    torque : ndarray, shape (n,)
-        What the drive exerts on the link [N m].
-    table : TorsionMap, optional
-        Map of this drive's mesh; where it does not reach, and without one, the solution is exact.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        ``theta_out - theta_in / ratio`` [rad].
+    At input angles as reported (n,) [rad] and torques that the drive exerts on the link (n,) [N m]. The table
+    is a map of this drive's mesh; where it does not reach, and without one, the solution is exact.
     """
     angle = drive.frame.wave_generator_angle(input_angle)
     cup_torque = drive.frame.cup_torque(torque)

@@ -12,10 +12,9 @@ from hd_diag.arrays import Floats
 from hd_diag.drive import Drive, transmission_error
 from hd_diag.effects.contact_table import MAP_STEPS, ContactTable
 from hd_diag.effects.contact_weights import ContactWeights, greatest_torque
-from hd_diag.effects.effect import Effect, Stage, Values
+from hd_diag.effects.effect import Effect, Stage, Values, seen_at
 from hd_diag.effects.mesh_torque import MeshTorque
 from hd_diag.effects.signals import Signals
-from hd_diag.effects.stages import seen_at
 from hd_diag.model.torsion_map import STEPS_PER_TOOTH, TorsionMap, build
 
 TORQUE_RANGE = 2.0

@@ -23,39 +23,19 @@ REFIT = {
     "tooth_compliance": 0.93e-6,
     "cup_compliance": 3e-6,
 }
+PITCH = (3e-7, 1e-6, 3e-7, 2e-7, 1e-7, 1e-7, 1e-7, 1e-7)  # [m], of one to eight periods around
 VALUES = {
-    "hysteresis": {
-        "bending_amplitude": 5e-5,
-        "slipping_amplitude": 3e-5,
-        "bending_reach": 2.0,
-        "sharpness": 1.5,
-        "slipping_reach": 9.0,
-        "spread": 1.5,
-    },
-    "stream_delay": {"delay": 3e-4},
-    "resonance": {
-        "amplitude": 4e-5,
-        "phase": 1.0,
-        "order": 2.0,
-        "carried": 0.5,
-        "natural_frequency": 60.0,
-        "damping": 0.04,
-    },
-    "circular_spline_pitch": {
-        name.format(k): value
-        for k, size in zip(range(1, 9), (3e-7, 1e-6, 3e-7, 2e-7, 1e-7, 1e-7, 1e-7, 1e-7), strict=True)
-        for name, value in (("pitch_{}", size), ("pitch_direction_{}", 0.4 / k))
-    },
-    "viscous_windup": {"friction": 1.2, "exponent": 0.9},
-    "thermal_drift": {"drift": 5e-6, "lag": 20.0},
-    "coulomb_windup": {
-        "friction": 1.0,
-        "stribeck": 0.5,
-        "way": 0.2,
-        "creep_speed": 0.0,
-        "stribeck_speed": 4.0,
-    },
-    "torque_offset": {"offset": 1.5},
+    name: dict(zip((quantity.name for quantity in EFFECTS[name].quantities), values, strict=True))
+    for name, values in {
+        "hysteresis": (5e-5, 3e-5, 2.0, 1.5, 9.0, 1.5),
+        "stream_delay": (3e-4,),
+        "resonance": (4e-5, 1.0, 0.5, 2.0, 60.0, 0.04),
+        "circular_spline_pitch": [x for k, size in enumerate(PITCH, 1) for x in (size, 0.4 / k)],
+        "viscous_windup": (1.2, 0.9),
+        "thermal_drift": (5e-6, 20.0),
+        "coulomb_windup": (1.0, 0.2, 0.0, 0.5, 4.0),
+        "torque_offset": (1.5,),
+    }.items()
 }
 STATEFUL = ("hysteresis", "stream_delay", "resonance", "coulomb_windup", "thermal_drift")
 RANGES = Ranges(Range(-40.0, 45.0), Range(-90.0, 90.0), Range(20.0, 40.0))

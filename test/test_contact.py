@@ -10,8 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from reference import polyline
+from scipy.optimize import brentq
 
 from hd_diag.model.contact import contacts
+from hd_diag.model.geometry import Geometry
 from hd_diag.model.load_sharing import flank_stiffness
 from hd_diag.model.mesh import Mesh
 
@@ -67,6 +69,17 @@ def test_reference(drive: polyline.Drive, moment: Moment) -> None:
     assert_allclose(pressure, expected.pressure_angle, rtol=0, atol=2e-3)
 
 
+def point_of_wall(geometry: Geometry, radius: float) -> complex:
+    """Where a slot's counter-clockwise wall has this distance from the axis [m]."""
+    datum, wall = geometry.circular_spline_datum, geometry.circular_spline_slot
+    low, high = geometry.circular_spline_tip_radius - datum - 5e-6, 0.999 * geometry.slot_end
+
+    def point(x: float) -> complex:
+        return complex(datum + x, wall.half_width(x))
+
+    return point(brentq(lambda x: abs(point(x)) - radius, low, high, xtol=1e-18))
+
+
 @given(moments)
 @settings(max_examples=25)
 def test_contact_point_lies_on_both_flanks(moment: Moment) -> None:
@@ -77,13 +90,10 @@ def test_contact_point_lies_on_both_flanks(moment: Moment) -> None:
     for side, sign in enumerate((1, -1)):
         for k in np.flatnonzero(~np.isnan(contact.rotation[0, side])):
             tooth = contact.teeth[0, k]
-            radius, position = contact.radius[0, side, k], contact.position[0, side, k]
-            from_slot = position - contact.slots[0, k] * geometry.slot_pitch
-            on_wall = radius * np.exp(1j * from_slot)
-            x = on_wall.real - geometry.circular_spline_datum
-            assert_allclose(sign * on_wall.imag, geometry.circular_spline_slot.half_width(x), atol=1e-13)
+            wall = point_of_wall(geometry, contact.radius[0, side, k])
+            position = contact.slots[0, k] * geometry.slot_pitch + sign * np.angle(wall)
             # Before the cup turned by b, the point of the flank stood behind the wall's by b.
-            point = radius * np.exp(1j * (position - sign * contact.rotation[0, side, k]))
+            point = abs(wall) * np.exp(1j * (position - sign * contact.rotation[0, side, k]))
             from_foot = (point - complex(*origin[:, tooth])) / complex(*normal[:, tooth])
             width = geometry.flexspline_tooth.half_width(min(from_foot.real, geometry.flexspline_tip))
             assert from_foot.real < geometry.flexspline_tip + 1e-13

@@ -267,16 +267,6 @@ def test_torsion_beyond_all_maps_is_exact(many: tuple[Array, Array]) -> None:
     assert np.isnan(found[3])
 
 
-@pytest.mark.parametrize("torque", [-70.0, -50.0, -3.0, 10.0, 55.0])
-def test_mean_torsion_is_that_over_a_turn(torque: float) -> None:
-    nodes, mean = contact_table(DRIVE, LIMIT).mean_torsion
-    turn = 2 * math.pi / 1000 * np.arange(1000)
-    expected = float(np.mean(torsion(DRIVE.mesh, turn, np.full(1000, torque))))
-    assert float(np.interp(torque, nodes, mean)) == pytest.approx(expected, abs=0.03 * ARCSEC)
-    assert np.all(np.diff(nodes) > 0.0)
-    assert np.all(np.diff(mean) > 0.0)
-
-
 def test_ripple_is_the_error_less_its_mean_over_a_turn() -> None:
     turn = 2 * math.pi / 1000 * np.arange(1000)
     for drive in (DRIVE, dataclasses.replace(DRIVE, cup_compliance=2e-5)):
@@ -287,13 +277,6 @@ def test_ripple_is_the_error_less_its_mean_over_a_turn() -> None:
             found = weights(drive, turn, load).ripple
             assert rms(found) > 0.5 * ARCSEC
             assert rms(found - (error - error.mean())) < 0.03 * ARCSEC
-
-
-def test_ripple_beyond_the_limit_is_by_the_torsion_there() -> None:
-    found = weights(DRIVE, ANGLES, np.full(5, 2.0 * LIMIT)).ripple
-    expected = torsion(DRIVE.mesh, ANGLES, np.full(5, -2.0 * LIMIT))
-    mean = contact_table(DRIVE, LIMIT).mean_torsion[1][0]  # a fifth beyond the limit
-    assert_allclose(found, -DRIVE.frame.torque_sign * (expected - mean), atol=0.3 * ARCSEC)
 
 
 def test_ripple_of_parts_and_of_a_known_torsion(many: tuple[Array, Array]) -> None:

@@ -1,4 +1,4 @@
-"""What can be computed of a drive."""
+"""What can be computed of a drive, and signs and frames between what the robot reports and its mesh."""
 
 import dataclasses
 import math
@@ -10,15 +10,34 @@ from numpy.testing import assert_allclose, assert_array_equal
 from reference import published
 
 from hd_diag.drive import Drive, MeshState, mesh_state, transmission_error
-from hd_diag.model.contact import contacts
 from hd_diag.model.torsion import torsion
 from hd_diag.model.torsion_map import ARCSEC, TorsionMap, build
-from hd_diag.model.transmission_error import Kinematics
+from hd_diag.model.transmission_error import Kinematics, Output
 
 RATED = published.RATED_TORQUE
 ALIGNED = Drive(drives.mesh(), Kinematics(100.0), RATED)
 ASTRAY = Drive(drives.mesh(eccentricity=(0.0, published.ECCENTRICITY)), Kinematics(100.0), RATED, 3e-6)
 ANGLES = np.linspace(-3.0, 11.0, 40)
+GEOMETRY = ALIGNED.mesh.geometry
+SIGNED = [
+    (sign * ratio, output)
+    for ratio, output in ((100.0, "flexspline"), (101.0, "circular_spline"))
+    for sign in (1.0, -1.0)
+]
+
+RATIOS_REFUSED = [
+    (
+        Kinematics(101.0),
+        "ratio 101 does not fit 200 and 202 teeth with the output at the flexspline: .* 100",
+    ),
+    (Kinematics(100.0, "circular_spline"), "output at the circular spline: its magnitude must be 101"),
+    (Kinematics(100.001), "ratio 100.001 does not fit"),
+    (Kinematics(0.0), "ratio 0 does not fit"),
+    (Kinematics(math.nan), "ratio nan does not fit"),
+    (Kinematics(math.inf), "ratio inf does not fit"),
+    (Kinematics(100.0, "cup"), "output must be 'flexspline' or 'circular_spline', not 'cup'"),  # type: ignore[arg-type]
+    (Kinematics(100.0, phase=math.nan), "wave_generator_phase must be finite, not nan rad"),
+]
 
 
 def state(drive: Drive, torque: float, angle: float = 0.0) -> MeshState:
@@ -39,24 +58,6 @@ def state(drive: Drive, torque: float, angle: float = 0.0) -> MeshState:
 def test_names_what_cannot_be(changes: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         dataclasses.replace(ALIGNED, **changes)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("drive", [ALIGNED, ASTRAY], ids=["aligned", "astray"])
-def test_teeth_stand_at_their_index(drive: Drive) -> None:
-    found = mesh_state(drive, ANGLES, np.full(ANGLES.size, 8.0))
-    contact = contacts(drive.mesh, drive.frame.wave_generator_angle(ANGLES))
-    moment, flank = np.arange(ANGLES.size)[:, None, None], np.arange(2)[:, None]
-    place = moment, flank, contact.teeth[:, None, :]
-    for dense, expected in (
-        (found.backlash, contact.radius * contact.rotation),
-        (found.pressure_angle, contact.pressure_angle),
-    ):
-        assert_allclose(dense[place], expected, rtol=0, atol=1e-12)  # [m], [rad]: compiled and not
-        assert np.isfinite(dense).sum() == np.isfinite(expected).sum()
-    assert found.load.shape == (ANGLES.size, 2, 200)
-    assert np.all(found.load[np.isnan(found.backlash)] == 0)
-    arm = np.nan_to_num(contact.radius * np.cos(contact.pressure_angle))
-    assert_allclose((found.load[place] * arm).sum(axis=2) @ [1, -1], 8.0, rtol=1e-12)
 
 
 def test_summaries_of_the_load() -> None:
@@ -92,14 +93,38 @@ def test_lobes_press_against_each_other() -> None:
     assert plus[~first_lobe].sum() == minus[first_lobe].sum() == 0
 
 
-def test_output_at_either_member_lags_by_torsion_and_cup() -> None:
+@pytest.mark.parametrize(("kinematics", "message"), RATIOS_REFUSED)
+def test_refuses_a_ratio_with_the_reason(kinematics: Kinematics, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        dataclasses.replace(ALIGNED, kinematics=kinematics)
+
+
+@pytest.mark.parametrize(("ratio", "output"), SIGNED)
+def test_the_output_turns_by_the_ratio(ratio: float, output: Output) -> None:
+    """The output is reported as it turns; a negative ratio says that the input is reported backwards."""
+    turned, later = (
+        Kinematics(ratio, output, phase).frame(GEOMETRY).wave_generator_angle(ANGLES) for phase in (0.0, 0.7)
+    )
+    assert_allclose(later - turned, 0.7, atol=1e-14)  # the phase is the long axis at input zero
+    if output == "flexspline":  # rolling in the fixed circular spline, it turns by -theta_W (Z_G - Z_R) / Z_R
+        assert_allclose(-turned * 2 / 200, ANGLES / ratio, rtol=1e-14)
+    else:  # it follows the wave generator, which seen from it turns by the difference
+        assert_allclose(turned, ANGLES * np.sign(ratio) - ANGLES / ratio, rtol=1e-13)
+        assert_allclose(turned * 2 / 200, ANGLES / ratio, rtol=1e-13)
+
+
+@pytest.mark.parametrize(("ratio", "output"), SIGNED)
+def test_the_output_lags_by_torsion_and_cup_when_it_drives(ratio: float, output: Output) -> None:
     torque = np.linspace(-50, 60, ANGLES.size)
-    found = transmission_error(ASTRAY, ANGLES, torque)
-    assert_array_equal(found, torsion(ASTRAY.mesh, -ANGLES, -torque) - 3e-6 * torque)
-    drive = dataclasses.replace(ASTRAY, kinematics=Kinematics(101.0, "circular_spline"))
-    found = transmission_error(drive, ANGLES, torque)
-    expected = -torsion(drive.mesh, ANGLES * (200 / 202), torque) - 3e-6 * torque
-    assert_allclose(found, expected, rtol=1e-12)
+    soft, rigid = (
+        Drive(ASTRAY.mesh, Kinematics(ratio * (1 + 1e-10), output, -3.0), RATED, cup) for cup in (3e-6, 0.0)
+    )
+    found = transmission_error(soft, ANGLES, torque)
+    assert np.all(found * torque < 0)
+    assert_allclose(found, transmission_error(rigid, ANGLES, torque) - 3e-6 * torque, rtol=1e-12)
+    way = (-np.sign(ratio) if output == "flexspline" else np.sign(ratio) * 200 / 202) * ANGLES - 3.0
+    sign = -1.0 if output == "flexspline" else 1.0
+    assert_allclose(found, -sign * torsion(ASTRAY.mesh, way, sign * torque) - 3e-6 * torque, rtol=1e-12)
 
 
 @pytest.fixture(scope="module")

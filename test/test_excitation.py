@@ -65,12 +65,8 @@ def test_reversals_count_within_a_run(signals: Signals) -> None:
 
 def test_a_torque_without_end_counts_once(signals: Signals) -> None:
     """Reversals at almost the same torque are one value."""
-    assert (
-        "at 2 values"
-        in torque_reverses(under(signals, through(0.0, 30.0, -30.0, 31.0, -29.0, 32.0, -30.5, 30.0)), SWING)[
-            1
-        ]
-    )
+    torque = through(0.0, 30.0, -30.0, 31.0, -29.0, 32.0, -30.5, 30.0)
+    assert "at 2 values" in torque_reverses(under(signals, torque), SWING)[1]
 
 
 def test_a_torque_that_never_changes_is_assumed(signals: Signals) -> None:

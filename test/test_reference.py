@@ -52,15 +52,6 @@ def test_stiffness_is_the_catalogue_s(at_rest: Callable[[float, float], tuple[fl
         assert_allclose(found, k, rtol=0.08)
 
 
-def test_half_turn_moves_the_flexspline_by_one_tooth_and_mirror_exchanges_the_flanks() -> None:
-    first, later = (polyline.mesh(angle, (5e-6, -8e-6)) for angle in (0.3, 0.3 + np.pi))
-    assert_allclose(np.roll(later.backlash, -1, axis=1), first.backlash, atol=1e-12)
-    mesh = polyline.mesh(0.7, (9e-6, 4e-6), runout=(1e-6, 2e-6), arc_offset=3e-6)
-    mirror = polyline.mesh(-0.7, (9e-6, -4e-6), runout=(1e-6, -2e-6), arc_offset=-3e-6)
-    assert_allclose(np.roll(mirror.backlash[::-1, ::-1], 1, axis=1), mesh.backlash, atol=1e-12)
-    assert_allclose(polyline.torsion(mirror, -20.0), -polyline.torsion(mesh, 20.0), rtol=1e-9)
-
-
 def test_common_slot_shift_turns_the_cup() -> None:
     plain = polyline.mesh(0.2)
     moved = polyline.mesh(0.2, slot_shift=np.full(202, 1e-6))

@@ -76,11 +76,6 @@ def test_refuses_what_is_no_number_or_not_positive(name: str, value: complex, me
         Mesh(drives.geometry(), **{name: value})
 
 
-def test_displacement_is_what_stands_and_what_turns() -> None:
-    found = ASTRAY.displacement(np.array([0.0, np.pi / 2, np.pi]))
-    assert_allclose(found, [8e-6 - 14e-6j, 3e-6 - 13e-6j, 2e-6 - 18e-6j], rtol=1e-12)
-
-
 STATIC = drives.mesh(eccentricity=(5e-6, -16e-6))
 RUNOUT = drives.mesh(runout=(12e-6, 9e-6))
 # Mesh; angle by which another of the same torsion turns on; that mesh; sign of angle, torque and torsion.

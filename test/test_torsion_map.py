@@ -1,7 +1,6 @@
 """Tabulated torsion against the exact solution."""
 
 import threading
-from dataclasses import replace
 from typing import Any
 
 import drives
@@ -11,7 +10,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from reference import polyline
 
 from hd_diag.model import kernel
-from hd_diag.model.load_sharing import mesh_state
 from hd_diag.model.mesh import Mesh
 from hd_diag.model.torsion import torsion, torsion_table
 from hd_diag.model.torsion_map import TOLERANCE, BuildCancelled, TorsionMap, build
@@ -102,14 +100,6 @@ def test_one_at_a_time_equals_a_thousand_to_the_last_bit(table: TorsionMap) -> N
     assert_array_equal(table(angle[::-1], torque[::-1])[::-1], together)
 
 
-def test_jumps_over_the_gap(gap: TorsionMap) -> None:
-    angle, _ = points(gap, 50, 4)
-    tiny = np.full(angle.size, 1e-12)
-    lost = mesh_state(gap.mesh, angle, np.zeros(angle.size)).lost_motion
-    assert np.all(lost > 50e-6)
-    assert_allclose(gap(angle, tiny) - gap(angle, -tiny), lost, atol=2 * gap.error_bound)
-
-
 @pytest.mark.filterwarnings("error")
 def test_nan_beyond_the_limit(table: TorsionMap) -> None:
     limit = table.torque_limit
@@ -162,16 +152,6 @@ def test_is_that_of_plain_interpolation(table: TorsionMap) -> None:
     turn, torque, error = places(table)
     expected = [plain(table, *place) for place in zip(turn, torque, strict=True)]
     assert np.all(np.abs(table(turn, torque) - expected) <= error)
-
-
-@pytest.mark.parametrize("rows", [2, 64, 65, 66, 150])
-def test_few_rows(astray: TorsionMap, rows: int) -> None:
-    """Whole and broken numbers of rows of its index; a copy answers by its own rows."""
-    own = {name: getattr(astray, name)[:rows] for name in ("torque", "torsion", "lines")}
-    part = replace(astray, **own | {"lines": 2.0 * own["lines"]})
-    turn, torque, error = (values[::20] for values in places(part))
-    expected = [plain(part, *place) for place in zip(turn, torque, strict=True)]
-    assert np.all(np.abs(part(turn, torque) - expected) <= error)
 
 
 def test_angles_and_torques_of_different_number(astray: TorsionMap) -> None:

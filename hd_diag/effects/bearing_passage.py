@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -36,7 +35,6 @@ _LEADING = 0.8  # of the strongest line, that a line which slips must have
 _LEAK = 0.1  # of a line, that may still show beside it where a candidate is allowed
 
 
-@dataclass(frozen=True, kw_only=True)
 class BearingPassage(Harmonic):
     """``a cos(kappa theta_W - d)``; a fit lets the phase slip, as rolling bearings do."""
 
@@ -88,15 +86,7 @@ EFFECT = BearingPassage(
     quantities=(
         amplitude("amplitude", "rad", 1e-3, 1.5 * ARCSEC, "amplitude at the output"),
         direction("phase", "of the order at wave generator angle zero"),
-        Quantity(
-            "order",
-            "-",
-            BANDS[0][0],
-            BANDS[-1][1],
-            0.02,
-            "kappa, periods per wave generator turn",
-            linear=False,
-        ),
+        Quantity("order", "-", CAGE[0], BANDS[-1][1], 0.02, "kappa, periods per wave generator turn", False),
         switch("slips", "1: the phase slips over the record, and its mean is all that a model can predict"),
     ),
     confused_with=("encoder_interpolation", "circular_spline_form"),

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Starts, Stepped, Values
+from hd_diag.effects.effect import Effect, Stepped, Values
 from hd_diag.effects.excitation import enough_input_turns, torque_varies
 from hd_diag.effects.quantity import harmonic_sum, harmonics, lobes, switch
 from hd_diag.effects.signals import Signals
@@ -17,7 +16,6 @@ from hd_diag.effects.signals import Signals
 ORDERS = (2, 4, 6)
 
 
-@dataclass(frozen=True, kw_only=True)
 class CircularSplineForm(Effect):
     """Radial slot displacement ``u = sum a_k cos k (phi - d_k)`` through the contact's weights.
 
@@ -41,10 +39,6 @@ class CircularSplineForm(Effect):
         outward = harmonic_sum(coefficients, ORDERS, angle)
         return signals.contact.displaced(harmonic_sum(along.ravel(), ORDERS, angle), outward), state
 
-    def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
-        """Cut out of round, or bent."""
-        return Starts.grid([(0.0,), (1.0,)])
-
 
 EFFECT = CircularSplineForm(
     name="circular_spline_form",
@@ -53,6 +47,7 @@ EFFECT = CircularSplineForm(
     frame="housing",
     needs=("wave_generator_angle", "torque"),
     excitation=(partial(enough_input_turns, turns=3.0), torque_varies),
+    grid=((0.0,), (1.0,)),
     of_teeth=True,
     proportional=False,
     quantities=(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -15,7 +14,6 @@ from hd_diag.effects.signals import Signals
 ORDERS = (1, 2, 3, 4, 5, 6, 7, 8)  # odd ones show where an eccentricity makes the lobes unequal
 
 
-@dataclass(frozen=True, kw_only=True)
 class CircularSplinePitch(Effect):
     """Circumferential displacement of the slots ``sum a_k cos k (phi - d_k)``."""
 

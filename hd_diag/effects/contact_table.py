@@ -260,9 +260,10 @@ class ContactTable:
 
     @cached_property
     def _begin(self) -> tuple[Integers, int]:
-        """Torque node from which each flank bears as the torque rises (+) or falls (-), and their number.
+        """For each flank the torque node from which it bears as the torque rises (+) or falls (-).
 
-        One number for side, node and angle, flank after flank; one node more is of flanks that never bear.
+        As one index into an array (side, node, angle), flank after flank, with the number of nodes; the last
+        node is for flanks that never bear.
         """
         nodes, angles = self.torque_nodes.size + 1, self._angle.size
         turned = [side * self.torsion[..., None] for side in (1.0, -1.0)]

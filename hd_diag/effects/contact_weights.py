@@ -71,20 +71,11 @@ class ContactWeights:
         return found
 
     def harmonics(self, error: Error, orders: tuple[int, ...]) -> Complexes:
-        """Responses H to errors with some periods around the gear.
+        """Responses H [rad/m] to displacements ``Re(A exp(i k phi))`` with k periods around, (n, orders).
 
-        Parameters
-        ----------
-        error : {"slot", "tooth", "radial"}
-            Displacement of slots or teeth counter-clockwise, or of slots outward.
-        orders : tuple of int
-            k, periods around.
-
-        Returns
-        -------
-        ndarray of complex, shape (n, orders)
-            Of TE to the displacement ``Re(A exp(i k phi))``: Re(A H), H in [rad/m]. phi is the angle of the
-            slot, or of the tooth along the flexspline, tooth 0 at zero.
+        TE is ``Re(A H)``. The error is that of slots ("slot") or teeth ("tooth") counter-clockwise, or of
+        slots outward ("radial"); phi the angle of the slot, or of the tooth along the flexspline, tooth 0 at
+        zero.
         """
         turns = 1.0 + 1.0 / self.drive.mesh.geometry.reduction if error == "tooth" else 1.0
         turned: Complexes = np.power.outer(np.exp(1j * turns * self.wave_generator_angle), orders)
@@ -95,20 +86,11 @@ class ContactWeights:
         return self._sign * self._interpolate(self.table.harmonics("clearance", (0,)).real)[:, 0]
 
     def one_slot(self, position: float, opening: Openings = NO_OPENING) -> Floats:
-        """Response to more clearance on the flanks (+, -) of the slot nearest an angle.
+        """Response to more clearance on the flanks (+, -) of the slot nearest an angle [rad/m], shape (n, 2).
 
-        Parameters
-        ----------
-        position : float
-            Angle of the slot's axis in the circular spline [rad].
-        opening : (float, float)
-            Clearance added to the flanks [m]; the response is the mean slope from none to that, less once the
-            pair has parted.
-
-        Returns
-        -------
-        ndarray, shape (n, 2)
-            [rad/m]; wear of both flanks is the sum, a displaced slot the difference.
+        Wear of both flanks is the sum, a displaced slot the difference. The response is the mean slope from
+        no clearance to the opening of the flanks [m]: less once the pair has parted. The angle is that of the
+        slot's axis in the circular spline [rad].
         """
         geometry = self.drive.mesh.geometry
         slot = round(position / geometry.slot_pitch) % geometry.circular_spline_teeth
@@ -123,18 +105,7 @@ class ContactWeights:
         return self._sign * self.table.one_tooth(self.torque_rows, self.angle_rows, tooth, opening).T
 
     def under_more_torque(self, torque: Floats) -> Floats:
-        """Change of TE if the drive exerted more torque on the link, the cup's compliance included.
-
-        Parameters
-        ----------
-        torque : ndarray, shape (n,)
-            [N m]
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            [rad]
-        """
+        """Change of TE [rad] by more torque (n,) [N m] on the link, the cup's compliance included."""
         change = self._torsion(self.torque + torque) - self._own_torsion()
         return self.drive.frame.transmission_error(change, torque)
 
@@ -150,19 +121,10 @@ class ContactWeights:
         radial: Floats | float = 0.0,
         clearance: Floats | float = 0.0,
     ) -> Floats:
-        """Change of TE by errors of the slots at their full size, pairs coming into and out of load.
+        """Change of TE [rad] by errors of the slots at their full size, pairs coming into and out of load.
 
-        Parameters
-        ----------
-        circumferential, radial : float or ndarray, shape (Z_G,)
-            Displacement counter-clockwise and outward [m].
-        clearance : float or ndarray, shape (2, Z_G)
-            Circumferential, added to the flanks (+, -) [m].
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            [rad]
+        Displacement counter-clockwise and outward, of all or of each (Z_G,); circumferential clearance added
+        to the flanks (+, -), of all or of each (2, Z_G) [m].
         """
         errors = np.empty((4, self.drive.mesh.geometry.circular_spline_teeth))
         errors[0], errors[1], errors[2:] = circumferential, radial, clearance
@@ -170,22 +132,9 @@ class ContactWeights:
         return self._sign * self._interpolate(change[..., None])[:, 0]
 
     def teeth_beyond(self, displacement: Displacement, coefficients: Floats) -> Floats:
-        """Change of TE by errors of the flexspline's teeth at their full size, beyond the first order.
+        """Change of TE [rad] by errors of the flexspline's teeth at their full size, beyond the first order.
 
-        Parameters
-        ----------
-        displacement : callable
-        coefficients : ndarray, shape (k,)
-            [m]
-
-        Returns
-        -------
-        ndarray, shape (n,)
-            [rad]
-
-        Notes
-        -----
-        Solved at sizes `_ROUNDED` apart, and in proportion to the square of the size between.
+        Solved at coefficients (k,) [m] `_ROUNDED` apart, and in proportion to the square of the size between.
         """
         size = float(np.linalg.norm(coefficients))
         rounded = _ROUNDED * np.rint(coefficients / _ROUNDED)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -18,7 +17,6 @@ from hd_diag.effects.signals import Signals
 State = tuple[tuple[float, float] | None, float]
 
 
-@dataclass(frozen=True, kw_only=True)
 class CoulombWindup(MeshTorque):
     """``T' = T + a [1 + b exp(-(omega / omega_s)^2)] z``, a bristle z that motion bends: ``-1 ... 1``.
 

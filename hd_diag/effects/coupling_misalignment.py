@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.effects.effect import Effect, Starts, Values
+from hd_diag.effects.effect import Effect, Values
 from hd_diag.effects.excitation import both_directions, enough_input_turns, torque_varies
 from hd_diag.effects.quantity import Quantity, direction, switch
 from hd_diag.effects.signals import Signals
@@ -17,7 +16,6 @@ _STILL = 0.1  # speed of the input at which play changes its side [rad/s]
 _MOST_PLAY = 6.5e-4  # [rad]; dry friction looks like play: more than a coupling has is not taken for it
 
 
-@dataclass(frozen=True, kw_only=True)
 class CouplingMisalignment(Effect):
     """``(gamma^2 / 4) sin 2 (theta_in - d) / N``, less half of the play where it moves forward.
 
@@ -30,10 +28,6 @@ class CouplingMisalignment(Effect):
         way = nonlinear[0] * np.tanh(signals.speed / _STILL)
         return np.stack((np.sin(twice), -np.cos(twice), -2.0 * way), axis=1) / (4.0 * signals.ratio)
 
-    def starts(self, signals: Signals, residual: Floats | None = None) -> Starts:
-        """Without play, and with it."""
-        return Starts.grid([(0.0,), (1.0,)])
-
 
 EFFECT = CouplingMisalignment(
     name="coupling_misalignment",
@@ -42,6 +36,7 @@ EFFECT = CouplingMisalignment(
     frame="input",
     needs=("output_angle", "torque"),
     excitation=(partial(enough_input_turns, turns=3.0), torque_varies, both_directions),
+    grid=((0.0,), (1.0,)),
     quantities=(
         Quantity(
             "angle",

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from hd_diag.arrays import Floats
-from hd_diag.effects.excitation import Check, first_failure
+from hd_diag.effects.excitation import Check, Verdict
 from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.signals import Signals
 
@@ -22,7 +22,7 @@ Frame = Literal["input", "output", "housing", "time", "torque"]
 # What an effect gives at n samples, and its state after the last one.
 Stepped = tuple[Floats, Any]
 
-_KNOTS = 12  # along a record, between which the amplitude and phase of a wandering effect go straight
+_KNOTS = 12  # of the piecewise linear amplitude and phase of an effect that wanders over a record
 
 
 class Stage(IntEnum):
@@ -100,7 +100,8 @@ class Effect:
     searched : bool
         Whether it is searched for in the residual; others are found before the fit.
     given : bool
-        Whether no cause but part of every fit, drawn to zero by the usual sizes, of a torque by current.
+        Whether it is part of every fit to a torque that comes from motor current, drawn to zero by its usual
+        sizes, and is never named as a cause.
     lasting : bool
         Whether a model that runs can hold it; not what happened once in a record.
     """
@@ -130,18 +131,9 @@ class Effect:
     lasting: bool = True
 
     def columns(self, signals: Signals, nonlinear: Values) -> Floats:
-        """Transmission error by each linear coefficient, at small size.
+        """Transmission error by each linear coefficient, at small size [rad per unit], shape (n, size).
 
-        Parameters
-        ----------
-        signals : Signals
-        nonlinear : tuple of float
-            Values of the nonlinear quantities.
-
-        Returns
-        -------
-        ndarray, shape (n, size)
-            [rad] per unit of the coefficient; every run from its start.
+        `nonlinear` are the values of the nonlinear quantities. Every run begins from its start.
         """
         if not self.remembers:
             raise NotImplementedError
@@ -167,17 +159,7 @@ class Effect:
     def carry(self, signals: Signals, added: Floats, coefficients: Floats, nonlinear: Values) -> Floats:
         """What it makes of what earlier stages add, beside that itself; nothing unless stated.
 
-        Parameters
-        ----------
-        signals : Signals
-        added : ndarray, shape (n, k)
-            Parts of the transmission error.
-        coefficients : ndarray, shape (size,)
-        nonlinear : tuple of float
-
-        Returns
-        -------
-        ndarray, shape (n, k)
+        `added` are parts of the transmission error, shape (n, k), and so is the result [rad].
         """
         return np.zeros_like(added)
 
@@ -194,9 +176,10 @@ class Effect:
             if choice != nonlinear[index]
         ]
 
-    def testable(self, signals: Signals) -> tuple[bool, str]:
+    def testable(self, signals: Signals) -> Verdict:
         """Whether the record's motion allows to find it; if not, the shortest extra motion that would."""
-        return first_failure(signals, self.excitation)
+        verdicts = (check(signals) for check in self.excitation)
+        return next((verdict for verdict in verdicts if not verdict[0]), (True, ""))
 
     def response(self, signals: Signals, coefficients: Floats, nonlinear: Values) -> Floats:
         """Transmission error of the effect at its size along a record [rad], shape (n,)."""
@@ -229,7 +212,7 @@ class Effect:
         return bool(self.wanders_by and nonlinear[names.index(self.wanders_by)])
 
     def sensible(self, coefficients: Floats, nonlinear: Values) -> bool:
-        """Whether a candidate may have these values: beyond strict limits, another cause is meant."""
+        """Whether all strict limits hold; a candidate beyond them is another cause."""
         strict = [quantity for quantity in self.quantities if quantity.strict]
         values = self.to_physical(coefficients, nonlinear) if strict else {}
         return all(quantity.allows(values[quantity.name][0]) for quantity in strict)
@@ -259,18 +242,7 @@ class Effect:
     def to_physical(
         self, coefficients: Sequence[float] | Floats, nonlinear: Values
     ) -> dict[str, tuple[float, str]]:
-        """Values as people read them.
-
-        Parameters
-        ----------
-        coefficients : sequence of float, length size
-        nonlinear : tuple of float
-
-        Returns
-        -------
-        dict
-            Name to (value, unit), in the order of the quantities.
-        """
+        """Values as people read them: name to (value, unit), in the order of the quantities."""
         values = dict(zip((quantity.name for quantity in self.linear), map(float, coefficients), strict=True))
         for size, turned in self._pairs():
             cosine, sine = values[size.name], values[turned.name]
@@ -310,18 +282,10 @@ class Effect:
     def standard_deviations(
         self, coefficients: Sequence[float] | Floats, nonlinear: Values, covariance: Floats
     ) -> dict[str, float]:
-        """Standard deviations of the quantities by propagation (delta method).
+        """Standard deviations of the quantities by name, by propagation (delta method).
 
-        Parameters
-        ----------
-        coefficients : sequence of float, length size
-        nonlinear : tuple of float
-        covariance : ndarray, shape (size, size) or with the nonlinear quantities after the coefficients
-
-        Returns
-        -------
-        dict
-            Name to standard deviation; zero for quantities that the covariance leaves out.
+        The covariance is that of the coefficients, or of these and the nonlinear quantities after them; of
+        quantities that it leaves out the deviation is zero.
         """
         known = covariance.shape[0]
         gradient = np.eye(len(self.quantities), known)
@@ -347,3 +311,21 @@ def by_run(signals: Signals, evaluate: Callable[[Signals], Floats]) -> Floats:
     """Values of a whole record, every run evaluated from its own start."""
     runs = signals.runs() or [slice(0, 0)]
     return np.concatenate([evaluate(signals.part(run)) for run in runs])
+
+
+def seen_at(
+    stage: Stage, signals: Signals, parts: Sequence[tuple[Effect, Floats]], rate: Callable[[Floats], Floats]
+) -> Signals:
+    """Signals for the effects of a stage: the spring carries errors of the teeth, a late stream shows all.
+
+    From those with the base model's own prediction and what effects add [rad] (n,) each, of which those of
+    the same and later stages do not count; the rate is the derivative by time of values at the samples.
+    """
+    before = [(effect, part) for effect, part in parts if Stage.GEAR <= effect.stage < stage]
+    if stage == Stage.SPRING:
+        teeth = [part for effect, part in before if effect.of_teeth]
+        return replace(signals, tooth_ripple=np.sum(teeth, axis=0)) if teeth else signals
+    if not before:
+        return signals
+    total: Floats = signals.predicted + np.sum([part for _, part in before], axis=0)
+    return replace(signals, predicted=total, predicted_rate=rate(total))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 import numpy as np
 
@@ -25,12 +25,6 @@ _STILL = 1e-3  # [rad/s]; below this the input stands
 _LEAST_LOAD = 0.1  # of the rated torque, under which teeth bear for certain, whatever the error of its zero
 
 
-def first_failure(signals: Signals, checks: Iterable[Check]) -> Verdict:
-    """The verdict of the first check that fails, or (True, "")."""
-    verdicts = (check(signals) for check in checks)
-    return next((verdict for verdict in verdicts if not verdict[0]), (True, ""))
-
-
 def _verdict(possible: bool, extra: str) -> Verdict:
     return possible, "" if possible else extra
 
@@ -40,14 +34,18 @@ def enough_samples(signals: Signals) -> Verdict:
     return _verdict(signals.size >= 10, "fewer than ten samples: record before and after the step")
 
 
+def _span(values: Floats) -> float:
+    return float(np.ptp(values)) if values.size else 0.0
+
+
 def input_turns(signals: Signals) -> float:
     """Turns that the wave generator covers [-]."""
-    return float(np.ptp(signals.wave_generator_angle)) / TURN if signals.size else 0.0
+    return _span(signals.wave_generator_angle) / TURN
 
 
 def output_turns(signals: Signals) -> float:
     """Turns that the output covers [-]."""
-    return float(np.ptp(signals.output_angle)) / TURN if signals.size else 0.0
+    return _span(signals.output_angle) / TURN
 
 
 def enough_input_turns(signals: Signals, turns: float) -> Verdict:
@@ -72,7 +70,7 @@ def enough_output_turns(signals: Signals, turns: float) -> Verdict:
 
 def torque_varies(signals: Signals, fraction: float = 0.25) -> Verdict:
     """Whether the torque spans a fraction of the rated one."""
-    span = float(np.ptp(signals.torque)) if signals.size else 0.0
+    span = _span(signals.torque)
     wanted = fraction * signals.rated_torque
     if not (known := torque_known(signals))[0]:
         return known
@@ -118,7 +116,7 @@ def _reaches(signals: Signals, torque: float, extra: str) -> Verdict:
 
 def torque_known(signals: Signals) -> Verdict:
     """Whether the torque is measured: one that never changes by a digit is assumed."""
-    measured = bool(signals.size) and float(np.ptp(signals.torque)) > _DIGIT * signals.rated_torque
+    measured = _span(signals.torque) > _DIGIT * signals.rated_torque
     return _verdict(measured, "no torque is measured: record it, for what the load does hides the rest")
 
 
@@ -128,9 +126,10 @@ def torque_reverses(signals: Signals, fraction: float) -> Verdict:
     for run in signals.runs():
         turns = np.sort(_turning_points(signals.torque[run], swing))
         found = max(found, int(np.count_nonzero(np.diff(turns) > 0.5 * swing)) + 1 if turns.size else 0)
+    number = {0: "no value", 1: "one value"}.get(found, f"{found} values")
     return _verdict(
         found >= 3,
-        f"the torque turns back at {_number(found)}, three are needed, {swing:.3g} N m apart or more: swing "
+        f"the torque turns back at {number}, three are needed, {swing:.3g} N m apart or more: swing "
         "the load up, half-way down and up again without a pause",
     )
 
@@ -160,10 +159,6 @@ def _signed(value: float) -> str:
     return f"{value:.3g}".replace("-", "\N{MINUS SIGN}", 1) if abs(value) >= 5e-4 else "0"
 
 
-def _number(values: int) -> str:
-    return {0: "no value", 1: "one value"}.get(values, f"{values} values")
-
-
 def speed_beyond(signals: Signals, speed: float) -> Verdict:
     """Whether the input reaches a speed [rad/s]."""
     found = float(np.max(np.abs(signals.speed), initial=0.0))
@@ -178,7 +173,7 @@ def temperature_varies(signals: Signals, span: float = 3.0) -> Verdict:
     """Whether the temperature is measured and changes [K]."""
     if signals.temperature is None:
         return False, "no temperature is measured: record it, cold and after warming up by 3 K"
-    found = float(np.ptp(signals.temperature)) if signals.size else 0.0
+    found = _span(signals.temperature)
     return _verdict(
         found >= span, f"the temperature changes by {found:.2g} K: repeat the motion {span:g} K warmer"
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -15,7 +14,6 @@ from hd_diag.effects.signals import Signals
 ORDERS = (2, 4)  # two opposite lobes cancel the odd ones
 
 
-@dataclass(frozen=True, kw_only=True)
 class FlexsplinePitch(Effect):
     """Circumferential displacement of the teeth ``sum a_k cos k (psi - d_k)``."""
 

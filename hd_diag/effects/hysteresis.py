@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -24,7 +23,6 @@ _SWING = 0.1  # of the rated torque, that must be reversed twice
 State = tuple[float | None, float, tuple[float, ...]]
 
 
-@dataclass(frozen=True, kw_only=True)
 class Hysteresis(Effect):
     """``a_1 z_1 + a_2 z_2``: a bend that gives way smoothly, and elements that slip one after the other.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -28,7 +27,6 @@ _DRY, _LOADED = 1, 2  # columns of friction: that of one N m, and of one for eve
 State = tuple[float, float] | None
 
 
-@dataclass(frozen=True, kw_only=True)
 class MotorCurrent(MeshTorque):
     """``T' = M - m |M| s``, ``M = T + a T - f s - c sgn(omega) |omega / 100 rad/s|^0.85 - j domega/dt``.
 
@@ -51,10 +49,6 @@ class MotorCurrent(MeshTorque):
     def by_factor(self, coefficients: Floats) -> Floats:
         """Derivative of the coefficients by one factor of all torque that is borne."""
         return np.where(np.arange(self.size) == _LOADED, 0.0, coefficients + np.eye(self.size)[0])
-
-    def start(self, nonlinear: Values) -> State:
-        """No sample yet."""
-        return None
 
     def torque_step(self, state: State, signals: Signals, nonlinear: Values) -> Stepped:
         """The rate is that of a speed behind a first-order lag; see :meth:`MeshTorque.torque_step`."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hd_diag.arrays import Floats
@@ -13,7 +11,6 @@ from hd_diag.effects.signals import Signals
 from hd_diag.formatting import ARCSEC
 
 
-@dataclass(frozen=True, kw_only=True)
 class OrderLine(Effect):
     """``a cos(k theta_in - d)``, or the same times ``T / T_rated``."""
 

@@ -32,7 +32,7 @@ def spectrum(angle: Floats, residual: Floats, highest: float) -> tuple[Floats, F
 
 
 def travelled(angle: Floats) -> Floats:
-    """Weights of samples by the way they stand for, 1 in the mean: a rest is no more than its place; (n,)."""
+    """Weights of samples (n,), in proportion to the angle that each covers, 1 in the mean."""
     if angle.size < 2:
         return np.ones(angle.size)
     way = np.abs(np.gradient(angle))
@@ -49,10 +49,10 @@ def integer_orders(angle: Floats, residual: Floats, highest: int) -> Floats:
 
 
 def line_width(angle: Floats, leak: float) -> float:
-    """How far from a line its side lobes reach, for where the samples are [order].
+    """Distance from a line of the spectrum within which its side lobes are above a share of it [order].
 
-    Of a record that dwells in parts of its way that is more than one over the turns. The angle [rad] (n,) is
-    continuous over the turns; the leak is the share of the line's strength that counts as reached.
+    For samples that are spread evenly it is about one over the turns; more where a record dwells in parts of
+    its way. The angle [rad] (n,) is continuous over the turns; the leak is that share.
     """
     turn = np.floor((angle - np.min(angle)) / (2.0 * math.pi)).astype(np.int64)
     count = np.bincount(turn, travelled(angle))

@@ -71,9 +71,16 @@ def direction(name: str, meaning: str, order: int = 1) -> Quantity:
     return Quantity(name, "rad", 0.0, period, period, meaning, periodic=period)
 
 
+def choice(name: str, meaning: str, values: tuple[float, ...], choices: tuple[float, ...] = ()) -> Quantity:
+    """One of some numbers, rising; `choices` as of a `Quantity`."""
+    return Quantity(
+        name, "-", values[0], values[-1], 1.0, meaning, linear=False, discrete=True, choices=choices
+    )
+
+
 def switch(name: str, meaning: str, choices: tuple[float, ...] = ()) -> Quantity:
     """Which of two forms an effect has, 0 or 1."""
-    return Quantity(name, "-", 0.0, 1.0, 1.0, meaning, linear=False, discrete=True, choices=choices)
+    return choice(name, meaning, (0.0, 1.0), choices)
 
 
 def lobes(
@@ -81,18 +88,7 @@ def lobes(
 ) -> tuple[Quantity, ...]:
     """Amplitude [m] and direction of errors of the teeth with some numbers of periods around.
 
-    Parameters
-    ----------
-    name : str
-        Of an error; its order is appended.
-    orders : sequence of int
-    size_meaning : str
-        With ``{}`` for the order.
-    direction_meaning : str
-
-    Returns
-    -------
-    tuple of Quantity
+    Names end with the order; ``{}`` in the amplitude's meaning stands for it.
     """
     return tuple(
         quantity

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 
 from hd_diag.arrays import Floats
@@ -12,7 +11,6 @@ from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.signals import Signals
 
 
-@dataclass(frozen=True, kw_only=True)
 class RatioError(Effect):
     """``e theta_in / N``, with ``e = N / N' - 1`` and N' the real ratio."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -17,7 +16,7 @@ from hd_diag.effects.excitation import (
     several_speeds,
     torque_known,
 )
-from hd_diag.effects.quantity import Quantity, amplitude, direction
+from hd_diag.effects.quantity import Quantity, amplitude, choice, direction
 from hd_diag.effects.recursions import relax
 from hd_diag.effects.signals import Signals
 from hd_diag.formatting import ARCSEC
@@ -39,7 +38,6 @@ Before = tuple[tuple[float, float, float], tuple[complex, ...]]
 State = Before | None
 
 
-@dataclass(frozen=True, kw_only=True)
 class Resonance(Effect):
     """What a two-inertia oscillator makes of an order, ``Re a x``, and of the gear's own ripple.
 
@@ -216,7 +214,10 @@ def _binned(signals: Signals, residual: Floats) -> tuple[Floats, Floats, Complex
 def _quasi_static(
     signals: Signals, bins: tuple[Floats, Floats, Complexes, Complexes], order: float, damping: float
 ) -> list[tuple[float, Values]]:
-    """Gain of every frequency, bin by bin of the speed: an order of its own, and what carries the ripple."""
+    """Squares that each natural frequency explains, as an order of its own and by the ripple that it passes.
+
+    Every bin of speeds is taken as a steady state.
+    """
     speed, count, rest, ripple = bins
     own = (np.array(ORDERS) == order)[:, None]
     frequencies = np.geomspace(*_passed(signals, order), _FINE)
@@ -254,17 +255,7 @@ EFFECT = Resonance(
         amplitude("amplitude", "rad", 1e-2, 8.0 * ARCSEC, "a, of the exciting order well below resonance"),
         direction("phase", "of the exciting order at wave generator angle zero"),
         Quantity("carried", "-", -0.5, 1.5, 1.0, "c, share of the gear's own ripple that passes the spring"),
-        Quantity(
-            "order",
-            "-",
-            ORDERS[0],
-            ORDERS[-1],
-            1.0,
-            "n, exciting order of the wave generator's turn",
-            linear=False,
-            discrete=True,
-            choices=ORDERS,
-        ),
+        choice("order", "n, exciting order of the wave generator's turn", ORDERS, ORDERS),
         Quantity("natural_frequency", "rad/s", LOWEST, 1e4, 100.0, "omega_n, undamped", linear=False),
         Quantity("damping", "-", 2e-3, 0.5, 0.03, "zeta, share of the critical one", linear=False),
     ),

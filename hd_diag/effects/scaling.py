@@ -15,7 +15,7 @@ _RATED_TORQUE = 56.0  # [N m]
 
 
 def unit_scales(drive: Drive) -> Mapping[str, float]:
-    """What sizes in a unit are multiplied with for a drive: 1 for a gear of size 25, ratio 100 and 56 N m.
+    """Factors for sizes in each unit that suit a drive: 1 for a gear of size 25, ratio 100 and 56 N m.
 
     Angles stay: the torsion under the rated torque is nearly that of all sizes.
     """

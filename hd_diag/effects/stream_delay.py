@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -20,7 +19,6 @@ _POINTS = 4  # of the polynomial between samples: the ripple turns by half a rad
 State = tuple[Floats, Floats]
 
 
-@dataclass(frozen=True, kw_only=True)
 class StreamDelay(Effect):
     """``theta_out(t - dt) - theta_out(t)``, to first order ``-dt (omega_o + dTE/dt)``.
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hd_diag.effects.effect import Effect, Stepped, Values
@@ -22,7 +20,6 @@ _AT_ONCE = 1e-9  # [s]; no lag
 State = tuple[float, float] | None
 
 
-@dataclass(frozen=True, kw_only=True)
 class ThermalDrift(Effect):
     """``g (y - 20 degC)``, ``tau dy/dt = Theta - y``, settled at first; nothing without a temperature."""
 

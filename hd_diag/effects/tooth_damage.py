@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -23,7 +22,6 @@ _BESIDE = range(-2, 3)  # teeth beside a position that are compared exactly
 _ENOUGH = 20_000  # samples for that
 
 
-@dataclass(frozen=True, kw_only=True)
 class ToothDamage(Effect):
     """More clearance on the flanks of one slot or tooth, as the contact's shares pass it on."""
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from hd_diag.arrays import Floats
@@ -16,7 +14,6 @@ _CANDIDATES = 2
 _APART = 0.02  # of the record: steps nearer than this are one
 
 
-@dataclass(frozen=True, kw_only=True)
 class ToothSkip(Effect):
     """``m 2 pi / Z_G`` from a moment on."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -20,7 +19,6 @@ _MOST = 100.0  # times the usual compliance: no torque is near a knee of which s
 _LEAST = 0.25  # of the rated torque, that the record must reach
 
 
-@dataclass(frozen=True, kw_only=True)
 class TorsionalHardening(Effect):
     """``-sgn T [a ramp(abs T - T1) + b ramp(abs T - T2)]``; negative a, b: harder.
 

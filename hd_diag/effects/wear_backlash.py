@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -13,7 +12,6 @@ from hd_diag.effects.quantity import Quantity
 from hd_diag.effects.signals import Signals
 
 
-@dataclass(frozen=True, kw_only=True)
 class WearBacklash(Effect):
     """Clearance of every flank grows by the same; first order of a widening dead zone."""
 

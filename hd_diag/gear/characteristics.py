@@ -82,54 +82,37 @@ class Characteristics:
 
 
 class MeshOverTurn:
-    """The teeth of a mesh at some wave generator angles [rad], as far as a whole turn is judged by them."""
+    """The teeth of a mesh at some wave generator angles [rad], as far as a whole turn is judged by them.
+
+    Its `torsion` gives rotations of the cup (moments, torques) [rad] at torques (torques,) [N m].
+    """
 
     def __init__(self, mesh: Mesh, angle: Floats) -> None:
-        self._compliance = mesh.tooth_compliance
-        self._flanks = _flanks(replace(mesh, tooth_compliance=1.0), tuple(angle))
-
-    def torsion(self, torque: Floats) -> Floats:
-        """Rotation of the cup (moments, torques) at torques (torques,) [rad]."""
-        return self._flanks.torsion(torque * self._compliance)
+        # Whether both lobes are the same, and one stands for both.
+        is_same = not (mesh.eccentricity or mesh.runout or mesh.geometry.flexspline_teeth % 2)
+        self._compliance, self._contact = mesh.tooth_compliance, contacts(mesh, angle, lobes=2 - is_same)
+        self._stiffness = flank_stiffness(self._contact, mesh.tooth_compliance)
+        self.torsion = FlankTorsion(self._contact.rotation, (1.0 + is_same) * self._stiffness)
 
     def peak_load(self, torque: float) -> float:
         """Largest force on a flank [N]; nan: the torque cannot be borne."""
         beta = self.torsion(np.array([torque]))[:, :, None]
-        overlap = np.fmax(FLANKS * beta - self._flanks.rotation, 0.0)
-        peak = float((overlap * np.sqrt(self._flanks.stiffness)).max()) / self._compliance
+        overlap = np.fmax(FLANKS * beta - self._contact.rotation, 0.0)
+        peak = float((overlap * np.sqrt(self._stiffness / self._compliance)).max())
         return peak if torque == 0.0 or np.isfinite(beta).all() else math.nan
 
     def lost_motion(self) -> float:
         """Greatest gap without torque [rad]."""
-        return max(float(self._flanks.torsion.gap.max()), 0.0)
+        return max(float(self.torsion.gap.max()), 0.0)
 
     def least_backlash(self) -> float:
         """Of all teeth without torque [m]."""
-        return float(np.nanmin(self._flanks.rotation * self._flanks.radius))
+        return float(np.nanmin(self._contact.rotation * self._contact.radius))
 
     def overlap(self) -> float:
         """By which both lobes press against each other without torque [m]; negative: clearance."""
-        radius = np.where(np.isnan(self._flanks.rotation), np.nan, self._flanks.radius)
-        return float((-self._flanks.torsion.gap * np.nanmean(radius, axis=(1, 2))).max())
-
-
-class _Flanks(NamedTuple):
-    """Rotation [rad] and radius [m] at which flanks touch; stiffness, torsion, of a compliance of 1 m/N."""
-
-    rotation: Floats
-    radius: Floats
-    stiffness: Floats
-    torsion: FlankTorsion
-
-
-@lru_cache(maxsize=8)  # a page's drive is looked at with several compliances
-def _flanks(mesh: Mesh, angle: tuple[float, ...]) -> _Flanks:
-    """Flanks of a mesh whose compliance is 1 m/N, at some wave generator angles [rad]."""
-    is_same = not (mesh.eccentricity or mesh.runout or mesh.geometry.flexspline_teeth % 2)  # at both lobes
-    found = contacts(mesh, np.array(angle), lobes=1 if is_same else 2)
-    stiffness = flank_stiffness(found, mesh.tooth_compliance)
-    torsion = FlankTorsion(found.rotation, 2.0 * stiffness if is_same else stiffness)
-    return _Flanks(found.rotation, found.radius, stiffness, torsion)
+        radius = np.where(np.isnan(self._contact.rotation), np.nan, self._contact.radius)
+        return float((-self.torsion.gap * np.nanmean(radius, axis=(1, 2))).max())
 
 
 @lru_cache(maxsize=512)

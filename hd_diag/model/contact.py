@@ -38,8 +38,6 @@ class Contact:
         r, distance of the contact from the axis [m].
     pressure_angle : ndarray
         alpha [rad].
-    position : ndarray
-        Polar angle of the contact in the housing [rad].
     opening, softening : ndarray
         Change of b and of the stiffness' logarithm where the slot moves outward [rad/m], [1/m].
     """
@@ -49,28 +47,16 @@ class Contact:
     rotation: Floats
     radius: Floats
     pressure_angle: Floats
-    position: Floats
     opening: Floats
     softening: Floats
 
 
 def contacts(mesh: Mesh, wave_generator_angle: Floats, compiled: bool = False, lobes: int = 2) -> Contact:
-    """Contacts of the tooth pairs near both lobes, at any number of moments.
+    """Contacts of the tooth pairs near both lobes, at wave generator angles theta_W (moments,) [rad].
 
-    Parameters
-    ----------
-    mesh : Mesh
-    wave_generator_angle : ndarray, shape (moments,)
-        theta_W [rad].
-    compiled : bool
-        Whether by compiled code: many times as fast, once it is there.
-    lobes : int
-        1: the first alone. The other is the same in a centred mesh with an even number of teeth.
-
-    Returns
-    -------
-    Contact
-        Columns are the teeth that can reach the slots at any angle; all others cannot touch.
+    Columns are the teeth that can reach the slots at any angle; all others cannot touch. Compiled code is
+    many times as fast, once it is there. One of the `lobes` alone is enough in a centred mesh with an even
+    number of teeth: the other is the same.
     """
     turn = np.asarray(wave_generator_angle, dtype=np.float64)
     solve: Any = partial(_compiled if compiled else close, mesh.data.constants)
@@ -103,7 +89,6 @@ def _contacts(
         np.arcsin(touch.sine) - FLANKS * (axis[:, None] - slot * c.slot_pitch),
         np.hypot(touch.x, touch.y),
         np.arctan2(push, lever),
-        slot * c.slot_pitch + FLANKS * np.arctan2(touch.y, touch.x),
         touch.datum / lever,
         2.0 * touch.lever_datum / lever**2,
     )

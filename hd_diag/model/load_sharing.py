@@ -80,18 +80,8 @@ class MeshState:
 def mesh_state(mesh: Mesh, wave_generator_angle: Floats, torque: Floats) -> MeshState:
     """Backlash and load of every tooth, contacts and load distribution solved together.
 
-    Parameters
-    ----------
-    mesh : Mesh
-    wave_generator_angle : ndarray, shape (moments,)
-        theta_W [rad].
-    torque : ndarray, shape (moments,)
-        M on the cup [N m].
-
-    Returns
-    -------
-    MeshState
-        Its torsion is that of :func:`hd_diag.model.torsion.torsion`, to the last bit.
+    At wave generator angles theta_W (moments,) [rad] and torques M on the cup (moments,) [N m]. The torsion
+    is that of :func:`hd_diag.model.torsion.torsion`, to the last bit.
     """
     rows = moments(mesh, wave_generator_angle, torque)
     count = rows[0].size

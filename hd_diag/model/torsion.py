@@ -20,21 +20,10 @@ def warm_up(gradient: bool = False) -> None:
 
 
 def torsion(mesh: Mesh, wave_generator_angle: Floats, torque: float | Floats) -> Floats:
-    """Exact torsion at one torque per moment; a large batch is spread over the cores.
+    """Exact torsion beta (moments,) [rad] at theta_W (moments,) [rad] and torques M on the cup [N m].
 
-    Parameters
-    ----------
-    mesh : Mesh
-    wave_generator_angle : ndarray, shape (moments,)
-        theta_W [rad].
-    torque : float or ndarray, shape (moments,)
-        M on the cup [N m].
-
-    Returns
-    -------
-    ndarray, shape (moments,)
-        beta [rad]; the middle of a true gap at zero torque; nan if no flank can bear the torque. Every
-        element depends on its own inputs alone, to the last bit.
+    The middle of a true gap at zero torque; nan if no flank can bear the torque. Every element depends on its
+    own inputs alone, to the last bit. A large batch is spread over the cores.
     """
     rows = moments(mesh, wave_generator_angle, torque)
     beta = np.empty(rows[0].size)
@@ -54,20 +43,10 @@ def torsion_table(mesh: Mesh, wave_generator_angle: Floats, torque: Floats) -> F
 
 
 def torsion_and_gradient(mesh: Mesh, wave_generator_angle: Floats, torque: Floats) -> tuple[Floats, Floats]:
-    """Exact torsion and its derivatives, in one pass.
+    """Exact :func:`torsion` (moments,) [rad] and its derivatives (moments, 5), in one pass.
 
-    Parameters
-    ----------
-    mesh, wave_generator_angle, torque
-        As for :func:`torsion`.
-
-    Returns
-    -------
-    torsion : ndarray, shape (moments,)
-        beta [rad].
-    gradient : ndarray, shape (moments, 5)
-        Derivatives of beta by E_x, E_y in the housing [rad/m], r_0 [rad/m], K1 + K2 [rad N/m] and
-        M [rad/(N m)] (infinite in a true gap).
+    These are by E_x, E_y in the housing [rad/m], r_0 [rad/m], K1 + K2 [rad N/m] and M [rad/(N m)] (infinite
+    in a true gap).
 
     Notes
     -----
@@ -82,21 +61,10 @@ def torsion_and_gradient(mesh: Mesh, wave_generator_angle: Floats, torque: Float
 def torsion_along(
     mesh: Mesh, wave_generator_angle: Floats, torque: Floats, nodes: int
 ) -> tuple[Floats, Floats]:
-    """Torsion and its derivatives along many samples, solved at nodes of a turn and straight between them.
+    """As :func:`torsion_and_gradient` along many samples: solved at nodes of a turn, straight between them.
 
     At a node they are exact at every torque; what breaks where a pair comes into load is blurred by one step.
-
-    Parameters
-    ----------
-    mesh, wave_generator_angle, torque
-        As for :func:`torsion`.
-    nodes : int
-        Steps of a turn.
-
-    Returns
-    -------
-    torsion, gradient
-        As of :func:`torsion_and_gradient`; nan where no flank can bear the greatest torque.
+    nan where no flank can bear the greatest torque.
     """
     turn, center, _ = moments(mesh, np.linspace(0.0, 2.0 * np.pi, nodes + 1))
     place = np.mod(wave_generator_angle, 2.0 * np.pi) * (nodes / (2.0 * np.pi))

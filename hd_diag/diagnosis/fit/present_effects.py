@@ -11,10 +11,9 @@ import numpy as np
 from hd_diag.arrays import Floats
 from hd_diag.diagnosis.fit.fitted_rows import FittedRows
 from hd_diag.diagnosis.fit.mesh_torques import MeshTorques, mesh_torques
-from hd_diag.effects.effect import Effect, Stage, Values
+from hd_diag.effects.effect import Effect, Stage, Values, seen_at
 from hd_diag.effects.mesh_torque import MeshTorque
 from hd_diag.effects.signals import Signals
-from hd_diag.effects.stages import seen_at
 
 Item = tuple[Effect, Values]
 

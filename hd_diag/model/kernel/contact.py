@@ -19,7 +19,7 @@ once. A - flank is the + flank of the mirrored tooth.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,21 +37,21 @@ class Point(NamedTuple):
 
 
 class Touch(NamedTuple):
-    """A possible contact, flank closed, slot frame.
+    """A possible contact, flank closed, slot frame; of several flanks at once where the numbers are arrays.
 
     Sine of the tooth axis' angle; contact, normal; derivatives of half the squared lever arm by the tooth's
     height, its offset and the datum radius [m]; derivative of the angle by the latter, times the arm [-].
     """
 
-    sine: float
-    x: float
-    y: float
-    normal_x: float
-    normal_y: float
-    lever_height: float
-    lever_offset: float
-    lever_datum: float
-    datum: float
+    sine: Any
+    x: Any
+    y: Any
+    normal_x: Any
+    normal_y: Any
+    lever_height: Any
+    lever_offset: Any
+    lever_datum: Any
+    datum: Any
 
 
 @formula

@@ -15,7 +15,7 @@ import numpy as np
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.model.kernel.compiler import inline, part
-from hd_diag.model.kernel.contact import close
+from hd_diag.model.kernel.contact import Touch, close
 from hd_diag.model.kernel.mesh_data import Constants, MeshData, reach
 from hd_diag.model.kernel.poses import Teeth, place, room
 
@@ -25,23 +25,6 @@ _SMALL_TORSION = 1e-3
 
 # Sines up to here become angles by the arcsine's series to x^15, exact to rounding [-].
 _SMALL_SINE = 0.125
-
-
-class Contacts(NamedTuple):
-    """First contacts of both flanks of some teeth, each (2, teeth).
-
-    nan where a tooth does not reach the slots. As of a :class:`hd_diag.model.kernel.contact.Touch`.
-    """
-
-    sine: Floats
-    x: Floats
-    y: Floats
-    normal_x: Floats
-    normal_y: Floats
-    lever_height: Floats
-    lever_offset: Floats
-    lever_datum: Floats
-    datum: Floats
 
 
 class Side(NamedTuple):
@@ -65,7 +48,7 @@ class Scratch(NamedTuple):
     """Working space for one moment, used again at the next."""
 
     teeth: Teeth
-    contacts: Contacts
+    contacts: Touch
     plus: Side
     minus: Side
 
@@ -84,10 +67,10 @@ def side_room(count: int) -> Side:
 
 
 @part
-def contacts_room(c: Constants) -> Contacts:
-    """Contacts that are not yet found, for all teeth."""
+def contacts_room(c: Constants) -> Touch:
+    """First contacts of both flanks of all teeth, each (2, teeth), not yet found."""
     shape = (2, c.flexspline_teeth)
-    return Contacts(
+    return Touch(
         np.empty(shape),
         np.empty(shape),
         np.empty(shape),
@@ -101,7 +84,7 @@ def contacts_room(c: Constants) -> Contacts:
 
 
 @part
-def find(c: Constants, teeth: Teeth, count: int, found: Contacts) -> None:
+def find(c: Constants, teeth: Teeth, count: int, found: Touch) -> None:
     """Set the contacts of the first teeth, so many of them; the compiler does several at once."""
     height, offset = teeth.height, teeth.offset
     for flank in range(2):
@@ -119,7 +102,7 @@ def find(c: Constants, teeth: Teeth, count: int, found: Contacts) -> None:
 
 
 @inline
-def arms(found: Contacts, flank: int, j: int) -> tuple[float, float, float]:
+def arms(found: Touch, flank: int, j: int) -> tuple[float, float, float]:
     """Distance of a contact from the axis, and its components along the normal and across it (lever) [m]."""
     x, y = found.x[flank, j], found.y[flank, j]
     normal_x, normal_y = found.normal_x[flank, j], found.normal_y[flank, j]
