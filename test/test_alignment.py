@@ -17,7 +17,7 @@ from hd_diag.bag import BagWriter
 from hd_diag.messages.encoding import encode_joint_states
 from hd_diag.messages.publications import JOINT_STATE, encode
 from hd_diag.monitor.all_joints import Monitor
-from hd_diag.monitor.publications import Due, Publication
+from hd_diag.monitor.publications import Publication
 from hd_diag.replay.map_builder import map_of
 from hd_diag.replay.replay import replay
 from hd_diag.streams.alignment import Alignment, Names
@@ -118,20 +118,20 @@ def play(
 ) -> tuple[Any, ...]:
     """Everything published, by topic, and the diagnostics, of messages taken so many at a time.
 
-    Events and reports come before the messages of their numbers; with messages one by one these are ticks.
+    Events and reports come before the messages of their numbers.
     """
     topics: dict[str, list[tuple[int, bytes]]] = {}
     begin, turn, events = 0, 0, events or {}
     while begin < len(messages):
         if begin in events:
             EVENTS[events[begin]](monitor)
-        end = min([begin + sizes[turn % len(sizes)], len(messages), *(at for at in events if at > begin)])
+        cuts = [at for at in {*events, *reports} if at > begin]
+        end = min([begin + sizes[turn % len(sizes)], len(messages), *cuts])
         received = START + np.arange(begin, end) // 2  # some arrive at the same time
-        due = [Due(at - begin, START + at, 7 * at, {}) for at in sorted(reports) if begin <= at < end]
         published: list[Publication] = []
-        if end == begin + 1:
-            published, due = [monitor.tick(*each[1:]) for each in due], []
-        published += monitor.mixed_states(received, together(messages[begin:end]), due=due)
+        if begin in reports:
+            published.append(monitor.tick(START + begin, 7 * begin, {}))
+        published += monitor.mixed_states(received, together(messages[begin:end]))
         for encoded in map(encode, published):
             rows = zip(encoded.received.tolist(), map(bytes, encoded.rows), strict=True)
             topics.setdefault(encoded.topic, []).extend(rows)

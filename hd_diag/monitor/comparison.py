@@ -90,12 +90,6 @@ class Comparison:
         self.count = last
         return Errors(samples, *found)
 
-    def drop(self, count: int) -> None:
-        """Forget the first samples, which are followed."""
-        rest = self.kept[count:].copy()
-        self._kept[: rest.size] = rest
-        self.count = self.followed = rest.size
-
     def _solve(self, samples: Aligned, predicted: Floats) -> None:
         """Set the errors that no map gives."""
         missing = np.isnan(predicted)

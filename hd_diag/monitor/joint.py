@@ -3,29 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from hd_diag.arrays import Floats, Integers, Times
+from hd_diag.arrays import Floats, Times
 from hd_diag.model.torsion_map import TorsionMap
-from hd_diag.monitor.lost_samples import LostSamples
 from hd_diag.monitor.model_run import ModelRun
-from hd_diag.monitor.residual_orders import Order, ResidualOrders
+from hd_diag.monitor.residual_orders import ResidualOrders
 from hd_diag.monitor.settings import JointConfig
 from hd_diag.streams.alignment import Aligned, Alignment
 
-_TOTALS = ("angle", "load", "samples", "rejected", "unpaired", "clock_jumps")
+_JUDGED_AT_LEAST = 8  # stamps, for their usual step
 
 
 class Window(NamedTuple):
-    """What happened to a joint between two reports, and how the second found it.
+    """What happened to a joint since the last report.
 
     Stamps of the inputs [ns]; residuals where an output angle was reported [rad]; torques [N m] and speeds
-    [rad/s] of all samples that a model predicted; how many were accepted and rejected; input angle [rad] and
-    torque [N m] of the last sample, None before the first; counts since the beginning; orders of the
-    residual, those that the motion shows.
+    [rad/s] of all samples that a model predicted; how many samples were accepted and rejected.
     """
 
     stamps: Times
@@ -34,13 +30,36 @@ class Window(NamedTuple):
     speed: Floats
     accepted: int
     rejected: int
-    last: tuple[float, float] | None
-    samples: int
-    all_rejected: int
-    unpaired: int
-    clock_jumps: int
-    missed: int
-    orders: Sequence[Order]
+
+
+class LostSamples:
+    """Count of a joint's lost samples: jitter adds and takes away steps, a loss only adds.
+
+    `usual_step` is the period of the sender [ns]; 0 while it is not known.
+    """
+
+    def __init__(self) -> None:
+        self.count = self.lately = 0
+        self.usual_step = 0.0
+        self.unjudged: Times = np.empty(0, np.int64)
+
+    def judge(self, stamps: Times, rejected: int) -> None:
+        """Count what is missing among further samples, by their stamps (n,) [ns].
+
+        They are judged from the last stamp before on, and once there are enough of them. What a sender makes
+        up for after a call was not lost: it is taken back. Neither is what came and was `rejected`.
+        """
+        self.unjudged = np.concatenate((self.unjudged, stamps))
+        if self.unjudged.size < _JUDGED_AT_LEAST:
+            return
+        from hd_diag.monitor.kernel import lost  # late: it imports numba
+
+        self.usual_step, missing, net, short = lost(self.unjudged, self.usual_step)
+        self.unjudged = self.unjudged[-1:]
+        if self.usual_step > 0.0:
+            count = max(0, int(min(missing, net)) - rejected)
+            self.count += count - min(self.lately, max(0, -int(net)), short)
+            self.lately = count
 
 
 class Joint:
@@ -58,17 +77,23 @@ class Joint:
         self.orders = ResidualOrders()
         self.runs: tuple[ModelRun, ...] = ()
         self._streams, self._number = streams, number
-        self.begin_model()
+        self._reported = self.state.copy()
+        self._begin_model()
+
+    @property
+    def state(self) -> Any:
+        """What the streams know of it: a record of `JOINT`."""
+        return self._streams.joints[self._number]
 
     @property
     def samples(self) -> int:
         """Input angles taken so far."""
-        return int(self._streams.joints["samples"][self._number])
+        return int(self.state["samples"])
 
     @property
     def rejected(self) -> int:
         """Samples that could not be used."""
-        return int(self._streams.joints["rejected"][self._number])
+        return int(self.state["rejected"])
 
     @property
     def last_rejection(self) -> str:
@@ -87,39 +112,23 @@ class Joint:
         if (config.drive, config.model) != (before.drive, before.model):
             self.orders = ResidualOrders()
         if config.model != before.model:
-            self.begin_model()
+            self._begin_model()
         self._streams.configure(self._number, config.names)
 
-    def begin_model(self) -> None:
-        """Let the extended model begin anew; what is paired later has a stream of its own."""
+    def _begin_model(self) -> None:
         model = self.config.model
         self.runs = () if model is None else (ModelRun(model), ModelRun(model))
 
-    def windows(
-        self, kept: Any, ends: Integers, known: Any, orders: Sequence[Sequence[Order]]
-    ) -> list[Window]:
-        """What happened between reports, of all samples since the one before them, as `Comparison.kept`.
-
-        `ends` (l,) are how many of these came before each report, `known` (l + 1,) what was known of the
-        joint at the report before and at each, `orders` (l) those of the residual then.
-        """
-        is_modelled = np.isfinite(kept["speed"])
-        parts = zip(
-            _pieces(kept["stamp"], kept["paired"] == 0, ends),
-            _pieces(kept["residual"], np.isfinite(kept["output_angle"]), ends),
-            _pieces(kept["torque"], is_modelled, ends),
-            _pieces(kept["speed"], is_modelled, ends),
-            np.diff(known["samples"]).tolist(),
-            np.diff(known["rejected"]).tolist(),
-            strict=True,
+    def window(self, kept: Any) -> Window:
+        """What happened since the last report, of the joint's samples since then, as `Comparison.kept`."""
+        before, self._reported = self._reported, self.state.copy()
+        accepted, rejected = (int(self._reported[n] - before[n]) for n in ("samples", "rejected"))
+        stamps, is_modelled = kept["stamp"][kept["paired"] == 0], np.isfinite(kept["speed"])
+        self.lost.judge(stamps, rejected)
+        residual = kept["residual"][np.isfinite(kept["output_angle"])]
+        return Window(
+            stamps, residual, kept["torque"][is_modelled], kept["speed"][is_modelled], accepted, rejected
         )
-        totals = zip(*(known[name][1:].tolist() for name in _TOTALS), strict=True)
-        found = []
-        for part, (angle, load, *total), own in zip(parts, totals, orders, strict=True):
-            self.lost.judge(part[0], part[-1])
-            last = (angle, load) if total[0] else None
-            found.append(Window._make((*part, last, *total, self.lost.count, own)))
-        return found
 
     def predict(self, samples: Aligned) -> tuple[Floats, Floats]:
         """Transmission error [rad] and speed [rad/s] that the joint's model gives for its next samples."""
@@ -129,11 +138,3 @@ class Joint:
             if rows.size:
                 error[rows], speed[rows] = run(samples.part(rows), self.temperature, self.table)
         return error, speed
-
-
-def _pieces(values: Any, chosen: Any, ends: Integers) -> list[Any]:
-    """The chosen values between ends."""
-    rows = np.flatnonzero(chosen)
-    bounds = rows.searchsorted(ends).tolist()
-    kept = values[rows]
-    return [kept[first:last] for first, last in zip([0, *bounds], bounds, strict=False)]

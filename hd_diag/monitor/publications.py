@@ -66,20 +66,6 @@ class Status(NamedTuple):
         return f"hd_diag: {self.joint}"
 
 
-class Due(NamedTuple):
-    """A report that is due before the message with number `row`: time of the report, header stamp [ns].
-
-    `facts` is what the surroundings know, ``log_state`` and ``latency_p99_us``; `silence` how long each joint
-    has been silent by a clock of its own [s], None to take the time of the report.
-    """
-
-    row: int
-    now: int
-    stamp: int
-    facts: Mapping[str, str]
-    silence: Mapping[str, float] | None = None
-
-
 class Report(NamedTuple):
     """Diagnostics of all joints: topic, time of the cause [ns], header stamp [ns], silence of each [s]."""
 

@@ -29,7 +29,7 @@ from hd_diag.model.mesh import Mesh
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.monitor.all_joints import Monitor
 from hd_diag.monitor.carried import carried, carry_on
-from hd_diag.monitor.publications import Due, Publication, Report
+from hd_diag.monitor.publications import Publication, Report
 from hd_diag.replay import versions
 from hd_diag.replay.events import (
     CarriedOn,
@@ -123,19 +123,20 @@ class Session:
             shapes, refused = [], [(0, str(error))]
         for states in shapes:
             self.lag = float(np.fmax(self.lag, (received - states.stamp[-1]) * 1e-9))
-        self._note_temperatures(shapes)
-        self._publish(self.monitor.mixed_states(received_at, shapes, refused, heard_at))
+        self.mixed_states(received_at, shapes, refused, heard_at)
 
     def mixed_states(
         self,
         received: Times,
         shapes: Sequence[JointStates],
         refused: Sequence[tuple[int, str]],
-        due: Sequence[Due] = (),
+        heard: Times | None = None,
     ) -> None:
         """Take messages, as `Monitor.mixed_states`; temperatures in them stand for all of them."""
-        self._note_temperatures(shapes)
-        self._publish(self.monitor.mixed_states(received, shapes, refused, due=due))
+        for states in shapes:
+            for joint, column in temperatures(states).items():
+                self.monitor.temperature(joint, float(column[-1]))
+        self._publish(self.monitor.mixed_states(received, shapes, refused, heard))
 
     def temperature(self, joint: str, data: bytes) -> None:
         """Take a Temperature message in CDR."""
@@ -145,11 +146,6 @@ class Session:
             self.monitor.joints[joint].reject(str(error))
         else:
             self.monitor.temperature(joint, value)
-
-    def _note_temperatures(self, shapes: Sequence[JointStates]) -> None:
-        for states in shapes:
-            for joint, column in temperatures(states).items():
-                self.monitor.temperature(joint, float(column[-1]))
 
     def configure(self, now: int, config: Config) -> list[str]:
         """Put another configuration in force from the next message on, at a time [ns].

@@ -17,7 +17,6 @@ from hd_diag.config.parameters import shown
 from hd_diag.messages.publications import LAST_TIME, Encoded, resolved
 from hd_diag.messages.schemas import jazzy
 from hd_diag.model.torsion_map import TorsionMap
-from hd_diag.monitor.publications import Due
 from hd_diag.records.joint_topics import no_input
 from hd_diag.replay import versions
 from hd_diag.replay.events import CarriedOn, ClockSetBack, Configured, Event, MapUsed, Paced, Reported
@@ -141,7 +140,6 @@ class _Run:
         # Some maps are kept for a parameter that is set back; nothing else is to be done before one is there.
         self._build = lru_cache(_MAPS_KEPT)(build_at_once)
         self._problems: list[str] = []
-        self._outputs: list[Encoded] | None = None  # of messages that are being taken
         for topic in reader.topics:
             if sources.topics.types.get(topic.name) == (kind := topic.type_name):
                 known = None if kind in jazzy().fielddefs else topic.definition
@@ -170,7 +168,7 @@ class _Run:
             self._temperatures(mixed, sources.topics.temperatures[name])
         else:
             shapes, refused = sources.topics.columns(mixed)
-            for rows in self._together(mixed.log_time, temperature_changes(shapes)):
+            for rows in self._pieces(mixed.log_time, temperature_changes(shapes)):
                 self._joint_states(mixed, rows, shapes, refused)
         self.done += mixed.log_time.size
 
@@ -211,39 +209,36 @@ class _Run:
                 self._reader.path, "holds times beyond the year 2038, which ROS 2 cannot represent"
             )
 
-    def _together(self, times: Times, cuts: Integers) -> Iterator[slice]:
-        """Rows, cut at some of them and where what the node publishes of them may be large."""
+    def _pieces(self, times: Times, cuts: Integers) -> Iterator[slice]:
+        """Rows to take at once, with the reports that are due before each piece.
+
+        A piece ends before the next report, at one of the cuts, and where what the node publishes of it may
+        be large.
+        """
         config, begin = self._running.config, 0
         size = len(config.joints) * (config.array_rate * _ARRAYS_SIZE + config.mesh_rate * _DRAWING_SIZE)
         longest = int(_NANOSECONDS * _MOST_BYTES / max(1.0, size))
         while begin < times.size:
-            end = max(begin + 1, int(np.searchsorted(times, times[begin] + longest)))
+            last = min(self._report_until(int(times[begin])), int(times[begin]) + longest)
+            end = max(begin + 1, int(np.searchsorted(times, last)))
             end = min([end, *cuts[cuts > begin][:1].tolist()])
             yield slice(begin, end)
             begin = end
 
-    def _reports_due(self, times: Times) -> list[Due]:
-        """Reports between messages at log times; one before the first is given. A log holds its own."""
-        found: list[Due] = []
-        begin = times.size if self._sources.events else 0
-        while begin < times.size:
-            due = self._due(int(times[begin]))
-            end = begin + int(np.searchsorted(times[begin:], due))
-            if end == begin:
-                self._next_report = due + self._period
-                if begin:
-                    found.append(Due(begin, due, due, _FACTS))
-                else:  # a temperature in the messages is not known yet
-                    self._running.tick(due, due, _FACTS)
-            begin = end
-        return found
+    def _report_until(self, now: int) -> int:
+        """Make the reports that are due up to a log time; the time of the next [ns]. A log holds its own.
 
-    def _due(self, now: int) -> int:
-        """Time of the next report [ns]; a long silence has but its last."""
+        A long silence has but its last.
+        """
+        if self._sources.events:
+            return LAST_TIME
         if self._next_report is None:
             self._next_report = now + self._period
         elif now - self._next_report > _LONGEST_SILENCE:
             self._next_report += (now - self._next_report) // self._period * self._period
+        while self._next_report <= now:
+            self._running.tick(self._next_report, self._next_report, _FACTS)
+            self._next_report += self._period
         return self._next_report
 
     @property
@@ -252,28 +247,15 @@ class _Run:
 
     def _temperatures(self, mixed: Mixed, joint: str) -> None:
         for row, data in enumerate(mixed.batches[0][1].messages()):
-            at = slice(row, row + 1)
-            self._reports_due(mixed.log_time[at])
-            self._copy(mixed, at)
+            self._report_until(int(mixed.log_time[row]))
+            self._copy(mixed, slice(row, row + 1))
             self._running.temperature(joint, bytes(data))
 
     def _joint_states(self, mixed: Mixed, rows: slice, shapes: list[JointStates], refused: _Refused) -> None:
-        """Take messages; in the output inputs and reports stand in turn, then what was published of both."""
+        self._copy(mixed, rows)
         here = [states.between(rows.start, rows.stop) for states in shapes]
         bad = [(row - rows.start, reason) for row, reason in refused if rows.start <= row < rows.stop]
-        times = mixed.log_time[rows]
-        due, self._outputs = self._reports_due(times), []
-        self._running.mixed_states(times, [states for states in here if states.row.size], bad, due)
-        outputs, self._outputs, begin = self._outputs, None, rows.start
-        reports = outputs[len(outputs) - 2 * len(due) :]
-        for each, event, report in zip(due, reports[::2], reports[1::2], strict=True):
-            self._copy(mixed, slice(begin, rows.start + each.row))
-            self._write(event)
-            self._write(report)
-            begin = rows.start + each.row
-        self._copy(mixed, slice(begin, rows.stop))
-        for encoded in outputs[: len(outputs) - 2 * len(due)]:
-            self._write(encoded)
+        self._running.mixed_states(mixed.log_time[rows], [s for s in here if s.row.size], bad)
 
     def _copy(self, mixed: Mixed, rows: slice) -> None:
         """Copy messages to the output."""
@@ -342,8 +324,5 @@ class _Run:
             self._running.use_map(now, joint.name, table)
 
     def _write(self, encoded: Encoded) -> None:
-        if self._outputs is not None:
-            self._outputs.append(encoded)
-            return
         topic = self._sources.names.get(encoded.topic) or resolved(encoded.topic, self._sources.node)
         self._writer.write_many(topic, encoded.type_name, encoded.rows, encoded.received)

@@ -8,7 +8,7 @@
 * **Torque.** Of a sample it is the last one reported up to there, and only if that one's stamp is at most
   `LONGEST_HOLD` away; else it is not known. Live the configured torque then stands for it. Offline, where the
   next one is known too, `torque_between` interpolates between reported torques at most as far apart.
-* **A velocity is integrated** from the output's angle on: see `kernel_integration`.
+* **A velocity is integrated** from the output's angle on: see `kernel._integrate`.
 * **Turns are counted.** An angle within one turn that jumps by over half of one wraps, as does a counter of
   16 or 32 bits: it goes the short way.
 * **What is not measured** is often reported as nan: then it counts as not reported, until a number comes; an
@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -30,13 +30,21 @@ import numpy as np
 
 from hd_diag.arrays import Bytes, Floats, Integers, Times
 from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TORQUE, JointStates
-from hd_diag.streams.rules import INPUT, JOINT, NEVER, OUTPUT, REMEMBERED, Given, Reason, unseen
+from hd_diag.streams.rules import (
+    INPUT,
+    JOINT,
+    LONGEST_HOLD,
+    NEVER,
+    OUTPUT,
+    REMEMBERED,
+    Given,
+    Reason,
+    unseen,
+)
 
 # Of JOINT, as in Names.
 _CONFIGURED = ["assumed_torque", "input_factor", "velocity_ratio", "input_counter", "output_counter"]
 _LAYOUTS = 64  # of messages, whose columns are remembered
-_NOTHING = np.zeros((1, 1))
-_NO_MOMENTS = np.empty((3, 0), np.int64)
 
 ELSEWHERE = "-"
 """Key of a signal that no message gives."""
@@ -99,26 +107,6 @@ class Aligned(NamedTuple):
         return Aligned(*(column[rows] for column in self))
 
 
-class Seen(NamedTuple):
-    """What is known of k joints at l moments between messages.
-
-    Attributes
-    ----------
-    joints : ndarray of JOINT, shape (l, k)
-    last_rejections : list of l lists of k str
-        Why the last sample of a joint that was refused could not be used; empty if there was none.
-    foreign : ndarray of int64, shape (l,)
-        Messages that name none of the joints.
-    samples : ndarray of int64, shape (l,)
-        Of the samples taken together, how many came before.
-    """
-
-    joints: Any
-    last_rejections: list[list[str]]
-    foreign: Integers
-    samples: Integers
-
-
 class _Columns(NamedTuple):
     """Where values of k joints are in messages of one layout, (4 k,), what is given (1, k), if anything."""
 
@@ -156,7 +144,6 @@ class Alignment:
         self._inputs = np.zeros((len(names), remembered), INPUT)
         self._waiting = np.zeros((len(names), remembered), OUTPUT)
         self.encoders = unseen(2 * len(names)).reshape(-1, 2)
-        self._unseen = np.empty((0, len(names)), JOINT)
         self._columns: dict[Any, _Columns] = {}
         self.foreign = 0
         self.joints[_CONFIGURED][:] = [(each.torque, *each[4:]) for each in names]
@@ -193,46 +180,15 @@ class Alignment:
         -------
         Aligned
         """
-        return self._take(heard, shapes, refused, _NO_MOMENTS, self._unseen)[0]
-
-    def take_and_look(
-        self,
-        heard: Times,
-        shapes: Sequence[JointStates],
-        refused: Sequence[tuple[int, str]],
-        rows: Sequence[int],
-        times: Sequence[int],
-    ) -> tuple[Aligned, Seen]:
-        """As `take`, and what is known before messages with rising numbers, at rising `times` [ns]."""
-        before, texts, seen = self.foreign, [*self.texts], np.empty((len(rows), self.joints.size), JOINT)
-        moments = np.array([rows, times, rows], np.int64)
-        samples, given = self._take(heard, shapes, refused, moments, seen)
-        foreign = before + np.searchsorted(np.flatnonzero(~given.any(axis=1)), moments[0])
-        unreadable = dict(refused)
-        reasons = [
-            [self._reason(number, joint, texts, unreadable) for number, joint in enumerate(joints)]
-            for joints in seen
-        ]
-        return samples, Seen(seen, reasons, foreign, moments[2])
-
-    def _take(
-        self,
-        heard: Times,
-        shapes: Sequence[JointStates],
-        refused: Sequence[tuple[int, str]],
-        moments: Times,
-        seen: Any,
-    ) -> tuple[Aligned, Bytes]:
-        """Aligned samples, and what the messages gave."""
         stamp, values, given = self._rows(heard.size, shapes)
         if refused:
             given[[row for row, _ in refused]] = Given.REFUSED
-        whole, found = kernel().align(stamp, heard, values, given, *self.state, moments, seen)
-        unreadable = self.joints["reason"] == Reason.UNREADABLE if refused else ()
-        for number in np.flatnonzero(unreadable).tolist():
-            self.texts[number] = self._reason(number, self.joints[number], self.texts, dict(refused))
-            self.joints["reason"][number] = Reason.OTHER
-        return Aligned(*whole, *found), given
+        whole, found = kernel().align(stamp, heard, values, given, *self.state)
+        if refused:
+            for number in np.flatnonzero(self.joints["reason"] == Reason.UNREADABLE):
+                self.texts[number] = f"a message {dict(refused)[self.joints['reason_late'][number]]}"
+                self.joints["reason"][number] = Reason.OTHER
+        return Aligned(*whole, *found)
 
     def clock_set_back(self, stamp: int) -> None:
         """Let joints whose last stamp is later than one [ns] begin anew: the clock was set back."""
@@ -248,10 +204,8 @@ class Alignment:
 
     def last_rejection(self, number: int) -> str:
         """Why the last sample of a joint that was refused could not be used; empty if there was none."""
-        return self._reason(number, self.joints[number], self.texts, {})
-
-    def _reason(self, number: int, joint: Any, texts: Sequence[str], unreadable: Mapping[int, str]) -> str:
-        value, late, names = joint["reason_value"], int(joint["reason_late"]), self._names[number]
+        joint, names = self.joints[number], self._names[number]
+        value, late = joint["reason_value"], int(joint["reason_late"])
         match Reason(joint["reason"]):
             case Reason.NAMELESS:
                 return "the message names the joint and gives no position of it"
@@ -265,9 +219,7 @@ class Alignment:
                 return _late(names.input_joint, late)
             case Reason.LATE_OUTPUT:
                 return _late(names.output_joint, late)
-            case Reason.UNREADABLE:
-                return f"a message {unreadable[late]}"
-        return texts[number]
+        return self.texts[number]
 
     def _rows(self, count: int, shapes: Sequence[JointStates]) -> tuple[Times, Floats, Bytes]:
         """Stamps (n,), values (n, k, 4) and what is given (n, k)."""
@@ -285,9 +237,8 @@ class Alignment:
         return stamp, values, given
 
     def _values(self, states: JointStates, columns: _Columns) -> Floats:
-        nothing = _NOTHING if states.stamp.size == 1 else np.zeros((states.stamp.size, 1))
         blocks = [block for block in states.blocks if block is not None]
-        joined = np.concatenate([nothing, *blocks], axis=1)
+        joined = np.concatenate([np.zeros((states.stamp.size, 1)), *blocks], axis=1)
         return joined.take(columns.place, axis=1).reshape(-1, self.joints.size, 4)
 
     def _columns_of(self, states: JointStates) -> _Columns:
@@ -324,6 +275,36 @@ class Alignment:
         if states.keys and not given.any():
             given[:] = Given.OTHER
         return _Columns(place.reshape(-1), given, not given.any())
+
+
+def torque_between(stamp: Times, stretch: Integers, torque: Floats, torque_stamp: Times) -> Floats:
+    """Torque of one joint's samples where the next reported one is known as well: interpolated.
+
+    Parameters
+    ----------
+    stamp, stretch, torque, torque_stamp : ndarray, shape (m,)
+        As in `Aligned`, by stamps in each stretch.
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        [N m]; nan where none is reported nearby, infinite beside an infinite one; by the rules above.
+    """
+    found = torque.copy()
+    for number in np.unique(stretch[torque_stamp != stamp]):
+        rows = np.flatnonzero(stretch == number)
+        held = rows[~np.isnan(torque[rows])]
+        if not held.size:
+            continue
+        known, first = np.unique(torque_stamp[held], return_index=True)
+        at = stamp[rows]
+        after = np.minimum(known.searchsorted(at), known.size - 1)
+        before = np.maximum(after - 1, 0)
+        gap = known[after] - np.minimum(known[before], at)
+        near = (at < known[after]) & (gap <= LONGEST_HOLD)
+        between = np.interp((at - known[0]) * 1e-9, (known - known[0]) * 1e-9, torque[held[first]])
+        found[rows[near]] = between[near]
+    return found
 
 
 @functools.cache
