@@ -120,12 +120,8 @@ def _checked(name: str, value: Any) -> Any:
     return value
 
 
-def _all(value: Any, kind: Any) -> bool:
+def _texts(value: Any, kind: Any = str) -> bool:
     return isinstance(value, dict) and all(isinstance(text, kind) for text in value.values())
-
-
-def _texts(value: Any) -> bool:
-    return _all(value, str)
 
 
 def _number(value: Any) -> bool:
@@ -137,7 +133,7 @@ _FIELDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "parameters": (lambda value: isinstance(value, dict), "are missing"),
     "topics": (_texts, "are no texts"),
     "models": (_texts, "are no texts"),
-    "versions": (lambda value: _all(value, str | None), "are no texts"),
+    "versions": (lambda value: _texts(value, str | None), "are no texts"),
     "joint": (lambda value: isinstance(value, str), "is missing"),
     "torque_limit": (lambda value: _number(value) and value > 0.0, "is no positive number"),
     "stamp": (lambda value: type(value) is int and abs(value) <= LAST_TIME, "is no ROS time"),

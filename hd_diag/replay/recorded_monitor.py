@@ -56,23 +56,9 @@ Sink = Callable[[Encoded], None]
 class Session:
     """A monitor with its events and its encoded output.
 
-    Parameters
-    ----------
-    config : Config
-    sink : callable
-        Takes every result and event, in order.
-    node : str
-        Full name of the node, for its parameter events and diagnostics.
-    topics : mapping of str to str, optional
-        Full names of the node's topics, for the log: it may be that they are remapped.
-
-    Attributes
-    ----------
-    config : Config
-        In force.
-    monitor : Monitor
-    lag : float
-        Most that a message came after its stamp since the last report [s]; live alone.
+    The sink takes every result and event, in order. The node's full name is for its parameter events and
+    diagnostics, the full names of its topics for the log: it may be that they are remapped. `lag` is the most
+    that a message came after its stamp since the last report [s], live alone.
     """
 
     def __init__(

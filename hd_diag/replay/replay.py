@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from hd_diag.config.parameters import shown
 from hd_diag.messages.publications import LAST_TIME, Encoded, resolved
 from hd_diag.messages.schemas import jazzy
 from hd_diag.model.torsion_map import TorsionMap
+from hd_diag.monitor.joint import Joint
 from hd_diag.records.joint_topics import no_input
 from hd_diag.replay import versions
 from hd_diag.replay.events import CarriedOn, ClockSetBack, Configured, Event, MapUsed, Paced, Reported
@@ -24,7 +25,6 @@ from hd_diag.replay.map_builder import build_at_once, map_limit
 from hd_diag.replay.preparation import prepare
 from hd_diag.replay.recorded_monitor import Session
 from hd_diag.replay.sources import Sources, event_of, models_of, sources_of
-from hd_diag.streams.columns import JointStates
 from hd_diag.streams.signals import temperature_changes
 
 _NANOSECONDS = 1_000_000_000
@@ -35,42 +35,29 @@ _MOST_BYTES = 32 << 20  # of arrays and drawings that wait to be written
 _ARRAYS_SIZE, _DRAWING_SIZE = 10_000, 1 << 20  # of one joint, about [byte]
 
 Progress = Callable[[int, int], None]
-_Refused = list[tuple[int, str]]
 
 
 @dataclass
 class Replay:
     """What a replay did.
 
-    Attributes
-    ----------
-    reproduced : bool
-        Whether the bag is the node's own log and its events were followed, not a given configuration.
-    messages, written : int
-        Messages read and written.
-    duration : float
-        Time from the first to the last message of the bag [s].
-    rejected, missed : dict of str to int
-        By joint: samples that could not be used, and samples that are missing by the stamps.
-    last_rejection : dict of str to str
-    problems : list of str
-        What is wrong with the bag, joints without a map, software of other versions than the log's.
-    joints : tuple of str
-        Joints that had samples.
-    absent : dict of str to str
-        Joints that had none, with what the bag has instead.
+    `reproduced`: the bag is the node's own log and its events were followed, not a given configuration.
+    Messages read and written; time from the first to the last of the bag [s]. By joint: samples that could
+    not be used and why the last of them, samples that are missing by the stamps. `problems`: what is wrong
+    with the bag, joints without a map, software of other versions than the log's. `joints` had samples;
+    `absent` had none, with what the bag has instead.
     """
 
     reproduced: bool
-    messages: int = 0
-    written: int = 0
-    duration: float = 0.0
-    rejected: dict[str, int] = field(default_factory=dict)
-    missed: dict[str, int] = field(default_factory=dict)
-    last_rejection: dict[str, str] = field(default_factory=dict)
-    problems: list[str] = field(default_factory=list)
-    joints: tuple[str, ...] = ()
-    absent: dict[str, str] = field(default_factory=dict)
+    messages: int
+    written: int
+    duration: float
+    rejected: dict[str, int]
+    missed: dict[str, int]
+    last_rejection: dict[str, str]
+    problems: list[str]
+    joints: tuple[str, ...]
+    absent: dict[str, str]
 
 
 def replay(
@@ -90,8 +77,7 @@ def replay(
         Bag of any storage that rosbag2 has, or the node's own log.
     out : path
         Bag to write: inputs, outputs and events, as in the node's log. After an error it is left without its
-        end, so that no reader takes it for whole; a bag that it would replace stays as it was, also after
-        Ctrl-C.
+        end, so that no reader takes it for whole; a bag that it would replace stays as it was.
     config : Config, optional
         Without it the bag must be a node's log: its configuration, and every change of it, is followed, and
         the outputs are those of the live run, to the last bit where the software has the same versions.
@@ -100,10 +86,6 @@ def replay(
     overwrite : bool, optional
     progress : callable, optional
         Called with the messages read so far and their number; a KeyboardInterrupt finishes a new output.
-
-    Returns
-    -------
-    Replay
 
     Raises
     ------
@@ -169,7 +151,10 @@ class _Run:
         else:
             shapes, refused = sources.topics.columns(mixed)
             for rows in self._pieces(mixed.log_time, temperature_changes(shapes)):
-                self._joint_states(mixed, rows, shapes, refused)
+                self._copy(mixed, rows)
+                here = [states.between(rows.start, rows.stop) for states in shapes]
+                bad = [(at - rows.start, why) for at, why in refused if rows.start <= at < rows.stop]
+                self._running.mixed_states(mixed.log_time[rows], [s for s in here if s.row.size], bad)
         self.done += mixed.log_time.size
 
     def result(self) -> Replay:
@@ -179,23 +164,22 @@ class _Run:
             session.tick(self._last, self._last, _FACTS)
         joints = session.monitor.joints
         return Replay(
-            bool(self._sources.events),
-            self.done,
-            sum(self._writer.counts.values()),
-            self._reader.duration,
-            {name: joint.rejected for name, joint in joints.items()},
-            {name: joint.lost.count for name, joint in joints.items()},
-            {name: joint.last_rejection for name, joint in joints.items()},
-            [*self._reader.problems, *self._problems],
-            tuple(name for name, joint in joints.items() if joint.samples),
-            {j.name: self._absent(j) for j in session.config.joints if not joints[j.name].samples},
+            reproduced=bool(self._sources.events),
+            messages=self.done,
+            written=sum(self._writer.counts.values()),
+            duration=self._reader.duration,
+            rejected={name: joint.rejected for name, joint in joints.items()},
+            missed={name: joint.lost.count for name, joint in joints.items()},
+            last_rejection={name: joint.last_rejection for name, joint in joints.items()},
+            problems=[*self._reader.problems, *self._problems],
+            joints=tuple(name for name, joint in joints.items() if joint.samples),
+            absent={name: self._absent(joint) for name, joint in joints.items() if not joint.samples},
         )
 
-    def _absent(self, joint: JointConfig) -> str:
-        seen = self._running.monitor.joints[joint.name]
-        if seen.rejected:
-            return f"{seen.rejected} samples, all rejected, the last because: {seen.last_rejection}"
-        return no_input(self._reader.path, joint)
+    def _absent(self, joint: Joint) -> str:
+        if joint.rejected:
+            return f"{joint.rejected} samples, all rejected, the last because: {joint.last_rejection}"
+        return no_input(self._reader.path, joint.config)
 
     @property
     def _running(self) -> Session:
@@ -251,12 +235,6 @@ class _Run:
             self._copy(mixed, slice(row, row + 1))
             self._running.temperature(joint, bytes(data))
 
-    def _joint_states(self, mixed: Mixed, rows: slice, shapes: list[JointStates], refused: _Refused) -> None:
-        self._copy(mixed, rows)
-        here = [states.between(rows.start, rows.stop) for states in shapes]
-        bad = [(row - rows.start, reason) for row, reason in refused if rows.start <= row < rows.stop]
-        self._running.mixed_states(mixed.log_time[rows], [s for s in here if s.row.size], bad)
-
     def _copy(self, mixed: Mixed, rows: slice) -> None:
         """Copy messages to the output."""
         for places, batch in mixed.batches:
@@ -307,17 +285,17 @@ class _Run:
             what = f"was recorded with {other}: outputs may differ by rounding"
             self._problems = [*dict.fromkeys([*self._problems, str(BagError(self._reader.path, what))])]
 
-    def _map(self, joint: JointConfig, torque_limit: float | None = None) -> TorsionMap:
+    def _map(self, joint: JointConfig, torque_limit: float) -> TorsionMap:
         """Map of a joint as it is configured now."""
         try:
-            return self._build(joint.drive.mesh, torque_limit or map_limit(joint))
+            return self._build(joint.drive.mesh, torque_limit)
         except Exception as error:  # whatever is wrong with the mesh, as in MapBuilder
             raise BagError(self._reader.path, f"{joint.name} has no map: {error}") from error
 
     def _use_own_map(self, now: int, joint: JointConfig) -> None:
         """Predict a joint by its map; without one the predictions stay exact, as in the node."""
         try:
-            table = self._map(joint)
+            table = self._map(joint, map_limit(joint))
         except BagError as error:
             self._problems.append(f"{error.cause}; predictions stay exact")
         else:

@@ -22,16 +22,9 @@ NODE = "/hd_diag"
 class Sources:
     """Topics by their names in the bag.
 
-    Attributes
-    ----------
-    node : str
-        Full name of the node that wrote the bag, or whose part is played.
-    events : str
-        Topic of the events; empty where a configuration is given.
-    topics : JointTopics
-        That are taken in.
-    names : mapping of str to str
-        The node's topics, by their names in `messages`, to full names.
+    Full name of the node that wrote the bag, or whose part is played; topic of the events, empty where a
+    configuration is given; the topics that are taken in; full names of the node's topics, by their names in
+    `messages`.
     """
 
     node: str
@@ -51,7 +44,8 @@ def sources_of(reader: BagReader, config: Config | None, topics: tuple[str, ...]
     Without topics with joint states all are taken but a node's outputs. BagError where there is no log and no
     configuration, or no joint state; ConfigError where the log's joints cannot be.
     """
-    _check(reader, topics)
+    if missing := set(topics) - {t.name for t in reader.topics if t.type_name == JOINT_STATE}:
+        raise BagError(reader.path, f"has no topic {min(missing)} with {JOINT_STATE}; {held(reader)}")
     if config is None:
         return _of_log(reader, topics)
     signals = {joint.name: joint.signals for joint in config.joints}
@@ -104,9 +98,3 @@ def _log(reader: BagReader) -> tuple[str, Configured]:
             return name, event
         reason = f"is a log without its beginning: {name} does not begin with a configuration"
     raise BagError(reader.path, reason)
-
-
-def _check(reader: BagReader, topics: tuple[str, ...]) -> None:
-    missing = set(topics) - {t.name for t in reader.topics if t.type_name == JOINT_STATE}
-    if missing:
-        raise BagError(reader.path, f"has no topic {min(missing)} with {JOINT_STATE}; {held(reader)}")

@@ -224,23 +224,21 @@ class DiagnosticNode(Node):
     def _report(self) -> None:
         latency = np.percentile(self._latencies, 99) * 1e-3 if self._latencies else float("nan")
         self._latencies.clear()
-        facts = {"latency_p99_us": f"{latency:.1f}"} | self._log.facts | self._arrivals()
-        silence = self._session.monitor.silence(time.monotonic_ns())
-        self._session.tick(self._now(), self.get_clock().now().nanoseconds, facts, silence)
-
-    def _arrivals(self) -> dict[str, str]:
-        """What the reports tell of how messages arrive."""
         lost = self._waiting.dropped + sum(each.lost for each in self._inputs)
         faults = self._seen.faults(self._session.config.joints)
         if lost > self._told_lost:
             faults.append(f"{lost - self._told_lost} messages were lost since the last report")
         self._told_lost = lost
-        found = {
+        facts = {
+            "latency_p99_us": f"{latency:.1f}",
+            **self._log.facts,
             "lag_s": f"{self._session.lag:.6g}",
             "messages_lost": str(lost),
             "warning": "; ".join(faults),
+            "array_share": f"{self._session.monitor.share:.6g}",
         }
-        return found | {"array_share": f"{self._session.monitor.share:.6g}"}
+        silence = self._session.monitor.silence(time.monotonic_ns())
+        self._session.tick(self._now(), self.get_clock().now().nanoseconds, facts, silence)
 
     def _take_maps(self) -> None:
         while not self._builder.finished.empty():

@@ -71,24 +71,11 @@ class Names(NamedTuple):
 class Aligned(NamedTuple):
     """Samples of joints, in the order of the messages that gave them, each column (m,).
 
-    Attributes
-    ----------
-    row : ndarray of int64
-        Position of the message that made the sample complete, among those taken together.
-    joint : ndarray of int64
-        Number of the joint.
-    stamp, torque_stamp : ndarray of int64
-        Of the sample; of the reported torque [ns].
-    stretch : ndarray of int64
-        Number of the joint's stream: another one after its clock was set back.
-    paired : ndarray of int64
-        1 where the output angle came apart from the input, which had a sample at its own stamp; else 0.
-    input_angle, output_angle : ndarray
-        [rad]; output nan where none is reported.
-    torque : ndarray
-        On the link, reported or assumed [N m].
-    speed : ndarray
-        Of the input [rad/s]; nan where it is not reported.
+    Position of the message that made the sample complete, among those taken together; number of the joint;
+    stamp of the sample and of the reported torque [ns]; number of the joint's stream, another one after its
+    clock was set back; 1 in `paired` where the output angle came apart from the input, which had a sample at
+    its own stamp. Angles [rad], output nan where none is reported; torque on the link, reported or assumed
+    [N m]; speed of the input [rad/s], nan where it is not reported.
     """
 
     row: Times
@@ -116,24 +103,11 @@ class _Columns(NamedTuple):
 
 
 class Alignment:
-    """Streams of joints.
+    """Streams of k joints by their names.
 
-    Parameters
-    ----------
-    names : sequence of k Names
-    remembered : int, optional
-        Inputs that are kept for outputs, and outputs that may wait, of each joint.
-
-    Attributes
-    ----------
-    joints : ndarray of JOINT, shape (k,)
-        What is known of each.
-    encoders : ndarray of ENCODER, shape (k, 2)
-        Of input and output.
-    texts : list of str
-        Reasons that were given to `reject`.
-    foreign : int
-        Messages that name none of the joints.
+    Of each joint so many inputs are `remembered` for outputs, and so many outputs may wait. `joints` (k,) are
+    records of `JOINT`, `encoders` (k, 2) of `ENCODER`, of input and output; `texts` reasons that were given
+    to `reject`; `foreign` counts messages that name none of the joints.
     """
 
     def __init__(self, names: Sequence[Names], remembered: int = REMEMBERED) -> None:
@@ -165,20 +139,10 @@ class Alignment:
     def take(
         self, heard: Times, shapes: Sequence[JointStates], refused: Sequence[tuple[int, str]] = ()
     ) -> Aligned:
-        """Aligned samples that messages complete.
+        """Aligned samples that messages complete, which arrived at times `heard` (n,) [ns].
 
-        Parameters
-        ----------
-        heard : ndarray of int64, shape (n,)
-            When each arrived [ns].
-        shapes : sequence of JointStates
-            The messages of each layout; their `row` are positions in `heard`.
-        refused : sequence of (int, str), optional
-            Messages that cannot be read, which may have been of every joint: position, and what they are.
-
-        Returns
-        -------
-        Aligned
+        The `row` of the messages of each layout are positions among these. Those that are `refused` cannot be
+        read, and may have been of every joint: position, and what they are.
         """
         stamp, values, given = self._rows(heard.size, shapes)
         if refused:
@@ -278,17 +242,10 @@ class Alignment:
 
 
 def torque_between(stamp: Times, stretch: Integers, torque: Floats, torque_stamp: Times) -> Floats:
-    """Torque of one joint's samples where the next reported one is known as well: interpolated.
+    """Torque (m,) [N m] of one joint's samples where the next reported one is known as well: interpolated.
 
-    Parameters
-    ----------
-    stamp, stretch, torque, torque_stamp : ndarray, shape (m,)
-        As in `Aligned`, by stamps in each stretch.
-
-    Returns
-    -------
-    ndarray, shape (m,)
-        [N m]; nan where none is reported nearby, infinite beside an infinite one; by the rules above.
+    Of columns (m,) as in `Aligned`, by stamps in each stretch; by the rules above. It is nan where none is
+    reported nearby, infinite beside an infinite one.
     """
     found = torque.copy()
     for number in np.unique(stretch[torque_stamp != stamp]):

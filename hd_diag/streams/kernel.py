@@ -59,7 +59,8 @@ def align(
                     _take_input(joints[j], stamp[row], heard[row], left, values[row, j], inputs[j])
                     output = values[row, j, 1] if left & _OUTPUT else math.nan
                     speed = values[row, j, 3] if left & _SPEED else math.nan
-                    _put(whole, found, count, row, j, stamp[row], joints[j], 0)
+                    whole[:3, count] = row, j, stamp[row]
+                    whole[3:, count] = joints[j].torque_stamp, joints[j].stretch, 0
                     found[:, count] = joints[j].angle, output, joints[j].load, speed
                     count += 1
                 elif left & _OUTPUT:
@@ -228,17 +229,9 @@ def _pair(
             if math.isnan(angle):
                 joints[j].unpaired += 1
             else:
-                _put(whole, found, count, row, j, stamp, joints[j], 1)
-                whole[3, count] = output.torque_stamp
+                whole[:, count] = row, j, stamp, output.torque_stamp, joints[j].stretch, 1
                 found[:, count] = angle, output.angle, output.torque, math.nan
                 count += 1
-
-
-@part
-def _put(
-    whole: Integers, found: Floats, count: int, row: int, j: int, stamp: int, joint: Any, paired: int
-) -> None:
-    whole[:, count] = row, j, stamp, joint.torque_stamp, joint.stretch, paired
 
 
 @part
@@ -276,8 +269,10 @@ def messages(
 def _runs(row: Times, stamp: Times, paired: Integers, joint: Integers, chosen: Integers) -> Integers:
     bounds, messages, begin = np.empty((2, chosen.size), np.int64), 0, 0
     while begin < chosen.size:
-        first, end = chosen[begin], begin
-        while end < chosen.size and _together(row, stamp, paired, chosen[end], first):
+        first, end = chosen[begin], begin + 1
+        while end < chosen.size and row[chosen[end]] == row[first]:
+            if stamp[chosen[end]] != stamp[first] or paired[chosen[end]] != paired[first]:
+                break
             end += 1
         width = end - begin
         like = messages > 0 and bounds[1, messages - 1] == width
@@ -290,28 +285,14 @@ def _runs(row: Times, stamp: Times, paired: Integers, joint: Integers, chosen: I
     return bounds[:, :messages]
 
 
-@part
-def _together(row: Times, stamp: Times, paired: Integers, one: int, other: int) -> bool:
-    same: bool = row[one] == row[other] and stamp[one] == stamp[other] and paired[one] == paired[other]
-    return same
-
-
 @entry_point
 def begun(
     stamp: Times, joint: Integers, paired: Integers, period: int, offset: Times, last: Times
 ) -> Integers:
-    """Numbers of samples at which a period of their joint begins; paired ones are passed over.
+    """Numbers of samples (n,) at which a period [ns] of their joint begins; paired ones are passed over.
 
-    Parameters
-    ----------
-    stamp, joint, paired : ndarray of int64, shape (n,)
-        [ns], number of the joint, whether the sample is paired.
-    period : int
-        [ns]
-    offset : ndarray of int64, shape (k,)
-        By which the joints' periods begin earlier [ns].
-    last : ndarray of int64, shape (k,)
-        Numbers of the joints' last periods; changed.
+    The joints' periods begin earlier by an `offset` (k,) [ns]; `last` (k,) are the numbers of the last ones,
+    which change.
     """
     found, count = np.empty(stamp.size, np.int64), 0
     for i in range(stamp.size):

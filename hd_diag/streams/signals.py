@@ -91,18 +91,9 @@ def unit(role: str, text: str) -> Unit:
 class Signal:
     """Where a quantity stands.
 
-    Attributes
-    ----------
-    topic : str
-        Empty: every one with joint states.
-    type_name : str
-        Of its messages, as ``package/msg/Name``.
-    field : str
-        Path in a message, as `hd_diag.messages.field_path` has it.
-    name : str
-        Index of arrays that have none in the path.
-    unit : Unit
-        With scale and sign in it.
+    Topic, empty for every one with joint states; type of its messages, as ``package/msg/Name``; path of the
+    field, as `hd_diag.messages.field_path` has it; index of arrays that have none in the path; unit, with
+    scale and sign in it.
     """
 
     topic: str
