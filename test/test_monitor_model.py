@@ -355,10 +355,14 @@ def test_as_fitted_no_order_has_grown(light: Config) -> None:
 
 
 def test_without_a_model_an_order_that_repeats_is_named_too() -> None:
-    """But not the output's own, which a torque has that goes with the link's angle."""
+    """But not the output's own: a torque that goes with the link's angle has it. A new drive begins anew."""
     nominal = ExtendedModel(config().joints[0].drive, (), 0.0, RANGES)
-    status = told(Monitor(config()), grown(nominal, 4500, 2.0, 20.0 * ARCSEC))
+    monitor = Monitor(config())
+    status = told(monitor, grown(nominal, 4500, 2.0, 20.0 * ARCSEC))
     assert (status.values["fault_codes"], status.level) == ("RESIDUAL", 1)
+    assert (status.values["residual_order"], status.values["residual_order_repeats"]) == ("input 2", "true")
+    monitor.configure(config(joint_1__eccentricity__magnitude=1e-6))
+    assert monitor.tick(START, START, FACTS).statuses[0].values["residual_order"] == ""
     assert status.message.startswith("residual repeats twice per input turn with 20.")
     assert "wave generator off centre" in status.message
     status = told(Monitor(config()), grown(nominal, 9000, 1, 20.0 * ARCSEC, "output"))

@@ -34,7 +34,6 @@ from visualization_msgs.msg import MarkerArray
 from hd_diag.bag import BagReader
 from hd_diag.config.configuration import Config
 from hd_diag.drive import mesh_state, transmission_error
-from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.replay.replay import replay
 from hd_diag.ros.node import main
 
@@ -82,7 +81,6 @@ def exact(configured: Config, joint: str, angle: float, torque: float) -> float:
     return float(transmission_error(drive, np.array([angle]), np.array([torque]))[0])
 
 
-TURN_SPEED = 2.0 * np.pi * 2.1  # [rad/s]
 BOUND = 1e-7  # the maps' aim is 0.01 arcsec, 5e-8 rad
 
 
@@ -400,46 +398,6 @@ def test_rates_act_at_once(arm: Rig) -> None:
 
 
 # Its log and its end ---
-
-
-def test_an_order_that_repeats_is_named_while_it_runs(arm: Rig, publisher: Any) -> None:
-    """Of one joint, not of the other that has none; another drive begins anew. Its replay: the test below."""
-    angle = TURN_SPEED * 1e-2 * np.arange(1600)  # a sample each 10 ms by the stamps
-    predicted = transmission_error(config(*JOINTS).joints[0].drive, angle, np.full(angle.size, 14.0))
-    wave = 20.0 * ARCSEC * np.cos(2.0 * angle)
-    assert arm.set(mesh_rate=0.0)[0].successful  # the rig would take long over so many drawings
-    before, seen = int(arm.values("elbow")["samples"]), len(arm.reports)
-    for i, turned in enumerate(angle.tolist()):
-        stamp = next(itertools.islice(stamps, 9, None))
-        output = turned / RATIO + predicted[i]
-        position = {
-            "shoulder_motor": turned,
-            "shoulder": output,
-            "elbow_motor": turned,
-            "elbow": output + wave[i],
-        }
-        publisher.publish(message(stamp, position, {"shoulder": 14.0, "elbow": 14.0}))
-        time.sleep(5e-4)
-    taken = before + angle.size
-    status = arm.status("elbow", lambda values: int(values["samples"]) == taken)
-    values = values_of(status)
-    assert (status.level, values["residual_order"], values["residual_order_repeats"]) == (
-        b"\x01",
-        "input 2",
-        "true",
-    )
-    assert "RESIDUAL" in values["fault_codes"].split()
-    assert status.message.startswith("residual repeats twice per input turn with 20.")
-    reported = [values_of(each) for array in arm.reports[seen:] for each in array.status]
-    rms = [float(v["residual_rms_arcsec"]) for v in reported if v["residual_order"] == "input 2"]
-    assert np.nanmin(rms) < 31.0  # nan where no sample came since the report before
-    other = arm.values("shoulder")
-    assert (other["fault_codes"], other["residual_order_repeats"]) == ("OK", "false")
-    assert arm.set(elbow__eccentricity__magnitude=1e-6)[0].successful
-    arm.values("elbow", lambda values: values["eccentricity_um"] == "1" and values["residual_order"] == "")
-    assert arm.set(elbow__eccentricity__magnitude=0.0)[0].successful
-    arm.values("elbow", lambda values: values["eccentricity_um"] == "0")
-    assert arm.set(mesh_rate=10.0)[0].successful
 
 
 def test_log_holds_everything_and_replays(arm: Rig, tmp_path: Path) -> None:

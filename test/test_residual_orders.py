@@ -147,18 +147,17 @@ def test_a_torque_that_comes_back_with_the_motion_does_not_repeat(turns: float) 
     assert not any(order.repeats and order.amplitude > 8.0 for order in found.values())
 
 
-def test_a_transient_does_not_repeat() -> None:
-    angle = 30.0 * TIME
-    jolt = np.where(np.abs(TIME - 55.0) < 0.4, 500.0 * np.cos(2.0 * angle), 0.0)
-    assert not any(order.repeats for order in fed(angle, jolt + noise(1, 1.0)).values())
+JOLT = np.where(np.abs(TIME - 55.0) < 0.4, 500.0 * np.cos(80.0 * TIME), 0.0)
 
 
-@pytest.mark.parametrize("order", [2.02, 4.04, 3.0])
-def test_another_order_is_not_taken_for_one_of_these(order: float) -> None:
-    """What turns with the flexspline, and an order that is not followed."""
-    angle = 40.0 * TIME
-    found = fed(angle, 20.0 * np.cos(order * angle) + noise(2, 1.0))
-    assert not any(each.repeats and each.amplitude > 1.0 for each in found.values())
+@pytest.mark.parametrize(
+    ("wave", "least"),
+    [(JOLT, 0.0), *((20.0 * np.cos(order * 40.0 * TIME), 1.0) for order in (2.02, 4.04, 3.0))],
+    ids=["a transient", "turns with the flexspline", "twice as fast", "not followed"],
+)
+def test_another_wave_is_not_taken_for_an_order_of_these(wave: np.ndarray, least: float) -> None:
+    found = fed(40.0 * TIME, wave + noise(2, 1.0))
+    assert not any(each.repeats and each.amplitude > least for each in found.values())
 
 
 # Records of the independent generator ---
