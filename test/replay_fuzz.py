@@ -66,12 +66,8 @@ def spoiled_messages(messages: list[Message], chance: random.Random) -> list[Mes
         if what == 0:
             made[at] = (topic, kind, damaged(data, chance), time)
         elif what == 1:
-            made[at] = (
-                topic,
-                kind,
-                data,
-                chance.choice([0, max(0, time - 10**9), time + 10**9, 2**31 * 10**9, 2**62]),
-            )
+            time = chance.choice([0, max(0, time - 10**9), time + 10**9, 2**31 * 10**9, 2**62])
+            made[at] = (topic, kind, data, time)
         elif what == 2:
             del made[at]
         elif what == 3:
@@ -88,19 +84,21 @@ def spoiled_messages(messages: list[Message], chance: random.Random) -> list[Mes
     return made
 
 
-VALUES = (
-    "null",
-    "-1",
-    "1e999",
-    "NaN",
-    '""',
-    "[]",
-    "{}",
-    '"a"',
-    "true",
-    "123456789012345678901234567890",
-    "1e-320",
-)
+VALUES = [
+    *[
+        "null",
+        "-1",
+        "1e999",
+        "NaN",
+        '""',
+        "[]",
+        "{}",
+        '"a"',
+        "true",
+        "123456789012345678901234567890",
+        "1e-320",
+    ]
+]
 
 
 def spoiled_events(messages: list[Message], chance: random.Random) -> list[Message]:

@@ -26,7 +26,7 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
-from running import LIMIT, Rig, feed, running, values_of
+from running import LIMIT, Rig, feed, running, stamp_of, values_of
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import Float64MultiArray
 from visualization_msgs.msg import MarkerArray
@@ -65,10 +65,6 @@ stamps = itertools.count(START, MS)
 def heard(rig: Rig, topic: str) -> list[Any]:
     (found,) = rig.hear({f"hd_diag/{topic}": JointState}).values()
     return found
-
-
-def stamp_of(message: Any) -> int:
-    return int(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
 
 
 def since(begin: int, messages: list[Any]) -> list[Any]:

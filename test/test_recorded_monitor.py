@@ -16,7 +16,6 @@ from hd_diag.config.configuration import resolve
 from hd_diag.messages.publications import (
     JOINT_STATE,
     TEMPERATURE,
-    Encoded,
 )
 from hd_diag.monitor.carried import carried, carry_on
 from hd_diag.replay.recorded_monitor import EVENTS, PARAMETER_EVENTS, Session
@@ -27,12 +26,9 @@ STORE = get_typestore(Stores.ROS2_JAZZY)
 FACTS = {"log_state": "writing x", "latency_p99_us": "12.0"}
 
 
-def read(encoded: Encoded) -> list[Any]:
-    return [STORE.deserialize_cdr(bytes(row), encoded.type_name) for row in encoded.rows]
-
-
 def messages(recording: Recording, topic: str) -> list[Any]:
-    return [m for encoded in recording.all if encoded.topic == topic for m in read(encoded)]
+    every = (each for each in recording.all if each.topic == topic)
+    return [STORE.deserialize_cdr(bytes(row), each.type_name) for each in every for row in each.rows]
 
 
 def events(recording: Recording) -> list[dict[str, Any]]:
@@ -150,15 +146,8 @@ def test_a_hostile_state_is_refused(spoil: str) -> None:
     session = Session(config("a"), Recording())
     session.start_again(START)
     state = carried(session.monitor)
-    for value in (
-        None,
-        [],
-        "x",
-        [[1e300]],
-        {"a": {}},
-        ["AAAA"] * 4,
-        {"a": state["joints"]["a"] | {"runs": [1]}},
-    ):
+    runs = {"a": state["joints"]["a"] | {"runs": [1]}}
+    for value in (None, [], "x", [[1e300]], {"a": {}}, ["AAAA"] * 4, runs):
         with pytest.raises(ValueError, match="its state is none of these joints"):
             carry_on(session.monitor, state | {spoil: value})
     joints, *others = (array.copy() for array in session.monitor.streams.state)

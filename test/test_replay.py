@@ -21,7 +21,7 @@ from hd_diag.bag import BagError, BagReader, BagWriter
 from hd_diag.config.configuration import ConfigError, resolve
 from hd_diag.drive import transmission_error
 from hd_diag.messages.publications import JOINT_STATE, STRING, string
-from hd_diag.messages.schemas import jazzy
+from hd_diag.messages.schemas import Definition, definition, jazzy
 from hd_diag.replay.map_builder import map_of
 from hd_diag.replay.replay import replay
 
@@ -35,13 +35,11 @@ OUTPUT = ANGLE / RATIO + 5e-5 * np.sin(2.0 * ANGLE)
 Message = tuple[str, str, bytes, int]
 
 
-def samples(topic: str = "/joint_states") -> list[Message]:
+def samples() -> list[Message]:
     """One joint, everything in one message, recorded a little later than it was stamped."""
     columns = zip(STAMPS.tolist(), ANGLE, OUTPUT, TORQUE, strict=True)
-    return [
-        (topic, JOINT_STATE, message(s, {"a_motor": x, "a": y}, {"a": m}), s + 200_000)
-        for s, x, y, m in columns
-    ]
+    every = ((s, message(s, {"a_motor": x, "a": y}, {"a": m})) for s, x, y, m in columns)
+    return [("/joint_states", JOINT_STATE, data, stamp + 200_000) for stamp, data in every]
 
 
 def with_writer(path: Path, messages: list[Message], **options: Any) -> Path:
@@ -68,11 +66,8 @@ def with_rosbags(path: Path, messages: list[Message], mode: str, plugin: Storage
 def shuffled(messages: list[Message]) -> list[Message]:
     """Stretches of the file out of order, as several recorders' threads leave them."""
     chance, parts = random.Random(4), [messages[i : i + 7] for i in range(0, len(messages), 7)]
-    for begin in range(0, len(parts), 20):
-        part = parts[begin : begin + 20]
-        chance.shuffle(part)
-        parts[begin : begin + 20] = part
-    return [entry for part in parts for entry in part]
+    order = sorted(range(len(parts)), key=lambda i: (i // 20, chance.random()))
+    return [entry for i in order for entry in parts[i]]
 
 
 WAYS: dict[str, Callable[[Path, list[Message]], Path]] = {
@@ -126,11 +121,12 @@ def test_outputs_are_the_same_whatever_the_bag(tmp_path: Path, log: Path, way: s
 
 def test_joints_of_several_topics_that_appear_late(tmp_path: Path) -> None:
     """Joint b is on a topic of its own and begins after a second; a third topic has nothing of them."""
+    rows = list(zip(STAMPS.tolist(), ANGLE, OUTPUT, strict=True))
     late = [
         ("/arm/joint_states", JOINT_STATE, message(s, {"b_motor": x, "b": y}), s + 100)
-        for s, x, y in zip(STAMPS[1000:].tolist(), ANGLE[1000:], OUTPUT[1000:], strict=True)
+        for s, x, y in rows[1000:]
     ]
-    other = [("/gripper", JOINT_STATE, message(int(s), {"finger": 0.1}), int(s)) for s in STAMPS[::10]]
+    other = [("/gripper", JOINT_STATE, message(s, {"finger": 0.1}), s) for s, *_ in rows[::10]]
     messages = sorted(samples() + late + other, key=lambda entry: entry[3])
     result = replay(write_with_mcap(tmp_path / "b.mcap", messages), tmp_path / "out.mcap", CONFIG)
     found = angles(tmp_path / "out.mcap", "/hd_diag/transmission_error")
@@ -150,10 +146,7 @@ def test_joints_of_several_topics_that_appear_late(tmp_path: Path) -> None:
 
 def test_a_bag_with_its_own_joint_state_is_read_by_its_own_definition(tmp_path: Path) -> None:
     """And copied as ROS 2 Jazzy has it, which the outputs are."""
-    from hd_diag.messages.schemas import Definition, definition
-
-    known = definition(JOINT_STATE)
-    head, _, rest = known.text.partition("string[] name")
+    head, _, rest = definition(JOINT_STATE).text.partition("string[] name")
     text = f"{head}float64 cycle_time\nstring[] name{rest}"
     bag = tmp_path / "b.mcap"
     with BagWriter(bag) as writer:
@@ -210,16 +203,8 @@ def statuses(bag: Path) -> list[dict[str, str]]:
 def test_reports_go_on_while_a_joint_is_silent_but_not_for_days(tmp_path: Path) -> None:
     """A silence of ten seconds is reported on; of one of two days only the last second is."""
     parts = (0, 10 * 10**9, 2 * 86_400 * 10**9)
-    messages = [
-        (
-            "/joint_states",
-            JOINT_STATE,
-            message(START + part + i * MS, {"a_motor": 0.1}),
-            START + part + i * MS,
-        )
-        for part in parts
-        for i in range(1500)
-    ]
+    times = [START + part + i * MS for part in parts for i in range(1500)]
+    messages = [("/joint_states", JOINT_STATE, message(s, {"a_motor": 0.1}), s) for s in times]
     replay(write_with_mcap(tmp_path / "b.mcap", messages), tmp_path / "out.mcap", CONFIG)
     found = statuses(tmp_path / "out.mcap")
     assert 14 <= len(found) <= 18
@@ -333,13 +318,11 @@ def test_events_of_later_versions_are_passed_over(tmp_path: Path) -> None:
 def test_a_log_that_begins_anew_is_followed(tmp_path: Path) -> None:
     """As when logs are joined: the second beginning forgets the first's samples."""
     other = dict(resolve(parameters("a", a__torque=2.5)).flat)
+    again, late = {"event": "configuration", "new": True, "parameters": other}, START + 10**9
     made = [("/hd_diag/events", STRING, string(json.dumps(GOOD)), START), *samples()[:10]]
-    again = json.dumps({"event": "configuration", "new": True, "parameters": other})
-    late = START + 10**9
-    made += [("/hd_diag/events", STRING, string(again), late)]
-    made += [
-        ("/joint_states", JOINT_STATE, message(START + i, {"a_motor": 0.1}), late + 1 + i) for i in range(5)
-    ]
+    made.append(("/hd_diag/events", STRING, string(json.dumps(again)), late))
+    inputs = [message(START + i, {"a_motor": 0.1}) for i in range(5)]
+    made += [("/joint_states", JOINT_STATE, data, late + 1 + i) for i, data in enumerate(inputs)]
     result = replay(write_with_mcap(tmp_path / "b.mcap", made), tmp_path / "out.mcap")
     assert result.rejected == {"a": 0}
     found = angles(tmp_path / "out.mcap", "/hd_diag/transmission_error")
