@@ -14,7 +14,7 @@ import hd_diag
 from hd_diag.bag import BagReader, BagWriter
 from hd_diag.messages.publications import STRING, read_string, string
 from hd_diag.replay import versions
-from hd_diag.replay.events import Configured, read_event
+from hd_diag.replay.events import read_event
 from hd_diag.replay.replay import replay
 
 
@@ -37,10 +37,9 @@ def test_a_log_names_its_versions_and_the_same_ones_are_no_problem(tmp_path: Pat
     with BagReader(log) as reader:
         batch = next(iter(reader.batches(["/hd_diag/events"])))
         event = read_event(bytes(next(batch.messages())))
-    assert isinstance(event, Configured)
     packages = {name: metadata.version(name) for name in ("numpy", "scipy", "numba")}
     own = {"hd_diag": hd_diag.__version__, "python": platform.python_version()}
-    assert event.versions == versions.running() == own | packages
+    assert event["versions"] == versions.running() == own | packages
     assert replay(log, tmp_path / "out.mcap").problems == []
 
 

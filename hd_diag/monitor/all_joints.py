@@ -17,7 +17,7 @@ from hd_diag.drive import MeshState, mesh_state
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.monitor.comparison import Comparison
 from hd_diag.monitor.health import status
-from hd_diag.monitor.joint import Joint, LostSamples, Window
+from hd_diag.monitor.joint import Joint, Window
 from hd_diag.monitor.publications import Drawings, Publication, Report, ToothArrays, angles
 from hd_diag.monitor.settings import JointConfig, MonitorConfig
 from hd_diag.streams.alignment import Aligned, Alignment, kernel
@@ -209,7 +209,6 @@ def _state(joint: JointConfig, samples: Aligned) -> MeshState:
 
 def warm_up(config: MonitorConfig) -> None:
     """Compile, or read from the disk, what the first message would have to wait for."""
-    LostSamples().judge(np.arange(10), 0)
     monitor, time = Monitor(config), np.zeros(1, np.int64)
     names = [(joint.input_joint, joint.output_joint) for joint in config.joints]
     nothing = np.zeros((1, 2 * len(names)))

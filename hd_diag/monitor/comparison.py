@@ -83,10 +83,10 @@ class Comparison:
             *(samples.joint, samples.stamp, samples.paired, samples.input_angle, samples.output_angle),
             *(samples.torque, samples.speed if speed is None else speed, self._records),
         )
-        found, missing = kernel().compare(*given, known, False, self._kept, self.count)
+        found, missing = kernel().compare(*given, known, self._kept, self.count)
         if missing:
             self._solve(samples, found[0])
-            found, _ = kernel().compare(*given, found[0], True, self._kept, self.count)
+            found, _ = kernel().compare(*given, found[0], self._kept, self.count)
         self.count = last
         return Errors(samples, *found)
 

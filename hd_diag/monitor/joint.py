@@ -13,8 +13,13 @@ from hd_diag.monitor.model_run import ModelRun
 from hd_diag.monitor.residual_orders import ResidualOrders
 from hd_diag.monitor.settings import JointConfig
 from hd_diag.streams.alignment import Aligned, Alignment
+from hd_diag.streams.rules import CLOCK_JUMP
 
 _JUDGED_AT_LEAST = 8  # stamps, for their usual step
+_STEPS_TOGETHER = 32
+_KEPT = 0.02  # by which the steps of a sender that keeps its period differ [-]
+_OFF_MULTIPLE = 0.25  # by which a step may differ from whole periods [-]
+_SAME = 0.9  # share of steps that are alike: the period is another now
 
 
 class Window(NamedTuple):
@@ -52,14 +57,43 @@ class LostSamples:
         self.unjudged = np.concatenate((self.unjudged, stamps))
         if self.unjudged.size < _JUDGED_AT_LEAST:
             return
-        from hd_diag.monitor.kernel import lost  # late: it imports numba
-
-        self.usual_step, missing, net, short = lost(self.unjudged, self.usual_step)
+        steps = np.diff(self.unjudged).astype(np.float64)
+        steps = steps[(steps > 0.0) & (steps < CLOCK_JUMP)]  # no clock that was set, no pause of the sender
         self.unjudged = self.unjudged[-1:]
-        if self.usual_step > 0.0:
-            count = max(0, int(min(missing, net)) - rejected)
-            self.count += count - min(self.lately, max(0, -int(net)), short)
+        self.usual_step = usual = _known_step(steps, self.usual_step) or _usual_step(steps)
+        if usual > 0.0:
+            # At most as many as the long steps say, and as the whole time says: short steps make up for some.
+            missing = np.sum(np.rint(steps[steps > 1.5 * usual] / usual) - 1.0)
+            net = int(np.rint(np.sum(steps) / usual)) - steps.size
+            count = max(0, min(int(missing), net) - rejected)
+            self.count += count - min(self.lately, max(0, -net), int(np.sum(steps < 0.5 * usual)))
             self.lately = count
+
+
+def _known_step(steps: Floats, known: float) -> float:
+    """The period known so far [ns], where a reader that falls behind lets samples of it through; else 0.
+
+    Then most samples may be lost: nearly all steps are multiples of the period, and not all the same.
+    """
+    if known <= 0.0 or 2 * np.sum(steps > 1.5 * known) <= steps.size:
+        return 0.0
+    multiples = np.rint(steps / known)
+    most = np.unique(multiples, return_counts=True)[1].max()
+    whole = np.sum(np.abs(steps / known - multiples) < _OFF_MULTIPLE)
+    return known if most < _SAME * steps.size and whole > _SAME * steps.size else 0.0
+
+
+def _usual_step(steps: Floats) -> float:
+    """Period of a sender [ns]: over several steps, for one that makes up for its delays has short ones."""
+    if not steps.size:
+        return 0.0
+    span = max(1, min(_STEPS_TOGETHER, steps.size // 2))
+    time = np.append(0.0, np.cumsum(steps))
+    usual = np.median(time[span:] - time[:-span]) / span
+    # With many losses there is one in most spans; where the sender keeps its period a single step tells it.
+    single = np.median(steps)
+    is_kept = np.sum(np.abs(steps - single) < _KEPT * single) > 0.5 * steps.size
+    return float(single if is_kept and single > 0.5 * usual else usual)
 
 
 class Joint:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -31,16 +30,7 @@ from hd_diag.monitor.all_joints import Monitor
 from hd_diag.monitor.carried import carried, carry_on
 from hd_diag.monitor.publications import Publication, Report
 from hd_diag.replay import versions
-from hd_diag.replay.events import (
-    CarriedOn,
-    ClockSetBack,
-    Configured,
-    Event,
-    MapUsed,
-    Paced,
-    Reported,
-    write_event,
-)
+from hd_diag.replay.events import write_event
 from hd_diag.streams.columns import JointStates
 from hd_diag.streams.signals import temperatures
 
@@ -84,15 +74,15 @@ class Session:
         self.start(now)
         for name, joint in self.monitor.joints.items():
             if joint.table is not None:
-                self._event(now, MapUsed(name, joint.table.requested_limit))
+                self._event(now, "map", joint=name, torque_limit=joint.table.requested_limit)
         if self.monitor.share != 1.0:
-            self._event(now, Paced(self.monitor.share))
-        self._event(now, CarriedOn(carried(self.monitor)))
+            self._event(now, "pace", share=self.monitor.share)
+        self._event(now, "state", monitor=carried(self.monitor))
 
     def carry_on(self, now: int, state: Mapping[str, Any]) -> None:
         """Go on from what another session of this configuration knew; ValueError where it did not."""
         carry_on(self.monitor, state)
-        self._event(now, CarriedOn(state))
+        self._event(now, "state", monitor=state)
 
     def joint_state(
         self, received: int, data: bytes, heard: int | None = None, reader: Reader | None = None
@@ -153,18 +143,18 @@ class Session:
         """Predict a joint by its map from the next message on; False if its mesh has changed since."""
         if not self.monitor.use_map(joint, table):
             return False
-        self._event(now, MapUsed(joint, table.requested_limit))
+        self._event(now, "map", joint=joint, torque_limit=table.requested_limit)
         return True
 
     def pace(self, now: int, share: float) -> None:
         """Publish a share of the per-tooth arrays and drawings from the next message on, at a time [ns]."""
         self.monitor.pace(share)
-        self._event(now, Paced(share))
+        self._event(now, "pace", share=share)
 
     def clock_set_back(self, now: int, stamp: int) -> None:
         """Note at a time [ns] that the clock of stamps was set back: those after one [ns] are of before."""
         self.monitor.clock_set_back(stamp)
-        self._event(now, ClockSetBack(stamp))
+        self._event(now, "clock", stamp=stamp)
 
     def tick(
         self, now: int, stamp: int, facts: Mapping[str, str], silence: Mapping[str, float] | None = None
@@ -178,12 +168,12 @@ class Session:
     ) -> None:
         data = parameter_event(self._node, now, values, new)
         self._emit(PARAMETER_EVENTS, PARAMETER_EVENT, now, data)
-        begun = (self._topics, versions.running()) if new else ()
+        begun = {"topics": self._topics, "versions": dict(versions.running())} if new else {}
         # The models' files may be others when the log is replayed.
-        self._event(now, replace(Configured(new, dict(values), *begun), models=dict(models)))
+        self._event(now, "configuration", new=new, parameters=dict(values), **begun, models=dict(models))
 
-    def _event(self, now: int, event: Event) -> None:
-        self._emit(EVENTS, STRING, now, write_event(event))
+    def _event(self, now: int, event: str, **fields: Any) -> None:
+        self._emit(EVENTS, STRING, now, write_event(event, **fields))
 
     def _emit(self, topic: str, type_name: str, now: int, data: bytes) -> None:
         self._sink(Encoded(topic, type_name, np.array([now]), [data]))
@@ -191,7 +181,8 @@ class Session:
     def _publish(self, publications: Iterable[Publication]) -> None:
         for each in publications:
             if isinstance(each, Report):
-                self._event(each.received, Reported(each.stamp, dict(each.facts), dict(each.silence)))
+                told = {"facts": dict(each.facts), "silence": dict(each.silence)}
+                self._event(each.received, "report", stamp=each.stamp, **told)
             self._sink(encode(each, self._node))
 
 

@@ -20,7 +20,7 @@ from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.monitor.joint import Joint
 from hd_diag.records.joint_topics import no_input
 from hd_diag.replay import versions
-from hd_diag.replay.events import CarriedOn, ClockSetBack, Configured, Event, MapUsed, Paced, Reported
+from hd_diag.replay.events import Event
 from hd_diag.replay.map_builder import build_at_once, map_limit
 from hd_diag.replay.preparation import prepare
 from hd_diag.replay.recorded_monitor import Session
@@ -243,38 +243,39 @@ class _Run:
                 times = batch.log_time[at], batch.publish_time[at]
                 self._writer.write_many(topic.name, topic.type_name, batch.payload[at], *times)
 
-    def _event(self, now: int, event: Event | None) -> None:
+    def _event(self, now: int, event: Event) -> None:
         match event:
-            case Configured():
+            case {"event": "configuration"}:
                 self._configure(now, event)
-            case MapUsed():
+            case {"event": "map", "joint": name, "torque_limit": limit}:
                 joints = {joint.name: joint for joint in self._running.config.joints}
-                if event.joint not in joints:
-                    raise BagError(self._reader.path, f"holds a map of {shown(event.joint)}, no joint of it")
-                self._running.use_map(now, event.joint, self._map(joints[event.joint], event.torque_limit))
-            case Reported():
-                self._running.tick(now, event.stamp, event.facts, event.silence)
-            case Paced():
-                self._running.pace(now, event.share)
-            case ClockSetBack():
-                self._running.clock_set_back(now, event.stamp)
-            case CarriedOn():
+                if name not in joints:
+                    raise BagError(self._reader.path, f"holds a map of {shown(name)}, no joint of it")
+                self._running.use_map(now, name, self._map(joints[name], limit))
+            case {"event": "report", "stamp": stamp, "facts": facts, "silence": silence}:
+                self._running.tick(now, stamp, facts, silence)
+            case {"event": "pace", "share": share}:
+                self._running.pace(now, share)
+            case {"event": "clock", "stamp": stamp}:
+                self._running.clock_set_back(now, stamp)
+            case {"event": "state", "monitor": state}:
                 try:
-                    self._running.carry_on(now, event.monitor)
+                    self._running.carry_on(now, state)
                 except ValueError as error:
                     raise BagError(self._reader.path, f"cannot be carried on: {error}") from error
 
-    def _configure(self, now: int, event: Configured) -> None:
-        before = {} if event.new else self._running.config.flat
+    def _configure(self, now: int, event: Event) -> None:
+        joints, before = (
+            ([], {}) if event["new"] else (self._running.config.joints, self._running.config.flat)
+        )
         try:
-            models = models_of(event, [] if event.new else self._running.config.joints)
-            config = resolve({**before, **event.parameters}, models)
+            config = resolve({**before, **event["parameters"]}, models_of(event, joints))
         except ConfigError as error:
             raise ConfigError(f"{self._reader.path}: {error}") from error
-        if event.new:
-            self._compare(event.versions)
+        if event["new"]:
+            self._compare(event["versions"])
             self.begin(now, config)
-        elif "joints" in event.parameters:
+        elif "joints" in event["parameters"]:
             raise BagError(self._reader.path, "holds a log in which the joints change")
         else:
             self._running.configure(now, config)
