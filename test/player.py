@@ -24,18 +24,15 @@ class Player:
         self._publishers: dict[str, Any] = {t: rig.publisher(t.lstrip("/"), k) for t, k in kinds.items()}
         self._clock = rig.publisher("clock", Clock)
 
-    def play(
-        self, rate: float, loops: int = 1, dropped: Collection[int] = (), part: slice = slice(None)
-    ) -> int:
+    def play(self, rate: float, loops: int, dropped: Collection[int]) -> int:
         """Play at a multiple of the bag's pace, again and again; give the number of messages published.
 
-        `dropped` are the numbers of messages that get lost on the way; `part` of the bag alone is played.
+        `dropped` are the numbers of messages that get lost on the way.
         """
-        messages, published = self._messages[part], 0
-        first = messages[0][0]
+        first, published = self._messages[0][0], 0
         for _ in range(loops):
             begin = time.monotonic()
-            for number, (now, topic, _, data) in enumerate(messages):
+            for number, (now, topic, _, data) in enumerate(self._messages):
                 time.sleep(max(0.0, begin + (now - first) / SECOND / rate - time.monotonic()))
                 self._tick(now)
                 if number not in dropped:
