@@ -1,12 +1,14 @@
 """Fault codes: each raised, told and cleared; the numbers behind them."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 from live import MS, RATIO, START, config, states
 from numpy.testing import assert_allclose
 
+from hd_diag.config.configuration import Config
 from hd_diag.drive import MeshState, mesh_state, transmission_error
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor.all_joints import Monitor
@@ -69,59 +71,43 @@ def code(status: Status) -> tuple[str, int]:
     return status.values["fault_code"], status.level
 
 
-# Every fault code: what raises it as a warning, what as an error ---
-
-Cause = Callable[[Life], None]
-
-
-def silence(seconds: float) -> Cause:
-    def cause(life: Life) -> None:
-        life.run()
-        life.now += int(seconds * SECOND)
-
-    return cause
-
-
-def running(**how: object) -> Cause:
-    return lambda life: life.run(**how)  # type: ignore[arg-type]
-
-
-def limited(name: str, warn: float, error: float) -> Cause:
-    """Limits so low that a healthy joint exceeds them."""
-
-    def cause(life: Life) -> None:
-        limits = {
-            f"joint_1__limits__{name}__warn": warn,
-            f"joint_1__limits__{name}__error": error,
-        }
-        life.monitor.configure(config(**QUIET | limits))
-        life.run()
-
-    return cause
-
+# Every fault code: what raises it as a warning, what as an error: silence [s], limits so low that a healthy
+# joint exceeds them, how it runs ---
 
 CAUSES = [
-    ("STALE", silence(1.0), 1, "no valid sample for 1.0 s"),
-    ("STALE", silence(3.0), 2, "no valid sample for 3.0 s"),
-    ("INPUT_INVALID", running(broken=5), 1, "5 samples rejected: input angle of joint_1_motor is nan"),
-    ("INPUT_INVALID", running(broken=30), 2, "30 samples rejected: input angle of joint_1_motor is nan"),
-    ("OUT_OF_RANGE", running(torque=-123.2), 1, "torque is 2.20 times the rated torque"),
-    ("OUT_OF_RANGE", running(torque=224.0), 2, "torque is 4.00 times the rated torque"),
-    ("RESIDUAL", running(wobble=2e-4), 1, "residual 41."),
-    ("RESIDUAL", running(wobble=6e-4), 2, "residual 123."),
-    ("INTERFERENCE", limited("overlap", -1.0, 60e-6), 1, "the lobes overlap by"),
-    ("INTERFERENCE", limited("overlap", -1.0, -1.0), 2, "the lobes overlap by"),
-    ("LOAD_CONCENTRATION", limited("peak_tooth_load", 0.0, 1e3), 1, "peak tooth load "),
-    ("LOAD_CONCENTRATION", limited("load_concentration", 1.0, 1.0), 2, "peak tooth load is "),
+    ("STALE", {"silent": 1.0}, 1, "no valid sample for 1.0 s"),
+    ("STALE", {"silent": 3.0}, 2, "no valid sample for 3.0 s"),
+    ("INPUT_INVALID", {"broken": 5}, 1, "5 samples rejected: input angle of joint_1_motor is nan"),
+    ("INPUT_INVALID", {"broken": 30}, 2, "30 samples rejected: input angle of joint_1_motor is nan"),
+    ("OUT_OF_RANGE", {"torque": -123.2}, 1, "torque is 2.20 times the rated torque"),
+    ("OUT_OF_RANGE", {"torque": 224.0}, 2, "torque is 4.00 times the rated torque"),
+    ("RESIDUAL", {"wobble": 2e-4}, 1, "residual 41."),
+    ("RESIDUAL", {"wobble": 6e-4}, 2, "residual 123."),
+    ("INTERFERENCE", {"overlap": (-1.0, 60e-6)}, 1, "the lobes overlap by"),
+    ("INTERFERENCE", {"overlap": (-1.0, -1.0)}, 2, "the lobes overlap by"),
+    ("LOAD_CONCENTRATION", {"peak_tooth_load": (0.0, 1e3)}, 1, "peak tooth load "),
+    ("LOAD_CONCENTRATION", {"load_concentration": (1.0, 1.0)}, 2, "peak tooth load is "),
 ]
+
+
+def limited(**given: tuple[float, float]) -> Config:
+    limits = {
+        f"joint_1__limits__{name}__{level}": value
+        for name, pair in given.items()
+        for level, value in zip(("warn", "error"), pair, strict=True)
+    }
+    return config(**QUIET | limits)
 
 
 @pytest.mark.parametrize(("fault", "cause", "level", "message"), CAUSES)
 def test_a_fault_is_raised_and_cleared(
-    life: Life, fault: str, cause: Cause, level: int, message: str
+    life: Life, fault: str, cause: dict[str, Any], level: int, message: str
 ) -> None:
-    cause(life)
-    status = life.report()
+    limits = {name: value for name, value in cause.items() if isinstance(value, tuple)}
+    how = {name: value for name, value in cause.items() if name not in {*limits, "silent"}}
+    life.monitor.configure(limited(**limits))
+    life.run(**how)
+    status = life.report(after=MS + int(cause.get("silent", 0.0) * SECOND))
     assert code(status) == (fault, level)
     assert status.values["fault_codes"] == fault
     assert status.message.startswith(message)
@@ -152,9 +138,7 @@ def test_of_several_the_worst_is_told_and_all_are_named(life: Life) -> None:
 
 
 def test_two_findings_of_one_fault_name_it_once(life: Life) -> None:
-    limited("peak_tooth_load", 0.0, 1e3)(life)
-    limits = {"joint_1__limits__peak_tooth_load__warn": 0.0, "joint_1__limits__load_concentration__warn": 1.0}
-    life.monitor.configure(config(**QUIET | limits))
+    life.monitor.configure(limited(peak_tooth_load=(0.0, 1e3), load_concentration=(1.0, 5.0)))
     life.run()
     assert life.report().values["fault_codes"] == "LOAD_CONCENTRATION"
 

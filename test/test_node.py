@@ -232,17 +232,20 @@ def test_what_dds_loses_is_told_and_large_messages_do_not_fill_the_memory(tmp_pa
     def counted(values: dict[str, str]) -> int:
         return int(values["messages_without_joint"]) + int(values["messages_lost"])
 
+    def stopped(rig: Rig, publisher: Any, data: bytes, count: int) -> None:
+        rig.acknowledged(publisher)
+        rig.process.popen.send_signal(signal.SIGSTOP)
+        for _ in range(count):
+            publisher.publish(data)
+        rig.process.popen.send_signal(signal.SIGCONT)
+
     with running(tmp_path, parameters(**QUICK)) as rig:
         patient = rig.publisher()
         publisher = rig.node.create_publisher(JointState, "joint_states", 10)
         rig.until(publisher.get_subscription_count, "subscription")
         small = serialize_message(JointState(name=["stranger"], position=[0.0]))
         publisher.publish(small)
-        rig.acknowledged(publisher)
-        rig.process.popen.send_signal(signal.SIGSTOP)
-        for _ in range(3000):
-            publisher.publish(small)
-        rig.process.popen.send_signal(signal.SIGCONT)
+        stopped(rig, publisher, small, 3000)
         told = rig.status("joint_1", lambda v: counted(v) == 3001)
         assert int(values_of(told)["messages_lost"]) > 500
         rig.values("joint_1", lambda v: v["warning"] == "")
@@ -255,11 +258,7 @@ def test_what_dds_loses_is_told_and_large_messages_do_not_fill_the_memory(tmp_pa
         patient.publish(large)
         rig.until(lambda: "has messages of 1000" in rig.process.output(), "word of fewer messages")
         rig.until(patient.get_subscription_count, "subscription")
-        rig.acknowledged(patient)
-        rig.process.popen.send_signal(signal.SIGSTOP)
-        for _ in range(200):
-            patient.publish(large)
-        rig.process.popen.send_signal(signal.SIGCONT)
+        stopped(rig, patient, large, 200)
         seen = rig.values("joint_1")["messages_without_joint"]
         patient.publish(small)
         rig.values("joint_1", lambda v: v["messages_without_joint"] != seen)

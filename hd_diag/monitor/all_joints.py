@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from hd_diag.arrays import Floats, Times
-from hd_diag.drive import MeshState, mesh_state
+from hd_diag.drive import mesh_state
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.monitor.comparison import Comparison
 from hd_diag.monitor.health import status
 from hd_diag.monitor.joint import Joint, Window
 from hd_diag.monitor.publications import Drawings, Publication, Report, ToothArrays, angles
-from hd_diag.monitor.settings import JointConfig, MonitorConfig
+from hd_diag.monitor.settings import MonitorConfig
 from hd_diag.streams.alignment import Aligned, Alignment, kernel
 from hd_diag.streams.columns import LARGEST_TEMPERATURE, JointStates
 
@@ -54,7 +54,7 @@ class Monitor:
     @property
     def has_arrays(self) -> bool:
         """Whether per-tooth arrays or drawings are published."""
-        return bool(self._rates)
+        return bool(self._periods)
 
     def pace(self, share: float) -> None:
         """Publish a share of the per-tooth arrays and drawings from the next message on."""
@@ -154,14 +154,14 @@ class Monitor:
 
     def _set_in_force(self) -> None:
         self._comparison.use([*self.joints.values()])
-        rates, kinds = (self.config.array_rate, self.config.mesh_rate), (self._arrays, self._drawings)
-        self._rates = [
-            # Each joint's periods begin at another time: no message has to wait for the arrays of all.
-            (period, period * np.arange(last.size) // last.size, last, published)
-            for rate, last, published in zip(rates, self.periods, kinds, strict=True)
-            if rate > 0.0
-            for period in [round(1e9 / (rate * self.share))]
-        ]
+        rates = self.config.array_rate, self.config.mesh_rate
+        self._periods = []
+        for rate, last, is_drawn in zip(rates, self.periods, (False, True), strict=True):
+            if rate > 0.0:
+                period = round(1e9 / (rate * self.share))
+                # Each joint's periods begin at another time: no message has to wait for the arrays of all.
+                offset = period * np.arange(last.size) // last.size
+                self._periods.append((period, offset, last, is_drawn))
 
     def _by_models(self, samples: Aligned) -> list[Floats]:
         """Predicted errors [rad] and speeds [rad/s] where some joints have extended models."""
@@ -176,35 +176,20 @@ class Monitor:
 
     def _teeth(self, received: Times, samples: Aligned) -> Iterator[Publication]:
         """Per-tooth arrays and drawings where a period of their rates has begun."""
-        for period, offset, last, published in self._rates:
+        for period, offset, last, is_drawn in self._periods:
             rows = kernel().begun(samples.stamp, samples.joint, samples.paired, period, offset, last)
             for number in np.unique(samples.joint[rows]).tolist() if rows.size else ():
-                yield from published(received, samples.part(rows[samples.joint[rows] == number]), number)
-
-    def _arrays(self, received: Times, samples: Aligned, number: int) -> Iterator[Publication]:
-        joint = self.config.joints[number]
-        state = _state(joint, samples)
-        yield ToothArrays(f"~/{joint.name}/backlash", received[samples.row], state.backlash)
-        yield ToothArrays(f"~/{joint.name}/load", received[samples.row], state.load)
-
-    def _drawings(self, received: Times, samples: Aligned, number: int) -> Iterator[Publication]:
-        joint = self.config.joints[number]
-        state = _state(joint, samples)
-        yield Drawings(
-            f"~/{joint.name}/mesh",
-            received[samples.row],
-            samples.stamp,
-            joint.name,
-            joint.drive,
-            samples.input_angle,
-            state.load,
-            state.torsion,
-            max(joint.limits["peak_tooth_load"].error, 1e-9),
-        )
-
-
-def _state(joint: JointConfig, samples: Aligned) -> MeshState:
-    return mesh_state(joint.drive, samples.input_angle, joint.drive.frame.cup_torque(samples.torque))
+                joint = self.config.joints[number]
+                own = samples.part(rows[samples.joint[rows] == number])
+                at, drive, topic = received[own.row], joint.drive, f"~/{joint.name}"
+                state = mesh_state(drive, own.input_angle, drive.frame.cup_torque(own.torque))
+                if is_drawn:
+                    full = max(joint.limits["peak_tooth_load"].error, 1e-9)
+                    shown = own.input_angle, state.load, state.torsion, full
+                    yield Drawings(f"{topic}/mesh", at, own.stamp, joint.name, drive, *shown)
+                else:
+                    yield ToothArrays(f"{topic}/backlash", at, state.backlash)
+                    yield ToothArrays(f"{topic}/load", at, state.load)
 
 
 def warm_up(config: MonitorConfig) -> None:

@@ -64,9 +64,7 @@ class Comparison:
 
     def use(self, joints: Sequence[Joint]) -> None:
         """Predict as the joints are configured, by the maps they have, from the next sample on."""
-        self._tables = [
-            None if joint.runs else joint.table for joint in joints
-        ]  # alive as long as places are
+        self._tables = [None if joint.runs else joint.table for joint in joints]  # places are in them
         self._drives = {n: joint.config.drive for n, joint in enumerate(joints) if not joint.runs}
         frames = [astuple(joint.config.drive.frame) for joint in joints]
         places = [_NO_MAP if table is None else table.place for table in self._tables]
