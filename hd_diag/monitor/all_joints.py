@@ -71,7 +71,7 @@ class Monitor:
         return True
 
     def reject(self, reason: str) -> None:
-        """Count a message that cannot be read: it may have been of every joint."""
+        """Count a message that cannot be read as a rejected sample of every joint."""
         for number in range(len(self.joints)):
             self.streams.reject(number, reason)
 
@@ -82,11 +82,12 @@ class Monitor:
         refused: Sequence[tuple[int, str]] = (),
         heard: Times | None = None,
     ) -> list[Publication]:
-        """What messages of several layouts give that arrived at times (n,) [ns].
+        """Take messages of several layouts and give what is to be published.
 
-        The rows of the messages of each layout are positions among these, as are those of messages that are
-        refused, with what they are. `heard` is when each arrived by the clock that is asked for silence (n,)
-        [ns]; the same by default. One message at a time or many at once give the same, to the last bit.
+        `received` are their times of arrival (n,) [ns]; the rows of `shapes`, and of messages that cannot be
+        read (row, reason), are positions in it. `heard` are the times of arrival by the clock that silence is
+        measured with (n,) [ns]; the same by default. One message at a time or many at once give the same, to
+        the last bit.
         """
         samples = self.streams.take(received if heard is None else heard, shapes, refused)
         if not samples.row.size:
@@ -97,7 +98,7 @@ class Monitor:
         return [*angles(received, errors, self._names), *self._teeth(received, samples)]
 
     def clock_set_back(self, stamp: int) -> None:
-        """Let joints whose last stamp is later than one [ns] begin anew: the clock was set back."""
+        """Restart the streams of joints whose last stamp is after `stamp` [ns]: the clock was set back."""
         self.streams.clock_set_back(stamp)
 
     def temperature(self, joint: str, value: float) -> None:
@@ -110,7 +111,7 @@ class Monitor:
     def silence(self, now: int) -> dict[str, float]:
         """Time since each joint's last input by the clock of `heard` [s].
 
-        Of a joint that never spoke it counts from the first question on.
+        For a joint without any input it counts from the first call on.
         """
         heard = self.streams.joints["heard"]
         heard[heard < 0] = now
@@ -131,7 +132,7 @@ class Monitor:
         return Report("/diagnostics", now, stamp, tuple(statuses), facts, silent)
 
     def begin_window(self) -> None:
-        """Let the next report tell of what comes from now on."""
+        """Drop what was kept for the next report."""
         self._windows()
 
     def _windows(self) -> list[Window]:
@@ -143,7 +144,7 @@ class Monitor:
         return windows
 
     def _follow(self) -> None:
-        """Take what is new into the residuals' orders."""
+        """Add the new samples to the residuals' orders."""
         new = self._comparison.kept[self._comparison.followed :]
         self._comparison.followed = self._comparison.count
         has_output = np.isfinite(new["output_angle"])

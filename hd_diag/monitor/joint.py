@@ -49,10 +49,10 @@ class LostSamples:
         self.unjudged: Times = np.empty(0, np.int64)
 
     def judge(self, stamps: Times, rejected: int) -> None:
-        """Count what is missing among further samples, by their stamps (n,) [ns].
+        """Count the samples that are missing between further stamps (n,) [ns], once there are enough.
 
-        They are judged from the last stamp before on, and once there are enough of them. What a sender makes
-        up for after a call was not lost: it is taken back. Neither is what came and was `rejected`.
+        Samples that a delayed sender sends after the next call were not lost: their count is taken back.
+        Samples that came and were `rejected` are not counted.
         """
         self.unjudged = np.concatenate((self.unjudged, stamps))
         if self.unjudged.size < _JUDGED_AT_LEAST:

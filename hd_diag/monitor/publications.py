@@ -81,10 +81,10 @@ Publication = Angles | ToothArrays | Drawings | Report
 
 
 def angles(received: Times, errors: Errors, names: Sequence[str]) -> Iterator[Angles]:
-    """Messages of transmission errors: joints with a sample at one stamp of one message share one.
+    """Messages of transmission errors, in each topic in the order of the messages that caused them.
 
-    Of the times at which the messages arrived (n,) [ns] and the names of all joints. In each topic they have
-    the order in which the messages one by one would give them.
+    Samples of one message with the same stamp share a published message. `received` are the times at which
+    the causes arrived (n,) [ns], `names` those of all joints.
     """
     samples = errors.samples
     columns = samples.row, samples.stamp, samples.paired, samples.joint, samples.output_angle

@@ -273,7 +273,7 @@ class DiagnosticNode(Node):
             self._session.clock_set_back(self._now(), self.get_clock().now().nanoseconds + back // 2)
 
     def _catch_up(self) -> None:
-        """Take the samples of before, as many as there is time for: who asked waits for an answer."""
+        """Process the samples that wait before a change, for at most `_CATCH_UP`."""
         end = time.monotonic() + _CATCH_UP
         while self._waiting and time.monotonic() < end:
             self._on_signals(*self._waiting.get())

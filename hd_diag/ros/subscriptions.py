@@ -163,7 +163,7 @@ class Waiting:
         return time.monotonic() - self._messages[0][0] if self._messages else 0.0
 
     def put(self, source: SignalTopic, reader: Reader, data: bytes) -> None:
-        """Have a message wait."""
+        """Append a message; the oldest are dropped beyond `MOST_BYTES`."""
         self.taken += 1
         self._bytes += len(data) + _OBJECTS
         self._messages.append((time.monotonic(), (source, reader, data)))
@@ -172,7 +172,7 @@ class Waiting:
             self.get()
 
     def get(self) -> tuple[SignalTopic, Reader, bytes]:
-        """The oldest."""
+        """Remove and give the oldest message."""
         _, message = self._messages.popleft()
         self._bytes -= len(message[-1]) + _OBJECTS
         return message

@@ -129,7 +129,7 @@ class Alignment:
         return self.joints, self.encoders, self._inputs, self._waiting
 
     def configure(self, number: int, names: Names) -> None:
-        """Let a joint have other names, with which its stream begins anew, or another assumed torque."""
+        """Give a joint other names, which restarts its stream, or another assumed torque."""
         before, self._names[number] = self._names[number], names
         self.joints[_CONFIGURED][number] = names.torque, *names[4:]
         if names._replace(torque=before.torque) != before:
@@ -139,10 +139,10 @@ class Alignment:
     def take(
         self, heard: Times, shapes: Sequence[JointStates], refused: Sequence[tuple[int, str]] = ()
     ) -> Aligned:
-        """Aligned samples that messages complete, which arrived at times `heard` (n,) [ns].
+        """Samples that messages complete, which arrived at times `heard` (n,) [ns].
 
-        The `row` of the messages of each layout are positions among these. Those that are `refused` cannot be
-        read, and may have been of every joint: position, and what they are.
+        The rows of the messages of each layout are positions in `heard`, as are those of messages that cannot
+        be read (row, reason): they count as rejected for every joint.
         """
         stamp, values, given = self._rows(heard.size, shapes)
         if refused:
@@ -155,7 +155,7 @@ class Alignment:
         return Aligned(*whole, *found)
 
     def clock_set_back(self, stamp: int) -> None:
-        """Let joints whose last stamp is later than one [ns] begin anew: the clock was set back."""
+        """Restart the streams of joints whose last stamp is after `stamp` [ns]: the clock was set back."""
         before = self.joints["stretch"].copy()
         kernel().begin_after(self.joints, stamp)
         self.joints["clock_jumps"] += self.joints["stretch"] - before

@@ -71,7 +71,7 @@ def align(
 
 @entry_point
 def begin_after(joints: Any, stamp: int) -> None:
-    """Let the streams of joints whose last stamp is later than one [ns] begin anew."""
+    """Restart the streams of joints whose last stamp is after `stamp` [ns]."""
     for j in range(joints.size):
         if max(joints[j].input_stamp, joints[j].output_stamp) > stamp:
             _begin(joints[j])
@@ -79,7 +79,7 @@ def begin_after(joints: Any, stamp: int) -> None:
 
 @part
 def _begin(joint: Any) -> None:
-    """Forget the stream."""
+    """Restart a joint's stream."""
     joint.input_stamp = joint.output_stamp = joint.torque_stamp = NEVER
     joint.inputs = joint.waiting = joint.output_seen = 0
     joint.torque = math.nan
