@@ -3,6 +3,7 @@
 import itertools
 from collections import defaultdict
 from pathlib import Path
+from typing import Any
 
 from live import START, Recording
 
@@ -14,9 +15,9 @@ from hd_diag.replay.recorded_monitor import Session
 class Log(Recording):
     """A recording that is also written as the node writes its log."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, **options: Any) -> None:
         super().__init__()
-        self.writer = BagWriter(path)
+        self.writer = BagWriter(path, **options)
         self.clock = itertools.count(START)
 
     def __call__(self, encoded: Encoded) -> None:

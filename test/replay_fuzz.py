@@ -1,5 +1,6 @@
 """Bags that no node has written: whole logs with damage in the file, in its messages and in its events."""
 
+import itertools
 import json
 import random
 import re
@@ -10,11 +11,12 @@ from bag_samples import cut_end, damaged, write_with_mcap
 from cli_runner import runner
 from click.testing import Result
 from live import MS, RATIO, START, config, message
+from logs import Log
 
-from hd_diag.bag import BagError, BagReader, BagWriter
+from hd_diag.bag import BagError, BagReader
 from hd_diag.cli.verbs.bags import recover, replay
 from hd_diag.diagnosis.record import RecordError
-from hd_diag.messages.publications import STRING, Encoded, read_string, resolved, string
+from hd_diag.messages.publications import STRING, read_string, resolved, string
 from hd_diag.records.joint_record import read_bags
 from hd_diag.replay.recorded_monitor import EVENTS, Session
 
@@ -26,23 +28,19 @@ Message = tuple[str, str, bytes, int]
 
 def log_of(path: Path) -> Path:
     """A small log as the node writes it, without maps, which take time."""
-    with BagWriter(path, chunk_size=4000) as writer:
-
-        def sink(encoded: Encoded) -> None:
-            rows = [bytes(row) for row in encoded.rows]
-            writer.write_many(resolved(encoded.topic), encoded.type_name, rows, encoded.received)
-
-        session = Session(CONFIG, sink)
-        session.start(START)
-        for i in range(1, 60):
-            now = START + i * 4 * MS
-            data = message(now, {"a_motor": 0.01 * i, "a": 0.01 * i / RATIO, "b_motor": 0.0}, {"a": 1.0})
-            writer.write("/joint_states", JOINT_STATE, data, now)
-            session.joint_state(now, data)
-            if i == 30:
-                session.configure(now + 1, config("a", "b", array_rate=5.0, a__eccentricity__magnitude=5e-6))
-            if i % 20 == 0:
-                session.tick(now + 2, now, {"log_state": "off", "latency_p99_us": "50"})
+    log = Log(path, chunk_size=4000)
+    session = Session(CONFIG, log)
+    session.start(START)
+    for i in range(1, 60):
+        now = START + i * 4 * MS
+        log.clock = itertools.count(now)
+        position = {"a_motor": 0.01 * i, "a": 0.01 * i / RATIO, "b_motor": 0.0}
+        log.receive(session, message(now, position, {"a": 1.0}))
+        if i == 30:
+            session.configure(now + 1, config("a", "b", array_rate=5.0, a__eccentricity__magnitude=5e-6))
+        if i % 20 == 0:
+            session.tick(now + 2, now, {"log_state": "off", "latency_p99_us": "50"})
+    log.writer.close()
     return path
 
 

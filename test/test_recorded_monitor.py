@@ -146,8 +146,9 @@ def test_a_hostile_state_is_refused(spoil: str) -> None:
     session = Session(config("a"), Recording())
     session.start_again(START)
     state = carried(session.monitor)
-    runs = {"a": state["joints"]["a"] | {"runs": [1]}}
-    for value in (None, [], "x", [[1e300]], {"a": {}}, ["AAAA"] * 4, runs):
+    own = state["joints"]["a"]
+    runs, lost = ({"a": own | wrong} for wrong in ({"runs": [1]}, {"lost": [0, 0, 1e-300, []]}))
+    for value in (None, [], "x", [[1e300]], {"a": {}}, ["AAAA"] * 4, runs, lost):
         with pytest.raises(ValueError, match="its state is none of these joints"):
             carry_on(session.monitor, state | {spoil: value})
     joints, *others = (array.copy() for array in session.monitor.streams.state)

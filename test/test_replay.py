@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bag_samples import cut_end, write_with_mcap
+from bag_samples import cut_end, rosbag2_folder, write_with_mcap
 from cli_runner import hd_diag as command
 from live import MS, RATIO, START, config, message, parameters
 from logs import content
@@ -19,14 +19,13 @@ from numpy.testing import assert_array_equal
 from player import angles
 from replay_fuzz import log_of
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 import hd_diag
 from hd_diag.bag import BagError, BagReader, BagWriter
 from hd_diag.config.configuration import ConfigError, resolve
 from hd_diag.drive import transmission_error
 from hd_diag.messages.publications import JOINT_STATE, STRING, read_string, string
-from hd_diag.messages.schemas import Definition, definition, jazzy
+from hd_diag.messages.schemas import Definition, definition
 from hd_diag.replay import versions
 from hd_diag.replay.events import read_event
 from hd_diag.replay.map_builder import map_of
@@ -56,20 +55,6 @@ def with_writer(path: Path, messages: list[Message], **options: Any) -> Path:
     return path
 
 
-def with_rosbags(path: Path, messages: list[Message], mode: str, plugin: StoragePlugin) -> Path:
-    store = jazzy()
-    made = Writer(path, version=9, storage_plugin=plugin)
-    if mode:
-        made.set_compression(CompressionMode[mode], CompressionFormat.ZSTD)
-    with made as writer:
-        known: dict[str, Any] = {}
-        for topic, kind, data, time in messages:
-            if topic not in known:
-                known[topic] = writer.add_connection(topic, kind, typestore=store)
-            writer.write(known[topic], time, data)
-    return path
-
-
 def shuffled(messages: list[Message]) -> list[Message]:
     """Stretches of the file out of order, as several recorders' threads leave them."""
     chance, parts = random.Random(4), [messages[i : i + 7] for i in range(0, len(messages), 7)]
@@ -81,7 +66,7 @@ WAYS: dict[str, Callable[[Path, list[Message]], Path]] = {
     "tiny chunks": lambda f, m: write_with_mcap(f / "b.mcap", m, chunk_size=300),
     "no end": lambda f, m: cut_end(write_with_mcap(f / "c.mcap", m), f / "b.mcap"),
     "split by size": lambda f, m: with_writer(f / "b", m, max_size=20_000, compression="none"),
-    "sqlite3, messages compressed": lambda f, m: with_rosbags(f / "b", m, "MESSAGE", StoragePlugin.SQLITE3),
+    "sqlite3, messages compressed": lambda f, m: rosbag2_folder(f / "b", m, compression="message"),
     "disordered, no indexes": lambda f, m: write_with_mcap(
         f / "b.mcap", shuffled(m), chunk_size=2000, summary=False, indexes=False
     ),
