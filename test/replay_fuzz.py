@@ -11,7 +11,7 @@ from bag_samples import cut_end, damaged, write_with_mcap
 from cli_runner import runner
 from click.testing import Result
 from live import MS, RATIO, START, config, message
-from logs import Log
+from logs import Log, messages_of
 
 from hd_diag.bag import BagError, BagReader
 from hd_diag.cli.verbs.bags import recover, replay
@@ -42,16 +42,6 @@ def log_of(path: Path) -> Path:
             session.tick(now + 2, now, {"log_state": "off", "latency_p99_us": "50"})
     log.writer.close()
     return path
-
-
-def messages_of(path: Path) -> list[Message]:
-    """What a replay takes in: joint states and events."""
-    with BagReader(path) as reader:
-        return [
-            (batch.topic.name, batch.topic.type_name, bytes(data), time)
-            for batch in reader.batches(["/joint_states", resolved(EVENTS)])
-            for time, data in zip(batch.log_time.tolist(), batch.messages(), strict=True)
-        ]
 
 
 def spoiled_messages(messages: list[Message], chance: random.Random) -> list[Message]:
@@ -113,7 +103,7 @@ class Fuzz:
         self._chance = random.Random(seed)
         self._runner = runner()
         log = log_of(folder / "log.mcap")
-        self._messages = messages_of(log)
+        self._messages = messages_of(log, "/joint_states", resolved(EVENTS))
         foreign = [entry for entry in self._messages if entry[1] == JOINT_STATE]
         self._bags = [log.read_bytes(), cut_end(log, folder / "cut.mcap").read_bytes()]
         for compression in ("none", "lz4"):

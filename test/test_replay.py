@@ -14,7 +14,7 @@ import pytest
 from bag_samples import cut_end, rosbag2_folder, write_with_mcap
 from cli_runner import hd_diag as command
 from live import MS, RATIO, START, config, message, parameters
-from logs import content
+from logs import content, messages_of
 from numpy.testing import assert_array_equal
 from player import angles
 from replay_fuzz import log_of
@@ -326,23 +326,18 @@ def test_a_log_that_begins_anew_is_followed(tmp_path: Path) -> None:
 
 def rewritten(log: Path, path: Path, change: dict[str, Any]) -> Path:
     """The log as if other software had written it."""
-    with BagReader(log) as reader, BagWriter(path) as writer:
-        for batch in reader.batches():
-            for time, data in zip(batch.log_time.tolist(), map(bytes, batch.messages()), strict=True):
-                if batch.topic.type_name == STRING:
-                    event = json.loads(read_string(data))
-                    if event.get("new"):
-                        event["versions"] = event["versions"] | change
-                        data = string(json.dumps(event))
-                writer.write(batch.topic.name, batch.topic.type_name, data, time)
-    return path
+    made = []
+    for topic, kind, data, time in messages_of(log):
+        event = json.loads(read_string(data)) if kind == STRING else {}
+        if event.get("new"):
+            data = string(json.dumps(event | {"versions": event["versions"] | change}))
+        made.append((topic, kind, data, time))
+    return with_writer(path, made)
 
 
 def test_a_log_names_its_versions_and_the_same_ones_are_no_problem(tmp_path: Path) -> None:
     log = log_of(tmp_path / "log.mcap")
-    with BagReader(log) as reader:
-        batch = next(iter(reader.batches(["/hd_diag/events"])))
-        event = read_event(bytes(next(batch.messages())))
+    event = read_event(content(log)["/hd_diag/events"][0][1])
     packages = {name: metadata.version(name) for name in ("numpy", "scipy", "numba")}
     own = {"hd_diag": hd_diag.__version__, "python": platform.python_version()}
     assert event["versions"] == versions.running() == own | packages
