@@ -3,6 +3,7 @@
 import itertools
 from collections import defaultdict
 from pathlib import Path
+from typing import Any
 
 from live import START, Recording
 
@@ -14,9 +15,9 @@ from hd_diag.replay.recorded_monitor import Session
 class Log(Recording):
     """A recording that is also written as the node writes its log."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, **options: Any) -> None:
         super().__init__()
-        self.writer = BagWriter(path)
+        self.writer = BagWriter(path, **options)
         self.clock = itertools.count(START)
 
     def __call__(self, encoded: Encoded) -> None:
@@ -37,10 +38,19 @@ class Log(Recording):
         session.temperature(joint, data)
 
 
+def messages_of(bag: Path, *topics: str, grouped: bool = False) -> list[tuple[str, str, bytes, int]]:
+    """Topic, type, CDR and log time [ns] of a bag's messages, in order; `grouped`: in that of each topic."""
+    with BagReader(bag) as reader:
+        return [
+            (batch.topic.name, batch.topic.type_name, bytes(data), time)
+            for batch in reader.batches(topics or None, grouped=grouped)
+            for time, data in zip(batch.log_time.tolist(), batch.messages(), strict=True)
+        ]
+
+
 def content(bag: Path) -> dict[str, list[tuple[int, bytes]]]:
     """Log time [ns] and CDR of every message of a bag, by topic, in order."""
     found: dict[str, list[tuple[int, bytes]]] = defaultdict(list)
-    with BagReader(bag) as reader:
-        for batch in reader.batches(grouped=True):
-            found[batch.topic.name] += zip(batch.log_time.tolist(), map(bytes, batch.messages()), strict=True)
+    for topic, _, data, time in messages_of(bag, grouped=True):
+        found[topic].append((time, data))
     return dict(found)

@@ -5,6 +5,7 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
+from logs import messages_of
 from rosgraph_msgs.msg import Clock
 from running import Rig
 from sensor_msgs.msg import JointState, Temperature
@@ -19,23 +20,20 @@ class Player:
     """Plays the joint states and temperatures of a bag into a rig's namespace, with ``/clock``."""
 
     def __init__(self, rig: Rig, bag: Path) -> None:
-        self._messages = playable(bag)
-        kinds = {topic: CLASSES[kind] for _, topic, kind, _ in self._messages}
+        self._messages = [each for each in messages_of(bag) if each[1] in CLASSES]
+        kinds = {topic: CLASSES[kind] for topic, kind, _, _ in self._messages}
         self._publishers: dict[str, Any] = {t: rig.publisher(t.lstrip("/"), k) for t, k in kinds.items()}
         self._clock = rig.publisher("clock", Clock)
 
-    def play(
-        self, rate: float, loops: int = 1, dropped: Collection[int] = (), part: slice = slice(None)
-    ) -> int:
+    def play(self, rate: float, loops: int, dropped: Collection[int]) -> int:
         """Play at a multiple of the bag's pace, again and again; give the number of messages published.
 
-        `dropped` are the numbers of messages that get lost on the way; `part` of the bag alone is played.
+        `dropped` are the numbers of messages that get lost on the way.
         """
-        messages, published = self._messages[part], 0
-        first = messages[0][0]
+        first, published = self._messages[0][-1], 0
         for _ in range(loops):
             begin = time.monotonic()
-            for number, (now, topic, _, data) in enumerate(messages):
+            for number, (topic, _, data, now) in enumerate(self._messages):
                 time.sleep(max(0.0, begin + (now - first) / SECOND / rate - time.monotonic()))
                 self._tick(now)
                 if number not in dropped:
@@ -47,17 +45,6 @@ class Player:
         clock = Clock()
         clock.clock.sec, clock.clock.nanosec = divmod(now, SECOND)
         self._clock.publish(clock)
-
-
-def playable(bag: Path) -> list[tuple[int, str, str, bytes]]:
-    """Log time [ns], topic, type and CDR of what can be played, in order."""
-    with BagReader(bag) as reader:
-        return [
-            (now, batch.topic.name, batch.topic.type_name, bytes(data))
-            for batch in reader.batches()
-            if batch.topic.type_name in CLASSES
-            for now, data in zip(batch.log_time.tolist(), batch.messages(), strict=True)
-        ]
 
 
 def angles(bag: Path, topic: str) -> list[tuple[int, tuple[float, ...]]]:

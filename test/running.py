@@ -2,7 +2,6 @@
 
 import contextlib
 import itertools
-import resource
 import signal
 import subprocess
 import sys
@@ -36,9 +35,7 @@ class Process:
     Every node of a test process has a namespace of its own, its diagnostics too.
     """
 
-    def __init__(
-        self, folder: Path, parameters: Mapping[str, Any], *arguments: str, file_size: int | None = None
-    ) -> None:
+    def __init__(self, folder: Path, parameters: Mapping[str, Any], *arguments: str) -> None:
         self.namespace = f"/n{next(_numbers)}"
         file = folder / "parameters.yaml"
         file.write_text(yaml.safe_dump({"/**": {"ros__parameters": dict(parameters)}}))
@@ -46,18 +43,9 @@ class Process:
         ros = ["--ros-args", "--params-file", str(file), "-r", f"__ns:={self.namespace}"]
         remap = ["-r", f"/diagnostics:={self.namespace}/diagnostics", "-r", f"/clock:={self.namespace}/clock"]
 
-        def limit() -> None:
-            if file_size is not None:
-                signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-                resource.setrlimit(resource.RLIMIT_FSIZE, (file_size, file_size))
-
         with self.stderr.open("wb") as stderr:
-            self.popen = subprocess.Popen(
-                [sys.executable, "-m", "hd_diag.ros.node", *ros, *remap, *arguments],
-                stdout=stderr,
-                stderr=stderr,
-                preexec_fn=limit,
-            )
+            command = [sys.executable, "-m", "hd_diag.ros.node", *ros, *remap, *arguments]
+            self.popen = subprocess.Popen(command, stdout=stderr, stderr=stderr)
 
     def end(self, number: int = signal.SIGTERM) -> int:
         """Send a signal and wait for the end; exit code."""
@@ -126,9 +114,8 @@ class Rig:
     def hear(self, kinds: Mapping[str, Any]) -> dict[str, list[Any]]:
         """Subscribe to topics of the node, by their types: everything from now on comes into a list of each.
 
-        What was heard before is left: who goes on taking large messages has time for little else.
-        A publisher that is known here may not know of the subscription yet. The node learns of subscriptions
-        in their order: the first report that a later one gets shows that it knows of all before.
+        What was heard before is left: who goes on taking large messages has time for little else. The node
+        learns of subscriptions in their order: once a later one gets a report, it knows of all before.
         """
         while self._heard:
             self.node.destroy_subscription(self._heard.pop())
@@ -197,6 +184,11 @@ def values_of(status: DiagnosticStatus) -> dict[str, str]:
     return {pair.key: pair.value for pair in status.values}
 
 
+def stamp_of(message: Any) -> int:
+    """Time in a message's header [ns]."""
+    return int(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
+
+
 def feed(
     publisher: Any, stamps: Iterator[int], count: int, rate: float = 1000.0, joint: str = "joint_1"
 ) -> None:
@@ -209,9 +201,9 @@ def feed(
 
 
 @contextlib.contextmanager
-def running(folder: Path, parameters: Mapping[str, Any], *arguments: str, **more: Any) -> Iterator[Rig]:
+def running(folder: Path, parameters: Mapping[str, Any], *arguments: str) -> Iterator[Rig]:
     """A node that answers, and what stands around it."""
-    with Process(folder, parameters, *arguments, **more) as process:
+    with Process(folder, parameters, *arguments) as process:
         rig = Rig(process)
         try:
             yield rig

@@ -17,7 +17,7 @@ from hd_diag.bag import BagWriter
 from hd_diag.messages.encoding import encode_joint_states
 from hd_diag.messages.publications import JOINT_STATE, encode
 from hd_diag.monitor.all_joints import Monitor
-from hd_diag.monitor.publications import Due, Publication
+from hd_diag.monitor.publications import Publication
 from hd_diag.replay.map_builder import map_of
 from hd_diag.replay.replay import replay
 from hd_diag.streams.alignment import Alignment, Names
@@ -48,25 +48,22 @@ SHAPES: dict[str, list[Shape]] = {
 
 
 class Message:
-    """One message: shape, stamp and the values of its columns."""
+    """One message: names, stamp and the values of its columns, None for those that it has not."""
 
     def __init__(self, shape: Shape, stamp: int, chance: random.Random, spoiled: float) -> None:
         self.names, self.stamp = shape[0], stamp
         seconds = (stamp - START) * 1e-9
-        angles = [
-            20.0 * np.sin(3.0 * seconds + len(name)) / (1.0 if name.endswith("motor") else RATIO)
-            for name in self.names
-        ]
         self.columns: list[Any] = []
         for what in "pve":
-            values = angles if what == "p" else [chance.uniform(-60.0, 60.0) for _ in self.names]
-            if self.names and chance.random() < spoiled:
+            values = [
+                20.0 * np.sin(3.0 * seconds + len(name)) / (1.0 if name.endswith("motor") else RATIO)
+                if what == "p"
+                else chance.uniform(-60.0, 60.0)
+                for name in self.names
+            ]
+            if values and chance.random() < spoiled:
                 values[chance.randrange(len(values))] = chance.choice([np.nan, np.inf])
             self.columns.append(values if what in shape[1] else None)
-
-    @property
-    def shape(self) -> tuple[Any, ...]:
-        return self.names, *(column is None for column in self.columns)
 
 
 LAGS = (0, 0, -MS // 3, 2 * MS)  # of the links' stamps [ns]
@@ -96,16 +93,14 @@ def together(messages: list[Message]) -> list[JointStates]:
     """The messages' shapes, with positions."""
     groups: dict[Any, list[int]] = {}
     for row, message in enumerate(messages):
-        groups.setdefault(message.shape, []).append(row)
+        shape = message.names, *(column is None for column in message.columns)
+        groups.setdefault(shape, []).append(row)
     shapes = []
-    for rows in groups.values():
+    for (names, *lacks), rows in groups.items():
         members = [messages[row] for row in rows]
-        columns = [
-            None if members[0].columns[i] is None else np.array([m.columns[i] for m in members])
-            for i in range(3)
-        ]
+        columns = [None if lacks[i] else np.array([m.columns[i] for m in members]) for i in range(3)]
         stamps = np.array([m.stamp for m in members])
-        shapes.append(JointStates(np.array(rows), stamps, members[0].names, "", *columns))
+        shapes.append(JointStates(np.array(rows), stamps, names, "", *columns))
     return shapes
 
 
@@ -118,20 +113,20 @@ def play(
 ) -> tuple[Any, ...]:
     """Everything published, by topic, and the diagnostics, of messages taken so many at a time.
 
-    Events and reports come before the messages of their numbers; with messages one by one these are ticks.
+    Events and reports come before the messages of their numbers.
     """
     topics: dict[str, list[tuple[int, bytes]]] = {}
     begin, turn, events = 0, 0, events or {}
     while begin < len(messages):
         if begin in events:
             EVENTS[events[begin]](monitor)
-        end = min([begin + sizes[turn % len(sizes)], len(messages), *(at for at in events if at > begin)])
+        cuts = [at for at in {*events, *reports} if at > begin]
+        end = min([begin + sizes[turn % len(sizes)], len(messages), *cuts])
         received = START + np.arange(begin, end) // 2  # some arrive at the same time
-        due = [Due(at - begin, START + at, 7 * at, {}) for at in sorted(reports) if begin <= at < end]
         published: list[Publication] = []
-        if end == begin + 1:
-            published, due = [monitor.tick(*each[1:]) for each in due], []
-        published += monitor.mixed_states(received, together(messages[begin:end]), due=due)
+        if begin in reports:
+            published.append(monitor.tick(START + begin, 7 * begin, {}))
+        published += monitor.mixed_states(received, together(messages[begin:end]))
         for encoded in map(encode, published):
             rows = zip(encoded.received.tolist(), map(bytes, encoded.rows), strict=True)
             topics.setdefault(encoded.topic, []).extend(rows)
@@ -139,15 +134,10 @@ def play(
     return topics, monitor.tick(START + len(messages), START, {})
 
 
-def use_maps(monitor: Monitor) -> None:
-    for name, table in MAPS.items():
-        monitor.use_map(name, table)
-
-
 EVENTS: dict[str, Callable[[Monitor], object]] = {
     "configure": lambda monitor: monitor.configure(OTHER),
     "back": lambda monitor: monitor.configure(CONFIG),
-    "maps": use_maps,
+    "maps": lambda monitor: [monitor.use_map(name, table) for name, table in MAPS.items()],
     "temperature": lambda monitor: monitor.temperature("a", 31.5),
     "window": Monitor.begin_window,
 }
@@ -165,18 +155,11 @@ EVENTS: dict[str, Callable[[Monitor], object]] = {
     reports=st.frozensets(st.integers(0, 89), max_size=5),
 )
 def test_many_at_once_is_one_at_a_time(
-    kind: str,
-    seed: int,
-    count: int,
-    disorder: float,
-    spoiled: float,
-    sizes: list[int],
-    events: dict[int, str],
-    reports: frozenset[int],
+    kind: str, seed: int, count: int, disorder: float, spoiled: float, sizes: list[int], **calls: Any
 ) -> None:
     messages = drawn(kind, random.Random(seed), count, disorder, spoiled, LAGS)
-    once = play(Monitor(CONFIG), messages, sizes, events, reports)
-    assert once == play(Monitor(CONFIG), messages, [1], events, reports)
+    once = play(Monitor(CONFIG), messages, sizes, **calls)
+    assert once == play(Monitor(CONFIG), messages, [1], **calls)
 
 
 def test_an_extended_model_runs_along_both_streams(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -324,12 +307,9 @@ def shape_of(row: int, stamp: int, given: dict[str, float]) -> JointStates:
 def test_an_input_that_is_divided_and_wraps() -> None:
     """Reported at the output's side, at which it wraps: a hundred times as far at the wave generator's."""
     streams, turns = Alignment([Names("m", "l", input_factor=100.0)]), np.linspace(0.0, 9.0, 40)
-    states = [
-        shape_of(
-            row, START + row * MS, {"input": np.mod(turn + np.pi, 2.0 * np.pi) - np.pi, "output": turn % 6.0}
-        )
-        for row, turn in enumerate(turns)
-    ]
+    wrapped = np.mod(turns + np.pi, 2.0 * np.pi) - np.pi
+    given = [{"input": angle, "output": turn % 6.0} for angle, turn in zip(wrapped, turns, strict=True)]
+    states = [shape_of(row, START + row * MS, each) for row, each in enumerate(given)]
     found = streams.take(np.zeros(40, np.int64), states)
     np.testing.assert_allclose(found.input_angle, 100.0 * turns, rtol=0, atol=1e-9)
 

@@ -1,7 +1,6 @@
 """The demo as a user runs it: real processes over DDS, a log, an end that leaves nothing behind."""
 
 import json
-import math
 import os
 import signal
 import statistics
@@ -16,11 +15,8 @@ import pytest
 from demo.log import read_log
 from demo.process import Child, DemoError
 from demo.run import run as demo_run
-from demo.steps import Step
 from mcap_ros2.reader import read_ros2_messages
 from rosbags.highlevel import AnyReader
-
-from hd_diag.watch import JointView, ReportedStatus
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 TOPICS = {
@@ -100,19 +96,11 @@ def test_value_that_cannot_be_is_refused_with_the_reason(run: dict[str, Any]) ->
 
 
 def test_log_is_read_with_types_by_rosbags_and_mcap_ros2(run: dict[str, Any]) -> None:
-    counts: Counter[str] = Counter()
-    eccentricities = set()
     with AnyReader([run["folder"] / "log"]) as reader:
+        counts = Counter(connection.topic for connection, _, _ in reader.messages())
         assert TOPICS.items() <= {(c.topic, c.msgtype) for c in reader.connections}
-        for connection, _, data in reader.messages():
-            message = reader.deserialize(data, connection.msgtype)
-            counts[connection.topic] += 1
-            if connection.topic == "/diagnostics":
-                values = (value for status in message.status for value in status.values)
-                eccentricities |= {float(v.value) for v in values if v.key == "eccentricity_um"}
     assert counts["/joint_states"] == run["summary"]["published"] > 8 * 250 * 0.9
     assert counts["/hd_diag/transmission_error"] == counts["/joint_states"]
-    assert eccentricities == {0.0, 5.0, 10.0, 18.0, 23.0}
     assert {e["topic"]: e["count"] for e in run["summary"]["topics"]} == counts
     (path,) = (run["folder"] / "log").glob("*.mcap")
     changes = [
@@ -176,15 +164,12 @@ def test_processes_that_do_not_see_each_other(tmp_path: Path) -> None:
 
 
 def test_node_that_cannot_start_is_named(tmp_path: Path) -> None:
-    with Child(
-        [str(EXAMPLES / "demo/simulated_joint.py"), "--config", "none.yaml"], tmp_path / "out.txt"
-    ) as child:
+    command = [str(EXAMPLES / "demo/simulated_joint.py"), "--config", "none.yaml"]
+    said = "simulated_joint.py ended early with code 2: simulated_joint: none.yaml: cannot be read"
+    with Child(command, tmp_path / "out.txt") as child:
         assert child.finish(60.0, []) == 2
-        with pytest.raises(DemoError) as caught:
+        with pytest.raises(DemoError, match=f"^{said}"):
             child.check_running()
-    assert str(caught.value).startswith(
-        "simulated_joint.py ended early with code 2: simulated_joint: none.yaml: cannot be read"
-    )
 
 
 def test_child_that_ignores_sigint_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -205,20 +190,6 @@ def test_damaged_log_is_a_problem(tmp_path: Path) -> None:
     (tmp_path / "log_0.mcap").write_bytes(b"not a bag")
     (problem,) = read_log(tmp_path).problems
     assert "cannot be read: " in problem
-
-
-def test_step_keeps_its_own_reports_only() -> None:
-    def report(**values: str) -> JointView:
-        return JointView("joint_1", "", (), ReportedStatus("hd_diag: joint_1", 0, "", values), 0.0, False, ())
-
-    step = Step(5.0)
-    assert not step.take(report(eccentricity_um="0"))
-    assert math.isnan(step.summary()["minimum_backlash_um"])
-    for residual, backlash in (("9", "1"), ("3", "-2"), ("2", "0"), ("nan", "1")):
-        assert step.take(
-            report(eccentricity_um="5", residual_rms_arcsec=residual, minimum_backlash_um=backlash)
-        )
-    assert (step.summary()["eccentricity_um"], step.summary()["minimum_backlash_um"]) == (5.0, -2.0)
 
 
 def test_a_process_runs_beside_what_it_prints(tmp_path: Path) -> None:

@@ -1,12 +1,14 @@
 """Fault codes: each raised, told and cleared; the numbers behind them."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 from live import MS, RATIO, START, config, states
 from numpy.testing import assert_allclose
 
+from hd_diag.config.configuration import Config
 from hd_diag.drive import MeshState, mesh_state, transmission_error
 from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.monitor.all_joints import Monitor
@@ -32,6 +34,10 @@ class Life:
         self.monitor = Monitor(config(**QUIET | given))
         self.now = START
 
+    def take(self, stamp: int, angle: float = 0.0, output: float = 0.0, torque: float = 0.0) -> None:
+        made = states(NAMES, [stamp], [[angle, output]], [[0.0, torque]])
+        self.monitor.mixed_states(np.array([stamp]), (made,))
+
     def run(
         self,
         samples: int = 50,
@@ -43,13 +49,17 @@ class Life:
         for i in range(samples):
             self.now += MS
             value = np.nan if i < broken else angle(i)
-            output = angle(i) / RATIO + wobble * (-1) ** i
-            made = states(NAMES, [self.now], [[value, output]], [[0.0, torque]])
-            self.monitor.mixed_states(np.array([self.now]), (made,))
+            self.take(self.now, value, angle(i) / RATIO + wobble * (-1) ** i, torque)
 
     def report(self, after: int = MS, **facts: str) -> Status:
         self.now += after
         return self.monitor.tick(self.now, self.now, WRITING | facts).statuses[0]
+
+    def missed(self, stamps: np.ndarray) -> int:
+        """What the report says was missed after samples at stamps."""
+        for stamp in stamps.tolist():
+            self.take(stamp)
+        return int(self.report().values["samples_missed"])
 
 
 @pytest.fixture
@@ -61,80 +71,56 @@ def code(status: Status) -> tuple[str, int]:
     return status.values["fault_code"], status.level
 
 
-def test_a_healthy_joint_is_ok(life: Life) -> None:
-    life.run()
-    status = life.report()
-    assert code(status) == ("OK", 0)
-    assert status.message == "OK"
-    assert status.name == "hd_diag: joint_1"
-
-
-# Every fault code: what raises it as a warning, what as an error ---
-
-Cause = Callable[[Life], None]
-
-
-def silence(seconds: float) -> Cause:
-    def cause(life: Life) -> None:
-        life.run()
-        life.now += int(seconds * SECOND)
-
-    return cause
-
-
-def running(**how: object) -> Cause:
-    return lambda life: life.run(**how)  # type: ignore[arg-type]
-
-
-def limited(name: str, warn: float, error: float) -> Cause:
-    """Limits so low that a healthy joint exceeds them."""
-
-    def cause(life: Life) -> None:
-        limits = {
-            f"joint_1__limits__{name}__warn": warn,
-            f"joint_1__limits__{name}__error": error,
-        }
-        life.monitor.configure(config(**QUIET | limits))
-        life.run()
-
-    return cause
-
+# Every fault code: what raises it as a warning, what as an error: silence [s], limits so low that a healthy
+# joint exceeds them, how it runs ---
 
 CAUSES = [
-    ("STALE", silence(1.0), 1, "no valid sample for 1.0 s"),
-    ("STALE", silence(3.0), 2, "no valid sample for 3.0 s"),
-    ("INPUT_INVALID", running(broken=5), 1, "5 samples rejected: input angle of joint_1_motor is nan"),
-    ("INPUT_INVALID", running(broken=30), 2, "30 samples rejected: input angle of joint_1_motor is nan"),
-    ("OUT_OF_RANGE", running(torque=-123.2), 1, "torque is 2.20 times the rated torque"),
-    ("OUT_OF_RANGE", running(torque=224.0), 2, "torque is 4.00 times the rated torque"),
-    ("RESIDUAL", running(wobble=2e-4), 1, "residual 41."),
-    ("RESIDUAL", running(wobble=6e-4), 2, "residual 123."),
-    ("INTERFERENCE", limited("overlap", -1.0, 60e-6), 1, "the lobes overlap by"),
-    ("INTERFERENCE", limited("overlap", -1.0, -1.0), 2, "the lobes overlap by"),
-    ("LOAD_CONCENTRATION", limited("peak_tooth_load", 0.0, 1e3), 1, "peak tooth load "),
-    ("LOAD_CONCENTRATION", limited("load_concentration", 1.0, 1.0), 2, "peak tooth load is "),
+    ("STALE", {"silent": 1.0}, 1, "no valid sample for 1.0 s"),
+    ("STALE", {"silent": 3.0}, 2, "no valid sample for 3.0 s"),
+    ("INPUT_INVALID", {"broken": 5}, 1, "5 samples rejected: input angle of joint_1_motor is nan"),
+    ("INPUT_INVALID", {"broken": 30}, 2, "30 samples rejected: input angle of joint_1_motor is nan"),
+    ("OUT_OF_RANGE", {"torque": -123.2}, 1, "torque is 2.20 times the rated torque"),
+    ("OUT_OF_RANGE", {"torque": 224.0}, 2, "torque is 4.00 times the rated torque"),
+    ("RESIDUAL", {"wobble": 2e-4}, 1, "residual 41."),
+    ("RESIDUAL", {"wobble": 6e-4}, 2, "residual 123."),
+    ("INTERFERENCE", {"overlap": (-1.0, 60e-6)}, 1, "the lobes overlap by"),
+    ("INTERFERENCE", {"overlap": (-1.0, -1.0)}, 2, "the lobes overlap by"),
+    ("LOAD_CONCENTRATION", {"peak_tooth_load": (0.0, 1e3)}, 1, "peak tooth load "),
+    ("LOAD_CONCENTRATION", {"load_concentration": (1.0, 1.0)}, 2, "peak tooth load is "),
 ]
+
+
+def limited(**given: tuple[float, float]) -> Config:
+    limits = {
+        f"joint_1__limits__{name}__{level}": value
+        for name, pair in given.items()
+        for level, value in zip(("warn", "error"), pair, strict=True)
+    }
+    return config(**QUIET | limits)
 
 
 @pytest.mark.parametrize(("fault", "cause", "level", "message"), CAUSES)
 def test_a_fault_is_raised_and_cleared(
-    life: Life, fault: str, cause: Cause, level: int, message: str
+    life: Life, fault: str, cause: dict[str, Any], level: int, message: str
 ) -> None:
-    cause(life)
-    status = life.report()
+    limits = {name: value for name, value in cause.items() if isinstance(value, tuple)}
+    how = {name: value for name, value in cause.items() if name not in {*limits, "silent"}}
+    life.monitor.configure(limited(**limits))
+    life.run(**how)
+    status = life.report(after=MS + int(cause.get("silent", 0.0) * SECOND))
     assert code(status) == (fault, level)
     assert status.values["fault_codes"] == fault
     assert status.message.startswith(message)
     life.monitor.configure(config(**QUIET))
     life.run()
-    assert code(life.report()) == ("OK", 0)
+    status = life.report()
+    assert (code(status), status.message, status.name) == (("OK", 0), "OK", "hd_diag: joint_1")
 
 
 def test_a_failed_log_is_a_warning_while_it_lasts(life: Life) -> None:
     life.run()
     status = life.report(log_state="failed: disk full")
-    assert code(status) == ("LOG_FAILED", 1)
-    assert status.message == "log failed: disk full"
+    assert (code(status), status.message) == (("LOG_FAILED", 1), "log failed: disk full")
     life.run()
     assert code(life.report()) == ("OK", 0)
 
@@ -152,9 +138,7 @@ def test_of_several_the_worst_is_told_and_all_are_named(life: Life) -> None:
 
 
 def test_two_findings_of_one_fault_name_it_once(life: Life) -> None:
-    limited("peak_tooth_load", 0.0, 1e3)(life)
-    limits = {"joint_1__limits__peak_tooth_load__warn": 0.0, "joint_1__limits__load_concentration__warn": 1.0}
-    life.monitor.configure(config(**QUIET | limits))
+    life.monitor.configure(limited(peak_tooth_load=(0.0, 1e3), load_concentration=(1.0, 5.0)))
     life.run()
     assert life.report().values["fault_codes"] == "LOAD_CONCENTRATION"
 
@@ -170,10 +154,9 @@ def test_a_joint_that_never_spoke_is_stale_from_the_first_report_on(life: Life) 
 
 def test_a_joint_whose_input_stopped_is_stale_though_its_output_goes_on(life: Life) -> None:
     life.run()
-    for _ in range(1000):
-        life.now += MS
-        made = states(("joint_1",), [life.now], [[0.0]], [[1.0]])
-        life.monitor.mixed_states(np.array([life.now]), (made,))
+    stamps = life.now + MS * np.arange(1, 1001)
+    life.monitor.mixed_states(stamps, (states(("joint_1",), stamps, np.zeros(1000), np.ones(1000)),))
+    life.now = int(stamps[-1])
     assert code(life.report()) == ("STALE", 1)
 
 
@@ -239,12 +222,9 @@ def test_residual_is_about_its_mean_for_the_encoders_zero_is_nobodys_fault(life:
     offset, wave = 0.01, 3e-5
     for i in range(200):
         life.now += MS
-        angle, torque = np.array([0.01 * i]), np.array([1.0])
-        output = (
-            angle / RATIO + transmission_error(drive, angle, torque) + offset + wave * np.cos(np.pi * i / 50)
-        )
-        made = states(NAMES, [life.now], [[angle[0], output[0]]], [[0.0, 1.0]])
-        life.monitor.mixed_states(np.array([life.now]), (made,))
+        error = transmission_error(drive, np.array([0.01 * i]), np.ones(1))[0]
+        output = 0.01 * i / RATIO + error + offset + wave * np.cos(np.pi * i / 50)
+        life.take(life.now, 0.01 * i, output, 1.0)
     values = life.report().values
     assert_allclose(float(values["residual_rms_arcsec"]) * ARCSEC, wave / np.sqrt(2.0), rtol=1e-4)
     assert_allclose(float(values["residual_mean_arcsec"]) * ARCSEC, offset, rtol=1e-4)
@@ -283,15 +263,10 @@ def test_counts_go_on_and_shares_begin_anew(life: Life) -> None:
 
 
 def test_samples_that_never_came_are_seen_in_the_stamps(life: Life) -> None:
-    life.run()
-    life.now += 3 * MS
-    life.run()
-    assert life.report(after=0).values["samples_missed"] == "3"
-    life.now += 2 * MS
-    life.run()
-    assert life.report(after=0).values["samples_missed"] == "5"
-    life.run()
-    assert life.report(after=0).values["samples_missed"] == "5"
+    for gone, missed in ((0, "0"), (3, "3"), (2, "5"), (0, "5")):
+        life.now += gone * MS
+        life.run()
+        assert life.report(after=0).values["samples_missed"] == missed
 
 
 @pytest.mark.parametrize("lost", [range(0), range(300, 350)], ids=["none", "fifty"])
@@ -301,45 +276,29 @@ def test_a_sender_that_is_held_up_and_catches_up_has_lost_nothing(life: Life, lo
     held = np.maximum.accumulate(np.arange(1000) * MS + np.where(random.random(1000) < 0.15, 6 * MS, 0))
     stamps = START + held + np.arange(1000) * 20_000
     assert np.median(np.diff(stamps)) < MS / 2
-    for stamp in np.delete(stamps, list(lost)).tolist():
-        made = states(NAMES, [stamp], [[0.0, 0.0]], [[0.0, 0.0]])
-        life.monitor.mixed_states(np.array([stamp]), (made,))
-    missed = int(life.report().values["samples_missed"])
-    assert 0.8 * len(lost) <= missed <= len(lost)
+    assert 0.8 * len(lost) <= life.missed(np.delete(stamps, list(lost))) <= len(lost)
 
 
 def test_what_is_made_up_for_after_a_report_was_not_lost(life: Life) -> None:
     """A sender is held up for 40 periods at the end of a report's time, and then sends them at once."""
-    assert feed(life, START + np.append(np.arange(961), 1000) * MS) == 39
+    assert life.missed(START + np.append(np.arange(961), 1000) * MS) == 39
     burst = START + 1000 * MS + np.arange(1, 40) * MS // 100
-    assert feed(life, np.append(burst, START + np.arange(1001, 2000) * MS)) == 0
-    assert feed(life, START + np.append(np.arange(2000, 2500), np.arange(2503, 3000)) * MS) == 3
+    assert life.missed(np.append(burst, START + np.arange(1001, 2000) * MS)) == 0
+    assert life.missed(START + np.append(np.arange(2000, 2500), np.arange(2503, 3000)) * MS) == 3
 
 
 def test_a_pause_or_a_clock_that_was_set_ahead_is_no_loss(life: Life) -> None:
     """A step of an hour counted 3.6 million samples as missed."""
-    before = START + np.arange(1000) * MS
-    assert feed(life, np.append(before, before + 3_600_000 * MS)) == 0
-    assert (
-        feed(life, START + 3_600_000 * MS + np.append(np.arange(1000, 1500), np.arange(1503, 2000)) * MS) == 3
-    )
+    hour, before = 3_600_000 * MS, START + np.arange(1000) * MS
+    assert life.missed(np.append(before, before + hour)) == 0
+    assert life.missed(START + hour + np.append(np.arange(1000, 1500), np.arange(1503, 2000)) * MS) == 3
 
 
 def test_rejected_samples_are_not_told_as_missed_too(life: Life) -> None:
     for row in range(1000):
-        angle = np.nan if row % 10 == 5 else 0.0
-        made = states(NAMES, [START + row * MS], [[angle, 0.0]], [[0.0, 0.0]])
-        life.monitor.mixed_states(np.array([START + row * MS]), (made,))
+        life.take(START + row * MS, np.nan if row % 10 == 5 else 0.0)
     values = life.report().values
     assert (values["samples_rejected"], values["samples_missed"]) == ("100", "0")
-
-
-def feed(life: Life, stamps: np.ndarray) -> int:
-    """Samples at stamps; what the report then says was missed."""
-    for stamp in stamps.tolist():
-        made = states(NAMES, [stamp], [[0.0, 0.0]], [[0.0, 0.0]])
-        life.monitor.mixed_states(np.array([stamp]), (made,))
-    return int(life.report().values["samples_missed"])
 
 
 @pytest.mark.parametrize("jitter", [0.0, 0.02])
@@ -352,21 +311,21 @@ def test_what_a_reader_that_falls_behind_lets_through_is_told_from_another_perio
     stamps = START + MS * np.arange(6000) + noise
     let_through = np.unique((1000 + np.arange(4000 * kept) / kept).astype(int))
     tolerance = 0.005 * 4000 if jitter else 0
-    assert feed(life, stamps[:1000]) == 0
-    known = feed(life, stamps[let_through])
+    assert life.missed(stamps[:1000]) == 0
+    known = life.missed(stamps[let_through])
     assert abs(known - (let_through[-1] - 999 - let_through.size)) <= tolerance
-    assert abs(feed(life, stamps[5000:]) - (4000 - let_through.size)) <= tolerance
+    assert abs(life.missed(stamps[5000:]) - (4000 - let_through.size)) <= tolerance
 
 
 @pytest.mark.parametrize("factor", [2, 3, 2.5])
 def test_another_period_is_no_loss(life: Life, factor: float) -> None:
     """At most for the one report in which both periods are."""
     step, count = round(factor * MS), 1000
-    assert feed(life, START + MS * np.arange(count)) == 0
+    assert life.missed(START + MS * np.arange(count)) == 0
     end = START + MS * (count - 1)
-    first = feed(life, end + step * np.arange(1, count))
+    first = life.missed(end + step * np.arange(1, count))
     assert first <= 2
-    assert feed(life, end + step * np.arange(count, 2 * count)) == first
+    assert life.missed(end + step * np.arange(count, 2 * count)) == first
 
 
 def test_a_clock_that_jumps_back_is_told(life: Life) -> None:

@@ -26,7 +26,7 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
-from running import LIMIT, Rig, feed, running, values_of
+from running import LIMIT, Rig, feed, running, stamp_of, values_of
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import Float64MultiArray
 from visualization_msgs.msg import MarkerArray
@@ -34,7 +34,6 @@ from visualization_msgs.msg import MarkerArray
 from hd_diag.bag import BagReader
 from hd_diag.config.configuration import Config
 from hd_diag.drive import mesh_state, transmission_error
-from hd_diag.model.torsion_map import ARCSEC
 from hd_diag.replay.replay import replay
 from hd_diag.ros.node import main
 
@@ -68,10 +67,6 @@ def heard(rig: Rig, topic: str) -> list[Any]:
     return found
 
 
-def stamp_of(message: Any) -> int:
-    return int(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
-
-
 def since(begin: int, messages: list[Any]) -> list[Any]:
     """Those with stamps from one on [ns]: what came of samples of before may arrive late."""
     return [message for message in messages if stamp_of(message) >= begin]
@@ -82,7 +77,6 @@ def exact(configured: Config, joint: str, angle: float, torque: float) -> float:
     return float(transmission_error(drive, np.array([angle]), np.array([torque]))[0])
 
 
-TURN_SPEED = 2.0 * np.pi * 2.1  # [rad/s]
 BOUND = 1e-7  # the maps' aim is 0.01 arcsec, 5e-8 rad
 
 
@@ -238,17 +232,20 @@ def test_what_dds_loses_is_told_and_large_messages_do_not_fill_the_memory(tmp_pa
     def counted(values: dict[str, str]) -> int:
         return int(values["messages_without_joint"]) + int(values["messages_lost"])
 
+    def stopped(rig: Rig, publisher: Any, data: bytes, count: int) -> None:
+        rig.acknowledged(publisher)
+        rig.process.popen.send_signal(signal.SIGSTOP)
+        for _ in range(count):
+            publisher.publish(data)
+        rig.process.popen.send_signal(signal.SIGCONT)
+
     with running(tmp_path, parameters(**QUICK)) as rig:
         patient = rig.publisher()
         publisher = rig.node.create_publisher(JointState, "joint_states", 10)
         rig.until(publisher.get_subscription_count, "subscription")
         small = serialize_message(JointState(name=["stranger"], position=[0.0]))
         publisher.publish(small)
-        rig.acknowledged(publisher)
-        rig.process.popen.send_signal(signal.SIGSTOP)
-        for _ in range(3000):
-            publisher.publish(small)
-        rig.process.popen.send_signal(signal.SIGCONT)
+        stopped(rig, publisher, small, 3000)
         told = rig.status("joint_1", lambda v: counted(v) == 3001)
         assert int(values_of(told)["messages_lost"]) > 500
         rig.values("joint_1", lambda v: v["warning"] == "")
@@ -261,11 +258,7 @@ def test_what_dds_loses_is_told_and_large_messages_do_not_fill_the_memory(tmp_pa
         patient.publish(large)
         rig.until(lambda: "has messages of 1000" in rig.process.output(), "word of fewer messages")
         rig.until(patient.get_subscription_count, "subscription")
-        rig.acknowledged(patient)
-        rig.process.popen.send_signal(signal.SIGSTOP)
-        for _ in range(200):
-            patient.publish(large)
-        rig.process.popen.send_signal(signal.SIGCONT)
+        stopped(rig, patient, large, 200)
         seen = rig.values("joint_1")["messages_without_joint"]
         patient.publish(small)
         rig.values("joint_1", lambda v: v["messages_without_joint"] != seen)
@@ -400,46 +393,6 @@ def test_rates_act_at_once(arm: Rig) -> None:
 
 
 # Its log and its end ---
-
-
-def test_an_order_that_repeats_is_named_while_it_runs(arm: Rig, publisher: Any) -> None:
-    """Of one joint, not of the other that has none; another drive begins anew. Its replay: the test below."""
-    angle = TURN_SPEED * 1e-2 * np.arange(1600)  # a sample each 10 ms by the stamps
-    predicted = transmission_error(config(*JOINTS).joints[0].drive, angle, np.full(angle.size, 14.0))
-    wave = 20.0 * ARCSEC * np.cos(2.0 * angle)
-    assert arm.set(mesh_rate=0.0)[0].successful  # the rig would take long over so many drawings
-    before, seen = int(arm.values("elbow")["samples"]), len(arm.reports)
-    for i, turned in enumerate(angle.tolist()):
-        stamp = next(itertools.islice(stamps, 9, None))
-        output = turned / RATIO + predicted[i]
-        position = {
-            "shoulder_motor": turned,
-            "shoulder": output,
-            "elbow_motor": turned,
-            "elbow": output + wave[i],
-        }
-        publisher.publish(message(stamp, position, {"shoulder": 14.0, "elbow": 14.0}))
-        time.sleep(5e-4)
-    taken = before + angle.size
-    status = arm.status("elbow", lambda values: int(values["samples"]) == taken)
-    values = values_of(status)
-    assert (status.level, values["residual_order"], values["residual_order_repeats"]) == (
-        b"\x01",
-        "input 2",
-        "true",
-    )
-    assert "RESIDUAL" in values["fault_codes"].split()
-    assert status.message.startswith("residual repeats twice per input turn with 20.")
-    reported = [values_of(each) for array in arm.reports[seen:] for each in array.status]
-    rms = [float(v["residual_rms_arcsec"]) for v in reported if v["residual_order"] == "input 2"]
-    assert np.nanmin(rms) < 31.0  # nan where no sample came since the report before
-    other = arm.values("shoulder")
-    assert (other["fault_codes"], other["residual_order_repeats"]) == ("OK", "false")
-    assert arm.set(elbow__eccentricity__magnitude=1e-6)[0].successful
-    arm.values("elbow", lambda values: values["eccentricity_um"] == "1" and values["residual_order"] == "")
-    assert arm.set(elbow__eccentricity__magnitude=0.0)[0].successful
-    arm.values("elbow", lambda values: values["eccentricity_um"] == "0")
-    assert arm.set(mesh_rate=10.0)[0].successful
 
 
 def test_log_holds_everything_and_replays(arm: Rig, tmp_path: Path) -> None:

@@ -129,18 +129,13 @@ def test_one_that_follows_another_is_no_second(bench: Bench) -> None:
     assert bench.looked() == []
 
 
-def test_one_that_begins_late_is_found(bench: Bench) -> None:
+def test_one_that_begins_late_is_found_and_a_look_under_way_ends_at_once(bench: Bench) -> None:
     bench.add("left", "elbow")
     bench.add("right")
     bench.looked()
     node, publisher, _ = bench.made["right"]
     bench.made["right"] = node, publisher, ("elbow",)
     assert bench.until(lambda said: said)
-
-
-def test_a_look_that_is_under_way_ends_at_once(bench: Bench) -> None:
-    bench.add("left", "elbow")
-    bench.add("right", "elbow")
     bench.until(lambda _: bench.is_looking)
     bench.seen.close()
     assert not bench.is_looking

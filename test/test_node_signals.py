@@ -4,7 +4,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from geometry_msgs.msg import WrenchStamped
+from geometry_msgs.msg import Vector3, Wrench, WrenchStamped
+from live import MS, START
 from logs import content
 from running import running
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -18,8 +19,6 @@ from hd_diag.ros.subscriptions import check_types, sources
 
 pytestmark = pytest.mark.usefixtures("ros")
 
-START = 1_700_000_000 * 10**9
-MS = 1_000_000
 STATE = {"topic": "states", "type": "trajectory_msgs/JointTrajectory"}
 FORCE = {"topic": "force", "type": "geometry_msgs/msg/WrenchStamped"}
 SIGNALS = {
@@ -35,18 +34,18 @@ def parameters(**more: Any) -> dict[str, Any]:
     return {"joints": ["elbow"], "diagnostics_rate": 20.0, **flat, **more}
 
 
-def state(number: int, degrees: float) -> JointTrajectory:
-    message = JointTrajectory()
+def stamped(message: Any, number: int) -> Any:
     message.header.stamp.sec, message.header.stamp.nanosec = divmod(START + number * MS, 10**9)
-    message.points = [JointTrajectoryPoint(positions=[0.0, degrees], effort=[300.0 + number])]
     return message
+
+
+def state(number: int, degrees: float) -> JointTrajectory:
+    point = JointTrajectoryPoint(positions=[0.0, degrees], effort=[300.0 + number])
+    return stamped(JointTrajectory(points=[point]), number)
 
 
 def force(number: int, torque: float) -> WrenchStamped:
-    message = WrenchStamped()
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(START + number * MS, 10**9)
-    message.wrench.torque.z = torque
-    return message
+    return stamped(WrenchStamped(wrench=Wrench(torque=Vector3(z=torque))), number)
 
 
 def test_signals_of_other_types_live_and_in_the_log(tmp_path: Path) -> None:
@@ -68,10 +67,8 @@ def test_signals_of_other_types_live_and_in_the_log(tmp_path: Path) -> None:
         values = rig.values("elbow", lambda values: values["samples_rejected"] == "1")
         assert values["last_rejection"] == "a message has 0 elements of points: none is points[0]"
         (answer,) = rig.set(elbow__torque_signal__sign=1)
-        assert (answer.successful, answer.reason) == (
-            False,
-            "elbow: where its signals stand is read when the node starts",
-        )
+        assert not answer.successful
+        assert answer.reason == "elbow: where its signals stand is read when the node starts"
         assert rig.process.end() == 0
     replay(tmp_path / "log.mcap", tmp_path / "again.mcap")
     live, again = (content(tmp_path / name) for name in ("log.mcap", "again.mcap"))

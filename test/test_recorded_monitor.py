@@ -1,7 +1,6 @@
 """A session: messages in, bytes out, and a record of it that gives the same bytes again."""
 
 import base64
-import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -17,12 +16,8 @@ from hd_diag.config.configuration import resolve
 from hd_diag.messages.publications import (
     JOINT_STATE,
     TEMPERATURE,
-    Encoded,
-    read_string,
-    resolved,
 )
 from hd_diag.monitor.carried import carried, carry_on
-from hd_diag.replay.map_builder import map_of
 from hd_diag.replay.recorded_monitor import EVENTS, PARAMETER_EVENTS, Session
 from hd_diag.replay.replay import replay
 from hd_diag.replay.versions import running
@@ -31,12 +26,9 @@ STORE = get_typestore(Stores.ROS2_JAZZY)
 FACTS = {"log_state": "writing x", "latency_p99_us": "12.0"}
 
 
-def read(encoded: Encoded) -> list[Any]:
-    return [STORE.deserialize_cdr(bytes(row), encoded.type_name) for row in encoded.rows]
-
-
 def messages(recording: Recording, topic: str) -> list[Any]:
-    return [m for encoded in recording.all if encoded.topic == topic for m in read(encoded)]
+    every = (each for each in recording.all if each.topic == topic)
+    return [STORE.deserialize_cdr(bytes(row), each.type_name) for each in every for row in each.rows]
 
 
 def events(recording: Recording) -> list[dict[str, Any]]:
@@ -94,69 +86,10 @@ def test_a_change_is_recorded_and_says_whose_map_is_outdated(recording: Recordin
     assert session.configure(START, larger) == ["a"]
 
 
-# What cannot be used ---
-
-
 def temperature(value: float) -> bytes:
     types = STORE.types
     header = types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](1, 2), "")
     return bytes(STORE.serialize_cdr(types[TEMPERATURE](header, value, 0.0), TEMPERATURE))
-
-
-# Replay ---
-
-
-def eventful(session: Session, log: Log) -> None:
-    """Everything that can happen to a session of joints a and b."""
-    random = np.random.default_rng(5)
-    stamp = START
-    for i in range(600):
-        stamp += (MS, MS, MS, 3 * MS)[i % 4]
-        angle, torque = 0.01 * i, 30.0 * np.sin(0.02 * i)
-        noise = random.normal(0.0, 1e-5)
-        everything = {"a_motor": angle, "a": angle / RATIO + noise, "b_motor": -angle}
-        log.receive(session, message(stamp, everything, {"a": torque, "b_motor": 0.0}))
-        if i % 5 == 0:
-            log.receive(session, message(stamp - MS // 2, {"b": -angle / RATIO}))
-        if i % 70 == 10:
-            log.receive(session, message(stamp, everything))  # repeats the stamp
-        if i % 90 == 20:
-            log.receive(session, message(stamp, {"stranger": 1.0}))
-            log.receive(session, b"\0\1\0\0 no message")
-        if i % 110 == 30:
-            log.receive(session, message(stamp + 1, everything | {"a_motor": np.nan}))
-            log.warm(session, "a", temperature(20.0 + i))
-        if i == 150:
-            log.clock = itertools.count(next(log.clock) + 10**9)
-            session.tick(next(log.clock), 5, FACTS)
-        if i in (200, 400):
-            given = {"a__eccentricity__magnitude": 1e-8 * i, "array_rate": 0.3 * i, "mesh_rate": 15.0}
-            session.configure(next(log.clock), config("a", "b", **given))
-        if i in (100, 300, 500):
-            for joint in session.config.joints:
-                session.use_map(next(log.clock), joint.name, map_of(joint))
-        if i == 450:
-            stamp -= 5 * 10**9
-    session.tick(next(log.clock), 6, {"log_state": "off"})
-
-
-def test_a_replay_of_what_came_in_gives_what_went_out(tmp_path: Path) -> None:
-    log = Log(tmp_path / "live.mcap")
-    session = Session(config("a", "b", mesh_rate=10.0), log)
-    session.start(next(log.clock))
-    eventful(session, log)
-    log.writer.close()
-    result = replay(tmp_path / "live.mcap", tmp_path / "again.mcap")
-    live, again = content(tmp_path / "live.mcap"), content(tmp_path / "again.mcap")
-    assert result.reproduced
-    assert set(again) == set(live)
-    for topic, rows in live.items():
-        assert again[topic] == rows, topic
-    assert {resolved(topic) for topic in log.topics()} <= set(live)
-    assert len(live["/hd_diag/transmission_error"]) > 600
-    assert len(live["/hd_diag/residual"]) > len(live["/hd_diag/measured_transmission_error"]) * 0.99
-    kinds = [json.loads(read_string(data))["event"] for _, data in live["/hd_diag/events"]]
-    assert {kind: kinds.count(kind) for kind in kinds} == {"configuration": 3, "map": 6, "report": 2}
 
 
 def moving(session: Session, log: Log, first: int, last: int) -> None:
@@ -213,15 +146,9 @@ def test_a_hostile_state_is_refused(spoil: str) -> None:
     session = Session(config("a"), Recording())
     session.start_again(START)
     state = carried(session.monitor)
-    for value in (
-        None,
-        [],
-        "x",
-        [[1e300]],
-        {"a": {}},
-        ["AAAA"] * 4,
-        {"a": state["joints"]["a"] | {"runs": [1]}},
-    ):
+    own = state["joints"]["a"]
+    runs, lost = ({"a": own | wrong} for wrong in ({"runs": [1]}, {"lost": [0, 0, 1e-300, []]}))
+    for value in (None, [], "x", [[1e300]], {"a": {}}, ["AAAA"] * 4, runs, lost):
         with pytest.raises(ValueError, match="its state is none of these joints"):
             carry_on(session.monitor, state | {spoil: value})
     joints, *others = (array.copy() for array in session.monitor.streams.state)

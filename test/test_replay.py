@@ -1,27 +1,33 @@
 """Replay of any bag: the same as one computation over all samples, whatever the bag looks like."""
 
 import json
+import platform
 import random
 from collections.abc import Callable
+from importlib import metadata
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from bag_samples import cut_end, write_with_mcap
+from bag_samples import cut_end, rosbag2_folder, write_with_mcap
+from cli_runner import hd_diag as command
 from live import MS, RATIO, START, config, message, parameters
-from logs import content
+from logs import content, messages_of
 from numpy.testing import assert_array_equal
 from player import angles
+from replay_fuzz import log_of
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
+import hd_diag
 from hd_diag.bag import BagError, BagReader, BagWriter
 from hd_diag.config.configuration import ConfigError, resolve
 from hd_diag.drive import transmission_error
-from hd_diag.messages.publications import JOINT_STATE, STRING, string
-from hd_diag.messages.schemas import jazzy
+from hd_diag.messages.publications import JOINT_STATE, STRING, read_string, string
+from hd_diag.messages.schemas import Definition, definition
+from hd_diag.replay import versions
+from hd_diag.replay.events import read_event
 from hd_diag.replay.map_builder import map_of
 from hd_diag.replay.replay import replay
 
@@ -35,13 +41,11 @@ OUTPUT = ANGLE / RATIO + 5e-5 * np.sin(2.0 * ANGLE)
 Message = tuple[str, str, bytes, int]
 
 
-def samples(topic: str = "/joint_states") -> list[Message]:
+def samples() -> list[Message]:
     """One joint, everything in one message, recorded a little later than it was stamped."""
     columns = zip(STAMPS.tolist(), ANGLE, OUTPUT, TORQUE, strict=True)
-    return [
-        (topic, JOINT_STATE, message(s, {"a_motor": x, "a": y}, {"a": m}), s + 200_000)
-        for s, x, y, m in columns
-    ]
+    every = ((s, message(s, {"a_motor": x, "a": y}, {"a": m})) for s, x, y, m in columns)
+    return [("/joint_states", JOINT_STATE, data, stamp + 200_000) for stamp, data in every]
 
 
 def with_writer(path: Path, messages: list[Message], **options: Any) -> Path:
@@ -51,35 +55,18 @@ def with_writer(path: Path, messages: list[Message], **options: Any) -> Path:
     return path
 
 
-def with_rosbags(path: Path, messages: list[Message], mode: str, plugin: StoragePlugin) -> Path:
-    store = jazzy()
-    made = Writer(path, version=9, storage_plugin=plugin)
-    if mode:
-        made.set_compression(CompressionMode[mode], CompressionFormat.ZSTD)
-    with made as writer:
-        known: dict[str, Any] = {}
-        for topic, kind, data, time in messages:
-            if topic not in known:
-                known[topic] = writer.add_connection(topic, kind, typestore=store)
-            writer.write(known[topic], time, data)
-    return path
-
-
 def shuffled(messages: list[Message]) -> list[Message]:
     """Stretches of the file out of order, as several recorders' threads leave them."""
     chance, parts = random.Random(4), [messages[i : i + 7] for i in range(0, len(messages), 7)]
-    for begin in range(0, len(parts), 20):
-        part = parts[begin : begin + 20]
-        chance.shuffle(part)
-        parts[begin : begin + 20] = part
-    return [entry for part in parts for entry in part]
+    order = sorted(range(len(parts)), key=lambda i: (i // 20, chance.random()))
+    return [entry for i in order for entry in parts[i]]
 
 
 WAYS: dict[str, Callable[[Path, list[Message]], Path]] = {
     "tiny chunks": lambda f, m: write_with_mcap(f / "b.mcap", m, chunk_size=300),
     "no end": lambda f, m: cut_end(write_with_mcap(f / "c.mcap", m), f / "b.mcap"),
     "split by size": lambda f, m: with_writer(f / "b", m, max_size=20_000, compression="none"),
-    "sqlite3, messages compressed": lambda f, m: with_rosbags(f / "b", m, "MESSAGE", StoragePlugin.SQLITE3),
+    "sqlite3, messages compressed": lambda f, m: rosbag2_folder(f / "b", m, compression="message"),
     "disordered, no indexes": lambda f, m: write_with_mcap(
         f / "b.mcap", shuffled(m), chunk_size=2000, summary=False, indexes=False
     ),
@@ -126,11 +113,12 @@ def test_outputs_are_the_same_whatever_the_bag(tmp_path: Path, log: Path, way: s
 
 def test_joints_of_several_topics_that_appear_late(tmp_path: Path) -> None:
     """Joint b is on a topic of its own and begins after a second; a third topic has nothing of them."""
+    rows = list(zip(STAMPS.tolist(), ANGLE, OUTPUT, strict=True))
     late = [
         ("/arm/joint_states", JOINT_STATE, message(s, {"b_motor": x, "b": y}), s + 100)
-        for s, x, y in zip(STAMPS[1000:].tolist(), ANGLE[1000:], OUTPUT[1000:], strict=True)
+        for s, x, y in rows[1000:]
     ]
-    other = [("/gripper", JOINT_STATE, message(int(s), {"finger": 0.1}), int(s)) for s in STAMPS[::10]]
+    other = [("/gripper", JOINT_STATE, message(s, {"finger": 0.1}), s) for s, *_ in rows[::10]]
     messages = sorted(samples() + late + other, key=lambda entry: entry[3])
     result = replay(write_with_mcap(tmp_path / "b.mcap", messages), tmp_path / "out.mcap", CONFIG)
     found = angles(tmp_path / "out.mcap", "/hd_diag/transmission_error")
@@ -150,10 +138,7 @@ def test_joints_of_several_topics_that_appear_late(tmp_path: Path) -> None:
 
 def test_a_bag_with_its_own_joint_state_is_read_by_its_own_definition(tmp_path: Path) -> None:
     """And copied as ROS 2 Jazzy has it, which the outputs are."""
-    from hd_diag.messages.schemas import Definition, definition
-
-    known = definition(JOINT_STATE)
-    head, _, rest = known.text.partition("string[] name")
+    head, _, rest = definition(JOINT_STATE).text.partition("string[] name")
     text = f"{head}float64 cycle_time\nstring[] name{rest}"
     bag = tmp_path / "b.mcap"
     with BagWriter(bag) as writer:
@@ -210,16 +195,8 @@ def statuses(bag: Path) -> list[dict[str, str]]:
 def test_reports_go_on_while_a_joint_is_silent_but_not_for_days(tmp_path: Path) -> None:
     """A silence of ten seconds is reported on; of one of two days only the last second is."""
     parts = (0, 10 * 10**9, 2 * 86_400 * 10**9)
-    messages = [
-        (
-            "/joint_states",
-            JOINT_STATE,
-            message(START + part + i * MS, {"a_motor": 0.1}),
-            START + part + i * MS,
-        )
-        for part in parts
-        for i in range(1500)
-    ]
+    times = [START + part + i * MS for part in parts for i in range(1500)]
+    messages = [("/joint_states", JOINT_STATE, message(s, {"a_motor": 0.1}), s) for s in times]
     replay(write_with_mcap(tmp_path / "b.mcap", messages), tmp_path / "out.mcap", CONFIG)
     found = statuses(tmp_path / "out.mcap")
     assert 14 <= len(found) <= 18
@@ -333,14 +310,57 @@ def test_events_of_later_versions_are_passed_over(tmp_path: Path) -> None:
 def test_a_log_that_begins_anew_is_followed(tmp_path: Path) -> None:
     """As when logs are joined: the second beginning forgets the first's samples."""
     other = dict(resolve(parameters("a", a__torque=2.5)).flat)
+    again, late = {"event": "configuration", "new": True, "parameters": other}, START + 10**9
     made = [("/hd_diag/events", STRING, string(json.dumps(GOOD)), START), *samples()[:10]]
-    again = json.dumps({"event": "configuration", "new": True, "parameters": other})
-    late = START + 10**9
-    made += [("/hd_diag/events", STRING, string(again), late)]
-    made += [
-        ("/joint_states", JOINT_STATE, message(START + i, {"a_motor": 0.1}), late + 1 + i) for i in range(5)
-    ]
+    made.append(("/hd_diag/events", STRING, string(json.dumps(again)), late))
+    inputs = [message(START + i, {"a_motor": 0.1}) for i in range(5)]
+    made += [("/joint_states", JOINT_STATE, data, late + 1 + i) for i, data in enumerate(inputs)]
     result = replay(write_with_mcap(tmp_path / "b.mcap", made), tmp_path / "out.mcap")
     assert result.rejected == {"a": 0}
     found = angles(tmp_path / "out.mcap", "/hd_diag/transmission_error")
     assert [values[1] for _, values in found[10:]] == [2.5] * 5
+
+
+# Versions: named at a log's start, and told where a replay has others ---
+
+
+def rewritten(log: Path, path: Path, change: dict[str, Any]) -> Path:
+    """The log as if other software had written it."""
+    made = []
+    for topic, kind, data, time in messages_of(log):
+        event = json.loads(read_string(data)) if kind == STRING else {}
+        if event.get("new"):
+            data = string(json.dumps(event | {"versions": event["versions"] | change}))
+        made.append((topic, kind, data, time))
+    return with_writer(path, made)
+
+
+def test_a_log_names_its_versions_and_the_same_ones_are_no_problem(tmp_path: Path) -> None:
+    log = log_of(tmp_path / "log.mcap")
+    event = read_event(content(log)["/hd_diag/events"][0][1])
+    packages = {name: metadata.version(name) for name in ("numpy", "scipy", "numba")}
+    own = {"hd_diag": hd_diag.__version__, "python": platform.python_version()}
+    assert event["versions"] == versions.running() == own | packages
+    assert replay(log, tmp_path / "out.mcap").problems == []
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"numpy": "1.0.0"}, f"numpy 1.0.0 (here {versions.running()['numpy']})"),
+        ({"numba": "0.1\n"}, f"numba 0.1\\n (here {versions.running()['numba'] or 'absent'})"),
+        ({"numpy": None, "cobol": "85"}, f"numpy absent (here {versions.running()['numpy']})"),
+    ],
+)
+def test_other_versions_are_one_warning(tmp_path: Path, change: dict[str, Any], told: str) -> None:
+    log = rewritten(log_of(tmp_path / "log.mcap"), tmp_path / "other.mcap", change)
+    result = command("replay", log, "--out", tmp_path / "out.mcap")
+    assert result.exit_code == 0
+    assert result.stderr == f"warning: {log}: was recorded with {told}: outputs may differ by rounding\n"
+
+
+@pytest.mark.parametrize("given", [[], "1.0", {"numpy": 1}, {"numpy": ["2"]}, None])
+def test_versions_that_are_none_are_refused(given: Any) -> None:
+    content = {"event": "configuration", "new": True, "parameters": {}, "versions": given}
+    with pytest.raises(ValueError, match="versions"):
+        read_event(string(json.dumps(content)))

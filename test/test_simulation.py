@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 from cli_runner import hd_diag
-from click.testing import Result
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
@@ -85,20 +84,15 @@ def test_every_run_starts_and_ends_at_rest_and_reaches_its_level(motion: Motion)
         assert_allclose(level.torque, torque)
 
 
-def test_both_directions_return_to_the_start() -> None:
+def test_both_directions_return_to_the_start_on_a_clock_that_no_nanosecond_divides() -> None:
     ends = SHORT.at(np.array([-1.0, 0.0, SHORT.duration, SHORT.duration + 5.0])).input_angle
     assert_allclose(ends, 0.0, atol=1e-12)
     one_way = Motion(duration=2.0, speeds=(10.0,), torques=(0.0,), both_directions=False)
     # Of 2 s, 5 % at rest at either end, and half of each 10 % ramp is lost.
     assert one_way.at(np.array([2.0])).input_angle[0] == pytest.approx(10.0 * 2.0 * (1.0 - 0.1 - 0.1))
-
-
-def test_stamps_stay_on_the_clock_at_rates_that_no_nanosecond_divides() -> None:
     motion = Motion(duration=1000.0, sample_rate=300.0)
-    assert motion.samples == 300_000
     stamps = motion.stamps(START, 0, motion.samples)
-    assert stamps[0] == START
-    assert stamps[-1] == START + round(299_999 * SECOND / 300)
+    assert (stamps[0], stamps[-1]) == (START, START + round(299_999 * SECOND / 300))
     assert set(np.diff(stamps)) == {3_333_333, 3_333_334}
 
 
@@ -163,36 +157,28 @@ def test_noise_has_the_size_and_the_correlation_asked_for(table: TorsionMap) -> 
 
 
 def test_the_drift_is_as_large_at_the_start_as_later(table: TorsionMap) -> None:
-    noise = Noise(drift=1.0, drift_correlation=0.99)
     motion = Motion(duration=0.002, sample_rate=1000.0, speeds=(1.0,), torques=(0.0,))
-    joint = SimulatedJoint(drive(), noise)
+    joint = SimulatedJoint(drive(), Noise(drift=1.0, drift_correlation=0.99))
     first = [next(parts(joint, motion, rng(seed), table=table)).output_angle[0] for seed in range(300)]
     assert np.std(first) == pytest.approx(1.0, rel=4.0 / math.sqrt(600.0))
 
 
-def test_parts_join_without_a_seam() -> None:
-    joint = SimulatedJoint(drive(), Noise(white=1e-5, drift=1e-5, torque=0.1))
-    whole = list(parts(joint, SHORT, rng()))
-    pieces = list(parts(joint, SHORT, rng(), chunk=7))
-    assert (len(whole), len(pieces)) == (1, 43)
-    for name, column in joined(pieces)._asdict().items():
-        assert_allclose(column, getattr(whole[0], name), rtol=0.0, atol=1e-13, err_msg=name)
-
-
-def test_an_alteration_sees_all_samples_in_order_before_the_noise() -> None:
+def test_parts_join_without_a_seam_and_an_alteration_comes_before_the_noise() -> None:
     seen: list[Samples] = []
 
     def runout(samples: Samples) -> Samples:
         seen.append(samples)
         return samples._replace(output_angle=samples.output_angle + 1e-4 * np.cos(samples.output_angle))
 
-    noise = Noise(white=1e-5, torque=0.1)
+    noise = Noise(white=1e-5, drift=1e-5, torque=0.1)
     altered = joined(parts(SimulatedJoint(drive(), noise, alter=runout), SHORT, rng(), chunk=90))
     plain = simulate(SimulatedJoint(drive(), noise), SHORT, rng())
     quiet = simulate(SimulatedJoint(drive()), SHORT, rng())
+    pieces = joined(parts(SimulatedJoint(drive(), noise), SHORT, rng(), chunk=7))
     assert [samples.stamp.size for samples in seen] == [90, 90, 90, 30]
-    for name, column in joined(seen)._asdict().items():
-        assert_allclose(column, getattr(quiet, name), rtol=0.0, atol=1e-13)
+    for whole, cut in ((quiet, joined(seen)), (plain, pieces)):
+        for name, column in cut._asdict().items():
+            assert_allclose(column, getattr(whole, name), rtol=0.0, atol=1e-13, err_msg=name)
     added = altered.output_angle - plain.output_angle
     assert_allclose(added, 1e-4 * np.cos(quiet.output_angle), atol=1e-13)
 
@@ -262,8 +248,7 @@ def test_temperatures_come_once_a_second(tmp_path: Path, rate: float, count: int
     for messages in found.values():
         stamps = [m.header.stamp.sec * SECOND + m.header.stamp.nanosec for m in messages]
         assert stamps == [START + 250 + second * SECOND for second in range(count)]
-        values = [m.temperature for m in messages]
-        assert_array_equal(values, temperature(np.arange(float(count))))
+        assert_array_equal([m.temperature for m in messages], temperature(np.arange(float(count))))
 
 
 def test_the_same_seed_writes_the_same_bytes(tmp_path: Path) -> None:
@@ -277,10 +262,6 @@ def test_the_same_seed_writes_the_same_bytes(tmp_path: Path) -> None:
     assert first != other
 
 
-def invoke(*arguments: object) -> Result:
-    return hd_diag("simulate", *arguments)
-
-
 def test_the_command_writes_the_joint_that_its_options_describe(tmp_path: Path) -> None:
     out, summary = tmp_path / "out.mcap", tmp_path / "truth.json"
     options = (
@@ -289,7 +270,7 @@ def test_the_command_writes_the_joint_that_its_options_describe(tmp_path: Path) 
         "--torque-noise 0.1 --seed 3 --start-time 1000.5 --temperature --set joint_1.tooth_compliance=11e-7 "
         "--set joint_1.flexspline_tooth.addendum_center=[0.7626e-3,-0.0548e-3]"
     )
-    result = invoke("--out", out, "--json", summary, *options.split())
+    result = hd_diag("simulate", "--out", out, "--json", summary, *options.split())
     assert (result.exit_code, result.output) == (0, f"{out}: 500 samples, 2 s, joints joint_1\n")
     truth = json.loads(summary.read_text())
     assert truth["schema"] == "hd_diag/simulation/1"
@@ -318,21 +299,16 @@ def test_the_command_writes_the_joint_that_its_options_describe(tmp_path: Path) 
 
 
 def test_the_command_takes_a_configuration_and_some_of_its_joints(tmp_path: Path) -> None:
-    file = tmp_path / "drive.yaml"
+    file, out = tmp_path / "drive.yaml", tmp_path / "out"
     file.write_text(dump(resolve(TWO)))
-    given = ("--config", file, "--joint", "elbow", "--duration", 0.5, "--one-way")
-    result = invoke("--out", tmp_path / "out", *given)
-    assert result.exit_code == 0, result.output
-    names, _, (position, _, _) = joint_states(tmp_path / "out")
+    given = ("--config", file, "--joint", "elbow", "--duration", 0.5, "--one-way", "--json", "-")
+    result = hd_diag("simulate", "--out", out, *given)
+    assert json.loads(result.stdout)["samples"] == 250  # alone on stdout
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["drive.yaml", "out"]
+    names, _, (position, _, _) = joint_states(out)
     assert names == ["m2", "elbow"]
     assert (np.diff(position[:, 0]) >= 0.0).all()
     assert position[-1, 0] == pytest.approx(-100.0 * position[-1, 1], abs=0.1)
-
-
-def test_json_on_stdout_is_alone_there(tmp_path: Path) -> None:
-    result = invoke("--out", tmp_path / "out.mcap", "--duration", 0.1, "--json", "-")
-    assert json.loads(result.stdout)["samples"] == 50
-    assert [path.name for path in tmp_path.iterdir()] == ["out.mcap"]
 
 
 def test_ctrl_c_leaves_a_whole_bag_or_the_one_to_be_replaced(
@@ -354,12 +330,9 @@ def test_ctrl_c_leaves_a_whole_bag_or_the_one_to_be_replaced(
         (new, f"{new} holds the first 3000 messages"),
         (old, f"nothing was written, {old} is as it was"),
     ):
-        result = invoke("--out", out, *long)
-        assert (result.exit_code, result.stdout, result.stderr) == (
-            130,
-            "",
-            f"hd-diag: interrupted: {left}\n",
-        )
+        result = hd_diag("simulate", "--out", out, *long)
+        said = f"hd-diag: interrupted: {left}\n"
+        assert (result.exit_code, result.stdout, result.stderr) == (130, "", said)
     assert old.read_text() == "precious"
     with BagReader(new) as reader:
         assert (reader.problems, reader.message_count) == ([], 3000)
@@ -371,6 +344,6 @@ def test_ctrl_c_while_the_map_is_made(tmp_path: Path, monkeypatch: pytest.Monkey
         wanted(0.5)
 
     monkeypatch.setattr(torsion_map, "build", build)
-    result = invoke("--out", tmp_path / "out.mcap", "--duration", 100)
+    result = hd_diag("simulate", "--out", tmp_path / "out.mcap", "--duration", 100)
     assert (result.exit_code, result.stderr) == (130, "hd-diag: interrupted: nothing was written\n")
     assert list(tmp_path.iterdir()) == []

@@ -12,21 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from hd_diag.arrays import Floats, Integers, Times
-from hd_diag.drive import MeshState, mesh_state
+from hd_diag.arrays import Floats, Times
+from hd_diag.drive import mesh_state
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.monitor.comparison import Comparison
-from hd_diag.monitor.health import Around, reports
+from hd_diag.monitor.health import status
 from hd_diag.monitor.joint import Joint, Window
-from hd_diag.monitor.lost_samples import LostSamples
-from hd_diag.monitor.publications import Drawings, Due, Publication, Report, ToothArrays, angles
-from hd_diag.monitor.residual_orders import Order
-from hd_diag.monitor.settings import JointConfig, MonitorConfig
-from hd_diag.streams.alignment import Aligned, Alignment, Seen, kernel
+from hd_diag.monitor.publications import Drawings, Publication, Report, ToothArrays, angles
+from hd_diag.monitor.settings import MonitorConfig
+from hd_diag.streams.alignment import Aligned, Alignment, kernel
 from hd_diag.streams.columns import LARGEST_TEMPERATURE, JointStates
 
 _NEVER = -(2**62)  # number of a period
-_NO_TIMES = np.empty(0, np.int64)
 _ORDERED = "stamp", "input_angle", "output_angle", "torque", "residual"  # what the orders are followed in
 _FOLLOWED = 256  # samples that are taken into the residual's orders at once: a report may be far
 
@@ -43,7 +40,6 @@ class Monitor:
         self.share = 1.0
         self.periods = np.full((2, len(self.joints)), _NEVER)
         self._names = tuple(self.joints)
-        self._reported = self.streams.joints[None].copy()
         self._comparison = Comparison()
         self._set_in_force()
 
@@ -58,7 +54,7 @@ class Monitor:
     @property
     def has_arrays(self) -> bool:
         """Whether per-tooth arrays or drawings are published."""
-        return bool(self._rates)
+        return bool(self._periods)
 
     def pace(self, share: float) -> None:
         """Publish a share of the per-tooth arrays and drawings from the next message on."""
@@ -75,7 +71,7 @@ class Monitor:
         return True
 
     def reject(self, reason: str) -> None:
-        """Count a message that cannot be read: it may have been of every joint."""
+        """Count a message that cannot be read as a rejected sample of every joint."""
         for number in range(len(self.joints)):
             self.streams.reject(number, reason)
 
@@ -85,32 +81,24 @@ class Monitor:
         shapes: Sequence[JointStates],
         refused: Sequence[tuple[int, str]] = (),
         heard: Times | None = None,
-        due: Sequence[Due] = (),
     ) -> list[Publication]:
-        """What messages of several layouts give that arrived at times (n,) [ns]; reports are its end.
+        """Take messages of several layouts and give what is to be published.
 
-        The rows of the messages of each layout are positions among these, as are those of messages that are
-        refused, with what they are, and of reports that are due between them. `heard` is when each arrived by
-        the clock that is asked for silence (n,) [ns]; the same by default. One message at a time or many at
-        once give the same, to the last bit.
+        `received` are their times of arrival (n,) [ns]; the rows of `shapes`, and of messages that cannot be
+        read (row, reason), are positions in it. `heard` are the times of arrival by the clock that silence is
+        measured with (n,) [ns]; the same by default. One message at a time or many at once give the same, to
+        the last bit.
         """
-        heard, published = received if heard is None else heard, []
-        if due:
-            moments = [each.row for each in due], [each.now for each in due]
-            samples, seen = self.streams.take_and_look(heard, shapes, refused, *moments)
-        else:
-            samples = self.streams.take(heard, shapes, refused)
-        if samples.row.size:
-            errors = self._comparison.errors(samples, *self._by_models(samples))
-            published = [*angles(received, errors, self._names), *self._teeth(received, samples)]
-        if due:
-            published += self._reports(due, seen, samples.row.size)
-        elif self._comparison.count - self._comparison.followed >= _FOLLOWED:
+        samples = self.streams.take(received if heard is None else heard, shapes, refused)
+        if not samples.row.size:
+            return []
+        errors = self._comparison.errors(samples, *self._by_models(samples))
+        if self._comparison.count - self._comparison.followed >= _FOLLOWED:
             self._follow()
-        return published
+        return [*angles(received, errors, self._names), *self._teeth(received, samples)]
 
     def clock_set_back(self, stamp: int) -> None:
-        """Let joints whose last stamp is later than one [ns] begin anew: the clock was set back."""
+        """Restart the streams of joints whose last stamp is after `stamp` [ns]: the clock was set back."""
         self.streams.clock_set_back(stamp)
 
     def temperature(self, joint: str, value: float) -> None:
@@ -123,84 +111,58 @@ class Monitor:
     def silence(self, now: int) -> dict[str, float]:
         """Time since each joint's last input by the clock of `heard` [s].
 
-        Of a joint that never spoke it counts from the first question on.
+        For a joint without any input it counts from the first call on.
         """
         heard = self.streams.joints["heard"]
         heard[heard < 0] = now
-        return dict(zip(self._names, _seconds(now, heard), strict=True))
+        return dict(zip(self._names, np.maximum(0.0, (now - heard) * 1e-9).tolist(), strict=True))
 
     def tick(
         self, now: int, stamp: int, facts: Mapping[str, str], silence: Mapping[str, float] | None = None
     ) -> Report:
-        """Diagnostics of all joints since the last ones, as in `Due`."""
-        (report,) = self.mixed_states(_NO_TIMES, (), due=[Due(0, now, stamp, facts, silence)])
-        assert isinstance(report, Report)
-        return report
+        """Diagnostics of all joints since the last ones: time of the report, header stamp [ns].
+
+        `facts` is what the surroundings know, such as ``log_state``; `silence` how long each joint has been
+        silent by a clock of its own [s], None to take the time of the report.
+        """
+        silent = self.silence(now) if silence is None else silence
+        pairs = zip(self.joints.values(), self._windows(), strict=True)
+        foreign = self.streams.foreign
+        statuses = [status(j, own, silent.get(j.config.name, math.nan), facts, foreign) for j, own in pairs]
+        return Report("/diagnostics", now, stamp, tuple(statuses), facts, silent)
 
     def begin_window(self) -> None:
-        """Let the next report tell of what comes from now on."""
-        self._windows(self.streams.joints[None], np.zeros(1, np.int64))
+        """Drop what was kept for the next report."""
+        self._windows()
 
-    def _reports(self, due: Sequence[Due], seen: Seen, count: int) -> Iterator[Report]:
-        """Reports between the last samples that were taken together, `count` of them."""
-        windows = self._windows(seen.joints, seen.samples - count)
-        now = np.array([each.now for each in due])[:, None]
-        silences = [
-            dict(zip(self._names, row, strict=True)) if each.silence is None else each.silence
-            for each, row in zip(due, _seconds(now, seen.joints["heard"]), strict=True)
-        ]
-        statuses = [
-            [
-                Around(silent.get(name, math.nan), each.facts, reasons[number], foreign)
-                for silent, each, reasons, foreign in zip(
-                    silences, due, seen.last_rejections, seen.foreign.tolist(), strict=True
-                )
-            ]
-            for number, name in enumerate(self._names)
-        ]
-        by_joint = map(reports, self.joints.values(), windows, statuses)
-        for each, silent, of_all in zip(due, silences, zip(*by_joint, strict=True), strict=True):
-            yield Report("/diagnostics", each.now, each.stamp, of_all, each.facts, silent)
-
-    def _windows(self, seen: Any, ends: Integers) -> list[list[Window]]:
-        """What happened to each joint between reports that found it so (l, k).
-
-        They end at numbers of samples that are counted from the last one on, <= 0.
-        """
-        orders = self._follow(ends)
+    def _windows(self) -> list[Window]:
+        """What happened to each joint since the last report."""
+        self._follow()
         kept = self._comparison.kept
-        ends = kept.size + ends
-        known = np.concatenate((self._reported, seen))
-        self._reported = known[-1:].copy()
-        windows = []
-        for number, joint in enumerate(self.joints.values()):
-            rows = np.flatnonzero(kept["joint"] == number)
-            own = kept[rows], rows.searchsorted(ends), known[:, number], orders[number]
-            windows.append(joint.windows(*own))
-        self._comparison.drop(int(ends[-1]))
+        windows = [joint.window(kept[kept["joint"] == n]) for n, joint in enumerate(self.joints.values())]
+        self._comparison.count = self._comparison.followed = 0
         return windows
 
-    def _follow(self, ends: Integers = _NO_TIMES) -> list[list[list[Order]]]:
-        """Take what is new into the residuals' orders; those of each joint that are known at `ends` (l,)."""
-        new, found = self._comparison.kept[self._comparison.followed :], []
+    def _follow(self) -> None:
+        """Add the new samples to the residuals' orders."""
+        new = self._comparison.kept[self._comparison.followed :]
         self._comparison.followed = self._comparison.count
-        ends, has_output = new.size + ends, np.isfinite(new["output_angle"])
+        has_output = np.isfinite(new["output_angle"])
         for number, joint in enumerate(self.joints.values()):
             rows = np.flatnonzero(has_output & (new["joint"] == number))
-            columns: list[Any] = [*(new[name][rows] for name in _ORDERED), rows.searchsorted(ends)]
-            found.append(joint.orders.add(*columns))
-        return found
+            columns: list[Any] = [new[name][rows] for name in _ORDERED]
+            joint.orders.add(*columns)
 
     def _set_in_force(self) -> None:
         self._comparison.use([*self.joints.values()])
-        rates, kinds = (self.config.array_rate, self.config.mesh_rate), (self._arrays, self._drawings)
-        self._rates = [
-            # Each joint's periods begin at another time: no message has to wait for the arrays of all.
-            (period, period * np.arange(last.size) // last.size, last, published)
-            for rate, last, published in zip(rates, self.periods, kinds, strict=True)
-            if rate > 0.0
-            for period in [round(1e9 / (rate * self.share))]
-        ]
+        rates = self.config.array_rate, self.config.mesh_rate
+        self._periods = []
+        for rate, last, is_drawn in zip(rates, self.periods, (False, True), strict=True):
+            if rate > 0.0:
+                period = round(1e9 / (rate * self.share))
+                # Each joint's periods begin at another time: no message has to wait for the arrays of all.
+                offset = period * np.arange(last.size) // last.size
+                self._periods.append((period, offset, last, is_drawn))
 
     def _by_models(self, samples: Aligned) -> list[Floats]:
         """Predicted errors [rad] and speeds [rad/s] where some joints have extended models."""
@@ -215,46 +177,24 @@ class Monitor:
 
     def _teeth(self, received: Times, samples: Aligned) -> Iterator[Publication]:
         """Per-tooth arrays and drawings where a period of their rates has begun."""
-        for period, offset, last, published in self._rates:
+        for period, offset, last, is_drawn in self._periods:
             rows = kernel().begun(samples.stamp, samples.joint, samples.paired, period, offset, last)
             for number in np.unique(samples.joint[rows]).tolist() if rows.size else ():
-                yield from published(received, samples.part(rows[samples.joint[rows] == number]), number)
-
-    def _arrays(self, received: Times, samples: Aligned, number: int) -> Iterator[Publication]:
-        joint = self.config.joints[number]
-        state = _state(joint, samples)
-        yield ToothArrays(f"~/{joint.name}/backlash", received[samples.row], state.backlash)
-        yield ToothArrays(f"~/{joint.name}/load", received[samples.row], state.load)
-
-    def _drawings(self, received: Times, samples: Aligned, number: int) -> Iterator[Publication]:
-        joint = self.config.joints[number]
-        state = _state(joint, samples)
-        yield Drawings(
-            f"~/{joint.name}/mesh",
-            received[samples.row],
-            samples.stamp,
-            joint.name,
-            joint.drive,
-            samples.input_angle,
-            state.load,
-            state.torsion,
-            max(joint.limits["peak_tooth_load"].error, 1e-9),
-        )
-
-
-def _seconds(now: Any, heard: Times) -> list[Any]:
-    """Silence of joints at a time [ns] since they were heard [ns]."""
-    silent: list[Any] = np.maximum(0.0, (now - heard) * 1e-9).tolist()
-    return silent
-
-
-def _state(joint: JointConfig, samples: Aligned) -> MeshState:
-    return mesh_state(joint.drive, samples.input_angle, joint.drive.frame.cup_torque(samples.torque))
+                joint = self.config.joints[number]
+                own = samples.part(rows[samples.joint[rows] == number])
+                at, drive, topic = received[own.row], joint.drive, f"~/{joint.name}"
+                state = mesh_state(drive, own.input_angle, drive.frame.cup_torque(own.torque))
+                if is_drawn:
+                    full = max(joint.limits["peak_tooth_load"].error, 1e-9)
+                    shown = own.input_angle, state.load, state.torsion, full
+                    yield Drawings(f"{topic}/mesh", at, own.stamp, joint.name, drive, *shown)
+                else:
+                    yield ToothArrays(f"{topic}/backlash", at, state.backlash)
+                    yield ToothArrays(f"{topic}/load", at, state.load)
 
 
 def warm_up(config: MonitorConfig) -> None:
     """Compile, or read from the disk, what the first message would have to wait for."""
-    LostSamples().judge(np.arange(10), 0)
     monitor, time = Monitor(config), np.zeros(1, np.int64)
     names = [(joint.input_joint, joint.output_joint) for joint in config.joints]
     nothing = np.zeros((1, 2 * len(names)))

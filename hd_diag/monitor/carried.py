@@ -79,6 +79,8 @@ def _put_joint(joint: Joint, state: Mapping[str, Any]) -> None:
     heat, lost, orders = state["temperature"], joint.lost, joint.orders
     joint.temperature = math.nan if heat is None else float(heat)
     count, lately, step, unjudged = state["lost"]
+    if not (step == 0.0 or step >= 1.0):
+        raise ValueError(f"a period of {step} ns")
     lost.count, lost.lately, lost.usual_step = int(count), int(lately), float(step)
     lost.unjudged = np.array(unjudged, np.int64).reshape(-1)
     for own, text in zip(orders.state, state["orders"], strict=True):

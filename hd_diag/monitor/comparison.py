@@ -64,9 +64,7 @@ class Comparison:
 
     def use(self, joints: Sequence[Joint]) -> None:
         """Predict as the joints are configured, by the maps they have, from the next sample on."""
-        self._tables = [
-            None if joint.runs else joint.table for joint in joints
-        ]  # alive as long as places are
+        self._tables = [None if joint.runs else joint.table for joint in joints]  # places are in them
         self._drives = {n: joint.config.drive for n, joint in enumerate(joints) if not joint.runs}
         frames = [astuple(joint.config.drive.frame) for joint in joints]
         places = [_NO_MAP if table is None else table.place for table in self._tables]
@@ -83,18 +81,12 @@ class Comparison:
             *(samples.joint, samples.stamp, samples.paired, samples.input_angle, samples.output_angle),
             *(samples.torque, samples.speed if speed is None else speed, self._records),
         )
-        found, missing = kernel().compare(*given, known, False, self._kept, self.count)
+        found, missing = kernel().compare(*given, known, self._kept, self.count)
         if missing:
             self._solve(samples, found[0])
-            found, _ = kernel().compare(*given, found[0], True, self._kept, self.count)
+            found, _ = kernel().compare(*given, found[0], self._kept, self.count)
         self.count = last
         return Errors(samples, *found)
-
-    def drop(self, count: int) -> None:
-        """Forget the first samples, which are followed."""
-        rest = self.kept[count:].copy()
-        self._kept[: rest.size] = rest
-        self.count = self.followed = rest.size
 
     def _solve(self, samples: Aligned, predicted: Floats) -> None:
         """Set the errors that no map gives."""

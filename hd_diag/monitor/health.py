@@ -7,7 +7,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
@@ -50,108 +49,105 @@ _TYPICAL = {
 }
 _TIMES = {1: "once", 2: "twice"}
 _CRITICISE = "run 'hd-diag diagnose' on a log"
+_MESH = (
+    "minimum_backlash_um",
+    "loaded_pairs",
+    "peak_tooth_load_N",
+    "load_concentration",
+    "lost_motion_arcmin",
+    "predicted_te_pp_arcsec",
+)
+_SURROUNDINGS = {
+    "lag_s": "nan",
+    "messages_lost": "0",
+    "array_share": "1",
+    "warning": "",
+    "latency_p99_us": "nan",
+    "log_state": "off",
+    "log_lost": "0",
+}
 
 Fault = tuple[str, int, str]
 
 
-class Around(NamedTuple):
-    """What is known of a joint's surroundings at a report.
+def status(joint: Joint, window: Window, silence: float, facts: Mapping[str, str], foreign: int) -> Status:
+    """Status of a joint by what happened since the last report.
 
-    Time since its last input [s]; ``log_state`` and ``latency_p99_us``; why the last sample that could not be
-    used was refused; messages that named none of the configured joints.
+    It has the fault code of the worst finding, and numbers in the units that their keys name. `silence` is
+    the time since the joint's last input [s], `facts` is what the surroundings know, `foreign` how many
+    messages named none of the joints.
     """
-
-    silence: float
-    facts: Mapping[str, str]
-    last_rejection: str
-    foreign: int
-
-
-class _Mesh(NamedTuple):
-    """The teeth at a joint's last sample, and the predicted error over a turn at its torque, in SI."""
-
-    minimum_backlash: float
-    loaded_pairs: float
-    peak_load: float
-    load_concentration: float
-    lost_motion: float
-    predicted_span: float
-
-
-_NO_MESH = _Mesh(*[math.nan] * 6)
-
-
-def reports(joint: Joint, windows: Sequence[Window], around: Sequence[Around]) -> list[Status]:
-    """Status of a joint at each of some reports, of what happened since the one before.
-
-    It has the fault code of the worst finding, and numbers in the units that their keys name.
-    """
-    fixed = _configuration_values(joint), _model_values(joint), _at_rest_values(joint)
-    return [
-        _status(joint, *each, fixed) for each in zip(windows, around, _meshes(joint, windows), strict=True)
-    ]
-
-
-def _status(
-    joint: Joint, window: Window, around: Around, mesh: _Mesh | None, fixed: Sequence[dict[str, str]]
-) -> Status:
-    residual = float(np.std(window.residual)) if window.residual.size > 1 else math.nan
-    mean = float(np.mean(window.residual)) if window.residual.size else math.nan
-    order = max(window.orders, key=lambda order: (order.repeats, order.amplitude), default=Order())
-    faults = _faults(joint, window, around, residual, mesh) + _model_faults(joint, window)
-    faults += _order_faults(joint, window.orders)
+    config, state, residuals = joint.config, joint.state, window.residual
+    angle, torque = (state["angle"], state["load"]) if joint.samples else (math.nan, math.nan)
+    rms = float(np.std(residuals)) if residuals.size > 1 else math.nan
+    orders, mesh, loads = joint.orders.known(), _mesh(joint), tooth_loads(config.drive)
+    order = max(orders, key=lambda order: (order.repeats, order.amplitude), default=Order())
+    faults = _faults(joint, window, silence, facts, rms, mesh) + _model_faults(joint, window)
+    faults += _order_faults(joint, orders)
     faults = [*(fault for fault in faults if fault[1]), ("OK", 0, "OK")]
     code, level, message = max(faults, key=lambda fault: (fault[1], -FAULT_CODES.index(fault[0])))
-    angle, torque = window.last or (math.nan, math.nan)
-    values = {
+    drive, table = config.drive, joint.table
+    values: dict[str, str | float] = {
         "fault_code": code,
         "fault_codes": " ".join(dict.fromkeys(fault[0] for fault in faults[:-1])) or "OK",
-        **fixed[0],
-        "input_angle_rad": _number(angle),
-        "torque_Nm": _number(torque),
-        **fixed[1],
-        **_mesh_values(mesh or _NO_MESH),
-        **fixed[2],
-        "residual_rms_arcsec": _number(residual / ARCSEC),
-        "residual_mean_arcsec": _number(mean / ARCSEC),
+        "eccentricity_um": abs(drive.mesh.eccentricity) * 1e6,
+        "eccentricity_direction_deg": np.degrees(np.angle(drive.mesh.eccentricity)),
+        "runout_um": abs(drive.mesh.runout) * 1e6,
+        "input_angle_rad": angle,
+        "torque_Nm": torque,
+        "temperature_C": joint.temperature,
+        "prediction": "exact" if table is None else "map",
+        "prediction_error_bound_arcsec": 0.0 if table is None else table.error_bound / ARCSEC,
+        **_model_values(joint),
+        **mesh,
+        "interference": _truth(loads.overlap > 0.0),
+        "overlap_um": loads.overlap * 1e6,
+        "idle_tooth_load_N": loads.idle,
+        "rated_tooth_load_N": loads.rated,
+        "tooth_load_margin_lost_percent": 100.0 * _margin_lost(joint),
+        "residual_rms_arcsec": rms / ARCSEC,
+        "residual_mean_arcsec": float(np.mean(residuals)) / ARCSEC if residuals.size else math.nan,
         "residual_order": order.name,
-        "residual_order_amplitude_arcsec": _number(order.amplitude / ARCSEC),
-        "residual_order_std_arcsec": _number(order.std / ARCSEC),
-        "residual_order_phase_deg": _number(math.degrees(order.phase)),
-        "residual_order_repeats": "true" if order.repeats else "false",
-        "residual_order_limit_arcsec": _number(joint.config.limits["residual_order"].warn / ARCSEC),
-        "sample_rate_hz": _number(_rate(window)),
-        "samples": str(window.samples),
-        "samples_rejected": str(window.all_rejected),
-        "last_rejection": around.last_rejection,
-        "samples_missed": str(window.missed),
-        "outputs_unpaired": str(window.unpaired),
-        "clock_jumps": str(window.clock_jumps),
-        "messages_without_joint": str(around.foreign),
-        "silence_s": _number(around.silence),
-        "lag_s": around.facts.get("lag_s", "nan"),
-        "messages_lost": around.facts.get("messages_lost", "0"),
-        "array_share": around.facts.get("array_share", "1"),
-        "warning": around.facts.get("warning", ""),
-        "latency_p99_us": around.facts.get("latency_p99_us", "nan"),
-        "log_state": around.facts.get("log_state", "off"),
-        "log_lost": around.facts.get("log_lost", "0"),
+        "residual_order_amplitude_arcsec": order.amplitude / ARCSEC,
+        "residual_order_std_arcsec": order.std / ARCSEC,
+        "residual_order_phase_deg": math.degrees(order.phase),
+        "residual_order_repeats": _truth(order.repeats),
+        "residual_order_limit_arcsec": config.limits["residual_order"].warn / ARCSEC,
+        "sample_rate_hz": _rate(window),
+        "samples": str(joint.samples),
+        "samples_rejected": str(joint.rejected),
+        "last_rejection": joint.last_rejection,
+        "samples_missed": str(joint.lost.count),
+        "outputs_unpaired": str(state["unpaired"]),
+        "clock_jumps": str(state["clock_jumps"]),
+        "messages_without_joint": str(foreign),
+        "silence_s": silence,
+        **{name: facts.get(name, usual) for name, usual in _SURROUNDINGS.items()},
     }
-    return Status(joint.config.name, level, message, values)
+    texts = {key: value if isinstance(value, str) else f"{float(value):.6g}" for key, value in values.items()}
+    return Status(config.name, level, message, texts)
 
 
-def _faults(joint: Joint, window: Window, around: Around, residual: float, mesh: _Mesh | None) -> list[Fault]:
-    limits, silence, log = joint.config.limits, around.silence, around.facts.get("log_state", "")
+def _faults(
+    joint: Joint,
+    window: Window,
+    silence: float,
+    facts: Mapping[str, str],
+    residual: float,
+    mesh: Mapping[str, float],
+) -> list[Fault]:
+    limits, log, has_samples = joint.config.limits, facts.get("log_state", ""), joint.samples > 0
     seen = window.accepted + window.rejected
     share = window.rejected / seen if seen else 0.0
-    torque = abs(window.last[1]) / joint.config.drive.rated_torque if window.last else 0.0
+    torque = abs(joint.state["load"]) / joint.config.drive.rated_torque if has_samples else 0.0
     judged = [
         ("STALE", "silence", silence, f"no valid sample for {silence:.1f} s"),
-        ("INPUT_INVALID", "rejected", share, f"{window.rejected} samples rejected: {around.last_rejection}"),
+        ("INPUT_INVALID", "rejected", share, f"{window.rejected} samples rejected: {joint.last_rejection}"),
         ("OUT_OF_RANGE", "torque", torque, f"torque is {torque:.2f} times the rated torque"),
     ]
-    if mesh is not None:
-        loads, peak, ratio = tooth_loads(joint.config.drive), mesh.peak_load, mesh.load_concentration
+    if has_samples:
+        loads = tooth_loads(joint.config.drive)
+        peak, ratio = mesh["peak_tooth_load_N"], mesh["load_concentration"]
         concentrated = f"peak tooth load is {ratio:.1f} times the mean"
         judged += [
             ("INTERFERENCE", "overlap", loads.overlap, _interference(joint, loads)),
@@ -161,7 +157,7 @@ def _faults(joint: Joint, window: Window, around: Around, residual: float, mesh:
     rest = f"residual {residual / ARCSEC:.1f} arcsec rms; the measured error is not the predicted one"
     judged.append(("RESIDUAL", "residual_rms", residual, f"{rest}; {_CRITICISE}"))
     found = [(code, limits[name].level(value), text) for code, name, value, text in judged]
-    if warning := around.facts.get("warning"):
+    if warning := facts.get("warning"):
         found.append(("INPUT_INVALID", 1, warning))
     return [("LOG_FAILED", 1, f"log {log}"), *found] if log.startswith("failed") else found
 
@@ -251,59 +247,29 @@ def _model_values(joint: Joint) -> dict[str, str]:
     }
 
 
-def _meshes(joint: Joint, windows: Sequence[Window]) -> list[_Mesh | None]:
-    """The teeth at the last sample before each report, all at once; None before the first sample."""
-    angle, torque = np.array([window.last for window in windows if window.last]).reshape(-1, 2).T.copy()
-    if not angle.size:
-        return [None] * len(windows)
+def _mesh(joint: Joint) -> dict[str, float]:
+    """The teeth at the last sample, the predicted error over a turn at its torque; nan before the first."""
+    if not joint.samples:
+        return dict.fromkeys(_MESH, math.nan)
     drive, table = joint.config.drive, joint.table
+    angle, torque = np.array([joint.state["angle"]]), np.array([joint.state["load"]])
     state = mesh_state(drive, angle, drive.frame.cup_torque(torque))
     count = _ANGLES_OF_TURN if table is not None else _ANGLES_WITHOUT_MAP
-    turns = angle[:, None] + 2.0 * np.pi * np.arange(count) / count
-    errors = transmission_error(drive, turns.reshape(-1), np.repeat(torque, count), table)
-    columns = [getattr(state, name).tolist() for name in _Mesh._fields[:-1]]
-    found = map(_Mesh, *columns, np.ptp(errors.reshape(turns.shape), axis=1).tolist())
-    return [next(found) if window.last else None for window in windows]
+    turn = angle + 2.0 * np.pi * np.arange(count) / count
+    span = np.ptp(transmission_error(drive, turn, np.repeat(torque, count), table))
+    found = (
+        state.minimum_backlash[0] * 1e6,
+        state.loaded_pairs[0],
+        state.peak_load[0],
+        state.load_concentration[0],
+        state.lost_motion[0] / _ARCMIN,
+        span / ARCSEC,
+    )
+    return dict(zip(_MESH, found, strict=True))
 
 
-def _configuration_values(joint: Joint) -> dict[str, str]:
-    drive, table = joint.config.drive, joint.table
-    return {
-        "eccentricity_um": _number(abs(drive.mesh.eccentricity) * 1e6),
-        "eccentricity_direction_deg": _number(np.degrees(np.angle(drive.mesh.eccentricity))),
-        "runout_um": _number(abs(drive.mesh.runout) * 1e6),
-        **dict.fromkeys(("input_angle_rad", "torque_Nm"), "nan"),  # their places
-        "temperature_C": _number(joint.temperature),
-        "prediction": "exact" if table is None else "map",
-        "prediction_error_bound_arcsec": _number(0.0 if table is None else table.error_bound / ARCSEC),
-    }
-
-
-def _at_rest_values(joint: Joint) -> dict[str, str]:
-    """What the configured eccentricity does to the teeth, over a turn."""
-    loads = tooth_loads(joint.config.drive)
-    return {
-        "interference": "true" if loads.overlap > 0.0 else "false",
-        "overlap_um": _number(loads.overlap * 1e6),
-        "idle_tooth_load_N": _number(loads.idle),
-        "rated_tooth_load_N": _number(loads.rated),
-        "tooth_load_margin_lost_percent": _number(100.0 * _margin_lost(joint)),
-    }
-
-
-def _mesh_values(mesh: _Mesh) -> dict[str, str]:
-    return {
-        "minimum_backlash_um": _number(mesh.minimum_backlash * 1e6),
-        "loaded_pairs": str(mesh.loaded_pairs),
-        "peak_tooth_load_N": _number(mesh.peak_load),
-        "load_concentration": _number(mesh.load_concentration),
-        "lost_motion_arcmin": _number(mesh.lost_motion / _ARCMIN),
-        "predicted_te_pp_arcsec": _number(mesh.predicted_span / ARCSEC),
-    }
-
-
-def _number(value: float) -> str:
-    return f"{float(value):.6g}"
+def _truth(value: bool) -> str:
+    return "true" if value else "false"
 
 
 def _rate(window: Window) -> float:

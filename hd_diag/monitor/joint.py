@@ -3,29 +3,30 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from hd_diag.arrays import Floats, Integers, Times
+from hd_diag.arrays import Floats, Times
 from hd_diag.model.torsion_map import TorsionMap
-from hd_diag.monitor.lost_samples import LostSamples
 from hd_diag.monitor.model_run import ModelRun
-from hd_diag.monitor.residual_orders import Order, ResidualOrders
+from hd_diag.monitor.residual_orders import ResidualOrders
 from hd_diag.monitor.settings import JointConfig
 from hd_diag.streams.alignment import Aligned, Alignment
+from hd_diag.streams.rules import CLOCK_JUMP
 
-_TOTALS = ("angle", "load", "samples", "rejected", "unpaired", "clock_jumps")
+_JUDGED_AT_LEAST = 8  # stamps, for their usual step
+_STEPS_TOGETHER = 32
+_KEPT = 0.02  # by which the steps of a sender that keeps its period differ [-]
+_OFF_MULTIPLE = 0.25  # by which a step may differ from whole periods [-]
+_SAME = 0.9  # share of steps that are alike: the period is another now
 
 
 class Window(NamedTuple):
-    """What happened to a joint between two reports, and how the second found it.
+    """What happened to a joint since the last report.
 
     Stamps of the inputs [ns]; residuals where an output angle was reported [rad]; torques [N m] and speeds
-    [rad/s] of all samples that a model predicted; how many were accepted and rejected; input angle [rad] and
-    torque [N m] of the last sample, None before the first; counts since the beginning; orders of the
-    residual, those that the motion shows.
+    [rad/s] of all samples that a model predicted; how many samples were accepted and rejected.
     """
 
     stamps: Times
@@ -34,13 +35,65 @@ class Window(NamedTuple):
     speed: Floats
     accepted: int
     rejected: int
-    last: tuple[float, float] | None
-    samples: int
-    all_rejected: int
-    unpaired: int
-    clock_jumps: int
-    missed: int
-    orders: Sequence[Order]
+
+
+class LostSamples:
+    """Count of a joint's lost samples: jitter adds and takes away steps, a loss only adds.
+
+    `usual_step` is the period of the sender [ns]; 0 while it is not known.
+    """
+
+    def __init__(self) -> None:
+        self.count = self.lately = 0
+        self.usual_step = 0.0
+        self.unjudged: Times = np.empty(0, np.int64)
+
+    def judge(self, stamps: Times, rejected: int) -> None:
+        """Count the samples that are missing between further stamps (n,) [ns], once there are enough.
+
+        Samples that a delayed sender sends after the next call were not lost: their count is taken back.
+        Samples that came and were `rejected` are not counted.
+        """
+        self.unjudged = np.concatenate((self.unjudged, stamps))
+        if self.unjudged.size < _JUDGED_AT_LEAST:
+            return
+        steps = np.diff(self.unjudged).astype(np.float64)
+        steps = steps[(steps > 0.0) & (steps < CLOCK_JUMP)]  # no clock that was set, no pause of the sender
+        self.unjudged = self.unjudged[-1:]
+        self.usual_step = usual = _known_step(steps, self.usual_step) or _usual_step(steps)
+        if usual > 0.0:
+            # At most as many as the long steps say, and as the whole time says: short steps make up for some.
+            missing = np.sum(np.rint(steps[steps > 1.5 * usual] / usual) - 1.0)
+            net = int(np.rint(np.sum(steps) / usual)) - steps.size
+            count = max(0, min(int(missing), net) - rejected)
+            self.count += count - min(self.lately, max(0, -net), int(np.sum(steps < 0.5 * usual)))
+            self.lately = count
+
+
+def _known_step(steps: Floats, known: float) -> float:
+    """The period known so far [ns], where a reader that falls behind lets samples of it through; else 0.
+
+    Then most samples may be lost: nearly all steps are multiples of the period, and not all the same.
+    """
+    if known <= 0.0 or 2 * np.sum(steps > 1.5 * known) <= steps.size:
+        return 0.0
+    multiples = np.rint(steps / known)
+    most = np.unique(multiples, return_counts=True)[1].max()
+    whole = np.sum(np.abs(steps / known - multiples) < _OFF_MULTIPLE)
+    return known if most < _SAME * steps.size and whole > _SAME * steps.size else 0.0
+
+
+def _usual_step(steps: Floats) -> float:
+    """Period of a sender [ns]: over several steps, for one that makes up for its delays has short ones."""
+    if not steps.size:
+        return 0.0
+    span = max(1, min(_STEPS_TOGETHER, steps.size // 2))
+    time = np.append(0.0, np.cumsum(steps))
+    usual = np.median(time[span:] - time[:-span]) / span
+    # With many losses there is one in most spans; where the sender keeps its period a single step tells it.
+    single = np.median(steps)
+    is_kept = np.sum(np.abs(steps - single) < _KEPT * single) > 0.5 * steps.size
+    return float(single if is_kept and single > 0.5 * usual else usual)
 
 
 class Joint:
@@ -58,17 +111,23 @@ class Joint:
         self.orders = ResidualOrders()
         self.runs: tuple[ModelRun, ...] = ()
         self._streams, self._number = streams, number
-        self.begin_model()
+        self._reported = self.state.copy()
+        self._begin_model()
+
+    @property
+    def state(self) -> Any:
+        """What the streams know of it: a record of `JOINT`."""
+        return self._streams.joints[self._number]
 
     @property
     def samples(self) -> int:
         """Input angles taken so far."""
-        return int(self._streams.joints["samples"][self._number])
+        return int(self.state["samples"])
 
     @property
     def rejected(self) -> int:
         """Samples that could not be used."""
-        return int(self._streams.joints["rejected"][self._number])
+        return int(self.state["rejected"])
 
     @property
     def last_rejection(self) -> str:
@@ -87,39 +146,23 @@ class Joint:
         if (config.drive, config.model) != (before.drive, before.model):
             self.orders = ResidualOrders()
         if config.model != before.model:
-            self.begin_model()
+            self._begin_model()
         self._streams.configure(self._number, config.names)
 
-    def begin_model(self) -> None:
-        """Let the extended model begin anew; what is paired later has a stream of its own."""
+    def _begin_model(self) -> None:
         model = self.config.model
         self.runs = () if model is None else (ModelRun(model), ModelRun(model))
 
-    def windows(
-        self, kept: Any, ends: Integers, known: Any, orders: Sequence[Sequence[Order]]
-    ) -> list[Window]:
-        """What happened between reports, of all samples since the one before them, as `Comparison.kept`.
-
-        `ends` (l,) are how many of these came before each report, `known` (l + 1,) what was known of the
-        joint at the report before and at each, `orders` (l) those of the residual then.
-        """
-        is_modelled = np.isfinite(kept["speed"])
-        parts = zip(
-            _pieces(kept["stamp"], kept["paired"] == 0, ends),
-            _pieces(kept["residual"], np.isfinite(kept["output_angle"]), ends),
-            _pieces(kept["torque"], is_modelled, ends),
-            _pieces(kept["speed"], is_modelled, ends),
-            np.diff(known["samples"]).tolist(),
-            np.diff(known["rejected"]).tolist(),
-            strict=True,
+    def window(self, kept: Any) -> Window:
+        """What happened since the last report, of the joint's samples since then, as `Comparison.kept`."""
+        before, self._reported = self._reported, self.state.copy()
+        accepted, rejected = (int(self._reported[n] - before[n]) for n in ("samples", "rejected"))
+        stamps, is_modelled = kept["stamp"][kept["paired"] == 0], np.isfinite(kept["speed"])
+        self.lost.judge(stamps, rejected)
+        residual = kept["residual"][np.isfinite(kept["output_angle"])]
+        return Window(
+            stamps, residual, kept["torque"][is_modelled], kept["speed"][is_modelled], accepted, rejected
         )
-        totals = zip(*(known[name][1:].tolist() for name in _TOTALS), strict=True)
-        found = []
-        for part, (angle, load, *total), own in zip(parts, totals, orders, strict=True):
-            self.lost.judge(part[0], part[-1])
-            last = (angle, load) if total[0] else None
-            found.append(Window._make((*part, last, *total, self.lost.count, own)))
-        return found
 
     def predict(self, samples: Aligned) -> tuple[Floats, Floats]:
         """Transmission error [rad] and speed [rad/s] that the joint's model gives for its next samples."""
@@ -129,11 +172,3 @@ class Joint:
             if rows.size:
                 error[rows], speed[rows] = run(samples.part(rows), self.temperature, self.table)
         return error, speed
-
-
-def _pieces(values: Any, chosen: Any, ends: Integers) -> list[Any]:
-    """The chosen values between ends."""
-    rows = np.flatnonzero(chosen)
-    bounds = rows.searchsorted(ends).tolist()
-    kept = values[rows]
-    return [kept[first:last] for first, last in zip([0, *bounds], bounds, strict=False)]

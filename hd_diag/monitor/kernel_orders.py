@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from hd_diag.arrays import Floats, Integers, Times
+from hd_diag.arrays import Floats, Times
 from hd_diag.model.kernel.compiler import entry_point, part
 
 FORGOTTEN_WAY = 64 * 2.0 * math.pi  # of the input [rad], and time of motion [s], after both of which what an
@@ -40,25 +40,17 @@ def follow(
     waves: Floats,
     output: Floats,
     means: Floats,
-    ends: Integers,
-    found: Floats,
 ) -> None:
     """Follow the orders in `residual_orders.ORDERS` over windows of motion.
 
-    All but the samples and `ends` change. `last` is the input angle of the sample before, `step` its stamp,
+    All but the samples change. `last` is the input angle of the sample before, `step` its stamp,
     nan and 0 before the first. Of the present window: `gram` (9, 9), `moment` (9,) and, in `window` (7,),
     first residual and angle, way, time, sums of torque, its size and output angle. Of those before:
     `waves` (sides, orders, 5), sums of weights, of their squares, of waves (x, y) and of their power, and
-    `output` (3, 3) and `means` (3,), those of the output's order. `found` (l, 4, 4) is what `_look` tells
-    after numbers of samples `ends` (l,).
+    `output` (3, 3) and `means` (3,), those of the output's order.
     """
-    terms, looks = np.ones(9), 0
-    for i in range(stamp.size + 1):
-        while looks < ends.size and ends[looks] <= i:
-            _look(waves, output, means, found[looks])
-            looks += 1
-        if i == stamp.size:
-            break
+    terms = np.ones(9)
+    for i in range(stamp.size):
         elapsed, turned = (stamp[i] - step[0]) * 1e-9, abs(input_angle[i] - last[0])
         last[0], step[0] = input_angle[i], stamp[i]
         if not 0.0 < elapsed <= _LONGEST_STEP:
@@ -158,15 +150,14 @@ def _is_known(inverse: Floats, count: float, c: int, s: int) -> bool:
     return bool((mean + math.hypot(half, inverse[c, s])) * count * _LEAST_INFORMATION < 1.0)
 
 
-@part
-def _look(waves: Floats, output: Floats, means: Floats, found: Floats) -> None:
+@entry_point
+def look(waves: Floats, output: Floats, means: Floats) -> Floats:
     """Amplitude, phase, standard deviation, whether it repeats (4, 4) of each order; nan: not known.
 
     Of the sides it is the one where the order repeats, else where it is larger.
     """
-    for order in range(4):
-        for k in range(4):
-            found[order, k] = math.nan if k < 3 else 0.0
+    found = np.full((4, 4), math.nan)
+    found[:, 3] = 0.0
     for order in range(3):
         for side in range(3):
             wave, known = waves[side, order], found[order]
@@ -186,3 +177,4 @@ def _look(waves: Floats, output: Floats, means: Floats, found: Floats) -> None:
     if count >= _FEWEST_SAMPLES and _is_known(inverse, count, 1, 2):
         x, y = np.sum(inverse[1] * means), np.sum(inverse[2] * means)
         found[3, 0], found[3, 1] = math.hypot(x, y), math.atan2(y, x)
+    return found

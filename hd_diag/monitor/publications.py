@@ -66,20 +66,6 @@ class Status(NamedTuple):
         return f"hd_diag: {self.joint}"
 
 
-class Due(NamedTuple):
-    """A report that is due before the message with number `row`: time of the report, header stamp [ns].
-
-    `facts` is what the surroundings know, ``log_state`` and ``latency_p99_us``; `silence` how long each joint
-    has been silent by a clock of its own [s], None to take the time of the report.
-    """
-
-    row: int
-    now: int
-    stamp: int
-    facts: Mapping[str, str]
-    silence: Mapping[str, float] | None = None
-
-
 class Report(NamedTuple):
     """Diagnostics of all joints: topic, time of the cause [ns], header stamp [ns], silence of each [s]."""
 
@@ -95,55 +81,36 @@ Publication = Angles | ToothArrays | Drawings | Report
 
 
 def angles(received: Times, errors: Errors, names: Sequence[str]) -> Iterator[Angles]:
-    """Messages of transmission errors: joints with a sample at one stamp of one message share one.
+    """Messages of transmission errors, in each topic in the order of the messages that caused them.
 
-    Of the times at which the messages arrived (n,) [ns] and the names of all joints. In each topic they have
-    the order in which the messages one by one would give them.
+    Samples of one message with the same stamp share a published message. `received` are the times at which
+    the causes arrived (n,) [ns], `names` those of all joints.
     """
     samples = errors.samples
     columns = samples.row, samples.stamp, samples.paired, samples.joint, samples.output_angle
     chosen, bounds, compared, compared_bounds = kernel().messages(*columns)
-    own = _Messages.of(received, samples, names, chosen, bounds)
-    yield from own.angles(PREDICTED, errors.predicted, samples.torque)
-    if chosen.size == compared.size == samples.row.size:
-        both = own
-    else:
-        both = _Messages.of(received, samples, names, compared, compared_bounds)
-    yield from both.angles(MEASURED, errors.measured)
-    yield from both.angles(RESIDUAL, errors.residual)
+    own = both = _runs(received, samples, names, chosen, bounds)
+    if not chosen.size == compared.size == samples.row.size:
+        both = _runs(received, samples, names, compared, compared_bounds)
+    for rows, head in own:
+        yield Angles(PREDICTED, *head, errors.predicted[rows], samples.torque[rows])
+    for topic, values in ((MEASURED, errors.measured), (RESIDUAL, errors.residual)):
+        for rows, head in both:
+            yield Angles(topic, *head, values[rows], None)
 
 
-class _Messages(NamedTuple):
-    """Samples of some messages, None for all, and for each run of like messages what they have in common.
+def _runs(
+    received: Times, samples: Aligned, names: Sequence[str], chosen: Integers, bounds: Integers
+) -> list[tuple[Integers, tuple[Times, Times, tuple[str, ...]]]]:
+    """Chosen samples (messages, joints) of each run of messages with the same joints, and their heads.
 
-    That is: its first sample and the one after its last, times of the cause and stamps [ns], names of joints.
+    That is: times of the cause [ns], stamps [ns] and names of the joints; `bounds` as the kernel gives them.
     """
-
-    chosen: Integers | None
-    runs: list[tuple[int, int, Times, Times, tuple[str, ...]]]
-
-    @staticmethod
-    def of(
-        received: Times, samples: Aligned, names: Sequence[str], chosen: Integers, bounds: Integers
-    ) -> _Messages:
-        """Messages of the chosen samples; `bounds` as the kernel gives them."""
-        row, stamp, joint, found = samples.row, samples.stamp, samples.joint, []
-        is_whole = chosen.size == row.size
-        if not is_whole:
-            row, stamp, joint = row[chosen], stamp[chosen], joint[chosen]
-        begins, widths = bounds.tolist()
-        for begin, end, width in zip(begins, [*begins[1:], chosen.size], widths, strict=False):
-            joints = tuple([names[j] for j in joint[begin : begin + width].tolist()])
-            first = slice(begin, end, width)
-            found.append((begin, end, received[row[first]], stamp[first], joints))
-        return _Messages(None if is_whole else chosen, found)
-
-    def angles(self, topic: str, position: Floats, effort: Floats | None = None) -> Iterator[Angles]:
-        """Messages with a value of each sample (m,)."""
-        if self.chosen is not None:
-            position = position[self.chosen]
-            effort = None if effort is None else effort[self.chosen]
-        for begin, end, received, stamp, joints in self.runs:
-            shape = stamp.size, len(joints)
-            torque = None if effort is None else effort[begin:end].reshape(shape)
-            yield Angles(topic, received, stamp, joints, position[begin:end].reshape(shape), torque)
+    found = []
+    begins, widths = bounds.tolist()
+    for begin, end, width in zip(begins, [*begins[1:], chosen.size], widths, strict=False):
+        rows = chosen[begin:end].reshape(-1, width)
+        first = rows[:, 0]
+        joints = tuple([names[j] for j in samples.joint[rows[0]].tolist()])
+        found.append((rows, (received[samples.row[first]], samples.stamp[first], joints)))
+    return found

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hd_diag.arrays import Floats, Integers, Times
+from hd_diag.arrays import Floats, Times
 
 ORDERS = (("input", 1), ("input", 2), ("input", 4), ("output", 1))
 """Followed orders: periods per turn of the input or of the output."""
@@ -51,28 +51,24 @@ class ResidualOrders:
         self.state = np.full(1, np.nan), np.zeros(1, np.int64), *window, *before
 
     def add(
-        self,
-        stamp: Times,
-        input_angle: Floats,
-        output_angle: Floats,
-        torque: Floats,
-        residual: Floats,
-        ends: Integers,
-    ) -> list[list[Order]]:
+        self, stamp: Times, input_angle: Floats, output_angle: Floats, torque: Floats, residual: Floats
+    ) -> None:
         """Take samples; those at rest and those without a residual are left out.
 
-        Stamps [ns], angles as reported [rad], torques [N m] and residuals [rad] are (n,). After each of the
-        rising numbers of samples `ends` (l,) it gives the orders that the motion shows apart from others.
+        Stamps [ns], angles as reported [rad], torques [N m] and residuals [rad] are (n,).
         """
         from hd_diag.monitor.kernel_orders import follow  # late: it imports numba
 
-        found = np.empty((ends.size, len(ORDERS), 4))
-        follow(stamp, input_angle, output_angle, torque, residual, *self.state, ends, found)
+        follow(stamp, input_angle, output_angle, torque, residual, *self.state)
+
+    def known(self) -> list[Order]:
+        """The orders that the motion so far shows apart from others."""
+        from hd_diag.monitor.kernel_orders import look
+
         return [
-            [
-                Order(frame, number, amplitude, phase, std, bool(repeats))
-                for (frame, number), (amplitude, phase, std, repeats) in zip(ORDERS, rows, strict=True)
-                if amplitude >= 0.0
-            ]
-            for rows in found.tolist()
+            Order(frame, number, amplitude, phase, std, bool(repeats))
+            for (frame, number), (amplitude, phase, std, repeats) in zip(
+                ORDERS, look(*self.state[-3:]).tolist(), strict=True
+            )
+            if amplitude >= 0.0
         ]

@@ -20,9 +20,8 @@ from hd_diag.diagnosis.record import Record, RecordError, prepare
 from hd_diag.diagnosis.stamps import UNTOLD, Stamps
 from hd_diag.messages.publications import TEMPERATURE, read_temperature
 from hd_diag.records.joint_topics import JointTopics, offered, place
-from hd_diag.streams.alignment import Aligned, Alignment
+from hd_diag.streams.alignment import Aligned, Alignment, torque_between
 from hd_diag.streams.columns import LARGEST_TEMPERATURE
-from hd_diag.streams.interpolation import torque_between
 from hd_diag.streams.signals import temperatures
 
 _REMEMBERED = 1 << 14  # samples over which topics of one bag may lag behind each other

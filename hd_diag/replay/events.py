@@ -1,96 +1,47 @@
-"""Events of a session, written to its log and read back: a log may be damaged or hostile."""
+"""Events of a session, written to its log and read back: a log may be damaged or hostile.
+
+An event is a JSON object in a std_msgs/String, with its kind as ``event``:
+
+configuration
+    ``parameters`` by full name: all of them where a session begins (``new``), else those that changed.
+    ``topics`` holds the names that the node's topics had when the session began, by their names in
+    `messages`; ``models`` the content of the model files that came into force, by joint; ``versions`` those
+    of the software that the session began with, null where absent, and nothing where the log does not tell.
+map
+    From here on a ``joint`` is predicted by its map, which was built up to a ``torque_limit`` [N m].
+report
+    Header ``stamp`` [ns], what the surroundings knew as ``facts``, how long each joint had been silent as
+    ``silence`` [s]: it goes by a clock that no other message holds; logs of before do not tell it.
+clock
+    The clock of the stamps was set back: those later than a ``stamp`` [ns] are of before.
+state
+    A log that goes on where another ended: what the ``monitor`` knew by then (see `monitor.carried`).
+pace
+    From here on a ``share`` of the per-tooth arrays and drawings is published: the node cannot keep up.
+"""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from typing import Any
 
 from hd_diag.messages.publications import LAST_TIME, read_string, string
 
 _LONGEST = 4 << 20  # of an event that a session of a hundred joints writes: some hundred kilobytes
 
-
-@dataclass(frozen=True)
-class Configured:
-    """Parameters by full name: all of them where a session begins (`new`), else those that changed.
-
-    `topics` holds the names that the node's topics had when the session began, by their names in `messages`;
-    `models` the content of the model files that came into force, by joint; `versions` those of the software
-    that the session began with, None where absent, and nothing where the log does not tell.
-    """
-
-    new: bool
-    parameters: Mapping[str, Any]
-    topics: Mapping[str, str] = field(default_factory=dict)
-    versions: Mapping[str, str | None] = field(default_factory=dict)
-    models: Mapping[str, str] = field(default_factory=dict)
+Event = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class MapUsed:
-    """From here on a joint is predicted by its map, which was built up to a torque [N m]."""
-
-    joint: str
-    torque_limit: float
+def write_event(event: str, **fields: Any) -> bytes:
+    """CDR of a std_msgs/String with an event of a kind as a JSON object; what is empty is left out."""
+    known = {name: value for name, value in fields.items() if value or _USUAL.get(name) != {}}
+    return string(json.dumps({"event": event, **known}))
 
 
-@dataclass(frozen=True)
-class Reported:
-    """A report: header stamp [ns], what the surroundings knew, how long each joint had been silent [s].
-
-    Silence goes by a clock that no other message holds; logs of before do not tell it.
-    """
-
-    stamp: int
-    facts: Mapping[str, str]
-    silence: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class ClockSetBack:
-    """The clock of the stamps was set back: those later than a stamp [ns] are of before."""
-
-    stamp: int
-
-
-@dataclass(frozen=True)
-class CarriedOn:
-    """A log that goes on where another ended: what the monitor knew by then (see `monitor.carried`)."""
-
-    monitor: Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class Paced:
-    """From here on a share of the per-tooth arrays and drawings is published: the node cannot keep up."""
-
-    share: float
-
-
-Event = Configured | MapUsed | Reported | ClockSetBack | CarriedOn | Paced
-
-_KINDS: dict[str, type[Event]] = {
-    "configuration": Configured,
-    "map": MapUsed,
-    "report": Reported,
-    "clock": ClockSetBack,
-    "state": CarriedOn,
-    "pace": Paced,
-}
-_NAMES = {kind: name for name, kind in _KINDS.items()}
-
-
-def write_event(event: Event) -> bytes:
-    """CDR of a std_msgs/String with an event as a JSON object; what is empty is left out."""
-    known = {name: value for name, value in vars(event).items() if value or name not in _OPTIONAL}
-    return string(json.dumps({"event": _NAMES[type(event)], **known}))
-
-
-def read_event(data: bytes) -> Event | None:
-    """Event from the CDR of a std_msgs/String; None for a kind that later versions may add.
+def read_event(data: bytes) -> Event:
+    """Event with all its fields from the CDR of a std_msgs/String; empty for a kind of later versions.
 
     Raises
     ------
@@ -105,27 +56,19 @@ def read_event(data: bytes) -> Event | None:
         raise ValueError("it is nested too deep") from error
     if not isinstance(content, dict) or not isinstance(content.get("event"), str):
         raise ValueError("it does not say its kind")
-    kind = _KINDS.get(content["event"])
-    if kind is None:
-        return None
-    given = {"new": False, **content} if kind is Configured else content
-    names = [name for name in kind.__dataclass_fields__ if name in given or name not in _OPTIONAL]
-    return kind(**{name: _checked(name, given.get(name)) for name in names})
+    if content["event"] not in _KINDS:
+        return {}
+    event = {"event": content["event"]}
+    for name in _KINDS[content["event"]]:
+        is_right, what = _FIELDS[name]
+        event[name] = content.get(name, _USUAL.get(name))
+        if not is_right(event[name]):
+            raise ValueError(f"its {name} {what}")
+    return event
 
 
-def _checked(name: str, value: Any) -> Any:
-    is_right, what = _FIELDS[name]
-    if not is_right(value):
-        raise ValueError(f"its {name} {what}")
-    return value
-
-
-def _all(value: Any, kind: Any) -> bool:
+def _texts(value: Any, kind: Any = str) -> bool:
     return isinstance(value, dict) and all(isinstance(text, kind) for text in value.values())
-
-
-def _texts(value: Any) -> bool:
-    return _all(value, str)
 
 
 def _number(value: Any) -> bool:
@@ -137,7 +80,7 @@ _FIELDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "parameters": (lambda value: isinstance(value, dict), "are missing"),
     "topics": (_texts, "are no texts"),
     "models": (_texts, "are no texts"),
-    "versions": (lambda value: _all(value, str | None), "are no texts"),
+    "versions": (lambda value: _texts(value, str | None), "are no texts"),
     "joint": (lambda value: isinstance(value, str), "is missing"),
     "torque_limit": (lambda value: _number(value) and value > 0.0, "is no positive number"),
     "stamp": (lambda value: type(value) is int and abs(value) <= LAST_TIME, "is no ROS time"),
@@ -149,4 +92,12 @@ _FIELDS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "share": (lambda value: _number(value) and 0.0 < value <= 1.0, "is no share"),
     "monitor": (lambda value: isinstance(value, dict), "is missing"),
 }
-_OPTIONAL = {"topics", "models", "versions", "silence"}
+_KINDS = {
+    "configuration": ("new", "parameters", "topics", "versions", "models"),
+    "map": ("joint", "torque_limit"),
+    "report": ("stamp", "facts", "silence"),
+    "clock": ("stamp",),
+    "state": ("monitor",),
+    "pace": ("share",),
+}
+_USUAL: Event = {"new": False, "topics": {}, "models": {}, "versions": {}, "silence": {}}

@@ -31,13 +31,7 @@ def map_limit(joint: JointConfig) -> float:
 
 
 class MapBuilder:
-    """Builds maps in a thread of its own.
-
-    Attributes
-    ----------
-    finished : queue.SimpleQueue of (str, TorsionMap or Exception)
-        Joint and its map, or why it has none.
-    """
+    """Builds maps in a thread of its own; `finished` holds joints with their maps, or why they have none."""
 
     def __init__(self) -> None:
         self.finished: queue.SimpleQueue[tuple[str, TorsionMap | Exception]] = queue.SimpleQueue()

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,18 +28,9 @@ from hd_diag.model.mesh import Mesh
 from hd_diag.model.torsion_map import TorsionMap
 from hd_diag.monitor.all_joints import Monitor
 from hd_diag.monitor.carried import carried, carry_on
-from hd_diag.monitor.publications import Due, Publication, Report
+from hd_diag.monitor.publications import Publication, Report
 from hd_diag.replay import versions
-from hd_diag.replay.events import (
-    CarriedOn,
-    ClockSetBack,
-    Configured,
-    Event,
-    MapUsed,
-    Paced,
-    Reported,
-    write_event,
-)
+from hd_diag.replay.events import write_event
 from hd_diag.streams.columns import JointStates
 from hd_diag.streams.signals import temperatures
 
@@ -56,23 +46,9 @@ Sink = Callable[[Encoded], None]
 class Session:
     """A monitor with its events and its encoded output.
 
-    Parameters
-    ----------
-    config : Config
-    sink : callable
-        Takes every result and event, in order.
-    node : str
-        Full name of the node, for its parameter events and diagnostics.
-    topics : mapping of str to str, optional
-        Full names of the node's topics, for the log: it may be that they are remapped.
-
-    Attributes
-    ----------
-    config : Config
-        In force.
-    monitor : Monitor
-    lag : float
-        Most that a message came after its stamp since the last report [s]; live alone.
+    The sink takes every result and event, in order. The node's full name is for its parameter events and
+    diagnostics, the full names of its topics for the log: it may be that they are remapped. `lag` is the most
+    that a message came after its stamp since the last report [s], live alone.
     """
 
     def __init__(
@@ -98,15 +74,15 @@ class Session:
         self.start(now)
         for name, joint in self.monitor.joints.items():
             if joint.table is not None:
-                self._event(now, MapUsed(name, joint.table.requested_limit))
+                self._event(now, "map", joint=name, torque_limit=joint.table.requested_limit)
         if self.monitor.share != 1.0:
-            self._event(now, Paced(self.monitor.share))
-        self._event(now, CarriedOn(carried(self.monitor)))
+            self._event(now, "pace", share=self.monitor.share)
+        self._event(now, "state", monitor=carried(self.monitor))
 
     def carry_on(self, now: int, state: Mapping[str, Any]) -> None:
         """Go on from what another session of this configuration knew; ValueError where it did not."""
         carry_on(self.monitor, state)
-        self._event(now, CarriedOn(state))
+        self._event(now, "state", monitor=state)
 
     def joint_state(
         self, received: int, data: bytes, heard: int | None = None, reader: Reader | None = None
@@ -123,19 +99,20 @@ class Session:
             shapes, refused = [], [(0, str(error))]
         for states in shapes:
             self.lag = float(np.fmax(self.lag, (received - states.stamp[-1]) * 1e-9))
-        self._note_temperatures(shapes)
-        self._publish(self.monitor.mixed_states(received_at, shapes, refused, heard_at))
+        self.mixed_states(received_at, shapes, refused, heard_at)
 
     def mixed_states(
         self,
         received: Times,
         shapes: Sequence[JointStates],
         refused: Sequence[tuple[int, str]],
-        due: Sequence[Due] = (),
+        heard: Times | None = None,
     ) -> None:
         """Take messages, as `Monitor.mixed_states`; temperatures in them stand for all of them."""
-        self._note_temperatures(shapes)
-        self._publish(self.monitor.mixed_states(received, shapes, refused, due=due))
+        for states in shapes:
+            for joint, column in temperatures(states).items():
+                self.monitor.temperature(joint, float(column[-1]))
+        self._publish(self.monitor.mixed_states(received, shapes, refused, heard))
 
     def temperature(self, joint: str, data: bytes) -> None:
         """Take a Temperature message in CDR."""
@@ -145,11 +122,6 @@ class Session:
             self.monitor.joints[joint].reject(str(error))
         else:
             self.monitor.temperature(joint, value)
-
-    def _note_temperatures(self, shapes: Sequence[JointStates]) -> None:
-        for states in shapes:
-            for joint, column in temperatures(states).items():
-                self.monitor.temperature(joint, float(column[-1]))
 
     def configure(self, now: int, config: Config) -> list[str]:
         """Put another configuration in force from the next message on, at a time [ns].
@@ -171,18 +143,18 @@ class Session:
         """Predict a joint by its map from the next message on; False if its mesh has changed since."""
         if not self.monitor.use_map(joint, table):
             return False
-        self._event(now, MapUsed(joint, table.requested_limit))
+        self._event(now, "map", joint=joint, torque_limit=table.requested_limit)
         return True
 
     def pace(self, now: int, share: float) -> None:
         """Publish a share of the per-tooth arrays and drawings from the next message on, at a time [ns]."""
         self.monitor.pace(share)
-        self._event(now, Paced(share))
+        self._event(now, "pace", share=share)
 
     def clock_set_back(self, now: int, stamp: int) -> None:
         """Note at a time [ns] that the clock of stamps was set back: those after one [ns] are of before."""
         self.monitor.clock_set_back(stamp)
-        self._event(now, ClockSetBack(stamp))
+        self._event(now, "clock", stamp=stamp)
 
     def tick(
         self, now: int, stamp: int, facts: Mapping[str, str], silence: Mapping[str, float] | None = None
@@ -196,12 +168,12 @@ class Session:
     ) -> None:
         data = parameter_event(self._node, now, values, new)
         self._emit(PARAMETER_EVENTS, PARAMETER_EVENT, now, data)
-        begun = (self._topics, versions.running()) if new else ()
+        begun = {"topics": self._topics, "versions": dict(versions.running())} if new else {}
         # The models' files may be others when the log is replayed.
-        self._event(now, replace(Configured(new, dict(values), *begun), models=dict(models)))
+        self._event(now, "configuration", new=new, parameters=dict(values), **begun, models=dict(models))
 
-    def _event(self, now: int, event: Event) -> None:
-        self._emit(EVENTS, STRING, now, write_event(event))
+    def _event(self, now: int, event: str, **fields: Any) -> None:
+        self._emit(EVENTS, STRING, now, write_event(event, **fields))
 
     def _emit(self, topic: str, type_name: str, now: int, data: bytes) -> None:
         self._sink(Encoded(topic, type_name, np.array([now]), [data]))
@@ -209,7 +181,8 @@ class Session:
     def _publish(self, publications: Iterable[Publication]) -> None:
         for each in publications:
             if isinstance(each, Report):
-                self._event(each.received, Reported(each.stamp, dict(each.facts), dict(each.silence)))
+                told = {"facts": dict(each.facts), "silence": dict(each.silence)}
+                self._event(each.received, "report", stamp=each.stamp, **told)
             self._sink(encode(each, self._node))
 
 

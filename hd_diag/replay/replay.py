@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -17,15 +17,14 @@ from hd_diag.config.parameters import shown
 from hd_diag.messages.publications import LAST_TIME, Encoded, resolved
 from hd_diag.messages.schemas import jazzy
 from hd_diag.model.torsion_map import TorsionMap
-from hd_diag.monitor.publications import Due
+from hd_diag.monitor.joint import Joint
 from hd_diag.records.joint_topics import no_input
 from hd_diag.replay import versions
-from hd_diag.replay.events import CarriedOn, ClockSetBack, Configured, Event, MapUsed, Paced, Reported
+from hd_diag.replay.events import Event
 from hd_diag.replay.map_builder import build_at_once, map_limit
 from hd_diag.replay.preparation import prepare
 from hd_diag.replay.recorded_monitor import Session
 from hd_diag.replay.sources import Sources, event_of, models_of, sources_of
-from hd_diag.streams.columns import JointStates
 from hd_diag.streams.signals import temperature_changes
 
 _NANOSECONDS = 1_000_000_000
@@ -36,42 +35,29 @@ _MOST_BYTES = 32 << 20  # of arrays and drawings that wait to be written
 _ARRAYS_SIZE, _DRAWING_SIZE = 10_000, 1 << 20  # of one joint, about [byte]
 
 Progress = Callable[[int, int], None]
-_Refused = list[tuple[int, str]]
 
 
 @dataclass
 class Replay:
     """What a replay did.
 
-    Attributes
-    ----------
-    reproduced : bool
-        Whether the bag is the node's own log and its events were followed, not a given configuration.
-    messages, written : int
-        Messages read and written.
-    duration : float
-        Time from the first to the last message of the bag [s].
-    rejected, missed : dict of str to int
-        By joint: samples that could not be used, and samples that are missing by the stamps.
-    last_rejection : dict of str to str
-    problems : list of str
-        What is wrong with the bag, joints without a map, software of other versions than the log's.
-    joints : tuple of str
-        Joints that had samples.
-    absent : dict of str to str
-        Joints that had none, with what the bag has instead.
+    `reproduced`: the bag is the node's own log and its events were followed, not a given configuration.
+    Messages read and written; time from the first to the last of the bag [s]. By joint: samples that could
+    not be used and why the last of them, samples that are missing by the stamps. `problems`: what is wrong
+    with the bag, joints without a map, software of other versions than the log's. `joints` had samples;
+    `absent` had none, with what the bag has instead.
     """
 
     reproduced: bool
-    messages: int = 0
-    written: int = 0
-    duration: float = 0.0
-    rejected: dict[str, int] = field(default_factory=dict)
-    missed: dict[str, int] = field(default_factory=dict)
-    last_rejection: dict[str, str] = field(default_factory=dict)
-    problems: list[str] = field(default_factory=list)
-    joints: tuple[str, ...] = ()
-    absent: dict[str, str] = field(default_factory=dict)
+    messages: int
+    written: int
+    duration: float
+    rejected: dict[str, int]
+    missed: dict[str, int]
+    last_rejection: dict[str, str]
+    problems: list[str]
+    joints: tuple[str, ...]
+    absent: dict[str, str]
 
 
 def replay(
@@ -91,8 +77,7 @@ def replay(
         Bag of any storage that rosbag2 has, or the node's own log.
     out : path
         Bag to write: inputs, outputs and events, as in the node's log. After an error it is left without its
-        end, so that no reader takes it for whole; a bag that it would replace stays as it was, also after
-        Ctrl-C.
+        end, so that no reader takes it for whole; a bag that it would replace stays as it was.
     config : Config, optional
         Without it the bag must be a node's log: its configuration, and every change of it, is followed, and
         the outputs are those of the live run, to the last bit where the software has the same versions.
@@ -101,10 +86,6 @@ def replay(
     overwrite : bool, optional
     progress : callable, optional
         Called with the messages read so far and their number; a KeyboardInterrupt finishes a new output.
-
-    Returns
-    -------
-    Replay
 
     Raises
     ------
@@ -141,7 +122,6 @@ class _Run:
         # Some maps are kept for a parameter that is set back; nothing else is to be done before one is there.
         self._build = lru_cache(_MAPS_KEPT)(build_at_once)
         self._problems: list[str] = []
-        self._outputs: list[Encoded] | None = None  # of messages that are being taken
         for topic in reader.topics:
             if sources.topics.types.get(topic.name) == (kind := topic.type_name):
                 known = None if kind in jazzy().fielddefs else topic.definition
@@ -170,8 +150,11 @@ class _Run:
             self._temperatures(mixed, sources.topics.temperatures[name])
         else:
             shapes, refused = sources.topics.columns(mixed)
-            for rows in self._together(mixed.log_time, temperature_changes(shapes)):
-                self._joint_states(mixed, rows, shapes, refused)
+            for rows in self._pieces(mixed.log_time, temperature_changes(shapes)):
+                self._copy(mixed, rows)
+                here = [states.between(rows.start, rows.stop) for states in shapes]
+                bad = [(at - rows.start, why) for at, why in refused if rows.start <= at < rows.stop]
+                self._running.mixed_states(mixed.log_time[rows], [s for s in here if s.row.size], bad)
         self.done += mixed.log_time.size
 
     def result(self) -> Replay:
@@ -181,23 +164,22 @@ class _Run:
             session.tick(self._last, self._last, _FACTS)
         joints = session.monitor.joints
         return Replay(
-            bool(self._sources.events),
-            self.done,
-            sum(self._writer.counts.values()),
-            self._reader.duration,
-            {name: joint.rejected for name, joint in joints.items()},
-            {name: joint.lost.count for name, joint in joints.items()},
-            {name: joint.last_rejection for name, joint in joints.items()},
-            [*self._reader.problems, *self._problems],
-            tuple(name for name, joint in joints.items() if joint.samples),
-            {j.name: self._absent(j) for j in session.config.joints if not joints[j.name].samples},
+            reproduced=bool(self._sources.events),
+            messages=self.done,
+            written=sum(self._writer.counts.values()),
+            duration=self._reader.duration,
+            rejected={name: joint.rejected for name, joint in joints.items()},
+            missed={name: joint.lost.count for name, joint in joints.items()},
+            last_rejection={name: joint.last_rejection for name, joint in joints.items()},
+            problems=[*self._reader.problems, *self._problems],
+            joints=tuple(name for name, joint in joints.items() if joint.samples),
+            absent={name: self._absent(joint) for name, joint in joints.items() if not joint.samples},
         )
 
-    def _absent(self, joint: JointConfig) -> str:
-        seen = self._running.monitor.joints[joint.name]
-        if seen.rejected:
-            return f"{seen.rejected} samples, all rejected, the last because: {seen.last_rejection}"
-        return no_input(self._reader.path, joint)
+    def _absent(self, joint: Joint) -> str:
+        if joint.rejected:
+            return f"{joint.rejected} samples, all rejected, the last because: {joint.last_rejection}"
+        return no_input(self._reader.path, joint.config)
 
     @property
     def _running(self) -> Session:
@@ -211,39 +193,36 @@ class _Run:
                 self._reader.path, "holds times beyond the year 2038, which ROS 2 cannot represent"
             )
 
-    def _together(self, times: Times, cuts: Integers) -> Iterator[slice]:
-        """Rows, cut at some of them and where what the node publishes of them may be large."""
+    def _pieces(self, times: Times, cuts: Integers) -> Iterator[slice]:
+        """Rows to take at once, with the reports that are due before each piece.
+
+        A piece ends before the next report, at one of the cuts, and where what the node publishes of it may
+        be large.
+        """
         config, begin = self._running.config, 0
         size = len(config.joints) * (config.array_rate * _ARRAYS_SIZE + config.mesh_rate * _DRAWING_SIZE)
         longest = int(_NANOSECONDS * _MOST_BYTES / max(1.0, size))
         while begin < times.size:
-            end = max(begin + 1, int(np.searchsorted(times, times[begin] + longest)))
+            last = min(self._report_until(int(times[begin])), int(times[begin]) + longest)
+            end = max(begin + 1, int(np.searchsorted(times, last)))
             end = min([end, *cuts[cuts > begin][:1].tolist()])
             yield slice(begin, end)
             begin = end
 
-    def _reports_due(self, times: Times) -> list[Due]:
-        """Reports between messages at log times; one before the first is given. A log holds its own."""
-        found: list[Due] = []
-        begin = times.size if self._sources.events else 0
-        while begin < times.size:
-            due = self._due(int(times[begin]))
-            end = begin + int(np.searchsorted(times[begin:], due))
-            if end == begin:
-                self._next_report = due + self._period
-                if begin:
-                    found.append(Due(begin, due, due, _FACTS))
-                else:  # a temperature in the messages is not known yet
-                    self._running.tick(due, due, _FACTS)
-            begin = end
-        return found
+    def _report_until(self, now: int) -> int:
+        """Make the reports that are due up to a log time; the time of the next [ns]. A log holds its own.
 
-    def _due(self, now: int) -> int:
-        """Time of the next report [ns]; a long silence has but its last."""
+        A long silence has but its last.
+        """
+        if self._sources.events:
+            return LAST_TIME
         if self._next_report is None:
             self._next_report = now + self._period
         elif now - self._next_report > _LONGEST_SILENCE:
             self._next_report += (now - self._next_report) // self._period * self._period
+        while self._next_report <= now:
+            self._running.tick(self._next_report, self._next_report, _FACTS)
+            self._next_report += self._period
         return self._next_report
 
     @property
@@ -252,28 +231,9 @@ class _Run:
 
     def _temperatures(self, mixed: Mixed, joint: str) -> None:
         for row, data in enumerate(mixed.batches[0][1].messages()):
-            at = slice(row, row + 1)
-            self._reports_due(mixed.log_time[at])
-            self._copy(mixed, at)
+            self._report_until(int(mixed.log_time[row]))
+            self._copy(mixed, slice(row, row + 1))
             self._running.temperature(joint, bytes(data))
-
-    def _joint_states(self, mixed: Mixed, rows: slice, shapes: list[JointStates], refused: _Refused) -> None:
-        """Take messages; in the output inputs and reports stand in turn, then what was published of both."""
-        here = [states.between(rows.start, rows.stop) for states in shapes]
-        bad = [(row - rows.start, reason) for row, reason in refused if rows.start <= row < rows.stop]
-        times = mixed.log_time[rows]
-        due, self._outputs = self._reports_due(times), []
-        self._running.mixed_states(times, [states for states in here if states.row.size], bad, due)
-        outputs, self._outputs, begin = self._outputs, None, rows.start
-        reports = outputs[len(outputs) - 2 * len(due) :]
-        for each, event, report in zip(due, reports[::2], reports[1::2], strict=True):
-            self._copy(mixed, slice(begin, rows.start + each.row))
-            self._write(event)
-            self._write(report)
-            begin = rows.start + each.row
-        self._copy(mixed, slice(begin, rows.stop))
-        for encoded in outputs[: len(outputs) - 2 * len(due)]:
-            self._write(encoded)
 
     def _copy(self, mixed: Mixed, rows: slice) -> None:
         """Copy messages to the output."""
@@ -283,38 +243,39 @@ class _Run:
                 times = batch.log_time[at], batch.publish_time[at]
                 self._writer.write_many(topic.name, topic.type_name, batch.payload[at], *times)
 
-    def _event(self, now: int, event: Event | None) -> None:
+    def _event(self, now: int, event: Event) -> None:
         match event:
-            case Configured():
+            case {"event": "configuration"}:
                 self._configure(now, event)
-            case MapUsed():
+            case {"event": "map", "joint": name, "torque_limit": limit}:
                 joints = {joint.name: joint for joint in self._running.config.joints}
-                if event.joint not in joints:
-                    raise BagError(self._reader.path, f"holds a map of {shown(event.joint)}, no joint of it")
-                self._running.use_map(now, event.joint, self._map(joints[event.joint], event.torque_limit))
-            case Reported():
-                self._running.tick(now, event.stamp, event.facts, event.silence)
-            case Paced():
-                self._running.pace(now, event.share)
-            case ClockSetBack():
-                self._running.clock_set_back(now, event.stamp)
-            case CarriedOn():
+                if name not in joints:
+                    raise BagError(self._reader.path, f"holds a map of {shown(name)}, no joint of it")
+                self._running.use_map(now, name, self._map(joints[name], limit))
+            case {"event": "report", "stamp": stamp, "facts": facts, "silence": silence}:
+                self._running.tick(now, stamp, facts, silence)
+            case {"event": "pace", "share": share}:
+                self._running.pace(now, share)
+            case {"event": "clock", "stamp": stamp}:
+                self._running.clock_set_back(now, stamp)
+            case {"event": "state", "monitor": state}:
                 try:
-                    self._running.carry_on(now, event.monitor)
+                    self._running.carry_on(now, state)
                 except ValueError as error:
                     raise BagError(self._reader.path, f"cannot be carried on: {error}") from error
 
-    def _configure(self, now: int, event: Configured) -> None:
-        before = {} if event.new else self._running.config.flat
+    def _configure(self, now: int, event: Event) -> None:
+        joints, before = (
+            ([], {}) if event["new"] else (self._running.config.joints, self._running.config.flat)
+        )
         try:
-            models = models_of(event, [] if event.new else self._running.config.joints)
-            config = resolve({**before, **event.parameters}, models)
+            config = resolve({**before, **event["parameters"]}, models_of(event, joints))
         except ConfigError as error:
             raise ConfigError(f"{self._reader.path}: {error}") from error
-        if event.new:
-            self._compare(event.versions)
+        if event["new"]:
+            self._compare(event["versions"])
             self.begin(now, config)
-        elif "joints" in event.parameters:
+        elif "joints" in event["parameters"]:
             raise BagError(self._reader.path, "holds a log in which the joints change")
         else:
             self._running.configure(now, config)
@@ -325,25 +286,22 @@ class _Run:
             what = f"was recorded with {other}: outputs may differ by rounding"
             self._problems = [*dict.fromkeys([*self._problems, str(BagError(self._reader.path, what))])]
 
-    def _map(self, joint: JointConfig, torque_limit: float | None = None) -> TorsionMap:
+    def _map(self, joint: JointConfig, torque_limit: float) -> TorsionMap:
         """Map of a joint as it is configured now."""
         try:
-            return self._build(joint.drive.mesh, torque_limit or map_limit(joint))
+            return self._build(joint.drive.mesh, torque_limit)
         except Exception as error:  # whatever is wrong with the mesh, as in MapBuilder
             raise BagError(self._reader.path, f"{joint.name} has no map: {error}") from error
 
     def _use_own_map(self, now: int, joint: JointConfig) -> None:
         """Predict a joint by its map; without one the predictions stay exact, as in the node."""
         try:
-            table = self._map(joint)
+            table = self._map(joint, map_limit(joint))
         except BagError as error:
             self._problems.append(f"{error.cause}; predictions stay exact")
         else:
             self._running.use_map(now, joint.name, table)
 
     def _write(self, encoded: Encoded) -> None:
-        if self._outputs is not None:
-            self._outputs.append(encoded)
-            return
         topic = self._sources.names.get(encoded.topic) or resolved(encoded.topic, self._sources.node)
         self._writer.write_many(topic, encoded.type_name, encoded.rows, encoded.received)

@@ -11,7 +11,7 @@ from hd_diag.bag import BagError, BagReader
 from hd_diag.config.configuration import Config, ConfigError, JointConfig, ModelText, recorded_signals
 from hd_diag.messages.publications import INPUT, JOINT_STATE, STRING, temperature_topic
 from hd_diag.records.joint_topics import JointTopics, held
-from hd_diag.replay.events import Configured, Event, read_event
+from hd_diag.replay.events import Event, read_event
 from hd_diag.replay.recorded_monitor import EVENTS
 
 NODE = "/hd_diag"
@@ -22,16 +22,9 @@ NODE = "/hd_diag"
 class Sources:
     """Topics by their names in the bag.
 
-    Attributes
-    ----------
-    node : str
-        Full name of the node that wrote the bag, or whose part is played.
-    events : str
-        Topic of the events; empty where a configuration is given.
-    topics : JointTopics
-        That are taken in.
-    names : mapping of str to str
-        The node's topics, by their names in `messages`, to full names.
+    Full name of the node that wrote the bag, or whose part is played; topic of the events, empty where a
+    configuration is given; the topics that are taken in; full names of the node's topics, by their names in
+    `messages`.
     """
 
     node: str
@@ -51,14 +44,15 @@ def sources_of(reader: BagReader, config: Config | None, topics: tuple[str, ...]
     Without topics with joint states all are taken but a node's outputs. BagError where there is no log and no
     configuration, or no joint state; ConfigError where the log's joints cannot be.
     """
-    _check(reader, topics)
+    if missing := set(topics) - {t.name for t in reader.topics if t.type_name == JOINT_STATE}:
+        raise BagError(reader.path, f"has no topic {min(missing)} with {JOINT_STATE}; {held(reader)}")
     if config is None:
         return _of_log(reader, topics)
     signals = {joint.name: joint.signals for joint in config.joints}
     return Sources(NODE, "", JointTopics(reader, signals, topics or None), {})
 
 
-def event_of(path: Path, data: bytes) -> Event | None:
+def event_of(path: Path, data: bytes) -> Event:
     """Event of a log, as `read_event`; BagError where it cannot be used."""
     try:
         return read_event(data)
@@ -66,9 +60,9 @@ def event_of(path: Path, data: bytes) -> Event | None:
         raise BagError(path, f"has an event that cannot be read: {error}") from error
 
 
-def models_of(event: Configured, known: Iterable[JointConfig]) -> ModelText:
+def models_of(event: Event, known: Iterable[JointConfig]) -> ModelText:
     """Model files as a log holds them, whatever lies at their paths now."""
-    texts = {joint.name: joint.model_text for joint in known if joint.model} | dict(event.models)
+    texts: dict[str, str] = {joint.name: joint.model_text for joint in known if joint.model} | event["models"]
 
     def recorded(joint: str, path: str) -> str:
         if joint not in texts:
@@ -83,30 +77,26 @@ def _of_log(reader: BagReader, topics: tuple[str, ...]) -> Sources:
     node = events[: -len(EVENTS[1:])]
     namespace = node.rpartition("/")[0]
     try:
-        signals = recorded_signals(begin.parameters)
+        signals = recorded_signals(begin["parameters"])
     except ConfigError as error:
         raise ConfigError(f"{reader.path}: {error}") from error
     own = {s.topic for each in signals.values() for s in each if s is not None and s.topic}
     names = {t: f"{namespace}/{t}" for t in [*map(temperature_topic, signals), INPUT, *own] if t[0] != "/"}
-    names |= begin.topics
-    return Sources(node, events, JointTopics(reader, signals, topics or (names[INPUT],), names), begin.topics)
+    names |= begin["topics"]
+    return Sources(
+        node, events, JointTopics(reader, signals, topics or (names[INPUT],), names), begin["topics"]
+    )
 
 
-def _log(reader: BagReader) -> tuple[str, Configured]:
+def _log(reader: BagReader) -> tuple[str, Event]:
     """Topic of the events of the node that wrote the bag, and the first of them."""
     suffix = EVENTS[1:]
     names = [t.name for t in reader.topics if t.type_name == STRING and t.name.endswith(suffix)]
     reason = "is no log of the node, so a configuration is needed (--config)"
     for name in names:
         batch = next(iter(reader.batches([name])), None)
-        event = None if batch is None else event_of(reader.path, bytes(next(batch.messages())))
-        if isinstance(event, Configured) and event.new:
+        event = {} if batch is None else event_of(reader.path, bytes(next(batch.messages())))
+        if event.get("new"):
             return name, event
         reason = f"is a log without its beginning: {name} does not begin with a configuration"
     raise BagError(reader.path, reason)
-
-
-def _check(reader: BagReader, topics: tuple[str, ...]) -> None:
-    missing = set(topics) - {t.name for t in reader.topics if t.type_name == JOINT_STATE}
-    if missing:
-        raise BagError(reader.path, f"has no topic {min(missing)} with {JOINT_STATE}; {held(reader)}")

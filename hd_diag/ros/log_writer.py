@@ -48,7 +48,7 @@ class LogWriter:
             self._attempt(lambda: writer.write(topic, type_name, data, time, qos=qos, known=known))
 
     def flush_if_due(self) -> bool:
-        """Hand on what has waited for the flush period; give whether a log begins, in a new file."""
+        """Write what has waited for the flush period; True where logging goes on in a new file."""
         if self._again_at == math.inf:
             if self._writer is not None:
                 self._attempt(self._writer.flush_if_due)

@@ -224,23 +224,21 @@ class DiagnosticNode(Node):
     def _report(self) -> None:
         latency = np.percentile(self._latencies, 99) * 1e-3 if self._latencies else float("nan")
         self._latencies.clear()
-        facts = {"latency_p99_us": f"{latency:.1f}"} | self._log.facts | self._arrivals()
-        silence = self._session.monitor.silence(time.monotonic_ns())
-        self._session.tick(self._now(), self.get_clock().now().nanoseconds, facts, silence)
-
-    def _arrivals(self) -> dict[str, str]:
-        """What the reports tell of how messages arrive."""
         lost = self._waiting.dropped + sum(each.lost for each in self._inputs)
         faults = self._seen.faults(self._session.config.joints)
         if lost > self._told_lost:
             faults.append(f"{lost - self._told_lost} messages were lost since the last report")
         self._told_lost = lost
-        found = {
+        facts = {
+            "latency_p99_us": f"{latency:.1f}",
+            **self._log.facts,
             "lag_s": f"{self._session.lag:.6g}",
             "messages_lost": str(lost),
             "warning": "; ".join(faults),
+            "array_share": f"{self._session.monitor.share:.6g}",
         }
-        return found | {"array_share": f"{self._session.monitor.share:.6g}"}
+        silence = self._session.monitor.silence(time.monotonic_ns())
+        self._session.tick(self._now(), self.get_clock().now().nanoseconds, facts, silence)
 
     def _take_maps(self) -> None:
         while not self._builder.finished.empty():
@@ -275,7 +273,7 @@ class DiagnosticNode(Node):
             self._session.clock_set_back(self._now(), self.get_clock().now().nanoseconds + back // 2)
 
     def _catch_up(self) -> None:
-        """Take the samples of before, as many as there is time for: who asked waits for an answer."""
+        """Process the samples that wait before a change, for at most `_CATCH_UP`."""
         end = time.monotonic() + _CATCH_UP
         while self._waiting and time.monotonic() < end:
             self._on_signals(*self._waiting.get())

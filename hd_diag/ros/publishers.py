@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Sequence
@@ -29,12 +30,8 @@ class Numbers:
     """What has more than one publisher, by the numbers that publishers give their messages.
 
     A publisher counts its messages, and they come in order, as far as they come. So if the numbers of those
-    that carry a name do not rise, it has two publishers. Two whose messages alternate cannot rise together:
-    after a1 < b1 the next of the first is a1 + 1, which is not above b1.
-
-    Attributes
-    ----------
-    doubled : set of str
+    that carry a name do not rise, it has two publishers, and the name is `doubled`. Two whose messages
+    alternate cannot rise together: after a1 < b1 the next of the first is a1 + 1, which is not above b1.
     """
 
     def __init__(self) -> None:
@@ -79,19 +76,15 @@ class Look:
             if taken is None:
                 return
             number = taken[1]["publication_sequence_number"]
-            if number is not None:  # some implementations give none
-                self.numbers.take(number, self._carried(taken[0]))
+            if number is None:  # some implementations give none
+                continue
+            with contextlib.suppress(ValueError):  # the node itself tells what cannot be read
+                states = self._reader.one(taken[0], _RECEIVED)
+                self.numbers.take(number, self._names & {*states.names, *states.keys})
 
     def close(self) -> None:
         """Leave nothing behind."""
         self._node.destroy_node()
-
-    def _carried(self, data: bytes) -> set[str]:
-        try:
-            states = self._reader.one(data, _RECEIVED)
-        except ValueError:  # the node itself tells it
-            return set()
-        return self._names & {*states.names, *states.keys}
 
 
 @dataclass

@@ -90,23 +90,15 @@ def _signals(config: Config) -> Iterator[tuple[str, str, Signal]]:
 class SignalInput:
     """Reliable subscription to a topic, in CDR; best effort once a publisher offers no more.
 
-    Attributes
-    ----------
-    source : Source
-    depth : int
-        Messages that may wait in DDS.
-    lost : int
-        Messages that DDS says were lost.
+    At most `depth` messages wait in DDS; `lost` counts those that DDS says were lost.
     """
 
     def __init__(self, node: Node, source: SignalTopic, take: Callable[[bytes], None]) -> None:
-        self.lost = 0
-        self._node = node
         self.source = source
-        self._take = take
-        self._class = message_class(source.type_name)
+        self.depth, self.lost = INPUT_DEPTH, 0
+        self._node, self._take = node, take
         self._wanted = self._offered = ReliabilityPolicy.RELIABLE
-        self.depth, self._largest = INPUT_DEPTH, 1
+        self._largest = 1
         self._subscription = self._subscribe()
 
     def follow_publishers(self) -> None:
@@ -116,29 +108,28 @@ class SignalInput:
         so large that those that wait would fill the memory.
         """
         depth = max(1, min(INPUT_DEPTH, MOST_BYTES // self._largest))
-        if self._wanted == self._offered and 2 * depth > self.depth:
-            return
         if self._wanted != self._offered:
             what = "is published with best effort: subscribed likewise"
-        else:
+        elif 2 * depth <= self.depth:
             what = f"has messages of {self._largest} bytes: at most {depth} wait"
+        else:
+            return
         self._wanted, self.depth = self._offered, depth
         self._node.destroy_subscription(self._subscription)
         self._subscription = self._subscribe()
         self._node.get_logger().info(f"{self.source.topic} {what}")
 
     def _subscribe(self) -> Any:
+        own = message_class(self.source.type_name), self.source.topic, self._on_message
         profile = QoSProfile(depth=self.depth, reliability=self._wanted)
-        callbacks = {"incompatible_qos": self._on_incompatible_qos}
+        events = SubscriptionEventCallbacks(
+            incompatible_qos=self._on_incompatible_qos, message_lost=self._on_lost
+        )
         try:
-            return self._create(profile, {**callbacks, "message_lost": self._on_lost})
+            return self._node.create_subscription(*own, profile, event_callbacks=events, raw=True)
         except UnsupportedEventTypeError:  # some implementations do not tell losses
-            return self._create(profile, callbacks)
-
-    def _create(self, profile: QoSProfile, callbacks: dict[str, Any]) -> Any:
-        events = SubscriptionEventCallbacks(**callbacks)
-        own = self._class, self.source.topic, self._on_message, profile
-        return self._node.create_subscription(*own, event_callbacks=events, raw=True)
+            events.message_lost = None
+            return self._node.create_subscription(*own, profile, event_callbacks=events, raw=True)
 
     def _on_message(self, data: bytes) -> None:
         self._largest = max(self._largest, len(data))
@@ -153,13 +144,10 @@ class SignalInput:
 
 
 class Waiting:
-    """Messages that wait for their turn, bounded by bytes: the oldest give way, and are counted.
+    """Messages that wait for their turn, bounded by bytes: the oldest give way.
 
-    DDS drops silently what its reader has no room for; so all is taken from it at once.
-
-    Attributes
-    ----------
-    taken, dropped : int
+    DDS drops silently what its reader has no room for; so all is taken from it at once. How many were `taken`
+    and `dropped` is counted.
     """
 
     def __init__(self) -> None:
@@ -175,7 +163,7 @@ class Waiting:
         return time.monotonic() - self._messages[0][0] if self._messages else 0.0
 
     def put(self, source: SignalTopic, reader: Reader, data: bytes) -> None:
-        """Have a message wait."""
+        """Append a message; the oldest are dropped beyond `MOST_BYTES`."""
         self.taken += 1
         self._bytes += len(data) + _OBJECTS
         self._messages.append((time.monotonic(), (source, reader, data)))
@@ -184,7 +172,7 @@ class Waiting:
             self.get()
 
     def get(self) -> tuple[SignalTopic, Reader, bytes]:
-        """The oldest."""
+        """Remove and give the oldest message."""
         _, message = self._messages.popleft()
         self._bytes -= len(message[-1]) + _OBJECTS
         return message

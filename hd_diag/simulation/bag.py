@@ -62,15 +62,15 @@ def write_bag(
     """
     if Path(path).exists() and not overwrite:
         raise BagError(path, "exists already")
+    if Path(path).exists() and not overwrite:
+        raise BagError(path, "exists already")
     configured = {joint.name: joint for joint in config.joints}
     truths = truths or {name: SimulatedJoint(joint.drive) for name, joint in configured.items()}
     for name in truths.keys() - configured.keys():
         raise ValueError(f"no joint '{name}' is configured; there are {', '.join(configured)}")
     joints = {name: truths[name] for name in configured if name in truths}
     maps = _maps(joints, motion, mapped)
-    names = [
-        name for joint in joints for name in (configured[joint].input_joint, configured[joint].output_joint)
-    ]
+    names = [n for name in joints for n in (configured[name].input_joint, configured[name].output_joint)]
     streams = [
         parts(joint, motion, generator, start, maps[joint.drive], chunk)
         for joint, generator in zip(joints.values(), rng.spawn(len(joints)), strict=True)
@@ -129,10 +129,9 @@ def _maps(
 
 def _write_temperatures(writer: BagWriter, joints: list[str], seconds: range, start: int) -> None:
     types = jazzy().types
-    for second in seconds:
+    for second, value in zip(seconds, temperature(np.array(seconds, float)).tolist(), strict=True):
         time = start + second * SECOND
         clock = types["builtin_interfaces/msg/Time"](*divmod(time, SECOND))
-        value = float(temperature(np.array([float(second)]))[0])
         reading = types[TEMPERATURE](types["std_msgs/msg/Header"](clock, ""), value, 0.0)
         message = serialize(reading, TEMPERATURE)
         for joint in joints:

@@ -107,36 +107,24 @@ def parts(
     Without a map of its mesh every sample is solved exactly. Three generators are spawned of the one given:
     the same state gives the same samples. Raises ValueError if the teeth cannot bear the motion's torque.
     """
-    disturb, motion = _Disturbance(joint.noise, rng), motion.under(joint.torque_share)
+    noise, motion = joint.noise, motion.under(joint.torque_share)
+    white, drift, torque = rng.spawn(3)
+    correlation = noise.drift_correlation
+    gain = noise.drift * math.sqrt(1.0 - correlation**2)
+    state = correlation * noise.drift * drift.standard_normal(1)
     for first in range(0, motion.samples, chunk):
         stamp = motion.stamps(start, first, first + chunk)
-        exact = _exact(joint, stamp, motion.at((stamp - start) / SECOND), table)
-        yield disturb(joint.alter(exact))
+        true = joint.alter(_exact(joint, stamp, motion.at((stamp - start) / SECOND), table))
+        slow, state = lfilter([gain], [1.0, -correlation], drift.standard_normal(stamp.size), zi=state)
+        angle = true.output_angle + (noise.white * white.standard_normal(stamp.size) + slow)
+        load = true.torque + noise.torque * torque.standard_normal(stamp.size)
+        yield true._replace(output_angle=angle, torque=load)
 
 
 def simulate(joint: SimulatedJoint, motion: Motion, rng: np.random.Generator, start: int = START) -> Samples:
     """What the joint reports over a whole motion; see :func:`parts`."""
     every = list(parts(joint, motion, rng, start, map_for(joint, motion)))
     return Samples(*(np.concatenate(column) for column in zip(*every, strict=True)))
-
-
-class _Disturbance:
-    """Noise of one joint; carries the drift from part to part."""
-
-    def __init__(self, noise: Noise, rng: np.random.Generator) -> None:
-        self._noise = noise
-        self._white, self._drift, self._torque = rng.spawn(3)
-        self._state = noise.drift_correlation * noise.drift * self._drift.standard_normal(1)
-
-    def __call__(self, samples: Samples) -> Samples:
-        noise, count = self._noise, samples.stamp.size
-        correlation = noise.drift_correlation
-        gain = noise.drift * math.sqrt(1.0 - correlation**2)
-        innovation = self._drift.standard_normal(count)
-        drift, self._state = lfilter([gain], [1.0, -correlation], innovation, zi=self._state)
-        angle = noise.white * self._white.standard_normal(count) + drift
-        torque = noise.torque * self._torque.standard_normal(count)
-        return samples._replace(output_angle=samples.output_angle + angle, torque=samples.torque + torque)
 
 
 def _exact(joint: SimulatedJoint, stamp: Times, setpoints: Setpoints, table: TorsionMap | None) -> Samples:

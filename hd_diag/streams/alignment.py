@@ -8,7 +8,7 @@
 * **Torque.** Of a sample it is the last one reported up to there, and only if that one's stamp is at most
   `LONGEST_HOLD` away; else it is not known. Live the configured torque then stands for it. Offline, where the
   next one is known too, `torque_between` interpolates between reported torques at most as far apart.
-* **A velocity is integrated** from the output's angle on: see `kernel_integration`.
+* **A velocity is integrated** from the output's angle on: see `kernel._integrate`.
 * **Turns are counted.** An angle within one turn that jumps by over half of one wraps, as does a counter of
   16 or 32 bits: it goes the short way.
 * **What is not measured** is often reported as nan: then it counts as not reported, until a number comes; an
@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -30,13 +30,21 @@ import numpy as np
 
 from hd_diag.arrays import Bytes, Floats, Integers, Times
 from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TORQUE, JointStates
-from hd_diag.streams.rules import INPUT, JOINT, NEVER, OUTPUT, REMEMBERED, Given, Reason, unseen
+from hd_diag.streams.rules import (
+    INPUT,
+    JOINT,
+    LONGEST_HOLD,
+    NEVER,
+    OUTPUT,
+    REMEMBERED,
+    Given,
+    Reason,
+    unseen,
+)
 
 # Of JOINT, as in Names.
 _CONFIGURED = ["assumed_torque", "input_factor", "velocity_ratio", "input_counter", "output_counter"]
 _LAYOUTS = 64  # of messages, whose columns are remembered
-_NOTHING = np.zeros((1, 1))
-_NO_MOMENTS = np.empty((3, 0), np.int64)
 
 ELSEWHERE = "-"
 """Key of a signal that no message gives."""
@@ -63,24 +71,11 @@ class Names(NamedTuple):
 class Aligned(NamedTuple):
     """Samples of joints, in the order of the messages that gave them, each column (m,).
 
-    Attributes
-    ----------
-    row : ndarray of int64
-        Position of the message that made the sample complete, among those taken together.
-    joint : ndarray of int64
-        Number of the joint.
-    stamp, torque_stamp : ndarray of int64
-        Of the sample; of the reported torque [ns].
-    stretch : ndarray of int64
-        Number of the joint's stream: another one after its clock was set back.
-    paired : ndarray of int64
-        1 where the output angle came apart from the input, which had a sample at its own stamp; else 0.
-    input_angle, output_angle : ndarray
-        [rad]; output nan where none is reported.
-    torque : ndarray
-        On the link, reported or assumed [N m].
-    speed : ndarray
-        Of the input [rad/s]; nan where it is not reported.
+    Position of the message that made the sample complete, among those taken together; number of the joint;
+    stamp of the sample and of the reported torque [ns]; number of the joint's stream, another one after its
+    clock was set back; 1 in `paired` where the output angle came apart from the input, which had a sample at
+    its own stamp. Angles [rad], output nan where none is reported; torque on the link, reported or assumed
+    [N m]; speed of the input [rad/s], nan where it is not reported.
     """
 
     row: Times
@@ -99,26 +94,6 @@ class Aligned(NamedTuple):
         return Aligned(*(column[rows] for column in self))
 
 
-class Seen(NamedTuple):
-    """What is known of k joints at l moments between messages.
-
-    Attributes
-    ----------
-    joints : ndarray of JOINT, shape (l, k)
-    last_rejections : list of l lists of k str
-        Why the last sample of a joint that was refused could not be used; empty if there was none.
-    foreign : ndarray of int64, shape (l,)
-        Messages that name none of the joints.
-    samples : ndarray of int64, shape (l,)
-        Of the samples taken together, how many came before.
-    """
-
-    joints: Any
-    last_rejections: list[list[str]]
-    foreign: Integers
-    samples: Integers
-
-
 class _Columns(NamedTuple):
     """Where values of k joints are in messages of one layout, (4 k,), what is given (1, k), if anything."""
 
@@ -128,24 +103,11 @@ class _Columns(NamedTuple):
 
 
 class Alignment:
-    """Streams of joints.
+    """Streams of k joints by their names.
 
-    Parameters
-    ----------
-    names : sequence of k Names
-    remembered : int, optional
-        Inputs that are kept for outputs, and outputs that may wait, of each joint.
-
-    Attributes
-    ----------
-    joints : ndarray of JOINT, shape (k,)
-        What is known of each.
-    encoders : ndarray of ENCODER, shape (k, 2)
-        Of input and output.
-    texts : list of str
-        Reasons that were given to `reject`.
-    foreign : int
-        Messages that name none of the joints.
+    Of each joint so many inputs are `remembered` for outputs, and so many outputs may wait. `joints` (k,) are
+    records of `JOINT`, `encoders` (k, 2) of `ENCODER`, of input and output; `texts` reasons that were given
+    to `reject`; `foreign` counts messages that name none of the joints.
     """
 
     def __init__(self, names: Sequence[Names], remembered: int = REMEMBERED) -> None:
@@ -156,7 +118,6 @@ class Alignment:
         self._inputs = np.zeros((len(names), remembered), INPUT)
         self._waiting = np.zeros((len(names), remembered), OUTPUT)
         self.encoders = unseen(2 * len(names)).reshape(-1, 2)
-        self._unseen = np.empty((0, len(names)), JOINT)
         self._columns: dict[Any, _Columns] = {}
         self.foreign = 0
         self.joints[_CONFIGURED][:] = [(each.torque, *each[4:]) for each in names]
@@ -168,7 +129,7 @@ class Alignment:
         return self.joints, self.encoders, self._inputs, self._waiting
 
     def configure(self, number: int, names: Names) -> None:
-        """Let a joint have other names, with which its stream begins anew, or another assumed torque."""
+        """Give a joint other names, which restarts its stream, or another assumed torque."""
         before, self._names[number] = self._names[number], names
         self.joints[_CONFIGURED][number] = names.torque, *names[4:]
         if names._replace(torque=before.torque) != before:
@@ -178,64 +139,23 @@ class Alignment:
     def take(
         self, heard: Times, shapes: Sequence[JointStates], refused: Sequence[tuple[int, str]] = ()
     ) -> Aligned:
-        """Aligned samples that messages complete.
+        """Samples that messages complete, which arrived at times `heard` (n,) [ns].
 
-        Parameters
-        ----------
-        heard : ndarray of int64, shape (n,)
-            When each arrived [ns].
-        shapes : sequence of JointStates
-            The messages of each layout; their `row` are positions in `heard`.
-        refused : sequence of (int, str), optional
-            Messages that cannot be read, which may have been of every joint: position, and what they are.
-
-        Returns
-        -------
-        Aligned
+        The rows of the messages of each layout are positions in `heard`, as are those of messages that cannot
+        be read (row, reason): they count as rejected for every joint.
         """
-        return self._take(heard, shapes, refused, _NO_MOMENTS, self._unseen)[0]
-
-    def take_and_look(
-        self,
-        heard: Times,
-        shapes: Sequence[JointStates],
-        refused: Sequence[tuple[int, str]],
-        rows: Sequence[int],
-        times: Sequence[int],
-    ) -> tuple[Aligned, Seen]:
-        """As `take`, and what is known before messages with rising numbers, at rising `times` [ns]."""
-        before, texts, seen = self.foreign, [*self.texts], np.empty((len(rows), self.joints.size), JOINT)
-        moments = np.array([rows, times, rows], np.int64)
-        samples, given = self._take(heard, shapes, refused, moments, seen)
-        foreign = before + np.searchsorted(np.flatnonzero(~given.any(axis=1)), moments[0])
-        unreadable = dict(refused)
-        reasons = [
-            [self._reason(number, joint, texts, unreadable) for number, joint in enumerate(joints)]
-            for joints in seen
-        ]
-        return samples, Seen(seen, reasons, foreign, moments[2])
-
-    def _take(
-        self,
-        heard: Times,
-        shapes: Sequence[JointStates],
-        refused: Sequence[tuple[int, str]],
-        moments: Times,
-        seen: Any,
-    ) -> tuple[Aligned, Bytes]:
-        """Aligned samples, and what the messages gave."""
         stamp, values, given = self._rows(heard.size, shapes)
         if refused:
             given[[row for row, _ in refused]] = Given.REFUSED
-        whole, found = kernel().align(stamp, heard, values, given, *self.state, moments, seen)
-        unreadable = self.joints["reason"] == Reason.UNREADABLE if refused else ()
-        for number in np.flatnonzero(unreadable).tolist():
-            self.texts[number] = self._reason(number, self.joints[number], self.texts, dict(refused))
-            self.joints["reason"][number] = Reason.OTHER
-        return Aligned(*whole, *found), given
+        whole, found = kernel().align(stamp, heard, values, given, *self.state)
+        if refused:
+            for number in np.flatnonzero(self.joints["reason"] == Reason.UNREADABLE):
+                self.texts[number] = f"a message {dict(refused)[self.joints['reason_late'][number]]}"
+                self.joints["reason"][number] = Reason.OTHER
+        return Aligned(*whole, *found)
 
     def clock_set_back(self, stamp: int) -> None:
-        """Let joints whose last stamp is later than one [ns] begin anew: the clock was set back."""
+        """Restart the streams of joints whose last stamp is after `stamp` [ns]: the clock was set back."""
         before = self.joints["stretch"].copy()
         kernel().begin_after(self.joints, stamp)
         self.joints["clock_jumps"] += self.joints["stretch"] - before
@@ -248,10 +168,8 @@ class Alignment:
 
     def last_rejection(self, number: int) -> str:
         """Why the last sample of a joint that was refused could not be used; empty if there was none."""
-        return self._reason(number, self.joints[number], self.texts, {})
-
-    def _reason(self, number: int, joint: Any, texts: Sequence[str], unreadable: Mapping[int, str]) -> str:
-        value, late, names = joint["reason_value"], int(joint["reason_late"]), self._names[number]
+        joint, names = self.joints[number], self._names[number]
+        value, late = joint["reason_value"], int(joint["reason_late"])
         match Reason(joint["reason"]):
             case Reason.NAMELESS:
                 return "the message names the joint and gives no position of it"
@@ -265,9 +183,7 @@ class Alignment:
                 return _late(names.input_joint, late)
             case Reason.LATE_OUTPUT:
                 return _late(names.output_joint, late)
-            case Reason.UNREADABLE:
-                return f"a message {unreadable[late]}"
-        return texts[number]
+        return self.texts[number]
 
     def _rows(self, count: int, shapes: Sequence[JointStates]) -> tuple[Times, Floats, Bytes]:
         """Stamps (n,), values (n, k, 4) and what is given (n, k)."""
@@ -285,9 +201,8 @@ class Alignment:
         return stamp, values, given
 
     def _values(self, states: JointStates, columns: _Columns) -> Floats:
-        nothing = _NOTHING if states.stamp.size == 1 else np.zeros((states.stamp.size, 1))
         blocks = [block for block in states.blocks if block is not None]
-        joined = np.concatenate([nothing, *blocks], axis=1)
+        joined = np.concatenate([np.zeros((states.stamp.size, 1)), *blocks], axis=1)
         return joined.take(columns.place, axis=1).reshape(-1, self.joints.size, 4)
 
     def _columns_of(self, states: JointStates) -> _Columns:
@@ -324,6 +239,29 @@ class Alignment:
         if states.keys and not given.any():
             given[:] = Given.OTHER
         return _Columns(place.reshape(-1), given, not given.any())
+
+
+def torque_between(stamp: Times, stretch: Integers, torque: Floats, torque_stamp: Times) -> Floats:
+    """Torque (m,) [N m] of one joint's samples where the next reported one is known as well: interpolated.
+
+    Of columns (m,) as in `Aligned`, by stamps in each stretch; by the rules above. It is nan where none is
+    reported nearby, infinite beside an infinite one.
+    """
+    found = torque.copy()
+    for number in np.unique(stretch[torque_stamp != stamp]):
+        rows = np.flatnonzero(stretch == number)
+        held = rows[~np.isnan(torque[rows])]
+        if not held.size:
+            continue
+        known, first = np.unique(torque_stamp[held], return_index=True)
+        at = stamp[rows]
+        after = np.minimum(known.searchsorted(at), known.size - 1)
+        before = np.maximum(after - 1, 0)
+        gap = known[after] - np.minimum(known[before], at)
+        near = (at < known[after]) & (gap <= LONGEST_HOLD)
+        between = np.interp((at - known[0]) * 1e-9, (known - known[0]) * 1e-9, torque[held[first]])
+        found[rows[near]] = between[near]
+    return found
 
 
 @functools.cache

@@ -19,23 +19,12 @@ LARGEST_TEMPERATURE = 1e4
 
 
 class JointStates(NamedTuple):
-    """Messages with the same joints; n >= 1 rows, one while live.
+    """Messages with the same k joints; n >= 1 rows, one while live.
 
-    Attributes
-    ----------
-    row : ndarray of int64, shape (n,)
-        Positions of the messages in the batch they come from.
-    stamp : ndarray of int64, shape (n,)
-        Time of the header [ns].
-    names : tuple of str
-        The k joints.
-    frame_id : str
-    position, velocity, effort : ndarray, shape (n, k), or None
-        [rad] or [m], [rad/s] or [m/s], [N m] or [N]; None where the messages have none.
-    signals : ndarray, shape (n, m), or None
-        What is mapped to joints otherwise than by these names, in SI and degree Celsius.
-    keys : tuple of str
-        The m signals, as `hd_diag.streams.signals.key` has them.
+    Positions of the messages in the batch they come from (n,), time of their headers [ns] (n,), names of the
+    joints; position [rad] or [m], velocity [rad/s] or [m/s] and effort [N m] or [N], each (n, k) or None
+    where the messages have none. `signals` (n, m) is what is mapped to joints otherwise than by these names,
+    in SI and degree Celsius, with m `keys` as `hd_diag.streams.signals.key` has them.
     """
 
     row: Times

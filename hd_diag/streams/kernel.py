@@ -15,8 +15,7 @@ from hd_diag.arrays import Bytes, Floats, Integers, Times
 from hd_diag.model.kernel.compiler import entry_point, part
 from hd_diag.streams.columns import LARGEST_ANGLE, LARGEST_TORQUE
 from hd_diag.streams.kernel_encoder import continuous
-from hd_diag.streams.kernel_integration import integrate, with_velocity
-from hd_diag.streams.rules import CLOCK_JUMP, LONGEST_HOLD, NEVER, PAIRING_GAP, Given, Reason
+from hd_diag.streams.rules import CLOCK_JUMP, DRIFT_TIME, LONGEST_HOLD, NEVER, PAIRING_GAP, Given, Reason
 
 _INPUT, _OUTPUT, _TORQUE, _SPEED = int(Given.INPUT), int(Given.OUTPUT), int(Given.TORQUE), int(Given.SPEED)
 _REFUSED, _OTHER, _UNREADABLE = int(Given.REFUSED), int(Given.OTHER), int(Reason.UNREADABLE)
@@ -35,62 +34,44 @@ def align(
     encoders: Any,
     inputs: Any,
     waiting: Any,
-    moments: Times,
-    seen: Any,
 ) -> tuple[Integers, Floats]:
     """Aligned samples, columns (6, m) and (4, m) as in `Aligned`.
 
     Stamps and times of reception [ns] (n,); input and output angle, torque, speed (n, k, 4) of k joints, and
-    which of them are given (n, k); the values become continuous. `moments` (3, l): rows before which the
-    joints are looked at, and when [ns]; set are what is `seen` (l, k), and as the third the numbers of
-    samples by then.
+    which of them are given (n, k); the values become continuous.
     """
     room = values.shape[0] * joints.size
     for j in range(joints.size):
         room += joints[j].waiting
-    whole, found, count, looks = np.empty((6, room), np.int64), np.empty((4, room)), 0, 0
+    whole, found, count = np.empty((6, room), np.int64), np.empty((4, room)), 0
     for row in range(values.shape[0]):
-        looks = _look(row, count, joints, moments, seen, looks)
         for j in range(joints.size):
             if given[row, j]:
-                completed = with_velocity(joints[j], int(given[row, j]), values[row, j])
+                completed = _with_velocity(joints[j], int(given[row, j]), values[row, j])
                 before = joints[j].input_stamp
                 left = _checked(joints[j], row, stamp[row], completed, values[row, j])
                 _count_turns(joints[j], encoders[j], left, values[row, j])
                 if joints[j].velocity_ratio != 0.0:
-                    left = integrate(joints[j], stamp[row], before, left, values[row, j])
+                    left = _integrate(joints[j], stamp[row], before, left, values[row, j])
                 if left & _TORQUE:
                     joints[j].torque, joints[j].torque_stamp = values[row, j, 2], stamp[row]
                 if left & _INPUT:
                     _take_input(joints[j], stamp[row], heard[row], left, values[row, j], inputs[j])
                     output = values[row, j, 1] if left & _OUTPUT else math.nan
                     speed = values[row, j, 3] if left & _SPEED else math.nan
-                    _put(whole, found, count, row, j, stamp[row], joints[j], 0)
+                    whole[:3, count] = row, j, stamp[row]
+                    whole[3:, count] = joints[j].torque_stamp, joints[j].stretch, 0
                     found[:, count] = joints[j].angle, output, joints[j].load, speed
                     count += 1
                 elif left & _OUTPUT:
                     _keep_output(joints[j], stamp[row], values[row, j, 1], waiting[j])
         count = _pair(row, joints, inputs, waiting, whole, found, count)
-    _look(values.shape[0], count, joints, moments, seen, looks)
     return whole[:, :count], found[:, :count]
-
-
-@part
-def _look(row: int, count: int, joints: Any, moments: Times, seen: Any, looks: int) -> int:
-    """Note what is known at moments before a row; how many were noted."""
-    while looks < moments.shape[1] and moments[0, looks] <= row:
-        for j in range(joints.size):
-            if joints[j].heard < 0:  # of a joint that never spoke silence counts from the first question on
-                joints[j].heard = moments[1, looks]
-            seen[looks, j] = joints[j]
-        moments[2, looks] = count
-        looks += 1
-    return looks
 
 
 @entry_point
 def begin_after(joints: Any, stamp: int) -> None:
-    """Let the streams of joints whose last stamp is later than one [ns] begin anew."""
+    """Restart the streams of joints whose last stamp is after `stamp` [ns]."""
     for j in range(joints.size):
         if max(joints[j].input_stamp, joints[j].output_stamp) > stamp:
             _begin(joints[j])
@@ -98,7 +79,7 @@ def begin_after(joints: Any, stamp: int) -> None:
 
 @part
 def _begin(joint: Any) -> None:
-    """Forget the stream."""
+    """Restart a joint's stream."""
     joint.input_stamp = joint.output_stamp = joint.torque_stamp = NEVER
     joint.inputs = joint.waiting = joint.output_seen = 0
     joint.torque = math.nan
@@ -154,6 +135,40 @@ def _count_turns(joint: Any, encoders: Any, given: int, value: Floats) -> None:
         value[1] = continuous(encoders[1], joint.stretch, value[1], joint.output_counter)
     if given & _SPEED:
         value[3] *= joint.input_factor
+
+
+@part
+def _with_velocity(joint: Any, given: int, value: Floats) -> int:
+    """What is given where an input's velocity stands for its angle: checked in its place."""
+    if joint.velocity_ratio != 0.0 and given & _SPEED:
+        value[0] = value[3]
+        given |= _INPUT
+    return given
+
+
+@part
+def _integrate(joint: Any, stamp: int, before: int, given: int, value: Floats) -> int:
+    """Put the integral of the velocity in the input angle's place; what is given then.
+
+    It follows the output times the ratio, slowly: what both are apart is forgotten over `DRIFT_TIME`. Before
+    an output is known there is no angle. `before` is the stamp of the input before.
+    """
+    elapsed = (stamp - before) * 1e-9
+    if given & _INPUT:
+        if stamp - before > PAIRING_GAP:
+            joint.followed = 0  # it goes on as far off the output as it was
+        joint.away += 0.5 * (joint.rate + value[3]) * elapsed * joint.followed
+        joint.rate = value[3]
+    if given & _OUTPUT:
+        own = joint.velocity_ratio * value[1]
+        if joint.followed:
+            joint.away -= own - joint.own
+        joint.own, joint.followed = own, 1
+    if given & _INPUT and joint.followed:
+        joint.drift += (1.0 - math.exp(-min(elapsed, DRIFT_TIME) / DRIFT_TIME)) * (joint.away - joint.drift)
+        value[0] = joint.own + joint.away - joint.drift
+        return given
+    return given & ~_INPUT
 
 
 @part
@@ -214,17 +229,9 @@ def _pair(
             if math.isnan(angle):
                 joints[j].unpaired += 1
             else:
-                _put(whole, found, count, row, j, stamp, joints[j], 1)
-                whole[3, count] = output.torque_stamp
+                whole[:, count] = row, j, stamp, output.torque_stamp, joints[j].stretch, 1
                 found[:, count] = angle, output.angle, output.torque, math.nan
                 count += 1
-
-
-@part
-def _put(
-    whole: Integers, found: Floats, count: int, row: int, j: int, stamp: int, joint: Any, paired: int
-) -> None:
-    whole[:, count] = row, j, stamp, joint.torque_stamp, joint.stretch, paired
 
 
 @part
@@ -262,8 +269,10 @@ def messages(
 def _runs(row: Times, stamp: Times, paired: Integers, joint: Integers, chosen: Integers) -> Integers:
     bounds, messages, begin = np.empty((2, chosen.size), np.int64), 0, 0
     while begin < chosen.size:
-        first, end = chosen[begin], begin
-        while end < chosen.size and _together(row, stamp, paired, chosen[end], first):
+        first, end = chosen[begin], begin + 1
+        while end < chosen.size and row[chosen[end]] == row[first]:
+            if stamp[chosen[end]] != stamp[first] or paired[chosen[end]] != paired[first]:
+                break
             end += 1
         width = end - begin
         like = messages > 0 and bounds[1, messages - 1] == width
@@ -276,28 +285,14 @@ def _runs(row: Times, stamp: Times, paired: Integers, joint: Integers, chosen: I
     return bounds[:, :messages]
 
 
-@part
-def _together(row: Times, stamp: Times, paired: Integers, one: int, other: int) -> bool:
-    same: bool = row[one] == row[other] and stamp[one] == stamp[other] and paired[one] == paired[other]
-    return same
-
-
 @entry_point
 def begun(
     stamp: Times, joint: Integers, paired: Integers, period: int, offset: Times, last: Times
 ) -> Integers:
-    """Numbers of samples at which a period of their joint begins; paired ones are passed over.
+    """Numbers of samples (n,) at which a period [ns] of their joint begins; paired ones are passed over.
 
-    Parameters
-    ----------
-    stamp, joint, paired : ndarray of int64, shape (n,)
-        [ns], number of the joint, whether the sample is paired.
-    period : int
-        [ns]
-    offset : ndarray of int64, shape (k,)
-        By which the joints' periods begin earlier [ns].
-    last : ndarray of int64, shape (k,)
-        Numbers of the joints' last periods; changed.
+    The joints' periods begin earlier by an `offset` (k,) [ns]; `last` (k,) are the numbers of the last ones,
+    which change.
     """
     found, count = np.empty(stamp.size, np.int64), 0
     for i in range(stamp.size):

@@ -77,13 +77,14 @@ def unit(role: str, text: str) -> Unit:
     """
     text = _OTHERWISE.get(text, text)
     known = _UNITS["angle" if role in ("input", "output") else role]
+    if role == "output":
+        known = {name: each for name, each in known.items() if not each.is_rate}
     counts = _COUNTS.fullmatch(text) if "rad" in known else None
     if counts and float(counts[1]) > 0.0:
         return Unit(_TURN / float(counts[1]), is_counts=True)
-    if text not in known or (role == "output" and known[text].is_rate):
-        names = [name for name, each in known.items() if not (role == "output" and each.is_rate)]
-        names += ["counts/N (N to the turn)"] if "rad" in known else []
-        raise ValueError(f"{text!a} is not a unit of {role}; there are {', '.join(names)}")
+    if text not in known:
+        names = ", ".join([*known, *(["counts/N (N to the turn)"] if "rad" in known else [])])
+        raise ValueError(f"{text!a} is not a unit of {role}; there are {names}")
     return known[text]
 
 
@@ -91,18 +92,9 @@ def unit(role: str, text: str) -> Unit:
 class Signal:
     """Where a quantity stands.
 
-    Attributes
-    ----------
-    topic : str
-        Empty: every one with joint states.
-    type_name : str
-        Of its messages, as ``package/msg/Name``.
-    field : str
-        Path in a message, as `hd_diag.messages.field_path` has it.
-    name : str
-        Index of arrays that have none in the path.
-    unit : Unit
-        With scale and sign in it.
+    Topic, empty for every one with joint states; type of its messages, as ``package/msg/Name``; path of the
+    field, as `hd_diag.messages.field_path` has it; index of arrays that have none in the path; unit, with
+    scale and sign in it.
     """
 
     topic: str
