@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from hd_diag.report.binned import band, envelope, strongest
+from hd_diag.report.stages import band, envelope, strongest
 
 
 def samples(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:

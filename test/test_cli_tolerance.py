@@ -13,9 +13,8 @@ from hd_diag.config.configuration import resolve
 from hd_diag.config.defaults import EXAMPLE
 from hd_diag.drive import mesh_state
 from hd_diag.tolerance.assembly import FACTORS, Share
-from hd_diag.tolerance.criteria import NAMES
-from hd_diag.tolerance.document import yielded
-from hd_diag.tolerance.study import Question, Yield, limits_and_spreads
+from hd_diag.tolerance.evaluation import NAMES
+from hd_diag.tolerance.study import Question, Yield, limits_and_spreads, yielded
 
 QUICK = ("tolerance", "--samples", "12", "--sensitivity-samples", "2", "--jobs", "1")
 

@@ -11,8 +11,7 @@ from numpy.testing import assert_allclose
 from scipy import stats
 
 from hd_diag.fleet.series import Series
-from hd_diag.fleet.steps import FALSE_ALARM, LEAST, gains, segments, weights
-from hd_diag.fleet.trend import Trend, least_values
+from hd_diag.fleet.trend import FALSE_ALARM, LEAST, Trend, gains, least_values, segments, weights
 from hd_diag.fleet.trend import trends as trends_of
 
 DAY = 86_400.0  # [s]

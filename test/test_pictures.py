@@ -15,10 +15,10 @@ from report_samples import HOSTILE
 
 from hd_diag.config.configuration import resolve
 from hd_diag.diagnosis.gain import Rms
-from hd_diag.report.ladder import Rung
 from hd_diag.report.pictures import canvas
 from hd_diag.report.pictures.comparison import model_ladder
 from hd_diag.report.pictures.markup import inline_svg
+from hd_diag.report.stages import Rung
 
 SVG = "{http://www.w3.org/2000/svg}"
 

@@ -25,8 +25,14 @@ from hd_diag.model.transmission_error import Kinematics
 from hd_diag.process_pool import ProcessPool
 from hd_diag.tolerance import assembly
 from hd_diag.tolerance.assembly import FACTORS, Assembly, Population, Share, Spread, draw, judged, yields
-from hd_diag.tolerance.criteria import CRITERIA, NAMES, cup_torques, of_moments
-from hd_diag.tolerance.evaluation import evaluate, reference_stiffness
+from hd_diag.tolerance.evaluation import (
+    CRITERIA,
+    NAMES,
+    cup_torques,
+    evaluate,
+    of_moments,
+    reference_stiffness,
+)
 from hd_diag.tolerance.limit import (
     STEPS,
     EccentricityLimit,

@@ -13,8 +13,7 @@ from typing import Any
 from hd_diag.config.configuration import Config, JointConfig
 from hd_diag.config.parameters import shown
 from hd_diag.fleet import FleetError
-from hd_diag.fleet.bag_pages import BagPages
-from hd_diag.fleet.journal import Journal
+from hd_diag.fleet.journal import BagPages, Journal
 from hd_diag.fleet.rows import PAGE, Row, Task, judge, tasks
 from hd_diag.fleet.survey import Survey, survey
 from hd_diag.formatting import listed
@@ -32,10 +31,9 @@ _NAMES_SHOWN = 8
 
 @dataclass(frozen=True)
 class Fleet:
-    """Which bags, which joints, and how robots are told apart.
+    """Which bags, which of the configuration's joints, and how robots are told apart.
 
-    The joints are those of the configuration that are wanted; the pattern's first group (or the whole match)
-    in a bag's path names the robot, None = one robot.
+    The pattern's first group (or the whole match) in a bag's path names the robot, None = one robot.
     """
 
     bags: Sequence[Path]
@@ -73,8 +71,14 @@ def diagnose_fleet(
     outcomes = functools.partial(run, pool, tick=tick, timeout=timeout)
     seen = _surveys(fleet, outcomes, progress)
     wanted = [tasks(one, fleet.config, fleet.joints) for one in seen]
-    shown = _last(robots, seen, wanted) if pages else {}
-    missing = {key for key in shown if pages and not pages.place(shown[key]).exists()}
+    last: dict[tuple[str | None, str], tuple[int, Task]] = {}  # recording of each joint of each robot
+    for robot, one, own in zip(robots, seen, wanted, strict=True):
+        for task in own if pages else ():
+            name, start = (robot, task.joint.name), one.start or 0
+            if name not in last or start >= last[name][0]:
+                last[name] = start, task
+    shown_keys = {task.key for _, task in last.values()}
+    missing = {task.key for _, task in last.values() if pages and not pages.place(task).exists()}
     todo = {
         task.key: replace(task, drawn=task.key in missing)
         for own in wanted
@@ -86,44 +90,26 @@ def diagnose_fleet(
     for bag, robot, one, own in zip(fleet.bags, robots, seen, wanted, strict=True):
         fixed: Row = {"bag": str(bag), "robot": robot, "start": one.start, "problems": list(one.problems)}
         fixed |= {"bag_sha256": one.digest or None, "bag_duration_s": one.duration or None}
-        results = [
-            (journal.results.get(task.key) or failed[task.key])
-            | ({PAGE: pages.link(task)} if pages and task.key in shown else {})
-            for task in own
-        ]
-        rows += [{**fixed, **result} for result in results or [_unusable(one, fleet.joints)]]
-    return rows
-
-
-def _last(
-    robots: Sequence[str | None], seen: Sequence[Survey], wanted: Sequence[Sequence[Task]]
-) -> dict[str, Task]:
-    """The last recording of each joint of each robot, by its key."""
-    found: dict[tuple[str | None, str], tuple[int, Task]] = {}
-    for robot, one, own in zip(robots, seen, wanted, strict=True):
         for task in own:
-            name, start = (robot, task.joint.name), one.start or 0
-            if name not in found or start >= found[name][0]:
-                found[name] = start, task
-    return {task.key: task for _, task in found.values()}
+            linked = {PAGE: pages.link(task)} if pages and task.key in shown_keys else {}
+            rows.append(fixed | (journal.results.get(task.key) or failed[task.key]) | linked)
+        if not own:
+            rows.append(fixed | _unusable(one, fleet.joints))
+    return rows
 
 
 def _surveys(fleet: Fleet, outcomes: _Outcomes, progress: Progress) -> list[Survey]:
     paths = [os.path.abspath(bag) for bag in fleet.bags]  # a worker may be in another folder
-    found: dict[str, Survey] = {}
+    found: dict[int, Survey] = {}
     progress("reading", 0, len(paths), 0)
+    here = running()["hd_diag"]
     for number, outcome in outcomes(survey, paths):
-        path = paths[number]
-        found[path] = Survey(path, error=outcome.text) if isinstance(outcome, Failure) else outcome
-        _check_version(found[path])
+        one = Survey(paths[number], error=outcome.text) if isinstance(outcome, Failure) else outcome
+        if (there := one.versions["hd_diag"]) != here:
+            raise FleetError(f"a worker has hd_diag {there}, this is {here}: install the same everywhere")
+        found[number] = one
         progress("reading", len(found), len(paths), len(found))
-    return [found[path] for path in paths]
-
-
-def _check_version(seen: Survey) -> None:
-    here, there = running()["hd_diag"], seen.versions["hd_diag"]
-    if here != there:
-        raise FleetError(f"a worker has hd_diag {there}, this is {here}: install the same everywhere")
+    return [found[number] for number in range(len(paths))]
 
 
 def _judge(
@@ -137,11 +123,8 @@ def _judge(
     for done, (number, outcome) in enumerate(outcomes(judge, todo), start=1):
         task = todo[number]
         if isinstance(outcome, Failure):
-            failed[task.key] = {
-                "joint": task.joint.name,
-                "config_sha256": task.config_digest,
-                "error": outcome.text,
-            }
+            own = {"joint": task.joint.name, "config_sha256": task.config_digest}
+            failed[task.key] = {**own, "error": outcome.text}
         else:
             drawn = outcome.pop(PAGE, None)
             if pages and drawn:

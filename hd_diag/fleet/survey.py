@@ -67,20 +67,19 @@ def survey(path: str) -> Survey:
     """Look at a bag: every byte is read twice, nothing is kept."""
     try:
         with BagReader(path) as reader:
-            measured = joint_state_topics(reader)
-            problems = tuple(reader.problems)
             if not reader.topics:
                 error = str(BagError(path, "holds no topic that can be read"))
-                return Survey(path, error=error, problems=problems)
-            topics = frozenset(topic.name for topic in reader.topics)
-            messages = sum(topic.count for topic in reader.topics if topic.name in measured or not measured)
-            start = reader.start if reader.message_count else None
-            digest = hashlib.sha256(b"".join(map(sha256, reader.paths))).hexdigest()
-            duration = reader.duration
-            names = joints_in(reader)
-            problems = tuple(reader.problems)  # with what reading showed
-    except BagError as error:
-        return Survey(path, error=str(error))
-    except OSError as error:
-        return Survey(path, error=str(BagError(path, error)))
-    return Survey(path, digest, start, messages, names, problems, topics=topics, duration=duration)
+                return Survey(path, error=error, problems=tuple(reader.problems))
+            measured = joint_state_topics(reader)
+            return Survey(
+                path,
+                hashlib.sha256(b"".join(map(sha256, reader.paths))).hexdigest(),
+                reader.start if reader.message_count else None,
+                sum(topic.count for topic in reader.topics if topic.name in measured or not measured),
+                joints_in(reader),
+                tuple(reader.problems),  # last, with what reading showed
+                topics=frozenset(topic.name for topic in reader.topics),
+                duration=reader.duration,
+            )
+    except (BagError, OSError) as error:
+        return Survey(path, error=str(error if isinstance(error, BagError) else BagError(path, error)))

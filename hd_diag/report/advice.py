@@ -11,7 +11,6 @@ from hd_diag.diagnosis.judgement import Answer
 from hd_diag.diagnosis.search.causes import Cause
 from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE
-from hd_diag.effects.effect import Effect
 from hd_diag.effects.quantity import Quantity
 from hd_diag.formatting import arcsec, direction, si, size, spread_number, words
 
@@ -28,8 +27,8 @@ _Measures = tuple[tuple[str, str], ...]
 class Card:
     """One thing to inspect: its part in the error [rad rms], the cause in a sentence, what to measure.
 
-    `inspect` says what to look at and which test would confirm it; the alternatives, each with the same, are
-    causes that look alike in this record. Of a setting the configured number may be wrong, not the joint.
+    `inspect` says what to look at and which test would confirm it; alternatives are causes that look alike in
+    this record. Of a setting the configured number may be wrong, not the joint.
     """
 
     title: str
@@ -55,31 +54,33 @@ def cards(answer: Answer) -> list[Card]:
         Card(words(f.name).capitalize(), math.nan, f.text, (), advice.get(f.name, ""))
         for f in diagnosis.findings
     ]
-    found = [card for cause in diagnosis.causes if (card := _of_cause(cause, effects))]
+    found = [card for cause in diagnosis.causes if (card := _of_cause(cause, advice))]
+    by_title: dict[str, Card] = {}  # both compliances are one
     if diagnosis.refitted is not None:
-        found += _of_parameters(answer)
-    return first + sorted(found, key=lambda card: -card.size)
+        for change in answer.changes:
+            card = _OF_PARAMETER[change.name](diagnosis.parameters, diagnosis.refitted.drive)
+            by_title.setdefault(card.title, replace(card, size=change.explains))
+    return first + sorted([*found, *by_title.values()], key=lambda card: -card.size)
 
 
-def _of_cause(cause: Cause, effects: Mapping[str, Effect]) -> Card | None:
+def _of_cause(cause: Cause, advice: Mapping[str, str]) -> Card | None:
     """The card of a cause; None where all its sizes may as well be zero."""
     effect = cause.effect
     values = effect.to_physical(cause.coefficients, cause.nonlinear)
     spread = effect.standard_deviations(cause.coefficients, cause.nonlinear, cause.covariance)
-    sure = [
-        (entry, values[entry.name][0], std)
-        for entry in effect.quantities
-        for std in (spread.get(entry.name, math.nan),)
-        if _known(entry, values[entry.name][0], std)
-    ]
-    sizes = {entry.name for entry in effect.quantities if entry.linear and entry.periodic is None}
-    if sizes and not sizes & {entry.name for entry, _, _ in sure}:
+    sizes, sure, measures = 0, 0, []
+    for entry in effect.quantities:
+        value, std = values[entry.name][0], spread.get(entry.name, math.nan)
+        known = _known(entry, value, std)
+        if known:
+            measures.append((words(entry.name), quantity(entry, value, std)))
+        if entry.linear and entry.periodic is None:
+            sizes, sure = sizes + 1, sure + known
+    if sizes and not sure:
         return None
-    measures = tuple((words(entry.name), quantity(entry, value, std)) for entry, value, std in sure)
-    alike = [name for name in cause.alike if name != effect.name]
-    others = tuple((words(name), effects[name].inspect if name in effects else "") for name in alike)
+    others = tuple((words(name), advice.get(name, "")) for name in cause.alike if name != effect.name)
     title = words(effect.name).capitalize()
-    return Card(title, cause.amplitude, effect.cause, measures, effect.inspect, others)
+    return Card(title, cause.amplitude, effect.cause, tuple(measures), effect.inspect, others)
 
 
 def _known(entry: Quantity, value: float, std: float) -> bool:
@@ -96,17 +97,6 @@ def quantity(entry: Quantity, value: float, spread: float) -> str:
     if entry.unit == "rad" and entry.name == "angle":
         return spread_number(math.degrees(value), math.degrees(spread), "°")
     return si(value, spread, entry.unit)
-
-
-def _of_parameters(answer: Answer) -> list[Card]:
-    """Cards of the parameters that are not as configured; both compliances are one."""
-    diagnosis = answer.diagnosis
-    assert diagnosis.refitted is not None
-    found: dict[str, Card] = {}
-    for change in answer.changes:
-        card = _OF_PARAMETER[change.name](diagnosis.parameters, diagnosis.refitted.drive)
-        found.setdefault(card.title, replace(card, size=change.explains))
-    return list(found.values())
 
 
 def _eccentricity(values: _Entries, drive: Drive) -> Card:
@@ -164,16 +154,14 @@ def _datum(values: _Entries, _: Drive) -> Card:
 
 
 def _compliance(values: _Entries, _: Drive) -> Card:
-    both = {name: values[name] for name in ("tooth_compliance", "cup_compliance")}
+    names = ("tooth_compliance", "cup_compliance")
+    both = [(words(name), values[name]) for name in names]
+    changed = [(name, e) for name, e in both if not abs(e["value"] - e["configured"]) < _SIGMAS * e["std"]]
     return Card(
         "Torsional stiffness",
         math.nan,
         "The torsion under load is not as configured.",
-        tuple(
-            (words(name), _beside(entry))
-            for name, entry in both.items()
-            if not abs(entry["value"] - entry["configured"]) < _SIGMAS * entry["std"]
-        ),
+        tuple((name, _beside(entry)) for name, entry in changed),
         _OWN["torsional_hardening"].inspect,
         setting=True,
     )

@@ -26,9 +26,8 @@ from hd_diag.records.joint_record import InputRecord
 from hd_diag.replay.versions import running
 from hd_diag.report import stages, torsion
 from hd_diag.report.advice import Card, cards
-from hd_diag.report.ladder import Rung, benches, ladder
 from hd_diag.report.limits import AMBER, Gauge, gauges, worst
-from hd_diag.report.stages import BinnedResiduals, OverTime, Stages
+from hd_diag.report.stages import BinnedResiduals, OverTime, Rung, Stages, benches, ladder
 from hd_diag.report.teeth import TeethOverTurn, teeth_over_turn
 
 _LINE_SHARE = 0.2  # of a cause's mean square from which a peak of its spectrum is its order
@@ -58,11 +57,10 @@ class Mark(NamedTuple):
 class Judgement:
     """What measured angles add to the model's own side.
 
-    `first` is the verdict's beginning, how bad the joint is, as a sentence of its own, `rest` what follows;
-    `gauges` are the numbers of that, `state` its colour, `kind` the judgement.
-    The diagnosis is kept without its fit, whose columns are large. `classes` are causes that the record
-    cannot tell from each other, `orders` order and amplitude [rad] of the residual by stage, `stretches` how
-    many the ladder's data were cut into.
+    The diagnosis without its fit, whose columns are large; the verdict's beginning, how bad the joint is, as
+    a sentence of its own, and the rest of it; `state` is a colour, `kind` the judgement. `classes` are causes
+    that the record cannot tell from each other, `orders` order and amplitude [rad] of the residual by stage,
+    `stretches` how many the ladder's data were cut into.
     """
 
     diagnosis: Diagnosis
@@ -87,9 +85,8 @@ class Judgement:
 class JointReport:
     """One joint's part of a report; without a judgement where nothing could be judged.
 
-    `ripple` are the lines of its torque, of a joint with one angle.
-
-    `best` says whose numbers the teeth and the torsion curve are: the refitted drive's or the configured's.
+    `best` says whose numbers the teeth and the torsion curve are: the refitted drive's or the configured's;
+    `ripple` are the lines of the torque of a joint with one angle.
     """
 
     name: str
@@ -205,11 +202,14 @@ def _judgement(
 ) -> Judgement:
     diagnosis, found_gauges = answer.diagnosis, gauges(answer)
     marks = _marks(diagnosis)
-    top = 1.2 * max((mark.order for mark in marks), default=0.0)
-    highest = min(max(top, _ORDERS[0]), _ORDERS[1])
+    highest = float(np.clip(1.2 * max((mark.order for mark in marks), default=0.0), *_ORDERS))
+    whole, first = sentence(answer), first_words(answer)
+    rest = whole.removeprefix(first).lstrip("; ")
+    alone = rest in ("", ".")
     return Judgement(
         replace(diagnosis, found=None),
-        *_first_and_rest(answer),
+        whole if alone else f"{first[:1].upper()}{first[1:]}.",
+        "" if alone else f"{rest[:1].upper()}{rest[1:]}",
         worst(found_gauges) if answer.judgement != "misfit" else AMBER,
         found_gauges,
         answer.judgement,
@@ -224,15 +224,6 @@ def _judgement(
         tuple(ladder(diagnosis, found.residual[stages.NOMINAL], fitted, rng)),
         int(fitted[-1].data.block[-1]) + 1 if fitted else 0,
     )
-
-
-def _first_and_rest(answer: Answer) -> tuple[str, str]:
-    """The verdict as two sentences."""
-    whole, first = sentence(answer), first_words(answer)
-    rest = whole.removeprefix(first).lstrip("; ")
-    if rest in ("", "."):
-        return whole, ""
-    return f"{first[:1].upper()}{first[1:]}.", f"{rest[:1].upper()}{rest[1:]}"
 
 
 def _marks(diagnosis: Diagnosis) -> list[Mark]:

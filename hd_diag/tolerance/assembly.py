@@ -16,8 +16,7 @@ from scipy import stats
 from hd_diag.arrays import Floats
 from hd_diag.drive import Drive
 from hd_diag.process_pool import ProcessPool
-from hd_diag.tolerance.criteria import over_turns
-from hd_diag.tolerance.evaluation import evaluate, reference_stiffness
+from hd_diag.tolerance.evaluation import evaluate, over_turns, reference_stiffness
 
 FACTORS = (
     "eccentricity",

@@ -9,15 +9,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 from scipy.optimize import brentq
 
-from hd_diag.arrays import Complexes, Floats
+from hd_diag.arrays import Complexes, Floats, Integers
 from hd_diag.drive import Drive
 from hd_diag.model.mesh import Mesh
 from hd_diag.model.torsion import torsion
-from hd_diag.tolerance.criteria import CRITERIA, NAMES, of_moments
-from hd_diag.tolerance.evaluation import evaluate, reference_stiffness
-from hd_diag.tolerance.hills import NARROWING, climbed, hills
+from hd_diag.tolerance.evaluation import CRITERIA, NAMES, evaluate, of_moments, reference_stiffness
 
 STEPS = 60
 """Steps of the eccentricity in which the first excess is looked for."""
@@ -34,8 +33,11 @@ _SCAN = (36, 4)
 _SEARCH, _SEARCH_OF_JUMPS = (72, 8), (72, 16)
 _TURN_DIRECTIONS, _TURN_PHASES = 4, 6  # within a slot pitch: of the eccentricity, of the wave generator
 
+_HILLS = 8  # local maxima that are climbed
+_ROUNDS, _CLOSER, _BESIDE = 6, 3, 3  # of a climb: so many grids, each so much finer, points to either side
+
 RESOLUTION = tuple(
-    extent / points / NARROWING for extent, points in zip((2.0 * math.pi, 1.0), _SEARCH, strict=True)
+    extent / points / _CLOSER**_ROUNDS for extent, points in zip((2.0 * math.pi, 1.0), _SEARCH, strict=True)
 )
 """Final step of the angle from the long axis [rad] and of the wave generator [slot pitch]."""
 
@@ -221,9 +223,9 @@ class _Search:
 
     def _of_moment(self, eccentricity: float) -> Worst:
         points = _grid(*self.grid)
-        tops = points[hills(self._values(eccentricity, points).reshape(self.grid))]
+        tops = points[_hills(self._values(eccentricity, points).reshape(self.grid))]
         step = np.array([2.0 * math.pi / self.grid[0], 1.0 / self.grid[1]])
-        best, value = climbed(lambda p: self._values(eccentricity, p), tops, step)
+        best, value = _climbed(lambda p: self._values(eccentricity, p), tops, step)
         turn = self.pitch * float(best[1])
         return Worst(value, (float(best[0]) + turn) % (2.0 * math.pi), turn)
 
@@ -241,8 +243,8 @@ class _Search:
         if not np.isfinite(beta).all():
             return Worst(math.inf, direction, float(points[np.argmin(np.isfinite(beta)), 0]))
         spacing = np.array([step])
-        place, high = climbed(lambda p: self._torsion(mesh, p), points[hills(beta)], spacing)
-        _, low = climbed(lambda p: -self._torsion(mesh, p), points[hills(-beta)], spacing)
+        place, high = _climbed(lambda p: self._torsion(mesh, p), points[_hills(beta)], spacing)
+        _, low = _climbed(lambda p: -self._torsion(mesh, p), points[_hills(-beta)], spacing)
         return Worst(high + low, direction, float(place[0]) % (2.0 * math.pi))
 
     def _torsion(self, mesh: Mesh, points: Floats) -> Floats:
@@ -255,3 +257,30 @@ def _grid(around: int, phases: int) -> Floats:
         2.0 * math.pi * np.arange(around) / around, np.arange(phases) / phases, indexing="ij"
     )
     return np.column_stack((angle.ravel(), phase.ravel()))
+
+
+def _hills(values: Floats) -> Integers:
+    """Flat indices of the greatest local maxima on a grid over a circle or a torus: at most eight."""
+    beside = ndimage.generate_binary_structure(values.ndim, 1)
+    index = np.flatnonzero(values >= ndimage.maximum_filter(values, footprint=beside, mode="wrap"))
+    order = np.argsort(-values.ravel()[index], kind="stable")
+    return np.asarray(index[order[:_HILLS]], dtype=np.int64)
+
+
+def _climbed(function: Callable[[Floats], Floats], centers: Floats, step: Floats) -> tuple[Floats, float]:
+    """Place (d,) of the greatest value near some places (m, d), and the value.
+
+    The function takes points (n, d) and gives values (n,). Grids of so many steps (d,) around the centres
+    narrow.
+    """
+    dimensions = centers.shape[1]
+    side = np.linspace(-1.0, 1.0, 2 * _BESIDE + 1)
+    offsets = np.stack(np.meshgrid(*[side] * dimensions, indexing="ij"), axis=-1).reshape(-1, dimensions)
+    for _ in range(_ROUNDS):
+        points = centers[:, None, :] + offsets * step
+        values = function(points.reshape(-1, dimensions)).reshape(points.shape[:2])
+        best = np.argmax(values, axis=1)
+        centers = points[np.arange(best.size), best]
+        step = step / _CLOSER
+    top = int(np.argmax(values.max(axis=1)))
+    return centers[top], float(values[top].max())

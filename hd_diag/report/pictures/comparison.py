@@ -14,11 +14,9 @@ from hd_diag.arrays import Floats
 from hd_diag.diagnosis.gain import Rms
 from hd_diag.diagnosis.ripple.ripple import Ripple
 from hd_diag.formatting import ARCSEC
-from hd_diag.report.binned import Band
-from hd_diag.report.ladder import Rung
 from hd_diag.report.pictures import canvas
 from hd_diag.report.pictures.canvas import GRID, INK, REFIT, STAGES, drawn, sheet, titled, turn
-from hd_diag.report.stages import BinnedResiduals, OverTime
+from hd_diag.report.stages import Band, BinnedResiduals, OverTime, Rung
 from hd_diag.report.torsion import Torsion, k_shown
 
 _TURN = 2.0 * np.pi
