@@ -42,13 +42,10 @@ class Pool(Protocol):
         """Those that are there."""
 
     def send(self, worker: Any, function: Callable[[Any], Any], item: Any) -> Any:
-        """Give a worker a task; what stands for it."""
+        """Give a worker a task; gives what stands for it."""
 
     def done(self, at_work: Mapping[Any, Any], patience: float) -> list[tuple[Any, Any]]:
-        """Tasks that have ended with their outcomes, result or `Failure`; waits at most [s].
-
-        At work are tasks with their workers.
-        """
+        """Of tasks with their workers those that have ended, with result or `Failure`; waits at most [s]."""
 
 
 def run(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections import Counter
 from collections.abc import Sequence
@@ -11,16 +12,16 @@ from urllib.parse import quote
 
 import numpy as np
 
-from hd_diag.fleet.rows import PAGE, readable
+from hd_diag.fleet.rows import readable
 from hd_diag.fleet.series import ECCENTRICITY, ERROR
 from hd_diag.fleet.standing import Health, Standing, natural
 from hd_diag.fleet.summary import day, headline, notes, recorded, statement
 from hd_diag.formatting import si, size, words
+from hd_diag.report.advice import GREEN, STATES
 from hd_diag.report.facts import Fact, versions
-from hd_diag.report.limits import GREEN, STATES
 
 _SIGNS = {"red": "✕", "amber": "!", "green": "✓", "not_judged": "?"}
-_STALE = 8.0 * 86400.0  # behind the newest recording of the fleet, from which a row says so [s]
+_STALE = 8.0  # behind the newest recording of the fleet, from which a row says so [days]
 _WIDTH, _HEIGHT, _EDGE = 132.0, 40.0, 4.0  # of a small trend
 _TOP = 2.0  # of its axis, in limits; what is larger is drawn there
 _LEAST_TOP = 1.25
@@ -35,39 +36,21 @@ class Small(NamedTuple):
     about: str
 
 
-class PageRow(NamedTuple):
-    """A row of the page: a joint, the number of its robot, its trend, its own page and how old it is.
-
-    Error and eccentricity are a value, its limit and by which criterion that is, in words.
-    """
-
-    standing: Standing
-    robot: int
-    trend: Small | None
-    link: str | None
-    age: str
-    error: tuple[str, str, str] | None
-    eccentricity: tuple[str, str, str] | None
-
-
 def health_page(found: Health, facts: Sequence[Fact]) -> str:
     """HTML of the page; `facts` say how it was made."""
     from hd_diag.report.page import rendered  # here, because matplotlib takes its time
 
     rows, colours, standings = found.rows, found.colours, found.standings
     names = sorted({one.robot for one in standings}, key=natural)
-    times = [time for one in standings for time, _ in one.history if time == time]
+    numbered = sorted(enumerate(standings), key=lambda pair: natural(pair[1].joint))
+    times = [time for one in standings for time, _ in one.history if not math.isnan(time)]
     ends = (min(times), max(times)) if times else None
-    lines = [_line(one, names.index(one.robot), ends) for one in standings]
-    robots: list[list[tuple[int, Standing]]] = [[] for _ in names]
-    for number, line in enumerate(lines):
-        robots[line.robot].append((number, line.standing))
     counts = Counter(one.colour.state for one in standings)
     present, past = ([(rows[n], colours[n]) for n in numbers] for numbers in found.attention)
     style = (files("hd_diag.report") / "templates/fleet.css").read_text(encoding="utf-8")
     return rendered(
         "fleet.html.jinja",
-        styles=style + _filters(len(robots)),
+        styles=style + _filters(len(names)),
         title="Harmonic drives: how each joint stands",
         headline=headline(found),
         notes=notes(found),
@@ -76,14 +59,17 @@ def health_page(found: Health, facts: Sequence[Fact]) -> str:
         bags=len({row["bag"] for row in rows}),
         present=present,
         past=past,
-        lines=lines,
-        robots=[
-            (name, sorted(own, key=lambda o: natural(o[1].joint)))
-            for name, own in zip(names, robots, strict=True)
-        ],
+        standings=standings,
+        names=names,
+        robots=[(name, [pair for pair in numbered if pair[1].robot == name]) for name in names],
         counts=[(state, counts[state]) for state in STATES if counts[state]],
         changed=sum(bool(one.changes) for one in standings),
         signs=_SIGNS,
+        beside=_beside,
+        small=lambda one: _small(one, ends),
+        days_behind=lambda one: (ends[1] - one.history[-1][0]) / 86400.0 if ends else 0.0,
+        stale=_STALE,
+        quote=quote,
         day=day,
         statement=statement,
         recorded=recorded,
@@ -91,7 +77,8 @@ def health_page(found: Health, facts: Sequence[Fact]) -> str:
         readable=readable,
         width=_WIDTH,
         height=_HEIGHT,
-        own_columns=(ERROR, ECCENTRICITY),
+        error=ERROR,
+        eccentricity=ECCENTRICITY,
     )
 
 
@@ -99,14 +86,6 @@ def _prefix(joints: set[str]) -> str:
     """What all names begin with, but for their numbers; empty where one would have no name without it."""
     prefix = os.path.commonprefix(list(joints)).rstrip("0123456789") if len(joints) > 1 else ""
     return "" if prefix in joints else prefix
-
-
-def _line(one: Standing, robot: int, ends: tuple[float, float] | None) -> PageRow:
-    behind = ends[1] - one.history[-1][0] if ends else 0.0
-    age = f"{behind / 86400.0:.0f} days before the newest recording" if behind > _STALE else ""
-    link = one.row.get(PAGE)
-    sizes = _beside(one, ERROR), _beside(one, ECCENTRICITY)
-    return PageRow(one, robot, _small(one, ends), quote(link) if link else None, age, *sizes)
 
 
 def _beside(one: Standing, quantity: str) -> tuple[str, str, str] | None:

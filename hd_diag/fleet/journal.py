@@ -43,8 +43,10 @@ class Journal:
         self._file.seek(0)
         content = self._file.read()
         lines = [line for line in content.split(b"\n") if line]
-        entries = [entry for entry in map(_entry, lines) if entry]
-        self.results, self.lost = dict(entries), len(lines) - len(entries)
+        texts = [(line, line[: max(line.rfind(b", "), 0)]) for line in lines]
+        entries = [json.loads(line) for line, text in texts if line == text + _checksum(text)]
+        self.results: dict[str, Row] = {entry["key"]: entry["row"] for entry in entries}
+        self.lost = len(lines) - len(entries)
         self._cut = bool(content) and not content.endswith(b"\n")
 
     def add(self, key: str, row: Row) -> None:
@@ -71,15 +73,6 @@ class Journal:
 def _checksum(text: bytes) -> bytes:
     """The end of a line whose beginning this is."""
     return b', "crc32": %d}' % crc32(text)
-
-
-def _entry(line: bytes) -> tuple[str, Row] | None:
-    """Key and row of a line that is as it was written."""
-    text = line[: max(line.rfind(b", "), 0)]
-    if line != text + _checksum(text):
-        return None
-    entry = json.loads(line)
-    return entry["key"], entry["row"]
 
 
 class BagPages:

@@ -32,8 +32,7 @@ from hd_diag.formatting import json_ready
 from hd_diag.records.joint_record import read_bags, read_motion
 from hd_diag.replay.versions import running
 from hd_diag.report.advice import cards
-from hd_diag.report.facts import JointReport, of_diagnosis, of_motion
-from hd_diag.report.sources import sources
+from hd_diag.report.facts import JointReport, of_diagnosis, of_motion, sources
 from hd_diag.tolerance.study import with_allowed
 
 SCHEMA = "hd_diag/fleet/1"
@@ -45,6 +44,8 @@ Row = dict[str, Any]
 """Values by the names of `hd_diag.fleet.table.COLUMNS`; what is missing is unknown. `start` is in nanoseconds
 since 1970."""
 
+# Parameters that a diagnosis uses: neither limits nor the model file.
+_USED = [p.name for p in JOINT_PARAMETERS if not p.name.startswith("limits.") and p.name != "model_file"]
 _CONTENT = "3"  # of rows: results that a journal holds with another are made anew
 
 FITTED = {
@@ -94,16 +95,10 @@ def tasks(seen: Survey, config: Config, joints: tuple[JointConfig, ...]) -> list
         named = seen.names & {joint.input_joint, joint.output_joint}
         if named or any(topic.endswith(mapped) for topic in seen.topics):
             flat = {name: value for name, value in config.flat.items() if name.startswith(f"{joint.name}.")}
-            digest = _config_digest(flat, joint.name)
+            used = {name: flat[f"{joint.name}.{name}"] for name in _USED}
+            digest = hashlib.sha256(json.dumps(used, sort_keys=True).encode()).hexdigest()
             found.append(Task(seen.path, joint, flat, seen.digest, digest, seen.messages))
     return found
-
-
-def _config_digest(flat: Mapping[str, Value], joint: str) -> str:
-    """SHA-256 of a joint's parameters that a diagnosis uses: neither limits nor the model file."""
-    names = (p.name for p in JOINT_PARAMETERS if not p.name.startswith("limits.") and p.name != "model_file")
-    own = {name: flat[f"{joint}.{name}"] for name in names}
-    return hashlib.sha256(json.dumps(own, sort_keys=True).encode()).hexdigest()
 
 
 def judge(task: Task) -> Row:

@@ -30,7 +30,7 @@ from hd_diag.fleet.rows import Row
 from hd_diag.fleet.series import ECCENTRICITY, ERROR, Limits, Series, began, limit_of
 from hd_diag.fleet.trend import Trend
 from hd_diag.formatting import si, size, words
-from hd_diag.report.limits import AMBER, GREEN, GREY, RED, STATES
+from hd_diag.report.advice import AMBER, GREEN, GREY, RED, STATES
 
 _COVERED = 0.5  # of a bag, that a joint's samples must cover: drivers may start late, or stop early
 _REFUSED = 0.05  # of the samples, up to which the verdict alone tells that they were refused
@@ -157,7 +157,11 @@ def _colour(row: Row, series: Sequence[Series], limits: Limits) -> Colour:
     unjudged = row.get("error") or (row.get("judgement") == "not_judged" and row["verdict"])
     limited = () if unjudged else tuple(one for each in series if (one := _limited(row, each, limits)))
     cut, places = (*missing(row), *left_out(row)), {one.place for one in limited}
-    reasons = [_excess(one) for one in limited if one.place in ("beyond", "near")]
+    reasons = []
+    for one in limited:
+        limit, value = f"its limit of {size(one.limit, one.unit)}", si(one.value, one.std, one.unit)
+        where = {"beyond": f"beyond {limit}", "near": f"too near to {limit} to judge"}.get(one.place)
+        reasons += [f"{words(one.quantity)} {value}, {where}"] if where else []
     skipped, rippled = "tooth_skip" in (row.get("causes") or []), bool(row.get("ripple_orders"))
     known = any(one.quantity == ERROR and one.place != "open" for one in limited)
     rules: tuple[tuple[Any, str, list[str]], ...] = (  # the first that holds
@@ -200,13 +204,6 @@ def _limited(row: Row, series: Series, limits: Limits) -> Limited | None:
     unsure = series.quantity == ECCENTRICITY and row.get("judgement") == "misfit"
     std = math.nan if unsure else float(series.std[at[-1]])
     return Limited(series.quantity, float(series.value[at[-1]]), std, limit, series.unit)
-
-
-def _excess(one: Limited) -> str:
-    """A quantity that is not within its limit, in words."""
-    limit = f"its limit of {size(one.limit, one.unit)}"
-    where = f"beyond {limit}" if one.place == "beyond" else f"too near to {limit} to judge"
-    return f"{words(one.quantity)} {si(one.value, one.std, one.unit)}, {where}"
 
 
 def _standing(joint: tuple[str, str], own: Sequence[tuple[Row, Colour]], trends: Sequence[Trend]) -> Standing:

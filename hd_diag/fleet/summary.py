@@ -18,7 +18,7 @@ from hd_diag.fleet.series import ECCENTRICITY, ERROR, began
 from hd_diag.fleet.standing import Colour, Health, Standing, left_out, missing
 from hd_diag.fleet.trend import FALSE_ALARM, Trend
 from hd_diag.formatting import SCALES, json_ready, number, words
-from hd_diag.report.limits import GREEN, GREY, STATES
+from hd_diag.report.advice import GREEN, GREY, STATES
 
 _LINES = 24  # joints of a table for a terminal; those that are not green are never left out
 _MONTH = 30.0 * 86400.0  # [s]

@@ -11,7 +11,7 @@ from pathlib import Path
 from hd_diag.bag import BagError, BagReader
 from hd_diag.records.joint_topics import joint_state_topics, joints_in
 from hd_diag.replay.versions import Versions, running
-from hd_diag.report.sources import sha256
+from hd_diag.report.facts import sha256
 
 SUFFIXES = (".mcap", ".db3")
 
@@ -20,10 +20,9 @@ SUFFIXES = (".mcap", ".db3")
 class Survey:
     """What was seen of one bag; where it has an `error`, nothing else is known but its problems.
 
-    The digest is of the contents, whatever the bag is called; it starts at its first log time [ns since
-    1970], None for an empty bag; messages and names are those of its joint states, where it has
-    any; problems are what is unfinished about its files; versions are those of the worker that looked; the
-    duration is from the first to the last message [s].
+    The digest of its contents; first log time [ns since 1970], None for an empty bag; how many messages and
+    which names its joint states have, where it has any; what is unfinished about its files; versions of the
+    worker that looked; topics; time from the first to the last message [s].
     """
 
     path: str

@@ -261,15 +261,16 @@ def _crossing(series: Series, line: Any, rng: np.random.Generator) -> tuple[floa
     freedom = time.size - 2
     wider = math.sqrt(time.size / freedom) * float(stats.t.ppf(0.975, freedom) / stats.norm.ppf(0.975))
     drawn = rng.choice(wider * (series.value - fitted), (_BOOTSTRAP, time.size))
-    times = [_reached(time, fitted + one, series.limit) for one in drawn]
+    first, second = np.triu_indices(time.size, 1)
+    later = time[second] > time[first]
+    first, second = first[later], second[later]
+
+    def reached(value: Floats) -> float:
+        """Time at which the Theil–Sen line of values reaches the limit; inf where it never does."""
+        slope = float(np.median((value[second] - value[first]) / (time[second] - time[first])))
+        start = float(np.median(value) - slope * np.median(time))
+        return (series.limit - start) / slope if slope > 0.0 else math.inf
+
+    times = [reached(fitted + one) for one in drawn]
     low, high = np.quantile(times, (0.025, 0.975), method="closest_observation")
     return float(when + series.time[0]), float(low + series.time[0]), float(high + series.time[0])
-
-
-def _reached(time: Floats, value: Floats, limit: float) -> float:
-    """Time at which the Theil–Sen line of values reaches a limit; inf where it never does."""
-    first, second = np.triu_indices(time.size, 1)
-    apart, rises = time[second] - time[first], value[second] - value[first]
-    slope = float(np.median(rises[apart > 0.0] / apart[apart > 0.0]))
-    start = float(np.median(value) - slope * np.median(time))
-    return (limit - start) / slope if slope > 0.0 else math.inf

@@ -1,23 +1,35 @@
-"""What to look at in the joint: a card for every cause found and every parameter not as configured."""
+"""How bad a joint is beside its limits, and what to look at: a card for every cause and parameter found."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
-from hd_diag.diagnosis.judgement import Answer
+from hd_diag.diagnosis.judgement import Answer, Beside, Limited
 from hd_diag.diagnosis.search.causes import Cause
 from hd_diag.drive import Drive
 from hd_diag.effects import CATALOGUE
 from hd_diag.effects.quantity import Quantity
-from hd_diag.formatting import arcsec, direction, si, size, spread_number, words
+from hd_diag.formatting import direction, si, size, spread_number, words
 
 _OWN = {effect.name: effect for effect in CATALOGUE}
 
 _SIGMAS = 2.0
 """Standard deviations from nothing, or from the configured value, from which a number is on a card."""
+
+RED, GREY, AMBER, GREEN = STATES = ("red", "not_judged", "amber", "green")
+"""Of joints, the worst first: what is not known is worse than what is nearly too much."""
+
+COLOURS: dict[Beside, str] = {"within": GREEN, "near": AMBER, "beyond": RED, "open": GREY}
+
+_TOLD: dict[Beside, str] = {
+    "within": "within",
+    "near": "too near to its limit to judge",
+    "beyond": "beyond",
+    "open": "not known well enough",
+}
 
 _Entries = Mapping[str, Mapping[str, Any]]  # value, std, unit and configured of parameters
 _Measures = tuple[tuple[str, str], ...]
@@ -38,11 +50,6 @@ class Card:
     inspect: str
     alternatives: _Measures = ()
     setting: bool = False
-
-    @property
-    def share(self) -> str:
-        """Its size in words; empty where it has none."""
-        return f"{arcsec(self.size)} rms of the error" if math.isfinite(self.size) else ""
 
 
 def cards(answer: Answer) -> list[Card]:
@@ -186,3 +193,37 @@ _OF_PARAMETER: dict[str, Callable[[_Entries, Drive], Card]] = {
     "tooth_compliance": _compliance,
     "cup_compliance": _compliance,
 }
+
+
+# Limits ---
+
+
+class Gauge(NamedTuple):
+    """A value beside its limit, in words; `share` of the limit that it has [-]."""
+
+    name: str
+    state: Beside
+    text: str
+    share: float
+
+
+def gauges(answer: Answer) -> tuple[Gauge, ...]:
+    """Error and eccentricity beside their limits, as far as there is something to tell."""
+    found, allowed = [], answer.diagnosis.allowed
+    if answer.normal is not None:
+        name = "Transmission error without torsion, peak to peak"
+        found.append(_gauge(name, "accuracy", answer.normal))
+    if answer.tolerance is not None and allowed is not None:
+        found.append(_gauge("Eccentricity", f"limit by {words(allowed.criterion)}", answer.tolerance))
+    return tuple(found)
+
+
+def worst(found: Sequence[Gauge]) -> str:
+    """Colour of a joint with these gauges, as far as they are known."""
+    known = [COLOURS[gauge.state] for gauge in found if gauge.state != "open"]
+    return min(known, key=STATES.index, default=GREY)
+
+
+def _gauge(name: str, limit: str, one: Limited) -> Gauge:
+    value, most = si(one.value, one.std, one.unit), size(one.limit, one.unit)
+    return Gauge(name, one.place, f"{value}; {limit} {most}: {_TOLD[one.place]}", one.value / one.limit)

@@ -73,7 +73,7 @@ def over_time(found: OverTime) -> str:
         name: f"{arcsec(float(np.nanmin(column.low)))} to {arcsec(float(np.nanmax(column.high)))}"
         for name, column in found.residual.items()
     }
-    stretches = found.torque.place.size
+    stretches = found.torque.center.size
     return f"The record over time, least to greatest of {stretches} stretches. Residual: {_each(ends)}."
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import hashlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import metadata
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -25,8 +27,7 @@ from hd_diag.formatting import number, percent, words
 from hd_diag.records.joint_record import InputRecord
 from hd_diag.replay.versions import running
 from hd_diag.report import stages, torsion
-from hd_diag.report.advice import Card, cards
-from hd_diag.report.limits import AMBER, Gauge, gauges, worst
+from hd_diag.report.advice import AMBER, Card, Gauge, cards, gauges, worst
 from hd_diag.report.stages import BinnedResiduals, OverTime, Rung, Stages, benches, ladder
 from hd_diag.report.teeth import TeethOverTurn, teeth_over_turn
 
@@ -36,6 +37,7 @@ _MOST_MARKS = 2  # orders marked for one cause
 _NOT_OF_THE_DRIVE = ("output_joint", "limits.", "tolerance.", *SIGNALS)
 _ORDERS = (8.0, 40.0)  # least and greatest end of the spectrum
 _TURN = 2.0 * np.pi
+_PART = 1 << 20  # of a file, read at a time [byte]
 
 
 class Fact(NamedTuple):
@@ -252,3 +254,30 @@ def _own_orders(angle: Floats, part: Floats, name: str) -> list[Mark]:
         marks.append(Mark(float(order[at]), name, float(strength[at])))
         strength = np.where(np.abs(order - order[at]) < width, 0.0, strength)
     return marks
+
+
+# Files ---
+
+
+def sources(bags: Sequence[Path]) -> list[Fact]:
+    """Every file of some bags with its SHA-256; OSError where one cannot be read."""
+    return [
+        Fact(f"{bag.resolve().name}/{name}" if bag.is_dir() else name, f"SHA-256 {digest}")
+        for bag in bags
+        for name, digest in digests(bag).items()
+    ]
+
+
+def digests(path: Path) -> dict[str, str]:
+    """SHA-256 of a file, or of every file of a folder, by name."""
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    return {file.name: sha256(file).hex() for file in files if file.is_file()}
+
+
+def sha256(file: Path) -> bytes:
+    """SHA-256 of a file, read a part at a time."""
+    digest = hashlib.sha256()
+    with file.open("rb") as opened:
+        while part := opened.read(_PART):
+            digest.update(part)
+    return digest.digest()

@@ -92,9 +92,9 @@ def _drawings(report: JointReport) -> Iterator[tuple[str, str, Any, str]]:
     found, ladder, against = report.judgement, comparison.model_ladder, "Measured against simulated over"
     if found is not None:
         angle, torque, time = found.over_angle, found.over_torque, found.over_time
-        drawn = comparison.over_angle(angle)
+        drawn = comparison.binned(angle, by_torque=False)
         yield "angle", f"{against} the wave generator's angle", drawn, captions.over_angle(angle)
-        drawn = comparison.over_torque(torque)
+        drawn = comparison.binned(torque, by_torque=True)
         yield "torque", f"{against} torque", drawn, captions.over_torque(torque)
         drawn = comparison.orders(found.orders, [mark.order for mark in found.marks], found.highest_order)
         yield "orders", "Order spectrum", drawn, captions.orders(found)

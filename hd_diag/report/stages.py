@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import binned_statistic
 
 from hd_diag.arrays import Floats, Integers
 from hd_diag.diagnosis.diagnosis import Diagnosis
@@ -47,14 +46,6 @@ class Band(NamedTuple):
     samples: Integers
 
 
-class Envelope(NamedTuple):
-    """Least and greatest value of consecutive stretches, shape (stretches,) each; nan where there is none."""
-
-    place: Floats
-    low: Floats
-    high: Floats
-
-
 @dataclass(frozen=True)
 class Stages:
     """A record where the model's error is well defined, with the residual of each stage of the model.
@@ -88,9 +79,9 @@ class BinnedResiduals(NamedTuple):
 class OverTime(NamedTuple):
     """Torque [N m], speed of the input [rad/s] and the stages' residuals [rad] along a record [s]."""
 
-    torque: Envelope
-    speed: Envelope
-    residual: dict[str, Envelope]
+    torque: Band
+    speed: Band
+    residual: dict[str, Band]
 
 
 def stages(diagnosis: Diagnosis, plain: LinearisedFit | None) -> Stages:
@@ -146,6 +137,7 @@ def over_torque(found: Stages) -> BinnedResiduals:
 def _compared(
     found: Stages, rows: Integers, place: Floats, edges: Floats, level: Floats | float
 ) -> BinnedResiduals:
+    """Of some rows the means in bins of a place; a level is taken off what was measured."""
     torque = found.record.torque[rows]
     return BinnedResiduals(
         band(place, found.measured[rows] - level, edges),
@@ -172,23 +164,32 @@ def over_time(found: Stages) -> OverTime:
 # Bins ---
 
 
-def band(place: Floats, value: Floats, edges: Floats) -> Band:
-    """Means and spread of samples, shape (n,), in bins with rising edges, shape (bins + 1,)."""
+def band(
+    place: Floats,
+    value: Floats,
+    edges: Floats,
+    ends: tuple[float, float] = (LOW, HIGH),
+    least: int = _LEAST,
+) -> Band:
+    """Means and spread of samples, shape (n,), in bins with rising edges, shape (bins + 1,).
+
+    The spread lies between two quantiles; a bin needs so many samples at least.
+    """
     order = np.argsort(place, kind="stable")
-    ends = np.searchsorted(place[order], edges)
-    ends[-1] = np.searchsorted(place[order], edges[-1], side="right")
+    starts = np.searchsorted(place[order], edges)
+    starts[-1] = np.searchsorted(place[order], edges[-1], side="right")
     table = np.full((3, edges.size - 1), np.nan)
-    for k, part in enumerate(np.split(value[order], ends)[1:-1]):
-        if part.size >= _LEAST:
-            table[:, k] = part.mean(), *np.quantile(part, (LOW, HIGH))
-    return Band(0.5 * (edges[:-1] + edges[1:]), table[0], table[1], table[2], np.diff(ends))
+    for k, part in enumerate(np.split(value[order], starts)[1:-1]):
+        if part.size >= least:
+            table[:, k] = part.mean(), *np.quantile(part, ends)
+    return Band(0.5 * (edges[:-1] + edges[1:]), table[0], table[1], table[2], np.diff(starts))
 
 
-def envelope(place: Floats, value: Floats, stretches: int) -> Envelope:
-    """Least and greatest value over stretches of equal length; the place, shape (n,), rises."""
-    edges, known = np.linspace(place[0], place[-1], stretches + 1), np.isfinite(value)
-    low, high = (binned_statistic(place[known], value[known], end, edges).statistic for end in ("min", "max"))
-    return Envelope(0.5 * (edges[:-1] + edges[1:]), low, high)
+def envelope(place: Floats, value: Floats, stretches: int) -> Band:
+    """From the least to the greatest value over stretches of equal length; the place, shape (n,), rises."""
+    known = np.isfinite(value)
+    edges = np.linspace(place[0], place[-1], stretches + 1)
+    return band(place[known], value[known], edges, (0.0, 1.0), 1)
 
 
 def strongest(place: Floats, value: Floats, highest: float, count: int) -> tuple[Floats, Floats]:

@@ -108,7 +108,7 @@ def first_excess(
     """
     search = _Search(drive, cup_torque, criterion)
     eccentricity = np.linspace(0.0, largest, STEPS + 1)
-    scanned = np.stack((eccentricity, [search.scan(e) for e in eccentricity]))
+    scanned = np.stack((eccentricity, [search.scan(e)[search.index] for e in eccentricity]))
     found = search.exceeded(limit, scanned)
     worst = search.worst(found if math.isfinite(found) else largest)
     return EccentricityLimit(criterion, limit, found, worst, search.worst(0.0).value, scanned)
@@ -119,11 +119,11 @@ def allowed(
 ) -> tuple[float, str] | None:
     """The least of all criteria's :func:`first_excess` [m] and its criterion, without solving for the others.
 
-    Limits by the names of the criteria; None where none is reached.
+    Limits by the names of the criteria. None where none is reached.
     """
     searches = [_Search(drive, cup_torque, name) for name in NAMES]
     eccentricity = np.linspace(0.0, largest, STEPS + 1)
-    values = np.stack([searches[-1].scan_of_all(e) for e in eccentricity], axis=1)
+    values = np.stack([searches[0].scan(e) for e in eccentricity], axis=1)
     above = [row > limits[name] for row, name in zip(values, NAMES, strict=True)]
     first = [int(np.argmax(one)) if one.any() else STEPS for one in above]
     least = None
@@ -178,23 +178,16 @@ class _Search:
 
     def __init__(self, drive: Drive, cup_torque: float, criterion: str) -> None:
         self.drive, self.torque = drive, np.array([cup_torque])
-        self.pitch, self.of_turn = drive.mesh.geometry.slot_pitch, criterion == "transmission_error"
-        self.index = NAMES.index(criterion)
+        self.pitch, self.index = drive.mesh.geometry.slot_pitch, NAMES.index(criterion)
         self.jumps = CRITERIA[self.index].jumps
-        self.grid = _SEARCH_OF_JUMPS if self.jumps else _SEARCH
         self.reference = reference_stiffness(drive, self.torque)
 
-    def scan(self, eccentricity: float) -> float:
-        """Worst over a coarse grid; of a turn, nearly the worst."""
-        if not self.of_turn:
-            return float(self._values(eccentricity, _grid(*_SCAN)).max())
+    def scan(self, eccentricity: float) -> Floats:
+        """Worst of all criteria over a coarse grid (6,); of the last, that of a turn, nearly the worst."""
         around = 2.0 * math.pi * (np.arange(_SCAN[0]) + 0.37) / _SCAN[0]  # meets several tooth phases
         beta = self._torsion(replace(self.drive.mesh, eccentricity=eccentricity), around[:, None])
-        return float(np.ptp(np.where(np.isnan(beta), np.inf, beta)))
-
-    def scan_of_all(self, eccentricity: float) -> Floats:
-        """The same of all criteria, in the order of ``criteria.CRITERIA``; this one is that of a turn."""
-        return np.append(self._moments(eccentricity, _grid(*_SCAN)).max(axis=1), self.scan(eccentricity))
+        width = np.ptp(np.where(np.isnan(beta), np.inf, beta))
+        return np.append(self._moments(eccentricity, _grid(*_SCAN)).max(axis=1), width)
 
     def exceeded(self, limit: float, scanned: Floats) -> float:
         """The eccentricity at which a limit is first exceeded, nan if it is not."""
@@ -207,31 +200,28 @@ class _Search:
 
     def worst(self, eccentricity: float) -> Worst:
         """Worst over all directions and angles."""
-        return self._of_turn(eccentricity) if self.of_turn else self._of_moment(eccentricity)
+        if NAMES[self.index] == "transmission_error":
+            directions = self.pitch * np.arange(_TURN_DIRECTIONS) / _TURN_DIRECTIONS
+            widths = (self._width(eccentricity, float(direction)) for direction in directions)
+            return max(widths, key=lambda worst: worst.value)
 
-    def _values(self, eccentricity: float, points: Floats) -> Floats:
-        """Criterion (n,) at points (n, 2): angle from the long axis [rad], phase in a slot pitch [-]."""
-        return np.asarray(self._moments(eccentricity, points)[self.index])
+        def value(points: Floats) -> Floats:
+            return np.asarray(self._moments(eccentricity, points)[self.index])
+
+        grid = _SEARCH_OF_JUMPS if self.jumps else _SEARCH
+        points = _grid(*grid)
+        step = np.array([2.0 * math.pi / grid[0], 1.0 / grid[1]])
+        best, most = _climbed(value, points[_hills(value(points).reshape(grid))], step)
+        turn = self.pitch * float(best[1])
+        return Worst(most, (float(best[0]) + turn) % (2.0 * math.pi), turn)
 
     def _moments(self, eccentricity: float, points: Floats) -> Floats:
-        """All criteria of a moment (5, n)."""
+        """Criteria (5, n) at points (n, 2): angle from the long axis [rad], phase in a slot pitch [-]."""
         turn, mesh = self.pitch * points[:, 1], self.drive.mesh
         towards: Complexes = np.exp(1j * (points[:, 0] + turn))
         turning: Complexes = np.exp(1j * turn)
         found = evaluate(mesh, turn, eccentricity * towards + mesh.runout * turning, self.torque)
         return of_moments(found, self.drive.cup_compliance, self.reference)[:, :, 0]
-
-    def _of_moment(self, eccentricity: float) -> Worst:
-        points = _grid(*self.grid)
-        tops = points[_hills(self._values(eccentricity, points).reshape(self.grid))]
-        step = np.array([2.0 * math.pi / self.grid[0], 1.0 / self.grid[1]])
-        best, value = _climbed(lambda p: self._values(eccentricity, p), tops, step)
-        turn = self.pitch * float(best[1])
-        return Worst(value, (float(best[0]) + turn) % (2.0 * math.pi), turn)
-
-    def _of_turn(self, eccentricity: float) -> Worst:
-        directions = self.pitch * np.arange(_TURN_DIRECTIONS) / _TURN_DIRECTIONS
-        return max((self._width(eccentricity, float(d)) for d in directions), key=lambda worst: worst.value)
 
     def _width(self, eccentricity: float, direction: float) -> Worst:
         """Peak to peak of a turn at one direction of the eccentricity, and where the greatest torsion is."""
@@ -268,10 +258,9 @@ def _hills(values: Floats) -> Integers:
 
 
 def _climbed(function: Callable[[Floats], Floats], centers: Floats, step: Floats) -> tuple[Floats, float]:
-    """Place (d,) of the greatest value near some places (m, d), and the value.
+    """Place (d,) of the greatest value near some places (m, d), and the value, by grids that narrow.
 
-    The function takes points (n, d) and gives values (n,). Grids of so many steps (d,) around the centres
-    narrow.
+    The function takes points (n, d) and gives values (n,); the first grids have so many steps (d,).
     """
     dimensions = centers.shape[1]
     side = np.linspace(-1.0, 1.0, 2 * _BESIDE + 1)
