@@ -252,7 +252,12 @@ def test_a_joint_that_is_eccentric_and_no_more() -> None:
     added = transmission_error(TRUE, *motion) - transmission_error(CONFIGURED, *motion)
     assert card.size == pytest.approx(np.std(added), rel=0.02)
     assert list(judgement.orders) == ["as configured", "refitted"]
-    assert "extended by the causes" not in page([report_of(found)], SOURCES)
+    # A meter is yellow between its marks: from nothing to its end where the limit is too near to tell.
+    near = tuple(gauge._replace(state="near") for gauge in judgement.gauges)
+    told = dataclasses.replace(report_of(found), judgement=dataclasses.replace(judgement, gauges=near))
+    read = Reader(page([told], SOURCES))
+    assert {(meter["low"], meter["high"]) for meter in read.all("meter")} == {("1e-06", "2.0")}
+    assert "extended by the causes" not in read.text
 
 
 def test_a_bearing_that_slips_has_its_order_marked() -> None:
@@ -307,6 +312,7 @@ def test_the_same_numbers_are_the_same_page_and_a_small_one_with_what_the_diagno
     assert letters(joint_report("output_runout").verdict) in letters(text)
     assert [part for part in (*rms, *tested) if part not in text] == []
     assert f"{alike}: this record fits both about as well." in text
+    assert {(m["low"], m["high"]) for m in Reader(hostile_page()).all("meter")} == {("1.0", "1.0")}
 
 
 def test_every_joint_and_picture_is_told_with_ids_of_its_own() -> None:

@@ -81,8 +81,8 @@ class Assembly:
 class Population:
     """What assemblies are drawn from and judged by.
 
-    The drive as designed (its own eccentricity and runout do not count), spreads by the names of the
-    quantities, torques on the cup (q,) [N m], wave generator angles of a turn.
+    The drive as designed, whose eccentricity and runout do not count; spreads by the names of the quantities;
+    torques on the cup (q,) [N m]; number of wave generator angles of a turn.
     """
 
     drive: Drive

@@ -50,12 +50,11 @@ NAMES = tuple(criterion.name for criterion in CRITERIA)
 class Evaluation:
     """Quantities of n moments, those under load at q torques.
 
-    `interference` (n,): how far the teeth at lobe 0 overlap with the slots, circumferential [m], the least
-    backlash of their flanks with the opposite sign, the tooth at the lobe held on the axis (see
-    :func:`evaluate`). `overlap` (n,): how far both lobes press against each other at zero torque,
-    circumferential [m]; negative: clearance; above zero no rotation of the cup frees all teeth. With shape
-    (n, q): torsion beta [rad], stiffness dM/dbeta of the teeth [N m/rad], largest force on a flank [N],
-    largest over mean force of the loaded flanks [-], 1 where none is.
+    `interference` (n,): least backlash at lobe 0 with the opposite sign [m], as :func:`evaluate` says.
+    `overlap` (n,): how far both lobes press against each other at zero torque, circumferential [m]; negative
+    is clearance; above zero no rotation of the cup frees all teeth. With shape (n, q): torsion beta [rad],
+    stiffness dM/dbeta of the teeth [N m/rad], largest force on a flank [N], largest over mean force of the
+    loaded flanks [-], 1 where none is.
     """
 
     interference: Floats
@@ -103,8 +102,8 @@ def evaluate(
 def reference_stiffness(drive: Drive, cup_torque: Floats) -> Floats:
     """Least torsional stiffness of a drive without eccentricity and runout (q,) [N m/rad].
 
-    It goes up and down as pairs come into load, by 1 % for 200 teeth and 3 % for 100: no loss, whatever the
-    gear. Raises ValueError if the teeth cannot bear one of the torques on the cup (q,) [N m].
+    It varies as pairs come into load, by 1 % for 200 teeth and 3 % for 100, which is no loss. Raises
+    ValueError if the teeth cannot bear one of the torques on the cup (q,) [N m].
     """
     turn = drive.mesh.geometry.slot_pitch * np.arange(_PHASES) / _PHASES
     found = evaluate(drive.mesh, turn, np.zeros(_PHASES, dtype=np.complex128), cup_torque)

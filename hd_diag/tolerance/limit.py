@@ -59,10 +59,9 @@ class Worst:
 class EccentricityLimit:
     """Where a criterion is first exceeded.
 
-    The largest eccentricity that keeps within the limit in all directions [m], nan if the limit is not
-    reached; the worst there, else at the largest eccentricity looked at; the criterion's value `without`
-    eccentricity; `scanned` (2, STEPS + 1): eccentricities [m] and, to coarse steps of direction and angle,
-    the values.
+    The largest eccentricity within the limit in all directions [m], nan if the limit is not reached; the
+    worst there, else at the largest one looked at; the value `without` eccentricity; `scanned` (2, STEPS +
+    1): eccentricities [m] and the values on a coarse grid of direction and angle.
     """
 
     criterion: str
@@ -102,9 +101,9 @@ def first_excess(
 
     The drive's own eccentricity does not count; its runout stays. The torque is that on the cup [N m].
 
-    The value need not rise with the eccentricity: it is looked at in :data:`STEPS` steps first, and solved
-    within the first step that brings an excess (Brent); one that comes and goes within a step is missed. A
-    criterion that jumps is looked at in :data:`FINE_STEPS` parts of that step before.
+    The value need not rise with the eccentricity: of :data:`STEPS` steps the first that brings an excess is
+    solved (Brent), for a criterion that jumps within one of its :data:`FINE_STEPS` parts. An excess that
+    comes and goes within a step is missed.
     """
     search = _Search(drive, cup_torque, criterion)
     eccentricity = np.linspace(0.0, largest, STEPS + 1)
